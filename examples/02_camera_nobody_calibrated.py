@@ -17,7 +17,7 @@ import numpy as np
 
 import approxjac as aj
 from approxjac import view
-from approxjac.tasks import PlanarCamera
+from approxjac.cameras import PlanarCamera
 
 arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
 arguments.add_argument("--out", type=Path, default=Path("results/examples"))

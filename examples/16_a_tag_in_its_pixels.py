@@ -22,7 +22,7 @@ from approxjac import view
 from approxjac.controllers import ModelGravity
 from approxjac.extras import package_of
 from approxjac.realtime import SimulatedDriver
-from approxjac.tasks import CombinedTask, FrameKinematics, tag_corners
+from approxjac.tasks import CombinedTask, FrameKinematics
 
 cv2 = package_of("vision", "cv2")  # says what to install where it is missing
 arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -48,7 +48,7 @@ camera = camera.standing_at((1.25, -0.25, 0.75), looking_at=(0.55, 0.0, 0.5))  #
 wrong = camera.with_error(rotation=(0.0, 0.0, np.radians(20.0)), shift=(0.05, 0.0, -0.15))
 arm = aj.load_robot("panda")
 truth, belief = arm.with_object(0.15, 0.3, axis="x"), arm.with_object(0.0)  # weighed only
-corners = tag_corners(SIZE, TAG)
+corners = aj.cameras.tag_corners(SIZE, TAG)
 
 
 class Eye:

@@ -14,7 +14,17 @@ import pytest
 import approxjac as aj
 
 REFERENCE = Path(__file__).parents[1] / "docs" / "api"
-MODULES = ("robots", "tasks", "controllers", "simulation", "realtime", "stability", "law", "view")
+MODULES = (
+    "robots",
+    "cameras",
+    "tasks",
+    "controllers",
+    "simulation",
+    "realtime",
+    "stability",
+    "law",
+    "view",
+)
 DIRECTIVE = re.compile(r"^\.\. auto(\w+):: (\S+)\n((?:   :.*\n)*)", re.MULTILINE)
 
 
@@ -126,8 +136,8 @@ def test_type_checkers_know_the_names(tmp_path):
     )
     types = re.findall(r'Revealed type is "([^"]*)"', process.stdout)
     assert types[0] == "approxjac.simulation.trajectory.Trajectory"
-    assert types[1] == "approxjac.stability.report.StabilityReport"
-    assert types[2] == "approxjac.stability.region.Tube"
+    assert types[1] == "approxjac.stability.report.report.StabilityReport"
+    assert types[2] == "approxjac.stability.errors.region.Tube"
     assert types[3].startswith("def (run: approxjac.simulation.trajectory.Trajectory)")
     assert types[4].startswith("def (controller: approxjac.interface.Controller, uncertainty:")
     errors = re.findall(r"error: (.*)", process.stdout)

@@ -3,6 +3,7 @@
 import ast
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -18,48 +19,47 @@ ALLOWED = {
     "files": set(),
     "formatting": set(),
     "validation": {"errors"},
-    "interface": {"tasks", "validation", "formatting", "errors"},
-    "paths": {"interface", "formatting", "validation", "errors"},
-    "robots": {"files", "validation", "errors"},
-    "law": {"validation", "errors"},
+    "interface": {"errors", "formatting", "tasks", "validation"},
+    "paths": {"errors", "formatting", "interface", "validation"},
+    "robots": {"errors", "files", "validation"},
+    "law": {"errors", "validation"},
     "codegen": {
-        "files", "simulation", "controllers", "law", "tasks", "robots", "interface", "formatting",
-        "validation", "errors", "extras", "__init__",
+        "__init__", "cameras", "controllers", "errors", "extras", "files", "formatting",
+        "interface", "law", "robots", "simulation", "tasks", "validation",
     },
-    "tasks": {"robots", "formatting", "validation", "errors"},
+    "cameras": {"errors", "formatting", "robots", "validation"},
+    "tasks": {"cameras", "errors", "formatting", "robots", "validation"},
     "controllers": {
-        "law", "tasks", "robots", "interface", "formatting", "validation", "errors", "extras",
+        "cameras", "errors", "extras", "formatting", "interface", "law", "robots", "tasks",
+        "validation",
     },
     "simulation": {
-        "files", "controllers", "law", "tasks", "robots", "interface", "formatting", "validation",
-        "errors",
-        "extras", "__init__",
+        "__init__", "cameras", "controllers", "errors", "extras", "files", "formatting",
+        "interface", "law", "robots", "tasks", "validation",
     },
     "realtime": {
-        "simulation", "controllers", "tasks", "robots", "interface", "formatting", "validation",
-        "errors", "extras",
+        "controllers", "errors", "extras", "formatting", "interface", "robots", "simulation",
+        "tasks", "validation",
     },
     "stability": {
-        "files", "codegen", "controllers", "simulation", "law", "tasks", "robots", "interface",
-        "formatting", "validation", "errors", "extras",
+        "cameras", "codegen", "controllers", "errors", "extras", "files", "formatting",
+        "interface", "law", "robots", "simulation", "tasks", "validation",
     },
     "view": {
-        "files", "simulation", "controllers", "law", "tasks", "robots", "interface", "validation",
-        "errors",
-        "extras",
+        "cameras", "controllers", "errors", "extras", "files", "interface", "law", "robots",
+        "simulation", "tasks", "validation",
     },
     "paper": {
-        "view", "stability", "controllers", "simulation", "law", "tasks", "robots", "formatting",
-        "validation", "errors",
+        "cameras", "controllers", "errors", "formatting", "law", "robots", "simulation",
+        "stability", "tasks", "validation", "view",
     },
     "scenario": {
-        "files", "view", "stability", "controllers", "simulation", "law", "tasks", "robots",
-        "paths",
-        "interface", "formatting", "validation", "errors",
+        "cameras", "controllers", "errors", "files", "formatting", "interface", "law", "paths",
+        "robots", "simulation", "stability", "tasks", "validation", "view",
     },
     "cli": {
-        "files", "scenario", "paper", "view", "stability", "codegen", "controllers", "simulation",
-        "robots", "formatting", "errors", "__init__",
+        "__init__", "codegen", "controllers", "errors", "files", "formatting", "paper", "robots",
+        "scenario", "simulation", "stability", "view",
     },
     "__main__": {"cli"},
 }  # fmt: skip
@@ -107,9 +107,28 @@ def test_the_law_knows_only_numpy():
             assert top in {"numpy", "approxjac"} or top in sys.stdlib_module_names
 
 
-def test_modules_are_small():
-    sizes = {str(path): len(path.read_text(encoding="utf-8").splitlines()) for path in FILES}
-    assert {path: n for path, n in sizes.items() if n > 400} == {}
+def test_rooms_are_small():
+    rooms = Counter(path.parent.relative_to(SOURCE).as_posix() for path in FILES)
+    named = {"__init__.py", "__main__.py"}
+    rooms -= Counter(
+        path.parent.relative_to(SOURCE).as_posix() for path in FILES if path.name in named
+    )
+    most = {"law": 20, "controllers": 17}  # 15 once laws describe themselves
+    assert {room: n for room, n in rooms.items() if n > most.get(room, 15)} == {}
+
+
+def test_no_name_is_used_twice():
+    """Public classes, and modules but for those that mirror one of `law`."""
+    modules = Counter(path.stem for path in FILES if not path.stem.startswith("__"))
+    mirrored = {path.stem for path in (SOURCE / "law").glob("*.py")}
+    assert {name for name, n in modules.items() if n > 1 + (name in mirrored)} == set()
+    classes = Counter(
+        node.name
+        for path in FILES
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+    )
+    assert {name for name, n in classes.items() if n > 1} == set()
 
 
 def loaded_by(statement):

@@ -8,11 +8,12 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import approxjac as aj
+from approxjac.cameras import PlanarCamera
 from approxjac.controllers import DifferentiatedVelocity, Posture, RegressorGravity
 from approxjac.errors import SimulationError, UnknownNameError
 from approxjac.law import Sine
 from approxjac.robots import Dynamics, GravityRegressor
-from approxjac.tasks import NonsingularTask, PlanarCamera
+from approxjac.tasks import NonsingularTask
 
 COPIES = {"pickle": lambda thing: pickle.loads(pickle.dumps(thing)), "deepcopy": copy.deepcopy}
 

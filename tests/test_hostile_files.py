@@ -13,13 +13,13 @@ import trimesh
 from numpy.lib import format as npy
 
 import approxjac as aj
+from approxjac.cameras import PinholeCamera
 from approxjac.errors import ApproxJacError, TrajectoryFileError
 from approxjac.realtime import SimulatedDriver
 from approxjac.realtime.robot_run import RobotRun
 from approxjac.robots.meshes import find_mesh
-from approxjac.stability.rollout_portions import _kept_part
-from approxjac.tasks import PinholeCamera
-from approxjac.view.meshes import load_mesh
+from approxjac.stability.rollout.rollout_portions import _kept_part
+from approxjac.view.mesh_drawing import load_mesh
 
 ARRAYS = ("t", "q", "v", "x", "x_d", "error", "tau", "state", "status", "slack", "V", "sigma_min")
 

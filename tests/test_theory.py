@@ -8,7 +8,7 @@ import approxjac as aj
 from approxjac import law
 from approxjac.controllers import RegressorGravity
 from approxjac.robots import Dynamics, GravityRegressor
-from approxjac.stability.linearization import LinearLoop, Timing, sampled_matrix
+from approxjac.stability.loop.linearization import LinearLoop, Timing, sampled_matrix
 
 
 @pytest.fixture

@@ -36,10 +36,10 @@ from common import carried_object, head, parser, row, run_all, write
 
 import approxjac as aj
 from approxjac.controllers import Latency
-from approxjac.stability.attraction import attraction
-from approxjac.stability.closed_loop import ClosedLoop
-from approxjac.stability.matrix_form import MatrixForm, best_weights
-from approxjac.stability.sampled_test import growth, sampled_test
+from approxjac.stability.certificates.attraction import attraction
+from approxjac.stability.certificates.matrix_form import MatrixForm, best_weights
+from approxjac.stability.certificates.sampled_test import growth, sampled_test
+from approxjac.stability.loop.closed_loop import ClosedLoop
 
 ARMS = (
     "two_link", "panda", "ur5", "xarm7", "kinova", "z1", "ur10", "so101", "talos_arm", "tiago_arm",

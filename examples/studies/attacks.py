@@ -9,14 +9,14 @@ import uneven
 from certify import lyapunov
 
 import approxjac as aj
-from approxjac.stability.attraction import slower, travels
-from approxjac.stability.closed_loop import SHARED, ClosedLoop
-from approxjac.stability.matrix_form import MatrixForm
-from approxjac.stability.region import Region
-from approxjac.stability.rollout_study import Study
-from approxjac.stability.rollouts import as_study
-from approxjac.stability.sampled_form import SampledForm
-from approxjac.stability.sampled_test import growth
+from approxjac.stability.certificates.attraction import slower, travels
+from approxjac.stability.certificates.matrix_form import MatrixForm
+from approxjac.stability.certificates.sampled_form import SampledForm
+from approxjac.stability.certificates.sampled_test import growth
+from approxjac.stability.errors.region import Region
+from approxjac.stability.loop.closed_loop import SHARED, ClosedLoop
+from approxjac.stability.rollout.rollout_study import Study
+from approxjac.stability.rollout.rollouts import as_study
 
 OF_EACH = 5  # linearisations of a true robot
 STEPS = 600  # of a recorded run [periods]

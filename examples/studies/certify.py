@@ -22,9 +22,9 @@ from random_loops import Case, build, cases, damped
 
 import approxjac as aj
 from approxjac import law
-from approxjac.stability.closed_loop import ClosedLoop
-from approxjac.stability.families import FAMILIES, Weights
-from approxjac.stability.matrix_form import MatrixForm
+from approxjac.stability.certificates.families import FAMILIES, Weights
+from approxjac.stability.certificates.matrix_form import MatrixForm
+from approxjac.stability.loop.closed_loop import ClosedLoop
 
 NAMES = {
     "theorem1": "Theorem 1",

@@ -13,10 +13,10 @@ from common import head, parser, row, write
 
 import approxjac as aj
 from approxjac import law, paper
-from approxjac.stability.closed_loop import ClosedLoop
-from approxjac.stability.families import FAMILIES
-from approxjac.stability.matrix_form import MatrixForm, best_weights
-from approxjac.stability.theorem1 import theorem1
+from approxjac.stability.certificates.families import FAMILIES
+from approxjac.stability.certificates.matrix_form import MatrixForm, best_weights
+from approxjac.stability.certificates.theorem1 import theorem1
+from approxjac.stability.loop.closed_loop import ClosedLoop
 
 FIGURES = (3, 4, 5, 6, 7)
 RADII = (0.0, 0.05, 0.2)  # half width of the regions about the target [rad]; 0 is the target alone

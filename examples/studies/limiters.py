@@ -26,7 +26,7 @@ from lyapunov_decrease import Decrease, decrease
 import approxjac as aj
 from approxjac import view
 from approxjac.scenario import Scenario
-from approxjac.scenario.configurations import regular_configuration
+from approxjac.scenario.starts import regular_configuration
 
 ROBOTS = ("panda", "xarm7", "two_link")
 SCALES = (1.0, 0.7, 0.5, 0.35, 0.25)

@@ -31,10 +31,10 @@ from common import carried_object, head, parser, row, run_all, write
 
 import approxjac as aj
 from approxjac.controllers import RegressorGravity
-from approxjac.controllers.limits import sure_deceleration
+from approxjac.controllers.limits.limits import sure_deceleration
 from approxjac.robots import GravityRegressor
 from approxjac.robots.joint_limits import reach_bound
-from approxjac.scenario.configurations import regular_configuration
+from approxjac.scenario.starts import regular_configuration
 from approxjac.simulation.integrators import rk4
 
 ROBOTS = ("xarm7", "ur5", "panda", "kinova", "tiago_arm")

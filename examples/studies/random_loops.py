@@ -34,7 +34,7 @@ class Loop(NamedTuple):
 def camera(size, rng):
     """Return the paper's arm and camera, with camera and lengths wrong."""
     roll, focal, distance = size * rng.uniform(-1.0, 1.0, 3)
-    believed = aj.tasks.PlanarCamera(
+    believed = aj.cameras.PlanarCamera(
         focal_length=paper.CAMERA.focal_length * math.exp(0.7 * focal),
         distance=paper.CAMERA.distance * math.exp(0.4 * distance),
         roll=math.radians(90.0) * roll,

@@ -23,13 +23,14 @@ from common import head, parser, row, run_all, write
 from tracks import DT, Circle
 
 import approxjac as aj
+from approxjac.cameras import PlanarCamera
 from approxjac.controllers import (
     KnownKinematics,
     ModelDynamics,
     PredictedMeasurement,
 )
 from approxjac.paper.experiments import CAMERA, EXPERIMENTS, build_arm
-from approxjac.tasks import FrameKinematics, PlanarCamera
+from approxjac.tasks import FrameKinematics
 
 NOISE, RATE, DELAY = 0.5, 30.0, 0.05  # of the camera [px], [Hz], [s]
 RADIUS, PERIOD = 60.0, 4.0  # of the circle [px], [s]

@@ -6,7 +6,7 @@ import numpy as np
 
 import approxjac as aj
 from approxjac.controllers import Limiter
-from approxjac.controllers.limiter import Limited
+from approxjac.controllers.limits.limiter import Limited
 
 
 def clipped(law, limits):

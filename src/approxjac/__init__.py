@@ -4,7 +4,7 @@ The plant owns the true robot, the controller the believed one; only measurement
 pass between them. Import as `import approxjac as aj`.
 
 What one builds and calls is here by name. What functions return, and what is built rarely, is in
-the module that makes it: `aj.stability.Tube`, `aj.tasks.Camera`, `aj.view.plot_run`.
+the module that makes it: `aj.stability.Tube`, `aj.cameras.Camera`, `aj.view.plot_run`.
 """
 
 import importlib
@@ -12,6 +12,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from approxjac import law
+from approxjac.cameras import PinholeCamera
 from approxjac.controllers import (
     AdaptiveGravity,
     AdaptiveKinematics,
@@ -37,38 +38,31 @@ from approxjac.interface import (
 from approxjac.paths import Circle, Line, Waypoints
 from approxjac.robots import Robot, load_robot
 from approxjac.simulation import MujocoPlant, Plant, Sensing, Trajectory, simulate
-from approxjac.tasks import (
-    ImageTask,
-    PinholeCamera,
-    PoseTask,
-    PositionTask,
-    StackedTask,
-    Task,
-)
+from approxjac.tasks import ImageTask, PoseTask, PositionTask, StackedTask, Task
 
 if TYPE_CHECKING:
     from approxjac import codegen as codegen
     from approxjac import realtime as realtime
     from approxjac import stability, view
-    from approxjac.codegen.c_files import export_c
+    from approxjac.codegen.backends.c_files import export_c
     from approxjac.realtime.control import control
     from approxjac.scenario import Scenario
+    from approxjac.stability.errors.region import JointBox
+    from approxjac.stability.errors.uncertainty import Uncertainty
 
     # from their own modules: through the package, type checkers take functions that are named as
     # modules for these
-    from approxjac.stability.local import local_stability
-    from approxjac.stability.region import JointBox
-    from approxjac.stability.report import stability_report
-    from approxjac.stability.rollouts import rollouts
-    from approxjac.stability.suggestion import suggest_gains
-    from approxjac.stability.tolerance import tolerance
-    from approxjac.stability.uncertainty import Uncertainty
+    from approxjac.stability.loop.local import local_stability
+    from approxjac.stability.report.report import stability_report
+    from approxjac.stability.rollout.rollouts import rollouts
+    from approxjac.stability.search.suggestion import suggest_gains
+    from approxjac.stability.search.tolerance import tolerance
 
 __version__ = "0.1.0"
 
 _LAZY = ("codegen", "realtime", "stability", "view")  # modules that many programs never need
 _FROM = {"Scenario": "scenario", "control": "realtime", "export_c": "codegen"}
-_MODULES = ("controllers", "errors", "robots", "simulation", "tasks")  # of further names
+_MODULES = ("cameras", "controllers", "errors", "robots", "simulation", "tasks")  # of further names
 
 __all__ = [
     "AdaptiveGravity",

@@ -16,10 +16,10 @@ from pathlib import Path
 import lanes
 import turns
 
-from approxjac.codegen import c99
+from approxjac.codegen.backends import c99
+from approxjac.codegen.backends.numpy_source import NumpyLanes
 from approxjac.codegen.lanes import Lanes
-from approxjac.codegen.numpy_source import NumpyLanes
-from approxjac.codegen.program import STEP, Writer
+from approxjac.codegen.trace.program import STEP, Writer
 
 # Additions, or products, in double precision a second, not fused: half of what data sheets call
 # FP64 (a fused multiplication and addition counts twice there).

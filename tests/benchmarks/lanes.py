@@ -18,13 +18,13 @@ import turns
 from mujoco import rollout
 
 import approxjac as aj
+from approxjac.codegen.backends.llvm import LlvmLanes
+from approxjac.codegen.backends.numpy_source import NumpyLanes, numpy_function
 from approxjac.codegen.lanes import Lanes
-from approxjac.codegen.llvm import LlvmLanes
-from approxjac.codegen.numpy_source import NumpyLanes, numpy_function
-from approxjac.codegen.program import STEP
 from approxjac.codegen.regions import Box
+from approxjac.codegen.trace.program import STEP
 from approxjac.robots import Dynamics
-from approxjac.stability.rollout_study import Study
+from approxjac.stability.rollout.rollout_study import Study
 
 DT, LANES, ROUNDS = 1e-3, 1024, 5
 AVX2 = "+sse4.2,+avx,+avx2"

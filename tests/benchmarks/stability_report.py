@@ -24,9 +24,9 @@ import turns
 
 import approxjac as aj
 from approxjac.robots import Dynamics
-from approxjac.stability import report as report_module
 from approxjac.stability import stability_map
-from approxjac.stability.closed_loop import ClosedLoop
+from approxjac.stability.loop.closed_loop import ClosedLoop
+from approxjac.stability.report import report as report_module
 from approxjac.tasks.analysis import jacobian_gradient
 
 POSTURES, ROUNDS = 10_000, 3

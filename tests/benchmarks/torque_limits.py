@@ -14,8 +14,7 @@ import numpy as np
 import qpsolvers
 
 import approxjac as aj
-from approxjac.controllers.qp_solvers import as_solver
-from approxjac.controllers.quadratic_program import Solver
+from approxjac.controllers.limits.quadratic_program import Solver, as_solver
 
 STATES, ROUNDS = 1500, 4
 PROBLEMS = 300

@@ -15,12 +15,12 @@ import approxjac as aj
 from approxjac.cli import main
 from approxjac.cli.bars import ShareBar
 from approxjac.scenario import Scenario
-from approxjac.scenario import gains as study_gains
-from approxjac.scenario import stability as study
+from approxjac.scenario import gain_suggestion as study_gains
+from approxjac.scenario import judge as study
 from approxjac.scenario import stability_report as report
 from approxjac.scenario.build import BuiltScenario
 from approxjac.stability import Suggestion, Tolerance, stability_map, tolerance
-from approxjac.stability.suggestion import Candidate
+from approxjac.stability.search.suggestion import Candidate
 
 ROOT = Path(__file__).parents[2]
 AROUND = ("0", "-0.5", "0", "-2", "0", "1.8", "0")

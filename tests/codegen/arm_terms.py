@@ -3,10 +3,10 @@
 import numpy as np
 import pinocchio as pin
 
-from approxjac.codegen.numpy_source import numpy_function
-from approxjac.codegen.program import Program
-from approxjac.codegen.rigid_body import Arm, ArmNumbers, arm_numbers, moved
-from approxjac.codegen.symbols import inputs
+from approxjac.codegen.arm.rigid_body import Arm, ArmNumbers, arm_numbers, moved
+from approxjac.codegen.backends.numpy_source import numpy_function
+from approxjac.codegen.trace.program import Program
+from approxjac.codegen.trace.symbols import inputs
 from approxjac.robots import Dynamics
 from approxjac.tasks.frame_kinematics import FrameKinematics
 

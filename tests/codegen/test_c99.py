@@ -11,8 +11,8 @@ import pinocchio as pin
 import pytest
 
 import approxjac as aj
-from approxjac.codegen.c99 import sampled_step
-from approxjac.codegen.setpoint import STATUSES
+from approxjac.codegen.backends.c99 import sampled_step
+from approxjac.codegen.traced_setpoint import STATUSES
 from approxjac.controllers import AwayFromStops, DifferentiatedVelocity, Posture, RegressorGravity
 from approxjac.interface import LimitStatus, Measurement
 from approxjac.robots import GravityRegressor

@@ -9,12 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from approxjac import law
-from approxjac.codegen.graph import Graph, select
-from approxjac.codegen.linear import Factors, damped_gram_solve, eigensystem
-from approxjac.codegen.llvm import LlvmLanes
-from approxjac.codegen.numpy_source import NumpyLanes, numpy_function
-from approxjac.codegen.program import Block, Program
-from approxjac.codegen.symbols import any_of, inputs, symbols
+from approxjac.codegen.backends.llvm import LlvmLanes
+from approxjac.codegen.backends.numpy_source import NumpyLanes, numpy_function
+from approxjac.codegen.trace.graph import Graph, select
+from approxjac.codegen.trace.linear import Factors, damped_gram_solve, eigensystem
+from approxjac.codegen.trace.program import Block, Program
+from approxjac.codegen.trace.symbols import any_of, inputs, symbols
 
 
 @pytest.fixture

@@ -9,16 +9,16 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
-from approxjac.codegen.closed_loop import TOLD
+from approxjac.codegen.backends.llvm import LlvmLanes
+from approxjac.codegen.backends.numpy_source import NumpyLanes
 from approxjac.codegen.lanes import Lanes
-from approxjac.codegen.llvm import LlvmLanes
-from approxjac.codegen.numpy_source import NumpyLanes
+from approxjac.codegen.loop_program import TOLD
 from approxjac.codegen.regions import Box
 from approxjac.codegen.step import compiled
 from approxjac.controllers import HeldMeasurement, PredictedMeasurement
 from approxjac.errors import MissingPackageError, UnknownNameError
 from approxjac.law import Sine
-from approxjac.stability import rollout_study
+from approxjac.stability.rollout import rollout_study
 
 SHORT = {"runs": 24, "duration": 1.0, "dt": 2e-3}
 
@@ -139,7 +139,7 @@ def test_the_same_bits_whatever_carries_them_out(tmp_path, monkeypatch):
     assert digest(aj.rollouts(*loop, folder=tmp_path, **options)) == expected
     assert [file.stat().st_mtime_ns for file in kept] == times
     assert len(list(tmp_path.iterdir())) == 9
-    monkeypatch.setattr("approxjac.stability.rollout_portions._PORTION", 16)
+    monkeypatch.setattr("approxjac.stability.rollout.rollout_portions._PORTION", 16)
     assert digest(aj.rollouts(*loop, **options)) == expected
     for runs in (9, 1):
         few = aj.rollouts(*loop, **options | {"runs": runs})

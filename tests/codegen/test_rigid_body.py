@@ -6,7 +6,7 @@ from arm_terms import evaluated, largest_errors, traced
 from random_trees import random_tree
 
 import approxjac as aj
-from approxjac.codegen.arm_numbers import ArmNumbers, Structure, arm_numbers, reduced
+from approxjac.codegen.arm.arm_numbers import ArmNumbers, Structure, arm_numbers, reduced
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import GravityRegressor
 from approxjac.stability import Uncertainty

@@ -11,14 +11,14 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac.codegen import compiled
-from approxjac.codegen.closed_loop import TOLD, require_covered
+from approxjac.codegen.backends.llvm import LlvmLanes
+from approxjac.codegen.backends.numpy_source import NumpyLanes
 from approxjac.codegen.lanes import Lanes
-from approxjac.codegen.llvm import LlvmLanes
-from approxjac.codegen.numpy_source import NumpyLanes
+from approxjac.codegen.loop_program import TOLD, require_covered
 from approxjac.codegen.regions import Box
 from approxjac.controllers import DifferentiatedVelocity
 from approxjac.simulation import Sensing, VelocityServo
-from approxjac.stability import rollout_study
+from approxjac.stability.rollout import rollout_study
 
 SHORT = {"runs": 5, "duration": 0.6, "dt": 2e-3, "tolerance": 0.3}
 ROUGH = {
@@ -213,7 +213,7 @@ def test_the_same_bits_whatever_carries_them_out(tmp_path, monkeypatch):
         aj.rollouts(*loop, folder=tmp_path, progress=stop, **options)
     assert 0 < len(list(tmp_path.iterdir())) < 9
     assert test_lanes.digest(aj.rollouts(*loop, folder=tmp_path, **options)) == expected
-    monkeypatch.setattr("approxjac.stability.rollout_portions._PORTION", 16)
+    monkeypatch.setattr("approxjac.stability.rollout.rollout_portions._PORTION", 16)
     monkeypatch.setattr("approxjac.codegen.lanes._BLOCK", 7)
     assert test_lanes.digest(aj.rollouts(*loop, **options)) == expected
 

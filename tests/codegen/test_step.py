@@ -11,9 +11,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
-from approxjac.codegen.numpy_source import NumpyLanes
-from approxjac.codegen.setpoint import STATUSES
+from approxjac.cameras import PlanarCamera
+from approxjac.codegen.backends.numpy_source import NumpyLanes
 from approxjac.codegen.step import compiled, step_program
+from approxjac.codegen.traced_setpoint import STATUSES
 from approxjac.controllers import (
     AwayFromStops,
     DifferentiatedVelocity,
@@ -24,7 +25,7 @@ from approxjac.errors import InvalidInputError, MeasurementError, MissingPackage
 from approxjac.law import Sine, Tanh, theta_hat_rate
 from approxjac.robots import GravityRegressor
 from approxjac.simulation.sampled_loop import SampledLoop
-from approxjac.tasks import CombinedTask, NonsingularTask, PlanarCamera
+from approxjac.tasks import CombinedTask, NonsingularTask
 
 CAMERA = aj.PinholeCamera.looking_at((0.4, 0.0, 0.4), (2.0, -1.0, 1.0), 600.0, (640, 480))
 NEAR = aj.PinholeCamera.looking_at((0.45, 0.0, 0.4), (1.1, -0.3, 0.9), 300.0, (640, 480))

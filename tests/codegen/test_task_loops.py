@@ -7,10 +7,11 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
+from approxjac.cameras import PlanarCamera
 from approxjac.codegen import compiled
 from approxjac.controllers import DifferentiatedVelocity
 from approxjac.simulation.sampled_loop import SampledLoop
-from approxjac.tasks import NonsingularTask, PlanarCamera
+from approxjac.tasks import NonsingularTask
 
 SHORT = {"runs": 5, "duration": 0.3, "dt": 2e-3, "tolerance": 0.05}
 SQUARE = ((0.2, 0.0, 0.05), (-0.1, 0.2, 0.0), (0.0, -0.2, 0.2))

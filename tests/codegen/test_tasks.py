@@ -6,21 +6,15 @@ import numpy as np
 import pytest
 
 import approxjac as aj
-from approxjac.codegen import tasks
-from approxjac.codegen.functions import arctangent
-from approxjac.codegen.numpy_source import numpy_function
-from approxjac.codegen.program import Program
-from approxjac.codegen.rigid_body import Arm
-from approxjac.codegen.symbols import inputs
+from approxjac.cameras import PlanarCamera, tag_corners
+from approxjac.codegen.arm import traced_tasks as tasks
+from approxjac.codegen.arm.rigid_body import Arm
+from approxjac.codegen.backends.numpy_source import numpy_function
+from approxjac.codegen.trace.functions import arctangent
+from approxjac.codegen.trace.program import Program
+from approxjac.codegen.trace.symbols import inputs
 from approxjac.errors import InvalidInputError
-from approxjac.tasks import (
-    CombinedTask,
-    NonsingularTask,
-    PlanarCamera,
-    PoseTrackerTask,
-    TrackerTask,
-    tag_corners,
-)
+from approxjac.tasks import CombinedTask, NonsingularTask, PoseTrackerTask, TrackerTask
 
 CAMERA = aj.PinholeCamera.looking_at((0.4, 0.0, 0.4), (2.0, -1.0, 1.0), 600.0, (640, 480))
 LENS = aj.PinholeCamera.looking_at(

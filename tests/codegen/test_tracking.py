@@ -11,11 +11,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 from random_trees import random_tree
 
 import approxjac as aj
-from approxjac.codegen.learnt_arm import LearntBodies, point_motion
-from approxjac.codegen.program import Program
-from approxjac.codegen.rigid_body import Arm
+from approxjac.codegen.arm.learnt_arm import LearntBodies, point_motion
+from approxjac.codegen.arm.rigid_body import Arm
 from approxjac.codegen.step import compiled
-from approxjac.codegen.symbols import inputs
+from approxjac.codegen.trace.program import Program
+from approxjac.codegen.trace.symbols import inputs
 from approxjac.controllers import KnownKinematics, ModelDynamics
 from approxjac.robots import KinematicRegressor
 from approxjac.robots.dynamics_regressor import DynamicsRegressor

@@ -10,11 +10,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
+from approxjac.cameras import PlanarCamera
 from approxjac.controllers import AdaptiveCamera, PredictedMeasurement, RegressorGravity
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.law import rotation_exp
 from approxjac.robots import GravityRegressor, KinematicRegressor
-from approxjac.tasks import FrameKinematics, PlanarCamera
+from approxjac.tasks import FrameKinematics
 
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 CAMERA = aj.PinholeCamera.looking_at(
@@ -422,7 +423,7 @@ def test_wrong_numbers_are_told(room, options, text):
 def test_wrong_tasks_are_told(panda, room, hand):
     with pytest.raises(InvalidInputError, match="task must be an ImageTask of the believed robot"):
         AdaptiveCamera(aj.PositionTask(panda))
-    tag = aj.ImageTask(panda, CAMERA, points=aj.tasks.tag_corners(0.08))
+    tag = aj.ImageTask(panda, CAMERA, points=aj.cameras.tag_corners(0.08))
     for task in (tag, aj.tasks.CombinedTask(tag, np.eye(8)[:6])):
         with pytest.raises(InvalidInputError, match=r"take three corners, .*points=points\[:3\]"):
             AdaptiveCamera(task)

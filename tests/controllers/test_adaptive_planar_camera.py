@@ -5,10 +5,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
+from approxjac.cameras import PlanarCamera
 from approxjac.controllers import AdaptivePlanarCamera, PredictedMeasurement
 from approxjac.errors import InvalidInputError
 from approxjac.paper.experiments import CAMERA, EXPERIMENTS, build_arm
-from approxjac.tasks import ImageTask, PlanarCamera
+from approxjac.tasks import ImageTask
 
 START, GOAL = np.radians([60.0, 90.0]), np.radians([90.0, 90.0])
 WRONG = (0.75, 1.25, 0.0)  # lengths

@@ -7,10 +7,10 @@ import pinocchio as pin
 import pytest
 
 import approxjac as aj
-from approxjac.codegen.limits import require_covered
+from approxjac.codegen.traced_limits import require_covered
 from approxjac.controllers import CrossWeight
-from approxjac.stability.closed_loop import ClosedLoop
-from approxjac.stability.matrix_form import MatrixForm, best_weights
+from approxjac.stability.certificates.matrix_form import MatrixForm, best_weights
+from approxjac.stability.loop.closed_loop import ClosedLoop
 
 Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 DT, FRICTION = 1e-3, 0.7

@@ -9,8 +9,8 @@ from numpy.testing import assert_allclose
 
 import approxjac as aj
 from approxjac import law
+from approxjac.cameras import PlanarCamera
 from approxjac.robots import Dynamics
-from approxjac.tasks import PlanarCamera
 
 
 def position_task(robot):

@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
+from approxjac.cameras import PlanarCamera
 from approxjac.controllers import (
     AdaptiveCamera,
     AdaptiveKinematics,
@@ -17,7 +18,7 @@ from approxjac.controllers import (
     TorqueLimited,
 )
 from approxjac.errors import InvalidInputError
-from approxjac.tasks import ImageTask, PlanarCamera
+from approxjac.tasks import ImageTask
 
 CAMERA = aj.PinholeCamera.looking_at(
     (0.4, 0.1, 0.3), (1.5, -0.8, 0.9), focal_length=600.0, size=(640, 480)

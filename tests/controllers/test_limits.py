@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
-from approxjac.controllers import limits as rows
+from approxjac.controllers.limits import limits as rows
 from approxjac.robots import Dynamics
 
 

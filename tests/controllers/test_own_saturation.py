@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import approxjac as aj
+from approxjac.cameras import PlanarCamera
 from approxjac.controllers.saturation import require_saturation
 from approxjac.errors import MeasurementError
 from approxjac.law import Linear, Sine, Tanh
-from approxjac.tasks import PlanarCamera
 
 BUILT_IN = (Sine, Tanh)
 TWO_LINK = aj.load_robot("two_link")

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac.controllers import NoGravity
-from approxjac.controllers.prediction import Prediction
+from approxjac.controllers.limits.acceleration_observer import AccelerationObserver
 
 DT, RATE = 1e-3, 100.0
 Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
@@ -22,7 +22,7 @@ def measured(q, v, t=0.0):
 
 def test_what_is_learnt_does_not_change_what_is_predicted(panda, rng):
     law = law_of(panda, aj.AdaptiveGravity(panda))
-    prediction = Prediction(law, DT, RATE)
+    prediction = AccelerationObserver(law, DT, RATE)
     torque, measurement = rng.normal(size=7), measured(Q, rng.normal(size=7))
     f = [prediction.forward(measurement, torque, 10.0 * rng.normal(size=7)) for _ in range(2)]
     assert_array_equal(*f)
@@ -30,14 +30,14 @@ def test_what_is_learnt_does_not_change_what_is_predicted(panda, rng):
 
 
 def test_of_a_robot_that_compensates_itself_no_weight_is_predicted(panda):
-    prediction = Prediction(law_of(panda, NoGravity(panda)), DT, RATE)
+    prediction = AccelerationObserver(law_of(panda, NoGravity(panda)), DT, RATE)
     rest = measured(Q, np.zeros(7))
     assert_allclose(prediction.forward(rest, np.zeros(7), np.zeros(7)), 0.0, atol=1e-9)
 
 
 def test_periods_show_what_the_believed_arm_lacks(panda):
     """A constant lack of q̈ is found as a filter of the rate does, 1 − (1 − rate dt)ᵏ."""
-    prediction = Prediction(law_of(panda, aj.AdaptiveGravity(panda)), DT, RATE)
+    prediction = AccelerationObserver(law_of(panda, aj.AdaptiveGravity(panda)), DT, RATE)
     lack, v, memory = np.linspace(-3.0, 3.0, 7), np.zeros(7), prediction.nothing()
     for k in range(60):
         measurement = measured(Q, v, k * DT)
@@ -50,7 +50,7 @@ def test_periods_show_what_the_believed_arm_lacks(panda):
 
 @pytest.mark.parametrize("t", [-1.0, 0.0, 3.0 * DT, 1e9, np.inf, np.nan])
 def test_a_clock_that_jumps_shows_nothing(panda, t):
-    prediction = Prediction(law_of(panda, aj.AdaptiveGravity(panda)), DT, RATE)
+    prediction = AccelerationObserver(law_of(panda, aj.AdaptiveGravity(panda)), DT, RATE)
     before = np.linspace(1.0, 2.0, 7)
     memory = prediction.expecting(measured(Q, np.zeros(7), 0.0), np.zeros(7), before)
     late = measured(Q, np.full(7, 5.0), t)
@@ -61,7 +61,7 @@ def test_a_clock_that_jumps_shows_nothing(panda, t):
 
 
 def test_what_overflows_is_forgotten(panda):
-    prediction = Prediction(law_of(panda), DT, RATE)
+    prediction = AccelerationObserver(law_of(panda), DT, RATE)
     memory = prediction.expecting(measured(Q, np.zeros(7)), np.full(7, np.inf), np.zeros(7))
     assert_array_equal(memory, prediction.nothing())
     assert np.isfinite(memory).all()

@@ -10,9 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import nnls
 
-from approxjac.controllers import qp_solvers
-from approxjac.controllers.qp_solvers import as_solver
-from approxjac.controllers.quadratic_program import QuadraticProgram, Solver, Verdict
+from approxjac.controllers.limits import quadratic_program as qp_solvers
+from approxjac.controllers.limits.quadratic_program import (
+    QuadraticProgram,
+    Solver,
+    Verdict,
+    as_solver,
+)
 from approxjac.errors import InvalidInputError, MissingPackageError, UnknownNameError
 
 INF = np.inf

@@ -15,8 +15,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac.controllers import DifferentiatedVelocity, Posture, RegressorGravity
-from approxjac.controllers.limits import acceleration_bounds, speed_bounds, sure_deceleration
-from approxjac.controllers.qp_solvers import as_solver
+from approxjac.controllers.limits.limits import acceleration_bounds, speed_bounds, sure_deceleration
+from approxjac.controllers.limits.quadratic_program import as_solver
 from approxjac.errors import MeasurementError
 from approxjac.robots import Dynamics, GravityRegressor
 from approxjac.stability import lyapunov

@@ -10,10 +10,10 @@ from scenarios import reach
 
 import approxjac as aj
 from approxjac.controllers import DifferentiatedVelocity, Latency, tuned
-from approxjac.controllers.tuning import Learning, _Arm
-from approxjac.controllers.usual_postures import usual_postures
+from approxjac.controllers.gains.sample_configurations import usual_postures
+from approxjac.controllers.gains.tuning import Learning, _Arm
 from approxjac.robots import Dynamics, GravityRegressor
-from approxjac.scenario.control import latency_of
+from approxjac.scenario.laws import latency_of
 
 IDEAL = Latency()
 SENSORS = Latency(torque_delay=2e-3, velocity_filter=5e-3, image_period=1 / 60)

@@ -10,7 +10,7 @@ from scipy.linalg import expm
 import approxjac as aj
 from approxjac import law
 from approxjac.robots import Dynamics, GravityRegressor
-from approxjac.stability.linearization import LinearLoop, Timing, sampled_matrix
+from approxjac.stability.loop.linearization import LinearLoop, Timing, sampled_matrix
 
 DT, Q = 4e-3, np.array([0.4, 1.1])
 LIGHT = aj.load_robot("two_link").with_gravity((0.0, 0.0, -1e-6))  # its gradient is left out

@@ -139,13 +139,13 @@ def test_a_pinhole_camera_gives_the_same_numbers(results, figure):
 
 def test_a_verdict_needs_linearization_and_run(results):
     stable, unstable = results[4], results[3]
-    mixed = paper.Result(stable.experiment, unstable.run, stable.local, None)
+    mixed = paper.Reproduction(stable.experiment, unstable.run, stable.local, None)
     assert mixed.verdict == "unstable"
     assert "they differ" in mixed.reason
     assert not mixed.agrees_with_paper
-    mixed = paper.Result(stable.experiment, stable.run, unstable.local, None)
+    mixed = paper.Reproduction(stable.experiment, stable.run, unstable.local, None)
     assert mixed.verdict == "unstable"
-    assert paper.Result(stable.experiment, stable.run, stable.local, None).verdict == "stable"
+    assert paper.Reproduction(stable.experiment, stable.run, stable.local, None).verdict == "stable"
 
 
 def test_a_limit_cycle_is_not_called_stable():

@@ -15,7 +15,7 @@ from rehearsal import START, Around, Wrapped, driver_of, goal, run
 import approxjac as aj
 from approxjac.errors import ControlError, InvalidInputError
 from approxjac.realtime import Fault, SimulatedDriver, control
-from approxjac.realtime.loop import RobotLoop
+from approxjac.realtime.robot_loop import RobotLoop
 from approxjac.realtime.scheduling import undisturbed
 
 

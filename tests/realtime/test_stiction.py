@@ -5,7 +5,7 @@ import pytest
 
 import approxjac as aj
 from approxjac.realtime import Accuracy, Fault
-from approxjac.realtime.fault_watch import FaultWatch
+from approxjac.realtime.watches import FaultWatch
 
 Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 HELD = np.array([4.0, 4.0, 4.0, 4.0, 0.5, 0.5, 0.5])  # N m, of a few percent of the efforts

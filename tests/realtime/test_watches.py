@@ -11,8 +11,7 @@ from pinocchio import exp3
 
 import approxjac as aj
 from approxjac.realtime import Accuracy, Fault
-from approxjac.realtime.fault_watch import FaultWatch
-from approxjac.realtime.sensor_watch import SensorWatch
+from approxjac.realtime.watches import FaultWatch, SensorWatch
 from approxjac.tasks.frame_kinematics import FrameKinematics
 
 DT = 1e-3

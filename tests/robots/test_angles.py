@@ -7,8 +7,7 @@ import approxjac as aj
 from approxjac.controllers import Posture
 from approxjac.realtime import SimulatedDriver
 from approxjac.realtime.reading import read
-from approxjac.robots import Dynamics, GravityRegressor
-from approxjac.robots.excitation import excitation
+from approxjac.robots import Dynamics, GravityRegressor, excitation
 from approxjac.stability import SublevelSet, Tube
 
 ARM = aj.load_robot("kinova")  # six joints, of which three are continuous: nq is 9

@@ -193,7 +193,7 @@ def test_grams_are_no_kilograms():
 
 @pytest.mark.parametrize("name", aj.robots.robot_names())
 def test_nothing_is_said_of_arms_that_load_by_name(name):
-    from approxjac.robots.plausibility import implausible
+    from approxjac.robots.load import implausible
 
     assert implausible(aj.load_robot(name)) == []
 

@@ -10,7 +10,8 @@ from PIL import Image
 from scenarios import HOME, camera
 
 import approxjac as aj
-from approxjac.scenario import Scenario, report
+from approxjac.scenario import Scenario
+from approxjac.scenario import summary as report
 
 WRONG = {"camera": {"roll": 0.3, "focal_factor": 1.3, "depth_factor": 1.5}}
 NEARLY = {"camera": {"roll": 0.05, "depth_factor": 1.1}}

@@ -10,10 +10,12 @@ from numpy.testing import assert_allclose
 from scenarios import HOME, reach
 
 import approxjac as aj
+from approxjac.cameras import PlanarCamera
 from approxjac.errors import InvalidInputError
-from approxjac.scenario import Scenario, report
-from approxjac.scenario.stability import prepare
-from approxjac.tasks import PlanarCamera, TrackerTask
+from approxjac.scenario import Scenario
+from approxjac.scenario import summary as report
+from approxjac.scenario.judge import prepare
+from approxjac.tasks import TrackerTask
 from approxjac.tasks.analysis import place_of
 
 NEAR = {"start": HOME, "target": {"offset": (0.05, -0.05, 0.05)}}

@@ -10,11 +10,12 @@ from own_controller import OwnController
 from rehearsal import Around
 
 import approxjac as aj
+from approxjac.cameras import PlanarCamera
 from approxjac.controllers import DifferentiatedVelocity, law_of
 from approxjac.errors import TrajectoryFileError
 from approxjac.robots import GravityRegressor
 from approxjac.stability import lyapunov
-from approxjac.tasks import CombinedTask, NonsingularTask, PlanarCamera
+from approxjac.tasks import CombinedTask, NonsingularTask
 from approxjac.tasks.analysis import features
 
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])

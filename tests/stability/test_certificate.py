@@ -11,12 +11,12 @@ from numpy.testing import assert_allclose
 
 import approxjac as aj
 from approxjac import law, paper
+from approxjac.cameras import PlanarCamera
 from approxjac.robots import GravityRegressor
-from approxjac.stability.closed_loop import ClosedLoop
-from approxjac.stability.families import FAMILIES, Setting, Weights
-from approxjac.stability.matrix_form import MatrixForm, best_weights
-from approxjac.stability.theorem1 import theorem1
-from approxjac.tasks import PlanarCamera
+from approxjac.stability.certificates.families import FAMILIES, Setting, Weights
+from approxjac.stability.certificates.matrix_form import MatrixForm, best_weights
+from approxjac.stability.certificates.theorem1 import theorem1
+from approxjac.stability.loop.closed_loop import ClosedLoop
 
 Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.0])
 
@@ -214,7 +214,7 @@ def test_no_unstable_target_is_certified(seed):
     J = J_hat + rng.normal(size=(1, m, n)) * 10.0 ** rng.uniform(-2.0, 0.7)
     kp, kv = rng.uniform(1.0, 20.0, (2, m))
     B = 10.0 ** rng.uniform(-1.0, 1.5, n)
-    from approxjac.stability.samples import Samples
+    from approxjac.stability.loop.samples import Samples
 
     samples = Samples(
         np.zeros(1, dtype=int), np.zeros((1, n)), np.zeros((1, m)), M[None],

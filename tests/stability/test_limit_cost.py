@@ -8,7 +8,7 @@ import pytest
 
 import approxjac as aj
 from approxjac.formatting import plain
-from approxjac.stability.limit_cost import limit_cost
+from approxjac.stability.certificates.limit_cost import limit_cost
 
 Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 

@@ -9,7 +9,7 @@ import approxjac as aj
 from approxjac.controllers import RegressorGravity
 from approxjac.law import Sine
 from approxjac.robots import GravityRegressor
-from approxjac.stability.linearization import (
+from approxjac.stability.loop.linearization import (
     Timing,
     continuous_matrix,
     equilibria,

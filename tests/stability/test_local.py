@@ -8,12 +8,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
+from approxjac.cameras import PlanarCamera
 from approxjac.controllers import DifferentiatedVelocity, Posture, RegressorGravity
 from approxjac.law import Sine
 from approxjac.robots import GravityRegressor
 from approxjac.stability import lyapunov
-from approxjac.stability import targets as targets_module
-from approxjac.tasks import PlanarCamera
+from approxjac.stability.loop import target_samples as targets_module
 
 
 def linearized_by_differences(plant, controller, q_target):

@@ -9,11 +9,11 @@ import pytest
 
 import approxjac as aj
 from approxjac import law
+from approxjac.cameras import PlanarCamera
 from approxjac.controllers import DifferentiatedVelocity, Posture, RegressorGravity
 from approxjac.law import Linear, Sine, Tanh
 from approxjac.robots import GravityRegressor
 from approxjac.stability import lyapunov
-from approxjac.tasks import PlanarCamera
 
 
 def flow_V(plant, controller, target, alpha, theta):

@@ -7,11 +7,11 @@ from random_trees import random_tree
 
 import approxjac as aj
 from approxjac.robots import Dynamics, GravityRegressor
-from approxjac.stability.closed_loop import ClosedLoop
-from approxjac.stability.configurations import Arms
-from approxjac.stability.linearization import OF_TARGETS, Timing, linear_loop
-from approxjac.stability.local import local_test
-from approxjac.stability.targets import Targets
+from approxjac.stability.loop.closed_loop import ClosedLoop
+from approxjac.stability.loop.configuration_terms import Arms
+from approxjac.stability.loop.linearization import OF_TARGETS, Timing, linear_loop
+from approxjac.stability.loop.local import local_test
+from approxjac.stability.loop.target_samples import Targets
 from approxjac.tasks import CombinedTask, NonsingularTask, PoseTrackerTask, TrackerTask
 from approxjac.tasks.analysis import jacobian_gradient
 from approxjac.tasks.frame_kinematics import FrameKinematics

@@ -9,7 +9,7 @@ from numpy.testing import assert_array_equal
 
 import approxjac as aj
 from approxjac.stability import stability_map
-from approxjac.stability.map import PARAMETERS
+from approxjac.stability.search.map import PARAMETERS
 
 Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.0])
 

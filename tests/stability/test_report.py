@@ -16,14 +16,16 @@ from approxjac.controllers import DifferentiatedVelocity, Latency
 from approxjac.errors import UnknownNameError
 from approxjac.law import Sine
 from approxjac.robots import GravityRegressor
-from approxjac.stability import report_starts, stability_map, suggestion
-from approxjac.stability.closed_loop import ClosedLoop
-from approxjac.stability.inverse_kinematics import inverse_kinematics
-from approxjac.stability.local import local_test
-from approxjac.stability.matrix_form import MatrixForm
-from approxjac.stability.report_words import _wrong_gravity
-from approxjac.stability.suggestion import Candidate, _relaxations
-from approxjac.stability.theorem1 import theorem1
+from approxjac.stability import stability_map
+from approxjac.stability.certificates.matrix_form import MatrixForm
+from approxjac.stability.certificates.theorem1 import theorem1
+from approxjac.stability.loop.closed_loop import ClosedLoop
+from approxjac.stability.loop.inverse_kinematics import inverse_kinematics
+from approxjac.stability.loop.local import local_test
+from approxjac.stability.report import report_starts
+from approxjac.stability.report.report_words import _wrong_gravity
+from approxjac.stability.search import suggestion
+from approxjac.stability.search.suggestion import Candidate, _relaxations
 
 Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.0])
 Q2 = np.array([0.3, 1.2])  # of the two-link arm, far from singular

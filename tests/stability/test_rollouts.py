@@ -15,10 +15,10 @@ from numpy.testing import assert_array_equal
 import approxjac as aj
 from approxjac.formatting import percent
 from approxjac.robots import GravityRegressor
-from approxjac.stability.region import Region
-from approxjac.stability.report_words import _rollouts
-from approxjac.stability.rollout_study import _judged
-from approxjac.stability.rollouts import as_study, clopper_pearson
+from approxjac.stability.errors.region import Region
+from approxjac.stability.report.report_words import _rollouts
+from approxjac.stability.rollout.rollout_study import _judged
+from approxjac.stability.rollout.rollouts import as_study, clopper_pearson
 from approxjac.tasks.analysis import fine_error
 
 PLANE = functools.partial(aj.PositionTask, axes="xz")

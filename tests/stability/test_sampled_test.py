@@ -8,10 +8,10 @@ import pytest
 
 import approxjac as aj
 from approxjac.controllers import Latency
-from approxjac.stability.closed_loop import ClosedLoop
-from approxjac.stability.matrix_form import MatrixForm, best_weights
-from approxjac.stability.sampled_form import Hold
-from approxjac.stability.sampled_test import growth, largest, sampled_test
+from approxjac.stability.certificates.matrix_form import MatrixForm, best_weights
+from approxjac.stability.certificates.sampled_form import Hold
+from approxjac.stability.certificates.sampled_test import growth, largest, sampled_test
+from approxjac.stability.loop.closed_loop import ClosedLoop
 
 Q0 = (0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7)
 LATE_IMAGES = Latency(1e-3, image_period=0.034, image_age=0.060)

@@ -8,7 +8,8 @@ import pytest
 import approxjac as aj
 from approxjac.controllers import NoGravity
 from approxjac.robots import GravityRegressor
-from approxjac.stability import JointBox, RegularPart, stability_map, stability_report, suggestion
+from approxjac.stability import JointBox, RegularPart, stability_map, stability_report
+from approxjac.stability.search import suggestion
 
 
 @pytest.fixture(scope="module")

@@ -8,10 +8,10 @@ import pytest
 
 import approxjac as aj
 from approxjac.controllers import tuned
-from approxjac.controllers.usual_postures import usual_postures
-from approxjac.stability import suggestion
-from approxjac.stability.closed_loop import ClosedLoop
-from approxjac.stability.sampled_test import growth, largest
+from approxjac.controllers.gains.sample_configurations import usual_postures
+from approxjac.stability.certificates.sampled_test import growth, largest
+from approxjac.stability.loop.closed_loop import ClosedLoop
+from approxjac.stability.search import suggestion
 
 Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 KHZ = aj.Latency(period=1e-3)

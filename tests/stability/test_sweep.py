@@ -132,7 +132,7 @@ def test_the_same_bits_whatever_carries_it_out(
     assert digest(own(folder=tmp_path)) == expected
     assert kept.items() <= {f: f.stat().st_mtime_ns for f in tmp_path.iterdir()}.items()
     assert len(kept) < len([*tmp_path.iterdir()])
-    monkeypatch.setattr("approxjac.stability.rollout_portions._PORTION", 16)
+    monkeypatch.setattr("approxjac.stability.rollout.rollout_portions._PORTION", 16)
     assert digest(own()) == expected
 
 

@@ -12,11 +12,12 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
-from approxjac.codegen.arm_numbers import arm_numbers
+from approxjac.cameras import PlanarCamera
+from approxjac.codegen.arm.arm_numbers import arm_numbers
 from approxjac.errors import InvalidInputError, UnknownNameError
-from approxjac.stability.closed_loop import ClosedLoop
-from approxjac.stability.matrix_form import MatrixForm, best_weights
-from approxjac.tasks import FrameKinematics, PlanarCamera
+from approxjac.stability.certificates.matrix_form import MatrixForm, best_weights
+from approxjac.stability.loop.closed_loop import ClosedLoop
+from approxjac.tasks import FrameKinematics
 
 CAMERA = PlanarCamera(0.05, 3.0, 0.1)
 PLANE = functools.partial(aj.PositionTask, axes="xz")
@@ -226,7 +227,7 @@ def test_ranges_of_a_pinhole_camera(watched):
     assert_array_equal(watched.scaled(2.0).high, (0.4, 720.0, 0.8, 0.6))
 
 
-class Fixed(aj.tasks.Camera):
+class Fixed(aj.cameras.Camera):
     """A camera in whose calibration only the roll may be wrong, or nothing."""
 
     labels, unit = ("a", "b"), "m"

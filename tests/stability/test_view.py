@@ -8,9 +8,9 @@ import pytest
 
 import approxjac as aj
 from approxjac.stability import lyapunov, stability_map
-from approxjac.stability.closed_loop import ClosedLoop
-from approxjac.stability.inverse_kinematics import inverse_kinematics
-from approxjac.stability.visibility import UnattainedError, VisiblePart
+from approxjac.stability.loop.closed_loop import ClosedLoop
+from approxjac.stability.loop.inverse_kinematics import inverse_kinematics
+from approxjac.stability.loop.visibility import UnattainedError, VisiblePart
 from approxjac.tasks import CombinedTask
 from approxjac.tasks.analysis import sees
 

@@ -10,9 +10,9 @@ import pytest
 import random_loops
 
 import approxjac as aj
-from approxjac.stability.closed_loop import ClosedLoop
-from approxjac.stability.families import Weights
-from approxjac.stability.matrix_form import MatrixForm
+from approxjac.stability.certificates.families import Weights
+from approxjac.stability.certificates.matrix_form import MatrixForm
+from approxjac.stability.loop.closed_loop import ClosedLoop
 
 pytestmark = pytest.mark.study
 CASES = random_loops.cases(7, seed=1)

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
+from approxjac.cameras import PlanarCamera
 from approxjac.errors import UnknownNameError
-from approxjac.tasks import PlanarCamera
 
 LENSES = {
     "no distortion": (),
@@ -338,7 +338,7 @@ def test_a_view_that_has_no_direction_or_no_up_is_refused():
 
 
 def test_calibrations_that_do_not_exist_are_refused():
-    class Flat(aj.tasks.Camera):
+    class Flat(aj.cameras.Camera):
         labels, unit = ("a", "b"), "m"
 
         def project(self, r):

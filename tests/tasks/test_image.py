@@ -6,9 +6,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
+from approxjac.cameras import PlanarCamera
 from approxjac.errors import UnknownNameError
 from approxjac.robots import Dynamics
-from approxjac.tasks import CombinedTask, FrameKinematics, NonsingularTask, PlanarCamera
+from approxjac.tasks import CombinedTask, FrameKinematics, NonsingularTask
 from approxjac.tasks.analysis import sees
 
 SIZE = (640, 480)

@@ -4,8 +4,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
+from approxjac.cameras import PlanarCamera
 from approxjac.errors import UnknownNameError
-from approxjac.tasks import PlanarCamera, PoseTrackerTask, TrackerTask
+from approxjac.tasks import PoseTrackerTask, TrackerTask
 
 CAMERA = PlanarCamera(0.05, 3.0, roll=0.7, offset=(0.01, -0.02), plane="xy")
 

@@ -8,11 +8,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
+from approxjac.cameras import tag_corners
 from approxjac.controllers import KnownKinematics
 from approxjac.controllers.pseudoinverse import singular_ratio
 from approxjac.extras import package_of
 from approxjac.robots import Dynamics
-from approxjac.tasks import CombinedTask, tag_corners
+from approxjac.tasks import CombinedTask
 
 Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 AWAY = np.array([0.2, -0.15, 0.1, 0.2, -0.1, 0.15, 0.1])

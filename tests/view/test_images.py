@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 import approxjac as aj
 from approxjac import view
-from approxjac.tasks import PlanarCamera
+from approxjac.cameras import PlanarCamera
 
 POINTS = [(0.0, 0.0, 0.0), (0.0, 0.1, 0.0)]
 HOME = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])

@@ -16,7 +16,7 @@ from approxjac.robots.catalog import share_dir
 from approxjac.robots.meshes import find_mesh
 from approxjac.robots.urdf import Urdf
 from approxjac.view.look import robot_look
-from approxjac.view.meshes import load_mesh, shares, simplify, smooth
+from approxjac.view.mesh_drawing import load_mesh, shares, simplify, smooth
 
 ROBOTS = share_dir() / "example-robot-data/robots"
 FINGER = "panda_description/meshes/visual/finger.dae"

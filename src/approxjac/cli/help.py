@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 
-from approxjac.cli.arguments import Option, metavar
+from approxjac.cli.argument_types import Option, metavar
 from approxjac.formatting import width, wrapped
 
 _INDENT = 26

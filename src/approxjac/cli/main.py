@@ -15,13 +15,13 @@ import tyro
 
 import approxjac
 from approxjac.cli import help, options
-from approxjac.cli.arguments import Typed, in_words_of_user, read
-from approxjac.cli.export import export
-from approxjac.cli.paper import paper
-from approxjac.cli.robots import robots
-from approxjac.cli.simulate import simulate
-from approxjac.cli.stability import stability
-from approxjac.cli.view import view
+from approxjac.cli.argument_types import Typed, in_words_of_user, read
+from approxjac.cli.export_command import export
+from approxjac.cli.paper_command import paper
+from approxjac.cli.robots_command import robots
+from approxjac.cli.simulate_command import simulate
+from approxjac.cli.stability_command import stability
+from approxjac.cli.view_command import view
 from approxjac.errors import ApproxJacError, UnknownNameError
 from approxjac.scenario import Scenario
 

@@ -11,12 +11,12 @@ from typing import Annotated, Any, get_type_hints
 
 import tyro
 
-from approxjac.cli.arguments import Option, own_options, scenario_options
+from approxjac.cli.argument_types import Option, own_options, scenario_options
 from approxjac.errors import InvalidInputError
 from approxjac.files import reason
 from approxjac.scenario import Scenario
-from approxjac.scenario.analysis import Analysis
 from approxjac.scenario.records import Goal
+from approxjac.scenario.study_records import Analysis
 from approxjac.scenario.tables import hints
 
 # A report is about errors that are given as ranges, and takes gravity as compensated exactly.

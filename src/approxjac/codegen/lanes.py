@@ -8,15 +8,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from approxjac.codegen import tasks
-from approxjac.codegen.arm_numbers import ArmNumbers, arm_numbers
-from approxjac.codegen.closed_loop import TOLD, ClosedLoop, closed_loop
-from approxjac.codegen.held import inside
-from approxjac.codegen.limits import law_of
-from approxjac.codegen.llvm import LlvmLanes
-from approxjac.codegen.numpy_source import NumpyLanes
-from approxjac.codegen.program import Block, Program
+from approxjac.codegen.arm import traced_tasks as tasks
+from approxjac.codegen.arm.arm_numbers import ArmNumbers, arm_numbers
+from approxjac.codegen.backends.llvm import LlvmLanes
+from approxjac.codegen.backends.numpy_source import NumpyLanes
+from approxjac.codegen.loop_program import TOLD, LoopProgram, closed_loop
 from approxjac.codegen.regions import Box
+from approxjac.codegen.trace.program import Block, Program
+from approxjac.codegen.traced_hold import inside
+from approxjac.codegen.traced_limits import law_of
 from approxjac.interface import Controller, Measurement, Target, TargetPath
 from approxjac.simulation import Plant
 from approxjac.tasks.analysis import image_feature
@@ -95,7 +95,7 @@ class Lanes:
     ) -> None:
         numbers, sensors, targets = _stacked(examples)
         gains = np.array([each.gains for each in examples])
-        self._loop: ClosedLoop = closed_loop(
+        self._loop: LoopProgram = closed_loop(
             controller, plant, numbers, sensors, targets, gains, region, dt, steps, tolerance,
             integrator, path,
         )  # fmt: skip

@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from approxjac.codegen import tasks
-from approxjac.codegen.graph import Condition
-from approxjac.codegen.linear import Factors
-from approxjac.codegen.rigid_body import Arm
-from approxjac.codegen.symbols import Symbols, any_of, symbols
+from approxjac.codegen.arm import traced_tasks as tasks
+from approxjac.codegen.arm.rigid_body import Arm
+from approxjac.codegen.trace.graph import Condition
+from approxjac.codegen.trace.linear import Factors
+from approxjac.codegen.trace.symbols import Symbols, any_of, symbols
 from approxjac.robots import Robot
 from approxjac.tasks import Task
 from approxjac.validation import Array

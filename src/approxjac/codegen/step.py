@@ -7,16 +7,19 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.codegen import limits, setpoint, tasks, tracking
-from approxjac.codegen.graph import Scalar, select
-from approxjac.codegen.llvm import LlvmLanes
-from approxjac.codegen.program import Program
-from approxjac.codegen.rigid_body import Arm
-from approxjac.codegen.run import WholeLoops
-from approxjac.codegen.symbols import symbols
+from approxjac.codegen import traced_limits as limits
+from approxjac.codegen import traced_setpoint as setpoint
+from approxjac.codegen import traced_tracking as tracking
+from approxjac.codegen.arm import traced_tasks as tasks
+from approxjac.codegen.arm.rigid_body import Arm
+from approxjac.codegen.backends.llvm import LlvmLanes
+from approxjac.codegen.trace.graph import Scalar, select
+from approxjac.codegen.trace.program import Program
+from approxjac.codegen.trace.symbols import symbols
+from approxjac.codegen.whole_run import WholeLoops
 from approxjac.controllers.arguments import FLOAT64, HUGE
+from approxjac.controllers.limits.torque_limited import TorqueLimited
 from approxjac.controllers.setpoint import SetpointController
-from approxjac.controllers.torque_limits import TorqueLimited
 from approxjac.controllers.tracking import TrackingController
 from approxjac.interface import Controller, Evaluation, LimitStatus, Measurement, Status, Target
 from approxjac.validation import Array

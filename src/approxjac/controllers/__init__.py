@@ -1,16 +1,15 @@
 """Controllers: the laws of the paper put together with a believed robot."""
 
-from approxjac.controllers.adaptive_camera import AdaptiveCamera
 from approxjac.controllers.adaptive_dynamics import (
     AdaptiveDynamics,
     ModelDynamics,
     MotionDynamics,
 )
-from approxjac.controllers.adaptive_planar_camera import AdaptivePlanarCamera
-from approxjac.controllers.cross_weight import CrossWeight
-from approxjac.controllers.default_gains import default_gains
 from approxjac.controllers.differentiator import DifferentiatedVelocity
-from approxjac.controllers.gains import Gains
+from approxjac.controllers.gains.default_gains import default_gains
+from approxjac.controllers.gains.gains import Gains
+from approxjac.controllers.gains.latency import Latency
+from approxjac.controllers.gains.tuning import Learning, Tuning, tuned
 from approxjac.controllers.gravity import (
     Adaptation,
     AdaptiveGravity,
@@ -19,21 +18,26 @@ from approxjac.controllers.gravity import (
     NoGravity,
     RegressorGravity,
 )
-from approxjac.controllers.kinematic_report import KinematicReport, LearntNumber, TiltedAxes
-from approxjac.controllers.kinematics import AdaptiveKinematics
-from approxjac.controllers.known_kinematics import KnownKinematics
-from approxjac.controllers.latency import Latency
-from approxjac.controllers.limiter import Limiter
-from approxjac.controllers.limits import Limits
-from approxjac.controllers.measurement_hold import HeldMeasurement
+from approxjac.controllers.hold import HeldMeasurement
+from approxjac.controllers.learning.adaptive_camera import AdaptiveCamera
+from approxjac.controllers.learning.adaptive_kinematics import AdaptiveKinematics
+from approxjac.controllers.learning.adaptive_planar_camera import AdaptivePlanarCamera
+from approxjac.controllers.learning.kinematic_report import (
+    KinematicReport,
+    LearntNumber,
+    TiltedAxes,
+)
+from approxjac.controllers.learning.known_kinematics import KnownKinematics
+from approxjac.controllers.learning.predicted_error import Kinematics, PredictedError
+from approxjac.controllers.limits.cross_weight import CrossWeight
+from approxjac.controllers.limits.limiter import Limiter
+from approxjac.controllers.limits.limits import Limits
+from approxjac.controllers.limits.torque_limited import TorqueLimited
 from approxjac.controllers.posture import AwayFromStops, Posture
-from approxjac.controllers.predicted import Kinematics, Prediction
 from approxjac.controllers.predicted_measurement import PredictedMeasurement
 from approxjac.controllers.proven_law import ProvenLaw
 from approxjac.controllers.setpoint import SetpointController
-from approxjac.controllers.torque_limits import TorqueLimited
 from approxjac.controllers.tracking import TrackingController
-from approxjac.controllers.tuning import Learning, Tuning, tuned
 from approxjac.controllers.wrapper import ControllerWrapper, law_of
 from approxjac.interface import ContinuousController
 
@@ -65,8 +69,8 @@ __all__ = [
     "MotionDynamics",
     "NoGravity",
     "Posture",
+    "PredictedError",
     "PredictedMeasurement",
-    "Prediction",
     "ProvenLaw",
     "RegressorGravity",
     "SetpointController",

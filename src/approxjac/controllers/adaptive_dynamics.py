@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac import law
-from approxjac.controllers.usual_postures import usual_inertias
+from approxjac.controllers.gains.sample_configurations import usual_inertias
 from approxjac.robots import Dynamics, Robot
 from approxjac.robots.dynamics_regressor import DynamicsRegressor
 from approxjac.robots.joint_limits import reach_bound

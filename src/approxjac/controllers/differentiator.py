@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from approxjac.controllers.latency import Latency
+from approxjac.controllers.gains.latency import Latency
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.tasks import Task
 from approxjac.validation import Array, as_number

@@ -10,7 +10,7 @@ from approxjac.law import Linear, Saturation
 from approxjac.tasks import Task
 
 if TYPE_CHECKING:
-    from approxjac.controllers.gains import Gains
+    from approxjac.controllers.gains.gains import Gains
     from approxjac.controllers.setpoint import SetpointController
     from approxjac.controllers.tracking import TrackingController
 

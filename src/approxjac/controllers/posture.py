@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac import law
-from approxjac.controllers.gains import Diagonals
+from approxjac.controllers.gains.gains import Diagonals
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import short_fields
 from approxjac.robots.joint_limits import require_radians

@@ -8,8 +8,8 @@ from typing import Self
 import numpy as np
 
 from approxjac.controllers.arguments import overflow, require_arrays, require_finite, with_rates
-from approxjac.controllers.kinematic_report import KinematicReport
-from approxjac.controllers.predicted import Kinematics
+from approxjac.controllers.learning.kinematic_report import KinematicReport
+from approxjac.controllers.learning.predicted_error import Kinematics
 from approxjac.controllers.tracking import TrackingController
 from approxjac.controllers.wrapper import ControllerWrapper, law_of, with_task
 from approxjac.errors import InvalidInputError

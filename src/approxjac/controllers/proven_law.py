@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from typing import Literal, Self
 
 from approxjac.controllers import in_words
-from approxjac.controllers.latency import Latency
+from approxjac.controllers.gains.latency import Latency
 from approxjac.interface import Evaluation, Measurement, Status, Target
 from approxjac.robots import Dynamics
 from approxjac.tasks import Task

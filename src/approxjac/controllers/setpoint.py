@@ -10,9 +10,13 @@ import numpy as np
 
 from approxjac import law
 from approxjac.controllers.arguments import FLOAT64, HUGE, is_lost, overflow, require_arrays
-from approxjac.controllers.default_gains import slow_rate
 from approxjac.controllers.differentiator import DifferentiatedVelocity
-from approxjac.controllers.gains import Gains, require_damping
+from approxjac.controllers.gains.default_gains import slow_rate
+from approxjac.controllers.gains.gains import Gains, require_damping
+from approxjac.controllers.gains.latency import Latency
+from approxjac.controllers.gains.reach import Reach
+from approxjac.controllers.gains.sample_configurations import quickest
+from approxjac.controllers.gains.tuning import Tuning, tuned
 from approxjac.controllers.gravity import (
     Adaptation,
     AdaptiveGravity,
@@ -20,14 +24,10 @@ from approxjac.controllers.gravity import (
     ModelGravity,
     require_gravity,
 )
-from approxjac.controllers.latency import Latency
 from approxjac.controllers.posture import AwayFromStops, Posture, within_null_space
 from approxjac.controllers.proven_law import ProvenLaw
 from approxjac.controllers.pseudoinverse import Pseudoinverse, singular_ratio
-from approxjac.controllers.reach import Reach
 from approxjac.controllers.saturation import require_saturation
-from approxjac.controllers.tuning import Tuning, tuned
-from approxjac.controllers.usual_postures import quickest
 from approxjac.interface import (
     ContinuousController,
     Evaluation,

@@ -20,13 +20,13 @@ from approxjac.controllers.arguments import (
     require_state,
     with_rates,
 )
-from approxjac.controllers.kinematic_report import KinematicReport
-from approxjac.controllers.limits import Limits
-from approxjac.controllers.predicted import Kinematics
+from approxjac.controllers.learning.kinematic_report import KinematicReport
+from approxjac.controllers.learning.predicted_error import Kinematics
+from approxjac.controllers.learning.tracking_defaults import usual_kinematics, usual_speeds
+from approxjac.controllers.limits.limits import Limits
 from approxjac.controllers.proven_law import ProvenLaw
 from approxjac.controllers.pseudoinverse import singular_ratio
 from approxjac.controllers.rest_configuration import RestConfiguration
-from approxjac.controllers.tracking_defaults import usual_kinematics, usual_speeds
 from approxjac.controllers.velocity_command import VelocityCommand
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Evaluation, Measurement, Status, Target

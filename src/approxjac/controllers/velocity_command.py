@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac import law
-from approxjac.controllers.limits import Limits, speed_bounds, sure_deceleration
+from approxjac.controllers.limits.limits import Limits, speed_bounds, sure_deceleration
 from approxjac.robots import Robot
 from approxjac.validation import Array, as_limits
 

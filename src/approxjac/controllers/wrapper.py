@@ -8,7 +8,7 @@ from typing import Any, Literal, Self
 import numpy as np
 
 from approxjac.controllers.arguments import FLOAT64
-from approxjac.controllers.kinematic_report import KinematicReport
+from approxjac.controllers.learning.kinematic_report import KinematicReport
 from approxjac.controllers.proven_law import ProvenLaw
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import wrapped

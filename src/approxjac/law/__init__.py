@@ -4,6 +4,7 @@ Symbols are the paper's; misprints are corrected and each departure is named whe
 """
 
 from approxjac.law.adaptation import passive_output, theta_hat_rate, within_bounds
+from approxjac.law.branches import choose, repeat
 from approxjac.law.conditions import (
     allowed_p,
     allowed_p_at_crossing,
@@ -109,6 +110,7 @@ __all__ = [
     "best_rotation",
     "bounded_torque",
     "bounded_torque_bound",
+    "choose",
     "closed_loop_matrix",
     "correction",
     "cross_matrix",
@@ -149,6 +151,7 @@ __all__ = [
     "ray_jacobian",
     "rays",
     "reference",
+    "repeat",
     "right_pinv",
     "rodrigues",
     "rotation_exp",

@@ -10,7 +10,7 @@ from approxjac.paper.experiments import (
     build,
     build_arm,
 )
-from approxjac.paper.result import REPORT_TIMES, Result, jacobian_bound, run_experiment
+from approxjac.paper.reproduction import REPORT_TIMES, Reproduction, jacobian_bound, run_experiment
 
 __all__ = [
     "ALPHA",
@@ -19,7 +19,7 @@ __all__ = [
     "LEARNING_GAIN",
     "LENGTHS",
     "REPORT_TIMES",
-    "Result",
+    "Reproduction",
     "Setup",
     "build",
     "build_arm",

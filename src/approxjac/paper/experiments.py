@@ -9,12 +9,13 @@ from typing import Literal
 
 import numpy as np
 
+from approxjac.cameras import PlanarCamera
 from approxjac.controllers import AdaptiveGravity, Gains, RegressorGravity, SetpointController
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.law import Linear, Sine
 from approxjac.robots import GravityRegressor, Robot, load_robot
 from approxjac.simulation import Plant
-from approxjac.tasks import ImageTask, PlanarCamera
+from approxjac.tasks import ImageTask
 from approxjac.validation import as_array, as_number
 
 Verdict = Literal["stable", "unstable"]

@@ -5,8 +5,8 @@ from approxjac.realtime.control import control
 from approxjac.realtime.driver import Driver
 from approxjac.realtime.faults import Fault
 from approxjac.realtime.franka import FrankaDriver
-from approxjac.realtime.pace import Pace
 from approxjac.realtime.robot_run import RobotRun
+from approxjac.realtime.scheduling import Pace
 from approxjac.realtime.simulated_driver import SimulatedDriver
 
 __all__ = [

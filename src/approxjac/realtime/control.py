@@ -19,17 +19,16 @@ from approxjac.realtime.accuracy import Accuracy
 from approxjac.realtime.brake import Brake, HungError, Watchdog
 from approxjac.realtime.driver import Driver
 from approxjac.realtime.faults import Fault
-from approxjac.realtime.loop import RobotLoop
-from approxjac.realtime.onlooker import Onlooker
+from approxjac.realtime.observer_thread import Onlooker
+from approxjac.realtime.robot_loop import RobotLoop
 from approxjac.realtime.robot_run import RobotRun
-from approxjac.realtime.scheduling import undisturbed
+from approxjac.realtime.scheduling import StopSignals, undisturbed
 from approxjac.realtime.start_checks import (
     require_able,
     require_at_rest,
     require_held,
     require_near,
 )
-from approxjac.realtime.stop_signals import StopSignals
 from approxjac.simulation.plant import Plant
 from approxjac.simulation.simulate import Observer
 from approxjac.simulation.targets import require_fit, require_start, wanted_of

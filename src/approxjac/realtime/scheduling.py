@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import gc
+import math
 import os
+import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from types import FrameType
+from typing import Any
 
 from approxjac.errors import InvalidInputError
 
@@ -92,3 +97,68 @@ def _set(cpu: int | None, priority: int | None) -> tuple[set[int], int, os.sched
                 given=priority,
             ) from error
     return before
+
+
+_SPIN = 1e-4  # s; sleeps end late by about as much
+
+
+class Pace:
+    """Waits for one period after the other; for drivers of robots that do not wait themselves.
+
+    Periods that were missed are left out, not made up for in a burst.
+
+    Args:
+        dt: Period [s].
+    """
+
+    def __init__(self, dt: float) -> None:
+        self._dt = dt
+        self._due: float | None = None
+
+    def wait(self) -> int:
+        """Wait until the next period begins; return how many have begun since the last call."""
+        now = time.perf_counter()
+        if self._due is None:
+            self._due = now
+        missed = max(0, math.floor((now - self._due) / self._dt))
+        self._due += (1 + missed) * self._dt
+        while (left := self._due - time.perf_counter()) > 0.0:
+            time.sleep(max(0.0, left - _SPIN))
+        return 1 + missed
+
+
+_NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
+
+
+class StopSignals:
+    """While it is entered, signals that would end the program are noted instead.
+
+    Only the main thread of a program can take signals; elsewhere this does nothing.
+
+    Attributes:
+        name: The first signal that came, such as "SIGTERM"; "" before.
+        count: How many came.
+        looked_at: Whether somebody looks; else a second one interrupts, once.
+    """
+
+    def __init__(self) -> None:
+        self.name, self.count, self.looked_at = "", 0, False
+        self._before: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> StopSignals:
+        if threading.current_thread() is threading.main_thread():
+            for name in _NAMES:
+                number = getattr(signal, name, None)  # not every system has all of them
+                if number is not None:
+                    self._before[number] = signal.signal(number, self._note)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+
+    def _note(self, number: int, _: FrameType | None) -> None:
+        self.name = self.name or signal.Signals(number).name
+        self.count += 1
+        if self.count == 2 and not self.looked_at:
+            raise KeyboardInterrupt

@@ -11,7 +11,7 @@ import numpy as np
 from approxjac.controllers import Limits
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement
-from approxjac.realtime.pace import Pace
+from approxjac.realtime.scheduling import Pace
 from approxjac.robots import Dynamics, Robot
 from approxjac.simulation.held_commands import HeldCommands
 from approxjac.simulation.integrators import INTEGRATORS

@@ -2,8 +2,7 @@
 
 from approxjac.robots.dynamics import Dynamics
 from approxjac.robots.dynamics_regressor import DynamicsRegressor
-from approxjac.robots.excitation import Excitation, excitation
-from approxjac.robots.gravity_regressor import GravityRegressor
+from approxjac.robots.gravity_regressor import Excitation, GravityRegressor, excitation
 from approxjac.robots.kinematic_regressor import KinematicRegressor
 from approxjac.robots.load import load_robot, robot_names
 from approxjac.robots.perturbation import Perturbation

@@ -14,8 +14,7 @@ from approxjac.files import write_text
 from approxjac.robots import meshes, urdf_edit
 from approxjac.robots.mimic_joints import MimicJoints
 from approxjac.robots.model import build_model, outward_axis, own_joints
-from approxjac.robots.tips import likely_tips
-from approxjac.robots.urdf import Urdf
+from approxjac.robots.urdf import Urdf, likely_tips
 from approxjac.validation import Array, Immutable, as_array, as_number, as_vector, require, shape_of
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)

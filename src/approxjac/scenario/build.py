@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from approxjac.cameras import PlanarCamera
 from approxjac.controllers import ControllerWrapper, Limits, TrackingController
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import joined
@@ -16,17 +17,17 @@ from approxjac.interface import Controller, TargetPath
 from approxjac.paths import Circle, Line, Waypoints
 from approxjac.robots import Robot, load_robot
 from approxjac.robots.urdf_edit import OBJECT_RADIUS
-from approxjac.scenario.configurations import (
-    configuration_of,
-    regular_configuration,
-    straight_ahead,
-)
-from approxjac.scenario.control import Law, controller_of, limits_of, sampling_time
-from approxjac.scenario.images import image_scene
+from approxjac.scenario.image_setup import image_scene
+from approxjac.scenario.laws import Law, controller_of, limits_of, sampling_time
 from approxjac.scenario.reachability import doubts
 from approxjac.scenario.records import Goal, Numbers, Object, Sensor, Tracker, Vectors
 from approxjac.scenario.refusals import require_effect
 from approxjac.scenario.scenario import Scenario
+from approxjac.scenario.starts import (
+    configuration_of,
+    regular_configuration,
+    straight_ahead,
+)
 from approxjac.simulation import (
     Loop,
     MujocoPlant,
@@ -38,7 +39,6 @@ from approxjac.simulation import (
 from approxjac.tasks import (
     CombinedTask,
     ImageTask,
-    PlanarCamera,
     PoseTask,
     PoseTrackerTask,
     PositionTask,
@@ -50,7 +50,7 @@ from approxjac.tasks.analysis import with_error
 from approxjac.validation import Array, as_array
 
 if TYPE_CHECKING:
-    from approxjac.scenario.result import Result
+    from approxjac.scenario.outcome import RunResult
 
 _PLANAR_FOCAL_LENGTH = 0.05  # [m]
 _RECORDS, _CONTINUOUS_RECORDS = 2000, 2400  # of a run, about
@@ -102,9 +102,9 @@ class BuiltScenario:
         self,
         progress: Callable[[float], None] | None = None,
         observer: Callable[[Loop], None] | None = None,
-    ) -> Result:
+    ) -> RunResult:
         """Simulate, with the arguments of `simulate`, and judge the run."""
-        from approxjac.scenario.result import Result
+        from approxjac.scenario.outcome import RunResult
 
         run, dt = self.scenario.run, sampling_time(self.scenario)
         options: dict[str, Any] = {"dt": None, "record_every": run.duration / _CONTINUOUS_RECORDS}
@@ -118,7 +118,7 @@ class BuiltScenario:
             self.plant, self.controller, self.target, self.q0, duration, progress=progress,
             observer=observer, **options,
         )  # fmt: skip
-        return Result(self, record)
+        return RunResult(self, record)
 
 
 def loaded_arm(scenario: Scenario) -> Robot:

@@ -6,7 +6,7 @@ import numpy as np
 
 from approxjac.interface import TargetPath
 from approxjac.robots.joint_limits import reach_bound
-from approxjac.stability.inverse_kinematics import inverse_kinematics
+from approxjac.stability.loop.inverse_kinematics import inverse_kinematics
 from approxjac.tasks import PoseTask, PositionTask, Task
 from approxjac.validation import Array
 

@@ -45,7 +45,7 @@ class Object:
 
 
 @dataclass(frozen=True)
-class Camera:
+class CameraRecord:
     """The true camera of an image task.
 
     Attributes:
@@ -144,7 +144,7 @@ class Truth:
     rotations: Vectors = field(default_factory=dict)
     friction: float = at_least(0.0)
     coulomb: float = at_least(0.0)
-    camera: Camera = Camera()
+    camera: CameraRecord = CameraRecord()
     tracker: Tracker = Tracker()
     servo: Servo = Servo()
     engine: Literal["pinocchio", "mujoco"] = "pinocchio"
@@ -269,7 +269,7 @@ class ControllerChoice:
 
 
 @dataclass(frozen=True)
-class Loop:
+class LoopRecord:
     """Period and delay of control.
 
     Attributes:

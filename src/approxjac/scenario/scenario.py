@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 from approxjac.errors import InvalidInputError
 from approxjac.files import read_text, write_text
-from approxjac.scenario.analysis import Analysis
 from approxjac.scenario.records import (
     Belief,
     ControllerChoice,
-    Loop,
+    LoopRecord,
     Run,
     Sensor,
     TaskChoice,
     Truth,
 )
+from approxjac.scenario.study_records import Analysis
 from approxjac.scenario.tables import Table, checked, differences, filled, to_toml
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ class Scenario:
     task: TaskChoice = TaskChoice()
     sensor: Sensor = Sensor()
     controller: ControllerChoice = ControllerChoice()
-    loop: Loop = Loop()
+    loop: LoopRecord = LoopRecord()
     run: Run = Run()
     stability: Analysis = Analysis()
 

@@ -12,13 +12,14 @@ import numpy as np
 
 from approxjac.files import together, write_text
 from approxjac.formatting import joined, numbers, percent, plain, wrapped
-from approxjac.scenario.stability import StabilityResult, rollout_options, uncertainty_of
+from approxjac.scenario.judge import StabilityResult, rollout_options, uncertainty_of
 from approxjac.simulation import Plant
-from approxjac.stability import Uncertainty, report_starts
-from approxjac.stability.closed_loop import OF_WRONG_AXES
-from approxjac.stability.map import PARAMETERS, labels
-from approxjac.stability.rollout_map import PLACES
-from approxjac.stability.rollouts import clopper_pearson
+from approxjac.stability import Uncertainty
+from approxjac.stability.loop.closed_loop import OF_WRONG_AXES
+from approxjac.stability.report import report_starts
+from approxjac.stability.rollout.rollout_map import PLACES
+from approxjac.stability.rollout.rollouts import clopper_pearson
+from approxjac.stability.search.map import PARAMETERS, labels
 from approxjac.tasks import FrameKinematics
 from approxjac.view import (
     new_figure,

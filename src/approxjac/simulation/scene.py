@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from approxjac.cameras import PinholeCamera, PlanarCamera
 from approxjac.robots import Robot
 from approxjac.tasks import (
     ImageTask,
-    PinholeCamera,
-    PlanarCamera,
     PoseTask,
     PoseTrackerTask,
     PositionTask,

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from approxjac.controllers.limits.torque_limited import TorqueLimited
 from approxjac.controllers.setpoint import SetpointController
-from approxjac.controllers.torque_limits import TorqueLimited
 from approxjac.errors import InvalidInputError, MeasurementError, SimulationError, UnknownNameError
 from approxjac.interface import ContinuousController, Controller, Target, TargetPath
 from approxjac.robots.joint_limits import require_radians

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from approxjac.cameras.camera import Camera
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import joined
 from approxjac.robots import Robot
-from approxjac.tasks.camera import Camera
 from approxjac.validation import Array, Immutable, Saved, as_array, as_vector, require
 
 _DIFFERENCE = 1e-5  # of q, either way, from which a rate is taken [rad or m]

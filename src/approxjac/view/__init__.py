@@ -2,8 +2,8 @@
 
 from approxjac.view.browser.live import LiveView
 from approxjac.view.browser.page import save_page, show, write_index
-from approxjac.view.images import plot_camera_view, plot_image
-from approxjac.view.kinematics import plot_kinematics
+from approxjac.view.image_plots import plot_camera_view, plot_image
+from approxjac.view.kinematics_plot import plot_kinematics
 from approxjac.view.plots import (
     plot_error,
     plot_parameters,
@@ -12,7 +12,7 @@ from approxjac.view.plots import (
     plot_slack,
     plot_torque,
 )
-from approxjac.view.stability import plot_allowed_error, plot_map, plot_margins, plot_shares
+from approxjac.view.stability_plots import plot_allowed_error, plot_map, plot_margins, plot_shares
 from approxjac.view.style import COLORS, SERIES, legend_below, new_figure, save_figure, style
 
 __all__ = [

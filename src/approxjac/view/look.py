@@ -15,7 +15,7 @@ from trimesh import Trimesh, creation
 from approxjac.robots import Robot
 from approxjac.robots.meshes import find_mesh
 from approxjac.validation import Array
-from approxjac.view.meshes import capsule, load_mesh, shares, simplify, smooth
+from approxjac.view.mesh_drawing import capsule, load_mesh, shares, simplify, smooth
 from approxjac.view.tree import Joint, robot_joints
 
 _TRIANGLES = 25_000  # of a robot

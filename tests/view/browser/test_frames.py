@@ -12,7 +12,7 @@ from approxjac import view
 from approxjac.controllers import PredictedMeasurement
 from approxjac.simulation.scene import Scene
 from approxjac.tasks import TrackerTask
-from approxjac.view.browser.frames import Frames
+from approxjac.view.browser.frames import RunFrames
 from approxjac.view.browser.page import page
 from approxjac.view.browser.stage import Stage
 
@@ -29,7 +29,7 @@ def columns(scene, q, x, x_d, **given):
     shown = rest | given
     units = ("m",) * 3 if scene.sensor is None else scene.sensor.units
     run = SimpleNamespace(q=q, x_measured=x, x_d=x_d, task_units=units, **shown)
-    return Frames(scene).columns(run)
+    return RunFrames(scene).columns(run)
 
 
 @pytest.fixture
@@ -167,7 +167,7 @@ def test_a_moment_is_no_force(panda):
     q = START + 0.1
     J = task.jacobian(q)
     for wrench in (np.array([3.0, -2.0, 5.0, 0.0, 0.0, 0.0]), np.array([0, 0, 0, 2.0, 0.0, -20.0])):
-        force = Frames(scene).columns(instant(task, q, J.T @ wrench))["force"][0]
+        force = RunFrames(scene).columns(instant(task, q, J.T @ wrench))["force"][0]
         assert_allclose(force, wrench[:3], atol=1e-9)
 
 
@@ -178,12 +178,12 @@ def test_of_several_tasks_the_position_is_followed(panda, first):
     order = [first, *(name for name in tasks if name != first)]
     task = aj.StackedTask(*(tasks[name] for name in order))
     scene = Scene(panda, panda, task, task, panda.effort_limits)
-    found = Frames(scene).columns(instant(task, START, np.zeros(7)))
+    found = RunFrames(scene).columns(instant(task, START, np.zeros(7)))
     tip = aj.PositionTask(panda).value(START)
     assert_allclose(found["target"][0], tip, atol=1e-12)
     assert_allclose(found["measured"][0], tip, atol=1e-12)
     assert_allclose(found["pixels"][0, 0], tasks["image"].value(START))
-    none = Frames(scene).columns(instant(task, START, np.zeros(7)), np.arange(0))
+    none = RunFrames(scene).columns(instant(task, START, np.zeros(7)), np.arange(0))
     assert {name: len(column) for name, column in none.items()} == dict.fromkeys(found, 0)
 
 
@@ -191,7 +191,7 @@ def test_a_frame_that_the_belief_does_not_have_is_left_out(panda):
     truth = panda.with_object(0.2)
     sensor = aj.PositionTask(truth)
     scene = Scene(truth, panda, sensor, None, panda.effort_limits)  # the task was of its own kind
-    found = Frames(scene).columns(instant(sensor, START, np.zeros(7)))
+    found = RunFrames(scene).columns(instant(sensor, START, np.zeros(7)))
     hand = aj.PositionTask(panda).value(START)
     assert_allclose(found["believed_tip"][0], hand, atol=1e-12)
 
@@ -221,7 +221,7 @@ def test_what_a_tracker_tells_is_drawn_in_the_world(panda):
     x_d = sensor.value(START + 0.1)
     controller = aj.SetpointController(aj.PositionTask(panda))
     run = aj.simulate(aj.Plant(panda, sensor), controller, x_d, START, 0.02, dt=1e-3)
-    shown = Frames(run.scene).columns(run)
+    shown = RunFrames(run.scene).columns(run)
     assert_allclose(shown["measured"], shown["tip"], atol=1e-12)
     there = aj.PositionTask(panda).value(START + 0.1)
     assert_allclose(shown["target"], np.tile(there, (len(run.t), 1)), atol=1e-12)
@@ -239,7 +239,7 @@ def test_the_believed_tip_moves_onto_the_true_one_while_it_is_learnt(panda, law)
     x_d = plant.sensor.value(START) + [0.1, 0.1, 0.0]
     run = aj.simulate(plant, controller, x_d, START, 1.0, dt=1e-3, record_every=0.01)
     scene = Scene.from_dict(run.scene.to_dict())
-    shown = Frames(scene).columns(run)
+    shown = RunFrames(scene).columns(run)
     apart = np.linalg.norm(shown["believed_tip"] - shown["tip"], axis=1)
     assert apart[0] == pytest.approx(0.2)
     assert apart[-1] < 2e-3
@@ -265,7 +265,7 @@ def test_the_tip_of_an_image_task_is_the_learnt_one_too(panda):
     plant = aj.Plant(truth, aj.ImageTask(truth, camera))
     x_d = plant.sensor.value(START) + [60.0, -40.0]
     run = aj.simulate(plant, controller, x_d, START, 1.0, dt=2e-3, record_every=0.02)
-    shown = Frames(run.scene).columns(run)
+    shown = RunFrames(run.scene).columns(run)
     arm = kinematics.robot(run.state[-1][-kinematics.n_state :])
     end = aj.PositionTask(arm).value(run.q[-1])
     assert_allclose(shown["believed_tip"][-1], end, atol=1e-9)

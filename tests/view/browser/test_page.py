@@ -18,7 +18,7 @@ from approxjac.robots import GravityRegressor
 from approxjac.simulation.scene import Scene
 from approxjac.tasks import FrameKinematics
 from approxjac.view.browser.document import document, page_data
-from approxjac.view.browser.frames import Frames
+from approxjac.view.browser.frames import RunFrames
 from approxjac.view.browser.stage import Stage
 from approxjac.view.style import COLORS, SERIES
 
@@ -350,7 +350,7 @@ def test_without_webgl_there_are_the_plots(drawn, browser, tmp_path):
 
 def live_page(scene, row, *scripts):
     """A page of one instant that waits for more."""
-    columns = Frames(scene).columns(row)
+    columns = RunFrames(scene).columns(row)
     return document(page_data(Stage(scene), row, columns, row.q, "live", live=True), *scripts)
 
 
@@ -372,7 +372,7 @@ def test_instants_come_in_and_the_target_is_dragged(reach, open_page, tmp_path):
     path.write_text(live_page(scene, rows[0]), encoding="utf-8")
     page = open_page(path)
     assert state(page) == {"t": 0, "index": 0, "playing": False, "length": 1}
-    frames = Frames(scene)
+    frames = RunFrames(scene)
     for row in rows[1:]:
         instant = {name: column[0].tolist() for name, column in frames.columns(row).items()}
         page.evaluate("row => approxjac.append(row)", instant)

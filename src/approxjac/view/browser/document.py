@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
+from approxjac.cameras import Camera, PinholeCamera
 from approxjac.extras import package_of
 from approxjac.simulation import Trajectory
 from approxjac.simulation.scene import Scene
-from approxjac.tasks import Camera, PinholeCamera
 from approxjac.tasks.analysis import features, image_feature
 from approxjac.validation import Array
 from approxjac.view.browser.stage import Stage, grid
-from approxjac.view.browser.viewpoint import link_points, viewpoint
+from approxjac.view.browser.view_direction import link_points, viewpoint
 from approxjac.view.learnt import learnt_regressor
 from approxjac.view.style import COLORS, SERIES, display_unit
 from approxjac.view.tree import held_objects

@@ -1,4 +1,4 @@
-"""`Frames`: all that the page shows at each instant of a run, from the run's record."""
+"""`RunFrames`: all that the page shows at each instant of a run, from the run's record."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _LITTLE = 1e-6  # of a torque: round-off
 _SINGULAR = 1e-6  # of the largest singular value: forces that hardly any torque stands for
 
 
-class Frames:
+class RunFrames:
     """Positions, forces and images of a scene; one instance a thread."""
 
     def __init__(self, scene: Scene) -> None:

@@ -19,12 +19,12 @@ from approxjac.robots import Robot
 from approxjac.simulation.loop import Loop
 from approxjac.simulation.record import Record, scene_of
 from approxjac.validation import as_number
+from approxjac.view.browser.commands import LONG, numbers, target_of, with_pixel, with_point
 from approxjac.view.browser.document import asset, document, page_data
-from approxjac.view.browser.frames import Frames
+from approxjac.view.browser.frames import RunFrames
 from approxjac.view.browser.page import open_browser
 from approxjac.view.browser.server import PageServer
 from approxjac.view.browser.stage import Stage
-from approxjac.view.browser.wishes import LONG, numbers, target_of, with_pixel, with_point
 
 _FRAME = 1.0 / 30.0  # between pictures [s]
 _STALL = 0.5  # behind its time, after which a run does not catch up [s]
@@ -147,7 +147,7 @@ class LiveView:
         """See anew who takes part."""
         scene = scene_of(loop.plant, loop.controller, len(loop.state))
         scene = replace(scene, knows_truth=loop._knows_truth)
-        self._frames = Frames(scene)
+        self._frames = RunFrames(scene)
         self._stage = stage = Stage(scene, self._stage)
         return stage
 

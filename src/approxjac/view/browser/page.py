@@ -21,7 +21,7 @@ from approxjac.interface import LimitStatus, Status
 from approxjac.simulation import Trajectory
 from approxjac.validation import Array, require
 from approxjac.view.browser.document import document, filled, page_data
-from approxjac.view.browser.frames import Frames
+from approxjac.view.browser.frames import RunFrames
 from approxjac.view.browser.stage import Stage
 from approxjac.view.style import COLORS, display_unit
 
@@ -136,7 +136,7 @@ def page(run: Trajectory, title: str | None = None) -> str:
             given=run,
         )
     stage, kept = Stage(run.scene), _thinned(run.t, run.q)
-    columns = Frames(run.scene).columns(run, kept)
+    columns = RunFrames(run.scene).columns(run, kept)
     data = page_data(stage, run, columns, run.q[kept], title, _facts(run))
     if run.fault_name:  # in the tab, in an index, and above all else
         data |= {"title": f"{run.fault_name}: {data['title']}", "alarm": run.ended}

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
+from approxjac.cameras import PinholeCamera, PlanarCamera
 from approxjac.extras import package_of
 from approxjac.simulation.scene import Scene
-from approxjac.tasks import PinholeCamera, PlanarCamera, Task
+from approxjac.tasks import Task
 from approxjac.tasks.analysis import image_feature
 from approxjac.validation import Array, plane_rows
-from approxjac.view.browser.viewpoint import link_points, reach_points
+from approxjac.view.browser.view_direction import link_points, reach_points
 from approxjac.view.style import COLORS
 from approxjac.view.tree import Tree, held_objects
 

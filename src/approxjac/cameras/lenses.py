@@ -1,0 +1,366 @@
+"""Distortion of a lens, as OpenCV's pinhole model has it; `Lens` is what cameras need of one."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.polynomial import Polynomial
+
+from approxjac.errors import InvalidInputError
+from approxjac.validation import Array
+
+FARTHEST = 100.0
+"""No ray ‖(X/Z, Y/Z)‖ that is bent is longer: it is 89.4° away from the optical axis."""
+HALVINGS = 60
+"""Of an interval that a radius is in."""
+NEWTON_STEPS = 8
+"""From the ray of a lens that is round; of real lenses three will do."""
+LEAST = 1e-9
+"""Largest distance of a ray from where it was asked for, in focal lengths."""
+_SURELY = 1.0 - 1e-6  # of a disc, within which the derivative is regular
+_LARGEST = 1e9  # coefficient
+BEFORE = 1e-9
+"""Least distance of a point of the image before a tilted lens, in focal lengths."""
+COUNTS = (0, 1, 2, 3, 4, 5, 8, 12, 14)
+"""Counts of coefficients that a lens may be given by."""
+
+
+class Lens(ABC):
+    """A lens: where it shows a ray p = (X/Z, Y/Z), in focal lengths from the optical axis.
+
+    Rays up to `largest_radius` and images belong to one another one by one; rays beyond have no
+    image here, so that none is shown where another one is.
+
+    Attributes:
+        largest_radius: Of rays that are shown.
+        is_straight: It shows each ray where it is.
+    """
+
+    largest_radius: float
+    is_straight: bool
+
+    @abstractmethod
+    def distorted(self, p: Array) -> Array:
+        """Return where the lens shows a ray p (2,), shape (2,)."""
+
+    @abstractmethod
+    def slopes(self, x: float, y: float) -> tuple[float, float, float, float]:
+        """Return ∂(distorted)/∂p at p = (x, y), row by row."""
+
+    @abstractmethod
+    def undistorted(self, shown: Array) -> Array:
+        """Return the ray (2,) shown at `shown` (2,); one of those shown where there is none."""
+
+    def ray(self, shown: Array) -> Array:
+        """Return the ray (2,) that is shown at `shown` (2,); NaN where none is."""
+        if self.is_straight:
+            return shown
+        p = self.undistorted(shown)
+        beside = float(np.abs(self.distorted(p) - shown).max())
+        is_shown = beside <= LEAST * (1.0 + math.hypot(*shown.tolist()))
+        return p if is_shown else np.full(2, np.nan)
+
+
+class Distortion(Lens):
+    """OpenCV's distortion of a pinhole camera, with up to 14 coefficients.
+
+    With ρ = ‖p‖², a ray p = (x, y) is shown at
+
+        p (1 + k₁ρ + k₂ρ² + k₃ρ³)/(1 + k₄ρ + k₅ρ² + k₆ρ³)
+          + (2p₁xy + p₂(ρ + 2x²), p₁(ρ + 2y²) + 2p₂xy) + (s₁ρ + s₂ρ², s₃ρ + s₄ρ²),
+
+    seen on a sensor that is tilted by (τ_x, τ_y).
+
+    The map is one to one on a disc of rays where its derivative has a positive definite symmetric
+    part; `largest_radius` is that of such a disc, by bounds on the derivative (exact where the
+    distortion is radial).
+
+    Args:
+        coefficients: (k₁, k₂, k₃) or fewer; or 4, 5, 8, 12 or 14 in OpenCV's order: k₁, k₂, p₁, p₂,
+            k₃, k₄, k₅, k₆, s₁, s₂, s₃, s₄, τ_x, τ_y.
+
+    Raises:
+        InvalidInputError: Another number of them, or a sensor tilted by 90° or more.
+    """
+
+    def __init__(self, coefficients: Sequence[float]) -> None:
+        given = list(coefficients)
+        if len(given) not in COUNTS:
+            raise InvalidInputError(
+                f"distortion must be (k1, k2, k3) or fewer of them, or OpenCV's 4, 5, 8, 12 or 14 "
+                f"coefficients, got {len(given)}: {given}",
+                given=coefficients,
+            )
+        if max(map(abs, given), default=0.0) > _LARGEST:
+            raise InvalidInputError(
+                f"distortion must have coefficients of at most {_LARGEST:g}, got {given}",
+                given=coefficients,
+            )
+        if len(given) <= 3:  # only radial
+            k1, k2, k3 = (*given, 0.0, 0.0, 0.0)[:3]
+            given = [k1, k2, 0.0, 0.0, k3]
+        k1, k2, p1, p2, k3, k4, k5, k6, *rest = given + [0.0] * (14 - len(given))
+        self._above, self._below = (k1, k2, k3), (k4, k5, k6)
+        self._p, self._s = (p1, p2), tuple(rest[:4])
+        tilt = rest[4:]
+        self._T: Array | None = _tilt(*tilt) if any(tilt) else None
+        self._T_inverse = None if self._T is None else np.linalg.inv(self._T)
+        self._is_round = not any(self._p) and not any(self._s)
+        self.is_straight = not any(given)
+        self.largest_radius = self._largest_radius()
+
+    def _factors(self, rho: float) -> tuple[float, float]:
+        """Return the radial factor and its derivative by ρ."""
+        k1, k2, k3 = self._above
+        factor = 1.0 + rho * (k1 + rho * (k2 + rho * k3))
+        slope = k1 + rho * (2.0 * k2 + rho * 3.0 * k3)
+        if any(self._below):
+            k4, k5, k6 = self._below
+            below = 1.0 + rho * (k4 + rho * (k5 + rho * k6))
+            factor = factor / below
+            slope = (slope - factor * (k4 + rho * (2.0 * k5 + rho * 3.0 * k6))) / below
+        return factor, slope
+
+    def _flat(self, x: float, y: float) -> tuple[float, float]:
+        """Return where a ray is shown on a sensor that is not tilted."""
+        rho = x * x + y * y
+        factor = self._factors(rho)[0]
+        u, v = x * factor, y * factor
+        if not self._is_round:
+            (p1, p2), (s1, s2, s3, s4) = self._p, self._s
+            xy = 2.0 * x * y
+            u = u + (p1 * xy + p2 * (rho + 2.0 * x * x) + rho * (s1 + rho * s2))
+            v = v + (p1 * (rho + 2.0 * y * y) + p2 * xy + rho * (s3 + rho * s4))
+        return u, v
+
+    def _flat_slopes(self, x: float, y: float) -> tuple[float, float, float, float]:
+        """Return the derivatives of `_flat`, row by row."""
+        rho = x * x + y * y
+        factor, slope = self._factors(rho)
+        twice = 2.0 * slope
+        a, b, d = factor + twice * x * x, twice * x * y, factor + twice * y * y
+        if self._is_round:
+            return a, b, b, d
+        (p1, p2), (s1, s2, s3, s4) = self._p, self._s
+        of_u, of_v = 2.0 * (s1 + 2.0 * rho * s2), 2.0 * (s3 + 2.0 * rho * s4)
+        crossed = 2.0 * (p1 * x + p2 * y)
+        return (
+            a + 2.0 * p1 * y + 6.0 * p2 * x + of_u * x,
+            b + crossed + of_u * y,
+            b + crossed + of_v * x,
+            d + 6.0 * p1 * y + 2.0 * p2 * x + of_v * y,
+        )
+
+    def shown_at(self, x: float, y: float) -> tuple[float, float]:
+        """Return where the lens shows a ray (x, y)."""
+        u, v = self._flat(x, y)
+        return (u, v) if self._T is None else _moved(self._T, u, v)
+
+    def distorted(self, p: Array) -> Array:
+        return p if self.is_straight else np.array(self.shown_at(*p.tolist()))
+
+    def slopes(self, x: float, y: float) -> tuple[float, float, float, float]:
+        if self.is_straight:
+            return 1.0, 0.0, 0.0, 1.0
+        a, b, c, d = self._flat_slopes(x, y)
+        if self._T is None:
+            return a, b, c, d
+        u, v = self._flat(x, y)
+        (h00, h01, _), (h10, h11, _), (h20, h21, h22) = self._T.tolist()
+        depth = h20 * u + h21 * v + h22
+        u, v = _moved(self._T, u, v)
+        t00, t01 = (h00 - u * h20) / depth, (h01 - u * h21) / depth
+        t10, t11 = (h10 - v * h20) / depth, (h11 - v * h21) / depth
+        return t00 * a + t01 * c, t00 * b + t01 * d, t10 * a + t11 * c, t10 * b + t11 * d
+
+    def radius(self, length: float) -> float:
+        """Return how far from the middle a lens that is round shows a ray of a length."""
+        return length * self._factors(length * length)[0]
+
+    def undistorted(self, shown: Array) -> Array:
+        if self.is_straight:
+            return shown
+        u, v = shown.tolist()
+        if self._T_inverse is not None:
+            (h00, h01, h02), (h10, h11, h12), (h20, h21, h22) = self._T_inverse.tolist()
+            depth = max(h20 * u + h21 * v + h22, BEFORE)
+            u, v = (h00 * u + h01 * v + h02) / depth, (h10 * u + h11 * v + h12) / depth
+        wanted = math.hypot(u, v)
+        # the radius grows up to the fold
+        scale = inverse(self.radius, wanted, self.largest_radius) / wanted if wanted else 0.0
+        x, y = scale * u, scale * v
+        if not self._is_round:
+            for _ in range(NEWTON_STEPS):
+                x, y = self._newton(x, y, u, v)
+                back = min(1.0, self.largest_radius / max(math.hypot(x, y), 1e-300))
+                x, y = back * x, back * y
+        return np.array([x, y])
+
+    def _newton(self, x: float, y: float, u: float, v: float) -> tuple[float, float]:
+        """Return a ray (x, y) after a step of Newton's towards the one that is shown at (u, v)."""
+        a, b, c, d = self._flat_slopes(x, y)
+        at_u, at_v = self._flat(x, y)
+        u, v, determinant = at_u - u, at_v - v, a * d - b * c  # > 0 within the disc
+        return x - (d * u - b * v) / determinant, y - (a * v - c * u) / determinant
+
+    def _largest_radius(self) -> float:
+        """Return the radius of the disc of rays on which the map is one to one.
+
+        Of the derivative's symmetric part the radial distortion has the eigenvalues f and d(rf)/dr,
+        with f its factor. At a radius r, p₁ and p₂ take at most 6‖p‖r from them, and s at most
+        2r(‖(s₁, s₃)‖ + 2ρ‖(s₂, s₄)‖). As polynomials in r, times denominators.
+        """
+        if self.is_straight:
+            return math.inf
+        r = Polynomial([0.0, 1.0])
+        above, below = (_even(each) for each in (self._above, self._below))
+        s1, s2, s3, s4 = self._s
+        p, first, second = math.hypot(*self._p), math.hypot(s1, s3), math.hypot(s2, s4)
+        taken = r * (6.0 * p + 2.0 * first) + r**3 * (4.0 * second)
+        growth = (above + r * above.deriv()) * below - r * above * below.deriv()
+        conditions = [below, growth - taken * below * below, above * below - taken * below * below]
+        if self._T is not None:  # what is shown must be before the sensor
+            h20, h21, h22 = self._T[2].tolist()
+            beside = r * r * (3.0 * p + first) + r**4 * second
+            conditions.append(h22 * below - math.hypot(h20, h21) * (r * above + beside * below))
+        first = min(FARTHEST, *map(_first_root, conditions))
+        return first if self._is_round else _SURELY * first
+
+
+def inverse(growing: Callable[[float], float], wanted: float, largest: float) -> float:
+    """Return where a function that grows from 0 to `largest` has a value.
+
+    Bisection cannot fail, and nothing is in a hurry.
+    """
+    low, high = 0.0, largest
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        if growing(middle) < wanted:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
+
+
+def _even(coefficients: Sequence[float]) -> Polynomial:
+    """Return 1 + aρ + bρ² + cρ³ in r, with ρ = r²."""
+    a, b, c = coefficients
+    return Polynomial([1.0, 0.0, a, 0.0, b, 0.0, c])
+
+
+def _first_root(polynomial: Polynomial) -> float:
+    """Return the first r > 0, up to `FARTHEST`, at which a polynomial is 0; else infinity."""
+    # in r/FARTHEST, where a coefficient that never counts is seen to be small
+    given: Array = np.asarray(polynomial.coef, dtype=np.float64)
+    coefficients = given * FARTHEST ** np.arange(len(given), dtype=np.float64)
+    coefficients = np.where(np.abs(coefficients) > 1e-15, coefficients, 0.0)
+    roots = np.polynomial.polynomial.polyroots(np.trim_zeros(coefficients, "b"))
+    found = [
+        FARTHEST * float(root.real)
+        for root in roots
+        if abs(root.imag) < 1e-9 * abs(root.real) and 0.0 < root.real <= 1.0
+    ]
+    return min(found, default=math.inf)
+
+
+def _tilt(tau_x: float, tau_y: float) -> Array:
+    """Return OpenCV's homography (3, 3) onto a sensor that is tilted by two angles [rad]."""
+    if not (abs(tau_x) < 0.5 * math.pi and abs(tau_y) < 0.5 * math.pi):
+        raise InvalidInputError(
+            f"distortion must have tau_x and tau_y between -pi/2 and pi/2 [rad], got {tau_x:g} and "
+            f"{tau_y:g}",
+            given=(tau_x, tau_y),
+        )
+    (sx, cx), (sy, cy) = ((math.sin(tau), math.cos(tau)) for tau in (tau_x, tau_y))
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, sx], [0.0, -sx, cx]])
+    about_y = np.array([[cy, 0.0, -sy], [0.0, 1.0, 0.0], [sy, 0.0, cy]])
+    R = about_y @ about_x
+    along = np.array([[R[2, 2], 0.0, -R[0, 2]], [0.0, R[2, 2], -R[1, 2]], [0.0, 0.0, 1.0]])
+    return np.asarray(along @ R)
+
+
+def _moved(H: Array, u: float, v: float) -> tuple[float, float]:
+    """Return where a homography (3, 3) maps a point to."""
+    (h00, h01, h02), (h10, h11, h12), (h20, h21, h22) = H.tolist()
+    depth = h20 * u + h21 * v + h22
+    return (h00 * u + h01 * v + h02) / depth, (h10 * u + h11 * v + h12) / depth
+
+
+WIDEST = math.radians(85.0)
+"""No ray is shown that is farther from the optical axis [rad]: at 90° its X/Z is infinite."""
+
+
+class Fisheye(Lens):
+    """OpenCV's fisheye lens, also called equidistant, or of Kannala and Brandt.
+
+    It shows a ray at the angle θ = atan ‖p‖ from the optical axis at the distance
+    θ_d = θ (1 + k₁θ² + k₂θ⁴ + k₃θ⁶ + k₄θ⁸) from the middle, in the ray's direction. Rays are shown
+    up to where θ_d stops growing, and to 85°.
+
+    Attributes:
+        widest: Angle up to which rays are shown [rad].
+        shown_radius: Distance from the middle up to which there are rays, in focal lengths.
+
+    Args:
+        coefficients: (k₁, k₂, k₃, k₄), or none, which are 0.
+
+    Raises:
+        InvalidInputError: Another number of them.
+    """
+
+    is_straight = False
+
+    def __init__(self, coefficients: Sequence[float]) -> None:
+        if len(coefficients) not in (0, 4):
+            raise InvalidInputError(
+                "distortion of a fisheye lens must be OpenCV's (k1, k2, k3, k4), or none, got "
+                f"{len(coefficients)}: {list(coefficients)}",
+                given=coefficients,
+            )
+        self._k = tuple(coefficients) or (0.0,) * 4
+        growth = [1.0, *(n * k for n, k in zip((3.0, 5.0, 7.0, 9.0), self._k, strict=True))]
+        slope = np.array(growth) * WIDEST ** (2.0 * np.arange(5))  # of θ_d, in (θ/widest)²
+        slope = np.trim_zeros(np.where(np.abs(slope) > 1e-15, slope, 0.0), "b")
+        turns = [
+            float(root.real)
+            for root in np.polynomial.polynomial.polyroots(slope)
+            if abs(root.imag) < 1e-9 * abs(root.real) and 0.0 < root.real < 1.0
+        ]
+        self.widest = WIDEST * math.sqrt(min(turns, default=1.0))
+        self.largest_radius, self.shown_radius = math.tan(self.widest), self.bent(self.widest)
+
+    def bent(self, angle: float) -> float:
+        """Return θ_d of an angle θ [rad]."""
+        k1, k2, k3, k4 = self._k
+        square = angle * angle
+        return angle * (1.0 + square * (k1 + square * (k2 + square * (k3 + square * k4))))
+
+    def growth(self, angle: float) -> float:
+        """Return dθ_d/dθ at an angle θ [rad]."""
+        k1, k2, k3, k4 = self._k
+        s = angle * angle
+        return 1.0 + s * (3.0 * k1 + s * (5.0 * k2 + s * (7.0 * k3 + s * 9.0 * k4)))
+
+    def distorted(self, p: Array) -> Array:
+        length = math.hypot(*p.tolist())
+        return p if length == 0.0 else p * (self.bent(math.atan(length)) / length)
+
+    def slopes(self, x: float, y: float) -> tuple[float, float, float, float]:
+        rho = x * x + y * y
+        if rho == 0.0:
+            return 1.0, 0.0, 0.0, 1.0
+        length = math.sqrt(rho)
+        angle = math.atan(length)
+        factor = self.bent(angle) / length
+        rate = (self.growth(angle) / (1.0 + rho) - factor) / rho
+        across = rate * x * y
+        return factor + rate * x * x, across, across, factor + rate * y * y
+
+    def undistorted(self, shown: Array) -> Array:
+        wanted = math.hypot(*shown.tolist())
+        if wanted == 0.0:
+            return np.zeros(2)
+        return shown * (math.tan(inverse(self.bent, wanted, self.widest)) / wanted)

@@ -1,0 +1,89 @@
+"""`approxjac paper`: the paper's two-link study."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from approxjac.cli.bars import time_bar
+from approxjac.cli.options import make_folder
+from approxjac.errors import InvalidInputError
+from approxjac.files import together, write_text
+
+
+def paper(
+    out: Path = Path("results/paper"),
+    figures: tuple[int, ...] = (1, 3, 4, 5, 6, 7, 8),
+    start: Annotated[tuple[float, float], tyro.conf.arg(metavar="DEG DEG")] = (60.0, 90.0),
+    target: Annotated[tuple[float, float], tyro.conf.arg(metavar="DEG DEG")] = (90.0, 90.0),
+    friction: float = 0.0,
+    gamma: float | None = None,
+    inertia: Literal["rod", "point-mass"] = "rod",
+    duration: float = 120.0,
+) -> int:
+    """Reproduce the paper's two-link study, Figures 1 and 3-8, with a verdict for each.
+
+    Example: approxjac paper --figures 3 4
+
+    Exit code 0 if every verdict is the paper's, 1 if not.
+
+    Args:
+        out: Folder for figN.png, figN.svg, figN.npz and summary.json, and, with the extra "view"
+            installed, pages to see in a browser: index.html and figN.html.
+        figures: Figures to make, such as "--figures 3 4".
+        start: Configuration q(0) at the start, in degrees.
+        target: Configuration whose image is the target, in degrees.
+        friction: Viscous friction B at both joints, N m s/rad.
+        gamma: Saturation of the error on the sensor, in m; "None" is s(e) = e.
+        inertia: Uniform rods, or point masses at their middles.
+        duration: Length of each run, in s.
+    """
+    from approxjac import paper as study
+    from approxjac.paper import verdicts as report
+
+    if not figures:
+        raise InvalidInputError("figures must name at least one figure, got none", given=figures)
+    for figure in set(figures) - {1, *study.EXPERIMENTS}:
+        known = ", ".join(map(str, (1, *study.EXPERIMENTS)))
+        raise InvalidInputError(f"figures must be among {known}, got {figure}", given=figure)
+    setup = study.Setup(
+        start=(math.radians(start[0]), math.radians(start[1])),
+        target=(math.radians(target[0]), math.radians(target[1])),
+        friction=friction,
+        gamma=gamma,
+        inertia=inertia,
+        duration=duration,
+    )
+    make_folder(out)
+    truth = study.build_arm(inertia=inertia)
+    bound = None
+    results = []
+    experiments = [study.EXPERIMENTS[f] for f in sorted(set(figures)) if f != 1]
+    with (
+        together(out) as folder,
+        time_bar(max(1, len(experiments)) * duration, "figure 1") as bar,
+    ):
+        if 1 in figures:
+            bar.set_description("figure 1")
+            bound = study.jacobian_bound(setup)
+            report.write_bound(bound, folder)
+        for i, experiment in enumerate(experiments):
+            bar.set_description(f"figure {experiment.figure}")
+
+            def advance(t: float, done: float = i * duration) -> None:
+                bar.update(done + t - bar.n)
+
+            result = study.run_experiment(experiment, setup, progress=advance)
+            report.write_result(result, setup, truth, folder)
+            results.append(result)
+        summary = report.summary(results, bound, setup)
+        write_text(folder / "summary.json", json.dumps(summary, indent=2) + "\n")
+    print(report.table(results, bound))
+    print(f"\nPictures, runs and summary.json are in {out}")
+    if experiments:
+        print(report.write_pages(results, bound, out))
+    return 0 if all(result.agrees_with_paper for result in results) else 1

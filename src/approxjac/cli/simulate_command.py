@@ -1,0 +1,76 @@
+"""`approxjac simulate`: a scenario → a run → files and a verdict."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import tyro
+
+from approxjac.cli.bars import time_bar
+from approxjac.cli.options import make_folder
+from approxjac.errors import InvalidInputError
+from approxjac.scenario import Scenario
+
+
+def simulate(
+    scenario: Scenario,
+    view: tyro.conf.FlagCreatePairsOff[bool] = False,
+    speed: float | None = None,
+    port: int | None = None,
+    save: Path | None = None,
+    out: Path = Path("results/simulate"),
+) -> int:
+    """Let an arm reach a target although its controller believes a wrong robot, or a wrong camera.
+
+    Example: approxjac simulate panda --object-length 0.2 --believed-length 0 --seed 1
+
+    Exit code 0 if the error ended within the tolerance, or a path was followed; 1 if not. An error
+    that got there in the last tenth of the run only is too late to judge, and no failure.
+
+    Args:
+        scenario: The scenario.
+        view: Show the run in the browser while it goes on; there the target and the believed length
+            can be changed, and the run paused or stopped.
+        speed: Of the run with --view, as a multiple of real time; 1 by default.
+        port: Of the page with --view, on this machine; 7007 by default, or any free one.
+        save: Write the scenario to this .toml file, too.
+        out: Folder for the pictures, run.npz, summary.json and scenario.toml.
+    """
+    for name, value in (("speed", speed), ("port", port)):
+        if value is not None and not view:
+            raise InvalidInputError(
+                f"--{name} is for a run that is shown with --view, got {value:g} without",
+                given=value,
+            )
+    if view and scenario.loop.dt == "continuous":  # what is shown are steps
+        scenario = scenario.with_values({"loop": {"dt": 1e-3}})
+    if save is not None and not save.parent.is_dir():
+        raise InvalidInputError(
+            f"--save must be a file in a folder that there is, got {save}", given=save
+        )
+    built = scenario.build()
+    make_folder(out)
+    if built.warning:
+        print(f"approxjac: warning: {built.warning}", file=sys.stderr)
+    if save is not None:
+        scenario.save(save)
+    live = None
+    if view:
+        from approxjac.view import LiveView
+
+        live = LiveView(
+            speed=1.0 if speed is None else speed,
+            port=port,
+            believe=built.believe,
+            believed_length=scenario.believed.object.length,
+        )
+    with time_bar(scenario.run.duration, "simulation", disable=True if view else None) as bar:
+        result = built.run(lambda t: bar.update(t - bar.n) and None, live)
+    from approxjac.scenario import summary as report
+
+    report.write(result, out)
+    print(report.text(result))
+    print(f"\nPictures, the run, its scenario and summary.json are in {out}")
+    print(f"See it move: approxjac view {out / 'run.npz'}")
+    return 1 if result.failed else 0

@@ -1,0 +1,91 @@
+"""`approxjac stability`: a scenario → what the tests say of its loop."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+import tyro
+
+from approxjac.cli.bars import ShareBar
+from approxjac.cli.options import make_folder
+from approxjac.errors import InvalidInputError
+from approxjac.scenario import Scenario
+
+_LONG = {
+    "rollouts": "rollouts: simulating runs",
+    "tolerance": "looking how large errors each test tolerates",
+    "other damping": "looking for advice: other damping, about a minute or two",
+    "smaller errors": "looking for advice: smaller errors, about a minute",
+    "map": "making the map, about a minute or two (--map-points 0 leaves it out)",
+    "gains": "looking for gains, up to some minutes",
+}
+
+
+def stability(
+    scenario: Scenario,
+    suggest_gains: tyro.conf.FlagCreatePairsOff[bool] = False,
+    jobs: int = 1,
+    out: Path = Path("results/stability"),
+) -> int:
+    """Tell whether a controller is stable before anything moves, by how much, and what to change.
+
+    Example: approxjac stability panda --object-length 0 0.3 --around 0 -0.5 0 -2 0 1.6 0.7
+
+    Exit code 0 if the region is certified, 1 if not: of the loop as it runs, sampled and late as
+    the scenario says; or in continuous time where gravity is learnt, as there it has to do.
+
+    Args:
+        scenario: The scenario.
+        suggest_gains: Find gains with which the errors are certified where gravity is known, in
+            place of a report. They settle within --settling-time, 1 s by default, and within
+            --limits; scenario.toml has them, and is written only where some are found.
+        jobs: How many processes share the rollouts.
+        out: Folder for figure1, workspace and map as .png and .svg, summary.json, scenario.toml.
+    """
+    from concurrent.futures import ProcessPoolExecutor
+    from contextlib import nullcontext
+
+    from approxjac.scenario import judge as study
+    from approxjac.scenario import stability_report as report
+
+    if jobs < 1:
+        raise InvalidInputError(f"jobs must be >= 1, got {jobs}", given=jobs)
+    if suggest_gains:
+        return _suggest(scenario, out)
+    loop = study.prepare(scenario)
+    make_folder(out)
+    pool = ProcessPoolExecutor(jobs) if jobs > 1 else nullcontext()
+    with pool as executor, ShareBar(_LONG) as bar:
+        result = study.analyse(
+            scenario, loop, executor, bar.tell, lambda tests: bar.write(f"{tests}\n")
+        )
+    report.write(result, out)
+    print(report.consequences(result))
+    told = report.told_of_map(result, out)
+    if told:
+        print("", *told, sep="\n")
+    print(f"\nPictures and summary.json are in {out}")
+    return 0 if result.report.passed else 1
+
+
+def _suggest(scenario: Scenario, out: Path) -> int:
+    """Find gains, and tell of them."""
+    from approxjac.scenario import gain_suggestion as gains
+
+    make_folder(out)
+    with ShareBar(_LONG) as bar:
+        result = gains.suggested(scenario, partial(bar.tell, "gains"))
+    gains.write(result, out)
+    print(gains.text(result))
+    if result.report is None:
+        print(f"\nsummary.json is in {out}; without gains no scenario.toml is written")
+        if (out / "scenario.toml").exists():
+            print("The scenario.toml there is an earlier one, and as it was")
+        return 1
+    print(f"\nsummary.json and scenario.toml are in {out}")
+    its = f"approxjac stability {out / 'scenario.toml'}"
+    print(f"Its report: {its}")
+    if result.needs_known_gravity:
+        print(f"As if gravity were known: {its} --gravity exact")
+    return 0 if result.report.passed else 1

@@ -1,0 +1,1 @@
+"""A robot, its tasks and cameras on traced arithmetic."""

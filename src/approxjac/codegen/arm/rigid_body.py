@@ -1,0 +1,363 @@
+"""`Arm`: kinematics and dynamics of arms on symbols, by the recursions of Luh, Walker and Paul.
+
+All is computed in axes of each link whose z is that of its joint. So every joint turns two of three
+components, and the constant zeros and ones of placements, and of what the links weigh (`Reduced`),
+fold away. With mimic joints all joints move on their own, and q̇_all = G q̇ brings them back.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from approxjac.codegen.arm.arm_numbers import ArmNumbers, Reduced, Structure, arm_numbers, reduced
+from approxjac.codegen.arm.bodies import Body, Motion, Wrench, cross, force, gradient
+from approxjac.codegen.trace.functions import arctangent
+from approxjac.codegen.trace.graph import Number, select
+from approxjac.codegen.trace.linear import Factors
+from approxjac.codegen.trace.symbols import Symbols, symbols
+from approxjac.robots import GravityRegressor, Robot
+from approxjac.robots.model import own_joints
+from approxjac.validation import Array
+
+__all__ = ["Arm", "ArmNumbers", "Configured", "arm_numbers", "difference", "moved"]
+
+Given = Callable[[str, Array], Symbols]
+_Z = symbols([0.0, 0.0, 1.0])
+_NOTHING = symbols([0.0, 0.0, 0.0])
+
+
+class Arm:
+    """Arms with the same joints, whose numbers may differ from run to run: lengths, axes, masses.
+
+    Args:
+        given: `Program.given`.
+        name: What their numbers are called in the program.
+        robot: One of them.
+        frames: Frames that are asked for.
+        numbers: Of all of them, stacked; of that robot alone by default.
+
+    Raises:
+        UnknownNameError: No such frame.
+    """
+
+    def __init__(
+        self,
+        given: Given,
+        name: str,
+        robot: Robot,
+        frames: Sequence[str],
+        numbers: ArmNumbers | None = None,
+    ) -> None:
+        self.name, self.robot, self.frames = name, robot, tuple(frames)
+        self.structure = Structure.of(robot, frames)
+        if numbers is None:
+            numbers = ArmNumbers.stacked([arm_numbers(robot, frames)])
+        named = self.named(numbers)
+        self.numbers = Reduced(*(given(part, values) for part, values in named.items()))
+
+    def named(self, numbers: ArmNumbers) -> dict[str, Array]:
+        """Return the numbers of such arms, stacked, as the program knows them."""
+        few = reduced(numbers, self.structure)
+        return {f"{self.name}.{part}": values for part, values in few._asdict().items()}
+
+    def at(self, q: Symbols) -> Configured:
+        """Return these arms at a configuration.
+
+        Args:
+            q: As Pinocchio has it, shape (nq,) [rad or m]: pairs (cos, sin) of continuous joints
+                on the unit circle, and no mimic joints.
+        """
+        return Configured(self, q)
+
+
+class Configured:
+    """An arm at a configuration. What terms have in common is computed once.
+
+    Each link has axes of its own, whose z is that of its joint. Bodies are those of `Reduced`.
+
+    Attributes:
+        structure: What it has in common with arms that differ in numbers only.
+        q_all: Configuration of all joints, shape (nq_all,).
+        weight: Acceleration of gravity in the world, shape (3,) [m/s²].
+    """
+
+    def __init__(self, arm: Arm, q: Symbols) -> None:
+        self.nv = arm.robot.nv
+        self.arm, self.q = arm, q
+        self._numbers, self.structure = arm.numbers, arm.structure
+        self.weight = arm.numbers.gravity
+        mimic = arm.robot.mimic_joints
+        self.q_all = q = q if mimic.A is None or mimic.b is None else mimic.A @ q + mimic.b
+        self._n, numbers = len(self.structure.parents), arm.numbers
+        spreads = numbers.spreads[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
+        each = zip(numbers.masses, numbers.moments, spreads, strict=True)
+        self._bodies = [Body(*body) for body in each]
+        self._turns: list[tuple[Number, Number]] = []  # cos and sin
+        self._origins = list(numbers.translations)
+        for j in range(self._n):
+            at = self.structure.places[j]
+            if self.structure.slides[j]:
+                self._turns.append((1.0, 0.0))
+                self._origins[j] = self._origins[j] + numbers.rotations[j][:, 2] * q[at]
+            elif self.structure.pairs[j]:
+                self._turns.append((q[at], q[at + 1]))
+            else:
+                angle = q[at : at + 1]
+                self._turns.append((np.cos(angle)[0], np.sin(angle)[0]))
+
+    # -- kinematics -------------------------------------------------------------------------
+
+    def frame(self, name: str) -> tuple[Symbols, Symbols]:
+        """Return the rotation (3, 3) of a frame's axes in the world's, and its origin (3,) [m]."""
+        i, carrier = self._frame(name)
+        R, p = self._numbers.frame_rotations[i], self._numbers.frame_translations[i]
+        if carrier < 0:
+            return R, p
+        R_joint, p_joint = self._placements[carrier]
+        return R_joint @ R, p_joint + R_joint @ p
+
+    def jacobian(self, name: str) -> Symbols:
+        """Return the Jacobian of a frame's velocity and angular velocity in the world, (6, n_v)."""
+        _, carrier = self._frame(name)
+        p = self.frame(name)[1]
+        J = _zeros(6, self._n)
+        for j in self.path(carrier):
+            R, origin = self._placements[j]
+            z = R[:, 2]
+            if self.structure.slides[j]:
+                J[:3, j] = z
+            else:
+                J[:3, j], J[3:, j] = cross(z, p - origin), z
+        return self.arm.robot.mimic_joints.columns(J)
+
+    def axis(self, joint: int) -> Symbols:
+        """Return the axis of a joint in the world, shape (3,)."""
+        return self._placements[joint][0][:, 2]
+
+    def axes(self, joint: int) -> Symbols:
+        """Return the axes of a joint's frame in the world, shape (3, 3); -1 is the base."""
+        if joint < 0:
+            return symbols(np.eye(3))
+        return self._placements[joint][0] @ self.structure.turns[joint].T
+
+    @cached_property
+    def _placements(self) -> list[tuple[Symbols, Symbols]]:
+        """Rotation and origin of each joint's axes in the world."""
+        placed: list[tuple[Symbols, Symbols]] = []
+        for j, parent in enumerate(self.structure.parents):
+            R, p = self._numbers.rotations[j], self._origins[j]
+            if parent >= 0:
+                R_parent, p_parent = placed[parent]
+                R, p = R_parent @ R, p_parent + R_parent @ p
+            c, s = self._turns[j]
+            turned = [R[:, 0] * c + R[:, 1] * s, R[:, 1] * c - R[:, 0] * s, R[:, 2]]
+            placed.append((np.stack(turned, axis=1), p))
+        return placed
+
+    # -- dynamics ---------------------------------------------------------------------------
+
+    def M(self) -> Symbols:
+        """Return the inertia matrix, shape (n_v, n_v) [kg m², kg m or kg]."""
+        mimic = self.arm.robot.mimic_joints
+        return mimic.rows(mimic.columns(self._M_all))
+
+    def gravity(self) -> Symbols:
+        """Return the gravity torque, shape (n_v,) [N m or N]."""
+        tau = _zeros(self._n)
+        for j, body in enumerate(self._outwards):
+            g = self._numbers.gravity @ self._placements[j][0]
+            tau[j] = -body.m * g[2] if self.structure.slides[j] else _cross_z(g, body.h)
+        return self.arm.robot.mimic_joints.rows(tau)
+
+    def bias(self, v: Symbols) -> Symbols:
+        """Return C(q, q̇) q̇ + g(q) of velocities (n_v,), shape (n_v,) [N m or N]."""
+        motions = self.motions(v, _zeros(self.nv), -self._numbers.gravity)
+        moved = zip(self._bodies, motions, strict=True)
+        return self.torque([force(body, each.a, each.gradient) for body, each in moved])
+
+    def momentum(self, v: Symbols) -> Symbols:
+        """Return M(q) v of velocities (n_v,), shape (n_v,)."""
+        motions = self.motions(_zeros(self.nv), v, _NOTHING)
+        moved = zip(self._bodies, motions, strict=True)
+        return self.torque([force(body, each.a, each.gradient) for body, each in moved])
+
+    def motions(self, v: Symbols, a: Symbols, base: Symbols) -> list[Motion]:
+        """Return how each link moves, with q̇ and q̈ (n_v,) and the acceleration of the base."""
+        v, a = self.arm.robot.mimic_joints.v(v), self.arm.robot.mimic_joints.v(a)
+        still = Motion(_NOTHING, _NOTHING, base, None)
+        motions: list[Motion] = []
+        for j, parent in enumerate(self.structure.parents):
+            motion = motions[parent] if parent >= 0 else still
+            at, U = motion.a, motion.gradient
+            at = at if U is None else at + U @ self._origins[j]
+            omega, omega_dot, at = (self._in(j, each) for each in (*motion[:2], at))
+            across = symbols([omega[1] * v[j], -(omega[0] * v[j]), 0.0])  # ω × z q̇
+            if self.structure.slides[j]:
+                at = at + 2.0 * across + _Z * a[j]
+            else:
+                omega, omega_dot = omega + _Z * v[j], omega_dot + across + _Z * a[j]
+            motions.append(Motion(omega, omega_dot, at, gradient(omega, omega_dot)))
+        return motions
+
+    def torque(self, forces: list[Wrench]) -> Symbols:
+        """Return what holds forces on each link and their moments, shape (n_v,) [N m or N]."""
+        forces, tau = forces.copy(), _zeros(self._n)
+        for j in reversed(range(self._n)):
+            f, moment = forces[j]
+            tau[j] = f[2] if self.structure.slides[j] else moment[2]
+            parent = self.structure.parents[j]
+            if parent >= 0:
+                f, moment = self._out(j, f), self._out(j, moment)
+                held = forces[parent]
+                moment = moment + cross(self._origins[j], f)
+                forces[parent] = held[0] + f, held[1] + moment
+        return self.arm.robot.mimic_joints.rows(tau)
+
+    def forward(self, v: Symbols, tau: Symbols) -> Symbols:
+        """Return q̈ from q̇ and τ (n_v,), shape (n_v,) [rad/s² or m/s²]."""
+        return self.factors.solve(tau - self.bias(v))
+
+    @cached_property
+    def factors(self) -> Factors:
+        """M, factored."""
+        return Factors(self.M())
+
+    def Z(self, regressor: GravityRegressor) -> Symbols:
+        """Return the gravity regressor, shape (n_v, p) [m²/s² for first moments]."""
+        Z = _zeros(self._n, regressor.p)
+        # a joint that turns feels g at r with r · (z × g)
+        feels = [cross(R[:, 2], self._numbers.gravity) for R, _ in self._placements]
+        for column, place in enumerate(regressor.columns.tolist()):
+            link, what = divmod(place, 10)  # m, mx, my or mz
+            R, p = self._placements[link]
+            direction = None if what == 0 else R @ self.structure.turns[link][what - 1]
+            for j in self.path(link):
+                origin = self._placements[j][1]
+                if not self.structure.slides[j]:
+                    lever = p - origin if direction is None else direction
+                    Z[j, column] = lever @ feels[j]
+                elif direction is None:
+                    Z[j, column] = -(self._numbers.gravity @ self._placements[j][0][:, 2])
+        return self.arm.robot.mimic_joints.rows(Z)
+
+    @cached_property
+    def _M_all(self) -> Symbols:
+        M = _zeros(self._n, self._n)
+        for j, (m, h, S) in enumerate(self._outwards):
+            # what moves with the joint, at one unit of its acceleration
+            if self.structure.slides[j]:
+                M[j, j] = m
+                f, moment = _Z * m, symbols([h[1], -h[0], 0.0])
+            else:
+                M[j, j] = S[0, 0] + S[1, 1]
+                f, moment = symbols([-h[1], h[0], 0.0]), symbols([-S[0, 2], -S[1, 2], M[j, j]])
+            k = j
+            while (parent := self.structure.parents[k]) >= 0:
+                f, moment = self._out(k, f), self._out(k, moment)
+                moment = moment + cross(self._origins[k], f)
+                k = parent
+                M[j, k] = M[k, j] = f[2] if self.structure.slides[k] else moment[2]
+        return M
+
+    @cached_property
+    def _outwards(self) -> list[Body]:
+        """Each joint's link and all that it carries."""
+        bodies = self._bodies.copy()
+        for j in reversed(range(self._n)):
+            parent = self.structure.parents[j]
+            if parent < 0:
+                continue
+            m, h, S = bodies[j]
+            h, S, t = self._out(j, h), self._second_out(j, S), self._origins[j]
+            half = h + t * (0.5 * m)
+            S = S + (np.outer(t, half) + np.outer(half, t))
+            held = bodies[parent]
+            bodies[parent] = Body(held.m + m, held.h + (h + t * m), held.S + S)
+        return bodies
+
+    # -- from link to link ------------------------------------------------------------------
+
+    def _in(self, j: int, vector: Symbols) -> Symbols:
+        """Return a vector in the axes of a link, from those of the link that carries it."""
+        x, y, z = vector @ self._numbers.rotations[j]
+        c, s = self._turns[j]
+        return symbols([c * x + s * y, c * y - s * x, z])
+
+    def _out(self, j: int, vector: Symbols) -> Symbols:
+        """Return a vector in the axes of the link that carries a link."""
+        x, y, z = vector
+        c, s = self._turns[j]
+        return self._numbers.rotations[j] @ symbols([c * x - s * y, s * x + c * y, z])
+
+    def _second_out(self, j: int, S: Symbols) -> Symbols:
+        """Return second moments in the axes of the link that carries a link."""
+        c, s = self._turns[j]
+        # with c² + s² = 1
+        half = s * (S[0, 0] - S[1, 1]) + c * (S[0, 1] + S[0, 1])
+        xx, xy, yy = S[0, 0] - s * half, c * half - S[0, 1], S[1, 1] + s * half
+        xz, yz = c * S[0, 2] - s * S[1, 2], s * S[0, 2] + c * S[1, 2]
+        if not self.structure.slides[j]:
+            S = symbols([[xx, xy, xz], [xy, yy, yz], [xz, yz, S[2, 2]]])
+        R, turned = self._numbers.rotations[j], _zeros(3, 3)
+        half_turned = R @ S
+        for i in range(3):
+            for k in range(i, 3):
+                turned[i, k] = turned[k, i] = half_turned[i] @ R[k]
+        return turned
+
+    def path(self, joint: int) -> list[int]:
+        """Return the joints that move a link."""
+        path = []
+        while joint >= 0:
+            path.append(joint)
+            joint = self.structure.parents[joint]
+        return path
+
+    def _frame(self, name: str) -> tuple[int, int]:
+        i = self.arm.frames.index(name)
+        return i, self.structure.carriers[i]
+
+
+def moved(robot: Robot, q: Symbols, motion: Symbols) -> Symbols:
+    """Return the configuration (nq,) that a motion (n_v,) leads to, as `pin.integrate` does."""
+    found: list[Any] = []
+    for joint, step in zip(own_joints(robot.model).values(), motion, strict=True):
+        at = joint.idx_q
+        if joint.nq == 1:
+            found.append(q[at] + step)
+            continue
+        (c,), (s,) = np.cos(symbols([step])), np.sin(symbols([step]))
+        x, y = c * q[at] - s * q[at + 1], s * q[at] + c * q[at + 1]
+        # the first step of Newton's method to the unit circle
+        scale = 0.5 * (3.0 - (x * x + y * y))
+        found += [x * scale, y * scale]
+    return symbols(found)
+
+
+def difference(robot: Robot, a: Symbols, b: Symbols) -> Symbols:
+    """Return the motion (n_v,) from a to b, both (nq,), as `pin.difference` does."""
+    found: list[Any] = []
+    for joint in own_joints(robot.model).values():
+        at = joint.idx_q
+        if joint.nq == 1:
+            found.append(b[at] - a[at])
+            continue
+        cosine: Any = a[at] * b[at] + a[at + 1] * b[at + 1]
+        sine: Any = a[at] * b[at + 1] - a[at + 1] * b[at]
+        angle = arctangent(abs(sine), abs(cosine))
+        angle = select(cosine < 0.0, math.pi - angle, angle)
+        found.append(select(sine < 0.0, -angle, angle))
+    return symbols(found)
+
+
+def _zeros(*shape: int) -> Symbols:
+    return symbols(np.zeros(shape))
+
+
+def _cross_z(a: Symbols, b: Symbols) -> Number:
+    return a[0] * b[1] - a[1] * b[0]

@@ -1,0 +1,1 @@
+"""Backends: a program as LLVM lanes, C99 or NumPy source."""

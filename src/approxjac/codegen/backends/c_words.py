@@ -1,0 +1,159 @@
+"""Words of a controller in C about itself: units, state, statuses, what it was made from."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Iterator
+
+import numpy as np
+
+from approxjac.codegen.backends.c99 import SampledStep
+from approxjac.controllers.limits.torque_limited import TorqueLimited
+from approxjac.controllers.setpoint import SetpointController
+from approxjac.formatting import joined
+from approxjac.interface import LimitStatus, Status
+from approxjac.tasks import PoseTask, Task
+from approxjac.validation import Array
+
+_LINE = 96
+
+
+def words(controller: SetpointController | TorqueLimited, step: SampledStep) -> dict[str, str]:
+    """Return the names, sizes and texts that stand in several files."""
+    task, robot = step.law.task, step.law.task.robot
+    prefix, n_state = identifier(robot.name), len(step.initial_state)
+    return {
+        "prefix": prefix,
+        "PREFIX": prefix.upper(),
+        "nq": str(robot.nq),
+        "nv": str(robot.nv),
+        "n_x": str(task.n_x),
+        "m": str(task.m),
+        "n_state": str(n_state),
+        "stored": str(max(n_state, 1)),
+        "made_from": _comment(_made_from(controller, step)),
+        "q_units": _units_of_q(step),
+        "v_units": joined(f"{unit}/s" for unit in robot.joint_units),
+        "tau_units": joined("N" if unit == "m" else "N m" for unit in robot.joint_units),
+        "x_units": _units_of_x(task),
+        "e_units": joined(task.units),
+        "state_words": _state_words(step),
+        "statuses": _enumeration(prefix, Status),
+        "limit_statuses": _enumeration(f"{prefix}_LIMITS", LimitStatus),
+    }
+
+
+def identifier(name: str) -> str:
+    """Return a name as C takes it."""
+    found = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_").lower()
+    return found if found[:1].isalpha() else f"arm_{found}".rstrip("_")
+
+
+def pairs(step: SampledStep) -> list[int]:
+    """Return where (cos, sin) of continuous joints stand in q."""
+    joints = list(step.law.task.robot.model.joints)[1:]
+    return [joint.idx_q for joint in joints if joint.nq == 2]
+
+
+def _made_from(
+    controller: SetpointController | TorqueLimited, step: SampledStep
+) -> Iterator[tuple[str, str]]:
+    """Return what a controller was made from: name, text."""
+    import approxjac
+
+    law, task, robot = step.law, step.law.task, step.law.task.robot
+    kp, kv, damping = law.diagonals
+    number = "(6)" if law.velocity is None else "(5)"
+    if law.adaptation is not None:
+        number = "(28), (29)" if law.velocity is None else "(5), (29)"
+    yield "made by", f"approxjac {approxjac.__version__}"
+    yield "robot", f"{robot.name}, as it is believed, {robot.mass:.6g} kg"
+    named = zip(robot.joint_names, robot.joint_units, strict=True)
+    yield "joints", ", ".join(f"{name} [{unit}]" for name, unit in named)
+    yield "task", f"{task!r}, x in {_units_of_x(task)}"
+    yield "law", number
+    yield "K_p", f"{_numbers(kp)} [J per unit of e squared]"
+    yield "K_v", f"{_numbers(kv)} [J s per unit of e squared]"
+    yield "B_c", f"{_numbers(damping)} [N m s/rad or N s/m]"
+    gamma = getattr(law.saturation, "gamma", None)
+    of = "" if gamma is None else f", gamma = {_numbers(np.asarray(gamma))}"
+    yield "s(e)", f"{type(law.saturation).__name__}{of}"
+    learning = law.adaptation
+    if learning is None:
+        yield "gravity", repr(law.gravity)
+    else:
+        p, forces, torques = learning.sizes
+        yield (
+            "gravity",
+            f"learnt: {p} parameters of {learning.robot.name}, {forces} task forces, {torques} "
+            f"joint torques, alpha = {learning.alpha:.6g} [1/s]{_of_rest(step)}",
+        )
+    if law.velocity is not None:
+        yield "velocity", f"x, filtered with {law.velocity.time_constant:g} s and differentiated"
+    yield "posture", "none" if law.posture is None else repr(law.posture)
+    if isinstance(controller, TorqueLimited):
+        efforts = _numbers(np.asarray(controller.limits.effort))
+        how = "so that V' <= -W stays where it can" if controller.proof else "clipped"
+        yield "limits", f"torques {efforts} [N m or N], {how}; none of speeds and positions"
+    else:
+        yield "limits", "none"
+
+
+def _of_rest(step: SampledStep) -> str:
+    if step.initial_state[: step.law.resting].any():
+        return ""
+    return "; from 0: all of it is learnt, or the rest where the robot adds its own"
+
+
+def _numbers(values: Array) -> str:
+    return ", ".join(f"{value:.6g}" for value in np.ravel(values))
+
+
+def _comment(parts: Iterator[tuple[str, str]]) -> str:
+    lines: list[str] = []
+    for name, text in parts:
+        lines += textwrap.wrap(
+            f"{name:<9}{_plain(text)}", _LINE, subsequent_indent=" " * 9, break_on_hyphens=False
+        )
+    return "\n".join(f" * {line}" for line in lines)
+
+
+def _plain(text: str) -> str:
+    """Return a text that ends no comment and begins none."""
+    return " ".join(text.split()).replace("*/", "* /").replace("/*", "/ *")
+
+
+def _enumeration(prefix: str, outcomes: type[Status] | type[LimitStatus]) -> str:
+    """Return the members of an enumeration, each after its sentence."""
+    lines = []
+    for outcome in outcomes:
+        said = textwrap.wrap(_plain(outcome.message), _LINE - 10)
+        lines += textwrap.wrap(
+            f"/* {' '.join(said)} */", _LINE, initial_indent="    ", subsequent_indent="       "
+        )
+        lines.append(f"    {prefix.upper()}_{outcome.name} = {outcome.value},")
+    return "\n".join(lines).rstrip(",")
+
+
+def _units_of_q(step: SampledStep) -> str:
+    units = joined(step.law.task.robot.joint_units)
+    found = [f"q[{i}], q[{i + 1}]" for i in pairs(step)]
+    if not found:
+        return units
+    return f"{units}; (cos, sin) of continuous joints: {' and '.join(found)}"
+
+
+def _units_of_x(task: Task) -> str:
+    if isinstance(task, PoseTask):
+        return "m, and a quaternion (x, y, z, w)"
+    return joined(task.units) + ("" if task.n_x == task.m else ", and m of depths")
+
+
+def _state_words(step: SampledStep) -> str:
+    n, p = len(step.initial_state), step.law.resting
+    if n == 0:
+        return "This law has none; C has no empty structures."
+    parts = [f"[0] to [{p - 1}] are what is learnt of gravity"] if p else []
+    parts += [f"[{p}] to [{n - 1}] are x, filtered"] if n > p else []
+    return f"{'; '.join(parts)}."

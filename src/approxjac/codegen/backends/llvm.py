@@ -1,0 +1,259 @@
+"""Programs as vectors of LLVM: one run a lane, as many lanes as the machine's vectors have."""
+
+from __future__ import annotations
+
+import ctypes
+import re
+import struct
+from collections.abc import Callable, Mapping
+from itertools import chain
+
+from approxjac.codegen.trace.graph import Number
+from approxjac.codegen.trace.program import STEP, Block, Language, Program, Writer
+from approxjac.extras import package_of
+from approxjac.validation import Array
+
+_TEMPLATES = {
+    "add": "fadd D {0}, {1}",
+    "subtract": "fsub D {0}, {1}",
+    "multiply": "fmul D {0}, {1}",
+    "divide": "fdiv D {0}, {1}",
+    "negative": "fneg D {0}",
+    "absolute": "call D @llvm.fabs.N(D {0})",
+    "sqrt": "call D @llvm.sqrt.N(D {0})",
+    "floor": "call D @llvm.floor.N(D {0})",
+    "power": "call D @power(D {0})",
+    "less": "fcmp olt D {0}, {1}",
+    "less_equal": "fcmp ole D {0}, {1}",
+    "equal": "fcmp oeq D {0}, {1}",
+    "and": "and B {0}, {1}",
+    "or": "or B {0}, {1}",
+    "not": "xor B {0}, TRUE",
+    "select": "select B {0}, D {1}, D {2}",
+}
+_DECLARED = """
+declare D @llvm.fabs.N(D)
+declare D @llvm.sqrt.N(D)
+declare D @llvm.floor.N(D)
+define internal D @power(D %a) alwaysinline {
+  %bits = bitcast D %a to I
+  %moved = shl I %bits, SHIFT
+  %power = bitcast I %moved to D
+  ret D %power
+}
+"""
+_RUN = """
+define void @run(
+  ptr %kept, ptr %given, ptr %times, ptr %draws,
+  i64 %groups, i64 %first, i64 %until, i64 %last, i64 %every
+) {{
+entry:
+  %steps = sub i64 %until, %first
+  br label %group
+group:
+  %g = phi i64 [ 0, %entry ], [ %g_next, %group_end ]
+  %at = mul i64 %g, {rows}
+  %s = getelementptr D, ptr %kept, i64 %at
+  %from = mul i64 %g, {parameters}
+  %p = getelementptr D, ptr %given, i64 %from
+  br label %step
+step:
+  %k = phi i64 [ %first, %group ], [ %k_next, %step_end ]
+  %i = sub i64 %k, %first
+  %of_time = mul i64 %i, {n_times}
+  %t = getelementptr double, ptr %times, i64 %of_time
+  %of_group = mul i64 %g, %steps
+  %of_step = add i64 %of_group, %i
+  %of_draws = mul i64 %of_step, {n_draws}
+  %d = getelementptr D, ptr %draws, i64 %of_draws
+  %number_0 = sitofp i64 %k to double
+  %number_1 = insertelement D undef, double %number_0, i64 0
+  %number = shufflevector D %number_1, D undef, ZERO
+{step}
+  %left = urem i64 %k, %every
+  %is_due = icmp eq i64 %left, 0
+  %is_last = icmp eq i64 %k, %last
+  %is_recorded = or i1 %is_due, %is_last
+  br i1 %is_recorded, label %record, label %step_end
+record:
+{record}
+  br label %step_end
+step_end:
+{stores}
+  %k_next = add i64 %k, 1
+  %goes_on = icmp slt i64 %k_next, %until
+  br i1 %goes_on, label %step, label %group_end
+group_end:
+  %g_next = add i64 %g, 1
+  %has_more = icmp slt i64 %g_next, %groups
+  br i1 %has_more, label %group, label %end
+end:
+  ret void
+}}
+"""
+_WIDE = "+avx512f"
+
+
+class LlvmLanes:
+    """A program compiled for vectors of this machine.
+
+    The bits are the same for any width and any machine: nothing is contracted or reordered.
+
+    Args:
+        program: The program.
+        width: Runs a vector; by default those that fill one of this machine.
+        features: Of the processor to compile for; those of this one by default.
+
+    Raises:
+        MissingPackageError: llvmlite is not installed.
+    """
+
+    def __init__(
+        self, program: Program, width: int | None = None, features: str | None = None
+    ) -> None:
+        llvm = package_of("fast", "llvmlite.binding")
+        llvm.initialize_native_target()
+        llvm.initialize_native_asmprinter()
+        features = features or llvm.get_host_cpu_features().flatten()
+        self.width = width or (8 if _WIDE in features else 4)
+        if _WIDE in features:  # or LLVM takes two halves of each vector
+            features += ",-prefer-256-bit"
+        machine = llvm.Target.from_default_triple().create_target_machine(
+            cpu=llvm.get_host_cpu_name(), features=features, opt=2, jit=True
+        )
+        module = llvm.parse_assembly(_source(program, self.width))
+        self._engine = llvm.create_mcjit_compiler(module, machine)  # the function lives in it
+        self._engine.finalize_object()
+        pointer, number = ctypes.c_void_p, ctypes.c_int64
+        self._run = ctypes.CFUNCTYPE(None, *[pointer] * 4, *[number] * 5)(
+            self._engine.get_function_address("run")
+        )
+
+    def run(
+        self, kept: Array, parameters: Array, last: int, every: int, block: Block | None = None
+    ) -> None:
+        """Take steps, in place: see `NumpyLanes.run`. Other threads go on meanwhile."""
+        first, times, draws = block or Block.until(last)
+        if len(kept):
+            arrays = (each.ctypes.data for each in (kept, parameters, times, draws))
+            self._run(*arrays, len(kept), first, first + len(times), last, every)
+
+    def bound(self, kept: Array, parameters: Array) -> Callable[[], None]:
+        """Return a function that takes one step of these arrays, in place."""
+        run, arguments = self._run, (kept.ctypes.data, parameters.ctypes.data, 0, 0, 1, 0, 1, 0, 1)
+
+        def step(_: object = (self, kept, parameters)) -> None:  # which have to stay
+            run(*arguments)
+
+        return step
+
+
+def _source(program: Program, width: int) -> str:
+    """Return a program in LLVM's language."""
+    pointers: list[str] = []
+
+    def pointer(base: str, at: int, kind: str = "D") -> str:
+        """Return a pointer to a row."""
+        name = f"%pointer{len(pointers)}"
+        pointers.append(f"  {name} = getelementptr {kind}, ptr {base}, i64 {at}")
+        return name
+
+    def time(name: str, i: int) -> str:
+        """Return a number that is the same in all runs."""
+        at = pointer("%t", program.times[name][0] + i, "double")
+        pointers.append(f"  {at}.time = load double, ptr {at}, align 8")
+        return f"{at}.time"
+
+    def place(name: str, i: int, way: str) -> str:
+        """Return a pointer to a row, to read from it or to write to it."""
+        if name in program.histories:
+            return pointer(f"%{name}.{way}", i)
+        places = {"%s": program.rows, "%p": program.parameters, "%d": program.draws}
+        base = next(base for base, names in places.items() if name in names)
+        return pointer(base, places[base][name][0] + i)
+
+    def read(name: str, i: int) -> str:
+        if name == STEP:
+            return "bitcast D %number to D"
+        if name not in program.times:
+            return f"load D, ptr {place(name, i, 'from')}, align 8"
+        number = time(name, i)
+        one = f"{number}.one"
+        pointers.append(f"  {one} = insertelement D undef, double {number}, i64 0")
+        return f"shufflevector D {one}, D undef, ZERO"
+
+    for name, (start, size) in program.histories.items():
+        for way in ("from", "to"):
+            at = f"%{name}.{way}"
+            pointers += [
+                f"  {at}.number = fptosi double {time(f'{name}.{way}', 0)} to i64",
+                f"  {at}.of = mul i64 {at}.number, {size}",
+                f"  {at}.row = add i64 {at}.of, {start}",
+                f"  {at} = getelementptr D, ptr %s, i64 {at}.row",
+            ]
+
+    def constant(value: float) -> str:
+        (bits,) = struct.unpack("<Q", struct.pack("<d", value))
+        return f"<{', '.join([f'double 0x{bits:016X}'] * width)}>"
+
+    def rare(
+        label: str, condition: str, lines: list[str], results: list[tuple[str, str, str]]
+    ) -> list[str]:
+        return [
+            f"  %any{label} = bitcast B {condition} to i{width}",
+            f"  %is{label} = icmp ne i{width} %any{label}, 0",
+            f"  br label %before{label}",
+            f"before{label}:",
+            f"  br i1 %is{label}, label %rare{label}, label %after{label}",
+            f"rare{label}:",
+            *lines,
+            *(f"  {name}.rare = select B {condition}, D {a}, D {b}" for name, a, b in results),
+            f"  br label %after{label}",
+            f"after{label}:",
+            *(
+                f"  {name} = phi D [ {name}.rare, %rare{label} ], [ {b}, %before{label} ]"
+                for name, _, b in results
+            ),
+        ]
+
+    language = Language(
+        _TEMPLATES, "%v", lambda name, text, _: f"  {name} = {text}", read, constant, rare
+    )
+    writer = Writer(program.graph, language)
+
+    def computed(values: Mapping[str, list[Number]]) -> tuple[list[str], list[str]]:
+        """Return the lines that compute some numbers, and those that keep them."""
+        lines, names = writer.lines([each for numbers in values.values() for each in numbers])
+        places = [(name, i) for name, numbers in values.items() for i in range(len(numbers))]
+        stores = [
+            f"  store D {value}, ptr {place(*at, 'to')}, align 8"
+            for at, value in zip(places, names, strict=True)
+        ]
+        return lines, stores
+
+    step, stores = computed(program.stepped)
+    record = list(chain(*computed(program.recorded)))
+    run = _RUN.format(
+        rows=program.n_rows,
+        parameters=max(program.n_parameters, 1),
+        n_times=program.n_times,
+        n_draws=program.n_draws,
+        step="\n".join(pointers + step),
+        record="\n".join(record),
+        stores="\n".join(stores),
+    )
+    return _filled(_DECLARED + run, width)
+
+
+def _filled(text: str, width: int) -> str:
+    """Return a text with its types, words in capitals, written out."""
+    words = {
+        "D": f"<{width} x double>",
+        "B": f"<{width} x i1>",
+        "I": f"<{width} x i64>",
+        "N": f"v{width}f64",
+        "TRUE": f"<{', '.join(['i1 true'] * width)}>",
+        "ZERO": f"<{width} x i32> zeroinitializer",
+        "SHIFT": f"<{', '.join(['i64 52'] * width)}>",
+    }
+    return re.sub(r"\b(D|B|I|N|TRUE|ZERO|SHIFT)\b", lambda found: words[found[0]], text)

@@ -1,0 +1,107 @@
+"""Programs as NumPy: slow to none of NumPy's speed, and what the others are compared with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import chain
+from typing import Any
+
+import numpy as np
+
+from approxjac.codegen.trace.graph import Graph, Number
+from approxjac.codegen.trace.program import STEP, Block, Language, Program, Writer
+from approxjac.validation import Array
+
+_TEMPLATES = {
+    "add": "{0} + {1}",
+    "subtract": "{0} - {1}",
+    "multiply": "{0} * {1}",
+    "divide": "{0} / {1}",
+    "negative": "-{0}",
+    "absolute": "np.abs({0})",
+    "sqrt": "np.sqrt({0})",
+    "floor": "np.floor({0})",
+    "power": "(({0}).view(np.int64) << 52).view(np.float64)",
+    "less": "{0} < {1}",
+    "less_equal": "{0} <= {1}",
+    "equal": "{0} == {1}",
+    "and": "{0} & {1}",
+    "or": "{0} | {1}",
+    "not": "~{0}",
+    "select": "np.where({0}, {1}, {2})",
+}
+
+
+_LANGUAGE = Language(
+    _TEMPLATES,
+    "v",
+    lambda name, text, _: f"    {name} = {text}",
+    lambda name, i: f"given[{name!r}][{i}]",
+    lambda value: f"np.float64({value!r})".replace("nan", "np.nan").replace("inf", "np.inf"),
+    lambda _, condition, lines, results: [
+        *lines,
+        *(f"    {name} = np.where({condition}, {a}, {b})" for name, a, b in results),
+    ],
+)
+
+
+def numpy_function(graph: Graph, outputs: list[Number]) -> Callable[..., list[Any]]:
+    """Return a function of inputs by their names, each a list of arrays (N,), of these outputs."""
+    lines, names = Writer(graph, _LANGUAGE).lines(outputs)
+    source = "\n".join(["def function(**given):", *lines, f"    return [{', '.join(names)}]"])
+    scope: dict[str, Any] = {"np": np}
+    exec(compile(source, "<codegen>", "exec"), scope)
+    return scope["function"]  # type: ignore[no-any-return]
+
+
+class NumpyLanes:
+    """A program that NumPy carries out, all runs at once."""
+
+    width = 1
+
+    def __init__(self, program: Program) -> None:
+        self._program = program
+        numbers = chain(*program.stepped.values(), *program.recorded.values())
+        self._function = numpy_function(program.graph, list(numbers))
+
+    def run(
+        self, kept: Array, parameters: Array, last: int, every: int, block: Block | None = None
+    ) -> None:
+        """Take steps, in place.
+
+        Args:
+            kept: What is kept, shape (groups, rows, width).
+            parameters: What stays, shape (groups, parameters, width).
+            last: Number of the last step of all, from 0.
+            every: Which steps to record: its multiples, and the last.
+            block: Which steps to take; all by default.
+        """
+        first, times, draws = block or Block.until(last)
+        state, given = (np.moveaxis(a, 1, 0).reshape(a.shape[1], -1) for a in (kept, parameters))
+        state = state.copy()
+        groups, steps, n_draws, width = draws.shape
+        drawn = np.moveaxis(draws, 0, 2).reshape(steps, n_draws, groups * width)
+        with np.errstate(all="ignore"):
+            for k, now, own in zip(range(first, first + len(times)), times, drawn, strict=True):
+                self._step(state, given, now, own, k, k % every == 0 or k == last)
+        kept[...] = np.moveaxis(state.reshape(len(state), len(kept), -1), 0, 1)
+
+    def _step(
+        self, state: Array, given: Array, now: Array, own: Array, k: int, is_recorded: bool
+    ) -> None:
+        program = self._program
+        known = (program.rows, state), (program.parameters, given), (program.draws, own)
+        values: dict[str, Any] = {STEP: [np.float64(k)]}
+        for places, array in (*known, (program.times, now)):
+            values |= {name: array[at : at + size] for name, (at, size) in places.items()}
+        goes_to = program.rows.copy()
+        for name, (start, size) in program.histories.items():
+            at, to = (start + size * int(values[f"{name}.{way}"][0]) for way in ("from", "to"))
+            values[name], goes_to[name] = state[at : at + size], (to, size)
+        computed = self._function(**values)
+        rows = [np.array(np.broadcast_to(row, state.shape[1:])) for row in computed]
+        names = [*program.stepped, *(program.recorded if is_recorded else ())]
+        for name in names:
+            at, size = goes_to[name]
+            if size:
+                state[at : at + size], rows = rows[:size], rows[size:]

@@ -1,0 +1,212 @@
+"""`Senses`: what real sensors and late motors make of a run, on symbols and step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from approxjac.codegen.arm import traced_tasks as tasks
+from approxjac.codegen.arm.rigid_body import difference, moved
+from approxjac.codegen.trace.graph import Number, select
+from approxjac.codegen.trace.program import Program
+from approxjac.codegen.trace.symbols import Symbols, symbols
+from approxjac.interface import Target, TargetPath
+from approxjac.simulation import Plant, Sensing
+from approxjac.simulation.sensing import (
+    filtered,
+    frames_of,
+    generator,
+    lost_entries,
+    rounded,
+)
+from approxjac.simulation.targets import target_at
+from approxjac.tasks.analysis import with_error
+from approxjac.validation import Array, as_diagonal
+
+_IMAGE, _TORQUE = "image", "late_torque"
+
+
+class Measured(NamedTuple):
+    """Measurement that a controller is told.
+
+    Attributes:
+        q: Shape (nq,).
+        v: Shape (n_v,).
+        x: Shape (n_x,); NaN where it is lost.
+        kept: What the sensors keep of this step, by name.
+    """
+
+    q: Symbols
+    v: Symbols
+    x: Symbols
+    kept: dict[str, Any]
+
+
+class Senses:
+    """Sensors and motors of all runs of a plant: noise, rounding, lateness, dropouts.
+
+    As `SensorReadings` and `HeldCommands` have them. Time decides which frame arrives, so that is
+    the same in all runs; what is random is drawn beforehand, from the generators of each run.
+
+    Args:
+        plant: The plant.
+        dt: Sampling time [s].
+        steps: Number of steps of a run.
+        path: Where the target of all runs moves, or None.
+
+    Attributes:
+        late: By how many steps torques are late.
+        may_lose: Whether x may be lost on its way.
+    """
+
+    def __init__(
+        self, plant: Plant, dt: float, steps: int, path: Target | TargetPath | None = None
+    ) -> None:
+        self._sensor, self._dt = plant.sensor, dt
+        self._targets: list[Target] = []
+        if path is not None:
+            targets = (target_at(path, k * dt) for k in range(steps + 1))
+            self._targets = [each for each in targets if isinstance(each, Target)]
+        sensing = self._sensing = plant.sensing or Sensing()
+        m, nv = plant.sensor.m, plant.robot.nv
+        self._x_noise, self._x_quantum, self._q_noise, self._q_quantum = (
+            as_diagonal(name, getattr(sensing, name), size, positive=False)
+            for name, size in (("x_noise", m), ("x_quantum", m), ("q_noise", nv), ("q_quantum", nv))
+        )
+        self._lost = lost_entries(sensing, plant.sensor)
+        self.may_lose = sensing.x_dropout > 0.0 or bool(self._lost)
+        self.late = round(min(plant.actuator_delay / dt, float(steps)))
+        self._k = np.arange(steps + 1)
+        frames = frames_of(sensing, dt)
+        each = (frames.next(k * dt) for k in range(steps + 1))
+        taken, kept_at, self._lost_in, read_at, new, self._t_x = zip(*each, strict=True)
+        self._is_taken, self._is_new = np.array(taken), np.array(new)
+        self._kept_at, self._read_at = np.array(kept_at), np.array(read_at)
+        self._is_now = self._is_taken & (self._kept_at == self._read_at)
+        self._places = int(self._kept_at.max()) + 1
+
+    def measured(self, program: Program, q: Symbols, v: Symbols, x: Symbols) -> Measured:
+        """Return what is measured where q, v and x are so, x as the sensor delivers it."""
+        sensing, robot = self._sensing, self._sensor.robot
+        sensor = tasks.on_symbols(self._sensor)
+        kept: dict[str, Any] = {}
+        if self._q_noise.any():
+            q = moved(robot, q, self._q_noise * program.drawn("q_noise", len(self._q_noise)))
+        if self._q_quantum.any():
+            neutral = symbols(robot.neutral())
+            motion = difference(robot, neutral, q)
+            q = moved(robot, neutral, rounded(motion, self._q_quantum))
+        if sensing.velocity_filter is not None:
+            before, v = program.kept("q_before", len(q)), program.kept("v_filtered", len(v))
+            motion = difference(robot, before, q)
+            slope = np.where(symbols(program.k > 0.0), motion, 0.0) / self._dt
+            v = filtered(v, slope, sensing.velocity_filter, self._dt)
+            kept |= {"q_before": q, "v_filtered": v}
+        if self._x_noise.any():
+            x = sensor.displaced(x, self._x_noise * program.drawn("x_noise", len(self._x_noise)))
+        if self._x_quantum.any():
+            origin = symbols(sensor._origin)
+            x = with_error(sensor, x, origin, rounded(sensor.error(x, origin), self._x_quantum))
+        if self._lost:
+            x = np.where(program.timed("lost", len(x)) > 0.0, np.nan, x)
+        if not self._is_now.all():
+            kept[_IMAGE] = x
+            image = program.history(_IMAGE, len(x), self._places + 1)  # one for what nobody reads
+            x = np.where(program.timed("now", 1) > 0.0, x, image)
+        if sensing.x_dropout > 0.0:
+            drops = program.drawn("x_dropout", 1)[0] < sensing.x_dropout
+            before = program.kept("dropped", 1)[0]
+            is_new = program.timed("new", 1)[0] > 0.0
+            kept["dropped"] = select(is_new, select(drops, 1.0, 0.0), before)
+            x = np.where(symbols(kept["dropped"] > 0.0), np.nan, x)
+        return Measured(q, v, x, kept)
+
+    def target(self, program: Program) -> tuple[Symbols, Symbols | None] | None:
+        """Return x_d and its rate, where the target of all runs moves."""
+        if not self._targets:
+            return None
+        moves = any(each.v is not None for each in self._targets)
+        v_d = program.timed("target_v", self._sensor.m) if moves else None
+        return program.timed("target", self._sensor.n_x), v_d
+
+    def time_of_x(self, program: Program) -> Number:
+        """Return the time at which x was taken [s]."""
+        return program.timed("t_x", 1)[0]
+
+    def acting(self, program: Program, torque: Symbols) -> tuple[Symbols, dict[str, Any]]:
+        """Return the torque that acts when one is asked for, and what is kept of the latter."""
+        if not self.late:
+            return torque, {}
+        return program.history(_TORQUE, len(torque), self.late), {_TORQUE: torque}
+
+    def begun(self, program: Program, kept: Array, holding: Array) -> None:
+        """Let what is kept of runs (N, rows) begin: with the torques (N, n_v) that hold them."""
+        if self.late:
+            at, size = program.histories[_TORQUE]
+            kept[:, at : at + size * self.late] = np.tile(holding, self.late)
+
+    def times(self, program: Program) -> Array:
+        """Return what is the same in all runs of the steps of a program, shape (steps, times)."""
+        nobody = self._places
+        known: dict[str, Any] = {
+            f"{_IMAGE}.from": self._read_at,
+            f"{_IMAGE}.to": np.where(self._is_taken, self._kept_at, nobody),
+            "now": self._is_now,
+            "new": self._is_new,
+            "t_x": self._t_x,
+        }
+        if self.late:
+            known |= dict.fromkeys((f"{_TORQUE}.from", f"{_TORQUE}.to"), self._k % self.late)
+        if self._targets:
+            known["target"] = [each.x for each in self._targets]
+            at_rest = np.zeros(self._sensor.m)
+            known["target_v"] = [at_rest if t.v is None else t.v for t in self._targets]
+        found = np.zeros((len(self._k), program.n_times))
+        for name, (at, size) in program.times.items():
+            if name == "lost":
+                for row, intervals in zip(found, self._lost_in, strict=True):
+                    for interval in intervals:
+                        row[at : at + size][self._lost[interval]] = 1.0
+            else:
+                found[:, at : at + size] = np.reshape(known[name], (-1, size))
+        return found
+
+    def drawn(self, program: Program, seeds: Sequence[int], width: int) -> Draws:
+        """Return what is drawn for the runs of some seeds, as vectors of a width."""
+        always = np.ones(len(self._k), dtype=bool)
+        drawn_at = {"x_noise": self._is_taken, "q_noise": always, "x_dropout": self._is_new}
+        return Draws(program, drawn_at, seeds, width)
+
+
+class Draws:
+    """Numbers drawn for some runs, in blocks of steps that follow one another."""
+
+    def __init__(
+        self, program: Program, drawn_at: dict[str, Array], seeds: Sequence[int], width: int
+    ) -> None:
+        self._shape = -(-len(seeds) // width), program.n_draws, width
+        self._each = [
+            (drawn_at[name], *place, [_draw(seed, name) for seed in seeds])
+            for name, place in program.draws.items()
+        ]
+
+    def block(self, first: int, end: int) -> Array:
+        """Return what is drawn of the next steps, shape (groups, steps, draws, width)."""
+        groups, n_draws, width = self._shape
+        found = np.zeros((groups, end - first, n_draws, width))
+        for drawn_at, at, size, draws in self._each:
+            here = drawn_at[first:end]
+            number = int(here.sum())
+            steps: Any = slice(None) if number == len(here) else np.flatnonzero(here)
+            for lane, draw in enumerate(draws):
+                group, i = divmod(lane, width)
+                found[group, :, at : at + size, i][steps] = draw((number, size))
+        return found
+
+
+def _draw(seed: int, name: str) -> Callable[[tuple[int, int]], Array]:
+    """Return what draws numbers of a kind in the run of a seed."""
+    own = generator(seed, name)
+    return own.random if name == "x_dropout" else own.standard_normal

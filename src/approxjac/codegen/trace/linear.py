@@ -1,0 +1,142 @@
+"""Linear algebra of small symmetric matrices on symbols, without a branch."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from approxjac import law
+from approxjac.codegen.trace.graph import Condition, Number, Scalar, select
+from approxjac.codegen.trace.symbols import Symbols, symbols
+
+_SWEEPS = {1: 0, 2: 1, 3: 5}
+_MANY_SWEEPS = 7  # beyond three rows
+
+
+class Factors:
+    """A = LDLᵀ of a symmetric positive definite A (n, n)."""
+
+    def __init__(self, A: Symbols) -> None:
+        n = len(A)
+        self._L: list[list[Number]] = [[0.0] * n for _ in range(n)]
+        self._inverse: list[Number] = []  # of D
+        self.pivots: list[Number] = []  # D
+        scaled: list[list[Number]] = [[0.0] * n for _ in range(n)]  # LD
+        for i in range(n):
+            for j in range(i):
+                total: Number = A[i, j]
+                for k in range(j):
+                    total = total - scaled[i][k] * self._L[j][k]
+                scaled[i][j] = total
+                self._L[i][j] = total * self._inverse[j]
+            pivot: Number = A[i, i]
+            for k in range(i):
+                pivot = pivot - scaled[i][k] * self._L[i][k]
+            self.pivots.append(pivot)
+            self._inverse.append(1.0 / pivot)
+
+    def solve(self, b: Symbols) -> Symbols:
+        """Return A⁻¹b, b of shape (n,) or (n, k)."""
+        if b.ndim == 2:
+            return symbols([self.solve(column) for column in b.T]).T
+        n, z = len(b), b.tolist()
+        for i in range(n):
+            for k in range(i):
+                z[i] = z[i] - self._L[i][k] * z[k]
+        z = [each * inverse for each, inverse in zip(z, self._inverse, strict=True)]
+        for i in reversed(range(n)):
+            for k in range(i + 1, n):
+                z[i] = z[i] - self._L[k][i] * z[k]
+        return symbols(z)
+
+
+def eigensystem(A: Symbols) -> tuple[Symbols, Symbols]:
+    """Return eigenvalues (n,), in no order, and -vectors (n, n) of a symmetric A (n, n).
+
+    By Jacobi's rotations.
+    """
+    n, a = len(A), [list(row) for row in A.tolist()]
+    if not any(isinstance(each, Scalar) for row in a for each in row):
+        squares, U = np.linalg.eigh(a)
+        return symbols(squares.tolist()), symbols(U.tolist())
+    vectors: list[list[Number]] = np.eye(n).tolist()
+    for _ in range(_SWEEPS.get(n, _MANY_SWEEPS)):
+        for p in range(n):
+            for q in range(p + 1, n):
+                _rotate(a, vectors, p, q)
+    return symbols([a[i][i] for i in range(n)]), symbols(vectors)
+
+
+def _rotate(a: list[list[Number]], vectors: list[list[Number]], p: int, q: int) -> None:
+    """Make a[p][q] zero."""
+    off = a[p][q]
+    if not isinstance(off, Scalar) and off == 0.0:
+        return
+    ratio = (a[q][q] - a[p][p]) / (off + off)
+    size = abs(ratio)
+    tangent: Number = 1.0 / (size + _root(size * size + 1.0))
+    tangent = select(ratio < 0.0, -tangent, tangent)
+    tangent = select(off == 0.0, 0.0, tangent)
+    cosine = 1.0 / _root(tangent * tangent + 1.0)
+    sine = tangent * cosine
+    a[p][p], a[q][q] = a[p][p] - tangent * off, a[q][q] + tangent * off
+    a[p][q] = a[q][p] = 0.0
+    for row in vectors:
+        row[p], row[q] = cosine * row[p] - sine * row[q], sine * row[p] + cosine * row[q]
+    for r in range(len(a)):
+        if r not in (p, q):
+            left, right = a[r][p], a[r][q]
+            a[r][p] = a[p][r] = cosine * left - sine * right
+            a[r][q] = a[q][r] = sine * left + cosine * right
+
+
+def _root(a: Number) -> Number:
+    return a.sqrt() if isinstance(a, Scalar) else math.sqrt(a)
+
+
+def is_regular(G: Symbols, ratio: float, scale: float) -> Condition:
+    """Return whether σ_min of J is surely above a share of σ_max and of a scale, from G = J Jᵀ."""
+    if len(G) <= 3:
+        _, _, bound, trace = law.adjugate(G.tolist())
+        return law.is_surely_regular(bound, trace, ratio, scale)
+    trace = G.trace()
+    largest = Factors(G).solve(symbols(np.eye(len(G)))).trace()  # at least 1 / least eigenvalue
+    regular = (ratio**2 * trace * largest < 1.0) & (trace > len(G) * scale**2)
+    return regular & (largest > 0.0)
+
+
+def damped_gram_solve(
+    G: Symbols, b: Symbols, scale: float, ratio: float = law.SINGULAR_RATIO
+) -> tuple[Symbols, Number, Condition, Number]:
+    """Return what `law.damped_gram_solve` does, on symbols.
+
+    Args:
+        G: J Jᵀ, shape (m, m).
+        b: Shape (m,).
+        scale: As there.
+        ratio: As there.
+
+    Returns:
+        w (m,); λ², 0 away from singular poses; whether it may be damped; and the smallest
+        eigenvalue of G where it may be, 0 elsewhere.
+    """
+    if len(b) <= 3:
+        rows, determinant, _, _ = law.adjugate(G.tolist())
+        w = symbols(law.solution(rows, determinant, b.tolist()))
+    else:
+        w = Factors(G).solve(b)
+    regular = is_regular(G, ratio, scale)
+    if not isinstance(regular, Scalar) and regular:  # J of a gantry is the same everywhere
+        return w, 0.0, False, 0.0
+    squares, _ = eigensystem(G)
+    least, most = squares.min(), squares.max()
+    damping = law.gram_damping(least, most, ratio, scale)
+    damped = Factors(G + np.multiply(damping, np.eye(len(b)))).solve(b)
+    damped = np.where((most <= 0.0) & (scale == 0.0), 0.0, damped)
+    if not isinstance(regular, Scalar):
+        return damped, damping, damping > 0.0, least
+    *found, damping, least = regular.graph.rare(
+        ~regular, [*damped.tolist(), damping, least], [*w.tolist(), 0.0, 0.0]
+    )
+    return symbols(found), damping, ~regular, least

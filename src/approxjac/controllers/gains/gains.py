@@ -1,0 +1,82 @@
+"""Diagonal gains."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from approxjac.controllers import in_words
+from approxjac.errors import InvalidInputError
+from approxjac.formatting import listed, short_fields
+from approxjac.tasks import Task
+from approxjac.validation import Array, as_diagonal, is_scalar, shape_of
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Gains:
+    """Gains of the laws (5), (6) and (28), each a number or one number a coordinate.
+
+    Attributes:
+        kp: K_p > 0, a number or shape (m,) [N per unit of the task where that is metres].
+        kv: K_v > 0, a number or shape (m,) [N s per unit of the task].
+        damping: Added joint damping B_c ≥ 0, a number or shape (n_v,) [N m s/rad or N s/m].
+            Required to be positive where the arm has more joints than the task coordinates.
+
+    Raises:
+        InvalidInputError: Not finite, kp or kv not positive, damping negative.
+    """
+
+    kp: float | Sequence[float] | Array
+    kv: float | Sequence[float] | Array
+    damping: float | Sequence[float] | Array = 0.0
+
+    def __post_init__(self) -> None:
+        for name, positive in (("kp", True), ("kv", True), ("damping", False)):
+            value = getattr(self, name)
+            diagonal = as_diagonal(name, value, math.prod(shape_of(value)), positive=positive)
+            # a copy, so that nobody changes it later
+            object.__setattr__(self, name, float(value) if is_scalar(value) else diagonal)
+
+    __repr__ = short_fields
+
+    def __str__(self) -> str:
+        return in_words.of_gains(self)
+
+    def diagonals(self, m: int, nv: int) -> Diagonals:
+        """Return the diagonals for a task of m coordinates on an arm of n_v joints.
+
+        Raises:
+            InvalidInputError: A vector of another length.
+        """
+        return Diagonals(
+            as_diagonal("kp", self.kp, m),
+            as_diagonal("kv", self.kv, m),
+            as_diagonal("damping", self.damping, nv, positive=False),
+        )
+
+
+class Diagonals(NamedTuple):
+    """Gains as vectors: kp (m,), kv (m,), damping (n_v,)."""
+
+    kp: Array
+    kv: Array
+    damping: Array
+
+
+def require_damping(gains: Gains, diagonals: Diagonals, task: Task) -> None:
+    """Refuse no added damping on an arm with more joints than task coordinates, say what does."""
+    robot, m = task.robot, task.m
+    if robot.nv > m and not (diagonals.damping > 0.0).all():
+        from approxjac.controllers.gains.default_gains import default_gains
+
+        enough = f"damping={listed(np.round(default_gains(task).damping, 2))} would do"
+        raise InvalidInputError(
+            f"damping must be > 0 [N m s/rad] for {robot.name}: it has {robot.nv} joints for {m} "
+            f"task coordinates, and nothing else damps its self-motion; got "
+            f"{diagonals.damping.tolist()}; {enough}",
+            given=gains,
+        )

@@ -1,0 +1,62 @@
+"""`Reach`: whether a target is out of reach for sure."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from approxjac.robots import Robot
+from approxjac.robots.joint_limits import reach_bound
+from approxjac.robots.urdf_edit import direction
+from approxjac.tasks import PoseTask, PositionTask, Task
+from approxjac.tasks.frame_kinematics import FrameKinematics
+from approxjac.validation import Array
+
+
+class Reach:
+    """Bound on the reach of the believed arm; infinite for other tasks than positions and poses.
+
+    Attributes:
+        origin: Where the arm begins [unit of the task].
+        most: How far it reaches from there.
+
+    Args:
+        task: The task of the believed robot.
+    """
+
+    def __init__(self, task: Task) -> None:
+        self._task, self.origin, self.most = task, [0.0], math.inf
+        if isinstance(task, PositionTask | PoseTask):
+            origin, self.most = reach_bound(task.robot, task.frame)
+            self.origin = origin[["xyz".index(axis) for axis in task.labels[:3]]].tolist()
+
+    def is_exceeded(self, q: Array, e: Array) -> bool:
+        """Return whether a target is too far away for the arm, and a tool that nobody told of.
+
+        It is e (m,) away from where the believed arm is at q: who measures x may stand anywhere.
+        """
+        k = len(self.origin)
+        if math.hypot(*e[:k].tolist()) <= UNKNOWN_TOOL * self.most:
+            return False
+        there = self._task.value(q)[:k] - e[:k]
+        return math.dist(there.tolist(), self.origin) > (1.0 + UNKNOWN_TOOL) * self.most
+
+
+UNKNOWN_TOOL = 0.18
+"""Length of a tool that nobody told of, as a share of the arm's reach."""
+
+
+def with_unknown_tool(robot: Robot) -> Robot:
+    """Return a robot whose tip is farther out, by the length of a tool that nobody told of."""
+    if robot.tip is None:
+        return robot
+    joint = next(each for each in robot.tree.joints.values() if each.child == robot.tip)
+    neutral = robot.neutral()
+    of_parent, of_tip = (
+        FrameKinematics(robot, frame).placement(neutral)[0] for frame in (joint.parent, robot.tip)
+    )
+    _, reach = reach_bound(robot, robot.tip)
+    length = UNKNOWN_TOOL * reach if math.isfinite(reach) else 0.0
+    shift = length * of_parent.T @ of_tip @ np.asarray(direction(robot.outward_axis()))
+    return robot.with_kinematic_error({joint.name: shift.tolist()})

@@ -1,0 +1,396 @@
+"""`tuned`: one rule for gains, saturation and learning, from inertia, motors and latency."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from approxjac import law
+from approxjac.controllers.gains.default_gains import SETTLED, default_gains
+from approxjac.controllers.gains.gains import Diagonals, Gains
+from approxjac.controllers.gains.latency import Latency
+from approxjac.controllers.gains.reach import with_unknown_tool
+from approxjac.controllers.gains.sample_configurations import usual_postures
+from approxjac.formatting import short
+from approxjac.robots import Dynamics, GravityRegressor
+from approxjac.tasks import Task
+from approxjac.tasks.analysis import FINE
+from approxjac.validation import Array, as_number
+
+_RATES = (1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0)  # [1/s]
+_LAG = 0.3  # rate times lag of x at most: a quarter of what makes a delayed integrator ring
+_SHARES = (1.0, 0.7, 0.49, 0.34, 0.24, 0.17, 0.12)  # of the learning that inertia alone allows
+_TORQUE, _HOLDABLE, _SPEED = 0.755, 0.7, 0.8  # shares of the limits
+_RIDGE = 0.03  # of the natural metric: what hardly any posture tells is learnt slowly
+_MARGIN = 1.5  # gains and learning may be larger by it
+_DAMPED = 0.15  # least damping ratio, in nine of ten cases
+_QUICK = 0.15  # r times the lag of x below which y is small along the way: it is slow enough
+_LATE = 0.36  # more of it, times r and the lag of x: frames are never as regular as thought
+_CHECKED = 20  # postures
+_SLOWER, _STEPS = 0.8, 12  # rates that are tried, as a share of the one before, and how many
+_LIGHTER, _HEAVIER = 0.7, 1.3  # true inertia as a multiple of the believed one
+_IDEAL = 1e-4  # period of a loop without latency [s]
+_ROUND_OFF = 1e-7  # of multipliers
+_NO_GROWTH = 1e-11  # of those of a loop without latency
+_NEARLY = 0.95  # of the damping that a loop without latency has
+_STILL = 1e-3  # slower modes, as a share of the rate, are self-motion and what no joint feels
+
+Flags = np.ndarray[Any, np.dtype[np.bool_]]
+
+
+class Learning(NamedTuple):
+    """Rates and bounds of learning θ̂ = (θ_g, d, w).
+
+    Attributes:
+        alpha: α of eq. (10) [1/s].
+        gravity: L of the gravity parameters, shape (p, p).
+        task_force: L_d, diagonal, shape (m,).
+        joint_torque: L_w, diagonal, shape (n_v,).
+        largest: How far each parameter may be from where it began, shape (p + m + n_v,).
+        pinv_weight: Weight of Ĵ⁺ in y of (10): B_c over its geometric mean, shape (n_v,); None
+            where not all of it is positive, and where x is late.
+    """
+
+    alpha: float
+    gravity: Array
+    task_force: Array
+    joint_torque: Array
+    largest: Array
+    pinv_weight: Array | None
+
+
+@dataclass(frozen=True, eq=False)
+class Tuning:
+    """Gains, saturation and learning that were chosen for a task, and why.
+
+    Attributes:
+        gains: K_p, K_v, B_c.
+        gamma: Saturation γ of tanh, shape (m,) [unit of the task].
+        learning: L, L_d, L_w, α and bounds; None where nothing is learnt.
+        latency: The loop that it was chosen for.
+        rate: r, rate of the task's slow pole [1/s].
+        share: π, learning as a share of what inertia allows.
+        stable: Whether the check by the sampled, delayed linearisation passed.
+        reasons: What decided, a line each.
+    """
+
+    gains: Gains
+    gamma: Array
+    learning: Learning | None
+    latency: Latency
+    rate: float
+    share: float
+    stable: bool
+    reasons: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return "\n".join(self.reasons)
+
+
+class _Arm:
+    """The believed arm at its usual postures, with what the rule needs of it."""
+
+    def __init__(self, task: Task, regressor: GravityRegressor | None) -> None:
+        robot = task.robot
+        self.task, self.robot = task, robot
+        self.postures = usual_postures(task)
+        q = self.postures.q
+        self.g = np.array([*map(Dynamics(robot).g, q)])
+        self.Z = None if regressor is None else np.array([*map(regressor.Z, q)])
+        x = [task.value(each) for each in q]
+        between = np.array([task.error(a, b) for a, b in zip(x, [*x[1:], x[0]], strict=True)])
+        self.distance = [
+            float(np.median(np.linalg.norm(between[:, group], axis=1))) or math.inf  # of one
+            for group in self.postures.groups
+        ]
+
+    @functools.cached_property
+    def with_tool(self) -> Array:
+        """Jacobians of the arm with a tool that nobody told of at its tip, shape (k, m, n_v)."""
+        task = self.task.on(with_unknown_tool(self.robot))
+        return np.array([task.jacobian(q) for q in self.postures.q[:_CHECKED]])
+
+    def motion(self, gains: Diagonals) -> tuple[Array, Array, Array]:
+        """Return D = ĴᵀK_vĴ + B_c and ĴᵀK_p at each posture, and α."""
+        J, (kp, kv, damping) = self.postures.J_hat, gains
+        D = np.swapaxes(J, 1, 2) * kv @ J + np.diag(damping)
+        alpha = (kp / (kv + self.postures.felt_damping(damping))).min()
+        return D, np.swapaxes(J, 1, 2) * kp, alpha
+
+    def saturation(self, gains: Diagonals, latency: Latency) -> tuple[Array, list[str]]:
+        """Return γ (m,), which keeps torques and speeds within their limits, and what decided."""
+        D, force, rate = self.motion(gains)
+        effort, fastest = self.robot.effort_limits, self.robot.velocity_limits
+        speed = np.linalg.solve(D, force)
+        holdable = (np.abs(self.g) <= _HOLDABLE * effort).all(axis=1)
+        at = holdable if holdable.any() else np.ones_like(holdable)
+        share = _TORQUE / (1.0 + rate * latency.of_position)  # what is late overshoots
+        left = np.maximum(share * effort - np.abs(self.g[at]), (1.0 - _HOLDABLE) * effort)
+        gamma, why = np.empty(self.task.m), []
+        for group, distance in zip(self.postures.groups, self.distance, strict=True):
+            with np.errstate(divide="ignore"):
+                motors = (left / np.linalg.norm(force[at][:, :, group], axis=2)).min(axis=1)
+                speeds = (_SPEED * fastest / np.linalg.norm(speed[:, :, group], axis=2)).min(axis=1)
+            candidates = {
+                "an eighth of a usual distance": distance / 8.0,
+                "the motors": float(np.quantile(motors, 0.25, method="lower")) / len(self.distance),
+                "the joints' speeds": float(np.median(speeds)) / len(self.distance),
+            }
+            decides = min(candidates, key=candidates.__getitem__)
+            gamma[group] = candidates[decides]
+            why.append(decides)
+        return gamma, why
+
+    def time(self, gamma: Array, rate: float, alpha: float) -> float:
+        """Return the time that a usual distance takes until hardly any error is left [s]."""
+        times = []
+        for group, distance in zip(self.postures.groups, self.distance, strict=True):
+            unit, g = np.array(self.task.units)[group][0], float(gamma[group][0])
+            fine = min(FINE.get(unit, math.inf), 0.01 * distance)
+            far = max(0.0, distance - g) / (alpha * g)
+            times.append(far + 2.0 * math.log(max(g / fine, 1.0)) / rate)
+        return max(times)
+
+    def learning(
+        self, gains: Diagonals, share: float, latency: Latency, alpha: float | None
+    ) -> Learning:
+        """Return learning that is a share π of the fastest."""
+        assert self.Z is not None
+        D, _, slow = self.motion(gains)
+        J, Z = self.postures.J_hat, self.Z
+        # W = D⁻¹ M D⁻¹: learning at a rate P and motion make an oscillator, damped where WP is
+        # small. Its root turns products into symmetric matrices.
+        root = np.linalg.solve(D, np.linalg.cholesky(self.postures.M))
+
+        def largest(P: Array) -> float:
+            values = np.linalg.eigvalsh(np.swapaxes(root, 1, 2) @ P @ root)[:, -1]
+            return float(np.quantile(values, 0.95))
+
+        most = 0.6 * max(share, 0.35)
+        task_force = 0.5 * gains.kp
+        task_force = task_force * min(1.0, most / largest(np.swapaxes(J, 1, 2) * task_force @ J))
+        felt = np.swapaxes(root, 1, 2) @ Z
+        C = np.mean(np.swapaxes(felt, 1, 2) @ felt, axis=0)
+        diagonal = np.diag(C)
+        S = 1.0 / np.sqrt(np.maximum(diagonal, 1e-8 * diagonal.max()))
+        metric = S[:, None] * C * S + _RIDGE * np.eye(len(S))
+        L = S[:, None] * np.linalg.inv(metric) * S
+        L *= 0.5 * share / largest(Z @ L @ np.swapaxes(Z, 1, 2))
+        own = np.median(np.diagonal(self.postures.M, axis1=1, axis2=2), axis=0)
+        joint_torque = 0.25 * gains.damping**2 / own
+        joint_torque = joint_torque * min(1.0, 0.5 * share / largest(np.diag(joint_torque)))
+        return Learning(
+            float(slow) if alpha is None else alpha,
+            0.5 * (L + L.T),
+            task_force,
+            joint_torque,
+            self._largest(),
+            _pinv_weight(gains.damping) if slow * latency.of_position < _QUICK else None,
+        )
+
+    def _largest(self) -> Array:
+        """Return how large each parameter is whose torque alone is what a motor has, RMS."""
+        assert self.Z is not None
+        Y = np.concatenate([self.Z, np.swapaxes(self.postures.J_hat, 1, 2)], axis=2)
+        usual = np.sqrt((Y**2).mean(axis=0))
+        effort = self.robot.effort_limits
+        with np.errstate(divide="ignore"):
+            known = (effort[:, None] / usual).min(axis=0)
+        return np.concatenate([known, effort])
+
+    def cases(self, gains: Diagonals, learning: Learning | None) -> law.LinearLaw:
+        """Return the linearised loop at some postures, of arms that differ from the believed."""
+        J_hat = self.postures.J_hat[:_CHECKED]
+        M_inv = self.postures.M_inv[:_CHECKED]
+        D, force, _ = self.motion(gains)
+        D, force = D[:_CHECKED], force[:_CHECKED]
+        J_hat_T = np.swapaxes(J_hat, 1, 2)
+        rate: Array = np.zeros_like(D)
+        pull: Array = np.zeros_like(J_hat_T)
+        if learning is not None:
+            assert self.Z is not None
+            Z = self.Z[:_CHECKED]
+            rate = rate + Z @ learning.gravity @ np.swapaxes(Z, 1, 2)
+            rate = rate + J_hat_T * learning.task_force @ J_hat + np.diag(learning.joint_torque)
+            root = 1.0 if learning.pinv_weight is None else np.sqrt(learning.pinv_weight)
+            pinv = np.swapaxes(np.linalg.pinv(J_hat / root), 1, 2) / root
+            pull = pull + learning.alpha * np.swapaxes(pinv, 1, 2)
+        truths = [
+            (M_inv / heavier, J)
+            for J, heavy in ((J_hat, 1.0), (self.with_tool, _HEAVIER))
+            for heavier in (heavy, _LIGHTER)
+        ]
+        each = [(M, J, force, D, rate, pull) for M, J in truths]
+        return law.LinearLaw(*(np.concatenate(parts) for parts in zip(*each, strict=True)))
+
+    def fastest(
+        self, gains: Diagonals, latency: Latency, alpha: float | None
+    ) -> tuple[float, Learning | None, bool]:
+        """Return the largest π that passes the check, its learning, and whether any passes."""
+        choices: list[tuple[float, Learning | None]] = [(0.0, None)]
+        if self.Z is not None:
+            choices = [(share, self.learning(gains, share, latency, alpha)) for share in _SHARES]
+        counted, attainable = self.without_latency(gains, choices[-1][1])
+        for choice in choices:
+            if self.passes(gains, choice[1], latency, counted, attainable):
+                return (*choice, True)
+        return (*choices[-1], False)
+
+    def without_latency(self, gains: Diagonals, learning: Learning | None) -> tuple[Flags, float]:
+        """Return in which cases a loop without latency is stable, and how well it is damped.
+
+        More is not asked for of one with latency: what is left is a believed Jacobian that is too
+        far from the true one for any gains, or that makes any of them ring.
+        """
+        multipliers = np.linalg.eigvals(law.frame_map(self.cases(gains, learning), _IDEAL, 1, 0))
+        curable = np.abs(multipliers).max(axis=1) <= 1.0 + _NO_GROWTH
+        return np.asarray(curable), self.damping_ratio(gains, multipliers[curable], _IDEAL, _IDEAL)
+
+    def passes(
+        self,
+        gains: Diagonals,
+        learning: Learning | None,
+        latency: Latency,
+        counted: Flags,
+        attainable: float,
+    ) -> bool:
+        """Return whether the sampled, delayed linearisation is stable with a margin, and damped."""
+        loop = law.LinearLaw(*(part[counted] for part in self.cases(gains, learning)))
+        dt, samples, age, late = latency.in_samples()
+        timing = (dt, samples, age, late, latency.velocity_filter)
+        larger = loop._replace(
+            stiffness=_MARGIN * loop.stiffness,
+            damping=_MARGIN * loop.damping,
+            learning=_MARGIN * loop.learning,
+        )
+        if not counted.any():
+            return False
+        with np.errstate(over="ignore", invalid="ignore"):
+            maps = [law.frame_map(each, *timing) for each in (loop, larger)]
+        if not np.isfinite(maps).all():  # it grows beyond all numbers from one frame to the next
+            return False
+        multipliers, of_larger = np.linalg.eigvals(maps)
+        if max(np.abs(multipliers).max(), np.abs(of_larger).max()) > 1.0 + _ROUND_OFF:
+            return False
+        lag = latency.of_position
+        wanted = _DAMPED + _LATE * float(self.motion(gains)[2]) * lag
+        ratio = self.damping_ratio(gains, multipliers, samples * dt, lag)
+        return ratio >= min(wanted, _NEARLY * attainable)
+
+    def damping_ratio(self, gains: Diagonals, multipliers: Array, dt: float, lag: float) -> float:
+        """Return the damping ratio that nine of ten cases have, of multipliers (k, n) over dt [s].
+
+        Of modes that are slower than what the lag of x makes, and no self-motion.
+        """
+        if not len(multipliers):
+            return math.inf
+        dead = multipliers == 0.0  # what is left of a delay
+        poles = np.log(np.where(dead, 1e-300, multipliers).astype(complex)) / dt
+        size, rate = np.abs(poles), float(self.motion(gains)[2])
+        slow = (size > _STILL * rate) & (size < 2.3 / lag)
+        ratios = np.where(slow, -poles.real / np.maximum(size, 1e-300), 1.0)
+        return float(np.quantile(ratios.min(axis=1), 0.1))
+
+
+def tuned(
+    task: Task,
+    latency: Latency | None = None,
+    *,
+    settling_time: float | None = None,
+    regressor: GravityRegressor | None = None,
+    gains: Gains | None = None,
+    alpha: float | None = None,
+) -> Tuning:
+    """Return gains, saturation and learning with which an arm reaches targets fast, and safely.
+
+    With D = ĴᵀK_vĴ + B_c, W = D⁻¹MD⁻¹, π a share from 1 down, and quantiles over usual postures:
+
+    1. r, of ten rates from 1.5 to 8 1/s that are at most 0.3 over the lag of x, the one with which
+       a usual distance takes least time. Gains are `default_gains` of the settling time 4/r, with
+       the bandwidth that the lag of q̇ leaves; α is the rate of the slow pole.
+    2. γ, so that in three of four postures that the motors can hold the position force asks for at
+       most 75 % of the motors beside gravity, less where x is late, of which 30 % count as free at
+       least, and for 80 % of the joints' speeds; an eighth of a usual distance at most.
+    3. L_d = ½K_p, reduced where λ_max(W ĴᵀL_dĴ) > 0.6 max(π, 0.35); L = k S(SCS + 0.03 I)⁻¹S with
+       C the mean of ZᵀWZ, S = diag(C)^−½ and k such that λ_max(W Z L Zᵀ) = π/2;
+       L_w = ¼B_c²/Mⱼⱼ, reduced where λ_max(W L_w) > π/2.
+    4. The check: the loop's sampled, delayed linearisation at twenty postures, of arms that are
+       lighter and heavier than believed and hold a tool that nobody told of, is stable with one
+       and a half times all of these, and in nine of ten cases its damping ratio is at least
+       0.15 + 0.36 r times the lag of x, or nearly that of a loop without latency.
+       If not, π is reduced, and then r.
+
+    Args:
+        task: The task of the believed robot.
+        latency: Of the loop; by default that of 1 kHz with ideal sensors.
+        settling_time: Wanted [s]; 4/r by default. Slower where the check asks for it.
+        regressor: Of the gravity that is to be learnt; None learns nothing.
+        gains: Gains that are given: then learning alone is chosen for them.
+        alpha: α, if it is given [1/s].
+
+    Raises:
+        InvalidInputError: As `default_gains`.
+    """
+    latency = Latency() if latency is None else latency
+    arm, m, nv = _Arm(task, regressor), task.m, task.robot.nv
+    rates, of_rate, why = _rates(arm, latency, settling_time, gains)
+    for rate in rates:
+        diagonals = of_rate(rate).diagonals(m, nv)
+        share, learning, stable = arm.fastest(diagonals, latency, alpha)
+        if stable:
+            break
+    gamma, limited_by = arm.saturation(diagonals, latency)
+    if rate < rates[0]:
+        why += f"; slower by the check, {SETTLED / rate:.3g} s"
+    if not stable:
+        why += "; no gains passed the check: x is too late, or Ĵ too far off"
+    reasons = [why, f"gamma {short(gamma)} by {' and '.join(dict.fromkeys(limited_by))}"]
+    if learning is not None:
+        reasons.append(f"learns at {100.0 * share:.0f} % of what inertia allows")
+    return Tuning(of_rate(rate), gamma, learning, latency, rate, share, stable, tuple(reasons))
+
+
+def _rates(
+    arm: _Arm, latency: Latency, settling_time: float | None, gains: Gains | None
+) -> tuple[list[float], Callable[[float], Gains], str]:
+    """Return rates to try, each slower than the one before, the gains of a rate, and why."""
+    m, nv = arm.task.m, arm.robot.nv
+    if gains is not None:
+        rate = float(arm.motion(gains.diagonals(m, nv))[2])
+        return [rate], lambda _: gains, f"settling time {SETTLED / rate:.3g} s by given gains"
+
+    @functools.cache
+    def of_rate(rate: float) -> Gains:
+        return default_gains(arm.task, SETTLED / rate, 1.0 / latency.of_velocity)
+
+    def time(rate: float) -> float:
+        diagonals = of_rate(rate).diagonals(m, nv)
+        gamma, _ = arm.saturation(diagonals, latency)
+        return arm.time(gamma, rate, float(arm.motion(diagonals)[2]))
+
+    if settling_time is None:
+        most = _LAG / latency.of_position
+        allowed = [rate for rate in _RATES if rate <= most] or [most]
+        first = min(allowed, key=time)
+        why = f"settling time {SETTLED / first:.3g} s: a usual reach takes {time(first):.3g} s"
+        if first == allowed[-1] != _RATES[-1]:
+            why += f", as x is {1e3 * latency.of_position:.3g} ms late"
+    else:
+        first = SETTLED / as_number("settling_time", settling_time, unit="s", above=0.0)
+        why = f"settling time {settling_time:g} s as asked"
+    # the same steps whatever is first, so that what is later is never faster
+    step = math.floor(math.log(first / _RATES[-1]) / math.log(_SLOWER)) + 1
+    slower = [_RATES[-1] * _SLOWER**k for k in range(step, step + _STEPS)]
+    return [first, *slower], of_rate, why
+
+
+def _pinv_weight(damping: Array) -> Array | None:
+    """Return B_c over its geometric mean (n_v,), so that Ĵ keeps its size; None without damping."""
+    if not (damping > 0.0).all():
+        return None
+    return np.asarray(damping / np.exp(np.log(damping).mean()))

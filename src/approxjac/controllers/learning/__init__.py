@@ -1,0 +1,1 @@
+"""Estimators: kinematics that learn from the measured task value."""

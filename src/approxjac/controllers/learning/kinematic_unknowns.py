@@ -1,0 +1,332 @@
+"""Unknowns of a measured position: numbers that it is linear in, and a rotation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from approxjac import law
+from approxjac.controllers.arguments import chosen_deviations, chosen_kinds
+from approxjac.controllers.learning.kinematic_orientation import Orientation
+from approxjac.errors import InvalidInputError
+from approxjac.robots import KinematicRegressor
+from approxjac.robots.joint_limits import reach_bound
+from approxjac.robots.kinematic_regressor import PointMotion
+from approxjac.tasks import (
+    PoseTask,
+    PoseTrackerTask,
+    PositionTask,
+    StackedTask,
+    Task,
+    TrackerTask,
+)
+from approxjac.validation import Array
+
+KINDS = ("tool", "origins", "camera", "offset", "scale")
+"""Kinds of unknowns."""
+USUAL_SD: Mapping[str, float] = {
+    "tool": 0.2, "orientation": 1.0, "origins": 0.02, "camera": 1.0, "offset": 0.2, "scale": 0.2,
+}  # fmt: skip
+"""Plausible errors: of translations and offset along each axis [m], rotations [rad], and scale."""
+_NOISY = 0.3  # of the arm's reach, or of a metre, above which noise is in millimetres
+_TURNABLE = ("xyz", "xy", "yx", "xz", "zx", "yz", "zy")
+
+
+class Unknowns:
+    """x = R(o(q) + H(q)Θ), with Θ = (u, c): translations and scale u, offset c = Rᵀb.
+
+    Of a pose u has the nine numbers of the tool's rotation, too, and x the axes as points.
+
+    Args:
+        task: Position of a frame, of several, or as a tracker sees it, or a pose, of the believed
+            robot.
+        unknown: Some of `KINDS`.
+        sd: Plausible errors in place of those of `USUAL_SD`.
+        length: What a radian counts as, beside positions [m].
+
+    Attributes:
+        regressor: p(q) of the frames.
+        orientation: What the rest of x depends on, of a pose.
+        names: Names of all that is learnt: u, then b, then the rotation.
+        units: Their units.
+        believed: Their values before the first frame.
+        sd: Their standard deviations then.
+        n_u: Length of u.
+        n_tilts: Number of tilts of axes, which are looked for and not learnt; none of a pose.
+        d: Number of axes of a point.
+        R: Believed rotation of the base's axes in the sensor's, shape (d, d).
+        Theta: Believed Θ, shape (P,).
+        turns: Whether the rotation is learnt.
+        is_turned: Whether x is in other axes than the base's.
+        constant: What is to be added to p, as the offset is known, in the base's axes.
+        has_scale: Whether a scale is learnt, the last entry of u.
+        largest_noise: Of x that could be meant [m].
+        n_t: How many numbers of u the tool's rotation are, its last: 9 or 0.
+    """
+
+    def __init__(self, task: Task, unknown: Any, sd: Any, length: float) -> None:
+        kinds = chosen_kinds(unknown, KINDS)
+        used = {*kinds, *(("offset",) if "camera" in kinds else ())}
+        used |= {"orientation"} if isinstance(task, PoseTask) and "tool" in kinds else set()
+        sds = chosen_deviations(sd, USUAL_SD, used)
+        points = _points(task)
+        self.turns, self.has_scale = "camera" in kinds, "scale" in kinds
+        axes, self.R, b = self._axes(task, points)
+        self.d = len(axes)
+        frames = list(dict.fromkeys(point.frame for point in points))
+        self.regressor = regressor = KinematicRegressor(task.robot, frames)
+        self.n_tilts = 0 if isinstance(task, PoseTask) else 2 * len(regressor.turning)
+        entries = [(frames.index(point.frame), axis) for point in points for axis in point.axes]
+        reaches = [reach_bound(task.robot, frame)[1] for frame in frames]
+        self.largest_noise = _NOISY * max(1.0, *reaches)
+        rows = [3 * frame + "xyz".index(axis) for frame, axis in entries]
+        in_order = rows == list(range(3 * regressor.k))
+        self.rows: slice | Array = slice(None) if in_order else np.array(rows)
+
+        # u: p = o(q) + Y(q)(θ + S u)
+        theta = regressor.theta.copy()
+        is_tool = np.arange(regressor.p) >= regressor.p - 3 * len(frames)
+        self.of_theta = np.flatnonzero(np.where(is_tool, "tool" in kinds, "origins" in kinds))
+        columns = list(np.eye(regressor.p)[self.of_theta])
+        names = [regressor.names[i] for i in self.of_theta]
+        u = theta[self.of_theta].tolist()
+        deviations = [sds["tool" if is_tool[i] else "origins"] for i in self.of_theta]
+        theta[self.of_theta] = 0.0
+        if self.has_scale:
+            self._require_known_lengths(task, kinds)
+            columns, names = [*columns, theta], [*names, "scale"]
+            u, deviations = [*u, 1.0], [*deviations, sds["scale"]]
+            theta = np.zeros(regressor.p)
+        self.theta = theta
+        self.S = np.array(columns).reshape(-1, regressor.p).T
+        self._is_all = np.array_equal(self.S, np.eye(len(theta)))  # which is usual
+        # how far x may move from one configuration to another
+        self._usual, self._spread = theta + self.S.dot(u), self.S * np.array(deviations)
+        self.orientation, self.n_t = None, 0
+        if isinstance(task, PoseTask):
+            self.orientation = Orientation(task.robot, task.frame, length)
+            self.n_t = 9 if "tool" in kinds else 0
+        if self.n_t:
+            names += [f"tool.r{axis}" for axis in "xyz"]
+            u = [*u, *np.eye(3).ravel()]
+            # √2, as one turn changes two of three numbers of an axis
+            deviations = [*deviations, *[math.sqrt(2.0) * sds["orientation"]] * 9]
+        self.n_u = len(u)
+
+        # c: the offset, learnt or known
+        c = self.R.T.dot(b)
+        each = np.eye(self.d)[[axes.index(axis) for _, axis in entries]]
+        self.offsets, self.constant = np.zeros((len(rows), 0)), np.zeros(len(rows))
+        if self.turns or "offset" in kinds:
+            self.offsets = each
+            names += [f"offset.{axis}" for axis in axes]
+            u, deviations = [*u, *c], [*deviations, *[sds["offset"]] * self.d]
+        elif c.any():
+            self.constant = each.dot(c)
+        self._has_constant = bool(self.constant.any())
+        self.Theta = np.array(u)
+        self.is_turned = self.turns or not np.array_equal(self.R, np.eye(self.d))
+        self.sd_Theta, self.sd_R = np.array(deviations), sds["camera"]
+
+        if self.turns:
+            names += [f"camera.r{axis}" for axis in axes] if self.d == 3 else ["camera.turn"]
+            deviations = [*deviations, *[sds["camera"]] * len(law.generators(self.d))]
+        self.names = tuple(names)
+        self.units = tuple(_unit(name) for name in names)
+        self.believed = self.told(self.Theta, self.R)
+        self.sd = np.sqrt(self.merged(np.diag(np.square(deviations)), self.Theta).diagonal())
+
+    def _axes(self, task: Task, points: list[_Point]) -> tuple[str, Array, Array]:
+        """Return the axes of a point, and believed rotation and offset along them."""
+        _, axes, R, b = points[0]
+        if not self.turns:
+            found = {axis for point in points for axis in point.axes}
+            axes = "".join(axis for axis in "xyz" if axis in found)
+        elif any(point.axes != axes or axes not in _TURNABLE for point in points):
+            raise InvalidInputError(
+                f"a camera that may be turned needs the same axes of every point, one of "
+                f"{', '.join(_TURNABLE)}, got {task!r}",
+                given=task,
+            )
+        if len(axes) != len(b):  # points with other axes than the first: no tracker's
+            R, b = np.eye(len(axes)), np.zeros(len(axes))
+        return axes, R, b
+
+    def _require_known_lengths(self, task: Task, kinds: tuple[str, ...]) -> None:
+        if isinstance(task, PoseTask):
+            raise InvalidInputError(
+                f"scale can be learnt of positions only, got unknown = {kinds} for {task!r}",
+                given=kinds,
+            )
+        if "origins" in kinds or "m" in task.robot.joint_units:
+            raise InvalidInputError(
+                "scale can be learnt only where the origins are known and no joint slides, "
+                f"got unknown = {kinds} for {task.robot.name}, where lengths and scale are one",
+                given=kinds,
+            )
+
+    def translations(self, u: Array) -> Array:
+        """Return all translations times the scale, of u (n_u,), shape (p,) [m]."""
+        u = u[: self.n_u - self.n_t]
+        return u if self._is_all else self.theta + self.S.dot(u)
+
+    def rates(self, u_dot: Array) -> Array:
+        """Return the rates of `translations`, shape (p,) [m/s]."""
+        u_dot = u_dot[: self.n_u - self.n_t]
+        return u_dot if self._is_all else self.S.dot(u_dot)
+
+    def seen(self, motion: PointMotion) -> PointMotion:
+        """Return the motion of what x has of the frames, with the known offset."""
+        if not isinstance(self.rows, slice):
+            motion = PointMotion(*(part[self.rows] for part in motion))
+        return motion._replace(p=motion.p + self.constant) if self._has_constant else motion
+
+    def points(self, x: Array) -> Array:
+        """Return what is linear in Θ of a measured x (n_x,): x, or position and axes of a pose.
+
+        NaN where it is lost. One that may be turned tells nothing where it is seen in part.
+        """
+        if self.orientation is not None:
+            x = np.concatenate([x[:3], self.orientation.points(x[3:])])
+        if self.is_turned:
+            each = x.reshape(-1, self.d)
+            x = (each + 0.0 * each.sum(axis=1)[:, np.newaxis]).ravel()
+        return x
+
+    def regression(self, q: Array) -> tuple[Array, Array]:
+        """Return H(q) and o(q) of all that is linear, in the base's axes."""
+        H, known = self.at(q)
+        H = np.concatenate([H, self.offsets], axis=1)
+        if self.orientation is None:
+            return H, known
+        regressor, turned = self.orientation.regressor(q), np.zeros((9, H.shape[1]))
+        if self.n_t:
+            turned[:, self.n_u - 9 : self.n_u] = regressor
+            axes = np.zeros(9)
+        else:
+            axes = regressor.dot(np.eye(3).ravel())
+        return np.concatenate([H, turned]), np.concatenate([known, axes])
+
+    def at(self, q: Array) -> tuple[Array, Array]:
+        """Return H(q) of positions without the offset's columns, and their o(q).
+
+        Shapes (m, n_u) and (m,), or (3, n_u) and (3,) of a pose.
+        """
+        Y = self.regressor.Y(q)[self.rows]
+        known = Y.dot(self.theta) + self.constant
+        if self.regressor.has_offset:
+            known = known + self.regressor.offset(q)[self.rows]
+        H = Y.dot(self.S)
+        return np.concatenate([H, np.zeros((3, 9))], axis=1) if self.n_t else H, known
+
+    def tilts(self, q: Array, u: Array) -> Array:
+        """Return ∂(p times the scale)/∂(tilts of axes), shape (m, n_tilts)."""
+        if not self.n_tilts:
+            return np.zeros((12 if self.orientation is not None else len(self.constant), 0))
+        return self.regressor.tilts(q, self.translations(u))[self.rows]
+
+    def reach(self, q_0: Array, q: Array) -> Array:
+        """Return how far each of `points` may move from one configuration to another [m].
+
+        Half as far again as the believed arm, and four standard deviations of what may be wrong.
+        """
+        moved = self.regressor.Y(q) - self.regressor.Y(q_0)
+        known = moved.dot(self._usual)
+        if self.regressor.has_offset:
+            known = known + self.regressor.offset(q) - self.regressor.offset(q_0)
+        each = np.sqrt((known.reshape(-1, 3) ** 2).sum(axis=1))
+        unsure = np.sqrt((moved.dot(self._spread).reshape(len(each), -1) ** 2).sum(axis=1))
+        reach = np.repeat(1.5 * each + 4.0 * unsure, 3)[self.rows]
+        if self.orientation is None:
+            return np.asarray(reach)
+        return np.concatenate([reach, np.full(9, 1.5 * self.orientation.reach(q_0, q))])
+
+    # -- in words and numbers --------------------------------------------------------------
+
+    def told(self, Theta: Array, R: Array) -> Array:
+        """Return what is learnt in the order of `names`."""
+        u, c = Theta[: self.n_u - self.n_t], Theta[self.n_u :]
+        if self.has_scale:
+            u = np.append(u[:-1] / u[-1], u[-1])
+        numbers = Theta[len(u) : self.n_u]
+        tool = law.rotation_log(Orientation.told(numbers)) if self.n_t else np.zeros(0)
+        turn = law.rotation_log(R) if self.turns else np.zeros(0)
+        return np.concatenate([u, tool, R.dot(c) if len(c) else c, turn])
+
+    def tool(self, told: Array) -> Array:
+        """Return the rotation of the tool from what is believed, of what is told (p,), (3, 3)."""
+        if not self.n_t:
+            return np.eye(3)
+        start = len(self.of_theta)
+        return law.rotation_exp(told[start : start + 3])
+
+    def left(self, x: Array, predicted: Array) -> Array:
+        """Return what is left of x, of a pose as position and rotation vector, (m,) [m]."""
+        if self.orientation is None:
+            return x - predicted
+        turn = self.orientation.left(x[3:], predicted[3:])
+        return np.concatenate([x[:3] - predicted[:3], turn])
+
+    def unscaled(self, P: Array, told: Array) -> Array:
+        """Return a covariance, of translations that were learnt times the scale, as without it."""
+        if not self.has_scale:
+            return P
+        n = self.n_u - 1
+        T = np.eye(len(P))
+        T[:n, :n] /= told[n]
+        T[:n, n] = -told[:n] / told[n]
+        return np.asarray(T.dot(P).dot(T.T))
+
+    def merged(self, P: Array, Theta: Array) -> Array:
+        """Return a covariance of what is estimated as that of `names`: nine numbers are a turn."""
+        if not self.n_t:
+            return P
+        start, end = self.n_u - 9, self.n_u
+        M = np.eye(len(P))
+        M[start : start + 3, start:end] = Orientation.told_by(Theta[start:end])
+        M = np.delete(M, slice(start + 3, end), axis=0)
+        return np.asarray(M.dot(P).dot(M.T))
+
+
+class _Point(NamedTuple):
+    frame: str
+    axes: str
+    R: Array  # of the base in the sensor's axes
+    b: Array
+
+
+def _points(task: Task) -> list[_Point]:
+    """Return the positions that a task is made of."""
+    points: list[_Point] = []
+    for each in task.tasks if isinstance(task, StackedTask) else [task]:
+        if isinstance(each, TrackerTask) or (isinstance(each, PoseTrackerTask) and each is task):
+            R = law.rotation_exp(each.rotation)
+            points.append(_Point(each.frame, "xyz", R, each.offset))
+        elif isinstance(each, PoseTask) and each is task:
+            points.append(_Point(each.frame, "xyz", np.eye(3), np.zeros(3)))
+        elif isinstance(each, PositionTask):
+            d = len(each.axes)
+            points.append(_Point(each.frame, each.axes, np.eye(d), np.zeros(d)))
+        else:
+            raise InvalidInputError(
+                "task must be a PositionTask, a TrackerTask, a StackedTask of them, a PoseTask or "
+                f"a Robot, got {task!r}",
+                given=task,
+            )
+    first = points[0]
+    one = all(np.array_equal(p.R, first.R) and np.array_equal(p.b, first.b) for p in points)
+    kinds = {type(each) for each in (task.tasks if isinstance(task, StackedTask) else [task])}
+    if TrackerTask in kinds and not (one and len(kinds) == 1):
+        raise InvalidInputError(
+            f"task must be of one tracker, with one rotation and offset, got {task!r}", given=task
+        )
+    return points
+
+
+def _unit(name: str) -> str:
+    if name == "scale":
+        return ""
+    return "rad" if name.rsplit(".", 1)[1] in ("rx", "ry", "rz", "turn") else "m"

@@ -1,0 +1,1 @@
+"""Limits of torques and joints, and the controllers that keep them."""

@@ -1,0 +1,164 @@
+"""Report of the paper's study: figures, a table of verdicts, a summary, pages."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from approxjac import view
+from approxjac.cameras import PlanarCamera
+from approxjac.errors import MissingPackageError
+from approxjac.formatting import wrapped
+from approxjac.paper.experiments import ALPHA, CAMERA, LEARNING_GAIN, LENGTHS, OBJECT_MASS, Setup
+from approxjac.paper.reproduction import JacobianBound, Reproduction
+from approxjac.robots import GravityRegressor, Robot
+from approxjac.view.style import formulas
+
+
+def write_bound(bound: JacobianBound, out: Path) -> None:
+    """Write fig1.png and fig1.svg: the allowed p against a, its two curves and their crossing."""
+    figure, (ax,) = view.new_figure(size=(6.5, 4.8))
+    p, label = bound.p_of_figure_4, r"$\|J^T - \hat{J}^T\|$ of Figure 4 at its target"
+    view.plot_allowed_error(bound.lambda_2, p, unit="m/rad on the sensor", p_label=label, ax=ax)
+    view.save_figure(figure, out / "fig1")
+
+
+def summary(
+    results: Sequence[Reproduction], bound: JacobianBound | None, setup: Setup
+) -> dict[str, Any]:
+    """Return the contents of `summary.json`."""
+    figures: dict[str, Any] = {}
+    if bound is not None:
+        met = {"condition_23_met_by_figure_4": bound.condition_23_met}
+        figures["fig1"] = dataclasses.asdict(bound) | met
+    learnt = {"L": LEARNING_GAIN, "alpha": ALPHA, "theta_hat_at_start": [0.0, 0.0]}
+    for result in results:
+        experiment = result.experiment
+        entry: dict[str, Any] = {
+            "title": experiment.title,
+            "kp": experiment.kp,
+            "kv": experiment.kv,
+            "believed": {"lengths": experiment.lengths, "camera": _camera(experiment.camera)},
+            "gravity": learnt if experiment.learn_gravity else "known",
+            "max_real_eigenvalue": result.local.max_real_eigenvalue,
+            "error_ratio": {f"{t:g}": ratio for t, ratio in result.error_ratios.items()},
+            "verdict": result.verdict,
+            "reason": result.reason,
+            "evidence_agrees": result.evidence_agrees,
+            "paper": experiment.paper_says,
+            "agrees_with_paper": result.agrees_with_paper,
+        }
+        if result.theta_hat is not None:
+            entry["theta_hat"] = result.theta_hat.tolist()
+        figures[f"fig{experiment.figure}"] = entry
+    truth = {"lengths": LENGTHS, "object_mass": OBJECT_MASS, "camera": _camera(CAMERA)}
+    setting = dataclasses.asdict(setup)
+    return {"study": "paper", "setup": setting, "truth": truth, "figures": figures}
+
+
+def _camera(camera: PlanarCamera) -> dict[str, float]:
+    return {name: getattr(camera, name) for name in ("focal_length", "distance", "roll")}
+
+
+def table(results: Sequence[Reproduction], bound: JacobianBound | None) -> str:
+    """Return the verdicts beside the paper's words, as text; first how many are the same."""
+    lines: list[str] = []
+    if results:
+        same = sum(result.agrees_with_paper for result in results)
+        lines += [f"verdicts: {same} of {len(results)} as in the paper", ""]
+    if bound is not None:
+        verdict = (
+            "condition (23) is met there; (14) and (22), which Theorem 1 needs too, are not checked"
+            if bound.condition_23_met
+            else "Theorem 1 does not cover it"
+        )
+        told = (
+            f"Figure 1: at the target, (25) allows p < {bound.largest_allowed_p:.4f}, and (23) "
+            f"allows p < {bound.allowed_p_at_a_of_figure_4:.4f} with the gain ratio a of Figure 4, "
+            f"which has p = {bound.p_of_figure_4:.4f}: {verdict}."
+        )
+        lines += [*wrapped(told), ""]
+    if results:
+        times = sorted({t for result in results for t in result.error_ratios})
+        ratios = "".join(f"{f'{t:g} s':>8}" for t in times)
+        lines += [
+            f"{'':46}{'max Re λ':>9}   |e|/|e(0)| at",
+            f"{'figure':<46}{'[1/s]':>9} {ratios}  {'verdict':<10}the paper",
+        ]
+    for result in results:
+        experiment = result.experiment
+        ratios = "".join(f"{r:8.4f}" for r in result.error_ratios.values())
+        agrees = "" if result.agrees_with_paper else " (differs)"
+        name = f"{experiment.figure}  {experiment.title}"
+        lines.append(
+            f"{name:<46}{result.local.max_real_eigenvalue:>+9.4f} {ratios}  {result.verdict:<10}"
+            f"“{experiment.paper_words}”{agrees}"
+        )
+        if not result.agrees_with_paper or not result.evidence_agrees:
+            lines += wrapped(result.reason, "   ")
+        if result.theta_hat is not None:
+            learnt = ", ".join(f"{value:.4f}" for value in result.theta_hat)
+            lines.append(f"{'':3}learnt θ̂ = ({learnt}) kg m")
+    return "\n".join(lines).rstrip()
+
+
+def verdicts(results: Sequence[Reproduction], bound: JacobianBound | None) -> dict[str, list[str]]:
+    """Return the table that opens the index: its rows by the files that they are about."""
+    rows = {"": ["figure", "law", "condition", "our verdict", "the paper"]}
+    if bound is not None:
+        rows["fig1.png"] = [
+            "Figure 1",
+            "Theorem 1, for (6)",
+            f"‖Jᵀ − Ĵᵀ‖ < {bound.allowed_p_at_a_of_figure_4:.4f} by (23) at Figure 4's gains; "
+            f"it has {bound.p_of_figure_4:.4f}",
+            "met" if bound.condition_23_met else "not met: Theorem 1 does not cover Figure 4",
+            "–",
+        ]
+    for result in results:
+        e = result.experiment
+        differs = "" if result.agrees_with_paper else ", which differs"
+        rows[f"fig{e.figure}.html"] = [
+            f"Figure {e.figure}",
+            "(28), gravity learnt" if e.learn_gravity else "(6), gravity known",
+            f"{e.title}; K_p = {e.kp:g}, K_v = {e.kv:g}",
+            f"{result.verdict}{differs}: max Re λ = {result.local.max_real_eigenvalue:+.3f} 1/s",
+            f"“{e.paper_words}”",
+        ]
+    return rows
+
+
+def write_pages(results: Sequence[Reproduction], bound: JacobianBound | None, out: Path) -> str:
+    """Write a page of each run and an index of them; return a line that says where."""
+    for result in results:
+        e = result.experiment
+        title = f"Figure {e.figure}: {e.title} — {result.verdict}; the paper: “{e.paper_words}”"
+        try:
+            view.save_page(result.run, out / f"fig{e.figure}.html", title)
+        except MissingPackageError as error:
+            return f"There are no pages to see in a browser: {error}"
+    told = "Figure 1: how wrong Theorem 1 lets the Jacobian be, and how wrong that of Figure 4 is"
+    index = view.write_index(
+        out,
+        "The paper's two-link study: the arm as it is, and as it is believed",
+        pictures={} if bound is None else {"fig1.png": told},
+        table=verdicts(results, bound),
+    )
+    return f"See them move: {index}"
+
+
+def write_result(result: Reproduction, setup: Setup, truth: Robot, out: Path) -> None:
+    """Write figN.png and .svg (task error, path in the plane, torques) and the run, figN.npz."""
+    e, learns = result.experiment, result.theta_hat is not None
+    gains = f"(K_p = {e.kp:g} I, K_v = {e.kv:g} I)"
+    title = formulas(f"Figure {e.figure}: {e.title} {gains} — {result.verdict}")
+    figure, axes = view.new_figure(4 if learns else 3, title=title)
+    view.plot_error(result.run, axes[0], title="Error of the image, coordinate by coordinate")
+    view.plot_path(result.run, truth, q_target=setup.target, ax=axes[1])
+    view.plot_torque(result.run, axes[2])
+    if learns:
+        regressor = GravityRegressor(truth, moments="x")
+        view.plot_parameters(result.run, regressor.names, axes[3], theta=regressor.theta)
+    view.save_figure(figure, out / f"fig{e.figure}")
+    result.run.save(out / f"fig{e.figure}.npz")

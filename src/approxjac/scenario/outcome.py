@@ -1,0 +1,314 @@
+"""`RunResult`: the record of a scenario that was run, and the verdict."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from approxjac.controllers import TrackingController, law_of
+from approxjac.formatting import plain
+from approxjac.interface import LimitStatus, Status
+from approxjac.robots import Dynamics
+from approxjac.robots.joint_limits import beyond_positions
+from approxjac.scenario.build import BuiltScenario
+from approxjac.scenario.reachability import too_far
+from approxjac.scenario.scenario import Scenario
+from approxjac.simulation import Trajectory
+from approxjac.tasks.analysis import FINE, fine_error
+from approxjac.validation import Array
+
+_AT_LIMIT = 0.01  # a joint this near to its position limit counts as at it [rad or m]
+_AT_REST = 0.1  # what moves no faster may be called at rest [rad/s or m/s]
+_STRAY = 0.05  # of how far a path leads from its start: farther beside it is not following it
+
+
+@dataclass(frozen=True, eq=False)
+class RunResult:
+    """The record of a scenario, and the verdict.
+
+    Of an image in px, noise hides what an error is at one instant: its errors are the distances of
+    the points, settled is what stays within three tolerances, and the final error is an RMS. A path
+    is followed if the error got and stayed within the tolerance, which is wider.
+    """
+
+    built: BuiltScenario
+    run: Trajectory
+
+    # -- errors -------------------------------------------------------------------------
+
+    @property
+    def in_pixels(self) -> bool:
+        """True if the task is an image in px."""
+        return "px" in self.run.task_units
+
+    @property
+    def on_path(self) -> bool:
+        """True if the target is a path to follow."""
+        return not isinstance(self.built.target, np.ndarray)
+
+    @property
+    def tolerance(self) -> float:
+        """Error below which the task counts as done [m, and rad of a pose; px of an image]."""
+        scenario = self.built.scenario
+        least = tolerance_of(scenario, self.run.task_units)
+        if scenario.run.tolerance is not None or not self.on_path:
+            return least
+        size = float(np.linalg.norm(self.run.x_d - self.run.x_d[0], axis=1).max())
+        return max(least, _STRAY * size)
+
+    @property
+    def errors(self) -> Array:
+        """True distance of each point of an image from its target [px], or ‖e‖; shape (N, k)."""
+        if not self.in_pixels:
+            return self.run.error_norm[:, np.newaxis]
+        return np.asarray(np.linalg.norm(self.run.error.reshape(len(self.run.t), -1, 2), axis=2))
+
+    def errors_at(self, k: int) -> dict[str, float]:
+        """Return the size of the error of each unit at a recorded instant."""
+        if self.in_pixels:
+            return {"px": float(self.errors[k].max())}
+        units = np.array(self.run.task_units)
+        return {
+            unit: float(np.linalg.norm(self.run.error[k][units == unit]))
+            for unit in dict.fromkeys(self.run.task_units)
+        }
+
+    @property
+    def final_error(self) -> dict[str, float]:
+        """Size of the error of each unit at the end; of an image, RMS of the last tenth's worst."""
+        if not self.in_pixels:
+            return self.errors_at(-1)
+        last = self.run.error[-max(1, len(self.run.t) // 10) :]
+        return {"px": float(np.sqrt((last**2).mean(axis=0)).max())}
+
+    @property
+    def settling_time(self) -> float:
+        """First recorded time from which on the errors stay within the tolerance [s]; or NaN."""
+        enough = (3.0 if self.in_pixels else 1.0) * self.tolerance
+        outside = np.nonzero(~np.all(self.errors <= enough, axis=1))[0]
+        if len(outside) == 0:
+            return 0.0
+        return float(np.append(self.run.t, math.nan)[outside[-1] + 1])
+
+    @property
+    def converged(self) -> bool:
+        """True if the error ended, and stayed for the last tenth, within the tolerance."""
+        if self.in_pixels:
+            return self.final_error["px"] <= self.tolerance
+        return self.settling_time <= 0.9 * float(self.run.t[-1])
+
+    @property
+    def strayed(self) -> tuple[float, float, float]:
+        """Largest, RMS, and last quarter's RMS error on a path [unit of the task]."""
+        errors = self.errors
+        last = errors[-max(1, len(errors) // 4) :]
+        rms, of_last = (float(np.sqrt((part**2).mean())) for part in (errors, last))
+        return float(errors.max()), rms, of_last
+
+    # -- limits -------------------------------------------------------------------------
+
+    @cached_property
+    def motor_torque(self) -> Array:
+        """Torque that the motors were asked for, with gravity that the robot adds, (N, n_v)."""
+        run, robot = self.run, self.built.plant.adds_gravity
+        if robot is None:
+            return run.tau
+        own = Dynamics(robot)
+        return np.array([tau + own.g(q) for tau, q in zip(run.tau, run.q, strict=True)])
+
+    @property
+    def peak_torque_ratio(self) -> float:
+        """Largest torque asked for, as a share of what its motor delivers; NaN if not known."""
+        return _peak(self.motor_torque, self.built.plant.motor_limits)
+
+    @property
+    def peak_speed_ratio(self) -> float:
+        """Largest recorded |q̇| as a share of the joint's limit; NaN where no limit is known."""
+        limits = self.built.limits
+        known = self.built.plant.robot.velocity_limits if limits is None else limits.velocity
+        return _peak(self.run.v, np.asarray(known))
+
+    @property
+    def joint_limit_excess(self) -> float:
+        """Distance of a joint beyond its position limits at most [rad or m]; 0 if none was."""
+        return max(0.0, float(beyond_positions(self.built.plant.robot, self.run.q).max()))
+
+    # -- verdict ------------------------------------------------------------------------
+
+    @property
+    def verdict(self) -> str:
+        """Converged, converged late, or not converged; of a path followed, or not followed.
+
+        A run of no time, as one that was stopped before it began, has none.
+        """
+        if self.never_began:
+            return "stopped after 0 s"
+        done = "followed" if self.on_path else "converged"
+        if self.late:
+            return f"{done} late"
+        return f"not {done}" if self.failed else done
+
+    @property
+    def never_began(self) -> bool:
+        """True if the run took no time, of which nothing can be said."""
+        return float(self.run.t[-1]) == 0.0
+
+    @property
+    def late(self) -> bool:
+        """True if a target at rest was reached, but in the last tenth, too late to judge."""
+        reached = not (self.on_path or self.in_pixels or math.isnan(self.settling_time))
+        return reached and not self.converged
+
+    @property
+    def failed(self) -> bool:
+        """True if the task was not done; what is too late to judge is no failure."""
+        return self.never_began or (bool(self.reason) and not self.late)
+
+    @property
+    def reason(self) -> str:
+        """The reason why the task was not done, or cannot be judged; nothing if it was done."""
+        if self.never_began:
+            return "nothing was simulated, so there is no verdict"
+        far = too_far(self.built.plant.sensor, self.run.x_d if self.on_path else self.run.x_d[-1:])
+        if self.converged and not (self.on_path and far):
+            return ""
+        if self.late:
+            return f"within the tolerance since {self.settling_time:.3g} s only, too late to judge"
+        run, size = self.run, np.nan_to_num(self.run.error_norm, nan=math.inf)  # behind the camera
+        last = slice(-max(1, len(run.t) // 4), None)
+        before = size[: -len(size[last])][-len(size[last]) :]
+
+        def mostly(what: Any) -> bool:
+            return bool(np.mean(what) > 0.5)
+
+        if mostly(run.status[last] == Status.MEASUREMENT_LOST):
+            return "the measurement of x is lost"
+        if far:
+            return far
+        stands = bool(len(before) and size[last].max() > 0.9 * before.max())
+        at_stop = (beyond_positions(self.built.plant.robot, run.q[last]) > 0.0).mean(axis=0) > 0.5
+        if stands and at_stop.any():
+            return f"stands at the joint stops of {', '.join(np.array(run.joint_names)[at_stop])}"
+        most = self.built.plant.motor_limits * (1.0 + 1e-9)  # solvers round
+        if mostly((np.abs(self.motor_torque[last]) > most).any(axis=1)):
+            who = "the law asks"
+            if self.built.plant.adds_gravity is not None:
+                who = "the law and the gravity that the robot adds ask"
+            return f"{who} for more torque than the motors deliver"
+        if mostly(run.limit_status[last] > LimitStatus.FREE):
+            return self._held_back()
+        if self.on_path:
+            told = f"strays up to {self.strayed[0]:.3g} {run.task_unit} from its path"
+            return f"{told}, where at most {self.tolerance:.3g} {run.task_unit} is following it"
+        if stands and mostly(run.status[last] == Status.NEAR_SINGULAR):
+            return "stands where the believed Jacobian is singular along the error"
+        moved = np.linalg.norm(run.x[last] - run.x[-1], axis=1).max()
+        if moved < 0.1 * size[-1] and np.abs(run.v[-1]).max() < _AT_REST:
+            if self._learns(last) and size[-1] < 0.99 * size[last][0]:
+                return "still learning: the error shrinks as what lacks is learnt"
+            learnt = self.built.scenario.controller.gravity in ("learnt", "rest")
+            weight = "" if learnt else ", or gravity is not compensated as it is"
+            return f"came to rest away from its target: out of reach, blocked, friction{weight}"
+        if not stands:
+            return "still approaching its target at the end"
+        if self._learns(last):
+            return "still learning: the torque that it compensates still changes"
+        return "moves on without approaching: too short a run, or not stable with these errors"
+
+    def _learns(self, last: slice) -> bool:
+        """Return whether 1 % of the position force at the end was learnt in the last quarter."""
+        run, law, q = self.run, self.built.law, self.run.q[-1]
+        if (
+            isinstance(law, TrackingController)
+            or law.adaptation is None
+            or law_of(self.built.controller) is not law
+        ):
+            return False
+        first, end = (law.gravity_torque(run.state[last][k], q) for k in (0, -1))
+        return bool(np.linalg.norm(end - first) > 0.01 * np.linalg.norm(run.task_torque[-1]))
+
+    def _held_back(self) -> str:
+        """Return what limits did at the end, and which."""
+        run = self.run
+        beyond = beyond_positions(self.built.plant.robot, run.q[-1:])[0]
+        weak = np.abs(self.motor_torque[-1]) > 0.999 * self.built.plant.motor_limits
+        limits = [
+            f"the {kind} limits of {', '.join(np.array(run.joint_names)[there])}"
+            for kind, there in (("position", beyond > -_AT_LIMIT), ("torque", weak))
+            if there.any()
+        ]
+        where = f" at {' and '.join(limits)}" if limits else ""
+        return f"held back{where}: {LimitStatus(int(run.limit_status[-1])).message}"
+
+    # -- summary ------------------------------------------------------------------------
+
+    def summary(self) -> dict[str, Any]:
+        """Return what goes into summary.json."""
+        run, built, robot = self.run, self.built, self.built.plant.robot
+        sizes = {"final_error": self.final_error, "start_error": self.errors_at(0)}
+        if self.on_path:
+            names = ("largest_error", "rms_error", "last_quarter_rms_error")
+            pairs = zip(names, self.strayed, strict=True)
+            sizes |= {name: {run.task_unit: error} for name, error in pairs}
+        found = {
+            "robot": run.robot_name,
+            **{f"{name}_{unit}": e for name, errors in sizes.items() for unit, e in errors.items()},
+            "tolerance": self.tolerance,
+            "settling_time_s": self.settling_time,
+            "peak_torque_ratio": self.peak_torque_ratio,
+            "verdict": self.verdict,
+            "reason": self.reason,
+            "warning": built.warning,
+            "at_joint_stops_s": run.at_stops,
+            "joint_limit_excess": self.joint_limit_excess,
+            "limits": self._limits_summary(),
+            "start": run.x[0],
+            "target": run.target,
+            "end": run.x[-1],
+            "q_start": robot.angles(built.q0),
+            "q_end": robot.angles(run.q[-1]),
+            "controller": repr(built.law),
+            "gains": built.gains,
+            "kinematics": self._kinematics_summary(),
+            "status_counts": {status.name: n for status, n in run.status_counts().items()},
+            "scenario": asdict(built.scenario),
+        }
+        return {name: plain(value) for name, value in found.items()}
+
+    def _kinematics_summary(self) -> dict[str, Any] | None:
+        """Return what was learnt of the kinematics, number by number; None of nothing."""
+        if self.built.learning is None:
+            return None
+        learnt = self.built.learning.kinematics_learnt(self.run.state[-1])
+        return {"chi_squared": learnt.chi_squared} | {r.name: r._asdict() for r in learnt.rows}
+
+    def _limits_summary(self) -> dict[str, Any] | None:
+        """Return what limits did at the recorded instants; None where the controller knows none."""
+        run, limits = self.run, self.built.limits
+        if limits is None:
+            return None
+        known = run.slack[np.isfinite(run.slack)]
+        return {
+            "status_counts": {s.name: n for s, n in run.limit_status_counts().items()},
+            "largest_slack_W": known.max() if known.size else None,
+            "largest_torque_violation": (np.abs(run.tau) - limits.effort).max().clip(0.0),
+            "peak_speed_ratio": self.peak_speed_ratio,
+        }
+
+
+def tolerance_of(scenario: Scenario, units: Iterable[str]) -> float:
+    """Return the error below which a task of some units is done: m, and rad of a pose; px."""
+    if scenario.run.tolerance is not None:
+        return scenario.run.tolerance
+    if "px" in units:  # an RMS of the last tenth
+        return max(FINE["px"], scenario.sensor.noise)
+    return fine_error(units, scenario.sensor.noise)
+
+
+def _peak(values: Array, limits: Array) -> float:
+    return float((np.abs(values) / limits).max()) if np.isfinite(limits).any() else math.nan

@@ -1,0 +1,82 @@
+"""Configurations to start from and to go to: chosen ones, and random ones that make sense."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac.errors import InvalidInputError
+from approxjac.robots import Dynamics, Robot
+from approxjac.robots.joint_limits import require_radians
+from approxjac.simulation.plant import holdable
+from approxjac.stability.loop.inverse_kinematics import inverse_kinematics
+from approxjac.tasks import Task
+from approxjac.validation import Array, as_array
+
+REGULAR = 0.1
+"""Starts and targets have σ_min of J and of Ĵ above this share of σ_max."""
+
+
+def regular_configuration(
+    sensor: Task,
+    task: Task,
+    rng: np.random.Generator,
+    effort: Array | None = None,
+    tries: int = 1000,
+) -> Array:
+    """Return a random configuration that can be a start or a target.
+
+    Within the joint limits, neither J nor Ĵ is near singular, and holding it takes at most 70 % of
+    the effort limits (n_v,) [N m or N], by default those of the URDF.
+    """
+    effort = sensor.robot.effort_limits if effort is None else effort
+    dynamics = Dynamics(sensor.robot)
+    for _ in range(tries):
+        q = sensor.robot.random_configuration(rng)
+        if holdable(dynamics, q, effort) and is_regular(sensor, task, q):
+            return q
+    raise InvalidInputError(
+        f"no configuration of {sensor.robot.name} was found that its motors can hold and where the "
+        "task is not near singular: give a lighter object, larger torque limits, or other axes "
+        f"than those of {sensor!r}",
+        given=sensor,
+    )
+
+
+def straight_ahead(sensor: Task, q0: Array, draw: Callable[[], Array], tries: int = 100) -> Array:
+    """Return a random configuration whose task value the arm gets to straight from q0 (nq,).
+
+    No joint stop bars that way, along which a set-point law goes; of `tries`, else the last one.
+    """
+    for _ in range(tries):
+        q = draw()
+        if inverse_kinematics(sensor, sensor.value(q), q0, within_limits=True) is not None:
+            break
+    return q
+
+
+def is_regular(sensor: Task, task: Task, q: Array, ratio: float = REGULAR) -> bool:
+    """Return True if neither J nor Ĵ is near singular at a configuration."""
+    x = sensor.value(q)
+    jacobians = sensor.jacobian(q, x), task.jacobian(q, x)
+    values = [np.linalg.svd(J, compute_uv=False) for J in jacobians]
+    return all(v[-1] > ratio * v[0] for v in values)
+
+
+def configuration_of(
+    robot: Robot, name: str, joints: tuple[float, ...], within_limits: bool = True
+) -> Array:
+    """Return the configuration (nq,) of one number a joint, continuous joints included."""
+    motion = as_array(name, joints, (robot.nv,), "rad or m")
+    if within_limits and robot.nq == robot.nv:
+        require_radians(name, robot, motion)
+    low, high = robot.position_limits
+    for i in np.nonzero((motion < low) | (motion > high))[0] if within_limits else ():
+        raise InvalidInputError(
+            f"{name} must be within the joint limits, got {motion[i]:g} for {robot.joint_names[i]} "
+            f"({low[i]:.4g} to {high[i]:.4g} {robot.joint_units[i]})",
+            given=joints,
+        )
+    return np.array(pin.integrate(robot.model, robot.neutral(), motion))

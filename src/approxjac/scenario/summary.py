@@ -1,0 +1,215 @@
+"""The result of a scenario in words, pictures and files."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from approxjac.controllers import (
+    ControllerWrapper,
+    KinematicReport,
+    SetpointController,
+    TrackingController,
+    in_words,
+)
+from approxjac.files import together, write_text
+from approxjac.formatting import numbers_of, rows, shares, wrapped
+from approxjac.interface import LimitStatus
+from approxjac.scenario.outcome import RunResult
+from approxjac.scenario.records import Belief
+from approxjac.scenario.scenario import Scenario
+from approxjac.scenario.tables import differences
+from approxjac.tasks import ImageTask
+from approxjac.tasks.analysis import place_of
+from approxjac.view import (
+    new_figure,
+    plot_error,
+    plot_image,
+    plot_kinematics,
+    plot_path,
+    plot_slack,
+    plot_torque,
+    save_figure,
+)
+from approxjac.view.style import display_unit
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from approxjac.simulation import Trajectory
+
+
+def write(result: RunResult, out: Path) -> None:
+    """Write run.png, run.svg, run.npz, summary.json and scenario.toml into a folder.
+
+    And kinematics.txt, .png and .svg, where they were learnt.
+    """
+    with together(out) as folder:
+        save_figure(draw(result), folder / "run")
+        result.run.save(folder / "run.npz")
+        learning = result.built.learning
+        if learning is not None:
+            learnt = learning.kinematics_learnt(result.run.state[-1])
+            write_text(folder / "kinematics.txt", f"{learnt}\n")
+            save_figure(_draw_kinematics(result.run, learning, learnt), folder / "kinematics")
+        result.built.scenario.save(folder / "scenario.toml")
+        summary = json.dumps(result.summary(), indent=2)
+        write_text(folder / "summary.json", summary + "\n")
+
+
+def text(result: RunResult) -> str:
+    """Return the verdict, and then what the arm did, a line each."""
+    run, built, torque = result.run, result.built, result.peak_torque_ratio
+    law, robot = built.law, built.plant.robot
+    told = {
+        "robot": f"{robot.name}, {robot.nv} joints, {robot.mass:.3g} kg with the object",
+        "object": held(built.scenario),
+        "believed": believed(built.scenario),
+        "law": in_words.of_law(law),
+        "q at start": numbers_of(robot.angles(run.q[0])),
+        "q at end": numbers_of(robot.angles(run.q[-1])),
+        "x at start": numbers_of(run.x[0]),
+        "x at end": f"{numbers_of(run.x[-1])} after {run.t[-1]:g} s",
+        "target": numbers_of(run.target),
+        "settled": "not" if math.isnan(result.settling_time) else f"{result.settling_time:.3g} s",
+        "torque": "no limit known"
+        if math.isnan(torque)
+        else f"{'asks for up to' if built.limits is None else 'up to'} "
+        f"{100.0 * torque:.0f} % of the limits"
+        f"{'' if built.plant.adds_gravity is None else ', with the gravity that the robot adds'}",
+        "law's status": shares(run.status_counts()),
+    }
+    if isinstance(law, SetpointController) and law.adaptation is not None:
+        told["learnt"] = law.adaptation.words(law.learnt(run.state[-1]), law.task)
+    if built.learning is not None:
+        learnt = built.learning.kinematics_learnt(run.state[-1])
+        told["kinematics"] = _kinematics(learnt, isinstance(built.plant.sensor, ImageTask))
+    if built.limits is not None:
+        told["limits' status"] = shares(run.limit_status_counts())
+    if run.at_stops:
+        told["stops"] = f"{run.stops_told()}; up to {result.joint_limit_excess:.2g} beyond"
+    if not result.on_path and (run.x_d != run.x_d[0]).any():
+        told["shown"] = "the target was moved while it ran: errors are to the target then"
+    if built.warning:
+        told["warning"] = built.warning
+    lines = wrapped(f"{': '.join(filter(None, (result.verdict, result.reason)))}")
+    return "\n".join([*lines, *wrapped(_error(result)), "", *rows(told, 2)])
+
+
+def _error(result: RunResult) -> str:
+    """Return the error from start to end, or of a path, which begins at the arm, all along it."""
+    unit, factor = display_unit(result.run.task_unit)
+    within = f"{factor * result.tolerance:.3g} {unit}"
+    if not result.on_path:
+        told = f"error {_size(result.errors_at(0))} -> {_size(result.final_error)}"
+        if math.isnan(result.settling_time):
+            return f"{told}, where {within} is wanted"
+        return f"{told}, within {within} from {result.settling_time:.3g} s on"
+    largest, rms, last = (_size({result.run.task_unit: error}) for error in result.strayed)
+    return (
+        f"up to {largest} from the path, {rms} RMS, {last} in the last quarter, where {within} is "
+        "wanted"
+    )
+
+
+def held(scenario: Scenario) -> str:
+    """Return the object that the arm truly holds."""
+    given = scenario.true.object
+    if not given.length and not given.mass:
+        return "none"
+    axis = given.axis if isinstance(given.axis, str) else given.axis and numbers_of(given.axis)
+    along = f", along {axis} of the tip" if axis else ""
+    return f"{given.length:g} m long, {given.mass:g} kg{along}"
+
+
+def believed(scenario: Scenario) -> str:
+    """Return what the controller believes that is wrong, by keys of [believed]."""
+    true, belief = scenario.true, scenario.believed
+    right = Belief(true.object, true.shifts, true.rotations)
+    wrong = differences(replace(belief, object=belief.object.like(true.object)), right)
+    told = [
+        f"{name} {key} {_plain(value)}"
+        for name, values in wrong.items()
+        for key, value in values.items()
+    ]
+    return ", ".join(told) or "what is true"
+
+
+def _plain(value: Any) -> str:
+    """Return numbers or words without brackets."""
+    if value is None:
+        return "by default"
+    return value if isinstance(value, str) else numbers_of(value)
+
+
+def draw(result: RunResult) -> Figure:
+    """Draw error, torque, the path of the tip or through the image, and what limits did."""
+    run, built, sensor = result.run, result.built, result.built.plant.sensor
+    limited = bool((run.limit_status > LimitStatus.FREE).any())  # or there is nothing to see
+    title = f"{run.robot_name}: {result.verdict}"
+    figure, axes = new_figure(*((2, 2) if limited else (3, 1)), title=title)
+    plot_error(run, axes[0])
+    asked = run if built.plant.adds_gravity is None else replace(run, tau=result.motor_torque)
+    plot_torque(asked, axes[1], limits=built.plant.motor_limits)
+    if isinstance(sensor, ImageTask):
+        plot_image(run, sensor.camera, axes[2])
+    else:
+        target = None if result.on_path else place_of(sensor, run.target)
+        truth, belief = built.plant.robot, built.law.task.robot
+        plot_path(run, truth, plane=_plane(result), ax=axes[2], believed=belief, target=target)
+    if limited:
+        plot_slack(run, axes[3])
+    return figure
+
+
+def _plane(result: RunResult) -> str:
+    """Return the world axes that a path spreads along most, or else "xz"."""
+    run = result.run
+    if not result.on_path or run.task_labels[:3] != ("x", "y", "z"):
+        return "xz"
+    chosen = np.argsort(-np.ptp(run.x_d[:, :3], axis=0), kind="stable")[:2]
+    return "".join("xyz"[i] for i in sorted(chosen))
+
+
+def _kinematics(learnt: KinematicReport, is_image: bool) -> str:
+    """Return tool and camera as they were learnt, and whether that explains x."""
+    tool = [row.value for row in learnt.rows if row.name.startswith("tool.")]
+    told = [f"tool at {numbers_of(np.round(tool, 3))} m"] if tool else []
+    if learnt.angle:
+        which, rows = ("camera", "") if is_image else ("tracker", " (camera.r in kinematics.txt)")
+        told.append(f"{which} turned by {math.degrees(learnt.angle):.1f} deg{rows}")
+    told.append(f"chi squared {learnt.chi_squared:.2f} a degree of freedom")
+    if not learnt.is_explained:
+        why = f"; it may be: {learnt.suspects}" if learnt.suspects else ""
+        told.append(f"which does not explain x{why}")
+    return ", ".join(told)
+
+
+def _draw_kinematics(
+    run: Trajectory, learning: TrackingController | ControllerWrapper, learnt: KinematicReport
+) -> Figure:
+    """Draw what was learnt of the tool, and of the tracker's rotation, where they were learnt."""
+    names = [row.name for row in learnt.rows]
+    groups = [[name for name in names if name.startswith(kind)] for kind in ("tool.", "camera.")]
+    groups = [group for group in groups if group] or [names]
+    figure, axes = new_figure(len(groups), title="What is learnt of the kinematics")
+    for ax, group in zip(axes, groups, strict=True):
+        plot_kinematics(run, learning, group, ax, title=group[0].partition(".")[0])
+    return figure
+
+
+def _size(errors: dict[str, float]) -> str:
+    return " and ".join(_length(value, unit) for unit, value in errors.items())
+
+
+def _length(value: float, unit: str) -> str:
+    """Return the size of an error to three digits: in mm below a metre, and not below 1 µm."""
+    shown, factor = display_unit(unit)
+    if unit == "m" and value >= 1.0:
+        shown, factor = unit, 1.0
+    return "< 0.001 " + shown if factor * value < 1e-3 else f"{factor * value:.3g} {shown}"

@@ -1,0 +1,1 @@
+"""Certificates: Theorem 1, its matrix form, the sampled form, and certified starts."""

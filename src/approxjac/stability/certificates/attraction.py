@@ -1,0 +1,247 @@
+"""`Attraction`: starts from which the arm provably never leaves the region."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac.law import Saturation
+from approxjac.stability.certificates.families import Weights
+from approxjac.stability.certificates.matrix_form import MatrixForm, best_weights
+from approxjac.stability.certificates.sampled_form import SampledForm
+from approxjac.stability.certificates.sampled_test import SampledTest, largest_errors
+from approxjac.stability.errors.region import JointBox
+from approxjac.stability.loop.closed_loop import ClosedLoop
+from approxjac.stability.loop.samples import Indices
+from approxjac.validation import Array
+
+_RATES = (0.3, 0.6, 1.2, 2.0)  # ρ that are tried [1/s]
+_WORST = 120  # samples that the function is chosen on
+_MULTIPLES = (0.6, 0.8, 1.0, 1.3, 1.8)  # of the multipliers
+_PAIRS = 300  # of a start and a target, for the largest V at the start
+_EDGES = 1500  # configurations on the boundary
+_CLOSER, _AROUND = 4, 300  # closer looks at the lowest place of the boundary, and of how many
+_HALVINGS = 12
+_SLOWER = 0.125  # times v̄ of all starts: those that stay are slower
+_LOOKS, _NEAR, _CLOSE = 8, 40, 0.15  # around those that travel farthest; share of the spread
+_TRIED = 4  # functions, until samples nearby have a bound, too
+_UNSEEN = 1.1  # times the most that samples travel
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Attraction:
+    """Starts at rest from which a certified motion stays in a box of configurations.
+
+    |qᵢ(t) − qᵢ(0)| ≤ `travel`ᵢ √V(0) at all times, from a rate at which a V of its own dies out.
+    With as many joints as task coordinates also: V ≤ `level`, of the report's function, is left by
+    no motion, as on the boundary of the box V is larger whatever the speed.
+
+    Attributes:
+        travel: Shape (n_v,) [rad/√J or m/√J]; infinite where no rate was found.
+        rate: ρ of that rate [1/s]; 0 where none was found.
+        weights: Of the V that has it.
+        level: Smallest V on the boundary, and at most `SampledTest.level` [J]; 0 with joints to
+            spare. Of the loop without torque limits.
+        radius: Starts at rest, and targets of configurations, within so much of the middle of the
+            box in every joint never leave it [rad or m]; 0 where there are none.
+        error: Largest ‖e‖ of such starts [units of the task].
+    """
+
+    travel: Array
+    rate: float
+    weights: Weights
+    level: float
+    radius: float
+    error: float
+
+    def __repr__(self) -> str:
+        return f"Attraction(radius={self.radius:.3g}, error={self.error:.3g})"
+
+
+def attraction(loop: ClosedLoop, test: SampledTest, rng: np.random.Generator) -> Attraction | None:
+    """Return which starts stay; None of what is not certified, or of a region that is no box."""
+    box = loop.region
+    if not test.certified or not isinstance(box, JointBox) or not test.level:
+        return None
+    saturation = loop.controller.saturation
+    travel, rate, weights = np.full(box.robot.nv, np.inf), 0.0, test.weights
+    for _, its_rate, its_weights in _rates(test, saturation)[:_TRIED]:
+        farthest = _UNSEEN * _farthest(loop, test, its_weights, its_rate, rng)
+        if np.isfinite(farthest).all():
+            travel, rate, weights = farthest, its_rate, its_weights
+            break
+    most = slower(test.form).level(weights)
+    level = 0.0
+    starts = _Starts(loop, box, test.weights, rng)
+    spare = box.robot.nv - loop.controller.task.m
+
+    def stays(radius: float) -> bool:
+        e = starts.errors(radius)
+        S, s = saturation.S(e), saturation.s(e)
+        energy = float(test.weights.at_rest(S, s).max())
+        if energy > test.level:
+            return False
+        its_own = float(weights.at_rest(S, s).max())
+        if its_own <= most and (radius + travel * np.sqrt(its_own) <= box.upper).all():
+            return True
+        return not spare and energy < starts.lowest(radius)
+
+    low, high = 0.0, float(box.upper.min())
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if stays(middle) else (low, middle)
+    if not spare:
+        level = min(test.level, starts.lowest(low))
+    error = float(np.linalg.norm(starts.errors(low), axis=1).max()) if low else 0.0
+    return Attraction(travel, rate, weights, level, low, error)
+
+
+def _rates(test: SampledTest, saturation: Saturation) -> list[tuple[float, float, Weights]]:
+    """Functions that die out with a rate: size of their travel, rate, weights; the least first."""
+    whole = slower(test.form)
+    largest = _largest_ratio(saturation, whole, test.weights)
+    worst, all_found = whole.take(np.argsort(test.margins)[:_WORST]), []
+    for rate in _RATES:
+        if not whole.at_rate(rate, largest).is_possible():
+            break
+        found = best_weights(worst.at_rate(rate, largest), "free").weights
+        if (found.w <= 0.0).any():
+            continue
+        for multiple in _MULTIPLES:
+            scaled = found._replace(multiplier=multiple * found.multiplier)
+            if np.isinf(travels(worst, saturation, scaled, rate)).any():
+                continue
+            size = float(travels(whole, saturation, scaled, rate).max() * np.sqrt(found.w.max()))
+            if np.isfinite(size):
+                all_found.append((size, rate, scaled))
+    return sorted(all_found, key=lambda each: each[0])
+
+
+def _farthest(
+    loop: ClosedLoop, test: SampledTest, weights: Weights, rate: float, rng: np.random.Generator
+) -> Array:
+    """The most that samples travel by a function, with a closer look around those that do."""
+    form, saturation = test.form, loop.controller.saturation
+    samples = form.samples
+    found = travels(slower(form), saturation, weights, rate)
+    most: Array = found.max(axis=0)
+    for _ in range(_LOOKS):
+        k = int((found / most).max(axis=1).argmax())
+        samples = loop.near(samples, k, _NEAR, _CLOSE, rng)
+        near = SampledForm(
+            MatrixForm(samples, form.setting), loop.plants[0].friction, test.latency, form.speed,
+            form.reach, loop.gravity_gradients(samples), form.turning,
+        )  # fmt: skip
+        found = travels(slower(near), saturation, weights, rate)
+        if (found <= most).all():
+            break
+        most = np.maximum(most, found.max(axis=0))
+        if np.isinf(most).any():
+            return np.full(len(most), np.inf)
+    return most
+
+
+def slower(form: SampledForm) -> SampledForm:
+    """Return a form of the slower motions that are asked whether they stay."""
+    return form.with_speed(_SLOWER * form.speed)
+
+
+def travels(form: SampledForm, saturation: Saturation, weights: Weights, rate: float) -> Array:
+    """Return `Attraction.travel` by each sample, shape (N, n_v); infinite where F − ρP ⊁ 0.
+
+    Errors are as large as the function lets them be.
+    """
+    faster = form.with_reach(form.largest_s(weights)).at_rate(
+        rate, _largest_ratio(saturation, form, weights)
+    )
+    F = faster.decrease(weights)
+    positive = np.linalg.eigvalsh(F)[:, 0] > 0.0
+    n = form.samples.M.shape[-1]
+    found = np.full((len(F), n), np.inf)
+    inverse = np.diagonal(np.linalg.inv(F[positive]), axis1=1, axis2=2)[:, :n]
+    found[positive] = np.sqrt(inverse / (2.0 * rate))
+    return found
+
+
+def _largest_ratio(saturation: Saturation, form: SampledForm, weights: Weights) -> float:
+    """Largest S(e)/s(e)² of motions that stay below v̄: ½ where s(e) = e."""
+    reach = largest_errors(saturation, weights.w, 0.5 * form.speed**2)
+    errors = np.linspace(0.0, 1.0, 200)[1:, np.newaxis] * reach
+    s = saturation.s(errors)
+    positive = s > 0.0
+    return float((saturation.S(errors)[positive] / s[positive] ** 2).max(initial=0.5))
+
+
+def _robots(loop: ClosedLoop, n: int, rng: np.random.Generator) -> Indices:
+    """Return true robots in any order, half of them corners where there are others; shape (n,)."""
+    corners, others = len(loop.corners), len(loop.plants) - len(loop.corners)
+    found = np.arange(n) % corners
+    if others:
+        found[: n // 2] = corners + np.arange(n // 2) % others
+    return rng.permutation(found)
+
+
+class _Starts:
+    """Starts and targets near the middle of a box, and its boundary, the same at each asking."""
+
+    def __init__(
+        self, loop: ClosedLoop, box: JointBox, weights: Weights, rng: np.random.Generator
+    ) -> None:
+        self._loop, self._box, self._weights, self._rng = loop, box, weights, rng
+        n = box.robot.nv
+        # corners are where errors are largest
+        drawn = rng.uniform(-1.0, 1.0, (2, _PAIRS, n))
+        drawn[:, ::2] = np.sign(drawn[:, ::2])
+        drawn[1, ::4] = -drawn[0, ::4]
+        self._pairs = drawn
+        self._truths = _robots(loop, _PAIRS, rng)
+        edges = rng.uniform(-1.0, 1.0, (_EDGES, n))
+        edges[np.arange(_EDGES), np.arange(_EDGES) % n] = np.where(
+            rng.random(_EDGES) < 0.5, -1.0, 1.0
+        )
+        self._edges, self._edge_truths = edges, _robots(loop, _EDGES, rng)
+
+    def errors(self, radius: float) -> Array:
+        """Return errors of starts within a radius, shape (N, m)."""
+        starts, ends = (self._at(radius * motions) for motions in self._pairs)
+        return self._loop.errors(self._truths, starts, self._targets(self._truths, ends))
+
+    def lowest(self, radius: float) -> float:
+        """Return the smallest V on the boundary, with any speed, of targets within a radius [J]."""
+        truths, motions = self._edge_truths, self._edges
+        ends = np.resize(self._pairs[1], motions.shape)
+        least = np.inf
+        for look in range(1 + _CLOSER):
+            values = self._least(truths, self._box.upper * motions, radius * ends)
+            k = int(values.argmin())
+            least = min(least, float(values[k]))
+            if look == _CLOSER:
+                break
+            size = 0.2 * 0.4**look
+            near = motions[k] + size * self._rng.normal(size=(_AROUND, motions.shape[1]))
+            on = np.abs(motions[k]) >= 1.0
+            near = np.where(on, motions[k], np.clip(near, -1.0, 1.0))
+            ends = np.clip(ends[k] + size * self._rng.normal(size=near.shape), -1.0, 1.0)
+            truths, motions = np.full(_AROUND, truths[k]), near
+        return least
+
+    def _least(self, truths: Indices, motions: Array, ends: Array) -> Array:
+        """min over q̇ of V, V at rest less ½|Gs|²_M, shape (N,)."""
+        q = self._at(motions)
+        at = self._loop.samples_at(truths, q, self._targets(truths, self._at(ends)))
+        G = MatrixForm(at, self._loop.setting).cross_weight(self._weights)
+        turned = (G @ at.s[..., np.newaxis])[..., 0]
+        kinetic = 0.5 * np.einsum("ni,nij,nj->n", turned, at.M, turned)
+        S = self._loop.controller.saturation.S(at.e)
+        return np.asarray(self._weights.at_rest(S, at.s) - kinetic)
+
+    def _targets(self, truths: Indices, ends: Array) -> Array:
+        if self._loop.target is not None:
+            return np.repeat(np.asarray(self._loop.target)[np.newaxis], len(truths), axis=0)
+        return self._loop._values(truths, ends)
+
+    def _at(self, motions: Array) -> Array:
+        model, center = self._box.robot.model, self._box.center
+        return np.array([pin.integrate(model, center, motion) for motion in motions])

@@ -1,0 +1,203 @@
+"""`LimitCost`: what limits of effort cost a loop: where they act, and what is proven then."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from approxjac import law
+from approxjac.controllers import CrossWeight, TorqueLimited
+from approxjac.robots import Dynamics
+from approxjac.robots.robot import STANDARD_GRAVITY
+from approxjac.stability.certificates.sampled_test import SampledTest, below
+from approxjac.stability.loop.closed_loop import ClosedLoop
+from approxjac.stability.loop.samples import Samples
+from approxjac.validation import Array
+
+if TYPE_CHECKING:
+    from approxjac.stability.report.report import StabilityReport
+
+_FEW = 100  # samples that a weight that is not counted is looked up at
+_FAR = 1e9  # an error at which a saturation that is bounded has its bound
+
+
+@dataclass(frozen=True, eq=False)
+class LimitCost:
+    """Cost of limits of effort: where they act in a region, and what is proven there.
+
+    Attributes:
+        clipped: Share of the samples, taken as at rest, whose torque is beyond the efforts.
+        free: For each unit of the task the error at rest up to which no torque at any sample is
+            beyond the efforts, whatever its direction, the coordinates of other units being zero
+            [units of the task]. Infinite where none ever is, 0 where motors cannot hold the arm.
+        level: Certified motions that begin with V ≤ this never ask for more than the efforts, and
+            what is certified of the loop without limits is true of the one with them [J]. 0 of what
+            is not certified.
+        holds: Whether motors can hold the arm at all samples.
+        protects: Whether the limiter keeps the very V of the report falling.
+        proof: Whether the limiter keeps any V falling.
+        uncounted: Largest share of a motor that the arm's weight takes when upright, where it is
+            not counted, as of a robot without gravity; 0 where it is.
+    """
+
+    clipped: float
+    free: dict[str, float]
+    level: float
+    holds: bool
+    protects: bool
+    proof: bool
+    uncounted: float
+
+    @property
+    def verdict(self) -> str:
+        """Return in a few words what is proven where torques are limited."""
+        if not self.holds:
+            return "cannot hold"
+        if not self.proof:
+            return "no proof"
+        return "V falls" if self.protects else "another V"
+
+    def __str__(self) -> str:
+        each = ((name.removeprefix("torque limits, "), told) for name, _, told in self.rows())
+        return "; ".join(f"{name}: {told}" for name, told in each)
+
+    def rows(self) -> list[tuple[str, str, str]]:
+        """Return rows of a report's table: what, verdict, figures."""
+        if not self.holds:
+            told = "the motors cannot hold the arm everywhere in the region"
+            return [("torque limits", self.verdict, told)]
+        told = "limits of speed, position and rate"
+        if self.uncounted:
+            told += (
+                ", and the arm's weight, as it is given without gravity: with its base upright "
+                f"that takes up to {100.0 * self.uncounted:.2g} % of a motor's torque"
+            )
+        return [
+            ("torque limits, at rest", "", self._at_rest()),
+            *self._certified(),
+            ("torque limits, where they act", self.verdict, self._beyond()),
+            ("torque limits, not checked", "", told),
+        ]
+
+    def _at_rest(self) -> str:
+        ends = {unit: value for unit, value in self.free.items() if np.isfinite(value)}
+        if not ends:
+            return "no error asks for more torque than the motors have"
+        sizes = " or ".join(f"{value:.2g} {unit}" for unit, value in ends.items())
+        return (
+            f"errors below {sizes} never ask for more than the motors have; larger ones may: "
+            f"{100.0 * self.clipped:.3g} % of the samples do"
+        )
+
+    def _certified(self) -> list[tuple[str, str, str]]:
+        if not self.level:
+            return []
+        told = "only for starts whose motions never ask for more than the motors have"
+        return [("torque limits, certified", "", told)]
+
+    def _beyond(self) -> str:
+        if self.protects:
+            return (
+                "in steps of status PROOF_KEPT, if sampled infinitely fast; as it runs nothing is "
+                "proven there"
+            )
+        if self.proof:
+            return (
+                "the limiter keeps another Lyapunov function V falling, so nothing here is proven "
+                "there; TorqueLimited(..., cross_weight=report.cross_weight) keeps a certified one"
+            )
+        return "the limiter clips, and nothing is proven there"
+
+
+def within_limits(report: StabilityReport, limiter: TorqueLimited) -> StabilityReport:
+    """Return a report of a law as that of the law in a limiter: certified are fewer starts."""
+    loop, known = report.loop, report.cross_weight
+    own = limiter.cross_weight
+    if own is None:
+        m = loop.controller.task.m
+        own = CrossWeight(limiter.alpha * np.eye(m), np.zeros((m, m)), loop.setting.B)
+    protects = limiter.proof and known is not None and own.is_like(known)
+    cost = limit_cost(loop, limiter, report.samples, report.sampled, protects)
+    sampled = report.sampled
+    if sampled is not None and sampled.certified:
+        sampled = below(sampled, cost.level, loop.controller.saturation, report.samples)
+    return replace(report, sampled=sampled, limits=cost)
+
+
+def limit_cost(
+    loop: ClosedLoop,
+    limiter: TorqueLimited,
+    samples: Samples,
+    sampled: SampledTest | None,
+    protects: bool,
+) -> LimitCost:
+    """Return what the limits of effort of a limiter cost its loop.
+
+    With P of V ≥ ½zᵀPz, σ² and v̄ of `SampledForm.level`, V ≥ ½(1 − σ²)|q̇|²_M and
+    V ≥ ½(1 − σ²)sᵀUs with U = 2c̄W + Ω, each by completing the square of the other. So V ≤ c
+    bounds each torque,
+    |τᵢ − gᵢ| ≤ (|dᵢ|_{M⁻¹} + |kᵢ|_{U⁻¹}) √(2c/(1 − σ²)), dᵢ and kᵢ the rows of ĴᵀK_vĴ + B_c and
+    of ĴᵀK_p. A torque that is held or late was such a torque when it was computed. The two parts
+    may be of different times, as where x comes in frames.
+
+    Args:
+        loop: The loop without limits.
+        limiter: Around its controller.
+        samples: Where to look.
+        sampled: What is known of the loop as it runs.
+        protects: Whether the limiter keeps the report's V falling.
+    """
+    controller, effort = loop.controller, np.asarray(limiter.limits.effort)
+    kp, kv, damping = loop.diagonals
+    g = _gravity(loop, samples)
+    room = effort - np.abs(g)
+    pull = samples.J_hat.mT * kp
+    asked = np.abs(g - (pull @ samples.s[..., np.newaxis])[..., 0])
+    holds = bool((room > 0.0).all())
+    most = controller.saturation.s(np.full(len(kp), _FAR))
+    free = {}
+    units = np.array(controller.task.units)
+    for unit in dict.fromkeys(controller.task.units):
+        group = units == unit
+        part = pull[:, :, group]
+        if (np.abs(part) @ most[group] <= room).all():
+            free[unit] = np.inf
+            continue
+        with np.errstate(divide="ignore", invalid="ignore"):  # |s(e)| ≤ |e|
+            sizes = np.where(room > 0.0, room / np.linalg.norm(part, axis=2), 0.0)
+        free[unit] = float(np.nanmin(sizes))
+    level = 0.0
+    if sampled is not None and sampled.certified and holds:
+        D_c = law.dissipation(samples.J_hat, kv, damping)
+        M_inv = np.linalg.inv(samples.M)
+        along = np.sqrt(np.einsum("nij,njk,nik->ni", D_c, M_inv, D_c))
+        if sampled.latency.velocity_filter:  # q̇ of other configurations is in it, too
+            lightest = np.linalg.eigvalsh(M_inv)[:, -1].max()
+            along = np.sqrt(lightest) * np.linalg.norm(D_c, axis=2)
+        potential = np.linalg.inv(sampled.weights.block(loop.setting.c_bar))
+        along = along + np.sqrt(np.einsum("nij,jk,nik->ni", pull, potential, pull))
+        # ½(1 − σ²) is level/v̄²
+        level = sampled.level * min(1.0, float((room / along).min() / sampled.speed)) ** 2
+    clipped = float((asked > effort).any(axis=1).mean())
+    uncounted = 0.0
+    if not np.any(loop.plants[0].robot.gravity):
+        uncounted = float((np.abs(_upright(loop, samples)) / effort).max())
+    return LimitCost(clipped, free, level, holds, protects, limiter.proof, uncounted)
+
+
+def _upright(loop: ClosedLoop, samples: Samples) -> Array:
+    """The torque that would hold the true arm upright at a few samples, (N, n_v)."""
+    few = slice(None, None, max(1, len(samples) // _FEW))
+    arms = [loop.plants[t].robot.with_gravity(STANDARD_GRAVITY) for t in samples.truth[few]]
+    return np.array([Dynamics(arm).g(q) for arm, q in zip(arms, samples.q[few], strict=True)])
+
+
+def _gravity(loop: ClosedLoop, samples: Samples) -> Array:
+    """The torque that holds the arm at samples, (N, n_v): what the law adds, or is to learn."""
+    if loop.controller.adaptation is None:
+        torque = loop.controller.gravity.torque  # type: ignore[union-attr]
+        return np.array([torque(q) for q in samples.q])
+    pairs = zip(samples.truth, samples.q, strict=True)
+    return np.array([loop.dynamics(t).g(q) for t, q in pairs])

@@ -1,0 +1,322 @@
+"""`SampledForm`: the matrix form of the loop that is sampled, held and late, over many samples."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable
+from typing import NamedTuple, Self
+
+import numpy as np
+
+from approxjac import law
+from approxjac.controllers.gains.latency import Latency
+from approxjac.law import sampled_form
+from approxjac.law.sampled_form import TorqueRate
+from approxjac.stability.certificates.families import Family, FamilyNumbers, Weights
+from approxjac.stability.certificates.matrix_form import Best, MatrixForm, best_of
+from approxjac.stability.loop.samples import Samples
+from approxjac.validation import Array
+
+_HALF = 0.5  # λ where nothing but one damped mass is held, as long as it may be
+_PORTION = 1000  # samples
+_MULTIPLE = 1e-6  # frames of so nearly whole numbers of periods fall on samples
+
+
+class Hold(NamedTuple):
+    """Bounds on what holds and delays amount to.
+
+    Attributes:
+        gain: γ of the torque, or of its part with D_c where x comes in frames [s].
+        span: Longest time that a torque is out of date [s].
+        lag: Mean age of q̇ that a filter makes of it [s].
+        frames: γ_x of x that comes in frames [s]; None where x is read with the rest.
+        age: Longest time that x is out of date [s].
+        turned: γ of what q alone makes of the torque while q̇ is that old [s].
+    """
+
+    gain: float
+    span: float
+    lag: float
+    frames: float | None = None
+    age: float = 0.0
+    turned: float = 0.0
+
+    @classmethod
+    def of(cls, latency: Latency) -> Hold:
+        """Return that of a loop.
+
+        A filter of differences of q, with its time constant τ, has the means of q̇ over earlier
+        periods, with falling weights: it is late by τ and half a period in the mean. Frames that
+        do not fall on samples wait for the next one, each for another time; counted back by the
+        longest, the times that they are used for follow each other without a gap, each with an
+        error that is zero where its frame was taken, so that `hold_gain` remains.
+        """
+        h, d = latency.period, latency.torque_delay
+        lag = latency.velocity_filter + 0.5 * h if latency.velocity_filter > 0.0 else 0.0
+        turned = lag + 0.5 * h if lag else 0.0
+        gain, span = sampled_form.hold_gain(h, d) + lag, h + d
+        if not (lag or latency.image_period or latency.image_age):
+            return cls(gain, span, lag)
+        held, late = max(latency.image_period, h), h * math.ceil(latency.image_age / h - _MULTIPLE)
+        frames = latency.image_period / h
+        if abs(frames - round(frames)) > _MULTIPLE:
+            late += min(latency.image_period, h)
+        x = sampled_form.hold_gain(held, late + d)
+        return cls(gain, span, lag, x, held + late + d, turned)
+
+
+class Turning(NamedTuple):
+    """Largest rates at which samples turn: of `law.sampled_form`.
+
+    Attributes:
+        curvature: κ.
+        damping: k_R.
+        stiffness: ē.
+        filtered: k_f, where q̇ is filtered.
+        gravity: Largest |∂g q̇| in the norm of D⁻¹ over |q̇|_D, where q̇ is filtered [1/s].
+    """
+
+    curvature: float
+    damping: float
+    stiffness: float
+    filtered: float = 0.0
+    gravity: float = 0.0
+
+
+class _Rates(NamedTuple):
+    """Rates of all of the torque, and of its part with D_c."""
+
+    whole: TorqueRate
+    damping: TorqueRate
+
+
+class SampledForm(MatrixForm):
+    """The form of a loop that runs with a latency, for motions with |q̇|_M ≤ v̄.
+
+    Its weights have a multiplier and, where x comes in frames or q̇ through a filter, X.
+
+    Args:
+        form: That of continuous time, where it is evaluated.
+        friction: Diagonal of the arm's own part of B, shape (n_v,).
+        latency: Of the loop.
+        speed: v̄ [√J].
+        reach: s̄, at least |s(e)| along these motions; it counts where x comes in frames.
+        dg: ∂g/∂q of the gravity torque that the law adds, shape (N, n_v, n_v).
+        turning: Of these samples and of others; of these by default.
+    """
+
+    fills = True
+
+    def __init__(
+        self,
+        form: MatrixForm,
+        friction: Array,
+        latency: Latency,
+        speed: float,
+        reach: float = 0.0,
+        dg: Array | None = None,
+        turning: Turning | None = None,
+    ) -> None:
+        self.samples, self.setting, self._of_samples = form.samples, form.setting, form._of_samples
+        self.hold, self.speed, self.reach = Hold.of(latency), speed, reach
+        self._decay = 0.0, 0.5
+        at, D, kp = self.samples, self._of_samples.D, self.setting.kp
+        D_c = D - np.diag(friction)
+        self._rates = _Rates(
+            sampled_form.torque_rate(
+                at.M, D, D_c, at.J_hat, at.dJ_hat, at.J_e, at.s, at.slope, kp, dg
+            ),
+            sampled_form.damping_rate_of_torque(at.M, D, D_c, at.J_hat, kp, dg),
+        )
+        self.turning = self._turning(D_c, dg) if turning is None else turning
+        # of L⁻¹UL, D = LLᵀ: the rate at which the torque's error answers itself [1/s]
+        turned = self._of_samples.root @ self._rates.whole.U @ np.linalg.inv(self._of_samples.root)
+        self._fastest = float(np.linalg.svd(turned, compute_uv=False)[:, 0].max())
+
+    @property
+    def _rate(self) -> TorqueRate:
+        return self._rates.whole if self.hold.frames is None else self._rates.damping
+
+    @property
+    def _growth(self) -> float:
+        rate = self._decay[0] + self.turning.damping * self.speed
+        return sampled_form.growth(rate, self.hold.span, self.hold.lag)
+
+    @property
+    def _gain(self) -> float:
+        """Γ² [s²]."""
+        return (self.hold.gain * self._growth) ** 2
+
+    @property
+    def _b(self) -> float:
+        hold, turning, v_bar = self.hold, self.turning, self.speed
+        b = hold.gain * turning.curvature * v_bar
+        b += hold.turned * (turning.filtered * v_bar + turning.gravity)
+        if hold.frames is not None:
+            b += hold.span * turning.stiffness * self.reach
+        return self._growth * b
+
+    @property
+    def _frames(self) -> float | None:
+        """γ_x, grown with the rate [s]."""
+        x = self.hold.frames
+        return None if x is None else x * sampled_form.growth(self._decay[0], self.hold.age)
+
+    def with_latency(self, latency: Latency) -> Self:
+        """Return this of a loop with another period and delay of torques."""
+        other = copy.copy(self)
+        other.hold = Hold.of(latency)
+        return other
+
+    def at_rate(self, rate: float, largest: float = 0.5) -> Self:
+        """Return this with F − ρP in place of F, and gains of e^(ρt)(z, w): V e^(2ρt) never rises.
+
+        Args:
+            rate: ρ [1/s].
+            largest: Of S(e)/s(e)².
+        """
+        other = copy.copy(self)
+        other._decay = rate, largest
+        return other
+
+    def with_speed(self, speed: float) -> Self:
+        """Return this with another v̄ > 0, and s̄ in proportion."""
+        other = copy.copy(self)
+        other.speed, other.reach = speed, self.reach * speed / self.speed
+        return other
+
+    def with_reach(self, reach: float) -> Self:
+        """Return this with another s̄."""
+        other = copy.copy(self)
+        other.reach = reach
+        return other
+
+    def _turning(self, D_c: Array, dg: Array | None) -> Turning:
+        """The largest of all samples, a portion after the other, as caches are small."""
+        rows = [slice(k, k + _PORTION) for k in range(0, len(D_c), _PORTION)]
+        each = [self._turning_of(r, D_c[r], None if dg is None else dg[r]) for r in rows]
+        return Turning(*(max(values) for values in zip(*each, strict=True)))
+
+    def _turning_of(self, rows: slice, D_c: Array, dg: Array | None) -> Turning:
+        at, D, kv = self.samples.take(rows), self._of_samples.D[rows], self.setting.kv
+        filtered, gravity, root = 0.0, 0.0, self._of_samples.root[rows]
+        if self.hold.lag and dg is not None:
+            gravity = float(np.linalg.norm(root @ dg @ root.mT, 2, axis=(-2, -1)).max())
+        if not self.speed:
+            return Turning(0.0, 0.0, 0.0, 0.0, gravity)
+        if self.hold.lag:
+            along = sampled_form.damping_turn_along(at.M, D, at.J_hat, at.dJ_hat, kv)
+            filtered = float(along.max())
+        kappa = sampled_form.torque_curvature(at.M, at.dM, D, D_c, at.J_hat, at.dJ_hat, kv)
+        k_R = sampled_form.damping_turn(at.M, D, at.J_hat, at.dJ_hat, kv)
+        e_bar = 0.0
+        if self.hold.frames is not None:
+            e_bar = float(sampled_form.stiffness_turn(D, at.dJ_hat, self.setting.kp).max())
+        return Turning(float(kappa.max()), float(k_R.max()), e_bar, filtered, gravity)
+
+    def _with(self, samples: Samples, changed: Callable[[Array], Array]) -> Self:
+        other = super()._with(samples, changed)
+        other._rates = _Rates(*(each.changed(changed) for each in self._rates))
+        return other
+
+    def is_possible(self) -> bool:
+        """Return whether some multiplier may do: the hold is not beyond what this can certify."""
+        return self._gain * (1.0 + self._b) * self._fastest**2 < 1.0
+
+    @property
+    def _size(self) -> float:
+        """Natural size of λ: ½ at the largest γ that may do, and as 1/γ below it."""
+        return _HALF / min(1.0, math.sqrt(self._gain) * self._fastest)
+
+    def best_multiplier(self, weights: Weights) -> Best:
+        """Choose the multiplier, and X, of a function that is known."""
+        fixed = weights._replace(multiplier=0.0, X=0.0)
+        return best_of(self, FamilyNumbers.none(fixed).with_positive(self._multipliers()))
+
+    def _multipliers(self) -> list[Weights]:
+        m = len(self.setting.kp)
+        zero, none = np.zeros((m, m)), np.zeros(m)
+        more = [Weights(zero, zero, none, self._size)]
+        if self.hold.frames is not None:
+            sizes = _HALF * self.setting.kp / self.hold.frames
+            more += [Weights(zero, zero, none, 0.0, row) for row in np.diag(sizes)]
+        return more
+
+    def unknowns(self, family: Family) -> FamilyNumbers:
+        """Return those of the family, with the multiplier and X."""
+        return super().unknowns(family).with_positive(self._multipliers())
+
+    def _form(self, weights: Weights, Q: Array, G: Array) -> Array:
+        of, at, frames = self._of_samples, self.samples, None
+        if self._frames is not None:
+            X = np.zeros(len(weights.w)) + weights.X
+            frames = X, at.slope[..., np.newaxis] * at.J_e, self._frames**2
+        F = sampled_form.held_form(
+            Q, G, of.D, at.J_hat, self.setting.kp, self._rate, weights.multiplier, self._gain,
+            self._b, frames,
+        )  # fmt: skip
+        rate, largest = self._decay
+        if rate:
+            P = law.potential_matrix(at.M, G, weights.block(largest))
+            k = P.shape[-1]
+            F[:, :k, :k] -= rate * P
+        return F
+
+    def pencils(self, weights: Weights) -> tuple[Array, Array]:
+        """Return X and Y as `MatrixForm` has them, with F in place of Q and as large.
+
+        P is filled up with a block that is always positive.
+        """
+        X, Y = super().pencils(weights)
+        Q, G = self._decrease(weights)
+        F = self._form(weights, Q, G)
+        k, N = X.shape[-1], F.shape[-1]
+        whole, less = np.zeros((2, *F.shape)), np.zeros((2, *F.shape))
+        whole[0], whole[1, :, :k, :k] = F, X[1]
+        less[:, :, :k, :k] = Y
+        rest = range(k, N)
+        whole[1, :, rest, rest] = 1.0
+        return whole, less
+
+    def metric(self, Y: Array) -> Array:
+        """Return Y, filled up where it is zero."""
+        n, (k, N) = self.samples.M.shape[-1], (sum(self.samples.J_e.shape[-2:]), Y.shape[-1])
+        found = Y.copy()
+        found[0, :, k : k + n, k : k + n] = self._size * np.linalg.inv(self._of_samples.D)
+        sizes = 1.0 if self.hold.frames is None else _HALF * self.setting.kp / self.hold.frames
+        rest = range(k + n, N)
+        found[0, :, rest, rest] = np.broadcast_to(sizes, N - k - n)[:, np.newaxis]
+        rest = range(k, N)
+        found[1, :, rest, rest] = 1.0
+        return found
+
+    def margins(self, weights: Weights) -> Array:
+        """Return the margin of each sample with F in place of Q, shape (N,)."""
+        usable = self._is_bounded(weights) and weights.multiplier > 0.0
+        if not usable or not math.isfinite(self._gain):
+            return np.full(len(self.samples), -np.inf)
+        Q, G = self._decrease(weights)
+        at, F = self.samples, self._form(weights, Q, G)
+        held = sampled_form.held_margin(F, self._of_samples.D, at.J_hat, G, self.setting.kp)
+        return np.minimum(held, 1.0 - np.sqrt(self._kinetic(weights, G)))
+
+    def decrease(self, weights: Weights) -> Array:
+        """Return F, shape (N, k, k), of (z, w) and what else there is."""
+        return self._form(weights, *self._decrease(weights))
+
+    def kinetic_share(self, weights: Weights) -> float:
+        """σ², (0, 1): V ≥ ½(1 − σ²)|q̇|²_M at these samples."""
+        return float(self._kinetic(weights, self.cross_weight(weights)).max())
+
+    def largest_s(self, weights: Weights) -> float:
+        """Largest |s(e)| of motions that begin with V ≤ `level`; infinite where V bounds none.
+
+        V ≥ ½ (1 − σ²) sᵀ(2c̄W + Ω)s.
+        """
+        least = float(np.linalg.eigvalsh(weights.block(self.setting.c_bar))[0])
+        return self.speed / math.sqrt(least) if least > 0.0 else math.inf
+
+    def level(self, weights: Weights) -> float:
+        """c [J]: from V ≤ c on, |q̇|_M stays below v̄."""
+        return 0.5 * (1.0 - self.kinetic_share(weights)) * self.speed**2

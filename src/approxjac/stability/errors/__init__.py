@@ -1,0 +1,1 @@
+"""Model errors: their sets, regions of configurations, and coordinates of errors."""

@@ -1,0 +1,400 @@
+"""`Uncertainty`: how the true robot may differ from the believed one."""
+
+from __future__ import annotations
+
+import copy
+import inspect
+import itertools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, field, replace
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+
+from approxjac.cameras import Camera
+from approxjac.errors import InvalidInputError
+from approxjac.robots import Perturbation, Robot
+from approxjac.robots.urdf_edit import as_mass, as_size, direction
+from approxjac.simulation import Plant
+from approxjac.stability.errors.coordinates import (
+    Coordinate,
+    as_bounds,
+    as_range,
+    camera_coordinates,
+    in_words,
+    joint_coordinates,
+    require_ranges_only,
+    spoken,
+)
+from approxjac.tasks import ImageTask, PositionTask, Task, best_axes
+from approxjac.validation import Array, as_integer, as_number, as_vector, is_scalar, require
+
+_NONE = 1e-4  # of the width of a range: an end that is nearer to 0 is written as 0
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Uncertainty:
+    """A box of errors: how the true robot may differ from the one that the controller believes.
+
+    Each range that is given is one uncertain coordinate, in the order of the attributes below,
+    and x, y, z within a joint. The truth is any point of the box (errors are independent), the
+    values (d,) of these coordinates; so is the belief. Everything else is certain.
+
+    An object is held if any length or mass of one is given; then the belief holds it too, with
+    the length and the mass that are believed.
+
+    Attributes:
+        arm: The believed arm, without the object.
+        task: Makes the task of a robot, such as `functools.partial(PositionTask, axes="xz")`;
+            `PositionTask` by default. With a camera it makes that of a robot and a camera, such
+            as `functools.partial(ImageTask, points=...)`; `ImageTask` by default. (A function
+            that is to go to other processes must not be a lambda.)
+        object_length: Smallest and largest true length of the object [m].
+        object_mass: Smallest and largest true mass of the object [kg].
+        believed_length: Length of the object that is believed, ≥ 0 [m].
+        believed_mass: Mass of the object that is believed, ≥ 0 [kg].
+        object_axis: Axis of the tip's frame that the object points along; by default the one that
+            leads on from the arm, as of `Robot.with_object`.
+        joint_shifts: Joint name → how far its true origin may be from the believed one to either
+            side along each axis of the parent link, shape (3,) [m]; an axis with 0 is certain.
+        joint_rotations: Joint name → the same for the rotation vector in the joint's own frame,
+            shape (3,) [rad].
+        camera: The believed camera, if the task is an image. What may be wrong with it is its
+            `calibration`: the next three ranges are of that, in its units.
+        focal_length: Smallest and largest true focal length: of a `PlanarCamera` [m], f_x of a
+            `PinholeCamera` [px] (f_y along with it).
+        distance: Smallest and largest true distance of a `PlanarCamera` [m]; of a
+            `PinholeCamera` how far back along its optical axis it may truly stand from where it
+            is believed to be [m], with 0 believed.
+        roll: Smallest and largest true roll about the optical axis [rad]: of a `PinholeCamera`
+            relative to the believed one, with 0 believed.
+        friction: Viscous friction B ≥ 0 of the true joints, which is certain, a number or shape
+            (n_v,) [N m s/rad or N s/m].
+        factor: What the ranges above are shrunk or grown by, about what is believed; see `scaled`.
+
+    Raises:
+        InvalidInputError: Ranges that are reversed, not finite, do not hold what is believed, or
+            are of an angle beyond a full turn; robots or cameras anywhere in the box that cannot
+            exist; ranges of a camera without a camera; a task that is none of a robot (and a
+            camera).
+        UnknownNameError: No such joint; a range that the camera's calibration does not have.
+
+    Example:
+        >>> arm = load_robot("panda")
+        >>> Uncertainty(arm, object_length=(0.0, 0.3)).plant([0.2]).robot.tip
+        'object_tip'
+    """
+
+    arm: Robot
+    task: Callable[..., Task] | None = None
+    _: KW_ONLY
+    object_length: tuple[float, float] | None = None
+    object_mass: tuple[float, float] | None = None
+    believed_length: float = 0.0
+    believed_mass: float = 0.0
+    object_axis: str | Sequence[float] | None = None
+    joint_shifts: Mapping[str, Sequence[float] | Array] = field(default_factory=dict)
+    joint_rotations: Mapping[str, Sequence[float] | Array] = field(default_factory=dict)
+    camera: Camera | None = None
+    focal_length: tuple[float, float] | None = None
+    distance: tuple[float, float] | None = None
+    roll: tuple[float, float] | None = None
+    friction: float | Sequence[float] | Array = 0.0
+    factor: float = 1.0
+    _coordinates: tuple[Coordinate, ...] = field(init=False)
+    _moved: Plant | None = field(init=False, default=None)
+
+    def __init_subclass__(cls) -> None:
+        require_ranges_only(cls)
+
+    def __post_init__(self) -> None:
+        require("arm", self.arm, Robot, "the believed Robot, without the object")
+        self._require_task()
+        as_size("believed_length", self.believed_length)
+        as_mass("believed_mass", self.believed_mass)
+        as_number("factor", self.factor, minimum=0.0)
+        if self.object_axis is not None:
+            direction(self.object_axis)
+        # copies, so that nobody changes them later
+        for name, unit in (("joint_shifts", "m"), ("joint_rotations", "rad")):
+            self._set(name, as_bounds(name, getattr(self, name), self.arm, unit))
+        if not is_scalar(self.friction):
+            self._set("friction", tuple(self.friction))  # type: ignore[arg-type]
+        given = [
+            *as_range("object_length", self.object_length, self.believed_length, "m"),
+            *as_range("object_mass", self.object_mass, self.believed_mass, "kg"),
+            *joint_coordinates(self._joints, self.joint_shifts, self.joint_rotations),
+            *camera_coordinates(self.camera, self.focal_length, self.distance, self.roll),
+        ]
+        self._set("_coordinates", tuple(known.scaled(self.factor) for known in given))
+        self._require_physical()
+        self.plant(self.believed)  # refuses a task, an axis or friction that fit no such robot
+
+    # -- the box ------------------------------------------------------------------------
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the uncertain coordinates, length d."""
+        return tuple(known.name for known in self._coordinates)
+
+    @cached_property
+    def units(self) -> tuple[str, ...]:
+        """Their units, length d."""
+        return tuple(known.unit for known in self._coordinates)
+
+    @property
+    def d(self) -> int:
+        """Number of uncertain coordinates; 0 where the belief is the truth."""
+        return len(self._coordinates)
+
+    @cached_property
+    def _low_and_width(self) -> tuple[Array, Array]:
+        return self.low, self.high - self.low
+
+    @property
+    def believed(self) -> Array:
+        """Believed value of each, shape (d,)."""
+        return np.array([known.believed for known in self._coordinates])
+
+    @property
+    def low(self) -> Array:
+        """The smallest values that they may have, shape (d,)."""
+        return np.array([known.low for known in self._coordinates])
+
+    @property
+    def high(self) -> Array:
+        """The largest values that they may have, shape (d,)."""
+        return np.array([known.high for known in self._coordinates])
+
+    def scaled(self, factor: float) -> Uncertainty:
+        """Return a box of the same coordinates, shrunk or grown about what is believed.
+
+        Raises:
+            InvalidInputError: A factor < 0, or so large that some robots cannot exist.
+        """
+        factor = as_number("factor", factor, minimum=0.0)
+        return replace(self, factor=self.factor * factor)
+
+    def largest_scale(self, bound: float) -> float:
+        """The largest factor ≤ bound: robots can exist, a focal length keeps ≥ 1/10 of its own."""
+        bound = min([bound, *(known.largest_factor for known in self._coordinates)])
+        low, high, factor = 0.0, bound, bound
+        while high - low > 1e-6 * bound:
+            try:
+                self.scaled(factor)
+                low = factor
+            except InvalidInputError:
+                high = factor
+            factor = 0.5 * (low + high)
+        return low
+
+    def corners(self, limit: int = 64) -> Array:
+        """Return the corners of the box, or a selection where they are many; shape (k, d).
+
+        A coordinate whose range has no width counts as having one end. The range of an angle that
+        is wider than 45° is cut into equal pieces, whose ends count too: two ends stand for no
+        more, and those of a full turn are the same robot. If the corners are at most `limit`, these
+        are all of them. Otherwise they are, without repetition: the points with one coordinate at
+        an end and the others at what is believed (whatever the limit), and random corners of a
+        fixed seed, up to `limit` points in all.
+
+        Raises:
+            InvalidInputError: A limit that is no integer ≥ 1.
+        """
+        as_integer("limit", limit, 1)
+        ends = [known.ends() for known in self._coordinates]
+        if math.prod(map(len, ends)) <= limit:
+            return np.array(list(itertools.product(*ends)), dtype=float)
+        believed = tuple(self.believed.tolist())
+        chosen = {
+            (*believed[:i], end, *believed[i + 1 :]): None for i in range(self.d) for end in ends[i]
+        }
+        rng = np.random.default_rng(0)
+        while len(chosen) < limit:
+            chosen[tuple(each[rng.integers(len(each))] for each in ends)] = None
+        return np.array(list(chosen))
+
+    def sample(self, rng: np.random.Generator) -> Array:
+        """Return values drawn uniformly from the box, shape (d,)."""
+        low, width = self._low_and_width
+        return low + width * rng.random(len(low))  # as rng.uniform, which takes its time
+
+    # -- the robots ---------------------------------------------------------------------
+
+    def belief(self) -> Robot:
+        """Return the believed robot, holding the object that is believed."""
+        return self._perturbation.base
+
+    def believed_task(self) -> Task:
+        """Return a new task of the believed robot, for a controller."""
+        return self._task_of(self.belief(), self.camera)
+
+    def robot(self, values: Sequence[float] | Array) -> Robot:
+        """Return the true robot at some values, the believed one itself where nothing is wrong."""
+        believed, uncertain = self._of_robot
+        at = believed.copy()
+        for place, value in zip(uncertain, self._checked(values).tolist(), strict=False):
+            at[place] = value
+        if at == believed:
+            return self.belief()
+        length, mass, *places = at
+        return self._perturbation.robot(length, mass, *np.array(places).reshape(2, -1, 3))
+
+    def plant(self, values: Sequence[float] | Array) -> Plant:
+        """Return the true robot at values (d,), with its sensor and friction, in the box or not.
+
+        Raises:
+            InvalidInputError: Wrong shape, not finite, or a robot that cannot exist.
+        """
+        robot = self.robot(values)
+        if self._moved is not None and self._moved.robot is robot:
+            return self._moved
+        camera = None if self.camera is None else self._true_camera(self._by_name(values))
+        plant = self._nominal._of(robot, self._task_of(robot, camera))
+        make = self._make_task
+        same = isinstance(make, partial) and make.func is PositionTask and "axes" in make.keywords
+        if same and self._perturbation.moves(robot):  # other tasks may look at the robot
+            self._set("_moved", plant)
+        return plant
+
+    def moving(self) -> Uncertainty:
+        """Return this set with one robot that moves: `plant` is good until it is asked again.
+
+        For many that are looked at one after the other: it takes a third of the time.
+        """
+        moving = copy.copy(self)
+        vars(moving)["_perturbation"] = self._perturbation.moving()
+        return moving
+
+    @cached_property
+    def _nominal(self) -> Plant:
+        return Plant(self.belief(), self.believed_task(), self.friction)
+
+    def describe(self, values: Sequence[float] | Array) -> str:
+        """Return values (d,) in words, such as "object length 0.3 m, camera roll 0.349 rad"."""
+        at = self._by_name(values)
+        return ", ".join(map(in_words, at, at.values(), self.units)) or "no error"
+
+    def describe_box(self) -> str:
+        """Return the ranges in words, such as "object length 0 to 0.3 m"."""
+        shown = []
+        for name, unit, _, low, high in self._coordinates:
+            ends = (0.0 if abs(end) < _NONE * (high - low) else end for end in (low, high))
+            least, most = (in_words("", end, unit).strip() for end in ends)
+            shown.append(f"{spoken(name)} {least.removesuffix(f' {unit}')} to {most}")
+        return ", ".join(shown) or "no error"
+
+    def _checked(self, values: Sequence[float] | Array) -> Array:
+        return as_vector("values", values, self.d, ", ".join(self.units))
+
+    def _by_name(self, values: Sequence[float] | Array) -> dict[str, float]:
+        return dict(zip(self.names, self._checked(values).tolist(), strict=True))
+
+    @cached_property
+    def _of_robot(self) -> tuple[list[float], list[int]]:
+        """Believed length, mass, shifts and rotations, and where the uncertain ones are in them."""
+        parts = itertools.product(("shift", "rotation"), self._joints, "xyz")
+        of_joints = [f"{joint} {kind} {axis}" for kind, joint, axis in parts]
+        names = ["object_length", "object_mass", *of_joints]
+        believed = [float(self.believed_length), float(self.believed_mass)]
+        believed += [0.0] * len(of_joints)
+        return believed, [names.index(name) for name in self.names if name in names]
+
+    @cached_property
+    def _joints(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys([*self.joint_shifts, *self.joint_rotations]))
+
+    @cached_property
+    def _perturbation(self) -> Perturbation:
+        given = self.object_length is not None or self.object_mass is not None
+        if not given and self.believed_length == 0.0 and self.believed_mass == 0.0:
+            return Perturbation(self.arm, joints=self._joints)
+        if "object_tip" in self.arm.frame_names:
+            raise InvalidInputError(
+                "arm must be the bare arm, as the set itself puts the object into its hand "
+                f"(object_length, object_mass), got one that holds one: {self.arm!r}",
+                given=self.arm,
+            )
+        held = self.believed_length, self.believed_mass
+        return Perturbation(self.arm, held, self.object_axis, self._joints)
+
+    def _true_camera(self, at: Mapping[str, float]) -> Camera | None:
+        """The camera at some values; the believed one itself where nothing is wrong with it."""
+        if self.camera is None:
+            return None
+        wrong = {
+            name: at[f"camera {name}"]
+            for name, known in self.camera.calibration.items()
+            if at.get(f"camera {name}", known.value) != known.value
+        }
+        return self.camera.recalibrated(wrong) if wrong else self.camera
+
+    @cached_property
+    def _make_task(self) -> Callable[..., Task]:
+        if self.task is None and self.camera is None:
+            # the axes of the belief, as errors may let another arm command others
+            return partial(PositionTask, axes=best_axes(self.belief()))
+        return self.task or ImageTask
+
+    def _task_of(self, robot: Robot, camera: Camera | None) -> Task:
+        task = self._make_task(robot) if camera is None else self._make_task(robot, camera)
+        require("what task makes of a robot", task, Task, "a task, such as PositionTask(robot)")
+        return task
+
+    # -- what was given -----------------------------------------------------------------
+
+    def _set(self, name: str, value: Any) -> None:
+        object.__setattr__(self, name, value)  # frozen once it is built
+
+    def _require_task(self) -> None:
+        of: tuple[Robot | Camera, ...] = (self.arm,)
+        wanted = "from a robot to its task, such as PositionTask"
+        if self.camera is not None:
+            require("camera", self.camera, Camera, "a camera, such as PlanarCamera(f, z), or None")
+            of = self.arm, self.camera
+            wanted = "of a robot and a camera, such as ImageTask"
+        try:
+            if self.task is not None:
+                inspect.signature(self.task).bind(*of)
+        except ValueError:
+            pass  # builtins do not tell
+        except TypeError:
+            raise InvalidInputError(
+                f"task must be a function {wanted}, got {self.task!r}", given=self.task
+            ) from None
+
+    def _require_physical(self) -> None:
+        """Refuse a box that holds robots or cameras that cannot exist."""
+        grown = "" if self.factor == 1.0 else f" with the factor {self.factor:.4g}"
+        for known in self._coordinates:
+            known.ends()  # refuses an angle beyond a full turn
+            if known.name.startswith("object_") and known.low < 0.0:
+                raise InvalidInputError(
+                    f"{known.name} must be >= 0 in the whole set [{known.unit}], "
+                    f"got {known.low:.4g} to {known.high:.4g}{grown}",
+                    given=(known.low, known.high),
+                )
+            if known.name.startswith("object_"):
+                (as_mass if known.unit == "kg" else as_size)(known.name, known.high)
+        # a camera knows itself what it cannot be, and is that in a corner first
+        unsure = [known for known in self._coordinates if known.name.startswith("camera ")]
+        for corner in itertools.product(*((known.low, known.high) for known in unsure)):
+            at = {known.name: value for known, value in zip(unsure, corner, strict=True)}
+            try:
+                self._true_camera(at)
+            except InvalidInputError as error:
+                shown = ", ".join(map(in_words, at, corner, (known.unit for known in unsure)))
+                raise InvalidInputError(
+                    f"a camera must exist everywhere in the set, got {shown}{grown}: {error}",
+                    given=corner,
+                ) from error
+
+    def __repr__(self) -> str:
+        shown = [
+            f"{known.name} {known.low:.4g} to {known.high:.4g} {known.unit} "
+            f"(believed {known.believed:.4g})"
+            for known in self._coordinates
+        ]
+        return f"Uncertainty({self.arm.name!r}: {', '.join(shown) or 'no error'})"

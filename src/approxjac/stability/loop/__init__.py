@@ -1,0 +1,1 @@
+"""The closed loop: its terms at sampled configurations, and its linearisation."""

@@ -1,0 +1,399 @@
+"""`ClosedLoop`: a controller on one or several true robots, and the samples it is tested on."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Hashable, Iterator, Sequence
+from functools import cached_property
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac.controllers import Gains, SetpointController
+from approxjac.errors import InvalidInputError
+from approxjac.robots import Dynamics, Robot
+from approxjac.simulation import Plant
+from approxjac.stability.certificates.families import Setting
+from approxjac.stability.errors.region import JointBox, Region, RegularPart, require_law
+from approxjac.stability.errors.uncertainty import Uncertainty
+from approxjac.stability.loop import task_terms
+from approxjac.stability.loop.configuration_terms import Arms, Configurations
+from approxjac.stability.loop.inverse_kinematics import inverse_kinematics
+from approxjac.stability.loop.linearization import Timing, linear_loops
+from approxjac.stability.loop.samples import Indices, Samples
+from approxjac.stability.loop.singular import least_regular
+from approxjac.stability.loop.target_samples import Targets
+from approxjac.stability.loop.visibility import UnattainedError, VisiblePart
+from approxjac.tasks import Task
+from approxjac.tasks.analysis import require_jacobian_of_q, sees, vanishing
+from approxjac.validation import Array, require
+
+EXACT_GRAVITY = 1e-5
+"""Gravity torque that counts as none [N m or N]."""
+OF_WRONG_AXES = "as of wrong joint axes or a tilted base"
+"""Why gravity may be off that no learnt parameters explain."""
+SHARED = 8
+"""Samples that functions are chosen on, of each true robot from inside of the errors."""
+_REGULAR = 0.5  # times a tenth of the typical σ_max: configurations below it are left out
+_STARTS = 20  # of the search for configurations that attain a target
+_WEIGHED = 8  # true robots from inside whose gravity is looked at, besides the corners
+_DECADES = 6.0  # of the sizes of small errors
+_VANISHING = 1e-4  # σ_min that is found there, of a tenth of the typical σ_max
+_PORTION = 500  # configurations at once, as many as fit into a processor's cache
+_SINGULAR = 1e-9  # σ_min as a share of σ_max at which Ĵ⁺ cannot be computed
+
+
+class ClosedLoop:
+    """A controller on one or several true robots, with the region and target that are analysed.
+
+    It draws configurations and targets that the true robot's sensor sees, and true robots from the
+    inside of the errors besides their corners. The arguments are those of `stability_report`.
+
+    Attributes:
+        corners: Values of the uncertain coordinates at the corners, shape (k, d).
+        values: Those of each true robot: the corners, and whatever was drawn from inside.
+        plants: The true robots.
+        diagonals: The gains.
+        parts: The region as each true robot's sensor sees it.
+
+    Raises:
+        InvalidInputError: Law (5) or a posture torque, another task than the sensor's, a plant
+            that is not ideal, or arguments of the wrong kind or shape.
+    """
+
+    def __init__(
+        self,
+        controller: SetpointController,
+        truth: Plant | Robot | Uncertainty,
+        region: Region | None = None,
+        target: Sequence[float] | Array | None = None,
+    ) -> None:
+        require_law(controller)
+        if isinstance(truth, Robot):
+            truth = Plant(truth, controller.task.on(truth))
+        require("truth", truth, (Plant, Uncertainty), "a Plant, a Robot or an Uncertainty")
+        self.controller, self.truth, self.diagonals = controller, truth, controller.diagonals
+        self.corners = truth.corners() if isinstance(truth, Uncertainty) else np.zeros((1, 0))
+        self.values = self.corners
+        self.plants = [truth] if isinstance(truth, Plant) else [*map(truth.plant, self.corners)]
+        for plant in self.plants:
+            plant.require_task(controller.task)
+            plant.require_ideal("a stability report")
+        region = usual_region(controller.task) if region is None else region
+        require("region", region, Region, "a Region, such as JointBox(robot)")
+        self.region = region
+        self.target = None if target is None else self.plants[0].sensor.target(target)
+        self.parts = [VisiblePart(region, plant.sensor, k) for k, plant in enumerate(self.plants)]
+        robots = [plant.robot for plant in self.plants]
+        self._true_arms = task_terms.arms_of(robots, [plant.sensor for plant in self.plants])
+        self._attained: list[list[Array]] = []
+
+    def scaled(self, factor: float) -> ClosedLoop:
+        """Return the loop with the errors of its `Uncertainty` shrunk or grown."""
+        assert isinstance(self.truth, Uncertainty)
+        return ClosedLoop(self.controller, self.truth.scaled(factor), self.region, self.target)
+
+    def with_gains(self, gains: Gains) -> ClosedLoop:
+        """Return the loop with other gains than its controller's."""
+        task, other = self.controller.task, copy.copy(self)
+        other.diagonals = gains.diagonals(task.m, task.robot.nv)
+        return other
+
+    @property
+    def setting(self) -> Setting:
+        """Gains and damping, as the conditions need them."""
+        (kp, kv, damping), learning = self.diagonals, self.controller.adaptation
+        alpha = None if learning is None else learning.alpha
+        B, c_bar = damping + self.plants[0].friction, self.controller.saturation.c_bar
+        return Setting(kp, kv, B, c_bar, alpha, self.controller.pinv.weight)
+
+    def gravity_error(self, configurations: Array) -> float:
+        """Return the largest gravity torque that is neither compensated nor learnt [N m or N]."""
+        learning, worst = self.controller.adaptation, 0.0
+        for plant in self.plants[: len(self.corners) + _WEIGHED]:
+            g = np.array([plant.dynamics.g(q) for q in configurations])
+            if learning is None:
+                torque = self.controller.gravity.torque  # type: ignore[union-attr]
+                error = g - np.array([np.array(torque(q)) for q in configurations])
+            else:
+                error = learning.regressor.fit(plant.robot)[1] * g
+            worst = max(worst, float(np.abs(error).max()))
+        return worst
+
+    @property
+    def takers(self) -> list[str]:
+        """Return what is learnt that can take up gravity that no parameters explain."""
+        learning, parts = self.controller.adaptation, ("task force", "joint torques")
+        sizes = (0, 0) if learning is None else learning.sizes[1:]
+        return [part for part, size in zip(parts, sizes, strict=True) if size]
+
+    def require_gravity(self) -> None:
+        """Raise if gravity is neither compensated exactly nor can be learnt."""
+        error = self.gravity_error(self.region.sample(5, np.random.default_rng(0)))
+        if error > EXACT_GRAVITY:
+            how = "AdaptiveGravity learns it"
+            if self.controller.adaptation is not None:
+                how = f"no learnt gravity parameters explain it, {OF_WRONG_AXES}"
+            raise InvalidInputError(
+                f"gravity must be compensated exactly or be learnt, got an error of {error:.3g} "
+                f"N m; {how}, and robots with_gravity((0, 0, 0)) take it as compensated",
+                given=self.controller,
+            )
+
+    def singular_configuration(self, samples: Samples) -> Array | None:
+        """Return a configuration (nq,) of the region where Ĵ loses rank, or None if none is found.
+
+        No sample hits it, and no test holds there: Ĵᵀ K_p s = 0 for some s ≠ 0, so the arm may
+        stand still away from its target. G = αĴ⁺ does not exist, and with G = αD⁻¹ĴᵀK_v the block
+        sym(K_pĴG) of Q is singular. The margins are relative to that block, so they stay positive
+        however near a singularity is.
+        """
+        task, tiny = self.controller.task, _VANISHING * vanishing(self.controller.task)
+        return least_regular(task, self.parts, samples, lambda q, size: size <= tiny)
+
+    def damped_configuration(self, samples: Samples) -> Array | None:
+        """Return a configuration (nq,) where the Ĵ⁺ that learning uses is damped, if one is found.
+
+        V of learnt gravity has the law's own G = αĴ⁺, and the conditions are evaluated with an
+        exact one. Elsewhere no Ĵ⁺ is in the law: G is of the analysis alone, and always exact.
+        """
+        if self.controller.adaptation is None:
+            return None
+        is_damped, task = self.controller.pinv.is_damped, self.controller.task
+        damped = is_damped(samples.J_hat)
+        if damped.any():
+            return np.asarray(samples.q[damped.argmax()])
+        return least_regular(
+            task, self.parts, samples, lambda q, _: bool(is_damped(task.jacobian(q)))
+        )
+
+    def draw(self, n: int, rng: np.random.Generator, inside: int = 0) -> Samples:
+        """Draw n samples, or more to have every corner as often.
+
+        With `inside` ≥ 1, about half of them are of new true robots, drawn from inside of the
+        errors, each of which so many samples share. Those of one robot are not independent: 1 is
+        for samples that are to bound a share.
+
+        A third of them have e = 0, where every motion is to end, a third small errors of all
+        sizes, and a third those between two configurations of the region. Without the first two a
+        saturated s(e) would be looked at where it is flat only.
+        """
+        truths, drawn = self._drawn(n, rng, inside)
+        n = len(truths)
+        kinds, sizes = rng.integers(3, size=n), 10.0 ** rng.uniform(-_DECADES, 0.0, n)
+        away = np.choose(kinds, [np.zeros(n), sizes, np.ones(n)])  # as a share of the way
+        if self.target is None:
+            others = self._seen(truths, self.region.sample(n, rng), rng)
+            ends = [
+                self.parts[t].between(q, other, share)
+                for t, q, other, share in zip(truths, drawn, others, away, strict=True)
+            ]
+            return self.samples_at(truths, drawn, self._values(truths, np.array(ends)))
+        known, model = self.attained(rng), self.region.robot.model
+        for i, (t, share) in enumerate(zip(truths, away, strict=True)):
+            end = known[t][rng.integers(len(known[t]))]
+            nearer = np.array(pin.interpolate(model, end, drawn[i], share))
+            if self.parts[t].contains(nearer):
+                drawn[i] = nearer
+        return self.samples_at(truths, drawn)
+
+    def targets(self, n: int, rng: np.random.Generator) -> tuple[Indices, Array]:
+        """Return true robots (N,) and configurations (N, nq) that attain the target, or n drawn."""
+        if self.target is None:
+            return self._drawn(n, rng)
+        known = self.attained(rng)
+        truths = np.repeat(np.arange(len(known)), [len(found) for found in known])
+        return truths, np.concatenate(known)
+
+    def near(
+        self, known: Samples, k: int, n: int, size: float, rng: np.random.Generator
+    ) -> Samples:
+        """Draw n samples near the k-th known one, of its true robot and target."""
+        truth = int(known.truth[k])
+        sizes = size * 10.0 ** rng.uniform(-1.0, 0.5, n)
+        nearby = np.array([self.parts[truth].near(known.q[k], each, rng) for each in sizes])
+        x_d = np.repeat(known.x_d[k : k + 1], n, axis=0)
+        return self.samples_at(np.full(n, truth), nearby, x_d)
+
+    def samples_at(
+        self, truths: Indices, configurations: Array, x_d: Array | None = None
+    ) -> Samples:
+        """Evaluate N true robots, configurations (N, nq) and targets (N, n_x), or the one target.
+
+        Raises:
+            InvalidInputError: A task whose Jacobian uses the measured x, or a configuration where
+                Ĵ loses rank.
+        """
+        task, saturation = self.controller.task, self.controller.saturation
+        require_jacobian_of_q(task, "the conditions over a region")
+        N, n, m = len(configurations), task.robot.nv, task.m
+        x_d = np.repeat(np.asarray(self.target)[None], N, axis=0) if x_d is None else x_d
+        M, dM = np.empty((N, n, n)), np.empty((N, n, n, n))
+        J, J_e, J_hat = np.empty((N, m, n)), np.empty((N, m, n)), np.empty((N, m, n))
+        dJ_hat, e = np.empty((N, n, m, n)), np.empty((N, m))
+        for rows in _portions(N):
+            of_portion, q = truths[rows], configurations[rows]
+            at = self._true_arms.at(of_portion, q)
+            M[rows], dM[rows] = at.M(), at.M_gradient()
+            for sensor, each, here in self._by_sensor(of_portion, at):
+                e_here = task_terms.errors(sensor, task_terms.values(sensor, here), x_d[rows][each])
+                J_here = task_terms.sensor_jacobians(sensor, here)
+                e[rows][each], J[rows][each] = e_here, J_here
+                J_e[rows][each] = task_terms.error_jacobians(sensor, e_here, J_here)
+            at = self._believed_arm.at(np.zeros_like(of_portion), q)
+            J_hat[rows] = task_terms.jacobians(task, at)
+            dJ_hat[rows] = task_terms.gradients(task, at)
+        values = np.linalg.svd(J_hat, compute_uv=False)
+        singular = values[:, -1] <= _SINGULAR * values[:, 0]
+        if singular.any():
+            raise InvalidInputError(
+                "the region must hold no configuration where the estimated Jacobian loses rank, "
+                f"got q = {configurations[singular.argmax()].tolist()}; RegularPart(region, task, "
+                "sigma_min) leaves them out",
+                given=configurations,
+            )
+        s, slope = saturation.s(e), saturation.ds(e)
+        return Samples(truths, configurations, x_d, M, dM, J, J_e, J_hat, dJ_hat, e, s, slope)
+
+    def gravity_gradients(self, samples: Samples) -> Array:
+        """Return ∂g/∂q of the true robots at samples, shape (N, n_v, n_v) [N m/rad or N/m]."""
+        return self._gravity_gradients(samples.truth, samples.q)
+
+    def _gravity_gradients(self, truths: Indices, configurations: Array) -> Array:
+        N, n = len(truths), self.region.robot.nv
+        if not self.plants[0].robot.gravity.any():
+            return np.zeros((N, n, n))
+        pairs = zip(truths, configurations, strict=True)
+        return np.array([self.dynamics(t).g_gradient(q) for t, q in pairs])
+
+    def dynamics(self, truth: int) -> Dynamics:
+        """Return those of a true robot. They are large: kept at corners only."""
+        plant = self.plants[truth]
+        return plant.dynamics if truth < len(self.corners) else Dynamics(plant.robot)
+
+    def errors(self, truths: Indices, configurations: Array, x_d: Array) -> Array:
+        """Return e of true robots (N,) at configurations (N, nq), of targets (N, n_x), (N, m)."""
+        at = self._true_arms.at(truths, configurations)
+        found = np.empty((len(truths), self.controller.task.m))
+        for sensor, each, here in self._by_sensor(truths, at):
+            found[each] = task_terms.errors(sensor, task_terms.values(sensor, here), x_d[each])
+        return found
+
+    def _values(self, truths: Indices, configurations: Array) -> Array:
+        """Return what true robots (N,) measure at configurations (N, nq), shape (N, n_x)."""
+        at = self._true_arms.at(truths, configurations)
+        found = np.empty((len(truths), self.plants[0].sensor.n_x))
+        for sensor, each, here in self._by_sensor(truths, at):
+            found[each] = task_terms.values(sensor, here)
+        return found
+
+    def _by_sensor(
+        self, truths: Indices, at: Configurations
+    ) -> Iterator[tuple[Task, Array, Configurations]]:
+        """Sensors, which of the configurations are of each or of one alike, and these."""
+        sensors = [self.plants[t].sensor for t in truths]
+        groups: dict[Hashable, list[int]] = {}
+        for i, sensor in enumerate(sensors):
+            groups.setdefault(task_terms.kind(sensor, at.arms.frames), []).append(i)
+        for rows in groups.values():
+            each = np.array(rows)
+            yield sensors[rows[0]], each, at if len(each) == len(truths) else at.take(each)
+
+    @cached_property
+    def _believed_arm(self) -> Arms:
+        return task_terms.arms_of([self.controller.task.robot], [self.controller.task])
+
+    def linearised(
+        self, truths: Indices, configurations: Array, timing: Timing | None = None
+    ) -> Targets:
+        """Linearise at true robots (N,) with configurations (N, nq), taken as targets."""
+        task, at = self.controller.task, self._true_arms.at(truths, configurations)
+        M, G = at.M(), np.zeros((len(truths), task.robot.nv, task.robot.nv))
+        if timing is not None:  # gravity and its compensation do not quite cancel
+            G = self._gravity_gradients(truths, configurations)
+        J = np.empty((len(truths), task.m, task.robot.nv))
+        for sensor, each, here in self._by_sensor(truths, at):
+            J[each] = task_terms.sensor_jacobians(sensor, here)
+        if task._uses_x:
+            x = self._values(truths, configurations)
+            J_hat = np.array(list(map(task.jacobian, configurations, x)))
+        else:
+            at = self._believed_arm.at(np.zeros_like(truths), configurations)
+            J_hat = task_terms.jacobians(task, at)
+        friction = self.plants[0].friction
+        parts = linear_loops(self.controller, friction, configurations, M, G, J, J_hat)
+        return Targets(parts, float(np.linalg.norm(self.plants[0].robot.gravity)), timing)
+
+    def attained(self, rng: np.random.Generator) -> list[list[Array]]:
+        """Return configurations of the region that attain the target, for each true robot.
+
+        Raises:
+            UnattainedError: There is none for one of them.
+        """
+        for part in self.parts[len(self._attained) :]:
+            self._attained = [*self._attained, self._attaining(part, rng)]
+        return self._attained
+
+    def _attaining(self, part: VisiblePart, rng: np.random.Generator) -> list[Array]:
+        sensor, target = part.sensor, np.asarray(self.target)
+        if part.truth >= len(self.corners):  # from near by: one is enough of many such robots
+            known = self._attained[rng.integers(len(self.corners))]
+            for k in rng.permutation(len(known)):
+                q = known[k]
+                end = inverse_kinematics(sensor, target, q) if sees(sensor, q) else None
+                if end is not None and self.region.contains(end):
+                    return [end]
+        ends = [inverse_kinematics(sensor, target, q) for q in part.sample(_STARTS, rng)]
+        attained = [q for q in ends if q is not None]
+        within = [q for q in attained if self.region.contains(q)]
+        if not within:
+            wanted = "within reach of"
+            why = f"no configuration of {sensor.robot.name} was found to attain"
+            if attained:
+                wanted = "attained by a configuration of the region for"
+                why = f"{sensor.robot.name} attains outside {self.region!r} only"
+            raise UnattainedError(
+                f"target must be {wanted} every true robot, got {target.tolist()}, which {why}",
+                given=target,
+                truth=part.truth,
+            )
+        return within
+
+    def _drawn(self, n: int, rng: np.random.Generator, inside: int = 0) -> tuple[Indices, Array]:
+        """At least n true robots, the corners in turn, and configurations that they see."""
+        k, first = len(self.corners), len(self.plants)
+        at_corners = n // 2 if inside and self.corners.shape[1] else n
+        truths = np.arange(-(-at_corners // k) * k) % k
+        if at_corners < n:
+            others = np.arange(max(n - len(truths), n // 4)) // inside
+            self._draw_inside(int(others[-1]) + 1, rng)
+            # no part of the samples, such as every second one, is to be of corners only
+            truths = rng.permutation(np.append(truths, first + others))
+        return truths, self._seen(truths, self.region.sample(len(truths), rng), rng)
+
+    def _draw_inside(self, n: int, rng: np.random.Generator) -> None:
+        """Add n true robots from inside of the errors."""
+        assert isinstance(self.truth, Uncertainty)
+        values = np.array([self.truth.sample(rng) for _ in range(n)])
+        plants, first = [*map(self.truth.plant, values)], len(self.plants)
+        parts = [VisiblePart(self.region, p.sensor, first + k) for k, p in enumerate(plants)]
+        self.values = np.concatenate([self.values, values])
+        self.plants, self.parts = [*self.plants, *plants], [*self.parts, *parts]
+        self._true_arms = self._true_arms.joined([plant.robot for plant in plants])
+
+    def _seen(self, truths: Indices, drawn: Array, rng: np.random.Generator) -> Array:
+        """Configurations of the region, with others for those that their true robot misses."""
+        pairs = zip(truths.tolist(), drawn, strict=True)
+        for t in dict.fromkeys(t for t, q in pairs if not sees(self.parts[t].sensor, q)):
+            drawn[truths == t] = self.parts[t].replace_unseen(drawn[truths == t], rng)
+        return drawn
+
+
+def _portions(N: int) -> Iterator[slice]:
+    for start in range(0, N, _PORTION):
+        yield slice(start, start + _PORTION)
+
+
+def usual_region(task: Task) -> RegularPart:
+    """Return where to look where nothing is said: the joint limits, but not near-singular ones."""
+    return RegularPart(JointBox(task.robot), task, _REGULAR * vanishing(task))

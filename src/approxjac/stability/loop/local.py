@@ -1,0 +1,274 @@
+"""Test 3: eigenvalues of the closed loop linearised at a target, or at many of a region."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from approxjac.controllers import SetpointController
+from approxjac.controllers.gravity import Adaptation
+from approxjac.errors import InvalidInputError
+from approxjac.simulation import Plant, Sensing
+from approxjac.stability.errors.region import require_law, require_seen
+from approxjac.stability.loop.closed_loop import ClosedLoop
+from approxjac.stability.loop.linearization import Timing, linear_loop
+from approxjac.stability.loop.samples import Indices
+from approxjac.stability.loop.target_samples import Targets
+from approxjac.validation import Array, as_number, require
+
+_EXACT = 1e-6  # relative error of a gravity compensation that counts as none
+_NEAR = 1e-2  # how far from the target gravity is compared [rad or m]
+_MOST_STATES = 1000  # eigenvalues of more take many seconds
+_MOST_TARGETS = 1000
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LocalStability:
+    """Eigenvalues of the linearised closed loop, those of the equilibria themselves left out.
+
+    With dt the loop is sampled: a mode is multiplied by μ from one sample to the next, and its
+    eigenvalue is λ = ln(μ)/dt, so that all numbers mean the same with and without dt.
+
+    Attributes:
+        eigenvalues: Complex λ [1/s], the slowest first, 2 n_v − (n_v − m) of them for law (6).
+            Learnt parameters and delays add to them; −∞ is a mode that is over after one sample.
+        self_motion: Number n_v − m of eigenvalues left out because every configuration of the
+            self-motion attains the target.
+        unseen_parameters: Number p − rank Z of eigenvalues left out because so many combinations
+            of the learnt parameters exert no torque at the target.
+        singular: Whether more eigenvalues are zero than that, as where J or Ĵ loses rank at the
+            target. Then the linearisation decides nothing.
+        dt: Sampling time [s], or None for the continuous loop.
+        dead_time: Longest time until the sampled loop has answered a motion, hold and delays
+            together [s]; 0 for the continuous loop.
+    """
+
+    eigenvalues: NDArray[np.complex128]
+    self_motion: int
+    unseen_parameters: int
+    singular: bool
+    dt: float | None = None
+    dead_time: float = 0.0
+
+    @property
+    def max_real_eigenvalue(self) -> float:
+        """Largest real part of the eigenvalues, the spectral abscissa [1/s]."""
+        return float(self.eigenvalues.real.max())
+
+    @property
+    def decay_rate(self) -> float:
+        """Rate at which the slowest error dies out [1/s]; negative where one grows."""
+        return -self.max_real_eigenvalue
+
+    @property
+    def damping_ratio(self) -> float:
+        """Smallest −Re λ by the size of λ (1 does not oscillate, 0 does for ever, below 0 grows).
+
+        Of the sampled loop, modes that fall to a tenth within the dead time are not counted:
+        every delay has such modes, as many as samples, and nobody sees them.
+        """
+        lasting = self.eigenvalues[self.eigenvalues.real * self.dead_time > -math.log(10.0)]
+        moving = lasting[lasting != 0.0]
+        return float(np.min(-moving.real / np.abs(moving), initial=1.0))
+
+    @property
+    def stable(self) -> bool:
+        """Return whether every error near the target dies out."""
+        return not self.singular and self.max_real_eigenvalue < 0.0
+
+    def __repr__(self) -> str:
+        loop = "continuous loop" if self.dt is None else f"sampled every {self.dt:g} s"
+        unseen = "learnt parameters without effect at the target"
+        numbers = {"self-motion": self.self_motion, unseen: self.unseen_parameters}
+        left_out = [f"{number} of {what}" for what, number in numbers.items() if number]
+        ending = f"; left out are {' and '.join(left_out)}" if left_out else ""
+        if self.singular:
+            verdict = (
+                "undecided: J or Ĵ loses rank at the target, so that more than the self-motion "
+                "is neither held nor driven away; choose another target or task"
+            )
+        elif self.stable:
+            verdict = (
+                f"stable: errors near the target die out at {self.decay_rate:.3g} 1/s or faster "
+                f"(to 1 % in {math.log(100.0) / self.decay_rate:.3g} s), "
+                f"damping ratio {self.damping_ratio:.2g}"
+            )
+        else:
+            worst = self.eigenvalues[self.eigenvalues.real.argmax()]
+            swing = abs(float(worst.imag)) / (2.0 * math.pi)
+            how = f", oscillating at {swing:.3g} Hz" if swing > 0.0 else ""
+            verdict = f"unstable: errors near the target grow at {-self.decay_rate:.3g} 1/s{how}"
+        return f"{verdict} ({loop}){ending}"
+
+
+def local_stability(
+    plant: Plant, controller: SetpointController, q_target: Array, dt: float | None = None
+) -> LocalStability:
+    """Linearise the closed loop of law (6) or (28), (29) at rest where it attains the target.
+
+    With s'(0) = 1. The equilibria with e = 0 form a manifold: the self-motion, and for learnt
+    gravity every θ̂ with the right torque. Motion along it neither decays nor grows; its
+    eigenvalues, of zero, are left out. Gravity that is learnt is linearised at a θ̂ that gives the
+    true gravity around the target, and not only at it.
+
+    Args:
+        plant: The true robot, sensor and friction.
+        controller: The controller with its believed robot.
+        q_target: Configuration that attains the target, shape (nq,).
+        dt: Sampling time [s] for the loop as `simulate` runs it with dt: torque held over dt,
+            delays of the torque and of x in whole samples, q̇ filtered, θ̂ in Euler steps, and
+            friction and gravity acting all the time. None is the continuous loop.
+
+    Raises:
+        InvalidInputError: A controller of law (5) or with a `Posture`; gravity that is not exact
+            near `q_target` and cannot become so by learning, or θ̂ that stands still there
+            (torque_limits, bounds); another task than the sensor's; a `q_target` of the wrong
+            shape, or that the sensor does not see; a plant with Coulomb friction, frames, noise,
+            rounding, dropouts or torque limits; delays or a filter of q̇ without dt, or of very
+            many samples.
+    """
+    require("plant", plant, Plant, "a Plant")
+    require_law(controller)
+    plant.require_task(controller.task)
+    timing = _timing(plant, dt)
+    q = plant.robot.configuration(q_target, "q_target")
+    require_seen("q_target", q, plant.sensor)
+    _require_gravity(plant, controller, q)
+    return _at_target(plant, controller, q, timing)
+
+
+def _at_target(
+    plant: Plant, controller: SetpointController, q: Array, timing: Timing | None
+) -> LocalStability:
+    """Return `local_stability` of what has been checked."""
+    loop = linear_loop(plant, controller, q)
+    gravity = float(np.linalg.norm(plant.robot.gravity))
+    targets = Targets(loop.stacked(), gravity, timing)
+    (values,), (singular,) = targets.eigenvalues(controller.diagonals)
+    return LocalStability(
+        values[np.argsort(-values.real)],
+        self_motion=plant.robot.nv - plant.sensor.m,
+        unseen_parameters=int(targets.unseen[0]),
+        singular=bool(singular),
+        dt=None if timing is None else timing.dt,
+        dead_time=targets.dead_time,
+    )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LocalTest:
+    """Verdict of the exact linearisation with each configuration taken as a target.
+
+    Attributes:
+        decay_rates: −max Re λ without the self-motion's zeros, shape (N,) [1/s]; 0 where J or Ĵ is
+            singular, which decides nothing.
+        damping_ratios: Smallest −Re λ/‖λ‖, shape (N,).
+        q: The configurations, shape (N, nq).
+        truth: Index of the true robot, shape (N,).
+    """
+
+    decay_rates: Array
+    damping_ratios: Array
+    q: Array
+    truth: Indices
+
+    def __repr__(self) -> str:
+        stable = f"stable at {100 * self.share:.4g} % of {len(self.q)} configurations"
+        return f"LocalTest({stable}, slowest decay {self.decay_rates.min():.3g}/s)"
+
+    @property
+    def share(self) -> float:
+        """Share of the configurations that are stable."""
+        return float((self.decay_rates > 0.0).mean())
+
+    @property
+    def worst(self) -> int:
+        """Index of the configuration with the slowest decay."""
+        return int(self.decay_rates.argmin())
+
+    @property
+    def stable(self) -> bool:
+        """Return whether all are."""
+        return bool((self.decay_rates > 0.0).all())
+
+
+def local_test(
+    loop: ClosedLoop, truths: Indices, configurations: Array, timing: Timing | None = None
+) -> LocalTest:
+    """Linearise a closed loop, as it is sampled or (None) continuous, at each of many targets.
+
+    They are true robots (N,) with configurations (N, nq), of which the first thousand are taken.
+    """
+    truths, configurations = truths[:_MOST_TARGETS], configurations[:_MOST_TARGETS]
+    targets = loop.linearised(truths, configurations, timing)
+    return LocalTest(*targets.rates(loop.diagonals), configurations, truths)
+
+
+def _timing(plant: Plant, dt: float | None) -> Timing | None:
+    """Timing of the loop in whole samples, as `simulate` has it; None without dt."""
+    if dt is None:
+        plant.require_ideal("the local test")
+        return None
+    dt = as_number("dt", dt, unit="s", above=0.0)
+    plant.require_linear("the local test with dt")
+    sensing = plant.sensing or Sensing()
+    x_delay = sensing.x_delay
+    late = plant.sensor.m * x_delay / dt + plant.robot.nv * plant.actuator_delay / dt
+    if late > _MOST_STATES:
+        raise InvalidInputError(
+            f"the delays must be at most some {_MOST_STATES // plant.robot.nv} samples in all, got "
+            f"x_delay = {x_delay:g} s and actuator_delay = {plant.actuator_delay:g} s with "
+            f"dt = {dt:g} s; a larger dt tells the same",
+            given=dt,
+        )
+    return Timing(
+        dt, round(x_delay / dt), round(plant.actuator_delay / dt), sensing.velocity_filter
+    )
+
+
+def _require_gravity(plant: Plant, controller: SetpointController, q: Array) -> None:
+    """Refuse gravity that is not exact around the target, or cannot be learnt to be so."""
+    model = plant.robot.model
+    nearby = [q, *(pin.integrate(model, q, _NEAR * unit) for unit in np.eye(plant.robot.nv))]
+    wanted = np.array([plant.dynamics.g(at) for at in nearby])
+    learning = controller.adaptation
+    expected = "exact" if learning is None else "learnable"
+    if learning is None:
+        given = np.array([controller.gravity.torque(at) for at in nearby])  # type: ignore[union-attr]
+    else:
+        given = _learnt(learning, nearby, wanted)
+    error = float(np.abs(given - wanted).max())
+    if error > _EXACT * max(1.0, float(np.abs(wanted).max())):
+        raise InvalidInputError(
+            f"the controller's gravity must be {expected} near the target for it to be an "
+            f"equilibrium, got an error of {error:.3g} N m with "
+            f"{type(controller.gravity).__name__}",
+            given=controller,
+        )
+
+
+def _learnt(learning: Adaptation, nearby: list[Array], wanted: Array) -> Array:
+    """Z θ̂ at configurations, shape (k, n_v), with the θ̂ nearest to the believed that fits best."""
+    if (np.abs(wanted[0]) >= learning.torque_limits).any():
+        raise InvalidInputError(
+            "gravity at the target must be within torque_limits of AdaptiveGravity, or θ̂ stands "
+            f"still: it is {wanted[0].tolist()}, got {learning.torque_limits.tolist()}",
+            given=learning.torque_limits,
+        )
+    regressor = learning.regressor
+    Z = np.array([regressor.Z(at) for at in nearby])
+    rows, believed = Z.reshape(-1, regressor.p), regressor.theta
+    theta = believed + np.linalg.lstsq(rows, wanted.ravel() - rows @ believed, rcond=1e-12)[0]
+    if learning.bounds is not None:
+        lower, upper = (bound[: regressor.p] for bound in learning.bounds)
+        if not ((lower < theta) & (theta < upper)).all():
+            raise InvalidInputError(
+                f"the bounds of AdaptiveGravity must hold theta = {theta.tolist()}, which gives "
+                f"the true gravity, got {lower.tolist()} to {upper.tolist()}",
+                given=learning.bounds,
+            )
+    return np.asarray(Z @ theta)

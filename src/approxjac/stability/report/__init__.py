@@ -1,0 +1,1 @@
+"""The stability report: its tests, their outcome, and how it is rendered."""

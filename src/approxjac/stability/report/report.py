@@ -1,0 +1,398 @@
+"""`stability_report`: the tests over a region, before anything moves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from approxjac.controllers import CrossWeight, Latency, SetpointController, TorqueLimited
+from approxjac.errors import InvalidInputError
+from approxjac.formatting import plain
+from approxjac.robots import Robot
+from approxjac.simulation import Plant
+from approxjac.stability.certificates.attraction import Attraction, attraction
+from approxjac.stability.certificates.certificate import (
+    MatrixTest,
+    refine_constants,
+    refine_weights,
+)
+from approxjac.stability.certificates.families import Family
+from approxjac.stability.certificates.limit_cost import LimitCost, within_limits
+from approxjac.stability.certificates.matrix_form import Best, MatrixForm, on_more
+from approxjac.stability.certificates.sampled_test import SampledTest, growth, largest, sampled_test
+from approxjac.stability.certificates.theorem1 import CONSTANTS, Theorem1, theorem1
+from approxjac.stability.errors.region import Region
+from approxjac.stability.errors.uncertainty import Uncertainty
+from approxjac.stability.loop.closed_loop import EXACT_GRAVITY, SHARED, ClosedLoop
+from approxjac.stability.loop.local import LocalTest, local_test
+from approxjac.stability.loop.samples import Samples
+from approxjac.stability.report import report_words
+from approxjac.stability.rollout.rollouts import Rollouts, as_late, rollouts
+from approxjac.validation import Array, as_integer, require
+
+_TARGETS = 1000  # that the loop as it runs is linearised at
+_WORST = 60
+_CHOOSE = 1000  # samples at most that functions are chosen on: more of them check instead
+_THEOREM1 = ("holds", "p", "allowed_p", "alpha", "margin", "allowed_p_large_gains", "alpha_range")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class StabilityReport:
+    """Findings of the tests about a controller.
+
+    The word "certified" is about the loop as it runs, sampled and late. Theorem 1 and the matrix
+    form are about continuous time. All three are sufficient conditions that sampling found to hold;
+    that a region has no other configuration where they fail is not proven, only bounded
+    (`MatrixTest.violating_at_most`). They speak of motions that stay in the region.
+
+    Attributes:
+        loop: The closed loop: controller, truth, region and target.
+        latency: When it measures and acts.
+        samples: What all but the local test and the rollouts were evaluated on; those that the
+            Lyapunov functions were chosen on come first.
+        sampled: The loop as it runs, or None where gravity is learnt, which it does not cover.
+        theorem1: Test 1, in continuous time.
+        matrix: Test 2 in continuous time by family, from the smallest to the first that certifies.
+        local: Test 3, in continuous time.
+        growth: By what errors near targets are multiplied from one frame of x to the next at most,
+            in the exact linearisation of the loop as it runs, shape (k,); below 1 where it is
+            stable.
+        rollouts: Test 4, or None if it was not asked for.
+        gravity_error: Largest gravity torque in the region that the controller neither
+            compensates nor can learn [N m or N]. All tests but the rollouts take it as zero.
+        singular_q: A configuration of the region where Ĵ loses rank, shape (nq,), with which
+            nothing certifies the region; None if none was found.
+        damped_q: The same where the Ĵ⁺ of learning is damped, which no certificate covers.
+        seed: Of all drawing.
+        limits: What limits of torques cost; None of a controller without them.
+    """
+
+    loop: ClosedLoop
+    latency: Latency
+    samples: Samples
+    sampled: SampledTest | None
+    theorem1: Theorem1
+    matrix: Mapping[Family, MatrixTest]
+    local: LocalTest
+    growth: Array
+    rollouts: Rollouts | None
+    gravity_error: float
+    singular_q: Array | None
+    damped_q: Array | None
+    seed: int
+    limits: LimitCost | None = None
+
+    @property
+    def gravity_is_exact(self) -> bool:
+        """Return whether gravity is compensated, or can be learnt, to within 1e-5 N m."""
+        return self.gravity_error <= EXACT_GRAVITY
+
+    @property
+    def is_as_assumed(self) -> bool:
+        """Return whether gravity, the rank of Ĵ and Ĵ⁺ are as every certificate assumes."""
+        return self.gravity_is_exact and self.singular_q is None and self.damped_q is None
+
+    @property
+    def certified_by(self) -> str | None:
+        """Return "sampled form" if that certifies the loop as it runs, else None; see `reason`."""
+        return None if self.reason else "sampled form"
+
+    @property
+    def passed(self) -> bool:
+        """Return whether it is certified as far as there are certificates.
+
+        Where gravity is learnt there is none of the loop as it runs: the one in continuous time has
+        to do, with nothing that contradicts it.
+        """
+        learns = self.sampled is None and not self.contradiction
+        return self.certified_by is not None or (
+            learns and self.certified_in_continuous_time is not None
+        )
+
+    @property
+    def certified_in_continuous_time(self) -> str | None:
+        """The strongest test that certifies the region, "theorem1" or "matrix", or None.
+
+        It says nothing of what sampling and delays do.
+        """
+        if not self.is_as_assumed or not self.local.stable:
+            return None
+        if self.theorem1.holds:
+            return "theorem1"
+        return "matrix" if any(test.certified for test in self.matrix.values()) else None
+
+    @property
+    def cross_weight(self) -> CrossWeight | None:
+        """G of the V that certifies, which `TorqueLimited` can keep falling; None if none does."""
+        if not self.passed:
+            return None
+        test: MatrixTest | None = self.sampled
+        if test is None:  # gravity is learnt
+            test = max(self.matrix.values(), key=lambda test: (test.certified, test.margin))
+        return CrossWeight(test.weights.A1, test.weights.A2, self.loop.setting.B)
+
+    @property
+    def reason(self) -> str:
+        """Return why the loop as it runs is not certified; empty where it is."""
+        if self.contradiction:
+            return self.contradiction
+        if self.sampled is not None:
+            neither = self.sampled.margin <= 0.0 and self.certified_in_continuous_time is None
+            nowhere = "no Lyapunov function was found, not even in continuous time"
+            return nowhere if neither else self.sampled.reason
+        why = "with learnt gravity there are certificates in continuous time only"
+        return why if self.certified_in_continuous_time else f"{why}, and none was found"
+
+    @property
+    def contradiction(self) -> str:
+        """Return what no certificate can stand beside; empty where there is nothing."""
+        unstable = self.growth >= 1.0
+        if not self.gravity_is_exact:
+            return f"gravity is off by up to {self.gravity_error:.3g} N m"
+        if self.singular_q is not None:
+            return "the estimated Jacobian loses rank in the region"
+        if self.damped_q is not None:
+            return "the region holds configurations near singular ones, where learning is damped"
+        if self.limits is not None and not self.limits.holds:
+            return "the motors cannot hold the arm everywhere in the region"
+        if unstable.any():
+            share = 100.0 * unstable.mean()
+            return f"errors grow at {share:.3g} % of the targets (exact linearisation)"
+        if not self.local.stable:
+            return "errors grow at some targets in continuous time"
+        if self.rollouts is not None and self.rollouts.n_diverged:
+            return f"{self.rollouts.n_diverged} of {self.rollouts.n} rollouts diverged"
+        return ""
+
+    def describe_truth(self, index: int) -> str:
+        """Return in words which true robot the index of a sample's `truth` means."""
+        truth = self.loop.truth
+        if isinstance(truth, Uncertainty) and truth.d > 0:
+            return truth.describe(self.loop.values[index])
+        return "the true robot"
+
+    @cached_property
+    def largest_period(self) -> tuple[float, float]:
+        """Largest period that is certified, and that is stable by the exact linearisation [s].
+
+        All else the same; 0 where none is. Worked out when it is asked for, such as to be printed.
+        """
+        assert self.sampled is not None
+        worst = self.samples.take(np.argsort(-self.growth)[:_WORST])
+        exact = largest(
+            lambda latency: bool((growth(self.loop, worst, latency) < 1.0).all()),
+            lambda period: replace(self.latency, period=period),
+            self.latency.period,
+        )
+        return self.sampled.largest_period(), exact
+
+    @cached_property
+    def largest_delay(self) -> float:
+        """Largest delay of torques that is certified, all else the same [s]; 0 where none is."""
+        assert self.sampled is not None
+        return self.sampled.largest_delay()
+
+    @cached_property
+    def attraction(self) -> Attraction | None:
+        """Starts that never leave the region; None where nothing is certified, or it is no box."""
+        if self.sampled is None or self.reason:
+            return None
+        return attraction(self.loop, self.sampled, np.random.default_rng(self.seed))
+
+    def lines(self) -> list[tuple[str, str, str]]:
+        """Return the table: test, verdict, and the figures it rests on."""
+        return report_words.table(self)
+
+    def verdict(self) -> str:
+        """Return in one line whether the loop as it runs is certified, and why not."""
+        return report_words.verdict(self)
+
+    def __repr__(self) -> str:
+        name, where = self.loop.controller.task.robot.name, repr(self.loop.region)
+        return f"StabilityReport({name!r}: {self.verdict()}, on {where}; print it for the tests)"
+
+    def __str__(self) -> str:
+        return report_words.text(self)
+
+    def summary(self) -> dict[str, Any]:
+        """Return what goes into summary.json."""
+        first, local, samples = self.theorem1, self.local, self.samples
+        angles = self.loop.controller.task.robot.angles
+        names = ("certified", "margin", "share", "violations", "checked", "violating_at_most")
+        found = {
+            "robot": self.loop.controller.task.robot.name,
+            "region": repr(self.loop.region),
+            "configurations": len(self.matrix["paper"].margins),
+            "seed": self.seed,
+            "certified_by": self.certified_by,
+            "reason": self.reason,
+            "limits": None if self.limits is None else asdict(self.limits),
+            "latency": plain(asdict(self.latency)),
+            "certified_in_continuous_time": self.certified_in_continuous_time,
+            "largest_growth": self.growth.max(),
+            "sampled": self._sampled_summary(names),
+            **{
+                f"{what}_q": None if q is None else angles(q)
+                for what, q in (("singular", self.singular_q), ("damped", self.damped_q))
+            },
+            "theorem1": {
+                **{name: getattr(first, name) for name in _THEOREM1},
+                "constants": {name: getattr(first, name) for name in CONSTANTS},
+                "worst_q": {name: angles(samples.q[first.worst[name]]) for name in CONSTANTS},
+            },
+            "matrix": {
+                family: {
+                    **{name: getattr(test, name) for name in names},
+                    "worst_q": angles(samples.q[test.worst]),
+                    "worst_truth": self.describe_truth(int(samples.truth[test.worst])),
+                    **test.weights._asdict(),
+                }
+                for family, test in self.matrix.items()
+            },
+            "local": {
+                "stable": local.stable,
+                "share": local.share,
+                "configurations": len(local.q),
+                "slowest_decay_rate": local.decay_rates.min(),
+                "smallest_damping_ratio": local.damping_ratios.min(),
+                "worst_q": angles(local.q[local.worst]),
+                "worst_truth": self.describe_truth(int(local.truth[local.worst])),
+            },
+        }
+        return {name: plain(value) for name, value in found.items()}
+
+    def _sampled_summary(self, names: tuple[str, ...]) -> dict[str, Any] | None:
+        test, stays = self.sampled, self.attraction
+        if test is None:
+            return None
+        of_stays = {} if stays is None else vars(stays) | {"weights": stays.weights._asdict()}
+        return {
+            **{
+                name: getattr(test, name) for name in (*names, "speed", "level", "covered", "reach")
+            },
+            "worst_q": self.loop.controller.task.robot.angles(self.samples.q[test.worst]),
+            **test.weights._asdict(),
+            "largest_period": self.largest_period[0],
+            "largest_stable_period": self.largest_period[1],
+            "largest_torque_delay": self.largest_delay,
+            "attraction": of_stays or None,
+        }
+
+
+def stability_report(
+    controller: SetpointController | TorqueLimited,
+    truth: Plant | Robot | Uncertainty,
+    region: Region | None = None,
+    *,
+    target: Sequence[float] | Array | None = None,
+    latency: Latency | None = None,
+    configurations: int = 2000,
+    runs: int = 0,
+    seed: int = 0,
+    executor: Executor | None = None,
+    progress: Callable[[str, float], None] | None = None,
+    **options: Any,
+) -> StabilityReport:
+    """Tell before anything moves whether a controller is stable, and by how much.
+
+    Half of the configurations, 1000 at most, find the worst cases and choose the Lyapunov
+    functions, with a closer look around the worst of them; the others check what was chosen.
+
+    Args:
+        controller: The controller, of law (6) or (28), or `TorqueLimited` around it: then certified
+            are those starts whose motions its efforts never limit.
+        truth: The true robot, as a plant or as a robot on which the controller's own task is
+            measured; or the set of true robots, corners and inside of which make half each.
+        region: Where to look, as far as the true robot's sensor sees; the joint limits without
+            near-singular configurations by default.
+        target: x_d, shape (n_x,), for the one target; by default the values of other
+            configurations of the region, so that the report speaks of all targets within it.
+        latency: When the loop measures and acts, which "certified" is about; by default that of
+            the controller, or 1 kHz with ideal sensors.
+        configurations: How many to draw, ≥ 20.
+        runs: How many rollouts to add; none by default.
+        seed: Of all drawing, ≥ 0.
+        executor: Where the rollouts run; here by default.
+        progress: Called with what is being done and the share of it.
+        options: Others of `rollouts`, such as sensing, duration, tolerance; they run as late as
+            `latency` says by default.
+
+    Raises:
+        InvalidInputError: Law (5) or a posture torque, a task whose Jacobian uses the measured x,
+            an empty region or one that a true camera sees nothing of, a target that no
+            configuration of a true robot attains, or numbers out of range.
+    """
+    if options and not runs:
+        raise InvalidInputError(
+            f"{' and '.join(options)} must be given with runs, the number of rollouts, got none",
+            given=options,
+        )
+    limiter = controller if isinstance(controller, TorqueLimited) else None
+    inside: Any = controller if limiter is None else limiter.controller
+    loop = ClosedLoop(inside, truth, region, target)
+    if latency is None:
+        latency = loop.controller.latency or Latency()
+    require("latency", latency, Latency, "Latency(period=...) or None")
+    half = min(as_integer("configurations", configurations, 20) // 2, _CHOOSE)
+    rng = np.random.default_rng(as_integer("seed", seed, 0))
+    if runs and not isinstance(truth, Uncertainty):
+        raise InvalidInputError(
+            "runs needs truth to be an Uncertainty, from which rollouts draw true robots, "
+            f"got {truth!r}",
+            given=truth,
+        )
+    tell = progress or (lambda what, share: None)
+    tell("configurations", 0.0)
+    samples = loop.draw(half, rng, inside=SHARED)
+    tell("configurations", 0.5)
+    fresh = loop.draw(configurations - half, rng, inside=1)
+    setting = loop.setting
+    samples, constants = refine_constants(loop, samples, rng)
+    form, check = MatrixForm(samples, setting), MatrixForm(fresh, setting)
+    found: dict[Family, Best] = {}
+    best: Best | None = None
+    for k, family in enumerate(setting.families):
+        tell("matrix form", k / len(setting.families))
+        form, best = refine_weights(loop, form, family, rng)
+        found[family] = best
+        if best.margins.min() > 0.0 and not check.violations(best.weights):
+            break
+    assert best is not None
+    samples = form.samples
+    matrix: dict[Family, MatrixTest] = {}
+    for family, each in found.items():
+        last = on_more(form, family, each)  # a later family may have found worse ones
+        matrix[family] = MatrixTest(
+            family, last.weights, last.margins, len(fresh), check.violations(last.weights),
+            loop.region.independent,
+        )  # fmt: skip
+    sampled = None
+    if loop.controller.adaptation is None:
+        tell("as it runs", 0.0)
+        sampled = sampled_test(loop, best, form, check, latency)
+    tell("local", 0.0)
+    truths, configured = samples.truth, samples.q
+    if loop.target is not None:
+        truths, configured = loop.targets(0, rng)
+    local = local_test(loop, truths, configured)
+    everywhere, outcome = samples.join(fresh), None
+    if runs and isinstance(truth, Uncertainty):
+        outcome = rollouts(
+            controller, truth, loop.region, target=target, runs=runs, seed=seed, executor=executor,
+            progress=lambda done: tell("rollouts", done / runs), **as_late(latency) | options,
+        )  # fmt: skip
+    first = theorem1(everywhere, setting, constants)
+    singular_q = loop.singular_configuration(samples)
+    damped_q = loop.damped_configuration(everywhere)
+    gravity_error = loop.gravity_error(samples.q[:: max(1, len(samples) // 20)])
+    growing = growth(loop, samples.take(np.arange(len(samples))[:_TARGETS]), latency)
+    report = StabilityReport(
+        loop, latency, everywhere, sampled, first, matrix, local, growing, outcome, gravity_error,
+        singular_q, damped_q, seed,
+    )  # fmt: skip
+    return report if limiter is None else within_limits(report, limiter)

@@ -1,0 +1,1 @@
+"""Rollouts: many simulated runs of a closed loop with random model errors."""

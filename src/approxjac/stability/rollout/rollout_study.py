@@ -1,0 +1,291 @@
+"""`Study`: what all rollouts share, and how they are carried out, one by one or in lanes."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import math
+import pickle
+import threading
+import uuid
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from approxjac.errors import InvalidInputError, SimulationError, UnknownNameError
+from approxjac.extras import package_of
+from approxjac.interface import Controller
+from approxjac.simulation import Plant, Sensing, Trajectory, simulate
+from approxjac.simulation.simulate import whole
+from approxjac.simulation.targets import Wanted, target_at, x_of
+from approxjac.stability.errors.region import JointBox, Region, RegularPart
+from approxjac.stability.errors.uncertainty import Uncertainty
+from approxjac.stability.loop.visibility import UnattainedError, VisiblePart
+from approxjac.validation import Array
+
+if TYPE_CHECKING:
+    from approxjac.codegen.lanes import Begun, Lanes
+    from approxjac.codegen.regions import Box
+
+COLUMNS = (
+    "index", "values", "q0", "target", "final_error", "settling_time", "peak_torque", "peak_speed",
+    "converged", "diverged", "stayed",
+)  # fmt: skip
+"""Fields of `Rollout` that are told of each run."""
+
+_RECORDS = 500  # of a run: 50 in its last tenth
+_EXAMPLES = 16  # runs that show what differs from run to run
+_ENGINES = ("lanes", "python")
+_COMPILED = 4  # loops that a process keeps
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Begin of a run: truth, start and target.
+
+    Attributes:
+        index: Its number.
+        values: True values of the uncertain coordinates, shape (d,).
+        plant: The true robot.
+        q: Configuration, at rest, shape (nq,).
+        target: x_d at the beginning, shape (n_x,).
+        seed: Of noise and dropouts.
+    """
+
+    index: int
+    values: Array
+    plant: Plant
+    q: Array
+    target: Array
+    seed: int
+
+    def begun(self, controller: Controller) -> Begun:
+        """Return what lanes keep of it."""
+        from approxjac.codegen.lanes import Begun
+
+        return Begun.of(controller, self.plant, self.q, self.target, self.seed)
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """Setting that all runs share.
+
+    Attributes:
+        controller: The controller.
+        uncertainty: What the true robots are drawn from.
+        region: Where starts and targets are drawn.
+        target: x_d of all, shape (n_x,), or what moves; or None.
+        duration: Of each run [s].
+        dt: Sampling time [s].
+        tolerance: Error below which a task counts as done [unit of the task].
+        seed: Of the drawing.
+        sensing: How measurements differ from the truth, or None.
+        actuator_delay: Time from a torque to its effect [s].
+        engine: "lanes" or "python".
+        reason: Why it is not lanes; empty where it is, or where Python was asked for.
+        examples: Number of runs that show what differs.
+        key: What the compiled loop is known by.
+        alike: Controllers and errors of studies with the same compiled loop, which differ in all
+            that differs between them; itself alone by default.
+    """
+
+    controller: Controller
+    uncertainty: Uncertainty
+    region: Region
+    target: Wanted | None
+    duration: float
+    dt: float
+    tolerance: float
+    seed: int
+    sensing: Sensing | None = None
+    actuator_delay: float = 0.0
+    engine: str = "python"
+    reason: str = ""
+    examples: int = 0
+    key: str = ""
+    alike: tuple[tuple[Controller, Uncertainty], ...] = ()
+
+    def with_engine(self, engine: str | None, runs: int) -> Study:
+        """Return this with an engine: the one that is asked for, or the fastest that covers it."""
+        if engine is not None and engine not in _ENGINES:
+            raise UnknownNameError("engine", engine, "rollouts", _ENGINES)
+        if engine == "python":
+            return self
+        try:
+            from approxjac.codegen.loop_program import require_covered
+
+            require_covered(self.controller, self.plant(self.uncertainty.believed))
+            self._require_alike()
+            self._box()
+        except InvalidInputError as error:
+            if engine is not None:
+                raise
+            return replace(self, reason=str(error))
+        if engine is not None:
+            package_of("fast", "llvmlite")
+        elif importlib.util.find_spec("llvmlite") is None:
+            return replace(self, reason="llvmlite is not installed")
+        study = replace(self, engine="lanes", examples=min(max(runs, 2), _EXAMPLES))
+        try:
+            key = hashlib.sha256(pickle.dumps(study)).hexdigest()
+        except (pickle.PicklingError, AttributeError, TypeError):
+            key = uuid.uuid4().hex  # for the threads of this process
+        return replace(study, key=key)
+
+    def _require_alike(self) -> None:
+        """Refuse true robots that may differ in more than lengths, axes, masses and cameras."""
+        own = type(self.uncertainty)
+        if (own.plant, own.robot) != (Uncertainty.plant, Uncertainty.robot):
+            raise InvalidInputError(
+                "uncertainty must be one whose plant and robot are those of Uncertainty for lanes, "
+                f"got {own.__name__}: {self.uncertainty!r}",
+                given=self.uncertainty,
+            )
+
+    def _box(self) -> Box:
+        """Return the region as lanes take it, or refuse it."""
+        from approxjac.codegen.arm.traced_tasks import require_covered
+        from approxjac.codegen.regions import Box
+
+        part = self.region
+        region, task, sigma_min = part, None, 0.0
+        if type(part) is RegularPart:
+            region, task, sigma_min = part.region, part.task, part.sigma_min
+            require_covered(task)
+        if type(region) is not JointBox:
+            raise InvalidInputError(
+                f"region must be a JointBox, or the RegularPart of one, for lanes, got {region!r}",
+                given=region,
+            )
+        return Box(region.center, region.lower, region.upper, task, sigma_min)
+
+    @property
+    def steps(self) -> int:
+        """Number of steps of a run."""
+        return whole("dt", self.dt, self.duration)
+
+    @property
+    def every(self) -> int:
+        """Number of steps from one recorded instant to the next."""
+        return max(1, round(self.duration / self.dt / _RECORDS))
+
+    def plant(self, values: Array) -> Plant:
+        """Return the true robot at values (d,), with its sensors and motors."""
+        plant = self.uncertainty.plant(values)
+        return plant._sensed(self.sensing, self.actuator_delay)
+
+    def start(self, index: int) -> Start:
+        """Return how a run begins, drawn from a generator of its own."""
+        rng = np.random.default_rng([self.seed, index])
+        values = self.uncertainty.sample(rng)
+        plant = self.plant(values)
+        seen = VisiblePart(self.region, plant.sensor)
+        try:
+            q0 = plant.robot.configuration(self.region.sample(1, rng)[0], "q0")
+            q0 = seen.replace_unseen(q0[None], rng)[0]
+            if self.target is None:
+                target = plant.sensor.value(seen.sample(1, rng)[0])
+            else:
+                target = x_of(target_at(self.target, 0.0))
+        except UnattainedError as error:
+            told = f"{error}, with {self.uncertainty.describe(values)}"
+            raise UnattainedError(told, given=values, truth=index) from error
+        return Start(index, values, plant, q0, target, int(rng.integers(2**63)))
+
+    def simulated(self, start: Start) -> Trajectory:
+        """Return a run in Python."""
+        target = start.target if self.target is None else self.target
+        return simulate(
+            start.plant, self.controller, target, start.q, self.duration, dt=self.dt,
+            record_every=self.every * self.dt, integrator="semi_implicit_euler", seed=start.seed,
+        )  # fmt: skip
+
+    def _of_python(self, start: Start) -> tuple[Any, ...]:
+        """Return a run in Python, as its row."""
+        begins = start.index, start.values, start.q, start.target
+        try:
+            record = self.simulated(start)
+        except SimulationError:
+            return (*begins, math.inf, math.nan, math.nan, math.nan, False, True, False)
+        settling, converged = _judged(record.t, record.error_norm, self.tolerance)
+        final = float(record.error_norm[-1])
+        final = math.inf if math.isnan(final) else final
+        robot = start.plant.robot
+        torque = float(np.abs(record.tau / start.plant.motor_limits).max())
+        speed = float(np.abs(record.v / robot.velocity_limits).max())
+        stayed = all(bool(self.region.contains(q)) for q in record.q)
+        return (*begins, final, settling, torque, speed, converged, False, stayed)
+
+    def columns(self, indices: range) -> dict[str, Array]:
+        """Return some runs, as columns; with a copy of this, where others go on meanwhile."""
+        if self.engine == "lanes":
+            return self._of_lanes(indices)
+        return _columns([self._of_python(self.start(index)) for index in indices])
+
+    def _of_lanes(self, indices: range) -> dict[str, Array]:
+        """Return runs in lanes, as columns; those that lanes leave are runs in Python."""
+        lanes, rows, begun = _lanes_of(self), [], []
+        moving = replace(self, uncertainty=self.uncertainty.moving())
+        for index in indices:
+            start = moving.start(index)
+            at = index, start.values, start.q, start.target
+            rows.append((*at, *([math.nan] * 4), *([False] * 3)))
+            begun.append(start.begun(self.controller))
+        told: dict[str, Any] = lanes.run(begun, self.every)
+        found: dict[str, Any] = _columns(rows)
+        diverged, last_bad = told["diverged"] > 0.0, told["last_bad"]
+        found["diverged"] = diverged
+        lost = np.isnan(told["error"])
+        found["final_error"] = np.where(diverged | lost, math.inf, told["error"])
+        after = np.where(last_bad < 0.0, 0.0, (last_bad // self.every + 1) * self.every)
+        after = np.minimum(after, self.steps)  # the last instant is recorded, too
+        settled = (last_bad < self.steps) & ~diverged
+        found["settling_time"] = np.where(settled, after * self.dt, math.nan)
+        tenth = np.ceil((0.9 - 1e-9) * self.steps)
+        found["converged"] = settled & (last_bad < tenth)
+        found["stayed"] = (told["outside"] == 0.0) & ~diverged
+        for name, of in (("peak_torque", "torque"), ("peak_speed", "speed")):
+            found[name] = np.where(diverged, math.nan, told[of])
+        for k in np.flatnonzero(told["left"]):
+            for name, value in zip(COLUMNS, self._of_python(self.start(indices[k])), strict=True):
+                found[name][k] = value
+        return found
+
+
+def _columns(rows: list[tuple[Any, ...]]) -> dict[str, Array]:
+    return {name: np.array(each) for name, each in zip(COLUMNS, zip(*rows), strict=True)}  # noqa: B905
+
+
+def _judged(t: Array, error: Array, tolerance: float) -> tuple[float, bool]:
+    """Settling time, and whether the error was below the tolerance in all of the last tenth."""
+    below = error < tolerance
+    last_tenth = t >= (0.9 - 1e-9) * t[-1]
+    first = int(np.flatnonzero(~below).max(initial=-1)) + 1
+    settling = float(t[first]) if first < len(t) else math.nan
+    return settling, bool(below[last_tenth].all())
+
+
+_lanes: dict[str, Lanes] = {}
+_compiling = threading.Lock()
+
+
+def _lanes_of(study: Study) -> Lanes:
+    """Return the compiled loop of a study, compiled once in each process."""
+    from approxjac.codegen.lanes import Lanes
+
+    with _compiling:
+        if study.key not in _lanes:
+            while len(_lanes) >= _COMPILED:
+                del _lanes[next(iter(_lanes))]
+            examples = []
+            for law, errors in study.alike or ((study.controller, study.uncertainty),):
+                one = replace(study, controller=law, uncertainty=errors)
+                starts = [one.start(index) for index in range(study.examples)]
+                examples += [each.begun(law) for each in starts]
+            _lanes[study.key] = Lanes(
+                law, starts[0].plant, examples, study._box(), study.dt, study.steps,
+                study.tolerance,
+                path=None if isinstance(study.target, np.ndarray) else study.target,
+            )  # fmt: skip
+        return _lanes[study.key]

@@ -1,0 +1,1 @@
+"""Searches: for gains, for the largest tolerated error, and maps over errors."""
