@@ -11,10 +11,9 @@ from hypothesis import strategies as st
 from approxjac import law
 from approxjac.codegen.backends.llvm import LlvmLanes
 from approxjac.codegen.backends.numpy_source import NumpyLanes, numpy_function
-from approxjac.codegen.trace.graph import Graph, select
 from approxjac.codegen.trace.linear import Factors, damped_gram_solve, eigensystem
 from approxjac.codegen.trace.program import Block, Program
-from approxjac.codegen.trace.symbols import any_of, inputs, symbols
+from approxjac.codegen.trace.symbols import Graph, any_of, inputs, select, symbols
 
 
 @pytest.fixture

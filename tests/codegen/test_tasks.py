@@ -10,9 +10,8 @@ from approxjac.cameras import PlanarCamera, tag_corners
 from approxjac.codegen.arm import traced_tasks as tasks
 from approxjac.codegen.arm.rigid_body import Arm
 from approxjac.codegen.backends.numpy_source import numpy_function
-from approxjac.codegen.trace.functions import arctangent
 from approxjac.codegen.trace.program import Program
-from approxjac.codegen.trace.symbols import inputs
+from approxjac.codegen.trace.symbols import arctangent, inputs
 from approxjac.errors import InvalidInputError
 from approxjac.tasks import CombinedTask, NonsingularTask, PoseTrackerTask, TrackerTask
 

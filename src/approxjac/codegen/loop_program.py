@@ -15,11 +15,18 @@ from approxjac.codegen.arm.arm_numbers import ArmNumbers, arm_numbers
 from approxjac.codegen.arm.rigid_body import Arm, Configured, moved
 from approxjac.codegen.regions import Box, outside
 from approxjac.codegen.sensors import Measured, Senses
-from approxjac.codegen.trace.functions import LARGEST_ANGLE
-from approxjac.codegen.trace.graph import Condition, Number, Scalar, select
 from approxjac.codegen.trace.linear import Factors
 from approxjac.codegen.trace.program import Program
-from approxjac.codegen.trace.symbols import Symbols, any_of, symbols
+from approxjac.codegen.trace.symbols import (
+    LARGEST_ANGLE,
+    Condition,
+    Number,
+    Scalar,
+    Symbols,
+    any_of,
+    select,
+    symbols,
+)
 from approxjac.codegen.traced_hold import Held, inside
 from approxjac.controllers import HeldMeasurement
 from approxjac.controllers.gains.gains import Diagonals
@@ -188,7 +195,7 @@ class _Loop(NamedTuple):
     x: Symbols
     error: Symbols  # of what no sensor sees, too
     answer: setpoint.Answer
-    within: limits.Limited
+    within: limits.TracedTorque
     after: dict[str, Any]
     diverged: Condition
     left: Condition

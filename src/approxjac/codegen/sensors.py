@@ -9,9 +9,8 @@ import numpy as np
 
 from approxjac.codegen.arm import traced_tasks as tasks
 from approxjac.codegen.arm.rigid_body import difference, moved
-from approxjac.codegen.trace.graph import Number, select
 from approxjac.codegen.trace.program import Program
-from approxjac.codegen.trace.symbols import Symbols, symbols
+from approxjac.codegen.trace.symbols import Number, Symbols, select, symbols
 from approxjac.interface import Target, TargetPath
 from approxjac.simulation import Plant, Sensing
 from approxjac.simulation.sensing import (

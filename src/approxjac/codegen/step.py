@@ -13,9 +13,8 @@ from approxjac.codegen import traced_tracking as tracking
 from approxjac.codegen.arm import traced_tasks as tasks
 from approxjac.codegen.arm.rigid_body import Arm
 from approxjac.codegen.backends.llvm import LlvmLanes
-from approxjac.codegen.trace.graph import Scalar, select
 from approxjac.codegen.trace.program import Program
-from approxjac.codegen.trace.symbols import symbols
+from approxjac.codegen.trace.symbols import Scalar, select, symbols
 from approxjac.codegen.whole_run import WholeLoops
 from approxjac.controllers.arguments import FLOAT64, HUGE
 from approxjac.controllers.limits.torque_limited import TorqueLimited

@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from approxjac.codegen.arm import traced_tasks as tasks
-from approxjac.codegen.trace.graph import Condition, select
-from approxjac.codegen.trace.symbols import Symbols, any_of, symbols
+from approxjac.codegen.trace.symbols import Condition, Symbols, any_of, select, symbols
 from approxjac.controllers import HeldMeasurement
 from approxjac.interface import Controller
 from approxjac.validation import Array

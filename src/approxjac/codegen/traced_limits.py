@@ -9,8 +9,7 @@ import numpy as np
 from approxjac import law
 from approxjac.codegen import traced_setpoint as setpoint
 from approxjac.codegen.arm.rigid_body import Configured
-from approxjac.codegen.trace.graph import Condition, Scalar
-from approxjac.codegen.trace.symbols import Symbols, any_of, symbols
+from approxjac.codegen.trace.symbols import Condition, Scalar, Symbols, any_of, symbols
 from approxjac.controllers.gains.gains import Diagonals
 from approxjac.controllers.limits.torque_limited import TorqueLimited
 from approxjac.controllers.setpoint import SetpointController

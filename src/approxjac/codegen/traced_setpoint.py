@@ -10,9 +10,8 @@ import numpy as np
 from approxjac import law
 from approxjac.codegen.arm import traced_tasks as tasks
 from approxjac.codegen.arm.rigid_body import Arm, Configured
-from approxjac.codegen.trace.graph import Condition, Scalar, select
 from approxjac.codegen.trace.linear import Factors, damped_gram_solve
-from approxjac.codegen.trace.symbols import Symbols, any_of, symbols
+from approxjac.codegen.trace.symbols import Condition, Scalar, Symbols, any_of, select, symbols
 from approxjac.controllers import AwayFromStops, Posture
 from approxjac.controllers.gains.default_gains import slow_rate
 from approxjac.controllers.gains.gains import Diagonals

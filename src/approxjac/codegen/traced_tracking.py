@@ -13,10 +13,9 @@ from approxjac.codegen.arm import traced_tasks as tasks
 from approxjac.codegen.arm.learnt_arm import LearntBodies, point_motion
 from approxjac.codegen.arm.rigid_body import Arm
 from approxjac.codegen.backends.llvm import LlvmLanes
-from approxjac.codegen.trace.graph import select
 from approxjac.codegen.trace.linear import Factors, is_regular
 from approxjac.codegen.trace.program import Program
-from approxjac.codegen.trace.symbols import Symbols, symbols
+from approxjac.codegen.trace.symbols import Symbols, select, symbols
 from approxjac.controllers import AdaptiveDynamics, AdaptiveKinematics, TrackingController
 from approxjac.controllers.arguments import FLOAT64, HUGE
 from approxjac.controllers.learning.predicted_error import pulled_back

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from approxjac.codegen.trace.graph import Number
-from approxjac.codegen.trace.symbols import Symbols, symbols
+from approxjac.codegen.trace.symbols import Number, Symbols, symbols
 
 
 class Motion(NamedTuple):

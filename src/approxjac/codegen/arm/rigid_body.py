@@ -16,10 +16,8 @@ import numpy as np
 
 from approxjac.codegen.arm.arm_numbers import ArmNumbers, Reduced, Structure, arm_numbers, reduced
 from approxjac.codegen.arm.bodies import Body, Motion, Wrench, cross, force, gradient
-from approxjac.codegen.trace.functions import arctangent
-from approxjac.codegen.trace.graph import Number, select
 from approxjac.codegen.trace.linear import Factors
-from approxjac.codegen.trace.symbols import Symbols, symbols
+from approxjac.codegen.trace.symbols import Number, Symbols, arctangent, select, symbols
 from approxjac.robots import GravityRegressor, Robot
 from approxjac.robots.model import own_joints
 from approxjac.validation import Array

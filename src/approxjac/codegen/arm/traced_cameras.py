@@ -11,9 +11,7 @@ import numpy as np
 from approxjac.cameras import Camera, PinholeCamera, PlanarCamera
 from approxjac.cameras.lenses import BEFORE, HALVINGS, NEWTON_STEPS, Distortion, Fisheye, Lens
 from approxjac.cameras.pinhole import WITHIN
-from approxjac.codegen.trace.functions import arctangent
-from approxjac.codegen.trace.graph import Number, select
-from approxjac.codegen.trace.symbols import Symbols, any_of, symbols
+from approxjac.codegen.trace.symbols import Number, Symbols, any_of, arctangent, select, symbols
 from approxjac.validation import Array
 
 _TINY = 1e-300

@@ -10,10 +10,8 @@ import numpy as np
 
 from approxjac.codegen.arm import traced_cameras as cameras
 from approxjac.codegen.arm.rigid_body import Configured, moved
-from approxjac.codegen.trace.functions import arctangent
-from approxjac.codegen.trace.graph import Scalar, select
 from approxjac.codegen.trace.linear import eigensystem, is_regular
-from approxjac.codegen.trace.symbols import Symbols, symbols
+from approxjac.codegen.trace.symbols import Scalar, Symbols, arctangent, select, symbols
 from approxjac.errors import InvalidInputError
 from approxjac.tasks import (
     CombinedTask,

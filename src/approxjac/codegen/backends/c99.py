@@ -12,9 +12,8 @@ from approxjac.codegen import traced_limits as limits
 from approxjac.codegen.arm import traced_tasks as tasks
 from approxjac.codegen.arm.rigid_body import Arm
 from approxjac.codegen.backends.numpy_source import numpy_function
-from approxjac.codegen.trace.graph import Graph, Number
 from approxjac.codegen.trace.program import Language, Program, Writer
-from approxjac.codegen.trace.symbols import inputs, symbols
+from approxjac.codegen.trace.symbols import Graph, Number, inputs, symbols
 from approxjac.controllers.limits.torque_limited import TorqueLimited
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.interface import Measurement

@@ -11,7 +11,7 @@ import numpy as np
 from approxjac.codegen.backends import c_templates as templates
 from approxjac.codegen.backends.c99 import SampledStep, constant, sampled_step
 from approxjac.codegen.backends.c_words import identifier, pairs, words
-from approxjac.codegen.trace.functions import LARGEST_ANGLE
+from approxjac.codegen.trace.symbols import LARGEST_ANGLE
 from approxjac.codegen.traced_limits import require_covered
 from approxjac.controllers.gains.latency import Latency
 from approxjac.controllers.limits.torque_limited import TorqueLimited

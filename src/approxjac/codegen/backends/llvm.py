@@ -8,8 +8,8 @@ import struct
 from collections.abc import Callable, Mapping
 from itertools import chain
 
-from approxjac.codegen.trace.graph import Number
 from approxjac.codegen.trace.program import STEP, Block, Language, Program, Writer
+from approxjac.codegen.trace.symbols import Number
 from approxjac.extras import package_of
 from approxjac.validation import Array
 

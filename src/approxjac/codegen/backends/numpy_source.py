@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.codegen.trace.graph import Graph, Number
 from approxjac.codegen.trace.program import STEP, Block, Language, Program, Writer
+from approxjac.codegen.trace.symbols import Graph, Number
 from approxjac.validation import Array
 
 _TEMPLATES = {

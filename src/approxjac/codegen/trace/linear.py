@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from approxjac import law
-from approxjac.codegen.trace.graph import Condition, Number, Scalar, select
-from approxjac.codegen.trace.symbols import Symbols, symbols
+from approxjac.codegen.trace.symbols import Condition, Number, Scalar, Symbols, select, symbols
 
 _SWEEPS = {1: 0, 2: 1, 3: 5}
 _MANY_SWEEPS = 7  # beyond three rows

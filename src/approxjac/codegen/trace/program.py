@@ -7,8 +7,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from approxjac.codegen.trace.graph import CONDITIONS, Graph, Number, Scalar
-from approxjac.codegen.trace.symbols import Symbols, inputs, symbols
+from approxjac.codegen.trace.symbols import (
+    CONDITIONS,
+    Graph,
+    Number,
+    Scalar,
+    Symbols,
+    inputs,
+    symbols,
+)
 from approxjac.validation import Array
 
 _DUST = 1e-14  # of the largest number, which round-off may leave of one that does not differ

@@ -1,15 +1,410 @@
-"""`SymbolArray`: arrays of numbers that are not known yet, which the functions of `law` take."""
+"""Numbers that are not known yet, arrays of them, and the graph of what is done with them.
+
+`Scalar` stands for a number, `SymbolArray` for an array, which the functions of `law` take for one
+of NumPy's. What is done with them is written into their `Graph`, where constants are folded and
+equal operations stand once. All operations are those of IEEE 754 that are rounded correctly (and
+moves of bits), so that whatever carries them out computes the same bits. Sine and cosine, tanh and
+exp, whose last bits differ from machine to machine, are made of those: sine and cosine within two
+units of the last place, tanh within four.
+"""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
-from typing import Any
+import math
+import operator
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from approxjac.codegen.trace import functions
-from approxjac.codegen.trace.graph import Condition, Graph, Number, Scalar, select
+Number = Any
+"""A `Scalar`, or a float: mypy cannot tell which are folded to a float."""
+Condition = Any
+"""A `Scalar` that is true or false, or a bool."""
+
+
+class Node(NamedTuple):
+    """One operation.
+
+    Attributes:
+        operation: One of `OPERATIONS`, "input", "constant" or "rare".
+        arguments: Places of its arguments in the graph.
+        value: The constant; the name and the place of an input; the number of a rare block.
+    """
+
+    operation: str
+    arguments: tuple[int, ...] = ()
+    value: float | tuple[str, int] | int | None = None
+
+
+def _select(condition: bool, a: float, b: float) -> float:
+    return a if condition else b
+
+
+def _power(shifted: float) -> float:
+    """2**k of k + POWER_SHIFT."""
+    return math.ldexp(1.0, int(shifted - POWER_SHIFT))
+
+
+def _divide(a: float, b: float) -> float:
+    if b == 0.0:
+        return math.nan if a == 0.0 or math.isnan(a) else math.copysign(math.inf, a * b)
+    return a / b
+
+
+POWER_SHIFT = 1023.0 + 1.5 * 2.0**52
+"""Added to an integer k, the last 12 bits of the sum are those of 2**k's exponent."""
+
+OPERATIONS: dict[str, Callable[..., float | bool]] = {
+    "add": operator.add,
+    "subtract": operator.sub,
+    "multiply": operator.mul,
+    "divide": _divide,
+    "negative": operator.neg,
+    "absolute": abs,
+    "sqrt": lambda a: math.sqrt(a) if a >= 0.0 else math.nan,
+    "floor": lambda a: float(math.floor(a)) if math.isfinite(a) else a,
+    "power": _power,
+    "less": operator.lt,
+    "less_equal": operator.le,
+    "equal": operator.eq,
+    "and": operator.and_,
+    "or": operator.or_,
+    "not": operator.not_,
+    "select": _select,
+}
+CONDITIONS = frozenset({"less", "less_equal", "equal", "and", "or", "not"})
+"""Operations whose result is true or false."""
+
+_COMMUTES = frozenset({"add", "multiply", "equal", "and", "or"})
+
+
+class Graph:
+    """Operations in an order in which they can be carried out.
+
+    Attributes:
+        nodes: The operations.
+    """
+
+    def __init__(self) -> None:
+        self.nodes: list[Node] = []
+        self._known: dict[object, int] = {}
+        self._blocks = 0
+
+    def input(self, name: str, size: int) -> list[Scalar]:
+        """Return the numbers of an input."""
+        return [self._scalar(Node("input", (), (name, i))) for i in range(size)]
+
+    def place(self, number: Number) -> int:
+        """Return the place of a number, written down if it is a constant."""
+        if isinstance(number, Scalar):
+            if number.graph is not self:
+                raise ValueError("a number of another graph")
+            return number.place
+        return self._scalar(Node("constant", (), float(number))).place
+
+    def apply(self, operation: str, *numbers: Number) -> Scalar:
+        """Return the result of an operation that is written down."""
+        places = tuple(map(self.place, numbers))
+        if operation in _COMMUTES:
+            places = tuple(sorted(places))
+        return self._scalar(Node(operation, places))
+
+    def rare(
+        self, condition: Condition, values: Sequence[Number], others: Sequence[Number]
+    ) -> list[Number]:
+        """Return values where a condition holds, others elsewhere, as `select` does.
+
+        What only the values need is computed where the condition holds in at least one run of a
+        vector: so it costs nothing where it never does.
+        """
+        if not isinstance(condition, Scalar):
+            return list(values if condition else others)
+        self._blocks += 1
+        places = [(self.place(a), self.place(b)) for a, b in zip(values, others, strict=True)]
+        return [
+            self._scalar(Node("rare", (condition.place, *each), self._blocks)) for each in places
+        ]
+
+    def needed(self, numbers: Sequence[Number]) -> list[int]:
+        """Return the places of all that some numbers depend on, in order."""
+        needed, waiting = set(), [self.place(number) for number in numbers]
+        while waiting:
+            place = waiting.pop()
+            if place not in needed:
+                needed.add(place)
+                waiting += self.nodes[place].arguments
+        return sorted(needed)
+
+    def _scalar(self, node: Node) -> Scalar:
+        # 0.0 and −0.0 are equal, and not the same
+        key = (*node[:2], repr(node.value)) if node.operation == "constant" else node
+        place = self._known.get(key)
+        if place is None:
+            place = self._known[key] = len(self.nodes)
+            self.nodes.append(node)
+        return Scalar(self, place)
+
+
+class Scalar:
+    """A number, or a truth value, of a graph."""
+
+    __slots__ = ("graph", "place")
+
+    def __init__(self, graph: Graph, place: int) -> None:
+        self.graph = graph
+        self.place = place
+
+    def __add__(self, other: Number) -> Number:
+        if not isinstance(other, Scalar):
+            return self if other == 0.0 else self.graph.apply("add", self, other)
+        if (inside := _negated(other)) is not None:
+            return self - inside
+        if (inside := _negated(self)) is not None:
+            return other - inside
+        return self.graph.apply("add", self, other)
+
+    __radd__ = __add__
+
+    def __sub__(self, other: Number) -> Number:
+        if not isinstance(other, Scalar):
+            return self if other == 0.0 else self.graph.apply("subtract", self, other)
+        if (inside := _negated(other)) is not None:
+            return self + inside
+        return self.graph.apply("subtract", self, other)
+
+    def __rsub__(self, other: Number) -> Number:
+        return -self if other == 0.0 else self.graph.apply("subtract", other, self)
+
+    def __mul__(self, other: Number) -> Number:
+        if not isinstance(other, Scalar):
+            if other == 0.0:  # an unknown number is finite: a step that is not is no usual one
+                return 0.0
+            if other in (1.0, -1.0):
+                return self if other == 1.0 else -self
+        elif (inside := _negated(other)) is not None:
+            return -(self * inside)
+        if (inside := _negated(self)) is not None:
+            return -(inside * other)
+        return self.graph.apply("multiply", self, other)
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, other: Number) -> Number:
+        if not isinstance(other, Scalar) and other == 1.0:
+            return self
+        return self.graph.apply("divide", self, other)
+
+    def __rtruediv__(self, other: Number) -> Number:
+        return 0.0 if other == 0.0 else self.graph.apply("divide", other, self)
+
+    def __neg__(self) -> Scalar:
+        inside = _negated(self)
+        return self.graph.apply("negative", self) if inside is None else inside
+
+    def __pos__(self) -> Scalar:
+        return self
+
+    def __abs__(self) -> Scalar:
+        return self.graph.apply("absolute", self)
+
+    def __pow__(self, exponent: float) -> Number:
+        if exponent != int(exponent) or not 1 <= exponent <= 8:
+            raise TypeError(f"a power must be an integer from 1 to 8, got {exponent!r}")
+        product: Number = self
+        for _ in range(int(exponent) - 1):
+            product = product * self
+        return product
+
+    def __lt__(self, other: Number) -> Scalar:
+        return self.graph.apply("less", self, other)
+
+    def __gt__(self, other: Number) -> Scalar:
+        return self.graph.apply("less", other, self)
+
+    def __le__(self, other: Number) -> Scalar:
+        return self.graph.apply("less_equal", self, other)
+
+    def __ge__(self, other: Number) -> Scalar:
+        return self.graph.apply("less_equal", other, self)
+
+    def __eq__(self, other: object) -> Scalar:  # type: ignore[override]
+        return self.graph.apply("equal", self, other)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __and__(self, other: Condition) -> Condition:
+        if isinstance(other, Scalar):
+            return self.graph.apply("and", self, other)
+        return self if other else False
+
+    __rand__ = __and__
+
+    def __or__(self, other: Condition) -> Condition:
+        if isinstance(other, Scalar):
+            return self.graph.apply("or", self, other)
+        return True if other else self
+
+    __ror__ = __or__
+
+    def __invert__(self) -> Scalar:
+        return self.graph.apply("not", self)
+
+    def __bool__(self) -> bool:
+        raise TypeError("no branch on a number that is not known yet: choose with np.where")
+
+    __float__ = __int__ = __bool__
+
+    def __array_ufunc__(self, *arguments: Any, **options: Any) -> Any:
+        return _apply(*arguments, **options)
+
+    def __array_function__(self, function: Any, types: Any, arguments: Any, options: Any) -> Any:
+        return _where(*arguments) if function is np.where else NotImplemented
+
+    def choose(self, then: Callable[[], Any], otherwise: Callable[[], Any]) -> Any:
+        """Return what `law.choose` does; `then` costs nothing where it never holds."""
+        return _chosen(self, then(), otherwise())
+
+    def sqrt(self) -> Scalar:
+        """Return √a."""
+        return self.graph.apply("sqrt", self)
+
+    def floor(self) -> Scalar:
+        """Return the largest integer that is at most a."""
+        return self.graph.apply("floor", self)
+
+    def __repr__(self) -> str:
+        return f"Scalar({self.place}: {self.graph.nodes[self.place]})"
+
+
+def select(condition: Condition, a: Number, b: Number) -> Number:
+    """Return a where a condition holds, b elsewhere."""
+    if not isinstance(condition, Scalar):
+        return a if condition else b
+    if a is b:
+        return a
+    if _is_condition(a) or _is_condition(b):
+        return (condition & a) | (~condition & b)
+    return condition.graph.apply("select", condition, a, b)
+
+
+def _is_condition(number: Number) -> bool:
+    if isinstance(number, Scalar):
+        return number.graph.nodes[number.place].operation in CONDITIONS
+    return isinstance(number, bool | np.bool_)
+
+
+def _negated(number: Scalar) -> Scalar | None:
+    """Return b of a = −b, or None."""
+    node = number.graph.nodes[number.place]
+    return Scalar(number.graph, node.arguments[0]) if node.operation == "negative" else None
+
+
+# -- functions of one number ----------------------------------------------------------------------
+
+# π/2 and ln 2 in parts of 33 bits and less, so that an integer up to 2²⁰ times each is exact
+_QUARTERS = (1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624879595063154e-21)
+_LN2 = (6.93147180369123816490e-01, 1.90821492927058770002e-10)
+# minimax polynomials of FreeBSD's msun (k_sin.c, k_cos.c), from the lowest power
+_SIN = (
+    -1.66666666666666324348e-01, 8.33333333332248946124e-03, -1.98412698298579493134e-04,
+    2.75573137070700676789e-06, -2.50507602534068634195e-08, 1.58969099521155010221e-10,
+)  # fmt: skip
+_COS = (
+    4.16666666666666019037e-02, -1.38888888888741095749e-03, 2.48015872894767294178e-05,
+    -2.75573143513906633035e-07, 2.08757232129817482790e-09, -1.13596475577881948265e-11,
+)  # fmt: skip
+# of atan (s_atan.c), and the angles that it is reduced by, in two parts
+_ATAN = (
+    3.33333333333329318027e-01, -1.99999999998764832476e-01, 1.42857142725034663711e-01,
+    -1.11111104054623557880e-01, 9.09088713343650656196e-02, -7.69187620504482999495e-02,
+    6.66107313738753120669e-02, -5.83357013379057348645e-02, 4.97687799461593236017e-02,
+    -3.65315727442169155270e-02, 1.62858201153657823623e-02,
+)  # fmt: skip
+_ANGLES = (  # up to a tangent of, the tangent and the angle
+    (7 / 16, 0.0, 0.0, 0.0),
+    (11 / 16, 0.5, 4.63647609000806093515e-01, 2.26987774529616870924e-17),
+    (19 / 16, 1.0, 7.85398163397448278999e-01, 3.06161699786838301793e-17),
+    (39 / 16, 1.5, 9.82793723247329054082e-01, 1.39033110312309984516e-17),
+)  # fmt: skip
+_RIGHT = (1.57079632679489655800e00, 6.12323399573676603587e-17)
+_FACTORIALS = 14  # terms of exp up to ½ ln 2, whose remainder is 4e-18
+_FLAT = 20.0  # beyond it, tanh is 1 to the last bit
+
+LARGEST_ANGLE = 1e6
+"""Angle up to which `sine_and_cosine` keeps its digits [rad]."""
+
+
+def nearest_integer(x: Scalar) -> Number:
+    """Return the integer next to x, the even one of two."""
+    return select(abs(x) < 2.0**51, (x + 1.5 * 2.0**52) - 1.5 * 2.0**52, x)
+
+
+def sine_and_cosine(x: Scalar) -> tuple[Number, Number]:
+    """Return sin x and cos x, for x up to `LARGEST_ANGLE`."""
+    quarter = (x * (2.0 / 3.14159265358979323846) + 0.5).floor()
+    r: Number = x
+    for part in _QUARTERS:
+        r = r - quarter * part
+    square = r * r
+    sine = r + r * square * _polynomial(square, _SIN)
+    cosine = (1.0 - 0.5 * square) + square * square * _polynomial(square, _COS)
+    half = (quarter * 0.5).floor()
+    odd = quarter - 2.0 * half  # whether sine and cosine change places
+    behind = half - 2.0 * (half * 0.5).floor()  # whether x is in the third or fourth quarter
+    swaps, sign = odd == 1.0, 1.0 - 2.0 * behind
+    return (
+        sign * select(swaps, cosine, sine),
+        sign * (1.0 - 2.0 * odd) * select(swaps, sine, cosine),
+    )
+
+
+def tanh(x: Scalar) -> Number:
+    """Return tanh x."""
+    size = abs(x)
+    size = select(size < _FLAT, size, _FLAT)
+    grown = expm1(size + size)
+    value = grown / (grown + 2.0)
+    return select(x < 0.0, -value, value)
+
+
+def arctangent(y: Number, x: Number) -> Number:
+    """Return the angle of (x, y), from 0 to π/2 [rad]; neither is negative, nor both 0."""
+    top, bottom, (high, low) = -x, y, _RIGHT
+    for end, tangent, *angle in reversed(_ANGLES):
+        within = y < end * x
+        # tan(α − β) = (y − x tan β) / (x + y tan β)
+        top = select(within, y - x * tangent, top)
+        bottom = select(within, x + y * tangent, bottom)
+        high, low = (select(within, *each) for each in zip(angle, (high, low), strict=True))
+    t = top / bottom
+    square = t * t
+    return high - ((t * (square * _polynomial(square, _ATAN)) - low) - t)
+
+
+def expm1(x: Scalar) -> Number:
+    """Return exp(x) − 1, for x from −700 to 700."""
+    k = (x * (1.0 / 0.693147180559945309417) + 0.5).floor()
+    r: Number = x
+    for part in _LN2:
+        r = r - k * part
+    coefficient, coefficients = 1.0, []
+    for n in range(1, _FACTORIALS):
+        coefficient /= n
+        coefficients.append(coefficient)
+    power = (k + POWER_SHIFT).graph.apply("power", k + POWER_SHIFT)
+    return power * (r * _polynomial(r, coefficients)) + (power - 1.0)
+
+
+def _polynomial(x: Number, coefficients: Sequence[float]) -> Number:
+    value: Number = coefficients[-1]
+    for coefficient in coefficients[-2::-1]:
+        value = value * x + coefficient
+    return value
+
+
+# -- arrays ----------------------------------------------------------------------------------------
 
 
 def _of_one(known: Callable[[float], float], unknown: Callable[[Scalar], Any]) -> np.ufunc:
@@ -32,11 +427,11 @@ Symbols = Any
 """A `SymbolArray`, which NumPy's stubs take for an array of floats."""
 
 _FUNCTIONS: dict[np.ufunc, np.ufunc] = {
-    np.sin: _of_one(np.sin, lambda a: functions.sine_and_cosine(a)[0]),
-    np.cos: _of_one(np.cos, lambda a: functions.sine_and_cosine(a)[1]),
-    np.tanh: _of_one(np.tanh, functions.tanh),
+    np.sin: _of_one(np.sin, lambda a: sine_and_cosine(a)[0]),
+    np.cos: _of_one(np.cos, lambda a: sine_and_cosine(a)[1]),
+    np.tanh: _of_one(np.tanh, tanh),
     np.sqrt: _of_one(np.sqrt, Scalar.sqrt),
-    np.rint: _of_one(np.rint, functions.nearest_integer),
+    np.rint: _of_one(np.rint, nearest_integer),
     np.minimum: np.frompyfunc(_smaller, 2, 1),
     np.maximum: np.frompyfunc(_larger, 2, 1),
     np.isfinite: np.frompyfunc(lambda a: abs(a) < np.inf, 1, 1),
@@ -49,7 +444,7 @@ _FUNCTIONS: dict[np.ufunc, np.ufunc] = {
     np.bitwise_or: np.frompyfunc(lambda a, b: a | b, 2, 1),
     np.invert: np.frompyfunc(lambda a: ~a if isinstance(a, Scalar) else not a, 1, 1),
 }
-_select = np.frompyfunc(select, 3, 1)
+_choices = np.frompyfunc(select, 3, 1)
 
 
 class SymbolArray(np.ndarray):
@@ -60,11 +455,11 @@ class SymbolArray(np.ndarray):
     """
 
     def __array_ufunc__(self, *arguments: Any, **options: Any) -> Any:
-        return apply(*arguments, **options)
+        return _apply(*arguments, **options)
 
     def __array_function__(self, function: Any, types: Any, arguments: Any, options: Any) -> Any:
         if function is np.where:
-            return choose(*arguments)
+            return _where(*arguments)
         result = super().__array_function__(function, types, arguments, options)
         return result.view(SymbolArray) if isinstance(result, np.ndarray) else result
 
@@ -75,7 +470,9 @@ class SymbolArray(np.ndarray):
         return values
 
 
-def chosen(condition: Scalar, then: tuple[Any, ...], otherwise: tuple[Any, ...]) -> tuple[Any, ...]:
+def _chosen(
+    condition: Scalar, then: tuple[Any, ...], otherwise: tuple[Any, ...]
+) -> tuple[Any, ...]:
     """Return then where a condition holds, otherwise elsewhere: numbers and arrays of symbols."""
     arrays = [(symbols(a), symbols(b)) for a, b in zip(then, otherwise, strict=True)]
     flat = [(a, np.broadcast_to(b, a.shape)) for a, b in arrays]
@@ -91,7 +488,7 @@ def chosen(condition: Scalar, then: tuple[Any, ...], otherwise: tuple[Any, ...])
     return tuple(found)
 
 
-def apply(ufunc: np.ufunc, method: str, *arguments: Any, **options: Any) -> Any:
+def _apply(ufunc: np.ufunc, method: str, *arguments: Any, **options: Any) -> Any:
     """Return what a function of NumPy makes of arrays, some of which hold `Scalar`s."""
     if "out" in options:
         options["out"] = tuple(map(_plain, options["out"]))
@@ -100,9 +497,9 @@ def apply(ufunc: np.ufunc, method: str, *arguments: Any, **options: Any) -> Any:
     return result.view(SymbolArray) if isinstance(result, np.ndarray) else result
 
 
-def choose(condition: Any, a: Any, b: Any) -> Any:
+def _where(condition: Any, a: Any, b: Any) -> Any:
     """Return what `numpy.where` does."""
-    result = _select(*map(_plain, (condition, a, b)))
+    result = _choices(*map(_plain, (condition, a, b)))
     return result.view(SymbolArray) if isinstance(result, np.ndarray) else result
 
 
