@@ -66,7 +66,7 @@ SIZES = st.sampled_from([0.0, 1e-3, 1.0, 30.0, 1e6, 1e12])
     st.integers(0, 2**32 - 1),
     SIZES,
     SIZES,
-    st.sampled_from(["joint inertia", "inertia", "identity", "task force"]),
+    st.sampled_from(["joint inertia", "inertia", "identity"]),
     st.booleans(),
 )
 def test_whatever_comes_in_the_torque_is_within_the_limits(name, seed, speed, error, weight, lost):
@@ -132,7 +132,7 @@ def V_dot(plant, controller, q, v, tau, target, alpha, h=1e-6, **state):
     return (V(h) - V(-h)) / (2.0 * h)
 
 
-@pytest.mark.parametrize("weight", ["joint inertia", "inertia", "identity", "task force"])
+@pytest.mark.parametrize("weight", ["joint inertia", "inertia", "identity"])
 def test_V_decreases_as_promised_along_the_true_dynamics(panda, rng, weight):
     """V̇ ≤ −W where the slack is 0, V̇ ≤ −W + σ elsewhere; J, M, C, g of the true robot."""
     truth = panda.with_object(0.2, 0.5, axis="x")
@@ -371,7 +371,7 @@ def test_the_differentiator_of_law_5_goes_on_while_learning_stands_still(panda, 
 # -- the QP -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("weight", ["joint inertia", "inertia", "identity", "task force"])
+@pytest.mark.parametrize("weight", ["joint inertia", "inertia", "identity"])
 def test_the_torque_is_the_minimum_of_the_QP_with_its_slack(panda, rng, weight):
     """The slack is eliminated on the way; here the problem stands as it is written down."""
     daqp, seen = as_solver("daqp"), []
@@ -430,7 +430,7 @@ def test_the_weights_are_what_they_say(panda):
     law, q = law_of(panda), measurement.q
     R = {
         weight: recorded(law, None, measurement, target, weight=weight)[0].H
-        for weight in ("joint inertia", "inertia", "identity", "task force")
+        for weight in ("joint inertia", "inertia", "identity")
     }
     assert_allclose(R["inertia"], Dynamics(panda).M_inv(q))
     assert_array_equal(R["identity"], np.eye(7))
@@ -441,10 +441,6 @@ def test_the_weights_are_what_they_say(panda):
     share = np.max(drawn, axis=0) / np.diag(R["joint inertia"])
     assert (share > 0.7).all()
     assert (share < 1.3).all()
-    # dear across the force, of which the law's own direction is left out
-    values = np.linalg.eigvalsh(R["task force"])
-    assert_allclose(values[:4], 1.0)
-    assert values[-1] == pytest.approx(101.0)
 
 
 @pytest.mark.parametrize("rate", [None, 2000.0])
@@ -522,31 +518,6 @@ def test_brakes_are_no_faster_than_braking(panda):
     assert answer.limit_status is aj.LimitStatus.SOLVER_FAILED
     q_dd = Dynamics(panda).forward(measurement.q, measurement.v, answer.torque)
     assert_allclose(q_dd, -80.0 * measurement.v, rtol=1e-6)
-
-
-def test_the_task_force_keeps_its_direction_better_with_its_weight(panda, rng):
-    law = law_of(panda)
-    turned = {"identity": [], "task force": []}
-    for _ in range(40):
-        measurement, target = some_measurement(panda, rng, speed=0.0, error=0.4)
-        g = law.gravity_torque(np.zeros(0), measurement.q)
-        wanted = law.evaluate(np.zeros(0), measurement, target)
-        J_pinv_T = np.linalg.pinv(wanted.J_hat).T
-        force = J_pinv_T @ (wanted.torque - g)
-        if (np.abs(g) > 0.4 * panda.effort_limits).any():
-            continue  # nothing is left to choose
-        for weight, angles in turned.items():
-            limited = aj.TorqueLimited(law, effort_only(panda, 0.5), weight=weight, proof=False)
-            answer = first_answer(limited, measurement, target)
-            if answer.limit_status is not aj.LimitStatus.FREE:
-                kept = J_pinv_T @ (answer.torque - g)
-                angles.append(
-                    np.arccos(
-                        np.clip(kept @ force / np.linalg.norm(kept) / np.linalg.norm(force), -1, 1)
-                    )
-                )
-    assert len(turned["identity"]) > 10
-    assert np.median(turned["task force"]) < 0.1 * np.median(turned["identity"])
 
 
 def infeasible_state(robot):
@@ -728,12 +699,11 @@ def test_a_solver_that_fails_on_the_second_problem_of_a_step_loses_nothing(panda
     assert twice > 5
 
 
-@pytest.mark.solvers
-@pytest.mark.parametrize("solver", ["osqp", "quadprog"])
-def test_a_solver_that_is_less_exact_keeps_the_proof_all_the_same(panda, rng, solver):
+@pytest.mark.study
+def test_a_solver_that_is_less_exact_keeps_the_proof_all_the_same(panda, rng):
     law, limits = law_of(panda), effort_only(panda, 0.5)
     options = {"weight": "inertia"}
-    exact, other = (aj.TorqueLimited(law, limits, solver=s, **options) for s in ("daqp", solver))
+    exact, other = (aj.TorqueLimited(law, limits, solver=s, **options) for s in ("daqp", "osqp"))
     kept = 0
     for _ in range(60):
         measurement, target = some_measurement(panda, rng, speed=0.5, error=0.2)
@@ -840,19 +810,6 @@ def test_alpha_may_be_given(panda):
     assert aj.TorqueLimited(learning(panda), alpha=1.0).alpha == 1.0
 
 
-def test_without_a_force_on_the_task_no_direction_is_dear(panda, rng):
-    """At rest at the target τ* is g: weight "task force" is then that of the plain distance."""
-    measurement, _ = some_measurement(panda, rng, speed=0.0)
-    limits = aj.Limits(effort=0.5 * np.abs(law_of(panda).gravity.torque(measurement.q)).max())
-    answers = []
-    for weight in ("task force", "identity"):
-        limited = aj.TorqueLimited(law_of(panda), limits, weight=weight)
-        state = limited.initial_state(measurement)
-        answers.append(answered(limited, state, measurement, measurement.x).torque)
-    assert_allclose(answers[0], answers[1])
-    assert np.abs(answers[0]).max() == limits.effort  # a limit is reached
-
-
 @pytest.mark.parametrize("state", [np.zeros(3), np.full(7, np.nan), "old"])
 def test_bad_states_are_refused(panda, rng, state):
     limited = aj.TorqueLimited(law_of(panda), aj.Limits(rate=100.0))
@@ -917,14 +874,7 @@ def test_what_others_learn_at_limits_stays_within_bounds(panda, rng):
     assert seen > 2
 
 
-@pytest.mark.parametrize(
-    "solver",
-    ["daqp", "osqp"]
-    + [
-        pytest.param(name, marks=pytest.mark.solvers)
-        for name in ("clarabel", "piqp", "quadprog", "scs")
-    ],
-)
+@pytest.mark.parametrize("solver", ["daqp", "osqp"])
 def test_solvers_print_nothing(solver, rng, capfd):
     """Nor does the C inside of them, whatever becomes of the problem."""
     robot = ROBOTS["panda"]

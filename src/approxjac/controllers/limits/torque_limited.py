@@ -32,8 +32,8 @@ from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.interface import Evaluation, LimitStatus, Measurement, Target
 from approxjac.validation import Array, as_diagonal, as_number, require
 
-Weight = Literal["joint inertia", "inertia", "identity", "task force"]
-_WEIGHTS = ("joint inertia", "inertia", "identity", "task force")
+Weight = Literal["joint inertia", "inertia", "identity"]
+_WEIGHTS = ("joint inertia", "inertia", "identity")
 _FREE, _LIMITED, _INFEASIBLE = LimitStatus.FREE, LimitStatus.LIMITED, LimitStatus.INFEASIBLE
 _KEPT, _GIVEN_UP = LimitStatus.PROOF_KEPT, LimitStatus.PROOF_GIVEN_UP
 _ROUND_OFF = 1e-10
@@ -91,8 +91,8 @@ class TorqueLimited(Limiter):
         controller: The controller whose torque to limit.
         limits: Limits to keep; those of the believed robot's URDF by default.
         weight: R: "joint inertia", diagonal, the largest (M̂⁻¹)ᵢᵢ over usual configurations;
-            "inertia", M̂(q)⁻¹, so that accelerations change least; "identity"; "task force", which
-            reduces the force on the task rather than turns it; or a diagonal, shape (n_v,).
+            "inertia", M̂(q)⁻¹, so that accelerations change least; "identity"; or a diagonal, shape
+            (n_v,).
         proof: Whether yᵀ(τ − τ*) ≤ σ is asked for.
         alpha: α of y [1/s]; that of the adaptation where gravity is learnt. By default 0.3 of the
             rate of the task's slow pole: with a small α it is q̇ that counts, and the proof can be
@@ -106,14 +106,13 @@ class TorqueLimited(Limiter):
             own joint damping, which the loop stands, but from 0.1/dt to 0.3/dt; with a limit of the
             rate 0.1/dt.
         approach: κ of `speed_bounds` [1/s], at most `braking`; a tenth of it by default.
-        solver: "daqp", "osqp", another one of qpsolvers' by name, or a function that takes a
-            `QuadraticProgram` and returns its minimum.
+        solver: "daqp", "osqp", or a function that takes a `QuadraticProgram` and returns its
+            minimum.
 
     Raises:
         InvalidInputError: Numbers out of range, limits of another number of joints, another α than
             that of the adaptation, or a cross_weight beside α or of another law.
         UnknownNameError: No such weight or solver.
-        MissingPackageError: A solver that is not installed.
     """
 
     whole_run: Callable[..., Any] | None = None
@@ -165,11 +164,9 @@ class TorqueLimited(Limiter):
         self._diagonal = self._resolved_weight(weight, inertias)
         self.weight = weight if isinstance(weight, str) else self._diagonal
         self._R = None if self._diagonal is None else np.diag(self._diagonal)
-        self._is_inertia = isinstance(weight, str) and weight == "inertia"
         self._rho = self.braking
-        if not self._is_inertia:  # R of the task force is I at least
-            diagonal = np.ones(robot.nv) if self._diagonal is None else self._diagonal
-            self._rho = self.braking / quickest(inertias, 1.0 / diagonal)
+        if self._diagonal is not None:
+            self._rho = self.braking / quickest(inertias, 1.0 / self._diagonal)
         own = np.median([np.diag(M) for M in inertias], axis=0)
         self._jerk = self._rate / own if self._has_rate else None
         self._prediction = AccelerationObserver(controller, self._dt, self.braking)
@@ -239,7 +236,7 @@ class TorqueLimited(Limiter):
             y, rho = self._passive_output(asked)
         M_inv, R, bounds, q_dd_0 = self._dynamics.M_inv(q), self._R, None, None
         if R is None:
-            R = M_inv if self._is_inertia else task_force_weight(asked)
+            R = M_inv
         A, low, high = self._no_rows
         if ahead is not None:
             # q̈ = M̂⁻¹τ + q̈₀ is within its bounds, with q̈₀ the acceleration without a torque
@@ -399,24 +396,3 @@ def _slack(torque: Array, wanted: Array, y: Array) -> float:
 def _is_within(values: list[float], low: list[float], high: list[float]) -> bool:
     return all(map(operator.le, low, values)) and all(map(operator.le, values, high))
 
-
-_DIRECTION = 100.0  # how much dearer it is to turn the task force than to reduce it
-
-
-def task_force_weight(asked: Asked) -> Array:
-    """Return an R that makes it dear to turn the force on the task, shape (n_v, n_v).
-
-    R = I + w N P N with P = Ĵᵀ(ĴĴᵀ)⁻¹Ĵ, onto the joint torques that act on the task, and
-    N = I − uuᵀ, u the direction of the law's own τ* − g.
-    """
-    force = asked.answer.torque - asked.gravity
-    size, J_hat = math.hypot(*force.tolist()), asked.answer.J_hat
-    if size == 0.0 or J_hat is None:
-        return np.eye(len(force))
-    u = force / size
-    squares, U = np.linalg.eigh(J_hat.dot(J_hat.T))
-    regular = squares > law.SINGULAR_RATIO**2 * squares[-1]
-    basis = (U[:, regular] / np.sqrt(squares[regular])).T.dot(J_hat)
-    across = basis - np.outer(basis.dot(u), u)
-    R: Array = np.eye(len(force)) + _DIRECTION * across.T.dot(across)
-    return R
