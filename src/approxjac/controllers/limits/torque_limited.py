@@ -395,4 +395,3 @@ def _slack(torque: Array, wanted: Array, y: Array) -> float:
 
 def _is_within(values: list[float], low: list[float], high: list[float]) -> bool:
     return all(map(operator.le, low, values)) and all(map(operator.le, values, high))
-
