@@ -20,7 +20,6 @@ from approxjac.controllers import (
     ModelDynamics,
     Posture,
     RegressorGravity,
-    law_of,
 )
 from approxjac.law import Sine, Tanh
 from approxjac.robots import Dynamics, GravityRegressor
@@ -312,7 +311,7 @@ def test_any_numbers_give_a_bounded_torque_or_a_named_error(controller, data):
     if answer is None:
         return
     assert np.isfinite(np.concatenate([measurement.q, measurement.v, target, state])).all()
-    if isinstance(law_of(controller), aj.TrackingController):  # it goes on without x
+    if controller.kinematics is not None:  # it goes on without x
         seen = np.isfinite(measurement.x).all()
         assert seen or answer.status is not aj.Status.OK
         return
@@ -563,10 +562,6 @@ class Still(aj.Controller):
     """A controller that commands no velocity."""
 
     command = "velocity"
-    task = None
-
-    def __init__(self, task):
-        self.task = task
 
     def step(self, state, measurement, target, dt):
         e = measurement.x - target

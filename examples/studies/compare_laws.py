@@ -21,8 +21,6 @@ from operational_space import OperationalSpace
 from reach_mujoco import SENSORS
 from reaches import ARMS, Case
 
-from approxjac.controllers import law_of
-
 LAWS = ("defaults", "before", "operational space")
 KINDS = {
     "ideal": {"controller": {"limits": "none"}},
@@ -65,7 +63,7 @@ def run_case(case):
         loop = built
         if law == "before":
             controller = controller_before(built)
-            loop = replace(built, controller=controller, law=law_of(controller))
+            loop = replace(built, controller=controller, law=controller.law)
         elif law == "operational space":
             loop = replace(built, controller=operational_space(built, *tuned(case)))
         outcomes.append(reaches.run(case._replace(kind=f"{case.kind}, {law}"), loop))

@@ -4,12 +4,12 @@ import numpy as np
 import pinocchio as pin
 
 import approxjac as aj
-from approxjac.interface import ContinuousController
+from approxjac.controllers import Controller
 
 DAMPED = 1e-3  # share of λ_max[ĴM̂⁻¹Ĵᵀ] that is added to it before it is inverted
 
 
-class OperationalSpace(ContinuousController):
+class OperationalSpace(Controller):
     """Operational-space control with integral action and a posture spring.
 
     F* = −2ω(Ĵq̇ − ν) − (ω²/T) ∫e dt,   ν = ẋ_d − ½ω e, the latter of at most V,

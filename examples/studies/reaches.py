@@ -12,7 +12,6 @@ import numpy as np
 from common import head, row, two_digits
 
 import approxjac as aj
-from approxjac.controllers import law_of
 from approxjac.robots.joint_limits import beyond_positions
 from approxjac.scenario import Scenario
 
@@ -110,7 +109,7 @@ def run(case, built):
         stops=", ".join(np.array(record.joint_names)[ends[-1] > -AT_STOP]),
         limited=sum(n for name, n in tally.counts.items() if name not in FREELY) / steps,
         statuses=dict(tally.counts + tally.said),
-        reason=result.reason if law_of(built.controller) is built.law else "",
+        reason=result.reason if built.controller.law is built.law else "",
     )
 
 
@@ -129,7 +128,7 @@ class Tally:
     """An observer of what the law asks of the motors, before limits, and of what limits did."""
 
     def __init__(self, built):
-        self.law, self.motors = law_of(built.controller), built.plant.motor_limits
+        self.law, self.motors = built.controller.law, built.plant.motor_limits
         self.asked, self.counts, self.said = 0.0, Counter(), Counter()
 
     def __call__(self, loop):

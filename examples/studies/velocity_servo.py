@@ -4,11 +4,11 @@ import numpy as np
 
 import approxjac as aj
 from approxjac import law
-from approxjac.interface import ContinuousController
+from approxjac.controllers import Controller
 from approxjac.tasks.analysis import vanishing
 
 
-class VelocityServo(ContinuousController):
+class VelocityServo(Controller):
     """Image-based visual servoing at velocity level, with an inner velocity loop.
 
     q̇_ref = −λ Ĵ⁺e,   τ = M̂(q) ω (q̇_ref − q̇) + Ĉ(q, q̇)q̇ + gravity

@@ -16,6 +16,7 @@ from approxjac.cameras import PinholeCamera
 from approxjac.controllers import (
     AdaptiveGravity,
     AdaptiveKinematics,
+    Controller,
     Gains,
     HeldMeasurement,
     Latency,
@@ -27,14 +28,7 @@ from approxjac.controllers import (
     default_gains,
 )
 from approxjac.errors import InvalidInputError
-from approxjac.interface import (
-    Controller,
-    Evaluation,
-    LimitStatus,
-    Measurement,
-    Status,
-    Target,
-)
+from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
 from approxjac.paths import Circle, Line, Waypoints
 from approxjac.robots import Robot, load_robot
 from approxjac.simulation import MujocoPlant, Plant, Sensing, Trajectory, simulate

@@ -8,16 +8,12 @@ from __future__ import annotations
 
 import enum
 import math
-from typing import Any, Literal, NamedTuple, Protocol, Self, runtime_checkable
+from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 
-from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.formatting import listed
-from approxjac.tasks import Task
-from approxjac.validation import Array, as_number
-
-_HUGE = 1e300  # below it no finite rate makes a state overflow within a second
+from approxjac.validation import Array
 
 
 class _Outcome(enum.IntEnum):
@@ -198,85 +194,3 @@ class Evaluation(NamedTuple):
         if self.J_hat is None:
             return math.nan
         return float(np.linalg.svd(self.J_hat, compute_uv=False)[-1])
-
-
-@runtime_checkable
-class Controller(Protocol):
-    """Anything that turns measurements into torques, or velocities, step by step.
-
-    A controller holds no memory of its own: what evolves is a flat state array that goes in and
-    comes out, so that a loop can be stopped, saved and gone on with. Derive from it to get its
-    defaults: torques, no state, any sampling time, nothing learnt.
-
-    Attributes:
-        command: What it commands, which `Evaluation.torque` then is: torques, or velocities of
-            the joints for a robot that takes those.
-    """
-
-    command: Literal["torque", "velocity"] = "torque"
-
-    @property
-    def task(self) -> Task:
-        """The task of the believed robot."""
-        ...
-
-    @property
-    def dt(self) -> float | None:
-        """Sampling time that control has to have [s], or None where any will do."""
-        return None
-
-    def initial_state(self, measurement: Measurement) -> Array:
-        """Return the state before the first step, shape (n_state,)."""
-        return np.zeros(0)
-
-    def step(
-        self, state: Array, measurement: Measurement, target: Target | Array, dt: float
-    ) -> tuple[Array, Evaluation]:
-        """Return the state after a step, and torque and status for it.
-
-        Args:
-            state: State before the step, shape (n_state,).
-            measurement: What was measured.
-            target: Wanted task value: x_d, shape (n_x,), or a `Target` that moves.
-            dt: Time for which the torque is held [s].
-        """
-        ...
-
-    def learnt(self, state: Array) -> Array:
-        """Return what a state, or a series of them (…, n_state), has learnt, shape (…, p)."""
-        return state[..., :0]
-
-
-@runtime_checkable
-class ContinuousController(Controller, Protocol):
-    """A law in continuous time, whose state has a rate. Derive from it to write `evaluate` only."""
-
-    def step(
-        self, state: Array, measurement: Measurement, target: Target | Array, dt: float
-    ) -> tuple[Array, Evaluation]:
-        """Return the state after dt [s], one Euler step of its rate, and the answer of `evaluate`.
-
-        Raises:
-            InvalidInputError: As `evaluate`, no positive dt, or an answer without a rate.
-        """
-        answer = self.evaluate(state, measurement, target)
-        if not (isinstance(dt, float) and 0.0 < dt < math.inf):
-            dt = as_number("dt", dt, unit="s", above=0.0)
-        try:
-            if dt <= 1.0 and math.hypot(*state.tolist()) < _HUGE:
-                return state + dt * np.asarray(answer.state_rate), answer
-            with np.errstate(over="ignore"):  # an overflow is a named error
-                after = state + dt * np.asarray(answer.state_rate)
-        except (AttributeError, TypeError, ValueError):
-            told = f"evaluate must return an Evaluation with a state_rate, got {answer!r}"
-            raise InvalidInputError(told, given=answer) from None
-        if np.isfinite(after).all():
-            return after, answer
-        told = f"the state overflows in a step of {dt:g} s from {state.tolist()}"
-        raise MeasurementError(told, given=state)
-
-    def evaluate(
-        self, state: Array, measurement: Measurement, target: Target | Array
-    ) -> Evaluation:
-        """Return torque, rate of the state and status; the arguments are those of `step`."""
-        ...

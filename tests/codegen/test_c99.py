@@ -124,7 +124,7 @@ class InC:
     def __init__(self, controller, folder, level="-O0", compiler=None):
         aj.export_c(controller, folder)
         compiled(folder, level, EXACT, "-shared", "-fPIC", "-o", "controller.so", compiler=compiler)
-        law = aj.controllers.law_of(controller)
+        law = controller.law
         task, nv = law.task, law.task.robot.nv
         library = ctypes.CDLL(str(folder / "controller.so"))
         prefix = law.task.robot.name

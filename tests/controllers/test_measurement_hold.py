@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac import Status
-from approxjac.controllers import ContinuousController, DifferentiatedVelocity
+from approxjac.controllers import Controller, DifferentiatedVelocity
 from approxjac.errors import MeasurementError
 from approxjac.robots import Dynamics, GravityRegressor
 from approxjac.tasks import CombinedTask
@@ -440,15 +440,8 @@ def test_copies(task, kind, copied):
         assert first.status is second.status
 
 
-class Alone(ContinuousController):
+class Alone(Controller):
     """A controller without a Jacobian."""
-
-    def __init__(self, task):
-        self._task = task
-
-    @property
-    def task(self):
-        return self._task
 
     def evaluate(self, state, measurement, target):
         return aj.Evaluation(np.zeros(7), np.zeros(0), Status.OK, measurement.x - target)

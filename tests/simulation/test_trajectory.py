@@ -11,7 +11,7 @@ from rehearsal import Around
 
 import approxjac as aj
 from approxjac.cameras import PlanarCamera
-from approxjac.controllers import DifferentiatedVelocity, law_of
+from approxjac.controllers import DifferentiatedVelocity
 from approxjac.errors import TrajectoryFileError
 from approxjac.robots import GravityRegressor
 from approxjac.stability import lyapunov
@@ -111,7 +111,7 @@ def test_V_of_a_law_that_is_limited_or_held_is_its_own(panda, wrapped):
 
     kinds = {"limited": limited, "held": lambda task: aj.HeldMeasurement(limited(task), 0.3)}
     plant, controller, run = reach(panda, kinds[wrapped])
-    law_ = law_of(controller)
+    law_ = controller.law
     theta = law_.adaptation.regressor.fit(plant.robot)[0]
     for k in (0, 5, 10):
         V, _ = lyapunov(

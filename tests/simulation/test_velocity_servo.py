@@ -10,8 +10,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
-from approxjac.controllers import HeldMeasurement
-from approxjac.interface import Controller
+from approxjac.controllers import Controller, HeldMeasurement
 from approxjac.robots import Dynamics
 from approxjac.simulation import Loop, VelocityServo
 from approxjac.simulation.integrators import INTEGRATORS
@@ -32,11 +31,8 @@ class Told(Controller):
     command = "velocity"
 
     def __init__(self, task, velocity):
-        self._task, self.velocity, self.told = task, velocity, []
-
-    @property
-    def task(self):
-        return self._task
+        super().__init__(task)
+        self.velocity, self.told = velocity, []
 
     def step(self, state, measurement, target, dt):
         self.told.append(measurement)
@@ -50,11 +46,8 @@ class ResolvedRate(Controller):
     command = "velocity"
 
     def __init__(self, task, gain):
-        self._task, self.gain = task, gain
-
-    @property
-    def task(self):
-        return self._task
+        super().__init__(task)
+        self.gain = gain
 
     def step(self, state, measurement, target, dt):
         e = self.task.error(measurement.x, target)

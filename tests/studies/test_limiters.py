@@ -26,8 +26,6 @@ def outcomes():
 class Changed(aj.Controller):
     """A limiter whose answers are changed."""
 
-    task = None
-
     def __init__(self, controller, change):
         self.controller, self.change, self.task = controller, change, controller.task
 

@@ -17,7 +17,8 @@ from approxjac.codegen.regions import Box
 from approxjac.codegen.trace.program import Block, Program
 from approxjac.codegen.traced_hold import inside
 from approxjac.codegen.traced_limits import law_of
-from approxjac.interface import Controller, Measurement, Target, TargetPath
+from approxjac.controllers.controller import Controller
+from approxjac.interface import Measurement, Target, TargetPath
 from approxjac.simulation import Plant
 from approxjac.tasks.analysis import image_feature
 from approxjac.validation import Array

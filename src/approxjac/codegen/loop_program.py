@@ -29,9 +29,10 @@ from approxjac.codegen.trace.symbols import (
 )
 from approxjac.codegen.traced_hold import Held, inside
 from approxjac.controllers import HeldMeasurement
+from approxjac.controllers.controller import Controller
 from approxjac.controllers.gains.gains import Diagonals
 from approxjac.errors import InvalidInputError
-from approxjac.interface import Controller, Target, TargetPath
+from approxjac.interface import Target, TargetPath
 from approxjac.simulation import Plant
 from approxjac.simulation.integrators import INTEGRATORS
 from approxjac.validation import Array

@@ -17,10 +17,11 @@ from approxjac.codegen.trace.program import Program
 from approxjac.codegen.trace.symbols import Scalar, select, symbols
 from approxjac.codegen.whole_run import WholeLoops
 from approxjac.controllers.arguments import FLOAT64, HUGE
+from approxjac.controllers.controller import Controller
 from approxjac.controllers.limits.torque_limited import TorqueLimited
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.controllers.tracking import TrackingController
-from approxjac.interface import Controller, Evaluation, LimitStatus, Measurement, Status, Target
+from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
 from approxjac.validation import Array
 
 _ROUND_OFF = 1e-12

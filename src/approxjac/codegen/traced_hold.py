@@ -9,7 +9,7 @@ import numpy as np
 from approxjac.codegen.arm import traced_tasks as tasks
 from approxjac.codegen.trace.symbols import Condition, Symbols, any_of, select, symbols
 from approxjac.controllers import HeldMeasurement
-from approxjac.interface import Controller
+from approxjac.controllers.controller import Controller
 from approxjac.validation import Array
 
 

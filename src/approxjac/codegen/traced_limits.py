@@ -10,11 +10,12 @@ from approxjac import law
 from approxjac.codegen import traced_setpoint as setpoint
 from approxjac.codegen.arm.rigid_body import Configured
 from approxjac.codegen.trace.symbols import Condition, Scalar, Symbols, any_of, symbols
+from approxjac.controllers.controller import Controller
 from approxjac.controllers.gains.gains import Diagonals
 from approxjac.controllers.limits.torque_limited import TorqueLimited
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.errors import InvalidInputError
-from approxjac.interface import Controller, LimitStatus, Status
+from approxjac.interface import LimitStatus, Status
 from approxjac.law.torque_limits import power_zero
 
 _LARGEST = np.finfo(float).max

@@ -13,6 +13,7 @@ from approxjac.codegen.arm.rigid_body import Arm, Configured
 from approxjac.codegen.trace.linear import Factors, damped_gram_solve
 from approxjac.codegen.trace.symbols import Condition, Scalar, Symbols, any_of, select, symbols
 from approxjac.controllers import AwayFromStops, Posture
+from approxjac.controllers.controller import Controller
 from approxjac.controllers.gains.default_gains import slow_rate
 from approxjac.controllers.gains.gains import Diagonals
 from approxjac.controllers.gains.reach import UNKNOWN_TOOL
@@ -25,7 +26,7 @@ from approxjac.controllers.gravity import (
 )
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.errors import InvalidInputError
-from approxjac.interface import Controller, Status
+from approxjac.interface import Status
 from approxjac.law import Linear, Saturation, Sine, Tanh
 from approxjac.law.saturation import sine, tanh
 from approxjac.robots import GravityRegressor, Robot

@@ -18,9 +18,10 @@ from approxjac.codegen.trace.program import Program
 from approxjac.codegen.trace.symbols import Symbols, select, symbols
 from approxjac.controllers import AdaptiveDynamics, AdaptiveKinematics, TrackingController
 from approxjac.controllers.arguments import FLOAT64, HUGE
+from approxjac.controllers.controller import Controller
 from approxjac.controllers.learning.predicted_error import pulled_back
 from approxjac.errors import InvalidInputError
-from approxjac.interface import Controller, Evaluation, LimitStatus, Measurement, Status, Target
+from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
 from approxjac.robots.dynamics_regressor import COULOMB_SPEED
 from approxjac.tasks import PoseTask
 from approxjac.validation import Array
@@ -184,7 +185,7 @@ def compiled_step(controller: TrackingController, ordinary: Callable[..., Any]) 
         controller: The law, one that `require_covered` takes.
         ordinary: `step` of what is not usual.
     """
-    kinematics, dt = controller.kinematics, controller.sampling_time
+    kinematics, dt = controller.kinematics, controller.dt
     assert isinstance(kinematics, AdaptiveKinematics)
     program = step_program(controller)
     buffer = np.zeros((1, program.n_rows, 1))

@@ -8,8 +8,9 @@ import numpy as np
 
 from approxjac.codegen.backends.llvm import LlvmLanes
 from approxjac.codegen.loop_program import TOLD, recorded_loop, require_covered
+from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError
-from approxjac.interface import Controller, LimitStatus
+from approxjac.interface import LimitStatus
 from approxjac.simulation import Plant
 from approxjac.simulation.record import Record
 from approxjac.simulation.sampled_loop import SampledLoop

@@ -5,6 +5,7 @@ from approxjac.controllers.adaptive_dynamics import (
     ModelDynamics,
     MotionDynamics,
 )
+from approxjac.controllers.controller import Controller
 from approxjac.controllers.differentiator import DifferentiatedVelocity
 from approxjac.controllers.gains.default_gains import default_gains
 from approxjac.controllers.gains.gains import Gains
@@ -35,11 +36,9 @@ from approxjac.controllers.limits.limits import Limits
 from approxjac.controllers.limits.torque_limited import TorqueLimited
 from approxjac.controllers.posture import AwayFromStops, Posture
 from approxjac.controllers.predicted_measurement import PredictedMeasurement
-from approxjac.controllers.proven_law import ProvenLaw
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.controllers.tracking import TrackingController
-from approxjac.controllers.wrapper import ControllerWrapper, law_of
-from approxjac.interface import ContinuousController
+from approxjac.controllers.wrapper import ControllerWrapper
 
 __all__ = [
     "Adaptation",
@@ -49,7 +48,7 @@ __all__ = [
     "AdaptiveKinematics",
     "AdaptivePlanarCamera",
     "AwayFromStops",
-    "ContinuousController",
+    "Controller",
     "ControllerWrapper",
     "CrossWeight",
     "DifferentiatedVelocity",
@@ -71,7 +70,6 @@ __all__ = [
     "Posture",
     "PredictedError",
     "PredictedMeasurement",
-    "ProvenLaw",
     "RegressorGravity",
     "SetpointController",
     "TiltedAxes",
@@ -79,6 +77,5 @@ __all__ = [
     "TrackingController",
     "Tuning",
     "default_gains",
-    "law_of",
     "tuned",
 ]

@@ -8,11 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from approxjac.controllers.arguments import require_array, time_of_x
-from approxjac.controllers.tracking import TrackingController
-from approxjac.controllers.wrapper import ControllerWrapper, law_of
+from approxjac.controllers.controller import Controller
+from approxjac.controllers.wrapper import ControllerWrapper
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.formatting import joined
-from approxjac.interface import Controller, Evaluation, Measurement, Status, Target
+from approxjac.interface import Evaluation, Measurement, Status, Target
 from approxjac.tasks.analysis import uncombined
 from approxjac.validation import Array, as_limits, require
 
@@ -70,7 +70,7 @@ class HeldMeasurement(ControllerWrapper):
             )
         wanted = "a controller with a task, such as SetpointController(task)"
         require("controller", controller, Controller, wanted)
-        if isinstance(law_of(controller), TrackingController):
+        if controller.kinematics is not None:
             raise InvalidInputError(
                 f"controller must be one that controls the measured x, got {controller!r}, which "
                 "goes on with a predicted x by itself",

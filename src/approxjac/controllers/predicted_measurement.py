@@ -8,12 +8,12 @@ from typing import Self
 import numpy as np
 
 from approxjac.controllers.arguments import overflow, require_arrays, require_finite, with_rates
+from approxjac.controllers.controller import Controller
 from approxjac.controllers.learning.kinematic_report import KinematicReport
 from approxjac.controllers.learning.predicted_error import Kinematics
-from approxjac.controllers.tracking import TrackingController
-from approxjac.controllers.wrapper import ControllerWrapper, law_of, with_task
+from approxjac.controllers.wrapper import ControllerWrapper
 from approxjac.errors import InvalidInputError
-from approxjac.interface import Controller, Evaluation, Measurement, Status, Target
+from approxjac.interface import Evaluation, Measurement, Status, Target
 from approxjac.robots import Robot
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import features
@@ -42,7 +42,6 @@ class PredictedMeasurement(ControllerWrapper):
 
     Attributes:
         controller: The controller, whose task has Ĵ as a part of its value.
-        kinematics: What predicts.
 
     Raises:
         InvalidInputError: Another controller, or kinematics of another task.
@@ -54,7 +53,7 @@ class PredictedMeasurement(ControllerWrapper):
         self._remember(locals())
         require("kinematics", kinematics, Kinematics, "AdaptiveKinematics(task)")
         require("controller", controller, Controller, "a controller such as SetpointController")
-        if isinstance(law_of(controller), TrackingController):
+        if controller.kinematics is not None:
             raise InvalidInputError(
                 f"controller must be one that controls the measured x, got {controller!r}, which "
                 "has kinematics of its own",
@@ -75,13 +74,18 @@ class PredictedMeasurement(ControllerWrapper):
                 "has another URDF or gravity",
                 given=kinematics,
             )
-        self.controller = with_task(controller, _WithJacobian(task))
-        self.kinematics = kinematics
+        self.controller = controller.with_task(_WithJacobian(task))
+        self._kinematics = kinematics
         self._task = task
         self._memory = kinematics.n_state
 
     @property
-    def task(self) -> Task:
+    def kinematics(self) -> Kinematics:  # type: ignore[override]
+        """What predicts."""
+        return self._kinematics
+
+    @property
+    def task(self) -> Task:  # type: ignore[override]
         """The task of the believed robot."""
         return self._task
 

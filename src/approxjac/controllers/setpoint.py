@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import Any, Literal, Self
+from typing import Any, Self
 
 import numpy as np
 
 from approxjac import law
+from approxjac.controllers import in_words
 from approxjac.controllers.arguments import FLOAT64, HUGE, is_lost, overflow, require_arrays
+from approxjac.controllers.controller import Controller
 from approxjac.controllers.differentiator import DifferentiatedVelocity
 from approxjac.controllers.gains.default_gains import slow_rate
 from approxjac.controllers.gains.gains import Gains, require_damping
@@ -25,11 +27,9 @@ from approxjac.controllers.gravity import (
     require_gravity,
 )
 from approxjac.controllers.posture import AwayFromStops, Posture, within_null_space
-from approxjac.controllers.proven_law import ProvenLaw
 from approxjac.controllers.pseudoinverse import Pseudoinverse, singular_ratio
 from approxjac.controllers.saturation import require_saturation
 from approxjac.interface import (
-    ContinuousController,
     Evaluation,
     LimitStatus,
     Measurement,
@@ -39,7 +39,7 @@ from approxjac.interface import (
 from approxjac.law import Linear, Saturation, Tanh
 from approxjac.robots import Dynamics
 from approxjac.tasks import Task, analysis
-from approxjac.validation import Array, as_number, as_vector, require
+from approxjac.validation import Array, Immutable, as_number, as_vector, require
 
 _OK, _LOST = Status.OK, Status.MEASUREMENT_LOST  # members of an enum are slow to look up
 _ALPHA_SHARE = 0.3  # of the rate of the task's slow pole
@@ -47,7 +47,7 @@ _SATURATED, _SINGULAR = Status.TORQUE_SATURATED, Status.NEAR_SINGULAR
 _FAR, _UNLIMITED = Status.OUT_OF_REACH, LimitStatus.UNLIMITED
 
 
-class SetpointController(ProvenLaw):
+class SetpointController(Immutable, Controller):
     """Bring a measured task value to a target with an approximate Jacobian.
 
     τ = −Ĵᵀ(K_p s(e) + K_v Ĵq̇) − B_c q̇ + gravity, with e = x − x_d, x measured. It knows the
@@ -61,12 +61,9 @@ class SetpointController(ProvenLaw):
     Immutable, but it owns scratch memory: one instance a thread.
 
     Attributes:
-        command: "torque".
-        dt: None: any sampling time will do.
         tuning: What `tuned` chose, and why; None if gains and learning are given.
         adaptation: What learns gravity, with its defaults filled in; None if it is not learnt.
         pinv: Ĵ⁺ of y.
-        whole_run: What `simulate` runs where code is made of the whole loop; None.
 
     Args:
         task: The task of the believed robot.
@@ -89,10 +86,6 @@ class SetpointController(ProvenLaw):
             added damping on an arm with more joints than task coordinates, a posture for an arm
             without self-motion, or gravity of a robot with other joints.
     """
-
-    command: Literal["torque", "velocity"] = "torque"
-    dt: None = None
-    step, whole_run = ContinuousController.step, None
 
     def __init__(
         self,
@@ -209,6 +202,10 @@ class SetpointController(ProvenLaw):
         if J_hat is None or not math.isfinite(e.dot(e)):  # s of an infinite e may be finite
             return v
         return law.passive_output(v, self.pinv.times(J_hat, self.saturation.s(e))[0], alpha)
+
+    def is_proven(self, answer: Evaluation) -> bool:
+        """Return whether V̇ is known where this law gave an answer: with x, and with Ĵ⁺."""
+        return answer.status is _OK
 
     @property
     def resting(self) -> int:
@@ -389,6 +386,9 @@ class SetpointController(ProvenLaw):
             theta_rate = learning.bounded(theta_rate, state[: self._p], Y, g)
             rate = theta_rate if x_dot is None else np.append(theta_rate, x_dot)
         return Evaluation(torque, rate, status, e, J_hat, g, _UNLIMITED, 0.0, reference)
+
+    def __str__(self) -> str:
+        return in_words.text(self)
 
     def __repr__(self) -> str:
         law = "(28), (29)" if self._p else "(6)" if self.velocity is None else "(5)"

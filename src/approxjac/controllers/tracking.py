@@ -9,6 +9,7 @@ from typing import Literal, Self
 import numpy as np
 
 from approxjac import law
+from approxjac.controllers import in_words
 from approxjac.controllers.adaptive_dynamics import AdaptiveDynamics, MotionDynamics
 from approxjac.controllers.arguments import (
     FLOAT64,
@@ -20,11 +21,11 @@ from approxjac.controllers.arguments import (
     require_state,
     with_rates,
 )
+from approxjac.controllers.controller import Controller
 from approxjac.controllers.learning.kinematic_report import KinematicReport
 from approxjac.controllers.learning.predicted_error import Kinematics
 from approxjac.controllers.learning.tracking_defaults import usual_kinematics, usual_speeds
 from approxjac.controllers.limits.limits import Limits
-from approxjac.controllers.proven_law import ProvenLaw
 from approxjac.controllers.pseudoinverse import singular_ratio
 from approxjac.controllers.rest_configuration import RestConfiguration
 from approxjac.controllers.velocity_command import VelocityCommand
@@ -33,7 +34,7 @@ from approxjac.interface import Evaluation, Measurement, Status, Target
 from approxjac.robots import Dynamics, Robot
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import require_as_believed, require_controllable, vanishing
-from approxjac.validation import Array, as_limits, as_number, require
+from approxjac.validation import Array, Immutable, as_limits, as_number, require
 
 _OK, _SINGULAR = Status.OK, Status.NEAR_SINGULAR  # members of an enum are slow to look up
 _PREDICTED, _UNPREDICTED, _LOST = Status.PREDICTED, Status.NOT_PREDICTED, Status.MEASUREMENT_LOST
@@ -45,7 +46,7 @@ _SINGULAR_RATIO = 0.08  # of σ_max, below which Ĵ⁺ is damped
 _SHARE = 0.9  # of the speed limits of joints
 
 
-class TrackingController(ProvenLaw):
+class TrackingController(Immutable, Controller):
     """Follow a target with a predicted error, learnt kinematics and learnt dynamics; law T.
 
     τ = Y_d(q, q̇, q̇_r, q̈_r) â − κM̂σ with σ = q̇ − q̇_r, where the reference velocity
@@ -90,6 +91,9 @@ class TrackingController(ProvenLaw):
             another robot, or a posture for an arm without self-motion.
     """
 
+    dt: float
+    kinematics: Kinematics
+
     def __init__(
         self,
         task: Task,
@@ -109,10 +113,10 @@ class TrackingController(ProvenLaw):
         require_controllable(task)
         robot = task.robot
         self.task = task
-        self.sampling_time = dt = as_number("dt", dt, unit="s", above=0.0)
+        self.dt = dt = as_number("dt", dt, unit="s", above=0.0)
         self.kinematics = usual_kinematics(task, dt) if kinematics is None else kinematics
         self.alpha = as_number("alpha", alpha, unit="1/s", above=0.0)
-        usual = min(_KAPPA, _STEADY / self.sampling_time)
+        usual = min(_KAPPA, _STEADY / self.dt)
         self.kappa = usual if kappa is None else as_number("kappa", kappa, unit="1/s", above=0.0)
         if dynamics is None:
             dynamics = AdaptiveDynamics(robot, fastest=_QUICK * self.kappa)
@@ -133,13 +137,13 @@ class TrackingController(ProvenLaw):
         self._has_speeds = bool(np.isfinite(self._fastest).any())
         self._commands = None
         if command == "velocity":
-            self._commands = VelocityCommand(robot, limits, acceleration, self.sampling_time)
+            self._commands = VelocityCommand(robot, limits, acceleration, self.dt)
         elif acceleration is not None:
             raise InvalidInputError(
                 f'acceleration must be None without command="velocity", got {acceleration!r}',
                 given=acceleration,
             )
-        room = max(1.0, _ROOM / (self.kappa * self.sampling_time))
+        room = max(1.0, _ROOM / (self.kappa * self.dt))
         self._added = np.zeros(robot.nv)
         self._n_dynamics = 1  # the lag of a servo
         if self._commands is None:
@@ -155,11 +159,6 @@ class TrackingController(ProvenLaw):
         self._continuous = robot.nq != robot.nv
         # as arrays, which NumPy multiplies with in a third of the time of numbers
         self._alpha, self._k = np.array(self.alpha), self.alpha / self.speed
-
-    @property
-    def dt(self) -> float:
-        """Sampling time that control has to have [s]."""
-        return self.sampling_time
 
     def _require_parts(self) -> None:
         """Refuse kinematics or dynamics that are none, or of another robot."""
@@ -224,8 +223,8 @@ class TrackingController(ProvenLaw):
                 sin) pairs of continuous joints off the unit circle, or another dt than the one that
                 this controller is for.
         """
-        if dt != self.sampling_time:
-            require_dt(dt, self.sampling_time)
+        if dt != self.dt:
+            require_dt(dt, self.dt)
         with np.errstate(over="ignore", invalid="ignore"):  # an overflow is a named error
             target, measurement = self._checked(state, measurement, target)
             try:
@@ -241,7 +240,7 @@ class TrackingController(ProvenLaw):
     ) -> tuple[Array, Evaluation]:
         """Return what `step` does, for arguments that are checked."""
         _, q, v, x, _ = measurement
-        known, dt = state[self._n_dynamics : self._end], self.sampling_time
+        known, dt = state[self._n_dynamics : self._end], self.dt
         now = self.kinematics.status(known, measurement)
         J_hat, v_r, a_r, status = self._reference(known, q, v, target, now)
         after, learns = state.copy(), status is not _UNPREDICTED
@@ -391,6 +390,9 @@ class TrackingController(ProvenLaw):
     def gravity_torque(self, state: Array, q: Array) -> Array:
         """Return the gravity torque that this law compensates, shape (n_v,) [N m or N]."""
         return self.dynamics.gravity(state[: self._n_dynamics], q)
+
+    def __str__(self) -> str:
+        return in_words.text(self)
 
     def __repr__(self) -> str:
         parts = f"{self.task!r}, {self.kinematics!r}, {self.dynamics!r}"

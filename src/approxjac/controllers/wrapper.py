@@ -1,18 +1,20 @@
-"""`ControllerWrapper`: a controller around another one; `law_of` finds the law inside."""
+"""`ControllerWrapper`: a controller around another one, to which it forwards."""
 
 from __future__ import annotations
 
 import math
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
 import numpy as np
 
 from approxjac.controllers.arguments import FLOAT64
+from approxjac.controllers.controller import Controller
+from approxjac.controllers.gains.latency import Latency
 from approxjac.controllers.learning.kinematic_report import KinematicReport
-from approxjac.controllers.proven_law import ProvenLaw
+from approxjac.controllers.learning.predicted_error import Kinematics
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import wrapped
-from approxjac.interface import Controller, Measurement
+from approxjac.interface import Measurement
 from approxjac.robots import Robot
 from approxjac.tasks import Task
 from approxjac.validation import Array, Immutable, as_vector
@@ -44,14 +46,29 @@ class ControllerWrapper(Immutable, Controller):
         return self.controller.command
 
     @property
-    def task(self) -> Task:
+    def task(self) -> Task:  # type: ignore[override]
         """The task of the believed robot."""
         return self.controller.task
 
     @property
-    def dt(self) -> float | None:
+    def dt(self) -> float | None:  # type: ignore[override]
         """Sampling time that control has to have [s], or None where any will do."""
         return self.controller.dt
+
+    @property
+    def latency(self) -> Latency | None:  # type: ignore[override]
+        """Of the loop, if it is known."""
+        return self.controller.latency
+
+    @property
+    def kinematics(self) -> Kinematics | None:  # type: ignore[override]
+        """What predicts the error that the controller inside controls; None is none."""
+        return self.controller.kinematics
+
+    @property
+    def law(self) -> Controller:
+        """The law inside of all wrappers; its state is the first part of theirs."""
+        return self.controller.law
 
     def learnt(self, state: Array) -> Array:
         """Return what the controller inside has learnt, shape (…, p)."""
@@ -63,51 +80,32 @@ class ControllerWrapper(Immutable, Controller):
         Args:
             task: A task with the same coordinates, of a robot with the same joints.
         """
-        return self._rebuilt(controller=with_task(self.controller, task))
+        return self._rebuilt(controller=self.controller.with_task(task))
+
+    def with_limiter(self, motors: Array) -> Controller:
+        """Refuse limits around this: they go inside.
+
+        Raises:
+            InvalidInputError: Always.
+        """
+        raise InvalidInputError(
+            "controller must be a law such as SetpointController (what holds measurements goes "
+            f"around it: HeldMeasurement(TorqueLimited(law), ...)), got {self!r}",
+            given=self,
+        )
 
     def resumed(self, state: Array, measurement: Measurement) -> Array:
-        """Return a state before a first step that knows what another state has learnt.
-
-        Such as the last one of a run before, for `simulate(state=...)`; of the same controller.
-
-        Raises:
-            InvalidInputError: A state of another controller, a measurement of the wrong shapes, or
-                a controller that learns no kinematics.
-        """
-        resume = self._inside("resumed")
+        """Return a state before a first step that knows what another state has learnt."""
         inner, _ = self._split(as_vector("state", state, len(self.initial_state(measurement))))
-        return self._begun(resume(inner, measurement), measurement)
+        return self._begun(self.controller.resumed(inner, measurement), measurement)
 
     def kinematics_learnt(self, state: Array) -> KinematicReport:
-        """Return what a state has learnt of the kinematics.
-
-        Raises:
-            InvalidInputError: A controller that learns no kinematics, or a state of another one.
-        """
-        report: KinematicReport = self._inside("kinematics_learnt")(self._split(state)[0])
-        return report
+        """Return what a state has learnt of the kinematics."""
+        return self.controller.kinematics_learnt(self._split(state)[0])
 
     def learnt_robot(self, state: Array) -> Robot:
-        """Return the believed robot with what a state has learnt of its tool and joint origins.
-
-        Masses, friction and the tracker are not in it; a state that is saved has them all.
-
-        Raises:
-            InvalidInputError: A controller that learns no kinematics, or a state of another one.
-        """
-        robot: Robot = self._inside("learnt_robot")(self._split(state)[0])
-        return robot
-
-    def _inside(self, name: str) -> Any:
-        """Return a method of the controller inside, or refuse one that learns no kinematics."""
-        method = getattr(self.controller, name, None)
-        if method is None:
-            raise InvalidInputError(
-                "controller must learn kinematics, such as a TrackingController or a "
-                f"PredictedMeasurement, got {self.controller!r}",
-                given=self.controller,
-            )
-        return method
+        """Return the believed robot with what a state has learnt of tool and joint origins."""
+        return self.controller.learnt_robot(self._split(state)[0])
 
     def _begun(self, state: Array, measurement: Measurement) -> Array:
         """Return a first state of the controller inside with the memory before the first step."""
@@ -137,28 +135,3 @@ class ControllerWrapper(Immutable, Controller):
         if not math.isfinite(math.hypot(*memory.tolist())):
             raise InvalidInputError(f"state must be finite, got {state.tolist()}", given=state)
         return inner, memory
-
-
-def law_of(controller: Controller) -> Controller:
-    """Return the controller inside of all wrappers, such as the `SetpointController`.
-
-    Its state is the first part of theirs.
-    """
-    while isinstance(controller, ControllerWrapper):
-        controller = controller.controller
-    return controller
-
-
-def with_task(controller: Controller, task: Task) -> Controller:
-    """Return a controller of this library with another task.
-
-    Raises:
-        InvalidInputError: A controller of your own.
-    """
-    if not isinstance(controller, ProvenLaw | ControllerWrapper):
-        raise InvalidInputError(
-            f"controller must be able to take another task for its belief to be changed, got "
-            f"{controller!r}",
-            given=controller,
-        )
-    return controller.with_task(task)

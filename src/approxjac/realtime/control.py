@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from approxjac.controllers.controller import Controller
 from approxjac.errors import ControlError
 from approxjac.formatting import joined
-from approxjac.interface import Controller, Target, TargetPath
+from approxjac.interface import Target, TargetPath
 from approxjac.realtime.accuracy import Accuracy
 from approxjac.realtime.brake import Brake, HungError, Watchdog
 from approxjac.realtime.driver import Driver
@@ -76,7 +77,7 @@ def control(
 
     Args:
         driver: The robot.
-        controller: Anything with the interface of `Controller`, for the period of the driver.
+        controller: A controller for the period of the driver.
             Within `TorqueLimited` where the robot has limits.
         target: x_d, a `Target` that moves, or a path; its time is that of the run, which counts
             periods.

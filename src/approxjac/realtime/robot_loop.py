@@ -9,14 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.interface import (
-    Controller,
-    LimitStatus,
-    Measurement,
-    Status,
-    Target,
-    TargetPath,
-)
+from approxjac.controllers.controller import Controller
+from approxjac.interface import LimitStatus, Measurement, Status, Target, TargetPath
 from approxjac.realtime.accuracy import Accuracy
 from approxjac.realtime.brake import Brake
 from approxjac.realtime.driver import Driver

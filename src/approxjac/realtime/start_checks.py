@@ -14,11 +14,11 @@ from approxjac.controllers import (
     SetpointController,
     TorqueLimited,
     TrackingController,
-    law_of,
 )
+from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import listed
-from approxjac.interface import Controller, Evaluation, LimitStatus, Measurement
+from approxjac.interface import Evaluation, LimitStatus, Measurement
 from approxjac.realtime.driver import Driver
 from approxjac.realtime.reading import read, two_clocks
 from approxjac.robots import Dynamics, Robot
@@ -42,7 +42,7 @@ def require_able(driver: Driver, controller: Controller) -> None:
             f"{controller.command!r} of {controller!r}",
             given=controller,
         )
-    law, nv = law_of(controller), controller.task.robot.nv
+    law, nv = controller.law, controller.task.robot.nv
     tuning = law.tuning if isinstance(law, SetpointController) else None
     if tuning is not None and driver.dt > _SLOWER * tuning.latency.period:
         assert isinstance(law, SetpointController)  # for mypy
@@ -165,7 +165,7 @@ def require_held(driver: Driver, controller: Controller, q: Array, answer: Evalu
             told = "the robot adds its own gravity: " + (
                 "take it off each torque in the driver's send, as FrankaDriver(gravity=arm) does, "
                 "and set adds_gravity = False, for law T compensates all of it"
-                if isinstance(law_of(controller), TrackingController)
+                if isinstance(controller.law, TrackingController)
                 else "the controller must learn what is left of it, AdaptiveGravity(robot, "
                 "theta0=0.0), or leave it out, NoGravity(robot)"
             )

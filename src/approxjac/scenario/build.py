@@ -11,9 +11,10 @@ import numpy as np
 
 from approxjac.cameras import PlanarCamera
 from approxjac.controllers import ControllerWrapper, Limits, TrackingController
+from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import joined
-from approxjac.interface import Controller, TargetPath
+from approxjac.interface import TargetPath
 from approxjac.paths import Circle, Line, Waypoints
 from approxjac.robots import Robot, load_robot
 from approxjac.robots.urdf_edit import OBJECT_RADIUS

@@ -12,8 +12,8 @@ import numpy as np
 
 from approxjac.cameras import Camera
 from approxjac.controllers import Limits, SetpointController, TorqueLimited
+from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError, UnknownNameError
-from approxjac.interface import Controller
 from approxjac.robots import Robot
 from approxjac.scenario.build import BuiltScenario, build, holding, loaded_arm, sensing_of
 from approxjac.scenario.laws import latency_of, limits_of

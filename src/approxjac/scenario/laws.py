@@ -33,8 +33,8 @@ from approxjac.controllers import (
     TrackingController,
     tuned,
 )
+from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError
-from approxjac.interface import Controller
 from approxjac.law import Sine
 from approxjac.robots import GravityRegressor, Robot
 from approxjac.scenario.scenario import Scenario

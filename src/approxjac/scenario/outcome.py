@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.controllers import TrackingController, law_of
+from approxjac.controllers import TrackingController
 from approxjac.formatting import plain
 from approxjac.interface import LimitStatus, Status
 from approxjac.robots import Dynamics
@@ -226,7 +226,7 @@ class RunResult:
         if (
             isinstance(law, TrackingController)
             or law.adaptation is None
-            or law_of(self.built.controller) is not law
+            or self.built.controller.law is not law
         ):
             return False
         first, end = (law.gravity_torque(run.state[last][k], q) for k in (0, -1))

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from typing import ClassVar
 
+from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError, MeasurementError
-from approxjac.interface import Controller, Evaluation, Measurement, Target, TargetPath
+from approxjac.interface import Evaluation, Measurement, Target, TargetPath
 from approxjac.simulation.plant import Plant
 from approxjac.simulation.targets import (
     Wanted,

@@ -13,10 +13,10 @@ from approxjac.controllers import (
     PredictedMeasurement,
     SetpointController,
     TrackingController,
-    law_of,
 )
+from approxjac.controllers.controller import Controller
 from approxjac.controllers.run_terms import lyapunov_value, task_torque
-from approxjac.interface import Controller, Evaluation, Measurement
+from approxjac.interface import Evaluation, Measurement
 from approxjac.robots import GravityRegressor, Robot
 from approxjac.simulation.plant import Plant
 from approxjac.simulation.scene import Scene
@@ -59,7 +59,7 @@ class Record:
             J_hat = np.full((len(e), len(v)), np.nan)
         if not self._controllers or self._controllers[-1][1] is not controller:
             self._controllers.append((self._count, controller))
-            law = law_of(controller)
+            law = controller.law
             self._differentiates = isinstance(law, SetpointController) and law.velocity is not None
         row: tuple[Any, ...] = (
             t, q, v, x, x_measured, target, tau, state, status, limit_status, slack, e, J_hat,
@@ -125,7 +125,7 @@ class Record:
         found = np.full(run.v.shape if name == "task_torque" else len(run.t), np.nan)
         ends = [start for start, _ in self._controllers[1:]] + [len(run.t)]
         for (start, controller), end in zip(self._controllers, ends, strict=True):
-            law, which = law_of(controller), slice(start, end)
+            law, which = controller.law, slice(start, end)
             if _learning(controller) is not None:  # its V is of what it predicts
                 continue
             if isinstance(law, SetpointController) and name == "V":

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError, MeasurementError
-from approxjac.interface import Controller
 from approxjac.simulation.held_commands import HeldCommands
 from approxjac.simulation.integrators import INTEGRATORS
 from approxjac.simulation.loop import Loop

@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from approxjac.controllers.limits.torque_limited import TorqueLimited
-from approxjac.controllers.setpoint import SetpointController
+from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError, MeasurementError, SimulationError, UnknownNameError
-from approxjac.interface import ContinuousController, Controller, Target, TargetPath
+from approxjac.interface import Target, TargetPath
 from approxjac.robots.joint_limits import require_radians
 from approxjac.simulation.integrators import INTEGRATORS
 from approxjac.simulation.loop import Loop
@@ -60,7 +59,7 @@ def simulate(
 
     Args:
         plant: The true robot.
-        controller: Anything with the interface of `Controller`.
+        controller: A controller, such as a `SetpointController`, or one of your own.
         target: x_d, shape (n_x,) [unit of the task]; a `Target` that moves; or a path, any object
             with `at(t) → Target`, such as `Circle`.
         q0: Start configuration, shape (nq,); `plant.ready_configuration()` by default.
@@ -124,11 +123,7 @@ def simulate(
             stride = whole("dt", dt, record_every, of="record_every")
         loop = SampledLoop(plant, controller, wanted, q, v, dt, steps, integrator, seed, state)
         run: Trajectory | None = None
-        code = (
-            controller.whole_run
-            if isinstance(controller, (SetpointController, TorqueLimited))
-            else None
-        )
+        code = controller.whole_run
         if code is not None and observer is None:
             progress = None if progress is None else _onwards(progress)
             run = code(loop, stride, progress)
@@ -148,15 +143,13 @@ def _onwards(progress: Progress) -> Progress:
     return tell
 
 
-def _continuous_law(
-    plant: Plant, controller: Controller, observer: Observer | None
-) -> ContinuousController:
+def _continuous_law(plant: Plant, controller: Controller, observer: Observer | None) -> Controller:
     """Return the controller, unless it or something else needs samples."""
     if observer is not None:
         why = "an observer: it looks at every step of sampled control"
     elif plant.needs_sampling:
         why = "a plant with sensing, actuator delay or servo: they are those of sampled control"
-    elif not isinstance(controller, ContinuousController):
+    elif not controller.is_continuous:
         why = f"a controller that runs in samples, got None for {controller!r}"
     else:
         return controller
@@ -180,7 +173,7 @@ def whole(name: str, part: float, total: float, *, of: str = "duration") -> int:
 
 def _continuous(
     plant: Plant,
-    controller: ContinuousController,
+    controller: Controller,
     wanted: Wanted,
     q0: Array,
     v0: Array,

@@ -4,16 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError, SimulationError
 from approxjac.formatting import joined
-from approxjac.interface import (
-    ContinuousController,
-    Controller,
-    Evaluation,
-    Measurement,
-    Target,
-    TargetPath,
-)
+from approxjac.interface import Evaluation, Measurement, Target, TargetPath
 from approxjac.simulation.plant import Plant
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import require_unmirrored
@@ -93,7 +87,7 @@ def first_state(
     as_array(f"the controller's {plant.command}", answer.torque, (plant.robot.nv,), unit)
     require("the controller's state", after, np.ndarray, "an array")
     as_array("the controller's state", after, state.shape)
-    if isinstance(controller, ContinuousController):
+    if controller.is_continuous:
         as_array("the controller's state_rate", answer.state_rate, state.shape)
     if np.isfinite(measurement.x).all():  # a lost x has no error
         as_array(

@@ -16,7 +16,6 @@ from approxjac.codegen.traced_limits import require_covered
 from approxjac.controllers.gains.latency import Latency
 from approxjac.controllers.limits.torque_limited import TorqueLimited
 from approxjac.controllers.setpoint import SetpointController
-from approxjac.controllers.wrapper import law_of
 from approxjac.errors import InvalidInputError
 from approxjac.files import reason, together, write_text
 from approxjac.validation import Array, require
@@ -79,7 +78,7 @@ def export_c(controller: SetpointController | TorqueLimited, folder: str | PathL
 
 def _period(controller: SetpointController | TorqueLimited) -> float:
     """Return the period that a controller was made for [s]; 1 ms where it does not say."""
-    law = law_of(controller)
+    law = controller.law
     assert isinstance(law, SetpointController)
     if isinstance(controller, TorqueLimited):
         return controller._dt

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from approxjac.controllers.arguments import HUGE
-from approxjac.controllers.proven_law import ProvenLaw
+from approxjac.controllers.controller import Controller
 from approxjac.interface import Measurement
 from approxjac.validation import Array
 
@@ -41,7 +41,7 @@ class AccelerationObserver:
         rate: Of r [1/s], at most 1/dt.
     """
 
-    def __init__(self, law: ProvenLaw, dt: float, rate: float) -> None:
+    def __init__(self, law: Controller, dt: float, rate: float) -> None:
         robot = law.task.robot
         self.dynamics, self.has_weight = law.believed_dynamics()
         self.size = 1 + 2 * robot.nv

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from approxjac import law
-from approxjac.controllers.proven_law import ProvenLaw
+from approxjac.controllers.controller import Controller
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Evaluation, Status
@@ -48,7 +48,7 @@ class CrossWeight:
             for mine, its in pairs
         ) and (not np.any(self.A2) or np.allclose(self.damping, other.damping, rtol=_SAME))
 
-    def passive_output(self, controller: ProvenLaw, answer: Evaluation, v: Array) -> Array:
+    def passive_output(self, controller: Controller, answer: Evaluation, v: Array) -> Array:
         """Return y = q̇ + Gs(e) where a law gave an answer, shape (n_v,) [rad/s or m/s].
 
         It is q̇ where the law says that there is no V: without x, and without Ĵ⁺.
@@ -65,7 +65,7 @@ class CrossWeight:
             y = y + np.linalg.solve(D, J_hat.T.dot(kv * self.A2.dot(s)))
         return np.asarray(y)
 
-    def required_of(self, controller: ProvenLaw) -> CrossWeight:
+    def required_of(self, controller: Controller) -> CrossWeight:
         """Return this with arrays of its own, or refuse it for a law.
 
         Raises:

@@ -11,8 +11,8 @@ import pinocchio as pin
 
 from approxjac import law
 from approxjac.controllers.arguments import HUGE, overflow
+from approxjac.controllers.controller import Controller
 from approxjac.controllers.limits.limits import Limits, rate_bounds
-from approxjac.controllers.proven_law import ProvenLaw
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.controllers.wrapper import ControllerWrapper
 from approxjac.errors import InvalidInputError, MeasurementError
@@ -95,16 +95,11 @@ class Limiter(ControllerWrapper):
         limits: The limits with an entry for each joint.
     """
 
-    controller: ProvenLaw
     _what = "its torque is kept within limits"
 
-    def __init__(self, controller: ProvenLaw, limits: Limits | None = None) -> None:
+    def __init__(self, controller: Controller, limits: Limits | None = None) -> None:
         self._remember(locals())
-        wanted = (
-            "a law such as SetpointController (what holds measurements goes around it: "
-            "HeldMeasurement(TorqueLimited(law), ...))"
-        )
-        require("controller", controller, ProvenLaw, wanted)
+        require("controller", controller, Controller, "a law such as SetpointController")
         if controller.command != "torque":
             raise InvalidInputError(
                 f'controller must command torques to be limited, got command="velocity" of '
@@ -183,8 +178,9 @@ class Limiter(ControllerWrapper):
         status, slack = _FREE, 0.0
         free = torque.tolist() == wanted.tolist()
         if not free or self._looks_ahead:
-            assert answer.gravity is not None  # no law of ours leaves it out
             g = answer.gravity
+            if g is None:
+                g = self._law.gravity_torque(state, measurement.q)
             asked = Asked(answer, g, measurement, lower, upper, torque, free, memory)
             torque, status, slack, memory = self._limit(asked)
             if self._p and status not in _GOES_ON:

@@ -12,6 +12,7 @@ import pinocchio as pin
 
 from approxjac import law
 from approxjac.controllers.arguments import require_dt
+from approxjac.controllers.controller import Controller
 from approxjac.controllers.gains.sample_configurations import (
     light_inertias,
     quickest,
@@ -27,7 +28,6 @@ from approxjac.controllers.limits.limits import (
     sure_deceleration,
 )
 from approxjac.controllers.limits.quadratic_program import QuadraticProgram, Verdict, as_solver
-from approxjac.controllers.proven_law import ProvenLaw
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.interface import Evaluation, LimitStatus, Measurement, Target
 from approxjac.validation import Array, as_diagonal, as_number, require
@@ -84,7 +84,6 @@ class TorqueLimited(Limiter):
     Immutable, but it owns scratch memory: one instance a thread.
 
     Attributes:
-        whole_run: What `simulate` runs where code is made of the whole loop; None.
         cross_weight: G of the V that is kept falling; None where it is αĴ⁺.
 
     Args:
@@ -115,11 +114,9 @@ class TorqueLimited(Limiter):
         UnknownNameError: No such weight or solver.
     """
 
-    whole_run: Callable[..., Any] | None = None
-
     def __init__(
         self,
-        controller: ProvenLaw,
+        controller: Controller,
         limits: Limits | None = None,
         *,
         weight: Weight | Sequence[float] | Array = "joint inertia",
@@ -189,7 +186,7 @@ class TorqueLimited(Limiter):
         self._only_clips = not (proof or self._looks_ahead) and self._diagonal is not None
 
     @property
-    def dt(self) -> float | None:
+    def dt(self) -> float | None:  # type: ignore[override]
         """Sampling time that control has to have [s], or None where any will do."""
         return self._dt if self._looks_ahead else self.controller.dt
 

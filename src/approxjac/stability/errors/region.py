@@ -341,7 +341,7 @@ def require_setpoint(controller: SetpointController) -> None:
             f"got {controller!r}",
             given=controller,
         )
-    wanted = "a SetpointController (law_of(controller) is the one inside of its wrappers)"
+    wanted = "a SetpointController (controller.law is the one inside of its wrappers)"
     require("controller", controller, SetpointController, wanted)
 
 

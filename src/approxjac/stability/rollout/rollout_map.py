@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from approxjac.controllers import Gains, SetpointController
+from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError
-from approxjac.interface import Controller
 from approxjac.stability.errors.region import Region, require_setpoint
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.visibility import UnattainedError

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError, SimulationError, UnknownNameError
 from approxjac.extras import package_of
-from approxjac.interface import Controller
 from approxjac.simulation import Plant, Sensing, Trajectory, simulate
 from approxjac.simulation.simulate import whole
 from approxjac.simulation.targets import Wanted, target_at, x_of

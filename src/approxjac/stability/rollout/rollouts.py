@@ -13,9 +13,10 @@ from typing import Any, Literal
 import numpy as np
 
 from approxjac.controllers import Latency
+from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import joined, percent, rows
-from approxjac.interface import Controller, Target, TargetPath
+from approxjac.interface import Target, TargetPath
 from approxjac.simulation import Plant, Sensing, Trajectory
 from approxjac.simulation.targets import require_fit, wanted_of
 from approxjac.stability.errors.region import Region

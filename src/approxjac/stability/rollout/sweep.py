@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from approxjac.controllers import Gains, SetpointController
+from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.formatting import joined, percent
-from approxjac.interface import Controller
 from approxjac.stability.errors.region import Region
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.rollout.rollout_portions import Progress, carried_out

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.controllers.wrapper import with_task
 from approxjac.errors import ApproxJacError, InvalidInputError
 from approxjac.robots import Robot
 from approxjac.simulation.loop import Loop
@@ -120,7 +119,7 @@ class LiveView:
 
     def _start(self, loop: Loop) -> None:
         if self._believe is not None:
-            with_task(loop.controller, loop.controller.task)  # or there is no changing the belief
+            loop.controller.with_task(loop.controller.task)  # or there is no changing the belief
         self._look(loop)
         self._row(loop)
         self._server = server = PageServer(self._page, self._greeting, self._port)
@@ -248,7 +247,7 @@ class LiveView:
             given = numbers("length", value).item()
             length = as_number("length", given, unit="m", minimum=0.0, most=round(size, 2))
             task = loop.controller.task.on(self._believe(length))
-            loop.exchange(with_task(loop.controller, task))
+            loop.exchange(loop.controller.with_task(task))
             self._length, self._changed = length, True
             self._tell(redraw=self._look(loop).data("believed"))
         elif wish == "speed":

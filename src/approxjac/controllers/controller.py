@@ -1,0 +1,247 @@
+"""`Controller`: the one base of everything that turns measurements into commands."""
+
+from __future__ import annotations
+
+import functools
+import math
+from abc import ABC
+from collections.abc import Callable
+from typing import Any, Literal, Self
+
+import numpy as np
+
+from approxjac.controllers.gains.latency import Latency
+from approxjac.controllers.learning.kinematic_report import KinematicReport
+from approxjac.controllers.learning.predicted_error import Kinematics
+from approxjac.errors import InvalidInputError, MeasurementError
+from approxjac.interface import Evaluation, Measurement, Target
+from approxjac.robots import Dynamics, Robot
+from approxjac.tasks import Task
+from approxjac.validation import Array, as_number
+
+_HUGE = 1e300  # below it no finite rate makes a state overflow within a second
+
+
+class Controller(ABC):
+    """Anything that turns measurements into torques, or velocities, step by step.
+
+    Derive from it and write `step`, or `evaluate` of a law in continuous time, whose `step` is an
+    Euler step of the rate of its state. All else has a default, and is overridden where a
+    controller can tell more: its V (`lyapunov`), what it has learnt (`learnt`, `parameters`), how
+    limits of torques may change its torque (`passive_output`).
+
+    A controller holds no memory of its own: what evolves is a flat state array that goes in and
+    comes out, so that a loop can be stopped, saved and gone on with.
+
+    Attributes:
+        task: The task of the believed robot.
+        command: What it commands, which `Evaluation.torque` then is: torques, or velocities of
+            the joints for a robot that takes those.
+        dt: Sampling time that control has to have [s], or None where any will do.
+        latency: Of the loop, if it is known.
+        kinematics: What predicts the error that it controls, known or learnt; None where it
+            controls the measured one.
+        alpha: α of `passive_output` [1/s] where none is given.
+        whole_run: What `simulate` runs where code is made of the whole loop; None.
+
+    Args:
+        task: The task of the believed robot.
+    """
+
+    task: Task
+    command: Literal["torque", "velocity"] = "torque"
+    dt: float | None = None
+    latency: Latency | None = None
+    kinematics: Kinematics | None = None
+    alpha: float = 1.0
+    whole_run: Callable[..., Any] | None = None
+
+    def __init__(self, task: Task) -> None:
+        self.task = task
+
+    # -- the loop -------------------------------------------------------------------------------
+
+    def initial_state(self, measurement: Measurement) -> Array:
+        """Return the state before the first step, shape (n_state,)."""
+        return np.zeros(0)
+
+    def step(
+        self, state: Array, measurement: Measurement, target: Target | Array, dt: float
+    ) -> tuple[Array, Evaluation]:
+        """Return the state after a step, and torque and status for it.
+
+        By default one Euler step of the rate that `evaluate` answers with.
+
+        Args:
+            state: State before the step, shape (n_state,).
+            measurement: What was measured.
+            target: Wanted task value: x_d, shape (n_x,), or a `Target` that moves.
+            dt: Time for which the torque is held [s].
+
+        Raises:
+            InvalidInputError: As `evaluate`, no positive dt, or an answer without a rate.
+            MeasurementError: As `evaluate`, or a state that overflows.
+        """
+        answer = self.evaluate(state, measurement, target)
+        if not (isinstance(dt, float) and 0.0 < dt < math.inf):
+            dt = as_number("dt", dt, unit="s", above=0.0)
+        try:
+            if dt <= 1.0 and math.hypot(*state.tolist()) < _HUGE:
+                return state + dt * np.asarray(answer.state_rate), answer
+            with np.errstate(over="ignore"):  # an overflow is a named error
+                after = state + dt * np.asarray(answer.state_rate)
+        except (AttributeError, TypeError, ValueError):
+            message = f"evaluate must return an Evaluation with a state_rate, got {answer!r}"
+            raise InvalidInputError(message, given=answer) from None
+        if np.isfinite(after).all():
+            return after, answer
+        message = f"the state overflows in a step of {dt:g} s from {state.tolist()}"
+        raise MeasurementError(message, given=state)
+
+    def evaluate(
+        self, state: Array, measurement: Measurement, target: Target | Array
+    ) -> Evaluation:
+        """Return torque, rate of the state and status, of a law in continuous time.
+
+        The arguments are those of `step`.
+
+        Raises:
+            InvalidInputError: A controller that runs in samples only.
+        """
+        raise InvalidInputError(
+            f"controller must have a step(state, measurement, target, dt), or an "
+            f"evaluate(state, measurement, target) of a law in continuous time, got {self!r}",
+            given=self,
+        )
+
+    @property
+    def is_continuous(self) -> bool:
+        """Return whether the state has a rate, so that `evaluate` may be integrated."""
+        return type(self).evaluate is not Controller.evaluate
+
+    @property
+    def law(self) -> Controller:
+        """The law inside of all wrappers, such as the `SetpointController`; else itself.
+
+        Its state is the first part of theirs.
+        """
+        return self
+
+    def with_task(self, task: Task) -> Self:
+        """Return this controller with another task, such as that of another believed robot.
+
+        Args:
+            task: A task with the same coordinates, of a robot with the same joints.
+
+        Raises:
+            InvalidInputError: A controller that cannot.
+        """
+        raise InvalidInputError(
+            f"controller must be able to take another task for its belief to be changed, got "
+            f"{self!r}",
+            given=self,
+        )
+
+    # -- what is learnt -------------------------------------------------------------------------
+
+    def learnt(self, state: Array) -> Array:
+        """Return what a state, or a series of them (…, n_state), has learnt, shape (…, p)."""
+        return state[..., :0]
+
+    def resumed(self, state: Array, measurement: Measurement) -> Array:
+        """Return a state before a first step that knows what another state has learnt.
+
+        Such as the last one of a run before, for `simulate(state=...)`; of the same controller.
+
+        Raises:
+            InvalidInputError: A state of another controller, a measurement of the wrong shapes, or
+                a controller that learns no kinematics.
+        """
+        raise self._learns_no_kinematics()
+
+    def kinematics_learnt(self, state: Array) -> KinematicReport:
+        """Return what a state has learnt of the kinematics.
+
+        Raises:
+            InvalidInputError: A controller that learns no kinematics, or a state of another one.
+        """
+        raise self._learns_no_kinematics()
+
+    def learnt_robot(self, state: Array) -> Robot:
+        """Return the believed robot with what a state has learnt of its tool and joint origins.
+
+        Masses, friction and the tracker are not in it; a state that is saved has them all.
+
+        Raises:
+            InvalidInputError: A controller that learns no kinematics, or a state of another one.
+        """
+        raise self._learns_no_kinematics()
+
+    def _learns_no_kinematics(self) -> InvalidInputError:
+        return InvalidInputError(
+            "controller must learn kinematics, such as a TrackingController or a "
+            f"PredictedMeasurement, got {self!r}",
+            given=self,
+        )
+
+    # -- what limits of torques need to know ----------------------------------------------------
+    # V̇ changes by yᵀ(τ − τ*) where τ takes the place of the law's own torque τ*: any τ with
+    # yᵀ(τ − τ*) ≤ 0 keeps what is proven of V̇.
+
+    def passive_output(self, answer: Evaluation, v: Array, alpha: float | Array) -> Array:
+        """Return y where this law gave an answer, shape (n_v,) [rad/s or m/s].
+
+        Args:
+            answer: The answer.
+            v: The joint velocity that it was given for, shape (n_v,), less the answer's reference
+                if there is one. (y is linear in it: the reference may be subtracted afterwards.)
+            alpha: α [1/s], for a law whose y has one.
+
+        Returns:
+            By default q̇: limits add no energy.
+        """
+        return v
+
+    def is_proven(self, answer: Evaluation) -> bool:
+        """Return whether V̇ is known where this law gave an answer; by default nowhere."""
+        return False
+
+    @property
+    def resting(self) -> int:
+        """Return how many of the state's first numbers rest where the proof is given up."""
+        return 0
+
+    def with_limiter(self, motors: Array) -> Controller:
+        """Return this law as it is inside of a limiter, which decides when it rests.
+
+        Args:
+            motors: Largest torques that the limiter sends, shape (n_v,).
+        """
+        return self
+
+    def resolved_alpha(self, alpha: float | None) -> float:
+        """Return α of y [1/s], or refuse one that does not fit; None asks for the usual one."""
+        return self.alpha if alpha is None else as_number("alpha", alpha, unit="1/s", above=0.0)
+
+    def damping_rate(self, inertias: Array) -> float:
+        """Return how fast this law damps joints [1/s], given usual inertias (k, n_v, n_v)."""
+        return 0.0
+
+    def gravity_torque(self, state: Array, q: Array) -> Array:
+        """Return the gravity torque that this law compensates, shape (n_v,) [N m or N].
+
+        By default that of the believed robot.
+        """
+        return self._own_dynamics.g(q)
+
+    def believed_dynamics(self) -> tuple[Dynamics, bool]:
+        """Return the dynamics that predict what a torque does, and whether they have gravity.
+
+        Without it the gravity of the law's answer is subtracted, which may be that of a robot that
+        compensates itself.
+        """
+        return self._own_dynamics, True
+
+    @functools.cached_property
+    def _own_dynamics(self) -> Dynamics:
+        return Dynamics(self.task.robot)
