@@ -59,6 +59,9 @@ class Controller(ABC):
     def __init__(self, task: Task) -> None:
         self.task = task
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.task!r})"
+
     # -- the loop -------------------------------------------------------------------------------
 
     def initial_state(self, measurement: Measurement) -> Array:

@@ -421,25 +421,17 @@ def test_what_cannot_be_is_refused(panda, options, message):
 def test_a_controller_that_cannot_believe_anything_else_is_refused(panda):
     plant, own, target = parts(panda)
 
-    class Nothing:
-        task, dt, command = own.task, None, "torque"
-
-        def initial_state(self, measurement):
-            return np.zeros(0)
-
+    class Nothing(aj.Controller):
         def step(self, state, measurement, target, dt):
             e = measurement.x - target
             return state, aj.Evaluation(np.zeros(7), np.zeros(0), aj.Status.OK, e)
 
-        def learnt(self, state):
-            return state
-
     live = view.LiveView(believe=believing(panda), patience=0.0)
     with pytest.raises(aj.InvalidInputError, match="controller must be able to take another task"):
-        aj.simulate(plant, Nothing(), target, START, 0.01, dt=1e-3, observer=live)
+        aj.simulate(plant, Nothing(own.task), target, START, 0.01, dt=1e-3, observer=live)
     # it is shown all the same where nothing is to be changed
     live = view.LiveView(speed=np.inf, patience=0.0)
-    aj.simulate(plant, Nothing(), target, START, 0.01, dt=1e-3, observer=live)
+    aj.simulate(plant, Nothing(own.task), target, START, 0.01, dt=1e-3, observer=live)
 
 
 class Pages:

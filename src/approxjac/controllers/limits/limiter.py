@@ -99,7 +99,11 @@ class Limiter(ControllerWrapper):
 
     def __init__(self, controller: Controller, limits: Limits | None = None) -> None:
         self._remember(locals())
-        require("controller", controller, Controller, "a law such as SetpointController")
+        wanted = (
+            "a law such as SetpointController (what holds measurements goes around it: "
+            "HeldMeasurement(TorqueLimited(law), ...))"
+        )
+        require("controller", controller, Controller, wanted)
         if controller.command != "torque":
             raise InvalidInputError(
                 f'controller must command torques to be limited, got command="velocity" of '
