@@ -4,7 +4,7 @@ Symbols are the paper's; misprints are corrected and each departure is named whe
 """
 
 from approxjac.law.adaptation import passive_output, theta_hat_rate, within_bounds
-from approxjac.law.branches import choose, repeat
+from approxjac.law.branches import choose, collect, repeat, take
 from approxjac.law.conditions import (
     allowed_p,
     allowed_p_at_crossing,
@@ -112,6 +112,7 @@ __all__ = [
     "bounded_torque_bound",
     "choose",
     "closed_loop_matrix",
+    "collect",
     "correction",
     "cross_matrix",
     "cross_weight_damped",
@@ -164,6 +165,7 @@ __all__ = [
     "solution",
     "solved_reference",
     "stiffness_block",
+    "take",
     "tangents",
     "task_velocity",
     "theta_hat_rate",

@@ -11,6 +11,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from approxjac.validation import Array
+
 Values = TypeVar("Values", bound=tuple[Any, ...])
 
 
@@ -33,16 +35,46 @@ def choose(condition: Any, then: Callable[[], Values], otherwise: Callable[[], V
 def repeat(count: int, body: Callable[[Any, Values], Values], start: Values) -> Values:
     """Return what is left of `start` after count times values = body(i, values).
 
+    Where numbers are not known yet, it is a loop of the code that is made, and `body` is called
+    once, with an i that is not known either: an array is asked for its entry i by `take`.
+
     Args:
         count: How often.
         body: Of i, from 0, and the values before; returns the values after, of the same shapes.
         start: Numbers and arrays.
     """
+    return collect(count, lambda i, values: (body(i, values), ()), start)[0]
+
+
+def collect(
+    count: int, body: Callable[[Any, Values], tuple[Values, tuple[Any, ...]]], start: Values
+) -> tuple[Values, tuple[Array, ...]]:
+    """Return what `repeat` does, and what each pass collects, stacked.
+
+    Args:
+        count: How often, ≥ 1.
+        body: Of i, from 0, and the values before; returns the values after, of the same shapes, and
+            a tuple of what is collected, of the same shapes in each pass.
+        start: Numbers and arrays.
+    """
     for value in start:
-        if isinstance(value, np.ndarray) and type(value) is not np.ndarray:
-            repeated: Values = value.repeated(count, body, start)  # type: ignore[attr-defined]
-            return repeated
-    values = start
+        looped = getattr(value, "looped", None)
+        if looped is not None:
+            return looped(count, body, start)  # type: ignore[no-any-return]
+    return collected(count, body, start)
+
+
+def collected(
+    count: int, body: Callable[[Any, Values], tuple[Values, tuple[Any, ...]]], start: Values
+) -> tuple[Values, tuple[Array, ...]]:
+    """Return what `collect` does, pass after pass."""
+    values, rows = start, []
     for i in range(count):
-        values = body(i, values)
-    return values
+        values, row = body(i, values)
+        rows.append(row)
+    return values, tuple(np.stack(column) for column in zip(*rows, strict=True))
+
+
+def take(array: Array, i: Any) -> Any:
+    """Return array[i], of the i that `repeat` and `collect` give, which may not be known yet."""
+    return array[i] if isinstance(i, int) else i.take(array)

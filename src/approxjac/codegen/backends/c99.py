@@ -12,8 +12,8 @@ from approxjac.codegen import traced_limits as limits
 from approxjac.codegen.arm import traced_tasks as tasks
 from approxjac.codegen.arm.rigid_body import Arm
 from approxjac.codegen.backends.numpy_source import numpy_function
-from approxjac.codegen.trace.program import Language, Program, Writer
-from approxjac.codegen.trace.symbols import Graph, Number, inputs, symbols
+from approxjac.codegen.trace.program import Going, Language, Program, Rows, Writer
+from approxjac.codegen.trace.symbols import Graph, Number, Passes, inputs, symbols
 from approxjac.controllers.limits.torque_limited import TorqueLimited
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.interface import Measurement
@@ -61,15 +61,42 @@ def _rare(
     ]
 
 
-_LANGUAGE = Language(
-    _TEMPLATES,
-    "v",
-    lambda name, text, is_condition: (
+def _table(name: str, numbers: list[str], is_constant: bool) -> list[str]:
+    rows = [", ".join(numbers[at : at + 8]) for at in range(0, len(numbers), 8)]
+    first = f"    {'static ' if is_constant else ''}const double {name}[] = {{"
+    return [first, *(f"        {row}," for row in rows), "    };"]
+
+
+def _loop(label: str, loop: Passes, lines: list[str], going: Going, rows: Rows) -> list[str]:
+    s, y, i = f"s{label}", f"y{label}", f"i{label}"
+    return [
+        *([f"    double {s}[{loop.n}];"] if going else []),
+        *([f"    double {y}[{loop.times * loop.m}];"] if rows else []),
+        *(f"    {s}[{at}] = {start};" for at, start, _ in going),
+        f"    for (int {i} = 0; {i} < {loop.times}; ++{i}) {{",
+        *(f"    {line}" for line in lines),
+        *(f"        {s}[{at}] = {after};" for at, _, after in going),
+        *(f"        {y}[{loop.m} * {i} + {at}] = {each};" for at, each in rows),
+        "    }",
+    ]
+
+
+LANGUAGE = Language(
+    templates=_TEMPLATES,
+    variable="v",
+    assigned=lambda name, text, is_condition: (
         f"    const {'int' if is_condition else 'double'} {name} = {text};"
     ),
-    lambda name, i: name if name == "dt" else f"{name}[{i}]",
-    constant,
-    _rare,
+    read=lambda name, i: name if name == "dt" else f"{name}[{i}]",
+    constant=constant,
+    rare=_rare,
+    table=_table,
+    loop=_loop,
+    cell=lambda name, i: f"{name}[{i}]",
+    taken=lambda name, array, i, apart, first: [
+        f"    const double {name} = {array}[{apart} * {i} + {first}];"
+    ],
+    number=lambda name, i: [f"    const double {name} = (double){i};"],
 )
 
 
@@ -96,7 +123,7 @@ class SampledStep(NamedTuple):
     def lines(self) -> tuple[list[str], dict[str, list[str]]]:
         """Return the lines of C that compute the outputs, and what these are called there."""
         flat = [number for numbers in self.outputs.values() for number in numbers]
-        lines, names = Writer(self.graph, _LANGUAGE).lines(flat)
+        lines, names = Writer(self.graph, LANGUAGE).lines(flat)
         return lines, self._split(names)
 
     def in_numpy(self) -> Callable[..., dict[str, Array]]:

@@ -8,8 +8,8 @@ import struct
 from collections.abc import Callable, Mapping
 from itertools import chain
 
-from approxjac.codegen.trace.program import STEP, Block, Language, Program, Writer
-from approxjac.codegen.trace.symbols import Number
+from approxjac.codegen.trace.program import STEP, Block, Going, Language, Program, Rows, Writer
+from approxjac.codegen.trace.symbols import Number, Passes
 from approxjac.extras import package_of
 from approxjac.validation import Array
 
@@ -48,6 +48,7 @@ define void @run(
   i64 %groups, i64 %first, i64 %until, i64 %last, i64 %every
 ) {{
 entry:
+{allocated}
   %steps = sub i64 %until, %first
   br label %group
 group:
@@ -151,6 +152,8 @@ class LlvmLanes:
 def _source(program: Program, width: int) -> str:
     """Return a program in LLVM's language."""
     pointers: list[str] = []
+    allocated: list[str] = []
+    constants: dict[str, str] = {}
 
     def pointer(base: str, at: int, kind: str = "D") -> str:
         """Return a pointer to a row."""
@@ -178,9 +181,8 @@ def _source(program: Program, width: int) -> str:
         if name not in program.times:
             return f"load D, ptr {place(name, i, 'from')}, align 8"
         number = time(name, i)
-        one = f"{number}.one"
-        pointers.append(f"  {one} = insertelement D undef, double {number}, i64 0")
-        return f"shufflevector D {one}, D undef, ZERO"
+        pointers.append(f"  {number}.one = insertelement D undef, double {number}, i64 0")
+        return f"shufflevector D {number}.one, D undef, ZERO"
 
     for name, (start, size) in program.histories.items():
         for way in ("from", "to"):
@@ -207,17 +209,95 @@ def _source(program: Program, width: int) -> str:
             f"  br i1 %is{label}, label %rare{label}, label %after{label}",
             f"rare{label}:",
             *lines,
+            f"  br label %end{label}",
+            f"end{label}:",
             *(f"  {name}.rare = select B {condition}, D {a}, D {b}" for name, a, b in results),
             f"  br label %after{label}",
             f"after{label}:",
             *(
-                f"  {name} = phi D [ {name}.rare, %rare{label} ], [ {b}, %before{label} ]"
+                f"  {name} = phi D [ {name}.rare, %end{label} ], [ {b}, %before{label} ]"
                 for name, _, b in results
             ),
         ]
 
+    def table(name: str, numbers: list[str], is_constant: bool) -> list[str]:
+        if is_constant:  # of one lane, as they are the same in all
+            ones = ", ".join(each[1:-1].split(", ")[0] for each in numbers)
+            constants[name] = f"@{name} = internal constant [{len(numbers)} x double] [{ones}]"
+            return []
+        allocated.append(f"  %{name} = alloca D, i64 {len(numbers)}, align 8")
+        return [
+            f"  store D {each}, ptr {pointer(f'%{name}', i)}, align 8"
+            for i, each in enumerate(numbers)
+        ]
+
+    def loop(label: str, loop: Passes, lines: list[str], going: Going, rows: Rows) -> list[str]:
+        s, y, i = f"%s{label}", f"%y{label}", f"%i{label}"
+        cells = {at: pointer(s, at) for at, *_ in going}
+        for name, size in ((s, loop.n), (y, loop.times * loop.m)):
+            allocated.append(f"  {name} = alloca D, i64 {size}, align 8")
+        collected = [
+            line
+            for at, each in rows
+            for line in (
+                f"  {i}.at{at} = add i64 {i}.row, {at}",
+                f"  {i}.to{at} = getelementptr D, ptr {y}, i64 {i}.at{at}",
+                f"  store D {each}, ptr {i}.to{at}, align 8",
+            )
+        ]
+        return [
+            *(f"  store D {start}, ptr {cells[at]}, align 8" for at, start, _ in going),
+            f"  br label %enter{label}",
+            f"enter{label}:",
+            f"  br label %loop{label}",
+            f"loop{label}:",
+            f"  {i} = phi i64 [ 0, %enter{label} ], [ {i}.next, %latch{label} ]",
+            *lines,
+            f"  br label %latch{label}",
+            f"latch{label}:",
+            *(f"  store D {after}, ptr {cells[at]}, align 8" for at, _, after in going),
+            f"  {i}.row = mul i64 {i}, {loop.m}",
+            *collected,
+            f"  {i}.next = add i64 {i}, 1",
+            f"  {i}.more = icmp slt i64 {i}.next, {loop.times}",
+            f"  br i1 {i}.more, label %loop{label}, label %done{label}",
+            f"done{label}:",
+        ]
+
+    def spread(name: str, number: str) -> list[str]:
+        """Return the lines that make a number of all runs a vector."""
+        return [
+            f"  {name}.one = insertelement D undef, double {number}, i64 0",
+            f"  {name} = shufflevector D {name}.one, D undef, ZERO",
+        ]
+
+    def taken(name: str, array: str, i: str, apart: int, first: int) -> list[str]:
+        base, kind = (f"@{array}", "double") if array in constants else (f"%{array}", "D")
+        read = [
+            f"  {name}.of = mul i64 %{i}, {apart}",
+            f"  {name}.at = add i64 {name}.of, {first}",
+            f"  {name}.from = getelementptr {kind}, ptr {base}, i64 {name}.at",
+        ]
+        if kind == "D":
+            return [*read, f"  {name} = load D, ptr {name}.from, align 8"]
+        same = f"  {name}.same = load double, ptr {name}.from, align 8"
+        return [*read, same, *spread(name, f"{name}.same")]
+
+    def number(name: str, i: str) -> list[str]:
+        return [f"  {name}.same = sitofp i64 %{i} to double", *spread(name, f"{name}.same")]
+
     language = Language(
-        _TEMPLATES, "%v", lambda name, text, _: f"  {name} = {text}", read, constant, rare
+        templates=_TEMPLATES,
+        variable="%v",
+        assigned=lambda name, text, _: f"  {name} = {text}",
+        read=read,
+        constant=constant,
+        rare=rare,
+        table=table,
+        loop=loop,
+        cell=lambda name, i: f"load D, ptr {pointer(f'%{name}', i)}, align 8",
+        taken=taken,
+        number=number,
     )
     writer = Writer(program.graph, language)
 
@@ -238,11 +318,12 @@ def _source(program: Program, width: int) -> str:
         parameters=max(program.n_parameters, 1),
         n_times=program.n_times,
         n_draws=program.n_draws,
+        allocated="\n".join(allocated),
         step="\n".join(pointers + step),
         record="\n".join(record),
         stores="\n".join(stores),
     )
-    return _filled(_DECLARED + run, width)
+    return _filled("\n".join([*constants.values(), _DECLARED + run]), width)
 
 
 def _filled(text: str, width: int) -> str:

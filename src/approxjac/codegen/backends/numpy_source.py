@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.codegen.trace.program import STEP, Block, Language, Program, Writer
-from approxjac.codegen.trace.symbols import Graph, Number
+from approxjac.codegen.trace.program import STEP, Block, Going, Language, Program, Rows, Writer
+from approxjac.codegen.trace.symbols import Graph, Number, Passes
 from approxjac.validation import Array
 
 _TEMPLATES = {
@@ -32,16 +32,36 @@ _TEMPLATES = {
 }
 
 
+def _rare(
+    _: str, condition: str, lines: list[str], results: list[tuple[str, str, str]]
+) -> list[str]:
+    chosen = [f"    {name} = np.where({condition}, {a}, {b})" for name, a, b in results]
+    return [*lines, *chosen]
+
+
+def _loop(label: str, loop: Passes, lines: list[str], going: Going, rows: Rows) -> list[str]:
+    return [
+        f"    s{label}, y{label} = [0.0] * {loop.n}, [0.0] * {loop.times * loop.m}",
+        *(f"    s{label}[{at}] = {start}" for at, start, _ in going),
+        f"    for i{label} in range({loop.times}):",
+        *(f"    {line}" for line in lines),
+        *(f"        s{label}[{at}] = {after}" for at, _, after in going),
+        *(f"        y{label}[{loop.m} * i{label} + {at}] = {each}" for at, each in rows),
+    ]
+
+
 _LANGUAGE = Language(
-    _TEMPLATES,
-    "v",
-    lambda name, text, _: f"    {name} = {text}",
-    lambda name, i: f"given[{name!r}][{i}]",
-    lambda value: f"np.float64({value!r})".replace("nan", "np.nan").replace("inf", "np.inf"),
-    lambda _, condition, lines, results: [
-        *lines,
-        *(f"    {name} = np.where({condition}, {a}, {b})" for name, a, b in results),
-    ],
+    templates=_TEMPLATES,
+    variable="v",
+    assigned=lambda name, text, _: f"    {name} = {text}",
+    read=lambda name, i: f"given[{name!r}][{i}]",
+    constant=lambda a: f"np.float64({a!r})".replace("nan", "np.nan").replace("inf", "np.inf"),
+    rare=_rare,
+    table=lambda name, numbers, _: [f"    {name} = [{', '.join(numbers)}]"],
+    loop=_loop,
+    cell=lambda name, i: f"{name}[{i}]",
+    taken=lambda name, array, i, apart, first: [f"    {name} = {array}[{apart} * {i} + {first}]"],
+    number=lambda name, i: [f"    {name} = np.float64({i})"],
 )
 
 

@@ -11,6 +11,7 @@ from approxjac.codegen.trace.symbols import (
     CONDITIONS,
     Graph,
     Number,
+    Passes,
     Scalar,
     Symbols,
     inputs,
@@ -165,8 +166,16 @@ def _flat(values: Kept) -> dict[str, list[Number]]:
     return {name: symbols(value).ravel().tolist() for name, value in values.items()}
 
 
+Going = list[tuple[int, str, str]]
+"""Of each number that goes from pass to pass its place, its start, and what follows it."""
+Rows = list[tuple[int, str]]
+"""Of each number that is collected its place, and what it is."""
+
+
 class Language(NamedTuple):
-    """Language that straight-line code is written in.
+    """Language that code is written in.
+
+    Lines of a block are as those outside of it: who writes the block moves them to the right.
 
     Attributes:
         templates: Operation → how it is written, with its arguments as {0}, {1} and {2}.
@@ -176,6 +185,13 @@ class Language(NamedTuple):
         constant: The text of a number.
         rare: Of a label of the block, its condition, its lines, and for each result its name, what
             it is in the block and what it is elsewhere: the lines of both.
+        table: Of a name and numbers, and whether these are constants: lines that make an array.
+        loop: Of a label, a `Passes`, its lines, `Going` and `Rows`: the lines of all.
+        cell: The text that reads a place of an array: s and a loop's label is what goes from pass
+            to pass, y what is collected, t a table.
+        taken: Of a name, an array, i and a loop's label, how far cells are apart, and the first:
+            the lines that read what the number of the pass says.
+        number: Of a name, and i and a loop's label: the lines that make the pass a number.
     """
 
     templates: Mapping[str, str]
@@ -184,77 +200,233 @@ class Language(NamedTuple):
     read: Callable[[str, int], str]
     constant: Callable[[float], str]
     rare: Callable[[str, str, list[str], list[tuple[str, str, str]]], list[str]]
+    table: Callable[[str, list[str], bool], list[str]]
+    loop: Callable[[str, Passes, list[str], Going, Rows], list[str]]
+    cell: Callable[[str, int], str]
+    taken: Callable[[str, str, str, int, int], list[str]]
+    number: Callable[[str, str], list[str]]
+
+
+class _Region:
+    """Lines that run under the same conditions: all, those of a rare block, those of a loop."""
+
+    def __init__(self, parent: _Region | None = None, loop: int | None = None) -> None:
+        self.parent, self.loop = parent, loop
+        self.depth: int = 0 if parent is None else parent.depth + 1
+        self.places: list[int] = []
+
+    def shared(self, other: _Region | None) -> _Region:
+        """Return the innermost one that both are in."""
+        a, b = self, self if other is None else other
+        while a is not b:
+            if a.depth < b.depth:
+                a, b = b, a
+            assert a.parent is not None
+            a = a.parent
+        return a
+
+    def before_loops(self, needed: frozenset[int]) -> _Region:
+        """Return where to compute what needs some loops: before all others that this is in."""
+        found = region = self
+        while region.parent is not None and region.loop not in needed:
+            if region.loop is not None:
+                found = region.parent
+            region = region.parent
+        return found
+
+
+class _Schedule:
+    """Where each of some operations is computed: as seldom as possible, and then as late.
+
+    Attributes:
+        whole: What is computed in any case.
+        inside: Place of a loop, or number of a rare block → its region.
+    """
+
+    def __init__(
+        self, graph: Graph, places: list[int], parts: dict[int, set[int]], wanted: list[int]
+    ) -> None:
+        self._nodes = nodes = graph.nodes
+        self.whole = _Region()
+        self.inside: dict[tuple[str, int], _Region] = {}
+        needs = self._needs(places, parts)
+        here = set(places)
+        users: dict[int, _Region] = {}
+        blocks: dict[int, tuple[list[int], _Region]] = {}  # their results, and who needs them
+        first = {}
+        for place in reversed(places):
+            if nodes[place].operation == "rare":
+                first[nodes[place].value] = place
+
+        def use(place: int, region: _Region) -> None:
+            if place in here:
+                users[place] = region.shared(users.get(place))
+
+        for place in wanted:
+            use(place, self.whole)
+        for place in reversed(places):
+            operation, arguments, value = nodes[place]
+            if operation in ("constant", "state", "index"):
+                continue
+            region = users[place].before_loops(needs[place])
+            if operation == "rare":
+                results, known = blocks.get(value, ([], None))
+                blocks[value] = results, region = [*results, place], region.shared(known)
+                if place != first[value]:
+                    continue
+                region = region.before_loops(frozenset().union(*(needs[each] for each in results)))
+                inside = self.inside["rare", value] = _Region(region)
+                region.places += results
+                for each in results:
+                    condition, a, b = nodes[each].arguments
+                    use(condition, region)
+                    use(a, inside)
+                    use(b, region)
+            elif operation == "loop":
+                region.places.append(place)
+                inside = self.inside["loop", place] = _Region(region, value.number)
+                for part in parts[place]:
+                    use(arguments[value.n + part], inside)
+                    if part < value.n:
+                        use(arguments[part], region)
+            else:
+                region.places.append(place)
+                for each in arguments:
+                    use(each, region)
+
+    def _needs(self, places: list[int], parts: dict[int, set[int]]) -> dict[int, frozenset[int]]:
+        """Return for each operation the loops whose passes it differs between."""
+        needs: dict[int, frozenset[int]] = {}
+        nothing: frozenset[int] = frozenset()
+        for place in places:
+            operation, arguments, value = self._nodes[place]
+            if operation in ("state", "index"):
+                needs[place] = frozenset([value])
+                continue
+            if operation == "loop":
+                own = parts[place]
+                arguments = (
+                    *(arguments[part] for part in own if part < value.n),
+                    *(arguments[value.n + part] for part in own),
+                )
+            found = nothing.union(*(needs.get(each, nothing) for each in arguments))
+            needs[place] = found - {value.number} if operation == "loop" else found
+        return needs
 
 
 class Writer:
     """Writes the operations of a graph in a language, each once.
 
-    But what was written in a rare block is not known beyond it: `lines` that need it later have it
+    But what was written in a block is not known beyond it: `lines` that need it later have it
     again, under another name.
     """
 
     def __init__(self, graph: Graph, language: Language) -> None:
         self._graph, self._language = graph, language
         self._names: dict[int, str] = {}
+        self._labels: dict[int, str] = {}  # of tables and loops that are known
+        self._parts: dict[int, set[int]] = {}  # of these loops
+        self._running: dict[int, str] = {}  # number of a loop → its label
+        self._numbers: set[int] = set()  # of passes, that are computed with
         self._calls, self._again = 0, ""
 
     def lines(self, wanted: Sequence[Number]) -> tuple[list[str], list[str]]:
         """Return the lines that compute some numbers, and what they are called there."""
-        graph, rare = self._graph, self._language.rare
+        graph = self._graph
         self._again = f"_{self._calls}" if self._calls else ""
         self._calls += 1
-        places = [place for place in graph.needed(wanted) if place not in self._names]
-        inside = self._inside(places, wanted)
-        lines: list[str] = []
-        blocks: dict[int, list[int]] = {}
-        for place in places:
-            node = graph.nodes[place]
-            if place in inside:
-                blocks.setdefault(inside[place], []).append(place)
-            elif node.operation != "rare":
-                lines += self._line(place)
-            elif place not in self._names:
-                number = node.value
-                assert isinstance(number, int)
-                own = blocks.pop(number, [])
+        roots = [graph.place(number) for number in wanted]
+        tables = {place for place in self._labels if graph.nodes[place].operation == "table"}
+        known = self._names.keys() | tables
+        places, parts = graph.reached(roots, known, self._parts)
+        places = [each for each in places if graph.nodes[each].operation != "loop" or each in parts]
+        schedule = _Schedule(graph, places, parts, [each for each in roots if each not in known])
+        self._numbers = {
+            each
+            for place in places
+            if graph.nodes[place].operation != "take"
+            for each in graph.nodes[place].arguments
+            if graph.nodes[each].operation == "index"
+        }
+        before = self._names.copy(), self._labels.copy()
+        lines = self._region(schedule, schedule.whole, parts)
+        names = [self._name(place) for place in roots]
+        whole = set(schedule.whole.places)
+        for mine, old in zip((self._names, self._labels), before, strict=True):
+            for place in [each for each in mine if each not in old and each not in whole]:
+                del mine[place]
+        self._parts |= {place: own for place, own in parts.items() if place in whole}
+        return lines, names
+
+    def _region(
+        self, schedule: _Schedule, region: _Region, parts: dict[int, set[int]]
+    ) -> list[str]:
+        nodes, language, lines = self._graph.nodes, self._language, []
+        written = set()
+        for place in sorted(region.places):
+            operation, arguments, value = nodes[place]
+            if operation == "rare":
+                if value in written:
+                    continue
+                written.add(value)
                 results = [
                     each
-                    for each in places
-                    if graph.nodes[each].operation == "rare" and graph.nodes[each].value == number
+                    for each in sorted(region.places)
+                    if nodes[each].operation == "rare" and nodes[each].value == value
                 ]
-                body = [line for each in own for line in self._line(each)]
-                for each in results:
-                    self._names[each] = f"{self._language.variable}{each}{self._again}"
-                told = []
-                for each in results:
-                    _, a, b = graph.nodes[each].arguments
-                    told.append((self._names[each], self._name(a), self._name(b)))
-                label = f"{number}{self._again}"
-                lines += rare(label, self._name(node.arguments[0]), body, told)
-        for place in inside:
-            self._names.pop(place, None)
-        return lines, [self._name(graph.place(number)) for number in wanted]
+                body = self._region(schedule, schedule.inside["rare", value], parts)
+                names = [f"{language.variable}{each}{self._again}" for each in results]
+                told = [
+                    (
+                        name,
+                        self._name(nodes[each].arguments[1]),
+                        self._name(nodes[each].arguments[2]),
+                    )
+                    for name, each in zip(names, results, strict=True)
+                ]
+                label, condition = f"{value}{self._again}", self._name(arguments[0])
+                self._names |= dict(zip(results, names, strict=True))
+                lines += language.rare(label, condition, body, told)
+            elif operation == "loop":
+                lines += self._loop(place, parts[place], schedule, parts)
+            elif operation == "table":
+                self._labels[place] = label = f"t{place}{self._again}"
+                constant = all(nodes[each].operation == "constant" for each in arguments)
+                lines += language.table(label, list(map(self._name, arguments)), constant)
+            elif operation != "constant":
+                lines += self._line(place)
+        return lines
 
-    def _inside(self, places: list[int], wanted: Sequence[Number]) -> dict[int, int]:
-        """Return of what only a rare block needs the number of that block."""
-        graph = self._graph
-        needed_by: dict[int, set[int]] = {place: set() for place in places}
-        for number in wanted:
-            needed_by.get(graph.place(number), set()).add(0)
-        for place in reversed(places):
-            operation, arguments, value = graph.nodes[place]
-            by = needed_by[place]
-            for i, argument in enumerate(arguments):
-                if argument in needed_by:
-                    if operation == "rare":
-                        needed_by[argument].add(value if i == 1 else 0)  # type: ignore[arg-type]
-                    else:
-                        needed_by[argument] |= by if len(by) == 1 else {0}
-        return {
-            place: by.pop()
-            for place, by in needed_by.items()
-            if len(by) == 1 and 0 not in by and graph.nodes[place].operation != "rare"
-        }
+    def _loop(
+        self, place: int, own: set[int], schedule: _Schedule, parts: dict[int, set[int]]
+    ) -> list[str]:
+        _, arguments, loop = self._graph.nodes[place]
+        self._labels[place] = label = f"{loop.number}{self._again}"
+        self._running[loop.number] = label
+        lines: list[str] = []
+        for index in self._numbers:
+            if self._graph.nodes[index].value == loop.number:
+                self._names[index] = name = f"{self._language.variable}{index}{self._again}"
+                lines += self._language.number(name, f"i{label}")
+        lines += self._region(schedule, schedule.inside["loop", place], parts)
+        after = {part: self._name(arguments[loop.n + part]) for part in sorted(own)}
+        kept = [
+            (part, self._name(arguments[part]), name)
+            for part, name in after.items()
+            if part < loop.n
+        ]
+        rows = [(part - loop.n, name) for part, name in after.items() if part >= loop.n]
+        return self._language.loop(label, loop, lines, kept, rows)
+
+    def _array(self, memory: int, at: int) -> tuple[str, int]:
+        """Return what an array of a graph is called, and where a place of it is there."""
+        operation, _, value = self._graph.nodes[memory]
+        if operation == "state":
+            return f"s{self._running[value]}", at
+        label = self._labels[memory]
+        if operation == "table":
+            return label, at
+        return (f"s{label}", at) if at < value.n else (f"y{label}", at - value.n)
 
     def _name(self, place: int) -> str:
         operation, _, value = self._graph.nodes[place]
@@ -265,13 +437,17 @@ class Writer:
 
     def _line(self, place: int) -> list[str]:
         operation, arguments, value = self._graph.nodes[place]
-        if operation == "constant":
-            return []
         language = self._language
-        self._names[place] = f"{language.variable}{place}{self._again}"
+        self._names[place] = name = f"{language.variable}{place}{self._again}"
         if operation == "input":
-            assert isinstance(value, tuple)
             text = language.read(*value)
+        elif operation == "cell":
+            text = language.cell(*self._array(arguments[0], value))
+        elif operation == "take":
+            apart, first = value
+            index = f"i{self._running[self._graph.nodes[arguments[1]].value]}"
+            array, first = self._array(arguments[0], first)
+            return language.taken(name, array, index, apart, first)
         else:
             text = language.templates[operation].format(*map(self._name, arguments))
-        return [language.assigned(self._names[place], text, operation in CONDITIONS)]
+        return [language.assigned(name, text, operation in CONDITIONS)]

@@ -13,10 +13,12 @@ from __future__ import annotations
 import functools
 import math
 import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+
+from approxjac.law.branches import collected
 
 Number = Any
 """A `Scalar`, or a float: mypy cannot tell which are folded to a float."""
@@ -28,14 +30,35 @@ class Node(NamedTuple):
     """One operation.
 
     Attributes:
-        operation: One of `OPERATIONS`, "input", "constant" or "rare".
+        operation: One of `OPERATIONS`, "input", "constant" or "rare"; or of `MEMORY`, "index",
+            "cell" or "take", which are of loops.
         arguments: Places of its arguments in the graph.
-        value: The constant; the name and the place of an input; the number of a rare block.
+        value: The constant; the name and the place of an input; the number of a rare block; a
+            `Passes`; the number of the loop that an index, or a state, is of; which cell; how far
+            cells are apart, and the first, of what is taken.
     """
 
     operation: str
     arguments: tuple[int, ...] = ()
-    value: float | tuple[str, int] | int | None = None
+    value: Any = None
+
+
+class Passes(NamedTuple):
+    """How often the body of a loop runs, and what it keeps.
+
+    Its arguments are its start, what follows it, and what is collected, in each pass.
+
+    Attributes:
+        number: Of the loop.
+        times: How often.
+        n: How many numbers go from pass to pass.
+        m: How many are collected in each.
+    """
+
+    number: int
+    times: int
+    n: int
+    m: int
 
 
 def _select(condition: bool, a: float, b: float) -> float:
@@ -77,6 +100,12 @@ OPERATIONS: dict[str, Callable[..., float | bool]] = {
 CONDITIONS = frozenset({"less", "less_equal", "equal", "and", "or", "not"})
 """Operations whose result is true or false."""
 
+MEMORY = frozenset({"table", "state", "loop"})
+"""Operations whose result is an array: of numbers, of a loop's before a pass, and after the last.
+
+After a loop, what was collected follows in the order in which it was.
+"""
+
 _COMMUTES = frozenset({"add", "multiply", "equal", "and", "or"})
 
 
@@ -90,7 +119,9 @@ class Graph:
     def __init__(self) -> None:
         self.nodes: list[Node] = []
         self._known: dict[object, int] = {}
-        self._blocks = 0
+        self._blocks = self._loops = 0
+        self._running: list[int] = []  # loops whose body is being written down
+        self._ends: dict[int, int] = {}  # number of a loop → its place
 
     def input(self, name: str, size: int) -> list[Scalar]:
         """Return the numbers of an input."""
@@ -127,15 +158,116 @@ class Graph:
             self._scalar(Node("rare", (condition.place, *each), self._blocks)) for each in places
         ]
 
+    def loop(
+        self,
+        count: int,
+        start: Sequence[Number],
+        body: Callable[[Scalar, list[Number]], tuple[Sequence[Number], Sequence[Number]]],
+    ) -> tuple[list[Number], list[list[Number]]]:
+        """Return what is left of some numbers after a loop, and what it collected, pass by pass.
+
+        Args:
+            count: How often the body runs, ≥ 1.
+            start: The numbers before it.
+            body: Of the number of the pass, from 0, and the numbers before it; returns those after
+                it, and what is collected.
+        """
+        self._loops = number = self._loops + 1
+        self._running.append(number)
+        state = self._scalar(Node("state", (), number))
+        before = [self._cell(state, i) for i in range(len(start))]
+        after, collected = body(self._scalar(Node("index", (), number)), list(before))
+        self._running.remove(number)
+        places = tuple(self.place(each) for each in (*start, *after, *collected))
+        n, m = len(start), len(collected)
+        if len(places) != 2 * n + m:
+            raise ValueError(f"a loop over {n} numbers must return as many, got {len(after)}")
+        left = self._scalar(Node("loop", places, Passes(number, count, n, m)))
+        self._ends[number] = left.place
+        rows = [[self._cell(left, n + i * m + j) for j in range(m)] for i in range(count)]
+        return [self._cell(left, i) for i in range(n)], rows
+
+    def take(self, rows: Sequence[Sequence[Number]], index: Scalar) -> list[Number]:
+        """Return one of some rows, as the number of a loop's pass says which."""
+        node = self.nodes[index.place]
+        if node.operation != "index" or node.value not in self._running:
+            raise TypeError("an array takes the number of a loop's pass, as it is, as its index")
+        flat, width = [each for row in rows for each in row], len(rows[0])
+        if all(not isinstance(row, Scalar) and row == flat[0] for row in flat):
+            return [flat[0]] * width
+        memory, first = self._memory(flat)
+        arguments = memory, index.place
+        return [self._scalar(Node("take", arguments, (width, first + j))) for j in range(width)]
+
+    def _memory(self, flat: Sequence[Number]) -> tuple[int, int]:
+        """Return the place of an array that holds some numbers, and where they begin in it."""
+        if isinstance(flat[0], Scalar) and self.nodes[flat[0].place].operation == "cell":
+            _, (memory,), first = self.nodes[flat[0].place]
+            cells = (Node("cell", (memory,), first + i) for i in range(len(flat)))
+            if all(
+                isinstance(each, Scalar) and self.nodes[each.place] == cell
+                for each, cell in zip(flat, cells, strict=True)
+            ):
+                return memory, first
+        return self._scalar(Node("table", tuple(map(self.place, flat)))).place, 0
+
+    def _cell(self, memory: Scalar, i: int) -> Scalar:
+        return self._scalar(Node("cell", (memory.place,), i))
+
     def needed(self, numbers: Sequence[Number]) -> list[int]:
         """Return the places of all that some numbers depend on, in order."""
-        needed, waiting = set(), [self.place(number) for number in numbers]
+        return self.reached(map(self.place, numbers), (), {})[0]
+
+    def reached(
+        self, wanted: Iterable[int], known: Container[int], loops: Mapping[int, set[int]]
+    ) -> tuple[list[int], dict[int, set[int]]]:
+        """Return the places of all that some depend on, in order, and what is needed of each loop.
+
+        Of a loop, only what is needed of it is computed: its numbers, and columns of what it
+        collects, counted from n.
+
+        Args:
+            wanted: Places.
+            known: Places of numbers that are known, and need nothing.
+            loops: Place of a loop that is known → what of it is.
+        """
+        found: set[int] = set()
+        parts: dict[int, set[int]] = {}
+        waiting = list(wanted)
+
+        def need(place: int, some: Iterable[int]) -> None:
+            loop, arguments = self.nodes[place].value, self.nodes[place].arguments
+            before = loops.get(place, set())
+            own = parts.setdefault(place, set())
+            if not own and before >= set(some):
+                return
+            for part in {*some, *before} - own:
+                own.add(part)
+                waiting.append(arguments[loop.n + part])
+                waiting.extend(arguments[part : part + 1] if part < loop.n else ())
+            waiting.append(place)
+
         while waiting:
             place = waiting.pop()
-            if place not in needed:
-                needed.add(place)
-                waiting += self.nodes[place].arguments
-        return sorted(needed)
+            if place in found or place in known:
+                continue
+            found.add(place)
+            operation, arguments, value = self.nodes[place]
+            if operation in ("cell", "take"):
+                memory = self.nodes[arguments[0]]
+                waiting += arguments
+                if memory.operation == "table":
+                    continue
+                at = arguments[0] if memory.operation == "loop" else self._ends[memory.value]
+                loop, first = self.nodes[at].value, value if operation == "cell" else value[1]
+                if operation == "cell":
+                    some = {first if first < loop.n else loop.n + (first - loop.n) % loop.m}
+                else:
+                    some = set(range(loop.n) if first < loop.n else range(loop.n, loop.n + loop.m))
+                need(at, some)
+            elif operation != "loop":
+                waiting += arguments
+        return sorted(found), {place: own for place, own in parts.items() if own}
 
     def _scalar(self, node: Node) -> Scalar:
         # 0.0 and −0.0 are equal, and not the same
@@ -147,6 +279,16 @@ class Graph:
         return Scalar(self, place)
 
 
+def _leaves_arrays(method: Callable[[Scalar, Any], Any]) -> Callable[[Scalar, Any], Any]:
+    """Leave to NumPy what is done with an array."""
+
+    @functools.wraps(method)
+    def arithmetic(self: Scalar, other: Any) -> Any:
+        return NotImplemented if isinstance(other, np.ndarray) else method(self, other)
+
+    return arithmetic
+
+
 class Scalar:
     """A number, or a truth value, of a graph."""
 
@@ -156,6 +298,7 @@ class Scalar:
         self.graph = graph
         self.place = place
 
+    @_leaves_arrays
     def __add__(self, other: Number) -> Number:
         if not isinstance(other, Scalar):
             return self if other == 0.0 else self.graph.apply("add", self, other)
@@ -167,6 +310,7 @@ class Scalar:
 
     __radd__ = __add__
 
+    @_leaves_arrays
     def __sub__(self, other: Number) -> Number:
         if not isinstance(other, Scalar):
             return self if other == 0.0 else self.graph.apply("subtract", self, other)
@@ -174,9 +318,11 @@ class Scalar:
             return self + inside
         return self.graph.apply("subtract", self, other)
 
+    @_leaves_arrays
     def __rsub__(self, other: Number) -> Number:
         return -self if other == 0.0 else self.graph.apply("subtract", other, self)
 
+    @_leaves_arrays
     def __mul__(self, other: Number) -> Number:
         if not isinstance(other, Scalar):
             if other == 0.0:  # an unknown number is finite: a step that is not is no usual one
@@ -191,11 +337,13 @@ class Scalar:
 
     __rmul__ = __mul__
 
+    @_leaves_arrays
     def __truediv__(self, other: Number) -> Number:
         if not isinstance(other, Scalar) and other == 1.0:
             return self
         return self.graph.apply("divide", self, other)
 
+    @_leaves_arrays
     def __rtruediv__(self, other: Number) -> Number:
         return 0.0 if other == 0.0 else self.graph.apply("divide", other, self)
 
@@ -217,19 +365,24 @@ class Scalar:
             product = product * self
         return product
 
+    @_leaves_arrays
     def __lt__(self, other: Number) -> Scalar:
         return self.graph.apply("less", self, other)
 
+    @_leaves_arrays
     def __gt__(self, other: Number) -> Scalar:
         return self.graph.apply("less", other, self)
 
+    @_leaves_arrays
     def __le__(self, other: Number) -> Scalar:
         return self.graph.apply("less_equal", self, other)
 
+    @_leaves_arrays
     def __ge__(self, other: Number) -> Scalar:
         return self.graph.apply("less_equal", other, self)
 
-    def __eq__(self, other: object) -> Scalar:  # type: ignore[override]
+    @_leaves_arrays
+    def __eq__(self, other: object) -> Scalar:
         return self.graph.apply("equal", self, other)
 
     __hash__ = None  # type: ignore[assignment]
@@ -260,11 +413,23 @@ class Scalar:
         return _apply(*arguments, **options)
 
     def __array_function__(self, function: Any, types: Any, arguments: Any, options: Any) -> Any:
+        if function is np.stack:
+            return symbols(list(arguments[0]))
         return _where(*arguments) if function is np.where else NotImplemented
 
     def choose(self, then: Callable[[], Any], otherwise: Callable[[], Any]) -> Any:
         """Return what `law.choose` does; `then` costs nothing where it never holds."""
         return _chosen(self, then(), otherwise())
+
+    def looped(self, *arguments: Any) -> Any:
+        """Return what `law.collect` does."""
+        return _looped(*arguments)
+
+    def take(self, array: Any) -> Any:
+        """Return what `law.take` does, of the number of a loop's pass."""
+        flat = symbols(array)
+        row = self.graph.take(flat.reshape(len(flat), -1).tolist(), self)
+        return symbols(row).reshape(flat.shape[1:])[()]
 
     def sqrt(self) -> Scalar:
         """Return √a."""
@@ -463,11 +628,12 @@ class SymbolArray(np.ndarray):
         result = super().__array_function__(function, types, arguments, options)
         return result.view(SymbolArray) if isinstance(result, np.ndarray) else result
 
-    def repeated(self, count: int, body: Callable[[Any, Any], Any], values: Any) -> Any:
-        """Return what `law.repeat` does."""
-        for i in range(count):
-            values = body(i, values)
-        return values
+    def looped(self, *arguments: Any) -> Any:
+        """Return what `law.collect` does."""
+        return _looped(*arguments)
+
+
+Values = tuple[Any, ...]
 
 
 def _chosen(
@@ -486,6 +652,44 @@ def _chosen(
         found.append(symbols(values[at : at + a.size]).reshape(a.shape) if a.ndim else values[at])
         at += a.size
     return tuple(found)
+
+
+def _looped(count: int, body: Callable[[Any, Values], tuple[Values, Values]], start: Values) -> Any:
+    """Return what `law.collect` does, as a loop of the graph, whose body is traced once."""
+    arrays = [symbols(each) for each in start]
+    flat = [number for each in arrays for number in each.ravel().tolist()]
+    graph = next((each.graph for each in flat if isinstance(each, Scalar)), None)
+    if graph is None or count < 2:
+        return collected(count, body, start)
+    truths = [_is_condition(each) for each in flat]
+    kept: list[tuple[int, ...]] = []  # shapes of what is collected
+
+    def flattened(values: Values) -> list[Number]:
+        return [number for each in values for number in symbols(each).ravel().tolist()]
+
+    def split(numbers: Sequence[Number], shapes: Sequence[tuple[int, ...]]) -> Values:
+        ends = np.cumsum([math.prod(shape) for shape in shapes]).tolist()
+        return tuple(
+            symbols(numbers[end - math.prod(shape) : end]).reshape(shape)[()]
+            for end, shape in zip(ends, shapes, strict=True)
+        )
+
+    def restored(numbers: Sequence[Number]) -> Values:
+        pairs = zip(numbers, truths, strict=True)
+        known = [each == 1.0 if is_truth else each for each, is_truth in pairs]
+        return split(known, [each.shape for each in arrays])
+
+    def numbers_of(values: Sequence[Number]) -> list[Number]:
+        return [select(each, 1.0, 0.0) if _is_condition(each) else each for each in values]
+
+    def written(i: Scalar, before: list[Number]) -> tuple[list[Number], list[Number]]:
+        after, row = body(i, restored(before))
+        kept[:] = [symbols(each).shape for each in row]
+        return numbers_of(flattened(after)), numbers_of(flattened(row))
+
+    left, rows = graph.loop(count, numbers_of(flat), written)
+    columns = zip(*(split(row, kept) for row in rows), strict=True)
+    return restored(left), tuple(np.stack(column) for column in columns)
 
 
 def _apply(ufunc: np.ufunc, method: str, *arguments: Any, **options: Any) -> Any:
