@@ -51,7 +51,7 @@ for ax, (name, controller) in zip(axes, controllers.items(), strict=False):
     view.plot_error(run, ax, title=f"{name}: {rms:.2g} mm RMS at the end")
 names = ["tool.x", "tool.y", "tool.z"]
 true = dict(zip(names, aj.robots.KinematicRegressor(truth).theta[-3:], strict=True))
-view.plot_kinematics(run, controller, names, axes[2], truth=true, title="The tool, ± 2 sd")
+view.plot_parameters(run, names, axes[2], truth=true, title="The tool, ± 2 sd")
 print(*view.save_figure(figure, out / "circle_unknown_tool"), sep="\n")
 print(view.save_page(run, out / "circle_unknown_tool.html"))
 

@@ -50,6 +50,6 @@ for ax, (name, controller) in zip(axes, controllers.items(), strict=False):
     print(f"{name}: {1e3 * run.error_norm[0]:.0f} mm -> {left:.2f} mm after 4 s")
     view.plot_error(run, ax, title=f"{name}: {left:.1f} mm left")
 true = dict(zip(["camera.rx", "camera.ry", "camera.rz"], turned, strict=True))
-view.plot_kinematics(run, controller, list(true), axes[2], truth=true, title="Its rotation, ± 2 sd")
+view.plot_parameters(run, list(true), axes[2], truth=true, title="Its rotation, ± 2 sd")
 print(*view.save_figure(figure, out / "tracker_turned"), sep="\n")
 print(view.save_page(run, out / "tracker_turned.html"))

@@ -51,7 +51,7 @@ figure, (left, right) = view.new_figure(2, title="A Panda that calibrates itself
 view.plot_error(run, left)
 regressor = aj.robots.KinematicRegressor(truth)
 true = dict(zip(regressor.names, regressor.theta, strict=True))
-view.plot_kinematics(run, controller, ax=right, truth=true)
+view.plot_parameters(run, ax=right, truth=true)
 print(*view.save_figure(figure, out / "calibrate_on_the_job"), sep="\n")
 print(view.save_page(run, out / "calibrate_on_the_job.html"))
 print(learnt.save_urdf(out / "panda_as_it_is.urdf"))

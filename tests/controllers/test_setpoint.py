@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 import approxjac as aj
 from approxjac import paper
 from approxjac.controllers import DifferentiatedVelocity, ModelGravity, RegressorGravity
-from approxjac.controllers.run_terms import lyapunov_value
+from approxjac.controllers.controller import Instant
 from approxjac.errors import MeasurementError
 from approxjac.law import Sine, Tanh
 from approxjac.robots import Dynamics, GravityRegressor
@@ -575,10 +575,10 @@ def test_one_task_coordinate_is_bounded_through_its_singular_posture(two_link):
 
 def test_v_is_not_known_where_the_error_is_not(panda, rng):
     controller, q = aj.SetpointController(aj.PositionTask(panda)), panda.random_configuration(rng)
-    x, v, M = controller.task.value(q), rng.normal(size=7), np.eye(7)
+    x, v, dynamics = controller.task.value(q), rng.normal(size=7), Dynamics(panda)
     state = np.zeros(0)
     values = []
     for seen in (x, np.full(3, np.nan)):
         answer = controller.evaluate(state, aj.Measurement(0.0, q, v, seen), x)
-        values.append(lyapunov_value(controller, answer.e, v, answer.J_hat, M, 1.0))
-    assert_allclose(values, [0.5 * v @ v, np.nan])
+        values.append(controller.lyapunov(Instant(q, v, answer.e, x, state, answer, dynamics)))
+    assert_allclose(values, [0.5 * v @ dynamics.M(q) @ v, np.nan])

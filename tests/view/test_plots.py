@@ -175,22 +175,23 @@ def test_the_arm_is_drawn_with_its_fixed_parts():
 
 
 def test_learnt_parameters_are_drawn_beside_the_true_ones(run):
-    learnt = dataclasses.replace(run, state=np.outer(run.t, [1.0, 2.0]))
-    ax = view.plot_parameters(learnt, ("a", "b"), theta=(0.9, 1.9))
+    scene = dataclasses.replace(run.scene, parameters={"a": "kg", "b": "kg m"})
+    learnt = dataclasses.replace(
+        run, learnt=np.outer(run.t, [1.0, 2.0]), scene=scene,
+        derived=lambda run, name: lambda state: np.full(2, np.nan),
+    )  # fmt: skip
+    ax = view.plot_parameters(learnt, truth={"a": 0.9, "b": 1.9})
     lines = {line.get_label(): line for line in ax.get_lines()}
     assert_allclose(lines["b"].get_ydata(), 2.0 * run.t)
-    assert view.plot_parameters(learnt, ("j.m",)).get_ylabel() == r"$\hat{\theta}$ [kg]"
-    assert view.plot_parameters(learnt, ("j.mx", "k.my")).get_ylabel() == r"$\hat{\theta}$ [kg m]"
-    assert (
-        view.plot_parameters(learnt, ("j.mx", "k.m")).get_ylabel() == r"$\hat{\theta}$ [kg m or kg]"
-    )
+    assert ax.get_ylabel() == "learnt [kg or kg m]"
+    assert view.plot_parameters(learnt, ["b"]).get_ylabel() == "learnt [kg m]"
     dashed = [line for line in ax.get_lines() if line.get_linestyle() == "--"]
     assert [line.get_ydata()[0] for line in dashed if len(line.get_ydata())] == [0.9, 1.9]
 
 
 def test_parameters_that_were_not_learnt_are_refused(run):
-    with pytest.raises(aj.InvalidInputError, match="names must be those of learnt parameters, got"):
-        view.plot_parameters(run, ("a",))
+    with pytest.raises(aj.InvalidInputError, match="run must be one in which something was learnt"):
+        view.plot_parameters(run)
 
 
 @pytest.mark.parametrize("plot", [view.plot_run, view.plot_error, view.plot_torque])
@@ -206,8 +207,8 @@ def test_what_is_learnt_of_kinematics_is_drawn_with_its_uncertainty(panda):
     q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
     plant = aj.Plant(truth)
     run = aj.simulate(plant, controller, plant.sensor.value(q0) + 0.05, q0, 0.5, dt=1e-3)
-    ax = view.plot_kinematics(run, controller, ["tool.z"], truth={"tool.z": 0.2})
-    (learnt, true), (band,) = ax.lines, ax.collections
+    ax = view.plot_parameters(run, ["tool.z"], truth={"tool.z": 0.2})
+    (learnt, true, _), (band,) = ax.lines, ax.collections
     assert learnt.get_label() == "tool.z"
     assert ax.get_ylabel() == "learnt, ± 2 sd [m]"
     assert list(true.get_ydata()) == [0.2, 0.2]
@@ -221,4 +222,4 @@ def test_what_is_learnt_of_kinematics_is_drawn_with_its_uncertainty(panda):
     assert low < last.value - 2.0 * last.sd < last.value + 2.0 * last.sd < high
     assert high - low < 0.5 * np.ptp(edges[:, 1])
     with pytest.raises(aj.errors.UnknownNameError, match=r"tool.w.*what is learnt"):
-        view.plot_kinematics(run, controller, ["tool.w"])
+        view.plot_parameters(run, ["tool.w"])

@@ -47,12 +47,15 @@ def image_run(arm, seen):
 @pytest.fixture(scope="module")
 def plots(run, image_run, arm, seen):
     """All plots that take axes, as functions of them."""
-    learnt = dataclasses.replace(run, state=np.outer(run.t, [1.0, 2.0]))
+    scene = dataclasses.replace(run.scene, parameters={"a": "kg", "b": "kg m"})
+    learnt = dataclasses.replace(
+        run, learnt=np.outer(run.t, [1.0, 2.0]), scene=scene,
+        derived=lambda run, name: lambda state: np.full(2, np.nan),
+    )  # fmt: skip
     belief = aj.load_robot("panda")
     tracking = aj.TrackingController(aj.PositionTask(belief))
     plant = aj.Plant(arm)
     followed = aj.simulate(plant, tracking, plant.sensor.value(HOME), HOME, 0.05, dt=1e-3)
-    learning = followed, tracking
     places, margins = rng.normal(size=(N, 3)), rng.uniform(-1.0, 1.0, N)
     x, y = np.linspace(0.1, 1.0, 5), np.linspace(1.0, 2.0, 4)
     decay = x[None, :] - 0.2 * y[:, None]
@@ -64,7 +67,9 @@ def plots(run, image_run, arm, seen):
         "plot_path": lambda ax: view.plot_path(
             run, arm, q_target=HOME, ax=ax, believed=belief, target=run.target
         ),
-        "plot_parameters": lambda ax: view.plot_parameters(learnt, "ab", ax, theta=(1.0, 2.0)),
+        "plot_parameters": lambda ax: view.plot_parameters(
+            learnt, ax=ax, truth={"a": 1.0, "b": 2.0}
+        ),
         "plot_image": lambda ax: view.plot_image(image_run, seen.camera, ax),
         "plot_camera_view": lambda ax: view.plot_camera_view(
             seen, HOME, ax, believed=seen, target=image_run.target
@@ -81,14 +86,14 @@ def plots(run, image_run, arm, seen):
             x, y, np.clip(decay, 0.0, 1.0), own=(0.5, 1.5), ax=ax,
             labels=("true object_length [m]", "damping [N m s/rad]"),
         ),
-        "plot_kinematics": lambda ax: view.plot_kinematics(*learning, ax=ax),
+        "plot_parameters, bands": lambda ax: view.plot_parameters(followed, ax=ax),
     }  # fmt: skip
 
 
 NAMES = (
     "plot_error", "plot_torque", "plot_torque, limits", "plot_slack", "plot_path",
     "plot_parameters", "plot_image", "plot_camera_view", "plot_allowed_error",
-    "plot_margins", "plot_map", "plot_shares", "plot_kinematics",
+    "plot_margins", "plot_map", "plot_shares", "plot_parameters, bands",
 )  # fmt: skip
 
 

@@ -103,9 +103,8 @@ class _Loop:
             if progress is not None:
                 progress(k * loop.dt)
         n = len(at)
-        q, v, x, x_d, tau, state, e, rate = (
-            table[:, place[name]]
-            for name in ("q", "v", "x", "target", "torque", "state", "e", "rate")
+        q, v, x, x_d, tau, state, e = (
+            table[:, place[name]] for name in ("q", "v", "x", "target", "torque", "state", "e")
         )
         J_hat = table[:, place["J_hat"]].reshape(n, *self._shape)
         status, limit_status, slack = (
@@ -114,5 +113,5 @@ class _Loop:
         slack[limit_status == LimitStatus.LIMITED] = np.nan  # without the proof there is none
         t = np.array(at) * loop.dt
         return [
-            t, q, v, x, x.copy(), x_d, tau, state, status, limit_status, slack, e, J_hat, rate,
+            t, q, v, x, x.copy(), x_d, tau, state, status, limit_status, slack, e, J_hat,
         ]  # fmt: skip

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 import pinocchio as pin
@@ -38,11 +39,13 @@ class MotionDynamics(Immutable, ABC):
     Attributes:
         robot: The believed robot.
         n_state: Length of the state, p where p parameters are learnt.
+        parameters: Their names and units.
     """
 
     robot: Robot
     rotor_inertia: Array
     n_state = 0
+    parameters: Mapping[str, str] = MappingProxyType({})
 
     def _build(self, robot: Robot, rotor_inertia: float | Sequence[float] | Array) -> None:
         require("robot", robot, Robot, "a Robot")
@@ -199,6 +202,7 @@ class AdaptiveDynamics(MotionDynamics):
         self._build(robot, rotor_inertia)
         self.regressor = DynamicsRegressor(robot)
         self.n_state = self.regressor.p
+        self.parameters = dict(zip(self.regressor.names, self.regressor.units, strict=True))
         usual = plausible_errors(self.regressor)
         self.sd = usual if sd is None else as_diagonal("sd", sd, self.n_state)
         self.fastest = as_number("fastest", fastest, unit="1/s", above=0.0)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import functools
 import math
 from abc import ABC
-from collections.abc import Callable
-from typing import Any, Literal, Self
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 
@@ -22,13 +23,42 @@ from approxjac.validation import Array, as_number
 _HUGE = 1e300  # below it no finite rate makes a state overflow within a second
 
 
+class Instant(NamedTuple):
+    """One instant of a run as it truly was, which a controller is told of afterwards.
+
+    Attributes:
+        q: Joint configuration, shape (nq,).
+        v: Joint velocity q̇, shape (n_v,).
+        e: True task error, shape (m,) [unit of the task].
+        x_d: Wanted task value, shape (n_x,).
+        state: State of the controller before its step, shape (n_state,).
+        answer: Its answer, without the rate of the state.
+        dynamics: Of the true robot.
+        adds_gravity: Robot whose gravity the true one compensates itself; None is none.
+    """
+
+    q: Array
+    v: Array
+    e: Array
+    x_d: Array
+    state: Array
+    answer: Evaluation
+    dynamics: Dynamics
+    adds_gravity: Robot | None = None
+
+    @property
+    def M(self) -> Array:
+        """True inertia matrix, shape (n_v, n_v)."""
+        return self.dynamics.M(self.q)
+
+
 class Controller(ABC):
     """Anything that turns measurements into torques, or velocities, step by step.
 
     Derive from it and write `step`, or `evaluate` of a law in continuous time, whose `step` is an
     Euler step of the rate of its state. All else has a default, and is overridden where a
     controller can tell more: its V (`lyapunov`), what it has learnt (`learnt`, `parameters`), how
-    limits of torques may change its torque (`passive_output`).
+    limits of torques may change its torque (`passive_output`, `is_proven`).
 
     A controller holds no memory of its own: what evolves is a flat state array that goes in and
     comes out, so that a loop can be stopped, saved and gone on with.
@@ -39,6 +69,7 @@ class Controller(ABC):
             the joints for a robot that takes those.
         dt: Sampling time that control has to have [s], or None where any will do.
         latency: Of the loop, if it is known.
+        parameters: Names and units of the numbers that `learnt` returns, in their order.
         kinematics: What predicts the error that it controls, known or learnt; None where it
             controls the measured one.
         alpha: α of `passive_output` [1/s] where none is given.
@@ -52,6 +83,7 @@ class Controller(ABC):
     command: Literal["torque", "velocity"] = "torque"
     dt: float | None = None
     latency: Latency | None = None
+    parameters: Mapping[str, str] = MappingProxyType({})
     kinematics: Kinematics | None = None
     alpha: float = 1.0
     whole_run: Callable[..., Any] | None = None
@@ -151,6 +183,13 @@ class Controller(ABC):
         """Return what a state, or a series of them (…, n_state), has learnt, shape (…, p)."""
         return state[..., :0]
 
+    def learnt_sd(self, state: Array) -> Array:
+        """Return the standard deviations of what a state has learnt, shape (p,).
+
+        By default NaN: not known.
+        """
+        return np.full(len(self.learnt(state)), np.nan)
+
     def resumed(self, state: Array, measurement: Measurement) -> Array:
         """Return a state before a first step that knows what another state has learnt.
 
@@ -186,6 +225,19 @@ class Controller(ABC):
             f"PredictedMeasurement, got {self!r}",
             given=self,
         )
+
+    # -- what is true of a run ------------------------------------------------------------------
+
+    def lyapunov(self, at: Instant) -> float:
+        """Return V [J] at an instant of a run; by default NaN: there is none."""
+        return math.nan
+
+    def task_torque(self, at: Instant) -> Array:
+        """Return the part of the torque that acts on the task, shape (n_v,) [N m or N].
+
+        By default NaN: not known.
+        """
+        return np.full(len(at.v), np.nan)
 
     # -- what limits of torques need to know ----------------------------------------------------
     # V̇ changes by yᵀ(τ − τ*) where τ takes the place of the law's own torque τ*: any τ with

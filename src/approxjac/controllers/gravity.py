@@ -291,6 +291,19 @@ class Adaptation(NamedTuple):
         """The believed robot."""
         return self.regressor.robot
 
+    def parameters(self, task: Task) -> dict[str, str]:
+        """Return names and units of θ̂: of gravity, the force on the task and joint torques."""
+        _, forces, torques = self.sizes
+        kinds = {"m": "N", "rad": "N m"}
+        found = dict(zip(self.regressor.names, self.regressor.units, strict=True))
+        if forces:
+            pairs = zip(task.labels, task.units, strict=True)
+            found |= {f"force along {at}": kinds.get(u, f"J/{u}") for at, u in pairs}
+        if torques:
+            joints = zip(self.robot.joint_names, self.robot.joint_units, strict=True)
+            found |= {f"torque of {at}": kinds[u] for at, u in joints}
+        return found
+
     def Y(self, q: Array, J_hat: Array) -> Array:
         """Return Y = [Z, Ĵᵀ, I], without what is not learnt, shape (n_v, P)."""
         Z = self.regressor.Z(q)

@@ -70,7 +70,7 @@ class HeldMeasurement(ControllerWrapper):
             )
         wanted = "a controller with a task, such as SetpointController(task)"
         require("controller", controller, Controller, wanted)
-        if controller.kinematics is not None:
+        if controller.law.kinematics is not None:
             raise InvalidInputError(
                 f"controller must be one that controls the measured x, got {controller!r}, which "
                 "goes on with a predicted x by itself",

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Self
 
 import numpy as np
 
 from approxjac.controllers.arguments import overflow, require_arrays, require_finite, with_rates
-from approxjac.controllers.controller import Controller
+from approxjac.controllers.controller import Controller, Instant
 from approxjac.controllers.learning.kinematic_report import KinematicReport
 from approxjac.controllers.learning.predicted_error import Kinematics
 from approxjac.controllers.wrapper import ControllerWrapper
@@ -53,7 +54,7 @@ class PredictedMeasurement(ControllerWrapper):
         self._remember(locals())
         require("kinematics", kinematics, Kinematics, "AdaptiveKinematics(task)")
         require("controller", controller, Controller, "a controller such as SetpointController")
-        if controller.kinematics is not None:
+        if controller.law.kinematics is not None:
             raise InvalidInputError(
                 f"controller must be one that controls the measured x, got {controller!r}, which "
                 "has kinematics of its own",
@@ -94,6 +95,24 @@ class PredictedMeasurement(ControllerWrapper):
         n = self.kinematics.n_state
         parts = [self.controller.learnt(state[..., :-n]), self.kinematics.learnt(state[..., -n:])]
         return np.concatenate(parts, axis=-1)
+
+    @property
+    def parameters(self) -> Mapping[str, str]:  # type: ignore[override]
+        """Names and units of what the law and then the kinematics learn."""
+        return {**self.controller.parameters, **self.kinematics.parameters}
+
+    def learnt_sd(self, state: Array) -> Array:
+        """Return the standard deviations of what was learnt, shape (p,)."""
+        inner, known = self._split(state)
+        return np.concatenate([self.controller.learnt_sd(inner), self.kinematics.sd_of(known)])
+
+    def lyapunov(self, at: Instant) -> float:
+        """Return NaN: the V of the law is of what is predicted."""
+        return math.nan
+
+    def task_torque(self, at: Instant) -> Array:
+        """Return NaN: the torque acts on what is predicted."""
+        return np.full(len(at.v), np.nan)
 
     def with_task(self, task: Task) -> Self:
         """Refuse another task: kinematics that have learnt are of the one that they were built for.

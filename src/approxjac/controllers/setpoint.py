@@ -11,7 +11,7 @@ import numpy as np
 from approxjac import law
 from approxjac.controllers import in_words
 from approxjac.controllers.arguments import FLOAT64, HUGE, is_lost, overflow, require_arrays
-from approxjac.controllers.controller import Controller
+from approxjac.controllers.controller import Controller, Instant
 from approxjac.controllers.differentiator import DifferentiatedVelocity
 from approxjac.controllers.gains.default_gains import slow_rate
 from approxjac.controllers.gains.gains import Gains, require_damping
@@ -37,7 +37,7 @@ from approxjac.interface import (
     Target,
 )
 from approxjac.law import Linear, Saturation, Tanh
-from approxjac.robots import Dynamics
+from approxjac.robots import Dynamics, GravityRegressor, Robot
 from approxjac.tasks import Task, analysis
 from approxjac.validation import Array, Immutable, as_number, as_vector, require
 
@@ -132,7 +132,8 @@ class SetpointController(Immutable, Controller):
             chosen = None if self.tuning is None else self.tuning.learning
             learning = learning.adaptation(task, self.diagonals, chosen)
         self.adaptation = learning if isinstance(learning, Adaptation) else None
-        self._p = 0 if self.adaptation is None else len(self.adaptation.theta0)
+        self.parameters = {} if self.adaptation is None else self.adaptation.parameters(task)
+        self._p = len(self.parameters)
         self._scale = analysis.vanishing(task)
         weight = None if self.adaptation is None else self.adaptation.pinv_weight
         self.pinv = Pseudoinverse(weight, self._scale, singular_ratio(task))
@@ -186,6 +187,33 @@ class SetpointController(Immutable, Controller):
     def learnt(self, state: Array) -> Array:
         """Return θ̂ of a state (n_state,), or of a series of them (…, n_state); shape (…, p)."""
         return state[..., : self._p]
+
+    def lyapunov(self, at: Instant) -> float:
+        """Return V of (12), or (31) where gravity is learnt, with Ĵ⁺ as in the law [J].
+
+        NaN where the error is not known.
+        """
+        if at.answer.J_hat is None or not np.isfinite(at.e).all():
+            return math.nan
+        (kp, kv, _), s, S = self.diagonals, self.saturation.s(at.e), self.saturation.S(at.e)
+        V = law.V(at.v, s, S, self.pinv.matrix(at.answer.J_hat), at.M, kp, kv, self.alpha)
+        if self.adaptation is None:
+            return V
+        regressor = self.adaptation.regressor
+        theta = _true_parameters(regressor, at.dynamics.robot)
+        if at.adds_gravity is not None:  # the rest is what there is to learn
+            theta = theta - _true_parameters(regressor, at.adds_gravity)
+        off = self.adaptation.whole(theta) - at.state[: self._p]
+        return V + law.parameter_potential(off, self.adaptation.L)
+
+    def task_torque(self, at: Instant) -> Array:
+        """Return −Ĵᵀ(K_p s(e) + K_v Ĵq̇), without K_p s(e) where x was lost, shape (n_v,)."""
+        (kp, kv, _), e, J_hat = self.diagonals, at.answer.e, at.answer.J_hat
+        assert J_hat is not None
+        x_dot = J_hat.dot(at.v)
+        if self.velocity is not None and np.isfinite(e).all():
+            x_dot = (e + at.x_d - at.state[self._p :]) / self._lag
+        return np.asarray(-(kp * np.nan_to_num(self.saturation.s(e)) + kv * x_dot).dot(J_hat))
 
     def passive_output(self, answer: Evaluation, v: Array, alpha: float | Array) -> Array:
         """Return y = q̇ + αĴ⁺s(e), eq. (10), where this controller gave an answer.
@@ -394,3 +422,9 @@ class SetpointController(Immutable, Controller):
         law = "(28), (29)" if self._p else "(6)" if self.velocity is None else "(5)"
         parts = f"law {law}, {self.task!r}, {self.gains!r}, {self.gravity!r}"
         return f"{type(self).__name__}({parts})"
+
+
+@functools.lru_cache(maxsize=4)
+def _true_parameters(regressor: GravityRegressor, robot: Robot) -> Array:
+    """Return the θ of a true robot; kept, as a live view asks for it at each picture."""
+    return regressor.fit(robot)[0]

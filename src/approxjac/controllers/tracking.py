@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal, Self
 
 import numpy as np
@@ -317,6 +317,18 @@ class TrackingController(Immutable, Controller):
         """
         known = self.kinematics.learnt(state[..., self._n_dynamics : self._end])
         return np.concatenate([state[..., : self._n_dynamics], known], axis=-1)
+
+    @property
+    def parameters(self) -> Mapping[str, str]:  # type: ignore[override]
+        """Names and units of what is learnt: of the dynamics or the servo, of the kinematics."""
+        lag = self._commands is not None
+        of_motion = {"lag of the servo": "s"} if lag else self.dynamics.parameters
+        return {**of_motion, **self.kinematics.parameters}
+
+    def learnt_sd(self, state: Array) -> Array:
+        """Return the standard deviations of what was learnt, NaN of the dynamics, shape (p,)."""
+        known = self.kinematics.sd_of(self._of_kinematics(state))
+        return np.concatenate([np.full(self._n_dynamics, np.nan), known])
 
     def _of_kinematics(self, state: Array) -> Array:
         """Return the kinematics' part of a state, or refuse one of another controller."""

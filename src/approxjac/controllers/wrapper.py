@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Literal, Self
 
 import numpy as np
 
 from approxjac.controllers.arguments import FLOAT64
-from approxjac.controllers.controller import Controller
+from approxjac.controllers.controller import Controller, Instant
 from approxjac.controllers.gains.latency import Latency
 from approxjac.controllers.learning.kinematic_report import KinematicReport
 from approxjac.controllers.learning.predicted_error import Kinematics
@@ -34,7 +35,7 @@ class ControllerWrapper(Immutable, Controller):
 
     controller: Controller
     _what: str = ""  # it does, in words
-    _memory: int  # length of what it keeps itself
+    _memory: int = 0  # length of what it keeps itself
 
     def __str__(self) -> str:
         what = self._what or f"within {type(self).__name__}"
@@ -93,6 +94,23 @@ class ControllerWrapper(Immutable, Controller):
             f"around it: HeldMeasurement(TorqueLimited(law), ...)), got {self!r}",
             given=self,
         )
+
+    @property
+    def parameters(self) -> Mapping[str, str]:  # type: ignore[override]
+        """Names and units of what the controller inside learns."""
+        return self.controller.parameters
+
+    def learnt_sd(self, state: Array) -> Array:
+        """Return the standard deviations of what the controller inside has learnt, shape (p,)."""
+        return self.controller.learnt_sd(self._split(state)[0])
+
+    def lyapunov(self, at: Instant) -> float:
+        """Return V of the controller inside [J]."""
+        return self.controller.lyapunov(at._replace(state=self._split(at.state)[0]))
+
+    def task_torque(self, at: Instant) -> Array:
+        """Return the part of the inner controller's torque that acts on the task, (n_v,)."""
+        return self.controller.task_torque(at._replace(state=self._split(at.state)[0]))
 
     def resumed(self, state: Array, measurement: Measurement) -> Array:
         """Return a state before a first step that knows what another state has learnt."""

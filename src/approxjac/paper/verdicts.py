@@ -159,6 +159,7 @@ def write_result(result: Reproduction, setup: Setup, truth: Robot, out: Path) ->
     view.plot_torque(result.run, axes[2])
     if learns:
         regressor = GravityRegressor(truth, moments="x")
-        view.plot_parameters(result.run, regressor.names, axes[3], theta=regressor.theta)
+        theta = dict(zip(regressor.names, regressor.theta, strict=True))
+        view.plot_parameters(result.run, ax=axes[3], truth=theta, title="Learnt gravity")
     view.save_figure(figure, out / f"fig{e.figure}")
     result.run.save(out / f"fig{e.figure}.npz")

@@ -21,7 +21,7 @@ from approxjac.realtime.start_checks import require_able
 from approxjac.realtime.watches import FaultWatch, SensorWatch
 from approxjac.simulation.loop import Loop
 from approxjac.simulation.plant import Plant
-from approxjac.simulation.record import Record, scene_of
+from approxjac.simulation.record import Record
 from approxjac.simulation.targets import Wanted, first_state, wanted_of, x_of
 from approxjac.validation import Array, as_vector
 
@@ -99,8 +99,9 @@ class RobotLoop(Loop):
         self._control()
         commands_velocity = driver.command == "velocity"
         self._watch = FaultWatch(plant.robot, self.dt, accuracy, fastest, late, commands_velocity)
-        learnt = scene_of(plant, controller, len(self.state)).learnt
-        self._accuracy, self.learns_sensor = accuracy, bool(learnt)
+        kinematics = controller.kinematics
+        learns = kinematics is not None and bool(kinematics.names)
+        self._accuracy, self.learns_sensor = accuracy, learns
         self._sensor = SensorWatch(controller.task, self.dt, accuracy, unseen, self.learns_sensor)
         self.fault: Fault | None = None
         self.detail = ""

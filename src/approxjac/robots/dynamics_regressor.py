@@ -40,6 +40,7 @@ class DynamicsRegressor:
 
     Attributes:
         names: Names of the parameters, such as "joint1.mx" [kg m] or "joint1.rotor" [kg m²].
+        units: Their units.
         a: Their values for `robot` itself, whose joints have none, shape (p,).
         links: Number of the parameters of links, which come first.
         last_link: Those of the link that holds the tip.
@@ -66,9 +67,14 @@ class DynamicsRegressor:
         # all of one kind at once, so that its columns are a diagonal
         names += [f"{joint}.{label}" for label in _OF_A_JOINT for joint in robot.joint_names]
         self.names = tuple(names)
+        turning = [unit == "rad" for unit in robot.joint_units]
+        of_joints = (("kg m²", "kg"), ("N m s/rad", "N s/m"), ("N m", "N"), ("N m", "N"))
+        self.units = ("kg", *3 * ("kg m",), *6 * ("kg m²",)) * len(movers) + tuple(
+            angular if turns else linear for angular, linear in of_joints for turns in turning
+        )
         inertias = list(self._model.inertias)[1:]
-        of_joints = np.zeros(len(_OF_A_JOINT) * robot.nv)
-        self.a = np.concatenate([*(each.toDynamicParameters() for each in inertias), of_joints])
+        nothing = np.zeros(len(_OF_A_JOINT) * robot.nv)
+        self.a = np.concatenate([*(each.toDynamicParameters() for each in inertias), nothing])
         self.a.flags.writeable = False
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -37,6 +37,7 @@ class GravityRegressor:
 
     Attributes:
         names: Names of the parameters, such as "joint1.mx" [kg m] or "joint1.m" [kg].
+        units: Their units.
         theta: Their values for `robot` itself, shape (p,).
         columns: Their places among the ten dynamic parameters of each joint, shape (p,).
 
@@ -72,6 +73,7 @@ class GravityRegressor:
         labels = ["m", "mx", "my", "mz"]
         movers = list(self._model.names)[1:]
         self.names = tuple(f"{movers[c // 10]}.{labels[c % 10]}" for c in self.columns)
+        self.units = tuple("kg m" if c % 10 else "kg" for c in self.columns)
         parameters = np.concatenate(
             [inertia.toDynamicParameters() for inertia in list(self._model.inertias)[1:]]
         )

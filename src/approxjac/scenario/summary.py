@@ -11,10 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from approxjac.controllers import (
-    ControllerWrapper,
     KinematicReport,
     SetpointController,
-    TrackingController,
     in_words,
 )
 from approxjac.files import together, write_text
@@ -30,7 +28,7 @@ from approxjac.view import (
     new_figure,
     plot_error,
     plot_image,
-    plot_kinematics,
+    plot_parameters,
     plot_path,
     plot_slack,
     plot_torque,
@@ -56,7 +54,7 @@ def write(result: RunResult, out: Path) -> None:
         if learning is not None:
             learnt = learning.kinematics_learnt(result.run.state[-1])
             write_text(folder / "kinematics.txt", f"{learnt}\n")
-            save_figure(_draw_kinematics(result.run, learning, learnt), folder / "kinematics")
+            save_figure(_draw_kinematics(result.run, learnt), folder / "kinematics")
         result.built.scenario.save(folder / "scenario.toml")
         summary = json.dumps(result.summary(), indent=2)
         write_text(folder / "summary.json", summary + "\n")
@@ -190,16 +188,14 @@ def _kinematics(learnt: KinematicReport, is_image: bool) -> str:
     return ", ".join(told)
 
 
-def _draw_kinematics(
-    run: Trajectory, learning: TrackingController | ControllerWrapper, learnt: KinematicReport
-) -> Figure:
+def _draw_kinematics(run: Trajectory, learnt: KinematicReport) -> Figure:
     """Draw what was learnt of the tool, and of the tracker's rotation, where they were learnt."""
     names = [row.name for row in learnt.rows]
     groups = [[name for name in names if name.startswith(kind)] for kind in ("tool.", "camera.")]
     groups = [group for group in groups if group] or [names]
     figure, axes = new_figure(len(groups), title="What is learnt of the kinematics")
     for ax, group in zip(axes, groups, strict=True):
-        plot_kinematics(run, learning, group, ax, title=group[0].partition(".")[0])
+        plot_parameters(run, group, ax, title=group[0].partition(".")[0])
     return figure
 
 

@@ -3,31 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from approxjac.controllers import (
-    ControllerWrapper,
-    PredictedMeasurement,
-    SetpointController,
-    TrackingController,
-)
-from approxjac.controllers.controller import Controller
-from approxjac.controllers.run_terms import lyapunov_value, task_torque
-from approxjac.interface import Evaluation, Measurement
-from approxjac.robots import GravityRegressor, Robot
+from approxjac.controllers.controller import Controller, Instant
+from approxjac.interface import Evaluation, LimitStatus, Measurement, Status
 from approxjac.simulation.plant import Plant
 from approxjac.simulation.scene import Scene
 from approxjac.simulation.trajectory import Trajectory
 from approxjac.tasks import Task
 from approxjac.validation import Array
 
-_NO_RATE = np.zeros(0)
 _RECORDED = (
     "t", "q", "v", "x", "x_measured", "x_d", "tau", "state", "status", "limit_status", "slack",
-)  # fmt: skip  # and then e, Ĵ and the rate of the state, of which the rest is derived
+)  # fmt: skip  # and then e and Ĵ, of which the rest is derived
 
 
 class Record:
@@ -40,7 +30,6 @@ class Record:
         self._count = 0
         self._columns: tuple[Array, ...] = ()
         self._controllers: list[tuple[int, Controller]] = []
-        self._differentiates = False
 
     def add(
         self,
@@ -54,16 +43,13 @@ class Record:
     ) -> None:
         """Keep one instant: the truth, the controller's x, state and answer, the torque."""
         t, q, v, x, _ = truth
-        _, rate, status, e, J_hat, _, limit_status, slack, _ = answer
+        _, _, status, e, J_hat, _, limit_status, slack, _ = answer
         if J_hat is None:
             J_hat = np.full((len(e), len(v)), np.nan)
         if not self._controllers or self._controllers[-1][1] is not controller:
             self._controllers.append((self._count, controller))
-            law = controller.law
-            self._differentiates = isinstance(law, SetpointController) and law.velocity is not None
         row: tuple[Any, ...] = (
             t, q, v, x, x_measured, target, tau, state, status, limit_status, slack, e, J_hat,
-            rate if self._differentiates else _NO_RATE,
         )  # fmt: skip
         if not self._columns:
             self._columns = tuple(np.empty((self._capacity, *np.shape(value))) for value in row)
@@ -75,7 +61,7 @@ class Record:
     def of(
         cls, plant: Plant, controller: Controller, columns: Sequence[Array], dt: float
     ) -> Record:
-        """Return a whole run of one controller: `_RECORDED`, e, Ĵ and the rate of the state."""
+        """Return a whole run of one controller: `_RECORDED`, e and Ĵ."""
         record = cls(plant, len(columns[0]), dt)
         record._columns, record._count = tuple(columns), len(columns[0])
         record._controllers = [(0, controller)]
@@ -88,6 +74,7 @@ class Record:
         kept = zip(_RECORDED, self._columns, strict=False)
         run: dict[str, Any] = {name: column[: self._count] for name, column in kept}
         q, x, x_d = run["q"], run["x"], run["x_d"]
+        run["learnt"] = self._learnt(run["state"])
         for name in ("status", "limit_status"):
             run[name] = run[name].astype(np.int64)
         for k in np.flatnonzero(~np.isfinite(x).all(axis=1)):  # a record has what no sensor sees
@@ -100,7 +87,7 @@ class Record:
             joint_units=robot.joint_units,
             task_labels=sensor.labels,
             task_units=sensor.units,
-            scene=scene_of(plant, self._controllers[-1][1], run["state"].shape[1]),
+            scene=scene_of(plant, self._controllers[-1][1]),
             derived=self._derive,
         )
 
@@ -115,43 +102,48 @@ class Record:
             told.append(str(controller))
         return "\n".join(told)
 
+    def _learnt(self, states: Array) -> Array:
+        """Return what the last controller had learnt by each state, shape (N, p)."""
+        controller = self._controllers[-1][1]
+        learnt = np.array(controller.learnt(states))
+        learnt[: self._controllers[-1][0]] = np.nan
+        for start, end, before in self._spans(len(states)):
+            if before.parameters == controller.parameters:
+                learnt[start:end] = before.learnt(states[start:end])
+        return learnt
+
+    def _spans(self, count: int) -> list[tuple[int, int, Controller]]:
+        """Return from where to where which controller ran."""
+        starts = [start for start, _ in self._controllers]
+        controllers = [controller for _, controller in self._controllers]
+        return list(zip(starts, [*starts[1:], count], controllers, strict=True))
+
     def _derive(self, run: Trajectory, name: str) -> Any:
-        """Return "task_torque", "V", "sigma_min" or "law", by the controllers that ran."""
+        """Return a derived quantity of `Trajectory` by its name, by the controllers that ran."""
         if name == "law":
             return self._law()
-        e, J_hat, rate = self._columns[len(_RECORDED) :]
+        if name == "learnt_sd":
+            return self._controllers[-1][1].learnt_sd
+        e, J_hat = self._columns[len(_RECORDED) :]
         if name == "sigma_min":
             return _sigma_min(J_hat[: len(run.t)])
-        found = np.full(run.v.shape if name == "task_torque" else len(run.t), np.nan)
-        ends = [start for start, _ in self._controllers[1:]] + [len(run.t)]
-        for (start, controller), end in zip(self._controllers, ends, strict=True):
-            law, which = controller.law, slice(start, end)
-            if _learning(controller) is not None:  # its V is of what it predicts
-                continue
-            if isinstance(law, SetpointController) and name == "V":
-                found[which] = self._V(law, run, which, J_hat[which])
-            elif isinstance(law, SetpointController):
-                found[which] = task_torque(law, e[which], run.v[which], J_hat[which], rate[which])
-        return found
-
-    def _V(
-        self, law: SetpointController, run: Trajectory, which: slice, J_hat: Array
-    ) -> list[float]:
-        """Return V of the true arm while a law ran, with its estimated Jacobians."""
-        theta_error: Sequence[Array | None] = [None] * len(J_hat)
-        if law.adaptation is not None:
-            theta_hat = law.learnt(run.state[which])
-            theta = _true_parameters(law.adaptation.regressor, self._plant.robot)
-            if self._plant.adds_gravity is not None:  # the rest is what there is to learn
-                theta = theta - _true_parameters(law.adaptation.regressor, self._plant.adds_gravity)
-            theta_error = list(law.adaptation.whole(theta) - theta_hat)
-        columns = run.x[which], run.x_d[which], run.q[which], run.v[which], J_hat, theta_error
-        return [
-            lyapunov_value(
-                law, law.task.error(x, x_d), v, J, self._plant.dynamics.M(q), law.alpha, off
-            )
-            for x, x_d, q, v, J, off in zip(*columns, strict=True)
-        ]
+        plant, found = self._plant, []
+        for start, end, controller in self._spans(len(run.t)):
+            error = controller.task.error
+            derived = controller.lyapunov if name == "V" else controller.task_torque
+            for k in range(start, end):
+                answer = Evaluation(
+                    run.tau[k], None, Status(run.status[k]), e[k],
+                    None if np.isnan(J_hat[k]).all() else J_hat[k], None,
+                    LimitStatus(run.limit_status[k]), run.slack[k],
+                )  # fmt: skip
+                x, x_d = run.x[k], run.x_d[k]
+                at = Instant(
+                    run.q[k], run.v[k], error(x, x_d), x_d, run.state[k], answer, plant.dynamics,
+                    plant.adds_gravity,
+                )  # fmt: skip
+                found.append(derived(at))
+        return np.array(found)
 
 
 def _errors(sensor: Task, x: Array, x_d: Array) -> Array:
@@ -169,25 +161,8 @@ def _sigma_min(J_hat: Array) -> Array:
     return found
 
 
-@lru_cache(maxsize=4)
-def _true_parameters(regressor: GravityRegressor, robot: Robot) -> Array:
-    """Return the θ of a true robot; kept, as a live view asks for it at each picture."""
-    return regressor.fit(robot)[0]
-
-
-def scene_of(plant: Plant, controller: Controller, n_state: int) -> Scene:
-    """Return who takes part in a run of a controller with a state of that length."""
-    task, learning = controller.task, _learning(controller)
-    names = () if learning is None else learning.kinematics.names
-    where = controller.learnt(np.arange(n_state, dtype=float))
-    learnt = dict(zip(names, where[len(where) - len(names) :].astype(int).tolist(), strict=True))
-    return Scene(plant.robot, task.robot, plant.sensor, task, plant.motor_limits, learnt)
-
-
-def _learning(controller: Controller) -> TrackingController | PredictedMeasurement | None:
-    """Return the controller, or the one inside of it, that learns kinematics."""
-    while isinstance(controller, ControllerWrapper):
-        if isinstance(controller, PredictedMeasurement):
-            return controller
-        controller = controller.controller
-    return controller if isinstance(controller, TrackingController) else None
+def scene_of(plant: Plant, controller: Controller) -> Scene:
+    """Return who takes part in a run of a controller."""
+    task = controller.task
+    limits, learns = plant.motor_limits, controller.parameters
+    return Scene(plant.robot, task.robot, plant.sensor, task, limits, learns)

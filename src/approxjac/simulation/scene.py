@@ -48,7 +48,7 @@ class Scene:
     sensor: Task | None  # the task that is measured on the true robot
     task: Task | None  # the controller's, of the believed robot
     torque_limits: Array  # of the motors, shape (n_v,) [N m or N]; infinite where unknown
-    learnt: Mapping[str, int] = field(default_factory=dict)  # of kinematics: where in a state
+    parameters: Mapping[str, str] = field(default_factory=dict)  # that are learnt: their units
     knows_truth: bool = True  # else the true robot is the believed one, as nobody knows more
 
     def to_dict(self) -> dict[str, Any]:
@@ -59,7 +59,7 @@ class Scene:
             "sensor": self.sensor and self.sensor._saved(),
             "task": self.task and self.task._saved(),
             # JSON knows no infinity
-            "learnt": dict(self.learnt),
+            "parameters": dict(self.parameters),
             "knows_truth": self.knows_truth,
             "torque_limits": [x if np.isfinite(x) else None for x in self.torque_limits.tolist()],
         }
@@ -80,7 +80,7 @@ class Scene:
             sensor,
             task,
             np.array(limits),
-            kept.get("learnt", {}),
+            kept.get("parameters", {}),
             kept.get("knows_truth", True),
         )
 

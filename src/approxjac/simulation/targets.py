@@ -87,6 +87,14 @@ def first_state(
     as_array(f"the controller's {plant.command}", answer.torque, (plant.robot.nv,), unit)
     require("the controller's state", after, np.ndarray, "an array")
     as_array("the controller's state", after, state.shape)
+    learnt = controller.learnt(state)
+    require("learnt of the controller", learnt, np.ndarray, "an array")
+    if len(learnt) != len(controller.parameters):
+        raise InvalidInputError(
+            f"parameters of the controller must name the {len(learnt)} numbers that learnt(state) "
+            f"returns, got {controller.parameters!r}",
+            given=controller,
+        )
     if controller.is_continuous:
         as_array("the controller's state_rate", answer.state_rate, state.shape)
     if np.isfinite(measurement.x).all():  # a lost x has no error

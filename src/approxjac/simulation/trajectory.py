@@ -37,7 +37,8 @@ class Trajectory:
         x_d: Target, shape (N, n_x).
         error: True error of x to the target, shape (N, m).
         tau: Torque that the controller asked for, or that the plant's servo applied, (N, n_v).
-        state: Controller state (θ̂ where gravity is learnt), shape (N, n_state).
+        state: Controller state, shape (N, n_state).
+        learnt: What was learnt by then, in the order of `parameters`, shape (N, p).
         status: `Status` at these instants, shape (N,).
         limit_status: `LimitStatus` at these instants, shape (N,).
         slack: σ, what limits add to V̇, NaN where it is not known, shape (N,) [W].
@@ -47,7 +48,8 @@ class Trajectory:
         task_labels: Names of the task coordinates, length m.
         task_units: Their units, length m.
         scene: Who took part, to draw the run with; None if that is not known.
-        derived: Returns V, task torque, σ_min or law of a run, by name, when they are asked for.
+        derived: Returns what is worked out of a run only when it is asked for, by name: V, task
+            torque, σ_min, the law as printed, and the function that `learnt_sd` is.
         ended: Why a run on a robot ended, in words; "" of others.
         fault_name: Of the `Fault` that ended it; "" without one.
     """
@@ -61,6 +63,7 @@ class Trajectory:
     error: Array
     tau: Array
     state: Array
+    learnt: Array
     status: np.ndarray[Any, np.dtype[np.int64]]
     limit_status: np.ndarray[Any, np.dtype[np.int64]]
     slack: Array
@@ -90,19 +93,38 @@ class Trajectory:
 
     @cached_property
     def task_torque(self) -> Array:
-        """−Ĵᵀ(K_p s(e) + K_v Ĵq̇), the part of the law's torque that acts on the task.
+        """The part of the law's torque that acts on the task, as its controller tells, (N, n_v).
 
-        NaN of laws other than `SetpointController`, limited or held; shape (N, n_v).
+        −Ĵᵀ(K_p s(e) + K_v Ĵq̇) of a `SetpointController`; NaN where it is not known.
         """
         return np.asarray(self.derived(self, "task_torque"))
 
     @cached_property
     def V(self) -> Array:
-        """V of (12) of the true arm, or of (31) where gravity is learnt, shape (N,) [J].
+        """The controller's Lyapunov function of the true arm, shape (N,) [J]; NaN without one.
 
-        With the α of the `SetpointController`; NaN of other laws.
+        V of (12) of a `SetpointController`, or of (31) where gravity is learnt, with its α.
         """
         return np.asarray(self.derived(self, "V"))
+
+    @cached_property
+    def V_dot(self) -> Array:
+        """Rate of V between recorded instants, to second order, shape (N,) [W]."""
+        if len(self.t) < 3:
+            return np.full(len(self.t), np.nan)
+        return np.asarray(np.gradient(self.V, self.t, edge_order=2))
+
+    @property
+    def parameters(self) -> Mapping[str, str]:
+        """Names and units of what was learnt; of none where the scene is not known."""
+        return {} if self.scene is None else self.scene.parameters
+
+    def learnt_sd(self, k: int) -> Array:
+        """Return the standard deviations of what was learnt by the kth instant, shape (p,).
+
+        NaN where they are not known, as of runs from files.
+        """
+        return np.asarray(self.derived(self, "learnt_sd")(self.state[k]))
 
     @cached_property
     def sigma_min(self) -> Array:
@@ -131,7 +153,7 @@ class Trajectory:
         task, torque = self.task_unit, joined({"rad": "N m", "m": "N"}[kind] for kind in kinds)
         return {
             "t": "s", "x": task, "x_d": task, "error": task, "tau": torque, "task_torque": torque,
-            "V": "J", "slack": "W", "q": joined(kinds),
+            "V": "J", "V_dot": "W", "slack": "W", "q": joined(kinds),
             "v": joined(f"{kind}/s" for kind in kinds),
             "sigma_min": joined(f"{task}/{kind}" for kind in kinds),
         }  # fmt: skip
@@ -224,7 +246,9 @@ class Trajectory:
             scene = texts.pop("scene")
             for name in ("joint_names", "joint_units", "task_labels", "task_units"):
                 texts[name] = tuple(texts[name])
-            derived = partial(_read, {name: arrays.pop(name) for name in _DERIVED} | {"law": law})
+            kept = {name: arrays.pop(name) for name in _DERIVED} | {"law": law}
+            unknown = np.full(arrays["learnt"].shape[-1], np.nan)
+            derived = partial(_read, kept | {"learnt_sd": lambda state: unknown})
             scene = None if scene is None else Scene.from_dict(scene)
             run = cls(**arrays, **texts, **ends, scene=scene, derived=derived)
             run._require_shapes()
@@ -249,7 +273,8 @@ class Trajectory:
         shapes |= dict.fromkeys(("v", "tau", "task_torque"), (n, joints))
         shapes |= dict.fromkeys(("t", "V", "status", "limit_status", "slack", "sigma_min"), (n,))
         # of these the second length is not known here, but they must have one
-        shapes |= {name: (n, getattr(self, name).shape[-1]) for name in ("q", "x_d", "state")}
+        of_any_length = ("q", "x_d", "state", "learnt")
+        shapes |= {name: (n, getattr(self, name).shape[-1]) for name in of_any_length}
         shapes |= dict.fromkeys(("x", "x_measured"), shapes["x_d"])
         for name, shape in shapes.items():
             array = getattr(self, name)
@@ -270,6 +295,8 @@ class Trajectory:
         scene = self.scene
         if scene is not None and (scene.truth.nv, scene.truth.nq) != (joints, self.q.shape[1]):
             raise ValueError("its scene has another number of joints")
+        if scene is not None and len(scene.parameters) != self.learnt.shape[1]:
+            raise ValueError("its scene names other numbers than were learnt")
 
     def __str__(self) -> str:
         """Return the error first, then the largest torque, and what was wrong meanwhile."""

@@ -3,10 +3,9 @@
 from approxjac.view.browser.live import LiveView
 from approxjac.view.browser.page import save_page, show, write_index
 from approxjac.view.image_plots import plot_camera_view, plot_image
-from approxjac.view.kinematics_plot import plot_kinematics
+from approxjac.view.parameters_plot import plot_parameters
 from approxjac.view.plots import (
     plot_error,
-    plot_parameters,
     plot_path,
     plot_run,
     plot_slack,
@@ -25,7 +24,6 @@ __all__ = [
     "plot_camera_view",
     "plot_error",
     "plot_image",
-    "plot_kinematics",
     "plot_map",
     "plot_margins",
     "plot_parameters",

@@ -20,24 +20,23 @@ def followed(task: Task | None) -> Feature | None:
 
 def learnt_regressor(scene: Scene) -> KinematicRegressor | None:
     """Return p(q) of the tip that is followed, where a run learns its translations, or None."""
-    feature = followed(scene.task) if scene.learnt else None
+    feature = followed(scene.task) if scene.parameters else None
     if scene.belief is None or feature is None or feature.frame is None:
         return None  # or a camera in hand, which watches points of the world
     regressor = KinematicRegressor(scene.belief, feature.frame, feature.points[:1])
-    return regressor if set(regressor.names) & set(scene.learnt) else None
+    return regressor if set(regressor.names) & set(scene.parameters) else None
 
 
-def learnt_tips(scene: Scene, q: Array, state: Array) -> Array | None:
+def learnt_tips(scene: Scene, q: Array, learnt: Array) -> Array | None:
     """Return where the tip is by the translations that were learnt by then, shape (N, 3) [m].
 
-    For configurations q (N, nq) and states of the controller (N, n_state); None where a run does
-    not learn them.
+    For configurations q (N, nq) and what was learnt (N, p); None where a run does not learn them.
     """
     regressor = learnt_regressor(scene)
     if regressor is None:
         return None
     theta = np.tile(regressor.theta, (len(q), 1))
-    for i, name in enumerate(regressor.names):
-        if name in scene.learnt:
-            theta[:, i] = state[:, scene.learnt[name]]
+    for name, values in zip(scene.parameters, learnt.T, strict=True):
+        if name in regressor.names:
+            theta[:, regressor.names.index(name)] = values
     return np.array([regressor.position(*row) for row in zip(q, theta, strict=True)])

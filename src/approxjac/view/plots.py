@@ -144,7 +144,7 @@ def plot_path(
             corners = skeleton(robot, frame, q)[:, rows]
             ax.plot(*corners.T, "o-", color=COLORS["true"], alpha=alpha, ms=4, label=label)
         if seen is not None:
-            learnt = None if run.scene is None else learnt_tips(run.scene, run.q, run.state)
+            learnt = None if run.scene is None else learnt_tips(run.scene, run.q, run.learnt)
             first = "believed path" if learnt is None else "believed at first"
             style = "-" if learnt is None else ":"
             ax.plot(*seen.T, style, color=COLORS["believed"], label=first, zorder=5)
@@ -161,43 +161,6 @@ def plot_path(
         ax.set_aspect("equal", adjustable="datalim")
         ax.set(xlabel=f"{plane[0]} [m]", ylabel=f"{plane[1]} [m]")
         ax.set_title(f"Path of {frame}, {plane[0]}-{plane[1]} plane" if title is None else title)
-    return ax
-
-
-def plot_parameters(
-    run: Trajectory,
-    names: Sequence[str],
-    ax: Axes | None = None,
-    *,
-    theta: Sequence[float] | Array | None = None,
-) -> Axes:
-    """Draw the gravity parameters θ̂ that were learnt against time.
-
-    Their `names` are as `GravityRegressor.names` has them; the true values `theta`, shape (p,), are
-    drawn dashed if given.
-
-    Raises:
-        InvalidInputError: More names than the state of the run has entries.
-    """
-    _require_run(run)
-    if len(names) > run.state.shape[1]:
-        raise InvalidInputError(
-            f"names must be those of learnt parameters, got {len(names)} for a run with a state of "
-            f"{run.state.shape[1]}",
-            given=names,
-        )
-    with styled(ax) as ax:
-        for i, name in enumerate(names):
-            color = SERIES[i % len(SERIES)]
-            ax.plot(run.t, run.state[:, i], color=color, label=name)
-            if theta is not None:
-                ax.axhline(theta[i], color=color, linestyle="--", linewidth=0.8)
-        if theta is not None:
-            ax.plot([], [], "--", color=COLORS["neutral"], linewidth=0.8, label="true values")
-        # a mass is named "joint1.m", a first moment "joint1.mx"
-        units = dict.fromkeys("kg" if name.endswith(".m") else "kg m" for name in names)
-        over_time(ax, run, ylabel=rf"$\hat{{\theta}}$ [{' or '.join(units)}]")
-        ax.set_title("Learnt gravity parameters")
     return ax
 
 

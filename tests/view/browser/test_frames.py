@@ -25,6 +25,7 @@ def columns(scene, q, x, x_d, **given):
     rest = {
         "t": np.arange(n, dtype=float), "error": x[:, :3] * 0.0, "tau": np.zeros((n, nv)),
         "task_torque": np.zeros((n, nv)), "V": np.zeros(n),
+        "learnt": np.zeros((n, len(scene.parameters))),
     }  # fmt: skip
     shown = rest | given
     units = ("m",) * 3 if scene.sensor is None else scene.sensor.units
@@ -203,7 +204,8 @@ def instant(task, q, task_torque):
         "task_torque": task_torque, "t": np.zeros(()), "V": np.zeros(()),
     }  # fmt: skip
     instants = {name: row[np.newaxis] for name, row in rows.items()}
-    return SimpleNamespace(task_units=task.units, **instants)
+    nothing = np.zeros((len(instants["t"]), 0))
+    return SimpleNamespace(task_units=task.units, learnt=nothing, **instants)
 
 
 def test_no_link_has_the_name_of_a_shape(two_link):

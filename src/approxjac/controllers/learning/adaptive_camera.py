@@ -90,7 +90,8 @@ class AdaptiveCamera(Kinematics):
     ) -> None:
         self._remember(locals())
         self._unknowns = unknowns = CameraUnknowns(task, unknown, sd)
-        self.task, self.unknown, self.names = task, unknowns.kinds, unknowns.names
+        self.task, self.unknown = task, unknowns.kinds
+        self.names, self.units = unknowns.names, unknowns.units
         self.noise = as_number("noise", noise, unit="px", above=0.0)
         self.delay = as_number("delay", delay, unit="s", minimum=0.0, most=LONGEST_DELAY)
         dt = as_number("dt", dt, unit="s", above=0.0)

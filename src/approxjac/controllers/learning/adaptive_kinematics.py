@@ -107,7 +107,8 @@ class AdaptiveKinematics(Kinematics):
         length = self.noise / angle_noise
         self._unknowns = unknowns = Unknowns(task, unknown, sd, length)
         as_number("noise", noise, unit="m", above=0.0, most=unknowns.largest_noise)
-        self.regressor, self.names = unknowns.regressor, unknowns.names
+        self.regressor = unknowns.regressor
+        self.names, self.units = unknowns.names, unknowns.units
         self._orientation = unknowns.orientation
         self._frames = Frames(task.robot, task.n_x, self.delay, dt)
         n_points = len(unknowns.points(np.zeros(task.n_x)))

@@ -75,7 +75,8 @@ class AdaptivePlanarCamera(Kinematics):
             position, unknown, usual if sd is None else sd, noise / m, delay, dt
         )
         self._kept = self.kinematics._kept
-        self.names, self.n_state = self.kinematics.names, self.kinematics.n_state
+        self.names, self.units = self.kinematics.names, self.kinematics.units
+        self.n_state = self.kinematics.n_state
 
     def __repr__(self) -> str:
         return f"AdaptivePlanarCamera({self.task!r}, unknown={self.kinematics.unknown})"

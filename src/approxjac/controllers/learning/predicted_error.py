@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -58,6 +59,7 @@ class Kinematics(Immutable, ABC):
     task: Task
     n_state: int
     names: tuple[str, ...] = ()  # of what `learnt` returns
+    units: tuple[str, ...] = ()
     _kept: tuple[slice, ...] = ()  # parts of a state that hold what was learnt
 
     @abstractmethod
@@ -104,6 +106,15 @@ class Kinematics(Immutable, ABC):
     @abstractmethod
     def learnt(self, state: Array) -> Array:
         """Return what a state, or a series of them (…, n_state), has learnt, shape (…, p)."""
+
+    @property
+    def parameters(self) -> Mapping[str, str]:
+        """Names and units of what `learnt` returns."""
+        return dict(zip(self.names, self.units, strict=True))
+
+    def sd_of(self, state: Array) -> Array:
+        """Return the standard deviations of what a state has learnt, shape (p,)."""
+        return np.array([row.sd for row in self.report(state).rows] if self.names else [])
 
     def _required(self, state: Array) -> Array:
         """Return a state of such kinematics, or refuse what is none."""

@@ -65,7 +65,7 @@ class RunFrames:
         share = tau / np.where(np.isfinite(limits), limits, np.nan)
         tip = np.array([self._true.positions(row)[0] for row in q]).reshape(-1, 3)
         believed_tip, force = self._believed_tip(q, run.task_torque[kept])
-        learnt = learnt_tips(self.scene, q, run.state[kept]) if self.scene.learnt else None
+        learnt = learnt_tips(self.scene, q, run.learnt[kept])
         if learnt is not None:
             believed_tip = learnt
         return {

@@ -144,7 +144,7 @@ class LiveView:
 
     def _look(self, loop: Loop) -> Stage:
         """See anew who takes part."""
-        scene = scene_of(loop.plant, loop.controller, len(loop.state))
+        scene = scene_of(loop.plant, loop.controller)
         scene = replace(scene, knows_truth=loop._knows_truth)
         self._frames = RunFrames(scene)
         self._stage = stage = Stage(scene, self._stage)
