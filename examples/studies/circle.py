@@ -18,6 +18,7 @@ from common import head, parser, row, run_all, write
 from reach_mujoco import SENSORS
 
 import approxjac as aj
+from approxjac.scenario import build_scenario, run_scenario
 
 WANTED = 8e-3  # [m]
 LENGTH = 0.2  # of the true tool [m]
@@ -64,22 +65,24 @@ def run_case(case):
     """Follow a circle."""
     length, mass = reaches.tool(case.robot)
     share = BELIEVED[case.belief] / LENGTH
-    built = aj.Scenario(
-        case.robot,
-        true={"object": {"length": length, "mass": mass}},
-        believed={"object": {"length": share * length}},
-        run={
-            "target": {"circle": {"radius": case.radius, "period": case.period}},
-            "duration": case.turns * case.period,
-            "seed": case.seed,
-        },
-        **LOOPS[case.loop],
-    ).build()
+    built = build_scenario(
+        aj.Scenario(
+            case.robot,
+            true={"object": {"length": length, "mass": mass}},
+            believed={"object": {"length": share * length}},
+            run={
+                "target": {"circle": {"radius": case.radius, "period": case.period}},
+                "duration": case.turns * case.period,
+                "seed": case.seed,
+            },
+            **LOOPS[case.loop],
+        )
+    )
     if not case.feed_forward:
         built = replace(built, target=AtRest(built.target))
     tally = reaches.Tally(built)
     try:
-        result = built.run(observer=tally)
+        result = run_scenario(built, observer=tally)
     except aj.errors.SimulationError as error:
         return Outcome(case, reason=f"{error}")
     run = result.run

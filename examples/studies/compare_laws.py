@@ -21,6 +21,8 @@ from operational_space import OperationalSpace
 from reach_mujoco import SENSORS
 from reaches import ARMS, Case
 
+from approxjac.scenario import build_scenario
+
 LAWS = ("defaults", "before", "operational space")
 KINDS = {
     "ideal": {"controller": {"limits": "none"}},
@@ -52,7 +54,7 @@ TUNED = {  # by --tune; after each the score, 12 s where it never gets there
 
 def built_for(kind, robot, seed, duration):
     """Return a reach with the sensing of a kind."""
-    built = reaches.scenario(Case(robot, seed, kind, duration), **KINDS[kind]).build()
+    built = build_scenario(reaches.scenario(Case(robot, seed, kind, duration), **KINDS[kind]))
     return built if kind == "stops" else reaches.without_stops(built)
 
 

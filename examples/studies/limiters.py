@@ -25,7 +25,7 @@ from lyapunov_decrease import Decrease, decrease
 
 import approxjac as aj
 from approxjac import view
-from approxjac.scenario import Scenario
+from approxjac.scenario import Scenario, build_scenario, run_scenario
 from approxjac.scenario.starts import regular_configuration
 
 ROBOTS = ("panda", "xarm7", "two_link")
@@ -102,11 +102,13 @@ def prepare(case):
 def arm(robot):
     """Return an arm with an object believed absent and exact gravity, and its unscaled limits."""
     length, mass = carried_object(robot)
-    built = Scenario(
-        robot,
-        true={"object": {"length": length, "mass": mass}},
-        controller={"gravity": "exact", "settling_time": SETTLING_TIME, "limits": "none"},
-    ).build()
+    built = build_scenario(
+        Scenario(
+            robot,
+            true={"object": {"length": length, "mass": mass}},
+            controller={"gravity": "exact", "settling_time": SETTLING_TIME, "limits": "none"},
+        )
+    )
     return plain_law(built, SETTLING_TIME), full_limits(built.plant.robot)
 
 
@@ -142,7 +144,7 @@ def run_limiter(case, name, built, controller):
     """Run a case with one limiter; what cannot run is an outcome too."""
     tally = Tally(np.asarray(built.limits.effort))
     try:
-        result = replace(built, controller=controller).run(observer=tally)
+        result = run_scenario(replace(built, controller=controller), observer=tally)
     except aj.errors.ApproxJacError as error:
         return Outcome(case, name, reason=f"{error}")
     run = result.run

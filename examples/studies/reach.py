@@ -15,13 +15,15 @@ import reaches
 from common import parser, run_all, write
 from reaches import ARMS, DONE, SOON, Case
 
+from approxjac.scenario import build_scenario
+
 KINDS = {"free": "none", "stops": "none", "limits": "urdf"}  # limits that the controller keeps
 WANTED = {"free": (0.75, 0.97), "limits": (0.70, 0.90)}  # shares within 4 s, and within 10 s
 
 
 def run_case(case):
     """Run one reach."""
-    built = reaches.scenario(case, controller={"limits": KINDS[case.kind]}).build()
+    built = build_scenario(reaches.scenario(case, controller={"limits": KINDS[case.kind]}))
     return reaches.run(case, reaches.without_stops(built) if case.kind == "free" else built)
 
 

@@ -16,13 +16,15 @@ import reaches
 from common import head, parser, row, run_all, two_digits, write
 from reaches import Case
 
+from approxjac.scenario import build_scenario
+
 STICTION = 0.2  # MuJoCo's frictionloss of every joint [N m]
 SENSORS = {"noise": 5e-4, "rate": 60.0, "q_quantum": 1e-5, "velocity_filter": 5e-3}
 CAMERA = SENSORS | {"rate": 30.0, "delay": 0.06}
 KINDS = {
     "sensors": {"sensor": SENSORS, "loop": {"actuator_delay": 2e-3}},
     "camera": {"sensor": CAMERA, "loop": {"actuator_delay": 2e-3}},
-    "friction": {"controller": {"gravity": "exact", "integral": "learnt"}},
+    "friction": {"controller": {"gravity": "exact", "integral_action": True}},
 }
 ARMS = {
     "sensors": ("panda", "ur5", "xarm7", "kinova", "z1"),
@@ -34,7 +36,7 @@ SEEDS = {"sensors": 3, "camera": 1, "friction": 2}
 
 def run_case(case):
     """Run one reach in MuJoCo."""
-    built = reaches.scenario(case, true={"engine": "mujoco"}, **KINDS[case.kind]).build()
+    built = build_scenario(reaches.scenario(case, true={"engine": "mujoco"}, **KINDS[case.kind]))
     if case.kind == "friction":
         built.plant.mujoco_model.dof_frictionloss[:] = STICTION
         built.plant.mujoco_model.jnt_limited[:] = 0  # what is left is friction's, and no stop's

@@ -13,7 +13,7 @@ from common import head, row, two_digits
 
 import approxjac as aj
 from approxjac.robots.joint_limits import beyond_positions
-from approxjac.scenario import Scenario
+from approxjac.scenario import Scenario, run_scenario
 
 ARMS = (
     "panda", "ur3", "ur5", "ur10", "kinova", "xarm7", "talos_arm", "z1", "so101", "tiago_arm",
@@ -84,7 +84,7 @@ def run(case, built):
     """Run a reach that was built and measure it; one that diverges is an outcome too."""
     tally = Tally(built)
     try:
-        result = built.run(observer=tally)
+        result = run_scenario(built, observer=tally)
     except aj.errors.SimulationError as error:
         return Outcome(case, reason=f"{error}", asked=tally.asked)
     record, steps = result.run, max(1, tally.counts.total())

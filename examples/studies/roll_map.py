@@ -19,7 +19,7 @@ from common import head, parser, plain_law, row, run_all, write
 
 import approxjac as aj
 from approxjac import view
-from approxjac.scenario import Scenario
+from approxjac.scenario import Scenario, build_scenario
 from approxjac.scenario.image_setup import image_scene
 
 ROLLS = tuple(10.0 * i for i in range(13))  # [deg]
@@ -100,15 +100,17 @@ def run_case(case):
 def prepared(roll, seed):
     """Return arm, cameras and default gains with a roll [deg]."""
     wrong = {"roll": math.radians(roll), "focal_factor": 1.3, "depth_factor": 1.5}
-    built = Scenario(
-        "panda",
-        true={"object": {"length": 0.15, "mass": 0.3}},
-        believed={"camera": wrong},
-        task={"kind": "image"},
-        sensor={"noise": NOISE, "rate": FRAME_RATE, "delay": DELAY},
-        controller={"gravity": "exact", "settling_time": 1.5, "limits": "none"},
-        run={"seed": seed},
-    ).build()
+    built = build_scenario(
+        Scenario(
+            "panda",
+            true={"object": {"length": 0.15, "mass": 0.3}},
+            believed={"camera": wrong},
+            task={"kind": "image"},
+            sensor={"noise": NOISE, "rate": FRAME_RATE, "delay": DELAY},
+            controller={"gravity": "exact", "settling_time": 1.5, "limits": "none"},
+            run={"seed": seed},
+        )
+    )
     return plain_law(built, 1.5)
 
 

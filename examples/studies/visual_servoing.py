@@ -21,7 +21,7 @@ from velocity_servo import VelocityServo
 import approxjac as aj
 from approxjac import view
 from approxjac.controllers.gains.default_gains import position_gains
-from approxjac.scenario import Scenario
+from approxjac.scenario import Scenario, build_scenario, run_scenario
 from approxjac.tasks.analysis import sees
 
 WANTED = 0.95  # share of the starts whose path stays in view that has to converge
@@ -125,28 +125,30 @@ def with_default_gains(case, law):
         "depth_factor": 1.0 + signs[2] * DEPTH,
     }
     held = {"length": 0.0, "mass": 0.0} if scene.in_hand else {"length": 0.15, "mass": 0.3}
-    built = Scenario(
-        scene.robot,
-        true={"object": held, "camera": {"mount": "tip"} if scene.in_hand else {}},
-        believed={"camera": wrong},
-        task={"kind": "image", "points": scene.points},
-        sensor={"noise": case.noise, "rate": 30.0, "delay": 0.03},
-        controller={
-            "gravity": case.gravity,
-            "settling_time": SETTLING_TIME,
-            "unseen": UNSEEN,
-            "limits": scene.limits,
-            "differentiator": LAWS[law].differentiator,
-        },
-        run={"duration": 15.0, "seed": case.seed},
-    ).build()
+    built = build_scenario(
+        Scenario(
+            scene.robot,
+            true={"object": held, "camera": {"mount": "tip"} if scene.in_hand else {}},
+            believed={"camera": wrong},
+            task={"kind": "image", "points": scene.points},
+            sensor={"noise": case.noise, "rate": 30.0, "delay": 0.03},
+            controller={
+                "gravity": case.gravity,
+                "settling_time": SETTLING_TIME,
+                "unseen": UNSEEN,
+                "limits": scene.limits,
+                "differentiator": LAWS[law].differentiator,
+            },
+            run={"duration": 15.0, "seed": case.seed},
+        )
+    )
     return plain_law(built, SETTLING_TIME)
 
 
 def run_case(case):
     """Run one case at 1 kHz, with motors that saturate; what cannot run is an outcome too."""
     try:
-        result = built(case).run()
+        result = run_scenario(built(case))
     except aj.errors.ApproxJacError as error:
         return Outcome(case, reason=f"{error}")
     run, sensor = result.run, result.built.plant.sensor

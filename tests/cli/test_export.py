@@ -4,7 +4,7 @@ import pytest
 
 import approxjac as aj
 from approxjac.cli import main
-from approxjac.scenario import Scenario
+from approxjac.scenario import Scenario, build_scenario
 
 
 def export(folder, *options):
@@ -16,7 +16,7 @@ def test_it_writes_the_controller_of_the_scenario(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "set-point law (28)" in said
     assert "controller.h says how to call it" in said
-    built = Scenario("panda", believed={"object": {"length": 0.1}}).build()
+    built = build_scenario(Scenario("panda", believed={"object": {"length": 0.1}}))
     expected = aj.TorqueLimited(
         built.law, aj.Limits(effort=built.limits.effort), dt=1e-3, weight=built.controller.weight
     )
@@ -39,13 +39,13 @@ def test_a_file_and_options_say_the_same(tmp_path):
 def test_what_a_robot_adds_by_itself_is_left_to_it(tmp_path):
     options = ("two_link", "--no-limits", "--loop.dt", "0.002", "--gravity")
     headers = []
-    for gravity in ("rest", "learnt"):
+    for gravity in ("learn_residual", "learnt"):
         export(tmp_path / gravity, *options, gravity)
         headers.append((tmp_path / gravity / "controller.h").read_text(encoding="utf-8"))
         assert "target[k], 0.002, &answer)" in (tmp_path / gravity / "main.c").read_text("utf-8")
     said = ["or the rest where the robot adds its own" in " ".join(h.split()) for h in headers]
     assert said == [True, False]
-    source = (tmp_path / "rest" / "controller.c").read_text(encoding="utf-8")
+    source = (tmp_path / "learn_residual" / "controller.c").read_text(encoding="utf-8")
     start = source.partition("_init(")[2].partition("}")[0]
     assert "= 0.0;" in start
     assert all("= 0.0;" in line for line in start.splitlines() if "state->values" in line)

@@ -89,16 +89,16 @@ def test_a_command_that_does_not_exist_is_one_line_with_what_was_meant(capsys):
 
 def test_the_shell_completes_commands_and_options(tmp_path):
     script = tmp_path / "approxjac.bash"
-    assert run("--tyro-write-completion", "bash", str(script)).returncode == 0
+    script.write_text(run("--completion", "bash").stdout, encoding="utf-8")
     subprocess.run(["bash", "-n", str(script)], check=True)
     ask = (
         f"source {script}; COMP_WORDS=(approxjac simulate --object-l); COMP_CWORD=2; "
-        '_tyro_approxjac; echo "${COMPREPLY[@]}"; '
-        'COMP_WORDS=(approxjac stab); COMP_CWORD=1; _tyro_approxjac; echo "${COMPREPLY[@]}"'
+        '_approxjac; echo "${COMPREPLY[@]}"; '
+        'COMP_WORDS=(approxjac stab); COMP_CWORD=1; _approxjac; echo "${COMPREPLY[@]}"'
     )
     answer = subprocess.run(["bash", "-c", ask], capture_output=True, text=True, check=True)
     assert answer.stdout.split() == ["--object-length", "stability"]
-    assert run("--tyro-print-completion", "zsh").stdout.startswith("#compdef approxjac")
+    assert "bashcompinit" in run("--completion", "zsh").stdout
 
 
 def test_the_command_line_imports_nothing_slow():

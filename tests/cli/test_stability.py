@@ -14,11 +14,10 @@ import pytest
 import approxjac as aj
 from approxjac.cli import main
 from approxjac.cli.bars import ShareBar
-from approxjac.scenario import Scenario
+from approxjac.scenario import Scenario, build_scenario
 from approxjac.scenario import gain_suggestion as study_gains
 from approxjac.scenario import judge as study
 from approxjac.scenario import stability_report as report
-from approxjac.scenario.build import BuiltScenario
 from approxjac.stability import Suggestion, Tolerance, stability_map, tolerance
 from approxjac.stability.search.suggestion import Candidate
 
@@ -310,7 +309,7 @@ def test_regions(tmp_path):
         (["--target", "9", "9", "9"], "target must be within reach of every true robot"),
         (["--around", "0", "0"], "--around must be 7 numbers"),
         (["--around", *AROUND, "--run", "x.npz"], "one region must be given, got around and run"),
-        (["--reach-from", *AROUND], "--reach-from needs --target, got none"),
+        (["--reach-from", *AROUND], "--reach-from needs stability.target, got none"),
         (["--map", "error", "b"], "parameter 'b' not in the map"),
         (["--map-points", "1"], "--map-points must be 0 or >= 2, got 1"),
         (
@@ -319,7 +318,7 @@ def test_regions(tmp_path):
         ),
         (["--jobs", "0"], "jobs must be >= 1, got 0"),
         (["--radius", "0"], "--radius must be a finite number > 0"),
-        (["--stability.roll", "-0.1", "0.1"], "--stability.roll needs --task.kind image"),
+        (["--stability.roll", "-0.1", "0.1"], "--stability.roll needs task.kind image"),
     ],
 )
 def test_bad_input_is_one_clear_line(tmp_path, capsys, options, text):
@@ -395,7 +394,7 @@ def test_suggested_gains_are_written_as_a_scenario_that_is_taken(tmp_path, monke
     given = ["--settling-time", "2", "--suggest-gains", "--configurations", "20"]
     assert stability(tmp_path, "two_link", *errors, *given) == 0
     assert "settling_time" not in (tmp_path / "scenario.toml").read_text(encoding="utf-8")
-    built = Scenario.load(tmp_path / "scenario.toml").build()
+    built = build_scenario(Scenario.load(tmp_path / "scenario.toml"))
     np.testing.assert_array_equal(built.law.diagonals.damping, [2.0, 2.0])
 
 
@@ -538,7 +537,7 @@ def test_commands_of_the_pages_get_as_far_as_the_work(words, tmp_path, monkeypat
     monkeypatch.setattr(study.Trajectory, "load", lambda path: tube)
     monkeypatch.setattr(study, "analyse", work)
     monkeypatch.setattr(study_gains, "suggest_gains", work)
-    monkeypatch.setattr(BuiltScenario, "run", work)
+    monkeypatch.setattr("approxjac.scenario.outcome.run_scenario", work)
     monkeypatch.chdir(tmp_path)
     words = [str(ROOT / word) if (ROOT / word).is_file() else word for word in words]
     with pytest.raises(Works):

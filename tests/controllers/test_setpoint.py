@@ -14,7 +14,7 @@ from approxjac.controllers.controller import Instant
 from approxjac.errors import MeasurementError
 from approxjac.law import Sine, Tanh
 from approxjac.robots import Dynamics, GravityRegressor
-from approxjac.scenario import Scenario
+from approxjac.scenario import Scenario, build_scenario
 
 TARGET = np.array([0.4, 0.1, 0.5])
 
@@ -245,7 +245,7 @@ def test_the_true_robot_cannot_be_reached_from_a_controller(figure):
 
 
 def test_the_true_robot_cannot_be_reached_from_a_limiter():
-    built = Scenario("panda", controller={"limits": 0.5}).build()
+    built = build_scenario(Scenario("panda", controller={"limits": 0.5}))
     robots = robots_reachable_from(built.controller)
     assert built.law.task.robot in robots
     assert built.plant.robot not in robots

@@ -13,6 +13,7 @@ from approxjac.controllers import DifferentiatedVelocity, Latency, tuned
 from approxjac.controllers.gains.sample_configurations import usual_postures
 from approxjac.controllers.gains.tuning import Learning, _Arm
 from approxjac.robots import Dynamics, GravityRegressor
+from approxjac.scenario import build_scenario
 from approxjac.scenario.laws import latency_of
 
 IDEAL = Latency()
@@ -243,7 +244,7 @@ def test_the_latency_of_a_scenario_is_that_of_its_loop():
         loop={"dt": 2e-3, "actuator_delay": 4e-3},
     )
     assert latency_of(late) == Latency(2e-3, 4e-3, 5e-3, 1 / 30, 0.06)
-    assert late.build().law.tuning.latency == latency_of(late)
+    assert build_scenario(late).law.tuning.latency == latency_of(late)
     assert latency_of(reach(loop={"dt": "continuous"})) == IDEAL
 
 

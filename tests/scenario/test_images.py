@@ -10,7 +10,7 @@ from PIL import Image
 from scenarios import HOME, camera
 
 import approxjac as aj
-from approxjac.scenario import Scenario
+from approxjac.scenario import Scenario, build_scenario, run_scenario
 from approxjac.scenario import summary as report
 
 WRONG = {"camera": {"roll": 0.3, "focal_factor": 1.3, "depth_factor": 1.5}}
@@ -24,7 +24,7 @@ IN_HAND = BARE | {"camera": {"mount": "tip"}}
 
 
 def made(robot="panda", **parts):
-    return camera(robot, **{"believed": WRONG, **parts}).build().run()
+    return run_scenario(build_scenario(camera(robot, **{"believed": WRONG, **parts})))
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +81,7 @@ def test_without_images_the_arm_stops_and_goes_on_after(done, outage):
 
 
 def test_the_believed_camera_differs_as_the_scenario_says():
-    built = camera(believed=WRONG).build()
+    built = build_scenario(camera(believed=WRONG))
     true, believed = built.plant.sensor.camera, built.law.task.camera
     assert believed.focal_length == (780.0, 780.0)
     assert believed.distortion == ()
@@ -97,17 +97,19 @@ def test_the_controller_never_sees_the_truth():
     """Two truths, one belief, one measurement: the torque is the same to the bit."""
     stand = {"position": (1.7, -0.8, 1.1), "looking_at": (0.5, 0.0, 0.5)}
     usual = {"controller": {"gravity": "believed"}}
-    a = camera(
+    a = build_scenario(camera(
         **usual, believed={"camera": {"focal_factor": 1.3}},
         true={"camera": {**stand, "focal_length": 600.0}},
-    ).build()  # fmt: skip
-    b = camera(
-        **usual,
-        true={
-            "object": {"length": 0.05},
-            "camera": {**stand, "focal_length": 780.0, "distortion": (-0.02,)},
-        },
-    ).build()
+    ))  # fmt: skip
+    b = build_scenario(
+        camera(
+            **usual,
+            true={
+                "object": {"length": 0.05},
+                "camera": {**stand, "focal_length": 780.0, "distortion": (-0.02,)},
+            },
+        )
+    )
     x, v = a.plant.sensor.value(a.q0), np.full(7, 0.1)
     assert not np.array_equal(b.plant.sensor.value(a.q0), x)
     measurement = aj.Measurement(0.0, a.q0, v, x)
@@ -122,7 +124,7 @@ def test_the_controller_never_sees_the_truth():
 def test_a_start_and_a_target_may_be_given():
     for depth in ("believed", "measured"):  # which has depths in its values
         goal = {"start": HOME, "target": (300, 200, 320, 250)}
-        built = camera(task={"points": 2, "depth": depth}, run=goal).build()
+        built = build_scenario(camera(task={"points": 2, "depth": depth}, run=goal))
         assert np.array_equal(built.q0, HOME)
         images = built.target.reshape(2, -1)[:, :2]
         assert_allclose(images, [[300.0, 200.0], [320.0, 250.0]])
@@ -178,7 +180,7 @@ AWAY = {"position": (-1.0, 0.0, 1.5), "looking_at": (-2.0, 0.0, 1.5)}
         ("panda", {"task": {"points": 4}}, "got 4; four, such as a tag's corners, are for Python"),
         ("two_link", {"task": {"points": 2}}, "task.points must be at most half.*: 1 for two_link"),
         ("panda", {"run": {"target": (900.0, 100.0)}}, "target must be within the image of 640 x"),
-        ("panda", {"run": {"target": (90.0,)}}, r"run.target must have shape \(2,\)"),
+        ("panda", {"run": {"target": (90.0,)}}, r"run.target.at must be 2 numbers"),
         ("panda", {"run": {"start": HOME}, "true": {"camera": AWAY}}, "point 1 is 1.42 m behind i"),
         ("panda", {"run": {"start": HOME}, "true": {"camera": ASIDE}}, "px, outside its image"),
         ("panda", {"believed": {"camera": {"rotation": (0.0, 3.0, 0.0)}}}, "the believed camera m"),
@@ -200,7 +202,7 @@ AWAY = {"position": (-1.0, 0.0, 1.5), "looking_at": (-2.0, 0.0, 1.5)}
 )  # fmt: skip
 def test_what_does_not_fit_is_refused(robot, parts, text):
     with pytest.raises(aj.errors.ApproxJacError, match=text) as caught:
-        camera(robot, **parts).build()
+        build_scenario(camera(robot, **parts))
     assert "\n" not in str(caught.value)
 
 
@@ -208,14 +210,16 @@ def test_what_does_not_fit_is_refused(robot, parts, text):
 def test_a_camera_that_is_turned_half_around_is_learnt(law):
     believed = BARE | {"camera": {"roll": 2.6, "focal_factor": 1.3, "depth_factor": 1.5}}
     control = LEARNS | {"law": law}
-    built = camera("panda", believed=believed, controller=control, task={"points": 2}).build()
+    built = build_scenario(
+        camera("panda", believed=believed, controller=control, task={"points": 2})
+    )
     kinematics = built.controller.kinematics if law == "setpoint" else built.law.kinematics
     assert kinematics.unknown == ("tool", "camera", "focal_length")
     assert kinematics.noise == built.scenario.sensor.noise
 
 
 def test_points_of_the_world_are_learnt_where_the_camera_is_carried():
-    built = camera("ur5", believed=NEARLY, true=IN_HAND, controller=LEARNS).build()
+    built = build_scenario(camera("ur5", believed=NEARLY, true=IN_HAND, controller=LEARNS))
     assert built.law.kinematics.unknown == ("points", "camera", "focal_length")
 
 

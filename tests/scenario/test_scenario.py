@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import approxjac as aj
-from approxjac.scenario import Scenario
-from approxjac.scenario.tables import hints
+from approxjac.scenario import Scenario, build_scenario
+from approxjac.scenario.convert import hints
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "examples" / "scenarios").glob("*.toml"))
 
@@ -34,6 +34,7 @@ def values(hint, bounds=None) -> Any:
         float: st.floats(low, 1e9, allow_nan=False, allow_infinity=False),
         int: st.integers(20, 10**9),
         str: st.text(max_size=8),
+        bool: st.booleans(),
         type(None): st.none(),
     }[hint]
 
@@ -81,14 +82,14 @@ def test_an_object_may_point_anywhere():
     scenario = Scenario("ur5", true={"object": {"length": 0.2, "axis": (0, 1, 1)}})
     assert "axis = [0.0, 1.0, 1.0]" in str(scenario)
     arm = aj.load_robot("ur5").with_object(0.2, 0.5, axis=(0.0, 1.0, 1.0))
-    assert scenario.build().plant.robot == arm
+    assert build_scenario(scenario).plant.robot == arm
     with pytest.raises(aj.InvalidInputError, match="a list of 3 numbers or a word, got 3"):
         Scenario("ur5", true={"object": {"axis": 3}})
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_the_examples_are_built(path):
-    built = Scenario.load(path).build()
+    built = build_scenario(Scenario.load(path))
     assert built.plant.sensor.value(built.q0).shape == built.target.shape
 
 
@@ -103,7 +104,9 @@ def test_the_examples_are_built(path):
         ({"run": {"seed": -1}}, "run.seed must be a finite number >= 0, got -1"),
         ({"run": {"start": "rndom"}}, 'run.start must be a list of numbers or "random", got'),
         ({"run": {"target": {"offst": (1,)}}}, r"key 'offst' not in \[run.target\]"),
-        ({"controller": {"law": "pid"}}, r"controller.law 'pid' not in \[controller\]; valid are"),
+        ({"controller": {"law": "pid"}}, "controller.law must be .*tracking.*, got 'pid'"),
+        ({"controller": {"integral": "learnt"}}, "controller.integral is now .*integral_action"),
+        ({"controller": {"gravity": "rest"}}, "controller.gravity .* now learn_residual"),
         ({"controller": {"kp": (1, -1)}}, "controller.kp must be a finite number > 0, got -1"),
         ({"sensor": {"lost": 3}}, "sensor.lost must be a list of 2 numbers, got 3"),
         ({"sensor": {"noise": True}}, "sensor.noise must be a number, got True"),

@@ -14,6 +14,7 @@ import approxjac as aj
 from approxjac.controllers import RegressorGravity
 from approxjac.errors import MissingPackageError, UrdfError
 from approxjac.robots import Dynamics, GravityRegressor
+from approxjac.scenario import build_scenario
 
 Q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 ARM = aj.load_robot("panda")
@@ -412,7 +413,7 @@ def test_a_scenario_asks_for_it(tmp_path):
 
     def built(true):
         toml.write_text(f'robot = "{path}"\n[true]\n{true}\n')
-        return aj.Scenario.load(toml).build()
+        return build_scenario(aj.Scenario.load(toml))
 
     with pytest.raises(UrdfError, match='inertias = "balanced" under'):
         built('engine = "mujoco"')

@@ -13,6 +13,7 @@ from operational_space import OperationalSpace
 from reaches import Case, Outcome
 
 import approxjac as aj
+from approxjac.scenario import build_scenario, run_scenario
 
 pytestmark = pytest.mark.study
 
@@ -28,8 +29,8 @@ def test_the_time_is_that_from_which_on_the_error_stays():
 def test_a_reach_is_that_of_approxjac_simulate_and_what_the_law_asks_for_is_seen_behind_limits():
     case = Case("panda", 1, "limits", duration=0.2)
     stiff = {"limits": 0.4, "gravity": "exact", "kp": 3000.0, "kv": 100.0, "damping": 5.0}
-    built = reaches.scenario(case, controller=stiff).build()
-    outcome, result = reaches.run(case, built), built.run()
+    built = build_scenario(reaches.scenario(case, controller=stiff))
+    outcome, result = reaches.run(case, built), run_scenario(built)
     assert outcome.final_error == result.run.error_norm[-1]
     assert result.peak_torque_ratio <= 1.0 + 1e-9 < outcome.asked
     assert outcome.limited > 0.0
@@ -37,12 +38,12 @@ def test_a_reach_is_that_of_approxjac_simulate_and_what_the_law_asks_for_is_seen
 
 def test_overshoot_is_the_distance_beyond_the_target():
     case = Case("two_link", 0, "free", duration=1.5)
-    built = reaches.scenario(case, run={"start": (0.3, 0.5)}).build()
+    built = build_scenario(reaches.scenario(case, run={"start": (0.3, 0.5)}))
     wild = OperationalSpace(
         built.law.task, 12.0, 0.1, 10.0, built.q0, np.full(2, np.inf)
     )  # an integral as fast as this one swings
     outcome = reaches.run(case, replace(built, controller=wild))
-    result = replace(built, controller=wild).run().run
+    result = run_scenario(replace(built, controller=wild)).run
     way = result.error @ result.error[0]
     assert outcome.overshoot == pytest.approx(-way.min() / result.error_norm[0])
     assert outcome.overshoot > 0.05
@@ -80,5 +81,5 @@ def test_joints_of_mujoco_have_friction_where_they_are_told_to():
     case = Case("ur5", 0, "friction", duration=3.0)
     stuck = reach_mujoco.run_case(case)
     mujoco = reaches.scenario(case, true={"engine": "mujoco"}, controller={"gravity": "exact"})
-    free = reaches.run(case, mujoco.build())
+    free = reaches.run(case, build_scenario(mujoco))
     assert stuck.final_error != free.final_error

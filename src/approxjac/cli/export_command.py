@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import tyro
-
 from approxjac.errors import InvalidInputError
 from approxjac.scenario import Scenario
 
 
 def export(
     scenario: Scenario,
-    effort_only: tyro.conf.FlagCreatePairsOff[bool] = False,
+    effort_only: bool = False,
     folder: Path = Path("results/export"),
 ) -> int:
     """Write the controller of a scenario as plain C99, with an example and a self-test.
@@ -30,8 +28,9 @@ def export(
     """
     from approxjac.codegen import export_c
     from approxjac.controllers import Limits, SetpointController, TorqueLimited
+    from approxjac.scenario import build_scenario
 
-    built = scenario.build()
+    built = build_scenario(scenario)
     controller, limits = built.controller, built.limits
     if isinstance(controller, TorqueLimited) and limits is not None:
         if not effort_only:

@@ -4,11 +4,24 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import UnionType
+from typing import Any, Literal, Union, get_args, get_origin
 
-from approxjac.cli.argument_types import Option, metavar
+from approxjac.cli.parser import Option
+from approxjac.errors import UnknownNameError
 from approxjac.formatting import width, wrapped
 
 _INDENT = 26
+_NAMES = {float: "N", int: "N", str: "NAME", Path: "PATH"}
+_COMPLETION = """_approxjac() {{
+  local words='{commands}'
+  [ "$COMP_CWORD" -gt 1 ] && case ${{COMP_WORDS[1]}} in
+{cases}
+  esac
+  COMPREPLY=($(compgen -W "$words" -- "${{COMP_WORDS[COMP_CWORD]}}"))
+}}
+complete -o default -F _approxjac approxjac"""
 
 
 def of_commands(commands: Mapping[str, Callable[..., int]]) -> str:
@@ -23,6 +36,17 @@ def of_commands(commands: Mapping[str, Callable[..., int]]) -> str:
         "Exit codes are 0, 1 where a verdict fell short, and 2 for bad input."
     )
     return "\n".join([*lines, "", *wrapped(told)])
+
+
+def completion(shell: str, options: Mapping[str, Sequence[Option]]) -> str:
+    """Return a script with which a shell completes commands, and the options of each."""
+    if shell not in ("bash", "zsh"):
+        raise UnknownNameError("shell", shell, "--completion", ("bash", "zsh"))
+    names = {k: " ".join(name for each in v for name in each.names) for k, v in options.items()}
+    cases = "\n".join(f"    {name}) words='{text}' ;;" for name, text in names.items())
+    script = _COMPLETION.format(commands=" ".join(options), cases=cases)
+    zsh = "autoload -U +X compinit bashcompinit && compinit && bashcompinit\n"
+    return zsh + script if shell == "zsh" else script
 
 
 def of_command(
@@ -56,7 +80,7 @@ def of_command(
         for option in members:
             # all names only where all is told
             name = option.names[0] if common else ", ".join(option.names)
-            lines += _entry(f"{name} {metavar(option)}".rstrip(), _told(option), _INDENT)
+            lines += _entry(f"{name} {_values(option.hint)}".rstrip(), _text(option), _INDENT)
     if common:
         told = (
             f"All {len(options)} options: approxjac {command.__name__} --help-all. Each is a key "
@@ -79,8 +103,8 @@ def _wrapped(paragraph: str) -> list[str]:
     return wrapped(paragraph)
 
 
-def _told(option: Option) -> str:
-    """Return for what an option is, and its default where the text says none."""
+def _text(option: Option) -> str:
+    """Return what an option is for, and its default where the text has none."""
     default = option.default
     if default in (None, "", (), False) or default == {} or "default" in option.help:
         return option.help
@@ -100,3 +124,18 @@ def _entry(name: str, told: str, indent: int) -> list[str]:
     if len(name) + 4 > indent:
         return [f"  {name}", *lines]
     return [f"  {name}".ljust(indent) + lines[0][indent:], *lines[1:]]
+
+
+def _values(hint: Any) -> str:
+    """Return the value of an option as its help shows it."""
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin in (Union, UnionType):
+        return "|".join(_values(kind) for kind in inner if kind is not type(None))
+    if origin is Literal:
+        return "|".join(inner)
+    if origin is dict:
+        return "JOINT X Y Z ..."
+    if origin is tuple:
+        each = _NAMES[inner[0]]
+        return f"{each} ..." if inner[-1] is Ellipsis else " ".join([each] * len(inner))
+    return "" if hint is bool else _NAMES[hint]

@@ -1,29 +1,30 @@
-"""The command `approxjac`: arguments → a command.
+"""The command `approxjac`: words → a command with a scenario and arguments.
 
 Exit codes: 0 all is well, 1 a verdict fell short, 2 bad input.
 """
 
 from __future__ import annotations
 
+import inspect
 import io
 import os
 import sys
 import warnings
 from collections.abc import Callable
-
-import tyro
+from typing import get_type_hints
 
 import approxjac
-from approxjac.cli import help, options
-from approxjac.cli.argument_types import Typed, in_words_of_user, read
+from approxjac.cli import help
 from approxjac.cli.export_command import export
+from approxjac.cli.options import COMMON, NEEDED, SHORT, options_of, scenario_of
 from approxjac.cli.paper_command import paper
+from approxjac.cli.parser import Typed, explained, read
 from approxjac.cli.robots_command import robots
 from approxjac.cli.simulate_command import simulate
 from approxjac.cli.stability_command import stability
 from approxjac.cli.view_command import view
 from approxjac.errors import ApproxJacError, UnknownNameError
-from approxjac.scenario import Scenario
+from approxjac.scenario.convert import value_of
 
 _COMMANDS = {each.__name__: each for each in (paper, robots, simulate, stability, export, view)}
 _SCENARIO = (
@@ -69,47 +70,45 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _run(arguments: list[str]) -> int:
     """Run a command, or show its help."""
-    chosen = arguments[0]
+    chosen, words = arguments[0], arguments[1:]
     if chosen in ("-h", "--help"):
         print(help.of_commands(_COMMANDS))
         return 0
-    if chosen.startswith("--tyro"):  # the shell's completion
-        return _called(arguments, None)
+    if chosen == "--completion":
+        options = {name: options_of(each) for name, each in _COMMANDS.items()}
+        print(help.completion(words[0] if words else "bash", options))
+        return 0
     if chosen not in _COMMANDS:
         kind = "option" if chosen.startswith("-") else "command"
-        raise UnknownNameError(kind, chosen, "approxjac", [*_COMMANDS, "--help", "--version"])
-    command, words = _COMMANDS[chosen], arguments[1:]
+        known = [*_COMMANDS, "--help", "--version", "--completion"]
+        raise UnknownNameError(kind, chosen, "approxjac", known)
+    command = _COMMANDS[chosen]
+    known_options, typed = options_of(command), Typed()
     if asked := {"-h", "--help", "--help-all"} & set(words):
-        common = () if "--help-all" in asked else options.COMMON.get(chosen, ())
-        print(help.of_command(command, options.of(command), _POSITIONAL[chosen], common))
+        common = () if "--help-all" in asked else COMMON.get(chosen, ())
+        print(help.of_command(command, known_options, _POSITIONAL[chosen], common))
         return 0
-    scenario, spelled = None, dict[str, str]()
-    if chosen in options.SHORT:
-        scenario, words, spelled = options.from_file(words)
-    known, typed = options.of(command, scenario), dict[str, Typed]()
     try:
-        words, typed = read(chosen, words, known, options.MEANT.get(chosen, ""), spelled)
-        return _called([chosen, *words], scenario)
+        read(typed, chosen, words, known_options, NEEDED.get(chosen, ""))
+        return _called(command, typed)
     except ApproxJacError as error:
-        told = in_words_of_user(error, known, typed, scenario is not None)
-        print(f"approxjac: {told}", file=sys.stderr)
+        message = explained(error, known_options, typed, typed.alone.endswith(".toml"))
+        print(f"approxjac: {message}", file=sys.stderr)
         return 2
 
 
-def _called(arguments: list[str], scenario: Scenario | None) -> int:
-    """Call a command with words that it takes; without one, tell the shell of all of them."""
-
-    def taking(command: Callable[..., int]) -> Callable[..., int]:
-        takes_scenario = command.__name__ in options.SHORT
-        return options.with_options(command, scenario) if takes_scenario else command
-
-    if arguments[0] in _COMMANDS:
-        command = taking(_COMMANDS[arguments[0]])
-        return int(tyro.cli(command, args=arguments[1:], prog=f"approxjac {arguments[0]}"))
-    app = tyro.extras.SubcommandApp()
-    for name, command in _COMMANDS.items():
-        app.command(name=name)(taking(command))
-    return int(app.cli(args=arguments, prog="approxjac"))
+def _called(command: Callable[..., int], typed: Typed) -> int:
+    """Call a command with what was typed, and with its scenario where it takes one."""
+    kinds = get_type_hints(command)
+    values = dict(typed.values)
+    own = {
+        name: value_of(kinds[name], values.pop(name), name)
+        for name in inspect.signature(command).parameters
+        if name in values
+    }
+    if command.__name__ in SHORT:
+        return command(scenario_of(command.__name__, typed.alone, values), **own)
+    return command(typed.alone, **own) if typed.alone else command(**own)
 
 
 def _warned(message: Warning | str, *_: object, **__: object) -> None:

@@ -5,9 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Annotated, Literal
-
-import tyro
+from typing import Literal
 
 from approxjac.cli.bars import time_bar
 from approxjac.cli.options import make_folder
@@ -18,8 +16,8 @@ from approxjac.files import together, write_text
 def paper(
     out: Path = Path("results/paper"),
     figures: tuple[int, ...] = (1, 3, 4, 5, 6, 7, 8),
-    start: Annotated[tuple[float, float], tyro.conf.arg(metavar="DEG DEG")] = (60.0, 90.0),
-    target: Annotated[tuple[float, float], tyro.conf.arg(metavar="DEG DEG")] = (90.0, 90.0),
+    start: tuple[float, float] = (60.0, 90.0),
+    target: tuple[float, float] = (90.0, 90.0),
     friction: float = 0.0,
     gamma: float | None = None,
     inertia: Literal["rod", "point-mass"] = "rod",

@@ -6,10 +6,8 @@ import math
 import textwrap
 from collections import Counter
 from collections.abc import Sequence
-from typing import Annotated
 
 import numpy as np
-import tyro
 
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Robot, load_robot, robot_names
@@ -20,7 +18,7 @@ _WIDTH = 100
 
 
 def robots(
-    robot: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="NAME|FILE")] = None,
+    robot: str | None = None,
     tip: str | None = None,
     base: str | None = None,
     free: tuple[str, ...] = (),

@@ -5,8 +5,6 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-import tyro
-
 from approxjac.cli.bars import time_bar
 from approxjac.cli.options import make_folder
 from approxjac.errors import InvalidInputError
@@ -15,7 +13,7 @@ from approxjac.scenario import Scenario
 
 def simulate(
     scenario: Scenario,
-    view: tyro.conf.FlagCreatePairsOff[bool] = False,
+    view: bool = False,
     speed: float | None = None,
     port: int | None = None,
     save: Path | None = None,
@@ -37,6 +35,9 @@ def simulate(
         save: Write the scenario to this .toml file, too.
         out: Folder for the pictures, run.npz, summary.json and scenario.toml.
     """
+    from approxjac.scenario import build_scenario, run_scenario
+    from approxjac.scenario import summary as report
+
     for name, value in (("speed", speed), ("port", port)):
         if value is not None and not view:
             raise InvalidInputError(
@@ -49,7 +50,7 @@ def simulate(
         raise InvalidInputError(
             f"--save must be a file in a folder that there is, got {save}", given=save
         )
-    built = scenario.build()
+    built = build_scenario(scenario)
     make_folder(out)
     if built.warning:
         print(f"approxjac: warning: {built.warning}", file=sys.stderr)
@@ -66,9 +67,7 @@ def simulate(
             believed_length=scenario.believed.object.length,
         )
     with time_bar(scenario.run.duration, "simulation", disable=True if view else None) as bar:
-        result = built.run(lambda t: bar.update(t - bar.n) and None, live)
-    from approxjac.scenario import summary as report
-
+        result = run_scenario(built, lambda t: bar.update(t - bar.n) and None, live)
     report.write(result, out)
     print(report.text(result))
     print(f"\nPictures, the run, its scenario and summary.json are in {out}")

@@ -5,8 +5,6 @@ from __future__ import annotations
 from functools import partial
 from pathlib import Path
 
-import tyro
-
 from approxjac.cli.bars import ShareBar
 from approxjac.cli.options import make_folder
 from approxjac.errors import InvalidInputError
@@ -24,7 +22,7 @@ _LONG = {
 
 def stability(
     scenario: Scenario,
-    suggest_gains: tyro.conf.FlagCreatePairsOff[bool] = False,
+    suggest_gains: bool = False,
     jobs: int = 1,
     out: Path = Path("results/stability"),
 ) -> int:

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
-
-import tyro
 
 from approxjac.errors import InvalidInputError
 
 
 def view(
-    run: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")],
+    run: str,
     out: Path | None = None,
     title: str | None = None,
 ) -> int:
@@ -32,7 +29,7 @@ def view(
         raise InvalidInputError(
             f"--out must be a file in a folder that there is, got {out}", given=out
         )
-    path = _run_file(run)
+    path = _run_file(Path(run))
     beside = path.with_name(path.name.removesuffix(".npz") + ".html")
     page = save_page(Trajectory.load(path), out or beside, title)
     print(page)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -19,23 +19,22 @@ from approxjac.paths import Circle, Line, Waypoints
 from approxjac.robots import Robot, load_robot
 from approxjac.robots.urdf_edit import OBJECT_RADIUS
 from approxjac.scenario.image_setup import image_scene
-from approxjac.scenario.laws import Law, controller_of, limits_of, sampling_time
+from approxjac.scenario.laws import Law, controller_of, limits_of
 from approxjac.scenario.reachability import doubts
 from approxjac.scenario.records import Goal, Numbers, Object, Sensor, Tracker, Vectors
 from approxjac.scenario.refusals import require_effect
 from approxjac.scenario.scenario import Scenario
 from approxjac.scenario.starts import (
     configuration_of,
+    numbers,
     regular_configuration,
     straight_ahead,
 )
 from approxjac.simulation import (
-    Loop,
     MujocoPlant,
     Plant,
     Sensing,
     VelocityServo,
-    simulate,
 )
 from approxjac.tasks import (
     CombinedTask,
@@ -48,13 +47,9 @@ from approxjac.tasks import (
     TrackerTask,
 )
 from approxjac.tasks.analysis import with_error
-from approxjac.validation import Array, as_array
-
-if TYPE_CHECKING:
-    from approxjac.scenario.outcome import RunResult
+from approxjac.validation import Array
 
 _PLANAR_FOCAL_LENGTH = 0.05  # [m]
-_RECORDS, _CONTINUOUS_RECORDS = 2000, 2400  # of a run, about
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,36 +94,22 @@ class BuiltScenario:
         assert isinstance(self.controller, TrackingController | ControllerWrapper)
         return self.controller
 
-    def run(
-        self,
-        progress: Callable[[float], None] | None = None,
-        observer: Callable[[Loop], None] | None = None,
-    ) -> RunResult:
-        """Simulate, with the arguments of `simulate`, and judge the run."""
-        from approxjac.scenario.outcome import RunResult
-
-        run, dt = self.scenario.run, sampling_time(self.scenario)
-        options: dict[str, Any] = {"dt": None, "record_every": run.duration / _CONTINUOUS_RECORDS}
-        duration = run.duration
-        if dt > 0.0:
-            every = max(1, round(duration / (dt * _RECORDS)))
-            duration = max(1, round(duration / (dt * every))) * dt * every
-            options = {"dt": dt, "record_every": every * dt, "seed": run.seed}
-            options |= {"integrator": "semi_implicit_euler"}
-        record = simulate(
-            self.plant, self.controller, self.target, self.q0, duration, progress=progress,
-            observer=observer, **options,
-        )  # fmt: skip
-        return RunResult(self, record)
-
 
 def loaded_arm(scenario: Scenario) -> Robot:
     """Return the arm of a scenario without an object."""
     return load_robot(scenario.robot, tip=scenario.tip, base=scenario.base, free=scenario.free)
 
 
-def build(scenario: Scenario, arm: Robot | None = None) -> BuiltScenario:
-    """Build a scenario, as `Scenario.build` does; its arm without an object may be loaded."""
+def build_scenario(scenario: Scenario, arm: Robot | None = None) -> BuiltScenario:
+    """Return the plant, the controller, the target and the start that a scenario describes.
+
+    Args:
+        scenario: The scenario.
+        arm: Its arm without an object, where that is loaded already.
+
+    Raises:
+        ApproxJacError: Values that do not fit the robot, or each other.
+    """
     arm = loaded_arm(scenario) if arm is None else arm
     require_effect(scenario)
     true, believed = scenario.true, scenario.believed
@@ -215,7 +196,7 @@ def _target(
         )
 
     def coordinates(name: str, values: Numbers, count: int = sensor.m) -> Array:
-        return as_array(f"run.target.{name}", values, (count,), joined(sensor.units))
+        return numbers(f"run.target.{name}", values, count, joined(sensor.units))
 
     if line.offset is not None:
         return Line(start, start + coordinates("line.offset", line.offset), line.duration)
@@ -236,7 +217,7 @@ def _target(
     if goal.at is None:
         return sensor.value(draw())
     if isinstance(sensor, ImageTask) and "px" in sensor.units:  # a target has no depths
-        images = as_array("run.target", goal.at, (sensor.m,), "px")
+        images = numbers("run.target.at", goal.at, sensor.m, "px")
         return sensor.target(with_error(sensor, sensor.value(draw()), sensor._origin, images))
     return sensor.target(goal.at)
 
@@ -255,7 +236,7 @@ def _plant(truth: Robot, sensor: Task, motors: Array, scenario: Scenario, belief
     if scenario.controller.command == "velocity":
         options["servo"] = VelocityServo(**vars(true.servo))
         options["torque_limits"], options["actuator_delay"] = None, 0.0
-    if scenario.controller.gravity == "rest":
+    if scenario.controller.gravity == "learn_residual":
         options["adds_gravity"] = belief
     if true.engine == "mujoco":
         options |= {"floor": true.floor, "balance_inertia": true.inertias == "balanced"}

@@ -15,7 +15,7 @@ from approxjac.controllers import Limits, SetpointController, TorqueLimited
 from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import Robot
-from approxjac.scenario.build import BuiltScenario, build, holding, loaded_arm, sensing_of
+from approxjac.scenario.build import BuiltScenario, build_scenario, holding, loaded_arm, sensing_of
 from approxjac.scenario.laws import latency_of, limits_of
 from approxjac.scenario.scenario import Scenario
 from approxjac.scenario.starts import configuration_of
@@ -87,18 +87,18 @@ def prepare(scenario: Scenario) -> ClosedLoop:
             raise InvalidInputError(
                 f"stability.{name} needs task.kind image, got {scenario.task.kind}", given=given
             )
-    if choice.gravity == "rest":
+    if choice.gravity == "learn_residual":
         raise InvalidInputError(
             "controller.gravity must be learnt, exact, believed or none in a report, which is of "
-            "robots that add none, got rest",
-            given="rest",
+            "robots that add none, got learn_residual",
+            given="learn_residual",
         )
     arm, gravity = loaded_arm(scenario), choice.gravity
     if gravity == "exact":  # eq. (9): what is compensated exactly is not felt
         arm, gravity = arm.with_gravity((0.0, 0.0, 0.0)), "none"
     # a report is of whatever target; limits come around the law that is built
     law = replace(choice, gravity=gravity, limits="none", torque_rate=None)
-    built = build(replace(scenario, controller=law), arm)
+    built = build_scenario(replace(scenario, controller=law), arm)
     truth = _truth(arm, built, analysis)
     assert isinstance(built.law, SetpointController)
     region = _region(built.law, truth, analysis)

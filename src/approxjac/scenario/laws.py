@@ -65,7 +65,7 @@ def controller_of(
             command=chosen.command,
         )
     else:
-        gravity = _gravity(truth, belief, chosen.gravity, chosen.integral)
+        gravity = _gravity(truth, belief, chosen.gravity, chosen.integral_action)
         law = _setpoint(task, gravity, q0, scenario, within_limits=limits is not None)
     controller: Controller = law
     if limits is not None and chosen.command == "torque":
@@ -94,18 +94,19 @@ def _kinematics(scenario: Scenario, task: Task) -> Kinematics:
     return AdaptiveCamera(task, unknown, noise=max(told.noise, _LEAST_PIXELS), **rest)
 
 
-def _gravity(truth: Robot, belief: Robot, kind: str, integral: str | None = None) -> Gravity:
-    """Return the gravity of a controller by its kind; `integral` says if it learns forces, too."""
-    if kind in ("learnt", "rest"):
-        nothing, theta0 = 0.0 if integral == "none" else None, 0.0 if kind == "rest" else None
+def _gravity(truth: Robot, belief: Robot, kind: str, integral_action: bool | None) -> Gravity:
+    """Return the gravity of a controller by its kind."""
+    if kind in ("learnt", "learn_residual"):
+        nothing = 0.0 if integral_action is False else None
+        theta0 = 0.0 if kind == "learn_residual" else None
         return AdaptiveGravity(belief, theta0=theta0, task_force=nothing, joint_torque=nothing)
     if kind == "exact":
         regressor = GravityRegressor(belief)
         theta = regressor.fit(truth)[0]
-        if integral == "learnt":
+        if integral_action:
             return AdaptiveGravity(regressor, L=0.0, theta0=theta)
         return RegressorGravity(regressor, theta)
-    if integral == "learnt":
+    if integral_action:
         return AdaptiveGravity(belief, L=0.0, theta0=0.0 if kind == "none" else None)
     return NoGravity(belief) if kind == "none" else ModelGravity(belief)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
@@ -15,13 +15,15 @@ from approxjac.formatting import plain
 from approxjac.interface import LimitStatus, Status
 from approxjac.robots import Dynamics
 from approxjac.robots.joint_limits import beyond_positions
-from approxjac.scenario.build import BuiltScenario
+from approxjac.scenario.build import BuiltScenario, build_scenario
+from approxjac.scenario.laws import sampling_time
 from approxjac.scenario.reachability import too_far
 from approxjac.scenario.scenario import Scenario
-from approxjac.simulation import Trajectory
+from approxjac.simulation import Loop, Trajectory, simulate
 from approxjac.tasks.analysis import FINE, fine_error
 from approxjac.validation import Array
 
+_RECORDS, _CONTINUOUS_RECORDS = 2000, 2400  # of a run, about
 _AT_LIMIT = 0.01  # a joint this near to its position limit counts as at it [rad or m]
 _AT_REST = 0.1  # what moves no faster may be called at rest [rad/s or m/s]
 _STRAY = 0.05  # of how far a path leads from its start: farther beside it is not following it
@@ -211,7 +213,7 @@ class RunResult:
         if moved < 0.1 * size[-1] and np.abs(run.v[-1]).max() < _AT_REST:
             if self._learns(last) and size[-1] < 0.99 * size[last][0]:
                 return "still learning: the error shrinks as what lacks is learnt"
-            learnt = self.built.scenario.controller.gravity in ("learnt", "rest")
+            learnt = self.built.scenario.controller.gravity in ("learnt", "learn_residual")
             weight = "" if learnt else ", or gravity is not compensated as it is"
             return f"came to rest away from its target: out of reach, blocked, friction{weight}"
         if not stands:
@@ -299,6 +301,34 @@ class RunResult:
             "largest_torque_violation": (np.abs(run.tau) - limits.effort).max().clip(0.0),
             "peak_speed_ratio": self.peak_speed_ratio,
         }
+
+
+def run_scenario(
+    scenario: Scenario | BuiltScenario,
+    progress: Callable[[float], None] | None = None,
+    observer: Callable[[Loop], None] | None = None,
+) -> RunResult:
+    """Simulate a scenario, that is built already or not, and judge the run.
+
+    Args:
+        scenario: The scenario, or what `build_scenario` made of it.
+        progress: As for `simulate`.
+        observer: As for `simulate`.
+    """
+    built = build_scenario(scenario) if isinstance(scenario, Scenario) else scenario
+    run, dt = built.scenario.run, sampling_time(built.scenario)
+    options: dict[str, Any] = {"dt": None, "record_every": run.duration / _CONTINUOUS_RECORDS}
+    duration = run.duration
+    if dt > 0.0:
+        every = max(1, round(duration / (dt * _RECORDS)))
+        duration = max(1, round(duration / (dt * every))) * dt * every
+        options = {"dt": dt, "record_every": every * dt, "seed": run.seed}
+        options |= {"integrator": "semi_implicit_euler"}
+    record = simulate(
+        built.plant, built.controller, built.target, built.q0, duration, progress=progress,
+        observer=observer, **options,
+    )  # fmt: skip
+    return RunResult(built, record)
 
 
 def tolerance_of(scenario: Scenario, units: Iterable[str]) -> float:

@@ -1,4 +1,4 @@
-"""The parts of a scenario; their attributes are the help of its options."""
+"""The parts of a scenario: keys, types, ranges, and the texts that tell of each."""
 
 from __future__ import annotations
 
@@ -9,6 +9,12 @@ Numbers = tuple[float, ...]
 Vector = tuple[float, float, float]
 Interval = tuple[float, float]
 Vectors = dict[str, Vector]  # joint name → vector
+
+RENAMED = {
+    "controller.integral": "controller.integral_action, true or false",
+    "controller.gravity = rest": "learn_residual",
+}
+"""Keys, or values of keys, of earlier versions, and what they are now."""
 
 
 def above(default: Any, bound: float = 0.0) -> Any:
@@ -226,16 +232,17 @@ class ControllerChoice:
     """The law, its gains, and its limits.
 
     Attributes:
-        law: "setpoint", the paper's; or "tracking", law T, for paths.
+        law: "setpoint", the paper's; or "tracking", the adaptive tracking law, for paths.
         unknown: Parts of the kinematics that are learnt from x (tool, origins, camera, offset,
-            scale): then x̂ is controlled (--learn-kinematics: by law T, the first three). Of an
-            image "camera" is its pose and focal length, and "tool" where the points are.
+            scale): then x̂ is controlled. Of an image "camera" is its pose and focal length, and
+            "tool" where the points are.
         command: "torque", or "velocity" for robots that take joint velocities (law "tracking").
         differentiator: Time constant of Ẋ from the differentiated x, s: law (5), or law (6).
         gravity: Compensated as it is learnt (law (28)), as it truly is ("exact"), as the believed
-            arm has it, or not at all; or the "rest" is learnt from 0, of a robot that adds the
-            gravity of the believed arm by itself (Franka, UR).
-        integral: Constant task force and joint torques, "learnt" or "none"; as gravity by default.
+            arm has it, or not at all; "learn_residual" learns what is left of it from 0, for a
+            robot that adds the gravity of the believed arm by itself (Franka, UR).
+        integral_action: Learn a constant task force and joint torques; by default if gravity is
+            learnt.
         settling_time: Time to settle that is wanted, s; by default as fast as inertia, motors and
             latency allow.
         kp: Gain K_p of position, one number or one a task coordinate; by the rule for all defaults
@@ -246,7 +253,7 @@ class ControllerChoice:
             of the rule, or none with gains that are given.
         posture_stiffness: Draws the self-motion back to the start, N m/rad; 0 does not.
         limits: Limits to be kept: "urdf", as far as it has any; a number of times the effort
-            limits, then the motors' too; or "none" (--no-limits). Continuous control has none.
+            limits, then the motors' too; or "none". Continuous control has none.
         torque_rate: Largest change of a torque within limits, N m/s; any by default.
         unseen: Motion for which the x that was last seen will do, m, rad or px; none by default.
     """
@@ -255,8 +262,8 @@ class ControllerChoice:
     unknown: tuple[str, ...] = ()
     command: Literal["torque", "velocity"] = "torque"
     differentiator: float | None = above(None)
-    gravity: Literal["learnt", "exact", "believed", "none", "rest"] = "learnt"
-    integral: Literal["learnt", "none"] | None = None
+    gravity: Literal["learnt", "exact", "believed", "none", "learn_residual"] = "learnt"
+    integral_action: bool | None = None
     settling_time: float | None = above(None)
     kp: Numbers | None = above(None)
     kv: Numbers | None = above(None)
@@ -286,7 +293,7 @@ class CirclePath:
     """A circle at constant speed, in a horizontal plane or that of a task with two coordinates.
 
     Attributes:
-        radius: In m; no circle by default.
+        radius: Radius of the circle, m; no circle by default.
         period: Time of one turn, s.
         center: In m; by default such that the circle begins where the task starts.
     """
@@ -301,7 +308,7 @@ class LinePath:
     """A straight line from where the task starts, at rest at both ends.
 
     Attributes:
-        offset: From its start to its end, m; no line by default.
+        offset: Offset of the line's end from its start, m; no line by default.
         duration: Of the way, s.
     """
 
@@ -333,9 +340,9 @@ class Goal:
             default.
         offset: Target relative to where the task starts, m (and rad of a pose).
         configuration: Joint positions at which the true sensor measures the target, rad or m.
-        circle: To follow; --path circle RADIUS.
-        line: To follow; --path line OFFSET.
-        waypoints: To follow; --path waypoints POINTS.
+        circle: Circle to follow.
+        line: Line to follow.
+        waypoints: Points to follow.
     """
 
     at: Numbers | None = None

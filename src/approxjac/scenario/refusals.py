@@ -54,7 +54,15 @@ def _rules(scenario: Scenario) -> list[tuple[str, bool, str, str]]:
         ("sensor.lost_part", scenario.sensor.lost is None, "needs a time in sensor.lost", "none"),
     ]
     tracks, learns = control.law == "tracking", bool(control.unknown)
-    for_setpoint = ("differentiator", "integral", "settling_time", "kp", "kv", "damping", "gamma")
+    for_setpoint = (
+        "differentiator",
+        "integral_action",
+        "settling_time",
+        "kp",
+        "kv",
+        "damping",
+        "gamma",
+    )
     rules += [
         (f"controller.{name}", tracks, "is of the law setpoint", control.law)
         for name in (*for_setpoint, "posture_stiffness")

@@ -5,10 +5,11 @@ from __future__ import annotations
 import tomllib
 from dataclasses import KW_ONLY, dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from approxjac.errors import InvalidInputError
 from approxjac.files import read_text, write_text
+from approxjac.scenario.convert import Table, checked, differences, filled, to_toml
 from approxjac.scenario.records import (
     Belief,
     ControllerChoice,
@@ -19,10 +20,6 @@ from approxjac.scenario.records import (
     Truth,
 )
 from approxjac.scenario.study_records import Analysis
-from approxjac.scenario.tables import Table, checked, differences, filled, to_toml
-
-if TYPE_CHECKING:
-    from approxjac.scenario.build import BuiltScenario
 
 _MOST_TEXT = 1_000_000  # bytes of a file
 
@@ -39,7 +36,8 @@ _ALWAYS = {
 class Scenario:
     """The description of a run, a report and a live view, said once.
 
-    Each part may be given as its record or as a table of what differs from the defaults:
+    `build_scenario` makes plant and controller of it, `run_scenario` simulates them. Each part may
+    be given as its record or as a table of what differs from the defaults:
     `Scenario("panda", true={"object": {"length": 0.3}}, run={"target": {"offset": (0.1, 0, 0)}})`.
     It prints as the scenario file that says the same.
 
@@ -58,7 +56,7 @@ class Scenario:
         stability: Errors and region of a stability report.
 
     Raises:
-        UnknownNameError: A key or a choice that there is not.
+        UnknownNameError: A key that there is not.
         InvalidInputError: A value of another type, or out of range.
     """
 
@@ -86,7 +84,7 @@ class Scenario:
 
         Raises:
             InvalidInputError: No such file, no TOML, no robot, or a value that is none.
-            UnknownNameError: A key or a choice that there is not.
+            UnknownNameError: A key that there is not.
         """
         try:
             table = tomllib.loads(read_text(Path(path), _MOST_TEXT))
@@ -129,16 +127,6 @@ class Scenario:
             changed[part] = told | others
         write_text(Path(path), to_toml(table | changed))
         return Path(path)
-
-    def build(self) -> BuiltScenario:
-        """Return the plant, the controller, the target and the start that this describes.
-
-        Raises:
-            ApproxJacError: Values that do not fit the robot, or each other.
-        """
-        from approxjac.scenario.build import build
-
-        return build(self)
 
     def __str__(self) -> str:
         return to_toml({"robot": self.robot, **differences(self, Scenario(self.robot))})

@@ -65,11 +65,20 @@ def is_regular(sensor: Task, task: Task, q: Array, ratio: float = REGULAR) -> bo
     return all(v[-1] > ratio * v[0] for v in values)
 
 
+def numbers(key: str, values: tuple[float, ...], count: int, unit: str) -> Array:
+    """Return the `count` numbers of a key as an array."""
+    if len(values) != count:
+        raise InvalidInputError(
+            f"{key} must be {count} numbers [{unit}], got {len(values)}", given=values
+        )
+    return as_array(key, values, (count,), unit)
+
+
 def configuration_of(
     robot: Robot, name: str, joints: tuple[float, ...], within_limits: bool = True
 ) -> Array:
     """Return the configuration (nq,) of one number a joint, continuous joints included."""
-    motion = as_array(name, joints, (robot.nv,), "rad or m")
+    motion = numbers(name, joints, robot.nv, "rad or m")
     if within_limits and robot.nq == robot.nv:
         require_radians(name, robot, motion)
     low, high = robot.position_limits

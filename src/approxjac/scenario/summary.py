@@ -18,10 +18,10 @@ from approxjac.controllers import (
 from approxjac.files import together, write_text
 from approxjac.formatting import numbers_of, rows, shares, wrapped
 from approxjac.interface import LimitStatus
+from approxjac.scenario.convert import differences
 from approxjac.scenario.outcome import RunResult
 from approxjac.scenario.records import Belief
 from approxjac.scenario.scenario import Scenario
-from approxjac.scenario.tables import differences
 from approxjac.tasks import ImageTask
 from approxjac.tasks.analysis import place_of
 from approxjac.view import (

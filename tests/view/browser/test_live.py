@@ -23,6 +23,7 @@ import approxjac as aj
 from approxjac import view
 from approxjac.controllers import RegressorGravity
 from approxjac.robots import GravityRegressor
+from approxjac.scenario import build_scenario, run_scenario
 from approxjac.view.browser import server
 
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
@@ -263,12 +264,12 @@ def test_pause_speed_reload_and_what_cannot_be(panda, open_page, start):
 
 def test_a_target_is_moved_in_the_image(open_page):
     """A camera that is rolled, images that come late; the point follows its new target."""
-    ready = camera(
+    ready = build_scenario(camera(
         believed={"camera": {"roll": 0.3}}, sensor={"noise": 0.0}, loop={"dt": 0.001},
         run={"duration": 60.0, "seed": 2},
-    ).build()  # fmt: skip
+    ))  # fmt: skip
     live, results = view.LiveView(believe=ready.believe, patience=30.0), []
-    thread = threading.Thread(target=lambda: results.append(ready.run(observer=live)))
+    thread = threading.Thread(target=lambda: results.append(run_scenario(ready, observer=live)))
     thread.start()
     wait_for(lambda: live.url is not None)
     page = open_page(live.url)

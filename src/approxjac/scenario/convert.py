@@ -1,0 +1,215 @@
+"""Records from tables, Python values and typed words, and back to TOML: one converter for all."""
+
+from __future__ import annotations
+
+import json
+import os
+import types
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import fields, is_dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.scenario.records import RENAMED, Goal
+from approxjac.validation import as_number
+
+Table = Mapping[str, Any]
+_UNIONS = (Union, types.UnionType)
+_WRONG = (TypeError, ValueError, OverflowError)  # one of 400 digits is no float
+
+
+class Words(tuple[str, ...]):
+    """A value as it was typed: one word, or several of a list."""
+
+
+@cache
+def hints(kind: type) -> Mapping[str, Any]:
+    """Return the types of a record's fields by name."""
+    return get_type_hints(kind)
+
+
+def filled(record: Any, values: Table, where: str = "", key: str = "") -> Any:
+    """Return a record with the values of a table in place of its own, as `Scenario` refuses them.
+
+    A value may be a record or its table. Errors name the file `where` the table is from, and the
+    dotted `key` of the record within its scenario.
+    """
+    return replace(record, **checked(type(record), record, values, where, key))
+
+
+def checked(kind: type, base: Any, values: Table, where: str = "", key: str = "") -> dict[str, Any]:
+    """Return values of a table as a kind of record has them; those of inner tables fill `base`."""
+    known = {field.name: field for field in fields(kind)}
+    found = {}
+    for name, value in values.items():
+        dotted, inner = f"{key}.{name}" if key else name, getattr(base, name, None)
+        if name not in known:
+            if dotted in RENAMED:
+                raise InvalidInputError(f"{dotted} is now {RENAMED[dotted]}", given=value)
+            table = " ".join(filter(None, (where, f"[{key}]" if key else ""))) or "a scenario"
+            raise UnknownNameError("key", name, table, known)
+        if is_dataclass(inner):
+            found[name] = filled(inner, _table_of(inner, value, dotted), where, dotted)
+            continue
+        found[name] = made = value_of(hints(kind)[name], value, dotted, where)
+        for number in made if isinstance(made, tuple) else (made,):
+            if isinstance(number, int | float) and not isinstance(number, bool):
+                try:
+                    as_number(dotted, number, **known[name].metadata)
+                except InvalidInputError as error:
+                    raise InvalidInputError(f"{error}{_in(where)}", given=number) from None
+    return found
+
+
+def value_of(hint: Any, value: Any, key: str, where: str = "") -> Any:
+    """Return a value as a field of that type has it, or refuse it by its key."""
+    with suppress(*_WRONG):
+        return converted(hint, value)
+    typed = isinstance(value, Words)
+    given = (" ".join(value) or "nothing") if typed else repr(value)
+    now = RENAMED.get(f"{key} = {given.strip(chr(39))}")
+    told = f"{key} must be {wanted(hint, plain=typed)}, got {given}{_in(where)}"
+    raise InvalidInputError(told + (f", which is now {now}" if now else ""), given=value)
+
+
+def converted(hint: Any, value: Any) -> Any:
+    """Return a value as a field of that type has it.
+
+    Raises:
+        TypeError, ValueError, OverflowError: It is of another type.
+    """
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin in _UNIONS:
+        # typed words are also a text, and so may be none
+        for kind in sorted(inner, key=lambda kind: kind is not type(None)):
+            with suppress(*_WRONG):
+                return converted(kind, value)
+        raise TypeError
+    if isinstance(value, Words):
+        value = _meant(hint, value)
+    if origin is dict:
+        return {converted(str, k): converted(inner[1], v) for k, v in dict(value).items()}
+    if origin is tuple:
+        variadic = inner[-1] is Ellipsis
+        if variadic and inner[0] is float and isinstance(value, int | float):
+            value = (value,)
+        if isinstance(value, str) or (not variadic and len(value) != len(inner)):
+            raise TypeError
+        kinds = [inner[0]] * len(value) if variadic else inner
+        return tuple(converted(kind, entry) for kind, entry in zip(kinds, value, strict=True))
+    if isinstance(value, np.generic):
+        value = value.item()
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if hint is float and number:
+        return float(value)
+    if hint is int and number and float(value).is_integer():
+        return int(value)
+    if hint in (str, bool, type(None)) and isinstance(value, hint):
+        return value
+    if hint in (str, Path) and isinstance(value, str | os.PathLike):
+        return hint(os.fspath(value))
+    if origin is Literal and isinstance(value, str) and value in inner:
+        return value
+    raise TypeError
+
+
+def _meant(hint: Any, words: Words) -> Any:
+    """Return the value of another kind that words stand for where one of a type is wanted."""
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin is tuple:
+        if len(words) == 1 and inner[0] is not str:
+            words = Words(words[0].split(","))  # such as 0,1,1
+        return [Words((word,)) for word in words]
+    if origin is dict:  # a joint and its vector, and so on
+        count = 1 + len(get_args(inner[1]))
+        if not words or len(words) % count:
+            raise ValueError
+        return {words[k]: Words(words[k + 1 : k + count]) for k in range(0, len(words), count)}
+    (word,) = words
+    if hint in (int, float):
+        return float(word)
+    if hint in (bool, type(None)):
+        return {"true": True, "false": False, "None": None}.get(word, word)
+    return word
+
+
+def wanted(hint: Any, plain: bool = False) -> str:
+    """Return in words what a value of a type is; `plain` as one types it."""
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin in _UNIONS:
+        return " or ".join(wanted(kind, plain) for kind in inner if kind is not type(None))
+    if origin is Literal:
+        words = [word if plain else json.dumps(word) for word in inner]
+        return " or ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
+    if origin is dict:
+        each = "a joint and 3 numbers" if plain else wanted(inner[1])
+        return f"{each}, for one or several" if plain else f"a table of names, each with {each}"
+    if origin is tuple:
+        what = "words" if inner[0] is str else "numbers"
+        count = f"{len(inner)} " if inner[-1] is not Ellipsis else ""
+        return f"{count}{what}" if plain else f"a list of {count}{what}"
+    names = {float: "a number", int: "a whole number", str: "a word", bool: "true or false"}
+    return names.get(hint, "a path")
+
+
+def differences(record: Any, default: Any) -> dict[str, Any]:
+    """Return what a record has otherwise than another, as tables of plain values."""
+    found: dict[str, Any] = {}
+    for field in fields(record):
+        mine, usual = getattr(record, field.name), getattr(default, field.name)
+        if mine == usual:
+            continue
+        found[field.name] = differences(mine, usual) if is_dataclass(mine) else mine
+        if isinstance(mine, Goal) and set(found[field.name]) == {"at"}:
+            found[field.name] = found[field.name]["at"]
+    return found
+
+
+def to_toml(table: Table) -> str:
+    """Return a table of plain values as TOML, with a heading for each table in it."""
+    inner = {name: value for name, value in table.items() if isinstance(value, Mapping)}
+    lines = [f"{name} = {_toml(value)}" for name, value in table.items() if name not in inner]
+    for name, values in inner.items():
+        lines += ["", f"[{name}]", *(f"{key} = {_toml(value)}" for key, value in values.items())]
+    return "\n".join(lines).strip() + "\n"
+
+
+def _in(where: str) -> str:
+    return f" in {where}" if where else ""
+
+
+def _table_of(record: Any, value: Any, key: str) -> Table:
+    """Return the table that a value is for a field that is a record."""
+    if isinstance(value, type(record)):
+        return dict(vars(value))
+    if isinstance(record, Goal) and isinstance(value, Sequence | np.ndarray):
+        return {"at": value}
+    if isinstance(value, Mapping):
+        return value
+    names = ", ".join(field.name for field in fields(record))
+    raise InvalidInputError(f"{key} must be a table of {names}, got {value!r}", given=value)
+
+
+def _toml(value: Any) -> str:
+    """Return a plain value as TOML, in one line."""
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{_key(k)} = {_toml(v)}" for k, v in value.items()) + " }"
+    if isinstance(value, tuple | list):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return _quoted(value) if isinstance(value, str) else repr(value)
+
+
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")  # as JSON but for this
+
+
+def _key(name: str) -> str:
+    bare = name.isascii() and name.replace("_", "").replace("-", "").isalnum()
+    return name if bare else _quoted(name)
