@@ -20,7 +20,7 @@ import numpy as np
 
 import approxjac as aj
 from approxjac import view
-from approxjac.realtime import Accuracy, SimulatedDriver
+from approxjac.realtime import Accuracy, SimulatedDriver, Tolerances
 
 arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
 arguments.add_argument("--out", type=Path, default=Path("results/examples"))
@@ -41,11 +41,12 @@ law = aj.SetpointController(
 )
 controller = aj.TorqueLimited(law, aj.Limits.of(belief))
 accuracy = Accuracy(q=1e-5, v=1e-3, x=5e-4)  # of encoders, velocities and camera
+tolerances = Tolerances(accuracy, max_period=5.0)  # on a real arm leave out the period: 20 ms
 goal = plant.sensor.value(start) + [0.10, -0.15, 0.16]
 
-# yours: FrankaDriver(...), or a class of three methods, and `late` as it is, 20 ms
+# yours: FrankaDriver(...), or a class of three methods, and the default period
 driver = SimulatedDriver(plant, start, pace=math.inf)
-run = aj.control(driver, controller, goal, duration=5.0, accuracy=accuracy, late=5.0)
+run = aj.control(driver, controller, goal, duration=5.0, tolerances=tolerances)
 print(run)
 
 
@@ -64,7 +65,7 @@ class Frozen(SimulatedDriver):
 
 
 stuck = Frozen(plant, start, pace=math.inf)
-broken = aj.control(stuck, controller, goal, duration=5.0, accuracy=accuracy, late=5.0)
+broken = aj.control(stuck, controller, goal, duration=5.0, tolerances=tolerances)
 print(f"\nencoder frozen at 0.6 s: {broken.ended}")
 
 figure, (left, middle, right) = view.new_figure(3, title="A Panda in the loop of a robot")

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 import approxjac as aj
-from approxjac.realtime import SimulatedDriver, control
+from approxjac.realtime import SimulatedDriver, Tolerances, control
 
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 SLOW = 2.0  # s: a busy machine is no fault here
@@ -40,9 +40,13 @@ def goal(plant, way=(0.05, -0.05, 0.05)):
     return plant.sensor.value(START) + way
 
 
+def tolerating(**options):
+    return Tolerances(**{"max_period": SLOW} | options)
+
+
 def run(driver, controller, duration=1.0, **options):
     plant = driver.driver.plant
-    options = {"late": SLOW, **options}
+    options = {"tolerances": tolerating(), **options}
     return control(driver, controller, goal(plant), duration, **options)
 
 

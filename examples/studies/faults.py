@@ -23,7 +23,7 @@ from common import head, parser, row, run_all, write
 
 import approxjac as aj
 from approxjac.errors import ControlError, InvalidInputError
-from approxjac.realtime import Accuracy, SimulatedDriver, control
+from approxjac.realtime import Accuracy, SimulatedDriver, Tolerances, control
 
 DT, TOOL, MASS = 1e-3, 0.2, 0.5
 WAY = (0.10, -0.15, 0.16)  # from the tip to the target [m]
@@ -276,7 +276,13 @@ def break_one(case):
         q=1e-5, v=1e-3, x=3e-4, x_period=1.0 / 60.0, stiction=0.03 * plant.robot.effort_limits
     )
     try:
-        run = control(broken, controller, goal, 4.0, accuracy=accuracy, late=0.02 if slow else 0.5)
+        run = control(
+            broken,
+            controller,
+            goal,
+            4.0,
+            tolerances=Tolerances(accuracy, max_period=0.02 if slow else 0.5),
+        )
     except ControlError as error:
         run = error.given
     except InvalidInputError as error:
@@ -312,7 +318,13 @@ def clean(case):
         q=1e-5, v=0.01, x=5e-4, x_period=1.0 / 20.0, velocity_filter=2e-3,
         stiction=0.03 * plant.robot.effort_limits,
     )  # fmt: skip
-    run = control(driver, controller, path, HOURS / RUNS * 3600.0, accuracy=accuracy, late=5.0)
+    run = control(
+        driver,
+        controller,
+        path,
+        HOURS / RUNS * 3600.0,
+        tolerances=Tolerances(accuracy, max_period=5.0),
+    )
     return Outcome(case, run.fault_name, float(run.t[-1]), 0.0, 0.0)
 
 

@@ -25,7 +25,7 @@ LATEST = 0.8  # s after the call of `control`
 def child():
     """Control an arm whenever a line comes in; tell how it ended."""
     import approxjac as aj
-    from approxjac.realtime import SimulatedDriver
+    from approxjac.realtime import SimulatedDriver, Tolerances
 
     panda = aj.load_robot("panda")
     truth, belief = panda.with_object(0.2, 0.5, axis="x"), panda.with_object(0.0)
@@ -49,7 +49,7 @@ def child():
     for _ in sys.stdin:
         asked.clear()
         driver = Driver(plant, start)
-        run = aj.control(driver, controller, goal, 3.0, late=5.0)
+        run = aj.control(driver, controller, goal, 3.0, tolerances=Tolerances(max_period=5.0))
         speed = float(np.abs(driver.v).max())
         print(f"{run.ended}|{driver.braked}|{speed}|{run.t[-1]}", flush=True)
 

@@ -22,7 +22,7 @@ from common import head, parser, row, write
 
 import approxjac as aj
 from approxjac import view
-from approxjac.realtime import SimulatedDriver
+from approxjac.realtime import Scheduling, SimulatedDriver, Tolerances
 
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 OPTIONS = {
@@ -86,7 +86,14 @@ def run_once(minutes, compiled, out, priority=None, collects=False):
     stepped = Collecting(controller) if collects else Stepped(controller)
     path = aj.Circle(plant.sensor.value(START) + [-0.08, 0.0, 0.05], 0.08, 4.0)
     driver = SimulatedDriver(plant, START)
-    run = aj.control(driver, stepped, path, 60.0 * minutes, late=5.0, priority=priority)
+    run = aj.control(
+        driver,
+        stepped,
+        path,
+        60.0 * minutes,
+        tolerances=Tolerances(max_period=5.0),
+        scheduling=Scheduling(priority=priority),
+    )
     run.save(out)
     cold = np.array(stepped.took[100:])
     m = aj.Measurement(0.0, START, np.zeros(7), plant.sensor.value(START))

@@ -14,7 +14,7 @@ from rehearsal import START, Around, Wrapped, driver_of, goal, run
 
 import approxjac as aj
 from approxjac.errors import ControlError, InvalidInputError
-from approxjac.realtime import Fault, SimulatedDriver, control
+from approxjac.realtime import Fault, Scheduling, SimulatedDriver, Tolerances, control
 from approxjac.realtime.robot_loop import RobotLoop
 from approxjac.realtime.scheduling import undisturbed
 
@@ -100,7 +100,7 @@ def test_nothing_is_sent_once_the_watchdog_brakes(plant, controller, in_thread):
     driver, found = driver_of(plant, Slow), []
 
     def go():
-        found.append(run(driver, controller, late=0.05))
+        found.append(run(driver, controller, tolerances=Tolerances(max_period=0.05)))
 
     if in_thread:
         thread = threading.Thread(target=go)
@@ -138,7 +138,14 @@ def test_no_command_follows_a_fault_that_the_answer_tells(plant, controller):
             return m if len(self.sent) < 100 else m._replace(x=np.full(3, np.nan))
 
     driver = driver_of(plant, Lost)
-    assert run(driver, controller, unseen=9.0, patience=0.1).fault is Fault.BLIND
+    assert (
+        run(
+            driver,
+            controller,
+            tolerances=Tolerances(max_blind_motion=9.0, timeout=0.1, max_period=2.0),
+        ).fault
+        is Fault.BLIND
+    )
     assert len(driver.sent) == 200
 
 
@@ -158,7 +165,7 @@ def test_an_observer_cannot_exchange_the_limits_away(plant, controller):
 
 def test_two_arms_leave_the_interpreter_as_it_was():
     before = sys.getswitchinterval(), gc.isenabled(), gc.get_freeze_count()
-    first, second = undisturbed(None, None), undisturbed(None, None)
+    first, second = undisturbed(Scheduling()), undisturbed(Scheduling())
     first.__enter__()
     second.__enter__()
     first.__exit__(None, None, None)
@@ -196,8 +203,13 @@ def test_a_bridge_of_long_periods_is_not_late(by_velocities, monkeypatch):
 
 
 def test_late_is_more_than_a_period(plant, controller):
-    with pytest.raises(InvalidInputError, match=r"late must be a finite number > 0\.001 \[s\]"):
-        control(SimulatedDriver(plant, START), controller, goal(plant), late=1e-3)
+    with pytest.raises(InvalidInputError, match=r"max_period .* > 0\.001"):
+        control(
+            SimulatedDriver(plant, START),
+            controller,
+            goal(plant),
+            tolerances=Tolerances(max_period=1e-3),
+        )
 
 
 def test_targets_may_turn_round_in_mid_motion(plant, controller, monkeypatch):

@@ -312,7 +312,13 @@ def test_it_goes_on_after_a_reflex_when_told_to(robot):
     with pytest.raises(DriverError, match=r"recover\(\)"):
         driver.send(STILL)
     driver.recover()
-    run = aj.control(driver, controller, over_the_wire.away(driver.read().x), 3.0, late=0.5)
+    run = aj.control(
+        driver,
+        controller,
+        over_the_wire.away(driver.read().x),
+        3.0,
+        tolerances=aj.realtime.Tolerances(max_period=0.5),
+    )
     assert run.fault is None
     assert run.error_norm[-1] < 1e-3
 

@@ -4,26 +4,23 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import fields, replace
 from types import NoneType
 from typing import Any
 
-import numpy as np
-
 from approxjac.controllers.controller import Controller
 from approxjac.errors import ControlError
-from approxjac.formatting import joined
 from approxjac.interface import Target, TargetPath
-from approxjac.realtime.accuracy import Accuracy
+from approxjac.realtime.accuracy import Tolerances, task_bounds
 from approxjac.realtime.brake import Brake, HungError, Watchdog
 from approxjac.realtime.driver import Driver
 from approxjac.realtime.faults import Fault
 from approxjac.realtime.observer_thread import Onlooker
 from approxjac.realtime.robot_loop import RobotLoop
 from approxjac.realtime.robot_run import RobotRun
-from approxjac.realtime.scheduling import StopSignals, undisturbed
+from approxjac.realtime.scheduling import Scheduling, StopSignals, undisturbed
 from approxjac.realtime.start_checks import (
     require_able,
     require_at_rest,
@@ -35,15 +32,11 @@ from approxjac.simulation.simulate import Observer
 from approxjac.simulation.targets import require_fit, require_start, wanted_of
 from approxjac.simulation.trajectory import Trajectory
 from approxjac.simulation.velocity_servo import VelocityServo
-from approxjac.tasks import Task
-from approxjac.validation import Array, as_integer, as_limits, as_number, require
+from approxjac.validation import Array, as_number, require
 
-_ROWS = 60_000  # recorded at most
 _WARM = 50  # steps before the first that counts: caches, and whatever is made at first use
-_HANGS = 2.0  # times `late`, after which the watchdog brakes
+_HANGS = 2.0  # times `max_period`, after which the watchdog brakes
 _SPEED = {"m": 0.2, "rad": 0.5, "px": 100.0}  # of targets that are eased in, per s
-_ASTRAY = {"m": 0.15, "rad": 0.5, "px": 150.0}
-_UNSEEN = {"m": 0.01, "rad": 0.04, "px": 10.0}
 
 
 def control(
@@ -53,17 +46,11 @@ def control(
     duration: float = 60.0,
     *,
     state: Array | None = None,
-    accuracy: Accuracy | None = None,
+    tolerances: Tolerances | None = None,
     speed: float | Sequence[float] | Array | None = None,
-    astray: float | Sequence[float] | Array | None = None,
-    unseen: float | Sequence[float] | Array | None = None,
-    patience: float = 1.0,
-    late: float = 0.02,
     stop: threading.Event | None = None,
     observer: Observer | None = None,
-    record_every: float | None = None,
-    cpu: int | None = None,
-    priority: int | None = None,
+    scheduling: Scheduling | None = None,
 ) -> RobotRun:
     """Run a controller on a robot, and brake it whatever happens.
 
@@ -83,24 +70,13 @@ def control(
             periods.
         duration: After which the arm is brought to rest [s].
         state: State of the controller to begin with, such as `controller.resumed(...)` gives.
-        accuracy: How well the sensors, and Ĵ, are known: a fault exceeds it.
+        tolerances: What is no fault: of sensors and kinematics, errors, lost x, late commands.
         speed: Of the target on its way to the path, a number or shape (m,) [unit of the task/s];
             0.2 m/s, 0.5 rad/s and 100 px/s by default.
-        astray: Error to the moving target which is a fault, a number or shape (m,) [unit of the
-            task]; 0.15 m, 0.5 rad and 150 px by default.
-        unseen: How far the tip may move while x is lost, as it is believed, a number or shape (m,)
-            [unit of the task]; 0.01 m, 0.04 rad and 10 px by default.
-        patience: Time for which x may be lost, at the start too, or limits void the proof, and
-            which a controlled stop may take [s].
-        late: Time from command to command that is a fault, by the robot's clock, longer than a
-            period; after twice as long by this machine's the watchdog brakes [s].
         stop: Brings the arm to rest when another thread sets it.
         observer: Called with a copy of the loop some 30 times a second, in a thread of its own,
             such as `view.LiveView()`.
-        record_every: Time between recorded instants [s]; as often as 60 000 of them allow by
-            default. The last second before the end is recorded period by period.
-        cpu: The processor to run on.
-        priority: Of SCHED_FIFO, from 1 to 99, for which Linux wants a permission.
+        scheduling: Processor and priority of the loop's thread; the system's by default.
 
     Returns:
         The record of the run, with why it ended.
@@ -118,40 +94,32 @@ def control(
     wanted = wanted_of(controller.task, target, 0.0)
     duration = as_number("duration", duration, unit="s", above=0.0)
     steps = math.ceil(duration / driver.dt)
-    require("accuracy", accuracy, (Accuracy, NoneType), "Accuracy(...)")
+    require("tolerances", tolerances, (Tolerances, NoneType), "Tolerances(...)")
+    require("scheduling", scheduling, (Scheduling, NoneType), "Scheduling(...)")
     require("stop", stop, (threading.Event, NoneType), "a threading.Event")
     require("observer", observer, (Callable, NoneType), "a function of a Loop")  # type: ignore[arg-type]
     task = controller.task._measured
-    speeds = _bounds("speed", speed, task, _SPEED, "/s")
-    far = _bounds("astray", astray, task, _ASTRAY)
-    hidden = _bounds("unseen", unseen, task, _UNSEEN)
-    patience = as_number("patience", patience, unit="s", above=0.0)
-    late = as_number("late", late, unit="s", above=driver.dt)
-    stride = max(1, math.ceil(steps / _ROWS))
-    if record_every is not None:
-        every = as_number("record_every", record_every, unit="s", above=0.0)
-        stride = max(1, round(every / driver.dt))
-    if priority is not None:
-        as_integer("priority", priority, 1)
+    speeds = task_bounds("speed", speed, task, _SPEED, "/s")
+    tolerances = (tolerances or Tolerances()).for_task(task, driver.dt)
     brake, signals = Brake(driver), StopSignals()
     with ExitStack() as held:
         held.enter_context(signals)  # a signal that comes while this begins is looked at, too
         held.callback(brake.close)  # whatever happens from here on
-        first = require_at_rest(driver, task, patience)
+        first = require_at_rest(driver, task, tolerances.timeout)
         require_start(task, wanted, first.x)
         loop = RobotLoop(
-            driver, brake, plant, controller, wanted, first, steps, stride, accuracy or Accuracy(),
-            speeds, far, hidden, _fastest(driver, plant), patience, late, state,
-        )  # fmt: skip
+            driver, brake, plant, controller, wanted, first, steps, tolerances, speeds, state
+        )
         if not loop.learns_sensor:
             require_near(task, first.x)
         require_held(driver, controller, loop.measurement.q, loop.answer)
         for _ in range(_WARM):
             controller.step(loop.state, loop.measurement, loop._wanted, driver.dt)
         watched = held.enter_context(Onlooker(loop, observer))
-        held.enter_context(undisturbed(cpu, priority))
+        held.enter_context(undisturbed(scheduling or Scheduling()))
         error: BaseException | None = None
-        watchdog = Watchdog(brake, _HANGS * late)
+        longest = _HANGS * tolerances.max_period
+        watchdog = Watchdog(brake, longest)
         try:
             with watchdog:
                 signals.looked_at = True
@@ -164,7 +132,7 @@ def control(
             brake.close()
         if watchdog.bit:
             loop.fault = Fault.READ_HUNG
-            loop.detail = loop.hung_told(_HANGS * late)
+            loop.detail = loop.hung_told(longest)
         elif error is not None:
             loop.fault, loop.detail = Fault.FAILED, ""
         run = _run_of(loop, why)
@@ -238,17 +206,3 @@ def _believed(driver: Driver, controller: Controller) -> Plant:
     elif driver.adds_gravity:
         options["adds_gravity"] = robot
     return Plant(robot, controller.task._measured, **options)
-
-
-def _bounds(name: str, given: Any, task: Task, usual: Mapping[str, float], per: str = "") -> Array:
-    """Return what was given, or what is usual for the units, shape (m,)."""
-    if given is None:
-        return np.array([usual.get(unit, math.inf) for unit in task.units])
-    return as_limits(name, given, task.m, unit=joined(task.units) + per)
-
-
-def _fastest(driver: Driver, plant: Plant) -> Array:
-    """Return the joint speeds beyond which something is wrong, shape (n_v,)."""
-    known = plant.robot.velocity_limits
-    told = driver.limits.for_joints(plant.robot.nv).velocity
-    return np.asarray(np.minimum(known, np.asarray(told)))

@@ -11,7 +11,7 @@ import numpy as np
 
 from approxjac.controllers.controller import Controller
 from approxjac.interface import LimitStatus, Measurement, Status, Target, TargetPath
-from approxjac.realtime.accuracy import Accuracy
+from approxjac.realtime.accuracy import Tolerances
 from approxjac.realtime.brake import Brake
 from approxjac.realtime.driver import Driver
 from approxjac.realtime.easing import Eased, Halt
@@ -25,6 +25,7 @@ from approxjac.simulation.record import Record
 from approxjac.simulation.targets import Wanted, first_state, wanted_of, x_of
 from approxjac.validation import Array, as_vector
 
+_ROWS = 60_000  # recorded at most
 _TAIL = 1000  # periods before the end of which each is recorded
 _HALT = 0.3  # s, within which the target of a controlled stop comes to rest
 _AT_REST = 0.05  # rad/s or m/s
@@ -45,14 +46,8 @@ class RobotLoop(Loop):
         path: Where the target is.
         first: The measurement it begins with.
         steps: Of the whole run.
-        stride: Steps from one instant that is recorded to the next.
-        accuracy: Of sensors and kinematics.
+        tolerances: What is no fault, with bounds for each coordinate of the task.
         speeds: How fast targets are eased in, shape (m,) [unit/s].
-        astray: Largest error to the moving target, shape (m,) [unit].
-        unseen: How far the tip may move while x is lost, shape (m,) [unit].
-        fastest: Largest joint speeds, shape (n_v,).
-        patience: Time for which x may be lost, or limits void the proof [s].
-        late: Time from command to command that is a fault [s].
         state: Of the controller; its initial one by default.
 
     Attributes:
@@ -74,21 +69,17 @@ class RobotLoop(Loop):
         path: Wanted,
         first: Measurement,
         steps: int,
-        stride: int,
-        accuracy: Accuracy,
+        tolerances: Tolerances,
         speeds: Array,
-        astray: Array,
-        unseen: Array,
-        fastest: Array,
-        patience: float,
-        late: float,
         state: Array | None,
     ) -> None:
         super().__init__(plant, controller, path, driver.dt, steps)
-        self._driver, self._brake, self._speeds, self._astray = driver, brake, speeds, astray
-        self._patience, self._unseen = patience, unseen
-        task = controller.task._measured
-        accuracy = accuracy.for_units(task.units)
+        self._driver, self._brake, self._speeds = driver, brake, speeds
+        self._tolerances, self._timeout = tolerances, tolerances.timeout
+        self._max_error = np.asarray(tolerances.max_error)
+        task, accuracy = controller.task._measured, tolerances.accuracy
+        fastest = driver.limits.for_joints(plant.robot.nv).velocity
+        fastest = np.minimum(plant.robot.velocity_limits, np.asarray(fastest))
         still = np.zeros(task.m)
         self._begun = first.t
         self.measurement = self._timed(first)
@@ -98,11 +89,12 @@ class RobotLoop(Loop):
         self.state = first_state(plant, controller, self._wanted, self.measurement, self.dt, state)
         self._control()
         commands_velocity = driver.command == "velocity"
-        self._watch = FaultWatch(plant.robot, self.dt, accuracy, fastest, late, commands_velocity)
+        self._watch = FaultWatch(
+            plant.robot, self.dt, accuracy, fastest, tolerances.max_period, commands_velocity
+        )
         kinematics = controller.kinematics
-        learns = kinematics is not None and bool(kinematics.names)
-        self._accuracy, self.learns_sensor = accuracy, learns
-        self._sensor = SensorWatch(controller.task, self.dt, accuracy, unseen, self.learns_sensor)
+        self.learns_sensor = kinematics is not None and bool(kinematics.names)
+        self._sensor = self._sensor_watch()
         self.fault: Fault | None = None
         self.detail = ""
         self.halting = False
@@ -114,9 +106,9 @@ class RobotLoop(Loop):
         self._sent = self._read = time.perf_counter()
         self.stop_distance = self.stop_bound = np.nan
         self._stopped_at = first.x
-        self._stride = stride
-        rounds = steps + math.ceil(patience / self.dt) + 2  # with those of a stop
-        self._record = Record(plant, rounds // stride + _TAIL + 2, self.dt)
+        self._stride = max(1, math.ceil(steps / _ROWS))
+        rounds = steps + math.ceil(self._timeout / self.dt) + 2  # with those of a stop
+        self._record = Record(plant, rounds // self._stride + _TAIL + 2, self.dt)
         self._tail: deque[tuple[int, tuple[Any, ...], tuple[Array, Array, float]]] = deque()
         self._errors: list[Array] = []
         self.gaps = np.zeros(rounds, dtype=np.float32)
@@ -165,7 +157,7 @@ class RobotLoop(Loop):
         error = task.error(self.truth.x, self.target)
         faster = task.jacobian(self.truth.q) @ self.truth.v - velocity
         self._eased, self._stopped_at = stop, self.truth.x
-        ways = error, stop.distance, _HALT * faster, 6.0 * np.asarray(self._accuracy.x)
+        ways = error, stop.distance, _HALT * faster, 6.0 * np.asarray(self._tolerances.accuracy.x)
         self.stop_bound = float(sum(np.linalg.norm(way) for way in ways))
         self.stop_distance = 0.0
 
@@ -183,9 +175,12 @@ class RobotLoop(Loop):
         """Let another controller go on, from the next step on."""
         require_able(self._driver, controller)
         super().exchange(controller)
-        self._sensor = SensorWatch(
-            controller.task, self.dt, self._accuracy, self._unseen, self.learns_sensor
-        )
+        self._sensor = self._sensor_watch()
+
+    def _sensor_watch(self) -> SensorWatch:
+        blind = np.asarray(self._tolerances.max_blind_motion)
+        accuracy, task = self._tolerances.accuracy, self.controller.task
+        return SensorWatch(task, self.dt, accuracy, blind, self.learns_sensor)
 
     def record(self) -> Record:
         """Return what was recorded, with each of the last periods."""
@@ -232,9 +227,9 @@ class RobotLoop(Loop):
         if not sees:
             return
         error = task.error(x, self.target)
-        if (np.abs(error) > self._astray).any():
-            i = int(np.argmax(np.abs(error) / self._astray))
-            most = f"at most {self._astray[i]:.3g}"
+        if (np.abs(error) > self._max_error).any():
+            i = int(np.argmax(np.abs(error) / self._max_error))
+            most = f"at most {self._max_error[i]:.3g}"
             told = f"{task.labels[i]}: {abs(error[i]):.3g} {task.units[i]}, {most}"
             self._note(Fault.ASTRAY, told)
         if self.halting:
@@ -257,9 +252,9 @@ class RobotLoop(Loop):
         voids = self.answer.limit_status >= LimitStatus.PROOF_GIVEN_UP
         voids &= self.answer.limit_status is not LimitStatus.EXCEEDED
         self._limited = self._limited + 1 if voids else 0
-        if self._lost * self.dt > self._patience:
+        if self._lost * self.dt > self._timeout:
             self._note(Fault.BLIND)
-        elif self._limited * self.dt > self._patience:
+        elif self._limited * self.dt > self._timeout:
             self._note(Fault.LIMITS)
 
     def work_told(self) -> str:
@@ -277,7 +272,9 @@ class RobotLoop(Loop):
         if 0.0 < came < longest:
             told = f"the state was read after {1e3 * came:.3g} ms; the command, or sending it, "
             told += "did not come back"
-        return f"no command for {1e3 * longest:.3g} ms, twice `late`: {told}{self.work_told()}"
+        return (
+            f"no command for {1e3 * longest:.3g} ms, twice `max_period`: {told}" + self.work_told()
+        )
 
     def told(self) -> str:
         """Return the fault in words."""
@@ -302,7 +299,7 @@ class RobotLoop(Loop):
         self._halted += 1
         slow = bool(np.abs(self.measurement.v).max() < _AT_REST)
         since = self._halted * self.dt
-        return (slow and since > _HALT) or since > self._patience
+        return (slow and since > _HALT) or since > self._timeout
 
     def _keep(self) -> None:
         instant = (

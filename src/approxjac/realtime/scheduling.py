@@ -11,10 +11,12 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from types import FrameType
 from typing import Any
 
 from approxjac.errors import InvalidInputError
+from approxjac.validation import as_integer
 
 _SWITCH = 2e-4  # s, between the interpreter's threads; 5 ms by default, many periods
 _lock = threading.Lock()
@@ -22,18 +24,35 @@ _loops = 0  # that run now: the interpreter is common to the threads of several 
 _usual = (0.0, True, 0)
 
 
-@contextmanager
-def undisturbed(cpu: int | None, priority: int | None) -> Iterator[None]:
-    """Run a block without garbage collection, with threads that hand over soon.
+@dataclass(frozen=True)
+class Scheduling:
+    """How the system runs the thread of a loop.
 
-    Args:
-        cpu: The processor that it is to run on; None leaves that to the system.
-        priority: Of SCHED_FIFO, from 1 to 99; None leaves the system's scheduling.
+    Attributes:
+        cpu: The processor to run on; None leaves that to the system.
+        priority: Of SCHED_FIFO, from 1 to 99, for which Linux wants a permission; None leaves the
+            system's scheduling.
+
+    Raises:
+        InvalidInputError: A priority that is no integer from 1 on.
+    """
+
+    cpu: int | None = None
+    priority: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.priority is not None:
+            as_integer("priority", self.priority, 1)
+
+
+@contextmanager
+def undisturbed(scheduling: Scheduling) -> Iterator[None]:
+    """Run a block without garbage collection, with threads that hand over soon.
 
     Raises:
         InvalidInputError: A processor that is not there, or a priority that the system refuses.
     """
-    before = _set(cpu, priority)
+    before = _set(scheduling.cpu, scheduling.priority)
     _hush()
     try:
         yield

@@ -72,13 +72,13 @@ def require_able(driver: Driver, controller: Controller) -> None:
         )
 
 
-def require_at_rest(driver: Driver, task: Task, patience: float) -> Measurement:
+def require_at_rest(driver: Driver, task: Task, timeout: float) -> Measurement:
     """Return a first measurement of an arm at rest, within its limits and seen.
 
     A first frame of x may be lost, or still be under way: for that long it is waited for [s].
     """
     robot, last, measured = task.robot, -np.inf, None
-    for count in range(max(_READS, math.ceil(patience / driver.dt))):
+    for count in range(max(_READS, math.ceil(timeout / driver.dt))):
         measured = read(driver, task)
         if not measured.t > last:
             raise InvalidInputError(
