@@ -60,6 +60,11 @@ def short_fields(record: Any) -> str:
     return f"{type(record).__name__}({', '.join(shown)})"
 
 
+def spaced(name: str) -> str:
+    """Return the name of a class as words: "PositionTask" as "position task"."""
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name.strip("_")).lower()
+
+
 def joined(units: Iterable[str]) -> str:
     """Return units as one text; different ones are joined by "or"."""
     return " or ".join(dict.fromkeys(units))

@@ -15,6 +15,7 @@ from approxjac.controllers.gains.latency import Latency
 from approxjac.controllers.learning.kinematic_report import KinematicReport
 from approxjac.controllers.learning.predicted_error import Kinematics
 from approxjac.errors import InvalidInputError, MeasurementError
+from approxjac.formatting import spaced, wrapped
 from approxjac.interface import Evaluation, Measurement, Target
 from approxjac.robots import Dynamics, Robot
 from approxjac.tasks import Task
@@ -93,6 +94,14 @@ class Controller(ABC):
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.task!r})"
+
+    def __str__(self) -> str:
+        first, *others = self.describe()
+        return "\n".join([*wrapped(first), *(line for o in others for line in wrapped(o, "  "))])
+
+    def describe(self) -> list[str]:
+        """Return what it is in plain words: in a line, then its task, then what else to know."""
+        return [spaced(type(self).__name__), f"{self.task.describe()} of {self.task.robot.name}"]
 
     # -- the loop -------------------------------------------------------------------------------
 

@@ -396,6 +396,24 @@ def require_gravity(gravity: Gravity, task: Task) -> None:
         )
 
 
+def describe_gravity(gravity: Gravity, believed: Robot) -> str:
+    """Return where gravity comes from in words, beside the believed arm."""
+    name, robot = type(gravity).__name__, gravity.robot
+    if type(gravity) is NoGravity:
+        weightless = not believed.gravity.any()
+        return "known exactly: the arm is taken without it" if weightless else "not compensated"
+    if type(gravity) is RegressorGravity:
+        return "as its parameters say"
+    if type(gravity) is not ModelGravity:
+        return f"by {name}"
+    if robot == believed:
+        return "as of the believed arm"
+    other = [f"{robot.mass:.4g} kg"] if robot.urdf != believed.urdf else []
+    if (robot.gravity != believed.gravity).any():
+        other.append(f"gravity vector {listed(robot.gravity)} m/s²")
+    return f"as of another model: {robot.name} ({', '.join(other)})"
+
+
 def _adaptation_gain(L: Any, p: int) -> Array:
     if is_scalar(L) and L == 0.0:
         return np.zeros(p)

@@ -8,7 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from approxjac.errors import InvalidInputError
-from approxjac.law import Saturation
+from approxjac.formatting import joined, numbers
+from approxjac.law import Linear, Saturation
 from approxjac.tasks import Task
 from approxjac.validation import Array, as_number
 
@@ -144,3 +145,14 @@ def _require_pairs(f: Saturation, e: Array) -> None:
 def _is_between(slope: Array, ends: Array, slack: float | Array) -> Array:
     holds: Array = (ends.min(axis=0) - slack <= slope) & (slope <= ends.max(axis=0) + slack)
     return holds
+
+
+def describe_saturation(saturation: Saturation, task: Task) -> str:
+    """Return s(e) in words, such as "saturation Tanh (gamma 0.058 m)"."""
+    name = type(saturation).__name__
+    if type(saturation) is Linear:
+        return "no saturation"
+    if not type(saturation).__module__.startswith("approxjac."):
+        return f"saturation {name} (your own)"
+    gamma = vars(saturation)["gamma"]
+    return f"saturation {name} (gamma {numbers(gamma)} {joined(task.units)})"

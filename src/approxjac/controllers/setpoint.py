@@ -9,11 +9,10 @@ from typing import Any, Self
 import numpy as np
 
 from approxjac import law
-from approxjac.controllers import in_words
 from approxjac.controllers.arguments import FLOAT64, HUGE, is_lost, overflow, require_arrays
 from approxjac.controllers.controller import Controller, Instant
 from approxjac.controllers.differentiator import DifferentiatedVelocity
-from approxjac.controllers.gains.default_gains import slow_rate
+from approxjac.controllers.gains.default_gains import default_gains, slow_rate
 from approxjac.controllers.gains.gains import Gains, require_damping
 from approxjac.controllers.gains.latency import Latency
 from approxjac.controllers.gains.reach import Reach
@@ -24,11 +23,12 @@ from approxjac.controllers.gravity import (
     AdaptiveGravity,
     Gravity,
     ModelGravity,
+    describe_gravity,
     require_gravity,
 )
 from approxjac.controllers.posture import AwayFromStops, Posture, within_null_space
 from approxjac.controllers.pseudoinverse import Pseudoinverse, singular_ratio
-from approxjac.controllers.saturation import require_saturation
+from approxjac.controllers.saturation import describe_saturation, require_saturation
 from approxjac.interface import (
     Evaluation,
     LimitStatus,
@@ -124,7 +124,7 @@ class SetpointController(Immutable, Controller):
         self.posture = posture
         self.diagonals = self.gains.diagonals(task.m, robot.nv)
         require_saturation(self.saturation, task)
-        require_damping(self.gains, self.diagonals, task)
+        require_damping(self.gains, self.diagonals, task, default_gains)
         if velocity is not None:
             velocity.require_difference(task)
         learning = self.gravity
@@ -415,8 +415,13 @@ class SetpointController(Immutable, Controller):
             rate = theta_rate if x_dot is None else np.append(theta_rate, x_dot)
         return Evaluation(torque, rate, status, e, J_hat, g, _UNLIMITED, 0.0, reference)
 
-    def __str__(self) -> str:
-        return in_words.text(self)
+    def describe(self) -> list[str]:
+        """Return law, gains, saturation and gravity in a line, its task, and the rule's reasons."""
+        number = "(28)" if self._p else "(6)" if self.velocity is None else "(5)"
+        saturation = describe_saturation(self.saturation, self.task)
+        gravity = "learnt" if self._p else describe_gravity(self.gravity, self.task.robot)
+        first = f"set-point law {number}, {self.gains}, {saturation}; gravity {gravity}"
+        return [first, super().describe()[1], *(self.tuning.reasons if self.tuning else ())]
 
     def __repr__(self) -> str:
         law = "(28), (29)" if self._p else "(6)" if self.velocity is None else "(5)"

@@ -9,7 +9,6 @@ from typing import Literal, Self
 import numpy as np
 
 from approxjac import law
-from approxjac.controllers import in_words
 from approxjac.controllers.adaptive_dynamics import AdaptiveDynamics, MotionDynamics
 from approxjac.controllers.arguments import (
     FLOAT64,
@@ -30,6 +29,7 @@ from approxjac.controllers.pseudoinverse import singular_ratio
 from approxjac.controllers.rest_configuration import RestConfiguration
 from approxjac.controllers.velocity_command import VelocityCommand
 from approxjac.errors import InvalidInputError
+from approxjac.formatting import spaced
 from approxjac.interface import Evaluation, Measurement, Status, Target
 from approxjac.robots import Dynamics, Robot
 from approxjac.tasks import Task
@@ -403,8 +403,13 @@ class TrackingController(Immutable, Controller):
         """Return the gravity torque that this law compensates, shape (n_v,) [N m or N]."""
         return self.dynamics.gravity(state[: self._n_dynamics], q)
 
-    def __str__(self) -> str:
-        return in_words.text(self)
+    def describe(self) -> list[str]:
+        """Return the law and what it learns in a line, its task, and where it is drawn to."""
+        kinds = [spaced(type(part).__name__) for part in (self.kinematics, self.dynamics)]
+        parts = " and ".join(kinds).replace("adaptive", "learnt").replace("model", "known")
+        first = f"tracking law T, alpha {self.alpha:.4g}, kappa {self.kappa:.4g}; {parts}"
+        drawn = self._rest.words()
+        return [first, super().describe()[1], *([drawn] if drawn else [])]
 
     def __repr__(self) -> str:
         parts = f"{self.task!r}, {self.kinematics!r}, {self.dynamics!r}"

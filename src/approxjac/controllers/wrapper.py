@@ -14,7 +14,6 @@ from approxjac.controllers.gains.latency import Latency
 from approxjac.controllers.learning.kinematic_report import KinematicReport
 from approxjac.controllers.learning.predicted_error import Kinematics
 from approxjac.errors import InvalidInputError
-from approxjac.formatting import wrapped
 from approxjac.interface import Measurement
 from approxjac.robots import Robot
 from approxjac.tasks import Task
@@ -37,9 +36,9 @@ class ControllerWrapper(Immutable, Controller):
     _what: str = ""  # it does, in words
     _memory: int = 0  # length of what it keeps itself
 
-    def __str__(self) -> str:
-        what = self._what or f"within {type(self).__name__}"
-        return "\n".join([str(self.controller), *wrapped(what, "  ")])
+    def describe(self) -> list[str]:
+        """Return what the controller inside is, and then what is done to it."""
+        return [*self.controller.describe(), self._what or f"within {type(self).__name__}"]
 
     @property
     def command(self) -> Literal["torque", "velocity"]:  # type: ignore[override]  # read-only

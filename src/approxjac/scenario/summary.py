@@ -13,7 +13,6 @@ import numpy as np
 from approxjac.controllers import (
     KinematicReport,
     SetpointController,
-    in_words,
 )
 from approxjac.files import together, write_text
 from approxjac.formatting import numbers_of, rows, shares, wrapped
@@ -68,7 +67,7 @@ def text(result: RunResult) -> str:
         "robot": f"{robot.name}, {robot.nv} joints, {robot.mass:.3g} kg with the object",
         "object": held(built.scenario),
         "believed": believed(built.scenario),
-        "law": in_words.of_law(law),
+        "law": law.describe()[0],
         "q at start": numbers_of(robot.angles(run.q[0])),
         "q at end": numbers_of(robot.angles(run.q[-1])),
         "x at start": numbers_of(run.x[0]),

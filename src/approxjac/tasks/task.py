@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from approxjac.cameras.camera import Camera
 from approxjac.errors import InvalidInputError
-from approxjac.formatting import joined
+from approxjac.formatting import joined, spaced
 from approxjac.robots import Robot
 from approxjac.validation import Array, Immutable, Saved, as_array, as_vector, require
 
@@ -172,6 +172,10 @@ class Task(Immutable, Saved, ABC):
                 f"target must be a value of {self!r}, got {target.tolist()}", given=x_d
             )
         return target
+
+    def describe(self) -> str:
+        """Return the task in words, such as "position task (x, y, z)"."""
+        return f"{spaced(type(self).__name__)} ({', '.join(self.labels)})"
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.robot.name!r})"

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from approxjac.controllers import in_words
 from approxjac.errors import InvalidInputError
-from approxjac.formatting import listed, short_fields
+from approxjac.formatting import listed, numbers, short_fields
 from approxjac.tasks import Task
 from approxjac.validation import Array, as_diagonal, is_scalar, shape_of
 
@@ -44,7 +43,8 @@ class Gains:
     __repr__ = short_fields
 
     def __str__(self) -> str:
-        return in_words.of_gains(self)
+        parts = [f"K_p {numbers(self.kp)}", f"K_v {numbers(self.kv)}"]
+        return ", ".join([*parts, f"joint damping {numbers(self.damping)}"])
 
     def diagonals(self, m: int, nv: int) -> Diagonals:
         """Return the diagonals for a task of m coordinates on an arm of n_v joints.
@@ -67,16 +67,23 @@ class Diagonals(NamedTuple):
     damping: Array
 
 
-def require_damping(gains: Gains, diagonals: Diagonals, task: Task) -> None:
-    """Refuse no added damping on an arm with more joints than task coordinates, say what does."""
+def require_damping(
+    gains: Gains, diagonals: Diagonals, task: Task, enough: Callable[[Task], Gains]
+) -> None:
+    """Refuse no added damping on an arm with more joints than task coordinates, say what does.
+
+    Args:
+        gains: The gains.
+        diagonals: Their diagonals.
+        task: The task.
+        enough: Returns gains of the task that do, such as `default_gains`.
+    """
     robot, m = task.robot, task.m
     if robot.nv > m and not (diagonals.damping > 0.0).all():
-        from approxjac.controllers.gains.default_gains import default_gains
-
-        enough = f"damping={listed(np.round(default_gains(task).damping, 2))} would do"
+        would_do = f"damping={listed(np.round(enough(task).damping, 2))} would do"
         raise InvalidInputError(
             f"damping must be > 0 [N m s/rad] for {robot.name}: it has {robot.nv} joints for {m} "
             f"task coordinates, and nothing else damps its self-motion; got "
-            f"{diagonals.damping.tolist()}; {enough}",
+            f"{diagonals.damping.tolist()}; {would_do}",
             given=gains,
         )

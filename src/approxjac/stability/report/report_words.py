@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from approxjac.controllers import Latency, in_words
+from approxjac.controllers import Latency
 from approxjac.formatting import joined, numbers_of, percent, wrapped
 from approxjac.stability.certificates.certificate import MatrixTest
 from approxjac.stability.errors.region import JointBox
@@ -137,7 +137,7 @@ def _about(report: StabilityReport) -> list[tuple[str, str]]:
     gravity = "gravity is learnt" if learns else "gravity is known exactly"
     paper = report.matrix["paper"]
     return [
-        ("law", in_words.of_law(report.loop.controller)),
+        ("law", report.loop.controller.describe()[0]),
         ("timing", ", ".join([f"a period of {_ms(latency.period)}", *(late or ["no delays"])])),
         ("errors", errors),
         ("region", str(report.loop.region)),
