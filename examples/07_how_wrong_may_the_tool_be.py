@@ -40,18 +40,13 @@ def controller_with(damping):
     return aj.SetpointController(task, aj.Gains(400.0, 80.0, damping), gravity=aj.NoGravity(arm))
 
 
-print(aj.stability_report(controller_with(9.0), tools, region, configurations=100))
+print(aj.Study(controller_with(9.0), tools, region).report(100))
 
 # few configurations and a coarse search, to be quick: the defaults are finer
 tolerated = {"theorem1": [], "matrix": [], "local": []}
 for damping in DAMPING:
-    found = aj.tolerance(
-        controller_with(damping),
-        tools,
-        region,
-        largest=LONGEST / 0.30,
-        precision=0.3,
-        configurations=20,
+    found = aj.Study(controller_with(damping), tools, region).tolerance(
+        largest=LONGEST / 0.3, precision=0.3, draws=20
     )
     for test, each in found.items():
         tolerated[test].append(each.uncertainty.high[0])  # the longest tool at that scale

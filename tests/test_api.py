@@ -109,7 +109,7 @@ PROGRAM = """
         aj.PositionTask(belief), gravity=aj.AdaptiveGravity(belief)
     )
     run = aj.simulate(aj.Plant(arm.with_object(length=0.2)), controller, target=[0.5, 0.0, 0.5])
-    report = aj.stability_report(controller, truth=arm)
+    report = aj.Study(controller, arm).report()
     reveal_type(run)
     reveal_type(report)
     reveal_type(aj.stability.Tube(arm, run.q))

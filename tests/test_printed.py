@@ -7,7 +7,6 @@ import pytest
 
 import approxjac as aj
 from approxjac import formatting
-from approxjac.stability import stability_map
 
 INTERNAL = re.compile(
     r"[A-Z][A-Za-z]+\(|`|\*\*|array\(|\w+=|None|True|False|np\.|[A-Z]+_[A-Z]+|\d\.\d{7}"
@@ -22,30 +21,21 @@ def results():
     region = aj.JointBox.around(arm, [0.5, 1.2], 0.2)
     task, gains = errors.believed_task(), aj.Gains(100.0, 50.0, 1.0)
     law = aj.SetpointController(task, gains, gravity=aj.NoGravity(arm))
-    few = {"configurations": 20}
-    brief = {"duration": 0.2, "dt": 4e-3}
     plant = errors.plant(errors.believed)
     target = plant.sensor.value(np.array([0.6, 1.1]))
-    grid = {"names": ("error", "a"), "x": (0.5, 1.0), "y": (1.0, 2.0), "coarse": 2, "targets": 4}
-    tolerated = aj.tolerance(law, errors, region, precision=0.5, **few)
+    study = aj.Study(law, errors, region, duration=0.2, latency=aj.Latency(period=4e-3))
+    tolerated = study.tolerance(precision=0.5, draws=20)
     return {
         "gains": (gains, "K_p 100, K_v 50, joint damping 1"),
         "law": (law, "set-point law (6), K_p 100, "),
         "limited": (aj.TorqueLimited(law, aj.Limits(effort=50.0)), "set-point law (6), "),
         "tracking": (aj.TrackingController(task), "tracking law T, "),
         "run": (aj.simulate(plant, law, target, [0.5, 1.2], 0.2, dt=1e-3), "error 0.1"),
-        "report": (aj.stability_report(law, errors, region, **few), "certified: "),
-        "rollouts": (aj.rollouts(law, errors, region, runs=2, **brief), "converged: "),
-        # one run a point, with errors that multiply each other
-        "map": (
-            stability_map(law, errors, region, runs=1, **grid, **few, **brief),
-            "map over error and a: ",
-        ),
+        "report": (study.report(20), "certified: "),
+        "rollouts": (study.rollouts(2), "converged: "),
+        "map": (study.map({"error": (0.5, 1.0), "a": (1.0, 2.0)}, 1), "converged: "),
         "tolerance": (tolerated["matrix"], "tolerated by the matrix form (not "),
-        "suggestion": (
-            aj.suggest_gains(errors, region, test="local", settling_time=3.0, **few),
-            "gains: found, ",
-        ),
+        "suggestion": (study.gains(3.0, test="local", configurations=20), "gains: found, "),
     }
 
 

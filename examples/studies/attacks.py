@@ -15,8 +15,7 @@ from approxjac.stability.certificates.sampled_form import SampledForm
 from approxjac.stability.certificates.sampled_test import growth
 from approxjac.stability.errors.region import Region
 from approxjac.stability.loop.closed_loop import SHARED, ClosedLoop
-from approxjac.stability.rollout.rollout_study import Study
-from approxjac.stability.rollout.rollouts import as_study
+from approxjac.stability.rollouts.setting import RolloutSetting
 
 OF_EACH = 5  # linearisations of a true robot
 STEPS = 600  # of a recorded run [periods]
@@ -132,25 +131,26 @@ def as_it_runs(controller, plant, q, target, latency):
 
 
 @dataclass(frozen=True, eq=False)
-class Within(Study):
-    """A study whose runs start, and have targets, in a smaller region than they are to stay in."""
+class Within(RolloutSetting):
+    """A setting whose runs start, and have targets, in a smaller region than they stay in."""
 
     starts: Region | None = None
 
     def start(self, index):
         """Return how a run begins."""
-        return Study.start(replace(self, region=self.starts, starts=None), index)
+        return RolloutSetting.start(replace(self, region=self.starts, starts=None), index)
 
 
 def in_lanes(controller, errors, region, latency, radius, runs, seed):
     """Return rollouts, from certified starts where there are some."""
     steps = max(100, min(LONGEST, math.ceil(DURATION / latency.period)))
-    study = as_study(
-        controller, errors, region, runs=runs, duration=steps * latency.period, dt=latency.period,
-        seed=seed, sensing=as_sensed(latency), actuator_delay=latency.torque_delay,
+    study = aj.Study(
+        controller, errors, region, latency=latency, sensing=as_sensed(latency), seed=seed,
+        duration=steps * latency.period,
     )  # fmt: skip
+    setting = study.setting().with_engine(None, runs)
     inside = aj.JointBox.around(errors.arm, region.center, radius) if radius else region
-    fields = {name: getattr(study, name) for name in Study.__dataclass_fields__}
+    fields = {name: getattr(setting, name) for name in RolloutSetting.__dataclass_fields__}
     columns = Within(**fields, starts=inside).columns(range(runs))
     columns["left"] = ~columns["stayed"] & ~columns["diverged"]
     return columns

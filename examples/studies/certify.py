@@ -117,8 +117,8 @@ def run_case(case):
 
 def assess(loop, configurations=CONFIGURATIONS):
     """Return what the tests say before anything moves."""
-    return aj.stability_report(
-        loop.controller, loop.plant, loop.region, target=loop.target, configurations=configurations
+    return aj.Study(loop.controller, loop.plant, loop.region, target=loop.target).report(
+        configurations
     )
 
 

@@ -30,13 +30,12 @@ def verdict(figure):
     plant, controller = paper.build(paper.EXPERIMENTS[figure], setup)
     q = np.array(setup.target)
     reports = [
-        aj.stability_report(
+        aj.Study(
             controller,
             plant,
             aj.JointBox.around(plant.robot, q, radius),
             target=plant.sensor.value(q),
-            configurations=20 if radius == 0.0 else 600,
-        )
+        ).report(20 if radius == 0.0 else 600)
         for radius in RADII
     ]
     at_target = reports[0]

@@ -43,14 +43,8 @@ if TYPE_CHECKING:
     from approxjac.scenario import Scenario
     from approxjac.stability.errors.region import JointBox
     from approxjac.stability.errors.uncertainty import Uncertainty
-
-    # from their own modules: through the package, type checkers take functions that are named as
-    # modules for these
     from approxjac.stability.loop.local import local_stability
-    from approxjac.stability.report.report import stability_report
-    from approxjac.stability.rollout.rollouts import rollouts
-    from approxjac.stability.search.suggestion import suggest_gains
-    from approxjac.stability.search.tolerance import tolerance
+    from approxjac.stability.study import Study
 
 __version__ = "0.1.0"
 
@@ -86,6 +80,7 @@ __all__ = [
     "SetpointController",
     "StackedTask",
     "Status",
+    "Study",
     "Target",
     "Task",
     "TorqueLimited",
@@ -99,12 +94,8 @@ __all__ = [
     "law",
     "load_robot",
     "local_stability",
-    "rollouts",
     "simulate",
     "stability",
-    "stability_report",
-    "suggest_gains",
-    "tolerance",
     "view",
 ]
 

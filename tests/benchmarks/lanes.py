@@ -24,7 +24,7 @@ from approxjac.codegen.lanes import Lanes
 from approxjac.codegen.regions import Box
 from approxjac.codegen.trace.program import STEP
 from approxjac.robots import Dynamics
-from approxjac.stability.rollout.rollout_study import Study
+from approxjac.stability.rollouts.setting import RolloutSetting
 
 DT, LANES, ROUNDS = 1e-3, 1024, 5
 AVX2 = "+sse4.2,+avx,+avx2"
@@ -42,7 +42,7 @@ def study(learns, **late):
     law = aj.SetpointController(task, gravity=gravity)
     q = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.5])
     region = aj.JointBox.around(task.robot, q, 0.3)
-    whole = Study(law, errors, region, None, 1.0, DT, 1e-3, 0, **late)
+    whole = RolloutSetting(law, errors, region, None, 1.0, DT, 1e-3, 0, **late)
     starts = [whole.start(index) for index in range(LANES)]
     begun = [each.begun(law) for each in starts]
     return law, starts[0], begun, Box(region.center, region.lower, region.upper)

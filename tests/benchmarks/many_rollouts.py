@@ -29,14 +29,16 @@ def main(runs=100_000, threads=2):
     region = aj.JointBox.around(task.robot, POSTURE, 0.5)
     start, spent = time.perf_counter(), time.process_time()
     with ThreadPoolExecutor(threads) as pool:
-        done = aj.rollouts(law, errors, region, runs=runs, duration=5.0, executor=pool)
+        done = aj.Study(law, errors, region, duration=5.0).rollouts(
+            runs, execution=aj.stability.Execution(executor=pool)
+        )
     took, spent = time.perf_counter() - start, time.process_time() - spent
     digest = hashlib.sha256(b"".join(column.tobytes() for column in done.columns.values()))
     megabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(done)
     print(
         f"{took:.1f} s with {threads} threads ({spent:.1f} s of the processor), {megabytes:.0f} MB "
-        f"at most, engine {done.study.engine}, digest {digest.hexdigest()[:12]}"
+        f"at most, engine {done.setting.engine}, digest {digest.hexdigest()[:12]}"
     )
 
 

@@ -24,7 +24,6 @@ import turns
 
 import approxjac as aj
 from approxjac.robots import Dynamics
-from approxjac.stability import stability_map
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.report import report as report_module
 from approxjac.tasks.analysis import jacobian_gradient
@@ -70,21 +69,36 @@ def measured():
     region = aj.JointBox.around(arm, CENTRE, 0.3)
     truth, task = errors.plant([0.2, 0.5]), controller.task
     drawn = region.sample(POSTURES, np.random.default_rng(0))
-    axes = np.linspace(0.0, 3.0, 40), np.geomspace(0.5, 50.0, 40)
+    axes = {"error": np.linspace(0.0, 2.0, 6), "a": np.geomspace(1.0, 20.0, 6)}
     loop, truths = ClosedLoop(controller, truth, region), np.zeros(POSTURES, dtype=int)
     x_d = np.zeros((POSTURES, 3))
 
-    def report():
-        aj.stability_report(controller, truth, region, configurations=POSTURES)
+    if hasattr(aj, "Study"):
+        study = aj.Study(controller, truth, region)
+        runs = aj.Study(controller, errors, region, duration=2.0)
+
+        def report():
+            study.report(POSTURES)
+
+        def by_rollouts():
+            runs.map(axes, 32)
+
+    else:  # older trees
+
+        def report():
+            aj.stability_report(controller, truth, region, configurations=POSTURES)
+
+        def by_rollouts():
+            names, (x, y) = tuple(axes), axes.values()
+            aj.stability.stability_map(
+                controller, errors, region, names=names, x=x, y=y, by="rollouts", runs=32,
+                duration=2.0,
+            )  # fmt: skip
 
     return {
-        f"`stability_report`, {POSTURES} Panda postures, the first": seconds(report),
+        f"a report of {POSTURES} Panda postures, the first": seconds(report),
         "the same again": seconds(report),
-        "`stability_map`, 40 × 40 points by test 3": seconds(
-            lambda: stability_map(
-                controller, errors, region, names=("error", "a"), x=axes[0], y=axes[1], coarse=0
-            )
-        ),
+        "a map, 6 × 6 points of 32 runs of 2 s": seconds(by_rollouts),
         f"terms of {POSTURES} samples of a report": seconds(
             lambda: loop.samples_at(truths, drawn, x_d)
         ),
@@ -118,9 +132,9 @@ def parts():
     for latency in latencies:
         for _ in range(2):  # the first imports SciPy
             whole = seconds(
-                lambda latency=latency: aj.stability_report(
-                    controller, errors, region, latency=latency, configurations=POSTURES
-                )
+                lambda latency=latency: aj.Study(
+                    controller, errors, region, latency=latency
+                ).report(POSTURES)
             )
         print(f"{latency!r}: {whole:.2f} s, {whole / (whole - taken[-1]):.2f} times")
 

@@ -6,6 +6,7 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from many_runs import rolled
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
@@ -18,7 +19,7 @@ from approxjac.codegen.step import compiled
 from approxjac.controllers import HeldMeasurement, PredictedMeasurement
 from approxjac.errors import MissingPackageError, UnknownNameError
 from approxjac.law import Sine
-from approxjac.stability.rollout import rollout_study
+from approxjac.stability.rollouts import setting as rollout_setting
 
 SHORT = {"runs": 24, "duration": 1.0, "dt": 2e-3}
 
@@ -72,10 +73,10 @@ def require_agreement(ours, python, tolerance=1e-9):
 def test_runs_are_those_of_python(name):
     """Also at joint stops, near singular configurations, and outside of the region."""
     loop = STUDIES[name]()
-    ours = aj.rollouts(*loop, **SHORT)
-    assert (ours.study.engine, ours.study.reason) == ("lanes", "")
-    python = aj.rollouts(*loop, engine="python", **SHORT)
-    assert python.study.engine == "python"
+    ours = rolled(*loop, **SHORT)
+    assert (ours.setting.engine, ours.setting.reason) == ("lanes", "")
+    python = rolled(*loop, engine="python", **SHORT)
+    assert python.setting.engine == "python"
     # motors that come to their limits and leave them let round-off grow
     require_agreement(ours, python, 1e-8 if name.startswith("limits") else 1e-9)
     assert not ours.columns["stayed"].all()
@@ -88,7 +89,7 @@ def test_runs_are_those_of_python(name):
 
 def starts_of(loop, n):
     controller, errors, region = loop
-    whole = rollout_study.Study(controller, errors, region, None, 1.0, 1e-3, 1e-3, 0)
+    whole = rollout_setting.RolloutSetting(controller, errors, region, None, 1.0, 1e-3, 1e-3, 0)
     starts = [whole.start(index) for index in range(n)]
     return starts[0].plant, [start.begun(controller) for start in starts]
 
@@ -117,32 +118,32 @@ def test_the_same_bits_whatever_carries_them_out(tmp_path, monkeypatch):
     """Threads, processes, portions of other sizes, stopped and gone on with."""
     loop = study("ur5", learns=True)
     options = {"runs": 70, "duration": 0.2, "dt": 2e-3}
-    expected = digest(aj.rollouts(*loop, **options))
+    expected = digest(rolled(*loop, **options))
     done = []
     with ThreadPoolExecutor(2) as pool:
-        ours = aj.rollouts(*loop, executor=pool, progress=done.append, **options)
+        ours = rolled(*loop, executor=pool, progress=done.append, **options)
         assert digest(ours) == expected
     assert done[-1] == 70
     assert len(done) == 9  # portions of a vector
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        assert digest(aj.rollouts(*loop, executor=pool, **options)) == expected
+        assert digest(rolled(*loop, executor=pool, **options)) == expected
 
     def stop(done):
         if done >= 20:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        aj.rollouts(*loop, folder=tmp_path, progress=stop, **options)
+        rolled(*loop, folder=tmp_path, progress=stop, **options)
     kept = sorted(tmp_path.iterdir())
     assert len(kept) == 3
     times = [file.stat().st_mtime_ns for file in kept]
-    assert digest(aj.rollouts(*loop, folder=tmp_path, **options)) == expected
+    assert digest(rolled(*loop, folder=tmp_path, **options)) == expected
     assert [file.stat().st_mtime_ns for file in kept] == times
     assert len(list(tmp_path.iterdir())) == 9
-    monkeypatch.setattr("approxjac.stability.rollout.rollout_portions._PORTION", 16)
-    assert digest(aj.rollouts(*loop, **options)) == expected
+    monkeypatch.setattr("approxjac.stability.rollouts.portions._PORTION", 16)
+    assert digest(rolled(*loop, **options)) == expected
     for runs in (9, 1):
-        few = aj.rollouts(*loop, **options | {"runs": runs})
+        few = rolled(*loop, **options | {"runs": runs})
         for name, column in few.columns.items():
             assert_array_equal(column, ours.columns[name][:runs], err_msg=name)
 
@@ -150,15 +151,15 @@ def test_the_same_bits_whatever_carries_them_out(tmp_path, monkeypatch):
 def test_more_runs_than_a_compiled_loop_was_made_for():
     """A loop that was compiled for one run has all its numbers as constants."""
     loop, options = study("ur5"), {"duration": 0.1, "dt": 2e-3, "seed": 7}
-    one = aj.rollouts(*loop, runs=1, **options)
-    many = aj.rollouts(*loop, runs=3, **options)
+    one = rolled(*loop, runs=1, **options)
+    many = rolled(*loop, runs=3, **options)
     assert_array_equal(many.columns["final_error"][:1], one.columns["final_error"])
-    require_agreement(many, aj.rollouts(*loop, runs=3, engine="python", **options))
+    require_agreement(many, rolled(*loop, runs=3, engine="python", **options))
 
 
 def test_divergence():
     loop = study("panda", gains=aj.Gains(1e8, 1e6, 1.0))
-    ours, python = (aj.rollouts(*loop, engine=engine, **SHORT) for engine in ("lanes", "python"))
+    ours, python = (rolled(*loop, engine=engine, **SHORT) for engine in ("lanes", "python"))
     assert ours.n_diverged == python.n_diverged == 24
     require_agreement(ours, python)
 
@@ -175,11 +176,11 @@ def test_what_lanes_leave_is_run_in_python(monkeypatch):
         return told
 
     monkeypatch.setattr(Lanes, "run", leaving)
-    require_agreement(aj.rollouts(*loop, **SHORT), aj.rollouts(*loop, engine="python", **SHORT))
+    require_agreement(rolled(*loop, **SHORT), rolled(*loop, engine="python", **SHORT))
 
 
 def test_columns_and_table():
-    many = aj.rollouts(*study("ur5"), runs=5, duration=0.2, dt=2e-3)
+    many = aj.Study(*study("ur5"), duration=0.2, latency=aj.Latency(period=0.002)).rollouts(5)
     table = many.table
     assert all(column.shape == (5,) for column in table.values())
     assert {"true object_length", "q0[5]", "target[2]", "settling_time", "peak_torque"} <= {*table}
@@ -194,13 +195,19 @@ def test_columns_and_table():
 def test_what_is_not_covered_runs_in_python_and_says_so(panda):
     controller, errors, region = study("panda")
     predicted = PredictedMeasurement(controller, aj.AdaptiveKinematics(controller.task))
-    many = aj.rollouts(predicted, errors, region, runs=1, duration=0.01)
-    assert many.study.engine == "python"
-    assert many.study.reason.startswith("controller must be a SetpointController, or one in a Tor")
+    many = aj.Study(predicted, errors, region, duration=0.01).rollouts(1)
+    assert many.setting.engine == "python"
+    assert many.setting.reason.startswith(
+        "controller must be a SetpointController, or one in a Tor"
+    )
     with pytest.raises(aj.InvalidInputError, match="must be a SetpointController, or one in a"):
-        aj.rollouts(predicted, errors, region, runs=1, duration=0.01, engine="lanes")
+        aj.Study(predicted, errors, region, duration=0.01).rollouts(
+            1, execution=aj.stability.Execution(engine="lanes")
+        )
     with pytest.raises(UnknownNameError, match="engine"):
-        aj.rollouts(controller, errors, region, engine="cuda")
+        aj.Study(controller, errors, region).rollouts(
+            execution=aj.stability.Execution(engine="cuda")
+        )
 
 
 def test_what_derived_classes_do_is_not_taken_for_what_theirs_do(panda):
@@ -225,33 +232,33 @@ def test_what_derived_classes_do_is_not_taken_for_what_theirs_do(panda):
         ((Blind(controller, 0.1), errors), "controller must be a HeldMeasurement itself to "),
         ((controller, own), "uncertainty must be one whose plant and robot are those of Uncert"),
     ):
-        many = aj.rollouts(*loop, region, runs=1, duration=0.01)
-        assert many.study.engine == "python"
-        assert many.study.reason.startswith(text)
+        many = aj.Study(*loop, region, duration=0.01).rollouts(1)
+        assert many.setting.engine == "python"
+        assert many.setting.reason.startswith(text)
 
 
 def test_a_compiled_law_runs_in_lanes_as_the_one_that_it_was_made_from():
     for loop in (study("ur5"), limited(study("ur5"), 0.3)):
         options = {"runs": 3, "duration": 0.1, "dt": 2e-3}
-        ours = aj.rollouts(compiled(loop[0]), *loop[1:], **options)
-        assert ours.study.engine == "lanes"
-        assert digest(ours) == digest(aj.rollouts(*loop, **options))
+        ours = rolled(compiled(loop[0]), *loop[1:], **options)
+        assert ours.setting.engine == "lanes"
+        assert digest(ours) == digest(rolled(*loop, **options))
 
 
 def test_without_llvmlite(monkeypatch):
     loop = study("ur5")
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    found = aj.rollouts(*loop, runs=1, duration=0.01)
-    assert found.study.reason == "llvmlite is not installed"
+    found = aj.Study(*loop, duration=0.01).rollouts(1)
+    assert found.setting.reason == "llvmlite is not installed"
     told = " ".join(str(found).split())
     assert told.endswith("engine in Python, as llvmlite is not installed")
 
     def missing(extra, name):
         raise MissingPackageError("no", given=name)
 
-    monkeypatch.setattr(rollout_study, "package_of", missing)
+    monkeypatch.setattr(rollout_setting, "package_of", missing)
     with pytest.raises(MissingPackageError):
-        aj.rollouts(*loop, runs=1, duration=0.01, engine="lanes")
+        aj.Study(*loop, duration=0.01).rollouts(1, execution=aj.stability.Execution(engine="lanes"))
 
 
 REGIONS = {
@@ -268,12 +275,12 @@ def test_regular_parts_of_a_box(name):
     loop = study("ur5")
     region = REGIONS[name](loop)
     ours, python = (
-        aj.rollouts(*loop[:2], region, engine=engine, **SHORT) for engine in (None, "python")
+        rolled(*loop[:2], region, engine=engine, **SHORT) for engine in (None, "python")
     )
-    assert ours.study.engine == "lanes"
+    assert ours.setting.engine == "lanes"
     require_agreement(ours, python)
     assert 0 < ours.columns["stayed"].sum() < 24
-    plain = aj.rollouts(*loop, **SHORT)
+    plain = rolled(*loop, **SHORT)
     assert ours.n_left != plain.n_left
 
 
@@ -289,8 +296,8 @@ def test_a_region_that_is_regular_where_the_task_is():
         aj.stability.RegularPart(box, task, 0.2),
         {"runs": 10, "duration": 0.1, "dt": 2e-3},
     )
-    ours = aj.rollouts(*loop, part, engine="lanes", **options)
-    require_agreement(ours, aj.rollouts(*loop, part, engine="python", **options))
+    ours = rolled(*loop, part, engine="lanes", **options)
+    require_agreement(ours, rolled(*loop, part, engine="python", **options))
 
 
 def _nonsingular(robot, bend):
@@ -307,9 +314,9 @@ def test_boxes_of_continuous_joints():
     for radius in (0.5, 4.0):  # which is all around
         region = aj.JointBox.around(robot, start, radius)
         ours, python = (
-            aj.rollouts(*loop, region, engine=engine, **SHORT) for engine in (None, "python")
+            rolled(*loop, region, engine=engine, **SHORT) for engine in (None, "python")
         )
-        assert ours.study.engine == "lanes"
+        assert ours.setting.engine == "lanes"
         require_agreement(ours, python)
         stayed.append(ours.columns["stayed"].sum())
     assert 0 < stayed[0] < stayed[1]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import test_lanes
 import test_task_loops
+from many_runs import rolled
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
@@ -18,9 +19,9 @@ from approxjac.codegen.loop_program import TOLD, require_covered
 from approxjac.codegen.regions import Box
 from approxjac.controllers import DifferentiatedVelocity
 from approxjac.simulation import Sensing, VelocityServo
-from approxjac.stability.rollout import rollout_study
+from approxjac.stability.rollouts import setting as rollout_setting
 
-SHORT = {"runs": 5, "duration": 0.6, "dt": 2e-3, "tolerance": 0.3}
+SHORT = {"runs": 5, "duration": 0.6, "dt": 2e-3, "accuracy": 0.3}
 ROUGH = {
     "q_noise": 1e-4, "q_quantum": 1e-5, "velocity_filter": 0.01, "x_rate": 60.0, "x_delay": 0.03,
     "x_dropout": 0.1, "x_lost": [(0.2, 0.25)], "x_frozen": [(0.1, 0.15)],
@@ -147,10 +148,10 @@ BY_DEFAULT = ("a circle", "all, (5)", "held", "image and position")
 )
 def test_runs_are_those_of_python(name):
     loop, options = STUDIES[name]
-    ours = aj.rollouts(*loop(), engine="lanes", **options, **SHORT)
-    python = aj.rollouts(*loop(), engine="python", **options, **SHORT)
+    ours = rolled(*loop(), engine="lanes", **options, **SHORT)
+    python = rolled(*loop(), engine="python", **options, **SHORT)
     test_lanes.require_agreement(ours, python)
-    ideal = aj.rollouts(*loop(), engine="lanes", **SHORT)
+    ideal = rolled(*loop(), engine="lanes", **SHORT)
     assert (ours.columns["final_error"] != ideal.columns["final_error"]).all()
 
 
@@ -159,8 +160,8 @@ def test_each_run_has_noise_of_its_own():
     task = errors.believed_task()
     loop = aj.SetpointController(task), errors, aj.JointBox.around(task.robot, [0.5, 1.2], 0.0)
     target = task.value(np.array([0.6, 1.0]))
-    many = aj.rollouts(*loop, target=target, sensing=Sensing(x_noise=1e-3), **SHORT)
-    assert many.study.engine == "lanes"
+    many = rolled(*loop, target=target, sensing=Sensing(x_noise=0.001), **SHORT)
+    assert many.setting.engine == "lanes"
     assert len({*many.columns["final_error"]}) == SHORT["runs"]
     run = many.replay(3)
     assert run.error_norm[-1] == pytest.approx(many.runs[3].final_error, abs=1e-12)
@@ -170,7 +171,7 @@ def test_each_run_has_noise_of_its_own():
 def test_the_same_bits_in_numpy():
     """And on vectors of any width."""
     controller, errors, region = test_lanes.study("two_link", "xz")
-    whole = rollout_study.Study(
+    whole = rollout_setting.RolloutSetting(
         controller, errors, region, None, 0.3, 1e-3, 1e-3, 0, ALL["sensing"], 0.006
     )
     starts = [whole.start(index) for index in range(9)]
@@ -193,29 +194,29 @@ MANY = test_lanes.study("two_link", "xz"), {"runs": 70, "duration": 0.2, "dt": 2
 @pytest.mark.study
 def test_the_same_bits_in_processes():
     loop, options = MANY
-    expected = test_lanes.digest(aj.rollouts(*loop, **options))
+    expected = test_lanes.digest(rolled(*loop, **options))
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        assert test_lanes.digest(aj.rollouts(*loop, executor=pool, **options)) == expected
+        assert test_lanes.digest(rolled(*loop, executor=pool, **options)) == expected
 
 
 def test_the_same_bits_whatever_carries_them_out(tmp_path, monkeypatch):
     """Threads, stopped and gone on with, portions and blocks of other sizes."""
     loop, options = MANY
-    expected = test_lanes.digest(aj.rollouts(*loop, **options))
+    expected = test_lanes.digest(rolled(*loop, **options))
     with ThreadPoolExecutor(2) as pool:
-        assert test_lanes.digest(aj.rollouts(*loop, executor=pool, **options)) == expected
+        assert test_lanes.digest(rolled(*loop, executor=pool, **options)) == expected
 
     def stop(done):
         if done >= 20:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        aj.rollouts(*loop, folder=tmp_path, progress=stop, **options)
+        rolled(*loop, folder=tmp_path, progress=stop, **options)
     assert 0 < len(list(tmp_path.iterdir())) < 9
-    assert test_lanes.digest(aj.rollouts(*loop, folder=tmp_path, **options)) == expected
-    monkeypatch.setattr("approxjac.stability.rollout.rollout_portions._PORTION", 16)
+    assert test_lanes.digest(rolled(*loop, folder=tmp_path, **options)) == expected
+    monkeypatch.setattr("approxjac.stability.rollouts.portions._PORTION", 16)
     monkeypatch.setattr("approxjac.codegen.lanes._BLOCK", 7)
-    assert test_lanes.digest(aj.rollouts(*loop, **options)) == expected
+    assert test_lanes.digest(rolled(*loop, **options)) == expected
 
 
 def test_a_compiled_law_runs_in_python_with_real_sensors(two_link):
@@ -231,8 +232,8 @@ def test_a_compiled_law_runs_in_python_with_real_sensors(two_link):
 
 
 def test_a_run_on_a_path_again():
-    many = aj.rollouts(*test_lanes.study("panda"), target=CIRCLE, **SHORT)
-    assert many.study.engine == "lanes"
+    many = rolled(*test_lanes.study("panda"), target=CIRCLE, **SHORT)
+    assert many.setting.engine == "lanes"
     assert_array_equal(many.columns["target"], np.tile(CIRCLE.at(0.0).x, (SHORT["runs"], 1)))
     run = many.replay(2)
     assert_allclose(run.x_d[-1], CIRCLE.at(SHORT["duration"]).x, atol=1e-12)
@@ -248,6 +249,6 @@ def test_what_is_refused(two_link):
             require_covered(controller, aj.Plant(two_link, controller.task, **options))
     loop = test_lanes.study("ur5")
     with pytest.raises(aj.InvalidInputError, match="x_noise"):
-        aj.rollouts(*loop, sensing=Sensing(x_noise=[1.0, 2.0]), runs=1)
-    with pytest.raises(aj.InvalidInputError, match="actuator_delay"):
-        aj.rollouts(*loop, actuator_delay=-1.0, runs=1)
+        aj.Study(*loop, sensing=Sensing(x_noise=[1.0, 2.0])).rollouts(1)
+    with pytest.raises(aj.InvalidInputError, match="torque_delay"):
+        aj.Study(*loop, latency=aj.Latency(torque_delay=-1.0)).rollouts(1)

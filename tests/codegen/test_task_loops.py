@@ -4,6 +4,7 @@ import functools
 
 import numpy as np
 import pytest
+from many_runs import rolled
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
@@ -13,7 +14,7 @@ from approxjac.controllers import DifferentiatedVelocity
 from approxjac.simulation.sampled_loop import SampledLoop
 from approxjac.tasks import NonsingularTask
 
-SHORT = {"runs": 5, "duration": 0.3, "dt": 2e-3, "tolerance": 0.05}
+SHORT = {"runs": 5, "duration": 0.3, "dt": 2e-3, "accuracy": 0.05}
 SQUARE = ((0.2, 0.0, 0.05), (-0.1, 0.2, 0.0), (0.0, -0.2, 0.2))
 FLOOR = ((0.4, 0.0, -0.5), (0.6, 0.1, -0.5), (0.5, -0.2, -0.4))
 BENT = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
@@ -90,8 +91,8 @@ BY_DEFAULT = ("pose", "planar camera", "lost at times", "in the hand")
 )
 def test_runs_are_those_of_python(name):
     loop = STUDIES[name]()
-    ours = aj.rollouts(*loop, engine="lanes", **SHORT)
-    python = aj.rollouts(*loop, engine="python", **SHORT)
+    ours = rolled(*loop, engine="lanes", **SHORT)
+    python = rolled(*loop, engine="python", **SHORT)
     for column, expected in python.columns.items():
         found = ours.columns[column]
         if found.dtype == bool:
@@ -109,8 +110,8 @@ def test_runs_are_those_of_python(name):
 )
 def test_one_whole_run_is_that_of_python(name, monkeypatch):
     controller, known, region = STUDIES[name]()
-    few = aj.rollouts(controller, known, region, engine="python", **SHORT | {"runs": 1})
-    start = few.study.start(1)
+    few = rolled(controller, known, region, engine="python", **SHORT | {"runs": 1})
+    start = few.setting.start(1)
     options = {"duration": 4.2, "dt": 2e-3, "integrator": "semi_implicit_euler"}
     plain = aj.simulate(start.plant, controller, start.target, start.q, **options)
     monkeypatch.delattr(SampledLoop, "advance")

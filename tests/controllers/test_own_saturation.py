@@ -282,10 +282,9 @@ def test_a_report_of_an_own_saturation_is_that_of_the_librarys():
     plant = aj.Plant(arm, aj.PositionTask(arm, axes="xz"))
     box = aj.JointBox(arm, np.array([0.2, 1.0]), np.array([0.6, 1.6]))
     own_report, report = (
-        aj.stability_report(
-            aj.SetpointController(believed, aj.Gains(60.0, 40.0, 1.0), saturation=s),
-            plant, box, configurations=50,
-        )
+        aj.Study(
+            aj.SetpointController(believed, aj.Gains(60.0, 40.0, 1.0), saturation=s), plant, box
+        ).report(50)
         for s in (Own(0.1), Tanh(0.1))
     )  # fmt: skip
     own_text, text = (" ".join(str(each).split()) for each in (own_report, report))  # as wrapped

@@ -23,9 +23,9 @@ def test_starts_of_the_papers_figures_stay(figure, half_width, at_least):
     plant, controller = paper.build(paper.EXPERIMENTS[figure], paper.Setup())
     q = np.array(paper.Setup().target)
     region, target = aj.JointBox.around(plant.robot, q, half_width), plant.sensor.value(q)
-    report = aj.stability_report(
-        controller, plant, region, target=target, latency=Latency(period=1e-5), configurations=200
-    )
+    report = aj.Study(
+        controller, plant, region, target=target, latency=Latency(period=1e-05)
+    ).report(200)
     found = report.attraction
     assert found.radius >= at_least
     assert 0.0 < found.level <= report.sampled.level

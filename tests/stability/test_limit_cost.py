@@ -36,14 +36,14 @@ def box(arm):
 
 @pytest.fixture(scope="module")
 def report(law, tools, box):
-    return aj.stability_report(law, tools, box, configurations=60)
+    return aj.Study(law, tools, box).report(60)
 
 
 @pytest.fixture(scope="module")
 def kept(report, law, arm, tools, box):
     limits = aj.Limits(effort=0.5 * arm.effort_limits)
     limiter = aj.TorqueLimited(law, limits, cross_weight=report.cross_weight)
-    return aj.stability_report(limiter, tools, box, configurations=60)
+    return aj.Study(limiter, tools, box).report(60)
 
 
 def test_certified_are_fewer_starts_and_the_limiter_keeps_this_V(report, kept):
@@ -107,7 +107,7 @@ def test_motors_that_cannot_hold_the_arm_certify_nothing():
     arm = aj.load_robot("panda")
     law = aj.SetpointController(aj.PositionTask(arm), aj.Gains(400.0, 80.0, 5.0))
     limiter = aj.TorqueLimited(law, aj.Limits(effort=5.0))
-    report = aj.stability_report(limiter, arm, aj.JointBox.around(arm, Q, 0.05), configurations=20)
+    report = aj.Study(limiter, arm, aj.JointBox.around(arm, Q, 0.05)).report(20)
     assert report.certified_by is None
     assert report.cross_weight is None
     assert report.reason == "the motors cannot hold the arm everywhere in the region"
@@ -119,7 +119,7 @@ def test_a_saturated_law_may_never_ask_for_more(law, arm, tools, box):
     gentle = aj.SetpointController(
         law.task, law.gains, gravity=aj.NoGravity(arm), saturation=aj.law.Tanh(0.005)
     )
-    report = aj.stability_report(aj.TorqueLimited(gentle), tools, box, configurations=20)
+    report = aj.Study(aj.TorqueLimited(gentle), tools, box).report(20)
     assert report.limits.free == {"m": np.inf}
     assert report.limits.clipped == 0.0
     assert json.dumps(plain(asdict(report.limits)), allow_nan=False)
@@ -135,7 +135,7 @@ def test_where_gravity_is_learnt_the_limiter_keeps_this_V_by_itself():
         gravity=aj.AdaptiveGravity(belief, L=0.01, alpha=0.5),
     )
     region = aj.JointBox.around(arm, Q, 0.05)
-    report = aj.stability_report(aj.TorqueLimited(law), truth, region, configurations=20)
+    report = aj.Study(aj.TorqueLimited(law), truth, region).report(20)
     assert report.passed
     assert report.limits.protects
     assert report.limits.level == 0.0

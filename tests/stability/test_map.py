@@ -1,133 +1,21 @@
-"""The stability map against the tests that it is made of."""
+"""Maps against the rollouts that they are made of."""
 
 import functools
-from dataclasses import replace
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
+from many_runs import rolled, study
+from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
-from approxjac.stability import stability_map
-from approxjac.stability.search.map import PARAMETERS
+from approxjac.codegen.lanes import Lanes
+from approxjac.stability import Execution
+from approxjac.stability.rollouts.setting import sharing
 
-Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.0])
-
-
-@pytest.fixture(scope="module")
-def tools():
-    arm = aj.load_robot("panda").with_gravity((0.0, 0.0, 0.0))
-    turn = {"panda_joint1": (0.0, 0.0, 0.5)}  # at 4 times beyond a right angle
-    return aj.Uncertainty(arm, object_length=(0.0, 0.1), joint_rotations=turn)
-
-
-@pytest.fixture(scope="module")
-def controller(tools):
-    return aj.SetpointController(tools.believed_task(), aj.Gains(400.0, 80.0, 5.0))
-
-
-@pytest.fixture(scope="module")
-def box(tools):
-    return aj.JointBox.around(tools.arm, Q, 0.2)
-
-
-@pytest.fixture(scope="module")
-def found(controller, tools, box):
-    return stability_map(
-        controller, tools, box, names=("error", "a"), x=(0.0, 1.0, 2.0, 4.0), y=(2.0, 5.0, 20.0),
-        coarse=2, configurations=40,
-    )  # fmt: skip
-
-
-def test_its_shapes_and_ends(found):
-    assert found.decay_rate.shape == found.theorem1.shape == (3, 4)
-    assert found.matrix.shape == found.rollouts.shape == (2, 2)
-    assert_array_equal(found.coarse_x[[0, -1]], [0.0, 4.0])
-    assert_array_equal(found.coarse_y[[0, -1]], [2.0, 20.0])
-    assert np.isnan(found.rollouts).all()
-
-
-def test_each_test_gives_way_in_its_turn(found):
-    """Without errors all pass; Theorem 1 fails first, then the matrix form, then the arm."""
-    assert (found.theorem1[:, 0] > 0.0).all()
-    assert (found.theorem1[:, 1:] < 0.0).all()
-    assert (found.matrix[:, 0] > 0.0).all()
-    assert (found.matrix[:, -1] < 0.0).all()
-    assert (found.decay_rate[:, :2] > 0.0).all()
-    assert (found.decay_rate[:, -1] < 0.0).all()
-    # what a stronger test certifies, the weaker ones let pass
-    assert (found.decay_rate[:, 0][found.theorem1[:, 0] > 0.0] > 0.0).all()
-
-
-def test_a_point_is_what_the_local_test_says(found, controller, tools, box):
-    """With the controller's own gains, the worst of 200 targets, the true robots in turn."""
-    errors = tools.scaled(2.0)
-    plants = [errors.plant(corner) for corner in errors.corners()]
-    own = aj.SetpointController(
-        controller.task, controller.gains, gravity=aj.NoGravity(controller.task.robot)
-    )
-    drawn = box.sample(200, np.random.default_rng(0))
-    rates = [
-        aj.local_stability(plants[i % len(plants)], own, q).decay_rate for i, q in enumerate(drawn)
-    ]
-    assert found.targets == 16
-    assert found.decay_rate[1, 2] == pytest.approx(min(rates), rel=1e-9)
-
-
-def test_axes_may_be_swapped(found, controller, tools, box):
-    swapped = stability_map(
-        controller, tools, box, names=("a", "error"), x=(2.0, 5.0, 20.0), y=(0.0, 1.0, 2.0, 4.0),
-        coarse=0,
-    )  # fmt: skip
-    assert_array_equal(swapped.decay_rate, found.decay_rate.T)
-    assert np.isnan(swapped.theorem1).all()
-    assert swapped.matrix.shape == (0, 0)
-
-
-def test_any_two_parameters(controller, tools, box):
-    damped = stability_map(
-        controller, tools, box, names=("damping", "kv"), x=(0.2, 1.0, 5.0), y=(0.5, 2.0),
-        coarse=2, configurations=20, runs=1, duration=0.2, targets=4,
-    )  # fmt: skip
-    assert set(PARAMETERS) == {"error", "a", "kv", "damping"}
-    assert damped.matrix[0, -1] > damped.matrix[0, 0]  # damping certifies more
-    assert set(np.unique(damped.rollouts)) <= {0.0, 1.0}
-
-
-def test_it_repeats_bit_by_bit_and_progress_grows_to_one(controller, tools, box):
-    seen = []
-    maps = [
-        stability_map(
-            controller, tools, box, names=("error", "a"), x=(0.0, 1.0), y=(2.0, 5.0), targets=2,
-            coarse=2, configurations=8, progress=progress,
-        )
-        for progress in (None, seen.append)
-    ]  # fmt: skip
-    for name in ("decay_rate", "theorem1", "matrix"):
-        assert_array_equal(*(getattr(each, name) for each in maps))
-    assert seen == sorted(seen)
-    assert seen[-1] == 1.0
-
-
-@pytest.mark.parametrize(
-    ("names", "x", "text"),
-    [
-        (("error", "b"), (0.0, 1.0), "parameter 'b' not in the map"),
-        (("a", "a"), (1.0, 2.0), "names must be two different parameters"),
-        (("a", "kv"), (0.0, 1.0), "values of a must be at least two growing numbers > 0"),
-        (("error", "kv"), (-1.0, 1.0), "values of error must be at least two growing numbers >= 0"),
-        (("error", "kv"), (1.0, 1.0), "values of error must be at least two growing numbers"),
-        (("error", "kv"), (1.0,), "values of error must be at least two growing numbers"),
-    ],
-)
-def test_refused(controller, tools, box, names, x, text):
-    with pytest.raises(aj.errors.ApproxJacError, match=text):
-        stability_map(controller, tools, box, names=names, x=x, y=(1.0, 2.0))
-
-
-# -- by rollouts --------------------------------------------------------------------------------
-
-RUNS = {"runs": 6, "duration": 1.0, "dt": 4e-3, "tolerance": 0.05}
+SHORT = {"duration": 1.0, "dt": 4e-3, "accuracy": 0.05}
+DAMPING, SCALES = (0.2, 2.0), (0.5, 1.0)
 
 
 @pytest.fixture(scope="module")
@@ -142,81 +30,83 @@ def plane():
     return law, errors, aj.JointBox.around(arm, [0.5, 1.2], 0.4)
 
 
-def test_by_rollouts_over_parameters(plane):
-    """Each point is what `rollouts` say there."""
+def test_over_parameters_each_point_is_what_rollouts_say(plane):
     law, errors, region = plane
-    drawn = stability_map(
-        *plane, by="rollouts", names=("a", "error"), x=(1.0, 4.0, 8.0), y=(0.0, 1.0), **RUNS
-    )
-    assert drawn.rollouts.shape == drawn.runs.shape == (2, 3)
+    own = study(*plane, **SHORT)
+    drawn = own.map({"a": (1.0, 4.0, 8.0), "error": (0.0, 1.0)}, 6)
+    assert drawn.share.shape == drawn.runs.shape == (2, 3)
     assert (drawn.runs == 6).all()
     _, kv, damping = law.diagonals
     other = law.with_gains(aj.Gains(4.0 * kv, kv, damping))
-    runs = aj.rollouts(other, errors.scaled(1.0), region, **RUNS)
-    assert drawn.rollouts[1, 1] == runs.share
+    runs = study(other, errors, region, **SHORT).rollouts(6)
+    assert drawn.share[1, 1] == runs.share
     assert tuple(drawn.intervals[1, 1]) == runs.interval
-    assert np.isnan(drawn.decay_rate).all()
-    assert "36 runs at (2, 3) points" in repr(drawn)
+    assert drawn.points[4.0, 1.0].setting.engine == "lanes"
+    for name, column in runs.columns.items():
+        assert_allclose(drawn.points[4.0, 1.0].columns[name], column, rtol=1e-9, atol=1e-12)
+    assert "3 by 2 points, 36 runs" in repr(drawn)
     assert "3 by 2, 36 runs in all" in str(drawn)
+    swapped = own.map({"error": (0.0, 1.0), "a": (1.0, 4.0, 8.0)}, 6)
+    assert_array_equal(swapped.share, drawn.share.T)
 
 
-def test_by_rollouts_over_errors_and_places(plane):
-    """Each run counts where it was drawn."""
+def test_over_one_parameter_it_has_a_line_for_each_value(plane):
+    """Points begin alike: they differ by what was changed, and not by what was drawn."""
+    drawn = study(*plane, **SHORT).map({"error": SCALES}, 8)
+    assert drawn.share.shape == drawn.runs.shape == (2,)
+    one, other = (drawn.points[scale,].columns for scale in SCALES)
+    for name in ("q0", "index"):
+        assert_array_equal(one[name], other[name])
+    assert_allclose(2.0 * one["values"], other["values"], rtol=1e-12)
+    (line,) = (line for line in str(drawn).splitlines() if "at 0.5" in line)
+    assert f" of {drawn.runs[0]}, with 95 % confidence " in line
+
+
+def test_over_errors_and_places_each_run_counts_where_it_was_drawn(plane):
     law = plane[0]
     turn, seen = "joint1 rotation y", []
     y = np.linspace(-2.0, 2.0, 5)
-    drawn = stability_map(
-        *plane, by="rollouts", names=("object_length", turn), x=(0.1, 0.3), y=y,
-        progress=seen.append, **RUNS,
-    )  # fmt: skip
-    many = aj.rollouts(*plane, **RUNS | {"runs": 60})
+    own = study(*plane, **SHORT)
+    drawn = own.map(
+        {"object_length": (0.1, 0.3), turn: y}, 6, progress=lambda what, share: seen.append(share)
+    )
+    many = own.rollouts(60)
     assert 40 < drawn.runs.sum() <= 60  # none beyond half a step from the ends
     length, angle = many.columns["values"].T
     here = (length < 0.2) & (np.abs(angle - 1.0) < 0.5)
     assert drawn.runs[3, 0] == here.sum() > 0
-    assert drawn.rollouts[3, 0] == many.columns["converged"][here].mean()
-    assert drawn.rollouts[2].mean() > drawn.rollouts[0].mean() == 0.0  # beyond a right angle
+    assert drawn.share[3, 0] == many.columns["converged"][here].mean()
+    assert drawn.share[2].mean() > drawn.share[0].mean() == 0.0  # beyond a right angle
+    assert seen == sorted(seen)
     assert seen[-1] == 1.0
 
     tips = np.array([law.task.value(q) for q in many.columns["q0"]])
-    places = stability_map(
-        *plane, by="rollouts", names=("x", "z"), x=(0.5, 1.5), y=(-4.0, 0.5, 1.5),
-        **RUNS | {"runs": 10},
-    )  # fmt: skip
+    places = own.map({"x": (0.5, 1.5), "z": (-4.0, 0.5, 1.5)}, 10)
     here = (np.abs(tips[:, 0] - 1.5) < 0.5) & (np.abs(tips[:, 1]) < 1.0)
     assert places.runs[1, 1] == here.sum() > 0
-    assert places.rollouts[1, 1] == many.columns["converged"][here].mean()
+    assert places.share[1, 1] == many.columns["converged"][here].mean()
     assert places.runs[0].sum() == 0
-    assert np.isnan(places.rollouts[0]).all()
+    assert np.isnan(places.share[0]).all()
     assert_array_equal(places.intervals[0], [[0.0, 1.0]] * 2)
 
 
 @pytest.mark.parametrize(
-    ("names", "by", "text"),
+    ("over", "text"),
     [
-        (("object_length", "a"), "rollouts", "names must both be of what is drawn"),
-        (("object_length", "roll"), "rollouts", "parameter 'roll' not in the map"),
-        (
-            ("object_length", "a"),
-            "tests",
-            "'object_length' not in the map; errors and places need by=\"rollouts\"; valid are a",
-        ),
-        (("a", "kv"), "eye", "by 'eye' not in stability_map"),
+        ({"error": (0.0, 1.0), "b": (0.0, 1.0)}, "parameter 'b' not in the map"),
+        ({"a": (0.0, 1.0)}, "values of a must be at least two growing numbers > 0"),
+        ({"error": (-1.0, 1.0)}, "values of error must be at least two growing numbers >= 0"),
+        ({"error": (1.0, 1.0)}, "values of error must be at least two growing numbers"),
+        ({"error": (1.0,)}, "values of error must be at least two growing numbers"),
+        ({"object_length": (0.1, 1.0), "a": (0.1, 1.0)}, "names must all be of what is drawn"),
+        ({"object_length": (0.1, 1.0), "roll": (0.1, 1.0)}, "parameter 'roll' not in the map"),
+        ({}, "over must have one or two parameters"),
+        (("a", "kv"), "over must be a dict of one or two parameters"),
     ],
 )
-def test_refused_by_rollouts(plane, names, by, text):
+def test_refused(plane, over, text):
     with pytest.raises(aj.errors.ApproxJacError, match=text):
-        stability_map(*plane, by=by, names=names, x=(0.1, 1.0), y=(0.1, 1.0))
-
-
-def test_a_plot_that_is_given_a_map_says_which_of_its_arrays_it_takes(found):
-    m = replace(found, rollouts=np.ones((3, 4)))
-    for plot, arrays in ((aj.view.plot_shares, "m.rollouts, l"), (aj.view.plot_map, "m.decay_rat")):
-        with pytest.raises(aj.InvalidInputError, match=f"a StabilityMap m: m.x, m.y, {arrays}"):
-            plot(m)
-    ax = aj.view.plot_shares(m.x, m.y, m.rollouts, labels=m.names)
-    assert ax.get_xlabel() == "error"
-    assert aj.view.plot_map(m.x, m.y, m.decay_rate, boundaries=[], labels=m.names)
+        aj.Study(*plane).map(over)
 
 
 def test_grown_errors_may_have_a_camera_look_elsewhere():
@@ -229,9 +119,124 @@ def test_grown_errors_may_have_a_camera_look_elsewhere():
     errors = aj.Uncertainty(arm, camera=camera, distance=(-0.9, 0.0))
     law = aj.SetpointController(errors.believed_task(), aj.Gains(2e-4, 4e-4, 1.0))
     region = aj.JointBox.around(arm, [0.5, 1.2], 0.05)
-    options = {"by": "rollouts", "names": ("error", "kv"), "y": (0.5, 1.0), **RUNS, "runs": 8}
-    drawn = stability_map(law, errors, region, x=(0.5, 4.0), **options)
+    drawn = study(law, errors, region, **SHORT).map({"error": (0.5, 4.0), "kv": (0.5, 1.0)}, 8)
     assert (drawn.runs == [[8, 0], [8, 0]]).all()
-    assert np.isnan(drawn.rollouts[:, 1]).all()
+    assert np.isnan(drawn.share[:, 1]).all()
     with pytest.raises(aj.InvalidInputError, match="must hold configurations that the true sensor"):
-        stability_map(law, errors.scaled(4.0), region, x=(0.5, 1.0), **options)
+        study(law, errors.scaled(4.0), region, **SHORT).map({"error": (0.5, 1.0)}, 8)
+
+
+# -- what carries it out ------------------------------------------------------------------------
+
+
+def digest(found):
+    columns = [each for runs in found.points.values() for each in runs.columns.values()]
+    return b"".join(column.tobytes() for column in columns)
+
+
+def test_the_same_bits_whatever_carries_it_out(plane, tmp_path, monkeypatch):
+    """Threads, processes, portions of other sizes, stopped and gone on with."""
+    own = functools.partial(study(*plane, **SHORT).map, {"damping": DAMPING, "error": SCALES}, 40)
+    expected, done = digest(own()), []
+    with ThreadPoolExecutor(2) as pool:
+        in_threads = own(
+            execution=Execution(executor=pool), progress=lambda what, share: done.append(share)
+        )
+        assert digest(in_threads) == expected
+    assert done == sorted(done)
+    assert done[-1] == 1.0
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        assert digest(own(execution=Execution(executor=pool))) == expected
+
+    def stop(what, share):
+        if share >= 0.4:
+            raise KeyboardInterrupt
+
+    kept_there = Execution(folder=tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        own(execution=kept_there, progress=stop)
+    kept = {file: file.stat().st_mtime_ns for file in tmp_path.iterdir()}
+    assert kept
+    assert digest(own(execution=kept_there)) == expected
+    assert kept.items() <= {f: f.stat().st_mtime_ns for f in tmp_path.iterdir()}.items()
+    assert len(kept) < len([*tmp_path.iterdir()])
+    monkeypatch.setattr("approxjac.stability.rollouts.portions._PORTION", 16)
+    assert digest(own()) == expected
+
+
+@pytest.mark.parametrize("learns", [False, True])
+def test_one_compiled_loop_for_all_points(plane, learns, monkeypatch):
+    """Gains and scales are numbers of it; without errors, too."""
+    _, errors, region = plane
+    task = errors.believed_task()
+    law = aj.SetpointController(task, gravity=aj.AdaptiveGravity(task.robot) if learns else None)
+    made = []
+    init = Lanes.__init__
+    monkeypatch.setattr(
+        Lanes, "__init__", lambda *given, **more: (made.append(1), init(*given, **more))[1]
+    )
+    short = {**SHORT, "duration": 0.2}
+    found = study(law, errors, region, **short).map(
+        {"kv": (0.5, 1.0, 2.0), "error": (0.0, 0.3, 1.0)}, 6
+    )
+    assert len(made) == 1
+    kp, kv, damping = law.diagonals
+    for (times, scale), runs in found.points.items():
+        own = law.with_gains(aj.Gains(times * kp, times * kv, damping))
+        alone = study(own, errors.scaled(scale), region, **short).rollouts(6)
+        for name, column in alone.columns.items():
+            assert_allclose(runs.columns[name], column, rtol=1e-9, atol=1e-12, err_msg=name)
+
+
+def test_what_follows_from_gains_has_a_loop_of_its_own(plane):
+    """Limits, as their proof takes gains; errors of another scale share one."""
+    law, errors, region = plane
+    kp, kv, damping = law.diagonals
+    limited = [
+        aj.TorqueLimited(law.with_gains(aj.Gains(kp, kv, k * damping)), aj.Limits(effort=30.0))
+        for k in DAMPING
+    ]
+
+    def of(law, errors):
+        return study(law, errors, region, **SHORT).setting().with_engine(None, 4)
+
+    assert [each.alike for each in sharing([of(each, errors) for each in limited])] == [(), ()]
+    scaled = sharing([of(limited[0], errors.scaled(scale)) for scale in SCALES])
+    assert [len(each.alike) for each in scaled] == [1, 1]
+    assert scaled[0].key == scaled[1].key
+
+
+# -- what else simulates ------------------------------------------------------------------------
+
+
+def test_a_tolerance_by_rollouts(plane):
+    """All runs converge up to a scale, and one does not beyond it."""
+    errors = plane[1]
+    own = aj.Uncertainty(
+        errors.arm.with_gravity((0.0, 0.0, 0.0)), errors.task, object_length=(0.0, 0.4),
+        object_axis="x", joint_rotations={"joint1": (0.0, 0.8, 0.0)},
+    )  # fmt: skip
+    law = aj.SetpointController(own.believed_task())
+    loop, short = (law, own, plane[2]), {**SHORT, "duration": 2.0}
+    found = study(*loop, **short).tolerance(("rollouts",), largest=4.0, precision=0.2, draws=20)
+    found = found["rollouts"]
+    assert 0.0 < found.scale < found.fails_at < 4.0
+    assert rolled(law, own.scaled(found.scale), plane[2], runs=20, **short).share == 1.0
+    grown = rolled(law, own.scaled(found.fails_at), plane[2], runs=20, failures=1, **short)
+    assert grown.n_converged == grown.n - 1
+    assert_array_equal(found.worst, grown.runs[-1].values)
+    with pytest.raises(aj.errors.UnknownNameError, match="test 'rollouts' not in the tests"):
+        study(*loop).gains(test="rollouts")
+
+
+def test_the_rollouts_of_a_report_are_in_lanes(plane):
+    """Where nothing is said about the region, too."""
+    errors = plane[1]
+    own = aj.Uncertainty(
+        errors.arm.with_gravity((0.0, 0.0, 0.0)), errors.task, object_length=(0.0, 0.04),
+        object_axis="x",
+    )  # fmt: skip
+    law = aj.SetpointController(own.believed_task())
+    report = aj.Study(law, own).report(20, runs=8)
+    assert isinstance(report.loop.region, aj.stability.RegularPart)
+    assert (report.rollouts.setting.engine, report.rollouts.setting.reason) == ("lanes", "")

@@ -16,7 +16,6 @@ from approxjac.controllers import DifferentiatedVelocity, Latency
 from approxjac.errors import UnknownNameError
 from approxjac.law import Sine
 from approxjac.robots import GravityRegressor
-from approxjac.stability import stability_map
 from approxjac.stability.certificates.matrix_form import MatrixForm
 from approxjac.stability.certificates.theorem1 import theorem1
 from approxjac.stability.loop.closed_loop import ClosedLoop
@@ -24,8 +23,8 @@ from approxjac.stability.loop.inverse_kinematics import inverse_kinematics
 from approxjac.stability.loop.local import local_test
 from approxjac.stability.report import report_starts
 from approxjac.stability.report.report_words import _wrong_gravity
-from approxjac.stability.search import suggestion
-from approxjac.stability.search.suggestion import Candidate, _relaxations
+from approxjac.stability.search import suggested_gains as search
+from approxjac.stability.search.suggested_gains import Candidate, _relaxations
 
 Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.0])
 Q2 = np.array([0.3, 1.2])  # of the two-link arm, far from singular
@@ -61,10 +60,9 @@ def seen():
 
 @pytest.fixture(scope="module")
 def report(tools, box, seen):
-    return aj.stability_report(
-        controller_of(tools), tools, box, latency=Latency(period=5e-4), configurations=200,
-        progress=lambda what, share: seen.append((what, share)),
-    )  # fmt: skip
+    return aj.Study(controller_of(tools), tools, box, latency=Latency(period=0.0005)).report(
+        200, progress=lambda what, share: seen.append((what, share))
+    )
 
 
 def test_report_says_what_each_test_says(report):
@@ -159,9 +157,7 @@ def test_report_says_what_no_test_knows_of():
     late = Latency(period=1e-3, torque_delay=2.4e-3, image_age=5e-3)
 
     def rows(region, latency):
-        found = aj.stability_report(
-            controller_of(tools), tools, region, latency=latency, configurations=20
-        )
+        found = aj.Study(controller_of(tools), tools, region, latency=latency).report(20)
         return {test: figures for test, _, figures in found.lines()}
 
     inside = rows(aj.JointBox.around(arm, q, 0.1), Latency())
@@ -198,8 +194,7 @@ def test_report_repeats_bit_by_bit():
     arm = aj.load_robot("two_link").with_gravity((0.0, 0.0, 0.0))
     tools, box = aj.Uncertainty(arm, object_length=(0.0, 0.3)), aj.JointBox.around(arm, Q2, 0.3)
     first, again, other = (
-        aj.stability_report(controller_of(tools), tools, box, configurations=20, seed=seed)
-        for seed in (0, 0, 1)
+        aj.Study(controller_of(tools), tools, box, seed=seed).report(20) for seed in (0, 0, 1)
     )
     assert again.summary() == first.summary()
     assert str(again) == str(first)
@@ -220,7 +215,7 @@ def test_summary_is_json_and_complete(report):
 
 
 def test_a_certified_controller_reaches_its_target(tools, box, report):
-    outcome = aj.rollouts(report.loop.controller, tools, box, runs=2, duration=4.0, seed=3)
+    outcome = aj.Study(report.loop.controller, tools, box, duration=4.0, seed=3).rollouts(2)
     assert outcome.n_converged == 2
 
 
@@ -230,7 +225,7 @@ def test_a_single_robot_and_a_plant_say_the_same():
     controller = aj.SetpointController(aj.PositionTask(belief), aj.Gains(400.0, 80.0, 10.0))
     region = aj.JointBox.around(arm, Q2, 0.2)
     reports = [
-        aj.stability_report(controller, truth=each, region=region, configurations=20)
+        aj.Study(controller, uncertainty=each, region=region).report(20)
         for each in (truth, aj.Plant(truth, aj.PositionTask(truth)))
     ]
     assert reports[0].summary() == reports[1].summary()
@@ -248,7 +243,7 @@ def test_default_region_leaves_singular_configurations_out(weightless):
 def test_a_target_is_looked_at_where_it_is_attained(tools, box):
     controller = controller_of(tools)
     target = tools.plant([0.1, 0.2]).sensor.value(Q)
-    found = aj.stability_report(controller, tools, box, target=target, configurations=24)
+    found = aj.Study(controller, tools, box, target=target).report(24)
     assert_array_equal(found.loop.target, target)
     for t, q in zip(found.local.truth, found.local.q, strict=True):
         sensor = tools.plant(found.loop.values[t]).sensor
@@ -260,7 +255,7 @@ def test_gravity_that_is_not_exact_certifies_nothing():
     arm = aj.load_robot("panda")
     tools = aj.Uncertainty(arm, object_length=(0.0, 0.1), object_mass=(0.0, 0.5))
     region = aj.JointBox.around(arm, Q, 0.1)
-    known = aj.stability_report(controller_of(tools), tools, region, configurations=20)
+    known = aj.Study(controller_of(tools), tools, region).report(20)
     assert not known.gravity_is_exact
     assert known.certified_by is None
     assert "gravity is off by up to" in known.reason
@@ -269,10 +264,9 @@ def test_gravity_that_is_not_exact_certifies_nothing():
     assert "unless gravity is learnt (AdaptiveGravity)" in why
     assert "leave it out (a robot without gravity, NoGravity)" in why
     regressor = GravityRegressor(tools.belief())
-    learnt = aj.stability_report(
-        controller_of(tools, gravity=aj.AdaptiveGravity(regressor, L=0.2, alpha=1.0)),
-        tools, region, configurations=20,
-    )  # fmt: skip
+    learnt = aj.Study(
+        controller_of(tools, gravity=aj.AdaptiveGravity(regressor, L=0.2, alpha=1.0)), tools, region
+    ).report(20)
     assert learnt.gravity_is_exact
     assert learnt.certified_by is None
     assert learnt.sampled is None
@@ -332,7 +326,7 @@ def test_a_gravity_of_ones_own_is_judged_by_what_it_returns():
         )
         found = ClosedLoop(law, arm, region).gravity_error(drawn)
         assert_allclose(found, off * most, atol=1e-9)
-    report = aj.stability_report(law, arm, region, configurations=20)
+    report = aj.Study(law, arm, region).report(20)
     assert not report.gravity_is_exact
     assert report.certified_by is None
     assert "gravity by Weak" in " ".join(str(report).split())
@@ -347,33 +341,31 @@ def test_bad_input_is_named(tools, box, weightless):
     controller = controller_of(tools)
     far = np.array([5.0, 0.0, 0.0])
     with pytest.raises(aj.InvalidInputError, match="target must be within reach of every true rob"):
-        aj.stability_report(controller, tools, box, target=far, configurations=40)
+        aj.Study(controller, tools, box, target=far).report(40)
     elsewhere = tools.plant([0.1, 0.2]).sensor.value(-Q)
     with pytest.raises(
         aj.InvalidInputError, match="target must be attained by a configuration of t"
     ):
-        aj.stability_report(controller, tools, box, target=elsewhere, configurations=40)
+        aj.Study(controller, tools, box, target=elsewhere).report(40)
     with pytest.raises(aj.InvalidInputError, match="configurations must be an integer >= 20, g"):
-        aj.stability_report(controller, tools, box, configurations=3)
+        aj.Study(controller, tools, box).report(3)
     with pytest.raises(aj.InvalidInputError, match="seed must be an integer >= 0, got -1"):
-        aj.stability_report(controller, tools, box, seed=-1)
+        aj.Study(controller, tools, box, seed=-1).report()
     with pytest.raises(
         aj.InvalidInputError, match="a TrackingController learns its Jacobian, and no test"
     ):
-        aj.stability_report(aj.TrackingController(controller.task), tools, box)
-    with pytest.raises(aj.InvalidInputError, match="duration must be given with runs"):
-        aj.stability_report(controller, weightless, box, configurations=40, duration=5.0)
-    with pytest.raises(aj.InvalidInputError, match="runs needs truth to be an Uncertainty"):
-        aj.stability_report(controller, weightless.with_object(0.1), box, configurations=40, runs=5)
+        aj.Study(aj.TrackingController(controller.task), tools, box).report()
+    with pytest.raises(aj.InvalidInputError, match="runs needs an Uncertainty"):
+        aj.Study(controller, weightless.with_object(0.1), box).report(40, runs=5)
     with pytest.raises(aj.InvalidInputError, match="region must be a Region, such as JointBox"):
-        aj.stability_report(controller, tools, region=3)
+        aj.Study(controller, tools, region=3).report()
     with pytest.raises(aj.InvalidInputError, match="truth must be a Plant, a Robot or an Uncert"):
-        aj.stability_report(controller, truth="panda")
+        aj.Study(controller, uncertainty="panda").report()
     law_5 = controller_of(tools, velocity=DifferentiatedVelocity())
     with pytest.raises(aj.InvalidInputError, match=r"the laws \(6\) and \(28\) without a posture"):
-        aj.stability_report(law_5, tools, box)
+        aj.Study(law_5, tools, box).report()
     with pytest.raises(aj.InvalidInputError, match="kp must be > 0"):
-        aj.stability_report(controller_of(tools, aj.Gains(0.0, 1.0, 1.0)), tools, box)
+        aj.Study(controller_of(tools, aj.Gains(0.0, 1.0, 1.0)), tools, box).report()
     with pytest.raises(aj.InvalidInputError, match=r"object_mass must be .*>= 0"):
         aj.Uncertainty(weightless, object_mass=(-1.0, 1.0))
 
@@ -383,7 +375,7 @@ def test_bad_input_is_named(tools, box, weightless):
 
 @pytest.mark.study
 def test_tolerance_of_a_tool_is_larger_for_sharper_tests(tools, box):
-    found = aj.tolerance(controller_of(tools), tools, box, configurations=60)
+    found = aj.Study(controller_of(tools), tools, box).tolerance(draws=60)
     scales = [found[test].scale for test in ("theorem1", "matrix", "local")]
     assert 0.05 < scales[0] < 0.3 < 1.5 < scales[1] < scales[2] < 10.0
     for each in found.values():
@@ -400,10 +392,9 @@ def test_tolerated_camera_roll_is_where_the_eigenvalues_say():
     errors = aj.Uncertainty(arm, camera=paper.CAMERA, roll=(-math.pi / 3, math.pi / 3))
     controller = aj.SetpointController(errors.believed_task(), aj.Gains(5000.0, 10000.0))
     target = errors.believed_task().value(np.radians([90.0, 90.0]))
-    found = aj.tolerance(
-        controller, errors, aj.JointBox(arm), tests=("local",), target=target,
-        configurations=4, precision=0.002, largest=2.9,
-    )["local"]  # fmt: skip
+    found = aj.Study(controller, errors, aj.JointBox(arm), target=target).tolerance(
+        ("local",), draws=4, precision=0.002, largest=2.9
+    )["local"]
     angle = found.scale * math.pi / 3
 
     def all_stable(roll):
@@ -425,7 +416,7 @@ def test_tolerated_camera_roll_is_where_the_eigenvalues_say():
 
 def test_tolerance_stops_where_robots_cannot_exist(weightless, box):
     errors = aj.Uncertainty(weightless, object_length=(0.0, 0.2), believed_length=0.1)
-    found = aj.tolerance(controller_of(errors), errors, box, tests=("local",), configurations=20)
+    found = aj.Study(controller_of(errors), errors, box).tolerance(("local",), draws=20)
     assert_allclose(found["local"].scale, 1.0, rtol=1e-4)  # a length below 0 is none
     assert found["local"].fails_at == math.inf
     assert "times the errors, the most that was tried" in str(found["local"])
@@ -437,8 +428,8 @@ def test_tolerance_stops_where_robots_cannot_exist(weightless, box):
 def test_tolerance_of_a_controller_that_never_passes(tools, box):
     weak = controller_of(tools, aj.Gains(1.0, 80.0, 100.0))  # k_p < c₁, which damping makes large
     shares = []
-    found = aj.tolerance(
-        weak, tools, box, tests=("theorem1",), configurations=40, progress=shares.append
+    found = aj.Study(weak, tools, box).tolerance(
+        ("theorem1",), draws=40, progress=lambda what, share: shares.append(share)
     )["theorem1"]
     assert found.scale == 0.0
     assert found.fails_at == 0.0
@@ -449,12 +440,12 @@ def test_tolerance_of_a_controller_that_never_passes(tools, box):
 def test_tolerance_refuses(tools, box, weightless):
     controller = controller_of(tools)
     with pytest.raises(UnknownNameError, match="test 'theorem' not in the tests"):
-        aj.tolerance(controller, tools, box, tests=("theorem",))
+        aj.Study(controller, tools, box).tolerance(("theorem",))
     with pytest.raises(aj.InvalidInputError, match="largest must be a finite number > 0"):
-        aj.tolerance(controller, tools, box, largest=0.0)
+        aj.Study(controller, tools, box).tolerance(largest=0.0)
     certain = aj.Uncertainty(weightless)
     with pytest.raises(aj.InvalidInputError, match="uncertainty must have a range to scale"):
-        aj.tolerance(controller_of(certain), certain, box)
+        aj.Study(controller_of(certain), certain, box).tolerance()
 
 
 # -- suggested gains ------------------------------------------------------------------------
@@ -466,36 +457,29 @@ def small_box(weightless):
 
 
 def test_suggested_gains_meet_what_was_asked(tools, small_box, monkeypatch):
-    monkeypatch.setattr(suggestion, "_TARGETS", 8)
-    found = aj.suggest_gains(tools, small_box, settling_time=2.0, configurations=20)
+    monkeypatch.setattr(search, "_TARGETS", 8)
+    found = aj.Study(controller_of(tools), tools, small_box).gains(2.0, configurations=20)
     assert found.found is not None
     assert found.relax == ()
     best = found.found
     assert best.margin > 0.0
     assert best.torque_ratio <= 1.0
     assert best.settling_time <= 2.0
-    again = aj.stability_report(
-        controller_of(tools, best.gains), tools, small_box, configurations=40
-    )
+    again = aj.Study(controller_of(tools, best.gains), tools, small_box).report(40)
     assert again.certified_by == "sampled form"
-    outcome = aj.rollouts(
-        controller_of(tools, best.gains),
-        tools,
-        small_box,
-        runs=2,
-        duration=5.0,
-        tolerance=2e-3,
-    )
+    outcome = aj.Study(
+        controller_of(tools, best.gains), tools, small_box, duration=5.0, accuracy=0.002
+    ).rollouts(2)
     assert outcome.n_converged == 2
     assert max(run.settling_time for run in outcome.runs) < 4.0
 
 
 def test_where_no_gains_do_it_says_what_to_relax(tools, small_box, monkeypatch):
-    monkeypatch.setattr(suggestion, "_TARGETS", 8)
+    monkeypatch.setattr(search, "_TARGETS", 8)
     shares = []
-    found = aj.suggest_gains(
-        tools, small_box, settling_time=0.8, configurations=20, torque_limits=8.0, test="local",
-        progress=shares.append,
+    found = aj.Study(controller_of(tools), tools, small_box).gains(
+        0.8, configurations=20, torque_limits=8.0, test="local",
+        progress=lambda what, share: shares.append(share),
     )  # fmt: skip
     assert found.found is None
     assert shares == sorted(shares)
@@ -527,17 +511,18 @@ def test_relaxations_keep_the_other_demands():
         "enough: of 5 gains tried 3 settle within 1 s, 3 start within the torque limits, 2 do "
         "both, and none of all these passes with the errors"
     )
-    told = str(suggestion.Suggestion("matrix", None, (line,), tuple(tried)))
+    told = str(search.Suggestion("matrix", None, (line,), tuple(tried)))
     assert told.startswith("gains: none found that meet all demands; relax\n- at least two of the ")
 
 
 def test_suggest_refuses(tools, small_box):
+    study = aj.Study(controller_of(tools), tools, small_box)
     with pytest.raises(UnknownNameError, match="test 'lyapunov' not in the tests"):
-        aj.suggest_gains(tools, small_box, test="lyapunov")
+        study.gains(test="lyapunov")
     with pytest.raises(aj.InvalidInputError, match="settling_time must be a finite number > 0"):
-        aj.suggest_gains(tools, small_box, settling_time=0.0)
+        study.gains(0.0)
     with pytest.raises(aj.InvalidInputError, match="torque_limits must be numbers > 0"):
-        aj.suggest_gains(tools, small_box, torque_limits=-1.0)
+        study.gains(torque_limits=-1.0)
 
 
 # -- what a saturated error hides -----------------------------------------------------------
@@ -554,15 +539,15 @@ def test_a_saturated_error_is_looked_at_where_it_is_not():
         errors.believed_task(), aj.Gains(5000.0, 5000.0), saturation=Sine(1e-5)
     )
     region = aj.JointBox.around(arm, (1.57, 1.57), 0.3)
-    found = aj.stability_report(controller, errors, region, configurations=40)
+    found = aj.Study(controller, errors, region).report(40)
     slopes = found.samples.slope
     assert (slopes > 0.5).all(axis=1).mean() > 0.25
     assert (slopes == 0.0).all(axis=1).mean() > 0.25
     assert not found.local.stable
     assert found.certified_by is None
     assert not any(test.certified for test in found.matrix.values())
-    scales = aj.tolerance(
-        controller, errors, region, tests=("matrix", "local"), configurations=40, precision=0.05
+    scales = aj.Study(controller, errors, region).tolerance(
+        ("matrix", "local"), draws=40, precision=0.05
     )
     assert scales["matrix"].scale < scales["local"].scale
 
@@ -586,24 +571,17 @@ def test_tolerance_takes_no_gravity_for_granted():
     tools = aj.Uncertainty(arm, object_length=(0.0, 0.1), object_mass=(0.0, 1.0))
     region = aj.JointBox.around(arm, Q, 0.1)
     with pytest.raises(aj.InvalidInputError, match="gravity must be compensated exactly or be lea"):
-        aj.tolerance(controller_of(tools), tools, region, configurations=20)
+        aj.Study(controller_of(tools), tools, region).tolerance(draws=20)
 
 
 def test_a_target_that_grown_errors_put_out_of_reach_is_where_tolerance_ends(weightless):
     tools = aj.Uncertainty(weightless, object_length=(0.0, 0.05))
     region = aj.JointBox.around(weightless, Q, 0.3)
     target = tools.plant([0.02]).sensor.value(Q)
-    found = aj.tolerance(
-        controller_of(tools), tools, region, tests=("local",), target=target, configurations=4,
-        largest=60.0,
-    )["local"]  # fmt: skip
+    found = aj.Study(controller_of(tools), tools, region, target=target).tolerance(
+        ("local",), draws=4, largest=60.0
+    )["local"]
     assert 1.0 < found.scale < found.fails_at < 60.0
-    grown = stability_map(
-        controller_of(tools), tools, region, names=("error", "a"), x=(1.0, 60.0), y=(4.0, 5.0),
-        target=target, coarse=0,
-    )  # fmt: skip
-    assert np.isfinite(grown.decay_rate[:, 0]).all()
-    assert np.isnan(grown.decay_rate[:, 1]).all()
 
 
 def test_every_corner_is_drawn_as_often(weightless):
@@ -612,26 +590,6 @@ def test_every_corner_is_drawn_as_often(weightless):
     loop = ClosedLoop(controller_of(many), many, aj.JointBox.around(weightless, Q, 0.1))
     drawn = loop.draw(20, np.random.default_rng(0))
     assert (np.bincount(drawn.truth) == [2] * 16).all()
-
-
-# -- what would certify ---------------------------------------------------------------------
-
-
-def test_what_would_certify_is_the_first_that_does(tools, box, monkeypatch):
-    def report(controller, errors, region, **options):
-        strong = controller.diagonals.damping[0] >= 2.5
-        return SimpleNamespace(passed=strong or errors.factor < 0.41)
-
-    monkeypatch.setattr(suggestion, "stability_report", report)
-    weak, shares = controller_of(tools, aj.Gains(400.0, 80.0, 1.0)), []
-    found = aj.stability.damping_that_certifies(weak, tools, box, progress=shares.append)
-    assert found.factor == 3.0
-    assert_allclose(found.values, 3.0)
-    assert_allclose(shares, [0.0, 0.1, 0.2])
-    part = aj.stability.part_that_certifies(weak, tools, box, largest=0.5)
-    assert_allclose(part.factor, 0.4)
-    assert aj.stability.part_that_certifies(weak, tools, box) is None  # half of them is too much
-    assert aj.stability.part_that_certifies(weak, tools, box, largest=0.0) is None
 
 
 def test_a_law_of_ones_own_is_not_certified_as_the_one_it_is_derived_from():
@@ -649,6 +607,11 @@ def test_a_law_of_ones_own_is_not_certified_as_the_one_it_is_derived_from():
     def V_and_W(law, *_):
         return aj.stability.lyapunov(aj.Plant(arm, task), law, [0.3, 0.8], [0.0, 0.0], [0.5, 0.5])
 
-    for test in (aj.stability_report, aj.tolerance, V_and_W):
+    tests = (
+        lambda *loop: aj.Study(*loop).report(),
+        lambda *loop: aj.Study(*loop).tolerance(),
+        V_and_W,
+    )
+    for test in tests:
         with pytest.raises(aj.InvalidInputError, match="Pushed has another evaluate; rollouts"):
             test(law, errors, region)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from many_runs import rolled, study
 from numpy.testing import assert_array_equal
 
 import approxjac as aj
@@ -17,12 +18,12 @@ from approxjac.formatting import percent
 from approxjac.robots import GravityRegressor
 from approxjac.stability.errors.region import Region
 from approxjac.stability.report.report_words import _rollouts
-from approxjac.stability.rollout.rollout_study import _judged
-from approxjac.stability.rollout.rollouts import as_study, clopper_pearson
+from approxjac.stability.rollouts.rollouts import clopper_pearson
+from approxjac.stability.rollouts.setting import _judged
 from approxjac.tasks.analysis import fine_error
 
 PLANE = functools.partial(aj.PositionTask, axes="xz")
-SHORT = {"runs": 5, "duration": 0.8, "dt": 4e-3, "tolerance": 0.02}
+SHORT = {"runs": 5, "duration": 0.8, "dt": 4e-3, "accuracy": 0.02}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,7 +60,7 @@ def controller(uncertainty):
 
 @pytest.fixture(scope="module")
 def serial(controller, uncertainty):
-    return aj.rollouts(controller, uncertainty, REGION, **SHORT)
+    return rolled(controller, uncertainty, REGION, **SHORT)
 
 
 def require_same(ours, theirs):
@@ -89,56 +90,54 @@ def test_runs_are_what_a_simulation_by_hand_is(controller, uncertainty, serial):
 
 def test_threads_and_processes_give_the_same(controller, uncertainty, serial):
     with ThreadPoolExecutor(3) as pool:
-        require_same(aj.rollouts(controller, uncertainty, REGION, executor=pool, **SHORT), serial)
+        require_same(rolled(controller, uncertainty, REGION, executor=pool, **SHORT), serial)
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(2, mp_context=spawn) as pool:
         done = []
-        many = aj.rollouts(
-            controller, uncertainty, REGION, executor=pool, progress=done.append, **SHORT
-        )
+        many = rolled(controller, uncertainty, REGION, executor=pool, progress=done.append, **SHORT)
         require_same(many, serial)
         assert done == list(range(1, 6))  # portions of one run
         with pytest.raises(aj.InvalidInputError, match=r"duration must be a whole number of dt"):
-            aj.rollouts(
-                controller, uncertainty, REGION, executor=pool, duration=1.0, dt=0.3, runs=2
-            )
+            aj.Study(
+                controller, uncertainty, REGION, duration=1.0, latency=aj.Latency(period=0.3)
+            ).rollouts(2, execution=aj.stability.Execution(executor=pool))
         by_lambda = aj.Uncertainty(uncertainty.arm, lambda robot: PLANE(robot))
         with pytest.raises(aj.InvalidInputError, match=r"must be picklable .* a lambda is not\)"):
-            aj.rollouts(controller, by_lambda, REGION, executor=pool, **SHORT)
+            rolled(controller, by_lambda, REGION, executor=pool, **SHORT)
     with ThreadPoolExecutor(1) as pool:
-        threads = aj.rollouts(controller, by_lambda, REGION, executor=pool, **SHORT)
-    require_same(threads, aj.rollouts(controller, by_lambda, REGION, **SHORT))
+        threads = rolled(controller, by_lambda, REGION, executor=pool, **SHORT)
+    require_same(threads, rolled(controller, by_lambda, REGION, **SHORT))
 
 
 def test_what_a_folder_cannot_know_again_is_refused(uncertainty, tmp_path):
     own = dataclasses.replace(uncertainty, task=lambda robot: aj.PositionTask(robot, axes="xz"))
     controller = aj.SetpointController(own.believed_task())
     with pytest.raises(aj.InvalidInputError, match=r"must be picklable .* a lambda is not\)"):
-        aj.rollouts(controller, own, REGION, folder=tmp_path, **SHORT)
+        rolled(controller, own, REGION, folder=tmp_path, **SHORT)
 
 
 def test_learnt_gravity_in_threads(uncertainty):
     task = uncertainty.believed_task()
     learning = aj.SetpointController(task, gravity=aj.AdaptiveGravity(GravityRegressor(task.robot)))
-    serial = aj.rollouts(learning, uncertainty, REGION, **SHORT)
+    serial = rolled(learning, uncertainty, REGION, **SHORT)
     with ThreadPoolExecutor(2) as pool:
-        require_same(aj.rollouts(learning, uncertainty, REGION, executor=pool, **SHORT), serial)
+        require_same(rolled(learning, uncertainty, REGION, executor=pool, **SHORT), serial)
 
 
 def test_more_runs_begin_with_the_same_ones(controller, uncertainty, serial):
-    few = aj.rollouts(controller, uncertainty, REGION, **SHORT | {"runs": 3})
+    few = rolled(controller, uncertainty, REGION, **SHORT | {"runs": 3})
     for name, column in few.columns.items():
         assert_array_equal(column, serial.columns[name][:3], err_msg=name)
-    other = aj.rollouts(controller, uncertainty, REGION, **SHORT | {"runs": 3}, seed=1)
+    other = rolled(controller, uncertainty, REGION, **SHORT | {"runs": 3}, seed=1)
     assert (other.runs[0].q0 != few.runs[0].q0).all()
 
 
 def test_portions_hold_every_run_once(controller, uncertainty):
     done = []
     with ThreadPoolExecutor(2) as pool:
-        many = aj.rollouts(
-            controller, uncertainty, REGION, runs=66, duration=0.01, executor=pool,
-            progress=done.append,
+        many = rolled(
+            controller, uncertainty, REGION, runs=66, duration=0.01, progress=done.append,
+            executor=pool,
         )  # fmt: skip
     assert [run.index for run in many.runs] == list(range(66))
     assert len(done) == 33  # portions of two
@@ -147,9 +146,7 @@ def test_portions_hold_every_run_once(controller, uncertainty):
 
 def test_a_given_target_is_that_of_all(controller, uncertainty):
     target = uncertainty.believed_task().value(np.array([0.5, 1.0]))
-    many = aj.rollouts(
-        controller, uncertainty, REGION, target=target.tolist(), **SHORT | {"runs": 2}
-    )
+    many = rolled(controller, uncertainty, REGION, target=target.tolist(), **SHORT | {"runs": 2})
     for run in many.runs:
         assert_array_equal(run.target, target)
 
@@ -165,7 +162,7 @@ def test_what_became_of_them(controller, uncertainty, serial):
     assert f"run {serial.worst.index} ended" in str(serial)
     assert f"with {uncertainty.describe(serial.worst.values)}" in " ".join(str(serial).split())
     narrow = dataclasses.replace(REGION, margin=-0.1)
-    left = aj.rollouts(controller, uncertainty, narrow, **SHORT)
+    left = rolled(controller, uncertainty, narrow, **SHORT)
     assert left.n_left == sum(not run.stayed for run in left.runs) > 0
     assert [run.final_error for run in left.runs] == [run.final_error for run in serial.runs]
 
@@ -190,7 +187,7 @@ def test_torques_that_no_motor_has_are_told(serial):
 def test_divergence_counts_as_not_converged(uncertainty):
     task = uncertainty.believed_task()
     wild = aj.SetpointController(task, aj.Gains(1e8, 1e6))  # far too stiff for dt
-    many = aj.rollouts(wild, uncertainty, REGION, **SHORT | {"runs": 3})
+    many = rolled(wild, uncertainty, REGION, **SHORT | {"runs": 3})
     assert many.n_diverged == 3
     assert many.n_converged == many.n_left == 0
     assert many.worst is many.runs[0]
@@ -223,7 +220,7 @@ def test_a_pose(panda):
     controller = aj.SetpointController(uncertainty.believed_task())
     home = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.5])
     region = Box(tuple(home - 0.1), tuple(home + 0.1))
-    many = aj.rollouts(controller, uncertainty, region, runs=2, duration=0.2)
+    many = aj.Study(controller, uncertainty, region, duration=0.2).rollouts(2)
     assert many.runs[0].target.shape == (7,)
     assert "m or rad off" in str(many)
 
@@ -233,9 +230,9 @@ def test_a_pose(panda):
 
 def test_by_default_they_converge_to_what_the_unit_and_the_noise_allow(controller, uncertainty):
     assert fine_error(("px", "px")) == 0.5
-    assert as_study(controller, uncertainty, REGION).tolerance == 1e-3
+    assert aj.Study(controller, uncertainty, REGION).setting().accuracy == 1e-3
     noisy = aj.Sensing(x_noise=2e-3)
-    assert as_study(controller, uncertainty, REGION, sensing=noisy).tolerance == 6e-3
+    assert aj.Study(controller, uncertainty, REGION, sensing=noisy).setting().accuracy == 6e-3
 
 
 def test_known_intervals():
@@ -265,13 +262,13 @@ def test_the_interval_is_that_of_scipy(runs, share, confidence):
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        ({"runs": 0}, "runs must be an integer >= 1, got 0"),
-        ({"runs": 2.0}, "runs must be an integer >= 1, got 2.0"),
+        ({"runs": 0}, "n must be an integer >= 1, got 0"),
+        ({"runs": 2.0}, "n must be an integer >= 1, got 2.0"),
         ({"seed": -1}, "seed must be an integer >= 0, got -1"),
-        ({"dt": 0.0}, "dt must be a finite number > 0"),
+        ({"dt": 0.0}, "period must be a finite number > 0"),
         ({"duration": 1e-4}, "duration must be a finite number >= 0.001"),
         ({"duration": 0.01, "dt": 0.003}, r"duration must be a whole number of dt = 0.003"),
-        ({"tolerance": -1.0}, "tolerance must be a finite number > 0, got -1"),
+        ({"accuracy": -1.0}, "accuracy must be a finite number > 0, got -1"),
         ({"target": (0.1, 0.2, 0.3)}, r"target must have shape \(2,\) \[m\]"),
         (
             {"sensing": aj.Sensing(x_delay=30.0)},
@@ -279,31 +276,31 @@ def test_the_interval_is_that_of_scipy(runs, share, confidence):
         ),
         ({"folder": 3}, "folder must be a folder, or None, got 3"),
         ({"executor": 2}, "executor must be an executor of concurrent.futures or None, got 2"),
-        ({"progress": 2}, "progress must be a function of the number of runs done, or True, got 2"),
     ],
 )
 def test_refused_numbers(controller, uncertainty, options, text):
     with pytest.raises(aj.InvalidInputError, match=text):
-        aj.rollouts(controller, uncertainty, REGION, **options)
+        rolled(controller, uncertainty, REGION, **options)
 
 
 def test_refused_parts(controller, uncertainty, panda):
-    for region in (None, Box):
-        with pytest.raises(aj.InvalidInputError, match="region must be a Region, such as JointBox"):
-            aj.rollouts(controller, uncertainty, region)
+    with pytest.raises(aj.InvalidInputError, match="region must be a Region, such as JointBox"):
+        aj.Study(controller, uncertainty, Box)
+    with pytest.raises(aj.InvalidInputError, match="progress must be a function of what is done"):
+        aj.Study(controller, uncertainty, REGION).rollouts(progress=2)
     for wrong in (aj.SetpointController, uncertainty):
         with pytest.raises(aj.InvalidInputError, match="controller must be a controller, such as"):
-            aj.rollouts(wrong, uncertainty, REGION)
+            aj.Study(wrong, uncertainty, REGION).rollouts()
     with pytest.raises(aj.InvalidInputError, match="uncertainty must be an Uncertainty, got"):
-        aj.rollouts(controller, panda, REGION)
+        aj.Study(controller, panda, REGION).rollouts()
     other = aj.SetpointController(aj.PositionTask(panda))
     with pytest.raises(aj.InvalidInputError, match="robot must have the 2 joints of the plant's"):
-        aj.rollouts(other, uncertainty, REGION)
+        aj.Study(other, uncertainty, REGION).rollouts()
     other = aj.SetpointController(aj.PositionTask(uncertainty.belief(), axes="x"))
     with pytest.raises(aj.InvalidInputError, match="task must have the coordinates of the plant's"):
-        aj.rollouts(other, uncertainty, REGION)
+        aj.Study(other, uncertainty, REGION).rollouts()
     with pytest.raises(aj.InvalidInputError, match=r"q0 must have shape \(2,\)"):
-        aj.rollouts(controller, uncertainty, Box((0.0,) * 3, (1.0,) * 3), target=(1.0, 0.0))
+        aj.Study(controller, uncertainty, Box((0.0,) * 3, (1.0,) * 3), target=(1.0, 0.0)).rollouts()
 
 
 def test_a_region_is_what_has_its_methods():
@@ -315,13 +312,13 @@ def test_a_region_is_what_has_its_methods():
 
 def test_it_ends_with_a_failure(controller, uncertainty):
     """As if the runs after it had not been asked for."""
-    options = SHORT | {"runs": 30, "seed": 1, "tolerance": 0.01}
-    every = aj.rollouts(controller, uncertainty, REGION, **options)
+    options = SHORT | {"runs": 30, "seed": 1, "accuracy": 0.01}
+    every = rolled(controller, uncertainty, REGION, **options)
     failed = np.flatnonzero(~every.columns["converged"])
     assert 2 <= len(failed) < 30
     assert failed[0] > 0
     for failures in (1, 2, 31):
-        few = aj.rollouts(controller, uncertainty, REGION, failures=failures, **options)
+        few = rolled(controller, uncertainty, REGION, failures=failures, **options)
         ends = failed[failures - 1] + 1 if failures < 31 else 30
         assert few.n == ends
         for name, column in few.columns.items():
@@ -351,8 +348,8 @@ def test_the_interval_holds_where_failures_end_it(failures, probability):
 
 
 def test_a_bar(controller, uncertainty, capsys):
-    aj.rollouts(controller, uncertainty, REGION, progress=True, **SHORT)
-    assert "5/5" in capsys.readouterr().err
+    study(controller, uncertainty, REGION, duration=0.4, dt=4e-3).rollouts(5, progress=True)
+    assert "rollouts: 100 %" in capsys.readouterr().err
 
 
 def test_a_share_that_is_not_all_is_not_shown_as_all():
@@ -363,9 +360,9 @@ def test_a_share_that_is_not_all_is_not_shown_as_all():
 
 def test_a_file_that_is_damaged_is_named(tmp_path, controller, uncertainty):
     options = {"runs": 3, "duration": 0.1, "dt": 2e-3, "folder": tmp_path, "engine": "python"}
-    aj.rollouts(controller, uncertainty, REGION, **options)
+    rolled(controller, uncertainty, REGION, **options)
     file = next(tmp_path.iterdir())
     for damage in (b"", b"junk", file.read_bytes()[:100]):
         file.write_bytes(damage)
         with pytest.raises(aj.InvalidInputError, match=file.name):
-            aj.rollouts(controller, uncertainty, REGION, **options)
+            rolled(controller, uncertainty, REGION, **options)

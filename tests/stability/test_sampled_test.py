@@ -42,7 +42,7 @@ def certificate(parts, latency, n=200, seed=0):
 def test_the_loop_that_diverges_is_not_certified_and_its_report_says_so(arm):
     """Certified in continuous time, unstable at 1 kHz: THEORY.md, section 8."""
     parts = panda(arm, 20.0)
-    report = aj.stability_report(*parts, configurations=100, latency=Latency(1e-3))
+    report = aj.Study(*parts, latency=Latency(0.001)).report(100)
     assert report.certified_in_continuous_time is not None
     assert report.certified_by is None
     assert not report.passed

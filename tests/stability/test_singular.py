@@ -8,8 +8,8 @@ import pytest
 import approxjac as aj
 from approxjac.controllers import NoGravity
 from approxjac.robots import GravityRegressor
-from approxjac.stability import JointBox, RegularPart, stability_map, stability_report
-from approxjac.stability.search import suggestion
+from approxjac.stability import JointBox, RegularPart
+from approxjac.stability.search import suggested_gains
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def test_an_arm_stands_still_where_the_jacobian_is_singular(straight):
 def test_so_no_test_certifies_a_region_with_such_a_posture(straight, configurations):
     plant, controller, target, q0 = straight
     box = JointBox.around(plant.robot, q0, 0.45)
-    report = stability_report(controller, plant, box, target=target, configurations=configurations)
+    report = aj.Study(controller, plant, box, target=target).report(configurations)
     # samples alone do not tell: none is exactly there
     assert np.linalg.svd(report.samples.J_hat)[1][:, -1].min() > 1e-6
     assert report.singular_q is not None
@@ -49,7 +49,7 @@ def test_the_regular_part_of_the_region_is_certified(straight):
     plant, controller, target, q0 = straight
     box = JointBox.around(plant.robot, q0, 0.45)
     regular = RegularPart(box, controller.task, 0.05)
-    report = stability_report(controller, plant, regular, target=target, configurations=100)
+    report = aj.Study(controller, plant, regular, target=target).report(100)
     assert report.singular_q is None
     assert report.certified_by is not None
 
@@ -59,14 +59,14 @@ def test_a_redundant_arm_is_singular_in_fewer_postures():
     task = aj.PositionTask(arm)
     controller = aj.SetpointController(task, gravity=NoGravity(arm))
     q = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.8])
-    report = stability_report(
-        controller, arm, JointBox.around(arm, q, 0.2), target=task.value(q), configurations=20
+    report = aj.Study(controller, arm, JointBox.around(arm, q, 0.2), target=task.value(q)).report(
+        20
     )
     assert report.singular_q is None
 
 
-def test_nor_does_tolerance_a_map_or_a_suggestion(straight, monkeypatch):
-    monkeypatch.setattr(suggestion, "_TARGETS", 4)
+def test_nor_does_tolerance_or_a_suggestion(straight, monkeypatch):
+    monkeypatch.setattr(suggested_gains, "_TARGETS", 4)
     plant, controller, _, q0 = straight
     errors = aj.Uncertainty(
         plant.robot, functools.partial(aj.PositionTask, axes="xz"),
@@ -74,15 +74,9 @@ def test_nor_does_tolerance_a_map_or_a_suggestion(straight, monkeypatch):
     )  # fmt: skip
     box = JointBox.around(plant.robot, q0, 0.45)
     tests = ("theorem1", "matrix")
-    found = aj.tolerance(controller, errors, box, tests=tests, configurations=40)
+    found = aj.Study(controller, errors, box).tolerance(tests, draws=40)
     assert [found[test].scale for test in tests] == [0.0, 0.0]
-    drawn = stability_map(
-        controller, errors, box, names=("error", "a"), x=(0.0, 1.0), y=(1.0, 2.0), coarse=2,
-        configurations=40,
-    )  # fmt: skip
-    assert (drawn.theorem1 == -1.0).all()
-    assert (drawn.matrix == -1.0).all()
-    suggested = aj.suggest_gains(errors, box, settling_time=5.0, configurations=40)
+    suggested = aj.Study(controller, errors, box).gains(5.0, configurations=40)
     assert suggested.found is None
 
 
@@ -90,7 +84,7 @@ def test_a_drawn_posture_where_the_rank_is_lost_is_named(straight):
     plant, controller, _target, q0 = straight
     point = JointBox.around(plant.robot, q0, 0.0)
     with pytest.raises(aj.InvalidInputError, match="where the estimated Jacobian loses rank, got"):
-        stability_report(controller, plant, point, configurations=20)
+        aj.Study(controller, plant, point).report(20)
 
 
 def test_where_learning_is_damped_no_certificate_says_anything():
@@ -101,7 +95,7 @@ def test_where_learning_is_damped_no_certificate_says_anything():
     known = aj.SetpointController(task, aj.Gains(100.0, 50.0))
     near = JointBox(arm, (0.0, 0.02), (1.0, 0.9))  # straight it is for a joint at 0
 
-    found = stability_report(learnt, arm, near, configurations=20)
+    found = aj.Study(learnt, arm, near).report(20)
     q = found.damped_q
     x = task.value(q)
     answer = learnt.evaluate(np.zeros(2), aj.Measurement(0.0, q, np.zeros(2), x), x)
@@ -114,6 +108,6 @@ def test_where_learning_is_damped_no_certificate_says_anything():
     assert found.summary()["damped_q"] == q.tolist()
 
     regular = RegularPart(near, task, 0.1)
-    assert stability_report(learnt, arm, regular, configurations=20).damped_q is None
+    assert aj.Study(learnt, arm, regular).report(20).damped_q is None
     # with known gravity no pseudo-inverse is in the law
-    assert stability_report(known, arm, near, configurations=20).damped_q is None
+    assert aj.Study(known, arm, near).report(20).damped_q is None

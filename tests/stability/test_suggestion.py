@@ -11,7 +11,7 @@ from approxjac.controllers import tuned
 from approxjac.controllers.gains.sample_configurations import usual_postures
 from approxjac.stability.certificates.sampled_test import growth, largest
 from approxjac.stability.loop.closed_loop import ClosedLoop
-from approxjac.stability.search import suggestion
+from approxjac.stability.search import suggested_gains
 
 Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 KHZ = aj.Latency(period=1e-3)
@@ -58,31 +58,14 @@ def test_tuned_damping_has_the_shape_of_the_inertia_by_itself(tools, box):
     assert longest_period(tools, box, tuned(task).gains) > 4.0 * longest_period(tools, box, equal)
 
 
-def test_damping_in_the_arms_shape_where_more_of_it_diverges(tools, box, monkeypatch):
-    """With 20 N m s on each joint it is unstable at 1 kHz, and more so with more."""
-    asked = []
-
-    def report(controller, errors, region, **options):
-        asked.append((controller.diagonals.damping, options["latency"]))
-        return SimpleNamespace(passed=True)
-
-    monkeypatch.setattr(suggestion, "stability_report", report)
-    law = law_of(tools, aj.Gains(400.0, 80.0, 20.0))
-    found = aj.stability.damping_that_certifies(law, tools, box, latency=KHZ)
-    assert found.factor is None
-    assert found.values[1] > 20.0 > 1.0 > found.values[6]
-    assert len(asked) == 1  # no report of what the linearisation refutes
-    assert asked[0][1] is KHZ
-    # in continuous time more damping would have done
-    slow = aj.stability.damping_that_certifies(law, tools, box, latency=aj.Latency(period=1e-4))
-    assert slow.factor == 1.5
-
-
 def test_suggested_gains_follow_the_latency(tools, box):
     """Where torques are late the damping is less, and the late loop is stable."""
     late = aj.Latency(period=5e-3, torque_delay=1e-2)
-    quick = {"test": "local", "settling_time": 2.0, "configurations": 40}
-    early, found = (aj.suggest_gains(tools, box, latency=each, **quick) for each in (KHZ, late))
+    law = law_of(tools, aj.Gains(400.0, 80.0, 5.0))
+    early, found = (
+        aj.Study(law, tools, box, latency=each).gains(2.0, test="local", configurations=40)
+        for each in (KHZ, late)
+    )
     assert np.sum(found.found.gains.damping) < np.sum(early.found.gains.damping)
     loop = ClosedLoop(law_of(tools, found.found.gains), tools, box)
     assert growth(loop, loop.draw(60, np.random.default_rng(7)), late).max() < 1.0
@@ -93,13 +76,14 @@ def test_gains_that_a_report_refuses_are_not_suggested(tools, box, monkeypatch):
     """The first that meet the demands in continuous time are passed over."""
     refused = []
 
-    def report(controller, errors, region, **options):
-        refused.append(controller.gains)
+    def report(study, configurations):
+        refused.append(study.controller.gains)
         return SimpleNamespace(passed=len(refused) > 1, sampled=SimpleNamespace(margin=0.2))
 
-    monkeypatch.setattr(suggestion, "stability_report", report)
-    monkeypatch.setattr(suggestion, "margin", lambda test, samples, setting: 0.3)
-    found = aj.suggest_gains(tools, box, settling_time=2.0, configurations=20)
+    monkeypatch.setattr(aj.Study, "report", report)
+    monkeypatch.setattr(suggested_gains, "margin", lambda test, samples, setting: 0.3)
+    law = law_of(tools, aj.Gains(400.0, 80.0, 5.0))
+    found = aj.Study(law, tools, box).gains(2.0, configurations=20)
     assert len(refused) == 2
     assert found.found.gains is refused[1]
     assert found.found.margin == 0.2

@@ -361,7 +361,7 @@ def test_a_camera_that_may_be_rolled_any_way_is_not_certified():
     # the ends of (0, 2 pi) are the same robot, which is the believed one
     rolls = aj.Uncertainty(WEIGHTLESS, camera=PlanarCamera(0.05, 3.0), roll=(0.0, 2.0 * np.pi))
     controller = aj.SetpointController(rolls.believed_task(), aj.Gains(2e5, 5e4, 3.0))
-    report = aj.stability_report(controller, rolls, NEAR, configurations=60)
+    report = aj.Study(controller, rolls, NEAR).report(60)
     assert report.certified_by is None
     assert report.certified_in_continuous_time is None
     assert "errors grow" in report.reason
@@ -383,7 +383,7 @@ def test_true_robots_inside_that_are_worse_than_both_ends_are_found():
     assert of_ends.margins.min() > 0.9
     assert MatrixForm(inside, loop.setting).margins(of_ends.weights).min() < 0.0
 
-    report = aj.stability_report(controller, tilts, NEAR, configurations=120)
+    report = aj.Study(controller, tilts, NEAR).report(120)
     ((name, test),) = report.matrix.items()
     assert test.certified  # by another function
     margins = MatrixForm(report.samples, loop.setting).margins(of_ends.weights)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import approxjac as aj
-from approxjac.stability import lyapunov, stability_map
+from approxjac.stability import lyapunov
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.loop.inverse_kinematics import inverse_kinematics
 from approxjac.stability.loop.visibility import UnattainedError, VisiblePart
@@ -101,9 +101,9 @@ def test_a_target_is_not_attained_where_it_is_not_seen():
 def test_a_region_out_of_view_is_refused():
     controller, errors = loop()
     for test in (
-        lambda: aj.stability_report(controller, errors, ELSEWHERE, configurations=20),
-        lambda: aj.tolerance(controller, errors, ELSEWHERE, tests=("local",)),
-        lambda: aj.suggest_gains(errors, ELSEWHERE, configurations=20),
+        lambda: aj.Study(controller, errors, ELSEWHERE).report(20),
+        lambda: aj.Study(controller, errors, ELSEWHERE).tolerance(("local",)),
+        lambda: aj.Study(controller, errors, ELSEWHERE).gains(configurations=20),
     ):
         with pytest.raises(
             aj.InvalidInputError,
@@ -113,7 +113,7 @@ def test_a_region_out_of_view_is_refused():
     with pytest.raises(
         aj.InvalidInputError, match=r"sees 0, got ImageTask.* with camera roll 0"
     ) as e:
-        aj.rollouts(controller, errors, ELSEWHERE, runs=1, seed=1)
+        aj.Study(controller, errors, ELSEWHERE, seed=1).rollouts(1)
     assert isinstance(e.value, UnattainedError)
     assert e.value.given == pytest.approx(errors.sample(np.random.default_rng([1, 0])))
 
@@ -122,7 +122,7 @@ def test_errors_that_turn_the_camera_away_are_errors_that_fail():
     """Grown by ten, the camera stands before or behind the arm; that is no reason to stop."""
     controller, errors = loop(distance=(-0.4, 0.4))
     region = aj.JointBox.around(ARM, (0.1, 1.2), 0.1)
-    found = aj.tolerance(controller, errors, region, tests=("local",), configurations=8)["local"]
+    found = aj.Study(controller, errors, region).tolerance(("local",), draws=8)["local"]
     assert 1.0 < found.scale < found.fails_at < 6.0
     assert not found.is_tested
     assert "not tested at" in repr(found)
@@ -130,14 +130,20 @@ def test_errors_that_turn_the_camera_away_are_errors_that_fail():
     assert "outside the region only, or not seen; a larger region would tell" in told
     assert "fails" not in told
     with pytest.raises(aj.InvalidInputError, match="the region must hold configurations"):
-        aj.tolerance(controller, errors.scaled(5.1), region, tests=("local",), configurations=8)
+        aj.Study(controller, errors.scaled(5.1), region).tolerance(("local",), draws=8)
 
 
 def test_rollouts_start_and_end_in_view():
     controller, errors = loop()
-    found = aj.rollouts(
-        controller, errors, BOX, runs=4, duration=4.0, dt=4e-3, tolerance=1.0, seed=2
-    )
+    found = aj.Study(
+        controller,
+        errors,
+        BOX,
+        duration=4.0,
+        accuracy=1.0,
+        seed=2,
+        latency=aj.Latency(period=0.004),
+    ).rollouts(4)
     for run in found.runs:
         sensor = errors.plant(run.values).sensor
         assert sees(sensor, run.q0)
@@ -157,7 +163,9 @@ def test_a_run_that_ends_behind_the_camera_is_the_worst():
     errors = aj.Uncertainty(ARM, camera=within, roll=(0.0, 0.1))
     controller = Pushed(errors.believed_task(), GAINS, gravity=aj.NoGravity(ARM))
     region = aj.JointBox.around(ARM, (-0.3, 0.6), 0.05)
-    found = aj.rollouts(controller, errors, region, runs=2, duration=1.2, dt=4e-3)
+    found = aj.Study(
+        controller, errors, region, duration=1.2, latency=aj.Latency(period=0.004)
+    ).rollouts(2)
     assert [run.final_error for run in found.runs] == [math.inf, math.inf]
     assert found.n_diverged == found.n_converged == 0
 
@@ -192,16 +200,11 @@ def test_v_and_w_out_of_view_are_refused():
 def test_a_jacobian_that_uses_x_has_the_local_test_and_rollouts(depth):
     controller, errors = loop(functools.partial(aj.ImageTask, depth=depth))
     region = aj.JointBox.around(ARM, (0.1, 1.2), 0.1)
-    found = aj.tolerance(
-        controller, errors, region, tests=("local",), configurations=8, largest=6.0
-    )
+    found = aj.Study(controller, errors, region).tolerance(("local",), draws=8, largest=6.0)
     assert 3.0 < found["local"].scale < 0.5 * math.pi / 0.3
-    sketch = stability_map(
-        controller, errors, region, names=("error", "damping"), x=(0.5, 1.0), y=(1.0, 2.0),
-        coarse=0, targets=4,
-    )  # fmt: skip
-    assert (sketch.decay_rate > 0.0).all()
-    runs = aj.rollouts(controller, errors, region, runs=2, duration=4.0, dt=4e-3, tolerance=1.0)
+    runs = aj.Study(
+        controller, errors, region, duration=4.0, accuracy=1.0, latency=aj.Latency(period=0.004)
+    ).rollouts(2)
     assert runs.n_converged == 2
 
 
@@ -211,9 +214,9 @@ def test_the_other_tests_refuse_it():
     region, q = aj.JointBox.around(ARM, (0.1, 1.2), 0.1), np.array([0.1, 1.2])
     tests = {
         "the conditions over a region": [
-            lambda: aj.stability_report(controller, errors, region, configurations=20),
-            lambda: aj.tolerance(controller, errors, region, tests=("matrix",), configurations=20),
-            lambda: aj.suggest_gains(errors, region, configurations=20),
+            lambda: aj.Study(controller, errors, region).report(20),
+            lambda: aj.Study(controller, errors, region).tolerance(("matrix",), draws=20),
+            lambda: aj.Study(controller, errors, region).gains(configurations=20),
         ],
         "the Lyapunov function": [
             lambda: lyapunov(plant, controller, q, np.zeros(2), task.value(q), 1.0)
@@ -244,14 +247,14 @@ def test_a_panda_before_a_camera(panda):
     controller = aj.SetpointController(
         small.believed_task(), aj.Gains(2e-4, 4e-4, damping=1.0), gravity=aj.NoGravity(arm)
     )
-    report = aj.stability_report(controller, small, tube, configurations=24)
+    report = aj.Study(controller, small, tube).report(24)
     assert report.certified_by is not None
     assert report.local.stable
     assert "camera" in report.describe_truth(0)
     rolled = aj.Uncertainty(arm, camera=camera, roll=(-1.0, 1.0))
     target = controller.task.value(q)
-    found = aj.tolerance(
-        controller, rolled, tube, tests=("local",), target=target, configurations=4, largest=3.0
+    found = aj.Study(controller, rolled, tube, target=target).tolerance(
+        ("local",), draws=4, largest=3.0
     )["local"]
     assert 85.0 < math.degrees(found.scale) < 90.0
     assert "camera roll" in str(found)
@@ -262,9 +265,15 @@ def test_rollouts_take_a_combined_task_with_the_sensor_as_it_is():
     task = CombinedTask(plain.task, [[1.0, 0.3], [-0.2, 1.1]])
     controller = aj.SetpointController(task, GAINS, gravity=aj.NoGravity(errors.belief()))
     region = aj.JointBox.around(ARM, (0.1, 1.2), 0.1)
-    found = aj.rollouts(
-        controller, errors, region, runs=2, duration=4.0, dt=4e-3, tolerance=1.0, seed=2
-    )
+    found = aj.Study(
+        controller,
+        errors,
+        region,
+        duration=4.0,
+        accuracy=1.0,
+        seed=2,
+        latency=aj.Latency(period=0.004),
+    ).rollouts(2)
     assert found.n_converged == 2
     with pytest.raises(aj.InvalidInputError, match="the coordinates of the plant's sensor"):
-        aj.stability_report(controller, errors, region, configurations=20)
+        aj.Study(controller, errors, region).report(20)

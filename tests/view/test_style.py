@@ -78,10 +78,6 @@ def plots(run, image_run, arm, seen):
             0.04, 0.3, unit="m/rad", p_label="p of the errors", own_a=0.3, ax=ax
         ),
         "plot_margins": lambda ax: view.plot_margins(places, margins, ax=ax),
-        "plot_map": lambda ax: view.plot_map(
-            x, y, decay, [("test 1, Theorem 1", x, y, decay - 0.2)],
-            labels=("scale of the errors [–]", "damping [N m s/rad]"), own=(0.5, 1.5), ax=ax,
-        ),
         "plot_shares": lambda ax: view.plot_shares(
             x, y, np.clip(decay, 0.0, 1.0), own=(0.5, 1.5), ax=ax,
             labels=("true object_length [m]", "damping [N m s/rad]"),
@@ -93,17 +89,16 @@ def plots(run, image_run, arm, seen):
 NAMES = (
     "plot_error", "plot_torque", "plot_torque, limits", "plot_slack", "plot_path",
     "plot_parameters", "plot_image", "plot_camera_view", "plot_allowed_error",
-    "plot_margins", "plot_map", "plot_shares", "plot_parameters, bands",
+    "plot_margins", "plot_shares", "plot_parameters, bands",
 )  # fmt: skip
 
 
 def test_symbols_on_the_axes_of_maps_are_formulas():
     grid = np.array([[1.0, 2.0], [3.0, 4.0]])
-    for draw in (lambda **labels: view.plot_map(*grid, grid, [], **labels),
-                 lambda **labels: view.plot_shares(*grid, grid, **labels)):  # fmt: skip
-        ax = draw(labels=("gain ratio k_p / k_v", "added damping B_c"))
-        assert ax.get_xlabel() == "gain ratio $k_{p}$ / $k_{v}$"
-        assert ax.get_ylabel() == "added damping $B_{c}$"
+    labels = ("gain ratio k_p / k_v", "added damping B_c")
+    ax = view.plot_shares(*grid, grid, labels=labels)
+    assert ax.get_xlabel() == "gain ratio $k_{p}$ / $k_{v}$"
+    assert ax.get_ylabel() == "added damping $B_{c}$"
 
 
 def test_no_plot_is_forgotten(plots):

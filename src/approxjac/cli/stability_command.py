@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 
 from approxjac.cli.bars import ShareBar
@@ -13,9 +12,7 @@ from approxjac.scenario import Scenario
 _LONG = {
     "rollouts": "rollouts: simulating runs",
     "tolerance": "looking how large errors each test tolerates",
-    "other damping": "looking for advice: other damping, about a minute or two",
-    "smaller errors": "looking for advice: smaller errors, about a minute",
-    "map": "making the map, about a minute or two (--map-points 0 leaves it out)",
+    "map": "making the map (--map-points 0 leaves it out)",
     "gains": "looking for gains, up to some minutes",
 }
 
@@ -44,19 +41,19 @@ def stability(
     from concurrent.futures import ProcessPoolExecutor
     from contextlib import nullcontext
 
-    from approxjac.scenario import judge as study
+    from approxjac.scenario import judge
     from approxjac.scenario import stability_report as report
 
     if jobs < 1:
         raise InvalidInputError(f"jobs must be >= 1, got {jobs}", given=jobs)
     if suggest_gains:
         return _suggest(scenario, out)
-    loop = study.prepare(scenario)
+    study = judge.prepare(scenario)
     make_folder(out)
     pool = ProcessPoolExecutor(jobs) if jobs > 1 else nullcontext()
     with pool as executor, ShareBar(_LONG) as bar:
-        result = study.analyse(
-            scenario, loop, executor, bar.tell, lambda tests: bar.write(f"{tests}\n")
+        result = judge.analyse(
+            scenario, study, executor, bar.tell, lambda tests: bar.write(f"{tests}\n")
         )
     report.write(result, out)
     print(report.consequences(result))
@@ -73,7 +70,7 @@ def _suggest(scenario: Scenario, out: Path) -> int:
 
     make_folder(out)
     with ShareBar(_LONG) as bar:
-        result = gains.suggested(scenario, partial(bar.tell, "gains"))
+        result = gains.suggested(scenario, bar.tell)
     gains.write(result, out)
     print(gains.text(result))
     if result.report is None:

@@ -12,11 +12,11 @@ from approxjac.errors import InvalidInputError
 from approxjac.files import together, write_text
 from approxjac.formatting import numbers, plain, rows, wrapped
 from approxjac.scenario.build import loaded_arm
-from approxjac.scenario.judge import prepare, tested, uncertainty_of
-from approxjac.scenario.laws import latency_of, limits_of
+from approxjac.scenario.judge import prepare, uncertainty_of
+from approxjac.scenario.laws import limits_of
 from approxjac.scenario.scenario import Scenario
-from approxjac.stability import StabilityReport, Suggestion, suggest_gains
-from approxjac.stability.search.suggestion import SETTLES
+from approxjac.stability import StabilityReport, Suggestion
+from approxjac.stability.search.suggested_gains import SETTLES
 
 _SETTLING_TIME = 1.0  # [s]
 
@@ -41,7 +41,7 @@ class SuggestedGains:
         return self.report is not None and self.report.certified_by is None
 
 
-def suggested(scenario: Scenario, progress: Callable[[float], None]) -> SuggestedGains:
+def suggested(scenario: Scenario, progress: Callable[[str, float], None]) -> SuggestedGains:
     """Return gains of law (6) that a whole report certifies for a scenario's errors.
 
     Raises:
@@ -55,8 +55,8 @@ def suggested(scenario: Scenario, progress: Callable[[float], None]) -> Suggeste
                 f"{numbers(given)}",
                 given=given,
             )
-    loop = prepare(scenario)
-    uncertainty = uncertainty_of(loop)
+    study = prepare(scenario)
+    uncertainty = uncertainty_of(study)
     if uncertainty is None:
         raise InvalidInputError(
             "suggest_gains needs ranges of errors, such as --object-length 0 0.3, got none",
@@ -65,29 +65,30 @@ def suggested(scenario: Scenario, progress: Callable[[float], None]) -> Suggeste
     arm = loaded_arm(scenario)
     # a report of known gravity leaves it out, but motors have to hold the arm
     heavy = replace(uncertainty, arm=uncertainty.arm.with_gravity(arm.gravity))
-    limits = limits_of(scenario, loop.controller.task.robot)
+    limits = limits_of(scenario, study.controller.task.robot)
     settling_time = choice.settling_time or _SETTLING_TIME
     errors = uncertainty.describe_box()
-    found = suggest_gains(
-        heavy, loop.region, settling_time=settling_time, target=loop.target,
-        torque_limits=None if limits is None else limits.effort, latency=latency_of(scenario),
-        configurations=min(analysis.configurations, 200), seed=scenario.run.seed, progress=progress,
-    )  # fmt: skip
+    found = replace(study, uncertainty=heavy).gains(
+        settling_time,
+        torque_limits=None if limits is None else limits.effort,
+        configurations=min(analysis.configurations, 200),
+        progress=progress,
+    )
     if found.found is not None:
-        kp, kv, damping = loop.controller.with_gains(found.found.gains).diagonals
+        kp, kv, damping = study.loop().controller.with_gains(found.found.gains).diagonals
         gains: dict[str, Any] = {"kp": tuple(kp), "kv": tuple(kv), "damping": tuple(damping)}
         gains["settling_time"] = None  # refused beside given gains
         found_scenario = scenario.with_values({"controller": gains})
         # the search is of fewer configurations, and of law (6) with known gravity and no limits
         known = found_scenario.with_values({"controller": {"gravity": "exact"}})
-        report = tested(known, prepare(known))
+        report = prepare(known).report(analysis.configurations)
         if not report.passed:
             return SuggestedGains(scenario, errors, settling_time, found, refused=report.reason)
         assert report.sampled is not None
         best = replace(found.found, margin=report.sampled.margin)
         found = replace(found, found=best)
         if choice.gravity != "exact":
-            report = tested(found_scenario, prepare(found_scenario))
+            report = prepare(found_scenario).report(analysis.configurations)
         return SuggestedGains(found_scenario, errors, settling_time, found, report)
     return SuggestedGains(scenario, errors, settling_time, found)
 

@@ -6,14 +6,12 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from approxjac.cameras import Camera
 from approxjac.controllers import Limits, SetpointController, TorqueLimited
-from approxjac.controllers.controller import Controller
-from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.errors import InvalidInputError
 from approxjac.robots import Robot
 from approxjac.scenario.build import BuiltScenario, build_scenario, holding, loaded_arm, sensing_of
 from approxjac.scenario.laws import latency_of, limits_of
@@ -22,53 +20,48 @@ from approxjac.scenario.starts import configuration_of
 from approxjac.scenario.study_records import Analysis
 from approxjac.simulation import Plant, Trajectory
 from approxjac.stability import (
-    Damping,
+    Execution,
     JointBox,
     Region,
     RegularPart,
     StabilityMap,
     StabilityReport,
+    Study,
     SublevelSet,
     Tolerance,
     Tube,
     Uncertainty,
-    stability_map,
-    stability_report,
-    tolerance,
 )
 from approxjac.stability.loop.closed_loop import ClosedLoop
-from approxjac.stability.rollout.rollout_map import PLACES, is_drawn
-from approxjac.stability.search.map import PARAMETERS, labels, own_values
-from approxjac.stability.search.suggestion import damping_that_certifies, part_that_certifies
+from approxjac.stability.search.map import PLACES, are_drawn, own_values
 from approxjac.stability.search.tolerance import Test
 from approxjac.tasks import CombinedTask, FrameKinematics, ImageTask, Task
 from approxjac.tasks.analysis import features, fine_error
 from approxjac.validation import Array
 
 Progress = Callable[[str, float], None]
-_MAP_RUNS = {"tests": 2, "rollouts": 100}
 _DRAWN = 200  # configurations that tell how far the tip gets
 
 
 @dataclass(frozen=True, eq=False)
 class StabilityResult:
-    """The tests of a loop, and what follows; None of what was not needed, or not found."""
+    """The tests of a loop, and what follows; None of what was not needed."""
 
     scenario: Scenario
+    study: Study
     report: StabilityReport
     tolerances: dict[Test, Tolerance] = field(default_factory=dict)  # scales of the errors
-    damping: Damping | None = None  # with which all errors are certified
-    certified_part: Uncertainty | None = None  # the errors, scaled down, certified as it is
     map: StabilityMap | None = None
 
 
-def uncertainty_of(loop: ClosedLoop) -> Uncertainty | None:
-    """Return the set of true robots of a loop, if anything is uncertain."""
-    return loop.truth if isinstance(loop.truth, Uncertainty) and loop.truth.d > 0 else None
+def uncertainty_of(study: Study) -> Uncertainty | None:
+    """Return the set of true robots of a study, if anything is uncertain."""
+    truth = study.uncertainty
+    return truth if isinstance(truth, Uncertainty) and truth.d > 0 else None
 
 
-def prepare(scenario: Scenario) -> ClosedLoop:
-    """Return a scenario's controller with the errors that it may meet, and the region."""
+def prepare(scenario: Scenario) -> Study:
+    """Return the study of a scenario's controller, with the errors that it may meet."""
     analysis = scenario.stability
     if analysis.map_points == 1:
         raise InvalidInputError("stability.map_points must be 0 or >= 2, got 1", given=1)
@@ -97,98 +90,66 @@ def prepare(scenario: Scenario) -> ClosedLoop:
     if gravity == "exact":  # eq. (9): what is compensated exactly is not felt
         arm, gravity = arm.with_gravity((0.0, 0.0, 0.0)), "none"
     # a report is of whatever target; limits come around the law that is built
-    law = replace(choice, gravity=gravity, limits="none", torque_rate=None)
-    built = build_scenario(replace(scenario, controller=law), arm)
+    choice = replace(choice, gravity=gravity, limits="none", torque_rate=None)
+    built = build_scenario(replace(scenario, controller=choice), arm)
     truth = _truth(arm, built, analysis)
-    assert isinstance(built.law, SetpointController)
-    region = _region(built.law, truth, analysis)
-    loop = ClosedLoop(built.law, truth, region, analysis.target)
-    uncertainty = uncertainty_of(loop) if analysis.map_by == "rollouts" else None
-    known = PARAMETERS if uncertainty is None else labels(uncertainty)
-    for name in analysis.map:
-        if name not in known:
-            raise UnknownNameError("parameter", name, "the map", known)
+    law = built.law
+    assert isinstance(law, SetpointController)
+    limits = limits_of(scenario, law.task.robot)
+    run, timing = scenario.run, latency_of(scenario)
+    study = Study(
+        # a report looks at efforts alone
+        law if limits is None else TorqueLimited(law, Limits(effort=limits.effort)),
+        truth,
+        _region(law, truth, analysis),
+        target=analysis.target,
+        latency=timing,
+        sensing=sensing_of(scenario.sensor),
+        duration=max(1, round(run.duration / timing.period)) * timing.period,
+        accuracy=run.tolerance or fine_error(law.task.units, scenario.sensor.noise),
+        seed=run.seed,
+    )
+    study = replace(study, region=study.loop().region)  # refuses what does not fit
+    uncertainty = uncertainty_of(study)
     if uncertainty is not None:
-        is_drawn(analysis.map, uncertainty)  # refuses one of each
-    return loop
+        are_drawn(analysis.map, uncertainty)  # refuses some of each
+    return study
 
 
 def analyse(
     scenario: Scenario,
-    loop: ClosedLoop,
+    study: Study,
     executor: Executor | None = None,
     progress: Progress | None = None,
     found: Callable[[StabilityReport], None] = lambda report: None,
 ) -> StabilityResult:
-    """Return the tests of a loop that `prepare` made, the errors that they tolerate, and the map.
+    """Return the tests of a study that `prepare` made, the errors that they tolerate, and the map.
 
     The executor shares the rollouts; `progress` gets the name of a part of the work and the share
     of it that is done, `found` the report of the tests, long before the rest is known.
     """
-    analysis, tell = scenario.stability, progress or (lambda what, share: None)
-    controller, uncertainty = loop.controller, uncertainty_of(loop)
-    where: Any = {"region": loop.region, "target": loop.target, "seed": scenario.run.seed}
-    drawn: Any = {
-        **where, "configurations": analysis.configurations, "latency": latency_of(scenario)
-    }  # fmt: skip
-    runs = analysis.runs if isinstance(loop.truth, Uncertainty) else 0
-    as_it_runs = rollout_options(scenario, controller)
-    more = {"executor": executor, "runs": runs, **as_it_runs} if runs else {}
-    report = tested(scenario, loop, progress=tell, **more)
+    analysis, uncertainty = scenario.stability, uncertainty_of(study)
+    execution = Execution(executor=executor)
+    runs = analysis.runs if isinstance(study.uncertainty, Uncertainty) else 0
+    report = study.report(
+        analysis.configurations, runs=runs, execution=execution, progress=progress
+    )
     found(report)
     if uncertainty is None:
-        return StabilityResult(scenario, report)
+        return StabilityResult(scenario, study, report)
 
     tolerances: dict[Test, Tolerance] = {}
     if report.gravity_is_exact:  # as is assumed by all tests but rollouts
-        tell_it = partial(tell, "tolerance")
-        tolerances = tolerance(controller, uncertainty, progress=tell_it, **where)
-    damping = part = map_ = None
-    # whatever damping and errors are, nothing certifies where Ĵ loses rank or gravity is wrong
-    if not report.passed and report.gravity_is_exact and report.singular_q is None:
-        damping = damping_that_certifies(
-            controller, uncertainty, progress=partial(tell, "other damping"), **drawn
-        )
-        part = part_that_certifies(
-            controller, uncertainty, largest=min(1.0, tolerances["matrix"].scale),
-            progress=partial(tell, "smaller errors"), **drawn,
-        )  # fmt: skip
-    if analysis.map_points and (report.gravity_is_exact or analysis.map_by == "rollouts"):
-        given = analysis.map_runs
-        runs = _MAP_RUNS[analysis.map_by] if given is None else given
-        x, y = (_values(name, loop, uncertainty, analysis.map_points) for name in analysis.map)
-        map_ = stability_map(
-            controller, uncertainty, names=analysis.map, x=x, y=y, by=analysis.map_by,
-            runs=runs, executor=executor, progress=partial(tell, "map"), **where, **as_it_runs,
-        )  # fmt: skip
-        if analysis.map_by == "tests":
-            map_ = _as_reported(map_, report)
-    return StabilityResult(scenario, report, tolerances, damping, part, map_)
-
-
-def tested(scenario: Scenario, loop: ClosedLoop, **options: Any) -> StabilityReport:
-    """Return the tests of a loop that `prepare` made; options are those of `stability_report`."""
-    controller, analysis = loop.controller, scenario.stability
-    limits = limits_of(scenario, controller.task.robot)
-    limited: SetpointController | TorqueLimited = controller
-    if limits is not None:  # a report looks at efforts alone
-        limited = TorqueLimited(controller, Limits(effort=limits.effort))
-    return stability_report(
-        limited, loop.truth, loop.region, target=loop.target, latency=latency_of(scenario),
-        configurations=analysis.configurations, seed=scenario.run.seed, **options,
-    )  # fmt: skip
-
-
-def rollout_options(scenario: Scenario, controller: Controller) -> dict[str, Any]:
-    """Return options of `rollouts` that make them as a run of a scenario is."""
-    run, dt = scenario.run, latency_of(scenario).period
-    return {
-        "dt": dt,
-        "duration": max(1, round(run.duration / dt)) * dt,
-        "tolerance": run.tolerance or fine_error(controller.task.units, scenario.sensor.noise),
-        "sensing": sensing_of(scenario.sensor),
-        "actuator_delay": scenario.loop.actuator_delay,
-    }
+        tolerances = study.tolerance(progress=progress)
+    map_ = None
+    if analysis.map_points:
+        points = {
+            name: _values(name, report.loop, uncertainty, analysis.map_points)
+            for name in analysis.map
+        }
+        unlimited = replace(study, controller=report.loop.controller)
+        map_ = unlimited.map(points, analysis.map_runs, execution=execution, progress=progress)
+    return StabilityResult(scenario, study, report, tolerances, map_)
 
 
 def _truth(arm: Robot, built: BuiltScenario, analysis: Analysis) -> Uncertainty | Plant:
@@ -252,9 +213,9 @@ def _region(
             )
         nominal = truth.plant(truth.believed) if isinstance(truth, Uncertainty) else truth
         region = SublevelSet(nominal, controller, analysis.target, at("reach_from"))
-    return (
-        region if region is None or least is None else RegularPart(region, controller.task, least)
-    )
+    if region is None or least is None:
+        return region
+    return RegularPart(region, controller.task, least)
 
 
 def _values(name: str, loop: ClosedLoop, uncertainty: Uncertainty, count: int) -> Array:
@@ -278,22 +239,3 @@ def _values(name: str, loop: ClosedLoop, uncertainty: Uncertainty, count: int) -
     if count > 2 and values[0] < own < values[-1]:  # the report's own point is one of the map
         values[1 + np.abs(values[1:-1] - own).argmin()] = own
     return np.asarray(values)
-
-
-def _as_reported(found: StabilityMap, report: StabilityReport) -> StabilityMap:
-    """Return a map that says of the report's own point what the report does, which looked closer.
-
-    It draws fewer configurations, and looks for the worst of them less closely.
-    """
-    own = own_values(report.loop.controller)
-    decay_rate, theorem1, matrix = (
-        each.copy() for each in (found.decay_rate, found.theorem1, found.matrix)
-    )
-    first, second = (own[name] for name in found.names)
-    here = np.ix_(found.y == second, found.x == first)
-    decay_rate[here] = np.minimum(decay_rate[here], report.local.decay_rates.min())
-    theorem1[here] = max(-1.0, report.theorem1.margin)
-    best = max(report.matrix.values(), key=lambda test: (test.certified, test.margin))
-    margin = best.margin if best.certified else min(best.margin, 0.0)
-    matrix[np.ix_(found.coarse_y == second, found.coarse_x == first)] = max(-1.0, margin)
-    return replace(found, decay_rate=decay_rate, theorem1=theorem1, matrix=matrix)

@@ -11,20 +11,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from approxjac.files import together, write_text
-from approxjac.formatting import joined, numbers, percent, plain, wrapped
-from approxjac.scenario.judge import StabilityResult, rollout_options, uncertainty_of
+from approxjac.formatting import joined, percent, plain, wrapped
+from approxjac.scenario.judge import StabilityResult, uncertainty_of
 from approxjac.simulation import Plant
 from approxjac.stability import Uncertainty
 from approxjac.stability.loop.closed_loop import OF_WRONG_AXES
 from approxjac.stability.report import report_starts
-from approxjac.stability.rollout.rollout_map import PLACES
-from approxjac.stability.rollout.rollouts import clopper_pearson
-from approxjac.stability.search.map import PARAMETERS, labels
+from approxjac.stability.rollouts.rollouts import clopper_pearson
+from approxjac.stability.search.map import PARAMETERS, PLACES, labels
 from approxjac.tasks import FrameKinematics
 from approxjac.view import (
     new_figure,
     plot_allowed_error,
-    plot_map,
     plot_margins,
     plot_shares,
     save_figure,
@@ -32,6 +30,8 @@ from approxjac.view import (
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+_OF_MAP = ("names", "x", "y", "share", "intervals", "runs")
 
 
 def consequences(result: StabilityResult) -> str:
@@ -46,23 +46,20 @@ def consequences(result: StabilityResult) -> str:
 
 
 def told_of_map(result: StabilityResult, out: Path) -> list[str]:
-    """Return what came of the runs of a map by rollouts, and where its picture is."""
-    found, lines = result.map, list[str]()
-    if found is not None and result.scenario.stability.map_by == "tests":
-        lines += wrapped(
-            f"map: tests at {found.decay_rate.size} points; the matrix form"
-            f"{' and rollouts' if found.runs.any() else ''} at {found.matrix.size} of them, "
-            "between which the boundary is interpolated"
-        )
-    if found is not None and found.runs.any() and result.scenario.stability.map_by == "rollouts":
-        names, made = " and ".join(found.names), np.flatnonzero(found.runs)
-        share, n = found.rollouts.ravel(), found.runs.ravel()
-        good, total = round(float(share[made] @ n[made])), int(n.sum())
+    """Return what came of the runs of a map, and where its picture is."""
+    found = result.map
+    if found is None:
+        return []
+    lines, made = list[str](), np.flatnonzero(found.runs)
+    if made.size:
+        share, n = found.share.ravel(), found.runs.ravel()
+        good, total = found.converged, int(n.sum())
         sure = ""
         if found.names[0] not in PARAMETERS:  # or points share what is drawn
             low, high = clopper_pearson(good, total)
             sure = f", with 95 % confidence {percent(low)} to {percent(high)} %"
-        lines.append(f"map: {percent(good / total)} % of {total} runs over {names} converge{sure}")
+        over = " and ".join(found.names)
+        lines.append(f"map: {percent(good / total)} % of {total} runs over {over} converge{sure}")
         for what, k in (
             ("least", made[share[made].argmin()]),
             ("most", made[share[made].argmax()]),
@@ -74,12 +71,12 @@ def told_of_map(result: StabilityResult, out: Path) -> list[str]:
                 f"{found.y[j]:.3g}: {percent(share[k])} % of {n[k]}, with 95 % confidence "
                 f"{percent(low)} to {percent(high)} %"
             )
-    return lines if found is None else [*lines, f"The map is {out / 'map.png'}"]
+    return [*lines, f"The map is {out / 'map.png'}"]
 
 
 def advice(result: StabilityResult) -> list[str]:
     """Return what follows, as sentences that a person can act on."""
-    report, uncertainty = result.report, uncertainty_of(result.report.loop)
+    report, uncertainty = result.report, uncertainty_of(result.study)
     errors = "the true robot" if isinstance(report.loop.truth, Plant) else "the belief as it is"
     errors = errors if uncertainty is None else uncertainty.describe_box()
     if not report.gravity_is_exact:
@@ -118,24 +115,14 @@ def advice(result: StabilityResult) -> list[str]:
             )
     if report.certified_by is not None:
         lines.insert(0, report_starts.told(report))
-    certified = "in continuous time" if report.sampled is None else "as it runs"
-    if result.damping is not None:
-        values, factor = result.damping
-        how = "in the shape of the arm's inertia"
-        if factor is not None:
-            how = f"{factor:g} times what it is"
-        lines.append(f"with a damping of {numbers(values)}, {how}, it is certified {certified}")
-    if result.certified_part is not None:
-        part = result.certified_part.describe_box()
-        lines.append(f"with the damping that it has, certified {certified} are errors of {part}")
     if not report.passed:
-        lines += _next(result, uncertainty)
+        lines.append(_next(result, uncertainty))
     return [report.verdict(), *lines]
 
 
-def _next(result: StabilityResult, uncertainty: Uncertainty | None) -> list[str]:
-    """Return what was tried and found nothing, and what to do next where nothing is certified."""
-    lines, steps = [], ["a smaller --radius around a configuration (--around)"]
+def _next(result: StabilityResult, uncertainty: Uncertainty | None) -> str:
+    """Return what to do next where nothing is certified."""
+    steps = ["a smaller --radius around a configuration (--around)"]
     if uncertainty is not None:
         learns = result.report.loop.controller.adaptation is not None
         steps.insert(
@@ -154,14 +141,11 @@ def _next(result: StabilityResult, uncertainty: Uncertainty | None) -> list[str]
             ]
             such = f", such as {' '.join(options)}" if options else ""
             steps.append(f"a belief in the middle of each range{such}")
-        if result.damping is None and result.certified_part is None:
-            scale = min(1.0, result.tolerances["matrix"].scale)
-            smaller = f"errors down to {0.5 * scale:.2g} times these"
-            lines.append(
-                "tried, and nothing found: up to 20 times the damping, damping in the shape of "
-                f"the arm's inertia, {smaller if scale else 'no errors at all'}"
-            )
-    return [*lines, f"next: {'; '.join(steps)}"]
+        scale = result.tolerances["matrix"].scale
+        if 0.0 < scale < 1.0:  # of which a report may find a little less
+            smaller = uncertainty.scaled(0.8 * scale).describe_box()
+            steps.append(f"smaller errors, such as {smaller}")
+    return f"next: {'; '.join(steps)}"
 
 
 def draw_allowed_error(result: StabilityResult) -> Figure:
@@ -202,46 +186,6 @@ def draw_workspace(result: StabilityResult) -> Figure:
     return figure
 
 
-def draw_map(result: StabilityResult) -> Figure | None:
-    """Draw the stability map; None if none was made."""
-    found, loop = result.map, result.report.loop
-    uncertainty = uncertainty_of(loop)
-    if found is None or uncertainty is None:
-        return None
-    if result.scenario.stability.map_by == "rollouts":
-        return _draw_shares(result, uncertainty)
-    coarse = found.coarse_x, found.coarse_y
-    n = found.matrix.size
-    boundaries = [
-        ("test 1, Theorem 1", found.x, found.y, found.theorem1),
-        (f"test 2, matrix form (interpolated between {n} points)", *coarse, found.matrix),
-    ]
-    if np.isfinite(found.rollouts).any():
-        # half way between all runs and the next smaller share
-        share = found.rollouts - 1.0 + 0.5 / np.maximum(1, found.runs)
-        options = rollout_options(result.scenario, loop.controller)
-        within = f"{options['tolerance']:g} {joined(loop.controller.task.units)}"
-        told = f"test 4, rollouts reach {within} in {options['duration']:g} s (interpolated)"
-        boundaries.append((told, *coarse, share))
-    figure, (ax,) = new_figure(size=(7.0, 5.8))
-    plot_map(
-        found.x,
-        found.y,
-        found.decay_rate,
-        boundaries,
-        labels=(PARAMETERS[found.names[0]], PARAMETERS[found.names[1]]),
-        local=f"test 3, local ({found.targets} targets)",
-        own=_own(result, uncertainty),
-        ax=ax,
-        title=textwrap.fill(
-            f"{loop.controller.task.robot.name}: where each test passes, in continuous time; "
-            f"errors of scale 1 are {uncertainty.describe_box()}",
-            64,
-        ),
-    )
-    return figure
-
-
 def _own(result: StabilityResult, uncertainty: Uncertainty) -> tuple[float, float] | None:
     """Return where on the map the controller and its errors are, or the belief."""
     assert result.map is not None
@@ -252,10 +196,11 @@ def _own(result: StabilityResult, uncertainty: Uncertainty) -> tuple[float, floa
     return None if {first, second} & {*PLACES} else (at.get(first, 1.0), at.get(second, 1.0))
 
 
-def _draw_shares(result: StabilityResult, uncertainty: Uncertainty) -> Figure:
-    """Draw the share of runs that converge, between the ends of its intervals."""
-    found = result.map
-    assert found is not None
+def draw_map(result: StabilityResult) -> Figure | None:
+    """Draw the share of runs that converge, between its interval's ends; None of no map."""
+    found, uncertainty = result.map, uncertainty_of(result.study)
+    if found is None or uncertainty is None:
+        return None
     name = result.report.loop.controller.task.robot.name
     figure, axes = new_figure(
         3,
@@ -268,9 +213,9 @@ def _draw_shares(result: StabilityResult, uncertainty: Uncertainty) -> Figure:
     )
     named = labels(uncertainty)
     low, high = found.intervals[..., 0], found.intervals[..., 1]
-    none = np.isnan(found.rollouts)
+    none = np.isnan(found.share)
     for ax, shares, title in zip(
-        axes, (low, found.rollouts, high), ("at least", "of the runs", "at most"), strict=True
+        axes, (low, found.share, high), ("at least", "of the runs", "at most"), strict=True
     ):
         plot_shares(
             found.x,
@@ -289,7 +234,7 @@ def _draw_shares(result: StabilityResult, uncertainty: Uncertainty) -> Figure:
 
 def summary(result: StabilityResult) -> dict[str, Any]:
     """Return what goes into summary.json."""
-    rollouts, part = result.report.rollouts, result.certified_part
+    rollouts, map_ = result.report.rollouts, result.map
     found = {
         **result.report.summary(),
         "rollouts": rollouts
@@ -308,11 +253,12 @@ def summary(result: StabilityResult) -> dict[str, Any]:
             }
             for test, each in result.tolerances.items()
         },
-        "damping": None if result.damping is None else result.damping._asdict(),
-        "certified_part": part and part.describe_box(),
         "advice": advice(result),
         "gains": result.report.loop.controller.diagonals._asdict(),
-        "map": result.map and vars(result.map),
+        "map": map_
+        and {
+            name: getattr(map_, name) for name in ("names", "x", "y", "share", "intervals", "runs")
+        },
         "scenario": asdict(result.scenario),
     }
     return {name: plain(value) for name, value in found.items()}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
 
 from approxjac.scenario.records import Interval, Numbers, Vectors, above, at_least
 
@@ -28,12 +27,10 @@ class Analysis:
         target: The one target; by default all targets within the region.
         configurations: How many configurations are drawn.
         runs: How many rollouts are made, with the sensors, delays, duration and tolerance of a run.
-        map: Two parameters of the stability map, of error, a, kv and damping; by rollouts also two
-            of the errors, or of x, y and z of the believed tip at the start.
-        map_by: The four tests, or rollouts.
+        map: Two parameters of the stability map, of error, a, kv and damping; or two of the errors,
+            or of x, y and z of the believed tip at the start.
         map_points: Values of each parameter of the map; 0 draws no map.
-        map_runs: Rollouts at each point of the map's coarse grid, 2 by default; by rollouts at each
-            point, 100 by default.
+        map_runs: Rollouts at each point of the map.
     """
 
     object_length: Interval | None = None
@@ -52,6 +49,5 @@ class Analysis:
     configurations: int = at_least(2000, 20)
     runs: int = at_least(20)
     map: tuple[str, str] = ("error", "a")
-    map_by: Literal["tests", "rollouts"] = "tests"
-    map_points: int = at_least(40)
-    map_runs: int | None = at_least(None)
+    map_points: int = at_least(8)
+    map_runs: int = at_least(20, 1)

@@ -4,46 +4,33 @@ from approxjac.stability.certificates.lyapunov import LyapunovValue, lyapunov
 from approxjac.stability.errors.region import JointBox, Region, RegularPart, SublevelSet, Tube
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.local import LocalStability, local_stability
-from approxjac.stability.report.report import StabilityReport, stability_report
-from approxjac.stability.rollout.rollout_study import Study
-from approxjac.stability.rollout.rollouts import Rollout, Rollouts, rollouts
-from approxjac.stability.rollout.sweep import Sweep, sweep
-from approxjac.stability.search.map import StabilityMap, stability_map
-from approxjac.stability.search.suggestion import (
-    Damping,
-    Suggestion,
-    damping_that_certifies,
-    part_that_certifies,
-    suggest_gains,
-)
-from approxjac.stability.search.tolerance import Tolerance, tolerance
+from approxjac.stability.report.report import StabilityReport
+from approxjac.stability.rollouts.portions import Execution
+from approxjac.stability.rollouts.rollouts import Rollout, Rollouts
+from approxjac.stability.rollouts.setting import RolloutSetting
+from approxjac.stability.search.map import StabilityMap
+from approxjac.stability.search.suggested_gains import Suggestion
+from approxjac.stability.search.tolerance import Tolerance
+from approxjac.stability.study import Study
 
 __all__ = [
-    "Damping",
+    "Execution",
     "JointBox",
     "LocalStability",
     "LyapunovValue",
     "Region",
     "RegularPart",
     "Rollout",
+    "RolloutSetting",
     "Rollouts",
     "StabilityMap",
     "StabilityReport",
     "Study",
     "SublevelSet",
     "Suggestion",
-    "Sweep",
     "Tolerance",
     "Tube",
     "Uncertainty",
-    "damping_that_certifies",
     "local_stability",
     "lyapunov",
-    "part_that_certifies",
-    "rollouts",
-    "stability_map",
-    "stability_report",
-    "suggest_gains",
-    "sweep",
-    "tolerance",
 ]

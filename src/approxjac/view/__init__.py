@@ -11,7 +11,7 @@ from approxjac.view.plots import (
     plot_slack,
     plot_torque,
 )
-from approxjac.view.stability_plots import plot_allowed_error, plot_map, plot_margins, plot_shares
+from approxjac.view.stability_plots import plot_allowed_error, plot_margins, plot_shares
 from approxjac.view.style import COLORS, SERIES, legend_below, new_figure, save_figure, style
 
 __all__ = [
@@ -24,7 +24,6 @@ __all__ = [
     "plot_camera_view",
     "plot_error",
     "plot_image",
-    "plot_map",
     "plot_margins",
     "plot_parameters",
     "plot_path",

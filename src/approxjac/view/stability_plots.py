@@ -2,38 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import wraps
-from typing import ParamSpec
-
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.patheffects import Normal, TickedStroke
 
 from approxjac import law
-from approxjac.errors import InvalidInputError
-from approxjac.validation import Array, plane_rows, shape_of
+from approxjac.validation import Array, plane_rows
 from approxjac.view.style import COLORS, SERIES, formulas, styled
-
-_Given = ParamSpec("_Given")
-
-
-def _of_arrays(arrays: str) -> Callable[[Callable[_Given, Axes]], Callable[_Given, Axes]]:
-    """Have a plot of a map's arrays tell which, if it is given the map itself."""
-
-    def told(plot: Callable[_Given, Axes]) -> Callable[_Given, Axes]:
-        @wraps(plot)
-        def drawn(*args: _Given.args, **options: _Given.kwargs) -> Axes:
-            if len(args) == 1 and shape_of(args[0]) == ():
-                raise InvalidInputError(
-                    f"{plot.__name__} takes arrays, of a StabilityMap m: {arrays}, got {args[0]!r}",
-                    given=args[0],
-                )
-            return plot(*args, **options)
-
-        return drawn
-
-    return told
 
 
 def plot_allowed_error(
@@ -126,62 +100,6 @@ def plot_margins(
     return ax
 
 
-@_of_arrays("m.x, m.y, m.decay_rate, boundaries=[], labels=m.names")
-def plot_map(
-    x: Array,
-    y: Array,
-    decay_rate: Array,
-    boundaries: Sequence[tuple[str, Array, Array, Array]],
-    *,
-    labels: tuple[str, str],
-    local: str = "test 3, local",
-    own: tuple[float, float] | None = None,
-    ax: Axes | None = None,
-    title: str = "Stability map",
-) -> Axes:
-    """Draw the decay rate over two parameters, and where each test stops to pass.
-
-    The boundaries have ticks on the side where the test fails.
-
-    Args:
-        x: Values of the first parameter, shape (N_x,).
-        y: Values of the second, shape (N_y,).
-        decay_rate: Shape (N_y, N_x) [1/s]; its zero is drawn as test 3's boundary.
-        boundaries: Of further tests: name, x (n_x,), y (n_y,) and a value (n_y, n_x) that is
-            positive where the test passes.
-        labels: Of the axes.
-        local: Name of test 3.
-        own: Where the controller and its errors are.
-        ax: Axes to draw into; new ones by default.
-        title: Of the axes.
-    """
-    with styled(ax, (7.0, 5.6)) as ax:
-        reach = float(np.nanquantile(np.abs(decay_rate), 0.95)) or 1.0
-        shown = ax.pcolormesh(
-            x, y, np.clip(decay_rate, -reach, reach), cmap="RdYlBu", vmin=-reach, vmax=reach,
-            shading="nearest", rasterized=True,
-        )  # fmt: skip
-        ax.figure.colorbar(shown, ax=ax, label="slowest decay [1/s] (negative: grows)")
-        tests = [(local, x, y, decay_rate), *boundaries]
-        for k, (name, at_x, at_y, value) in enumerate(tests):
-            color, line = SERIES[6] if k == 0 else SERIES[k], ("-", "-", "--", ":")[k % 4]
-            passes = np.nan_to_num(value, nan=-1.0) > 0.0
-            where = ": passes everywhere" if passes.all() else ": passes nowhere"
-            if passes.any() and not passes.all():
-                drawn = ax.contour(at_x, at_y, value, levels=[0.0], colors=[color],
-                                   linestyles=[line], linewidths=2.0)  # fmt: skip
-                drawn.set(path_effects=[Normal(), TickedStroke(angle=-90, length=0.6, spacing=12)])
-                where = " (ticks: fails)"
-            ax.plot([], [], line, color=color, linewidth=2.0, label=name + where)
-        if own is not None:
-            ax.plot(*own, "*", color=SERIES[6], mec="white", ms=14, label="as given")
-        _scale(ax, x, y)
-        ax.set(xlabel=formulas(labels[0]), ylabel=formulas(labels[1]), title=title)
-        ax.grid(visible=False)
-    return ax
-
-
-@_of_arrays("m.x, m.y, m.rollouts, labels=m.names")
 def plot_shares(
     x: Array,
     y: Array,

@@ -12,7 +12,7 @@ from approxjac.stability.certificates.matrix_form import Best, MatrixForm, best_
 from approxjac.stability.certificates.theorem1 import CONSTANTS, badness, constants, theorem1
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.loop.samples import Samples
-from approxjac.stability.rollout.rollouts import clopper_pearson
+from approxjac.stability.rollouts.rollouts import clopper_pearson
 from approxjac.validation import Array
 
 _REFINED = 6  # closer looks at the worst sample, each from the worst of the last

@@ -180,6 +180,6 @@ def require_ranges_only(cls: type) -> None:
             f"is given, as its corners and its scaling are made of them, got {cls.__name__} with "
             f"{', '.join(own)} of its own; give joint_shifts and joint_rotations that hold your "
             "errors (which are then independent), or judge one true robot at a time with "
-            "stability_report(controller, robot) or simulate(Plant(robot), ...)",
+            "Study(controller, robot) or simulate(Plant(robot), ...)",
             given=cls,
         )

@@ -337,7 +337,7 @@ def require_setpoint(controller: SetpointController) -> None:
     if isinstance(controller, TrackingController):
         raise InvalidInputError(
             "controller must be a SetpointController: a TrackingController learns its Jacobian, "
-            "and no test covers that over a region; use aj.rollouts to see how often it converges; "
+            "and no test covers that over a region; use rollouts to see how often it converges; "
             f"got {controller!r}",
             given=controller,
         )

@@ -47,7 +47,7 @@ class ClosedLoop:
     """A controller on one or several true robots, with the region and target that are analysed.
 
     It draws configurations and targets that the true robot's sensor sees, and true robots from the
-    inside of the errors besides their corners. The arguments are those of `stability_report`.
+    inside of the errors besides their corners. The arguments are those of `Study`.
 
     Attributes:
         corners: Values of the uncertain coordinates at the corners, shape (k, d).

@@ -1,20 +1,16 @@
-"""`stability_report`: the tests over a region, before anything moves."""
+"""`StabilityReport`: the tests over a region, before anything moves."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from approxjac.controllers import CrossWeight, Latency, SetpointController, TorqueLimited
-from approxjac.errors import InvalidInputError
+from approxjac.controllers import CrossWeight, Latency, TorqueLimited
 from approxjac.formatting import plain
-from approxjac.robots import Robot
-from approxjac.simulation import Plant
 from approxjac.stability.certificates.attraction import Attraction, attraction
 from approxjac.stability.certificates.certificate import (
     MatrixTest,
@@ -26,14 +22,13 @@ from approxjac.stability.certificates.limit_cost import LimitCost, within_limits
 from approxjac.stability.certificates.matrix_form import Best, MatrixForm, on_more
 from approxjac.stability.certificates.sampled_test import SampledTest, growth, largest, sampled_test
 from approxjac.stability.certificates.theorem1 import CONSTANTS, Theorem1, theorem1
-from approxjac.stability.errors.region import Region
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.closed_loop import EXACT_GRAVITY, SHARED, ClosedLoop
 from approxjac.stability.loop.local import LocalTest, local_test
 from approxjac.stability.loop.samples import Samples
 from approxjac.stability.report import report_words
-from approxjac.stability.rollout.rollouts import Rollouts, as_late, rollouts
-from approxjac.validation import Array, as_integer, require
+from approxjac.stability.rollouts.rollouts import Rollouts
+from approxjac.validation import Array, as_integer
 
 _TARGETS = 1000  # that the loop as it runs is linearised at
 _WORST = 60
@@ -284,69 +279,28 @@ class StabilityReport:
         }
 
 
-def stability_report(
-    controller: SetpointController | TorqueLimited,
-    truth: Plant | Robot | Uncertainty,
-    region: Region | None = None,
-    *,
-    target: Sequence[float] | Array | None = None,
-    latency: Latency | None = None,
-    configurations: int = 2000,
-    runs: int = 0,
-    seed: int = 0,
-    executor: Executor | None = None,
-    progress: Callable[[str, float], None] | None = None,
-    **options: Any,
+def report_of(
+    loop: ClosedLoop,
+    latency: Latency,
+    configurations: int,
+    seed: int,
+    tell: Callable[[str, float], None],
+    limiter: TorqueLimited | None = None,
+    rollouts: Rollouts | None = None,
 ) -> StabilityReport:
-    """Tell before anything moves whether a controller is stable, and by how much.
-
-    Half of the configurations, 1000 at most, find the worst cases and choose the Lyapunov
-    functions, with a closer look around the worst of them; the others check what was chosen.
+    """Return the report of a loop; see `Study.report`.
 
     Args:
-        controller: The controller, of law (6) or (28), or `TorqueLimited` around it: then certified
-            are those starts whose motions its efforts never limit.
-        truth: The true robot, as a plant or as a robot on which the controller's own task is
-            measured; or the set of true robots, corners and inside of which make half each.
-        region: Where to look, as far as the true robot's sensor sees; the joint limits without
-            near-singular configurations by default.
-        target: x_d, shape (n_x,), for the one target; by default the values of other
-            configurations of the region, so that the report speaks of all targets within it.
-        latency: When the loop measures and acts, which "certified" is about; by default that of
-            the controller, or 1 kHz with ideal sensors.
+        loop: The loop.
+        latency: When it measures and acts.
         configurations: How many to draw, ≥ 20.
-        runs: How many rollouts to add; none by default.
-        seed: Of all drawing, ≥ 0.
-        executor: Where the rollouts run; here by default.
-        progress: Called with what is being done and the share of it.
-        options: Others of `rollouts`, such as sensing, duration, tolerance; they run as late as
-            `latency` says by default.
-
-    Raises:
-        InvalidInputError: Law (5) or a posture torque, a task whose Jacobian uses the measured x,
-            an empty region or one that a true camera sees nothing of, a target that no
-            configuration of a true robot attains, or numbers out of range.
+        seed: Of all drawing.
+        tell: Called with what is being done and the share of it.
+        limiter: Around the loop's controller, or None.
+        rollouts: That were made of it, or None.
     """
-    if options and not runs:
-        raise InvalidInputError(
-            f"{' and '.join(options)} must be given with runs, the number of rollouts, got none",
-            given=options,
-        )
-    limiter = controller if isinstance(controller, TorqueLimited) else None
-    inside: Any = controller if limiter is None else limiter.controller
-    loop = ClosedLoop(inside, truth, region, target)
-    if latency is None:
-        latency = loop.controller.latency or Latency()
-    require("latency", latency, Latency, "Latency(period=...) or None")
     half = min(as_integer("configurations", configurations, 20) // 2, _CHOOSE)
-    rng = np.random.default_rng(as_integer("seed", seed, 0))
-    if runs and not isinstance(truth, Uncertainty):
-        raise InvalidInputError(
-            "runs needs truth to be an Uncertainty, from which rollouts draw true robots, "
-            f"got {truth!r}",
-            given=truth,
-        )
-    tell = progress or (lambda what, share: None)
+    rng = np.random.default_rng(seed)
     tell("configurations", 0.0)
     samples = loop.draw(half, rng, inside=SHARED)
     tell("configurations", 0.5)
@@ -380,19 +334,14 @@ def stability_report(
     if loop.target is not None:
         truths, configured = loop.targets(0, rng)
     local = local_test(loop, truths, configured)
-    everywhere, outcome = samples.join(fresh), None
-    if runs and isinstance(truth, Uncertainty):
-        outcome = rollouts(
-            controller, truth, loop.region, target=target, runs=runs, seed=seed, executor=executor,
-            progress=lambda done: tell("rollouts", done / runs), **as_late(latency) | options,
-        )  # fmt: skip
+    everywhere = samples.join(fresh)
     first = theorem1(everywhere, setting, constants)
     singular_q = loop.singular_configuration(samples)
     damped_q = loop.damped_configuration(everywhere)
     gravity_error = loop.gravity_error(samples.q[:: max(1, len(samples) // 20)])
     growing = growth(loop, samples.take(np.arange(len(samples))[:_TARGETS]), latency)
     report = StabilityReport(
-        loop, latency, everywhere, sampled, first, matrix, local, growing, outcome, gravity_error,
+        loop, latency, everywhere, sampled, first, matrix, local, growing, rollouts, gravity_error,
         singular_q, damped_q, seed,
     )  # fmt: skip
     return report if limiter is None else within_limits(report, limiter)

@@ -18,7 +18,7 @@ from approxjac.stability.loop.closed_loop import OF_WRONG_AXES
 from approxjac.stability.loop.local import LocalTest
 from approxjac.stability.loop.samples import Samples
 from approxjac.stability.report import report_starts
-from approxjac.stability.rollout.rollouts import Rollouts
+from approxjac.stability.rollouts.rollouts import Rollouts
 from approxjac.validation import Array
 
 if TYPE_CHECKING:
@@ -355,10 +355,10 @@ def _in_continuous_time(report: StabilityReport) -> list[Row]:
 def _rollouts(found: Rollouts) -> list[Row]:
     """Rows about simulated runs."""
     low, high = found.interval
-    worst, study = found.worst, found.study
-    unit = joined(study.controller.task.units)
+    worst, setting = found.worst, found.setting
+    unit = joined(setting.controller.task.units)
     ended = "diverged" if worst.diverged else f"ended {worst.final_error:.3g} {unit} off"
-    values = study.uncertainty.describe(worst.values)
+    values = setting.uncertainty.describe(worst.values)
     torques: list[Row] = []
     if found.n_beyond_torque:
         torques = [("rollouts, torques", *found.beyond_torque)]
@@ -366,7 +366,7 @@ def _rollouts(found: Rollouts) -> list[Row]:
         (
             "rollouts, converged",
             f"{found.n_converged} of {found.n}",
-            f"within {study.tolerance:g} {unit} throughout the last tenth of {study.duration:g} "
+            f"within {setting.accuracy:g} {unit} throughout the last tenth of {setting.duration:g} "
             f"s; {percent(low)} to {percent(high)} % of all do (95 % confidence)",
         ),
         ("rollouts, diverged", f"{found.n_diverged} of {found.n}", ""),

@@ -1,37 +1,30 @@
-"""`stability_map`: where in the plane of two parameters each of the four tests passes."""
+"""`StabilityMap`: shares of rollouts that converge over parameters, or over what they draw."""
 
 from __future__ import annotations
 
-import functools
 import itertools
-from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
-from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from approxjac.controllers import Gains, SetpointController
+from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError, UnknownNameError
-from approxjac.formatting import rows, wrapped
-from approxjac.stability.certificates.certificate import margin
+from approxjac.formatting import percent, rows, wrapped
 from approxjac.stability.errors.coordinates import spoken
-from approxjac.stability.errors.region import Region
+from approxjac.stability.errors.region import require_setpoint
 from approxjac.stability.errors.uncertainty import Uncertainty
-from approxjac.stability.loop.closed_loop import SHARED, ClosedLoop, usual_region
-from approxjac.stability.loop.local import local_test
-from approxjac.stability.loop.samples import Samples
-from approxjac.stability.loop.target_samples import Targets
 from approxjac.stability.loop.visibility import UnattainedError
-from approxjac.stability.rollout.rollout_map import (
-    PLACES,
-    Shares,
-    gains_at,
-    is_drawn,
-    shares_over_parameters,
-    shares_over_runs,
-)
-from approxjac.validation import Array, as_array, as_integer, require
+from approxjac.stability.rollouts.portions import Execution, carried_out
+from approxjac.stability.rollouts.rollouts import Rollouts, clopper_pearson
+from approxjac.stability.rollouts.setting import RolloutSetting, sharing
+from approxjac.tasks import FrameKinematics
+from approxjac.validation import Array, as_array, require
+
+if TYPE_CHECKING:
+    from approxjac.stability.study import Study
 
 PARAMETERS = {
     "error": "scale of the errors [–]",
@@ -40,235 +33,185 @@ PARAMETERS = {
     "damping": "added damping B_c, times the controller's [–]",
 }
 """Parameters that a map can have along its axes."""
-
-By = Literal["tests", "rollouts"]
-_POOL = 200  # targets that the hard ones are chosen from
+PLACES = ("x", "y", "z")
+"""Places of the believed tip at the start [m]."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StabilityMap:
-    """Verdicts of the tests over a grid of two parameters.
+    """Shares of runs that converge over a grid of one or two parameters.
 
-    `view.plot_shares(m.x, m.y, m.rollouts, labels=m.names)` draws one that is by rollouts.
+    `view.plot_shares(m.x, m.y, m.share, labels=m.names)` draws one of two.
 
     Attributes:
-        names: Of the two parameters, along x and y.
-        x: Values of the first, shape (N_x,).
-        y: Values of the second, shape (N_y,).
-        decay_rate: Test 3: slowest decay over some targets, hard ones among them, and the true
-            robots, shape (N_y, N_x) [1/s].
-        targets: Number of these targets.
-        coarse_x: Values where the tests 2 and 4 were made, shape (n_x,).
-        coarse_y: Shape (n_y,).
-        theorem1: Test 1: margin, shape (N_y, N_x), at least −1; NaN where it was not made.
-        matrix: Test 2: margin, shape (n_y, n_x), at least −1.
-        rollouts: Test 4: share of the runs that converge, shape (n_y, n_x); NaN where none were
-            made.
+        names: Of the parameters: along x, and along y if there are two.
+        values: Of each, shape (N_x,) and (N_y,).
+        share: Of the runs at each point that converge, shape (N_y, N_x), or (N_x,); NaN where there
+            are none.
         intervals: 95 % interval for the probability to converge, after Clopper and Pearson (1934),
-            shape (n_y, n_x, 2).
-        runs: Number of runs, shape (n_y, n_x).
+            shape (…, 2).
+        runs: Number of runs, as `share`.
+        points: Values of the parameters → the runs there; empty where they are of what is drawn.
     """
 
-    names: tuple[str, str]
-    x: Array
-    y: Array
-    decay_rate: Array
-    targets: int
-    coarse_x: Array
-    coarse_y: Array
-    theorem1: Array
-    matrix: Array
-    rollouts: Array
+    names: tuple[str, ...]
+    values: tuple[Array, ...]
+    share: Array
     intervals: Array
     runs: Array
+    points: Mapping[tuple[float, ...], Rollouts] = field(default_factory=dict)
+
+    @property
+    def x(self) -> Array:
+        """Values of the first parameter, shape (N_x,)."""
+        return self.values[0]
+
+    @property
+    def y(self) -> Array:
+        """Values of the last one, shape (N_y,)."""
+        return self.values[-1]
+
+    @property
+    def converged(self) -> int:
+        """How many of all runs converged."""
+        return round(float(np.nansum(self.share * self.runs)))
 
     def __repr__(self) -> str:
-        if self.targets == 0:
-            n, width = self.runs, np.ptp(self.intervals, axis=-1)
-            return (
-                f"StabilityMap({' × '.join(self.names)}: {n.sum()} runs at {n.shape} points, "
-                f"{100 * np.nansum(self.rollouts * n) / max(1, n.sum()):.1f} % converged; 95 % "
-                f"intervals at most {100 * width.max():.2g} % wide)"
-            )
-        stable, size = 100.0 * (self.decay_rate > 0.0).mean(), self.decay_rate.shape
-        return f"StabilityMap({' × '.join(self.names)}: {stable:.3g} % of {size} locally stable)"
+        shape = " by ".join(map(str, reversed(self.runs.shape)))
+        return f"StabilityMap({' × '.join(self.names)}: {shape} points, {self.runs.sum()} runs)"
 
     def __str__(self) -> str:
+        n, width = self.runs, np.ptp(self.intervals, axis=-1)
         over = " and ".join(spoken(name) for name in self.names)
-        if self.targets == 0:
-            n, width = self.runs, np.ptp(self.intervals, axis=-1)
-            good = 100 * np.nansum(self.rollouts * n) / max(1, n.sum())
-            told = {
-                "points": f"{n.shape[1]} by {n.shape[0]}, {n.sum()} runs in all",
-                "sure": f"95 % intervals of points are at most {100 * width.max():.2g} % wide",
-            }
-            return "\n".join([*wrapped(f"converged: {good:.1f} % over {over}"), *rows(told, 2)])
-        j, i = self.decay_rate.shape
-        told = {"near targets": f"stable at {_points(self.decay_rate)}"}
-        if self.coarse_x.size:
+        points = " by ".join(map(str, reversed(n.shape)))
+        told = {
+            "points": f"{points}, {n.sum()} runs in all",
+            "sure": f"95 % intervals of points are at most {100 * width.max():.2g} % wide",
+        }
+        if len(self.names) == 1:
             told |= {
-                "Theorem 1": f"holds at {_points(self.theorem1)}",
-                "matrix form": f"holds at {_points(self.matrix)}; between these its boundary is "
-                "interpolated",
+                f"at {x:.4g}": f"{percent(share)} % of {runs}, with 95 % confidence "
+                f"{percent(low)} to {percent(high)} %"
+                for x, share, runs, (low, high) in zip(
+                    self.x, self.share, n, self.intervals, strict=True
+                )
             }
-        if self.runs.any():
-            told["rollouts"] = f"all converge at {_points(self.rollouts - 1.0 + 1e-9)}"
-        return "\n".join([*wrapped(f"map over {over}: {i} by {j} points"), *rows(told, 2)])
+        good = 100 * self.converged / max(1, n.sum())
+        return "\n".join([*wrapped(f"converged: {good:.1f} % over {over}"), *rows(told, 2)])
 
 
-def _points(values: Array) -> str:
-    """Return at how many of the points a value is positive."""
-    return f"{int((values > 0.0).sum())} of {values.size} points"
-
-
-def stability_map(
-    controller: SetpointController,
-    uncertainty: Uncertainty,
-    region: Region | None = None,
-    *,
-    names: tuple[str, str],
-    x: Sequence[float] | Array,
-    y: Sequence[float] | Array,
-    by: By = "tests",
-    target: Sequence[float] | Array | None = None,
-    targets: int = 16,
-    coarse: int = 8,
-    configurations: int = 100,
-    runs: int | None = None,
-    duration: float = 10.0,
-    seed: int = 0,
-    executor: Executor | None = None,
-    progress: Callable[[float], None] | None = None,
-    **options: Any,
+def map_of(
+    study: Study,
+    over: Mapping[str, Sequence[float] | Array],
+    n: int,
+    execution: Execution,
+    tell: Callable[[float], None],
 ) -> StabilityMap:
-    """Make the four tests over a grid of two parameters, or rollouts over these or what they draw.
-
-    Tests 1 and 3 at every point of the grid, the others at every point of a coarser one with the
-    same ends.
-
-    By rollouts it is test 4 alone, at every point. Over two parameters each point has the same
-    runs. Over the errors (`uncertainty.names`) and the place of the believed tip at the start ("x",
-    "y", "z" [m]) there are so many runs in all, drawn from the whole set and the whole region: each
-    counts at the point that it is nearest to.
-
-    Args:
-        controller: The controller, whose gains the parameters change; by rollouts over anything
-            else it may be any `Controller`.
-        uncertainty: The errors at scale 1.
-        region: Where to look; see `stability_report`.
-        names: The two parameters, of "error", "a", "kv" and "damping" (see `PARAMETERS`); by
-            rollouts also two errors, places, or one of each.
-        x: Values of the first: numbers that grow, > 0 of gains, ≥ 0 of "error".
-        y: Values of the second, alike.
-        by: "tests" or "rollouts".
-        target: x_d, shape (n_x,); see `stability_report`.
-        targets: Configurations that test 3 takes as targets, ≥ 2: half of them the worst of 200
-            with the controller's own gains, the true robots in turn.
-        coarse: At most so many values of each parameter where tests 2 and 4 are made, ≥ 2: the
-            first, the last and the controller's own among them; 0 makes test 3 alone.
-        configurations: How many to draw for tests 1 and 2.
-        runs: Rollouts at each coarse point, by default none; or by rollouts at each point, on
-            average over what is drawn, by default 100.
-        duration: Of a rollout [s].
-        seed: Of all drawing.
-        executor: Where the rollouts run; see `rollouts`.
-        progress: Called with the share that is done.
-        options: Others of `rollouts`, such as dt, tolerance, sensing, engine, folder.
-
-    Raises:
-        InvalidInputError: Values that are no growing numbers > 0 (≥ 0 of "error"), twice the same
-            parameter, one of gains and one of what is drawn, or what `stability_report` or
-            `rollouts` refuses.
-        UnknownNameError: No such parameter, or no such kind of map.
-    """
+    """Return the map of a study over some parameters; see `Study.map`."""
+    uncertainty = study.uncertainty
     require("uncertainty", uncertainty, Uncertainty, "an Uncertainty")
-    if by not in get_args(By):
-        raise UnknownNameError("by", by, "stability_map", get_args(By))
-    known = labels(uncertainty) if by == "rollouts" else PARAMETERS
-    for name in names:
-        if name not in known:
-            likely = 'errors and places need by="rollouts"' if name in labels(uncertainty) else ""
-            raise UnknownNameError("parameter", name, "the map", known, likely)
-    if len(set(names)) != 2:
-        raise InvalidInputError(f"names must be two different parameters, got {names}", given=names)
-    xs, ys = (_values(name, values) for name, values in zip(names, (x, y), strict=True))
-    tell = progress or (lambda share: None)
-    if by == "rollouts":
-        region = usual_region(controller.task) if region is None else region
-        runs = as_integer("runs", 100 if runs is None else runs, 1)
-        total = runs * xs.size * ys.size
-        made = shares_over_runs if is_drawn(names, uncertainty) else shares_over_parameters
-        shares = made(
-            controller, uncertainty, region, names, xs, ys, target=target, runs=runs,
-            duration=duration, seed=seed, executor=executor,
-            progress=lambda done: tell(done / total), **options,
-        )  # fmt: skip
-        none = np.full((len(ys), len(xs)), np.nan)
-        return StabilityMap(names, xs, ys, none, 0, xs, ys, none, none, *shares)
-    runs = 0 if runs is None else runs
-    loop = ClosedLoop(controller, uncertainty, region, target)
-    loop.require_gravity()
-    own = own_values(controller)
-    few = tuple(_some(v, coarse, own[name]) for name, v in zip(names, (xs, ys), strict=True))
-    rank_is_lost: list[bool] = []  # whether Ĵ loses rank in the region: no parameter changes that
+    assert isinstance(uncertainty, Uncertainty)
+    require("over", over, Mapping, "a dict of one or two parameters and their values")
+    if len(over) not in (1, 2):
+        raise InvalidInputError(
+            f"over must have one or two parameters, got {list(over)}", given=over
+        )
+    names = tuple(over)
+    drawn = are_drawn(names, uncertainty)
+    values = tuple(_values(name, each) for name, each in over.items())
+    made = _of_what_is_drawn if drawn else _of_parameters
+    counts, points = made(study, names, values, n, execution, tell)
+    converged, runs = counts
+    pairs = zip(converged.ravel().tolist(), runs.ravel().tolist(), strict=True)
+    intervals = np.array([clopper_pearson(good, total) for good, total in pairs])
+    share = np.where(runs > 0, converged / np.maximum(runs, 1), np.nan)
+    return StabilityMap(names, values, share, intervals.reshape(*runs.shape, 2), runs, points)
 
-    # the true robots and what is drawn change with "error" only, which is in the outer loop
-    @functools.lru_cache(maxsize=1)
-    def drawn(scale: float) -> tuple[ClosedLoop, Samples]:
-        scaled = loop.scaled(scale)
-        return scaled, scaled.draw(configurations, np.random.default_rng(seed), inside=SHARED)
 
-    @functools.lru_cache(maxsize=1)
-    def hard_targets(scale: float) -> Targets:
-        scaled = loop.scaled(scale)
-        truths, pool = scaled.targets(max(targets, _POOL), np.random.default_rng(seed))
-        rates = local_test(scaled, truths, pool).decay_rates
-        hard = np.argsort(rates, kind="stable")[: targets // 2]
-        others = np.setdiff1d(np.arange(len(rates)), hard)
-        chosen = np.concatenate([hard, others[: targets - targets // 2]])
-        return scaled.linearised(truths[chosen], pool[chosen])
+_Counts = tuple[Any, Mapping[tuple[float, ...], Rollouts]]
 
-    def result(kind: str, scale: float, gains: Gains) -> float:
-        if kind == "local":
-            rates, _ = hard_targets(scale).rates(loop.with_gains(gains).diagonals)
-            return float(rates.min())
-        scaled, samples = drawn(scale)
-        if not rank_is_lost:
-            rank_is_lost.append(scaled.singular_configuration(samples) is not None)
-        if rank_is_lost[0]:
-            return -1.0
-        return max(-1.0, margin(kind, samples, scaled.with_gains(gains).setting))
 
-    grids = {"local": (xs, ys), "theorem1": (xs, ys), "matrix": few}
-    costs = {"local": 1, "theorem1": bool(coarse), "matrix": 60}  # about, ms
-    per_run = 5  # ms, too
-    total = sum(costs[kind] * len(a) * len(b) for kind, (a, b) in grids.items())
-    total += per_run * runs * len(few[0]) * len(few[1])
-    done, found = 0, {}
-    for kind, (first, second) in grids.items():
-        found[kind] = np.full((len(second), len(first)), np.nan)
-        points = itertools.product(range(len(second)), range(len(first)) if costs[kind] else ())
-        for j, i in sorted(points, key=lambda point: point[names[0] == "error"]):
-            at = {names[0]: float(first[i]), names[1]: float(second[j])}
-            scale = at.get("error", 1.0)
-            try:
-                found[kind][j, i] = result(kind, scale, gains_at(controller, at))
-            except UnattainedError:
-                if scale <= 1.0:
-                    raise  # grown errors may put the target out of reach, the given ones not
-            done += costs[kind]
-            tell(done / total)
-    shares = Shares.of(*np.zeros((2, len(few[1]), len(few[0])), dtype=int))
-    if runs and coarse:
-        shares = shares_over_parameters(
-            controller, uncertainty, loop.region, names, few[0], few[1], target=loop.target,
-            runs=runs, duration=duration, seed=seed, executor=executor,
-            progress=lambda ran: tell((done + per_run * ran) / total), **options,
-        )  # fmt: skip
-    return StabilityMap(
-        names, xs, ys, found["local"], targets, few[0], few[1], found["theorem1"], found["matrix"],
-        *shares,
-    )  # fmt: skip
+def _of_parameters(
+    study: Study,
+    names: tuple[str, ...],
+    values: tuple[Array, ...],
+    n: int,
+    execution: Execution,
+    tell: Callable[[float], None],
+) -> _Counts:
+    """Return converged and all runs with other gains, or scales of the errors, and the points.
+
+    There are none where grown errors have a camera look elsewhere.
+    """
+    axes = [each.tolist() for each in values]
+    settings: dict[tuple[float, ...], RolloutSetting] = {}
+    for point in itertools.product(*axes):
+        at = dict(zip(names, point, strict=True))
+        scale = at.pop("error", 1.0)
+        own = replace(
+            study,
+            controller=_with_gains(study.controller, at) if at else study.controller,
+            uncertainty=study.uncertainty.scaled(scale),  # type: ignore[union-attr]
+        ).setting()
+        if scale <= 1.0 or _is_seen(own, n):
+            settings[point] = own.with_engine(execution.engine, n)
+    together = sharing([*settings.values()])
+    columns = carried_out(together, n, None, execution, tell) if together else []
+    points = {
+        point: Rollouts(each, setting)
+        for (point, setting), each in zip(settings.items(), columns, strict=True)
+    }
+    counts = np.zeros((2, *(each.size for each in reversed(values))), dtype=int)
+    for place in np.ndindex(*counts.shape[1:]):
+        point = tuple(each[k] for each, k in zip(axes, reversed(place), strict=True))
+        if point in points:
+            counts[(slice(None), *place)] = points[point].n_converged, points[point].n
+    return counts, points
+
+
+def _of_what_is_drawn(
+    study: Study,
+    names: tuple[str, ...],
+    values: tuple[Array, ...],
+    n: int,
+    execution: Execution,
+    tell: Callable[[float], None],
+) -> _Counts:
+    """Return converged and all runs by what was drawn: true values, or the place of the start.
+
+    A run counts at the point that it is nearest to, but not beyond half a step from the ends.
+    """
+    uncertainty, shape = study.uncertainty, tuple(each.size for each in values)
+    assert isinstance(uncertainty, Uncertainty)
+    many = study.rollouts(
+        n * int(np.prod(shape)), execution=execution, progress=lambda _, share: tell(share)
+    )
+    robot = uncertainty.belief()
+    tip = FrameKinematics(robot, robot.tip_or(None))
+    cells = []
+    for name, each in zip(names, values, strict=True):
+        if name in PLACES:
+            drawn = np.array([tip.position(q)[PLACES.index(name)] for q in many.columns["q0"]])
+        else:
+            drawn = many.columns["values"][:, uncertainty.names.index(name)]
+        cells.append(np.searchsorted(_edges(each), drawn) - 1)
+    inside = np.all([(k >= 0) & (k < N) for k, N in zip(cells, shape, strict=True)], axis=0)
+    counts = np.zeros((2, *reversed(shape)), dtype=int)
+    for row, counted in zip(counts, (inside & many.columns["converged"], inside), strict=True):
+        np.add.at(row, tuple(k[counted] for k in reversed(cells)), 1)
+    return counts, {}
+
+
+def _with_gains(controller: Controller, at: Mapping[str, float]) -> SetpointController:
+    """Return a controller with the gains of some parameters of a map."""
+    law: Any = controller
+    require_setpoint(law)
+    assert isinstance(law, SetpointController)
+    kp, kv, damping = law.diagonals
+    times = at.get("kv", 1.0)
+    own_kv = times * kv
+    own_kp = at["a"] * own_kv if "a" in at else times * kp
+    return law.with_gains(Gains(own_kp, own_kv, at.get("damping", 1.0) * damping))
 
 
 def own_values(controller: SetpointController) -> dict[str, float]:
@@ -277,17 +220,41 @@ def own_values(controller: SetpointController) -> dict[str, float]:
     return {"error": 1.0, "a": float(np.mean(kp / kv)), "kv": 1.0, "damping": 1.0}
 
 
-def _some(values: Array, count: int, own: float) -> Array:
-    """Return at most `count` of the values: the ends, and the own one if it is among them."""
-    at = np.unique(np.linspace(0, len(values) - 1, count).round().astype(int))
-    k = np.flatnonzero(values == own)
-    if len(k) and len(at) > 2 and k[0] not in at:
-        at[1 + np.abs(at[1:-1] - k[0]).argmin()] = k[0]
-    return np.sort(values[at])
+def _is_seen(setting: RolloutSetting, runs: int) -> bool:
+    """Return whether cameras see something of the region in all runs; whatever else sees all."""
+    if setting.uncertainty.camera is None:
+        return True
+    try:
+        for index in range(runs):
+            setting.start(index)
+    except UnattainedError:
+        return False
+    return True
+
+
+def are_drawn(names: Sequence[str], uncertainty: Uncertainty) -> bool:
+    """Return whether a map is over what is drawn, and not over parameters.
+
+    Raises:
+        InvalidInputError: Some of each.
+        UnknownNameError: None of these.
+    """
+    known = labels(uncertainty)
+    for name in names:
+        if name not in known:
+            raise UnknownNameError("parameter", name, "the map", known)
+    drawn = [name not in PARAMETERS for name in names]
+    if any(drawn) and not all(drawn):
+        raise InvalidInputError(
+            "names must all be of what is drawn (x, y, z, and the errors) or all be parameters, "
+            f"got {tuple(names)}",
+            given=names,
+        )
+    return all(drawn)
 
 
 def labels(uncertainty: Uncertainty) -> dict[str, str]:
-    """Return name → label of all parameters that a map by rollouts can have along its axes."""
+    """Return name → label of all that a map can have along its axes."""
     errors = zip(uncertainty.names, uncertainty.units, strict=True)
     places = {name: f"{name} of the believed tip at the start [m]" for name in PLACES}
     return PARAMETERS | places | {name: f"true {name} [{unit}]" for name, unit in errors}
@@ -304,3 +271,8 @@ def _values(name: str, given: Sequence[float] | Array) -> Array:
             given=given,
         )
     return values
+
+
+def _edges(values: Array) -> Array:
+    middle = 0.5 * (values[1:] + values[:-1])
+    return np.array([2.0 * values[0] - middle[0], *middle, 2.0 * values[-1] - middle[-1]])

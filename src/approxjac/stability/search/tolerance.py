@@ -1,26 +1,26 @@
-"""`tolerance`: how much larger or smaller errors may be before each test gives way."""
+"""`Tolerance`: how much larger or smaller errors may be before each test gives way."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from approxjac.controllers import SetpointController
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.formatting import rows, wrapped
 from approxjac.stability.certificates.certificate import refine_constants, refine_weights
 from approxjac.stability.certificates.matrix_form import MatrixForm
 from approxjac.stability.certificates.theorem1 import theorem1
-from approxjac.stability.errors.region import Region
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.closed_loop import SHARED, ClosedLoop
 from approxjac.stability.loop.local import local_test
 from approxjac.stability.loop.visibility import UnattainedError
-from approxjac.stability.rollout.rollouts import rollouts
 from approxjac.validation import Array, as_number, require
+
+if TYPE_CHECKING:
+    from approxjac.stability.study import Study
 
 Test = Literal["theorem1", "matrix", "local", "rollouts"]
 TESTS: tuple[Test, ...] = ("theorem1", "matrix", "local")
@@ -32,6 +32,7 @@ _WORDS = {
     "rollouts": "rollouts (no proof)",
 }
 _STEPS = 20  # of bisection
+_CONFIGURATIONS, _RUNS = 400, 100  # by default
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -87,59 +88,19 @@ class Tolerance:
         return "\n".join([*wrapped(f"tolerated by {what}: {box}"), *rows(told, 2)])
 
 
-def tolerance(
-    controller: SetpointController,
-    uncertainty: Uncertainty,
-    region: Region | None = None,
-    *,
-    tests: Sequence[Test] = TESTS,
-    target: Sequence[float] | Array | None = None,
-    largest: float = 10.0,
-    precision: float = 0.02,
-    configurations: int = 400,
-    runs: int = 100,
-    seed: int = 0,
-    progress: Callable[[float], None] | None = None,
-    **options: Any,
+def tolerances(
+    study: Study,
+    tests: Sequence[Test],
+    largest: float,
+    precision: float,
+    draws: int | None,
+    tell: Callable[[float], None],
 ) -> dict[Test, Tolerance]:
-    """Find the largest scaling of a set of errors for which each test still passes.
-
-    Theorem 1 and the matrix form are about motions that stay in the region, in continuous time. The
-    configurations that choose the Lyapunov function are the only ones it is tried in: this finds
-    how large errors may be about, and `stability_report`, which checks it in others, may find none
-    a little below. The local test speaks of what begins near its target only, and rollouts prove
-    nothing.
-
-    A region with a configuration where Ĵ loses rank passes neither of the first two tests, at any
-    scale.
-
-    By bisection, with the same configurations at every scale. Sets grow with their scale, so for
-    the first two tests whatever passes at one scale passes at all smaller ones (as far as corners
-    and configurations tell). The local test looks at corners and might pass again beyond a gap, and
-    so might rollouts, which pass where all of them converge.
-
-    Args:
-        controller: The controller.
-        uncertainty: The errors at scale 1.
-        region: Where to look; see `stability_report`.
-        tests: "theorem1", "matrix", "local" or "rollouts". The first two are not for a task whose
-            Jacobian uses the measured x.
-        target: x_d, shape (n_x,); see `stability_report`.
-        largest: Scale at most > 0; less where robots beyond it cannot exist.
-        precision: Of the scale, relative, > 0.
-        configurations: How many to draw.
-        runs: Rollouts at each scale, which end with the first that does not converge.
-        seed: Of the drawing.
-        progress: Called with the share that is done.
-        options: Others of `rollouts`, such as duration, dt, tolerance, executor.
-
-    Raises:
-        InvalidInputError: Numbers out of range, options without rollouts, or what
-            `stability_report` refuses.
-        UnknownNameError: No such test.
-    """
+    """Return the largest scaling of a study's errors for each test; see `Study.tolerance`."""
+    uncertainty = study.uncertainty
     require("uncertainty", uncertainty, Uncertainty, "an Uncertainty")
-    loop = ClosedLoop(controller, uncertainty, region, target)
+    assert isinstance(uncertainty, Uncertainty)
+    loop = study.loop()
     if uncertainty.d == 0:
         raise InvalidInputError(
             f"uncertainty must have a range to scale, got {uncertainty!r}", given=uncertainty
@@ -147,12 +108,6 @@ def tolerance(
     for test in tests:
         if test not in (*TESTS, "rollouts"):
             raise UnknownNameError("test", test, "the tests", (*TESTS, "rollouts"))
-    if options and "rollouts" not in tests:
-        raise InvalidInputError(
-            f"options must be of a chosen test, got {', '.join(options)} with tests = "
-            f"{tuple(tests)}; options are those of 'rollouts'",
-            given=options,
-        )
     largest = uncertainty.largest_scale(as_number("largest", largest, above=0.0))
     precision = as_number("precision", precision, above=0.0)
     loop.require_gravity()
@@ -164,12 +119,12 @@ def tolerance(
         scaled = loop.scaled(scale)
         try:
             if test == "rollouts":
-                many = rollouts(
-                    controller, uncertainty.scaled(scale), loop.region, target=loop.target,
-                    runs=runs, failures=1, seed=seed, **options,
-                )  # fmt: skip
+                own = replace(study, uncertainty=uncertainty.scaled(scale), region=loop.region)
+                many = own.rollouts(draws or _RUNS, failures=1)
                 return None if many.n_converged == many.n else many.runs[-1].values
-            return _failing(scaled, test, configurations, np.random.default_rng(seed))
+            return _failing(
+                scaled, test, draws or _CONFIGURATIONS, np.random.default_rng(study.seed)
+            )
         except UnattainedError as error:
             if scale <= 1.0:
                 raise
@@ -185,8 +140,7 @@ def tolerance(
         for step in range(_STEPS):
             if passes == largest or (np.isfinite(fails) and fails - passes <= precision * fails):
                 break
-            if progress is not None:
-                progress((k + step / _STEPS) / len(tests))
+            tell((k + step / _STEPS) / len(tests))
             culprit = failing(test, scale)
             if culprit is None:
                 passes = scale

@@ -1,4 +1,4 @@
-"""`Study`: what all rollouts share, and how they are carried out, one by one or in lanes."""
+"""`RolloutSetting`: what all rollouts share, and how they run, one by one or in lanes."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from approxjac.controllers import Gains, SetpointController
 from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError, SimulationError, UnknownNameError
 from approxjac.extras import package_of
@@ -68,7 +69,7 @@ class Start:
 
 
 @dataclass(frozen=True, eq=False)
-class Study:
+class RolloutSetting:
     """Setting that all runs share.
 
     Attributes:
@@ -78,7 +79,7 @@ class Study:
         target: x_d of all, shape (n_x,), or what moves; or None.
         duration: Of each run [s].
         dt: Sampling time [s].
-        tolerance: Error below which a task counts as done [unit of the task].
+        accuracy: Error below which a task counts as done [unit of the task].
         seed: Of the drawing.
         sensing: How measurements differ from the truth, or None.
         actuator_delay: Time from a torque to its effect [s].
@@ -86,7 +87,7 @@ class Study:
         reason: Why it is not lanes; empty where it is, or where Python was asked for.
         examples: Number of runs that show what differs.
         key: What the compiled loop is known by.
-        alike: Controllers and errors of studies with the same compiled loop, which differ in all
+        alike: Controllers and errors of settings with the same compiled loop, which differ in all
             that differs between them; itself alone by default.
     """
 
@@ -96,7 +97,7 @@ class Study:
     target: Wanted | None
     duration: float
     dt: float
-    tolerance: float
+    accuracy: float
     seed: int
     sensing: Sensing | None = None
     actuator_delay: float = 0.0
@@ -106,7 +107,7 @@ class Study:
     key: str = ""
     alike: tuple[tuple[Controller, Uncertainty], ...] = ()
 
-    def with_engine(self, engine: str | None, runs: int) -> Study:
+    def with_engine(self, engine: str | None, runs: int) -> RolloutSetting:
         """Return this with an engine: the one that is asked for, or the fastest that covers it."""
         if engine is not None and engine not in _ENGINES:
             raise UnknownNameError("engine", engine, "rollouts", _ENGINES)
@@ -126,12 +127,12 @@ class Study:
             package_of("fast", "llvmlite")
         elif importlib.util.find_spec("llvmlite") is None:
             return replace(self, reason="llvmlite is not installed")
-        study = replace(self, engine="lanes", examples=min(max(runs, 2), _EXAMPLES))
+        setting = replace(self, engine="lanes", examples=min(max(runs, 2), _EXAMPLES))
         try:
-            key = hashlib.sha256(pickle.dumps(study)).hexdigest()
+            key = hashlib.sha256(pickle.dumps(setting)).hexdigest()
         except (pickle.PicklingError, AttributeError, TypeError):
             key = uuid.uuid4().hex  # for the threads of this process
-        return replace(study, key=key)
+        return replace(setting, key=key)
 
     def _require_alike(self) -> None:
         """Refuse true robots that may differ in more than lengths, axes, masses and cameras."""
@@ -208,7 +209,7 @@ class Study:
             record = self.simulated(start)
         except SimulationError:
             return (*begins, math.inf, math.nan, math.nan, math.nan, False, True, False)
-        settling, converged = _judged(record.t, record.error_norm, self.tolerance)
+        settling, converged = _judged(record.t, record.error_norm, self.accuracy)
         final = float(record.error_norm[-1])
         final = math.inf if math.isnan(final) else final
         robot = start.plant.robot
@@ -253,6 +254,39 @@ class Study:
         return found
 
 
+def sharing(settings: list[RolloutSetting]) -> list[RolloutSetting]:
+    """Return settings of which those that differ in gains and scale alone share a compiled loop."""
+    groups: dict[bytes, list[int]] = {}
+    gains = [np.zeros(0)] * len(settings)
+    for k, setting in enumerate(settings):
+        law = setting.controller
+        # in code, gains are numbers like others; but limits and postures follow from them
+        if type(law) is SetpointController and law.posture is None:
+            gains[k] = np.concatenate(law.diagonals)
+            law = law.with_gains(Gains(1.0, 1.0, 1.0))
+        errors = replace(setting.uncertainty, factor=1.0)
+        try:
+            rest = pickle.dumps(replace(setting, controller=law, uncertainty=errors, key=""))
+        except (pickle.PicklingError, AttributeError, TypeError):
+            continue
+        groups.setdefault(rest, []).append(k)
+    found = list(settings)
+    for group in groups.values():
+        errors = max((settings[k].uncertainty for k in group), key=lambda each: each.factor)
+        shown: list[Controller] = []
+        known = np.zeros(gains[group[0]].shape, dtype=bool)  # numbers that differ
+        for k in group:
+            differs = gains[k] != gains[group[0]]
+            if not shown or (differs & ~known).any():
+                shown.append(settings[k].controller)
+                known |= differs
+        alike = tuple((law, errors) for law in shown)
+        key = hashlib.sha256(pickle.dumps((settings[group[0]].key, alike))).hexdigest()
+        for k in group if len(group) > 1 and settings[group[0]].engine == "lanes" else ():
+            found[k] = replace(settings[k], key=key, alike=alike)
+    return found
+
+
 def _columns(rows: list[tuple[Any, ...]]) -> dict[str, Array]:
     return {name: np.array(each) for name, each in zip(COLUMNS, zip(*rows), strict=True)}  # noqa: B905
 
@@ -270,22 +304,22 @@ _lanes: dict[str, Lanes] = {}
 _compiling = threading.Lock()
 
 
-def _lanes_of(study: Study) -> Lanes:
-    """Return the compiled loop of a study, compiled once in each process."""
+def _lanes_of(setting: RolloutSetting) -> Lanes:
+    """Return the compiled loop of a setting, compiled once in each process."""
     from approxjac.codegen.lanes import Lanes
 
     with _compiling:
-        if study.key not in _lanes:
+        if setting.key not in _lanes:
             while len(_lanes) >= _COMPILED:
                 del _lanes[next(iter(_lanes))]
             examples = []
-            for law, errors in study.alike or ((study.controller, study.uncertainty),):
-                one = replace(study, controller=law, uncertainty=errors)
-                starts = [one.start(index) for index in range(study.examples)]
+            for law, errors in setting.alike or ((setting.controller, setting.uncertainty),):
+                one = replace(setting, controller=law, uncertainty=errors)
+                starts = [one.start(index) for index in range(setting.examples)]
                 examples += [each.begun(law) for each in starts]
-            _lanes[study.key] = Lanes(
-                law, starts[0].plant, examples, study._box(), study.dt, study.steps,
-                study.tolerance,
-                path=None if isinstance(study.target, np.ndarray) else study.target,
+            _lanes[setting.key] = Lanes(
+                law, starts[0].plant, examples, setting._box(), setting.dt, setting.steps,
+                setting.accuracy,
+                path=None if isinstance(setting.target, np.ndarray) else setting.target,
             )  # fmt: skip
-        return _lanes[study.key]
+        return _lanes[setting.key]

@@ -1,39 +1,35 @@
-"""Gains that pass a test for a set of errors, or what to relax; what would certify a loop."""
+"""`Suggestion`: gains that pass a test for a set of errors, or what to relax."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from approxjac.controllers import Gains, Latency, NoGravity, SetpointController
 from approxjac.controllers.gains.default_gains import default_gains, position_gains
-from approxjac.controllers.gains.sample_configurations import usual_postures
 from approxjac.errors import UnknownNameError
 from approxjac.formatting import rows, short_fields, wrapped
 from approxjac.stability.certificates.certificate import margin
 from approxjac.stability.certificates.sampled_test import growth
-from approxjac.stability.errors.region import Region
 from approxjac.stability.errors.uncertainty import Uncertainty
-from approxjac.stability.loop.closed_loop import SHARED, ClosedLoop
+from approxjac.stability.loop.closed_loop import SHARED
 from approxjac.stability.loop.linearization import Timing
 from approxjac.stability.loop.local import local_test
-from approxjac.stability.loop.samples import Samples
-from approxjac.stability.report.report import stability_report
-from approxjac.stability.search.tolerance import TESTS, Test, tolerance
+from approxjac.stability.search.tolerance import TESTS, Test
 from approxjac.validation import Array, as_limits, as_number, require
+
+if TYPE_CHECKING:
+    from approxjac.stability.study import Study
 
 _RATES = (1.0, 1.5, 2.5, 4.0)  # of the position gain, times what settles the believed arm
 _STIFFNESS = (1.0, 0.5, 2.0, 4.0)  # of K_v, times the default
 _DAMPING = (1.0, 2.0, 4.0, 8.0, 16.0)  # of B_c, times the default
 _TARGETS = 40  # configurations that the settling time is taken over
 _SETTLED = 4.0  # time constants until 2 % are left
-_RAISED = (1.5, 2.0, 3.0, 5.0, 10.0, 20.0)  # times the damping
-_SHAPED = (10.0, 5.0, 20.0, 40.0)  # times the joints' own inertia [1/s]
-_FLOOR = 0.05  # of the mean inertia, that light joints count as heavier by
 _LOOKED = 100  # configurations that show the unstable ones among dampings
 _CONFIRMED = 5  # gains that a report is asked about to relax a demand
 _SEVERAL = "at least two of"
@@ -64,7 +60,7 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Suggestion:
-    """Answer of `suggest_gains`.
+    """Answer of `Study.gains`.
 
     Attributes:
         test: The test that had to pass, and the loop as it runs besides.
@@ -108,54 +104,21 @@ class Suggestion:
         return "\n".join([*wrapped(self.heading), *rows(told, 2)])
 
 
-def suggest_gains(
-    uncertainty: Uncertainty,
-    region: Region | None = None,
-    *,
-    test: Test = "matrix",
-    settling_time: float = 1.0,
-    target: Sequence[float] | Array | None = None,
-    torque_limits: float | Sequence[float] | Array | None = None,
-    latency: Latency | None = None,
-    configurations: int = 200,
-    seed: int = 0,
-    progress: Callable[[float], None] | None = None,
+def suggested_gains(
+    study: Study,
+    settling_time: float,
+    test: Test,
+    torque_limits: float | Sequence[float] | Array | None,
+    configurations: int,
+    tell: Callable[[float], None],
 ) -> Suggestion:
-    """Find gains of law (6) that pass a test for a set of errors.
-
-    Three demands: the test passes for every corner of the set and every configuration drawn, and so
-    does the loop as it runs, sampled and late; the torque of a start at rest, gravity compensated,
-    is within the limits; and a small error settles to 2 % in the wanted time with every true robot,
-    linearised near the target: a far reach takes longer.
-    Tried are the default gains and multiples of them, from gentle to strong, K_p along with K_v and
-    the damping so that the believed arm settles in time.
-
-    As it runs means of "theorem1" and "matrix" that a whole `stability_report` is passed, and of
-    "local" that the exact linearisation of the sampled, late loop is stable at each target drawn.
-
-    Args:
-        uncertainty: The errors.
-        region: Where starts and targets are; see `stability_report`.
-        test: The test to pass: "theorem1", "matrix" or "local".
-        settling_time: Wanted > 0 [s].
-        target: x_d, shape (n_x,); by default all targets within the region.
-        torque_limits: A number or shape (n_v,), infinite where there is none [N m or N]; the
-            arm's effort limits by default.
-        latency: When the loop measures and acts; by default at 1 kHz with ideal sensors.
-        configurations: How many to draw.
-        seed: Of the drawing.
-        progress: Called with the share that is done.
-
-    Raises:
-        InvalidInputError: Numbers out of range, or an empty region.
-        UnknownNameError: No such test.
-    """
+    """Return gains that pass a test for a study's errors; see `Study.gains`."""
+    uncertainty, latency, seed = study.uncertainty, study.timing, study.seed
     require("uncertainty", uncertainty, Uncertainty, "an Uncertainty")
+    assert isinstance(uncertainty, Uncertainty)
     if test not in TESTS:
         raise UnknownNameError("test", test, "the tests", TESTS)
     settling_time = as_number("settling_time", settling_time, unit="s", above=0.0)
-    latency = Latency() if latency is None else latency
-    require("latency", latency, Latency, "Latency(period=...) or None")
     # gravity counts for the torque at the start; the tests take it as compensated
     weightless = replace(uncertainty, arm=uncertainty.arm.with_gravity((0.0, 0.0, 0.0)))
     task = weightless.believed_task()
@@ -163,8 +126,9 @@ def suggest_gains(
     limits = as_limits("torque_limits", limits, task.robot.nv, unit="N m or N")
     base = default_gains(task, settling_time, 1.0 / latency.of_velocity)
     first = SetpointController(task, base, gravity=NoGravity(task.robot))
-    loop = ClosedLoop(first, weightless, region, target)
-    drawn: dict[str, Any] = {"target": target, "configurations": configurations, "seed": seed}
+    known = replace(study, controller=first, uncertainty=weightless, latency=latency)
+    loop = known.loop()
+    known = replace(known, region=loop.region)
     rng = np.random.default_rng(seed)
     samples = loop.draw(configurations, rng, inside=SHARED)
     targets = loop.targets(_TARGETS, rng)
@@ -193,9 +157,7 @@ def suggest_gains(
         """Return a candidate with the margin that a report has for the loop as it runs."""
         if test == "local":
             return candidate
-        report = stability_report(
-            first.with_gains(candidate.gains), weightless, loop.region, latency=latency, **drawn
-        )
+        report = replace(known, controller=first.with_gains(candidate.gains)).report(configurations)
         assert report.sampled is not None
         left = report.sampled.margin
         return replace(candidate, margin=left if report.passed else min(left, 0.0))
@@ -206,28 +168,26 @@ def suggest_gains(
         kv, added = stiffness * np.asarray(base.kv), damping * np.asarray(base.damping)
         kp = rate * position_gains(task, kv, added, settling_time)
         tried.append(demands(Gains(kp, kv, added)))
-        if progress is not None:
-            progress((k + 1) / len(grid))
+        tell((k + 1) / len(grid))
         if all(tried[-1].met(settling_time)):
             tried[-1] = confirmed(tried[-1])
             if all(tried[-1].met(settling_time)):
                 return Suggestion(test, tried[-1], (), tuple(tried))
 
     def tolerated(gains: Gains) -> float:
-        controller = first.with_gains(gains)
-        scale = tolerance(
-            controller, weightless, loop.region, tests=(test,), largest=1.0, **drawn
-        )[test].scale  # fmt: skip
-
-        def passes(part: Uncertainty) -> bool:
+        own = replace(known, controller=first.with_gains(gains))
+        scale = own.tolerance((test,), largest=1.0, draws=configurations)[test].scale
+        for share in _SHARES if scale > 0.0 else ():
+            part = replace(own, uncertainty=weightless.scaled(share * scale))
             if test == "local":
-                smaller = ClosedLoop(controller, part, loop.region, target)
-                return bool((growth(smaller, _few(smaller, seed), latency) < 1.0).all())
-            return stability_report(
-                controller, part, loop.region, latency=latency, **drawn
-            ).passed  # fmt: skip
-
-        return _largest_part(weightless, scale, passes)
+                smaller = part.loop()
+                few = smaller.draw(_LOOKED, np.random.default_rng(seed))
+                passes = bool((growth(smaller, few, latency) < 1.0).all())
+            else:
+                passes = part.report(configurations).passed
+            if passes:
+                return share * scale
+        return 0.0
 
     relax = _relaxations(tried, settling_time, tolerated, confirmed)
     return Suggestion(test, None, relax, tuple(tried))
@@ -287,111 +247,3 @@ def _relaxations(
 
 def _time(candidate: Candidate) -> float:
     return candidate.settling_time
-
-
-class Damping(NamedTuple):
-    """Joint damping with which a loop is certified.
-
-    Attributes:
-        values: B_c, shape (n_v,) [N m s/rad or N s/m].
-        factor: By which what was there is multiplied; None where it has the shape of the arm's
-            inertia instead.
-    """
-
-    values: Array
-    factor: float | None
-
-
-def damping_that_certifies(
-    controller: SetpointController,
-    uncertainty: Uncertainty,
-    region: Region | None = None,
-    *,
-    latency: Latency | None = None,
-    progress: Callable[[float], None] | None = None,
-    **options: Any,
-) -> Damping | None:
-    """Return joint damping with which a whole `stability_report` certifies the loop as it runs.
-
-    Tried are 1.5 to 20 times what there is, as more of it forgives more errors; and damping in the
-    shape of the arm's inertia, as what brakes a light wrist at the rate of a heavy shoulder, and no
-    faster, may be sampled more slowly: ρ(Mᵢᵢ + 0.05 of their mean), ρ from 5 to 40 1/s, Mᵢᵢ the
-    median over usual configurations. (`default_gains` and `tuned` have such a shape by themselves.)
-    What makes errors grow in the exact linearisation is not asked a report for.
-
-    Args:
-        controller: The controller.
-        uncertainty: The errors.
-        region: Where to look.
-        latency: When the loop measures and acts; see `stability_report`.
-        progress: Called with the share that is done.
-        options: Others of `stability_report`: `target`, `configurations` and `seed`.
-
-    Returns:
-        The first of these that is certified, or None if none is.
-
-    Raises:
-        InvalidInputError: What `stability_report` refuses.
-    """
-    kp, kv, damping = controller.diagonals
-    loop = ClosedLoop(controller, uncertainty, region, options.get("target"))
-    latency = latency or controller.latency or Latency()
-    samples = _few(loop, options.get("seed", 0))
-    own = np.median(np.diagonal(usual_postures(controller.task).M, axis1=1, axis2=2), axis=0)
-    shape = own + _FLOOR * own.mean()
-    candidates = [Damping(factor * damping, factor) for factor in _RAISED if damping.any()]
-    candidates += [Damping(rate * shape, None) for rate in _SHAPED]
-    for k, candidate in enumerate(candidates):
-        if progress is not None:
-            progress(k / len(candidates))
-        gains = Gains(kp, kv, candidate.values)
-        if (growth(loop.with_gains(gains), samples, latency) >= 1.0).any():
-            continue
-        changed = controller.with_gains(gains)
-        if stability_report(changed, uncertainty, region, latency=latency, **options).passed:
-            return candidate
-    return None
-
-
-def part_that_certifies(
-    controller: SetpointController,
-    uncertainty: Uncertainty,
-    region: Region | None = None,
-    *,
-    largest: float = 1.0,
-    progress: Callable[[float], None] | None = None,
-    **options: Any,
-) -> Uncertainty | None:
-    """Return the largest part of the errors, of five tried, that a report certifies; or None.
-
-    A report asks for more than `tolerance` does: it is about the loop as it runs, draws more
-    configurations, and checks on others what it chose. `largest` is the scale to begin with, such
-    as what `tolerance` tells; half of it is the last tried. The other arguments are those of
-    `damping_that_certifies`.
-    """
-
-    def passes(part: Uncertainty) -> bool:
-        return stability_report(controller, part, region, **options).passed
-
-    scale = _largest_part(uncertainty, largest, passes, progress)
-    return uncertainty.scaled(scale) if scale else None
-
-
-def _largest_part(
-    uncertainty: Uncertainty,
-    largest: float,
-    passes: Callable[[Uncertainty], bool],
-    progress: Callable[[float], None] | None = None,
-) -> float:
-    """Return the largest scale of the errors that passes, of five; 0 if none does."""
-    for k, share in enumerate(_SHARES if largest > 0.0 else ()):
-        if progress is not None:
-            progress(k / len(_SHARES))
-        if passes(uncertainty.scaled(share * largest)):
-            return share * largest
-    return 0.0
-
-
-def _few(loop: ClosedLoop, seed: int) -> Samples:
-    """A few samples, in which most of what is unstable shows."""
-    return loop.draw(_LOOKED, np.random.default_rng(seed))
