@@ -114,7 +114,7 @@ PROGRAM = """
     reveal_type(report)
     reveal_type(aj.stability.Tube(arm, run.q))
     reveal_type(aj.view.plot_run)
-    reveal_type(aj.rollouts)
+    reveal_type(aj.Study.rollouts)
     aj.Gains(kp="400", kv=80.0)
     aj.stabilty_report
 """
@@ -139,7 +139,7 @@ def test_type_checkers_know_the_names(tmp_path):
     assert types[1] == "approxjac.stability.report.report.StabilityReport"
     assert types[2] == "approxjac.stability.errors.region.Tube"
     assert types[3].startswith("def (run: approxjac.simulation.trajectory.Trajectory)")
-    assert types[4].startswith("def (controller: approxjac.interface.Controller, uncertainty:")
+    assert types[4].startswith("def (self: approxjac.stability.study.Study, n:")
     errors = re.findall(r"error: (.*)", process.stdout)
     assert len(errors) == 2
     assert 'Argument "kp" to "Gains" has incompatible type "str"' in errors[0]
