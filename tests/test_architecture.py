@@ -27,8 +27,8 @@ ALLOWED = {
         "__init__", "cameras", "controllers", "errors", "extras", "files", "formatting",
         "interface", "law", "robots", "simulation", "tasks", "validation",
     },
-    "cameras": {"errors", "formatting", "robots", "validation"},
-    "tasks": {"cameras", "errors", "formatting", "robots", "validation"},
+    "cameras": {"errors", "formatting", "law", "robots", "validation"},
+    "tasks": {"cameras", "errors", "formatting", "law", "robots", "validation"},
     "controllers": {
         "cameras", "errors", "extras", "formatting", "interface", "law", "robots", "tasks",
         "validation",

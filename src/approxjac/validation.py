@@ -84,6 +84,8 @@ def as_vector(name: str, value: Any, size: int, unit: str = "") -> Array:
         and math.isfinite(math.hypot(*value.tolist()))  # overflows without a warning
     ):
         return value
+    if hasattr(value, "arm_of"):  # symbols, of which nothing is known yet
+        return value  # type: ignore[no-any-return]
     return as_array(name, value, (size,), unit)
 
 

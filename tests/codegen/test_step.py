@@ -502,9 +502,6 @@ def test_what_is_not_covered_is_refused(panda):
     class OwnGravity(aj.NoGravity):
         pass
 
-    class OwnTask(aj.PositionTask):
-        pass
-
     class OwnLaw(aj.SetpointController):
         pass
 
@@ -529,7 +526,6 @@ def test_what_is_not_covered_is_refused(panda):
             aj.SetpointController(task, saturation=OwnSaturation(0.1)),
             "saturation must be Linear, Sine or Tanh to make code of it, got ",
         ),
-        (aj.SetpointController(OwnTask(panda)), "task must be one of PositionTask, PoseTask, "),
         (
             aj.SetpointController(task, gravity=OwnGravity(panda)),
             "gravity must be a ModelGravity, NoGravity, RegressorGravity or AdaptiveGravity to ",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -76,6 +76,21 @@ class Camera(Saved, ABC):
         """Return this camera with values that its calibration has."""
         return self
 
+    @property
+    def numbers(self) -> dict[str, Array]:
+        """Numbers that images depend on, by the names of attributes, of cameras of one kind.
+
+        Of a camera of one's own they are all its attributes that are numbers.
+        """
+        own = {name: np.asarray(value) for name, value in vars(self).items()}
+        return {name: value for name, value in own.items() if value.dtype == np.float64}
+
+    def with_numbers(self, numbers: Mapping[str, Any]) -> Self:
+        """Return this camera with other `numbers`, such as some that are not known yet."""
+        found = object.__new__(type(self))
+        vars(found).update(vars(self), **numbers)
+        return found
+
 
 @dataclass(frozen=True, repr=False)
 class PlanarCamera(Camera):
@@ -127,7 +142,7 @@ class PlanarCamera(Camera):
     def project(self, r: Array) -> Array:
         if shape_of(r) != (3,):
             as_array("the point r", r, (3,), "m")
-        return self._J @ r + self._d
+        return np.asanyarray(self._J @ r + self._d)
 
     def interaction(self, r: Array) -> Array:
         return self._J.copy()
@@ -136,6 +151,10 @@ class PlanarCamera(Camera):
     def calibration(self) -> Mapping[str, Calibrated]:
         units = {"focal_length": "m", "distance": "m", "roll": "rad"}
         return {name: Calibrated(getattr(self, name), unit) for name, unit in units.items()}
+
+    @property
+    def numbers(self) -> dict[str, Array]:
+        return {"_J": self._J, "_d": self._d}
 
     def _recalibrated(self, values: Mapping[str, float]) -> PlanarCamera:
         return replace(self, **values)  # type: ignore[arg-type]  # none of them is a text

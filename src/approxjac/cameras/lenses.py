@@ -9,7 +9,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.polynomial import Polynomial
 
+from approxjac import law
 from approxjac.errors import InvalidInputError
+from approxjac.law.products import angle, length, root, sine_and_cosine
 from approxjac.validation import Array
 
 FARTHEST = 100.0
@@ -22,6 +24,7 @@ LEAST = 1e-9
 """Largest distance of a ray from where it was asked for, in focal lengths."""
 _SURELY = 1.0 - 1e-6  # of a disc, within which the derivative is regular
 _LARGEST = 1e9  # coefficient
+_TINY = 1e-300
 BEFORE = 1e-9
 """Least distance of a point of the image before a tilted lens, in focal lengths."""
 COUNTS = (0, 1, 2, 3, 4, 5, 8, 12, 14)
@@ -59,9 +62,8 @@ class Lens(ABC):
         if self.is_straight:
             return shown
         p = self.undistorted(shown)
-        beside = float(np.abs(self.distorted(p) - shown).max())
-        is_shown = beside <= LEAST * (1.0 + math.hypot(*shown.tolist()))
-        return p if is_shown else np.full(2, np.nan)
+        is_shown = length(self.distorted(p) - shown) <= LEAST * (1.0 + length(shown))
+        return np.asanyarray(law.select(is_shown, p, np.full(2, np.nan)))
 
 
 class Distortion(Lens):
@@ -160,7 +162,10 @@ class Distortion(Lens):
         return (u, v) if self._T is None else _moved(self._T, u, v)
 
     def distorted(self, p: Array) -> Array:
-        return p if self.is_straight else np.array(self.shown_at(*p.tolist()))
+        if self.is_straight:
+            return p
+        x, y = p.tolist()
+        return np.asanyarray(law.array(self.shown_at(x, y)))
 
     def slopes(self, x: float, y: float) -> tuple[float, float, float, float]:
         if self.is_straight:
@@ -176,9 +181,9 @@ class Distortion(Lens):
         t10, t11 = (h10 - v * h20) / depth, (h11 - v * h21) / depth
         return t00 * a + t01 * c, t00 * b + t01 * d, t10 * a + t11 * c, t10 * b + t11 * d
 
-    def radius(self, length: float) -> float:
+    def radius(self, size: float) -> float:
         """Return how far from the middle a lens that is round shows a ray of a length."""
-        return length * self._factors(length * length)[0]
+        return size * self._factors(size * size)[0]
 
     def undistorted(self, shown: Array) -> Array:
         if self.is_straight:
@@ -186,18 +191,23 @@ class Distortion(Lens):
         u, v = shown.tolist()
         if self._T_inverse is not None:
             (h00, h01, h02), (h10, h11, h12), (h20, h21, h22) = self._T_inverse.tolist()
-            depth = max(h20 * u + h21 * v + h22, BEFORE)
+            depth = h20 * u + h21 * v + h22
+            depth = law.select(depth > BEFORE, depth, BEFORE)
             u, v = (h00 * u + h01 * v + h02) / depth, (h10 * u + h11 * v + h12) / depth
-        wanted = math.hypot(u, v)
+        wanted = root(u * u + v * v)
+        if isinstance(wanted, float) and wanted == 0.0:
+            return np.zeros(2)
         # the radius grows up to the fold
-        scale = inverse(self.radius, wanted, self.largest_radius) / wanted if wanted else 0.0
+        scale = inverse(self.radius, wanted, self.largest_radius) / wanted
+        scale = law.select(wanted > 0.0, scale, 0.0)
+
+        def nearer(_: int, ray: tuple[float, float]) -> tuple[float, float]:
+            return shortened(self.largest_radius, *self._newton(*ray, u, v))
+
         x, y = scale * u, scale * v
         if not self._is_round:
-            for _ in range(NEWTON_STEPS):
-                x, y = self._newton(x, y, u, v)
-                back = min(1.0, self.largest_radius / max(math.hypot(x, y), 1e-300))
-                x, y = back * x, back * y
-        return np.array([x, y])
+            x, y = law.repeat(NEWTON_STEPS, nearer, (x, y))
+        return np.asanyarray(law.array([x, y]))
 
     def _newton(self, x: float, y: float, u: float, v: float) -> tuple[float, float]:
         """Return a ray (x, y) after a step of Newton's towards the one that is shown at (u, v)."""
@@ -235,14 +245,23 @@ def inverse(growing: Callable[[float], float], wanted: float, largest: float) ->
 
     Bisection cannot fail, and nothing is in a hurry.
     """
-    low, high = 0.0, largest
-    for _ in range(HALVINGS):
+
+    def halved(_: int, ends: tuple[float, float, float]) -> tuple[float, float, float]:
+        low, high, wanted = ends
         middle = 0.5 * (low + high)
-        if growing(middle) < wanted:
-            low = middle
-        else:
-            high = middle
+        is_short = growing(middle) < wanted
+        return law.select(is_short, middle, low), law.select(is_short, high, middle), wanted
+
+    low, high, _ = law.repeat(HALVINGS, halved, (0.0, largest, wanted))
     return 0.5 * (low + high)
+
+
+def shortened(radius: float, x: float, y: float) -> tuple[float, float]:
+    """Return a ray (x, y), shortened to a length where it is longer."""
+    size = root(x * x + y * y)
+    size = law.select(size > _TINY, size, _TINY)
+    back = law.select(size > radius, radius / size, 1.0)
+    return back * x, back * y
 
 
 def _even(coefficients: Sequence[float]) -> Polynomial:
@@ -332,35 +351,46 @@ class Fisheye(Lens):
         self.widest = WIDEST * math.sqrt(min(turns, default=1.0))
         self.largest_radius, self.shown_radius = math.tan(self.widest), self.bent(self.widest)
 
-    def bent(self, angle: float) -> float:
+    def bent(self, theta: float) -> float:
         """Return θ_d of an angle θ [rad]."""
         k1, k2, k3, k4 = self._k
-        square = angle * angle
-        return angle * (1.0 + square * (k1 + square * (k2 + square * (k3 + square * k4))))
+        square = theta * theta
+        return theta * (1.0 + square * (k1 + square * (k2 + square * (k3 + square * k4))))
 
-    def growth(self, angle: float) -> float:
+    def growth(self, theta: float) -> float:
         """Return dθ_d/dθ at an angle θ [rad]."""
         k1, k2, k3, k4 = self._k
-        s = angle * angle
+        s = theta * theta
         return 1.0 + s * (3.0 * k1 + s * (5.0 * k2 + s * (7.0 * k3 + s * 9.0 * k4)))
 
     def distorted(self, p: Array) -> Array:
-        length = math.hypot(*p.tolist())
-        return p if length == 0.0 else p * (self.bent(math.atan(length)) / length)
+        size = length(p)
+        if isinstance(size, float) and size == 0.0:
+            return p
+        bent = p * (self.bent(angle(size, 1.0)) / size)
+        return np.asanyarray(law.select(size > 0.0, bent, p))
 
     def slopes(self, x: float, y: float) -> tuple[float, float, float, float]:
         rho = x * x + y * y
-        if rho == 0.0:
+        if isinstance(rho, float) and rho == 0.0:
             return 1.0, 0.0, 0.0, 1.0
-        length = math.sqrt(rho)
-        angle = math.atan(length)
-        factor = self.bent(angle) / length
-        rate = (self.growth(angle) / (1.0 + rho) - factor) / rho
-        across = rate * x * y
-        return factor + rate * x * x, across, across, factor + rate * y * y
+        size = root(rho)
+        theta = angle(size, 1.0)
+        factor = self.bent(theta) / size
+        rate = (self.growth(theta) / (1.0 + rho) - factor) / rho
+        is_beside, across = rho > 0.0, rate * x * y
+        across = law.select(is_beside, across, 0.0)
+        return (
+            law.select(is_beside, factor + rate * x * x, 1.0),
+            across,
+            across,
+            law.select(is_beside, factor + rate * y * y, 1.0),
+        )
 
     def undistorted(self, shown: Array) -> Array:
-        wanted = math.hypot(*shown.tolist())
-        if wanted == 0.0:
+        wanted = length(shown)
+        if isinstance(wanted, float) and wanted == 0.0:
             return np.zeros(2)
-        return shown * (math.tan(inverse(self.bent, wanted, self.widest)) / wanted)
+        sine, cosine = sine_and_cosine(inverse(self.bent, wanted, self.widest))
+        ray = shown * (sine / cosine / wanted)
+        return np.asanyarray(law.select(wanted > 0.0, ray, 0.0 * shown))

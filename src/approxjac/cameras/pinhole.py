@@ -7,12 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import NoneType
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from approxjac import law
 from approxjac.cameras.calibration import (
     as_rotation,
     opencv_parameters,
@@ -20,13 +21,14 @@ from approxjac.cameras.calibration import (
     view_axes,
 )
 from approxjac.cameras.camera import Calibrated, Camera
-from approxjac.cameras.lenses import Distortion, Fisheye, Lens
+from approxjac.cameras.lenses import Distortion, Fisheye, Lens, shortened
 from approxjac.errors import InvalidInputError
+from approxjac.law.products import length
 from approxjac.validation import Array, as_array, as_number, is_scalar, require, shape_of
 
 _UPRIGHT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 _ON_AN_EDGE = 17  # points of each edge of the image
-_TINY = 1e-300
+_NOWHERE = np.full(2, np.nan)
 WITHIN = 0.999
 """Of a round image, in which a ray is surely shown."""
 
@@ -242,7 +244,7 @@ class PinholeCamera(Camera):
 
     def in_camera(self, r: Array) -> Array:
         """Return a point r (3,) in the camera's own axes, (3,); its third entry is the depth Z."""
-        return np.asarray(self._R_t @ (r - self._p))
+        return np.asanyarray(self._R_t @ (r - self._p))
 
     def project(self, r: Array) -> Array:
         """Return the image (2,) [px] of a point at r (3,), also beyond the edges of the image.
@@ -255,33 +257,38 @@ class PinholeCamera(Camera):
         if shape_of(r) != (3,):
             as_array("the point r", r, (3,), "m")
         X, Y, Z = self.in_camera(r).tolist()
-        if self.near <= Z < math.inf:
-            p = np.array([X / Z, Y / Z])
-            if math.hypot(*p) < self._lens.largest_radius:
-                return self.shown(p)
-        return np.full(2, np.nan)
+        is_seen = (self.near <= Z) & (math.inf > Z)
+        if is_seen is False:
+            return _NOWHERE.copy()
+        x, y = X / Z, Y / Z
+        if self._lens.largest_radius < math.inf:
+            is_seen = is_seen & (x * x + y * y < self._lens.largest_radius**2)
+        image = self.shown(law.array([x, y]))
+        return np.asanyarray(law.select(is_seen, image, _NOWHERE.copy()))
 
     def shown(self, p: Array) -> Array:
         """Return the image (2,) [px] of a ray (X/Z, Y/Z); shape (2,)."""
-        return np.asarray(self._f * self._lens.distorted(p) + self._c)
+        return np.asanyarray(self._f * self._lens.distorted(p) + self._c)
 
     def seen(self, x: Array) -> Array:
         (u, v), (width, height) = x.tolist(), self.size
-        inside = -0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5
-        if inside and not self._sees_all:
-            inside = bool(np.isfinite(self.ray(x)).all())
-        return x if inside else np.full(2, np.nan)
+        inside = (u >= -0.5) & (u <= width - 0.5) & (v >= -0.5) & (v <= height - 0.5)
+        if not self._sees_all:
+            assert isinstance(self._lens, Fisheye)  # which alone may show a round image
+            w = (x - self._c) / self._f
+            inside = inside & (length(w) <= self._lens.shown_radius)
+        return np.asanyarray(law.select(inside, x, _NOWHERE.copy()))
 
     def nearest(self, x: Array) -> Array:
         """Return the image coordinates that can be seen and are nearest to x (2,); (2,)."""
         (u, v), (width, height) = x.tolist(), self.size
-        inside = np.array([min(max(u, -0.5), width - 0.5), min(max(v, -0.5), height - 0.5)])
+        inside = law.array([_between(u, -0.5, width - 0.5), _between(v, -0.5, height - 0.5)])
         if self._sees_all:
-            return inside
+            return np.asanyarray(inside)
         assert isinstance(self._lens, Fisheye)  # which alone may show a round image
-        w = (inside - self._c) / self._f
-        rim = WITHIN * self._lens.shown_radius
-        return np.asarray(self._c + self._f * w * min(1.0, rim / max(math.hypot(*w), _TINY)))
+        w = ((inside - self._c) / self._f).tolist()
+        w = shortened(WITHIN * self._lens.shown_radius, *w)
+        return np.asanyarray(self._c + self._f * law.array(w))
 
     def ray(self, x: Array) -> Array:
         """Return the ray (X/Z, Y/Z) whose image is x (2,) [px], shape (2,); NaN where none is."""
@@ -290,7 +297,7 @@ class PinholeCamera(Camera):
     def locate(self, x: Array, depth: float) -> Array:
         """Return the position (3,) of the point at a depth Z [m] whose image is x (2,) [px]."""
         X, Y = self.ray(x).tolist()
-        return np.asarray(self._R @ np.array([depth * X, depth * Y, depth]) + self._p)
+        return np.asanyarray(self._R @ law.array([depth * X, depth * Y, depth]) + self._p)
 
     def interaction(self, r: Array) -> Array:
         """Return the image Jacobian J_I = ∂X/∂r, shape (2, 3) [px/m].
@@ -301,21 +308,20 @@ class PinholeCamera(Camera):
         x, y, Z = self._within(self.in_camera(r))
         a, b, c, d = self._lens.slopes(x, y)
         f_u, f_v = (self._f / Z).tolist()
-        J = np.array([
+        J = law.array([
             [f_u * a, f_u * b, -f_u * (a * x + b * y)],
             [f_v * c, f_v * d, -f_v * (c * x + d * y)],
         ])  # fmt: skip  # in the camera's own axes
-        return np.asarray(J @ self._R_t)
+        return np.asanyarray(J @ self._R_t)
 
     def _within(self, own: Array) -> tuple[float, float, float]:
         """Return ray (x, y) and depth of a point in the camera's axes, moved into its view."""
         X, Y, Z = own.tolist()
-        Z = max(Z, self.near)
-        (left, right), (top, bottom) = self._edges
-        x, y = min(max(X / Z, left), right), min(max(Y / Z, top), bottom)
+        Z = law.select(self.near < Z, Z, self.near)
+        along, across = self._edges
+        x, y = _between(X / Z, *along), _between(Y / Z, *across)
         if not self._lens.is_straight:
-            back = min(1.0, self._lens.largest_radius / max(math.hypot(x, y), _TINY))
-            x, y = back * x, back * y
+            x, y = shortened(self._lens.largest_radius, x, y)
         return x, y, Z
 
     def with_error(
@@ -351,6 +357,15 @@ class PinholeCamera(Camera):
             "distance": Calibrated(0.0, "m"),
             "roll": Calibrated(0.0, "rad"),
         }
+
+    @property
+    def numbers(self) -> dict[str, Array]:
+        return {"_f": self._f, "_c": self._c, "_R": self._R, "_p": self._p}
+
+    def with_numbers(self, numbers: Mapping[str, Any]) -> Self:
+        found = super().with_numbers(numbers)
+        vars(found).update(_R_t=found._R.T)
+        return found
 
     def _recalibrated(self, values: Mapping[str, float]) -> PinholeCamera:
         back, roll = values.get("distance", 0.0), values.get("roll", 0.0)
@@ -396,6 +411,13 @@ class PinholeCamera(Camera):
             f"corners, or with fewer coefficients; got {self.distortion}",
             given=self.distortion,
         )
+
+
+def _between(value: float, low: float, high: float) -> float:
+    """Return a number, or the nearest one between two others."""
+    value = law.select(value > low, value, low)
+    within: float = law.select(value < high, value, high)
+    return within
 
 
 def _short(values: Any) -> str:

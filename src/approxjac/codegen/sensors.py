@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from approxjac.codegen.arm import traced_tasks as tasks
 from approxjac.codegen.arm.rigid_body import difference, moved
 from approxjac.codegen.trace.program import Program
 from approxjac.codegen.trace.symbols import Number, Symbols, select, symbols
@@ -89,7 +88,7 @@ class Senses:
     def measured(self, program: Program, q: Symbols, v: Symbols, x: Symbols) -> Measured:
         """Return what is measured where q, v and x are so, x as the sensor delivers it."""
         sensing, robot = self._sensing, self._sensor.robot
-        sensor = tasks.on_symbols(self._sensor)
+        sensor = self._sensor
         kept: dict[str, Any] = {}
         if self._q_noise.any():
             q = moved(robot, q, self._q_noise * program.drawn("q_noise", len(self._q_noise)))

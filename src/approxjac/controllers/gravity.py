@@ -17,6 +17,7 @@ from approxjac.controllers.gains.tuning import Learning
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import listed, numbers_of, short
 from approxjac.robots import GravityRegressor, Robot
+from approxjac.robots.traced import arm_of
 from approxjac.tasks import Task
 from approxjac.validation import (
     Array,
@@ -56,6 +57,8 @@ class ModelGravity(_RobotGravity):
 
     def torque(self, q: Array) -> Array:
         """Return g(q), shape (n_v,) [N m or N]; an alias of scratch memory."""
+        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
+            return np.asanyarray(arm.gravity())
         g: Array = self._torque_at(q)
         return g
 

@@ -4,7 +4,16 @@ Symbols are the paper's; misprints are corrected and each departure is named whe
 """
 
 from approxjac.law.adaptation import passive_output, theta_hat_rate, within_bounds
-from approxjac.law.branches import choose, collect, repeat, take
+from approxjac.law.branches import (
+    array,
+    choose,
+    collect,
+    complement,
+    is_finite,
+    repeat,
+    select,
+    take,
+)
 from approxjac.law.conditions import (
     allowed_p,
     allowed_p_at_crossing,
@@ -49,6 +58,7 @@ from approxjac.law.pseudoinverse import (
     gram_damping,
     is_near_singular,
     is_surely_regular,
+    may_be_singular,
     right_pinv,
     solution,
 )
@@ -58,12 +68,16 @@ from approxjac.law.rotation import (
     explained,
     generators,
     nearest_rotation,
+    quaternion,
+    quaternion_between,
     rodrigues,
+    rotation_between,
     rotation_exp,
     rotation_information,
     rotation_log,
     rotations_everywhere,
     tangents,
+    turned,
 )
 from approxjac.law.sampled_loop import LinearLaw, frame_map
 from approxjac.law.saturation import Linear, Saturation, Sine, Tanh
@@ -106,6 +120,7 @@ __all__ = [
     "allowed_p_at_crossing",
     "allowed_p_position",
     "allowed_p_velocity",
+    "array",
     "best_alpha",
     "best_rotation",
     "bounded_torque",
@@ -113,6 +128,7 @@ __all__ = [
     "choose",
     "closed_loop_matrix",
     "collect",
+    "complement",
     "correction",
     "cross_matrix",
     "cross_weight_damped",
@@ -132,6 +148,7 @@ __all__ = [
     "image_turn",
     "inertial_block",
     "information",
+    "is_finite",
     "is_near_singular",
     "is_surely_regular",
     "jacobian_error",
@@ -141,6 +158,7 @@ __all__ = [
     "learning_gain",
     "learnt_gravity_torque",
     "limited_torque",
+    "may_be_singular",
     "measured_velocity_torque",
     "nearest_rotation",
     "parameter_potential",
@@ -148,6 +166,8 @@ __all__ = [
     "potential",
     "potential_block",
     "potential_matrix",
+    "quaternion",
+    "quaternion_between",
     "ray_basis",
     "ray_jacobian",
     "rays",
@@ -155,11 +175,13 @@ __all__ = [
     "repeat",
     "right_pinv",
     "rodrigues",
+    "rotation_between",
     "rotation_exp",
     "rotation_information",
     "rotation_log",
     "rotations_everywhere",
     "saturated",
+    "select",
     "servo_lag_rate",
     "slowed",
     "solution",
@@ -171,6 +193,7 @@ __all__ = [
     "theta_hat_rate",
     "tracking_potential",
     "tracking_torque",
+    "turned",
     "within_bounds",
     "within_speeds",
 ]

@@ -6,6 +6,7 @@ not known yet (of `codegen`) take both, and say themselves how.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -14,6 +15,47 @@ import numpy as np
 from approxjac.validation import Array
 
 Values = TypeVar("Values", bound=tuple[Any, ...])
+
+
+def select(condition: Any, a: Any, b: Any) -> Any:
+    """Return a where a condition holds, b elsewhere: numbers, or arrays of the same shape.
+
+    Both are computed already, which `choose` is for where they cost something.
+
+    Args:
+        condition: A truth value of Python or NumPy, or one that is not known yet.
+        a: What is returned where it holds.
+        b: What is returned elsewhere.
+    """
+    if condition is True:
+        return a
+    if condition is False:
+        return b
+    if isinstance(condition, np.bool_):
+        return a if condition else b
+    return condition.select(a, b)
+
+
+def complement(condition: Any) -> Any:
+    """Return whether a condition does not hold."""
+    return not condition if isinstance(condition, bool | np.bool_) else ~condition
+
+
+def is_finite(x: Any) -> Any:
+    """Return whether all entries of a vector are finite."""
+    if not x.dtype.hasobject:
+        return math.isfinite(math.hypot(*x.tolist()))  # which overflows without a warning
+    square = (x * x).sum()
+    return math.isfinite(square) if isinstance(square, float) else square.is_finite()
+
+
+def array(values: Any) -> Any:
+    """Return numbers, some of which may not be known yet, as an array."""
+    found = values if isinstance(values, np.ndarray) else np.array(values)
+    if not found.dtype.hasobject:
+        return found
+    unknown = next((each for each in found.flat if hasattr(each, "array")), None)
+    return found if unknown is None else unknown.array(found)
 
 
 def choose(condition: Any, then: Callable[[], Values], otherwise: Callable[[], Values]) -> Values:

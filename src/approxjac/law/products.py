@@ -1,4 +1,4 @@
-"""Product and root, the fastest for arrays as small as a control step's."""
+"""Products, roots and angles, the fastest for arrays as small as a control step's."""
 
 from __future__ import annotations
 
@@ -17,3 +17,25 @@ def dot(a: Array, b: Array) -> Array:
 def root(a: Any) -> Any:
     """√a of a number, known or not: NumPy's takes five times as long for one number."""
     return math.sqrt(a) if isinstance(a, float) else a.sqrt()
+
+
+def length(x: Array) -> Any:
+    """Return ‖x‖ of a vector, without a warning where it overflows."""
+    return root((x * x).sum()) if x.dtype.hasobject else math.hypot(*x.tolist())
+
+
+def angle(y: Any, x: Any) -> Any:
+    """Return the angle of (x, y) from −π to π [rad], of numbers that are known or not."""
+    return math.atan2(y, x) if isinstance(y, float) and isinstance(x, float) else _of(y, x)
+
+
+def _of(y: Any, x: Any) -> Any:
+    return y.arctan2(x) if hasattr(y, "arctan2") else x.angle_from(y)
+
+
+def sine_and_cosine(a: Any) -> tuple[Any, Any]:
+    """Return sin a and cos a of a number, known or not."""
+    if isinstance(a, float):
+        return math.sin(a), math.cos(a)
+    sine, cosine = a.sine_and_cosine()
+    return sine, cosine

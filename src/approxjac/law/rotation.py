@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 
+from approxjac.law.branches import array, select
+from approxjac.law.products import angle, root, sine_and_cosine
 from approxjac.validation import Array
 
 # generators of SO(3) and SO(2): rotations are exp(Σ φᵢ Gᵢ)
@@ -20,6 +22,9 @@ _PRODUCTS = {
     len(G[0]): (0.5 * (G @ G[:, np.newaxis] + G[:, np.newaxis] @ G)).reshape(len(G) ** 2, -1)
     for G in (_SPACE, _PLANE)
 }
+NO_ROTATION = 1e-6
+"""A quaternion shorter than this stands for no orientation."""
+_NO_SINE, _NO_TURN = 1e-150, 1e-8  # below them the angle over its sine is 1
 _FAR = 1e100
 _NEWTON_STEPS = 5  # it goes on with the next frame
 _LARGEST_STEP = 0.7  # of Newton's method [rad]
@@ -80,6 +85,70 @@ def rotation_log(R: Array) -> Array:
     axis = symmetric[:, int(np.argmax(symmetric.diagonal()))]
     axis = axis / np.linalg.norm(axis)
     return np.asarray((angle if axis.dot(twice) >= 0.0 else -angle) * axis)
+
+
+def quaternion(R: Array) -> Array:
+    """Return the unit quaternion (x, y, z, w) of a rotation (3, 3), with the sign of Eigen's."""
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = R.tolist()
+    # of four times the squares of w, x, y and z the first is taken if it is large, or the largest
+    of_w, of_x, of_y, of_z = 1.0 + xx + yy + zz, 1.0 + xx - yy - zz, 1.0 - xx + yy - zz, 1.0 - xx
+    of_z = of_z - yy + zz
+    wx, wy, wz = zy - yz, xz - zx, yx - xy
+    xy, xz, yz = xy + yx, xz + zx, yz + zy
+    row = array([of_x, xy, xz, wx, of_x])
+    row = select(yy > xx, array([xy, of_y, yz, wy, of_y]), row)
+    row = select((zz > xx) & (zz > yy), array([xz, yz, of_z, wz, of_z]), row)
+    row = select(xx + yy + zz > 0.0, array([wx, wy, wz, of_w, of_w]), row)
+    return np.asanyarray(row[:4] / (2.0 * root(row[4])))
+
+
+def quaternion_between(a: list[float], b: list[float]) -> tuple[float, float, float, float]:
+    """Return the quaternion (x, y, z, w) of R_a R_bᵀ from those of R_a and R_b."""
+    ax, ay, az, aw = a
+    bx, by, bz, bw = b
+    x = ax * bw - aw * bx + az * by - ay * bz
+    y = ay * bw - aw * by + ax * bz - az * bx
+    z = az * bw - aw * bz + ay * bx - ax * by
+    return x, y, z, aw * bw + ax * bx + ay * by + az * bz
+
+
+def rotation_between(a: list[float], b: list[float]) -> tuple[float, float, float]:
+    """Return log(R_a R_bᵀ) [rad] from quaternions (x, y, z, w); NaN where one is none."""
+    length_a, length_b = _length(a), _length(b)
+    are_some = (length_a > NO_ROTATION) & (length_b > NO_ROTATION)
+    are_some = are_some & (length_a < math.inf) & (length_b < math.inf)
+    if are_some is False:
+        return math.nan, math.nan, math.nan
+    unit_a, unit_b = [entry / length_a for entry in a], [entry / length_b for entry in b]
+    x, y, z, w = quaternion_between(unit_a, unit_b)
+    sine = root(x * x + y * y + z * z)  # of half the angle
+    # of the two quaternions of this rotation, the one that turns by at most 180°
+    factor = _share(2.0 * angle(sine, abs(w)), sine, sine > _NO_SINE, 2.0)
+    factor = select(are_some, select(w < 0.0, -factor, factor), math.nan)
+    return factor * x, factor * y, factor * z
+
+
+def turned(quaternion: list[float], phi: list[float]) -> tuple[float, float, float, float]:
+    """Return a quaternion (x, y, z, w) after a turn by a rotation vector [rad]."""
+    size = _length(phi)
+    half = 0.5 * size
+    sine, cosine = sine_and_cosine(half)
+    factor = _share(sine, size, size > _NO_TURN, 0.5)
+    x, y, z, w = quaternion
+    return quaternion_between([*(factor * each for each in phi), cosine], [-x, -y, -z, w])
+
+
+def _share(above: float, below: float, is_some: bool, otherwise: float) -> float:
+    """Return a quotient, or what it is where there is nothing below."""
+    if is_some is False:
+        return otherwise
+    share: float = select(is_some, above / below, otherwise)
+    return share
+
+
+def _length(vector: list[float]) -> float:
+    length: float = root(sum((each * each for each in vector[1:]), vector[0] * vector[0]))
+    return length
 
 
 def nearest_rotation(A: Array) -> Array:

@@ -9,6 +9,7 @@ import pinocchio as pin
 
 from approxjac.robots.model import WORLD, mass_matrix, symmetric
 from approxjac.robots.robot import Robot
+from approxjac.robots.traced import arm_of
 from approxjac.validation import Array, as_vector, require
 
 
@@ -45,6 +46,8 @@ class Dynamics:
 
     def M(self, q: Array) -> Array:
         """Inertia matrix M(q), shape (n_v, n_v) [kg m², kg m or kg]."""
+        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
+            return np.asanyarray(arm.M())
         return mass_matrix(self._mimic_joints, self._all_data, self._q(q))
 
     def C(self, q: Array, v: Array) -> Array:
@@ -68,6 +71,8 @@ class Dynamics:
 
     def g(self, q: Array) -> Array:
         """Gravity torque g(q), shape (n_v,) [N m or N]."""
+        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
+            return np.asanyarray(arm.gravity())
         return np.array(pin.computeGeneralizedGravity(self._model, self._data, self._q(q)))
 
     def g_gradient(self, q: Array) -> Array:
@@ -78,6 +83,8 @@ class Dynamics:
 
     def inverse(self, q: Array, v: Array, a: Array) -> Array:
         """M(q)a + C(q, q̇)q̇ + g(q) by RNEA, shape (n_v,) [N m or N]."""
+        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
+            return np.asanyarray(arm.bias(v) + arm.momentum(a))
         q, v, a = self._q(q), self._v(v), self._v(a, "a")
         return np.array(pin.rnea(self._model, self._data, q, v, a))
 
@@ -86,6 +93,8 @@ class Dynamics:
 
         By the articulated-body algorithm, or with mimic joints by solving with M(q).
         """
+        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
+            return np.asanyarray(arm.forward(v, tau))
         q, v, tau = self._q(q), self._v(v), self._v(tau, "tau")
         if self._mimic_joints.G is not None:
             bias = pin.rnea(self._model, self._data, q, v, self._zero)
@@ -94,6 +103,8 @@ class Dynamics:
 
     def M_inv(self, q: Array) -> Array:
         """M(q)⁻¹, shape (n_v, n_v)."""
+        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
+            return np.asanyarray(arm.factors.solve(np.eye(self.robot.nv)))
         if self._mimic_joints.G is not None:
             return np.asarray(np.linalg.inv(self.M(q)))
         return symmetric(pin.computeMinverse(self._model, self._data, self._q(q)))

@@ -11,6 +11,7 @@ import pinocchio as pin
 from approxjac.errors import InvalidInputError
 from approxjac.robots.dynamics import Dynamics
 from approxjac.robots.robot import Robot
+from approxjac.robots.traced import arm_of
 from approxjac.validation import Array, as_array, as_number, axis_rows, require, shape_of
 
 _RANK_TOLERANCE = 1e-9
@@ -97,6 +98,8 @@ class GravityRegressor:
 
     def Z(self, q: Array) -> Array:
         """Gravity regressor Z(q), shape (n_v, p) [m²/s² for first moments, with g inside]."""
+        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
+            return np.asanyarray(arm.Z(self))
         return self._full(self.robot.configuration(q)).take(self.columns, 1)
 
     def fit(self, robot: Robot, *, seed: int = 0) -> tuple[Array, float]:

@@ -166,10 +166,12 @@ class Robot(Immutable):
             InvalidInputError: Wrong shape, not finite, or (cos, sin) pairs of continuous joints
                 that are off the unit circle.
         """
-        if self.nq != self.nv and shape_of(q) == (self.nv,):
+        if self.nq != self.nv and shape_of(q) == (self.nv,) and not hasattr(q, "arm_of"):
             motion = as_array(name, q, (self.nv,), "rad or m")
             return np.array(pin.integrate(self.model, self.neutral(), motion))
         vector = as_vector(name, q, self.nq, "rad or m")
+        if hasattr(q, "arm_of"):  # symbols
+            return vector
         if self.nq != self.nv and not pin.isNormalized(self.model, vector, 1e-3):
             raise InvalidInputError(
                 f"{name} must have cos^2 + sin^2 = 1 in the pairs of continuous joints of "

@@ -125,13 +125,13 @@ class CombinedTask(WrappedTask):
         return cls(task, scaled @ U.T if rows == task.m else scaled.T)
 
     def error(self, x: Array, x_d: Array) -> Array:
-        return np.asarray(self.C @ self.task.error(x, x_d))
+        return np.asanyarray(self.C @ self.task.error(x, x_d))
 
     def displaced(self, x: Array, e: Array) -> Array:
         return self.task.displaced(x, self._inverse @ e)
 
     def jacobian(self, q: Array, x: Array | None = None) -> Array:
-        return np.asarray(self.C @ self.task.jacobian(q, x))
+        return np.asanyarray(self.C @ self.task.jacobian(q, x))
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:
         return np.asarray(self.C @ self.task.jacobian_dot(q, v))

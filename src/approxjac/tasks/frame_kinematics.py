@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from approxjac.law import quaternion
 from approxjac.robots import Robot
+from approxjac.robots.traced import arm_of
 from approxjac.validation import Array, as_vector
 
 _LWA = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
@@ -73,19 +75,29 @@ class FrameKinematics:
 
     def position(self, q: Array) -> Array:
         """Return the position of the frame's origin in the world, shape (3,) [m]."""
+        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
+            return np.asanyarray(arm.frame(self.frame)[1])
         return np.array(self._placement(q).translation)
 
     def placement(self, q: Array) -> tuple[Array, Array]:
         """Return the rotation (3, 3) of the frame's axes in the world's, and `position`."""
+        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
+            R, p = arm.frame(self.frame)
+            return R, p
         M = self._placement(q)
         return np.array(M.rotation), np.array(M.translation)
 
     def pose(self, q: Array) -> Array:
         """Return position [m] and unit quaternion (x, y, z, w) in the world, shape (7,)."""
+        if type(q) is not np.ndarray and arm_of(self.robot, q) is not None:
+            R, p = self.placement(q)
+            return np.concatenate([p, quaternion(R)])
         return np.array(pin.SE3ToXYZQUAT(self._placement(q)))
 
     def jacobian(self, q: Array) -> Array:
         """Return the Jacobian of (velocity, angular velocity), LOCAL_WORLD_ALIGNED, (6, n_v)."""
+        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
+            return np.asanyarray(arm.jacobian(self.frame))
         q = (
             as_vector("q", q, self._nq, "rad or m")
             if self._is_vector
@@ -99,6 +111,8 @@ class FrameKinematics:
 
         Rotation and position are scratch memory: use them before the next call, do not keep them.
         """
+        if type(q) is not np.ndarray and arm_of(self.robot, q) is not None:
+            return self.jacobian(q), *self.placement(q)
         J = self.jacobian(q)  # places the frame, too
         return J, *self._placed
 
@@ -169,4 +183,4 @@ def _chosen(r: Array, at: Array | None) -> Array:
 
 def _skews(vectors: Array) -> Array:
     """Return the matrices [a]ₓ with [a]ₓ b = a × b for each row a, shape (k, 3, 3)."""
-    return np.asarray(vectors @ _CROSS).reshape(-1, 3, 3)
+    return np.asanyarray((vectors @ _CROSS).reshape(-1, 3, 3))

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from approxjac import law
 from approxjac.cameras.camera import Camera
 from approxjac.cameras.pinhole import PinholeCamera
 from approxjac.errors import InvalidInputError
@@ -108,23 +108,27 @@ class ImageTask(Task):
         return self._images(x - x_d).ravel()
 
     def displaced(self, x: Array, e: Array) -> Array:
-        moved = x.reshape(-1, self._stride).copy()
-        moved[:, :2] += e.reshape(-1, 2)
-        return moved.ravel()
+        images = x.reshape(-1, self._stride)
+        moved = images[:, :2] + e.reshape(-1, 2)
+        return np.concatenate([moved, images[:, 2:]], axis=1).ravel()
 
     def value(self, q: Array) -> Array:
         places = self._kinematics.positions(q)
-        found = np.array([self.camera.project(r) for r in places])
+        found = [self.camera.project(r) for r in places]
         if self._stride == 3:
-            found = np.column_stack([found, [self._pinhole.in_camera(r)[2] for r in places]])
-        return found.ravel()
+            depths = (self._pinhole.in_camera(r)[2:] for r in places)
+            found = [part for pair in zip(found, depths, strict=True) for part in pair]
+        return np.concatenate(found)
 
     def _seen(self, x: Array) -> Array:
-        delivered = x.reshape(-1, self._stride).copy()
-        for point in delivered:
-            if not np.isfinite(self.camera.seen(point[:2])).all():
-                point[:] = np.nan
-        return delivered.ravel()
+        points = x.reshape(-1, self._stride)
+        lost = np.full(self._stride, np.nan)
+        return np.concatenate(
+            [
+                law.select(law.is_finite(self.camera.seen(point[:2])), point, lost)
+                for point in points
+            ]
+        )
 
     def _is_mirrored(self, x: Array, other: Array) -> bool:
         if not self._roundness:
@@ -166,7 +170,7 @@ class ImageTask(Task):
         """Return J with the points where they are, or at other places (k, 3)."""
         r, J = self._kinematics.jacobians(q, at)
         if len(r) == 1:
-            return np.asarray(self.camera.interaction(r[0]) @ J[0])
+            return np.asanyarray(self.camera.interaction(r[0]) @ J[0])
         return np.vstack([self.camera.interaction(p) @ A for p, A in zip(r, J, strict=True)])
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:
@@ -190,16 +194,16 @@ class ImageTask(Task):
         """Return points (k, 3) on the rays of their images, or of expected ones; or NaN."""
         if x is None:
             x = self.value(q)
-        elif not math.isfinite(math.hypot(*x.tolist())):
+        elif law.is_finite(x) is not True:
             x = np.where(np.isfinite(x), x, self.value(q))
         images = x.reshape(-1, self._stride)
         depths = images[:, 2] if self._stride == 3 else np.asarray(self.depth)
-        found = np.empty((len(images), 3))
-        for i, Z in enumerate(depths.tolist()):
-            found[i] = np.nan
-            if Z > 0.0:  # within the image, as a lever arm grows with the ray
-                found[i] = self._pinhole.locate(self._pinhole.nearest(images[i, :2]), Z)
-        return found
+        found, nowhere = [], np.full(3, np.nan)
+        for image, Z in zip(images, depths.tolist(), strict=True):
+            # within the image, as a lever arm grows with the ray
+            place = self._pinhole.locate(self._pinhole.nearest(image[:2]), Z)
+            found.append(law.select(Z > 0.0, place, nowhere))
+        return np.vstack(found)
 
     @property
     def _pinhole(self) -> PinholeCamera:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-import pinocchio as pin
 
+from approxjac import law
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import Robot
+from approxjac.robots.traced import moved
 from approxjac.tasks.analysis import vanishing
 from approxjac.tasks.task import Task, WrappedTask
 from approxjac.validation import Array, as_number, require
@@ -75,18 +76,19 @@ class NonsingularTask(WrappedTask):
         self._scale = vanishing(task)
 
     def jacobian(self, q: Array, x: Array | None = None) -> Array:
-        J = self.task.jacobian(q, x)
-        squares, U = np.linalg.eigh(J @ J.T)
-        weights = self._weights(squares)
-        if not weights.any():
-            return J
-        bent = pin.integrate(self.robot.model, self.robot.configuration(q), self._bend)
-        return self._designed(J, self.task.jacobian(bent, x), weights, U)
+        J = law.array(self.task.jacobian(q, x))
+        G = J @ J.T
 
-    def _designed(self, J: Array, bent: Array, weights: Array, U: Array) -> Array:
-        """Return Ĵ_d from Ĵ here and where it is bent."""
-        P = (U * weights) @ U.T
-        return np.asarray(J + P @ (bent - J))
+        def designed() -> tuple[Array]:
+            squares, U = np.linalg.eigh(G)
+            weights = self._weights(squares)
+            if type(weights) is np.ndarray and not weights.any():
+                return (J,)
+            bent = self.task.jacobian(moved(self.robot, q, self._bend), x)
+            return (J + (U * weights) @ U.T @ (bent - J),)
+
+        may_be = law.may_be_singular(G, self._ratio, self._scale)
+        return np.asanyarray(law.choose(may_be, designed, lambda: (J,))[0])
 
     def design_error(self, q: Array) -> float:
         """Return ‖Ĵ_d − Ĵ‖, what the design adds to (7)'s p; 0 away from singular."""
@@ -109,5 +111,5 @@ class NonsingularTask(WrappedTask):
 
     def __repr__(self) -> str:
         bent = zip(self.robot.joint_names, self._bend.tolist(), strict=True)
-        moved = {joint: displacement for joint, displacement in bent if displacement}
-        return f"NonsingularTask({self.task!r}, bend={moved})"
+        shown = {joint: displacement for joint, displacement in bent if displacement}
+        return f"NonsingularTask({self.task!r}, bend={shown})"

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pinocchio as pin
 
+from approxjac import law
 from approxjac.robots import Robot
 from approxjac.tasks.frame_kinematics import FrameKinematics
 from approxjac.tasks.task import Feature, Task
 from approxjac.validation import Array
-
-NO_ROTATION = 1e-6
-"""A quaternion shorter than this stands for no orientation."""
 
 
 class PoseTask(Task):
@@ -60,11 +56,12 @@ class PoseTask(Task):
     def error(self, x: Array, x_d: Array) -> Array:
         px, py, pz, *quaternion = x.tolist()
         dx, dy, dz, *target = x_d.tolist()
-        return np.array([px - dx, py - dy, pz - dz, *_rotation_between(quaternion, target)])
+        turn = law.rotation_between(quaternion, target)
+        return np.asanyarray(law.array([px - dx, py - dy, pz - dz, *turn]))
 
     def displaced(self, x: Array, e: Array) -> Array:
-        turned = pin.Quaternion(pin.exp3(e[3:])) * pin.Quaternion(x[3:])
-        return np.concatenate([x[:3] + e[:3], turned.coeffs()])
+        turned = law.turned(x[3:].tolist(), e[3:].tolist())
+        return np.concatenate([x[:3] + e[:3], law.array(turned)])
 
     def on(self, robot: Robot) -> PoseTask:
         return PoseTask(robot, self.frame)
@@ -75,28 +72,3 @@ class PoseTask(Task):
 
     def __repr__(self) -> str:
         return f"PoseTask({self.robot.name!r}, {self.frame!r})"
-
-
-def _rotation_between(a: list[float], b: list[float]) -> tuple[float, float, float]:
-    """Return log(R_a R_bᵀ) [rad] from quaternions (x, y, z, w); NaN where one is none."""
-    length_a, length_b = math.hypot(*a), math.hypot(*b)
-    if not (NO_ROTATION < length_a < math.inf and NO_ROTATION < length_b < math.inf):
-        return math.nan, math.nan, math.nan
-    unit_a, unit_b = [entry / length_a for entry in a], [entry / length_b for entry in b]
-    x, y, z, w = quaternion_between(unit_a, unit_b)
-    w = w + 0.0  # no −0.0, which would turn the sign at 180°
-    sine = math.hypot(x, y, z)  # of half the angle
-    # of the two quaternions of this rotation, the one that turns by at most 180°
-    angle = 2.0 * math.atan2(math.copysign(sine, w), abs(w))
-    factor = angle / sine if sine > 1e-150 else math.copysign(2.0, w)
-    return factor * x, factor * y, factor * z
-
-
-def quaternion_between(a: list[float], b: list[float]) -> tuple[float, float, float, float]:
-    """Return the quaternion (x, y, z, w) of R_a R_bᵀ from those of R_a and R_b."""
-    ax, ay, az, aw = a
-    bx, by, bz, bw = b
-    x = ax * bw - aw * bx + az * by - ay * bz
-    y = ay * bw - aw * by + ax * bz - az * bx
-    z = az * bw - aw * bz + ay * bx - ax * by
-    return x, y, z, aw * bw + ax * bx + ay * by + az * bz

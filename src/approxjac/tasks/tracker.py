@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
+from approxjac import law
 from approxjac.robots import Robot
 from approxjac.tasks.frame_kinematics import FrameKinematics
 from approxjac.tasks.pose import PoseTask
@@ -55,7 +56,8 @@ class TrackerTask(Task):
         return self._R @ self._frame.position(q) + self.offset
 
     def jacobian(self, q: Array, x: Array | None = None) -> Array:
-        return np.asarray(self._R @ self._frame.jacobian(q)[:3])
+        J: Array = self._R @ self._frame.jacobian(q)[:3]
+        return J
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:
         return np.asarray(self._R @ self._frame.jacobian_dot(q, v)[:3])
@@ -103,7 +105,8 @@ class PoseTrackerTask(PoseTask):
         self._features = (Feature(slice(0, 7), self.frame, "xyz", placed=placed),)
 
     def value(self, q: Array) -> Array:
-        return np.array(pin.SE3ToXYZQUAT(pin.SE3(*self._placement(q))))
+        R, p = self._placement(q)
+        return np.concatenate([p, law.quaternion(R)])
 
     def _placement(self, q: Array) -> tuple[Array, Array]:
         """Return the rotation (3, 3) and position (3,) [m] of the frame as the tracker sees it."""

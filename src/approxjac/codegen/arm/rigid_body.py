@@ -8,7 +8,8 @@ fold away. With mimic joints all joints move on their own, and q̇_all = G q̇ b
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import cached_property
 from typing import Any
 
@@ -17,12 +18,20 @@ import numpy as np
 from approxjac.codegen.arm.arm_numbers import ArmNumbers, Reduced, Structure, arm_numbers, reduced
 from approxjac.codegen.arm.bodies import Body, Motion, Wrench, cross, force, gradient
 from approxjac.codegen.trace.linear import Factors
-from approxjac.codegen.trace.symbols import Number, Symbols, arctangent, select, symbols
+from approxjac.codegen.trace.symbols import (
+    Graph,
+    Number,
+    Scalar,
+    Symbols,
+    arctangent,
+    select,
+    symbols,
+)
 from approxjac.robots import GravityRegressor, Robot
 from approxjac.robots.model import own_joints
 from approxjac.validation import Array
 
-__all__ = ["Arm", "ArmNumbers", "Configured", "arm_numbers", "difference", "moved"]
+__all__ = ["Arm", "ArmNumbers", "Configured", "arm_at", "arm_numbers", "difference", "moved"]
 
 Given = Callable[[str, Array], Symbols]
 _Z = symbols([0.0, 0.0, 1.0])
@@ -53,10 +62,46 @@ class Arm:
     ) -> None:
         self.name, self.robot, self.frames = name, robot, tuple(frames)
         self.structure = Structure.of(robot, frames)
+        self._is_known = numbers is None
         if numbers is None:
             numbers = ArmNumbers.stacked([arm_numbers(robot, frames)])
         named = self.named(numbers)
         self.numbers = Reduced(*(given(part, values) for part, values in named.items()))
+        self._at: dict[tuple[Number, ...], Configured] = {}
+
+    @classmethod
+    def known(cls, robot: Robot) -> Arm:
+        """Return a robot whose numbers are constants; its frames are found when asked for."""
+        return cls(_known, robot.name, robot, ())
+
+    @contextmanager
+    def standing_in(self, graph: Graph) -> Iterator[None]:
+        """Let this be what terms of its robot are computed of, in place of the robot's numbers."""
+        graph.arms.insert(0, self)
+        try:
+            yield
+        finally:
+            graph.arms.remove(self)
+
+    def require_frame(self, name: str) -> int:
+        """Return the number of a frame, which one with numbers of its own has to have.
+
+        Raises:
+            UnknownNameError: No such frame.
+        """
+        if name not in self.frames:
+            if not self._is_known:
+                raise ValueError(f"frame {name!r} is not among those of {self.name}")
+            more = Arm(_known, self.name, self.robot, (name,))
+            self.frames = (*self.frames, name)
+            carriers = (*self.structure.carriers, *more.structure.carriers)
+            self.structure = self.structure._replace(carriers=carriers)
+            of_frames = {
+                part: np.concatenate([getattr(each, part) for each in (self.numbers, more.numbers)])
+                for part in ("frame_rotations", "frame_translations")
+            }
+            self.numbers = self.numbers._replace(**of_frames)
+        return self.frames.index(name)
 
     def named(self, numbers: ArmNumbers) -> dict[str, Array]:
         """Return the numbers of such arms, stacked, as the program knows them."""
@@ -70,7 +115,10 @@ class Arm:
             q: As Pinocchio has it, shape (nq,) [rad or m]: pairs (cos, sin) of continuous joints
                 on the unit circle, and no mimic joints.
         """
-        return Configured(self, q)
+        key = tuple(each.place if isinstance(each, Scalar) else each for each in q.tolist())
+        if key not in self._at:
+            self._at[key] = Configured(self, q)
+        return self._at[key]
 
 
 class Configured:
@@ -113,7 +161,8 @@ class Configured:
     def frame(self, name: str) -> tuple[Symbols, Symbols]:
         """Return the rotation (3, 3) of a frame's axes in the world's, and its origin (3,) [m]."""
         i, carrier = self._frame(name)
-        R, p = self._numbers.frame_rotations[i], self._numbers.frame_translations[i]
+        numbers = self.arm.numbers
+        R, p = numbers.frame_rotations[i], numbers.frame_translations[i]
         if carrier < 0:
             return R, p
         R_joint, p_joint = self._placements[carrier]
@@ -317,8 +366,24 @@ class Configured:
         return path
 
     def _frame(self, name: str) -> tuple[int, int]:
-        i = self.arm.frames.index(name)
-        return i, self.structure.carriers[i]
+        i = self.arm.require_frame(name)
+        return i, self.arm.structure.carriers[i]
+
+
+def arm_at(q: Symbols, robot: Robot) -> Configured:
+    """Return the arm that a robot is in the graph of a configuration, at that configuration."""
+    graph = next((each.graph for each in q.tolist() if isinstance(each, Scalar)), None)
+    arms: list[Arm] = [] if graph is None else graph.arms
+    for arm in arms:
+        if arm.robot == robot:
+            return arm.at(q)
+    arm = Arm.known(robot)
+    arms.append(arm)
+    return arm.at(q)
+
+
+def _known(name: str, values: Array) -> Symbols:
+    return symbols(values[0].astype(object))
 
 
 def moved(robot: Robot, q: Symbols, motion: Symbols) -> Symbols:

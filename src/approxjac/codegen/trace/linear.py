@@ -50,6 +50,40 @@ class Factors:
         return symbols(z)
 
 
+def solved(A: Symbols, b: Symbols) -> Symbols:
+    """Return A⁻¹b of a symmetric A (n, n), or of any of at most three rows."""
+    n, rows = len(A), A.tolist()
+    if all(same(rows[i][j], rows[j][i]) for i in range(n) for j in range(i)):
+        return Factors(A).solve(b)
+    if n > 3:
+        raise TypeError("no solution with a matrix that is not known yet, nor symmetric, n > 3")
+    return symbols(_inverse(rows)) @ b
+
+
+def same(a: Number, b: Number) -> bool:
+    """Return whether two numbers are surely the same."""
+    if isinstance(a, Scalar) and isinstance(b, Scalar):
+        return a.place == b.place
+    return not isinstance(a, Scalar) and not isinstance(b, Scalar) and bool(a == b)
+
+
+def _inverse(rows: list[list[Number]]) -> list[list[Number]]:
+    """Return the inverse of a matrix of at most three rows, by its cofactors."""
+    n = len(rows)
+    if n == 1:
+        return [[1.0 / rows[0][0]]]
+
+    def cofactor(i: int, j: int) -> Number:
+        if n == 2:
+            return rows[1 - i][1 - j] * (1.0 if i == j else -1.0)
+        (a, b), (c, d) = ((i + 1) % 3, (i + 2) % 3), ((j + 1) % 3, (j + 2) % 3)
+        return rows[a][c] * rows[b][d] - rows[a][d] * rows[b][c]
+
+    cofactors = [[cofactor(i, j) for j in range(n)] for i in range(n)]
+    determinant: Number = sum((rows[0][j] * cofactors[0][j] for j in range(n)), 0.0)
+    return [[cofactors[j][i] / determinant for j in range(n)] for i in range(n)]
+
+
 def eigensystem(A: Symbols) -> tuple[Symbols, Symbols]:
     """Return eigenvalues (n,), in no order, and -vectors (n, n) of a symmetric A (n, n).
 

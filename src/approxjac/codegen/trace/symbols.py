@@ -18,6 +18,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from approxjac import law
+from approxjac.law import products
 from approxjac.law.branches import collected
 
 Number = Any
@@ -114,10 +116,14 @@ class Graph:
 
     Attributes:
         nodes: The operations.
+        is_finite: All numbers are taken to be finite, so that nothing is computed to find out.
+        arms: Arms whose terms are computed, each with the robot that it is.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, is_finite: bool = False) -> None:
         self.nodes: list[Node] = []
+        self.is_finite = is_finite
+        self.arms: list[Any] = []
         self._known: dict[object, int] = {}
         self._blocks = self._loops = 0
         self._running: list[int] = []  # loops whose body is being written down
@@ -413,9 +419,7 @@ class Scalar:
         return _apply(*arguments, **options)
 
     def __array_function__(self, function: Any, types: Any, arguments: Any, options: Any) -> Any:
-        if function is np.stack:
-            return symbols(list(arguments[0]))
-        return _where(*arguments) if function is np.where else NotImplemented
+        return function(*map(_as_arrays, arguments), **options)
 
     def choose(self, then: Callable[[], Any], otherwise: Callable[[], Any]) -> Any:
         """Return what `law.choose` does; `then` costs nothing where it never holds."""
@@ -430,6 +434,32 @@ class Scalar:
         flat = symbols(array)
         row = self.graph.take(flat.reshape(len(flat), -1).tolist(), self)
         return symbols(row).reshape(flat.shape[1:])[()]
+
+    def select(self, a: Any, b: Any) -> Any:
+        """Return what `law.select` does."""
+        if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
+            return _where(self, a, b)
+        return select(self, a, b)
+
+    def array(self, values: Any) -> Any:
+        """Return what `law.array` does."""
+        return symbols(values)
+
+    def is_finite(self) -> Condition:
+        """Return whether a number is finite."""
+        return True if self.graph.is_finite else abs(self) < math.inf
+
+    def sine_and_cosine(self) -> tuple[Number, Number]:
+        """Return sin a and cos a."""
+        return sine_and_cosine(self)
+
+    def arctan2(self, x: Number) -> Number:
+        """Return the angle of (x, a), from −π to π [rad]."""
+        return _angle(self, x)
+
+    def angle_from(self, y: float) -> Number:
+        """Return the angle of (a, y), from −π to π [rad]."""
+        return _angle(y, self)
 
     def sqrt(self) -> Scalar:
         """Return √a."""
@@ -495,6 +525,7 @@ _ANGLES = (  # up to a tangent of, the tangent and the angle
 )  # fmt: skip
 _RIGHT = (1.57079632679489655800e00, 6.12323399573676603587e-17)
 _FACTORIALS = 14  # terms of exp up to ½ ln 2, whose remainder is 4e-18
+_MOST = 700.0  # whose exp does not overflow
 _FLAT = 20.0  # beyond it, tanh is 1 to the last bit
 
 LARGEST_ANGLE = 1e6
@@ -548,6 +579,18 @@ def arctangent(y: Number, x: Number) -> Number:
     return high - ((t * (square * _polynomial(square, _ATAN)) - low) - t)
 
 
+def _angle(y: Number, x: Number) -> Number:
+    angle = arctangent(abs(y), abs(x))
+    angle = select(x < 0.0, math.pi - angle, angle)
+    return select(y < 0.0, -angle, angle)
+
+
+def exp(x: Scalar) -> Number:
+    """Return exp(x); beyond ±700 that of ±700."""
+    x = select(x < _MOST, x, _MOST)
+    return expm1(select(x > -_MOST, x, -_MOST)) + 1.0
+
+
 def expm1(x: Scalar) -> Number:
     """Return exp(x) − 1, for x from −700 to 700."""
     k = (x * (1.0 / 0.693147180559945309417) + 0.5).floor()
@@ -599,12 +642,19 @@ _FUNCTIONS: dict[np.ufunc, np.ufunc] = {
     np.rint: _of_one(np.rint, nearest_integer),
     np.minimum: np.frompyfunc(_smaller, 2, 1),
     np.maximum: np.frompyfunc(_larger, 2, 1),
-    np.isfinite: np.frompyfunc(lambda a: abs(a) < np.inf, 1, 1),
+    np.isfinite: _of_one(np.isfinite, Scalar.is_finite),
     np.less: np.frompyfunc(lambda a, b: a < b, 2, 1),
     np.less_equal: np.frompyfunc(lambda a, b: a <= b, 2, 1),
     np.greater: np.frompyfunc(lambda a, b: a > b, 2, 1),
     np.greater_equal: np.frompyfunc(lambda a, b: a >= b, 2, 1),
     np.equal: np.frompyfunc(lambda a, b: a == b, 2, 1),
+    np.arctan2: np.frompyfunc(lambda y, x: products.angle(y, x), 2, 1),
+    np.hypot: np.frompyfunc(lambda a, b: products.root(a * a + b * b), 2, 1),
+    np.exp: _of_one(np.exp, exp),
+    np.sign: _of_one(np.sign, lambda a: select(a > 0.0, 1.0, select(a < 0.0, -1.0, 0.0))),
+    np.logical_and: np.frompyfunc(lambda a, b: a & b, 2, 1),
+    np.logical_or: np.frompyfunc(lambda a, b: a | b, 2, 1),
+    np.logical_not: np.frompyfunc(lambda a: law.complement(a), 1, 1),
     np.bitwise_and: np.frompyfunc(lambda a, b: a & b, 2, 1),
     np.bitwise_or: np.frompyfunc(lambda a, b: a | b, 2, 1),
     np.invert: np.frompyfunc(lambda a: ~a if isinstance(a, Scalar) else not a, 1, 1),
@@ -625,6 +675,8 @@ class SymbolArray(np.ndarray):
     def __array_function__(self, function: Any, types: Any, arguments: Any, options: Any) -> Any:
         if function is np.where:
             return _where(*arguments)
+        if function in _OF_ARRAYS:
+            return _OF_ARRAYS[function](*arguments, **options)
         result = super().__array_function__(function, types, arguments, options)
         return result.view(SymbolArray) if isinstance(result, np.ndarray) else result
 
@@ -632,8 +684,67 @@ class SymbolArray(np.ndarray):
         """Return what `law.collect` does."""
         return _looped(*arguments)
 
+    def arm_of(self, robot: Any) -> Any:
+        """Return a robot's arm at this configuration (nq,), as `robots.traced.arm_of` does."""
+        from approxjac.codegen.arm.rigid_body import arm_at
+
+        return arm_at(self, robot)
+
+    @staticmethod
+    def moved(robot: Any, q: Any, motion: Any) -> Any:
+        """Return what `robots.traced.moved` does."""
+        from approxjac.codegen.arm.rigid_body import moved
+
+        return moved(robot, symbols(q), symbols(motion))
+
+    @staticmethod
+    def motion_between(robot: Any, a: Any, b: Any) -> Any:
+        """Return what `robots.traced.motion_between` does."""
+        from approxjac.codegen.arm.rigid_body import difference
+
+        return difference(robot, symbols(a), symbols(b))
+
 
 Values = tuple[Any, ...]
+
+
+def _as_arrays(value: Any) -> Any:
+    if isinstance(value, list | tuple):
+        return [_as_arrays(each) for each in value]
+    return symbols(value) if isinstance(value, Scalar) else value
+
+
+def _norm(x: Any, ord: int | None = None, axis: Any = None, keepdims: bool = False) -> Any:
+    if not (ord is None or (ord == 2 and (x.ndim == 1 or axis is not None))):
+        raise TypeError(f"no norm of order {ord!r} of a matrix that is not known yet")
+    return np.sqrt((x * x).sum(axis=axis, keepdims=keepdims))
+
+
+def _clip(x: Any, low: Any = None, high: Any = None) -> Any:
+    x = x if low is None else np.maximum(x, low)
+    return x if high is None else np.minimum(x, high)
+
+
+def _eigh(A: Any) -> Any:
+    from approxjac.codegen.trace.linear import eigensystem
+
+    return eigensystem(symbols(A))
+
+
+def _solve(A: Any, b: Any) -> Any:
+    from approxjac.codegen.trace.linear import solved
+
+    return solved(symbols(A), symbols(b))
+
+
+_OF_ARRAYS: dict[Any, Callable[..., Any]] = {
+    np.linalg.norm: _norm,
+    np.clip: _clip,
+    np.linalg.eigh: _eigh,
+    np.linalg.eigvalsh: lambda A: _eigh(A)[0],
+    np.linalg.solve: _solve,
+    np.linalg.inv: lambda A: _solve(A, np.eye(len(A))),
+}
 
 
 def _chosen(
@@ -724,6 +835,8 @@ def any_of(conditions: Any) -> Condition:
 
 
 def _plain(value: Any) -> Any:
+    if isinstance(value, np.bool_):
+        return bool(value)
     if isinstance(value, SymbolArray):
         return value.view(np.ndarray)
     if isinstance(value, Scalar):

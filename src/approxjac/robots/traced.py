@@ -1,0 +1,47 @@
+"""Kinematics and dynamics of a configuration that is not known yet, which brings its own.
+
+`codegen` writes a law down by running it on arrays of symbols. Pinocchio takes numbers only: so
+what is a robot's at q is asked of q, where that is no plain array. An array of symbols has
+`arm_of(robot)`, and `moved` and `motion_between` of configurations.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac.validation import Array
+
+if TYPE_CHECKING:
+    from approxjac.robots.robot import Robot
+
+
+def arm_of(robot: Robot, q: Any) -> Any:
+    """Return what has the terms of a robot at a q that is not known yet; None where it is known.
+
+    It has `frame(name)`, `jacobian(name)`, `gravity()`, `M()`, `bias(v)` and `Z(regressor)`.
+    """
+    own = getattr(q, "arm_of", None)
+    return None if own is None else own(robot)
+
+
+def moved(robot: Robot, q: Array, motion: Array) -> Array:
+    """Return the configuration (nq,) that a motion (n_v,) leads to from q."""
+    if type(q) is np.ndarray and type(motion) is np.ndarray:
+        return np.array(pin.integrate(robot.model, q, motion))
+    found: Array = _symbolic(q, motion).moved(robot, q, motion)
+    return found
+
+
+def motion_between(robot: Robot, a: Array, b: Array) -> Array:
+    """Return the motion (n_v,) that leads from a to b, both (nq,)."""
+    if type(a) is np.ndarray and type(b) is np.ndarray:
+        return np.asarray(pin.difference(robot.model, a, b))
+    found: Array = _symbolic(a, b).motion_between(robot, a, b)
+    return found
+
+
+def _symbolic(a: Any, b: Any) -> Any:
+    return a if hasattr(a, "arm_of") else b
