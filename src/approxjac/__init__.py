@@ -105,16 +105,16 @@ if not TYPE_CHECKING:  # or no name would be unknown to type checkers
     def __getattr__(name: str) -> Any:
         """Load modules of `_LAZY` and the names of `_FROM` and `stability` when asked for."""
         if name in _LAZY:
-            found = importlib.import_module(f"approxjac.{name}")
+            value = importlib.import_module(f"approxjac.{name}")
         elif name in __all__:
             module = _FROM.get(name, "stability")
-            found = getattr(importlib.import_module(f"approxjac.{module}"), name)
+            value = getattr(importlib.import_module(f"approxjac.{module}"), name)
         else:
             # with these Python adds what was meant
             where = {"name": name, "obj": sys.modules[__name__]}
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}", **where)
-        globals()[name] = found
-        return found
+        globals()[name] = value
+        return value
 
 
 def __dir__() -> list[str]:

@@ -11,7 +11,7 @@ import difflib
 from collections.abc import Iterable
 from typing import Any
 
-_FEW = 5  # names that are told all
+_FEW = 5  # names that are all listed
 
 
 class ApproxJacError(Exception):

@@ -119,11 +119,11 @@ def wrapped(text: str, start: str = "", indent: int | None = None) -> list[str]:
     return [line.replace("\u00a0", " ") for line in lines] or [start.rstrip()]
 
 
-def rows(told: dict[str, str], indent: int = 0) -> list[str]:
-    """Return names and what is told of each beside them, wrapped."""
-    first = max(map(len, told), default=0)
+def rows(texts: dict[str, str], indent: int = 0) -> list[str]:
+    """Return names and what is texts of each beside them, wrapped."""
+    first = max(map(len, texts), default=0)
     return [
         line
-        for name, text in told.items()
+        for name, text in texts.items()
         for line in wrapped(text, f"{' ' * indent}{name:<{first}}  ")
     ]

@@ -21,7 +21,7 @@ class _Outcome(enum.IntEnum):
 
     message: str
 
-    def __new__(cls, message: Any) -> Self:  # a text; an outcome is found by its number, too
+    def __new__(cls, message: Any) -> Self:  # a text; Outcome(number) works, too
         value = len(cls.__members__)
         outcome = int.__new__(cls, value)
         outcome._value_, outcome.message = value, message
@@ -56,8 +56,8 @@ class Status(_Outcome):
         "the task measurement is that of an earlier instant: the law was evaluated with it"
     )
     OUT_OF_REACH = (
-        "the target is farther away than the believed arm reaches, with a tool that nobody told "
-        "of: what it learns stands still"
+        "the target is farther away than the believed arm reaches, with an unmodelled tool: "
+        "adaptation paused"
     )
     PREDICTED = (
         "the task measurement is not finite, or too old to be learnt from: the law goes on with "

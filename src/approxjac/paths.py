@@ -48,12 +48,12 @@ class Circle:
         as_number("radius", self.radius, above=0.0)
         as_number("period", self.period, unit="s", above=0.0)
         if len(center) not in (2, 3) or (len(center) == 2 and self.normal is not None):
-            told = f"with normal {self.normal!r}"
+            rest = f"with normal {self.normal!r}"
             if len(center) == 7:
-                told = "of a pose, for which any object will do whose at(t) returns a Target"
+                rest = "of a pose, for which any object will do whose at(t) returns a Target"
             raise InvalidInputError(
                 f"center must have 3 coordinates, or 2 without a normal, got {center.tolist()} "
-                f"{told}",
+                f"{rest}",
                 given=self.center,
             )
         normal = as_array("normal", (0.0, 0.0, 1.0) if self.normal is None else self.normal, (3,))

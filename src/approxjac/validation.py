@@ -50,8 +50,8 @@ def as_array(name: str, value: Any, shape: tuple[int | str, ...], unit: str = ""
         )
     if not np.isfinite(array).all():
         wrong = array.size - int(np.isfinite(array).sum())
-        told = array.tolist() if array.size <= _MANY else f"{wrong} of {array.size} that are not"
-        raise InvalidInputError(f"{name} must be finite{suffix}, got {told}", given=value)
+        given = array.tolist() if array.size <= _MANY else f"{wrong} of {array.size} that are not"
+        raise InvalidInputError(f"{name} must be finite{suffix}, got {given}", given=value)
     array.flags.writeable = False
     return array
 
@@ -192,7 +192,7 @@ def require(name: str, value: Any, kind: type | tuple[type, ...], wanted: str) -
 
 
 def is_scalar(value: Any) -> bool:
-    """Return whether a value is a single item; a ragged list is not."""
+    """Return True for a single item; a ragged list is none."""
     if _is_masked(value):  # which NumPy warns of, or fails at
         return isinstance(value, np.ma.MaskedArray) and value.ndim == 0
     try:

@@ -400,7 +400,7 @@ def test_a_camera_that_opencv_calibrated(lens, rng):
             "must be OpenCV's 4, 5, 8, 12 or 14 coefficients, or none",
         ),
         ({"distortion": (0.1,) * 7}, "or OpenCV's 4, 5, 8, 12 or 14 coefficients, got 7"),
-        ({"rvec": None}, "must be told by rvec and tvec, or by camera_pose, got tvec"),
+        ({"rvec": None}, "must be given by rvec and tvec, or by camera_pose, got tvec"),
         ({"camera_pose": np.eye(4)}, "by camera_pose, got rvec and tvec and camera_pose"),
         ({"rvec": None, "tvec": None, "camera_pose": np.ones((4, 4))}, "must have the last row"),
         (

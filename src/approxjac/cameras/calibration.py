@@ -53,83 +53,83 @@ def opencv_parameters(
             f"{list(coefficients)}",
             given=distortion,
         )
-    found: dict[str, Any] = {
+    place: dict[str, Any] = {
         "focal_length": (k[0, 0], k[1, 1]),
         "center": (k[0, 2], k[1, 2]),
         "distortion": coefficients,
     }
     if (rvec is None) != (tvec is None) or not (rvec is None or camera_pose is None):
-        told = [
+        given = [
             name
             for name, each in (("rvec", rvec), ("tvec", tvec), ("camera_pose", camera_pose))
             if each is not None
         ]
         raise InvalidInputError(
-            f"where a camera stands must be told by rvec and tvec, or by camera_pose, got "
-            f"{' and '.join(told)}",
-            given=told,
+            f"where a camera stands must be given by rvec and tvec, or by camera_pose, got "
+            f"{' and '.join(given)}",
+            given=given,
         )
     if rvec is not None:
         R = pin.exp3(np.array(as_array("rvec", np.ravel(rvec), (3,), "rad")))
         t = as_array("tvec", np.ravel(tvec), (3,), "m")
-        found.update(position=-R.T @ t, rotation=R.T)
+        place.update(position=-R.T @ t, rotation=R.T)
     if camera_pose is not None:
         R, position = as_pose("camera_pose", camera_pose)
-        found.update(position=position, rotation=R)
-    return found
+        place.update(position=position, rotation=R)
+    return place
 
 
 def read_calibration(
     path: str | Path, size: Sequence[int] | None, fisheye: bool | None
 ) -> Calibration:
-    """Return what a file tells, and what is given of what it does not tell.
+    """Read a calibration file; arguments fill in what it lacks.
 
     Raises:
         InvalidInputError: See `PinholeCamera.from_file`.
     """
-    told = {str(name).lower(): value for name, value in _read(Path(path)).items()}
-    found = {
-        name: next((told[each] for each in names if each in told), None)
+    keys = {str(name).lower(): value for name, value in _read(Path(path)).items()}
+    values = {
+        name: next((keys[each] for each in names if each in keys), None)
         for name, names in _NAMES.items()
     }
     for name in ("K", "distortion"):
-        if found[name] is None:
+        if values[name] is None:
             raise InvalidInputError(
                 f"{path} must have {' or '.join(_NAMES[name])}, as a calibration of OpenCV's or a "
-                f"camera_info of ROS's has, got {', '.join(list(told)[:20]) or 'nothing'}",
+                f"camera_info of ROS's has, got {', '.join(list(keys)[:20]) or 'nothing'}",
                 given=path,
             )
-    K = _numbers(path, "camera_matrix", found["K"])
+    K = _numbers(path, "camera_matrix", values["K"])
     if K.size != 9:
         raise InvalidInputError(
             f"camera_matrix of {path} must be 9 numbers, got {K.size}", given=path
         )
     if size is None:
-        if found["width"] is None or found["height"] is None:
+        if values["width"] is None or values["height"] is None:
             raise InvalidInputError(
                 f"{path} must have image_width and image_height, or give them as "
                 "size=(width, height) [px]",
                 given=path,
             )
-        size = [round(_number(path, name, found[name])) for name in ("width", "height")]
-    distortion = _numbers(path, "distortion_coefficients", found["distortion"])
-    return Calibration(K.reshape(3, 3), distortion, size, _is_fisheye(path, found, fisheye))
+        size = [round(_number(path, name, values[name])) for name in ("width", "height")]
+    distortion = _numbers(path, "distortion_coefficients", values["distortion"])
+    return Calibration(K.reshape(3, 3), distortion, size, _is_fisheye(path, values, fisheye))
 
 
-def _is_fisheye(path: str | Path, found: Mapping[str, Any], fisheye: bool | None) -> bool:
-    """Return whether it is a fisheye lens, as is given and as the file says."""
+def _is_fisheye(path: str | Path, values: Mapping[str, Any], fisheye: bool | None) -> bool:
+    """Return True for a fisheye lens, by the argument and by the file."""
     says = None
-    if found["model"] is not None:
-        model = str(found["model"]).lower()
+    if values["model"] is not None:
+        model = str(values["model"]).lower()
         if model not in _MODELS:
             raise InvalidInputError(
                 f"distortion_model of {path} must be one of {', '.join(_MODELS)}, got "
                 f"{model[:40]!r}",
-                given=found["model"],
+                given=values["model"],
             )
         says = _MODELS[model]
-    elif found["fisheye"] is not None:
-        says = _number(path, "fisheye_model", found["fisheye"]) != 0.0
+    elif values["fisheye"] is not None:
+        says = _number(path, "fisheye_model", values["fisheye"]) != 0.0
     if fisheye is not None and says is not None and fisheye != says:
         raise InvalidInputError(
             f"fisheye must be {says} or left out, as {path} says so, got {fisheye!r}",
@@ -154,7 +154,7 @@ def _read(path: Path) -> dict[Any, Any]:
         text = re.sub(r"\A\ufeff?%YAML[^\n]*\n", "", content.decode("utf-8"))
         # texts only, whatever their tags are, such as !!opencv-matrix: nothing is executed, and no
         # number or alias can be made to take long
-        found = yaml.load(text, Loader=yaml.BaseLoader)
+        content = yaml.load(text, Loader=yaml.BaseLoader)
     except OSError as error:
         raise InvalidInputError(
             f"{path} must be a calibration file that can be read, got {error.strerror}", given=path
@@ -168,13 +168,13 @@ def _read(path: Path) -> dict[Any, Any]:
         raise InvalidInputError(
             f"{path} must be YAML of OpenCV's FileStorage or of ROS, got {problem}{at}", given=path
         ) from error
-    if not isinstance(found, dict):
+    if not isinstance(content, dict):
         raise InvalidInputError(
             f"{path} must be YAML with camera_matrix and distortion_coefficients, got a "
-            f"{'list' if isinstance(found, list) else 'text'}",
+            f"{'list' if isinstance(content, list) else 'text'}",
             given=path,
         )
-    return found
+    return content
 
 
 def _numbers(path: str | Path, name: str, value: Any) -> Array:

@@ -47,7 +47,7 @@ class Lens(ABC):
 
     @abstractmethod
     def distorted(self, p: Array) -> Array:
-        """Return where the lens shows a ray p (2,), shape (2,)."""
+        """Return the image of a ray p (2,), shape (2,)."""
 
     @abstractmethod
     def slopes(self, x: float, y: float) -> tuple[float, float, float, float]:
@@ -127,7 +127,7 @@ class Distortion(Lens):
         return factor, slope
 
     def _flat(self, x: float, y: float) -> tuple[float, float]:
-        """Return where a ray is shown on a sensor that is not tilted."""
+        """Return the image of a ray on a sensor that is not tilted."""
         rho = x * x + y * y
         factor = self._factors(rho)[0]
         u, v = x * factor, y * factor
@@ -157,7 +157,7 @@ class Distortion(Lens):
         )
 
     def shown_at(self, x: float, y: float) -> tuple[float, float]:
-        """Return where the lens shows a ray (x, y)."""
+        """Return the image of a ray (x, y)."""
         u, v = self._flat(x, y)
         return (u, v) if self._T is None else _moved(self._T, u, v)
 
@@ -241,7 +241,7 @@ class Distortion(Lens):
 
 
 def inverse(growing: Callable[[float], float], wanted: float, largest: float) -> float:
-    """Return where a function that grows from 0 to `largest` has a value.
+    """Invert a function that grows from 0 to `largest`.
 
     Bisection cannot fail, and nothing is in a hurry.
     """
@@ -277,12 +277,12 @@ def _first_root(polynomial: Polynomial) -> float:
     coefficients = given * FARTHEST ** np.arange(len(given), dtype=np.float64)
     coefficients = np.where(np.abs(coefficients) > 1e-15, coefficients, 0.0)
     roots = np.polynomial.polynomial.polyroots(np.trim_zeros(coefficients, "b"))
-    found = [
+    radii = [
         FARTHEST * float(root.real)
         for root in roots
         if abs(root.imag) < 1e-9 * abs(root.real) and 0.0 < root.real <= 1.0
     ]
-    return min(found, default=math.inf)
+    return min(radii, default=math.inf)
 
 
 def _tilt(tau_x: float, tau_y: float) -> Array:
@@ -302,7 +302,7 @@ def _tilt(tau_x: float, tau_y: float) -> Array:
 
 
 def _moved(H: Array, u: float, v: float) -> tuple[float, float]:
-    """Return where a homography (3, 3) maps a point to."""
+    """Return the image of a point under a homography (3, 3)."""
     (h00, h01, h02), (h10, h11, h12), (h20, h21, h22) = H.tolist()
     depth = h20 * u + h21 * v + h22
     return (h00 * u + h01 * v + h02) / depth, (h10 * u + h11 * v + h12) / depth

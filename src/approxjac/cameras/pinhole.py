@@ -167,7 +167,7 @@ class PinholeCamera(Camera):
     ) -> PinholeCamera:
         """Return the camera that OpenCV's calibration tells.
 
-        Where it stands is told by rvec and tvec, or by camera_pose, in the axes of what it is fixed
+        Its pose is given by rvec and tvec, or by camera_pose, in the axes of what it is fixed
         to: the world, or the `mount` that carries it. Told by neither, it is at that frame's origin
         with its axes; see `standing_at`.
 
@@ -185,7 +185,7 @@ class PinholeCamera(Camera):
             **options: Mount and near, as for `PinholeCamera`.
 
         Raises:
-            InvalidInputError: Wrong shapes, skew, coefficients of another number, or a place told
+            InvalidInputError: Wrong shapes, skew, coefficients of another number, or a place given
                 twice or by half.
         """
         given = opencv_parameters(K, distortion, rvec, tvec, camera_pose)
@@ -216,8 +216,8 @@ class PinholeCamera(Camera):
             InvalidInputError: A file that is missing, too long, no YAML, or without a calibration;
                 and as for `from_opencv`.
         """
-        found = read_calibration(path, size, fisheye)
-        return cls.from_opencv(*found[:3], fisheye=found.fisheye, **where)
+        calibration = read_calibration(path, size, fisheye)
+        return cls.from_opencv(*calibration[:3], fisheye=calibration.fisheye, **where)
 
     def standing_at(
         self,

@@ -80,11 +80,11 @@ def _nonnegative(F: Array, c: Array) -> Array:
     rounding of bounds that depend on each other ends it, the rate is no longer than it was.
     """
     count = F.shape[1]
-    found = np.zeros(count)
+    multipliers = np.zeros(count)
     free = np.zeros(count, dtype=bool)
     least = 1e-14 * np.abs(c).max()
     for _ in range(3 * count):
-        slope = np.where(free, -np.inf, (c - F.dot(found)).dot(F))
+        slope = np.where(free, -np.inf, (c - F.dot(multipliers)).dot(F))
         if slope.max() <= least:
             break
         free[slope.argmax()] = True
@@ -93,13 +93,13 @@ def _nonnegative(F: Array, c: Array) -> Array:
             wanted[free] = np.linalg.lstsq(F[:, free], c, rcond=_ROUND_OFF)[0]
             below = free & (wanted <= 0.0)
             if not below.any():
-                found = wanted
+                multipliers = wanted
                 break
             shares = np.full(count, np.inf)
-            shares[below] = found[below] / np.maximum(found[below] - wanted[below], _TINY)
+            shares[below] = multipliers[below] / np.maximum((multipliers - wanted)[below], _TINY)
             first = shares.argmin()
-            found = found + shares[first] * (wanted - found)
-            free &= found > 0.0
+            multipliers = multipliers + shares[first] * (wanted - multipliers)
+            free &= multipliers > 0.0
             free[first] = False
-            found[~free] = 0.0
-    return found
+            multipliers[~free] = 0.0
+    return multipliers

@@ -75,7 +75,7 @@ def choose(condition: Any, then: Callable[[], Values], otherwise: Callable[[], V
 
 
 def repeat(count: int, body: Callable[[Any, Values], Values], start: Values) -> Values:
-    """Return what is left of `start` after count times values = body(i, values).
+    """Return `start` after count times values = body(i, values).
 
     Where numbers are not known yet, it is a loop of the code that is made, and `body` is called
     once, with an i that is not known either: an array is asked for its entry i by `take`.

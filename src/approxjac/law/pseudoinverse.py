@@ -187,7 +187,7 @@ def solution(rows: Rows, determinant: float, b: list[float]) -> tuple[float, ...
 
 
 def is_surely_regular(bound: float, trace: float, singular_ratio: float, scale: float) -> bool:
-    """Return whether σ_min of J is surely above the ratio, from the sizes of G = JJᵀ.
+    """Test that σ_min of J is surely above the ratio, from the sizes of G = JJᵀ.
 
     `bound` and `trace` are those of `adjugate`; the largest eigenvalue is at least a third of the
     trace.

@@ -165,7 +165,7 @@ def nearest_rotation(A: Array) -> Array:
 
 
 def _mirrors(R: Array) -> bool:
-    """Return whether det R < 0, in plain numbers: a tenth of the time of LAPACK."""
+    """Test det R < 0, in plain numbers: a tenth of the time of LAPACK."""
     if len(R) == 2:
         (a, b), (c, d) = R.tolist()
         return bool(a * d < b * c)
@@ -181,13 +181,13 @@ def rotations_everywhere(d: int) -> Array:
     golden = 0.5 * (1.0 + math.sqrt(5.0))
     fifth = rotation_exp(0.4 * math.pi * np.array([0.0, 1.0, golden]) / math.hypot(1.0, golden))
     third = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-    found = [np.eye(3)]
-    for R in found:  # grows while it is gone through
+    group = [np.eye(3)]
+    for R in group:  # grows while it is gone through
         for turn in (fifth, third):
             new = turn @ R
-            if not any(np.abs(new - other).max() < 1e-6 for other in found):
-                found.append(new)
-    return np.array(found)
+            if not any(np.abs(new - other).max() < 1e-6 for other in group):
+                group.append(new)
+    return np.array(group)
 
 
 def explained(M: Array, h: Array, A: Array) -> float:

@@ -44,7 +44,7 @@ def hold_gain(period: float, late: float) -> float:
 
 
 def growth(rate: float, span: float, lag: float = 0.0) -> float:
-    """Return what γ grows by if signals count e^(rate · t) in time; infinite if unbounded.
+    """Return the factor on γ if signals count e^(rate · t) in time; infinite if unbounded.
 
     For rates of V, and for weights that change by at most e^(2 · rate · t) in a time t.
 

@@ -74,12 +74,12 @@ def table(results: Sequence[Reproduction], bound: JacobianBound | None) -> str:
             if bound.condition_23_met
             else "Theorem 1 does not cover it"
         )
-        told = (
+        text = (
             f"Figure 1: at the target, (25) allows p < {bound.largest_allowed_p:.4f}, and (23) "
             f"allows p < {bound.allowed_p_at_a_of_figure_4:.4f} with the gain ratio a of Figure 4, "
             f"which has p = {bound.p_of_figure_4:.4f}: {verdict}."
         )
-        lines += [*wrapped(told), ""]
+        lines += [*wrapped(text), ""]
     if results:
         times = sorted({t for result in results for t in result.error_ratios})
         ratios = "".join(f"{f'{t:g} s':>8}" for t in times)
@@ -138,11 +138,11 @@ def write_pages(results: Sequence[Reproduction], bound: JacobianBound | None, ou
             view.save_page(result.run, out / f"fig{e.figure}.html", title)
         except MissingPackageError as error:
             return f"There are no pages to see in a browser: {error}"
-    told = "Figure 1: how wrong Theorem 1 lets the Jacobian be, and how wrong that of Figure 4 is"
+    title = "Figure 1: how wrong Theorem 1 lets the Jacobian be, and how wrong that of Figure 4 is"
     index = view.write_index(
         out,
         "The paper's two-link study: the arm as it is, and as it is believed",
-        pictures={} if bound is None else {"fig1.png": told},
+        pictures={} if bound is None else {"fig1.png": title},
         table=verdicts(results, bound),
     )
     return f"See them move: {index}"

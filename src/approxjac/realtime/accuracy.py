@@ -73,7 +73,7 @@ class Accuracy:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Tolerances:
-    """What a loop on a robot tolerates: anything beyond it is a fault.
+    """Bounds of what is normal in a loop on a robot: anything beyond them is a fault.
 
     Attributes:
         accuracy: How well the sensors, and Ĵ, are known.

@@ -183,7 +183,7 @@ class RobotLoop(Loop):
         return SensorWatch(task, self.dt, accuracy, blind, self.learns_sensor)
 
     def record(self) -> Record:
-        """Return what was recorded, with each of the last periods."""
+        """Return the record, with each of the last periods."""
         if not self._tail:  # nothing was known: the instant before it
             self._keep()
         while self._tail:
@@ -289,11 +289,11 @@ class RobotLoop(Loop):
             self.fault, self.detail = fault, detail
 
     def _brakes(self) -> bool:
-        """Return whether there is a fault at which the robot brakes at once."""
+        """Return True after a fault at which the robot brakes at once."""
         return self.fault is not None and not self.fault.stops
 
     def _rests(self) -> bool:
-        """Return whether the run is over: at rest after a stop, or with no time left for it."""
+        """Return True where the run is over: at rest after a stop, or with no time left for it."""
         if not self.halting:
             return False
         self._halted += 1

@@ -44,7 +44,7 @@ class RobotRun(Trajectory):
         return Fault[self.fault_name] if self.fault_name else None
 
     def late(self, longest: float) -> int:
-        """Return how many commands came later than a time after the one before [s]."""
+        """Return the number of commands that came later than a time after the one before [s]."""
         return int((self.gap > longest).sum())
 
     def _error_told(self) -> str:
@@ -58,7 +58,7 @@ class RobotRun(Trajectory):
         return f"target led {way:.3g} {self.task_unit} away from the start, {error}"
 
     def _told(self) -> dict[str, str]:
-        """Return what is told of any run, with how it stopped and how long commands took."""
+        """Describe the run, with its stop and the times that commands took."""
         told = super()._told()
         if np.isfinite(self.stop_distance):
             told["stop"] = (

@@ -26,7 +26,7 @@ _usual = (0.0, True, 0)
 
 @dataclass(frozen=True)
 class Scheduling:
-    """How the system runs the thread of a loop.
+    """Processor and priority of a loop's thread.
 
     Attributes:
         cpu: The processor to run on; None leaves that to the system.

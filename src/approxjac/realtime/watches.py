@@ -95,7 +95,7 @@ class FaultWatch:
         self._ahead = deque([-math.inf], maxlen=_REMEMBERED)
 
     def look(self, measurement: Measurement, now: float) -> Fault | None:
-        """Return what is wrong with this measurement, or None.
+        """Return the fault of this measurement, or None.
 
         One without q and q̇ is bridged for some periods; it is the caller who must not use it.
 
@@ -317,7 +317,7 @@ class SensorWatch:
         self._q_seen: Array | None = None  # in the last period in which there was an x
 
     def look(self, measurement: Measurement, x_d: Array) -> Fault | None:
-        """Return what is wrong with x, or None. q and q̇ are taken for right.
+        """Return the fault of x, or None. q and q̇ are taken for right.
 
         Args:
             measurement: Of this period.
@@ -351,7 +351,7 @@ class SensorWatch:
         return self._compare(frame)
 
     def _index(self, taken: float) -> int | None:
-        """Return where the configuration is kept that a frame was taken at, if it is."""
+        """Return the index of the configuration that a frame was taken at, if it is kept."""
         k = (self._count - 1) % _KEPT
         i = k - round((self._times[k] - taken) / self._dt)
         if i <= k - min(self._count, _KEPT) or i > k:
@@ -374,7 +374,7 @@ class SensorWatch:
         return None
 
     def _is_off(self, new: _Frame, old: _Frame) -> bool:
-        """Return whether x moved otherwise than the joints can have moved it."""
+        """Return True where x moved otherwise than the joints can have moved it."""
         seen, believed = self._motions(new, old)
         if self._is_learnt:
             pairs = zip(self._sizes(seen), self._sizes(believed), strict=True)
@@ -389,7 +389,7 @@ class SensorWatch:
         return any(size > noise + more for size, noise, more in slack)
 
     def _is_still(self, new: _Frame, old: _Frame) -> bool:
-        """Return whether x does not move though it is led to, and though the joints move it.
+        """Return True where x does not move though it is led to, and though the joints move it.
 
         Half of what is unknown is not the reason then: that would be joints which turn about a tip
         that is held, and whose target rests.
@@ -406,7 +406,7 @@ class SensorWatch:
         return self._task.error(new.x, old.x), self._task.error(new.x_hat, old.x_hat)
 
     def _unexplained(self, error: Array, new: _Frame, old: _Frame) -> Array:
-        """Return what is left of an error where a tip elsewhere on its link explains all it can."""
+        """Return the rest of an error that no other tip on its link explains."""
         left, turned = error.copy(), self._turned(new, old)
         for group, is_place in zip(self._groups, self._is_place, strict=True):
             if is_place:

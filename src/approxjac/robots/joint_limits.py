@@ -11,7 +11,7 @@ from approxjac.validation import Array
 
 
 def beyond_positions(robot: Robot, q: Array) -> Array:
-    """Return how far each joint is beyond its limits at q (N, nq); shape (N, n_v) [rad or m].
+    """Return the excess of each joint over its limits at q (N, nq); shape (N, n_v) [rad or m].
 
     Negative within them, −∞ where a joint has none.
     """
@@ -36,7 +36,7 @@ def require_radians(name: str, robot: Robot, q: Array) -> None:
 
 
 def reach_bound(robot: Robot, frame: str) -> tuple[Array, float]:
-    """Return where the first joint before a frame stands, shape (3,), and a bound [m] on its reach.
+    """Return the place of the first joint before a frame (3,), and a bound [m] on its reach.
 
     The bound is the arm stretched out along its links, whatever its joints allow; infinite with a
     prismatic joint without limits, or one that mimics another.

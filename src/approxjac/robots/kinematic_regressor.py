@@ -240,14 +240,14 @@ class KinematicRegressor:
         return len(self._independent[0])
 
     def combinations(self) -> tuple[str, ...]:
-        """Return what positions tell only together, such as "panda_joint4.y + panda_joint5.y"."""
-        told = []
+        """Return sums of unknowns that positions cannot separate: "joint4.y + joint5.y"."""
+        groups = []
         for row in self._independent[1]:
             together = np.flatnonzero(np.abs(row) > _COEFFICIENT).tolist()
             if len(together) > 1:
                 parts = [(row[j], self.names[j]) for j in together]
-                told.append(_in_words(parts))
-        return tuple(told)
+                groups.append(_combination_text(parts))
+        return tuple(groups)
 
     def robot_with(self, theta: Array, turn: Array | None = None) -> Robot:
         """Return the robot with other translations θ (p,) [m], and its one tool turned.
@@ -298,7 +298,7 @@ class KinematicRegressor:
         return frame if frame in self.robot.tree.links else joints[frame].child
 
     def _placement(self, frame: str) -> pin.SE3:
-        """Return where a frame is on the link that moves it."""
+        """Return the placement of a frame on the link that moves it."""
         return self._model.frames[self._frame_id(frame)].placement
 
     def _frame_id(self, frame: str) -> int:
@@ -357,7 +357,7 @@ class KinematicRegressor:
         return kept, np.linalg.lstsq(A[:, kept], A, rcond=None)[0]
 
 
-def _in_words(parts: Sequence[tuple[float, str]]) -> str:
+def _combination_text(parts: Sequence[tuple[float, str]]) -> str:
     """Return a sum of parameters with coefficients, such as "a.x + 0.5 b.x - c.y"."""
     text = ""
     for coefficient, name in parts:

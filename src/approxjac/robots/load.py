@@ -225,7 +225,7 @@ _G = 9.81
 
 
 def implausible(robot: Robot) -> list[str]:
-    """Return what in a robot's masses and effort limits cannot be, a sentence each."""
+    """List masses and effort limits that are not plausible, a sentence each."""
     return [*_alike(robot), *_heavy_and_strong(robot)]
 
 
@@ -244,7 +244,7 @@ def _alike(robot: Robot) -> list[str]:
     shared, count = Counter(masses.values()).most_common(1)[0]
     if count < _ALIKE or 2 * count <= len(masses):
         return []
-    first = next(name for name, found in masses.items() if found == shared)
+    first = next(name for name, mass in masses.items() if mass == shared)
     return [
         f"{count} of {len(masses)} links, {first} first, have the same mass of {shared[0]:g} kg "
         "and the same inertia"
@@ -258,21 +258,21 @@ def _heavy_and_strong(robot: Robot) -> list[str]:
     reach = reach_bound(robot, robot.tip)[1]
     if not 0.0 < reach < np.inf:
         return []
-    found = []
+    findings = []
     for link in robot.tree.root.iterfind("link/inertial/mass"):
         name, mass = link.getparent().getparent().get("name"), float(link.get("value"))
         if name in robot.tree.moved_links and mass > _HEAVY * reach**3:
-            found.append(f"link {name} has {mass:g} kg, of an arm that reaches {reach:.3g} m")
-    if found:
-        return found
+            findings.append(f"link {name} has {mass:g} kg, of an arm that reaches {reach:.3g} m")
+    if findings:
+        return findings
     for name, effort, unit in zip(
         robot.joint_names, robot.effort_limits, robot.joint_units, strict=True
     ):
         weight = robot.mass * _G * (reach if unit == "rad" else 1.0)
         if np.isfinite(effort) and effort > _STRONG * weight > 0.0:
             force = "N m" if unit == "rad" else "N"
-            found.append(
+            findings.append(
                 f"joint {name} has an effort limit of {effort:g} {force}, where at most "
                 f"{weight:.2g} {force} hold the arm's {robot.mass:.3g} kg"
             )
-    return found
+    return findings

@@ -38,7 +38,7 @@ def find_mesh(filename: str, urdf_dir: Path | None) -> Path | None:
 
 
 def read_mesh(path: Path) -> Any:
-    """Return what trimesh reads from a mesh file: its triangles, no textures.
+    """Read the triangles of a mesh file with trimesh, without textures.
 
     Raises:
         Exception: Each of trimesh's readers raises its own; a ValueError for a file of another
@@ -83,7 +83,7 @@ def _require_few_copies(file: IO[bytes]) -> None:
 def for_other_tools(urdf: Urdf, urdf_dir: Path | None, path: Path) -> None:
     """Make a URDF open alike in Pinocchio, MuJoCo, MeshCat and yourdfpy, to be written to `path`.
 
-    Mesh files that are found are named by their full path; collision meshes that MuJoCo cannot
+    Mesh files that exist are named by their full path; collision meshes that MuJoCo cannot
     read are converted to STL, into the folder `{name}_meshes` beside the file. Unless the URDF
     already speaks to MuJoCo, it is asked to keep links on fixed joints as bodies (it merges them
     otherwise, and the tip frame is lost) and not to invent a mass for shapes of links without one.
@@ -91,16 +91,16 @@ def for_other_tools(urdf: Urdf, urdf_dir: Path | None, path: Path) -> None:
     root, folder = urdf.root, path.with_name(f"{path.stem}_meshes")
     converted: dict[Path, Path] = {}
     for mesh in root.iter("mesh"):
-        found = find_mesh(mesh.get("filename", ""), urdf_dir)
-        if found is None:
+        file = find_mesh(mesh.get("filename", ""), urdf_dir)
+        if file is None:
             continue
         collides = mesh.getparent().getparent().tag == "collision"
-        if collides and found.suffix.lower() not in _MUJOCO_READS:
-            if found not in converted:
-                name = f"{len(converted)}_{found.stem}.stl"  # two meshes may share a name
-                converted[found] = _to_stl(found, (folder / name).resolve())
-            found = converted[found]
-        mesh.set("filename", str(found))
+        if collides and file.suffix.lower() not in _MUJOCO_READS:
+            if file not in converted:
+                name = f"{len(converted)}_{file.stem}.stl"  # two meshes may share a name
+                converted[file] = _to_stl(file, (folder / name).resolve())
+            file = converted[file]
+        mesh.set("filename", str(file))
     moves = urdf.moved_links
     # MuJoCo refuses inertias that no body can have also where they act on nothing
     for inertia in root.iterfind("link/inertial/inertia"):
@@ -113,16 +113,16 @@ def for_other_tools(urdf: Urdf, urdf_dir: Path | None, path: Path) -> None:
 
 def impossible_inertias(urdf: Urdf) -> dict[str, list[float]]:
     """Return the links that move with inertias that no body has → principal moments [kg m²]."""
-    found = {}
+    inertias = {}
     for inertia in urdf.root.iterfind("link/inertial/inertia"):
         link = inertia.getparent().getparent().get("name")
         if link in urdf.moved_links and not _possible(inertia):
-            found[link] = _principal(inertia)
-    return found
+            inertias[link] = _principal(inertia)
+    return inertias
 
 
 def _possible(inertia: Any) -> bool:
-    """Return whether no principal moment is negative or larger than the other two together."""
+    """Tell whether principal moments are possible: none negative, none above the others' sum."""
     small, middle, large = _principal(inertia)
     slack = 1e-9 * abs(large)
     return bool(small >= -slack and small + middle >= large - slack)

@@ -57,8 +57,8 @@ def build_coupled(urdf: Urdf) -> tuple[pin.Model, MimicJoints]:
     coupled = {joint: follows for joint, follows in urdf.followers.items() if joint in names}
     if not coupled:
         return model, MimicJoints(model)
-    found = {joint: leader_of(joint, coupled) for joint in coupled}
-    for joint, (leader, multiplier, offset) in found.items():
+    followed = {joint: leader_of(joint, coupled) for joint in coupled}
+    for joint, (leader, multiplier, offset) in followed.items():
         fault = _fault(model, joint, leader, coupled)
         if fault:
             raise UrdfError(
@@ -74,7 +74,7 @@ def build_coupled(urdf: Urdf) -> tuple[pin.Model, MimicJoints]:
     G = np.zeros((model.nv, reduced.nv))
     for name, own, kept in zip(names[1:], list(model.joints)[1:], reduced.joints[1:], strict=True):
         # the indices of a mimic joint are those of its leader
-        _, multiplier, offset = found.get(name, (name, 1.0, 0.0))
+        _, multiplier, offset = followed.get(name, (name, 1.0, 0.0))
         np.fill_diagonal(A[own.idx_q :, kept.idx_q :][: own.nq], multiplier)
         np.fill_diagonal(G[own.idx_v :, kept.idx_v :][: own.nv], multiplier)
         b[own.idx_q] = offset

@@ -67,7 +67,7 @@ class Perturbation:
         return moving
 
     def moves(self, robot: Robot) -> bool:
-        """Return whether a robot is the one that moves."""
+        """Return True for the robot that moves."""
         return robot is self._moved
 
     def robot(self, length: float, mass: float, shifts: Array, rotations: Array) -> Robot:
@@ -170,7 +170,7 @@ class _Parts:
     def change(
         self, model: pin.Model, length: float, mass: float, shifts: Array, rotations: Array
     ) -> None:
-        """Change a copy of the model, as `Perturbation.robot` is told."""
+        """Change a copy of the model, with the errors that `Perturbation.robot` takes."""
         frames, at, inertias = model.frames, self._at.copy(), self._inertias.copy()
         if self._n is not None:
             tip = length * self._n

@@ -191,8 +191,8 @@ class Robot(Immutable):
         if self.nq == self.nv:
             return q
         zero, each = self.neutral(), q.reshape(-1, self.nq)
-        found = [pin.difference(self.model, zero, one) for one in each]
-        return np.array(found).reshape(*q.shape[:-1], self.nv)
+        differences = [pin.difference(self.model, zero, one) for one in each]
+        return np.array(differences).reshape(*q.shape[:-1], self.nv)
 
     def frame_id(self, frame: str) -> int:
         """Return Pinocchio's index of a frame.

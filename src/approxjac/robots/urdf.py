@@ -123,11 +123,11 @@ class Urdf:
     @functools.cached_property
     def followers(self) -> Mapping[str, Follows]:
         """Mimic joint → what it follows."""
-        found: dict[str, Follows] = {}
+        mimics: dict[str, Follows] = {}
         for mimic in self.root.iterfind("joint/mimic"):
             numbers = float(mimic.get("multiplier", 1.0)), float(mimic.get("offset", 0.0))
-            found.setdefault(mimic.getparent().get("name"), (mimic.get("joint"), *numbers))
-        return found
+            mimics.setdefault(mimic.getparent().get("name"), (mimic.get("joint"), *numbers))
+        return mimics
 
     @functools.cached_property
     def text(self) -> str:
@@ -219,7 +219,7 @@ def _floats(text: str | None) -> list[float]:
 
 
 def _quoted(given: str | None) -> str:
-    """Return what was given, cut where nobody would read on."""
+    """Shorten a value for an error message."""
     return repr(given) if given is None or len(given) <= 60 else f"{given[:60]!r}..."
 
 
@@ -310,17 +310,17 @@ def _tree_faults(joints: list[UrdfJoint], links: set[str]) -> Iterator[str]:
     carried: dict[str, list[str]] = {}
     for joint in joints:
         carried.setdefault(joint.parent, []).append(joint.child)
-    reached, found = set(roots), roots
-    while found:  # every link has one parent at most here, and is found once
-        found = [child for link in found for child in carried.get(link, [])]
-        reached.update(found)
+    reached, level = set(roots), roots
+    while level:  # every link has one parent at most, so it is visited once
+        level = [child for link in level for child in carried.get(link, [])]
+        reached.update(level)
     if reached != links:
         loose = ", ".join(sorted(links - reached))
         yield f"these links are not connected to {roots[0]!r}: {loose}"
 
 
 _USUAL = ("tool0", "tcp", "_ee_link", "end_effector", "eef", "tool", "flange", "gripper", "hand")
-_MANY = 12  # ends that are told
+_MANY = 12  # ends that are named
 
 
 def likely_tips(urdf: Urdf) -> str:
@@ -337,5 +337,5 @@ def likely_tips(urdf: Urdf) -> str:
     carriers = {joint.parent for joint in urdf.joints.values()}
     ends = [link for link in moved if link not in carriers]
     more = f" and {len(ends) - _MANY} more" if len(ends) > _MANY else ""
-    told = f"ends are {', '.join(ends[:_MANY])}{more}"
-    return f"likely tips are {', '.join(likely)}; {told}" if likely else told
+    named = f"ends are {', '.join(ends[:_MANY])}{more}"
+    return f"likely tips are {', '.join(likely)}; {named}" if likely else named

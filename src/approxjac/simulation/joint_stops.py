@@ -50,7 +50,7 @@ class JointStops:
         return 2.0 / _RATE * self.stiffness
 
     def touched(self, q: Array) -> bool:
-        """Return whether a joint is beyond its limits; quick, as it is asked at every step."""
+        """Return True where a joint is beyond its limits; quick, as every step asks."""
         for value, (low, high) in zip(q.tolist(), self.ends):  # noqa: B905, SIM110 (it is quick)
             if value < low or value > high:  # one that is NaN is not
                 return True

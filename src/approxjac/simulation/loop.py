@@ -69,7 +69,7 @@ class Loop:
 
     @property
     def ended(self) -> bool:
-        """Return whether there is no further step."""
+        """Return True after the last step."""
         return self.stopped or self.step == self.steps
 
     def aim_at(self, target: Target | TargetPath | Array) -> None:

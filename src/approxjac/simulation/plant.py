@@ -143,7 +143,7 @@ class Plant(Immutable):
 
     @property
     def command(self) -> Literal["torque", "velocity"]:
-        """Return what it takes."""
+        """Return "torque" or "velocity"."""
         return "torque" if self.servo is None else "velocity"
 
     @property
@@ -199,12 +199,12 @@ class Plant(Immutable):
         return max(usable, key=lambda q: np.linalg.norm(sensor.jacobian(q, sensor.value(q)), -2))
 
     def _is_free(self, q: Array) -> bool:
-        """Return whether the arm touches nothing in a configuration."""
+        """Return True where the arm touches nothing."""
         return True
 
     @property
     def needs_sampling(self) -> bool:
-        """Return whether it needs sampled control, as measurements or commands are late."""
+        """Return True if measurements or commands are late, which needs sampled control."""
         late = self.sensing is not None or self.actuator_delay > 0.0
         return late or self.servo is not None
 
@@ -302,7 +302,7 @@ class Plant(Immutable):
         return g if self._added is None else g - self._added.g(q)
 
     def _delivered(self, q: Array, tau: Array) -> Array:
-        """Return what the motors deliver of a torque, and of the gravity that the robot adds."""
+        """Return the motors' torque for a command, with the gravity that the robot adds."""
         if self._added is not None:
             tau = tau + self._added.g(q)
         if self.torque_limits is None:
@@ -344,7 +344,7 @@ class Plant(Immutable):
         return np.asarray(pin.aba(self.robot.model, self._data, q, v, tau, WORLD))
 
     def measure(self, t: float, q: Array, v: Array) -> Measurement:
-        """Return what ideal sensors measure at t [s]; NaN what the sensor cannot see."""
+        """Return the measurement of ideal sensors at t [s]; NaN for what the sensor cannot see."""
         q, v = self.robot.configuration(q), as_vector("v", v, self.robot.nv)
         return Measurement(t, q, v, self.sensor._seen(self.sensor.value(q)), t)
 
@@ -395,5 +395,5 @@ def _added(other: Robot, robot: Robot, servo: VelocityServo | None) -> Dynamics:
 
 
 def holdable(dynamics: Dynamics, q: Array, effort: Array) -> bool:
-    """Return whether holding a configuration takes at most 70 % of the effort limits."""
+    """Return True where holding a configuration takes at most 70 % of the effort limits."""
     return not (np.abs(dynamics.g(q)) > _HOLDABLE * effort).any()

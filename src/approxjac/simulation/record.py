@@ -103,7 +103,7 @@ class Record:
         return "\n".join(told)
 
     def _learnt(self, states: Array) -> Array:
-        """Return what the last controller had learnt by each state, shape (N, p)."""
+        """Return the learnt numbers of the last controller by each state, shape (N, p)."""
         controller = self._controllers[-1][1]
         learnt = np.array(controller.learnt(states))
         learnt[: self._controllers[-1][0]] = np.nan
@@ -162,7 +162,7 @@ def _sigma_min(J_hat: Array) -> Array:
 
 
 def scene_of(plant: Plant, controller: Controller) -> Scene:
-    """Return who takes part in a run of a controller."""
+    """Return the robots, sensors and tasks of a run."""
     task = controller.task
     limits, learns = plant.motor_limits, controller.parameters
     return Scene(plant.robot, task.robot, plant.sensor, task, limits, learns)

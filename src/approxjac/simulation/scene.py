@@ -52,7 +52,7 @@ class Scene:
     knows_truth: bool = True  # else the true robot is the believed one, as nobody knows more
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what a file holds of it: texts, numbers, lists and dictionaries."""
+        """Return it as a file holds it: texts, numbers, lists and dictionaries."""
         return {
             "truth": _saved_robot(self.truth),
             "belief": None if self.belief is None else _saved_robot(self.belief),

@@ -85,7 +85,7 @@ class Sensing:
 
     @property
     def is_linear(self) -> bool:
-        """Return whether it only delays x and filters q̇, nothing random, rounded or repeated."""
+        """Return True if it only delays x and filters q̇: nothing random, rounded or repeated."""
         if self.x_rate is not None or self.x_lost or self.x_frozen:
             return False
         others = (self.x_noise, self.x_quantum, self.x_dropout, self.q_noise, self.q_quantum)
@@ -116,7 +116,7 @@ class SensorReadings:
         self._v = np.zeros(nv)
 
     def read(self, truth: Measurement) -> Measurement:
-        """Return what is measured at the next sample, given what is true then."""
+        """Return the measurement at the next sample, given what is true then."""
         q = self._read_q(truth.q)
         v = truth.v if self._filter is None else self._difference(q, self._filter)
         x, t_x = self._read_x(truth.t, truth.x)
@@ -166,7 +166,7 @@ class SensorReadings:
 
 
 def generator(seed: int, kind: str) -> np.random.Generator:
-    """Return what one of `DRAWN` is drawn from in the run of a seed.
+    """Return the random generator of one of `DRAWN` in the run of a seed.
 
     A run draws m normal numbers for each frame of x that is taken, n_v for each sample of q, and a
     number from 0 to 1 for each frame that arrives. So they may be drawn in blocks.
@@ -290,7 +290,7 @@ class SensorFrames:
         self._kept_at, self._taken_at = 0, 0.0
 
     def next(self, t: float) -> SensorFrame:
-        """Return what happens at the next sample, at time t [s]."""
+        """Advance to the next sample, at time t [s]."""
         number = self._samples
         if self._per_sample is not None:  # counted from the start, so that no rounding adds up
             number = math.floor(self._samples * self._per_sample + _TINY)

@@ -131,7 +131,7 @@ def simulate(
 
 
 def _onwards(progress: Progress) -> Progress:
-    """Return what tells each time once, also where a run begins anew."""
+    """Return a progress function that gets each time once, also where a run begins anew."""
     reached = -math.inf
 
     def tell(t: float) -> None:
@@ -157,7 +157,7 @@ def _continuous_law(plant: Plant, controller: Controller, observer: Observer | N
 
 
 def whole(name: str, part: float, total: float, *, of: str = "duration") -> int:
-    """Return how often a time fits into another; refuse one that does not fit evenly."""
+    """Return the ratio of two times; refuse one that is no integer."""
     part = as_number(name, part, unit="s", above=0.0)
     if part < 1e-9 * total:
         raise InvalidInputError(

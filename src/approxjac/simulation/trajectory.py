@@ -340,13 +340,13 @@ class Trajectory:
         )
 
     def _limits(self) -> str:
-        """Return what limits did in words, "" where there are none."""
+        """Describe the effect of limits, "" where there are none."""
         counts = self.limit_status_counts()
         return "" if set(counts) == {LimitStatus.UNLIMITED} else _counted(counts)
 
 
 def _read(found: Mapping[str, Any], run: Trajectory, name: str) -> Any:
-    """Return what was read from a file with a run."""
+    """Read the values of a file with a run."""
     return found[name]
 
 

@@ -28,7 +28,7 @@ def learnt_regressor(scene: Scene) -> KinematicRegressor | None:
 
 
 def learnt_tips(scene: Scene, q: Array, learnt: Array) -> Array | None:
-    """Return where the tip is by the translations that were learnt by then, shape (N, 3) [m].
+    """Return the tip's positions by the translations learnt so far, shape (N, 3) [m].
 
     For configurations q (N, nq) and what was learnt (N, p); None where a run does not learn them.
     """

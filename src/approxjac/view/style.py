@@ -216,6 +216,6 @@ def _in_print(figure: Figure, width: float) -> Iterator[None]:
 
 
 def _fitting(labels: Sequence[str], width: float) -> int:
-    """Return how many columns of a legend fit into a width [pt]."""
+    """Return the number of a legend's columns that fit into a width [pt]."""
     longest = max((len(label) for label in labels), default=1)
     return max(1, min(len(labels), int(width / (4.4 * longest + 34.0))))

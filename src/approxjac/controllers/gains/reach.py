@@ -32,7 +32,7 @@ class Reach:
             self.origin = origin[["xyz".index(axis) for axis in task.labels[:3]]].tolist()
 
     def is_exceeded(self, q: Array, e: Array) -> bool:
-        """Return whether a target is too far away for the arm, and a tool that nobody told of.
+        """Return whether a target is too far away for the arm, and an unmodelled tool.
 
         It is e (m,) away from where the believed arm is at q: who measures x may stand anywhere.
         """
@@ -44,11 +44,11 @@ class Reach:
 
 
 UNKNOWN_TOOL = 0.18
-"""Length of a tool that nobody told of, as a share of the arm's reach."""
+"""Length of an unmodelled tool, as a share of the arm's reach."""
 
 
 def with_unknown_tool(robot: Robot) -> Robot:
-    """Return a robot whose tip is farther out, by the length of a tool that nobody told of."""
+    """Return a robot whose tip is farther out, by the length of an unmodelled tool."""
     if robot.tip is None:
         return robot
     joint = next(each for each in robot.tree.joints.values() if each.child == robot.tip)

@@ -111,7 +111,7 @@ class _Arm:
 
     @functools.cached_property
     def with_tool(self) -> Array:
-        """Jacobians of the arm with a tool that nobody told of at its tip, shape (k, m, n_v)."""
+        """Jacobians of the arm with an unmodelled tool at its tip, shape (k, m, n_v)."""
         task = self.task.on(with_unknown_tool(self.robot))
         return np.array([task.jacobian(q) for q in self.postures.q[:_CHECKED]])
 
@@ -320,7 +320,7 @@ def tuned(
        C the mean of ZᵀWZ, S = diag(C)^−½ and k such that λ_max(W Z L Zᵀ) = π/2;
        L_w = ¼B_c²/Mⱼⱼ, reduced where λ_max(W L_w) > π/2.
     4. The check: the loop's sampled, delayed linearisation at twenty postures, of arms that are
-       lighter and heavier than believed and hold a tool that nobody told of, is stable with one
+       lighter and heavier than believed and hold an unmodelled tool, is stable with one
        and a half times all of these, and in nine of ten cases its damping ratio is at least
        0.15 + 0.36 r times the lag of x, or nearly that of a loop without latency.
        If not, π is reduced, and then r.

@@ -84,7 +84,7 @@ class RunFrames:
         } | self._images(q, x_measured, x_d)
 
     def _believed_tip(self, q: Array, task_torque: Array) -> tuple[Array, Array]:
-        """Return where the tip is believed and the force there that a torque stands for, (N, 3)."""
+        """Return the believed tip and the force there that equals a torque, (N, 3) each."""
         tip, force = np.full((len(q), 3), np.nan), np.full((len(q), 3), np.nan)
         if self._believed is None:
             return tip, force
@@ -146,7 +146,7 @@ def _peaks(tau: Array, kept: Any) -> Array:
 
 
 def _followed(robot: Robot, feature: Feature | None) -> PointKinematics:
-    """Return what is followed, in the world: the first point of the feature's frame."""
+    """Return the followed point in the world: the first point of the feature's frame."""
     if feature is not None and feature.frame is not None:
         return PointKinematics(robot, feature.points[:1], feature.frame, None)
     # a camera in hand watches the world: what moves is the hand

@@ -156,7 +156,7 @@ class LiveView:
         return document(data, asset("live.js"))
 
     def _controls(self) -> dict[str, Any]:
-        """Return what the user may do, and how it is now."""
+        """Return the page's controls with their present values."""
         return {
             "speed": self._speed if math.isfinite(self._speed) else None,
             "paused": self._paused,
@@ -164,7 +164,7 @@ class LiveView:
         }
 
     def _greeting(self) -> str:
-        """Return what a page gets first; it may have been made before the belief changed."""
+        """Return the first message to a page; it may date from before the belief changed."""
         told: dict[str, Any] = {"rows": list(self._rows.values()), "controls": self._controls()}
         if self._changed and self._stage is not None:
             told["redraw"] = self._stage.data("believed")
@@ -186,7 +186,7 @@ class LiveView:
             self._rows = {key // 2: kept for key, kept in self._rows.items()}
 
     def _row(self, loop: Loop) -> dict[str, Any]:
-        """Return what the page shows of this step, as JSON can have it."""
+        """Return this step as the page shows it, in types that JSON has."""
         record, x = Record(loop.plant, 1), loop.measurement.x
         answer, controller = loop.answer, loop.controller
         record.add(loop.truth, x, loop.state, answer, loop.tau, loop.target, controller)

@@ -172,7 +172,7 @@ def _thinned(t: Array, q: Array) -> Any:
 
 
 def _facts(run: Trajectory) -> list[tuple[str, str]]:
-    """Return how the run ended and what was unusual in it, each a name and a text."""
+    """List the end of the run and its unusual events, each a name and a text."""
     units = [display_unit(unit) for unit in run.task_units]
     facts = [("ended", run.ended)] if run.ended and not run.fault_name else []
     for unit in dict.fromkeys(name for name, _ in units):

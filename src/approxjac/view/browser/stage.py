@@ -37,7 +37,7 @@ _THROUGH: Mapping[str, Any] = {
 
 
 def _camera_view(task: Task | None, size: float, middle: Array) -> dict[str, Any] | None:
-    """Return how the camera of a task is drawn, in the axes of what it is fixed to, if it has one.
+    """Return the drawing of a task's camera in the axes of its mount, or None.
 
     The image coordinates X are at `corner` + a `right` + b `down` with (a, b) = (X − low)/(high −
     low), without lens distortion. `reach` is how far lines of sight go, in distances of the image.
@@ -111,7 +111,7 @@ class Stage:
 
     @property
     def differs(self) -> bool:
-        """Return whether the arm or the camera is believed anywhere or anyhow else than it is."""
+        """Return True where the believed arm or camera differs from the true one."""
         if "believed" not in self.robots:
             return False
         true, believed = (_placed(self._trees[role]) for role in ("true", "believed"))
@@ -139,7 +139,7 @@ class Stage:
         return np.concatenate([np.zeros((1, 3)), fixed])
 
     def data(self, *roles: str) -> dict[str, Any]:
-        """Return what page.js builds the scene from, by default both roles.
+        """Return the scene as page.js builds it, by default of both roles.
 
         `approxjac.redraw` of a page takes `data("believed")`, when the belief has changed.
         """
@@ -308,7 +308,7 @@ def _draw_camera(camera: dict[str, Any], drawing: _Drawing) -> None:
 
 
 def _placed(tree: Tree) -> dict[str, Array]:
-    """Return where each child sits and how it moves, by joint, shape (19,)."""
+    """Return the placement and motion of each child, by joint, shape (19,)."""
     return {joint.name: np.append(joint.origin, joint.axis) for joint in tree.joints}
 
 
