@@ -8,8 +8,11 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
-from approxjac.controllers.limits import limits as rows
+from approxjac import law
+from approxjac.controllers.limits.limits import sure_deceleration
 from approxjac.robots import Dynamics
+
+INF = np.inf
 
 
 def test_of_a_robot_takes_what_its_urdf_says(panda):
@@ -75,7 +78,7 @@ def test_limits_of_other_joints_are_refused(panda, options):
 
 
 def test_rate_bounds_never_leave_the_effort_limits():
-    lower, upper = rows.rate_bounds(
+    lower, upper = law.rate_bounds(
         np.array([0.9, -1.0]), np.array([200.0, np.inf]), 1e-3, -np.ones(2), np.ones(2)
     )
     assert_allclose(lower, [0.7, -1.0])
@@ -83,19 +86,18 @@ def test_rate_bounds_never_leave_the_effort_limits():
 
 
 def test_speed_bounds_let_a_joint_come_to_its_limit_exponentially():
-    motion = np.array([0.5])
+    motion, joint = np.array([0.5]), law.JointRange.of([[-1.0], [1.0]], INF, 10.0, INF)
     for _ in range(1000):
-        speed = rows.speed_bounds(motion, [(-1.0, 1.0, np.inf, np.inf)], 10.0)[1]
-        motion = motion + 1e-3 * np.array(speed)
+        motion = motion + 1e-3 * law.speed_bounds(motion, joint)[1]
     assert_allclose(1.0 - motion, 0.5 * (1.0 - 0.01) ** 1000)
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_a_joint_that_comes_to_its_limit_brakes_with_no_more_than_its_deceleration(side):
-    joint, dt = (-1.0, 1.0, np.inf, 3.0), 1e-4
+    joint, dt = law.JointRange.of([[-1.0], [1.0]], INF, 10.0, 3.0), 1e-4
     motion, before, hardest = np.array([-0.8 * side]), None, 0.0
     for _ in range(30_000):
-        speed = np.array(rows.speed_bounds(motion, [joint], 10.0)[int(side > 0.0)])
+        speed = law.speed_bounds(motion, joint)[int(side > 0.0)]
         if before is not None:
             hardest = max(hardest, float(np.abs(speed - before)[0]) / dt)
         before, motion = speed, motion + dt * speed
@@ -107,7 +109,7 @@ def test_a_joint_that_comes_to_its_limit_brakes_with_no_more_than_its_decelerati
 def test_motors_surely_brake_a_joint_in_almost_every_configuration(name, rng):
     robot = aj.load_robot(name)
     effort, dynamics = robot.effort_limits, Dynamics(robot)
-    a = rows.sure_deceleration(robot, effort)
+    a = sure_deceleration(robot, effort)
     assert (a > 0.0).all()
     enough = []
     for _ in range(200):
@@ -115,19 +117,19 @@ def test_motors_surely_brake_a_joint_in_almost_every_configuration(name, rng):
         needed = np.abs(dynamics.g(q))[:, None] + np.abs(dynamics.M(q)) * a  # joint by joint
         enough.append((needed <= effort[:, None]).all(axis=0))
     assert np.mean(enough, axis=0).min() > 0.95
-    unknown = rows.sure_deceleration(robot, np.full(robot.nv, np.inf))
+    unknown = sure_deceleration(robot, np.full(robot.nv, np.inf))
     assert np.isinf(unknown).all()
 
 
 def test_acceleration_bounds_stop_what_is_too_fast():
-    low, high = rows.acceleration_bounds(np.array([3.0]), np.array([[-2.0], [2.0]]), 50.0)
+    low, high = law.acceleration_bounds(np.array([3.0]), np.array([[-2.0], [2.0]]), 50.0)
     assert high == -50.0
     assert low == -250.0
 
 
 def test_where_torques_change_slowly_braking_begins_in_time():
     """The last of the way to a bound, d, is ramped down: √(jd) there, and rd where that is less."""
-    bounds = rows.acceleration_bounds(
+    bounds = law.acceleration_bounds(
         np.array([3.0, 1.99]), np.array([[-2.0, -2.0], [2.0, 2.0]]), 50.0, np.array([100.0, 100.0])
     )
     assert_allclose(bounds, [[-np.sqrt(500.0), -np.sqrt(399.0)], [-10.0, 0.5]])

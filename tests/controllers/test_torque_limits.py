@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
+from approxjac import law as equations
 from approxjac.controllers import DifferentiatedVelocity, Posture, RegressorGravity
-from approxjac.controllers.limits.limits import acceleration_bounds, speed_bounds, sure_deceleration
+from approxjac.controllers.limits.limits import sure_deceleration
 from approxjac.controllers.limits.quadratic_program import as_solver
 from approxjac.errors import MeasurementError
 from approxjac.robots import Dynamics, GravityRegressor
@@ -453,10 +454,12 @@ def test_the_rows_bound_the_acceleration_that_the_believed_arm_predicts(panda, r
     problem, limited, _ = recorded(law_of(panda), limits, measurement, target, weight="inertia")
     without = pin.aba(panda.model, panda.model.createData(), q, v, np.zeros(7))
     a = sure_deceleration(panda, panda.effort_limits)
-    joints = zip(*panda.position_limits, panda.velocity_limits, a, strict=True)
-    speeds = np.array(speed_bounds(q, joints, limited.approach))
+    joints = equations.JointRange.of(
+        panda.position_limits, panda.velocity_limits, limited.approach, a
+    )
+    speeds = equations.speed_bounds(q, joints)
     assert (np.abs(speeds) <= panda.velocity_limits).all()
-    wanted = acceleration_bounds(v, speeds, limited.braking)
+    wanted = equations.acceleration_bounds(v, speeds, limited.braking)
     low, high = problem.row_lower[:7] + without, problem.row_upper[:7] + without
     if rate is None:
         assert_allclose(np.array([low, high]), wanted, rtol=1e-6, atol=1e-6)

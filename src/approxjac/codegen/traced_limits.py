@@ -16,7 +16,7 @@ from approxjac.controllers.limits.torque_limited import TorqueLimited
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.interface import LimitStatus, Status
-from approxjac.law.torque_limits import power_zero
+from approxjac.law.limits import power_zero
 
 _LARGEST = np.finfo(float).max
 

@@ -31,6 +31,7 @@ from approxjac.controllers.learning.kinematic_report import (
 from approxjac.controllers.learning.known_kinematics import KnownKinematics
 from approxjac.controllers.learning.predicted_error import Kinematics, PredictedError
 from approxjac.controllers.limits.cross_weight import CrossWeight
+from approxjac.controllers.limits.limit import CartesianSpeed, Limit, LimitTerms, Wall
 from approxjac.controllers.limits.limiter import Limiter
 from approxjac.controllers.limits.limits import Limits
 from approxjac.controllers.limits.torque_limited import TorqueLimited
@@ -48,6 +49,7 @@ __all__ = [
     "AdaptiveKinematics",
     "AdaptivePlanarCamera",
     "AwayFromStops",
+    "CartesianSpeed",
     "Controller",
     "ControllerWrapper",
     "CrossWeight",
@@ -61,6 +63,8 @@ __all__ = [
     "Latency",
     "Learning",
     "LearntNumber",
+    "Limit",
+    "LimitTerms",
     "Limiter",
     "Limits",
     "ModelDynamics",
@@ -76,6 +80,7 @@ __all__ = [
     "TorqueLimited",
     "TrackingController",
     "Tuning",
+    "Wall",
     "default_gains",
     "tuned",
 ]

@@ -275,6 +275,21 @@ class Controller(ABC):
         """Return how many of the state's first numbers rest where the proof is given up."""
         return 0
 
+    def rate_without(
+        self, locked: Array, state: Array, measurement: Measurement, answer: Evaluation
+    ) -> Array:
+        """Return the rate of what rests, shape (`resting`,), as of an arm with locked joints.
+
+        A limiter asks for it where the proof is given up; by default it rests.
+
+        Args:
+            locked: Which joints are at a limit, shape (n_v,).
+            state: State of this law before the step.
+            measurement: What was measured.
+            answer: The answer to it.
+        """
+        return np.zeros(self.resting)
+
     def with_limiter(self, motors: Array) -> Controller:
         """Return this law as it is inside of a limiter, which decides when it rests.
 

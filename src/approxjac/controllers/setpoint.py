@@ -235,6 +235,24 @@ class SetpointController(Immutable, Controller):
         """Return whether V̇ is known where this law gave an answer: with x, and with Ĵ⁺."""
         return answer.status is _OK
 
+    def rate_without(
+        self, locked: Array, state: Array, measurement: Measurement, answer: Evaluation
+    ) -> Array:
+        """Return the rate of θ̂ with y = q̇ + α(ĴP)⁺s(e), P leaving out joints that are locked."""
+        J_hat, learning, g = answer.J_hat, self.adaptation, answer.gravity
+        if learning is None or J_hat is None or g is None:
+            return np.zeros(self._p)
+        _, q, v, *_ = measurement
+        J_free, s = np.where(locked, 0.0, J_hat), self.saturation.s(answer.e)
+        v = np.where(locked, 0.0, v)
+        if answer.reference is not None:  # q̇ − (ĴP)⁺ẋ_d takes the place of q̇
+            v_d, scale = J_hat.dot(answer.reference), float(np.linalg.norm(J_hat, 2))
+            v = v - law.damped_gram_solve(J_free @ J_free.T, v_d, scale=scale)[0] @ J_free
+        y = law.passive_output(v, self.pinv.times(J_free, s, J_hat)[0], learning.alpha)
+        Y = learning.Y(q, J_hat)
+        rate = law.theta_hat_rate(learning.L, Y, y)
+        return learning.bounded(rate, state[: self._p], Y, g)
+
     @property
     def resting(self) -> int:
         """Return how many of the state's first numbers rest where limits give the proof up."""

@@ -8,11 +8,11 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac import law
-from approxjac.controllers.limits.limits import Limits, speed_bounds, sure_deceleration
+from approxjac.controllers.limits.limits import Limits, sure_deceleration
 from approxjac.robots import Robot
 from approxjac.validation import Array, as_limits
 
-_APPROACH = 5.0  # κ of `speed_bounds` [1/s]
+_APPROACH = 5.0  # κ of `law.speed_bounds` [1/s]
 _GAIN = 1.0  # of what learns the lag
 _LONGEST = 0.1  # lag [s]
 _SOONEST = 0.1  # that a joint gets to its full speed in, where nothing is told [s]
@@ -50,9 +50,8 @@ class VelocityCommand:
         usual = np.minimum(sure, np.asarray(limits.velocity) / _SOONEST)
         given = usual if acceleration is None else acceleration
         self.acceleration = as_limits("acceleration", given, robot.nv, unit="rad/s^2 or m/s^2")
-        (low, high), fastest = np.array(limits.position), np.asarray(limits.velocity)
         slowing = np.minimum(self.acceleration, sure)
-        self._joints = np.array([low, high, fastest, slowing]).T.tolist()
+        self._joints = law.JointRange.of(limits.position, limits.velocity, _APPROACH, slowing)
         self._model = robot.model
         self._neutral = None if robot.nq == robot.nv else robot.neutral()
         self._dt, self._change = dt, dt * self.acceleration
@@ -80,7 +79,7 @@ class VelocityCommand:
     def _within(self, q: Array, velocity: Array, before: Array) -> Array:
         """Return the velocity within limits, given the command before."""
         motion = q if self._neutral is None else pin.difference(self._model, self._neutral, q)
-        low, high = np.array(speed_bounds(motion, self._joints, _APPROACH))
+        low, high = law.speed_bounds(motion, self._joints)
         wanted = np.minimum(np.maximum(velocity, low), high)
         within = np.minimum(np.maximum(wanted, before - self._change), before + self._change)
         return np.asarray(within)

@@ -128,6 +128,10 @@ class FrameKinematics:
         J_dot: Array = pin.getFrameJacobianTimeVariation(self._all, self._all_data, frame, _LWA)
         return mimic_joints.columns(J_dot.reshape(6, -1))
 
+    def drift(self, q: Array, v: Array) -> Array:
+        """Return J̇q̇, shape (6,): what accelerates the frame, and turns it, where q̈ is 0."""
+        return np.asarray(self.jacobian_dot(q, v).dot(v))
+
     def _placement(self, q: Array) -> pin.SE3:
         pin.forwardKinematics(self._model, self._data, self.robot.configuration(q))
         return pin.updateFramePlacement(self._model, self._data, self._id)

@@ -7,15 +7,15 @@ that is wrong by shows in how far the measured q̇ is from the predicted one.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
+from approxjac import law as equations
 from approxjac.controllers.arguments import HUGE
 from approxjac.controllers.controller import Controller
 from approxjac.interface import Measurement
 from approxjac.validation import Array
 
+_HUGE = HUGE**2  # a sum of squares
 _NEVER = 1e100  # [s], a time that is never measured
 
 
@@ -46,24 +46,22 @@ class AccelerationObserver:
         self.dynamics, self.has_weight = law.believed_dynamics()
         self.size = 1 + 2 * robot.nv
         self._n = robot.nv
-        self._dt, self._rate, self._share = dt, np.array(rate), 1.0 - rate * dt
+        self._dt, self._rate, self._share = dt, np.array(rate), np.array(1.0 - rate * dt)
         self._half = 0.5 * dt
         self._period = np.array(dt)
+        self._nothing = np.concatenate([[_NEVER], np.zeros(2 * robot.nv)])
 
     def nothing(self) -> Array:
         """Return the memory before the first period."""
-        memory = np.zeros(self.size)
-        memory[0] = _NEVER
-        return memory
+        return self._nothing.copy()
 
     def residual(self, memory: Array, measurement: Measurement) -> Array:
         """Return r by now, shape (n_v,) [rad/s² or m/s²]."""
         n = self._n
-        r = memory[n + 1 :]
-        if not abs(measurement.t - memory[0]) <= self._half:
-            return r
+        r, is_due = memory[n + 1 :], abs(measurement.t - memory[0]) <= self._half
         apart = measurement.v - memory[1 : n + 1]
-        return np.asarray(self._share * r + self._rate * apart)
+        found: Array = equations.select(is_due, self._share * r + self._rate * apart, r)
+        return found
 
     def forward(self, measurement: Measurement, torque: Array, gravity: Array) -> Array:
         """Return f, shape (n_v,) [rad/s² or m/s²].
@@ -81,4 +79,5 @@ class AccelerationObserver:
         expected = measurement.v + self._period * f
         memory = np.concatenate([[measurement.t + self._dt], expected, residual])
         # what is absurd must not make the next period's prediction overflow
-        return memory if math.hypot(*memory.tolist()) < HUGE else self.nothing()
+        found: Array = equations.select(memory.dot(memory) < _HUGE, memory, self._nothing)
+        return found

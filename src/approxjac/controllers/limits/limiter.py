@@ -12,8 +12,7 @@ import pinocchio as pin
 from approxjac import law
 from approxjac.controllers.arguments import HUGE, overflow
 from approxjac.controllers.controller import Controller
-from approxjac.controllers.limits.limits import Limits, rate_bounds
-from approxjac.controllers.setpoint import SetpointController
+from approxjac.controllers.limits.limits import Limits
 from approxjac.controllers.wrapper import ControllerWrapper
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
@@ -176,7 +175,7 @@ class Limiter(ControllerWrapper):
         if self._has_rate:
             within = np.minimum(np.maximum(before, lower), upper)
             with np.errstate(over="ignore"):  # no bound at all, of an absurd rate or dt
-                lower, upper = rate_bounds(within, self._rate, dt, lower, upper)
+                lower, upper = law.rate_bounds(within, self._rate, dt, lower, upper)
         wanted = answer.torque
         torque: Array = np.minimum(np.maximum(wanted, lower), upper)
         status, slack = _FREE, 0.0
@@ -189,40 +188,27 @@ class Limiter(ControllerWrapper):
             torque, status, slack, memory = self._limit(asked)
             if self._p and status not in _GOES_ON:
                 after[: self._p] = state[: self._p]
-                if status in _GIVES_UP and answer.status in _TOLD:
-                    after[: self._p] += dt * self._rate_of_others(state, asked, torque)
+                # or θ̂ would ask for ever more than the motors have
+                has_room = not (np.abs(answer.torque) > self._upper).any()
+                if status in _GIVES_UP and answer.status in _TOLD and has_room:
+                    locked = self._locked(measurement, torque)
+                    if locked.any():
+                        rate = self._law.rate_without(locked, state, measurement, answer)
+                        after[: self._p] += dt * rate
         if self._memory:
             after = np.concatenate([after, memory, torque] if self._has_rate else [after, memory])
         return after, Evaluation(torque, *answer[1:6], status, slack, answer.reference)
 
-    def _rate_of_others(self, state: Array, asked: Asked, torque: Array) -> Array:
-        """Return the rate of θ̂ (p,) of the joints that are at no limit; 0 where all are free.
-
-        0 too where the law asks for more than the motors have, and of dynamics that are learnt.
-        """
-        controller, answer, (_, q, v, *_) = self._law, asked.answer, asked.measurement
-        if not isinstance(controller, SetpointController):
-            return np.zeros(self._p)
-        J_hat, learning = answer.J_hat, controller.adaptation
-        assert learning is not None
-        assert J_hat is not None
+    def _locked(self, measurement: Measurement, torque: Array) -> Array:
+        """Return which joints are at a limit, shape (n_v,)."""
+        _, q, v, *_ = measurement
         robot = self.task.robot
         motion = q if robot.nq == robot.nv else pin.difference(robot.model, robot.neutral(), q)
         low, high = np.asarray(self.limits.position)
         locked = (motion < low + _AT_LIMIT) | (motion > high - _AT_LIMIT)
         locked |= np.abs(v) > _NEARLY * np.asarray(self.limits.velocity)
         locked |= np.abs(torque) > _NEARLY * self._upper
-        if not locked.any() or (np.abs(answer.torque) > self._upper).any():
-            return np.zeros(self._p)  # or θ̂ would ask for ever more than the motors have
-        J_free, s = np.where(locked, 0.0, J_hat), controller.saturation.s(answer.e)
-        v = np.where(locked, 0.0, v)
-        if answer.reference is not None:  # q̇ − (ĴP)⁺ẋ_d takes the place of q̇
-            v_d, scale = J_hat.dot(answer.reference), float(np.linalg.norm(J_hat, 2))
-            v = v - law.damped_gram_solve(J_free @ J_free.T, v_d, scale=scale)[0] @ J_free
-        y = law.passive_output(v, controller.pinv.times(J_free, s, J_hat)[0], learning.alpha)
-        Y = learning.Y(q, J_hat)
-        rate = law.theta_hat_rate(learning.L, Y, y)
-        return learning.bounded(rate, state[: self._p], Y, asked.gravity)
+        return np.asarray(locked)
 
     @abc.abstractmethod
     def _limit(self, asked: Asked) -> Limited:

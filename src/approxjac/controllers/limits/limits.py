@@ -1,9 +1,8 @@
-"""`Limits` of torques and joints, and the bounds and rows that they make for one control step."""
+"""`Limits` of torques and joints, and how fast motors can brake within them."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +15,12 @@ from approxjac.validation import Array, as_limits, as_number, require, shape_of
 _CONFIGURATIONS = 100
 _SHARE, _RARE = 0.5, 0.05
 _LEAST_LEFT = 0.05  # of the effort, where gravity takes all of it
+_UNITS = {
+    "effort": "N m or N",
+    "rate": "N m/s or N/s",
+    "velocity": "rad/s or m/s",
+    "acceleration": "rad/s^2 or m/s^2",
+}
 _NO_INERTIA = 1e-12  # instead of none, which would divide by zero
 
 
@@ -30,6 +35,7 @@ class Limits:
         rate: Largest change of τ in time, a number or shape (n_v,) [N m/s or N/s].
         position: Smallest and largest joint positions, each shape (n_v,) [rad or m].
         velocity: Largest abs(q̇), a number or shape (n_v,) [rad/s or m/s].
+        acceleration: Largest abs(q̈), a number or shape (n_v,) [rad/s² or m/s²].
 
     Raises:
         InvalidInputError: Limits that are not positive, not numbers, or reversed.
@@ -39,10 +45,10 @@ class Limits:
     rate: float | Sequence[float] | Array | None = None
     position: tuple[Sequence[float] | Array, Sequence[float] | Array] | None = None
     velocity: float | Sequence[float] | Array | None = None
+    acceleration: float | Sequence[float] | Array | None = None
 
     def __post_init__(self) -> None:
-        units = {"effort": "N m or N", "rate": "N m/s or N/s", "velocity": "rad/s or m/s"}
-        for name, unit in units.items():
+        for name, unit in _UNITS.items():
             value = getattr(self, name)
             if value is not None:
                 size = shape_of(value)
@@ -78,11 +84,8 @@ class Limits:
         """
         filled = {
             name: as_limits(name, np.inf if value is None else value, nv, unit="one a joint")
-            for name, value in (
-                ("effort", self.effort),
-                ("rate", self.rate),
-                ("velocity", self.velocity),
-            )
+            for name in _UNITS
+            for value in [getattr(self, name)]
         }
         lower, upper = (-np.inf, np.inf) if self.position is None else self.position
         if self.position is not None and len(lower) != nv:  # type: ignore[arg-type]
@@ -92,16 +95,6 @@ class Limits:
             )
         ranges = np.broadcast_to(np.array([lower, upper]).reshape(2, -1), (2, nv)).copy()
         return Limits(position=(ranges[0], ranges[1]), **filled)
-
-
-def rate_bounds(
-    before: Array, rate: Array, dt: float, lower: Array, upper: Array
-) -> tuple[Array, Array]:
-    """Return bounds (n_v,) that are also within reach of the torque before in one step of dt [s].
-
-    It lies within the bounds and changes by `rate` (n_v,) [N m/s or N/s] at most.
-    """
-    return np.maximum(lower, before - dt * rate), np.minimum(upper, before + dt * rate)
 
 
 def sure_deceleration(robot: Robot, effort: Array) -> Array:
@@ -124,63 +117,6 @@ def sure_deceleration(robot: Robot, effort: Array) -> Array:
         inertia = np.maximum(np.abs(dynamics.M(q)), _NO_INERTIA)
         found.append((left[:, np.newaxis] / inertia).min(axis=0))
     return np.asarray(_SHARE * np.quantile(found, _RARE, axis=0, method="lower"))
-
-
-def speed_bounds(
-    motion: Array, joints: Iterable[Sequence[float]], approach: float
-) -> tuple[list[float], list[float]]:
-    """Return the smallest and the largest speed of each joint, in plain numbers.
-
-    A joint at a distance d from its limit may move towards it at κd at most, so it gets there as
-    exp(−κt) and needs no sudden stop; and, where that takes more than the deceleration a, at
-    √(2ad − (a/κ)²), along which it brakes with a until the two meet. One beyond its limit has to
-    come back, no faster than it may move.
-
-    Source: B. Faverjon and P. Tournassoud, "A local based approach for path planning of
-    manipulators with a high number of degrees of freedom", ICRA 1987, for κd.
-
-    Args:
-        motion: Joint positions, shape (n_v,) [rad or m].
-        joints: Smallest and largest position, largest speed, and a > 0 of each.
-        approach: κ [1/s].
-    """
-    slowest, fastest = [], []
-    for q, (low, high, most, a) in zip(motion.tolist(), joints, strict=True):
-        slowest.append(-_towards(q - low, most, approach, a))
-        fastest.append(_towards(high - q, most, approach, a))
-    return slowest, fastest
-
-
-def _towards(left: float, fastest: float, approach: float, a: float) -> float:
-    """Return the largest speed towards a limit that is `left` away, negative beyond it."""
-    speed, knee = approach * abs(left), a / approach
-    if speed > knee:  # from there on it is a's turn
-        speed = math.sqrt(knee * (2.0 * speed - knee))
-    return math.copysign(speed if speed < fastest else fastest, left)
-
-
-def acceleration_bounds(
-    v: Array, speeds: Array, braking: float | Array, jerk: Array | None = None
-) -> Array:
-    """Return accelerations that lead speeds into their bounds, shape (2, n_v) [rad/s² or m/s²].
-
-    Over the next step q̇ goes at most the share r dt of what is left to its bound, and at least
-    that share of the way back from beyond it. A share well below one keeps the joints quiet
-    although the believed inertia, which predicts the step, is wrong.
-
-    Where torques change slowly, an acceleration has to be ramped down in time: over what is left to
-    the bound, with half of what torques can do, so it is √(jd) at most.
-
-    Args:
-        v: Joint velocity q̇, shape (n_v,).
-        speeds: Smallest and largest, shape (2, n_v), infinite where there is no bound.
-        braking: r [1/s], at most 1/dt.
-        jerk: j, how fast accelerations change, shape (n_v,) [rad/s³ or m/s³]; None is without end.
-    """
-    left: Array = speeds - v
-    if jerk is None:
-        return np.asarray(braking * left)
-    return np.sign(left) * np.minimum(braking * np.abs(left), np.sqrt(jerk * np.abs(left)))
 
 
 def _range(position: object) -> tuple[Array, Array]:

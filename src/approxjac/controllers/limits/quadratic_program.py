@@ -57,6 +57,9 @@ class Verdict(enum.Enum):
     FAILED = "the problem has no finite numbers, or the solver found no valid answer"
 
 
+_NUMBERS = {each: number for number, each in enumerate(Verdict)}
+
+
 class Solver:
     """DAQP, an exact active-set method, or a function that solves quadratic programs.
 
@@ -111,6 +114,22 @@ class Solver:
             kept, _, _ = self._solved(problem)
             return (z if kept is None else kept), verdict  # z keeps the bound, too
         return (z, verdict) if kept is None or z is not None else (kept, Verdict.SOLVED)
+
+    def minimum(
+        self,
+        H: Array,
+        f: Array,
+        lower: Array,
+        upper: Array,
+        A: Array,
+        low: Array,
+        high: Array,
+        price: float | None = None,
+        pays: bool = False,
+    ) -> tuple[Array, int]:
+        """Return z, and 0, or 1 where nothing keeps the bounds, 2 where it failed."""
+        z, verdict = self.solve(QuadraticProgram(H, f, lower, upper, A, low, high), price, pays)
+        return (f, _NUMBERS[verdict]) if z is None else (z, 0)
 
     def _solved(self, problem: QuadraticProgram) -> tuple[Array | None, Verdict, float]:
         """Return z, or None, and why; and the multiplier of the last row, NaN of a function."""

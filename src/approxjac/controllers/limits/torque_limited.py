@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple
 
@@ -20,47 +19,46 @@ from approxjac.controllers.gains.sample_configurations import (
 )
 from approxjac.controllers.limits.acceleration_observer import AccelerationObserver
 from approxjac.controllers.limits.cross_weight import CrossWeight
+from approxjac.controllers.limits.limit import FramesByName, Limit, LimitTerms, require_rows
 from approxjac.controllers.limits.limiter import Asked, Limited, Limiter
-from approxjac.controllers.limits.limits import (
-    Limits,
-    acceleration_bounds,
-    speed_bounds,
-    sure_deceleration,
-)
-from approxjac.controllers.limits.quadratic_program import QuadraticProgram, Verdict, as_solver
+from approxjac.controllers.limits.limits import Limits, sure_deceleration
+from approxjac.controllers.limits.quadratic_program import QuadraticProgram, as_solver
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.interface import Evaluation, LimitStatus, Measurement, Target
 from approxjac.validation import Array, as_diagonal, as_number, require
 
 Weight = Literal["joint inertia", "inertia", "identity"]
 _WEIGHTS = ("joint inertia", "inertia", "identity")
-_FREE, _LIMITED, _INFEASIBLE = LimitStatus.FREE, LimitStatus.LIMITED, LimitStatus.INFEASIBLE
+_FREE, _LIMITED = LimitStatus.FREE, LimitStatus.LIMITED
+_VERDICTS = _LIMITED, LimitStatus.INFEASIBLE, LimitStatus.SOLVER_FAILED
 _KEPT, _GIVEN_UP = LimitStatus.PROOF_KEPT, LimitStatus.PROOF_GIVEN_UP
-_ROUND_OFF = 1e-10
-_MARGIN = 1e-6  # what a solver may be off
-_NO_LOWER = np.array([-np.inf])
 _UNKNOWN, _KNOWN = 0.1, 0.3  # times the rate of samples, or of the lag: how fast damping may be
 _TOLD = 1e-3  # beyond a limit of speed (as a share) or position [rad or m] that has its status
 _HUGE = 1e30  # below it nothing overflows
-_DEAR = 10.0  # how much dearer it is that a joint brakes too little than that others do
+_FAR = 1e100  # a deceleration that stands for infinity
+_TRIAL = 1.0  # speed of joints at which limits are asked for their rows first [rad/s or m/s]
 
 
-class Ahead(NamedTuple):
-    """Motion that a torque leads to in the next period.
+class Believed(NamedTuple):
+    """The believed arm at one step, as `law.limit_step` asks for it.
 
     Attributes:
-        f: q̈ by the believed dynamics, shape (n_v,).
-        residual: r, by which periods have shown that to be wrong, shape (n_v,).
-        q_dd: Both together.
-        speeds: Smallest and largest q̇, n_v numbers each.
-        place: Joint positions, then q̇.
+        prediction: What predicts.
+        measurement: q and q̇.
+        gravity: What the controller compensates, shape (n_v,).
     """
 
-    f: Array
-    residual: Array
-    q_dd: Array
-    speeds: tuple[list[float], list[float]]
-    place: list[float]
+    prediction: AccelerationObserver
+    measurement: Measurement
+    gravity: Array
+
+    def forward(self, torque: Array) -> Array:
+        """Return q̈ by the believed dynamics, shape (n_v,)."""
+        return self.prediction.forward(self.measurement, torque, self.gravity)
+
+    def M_inv(self) -> Array:
+        """Return M̂⁻¹, shape (n_v, n_v)."""
+        return self.prediction.dynamics.M_inv(self.measurement.q)
 
 
 class TorqueLimited(Limiter):
@@ -85,10 +83,13 @@ class TorqueLimited(Limiter):
 
     Attributes:
         cross_weight: G of the V that is kept falling; None where it is αĴ⁺.
+        motion_limits: Limits of motion besides those of joints.
 
     Args:
         controller: The controller whose torque to limit.
-        limits: Limits to keep; those of the believed robot's URDF by default.
+        limits: Limits to keep: `Limits` of joints and motors, a `Limit` of motion such as `Wall`,
+            or a list of them. Where there are no `Limits` among them, those of the believed
+            robot's URDF are kept.
         weight: R: "joint inertia", diagonal, the largest (M̂⁻¹)ᵢᵢ over usual configurations;
             "inertia", M̂(q)⁻¹, so that accelerations change least; "identity"; or a diagonal, shape
             (n_v,).
@@ -117,7 +118,7 @@ class TorqueLimited(Limiter):
     def __init__(
         self,
         controller: Controller,
-        limits: Limits | None = None,
+        limits: Limits | Limit | Sequence[Limits | Limit] | None = None,
         *,
         weight: Weight | Sequence[float] | Array = "joint inertia",
         proof: bool = True,
@@ -128,8 +129,11 @@ class TorqueLimited(Limiter):
         approach: float | None = None,
         solver: str | Callable[[QuadraticProgram], Array | None] = "daqp",
     ) -> None:
-        super().__init__(controller, limits)
         self._remember(locals())
+        arguments = self._arguments
+        of_joints, self.motion_limits = _sorted(limits)
+        super().__init__(controller, of_joints)
+        self._arguments = arguments
         self._dt = as_number("dt", dt, unit="s", above=0.0)
         inside = controller.dt
         if inside is not None and not math.isclose(inside, self._dt):
@@ -160,7 +164,6 @@ class TorqueLimited(Limiter):
         self._solver, self._brakes = as_solver(solver), as_solver("daqp")
         self._diagonal = self._resolved_weight(weight, inertias)
         self.weight = weight if isinstance(weight, str) else self._diagonal
-        self._R = None if self._diagonal is None else np.diag(self._diagonal)
         self._rho = self.braking
         if self._diagonal is not None:
             self._rho = self.braking / quickest(inertias, 1.0 / self._diagonal)
@@ -173,15 +176,23 @@ class TorqueLimited(Limiter):
         # arrays, which NumPy multiplies with in a third of the time of numbers
         self._braking, self._alpha = np.array(self.braking), np.array(self.alpha)
         (low, high), fastest = np.array(self.limits.position), np.asarray(self.limits.velocity)
-        joints = np.array([low, high, fastest, sure_deceleration(robot, self._upper)])
-        self._joints = joints.T.tolist()
+        most = np.asarray(self.limits.acceleration)
+        self._acceleration = most if np.isfinite(most).any() else None
+        sure = np.minimum(sure_deceleration(robot, self._upper), most)
+        self._sure = np.minimum(sure, _FAR)
+        self._joints = law.JointRange.of(self.limits.position, fastest, self.approach, sure)
         too_fast = (1.0 + _TOLD) * fastest
         self._told = [*(low - _TOLD), *-too_fast], [*(high + _TOLD), *too_fast]
         self._per_speed = 1.0 / fastest if np.isfinite(fastest).any() else None
-        self._looks_ahead = bool(np.isfinite(joints[:3]).any())
+        self._frames = FramesByName(robot)
+        self._looks_ahead = bool(np.isfinite([low, high, fastest, most]).any())
+        if self.motion_limits:
+            self._looks_ahead = True
+            q = robot.random_configuration(np.random.default_rng(0))
+            for limit in self.motion_limits:
+                require_rows(limit, self._terms(q, np.full(robot.nv, _TRIAL)), self._dt)
         if self._looks_ahead:
             self._keep(self._prediction.nothing())
-        self._no_rows = np.zeros((0, robot.nv)), np.zeros(0), np.zeros(0)
         # with a diagonal R, the nearest torque within bounds alone is the clipped one
         self._only_clips = not (proof or self._looks_ahead) and self._diagonal is not None
 
@@ -215,109 +226,94 @@ class TorqueLimited(Limiter):
 
     def _nearest(self, asked: Asked) -> Limited:
         """Return what `_limit` does."""
-        answer, _, (_, q, v, *_), lower, upper, torque, free, *_ = asked
-        wanted, y, rho, slack = answer.torque, None, 0.0, math.nan
-        if not free and self.proof:
-            y, rho = self._passive_output(asked)
-            if self._diagonal is not None:
-                torque, slack = law.limited_torque(wanted, y, lower, upper, self._diagonal, rho)
-        ahead = self._predicted(asked, torque) if self._looks_ahead else None
-        # the minimum without rows that it keeps is the minimum with them
-        if (free or self._diagonal is not None) and (ahead is None or self._keeps(ahead, v)):
-            status, slack = (_FREE, 0.0) if free else self._said(answer, slack)
-            if free and ahead is not None and not _is_within(ahead.place, *self._told):
+        answer, memory = asked.answer, asked.memory
+        residual = rows = None
+        if self._looks_ahead:
+            residual = self._prediction.residual(memory, asked.measurement)
+            rows = self.rows(asked.measurement)
+        found = self.limited(asked, residual, rows, self._solver.minimum, self._brakes.minimum)
+        proven = self.proof and self.controller.is_proven(answer)
+        status, slack = _VERDICTS[found.verdict], found.slack if proven else math.nan
+        if found.free:
+            status, slack = _FREE, 0.0
+            if rows is not None and self.is_exceeded(asked.measurement):
                 status = LimitStatus.EXCEEDED
-            return self._limited(asked, torque, status, slack, ahead)
+        elif not found.verdict:
+            # without x, or without Ĵ⁺, there is no V
+            status = (_KEPT if slack == 0.0 else _GIVEN_UP) if proven else _LIMITED
+        if residual is not None:
+            memory = self._prediction.expecting(asked.measurement, found.f, residual)
+        return Limited(found.torque, status, float(slack), memory)
 
-        if y is None:
-            y, rho = self._passive_output(asked)
-        M_inv, R, bounds, q_dd_0 = self._dynamics.M_inv(q), self._R, None, None
-        if R is None:
-            R = M_inv
-        A, low, high = self._no_rows
-        if ahead is not None:
-            # q̈ = M̂⁻¹τ + q̈₀ is within its bounds, with q̈₀ the acceleration without a torque
-            bounds, q_dd_0 = self._accelerations(ahead, v), ahead.q_dd - M_inv.dot(torque)
-            A, (low, high) = M_inv, bounds - q_dd_0
-        price = None
-        if self.proof:  # yᵀ(τ − τ*) ≤ 0; of length one, solvers do better
-            size = math.hypot(*y.tolist()) or 1.0
-            price, most = rho * size, np.array([y.dot(wanted) / size - _MARGIN])
-            A = np.concatenate([A, (y / size)[np.newaxis]])
-            low, high = np.concatenate([low, _NO_LOWER]), np.concatenate([high, most])
-        problem = QuadraticProgram(R, -R.dot(wanted), lower, upper, A, low, high)
-        found, verdict = self._solver.solve(problem, price, slack > 0.0)
-        if found is not None:
-            status, slack = self._said(answer, _slack(found, wanted, y))
-        else:
-            status = _INFEASIBLE if verdict is Verdict.INFEASIBLE else LimitStatus.SOLVER_FAILED
-            found = self._fallback(asked, M_inv, bounds, q_dd_0)
-            _, slack = self._said(answer, _slack(found, wanted, y))
-        if ahead is not None:
-            ahead = Ahead(ahead.f + M_inv.dot(found - torque), *ahead[1:])
-        return self._limited(asked, found, status, slack, ahead)
+    # what follows runs on symbols, too
 
-    def _limited(
-        self, asked: Asked, torque: Array, status: LimitStatus, slack: float, ahead: Ahead | None
-    ) -> Limited:
-        """Return a torque with its status, and the memory for the next step."""
-        memory = asked.memory
-        if ahead is not None:
-            memory = self._prediction.expecting(asked.measurement, ahead.f, ahead.residual)
-        return Limited(torque, status, slack, memory)
+    def limited(
+        self,
+        asked: Asked,
+        residual: Array | None,
+        rows: law.Rows | None,
+        minimum: law.Minimum,
+        brake_minimum: law.Minimum,
+    ) -> law.LimitStep:
+        """Return the torque of a step within its limits, as numbers or as symbols.
 
-    def _said(self, answer: Evaluation, slack: float) -> tuple[LimitStatus, float]:
-        """Return status and slack of a torque that was limited and keeps the limits."""
-        if not self.proof or not self.controller.is_proven(answer):
-            return _LIMITED, math.nan  # without x, or without Ĵ⁺, there is no V
-        return (_KEPT, 0.0) if slack == 0.0 else (_GIVEN_UP, slack)
-
-    def _fallback(
-        self, asked: Asked, M_inv: Array, bounds: Array | None, q_dd_0: Array | None
-    ) -> Array:
-        """Return a torque that brakes as hard as motors can, shape (n_v,).
-
-        Joints that cannot be kept within their bounds come as near to them as can be, for which the
-        others give way within theirs: first the one that lacks most counts as one that cannot,
-        then the two that do, until there is a torque. Without bounds joints come to rest.
+        Args:
+            asked: What is asked for.
+            residual: r, shape (n_v,), where there are rows.
+            rows: Bounds of motion, if there are any.
+            minimum: Solver.
+            brake_minimum: Solver of what is sent where that finds nothing.
         """
-        v, lower, upper, gravity = asked.measurement.v, asked.lower, asked.upper, asked.gravity
-        dear = np.zeros_like(v)
-        if bounds is None or q_dd_0 is None:
-            q_dd_0 = self._prediction.forward(asked.measurement, dear, gravity)
-            wanted, low, high = -self._braking * v, dear - np.inf, dear + np.inf
-        else:
-            wanted = np.minimum(np.maximum(0.0, bounds[0]), bounds[1])
-            low, high = bounds - q_dd_0
-        # the least square of q̈ − wanted, weighted by M̂ and by what is dear besides
-        change = wanted - q_dd_0
-        for joint in np.argsort(-np.abs(wanted) / np.abs(M_inv).dot(upper)):
-            low[joint], high[joint], dear[joint] = -np.inf, np.inf, _DEAR / M_inv[joint, joint]
-            H, f = M_inv + (M_inv * dear).dot(M_inv), -change - M_inv.dot(dear * change)
-            problem = QuadraticProgram(H, f, lower, upper, M_inv, low, high)
-            found, _ = self._brakes.solve(problem)
-            if found is not None:
-                return found
-        return np.minimum(np.maximum(gravity, lower), upper)
+        _, gravity, measurement, lower, upper, *_ = asked
+        believed = Believed(self._prediction, measurement, gravity)
 
-    def _predicted(self, asked: Asked, torque: Array) -> Ahead:
-        """Return what a torque leads to."""
-        measurement, q = asked.measurement, asked.measurement.q
-        motion = q if self._neutral is None else pin.difference(self._model, self._neutral, q)
-        f = self._prediction.forward(measurement, torque, asked.gravity)
-        r = self._prediction.residual(asked.memory, measurement)
-        place = motion.tolist() + measurement.v.tolist()
-        return Ahead(f, r, f + r, speed_bounds(motion, self._joints, self.approach), place)
+        def brakes(M_inv: Array, bounds: law.TorqueRows | None) -> Array:
+            hold = np.minimum(np.maximum(gravity, lower), upper)
+            rest = -self._braking * measurement.v
+            return law.braked(M_inv, bounds, lower, upper, believed, rest, hold, brake_minimum)
 
-    def _keeps(self, ahead: Ahead, v: Array) -> bool:
-        """Return whether q̈ leads q̇ into its bounds."""
-        if self._jerk is None:  # the same, in less time
-            return _is_within((v + ahead.q_dd / self._braking).tolist(), *ahead.speeds)
-        return _is_within(ahead.q_dd.tolist(), *self._accelerations(ahead, v).tolist())
+        def output() -> tuple[Array, Any]:
+            return self._passive_output(asked)
 
-    def _accelerations(self, ahead: Ahead, v: Array) -> Array:
-        """Return bounds of q̈, shape (2, n_v)."""
-        return acceleration_bounds(v, np.array(ahead.speeds), self._braking, self._jerk)
+        return law.limit_step(
+            asked.answer.torque, asked.clipped, law.complement(asked.free), lower, upper,
+            output if self.proof else None, self._diagonal, believed, rows, residual, brakes,
+            minimum,
+        )  # fmt: skip
+
+    def rows(self, measurement: Measurement) -> law.Rows:
+        """Return the bounds of motion at a configuration and speed."""
+        _, q, v, *_ = measurement
+        speeds = law.speed_bounds(self._positions(q), self._joints)
+        bounds = law.acceleration_bounds(v, speeds, self._braking, self._jerk)
+        if self._acceleration is not None:
+            bounds = np.minimum(np.maximum(bounds, -self._acceleration), self._acceleration)
+        low, high = bounds
+        if not self.motion_limits:
+            return law.Rows(low, high)
+        terms = self._terms(q, v)
+        more = [limit.rows(terms, v, self._dt) for limit in self.motion_limits]
+        E, lows, highs = zip(*more, strict=True)
+        return law.Rows(
+            np.concatenate([low, *lows]), np.concatenate([high, *highs]), np.concatenate(E)
+        )
+
+    def is_exceeded(self, measurement: Measurement) -> Any:
+        """Return whether a joint is beyond its limits of speed or position."""
+        _, q, v, *_ = measurement
+        place = self._positions(q).tolist() + v.tolist()
+        return law.complement(law.within(self._told[0], place, self._told[1]))
+
+    def _positions(self, q: Array) -> Array:
+        """Return the position of each joint, shape (n_v,) [rad or m]."""
+        return q if self._neutral is None else pin.difference(self._model, self._neutral, q)
+
+    def _terms(self, q: Array, v: Array) -> LimitTerms:
+        """Return what limits of motion make their rows of."""
+        return LimitTerms(
+            self.task.robot, q, v, self._frames, self.approach, self.braking,
+            self._sure, self._jerk,
+        )  # fmt: skip
 
     def _passive_output(self, asked: Asked) -> tuple[Array, float]:
         """Return y, shape (n_v,), and ρ.
@@ -335,10 +331,7 @@ class TorqueLimited(Limiter):
             y = y - answer.reference
         if self._per_speed is None:
             return y, self._rho
-        pull = ((y - v) * self._per_speed).tolist()
-        if math.hypot(*pull) <= 1.0:  # the norm first: it is cheap, and mostly small enough
-            return y, self._rho
-        return y, self._rho / max(1.0, *map(abs, pull))
+        return y, self._rho / law.largest(((y - v) * self._per_speed).tolist(), 1.0)
 
     def _usual_braking(self, inertias: Array) -> float:
         latency = self.controller.latency
@@ -379,16 +372,15 @@ class TorqueLimited(Limiter):
         )
 
 
-def _slack(torque: Array, wanted: Array, y: Array) -> float:
-    """Return σ = yᵀ(τ − τ*) where positive by more than round-off [W]."""
-    power = float(y.dot(torque - wanted))
-    if power <= 0.0:
-        return 0.0
-    if not math.isfinite(power):
-        return math.inf
-    round_off = _ROUND_OFF * max(1.0, float(np.abs(y).dot(np.abs(wanted))))
-    return power if power > round_off else 0.0
-
-
-def _is_within(values: list[float], low: list[float], high: list[float]) -> bool:
-    return all(map(operator.le, low, values)) and all(map(operator.le, values, high))
+def _sorted(
+    limits: Limits | Limit | Sequence[Limits | Limit] | None,
+) -> tuple[Limits | None, tuple[Limit, ...]]:
+    """Return the limits of joints and motors, None of none, and those of motion."""
+    listed = tuple(limits) if isinstance(limits, list | tuple) else (limits,)
+    of_joints = [each for each in listed if each is None or isinstance(each, Limits)]
+    if len(of_joints) > 1:
+        raise InvalidInputError(
+            f"limits must hold one Limits at most, got {limits!r}", given=limits
+        )
+    others = tuple(each for each in listed if each is not None and not isinstance(each, Limits))
+    return (of_joints[0] if of_joints else None), others

@@ -1,0 +1,230 @@
+"""`Limit`: bounds of motion of the user's own, and two of them: `Wall` and `CartesianSpeed`."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from approxjac import law
+from approxjac.errors import InvalidInputError
+from approxjac.robots import Robot
+from approxjac.tasks.frame_kinematics import FrameKinematics
+from approxjac.validation import Array, as_array, as_number, require
+
+_FAR = 1e100  # a speed that stands for infinity
+_RETURN = 0.05  # speed that comes back from behind a wall [m/s]
+_STILL = 1e-9  # speed that has no direction [m/s]
+
+
+class LimitTerms:
+    """What a limit makes its rows of, at one step: the believed arm as it is and moves.
+
+    Attributes:
+        robot: The believed robot.
+        q: Configuration, shape (nq,).
+        v: Joint velocity q̇, shape (n_v,).
+        approach: κ, the share of a distance to a limit that may be gone in a second [1/s].
+        braking: r, the rate at which speeds are led to their bounds [1/s].
+        deceleration: How fast motors surely brake each joint alone, shape (n_v,), finite.
+        jerk: How fast accelerations of joints change, shape (n_v,); None is without end.
+
+    Args:
+        frames: Kinematics by the name of their frame.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        q: Array,
+        v: Array,
+        frames: Mapping[str, FrameKinematics],
+        approach: float,
+        braking: float,
+        deceleration: Array,
+        jerk: Array | None = None,
+    ) -> None:
+        self.robot, self.q, self.v = robot, q, v
+        self.approach, self.braking = approach, braking
+        self.deceleration, self.jerk = deceleration, jerk
+        self._frames = frames
+
+    def position(self, frame: str | None = None) -> Array:
+        """Return the position of a frame in the world, shape (3,) [m]; None is the tip."""
+        return self._of(frame).position(self.q)
+
+    def jacobian(self, frame: str | None = None) -> Array:
+        """Return the Jacobian of a frame's velocity and angular velocity in the world, (6, n_v)."""
+        return self._of(frame).jacobian(self.q)
+
+    def drift(self, frame: str | None = None) -> Array:
+        """Return J̇q̇ of a frame, shape (6,): its acceleration is Jq̈ + J̇q̇."""
+        return self._of(frame).drift(self.q, self.v)
+
+    def stay_above(
+        self, value: Array, J: Array, drift: Array, returning: float = np.inf
+    ) -> tuple[Array, Array, Array]:
+        """Return rows that keep some h(q) at 0 or above.
+
+        h may fall by κh a second at most, or as fast as can surely be braked if that is less; from
+        below 0 it has to come back.
+
+        Args:
+            value: h, shape (k,).
+            J: ∂h/∂q, shape (k, n_v).
+            drift: J̇q̇, shape (k,).
+            returning: How fast it has to come back at most.
+        """
+        fastest = np.where(value < 0.0, returning, _FAR)
+        knee = (np.abs(J) * self.deceleration).max(axis=1) / self.approach
+        falls = law.approach_speed(value, fastest, self.approach, knee)
+        low = law.acceleration_bounds(J.dot(self.v), -falls, self.braking, self._jerk_of(J))
+        return J, low - drift, np.full(len(J), np.inf)
+
+    def stay_below(
+        self, rate: Array, most: float | Array, J: Array, drift: Array
+    ) -> tuple[Array, Array, Array]:
+        """Return rows that keep some speed Jq̇ at its bound or below.
+
+        Args:
+            rate: The speed, shape (k,).
+            most: Its bound, a number or shape (k,).
+            J: Shape (k, n_v).
+            drift: J̇q̇, shape (k,).
+        """
+        most = np.broadcast_to(most, (len(J),))
+        high = law.acceleration_bounds(rate, most, self.braking, self._jerk_of(J))
+        return J, np.full(len(J), -np.inf), high - drift
+
+    def _jerk_of(self, J: Array) -> Array | None:
+        return None if self.jerk is None else np.abs(J).dot(self.jerk)
+
+    def _of(self, frame: str | None) -> FrameKinematics:
+        return self._frames[self.robot.tip_or(None) if frame is None else frame]
+
+
+class FramesByName(dict[str, FrameKinematics]):
+    """Kinematics by the name of their frame, made when they are first asked for."""
+
+    def __init__(self, robot: Robot) -> None:
+        super().__init__()
+        self._robot = robot
+
+    def __missing__(self, frame: str) -> FrameKinematics:
+        self[frame] = FrameKinematics(self._robot, frame)
+        return self[frame]
+
+
+class Limit(ABC):
+    """Bounds of motion, as rows: low ≤ A q̈ ≤ high.
+
+    Give it to `TorqueLimited` beside `Limits`. It keeps no memory, and may be kept by several
+    limiters. What it computes with `np.where` in place of `if` can be compiled, too.
+    """
+
+    @abstractmethod
+    def rows(self, terms: LimitTerms, v: Array, dt: float) -> tuple[Array, Array, Array]:
+        """Return A (k, n_v), low (k,) and high (k,), infinite where there is no bound.
+
+        k is the same in every step. `LimitTerms.stay_above` makes rows of a function of q, and
+        `LimitTerms.stay_below` of a speed.
+
+        Args:
+            terms: The believed arm at this step.
+            v: Joint velocity q̇, shape (n_v,).
+            dt: Sampling time [s].
+        """
+
+
+class Wall(Limit):
+    """A plane that frames of the arm stay in front of.
+
+    It is kept by the believed arm: with a margin of what the tip may be elsewhere than believed,
+    the true one is in front of the plane, too.
+
+    Args:
+        point: On the plane, shape (3,) [m].
+        normal: Towards the side to stay on, shape (3,), of any length.
+        margin: Distance that is kept from the plane, at least 0 [m].
+        frames: Names of frames; the tip by default.
+    """
+
+    def __init__(
+        self,
+        point: Sequence[float] | Array,
+        normal: Sequence[float] | Array,
+        margin: float = 0.0,
+        frames: Sequence[str] = (),
+    ) -> None:
+        self.point, normal = as_array("point", point, (3,)), as_array("normal", normal, (3,))
+        length = float(np.linalg.norm(normal))
+        if not length > 0.0:
+            raise InvalidInputError(
+                f"normal must have a direction, got {normal.tolist()}", given=normal
+            )
+        self.normal = normal / length
+        self.margin = as_number("margin", margin, unit="m", minimum=0.0)
+        self.frames = tuple(frames)
+
+    def rows(self, terms: LimitTerms, v: Array, dt: float) -> tuple[Array, Array, Array]:
+        """Return rows, one a frame."""
+        n, frames = self.normal, self.frames or (None,)
+        height = law.array([n.dot(terms.position(each) - self.point) for each in frames])
+        J = np.stack([n.dot(terms.jacobian(each)[:3]) for each in frames])
+        drift = law.array([n.dot(terms.drift(each)[:3]) for each in frames])
+        return terms.stay_above(height - self.margin, J, drift, _RETURN)
+
+    def __repr__(self) -> str:
+        frames = f", frames={list(self.frames)}" if self.frames else ""
+        point, normal = self.point.tolist(), self.normal.round(6).tolist()
+        return f"Wall(point={point}, normal={normal}, margin={self.margin:g}{frames})"
+
+
+class CartesianSpeed(Limit):
+    """The largest speed of a frame's origin.
+
+    Args:
+        most: The speed [m/s].
+        frame: Name of the frame; the tip by default.
+    """
+
+    def __init__(self, most: float, frame: str | None = None) -> None:
+        self.most, self.frame = as_number("most", most, unit="m/s", above=0.0), frame
+
+    def rows(self, terms: LimitTerms, v: Array, dt: float) -> tuple[Array, Array, Array]:
+        """Return one row, along the velocity."""
+        J = terms.jacobian(self.frame)[:3]
+        velocity = J.dot(v)
+        speed = law.root(velocity.dot(velocity))
+        along = velocity / np.maximum(speed, _STILL)
+        drift = along.dot(terms.drift(self.frame)[:3])
+        row = along.dot(J)[np.newaxis]
+        return terms.stay_below(law.array([speed]), self.most, row, law.array([drift]))
+
+    def __repr__(self) -> str:
+        frame = "" if self.frame is None else f", frame={self.frame!r}"
+        return f"CartesianSpeed({self.most:g}{frame})"
+
+
+def require_rows(limit: Any, terms: LimitTerms, dt: float) -> None:
+    """Refuse what is no limit, or has no such rows.
+
+    Raises:
+        InvalidInputError: It is none.
+    """
+    require("limits", limit, Limit, "Limits(...), a Limit such as Wall(...), or a list of them")
+    rows = limit.rows(terms, terms.v, dt)
+    try:
+        A, low, high = (np.asarray(each, dtype=float) for each in rows)
+        fits = A.shape == (len(low), terms.robot.nv) and low.shape == high.shape == (len(low),)
+        fits = fits and bool(np.isfinite(A).all()) and bool((low <= high).all())
+    except (TypeError, ValueError):
+        fits = False
+    if not fits:
+        raise InvalidInputError(
+            f"rows of {limit!r} must return A of shape (k, {terms.robot.nv}), low and high of "
+            f"shape (k,), with low <= high, got {rows!r}",
+            given=limit,
+        )

@@ -1,0 +1,456 @@
+"""Limits of torques and motions that keep the decrease of V: any τ with yᵀ(τ − τ*) ≤ 0 does.
+
+Replacing the law's τ* by another τ changes V̇ by yᵀ(τ − τ*), with the passive output y of eq. (10).
+The paper has no limits; this is what its proof leaves room for. All of it runs on symbols, too.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import operator
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from approxjac.law.branches import choose, complement, repeat, select
+from approxjac.law.products import root
+from approxjac.validation import Array
+
+_ROUND_OFF = 1e-12
+_POWER_ROUND_OFF = 1e-10  # of yᵀ(τ − τ*), relative
+_MARGIN = 1e-6  # what a solver may be off
+_DEAR = 10.0  # how much dearer it is that a row is not kept than that joints brake otherwise
+_FAR = 1e100  # a λ that stands for infinity where a limit or 1/y is infinite
+_LEAST = 1e-300
+_NO_ROWS = np.zeros(0), np.zeros(0), np.zeros(0)
+_NO_LOWER = np.array([-np.inf])
+_NONE = 1e-100  # a joint that moves less reaches no limit before that
+
+
+def limited_torque(
+    torque: Array, y: Array, lower: Array, upper: Array, weight: Array, rho: float
+) -> tuple[Array, float]:
+    """Torque nearest to τ* within limits that keeps V̇ ≤ −W, or gives up as little as it can.
+
+    Minimises ½ Σ rᵢ(τᵢ − τ*ᵢ)² + ρσ subject to τ within its limits, yᵀ(τ − τ*) ≤ σ and σ ≥ 0.
+    The minimum is τ = τ* − λ R⁻¹y brought inside the limits, with the smallest λ from 0 to ρ that
+    makes σ = 0, or λ = ρ where none does: the proof is bought with extra damping along y, at
+    most ρ R⁻¹. The power yᵀ(τ − τ*) falls with λ along a line that is broken where a joint
+    reaches or leaves its limit, so λ is found exactly from the power at these breaks.
+
+    Args:
+        torque: τ* of the law, shape (n_v,) [N m or N].
+        y: Passive output, eq. (10), shape (n_v,) [rad/s or m/s].
+        lower: Smallest torques, shape (n_v,).
+        upper: Largest torques, shape (n_v,), not below `lower`.
+        weight: Diagonal of R > 0, shape (n_v,).
+        rho: ρ ≥ 0, the most that λ may be.
+
+    Returns:
+        τ within the limits, shape (n_v,), and σ [W].
+    """
+    clipped: Array = np.minimum(np.maximum(torque, lower), upper)
+    step, power = y / weight, y.dot(clipped - torque)
+    if type(torque) is np.ndarray:
+        guess = _guessed_torque(torque, y, lower, upper, step, rho, clipped, power)
+        if guess is not None:
+            return guess
+    most = power_zero(power, torque, y, lower, upper, step)
+    least = np.minimum(np.maximum(torque - np.minimum(most, rho) * step, lower), upper)
+    left = select(most <= rho, 0.0, y.dot(least - torque))
+    is_positive, is_finite = power > 0.0, power < np.inf
+    found = select(is_positive & is_finite, least, clipped)
+    return found, select(is_finite, select(is_positive, left, 0.0), math.inf)
+
+
+def _guessed_torque(
+    torque: Array,
+    y: Array,
+    lower: Array,
+    upper: Array,
+    step: Array,
+    rho: float,
+    clipped: Array,
+    power: float,
+) -> tuple[Array, float] | None:
+    """Return what `limited_torque` does where it is quickly found, which saves time only."""
+    if power <= 0.0:
+        return clipped, 0.0
+    if not math.isfinite(power):  # it overflows
+        return clipped, math.inf
+    # where no joint reaches or leaves a limit on the way, the first guess is exact
+    slope = float((y * step).dot(clipped == torque))
+    multiplier = min(power / slope, rho) if slope > 0.0 else rho
+    guess: Array = np.minimum(np.maximum(torque - multiplier * step, lower), upper)
+    left = float(y.dot(guess - torque))
+    if abs(left) <= _ROUND_OFF * power:
+        return guess, 0.0
+    return (guess, left) if left > 0.0 and multiplier == rho else None
+
+
+def power_zero(
+    power: float, torque: Array, y: Array, lower: Array, upper: Array, step: Array
+) -> float:
+    """λ > 0 where the power of `limited_torque`, positive at λ = 0, falls to zero.
+
+    It never rises, and is straight between the breaks: so λ is on the line from the last break that
+    has a power above zero to the first one that has not, and infinite where none has not.
+
+    Args:
+        power: yᵀ(τ − τ*) at λ = 0.
+        torque: As in `limited_torque`, and so are y, lower and upper.
+        y: Passive output.
+        lower: Smallest torques.
+        upper: Largest torques.
+        step: R⁻¹y, shape (n_v,).
+    """
+    per_step = np.where(np.abs(step) < _NONE, _FAR, step)
+    ends = np.concatenate([torque - lower, torque - upper]) / np.concatenate([per_step, per_step])
+    breaks = np.minimum(np.maximum(ends, 0.0), _FAR)  # λ where each joint is at a limit
+    torques = np.minimum(np.maximum(torque - breaks[:, np.newaxis] * step, lower), upper)
+    powers = (torques - torque).dot(y)
+    is_above = powers > 0.0
+    here, there = np.where(is_above, breaks, 0.0).max(), np.where(is_above, np.inf, breaks).min()
+    above = np.minimum(np.where(is_above, powers, power).min(), power)
+    below = np.where(is_above, -_FAR, powers).max()
+    share = np.maximum(above / (above - below), _LEAST)  # for what is infinitely far stays so
+    root: float = here + share * (there - here)
+    return root
+
+
+def rate_bounds(
+    before: Array, rate: Array, dt: float, lower: Array, upper: Array
+) -> tuple[Array, Array]:
+    """Return bounds (n_v,) that are also within reach of the torque before in one step of dt [s].
+
+    It lies within the bounds and changes by `rate` (n_v,) [N m/s or N/s] at most.
+    """
+    return np.maximum(lower, before - dt * rate), np.minimum(upper, before + dt * rate)
+
+
+def approach_speed(left: Array, fastest: Array, approach: float | Array, knee: Array) -> Array:
+    """Return the largest speed towards a limit that is `left` away, with its sign; or back.
+
+    At a distance d it is κd at most, so that the limit is come to as exp(−κt), without a sudden
+    stop; and, where that takes more than the deceleration a, √(2ad − (a/κ)²), along which a brakes
+    until the two meet. From beyond the limit it is the speed to come back with.
+
+    Source: B. Faverjon and P. Tournassoud, "A local based approach for path planning of
+    manipulators with a high number of degrees of freedom", ICRA 1987, for κd.
+
+    Args:
+        left: d, signed.
+        fastest: The largest speed of all.
+        approach: κ [1/s].
+        knee: a/κ, the speed from which on a brakes.
+    """
+    signed = approach * left
+    speed = np.abs(signed)
+    braked = np.sqrt(knee * (2.0 * np.maximum(speed, knee) - knee))
+    return np.copysign(np.minimum(np.minimum(speed, braked), fastest), signed)
+
+
+class JointRange(NamedTuple):
+    """Where joints may be, and how they may move there.
+
+    Attributes:
+        ends: Smallest and largest positions, shape (2, n_v), infinite where there is none.
+        fastest: Largest speeds, shape (n_v,).
+        approach: κ [1/s].
+        knee: a/κ with the deceleration a that each joint is sure of, shape (n_v,).
+    """
+
+    ends: Array
+    fastest: Array
+    approach: Array
+    knee: Array
+
+    @classmethod
+    def of(
+        cls, ends: Any, fastest: Any, approach: float, deceleration: Array | float
+    ) -> JointRange:
+        """Return a range with a deceleration, which may be infinite."""
+        knee = np.minimum(deceleration, _FAR) / approach
+        return cls(np.asarray(ends), np.asarray(fastest), np.array(approach), knee)
+
+
+def speed_bounds(motion: Array, joints: JointRange) -> Array:
+    """Return the smallest and the largest speed of each joint, shape (2, n_v); `approach_speed`.
+
+    A joint beyond its range has to come back, no faster than it may move.
+
+    Args:
+        motion: Joint positions, shape (n_v,) [rad or m].
+        joints: Their range.
+    """
+    ends, fastest, approach, knee = joints
+    return approach_speed(ends - motion, fastest, approach, knee)
+
+
+def acceleration_bounds(
+    v: Array, speeds: Array, braking: float | Array, jerk: Array | None = None
+) -> Array:
+    """Return accelerations that lead speeds to their bounds, of the shape of these.
+
+    Over the next step q̇ goes at most the share r dt of what is left to its bound, and at least
+    that share of the way back from beyond it. A share well below one keeps the joints quiet
+    although the believed inertia, which predicts the step, is wrong.
+
+    Where torques change slowly, an acceleration has to be ramped down in time: over what is left to
+    the bound, with half of what torques can do, so it is √(jd) at most.
+
+    Args:
+        v: Joint velocity q̇, shape (n_v,), or another speed.
+        speeds: Bounds, such as the smallest and largest, shape (2, n_v); infinite is no bound.
+        braking: r [1/s], at most 1/dt.
+        jerk: j, how fast accelerations change [rad/s³ or m/s³]; None is without end.
+    """
+    left: Array = speeds - v
+    if jerk is None:
+        return braking * left
+    size = np.abs(left)
+    size = np.minimum(braking * size, np.sqrt(jerk * size))
+    return np.copysign(size, left)
+
+
+class Rows(NamedTuple):
+    """Bounds of q̈, and of further rows E q̈, at one step.
+
+    Attributes:
+        low: Shape (n_v + k,), those of q̈ first; −inf where there is no bound.
+        high: Shape (n_v + k,), inf where there is none.
+        E: Shape (k, n_v); None is without further rows.
+    """
+
+    low: Array
+    high: Array
+    E: Array | None = None
+
+    def of(self, q_dd: Array) -> Array:
+        """Return what is bounded, of q̈ (n_v,) or of matrices (n_v, n_v)."""
+        return q_dd if self.E is None else np.concatenate([q_dd, self.E.dot(q_dd)])
+
+
+class TorqueRows(NamedTuple):
+    """Rows as bounds of A τ, with what they are made of, and q̈₀, that without a torque."""
+
+    A: Array
+    low: Array
+    high: Array
+    rows: Rows
+    at_rest: Array
+
+    @classmethod
+    def of(cls, rows: Rows, M_inv: Array, at_rest: Array) -> TorqueRows:
+        """Return bounds of q̈ = M̂⁻¹τ + q̈₀ as those of τ."""
+        offset = rows.of(at_rest)
+        return cls(rows.of(M_inv), rows.low - offset, rows.high - offset, rows, at_rest)
+
+
+class BelievedArm(Protocol):
+    """What `limit_step` asks of the believed arm, at one step."""
+
+    def forward(self, torque: Array) -> Array:
+        """Return q̈ by the believed dynamics, shape (n_v,)."""
+        ...
+
+    def M_inv(self) -> Array:
+        """Return M̂⁻¹, shape (n_v, n_v)."""
+        ...
+
+
+Minimum = Callable[..., tuple[Array, Any]]
+"""Solver of min ½zᵀHz + fᵀz subject to lower ≤ z ≤ upper and low ≤ A z ≤ high.
+
+It takes H, f, lower, upper, A, low and high; what it costs to exceed the upper bound of the last
+row, per unit, or None where that is a bound as the others; and whether it is likely that this price
+is paid. It returns z, and 0 where z is the minimum, 1 where nothing keeps the bounds, 2 where it
+failed.
+"""
+
+
+class LimitStep(NamedTuple):
+    """A torque within limits.
+
+    Attributes:
+        torque: τ, shape (n_v,).
+        f: q̈ by the believed dynamics with it, shape (n_v,), where motion is bounded.
+        slack: σ = yᵀ(τ − τ*), at least 0 [W]; 0 where the proof was not asked for.
+        verdict: 0, or 1 where no torque keeps all bounds, 2 where the solver failed.
+        free: Whether τ is τ*.
+    """
+
+    torque: Array
+    f: Array
+    slack: Any
+    verdict: Any
+    free: Any
+
+
+def limit_step(
+    wanted: Array,
+    clipped: Array,
+    beyond: Any,
+    lower: Array,
+    upper: Array,
+    output: Callable[[], tuple[Array, Any]] | None,
+    weight: Array | None,
+    motion: BelievedArm,
+    rows: Rows | None,
+    residual: Array | None,
+    brakes: Callable[[Array, TorqueRows | None], Array],
+    minimum: Minimum,
+) -> LimitStep:
+    """Bring τ* within bounds of torque and motion, and keep V̇ ≤ −W where they leave room for it.
+
+    Minimises ½(τ − τ*)ᵀR(τ − τ*) + ρσ subject to yᵀ(τ − τ*) ≤ σ, σ ≥ 0, to τ within its bounds, and
+    to q̈ within those of the rows, with q̈ = M̂⁻¹τ + q̈₀ as the believed arm predicts it. Where R is
+    diagonal and the closed form keeps the rows, no solver is asked.
+
+    Args:
+        wanted: τ*, shape (n_v,).
+        clipped: τ* brought within its bounds, shape (n_v,).
+        beyond: Whether that is another torque.
+        lower: Smallest torques, shape (n_v,).
+        upper: Largest torques, shape (n_v,).
+        output: Gives y, shape (n_v,), and ρ; None is without the proof.
+        weight: Diagonal of R, shape (n_v,); None is R = M̂⁻¹.
+        motion: The believed arm.
+        rows: Bounds of motion, if there are any.
+        residual: What is added to the believed q̈, shape (n_v,), where there are rows.
+        brakes: Gives what is sent where there is no minimum, of M̂⁻¹ and the rows: `braked`.
+        minimum: Solver.
+    """
+
+    def nearest() -> tuple[Array, Any]:
+        if output is None or weight is None:
+            return clipped, 0.0
+        y, rho = output()
+        return limited_torque(wanted, y, lower, upper, weight, rho)
+
+    near, slack = choose(beyond, nearest, lambda: (wanted, 0.0))
+    q_dd, fits, f = near, True, near
+    if rows is not None and residual is not None:
+        f = motion.forward(near)
+        q_dd = f + residual
+        fits = within(rows.low.tolist(), rows.of(q_dd).tolist(), rows.high.tolist())
+    free = complement(beyond)
+    if weight is None:
+        fits = fits & free
+
+    def searched() -> tuple[Array, Array, Any, Any, Any]:
+        M_inv = motion.M_inv()
+        bounds = None if rows is None else TorqueRows.of(rows, M_inv, q_dd - M_inv.dot(near))
+        A, low, high = _NO_ROWS if bounds is None else bounds[:3]
+        A, y, price = A.reshape(-1, len(wanted)), None, None
+        if output is not None:  # yᵀ(τ − τ*) ≤ 0; of length one, solvers do better
+            y, rho = output()
+            size = np.maximum(root(y.dot(y)), _LEAST)
+            price, row = rho * size, (y / size)[np.newaxis]
+            A, low = np.concatenate([A, row]), np.concatenate([low, _NO_LOWER])
+            high = np.concatenate([high, row.dot(wanted) - _MARGIN])
+        R = M_inv if weight is None else np.diag(weight)
+        found, verdict = minimum(R, -R.dot(wanted), lower, upper, A, low, high, price, slack > 0.0)
+        (torque,) = choose(verdict > 0, lambda: (brakes(M_inv, bounds),), lambda: (found,))
+        left = 0.0 if y is None else power_above(torque, wanted, y)
+        after = f if rows is None else f + M_inv.dot(torque - near)
+        return torque, after, left, verdict, False
+
+    return LimitStep(*choose(complement(fits), searched, lambda: (near, f, slack, 0, free)))
+
+
+def braked(
+    M_inv: Array,
+    bounds: TorqueRows | None,
+    lower: Array,
+    upper: Array,
+    motion: BelievedArm,
+    brake: Array,
+    hold: Array,
+    minimum: Minimum,
+) -> Array:
+    """Return a torque that brakes as hard as motors can, shape (n_v,).
+
+    Rows that cannot be kept come as near to their bounds as can be, for which the joints give way
+    within the others: first the row that lacks most counts as one that cannot be kept, then the two
+    that do, until there is a torque. Without rows joints come to rest.
+
+    Args:
+        M_inv: M̂⁻¹, shape (n_v, n_v).
+        bounds: Of the rows, if there are any.
+        lower: Smallest torques, shape (n_v,).
+        upper: Largest torques, shape (n_v,).
+        motion: The believed arm.
+        brake: q̈ that brings joints to rest, shape (n_v,).
+        hold: What is sent where nothing else is known, shape (n_v,).
+        minimum: Solver.
+    """
+    n, start = len(lower), brake
+    if bounds is None:
+        free = np.full(n, np.inf)
+        at_rest = motion.forward(np.zeros_like(hold))
+        bounds = TorqueRows.of(Rows(-free, free), M_inv, at_rest)
+    elif bounds.rows.E is None:
+        start = np.zeros(n)
+    A, low, high, rows, at_rest = bounds
+    # the least square of q̈ − wanted, weighted by M̂ and by what is dear besides
+    wanted = np.concatenate([start, np.zeros(len(rows.low) - n)])
+    wanted = np.minimum(np.maximum(wanted, rows.low), rows.high)
+    change, lacks = wanted - rows.of(at_rest), np.abs(wanted) / np.abs(A).dot(upper)
+    sizes = np.diag(M_inv)
+    if rows.E is not None:
+        sizes = np.concatenate([sizes, (rows.E * A[n:]).sum(axis=1)])
+    dearness, place = _DEAR / np.maximum(sizes, _LEAST), _places(lacks)
+
+    def stage(i: Any, before: tuple[Array, Any]) -> tuple[Array, Any]:
+        def tried() -> tuple[Array, Any]:
+            soft = place <= i
+            dear = np.where(soft, dearness, 0.0)
+            H = M_inv + (A.T * dear).dot(A)
+            f = -change[:n] - A.T.dot(dear * change)
+            least, most = np.where(soft, -np.inf, low), np.where(soft, np.inf, high)
+            return minimum(H, f, lower, upper, A, least, most)
+
+        return choose(before[1] > 0, tried, lambda: before)
+
+    torque, verdict = repeat(len(wanted), stage, (hold, 1))
+    found: Array = choose(verdict > 0, lambda: (hold,), lambda: (torque,))[0]
+    return found
+
+
+def _places(lacks: Array) -> Array:
+    """Return the place of each number from the largest on, from 0; the first of two that tie."""
+    others = lacks[:, np.newaxis]
+    before = np.tri(len(lacks), k=-1, dtype=bool)
+    earlier = (lacks > others) | ((lacks == others) & before)
+    places: Array = np.where(earlier, 1.0, 0.0).sum(axis=1)
+    return places
+
+
+def power_above(torque: Array, wanted: Array, y: Array) -> Any:
+    """Return σ = yᵀ(τ − τ*) where positive by more than round-off [W], infinite if it overflows."""
+    power = y.dot(torque - wanted)
+    round_off = _POWER_ROUND_OFF * np.maximum(1.0, np.abs(y).dot(np.abs(wanted)))
+    return select(power < np.inf, select(power <= round_off, 0.0, power), math.inf)
+
+
+def within(low: list[Any], values: list[Any], high: list[Any]) -> Any:
+    """Return whether all values are within their bounds."""
+    try:
+        return all(map(operator.le, low, values)) and all(map(operator.le, values, high))
+    except TypeError:  # symbols
+        holds: Any = True
+    for pair in [*zip(low, values, strict=True), *zip(values, high, strict=True)]:
+        if not any(isinstance(each, float) and math.isinf(each) for each in pair):
+            holds = holds & (pair[0] <= pair[1])
+    return holds
+
+
+def largest(values: list[Any], least: float) -> Any:
+    """Return the largest of some numbers' sizes and of `least`."""
+    try:
+        return max(least, *map(abs, values))
+    except TypeError:  # symbols
+        return functools.reduce(np.maximum, map(abs, values), least)
