@@ -21,13 +21,13 @@ ALLOWED = {
     "validation": {"errors"},
     "interface": {"errors", "formatting", "tasks", "validation"},
     "paths": {"errors", "formatting", "interface", "validation"},
-    "robots": {"errors", "files", "validation"},
+    "robots": {"errors", "extras", "files", "validation"},
     "law": {"errors", "validation"},
     "codegen": {
         "__init__", "cameras", "controllers", "errors", "extras", "files", "formatting",
         "interface", "law", "robots", "simulation", "tasks", "validation",
     },
-    "cameras": {"errors", "formatting", "law", "robots", "validation"},
+    "cameras": {"errors", "extras", "formatting", "law", "robots", "validation"},
     "tasks": {"cameras", "errors", "formatting", "law", "robots", "validation"},
     "controllers": {
         "cameras", "errors", "extras", "formatting", "interface", "law", "robots", "tasks",

@@ -11,8 +11,10 @@ _NEEDED_BY = {
     "fast": "compiled code",
     "franka": "FrankaDriver",
     "mujoco": "MujocoPlant",
-    "view": "the browser view",
-    "vision": "the search for tags in images",
+    "qp": "a QP solver other than DAQP",
+    "study": "drawing, judging stability or integrating in continuous time",
+    "view": "showing robots or reading their meshes",
+    "vision": "reading calibration files or images",
 }
 
 

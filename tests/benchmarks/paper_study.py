@@ -11,7 +11,7 @@ import tempfile
 import time
 
 ROUNDS = 3
-LIBRARIES = "pinocchio, scipy.integrate, matplotlib.figure, yourdfpy, tyro"
+LIBRARIES = "pinocchio, scipy.integrate, matplotlib.figure"
 
 
 def seconds(*arguments: str) -> float:

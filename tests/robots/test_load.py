@@ -303,6 +303,6 @@ def test_relative_names_resolve_from_the_folder_of_the_urdf(tmp_path, monkeypatc
 
 def test_without_the_package_of_the_named_robots_only_our_own_load(monkeypatch):
     monkeypatch.setattr("approxjac.robots.catalog.share_dir", lambda: None)
-    with pytest.raises(MissingPackageError, match=r"pip install example-robot-data$"):
+    with pytest.raises(MissingPackageError, match=r"pip install 'approxjac\[robots\]'$"):
         aj.load_robot("panda")
     assert aj.load_robot("two_link").velocity_limits.shape == (2,)

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from approxjac.errors import InvalidInputError
+from approxjac.errors import InvalidInputError, MissingPackageError
 from approxjac.robots import Robot, load_robot, robot_names
 from approxjac.robots.load import locked_joints
 from approxjac.robots.urdf import likely_tips
@@ -45,11 +45,21 @@ def robots(
 def _table() -> str:
     """Return all arms that load by name: joints, n_v, n_q, effort limits, tip and moving mass."""
     rows = [("name", "nv", "nq", "joints", "effort limits", "suggested tip", "kg")]
-    for robot in map(load_robot, robot_names()):
+    missing = []
+    for name in robot_names():
+        try:
+            robot = load_robot(name)
+        except MissingPackageError:
+            missing.append(name)
+            continue
         size = str(robot.nv), str(robot.nq)
         kinds, mass = _kinds(robot), f"{robot.mass:.3g}"
         rows.append((robot.name, *size, kinds, _efforts(robot), str(robot.tip), mass))
-    return f"{_aligned(rows)}\n\nEffort limits are in N m, those of prismatic joints in N."
+    lines = [_aligned(rows), "", "Effort limits are in N m, those of prismatic joints in N."]
+    if missing:
+        names = ", ".join(missing)
+        lines += ["", *textwrap.wrap(f"pip install 'approxjac[robots]' brings {names}", _WIDTH)]
+    return "\n".join(lines)
 
 
 def _details(source: str, tip: str | None, base: str | None, free: Sequence[str]) -> str:

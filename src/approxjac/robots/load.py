@@ -56,7 +56,7 @@ def load_robot(
         UrdfError: The file is missing, or its URDF is not usable.
         InvalidInputError: Not a text or a path; a tip that nothing moves, or that `base` does not
             carry.
-        MissingPackageError: A named robot, and example-robot-data was taken away.
+        MissingPackageError: A robot of example-robot-data, without the extra `robots`.
 
     Warns:
         ImplausibleRobotWarning: Masses or effort limits of a file that look like placeholders.
@@ -111,7 +111,7 @@ def _find(source: str | Path) -> tuple[str, Path | None, NamedRobot | None]:
     if entry is not None:
         raise MissingPackageError(
             f"robot {text!r} needs example-robot-data, which is not installed: "
-            "pip install example-robot-data",
+            "pip install 'approxjac[robots]'",
             given="example-robot-data",
         )
     if path.suffix or "/" in text or isinstance(source, Path):

@@ -11,6 +11,7 @@ from lxml import etree
 from lxml.builder import E
 
 from approxjac.errors import UrdfError
+from approxjac.extras import package_of
 from approxjac.files import replaced
 from approxjac.robots.catalog import share_dir
 from approxjac.robots.urdf import Urdf
@@ -44,8 +45,7 @@ def read_mesh(path: Path) -> Any:
         Exception: Each of trimesh's readers raises its own; a ValueError for a file of another
             kind, or one of more than 200 MB.
     """
-    import trimesh
-
+    trimesh = package_of("view", "trimesh")
     kind, size = path.suffix.lower().removeprefix("."), path.stat().st_size
     if kind not in _READ:
         raise ValueError(f"of meshes {', '.join(_READ)} are read, not {path.suffix[:20]!r}")

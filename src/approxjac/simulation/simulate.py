@@ -13,6 +13,7 @@ import pinocchio as pin
 
 from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError, MeasurementError, SimulationError, UnknownNameError
+from approxjac.extras import package_of
 from approxjac.interface import Target, TargetPath
 from approxjac.robots.joint_limits import require_radians
 from approxjac.simulation.integrators import INTEGRATORS
@@ -184,8 +185,7 @@ def _continuous(
     progress: Progress | None,
 ) -> Trajectory:
     """Integrate (q, v, controller state) together, and record on a grid."""
-    from scipy.integrate import LSODA
-
+    LSODA = package_of("study", "scipy.integrate").LSODA
     model, n = plant.robot.model, plant.robot.nv
     # the motion since the start, ξ with ξ̇ = q̇, is a coordinate of continuous joints, too
 

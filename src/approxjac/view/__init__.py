@@ -1,5 +1,9 @@
 """Plots of runs, of what cameras see and of stability; runs in the browser."""
 
+from approxjac.extras import package_of
+
+package_of("study", "matplotlib")  # for its error
+
 from approxjac.view.browser.live import LiveView
 from approxjac.view.browser.page import save_page, show, write_index
 from approxjac.view.image_plots import plot_camera_view, plot_image

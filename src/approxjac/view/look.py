@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence, Set
+from copy import deepcopy
 from functools import cache
+from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import pinocchio as pin
+import yourdfpy
 from lxml import etree
+from lxml.builder import E
 from trimesh import Trimesh, creation
 
 from approxjac.robots import Robot
@@ -94,7 +97,7 @@ def _visuals(
         for element in [] if name in known else link.iterfind("visual"):
             shape = element.find("geometry/*")
             try:
-                seen.setdefault(name, []).append(_visual(element, shape, folder, load))
+                seen.setdefault(name, []).append(_visual(element, folder, load))
             except ValueError as error:
                 kind = "visual" if shape is None else shape.tag
                 file = None if shape is None else shape.get("filename")
@@ -102,36 +105,54 @@ def _visuals(
     return {name: found for name, found in seen.items() if found}, tuple(missing)
 
 
-def _visual(
-    element: Any, shape: Any, folder: Path | None, load: Callable[[Path], Trimesh]
-) -> _Visual:
+def _visual(element: Any, folder: Path | None, load: Callable[[Path], Trimesh]) -> _Visual:
     """Read a <visual>, or raise a ValueError that says why it cannot be shown."""
-    origin, placed = element.find("origin"), np.eye(4)
-    if origin is not None:
-        placed[:3, :3] = pin.rpy.rpyToMatrix(_numbers(origin, "rpy", 3, "0 0 0"))
-        placed[:3, 3] = _numbers(origin, "xyz", 3, "0 0 0")
-    if shape is None:
+    origin, shape = _parsed(element)
+    if shape.box is not None:
+        return _Visual(origin, smooth(creation.box(shape.box.size)), None)
+    if shape.sphere is not None:
+        return _Visual(origin, creation.icosphere(2, shape.sphere.radius), None)
+    if shape.cylinder is not None:
+        radius, length = shape.cylinder.radius, shape.cylinder.length
+        return _Visual(origin, smooth(creation.cylinder(radius, length, sections=_AROUND)), None)
+    scale = np.ones(3) if shape.mesh.scale is None else shape.mesh.scale * np.ones(3)
+    path = find_mesh(shape.mesh.filename or "", folder)
+    if path is None:
+        raise ValueError("no such file")
+    mesh = load(path).copy()
+    mesh.apply_transform(np.diag([*scale, 1.0]))  # turns mirror images right side out
+    return _Visual(origin, mesh, (path, tuple(scale.tolist())))
+
+
+def _parsed(element: Any) -> tuple[Array, Any]:
+    """Return the origin of a <visual>, shape (4, 4), and its shape, as yourdfpy reads them.
+
+    Each by itself: one that is wrong leaves the others.
+    """
+    if element.find("geometry/*") is None:
         raise ValueError("there is no <geometry>")
-    if shape.tag == "box":
-        mesh = smooth(creation.box(_numbers(shape, "size", 3, above=0.0)))
-    elif shape.tag == "sphere":
-        mesh = creation.icosphere(2, _numbers(shape, "radius", 1, above=0.0)[0])
-    elif shape.tag == "cylinder":
-        radius, length = (_numbers(shape, name, 1, above=0.0)[0] for name in ("radius", "length"))
-        mesh = smooth(creation.cylinder(radius, length, sections=_AROUND))
-    elif shape.tag == "mesh":
-        scale = _numbers(shape, "scale", 3, "1 1 1")
-        if not scale.all():
-            raise ValueError("its scale is 0")
-        path = find_mesh(shape.get("filename", ""), folder)
-        if path is None:
-            raise ValueError("no such file")
-        mesh = load(path).copy()
-        mesh.apply_transform(np.diag([*scale, 1.0]))  # turns mirror images right side out
-        return _Visual(placed, mesh, (path, tuple(scale.tolist())))
-    else:
-        raise ValueError("this geometry is not known")
-    return _Visual(placed, mesh, None)
+    parts = [deepcopy(element.find(tag)) for tag in ("origin", "geometry")]
+    visual = E.visual(*filter(lambda part: part is not None, parts))
+    alone = E.robot(E.link(visual, name="link"), name="alone")
+    try:
+        file = BytesIO(etree.tostring(alone))
+        read = yourdfpy.URDF.load(file, load_meshes=False, build_scene_graph=False)
+        (parsed,) = read.robot.links[0].visuals
+    except Exception as error:  # of many kinds, as for words in place of numbers
+        raise ValueError(f"cannot be read: {error}") from error
+    shape = parsed.geometry
+    sizes = [
+        np.ravel(size)
+        for kind in filter(None, (shape.box, shape.sphere, shape.cylinder))
+        for size in vars(kind).values()
+    ]
+    if shape.mesh is not None and shape.mesh.scale is not None:
+        sizes.append(np.ravel(np.abs(shape.mesh.scale)))  # which mirrors where it is negative
+    origin = np.eye(4) if parsed.origin is None else parsed.origin
+    numbers = np.concatenate([origin.ravel(), *sizes])
+    if not np.isfinite(numbers).all() or any((size <= 0.0).any() for size in sizes):
+        raise ValueError("its numbers must be finite, and its size > 0")
+    return origin, shape
 
 
 def _lightened(visuals: Sequence[_Visual], budget: float) -> dict[Any, Trimesh]:
@@ -142,20 +163,6 @@ def _lightened(visuals: Sequence[_Visual], budget: float) -> dict[Any, Trimesh]:
     given = shares(counts, [visual.mesh.scale for visual in files], budget)
     wanted = {v.file: (v.mesh, count) for v, count in zip(files, given, strict=True)}
     return {file: smooth(simplify(mesh, count)) for file, (mesh, count) in wanted.items()}
-
-
-def _numbers(
-    element: Any, name: str, count: int, default: str = "", above: float = -np.inf
-) -> Array:
-    text = element.get(name, default)
-    try:
-        numbers = np.array(text.split(), dtype=np.float64)
-    except ValueError:
-        numbers = np.empty(0)
-    if len(numbers) != count or not (np.isfinite(numbers) & (numbers > above)).all():
-        wanted = f"{count} numbers" if count > 1 else "a number"
-        raise ValueError(f"{name} must be {wanted}{' > 0' if above == 0.0 else ''}, got {text!r}")
-    return numbers
 
 
 def _in_place(robot: Robot, root: Any, seen: Set[str]) -> dict[str, tuple[Trimesh, ...]]:

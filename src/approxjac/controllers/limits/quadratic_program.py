@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.extras import package_of
 from approxjac.validation import Array
 
 _HUGE = 1e100  # below it nothing overflows in a check
@@ -248,9 +249,8 @@ def as_solver(solver: str | Callable[[QuadraticProgram], Any]) -> Solver:
 
 def _by_osqp(problem: QuadraticProgram) -> Array | None:
     """Return the answer of OSQP, None where it finds nothing."""
-    import qpsolvers
-    from scipy.sparse import csc_matrix
-
+    qpsolvers = package_of("qp", "qpsolvers")
+    csc_matrix = package_of("qp", "scipy.sparse").csc_matrix
     H, f, lower, upper, A, row_lower, row_upper = problem
     below, above = np.isfinite(row_lower), np.isfinite(row_upper)
     G = h = None

@@ -16,6 +16,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from approxjac import law
+from approxjac.extras import package_of
 from approxjac.stability.certificates.families import BOX, Family, FamilyNumbers, Setting, Weights
 from approxjac.stability.loop.samples import Indices, Samples
 from approxjac.validation import Array
@@ -254,8 +255,7 @@ def _cutting_planes(
     Returns:
         The best unknowns, their least margin, and the cuts that matter near them.
     """
-    from scipy.optimize import linprog
-
+    linprog = package_of("study", "scipy.optimize").linprog
     d = len(start)
     X0, Y0 = form.pencils(unknowns.fixed)
     parts = [form.pencils(unknowns.fixed.plus(1.0, part)) for part in unknowns.basis]

@@ -9,6 +9,7 @@ import numpy as np
 from approxjac import law
 from approxjac.controllers import SetpointController
 from approxjac.errors import InvalidInputError
+from approxjac.extras import package_of
 from approxjac.simulation import Plant
 from approxjac.validation import Array
 
@@ -164,8 +165,7 @@ def equilibria(loop: LinearLoop, unseen: Array, timing: Timing | None = None) ->
 
 def _held(loop: LinearLoop, dt: float) -> tuple[Array, Array]:
     """Map (δq, q̇) and a torque that is held over dt to (δq, q̇) after it, exactly."""
-    from scipy.linalg import expm
-
+    expm = package_of("study", "scipy.linalg").expm
     n = len(loop.M)
     flow = np.zeros((3 * n, 3 * n))
     flow[:n, n : 2 * n] = np.eye(n)

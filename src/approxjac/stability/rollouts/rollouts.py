@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from approxjac.errors import InvalidInputError
+from approxjac.extras import package_of
 from approxjac.formatting import joined, percent, rows
 from approxjac.simulation import Trajectory
 from approxjac.stability.rollouts.setting import RolloutSetting
@@ -188,8 +189,7 @@ def clopper_pearson(successes: int, runs: int, confidence: float = 0.95) -> tupl
     Whatever the probability is, the interval holds it in at least the share `confidence` of all
     samples; each end is missed in at most half of the rest.
     """
-    from scipy.special import betaincinv
-
+    betaincinv = package_of("study", "scipy.special").betaincinv
     tail, failures = 0.5 * (1.0 - confidence), runs - successes
     low = 0.0 if successes == 0 else float(betaincinv(successes, failures + 1, tail))
     high = 1.0 if failures == 0 else float(betaincinv(successes + 1, failures, 1.0 - tail))

@@ -86,9 +86,9 @@ class Stage:
     """
 
     def __init__(self, scene: Scene, like: Stage | None = None) -> None:
-        from approxjac.view.look import robot_look  # loads trimesh
-
         _Drawing()  # for its error
+        from approxjac.view.look import robot_look  # loads trimesh and yourdfpy
+
         self.scene = scene
         self.robots = {"true": scene.truth}
         true = robot_look(scene.truth) if like is None else like._looks["true"]
