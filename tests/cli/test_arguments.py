@@ -70,7 +70,7 @@ stability panda --object-length 0.3 | --object-length must be 2 numbers | got 0.
 stability panda --object-length 0.3 0.1 | --object-length | 0.3 | 0.1 | (smallest, largest) [m]
 stability panda --object-length 0 0.1 --around 0 0 | --around | 2 | 7 | [rad or m]
 stability panda --object-length 0 0.1 --reach-from 0 0 0 0 0 0 0 | --reach-from | stability.target
-stability panda --object-length 0 0.1 --map error b | --map | 'b' | a, damping, error, kv
+stability panda --object-length 0 0.1 --map error qq | --map | 'qq' | error, kv, object_length
 stability panda --learn-kinematics | --learn-kinematics | left out of a report | tool origins camera
 stability panda --roll 0 1 | --roll | got position | task.kind image
 stability panda --jobs 0 | --jobs | got 0 | >= 1

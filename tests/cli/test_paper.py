@@ -209,6 +209,7 @@ def test_without_meshcat_the_study_says_that_there_are_no_pages(tmp_path, capsys
     monkeypatch.setitem(sys.modules, "meshcat.geometry", None)
     main(["paper", "--figures", "6", "--duration", "1", "--out", str(tmp_path)])
     told = capsys.readouterr().out
-    assert "There are no pages to see in a browser: showing robots or reading their meshes needs meshcat" in told
+    assert "There are no pages to see in a browser: " in told
+    assert "needs meshcat" in told
     assert "pip install 'approxjac[view]'" in told
     assert not list(tmp_path.glob("*.html"))
