@@ -254,7 +254,8 @@ class Immutable:
         return type(self)(**{**self._arguments, **changes})
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if name in self.__dict__ and not name.startswith("_"):
+        is_given = name in self.__dict__ or isinstance(getattr(type(self), name, None), property)
+        if is_given and not name.startswith("_"):
             kind = type(self).__name__
             raise InvalidInputError(
                 f"{name} of a {kind} cannot be changed once it is built; build a new {kind}",

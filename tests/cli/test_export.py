@@ -55,8 +55,11 @@ def test_what_a_robot_adds_by_itself_is_left_to_it(tmp_path):
     ("options", "text"),
     [
         (["panda"], "C code keeps limits of torques only, and this controller keeps those of "),
-        (["panda", "--learn-kinematics", "--no-limits"], "C code is made of set-point laws on "),
-        (["two_link", "--controller.unseen", "0.1"], "C code is made of set-point laws on what "),
+        (
+            ["panda", "--learn-kinematics", "--no-limits"],
+            "controller must be a SetpointController, ",
+        ),
+        (["two_link", "--controller.unseen", "0.1"], "controller must be a SetpointController"),
     ],
 )
 def test_what_is_not_covered_is_refused_with_the_reason(options, text, tmp_path, capsys):

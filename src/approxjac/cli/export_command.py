@@ -27,12 +27,12 @@ def export(
         folder: Folder for controller.h, controller.c, main.c, selftest.c and CMakeLists.txt.
     """
     from approxjac.codegen import export_c
-    from approxjac.controllers import Limits, SetpointController, TorqueLimited
+    from approxjac.controllers import Limits
     from approxjac.scenario import build_scenario
 
     built = build_scenario(scenario)
     controller, limits = built.controller, built.limits
-    if isinstance(controller, TorqueLimited) and limits is not None:
+    if controller.limits is not None and limits is not None:
         if not effort_only:
             raise InvalidInputError(
                 "C code keeps limits of torques only, and this controller keeps those of speeds "
@@ -40,14 +40,8 @@ def export(
                 "all out",
                 given=limits,
             )
-        controller = controller._rebuilt(limits=Limits(effort=limits.effort))
-    if not isinstance(controller, SetpointController | TorqueLimited):
-        raise InvalidInputError(
-            "C code is made of set-point laws on what is measured, without what holds or predicts "
-            f"measurements, got {' '.join(str(controller).split())}",
-            given=controller,
-        )
-    path = export_c(controller, folder)
+        controller = controller.with_limits(Limits(effort=limits.effort))
+    path = export_c(controller, folder)  # type: ignore[arg-type]  # it refuses others
     print(built.law)
     print(f"\nThe controller is in {path}; {path / 'controller.h'} says how to call it")
     print(f"Try it: cmake -B {path / 'build'} {path} && cmake --build {path / 'build'}")

@@ -12,8 +12,10 @@ from typing import Any, Literal, NamedTuple, Self
 import numpy as np
 
 from approxjac.controllers.gains.latency import Latency
+from approxjac.controllers.gains.tuning import Tuning
 from approxjac.controllers.learning.kinematic_report import KinematicReport
 from approxjac.controllers.learning.predicted_error import Kinematics
+from approxjac.controllers.limits.limits import Limits
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.formatting import spaced, wrapped
 from approxjac.interface import Evaluation, Measurement, Target
@@ -70,6 +72,8 @@ class Controller(ABC):
             the joints for a robot that takes those.
         dt: Sampling time that control has to have [s], or None where any will do.
         latency: Of the loop, if it is known.
+        tuning: What a rule chose of its gains, and why; None if they are given.
+        limits: Limits that it keeps, with an entry for each joint; None is none.
         parameters: Names and units of the numbers that `learnt` returns, in their order.
         kinematics: What predicts the error that it controls, known or learnt; None where it
             controls the measured one.
@@ -84,6 +88,8 @@ class Controller(ABC):
     command: Literal["torque", "velocity"] = "torque"
     dt: float | None = None
     latency: Latency | None = None
+    tuning: Tuning | None = None
+    limits: Limits | None = None
     parameters: Mapping[str, str] = MappingProxyType({})
     kinematics: Kinematics | None = None
     alpha: float = 1.0
@@ -102,6 +108,11 @@ class Controller(ABC):
     def describe(self) -> list[str]:
         """Return what it is in plain words: in a line, then its task, then what else to know."""
         return [spaced(type(self).__name__), f"{self.task.describe()} of {self.task.robot.name}"]
+
+    @property
+    def gain_values(self) -> dict[str, Any]:
+        """Gains by their names."""
+        return {}
 
     # -- the loop -------------------------------------------------------------------------------
 
@@ -186,11 +197,25 @@ class Controller(ABC):
             given=self,
         )
 
+    def with_limits(self, limits: Limits) -> Self:
+        """Return this controller with other limits than those that it keeps.
+
+        Raises:
+            InvalidInputError: A controller that keeps none.
+        """
+        raise InvalidInputError(
+            f"controller must be one that keeps limits, got {self!r}", given=self
+        )
+
     # -- what is learnt -------------------------------------------------------------------------
 
     def learnt(self, state: Array) -> Array:
         """Return what a state, or a series of them (…, n_state), has learnt, shape (…, p)."""
         return state[..., :0]
+
+    def describe_learnt(self, state: Array) -> str:
+        """Return in words what a state has learnt beside kinematics; "" of nothing."""
+        return ""
 
     def learnt_sd(self, state: Array) -> Array:
         """Return the standard deviations of what a state has learnt, shape (p,).

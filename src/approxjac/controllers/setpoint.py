@@ -184,6 +184,17 @@ class SetpointController(Immutable, Controller):
         followed = np.zeros(0) if self.velocity is None else x
         return np.concatenate([theta0, followed])
 
+    @property
+    def gain_values(self) -> dict[str, Any]:
+        """K_p, K_v and the joint damping, as diagonals."""
+        return self.diagonals._asdict()
+
+    def describe_learnt(self, state: Array) -> str:
+        """Return in words what a state has learnt of gravity; "" of nothing."""
+        if self.adaptation is None:
+            return ""
+        return self.adaptation.words(self.learnt(state), self.task)
+
     def learnt(self, state: Array) -> Array:
         """Return θ̂ of a state (n_state,), or of a series of them (…, n_state); shape (…, p)."""
         return state[..., : self._p]

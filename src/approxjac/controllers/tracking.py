@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 
@@ -317,6 +317,11 @@ class TrackingController(Immutable, Controller):
         """
         known = self.kinematics.learnt(state[..., self._n_dynamics : self._end])
         return np.concatenate([state[..., : self._n_dynamics], known], axis=-1)
+
+    @property
+    def gain_values(self) -> dict[str, Any]:
+        """α and κ."""
+        return {"alpha": self.alpha, "kappa": self.kappa}
 
     @property
     def parameters(self) -> Mapping[str, str]:  # type: ignore[override]

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 
 from approxjac.controllers.arguments import FLOAT64
 from approxjac.controllers.controller import Controller, Instant
 from approxjac.controllers.gains.latency import Latency
+from approxjac.controllers.gains.tuning import Tuning
 from approxjac.controllers.learning.kinematic_report import KinematicReport
 from approxjac.controllers.learning.predicted_error import Kinematics
+from approxjac.controllers.limits.limits import Limits
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement
 from approxjac.robots import Robot
@@ -61,6 +63,21 @@ class ControllerWrapper(Immutable, Controller):
         return self.controller.latency
 
     @property
+    def tuning(self) -> Tuning | None:  # type: ignore[override]
+        """What a rule chose of the gains inside, and why; None if they are given."""
+        return self.controller.tuning
+
+    @property
+    def limits(self) -> Limits | None:  # type: ignore[override]
+        """Limits that are kept inside, with an entry for each joint; None is none."""
+        return self.controller.limits
+
+    @property
+    def gain_values(self) -> dict[str, Any]:
+        """Gains of the controller inside by their names."""
+        return self.controller.gain_values
+
+    @property
     def kinematics(self) -> Kinematics | None:  # type: ignore[override]
         """What predicts the error that the controller inside controls; None is none."""
         return self.controller.kinematics
@@ -82,6 +99,10 @@ class ControllerWrapper(Immutable, Controller):
         """
         return self._rebuilt(controller=self.controller.with_task(task))
 
+    def with_limits(self, limits: Limits) -> Self:
+        """Return this around the controller with other limits than those that it keeps."""
+        return self._rebuilt(controller=self.controller.with_limits(limits))
+
     def with_limiter(self, motors: Array) -> Controller:
         """Refuse limits around this: they go inside.
 
@@ -93,6 +114,10 @@ class ControllerWrapper(Immutable, Controller):
             f"around it: HeldMeasurement(TorqueLimited(law), ...)), got {self!r}",
             given=self,
         )
+
+    def describe_learnt(self, state: Array) -> str:
+        """Return in words what the controller inside has learnt beside kinematics."""
+        return self.controller.describe_learnt(self._split(state)[0])
 
     @property
     def parameters(self) -> Mapping[str, str]:  # type: ignore[override]

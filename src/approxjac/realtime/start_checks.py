@@ -9,11 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.controllers import (
-    ControllerWrapper,
     Latency,
-    SetpointController,
-    TorqueLimited,
-    TrackingController,
 )
 from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError
@@ -43,9 +39,8 @@ def require_able(driver: Driver, controller: Controller) -> None:
             given=controller,
         )
     law, nv = controller.law, controller.task.robot.nv
-    tuning = law.tuning if isinstance(law, SetpointController) else None
+    tuning = law.tuning
     if tuning is not None and driver.dt > _SLOWER * tuning.latency.period:
-        assert isinstance(law, SetpointController)  # for mypy
         # as it was given: the rule's own has the lag of law (5), too
         latency = dataclasses.replace(law.latency or Latency(), period=driver.dt)
         raise InvalidInputError(
@@ -57,13 +52,9 @@ def require_able(driver: Driver, controller: Controller) -> None:
         )
     if driver.command != "torque":
         return
-    inside = controller
-    while isinstance(inside, ControllerWrapper) and not isinstance(inside, TorqueLimited):
-        inside = inside.controller
     most = np.asarray(driver.limits.for_joints(nv).effort)
-    own = np.full(nv, np.inf)
-    if isinstance(inside, TorqueLimited):
-        own = np.asarray(inside.limits.for_joints(nv).effort)
+    kept = controller.limits
+    own = np.full(nv, np.inf) if kept is None else np.asarray(kept.effort)
     if (own > most * (1.0 + 1e-9)).any():
         raise InvalidInputError(
             f"controller must keep the robot's limits of effort, {listed(most)} [N m or N], such "
@@ -165,7 +156,7 @@ def require_held(driver: Driver, controller: Controller, q: Array, answer: Evalu
             told = "the robot adds its own gravity: " + (
                 "take it off each torque in the driver's send, as FrankaDriver(gravity=arm) does, "
                 "and set adds_gravity = False, for law T compensates all of it"
-                if isinstance(controller.law, TrackingController)
+                if controller.law.kinematics is not None
                 else "the controller must learn what is left of it, AdaptiveGravity(robot, "
                 "theta0=0.0), or leave it out, NoGravity(robot)"
             )

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from approxjac.cameras import PlanarCamera
-from approxjac.controllers import ControllerWrapper, Limits, TrackingController
+from approxjac.controllers import Limits
 from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import joined
@@ -19,7 +19,7 @@ from approxjac.paths import Circle, Line, Waypoints
 from approxjac.robots import Robot, load_robot
 from approxjac.robots.urdf_edit import OBJECT_RADIUS
 from approxjac.scenario.image_setup import image_scene
-from approxjac.scenario.laws import Law, controller_of, limits_of
+from approxjac.scenario.laws import controller_of, limits_of
 from approxjac.scenario.reachability import doubts
 from approxjac.scenario.records import Goal, Numbers, Object, Sensor, Tracker, Vectors
 from approxjac.scenario.refusals import require_effect
@@ -59,7 +59,7 @@ class BuiltScenario:
     scenario: Scenario  # that it was built from
     plant: Plant  # the truth; its torque limits are those of the motors
     controller: Controller  # the law, within limits and with a held measurement where they are
-    law: Law
+    law: Controller
     q0: Array  # start, shape (nq,)
     target: Array | TargetPath  # x_d, shape (n_x,), or its path
     limits: Limits | None  # that the controller keeps, an entry for each joint
@@ -68,7 +68,7 @@ class BuiltScenario:
     @functools.cached_property
     def warning(self) -> str:
         """Return why the gains, the believed or the true arm may miss the target; or ""."""
-        tuning = None if isinstance(self.law, TrackingController) else self.law.tuning
+        tuning = self.law.tuning
         if tuning is not None and not tuning.stable:
             return tuning.reasons[0]
         if self.scenario.true.tracker != Tracker():
@@ -82,17 +82,12 @@ class BuiltScenario:
     @property
     def gains(self) -> dict[str, Any]:
         """The gains of the law by their names."""
-        if isinstance(self.law, TrackingController):
-            return {"alpha": self.law.alpha, "kappa": self.law.kappa}
-        return self.law.diagonals._asdict()
+        return self.law.gain_values
 
     @property
-    def learning(self) -> TrackingController | ControllerWrapper | None:
+    def learning(self) -> Controller | None:
         """Return the controller that learns kinematics; None if they are not learnt."""
-        if not self.scenario.controller.unknown:
-            return None
-        assert isinstance(self.controller, TrackingController | ControllerWrapper)
-        return self.controller
+        return self.controller if self.scenario.controller.unknown else None
 
 
 def loaded_arm(scenario: Scenario) -> Robot:

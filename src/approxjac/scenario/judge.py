@@ -6,6 +6,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
+from typing import cast
 
 import numpy as np
 
@@ -93,8 +94,7 @@ def prepare(scenario: Scenario) -> Study:
     choice = replace(choice, gravity=gravity, limits="none", torque_rate=None)
     built = build_scenario(replace(scenario, controller=choice), arm)
     truth = _truth(arm, built, analysis)
-    law = built.law
-    assert isinstance(law, SetpointController)
+    law = cast(SetpointController, built.law)  # tracking is refused above
     limits = limits_of(scenario, law.task.robot)
     run, timing = scenario.run, latency_of(scenario)
     study = Study(

@@ -41,20 +41,19 @@ from approxjac.scenario.scenario import Scenario
 from approxjac.tasks import ImageTask, Task
 from approxjac.validation import Array
 
-Law = SetpointController | TrackingController
 _LEAST_PIXELS = 0.05  # of an image, likewise [px]
 _LEAST_NOISE = 1e-4  # of x that a scenario has without [m or rad]
 
 
 def controller_of(
     scenario: Scenario, task: Task, truth: Robot, q0: Array, limits: Limits | None
-) -> tuple[Law, Controller]:
+) -> tuple[Controller, Controller]:
     """Return the law, and it within limits, with what it learns and holds."""
     chosen, dt, belief = scenario.controller, sampling_time(scenario), task.robot
     kinematics = None
     if chosen.unknown:
         kinematics = _kinematics(scenario, task)
-    law: Law
+    law: Controller
     if chosen.law == "tracking":
         learns = chosen.gravity == "learnt"
         law = TrackingController(
@@ -70,7 +69,7 @@ def controller_of(
     controller: Controller = law
     if limits is not None and chosen.command == "torque":
         controller = TorqueLimited(law, limits, dt=dt)
-    if kinematics is not None and isinstance(law, SetpointController):
+    if kinematics is not None and chosen.law != "tracking":
         controller = PredictedMeasurement(controller, kinematics)
     if chosen.unseen is not None:
         controller = HeldMeasurement(controller, chosen.unseen)

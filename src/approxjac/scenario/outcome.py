@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.controllers import TrackingController
 from approxjac.formatting import plain
 from approxjac.interface import LimitStatus, Status
 from approxjac.robots import Dynamics
@@ -225,11 +224,7 @@ class RunResult:
     def _learns(self, last: slice) -> bool:
         """Return whether 1 % of the position force at the end was learnt in the last quarter."""
         run, law, q = self.run, self.built.law, self.run.q[-1]
-        if (
-            isinstance(law, TrackingController)
-            or law.adaptation is None
-            or self.built.controller.law is not law
-        ):
+        if self.built.controller.law is not law:
             return False
         first, end = (law.gravity_torque(run.state[last][k], q) for k in (0, -1))
         return bool(np.linalg.norm(end - first) > 0.01 * np.linalg.norm(run.task_torque[-1]))

@@ -12,7 +12,6 @@ import numpy as np
 
 from approxjac.controllers import (
     KinematicReport,
-    SetpointController,
 )
 from approxjac.files import together, write_text
 from approxjac.formatting import numbers_of, rows, shares, wrapped
@@ -81,11 +80,11 @@ def text(result: RunResult) -> str:
         f"{'' if built.plant.adds_gravity is None else ', with the gravity that the robot adds'}",
         "law's status": shares(run.status_counts()),
     }
-    if isinstance(law, SetpointController) and law.adaptation is not None:
-        told["learnt"] = law.adaptation.words(law.learnt(run.state[-1]), law.task)
+    if learnt := law.describe_learnt(run.state[-1]):
+        told["learnt"] = learnt
     if built.learning is not None:
-        learnt = built.learning.kinematics_learnt(run.state[-1])
-        told["kinematics"] = _kinematics(learnt, isinstance(built.plant.sensor, ImageTask))
+        report = built.learning.kinematics_learnt(run.state[-1])
+        told["kinematics"] = _kinematics(report, isinstance(built.plant.sensor, ImageTask))
     if built.limits is not None:
         told["limits' status"] = shares(run.limit_status_counts())
     if run.at_stops:

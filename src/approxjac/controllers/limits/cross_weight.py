@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from approxjac import law
-from approxjac.controllers.controller import Controller
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Evaluation, Status
@@ -48,12 +47,11 @@ class CrossWeight:
             for mine, its in pairs
         ) and (not np.any(self.A2) or np.allclose(self.damping, other.damping, rtol=_SAME))
 
-    def passive_output(self, controller: Controller, answer: Evaluation, v: Array) -> Array:
+    def passive_output(self, controller: SetpointController, answer: Evaluation, v: Array) -> Array:
         """Return y = q̇ + Gs(e) where a law gave an answer, shape (n_v,) [rad/s or m/s].
 
         It is q̇ where the law says that there is no V: without x, and without Ĵ⁺.
         """
-        assert isinstance(controller, SetpointController)
         e, J_hat = answer.e, answer.J_hat
         if answer.status is not Status.OK or J_hat is None or not math.isfinite(e.dot(e)):
             return v
@@ -65,7 +63,7 @@ class CrossWeight:
             y = y + np.linalg.solve(D, J_hat.T.dot(kv * self.A2.dot(s)))
         return np.asarray(y)
 
-    def required_of(self, controller: Controller) -> CrossWeight:
+    def required_of(self, controller: SetpointController) -> CrossWeight:
         """Return this with arrays of its own, or refuse it for a law.
 
         Raises:
@@ -74,7 +72,6 @@ class CrossWeight:
         """
         wanted = "a SetpointController, with a cross_weight"
         require("controller", controller, SetpointController, wanted)
-        assert isinstance(controller, SetpointController)
         m, nv = controller.task.m, controller.task.robot.nv
         A1, A2 = (
             as_array(f"{name} of cross_weight", value, (m, m), "1/s")

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import abc
 import math
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 import pinocchio as pin
 
-from approxjac import law
 from approxjac.controllers.arguments import HUGE, overflow
 from approxjac.controllers.controller import Controller
 from approxjac.controllers.limits.limits import Limits
@@ -91,7 +90,6 @@ class Limiter(ControllerWrapper):
 
     Attributes:
         controller: The controller.
-        limits: The limits with an entry for each joint.
     """
 
     _what = "its torque is kept within limits"
@@ -114,7 +112,7 @@ class Limiter(ControllerWrapper):
         self.controller = controller
         robot = controller.task.robot
         given = Limits.of(robot) if limits is None else limits
-        self.limits = given.for_joints(robot.nv)
+        self._limits = given.for_joints(robot.nv)
         self._upper = np.asarray(self.limits.effort)
         self._law, self._p = controller.with_limiter(self._upper), controller.resting
         self._lower = -self._upper
@@ -209,6 +207,15 @@ class Limiter(ControllerWrapper):
         locked |= np.abs(v) > _NEARLY * np.asarray(self.limits.velocity)
         locked |= np.abs(torque) > _NEARLY * self._upper
         return np.asarray(locked)
+
+    @property
+    def limits(self) -> Limits:  # type: ignore[override]
+        """The limits with an entry for each joint."""
+        return self._limits
+
+    def with_limits(self, limits: Limits) -> Self:
+        """Return this with other limits."""
+        return self._rebuilt(limits=limits)
 
     @abc.abstractmethod
     def _limit(self, asked: Asked) -> Limited:

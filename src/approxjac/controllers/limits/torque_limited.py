@@ -155,7 +155,7 @@ class TorqueLimited(Limiter):
                     f"alpha must be None with a cross_weight, which takes its place, got {alpha!r}",
                     given=alpha,
                 )
-            cross_weight = cross_weight.required_of(controller)
+            cross_weight = cross_weight.required_of(controller)  # type: ignore[arg-type]
         self.cross_weight = cross_weight
         inertias = usual_inertias(robot)
         usual = self._usual_braking(inertias)
@@ -326,7 +326,8 @@ class TorqueLimited(Limiter):
         if self.cross_weight is None:
             y = self.controller.passive_output(answer, v, self._alpha)
         else:
-            y = self.cross_weight.passive_output(self.controller, answer, v)
+            law_inside: Any = self.controller
+            y = self.cross_weight.passive_output(law_inside, answer, v)
         if answer.reference is not None:
             y = y - answer.reference
         if self._per_speed is None:
