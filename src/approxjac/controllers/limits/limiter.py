@@ -9,6 +9,7 @@ from typing import NamedTuple, Self
 import numpy as np
 import pinocchio as pin
 
+from approxjac import law
 from approxjac.controllers.arguments import HUGE, overflow
 from approxjac.controllers.controller import Controller
 from approxjac.controllers.limits.limits import Limits
