@@ -30,6 +30,7 @@ PAGES = {
     "13": ["circle_unknown_tool"],
     "14": ["tracker_turned"],
     "15": ["calibrate_on_the_job"],
+    "17": ["wall"],
 }
 REACHES = ("01", "04", "09")  # whose pages end at a target, with a belief that is wrong
 

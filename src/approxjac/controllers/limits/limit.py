@@ -17,6 +17,7 @@ from approxjac.validation import Array, as_array, as_number, require
 _FAR = 1e100  # a speed that stands for infinity
 _RETURN = 0.05  # speed that comes back from behind a wall [m/s]
 _STILL = 1e-9  # speed that has no direction [m/s]
+_CLEAR = 1e-3  # that is kept from a wall besides its margin, for what periods are off [m]
 
 
 class LimitTerms:
@@ -141,8 +142,8 @@ class Limit(ABC):
 class Wall(Limit):
     """A plane that frames of the arm stay in front of.
 
-    It is kept by the believed arm: with a margin of what the tip may be elsewhere than believed,
-    the true one is in front of the plane, too.
+    The believed arm keeps it, and 1 mm besides: with a margin of what the tip may be elsewhere, the
+    true one is in front of the plane, too. A frame that is behind it comes back, with 5 cm/s.
 
     Args:
         point: On the plane, shape (3,) [m].
@@ -174,7 +175,7 @@ class Wall(Limit):
         height = law.array([n.dot(terms.position(each) - self.point) for each in frames])
         J = np.stack([n.dot(terms.jacobian(each)[:3]) for each in frames])
         drift = law.array([n.dot(terms.drift(each)[:3]) for each in frames])
-        return terms.stay_above(height - self.margin, J, drift, _RETURN)
+        return terms.stay_above(height - (self.margin + _CLEAR), J, drift, _RETURN)
 
     def __repr__(self) -> str:
         frames = f", frames={list(self.frames)}" if self.frames else ""
