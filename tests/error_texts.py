@@ -1,12 +1,9 @@
-"""The texts of errors: what a wrong call is told. They stand in `error_texts.txt`, call by call.
+"""Wrong calls and what each error names, a line each in `error_texts.txt`.
 
-A new case is a line `>>> call` there. `python tests/error_texts.py --write` makes all texts anew;
-what changed is then to be read in the difference. Without `--write` it prints the differences.
+A line is `call => error | argument | got value | what is valid | …`: parts that its message must
+hold, in whatever words. A new case is a new line there.
 """
 
-import argparse
-import difflib
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +11,6 @@ import numpy as np
 import approxjac as aj
 
 FILE = Path(__file__).with_name("error_texts.txt")
-PROMPT = ">>> "
 
 
 def names():
@@ -38,42 +34,11 @@ def names():
     }  # fmt: skip
 
 
-def calls():
-    """Lines of the file that are calls or comments, in order."""
+def cases():
+    """Return (call, name of the error, parts of its message) of each line."""
     lines = FILE.read_text(encoding="utf-8").splitlines()
-    return [line for line in lines if line.startswith((PROMPT, "# "))]
-
-
-def told(call, namespace):
-    """Return the name and the text of the error that a call raises, as they stand in the file."""
-    try:
-        answer = eval(call, dict(namespace))
-    except aj.errors.ApproxJacError as error:
-        return f"{type(error).__name__}: {error}"
-    raise AssertionError(f"{call} raised nothing, and returned {answer!r}")
-
-
-def text():
-    """Return the whole file as it has to be."""
-    namespace, parts = names(), []
-    for line in calls():
-        if line.startswith(PROMPT):
-            parts.append(f"{line}\n{told(line.removeprefix(PROMPT), namespace)}\n")
-        else:
-            parts.append(f"\n{line}\n")
-    return "\n".join(parts).lstrip("\n")
-
-
-def main():
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--write", action="store_true", help="make the file anew")
-    made, before = text(), FILE.read_text(encoding="utf-8")
-    sys.stdout.writelines(
-        difflib.unified_diff(before.splitlines(True), made.splitlines(True), "before", "now", n=1)
-    )
-    if parser.parse_args().write:
-        FILE.write_text(made, encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()
+    for line in lines:
+        if line and not line.startswith("#"):
+            call, _, told = line.partition(" => ")
+            error, *parts = told.split(" | ")
+            yield call, error, parts
