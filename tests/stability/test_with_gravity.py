@@ -1,0 +1,409 @@
+"""Certificates, limits and certified starts of arms that gravity pulls at, known and learnt."""
+
+import dataclasses
+import functools
+import itertools
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from heavy_arms import NAMES, HeavyArm
+from numpy.testing import assert_allclose
+
+import approxjac as aj
+from approxjac.controllers import Latency, ModelGravity
+from approxjac.robots import Dynamics
+from approxjac.stability.certificates.limit_cost import limit_cost
+from approxjac.stability.certificates.sampled_test import below, growth
+
+
+@functools.cache
+def heavy(name):
+    return HeavyArm(name)
+
+
+@pytest.fixture(params=NAMES)
+def arm(request):
+    return heavy(request.param)
+
+
+# -- certificates ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("gravity", ["known", "learnt"])
+def test_V_falls_by_the_margin_at_least_along_the_true_dynamics(arm, gravity):
+    """V̇ ≤ −μ(q̇ᵀDq̇ + eᵀsym(K_pĴG)e) of the certified V, by finite differences of V.
+
+    Where gravity is learnt, V has ½ΔθᵀL⁻¹Δθ, and θ̂ is anywhere.
+    """
+    learns = gravity == "learnt"
+    controller = arm.learning if learns else arm.known
+    report = arm.learnt_report if learns else arm.report
+    assert report.certified_in_continuous_time
+    test = max(report.matrix.values(), key=lambda each: (each.certified, each.margin))
+    weights, samples = test.weights, report.samples
+    rng, tightest = np.random.default_rng(0), np.inf
+    theta = arm.theta if learns else np.zeros(0)
+    for k in range(0, len(samples), 2):
+        q, x_d = samples.q[k], samples.x_d[k]
+        v = rng.normal(size=len(q)) * 10.0 ** rng.uniform(-3.0, 0.0)
+        state = theta + rng.normal(size=len(theta))
+        measurement = aj.Measurement(0.0, q, v, arm.sensor.value(q))
+        answer = controller.evaluate(state, measurement, x_d)
+        assert answer.status is aj.Status.OK
+        acceleration = arm.plant.acceleration(q, v, answer.torque)
+        rate = answer.state_rate
+
+        def V(t, q=q, v=v, a=acceleration, x_d=x_d, state=state, rate=rate):
+            there = pin.integrate(arm.truth.model, q, t * v + 0.5 * t * t * a)
+            apart = state + t * rate - theta if learns else np.zeros(1)
+            return arm.V(weights, there, v + t * a, x_d) + 0.5 * apart @ apart / 0.05
+
+        h = 1e-6
+        V_dot = (V(h) - V(-h)) / (2.0 * h)
+        J_hat, e = arm.task.jacobian(q), measurement.x - x_d
+        D = J_hat.T * arm.kv @ J_hat + arm.damping * np.eye(len(v))
+        size = v @ D @ v + arm.kp * e @ (J_hat @ arm.cross_weight(weights, q) @ e)
+        assert V_dot <= -test.margin * size + 1e-6 * (1.0 + V(0.0)) + 1e-4 * size
+        if size > 1e-3:
+            tightest = min(tightest, -V_dot / size)
+    assert tightest < 1.2  # the designed dissipation, or there were nothing to see
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("period", [0.5e-3, 2e-3])
+def test_motions_from_the_level_are_as_slow_as_assumed_and_end_at_the_target(name, period):
+    """Of the loop that runs: from any state with V = c, √(q̇ᵀMq̇) stays below v̄, and V below c.
+
+    V may rise for a period, and at the samples of the whole motion it never passes what it was.
+    """
+    arm, rng = heavy(name), np.random.default_rng(3)
+    report = arm.report_of(arm.known, configurations=20, latency=Latency(period))
+    test = report.sampled
+    assert report.certified_by == "sampled form"
+    assert test.latency.period == period
+    assert 0.0 < test.level <= 0.5 * test.speed**2
+    q, x_d = arm.q, arm.sensor.value(arm.q)
+    v0, e0 = rng.normal(size=len(q)), 0.01 * rng.normal(size=len(x_d))
+    # V is nearly quadratic: so large that both begin far below the level, and the arm stays near
+    size = np.sqrt(1e-3 * test.level / arm.V(test.weights, q, v0, x_d - e0))
+    x_d, v0 = x_d - size * e0, size * v0
+    V0 = arm.V(test.weights, q, v0, x_d)
+    run = aj.simulate(
+        arm.plant, arm.known, x_d, q, 1.5, v0=v0, dt=period, record_every=5 * period,
+    )  # fmt: skip
+    V = np.array([arm.V(test.weights, *at, x_d) for at in zip(run.q, run.v, strict=True)])
+    M = np.array([arm.plant.dynamics.M(at) for at in run.q])
+    speeds = np.sqrt(np.einsum("ni,nij,nj->n", run.v, M, run.v))
+    # c is (1 − σ²)/2 v̄², so of this V(0) the bound is in proportion
+    assert speeds.max() <= test.speed * np.sqrt(V0 / test.level)
+    assert V.max() <= V0 * (1.0 + 1e-9)
+    assert V[-1] < 0.05 * V0
+
+
+def test_the_level_is_that_of_the_slowest_bound(arm):
+    """At every sample: max |q̇|_M over V ≤ c is at most v̄, and v̄ at the worst of them."""
+    test, samples = arm.report.sampled, arm.report.samples
+    G = np.array([arm.cross_weight(test.weights, q) for q in samples.q])
+    W = np.diag(test.weights.w) + test.weights.coupling * np.ones((len(test.weights.w),) * 2)
+    fastest = []
+    for M, each in zip(samples.M, G, strict=True):
+        n = len(M)
+        P = np.block([[M, M @ each], [each.T @ M, W]])
+        # max zᵀKz over ½zᵀPz ≤ c, K the kinetic block
+        block = np.linalg.inv(P)[:n, :n]
+        fastest.append(2.0 * test.level * np.linalg.eigvals(block @ M).real.max())
+    assert_allclose(np.sqrt(max(fastest)), test.speed, rtol=1e-6)
+
+
+@pytest.mark.parametrize("dt", [0.5e-3, 2e-3, 5e-3])
+@pytest.mark.parametrize("name", ["two_link", "three_joint"])
+@pytest.mark.parametrize("gravity", ["known", "learnt"])
+def test_growth_is_that_of_the_simulated_steps(name, dt, gravity):
+    """The multipliers of the map of one step of `simulate`, by differences, near a target."""
+    arm = heavy(name)
+    learns, n, h = gravity == "learnt", arm.bare.nv, 1e-5
+    controller = arm.learning if learns else arm.known
+    q = arm.q
+    x_d, theta = arm.sensor.value(q), arm.theta if learns else np.zeros(0)
+    rest = np.concatenate([q, np.zeros(n), theta])
+
+    def after(z):
+        run = aj.simulate(
+            arm.plant, controller, x_d, z[:n], dt, v0=z[n : 2 * n], dt=dt,
+            state=z[2 * n :] if learns else None,
+        )  # fmt: skip
+        return np.concatenate([run.q[-1], run.v[-1], run.state[-1] if learns else theta])
+
+    steps = h * np.eye(len(rest))
+    jacobian = np.array([(after(rest + k) - after(rest - k)) / (2.0 * h) for k in steps]).T
+    values = np.linalg.eigvals(jacobian)
+    moving = values[np.abs(values - 1.0) > 1e-7]
+    report = arm.report_of(controller, configurations=20)
+    target = report.samples.take(np.arange(1))
+    loop = report.loop
+    at = loop.samples_at(np.zeros(1, dtype=int), q[None], x_d[None])
+    found = growth(loop, at, Latency(dt))
+    assert len(target) == len(found) == 1
+    assert_allclose(1.0 - found[0], 1.0 - np.abs(moving).max(), rtol=0.02)
+
+
+# -- loops that hardly grow -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("excess", [2e-5, 5e-4])
+@pytest.mark.parametrize("gravity", ["known", "learnt"])
+def test_errors_that_grow_slowly_are_unstable(excess, gravity):
+    """A real multiplier of 1 + 5e-4 or less: at 1 kHz that is a doubling within two seconds.
+
+    The true arm's y goes the other way than the believed one, so that its error grows; how fast
+    from sample to sample the period says.
+    """
+    arm = heavy("three_joint")
+    controller = arm.learning if gravity == "learnt" else arm.known
+    report = arm.report_of(controller, configurations=20)
+    at = report.samples.take(np.arange(4))
+    # J with one row turned round: ĴᵀK_pJ has a negative eigenvalue, which drives errors away
+    turned = at.J * np.array([1.0, -1.0, 1.0])[:, None]
+    wrong = dataclasses.replace(at, J=turned)
+    period = 1e-3
+    for _ in range(60):
+        fastest = growth(report.loop, wrong, Latency(period)).max()
+        if abs(fastest - 1.0 - excess) < 0.1 * excess:
+            break
+        period *= excess / (fastest - 1.0)
+    found = growth(report.loop, wrong, Latency(period))
+    assert 1.0 < found.max() < 1.0 + 2.0 * excess
+    assert dataclasses.replace(report, growth=found).contradiction
+    assert dataclasses.replace(report, growth=found).certified_by is None
+    assert not dataclasses.replace(report, growth=found).passed
+    assert dataclasses.replace(report, growth=np.ones(1)).contradiction
+    assert not dataclasses.replace(report, growth=np.full(1, 1.0 - 1e-9)).contradiction
+
+
+# -- limits of effort -----------------------------------------------------------------------------
+
+
+def limited(arm, effort, **options):
+    return aj.TorqueLimited(arm.known, aj.Limits(effort=effort), **options)
+
+
+def largest_torques(arm, report, level):
+    """At each sample, the largest |τᵢ| over all states with ½zᵀPz ≤ level: exactly, by duality."""
+    test, samples = report.sampled, report.samples
+    W = np.diag(test.weights.w) + test.weights.coupling * np.ones((len(test.weights.w),) * 2)
+    found = []
+    for q, M in zip(samples.q, samples.M, strict=True):
+        J_hat, G = arm.task.jacobian(q), arm.cross_weight(test.weights, q)
+        P = np.block([[M, M @ G], [G.T @ M, W]])
+        D_c = J_hat.T * arm.kv @ J_hat + arm.damping * np.eye(len(M))
+        rows = np.concatenate([D_c, arm.kp * J_hat.T], axis=1)
+        moving = np.sqrt(2.0 * level * np.einsum("ij,jk,ik->i", rows, np.linalg.inv(P), rows))
+        found.append(np.abs(weight_of(arm, q)) + moving)
+    return np.array(found)
+
+
+def weight_of(arm, q):
+    model = arm.truth.model
+    return pin.computeGeneralizedGravity(model, model.createData(), q)
+
+
+def test_the_weight_takes_room_in_both_directions(arm):
+    """Errors of `free` ask for no more than the efforts, whatever their direction; 1 % more do.
+
+    The joint with the least room is one that gravity pulls at: to one side, then to the other.
+    """
+    samples, seen = arm.report.samples, 0
+    g = np.array([weight_of(arm, q) for q in samples.q])
+    pull = np.maximum(np.linalg.norm(samples.J_hat.mT * arm.kp, axis=2), 1e-9)
+    asked = np.abs(g - (arm.kp * samples.e[:, None, :] @ samples.J_hat)[:, 0])
+    for side in (1.0, -1.0):
+        i = int((side * g).max(axis=0).argmax())
+        if (side * g[:, i]).max() < 0.5:
+            continue  # it pulls at no joint to this side
+        seen += 1
+        effort = np.abs(g).max(axis=0) + 0.2 * pull.max(axis=0)
+        effort[i] = np.abs(g[:, i]).max() + 0.02 * pull[:, i].max()
+        cost = limit_cost(
+            arm.report.loop, limited(arm, effort), samples, arm.report.sampled, protects=False
+        )
+        (free,) = cost.free.values()
+        assert cost.holds
+        assert (np.abs(g) + free * pull <= effort * (1.0 + 1e-9)).all()
+        assert (np.abs(g) + 1.01 * free * pull > effort).any()
+        assert cost.clipped == (asked > effort).any(axis=1).mean()
+    assert seen
+
+
+def test_motors_hold_the_arm_only_where_they_have_more_than_its_weight(arm):
+    g = np.abs([weight_of(arm, q) for q in arm.report.samples.q]).max(axis=0)
+    for share, holds in ((1.001, True), (0.999, False)):
+        effort = np.maximum(share * g, 1e-3)
+        cost = limit_cost(
+            arm.report.loop, limited(arm, effort), arm.report.samples, arm.report.sampled, False
+        )
+        assert cost.holds == holds
+        assert (cost.level > 0.0) == holds
+        assert (cost.verdict == "cannot hold") == (not holds)
+        assert cost.uncounted == 0.0
+
+
+def test_below_the_level_no_torque_is_beyond_the_efforts(arm):
+    """Against the exact largest torque over V ≤ c, gravity and motion together, at every sample."""
+    effort = 1.2 * np.abs([weight_of(arm, q) for q in arm.report.samples.q]).max(axis=0) + 3.0
+    limiter = limited(arm, effort, cross_weight=arm.report.cross_weight)
+    report = arm.report_of(limiter)
+    level = report.limits.level
+    assert report.limits.protects
+    assert 0.0 < level == report.sampled.level < arm.report.sampled.level
+    assert (largest_torques(arm, report, level) <= effort * (1.0 + 1e-9)).all()
+    # and it is no smaller than it has to be: the bound adds two parts that are seldom at once large
+    assert (largest_torques(arm, report, 6.0 * level) > effort).any()
+
+
+def test_limits_never_certify_more_than_there_was(arm):
+    """Whatever the motors have, V ≤ c is what it was without them, and so are its starts."""
+    before = arm.report.sampled
+    after = arm.report_of(limited(arm, 1e6)).sampled
+    assert after.level == before.level
+    assert_allclose(after.reach, before.reach)
+    assert after.covered == before.covered
+
+
+def test_a_level_never_grows(arm):
+    test, samples = arm.report.sampled, arm.report.samples
+    saturation = arm.known.saturation
+    for share in (0.0, 0.3, 1.0, 2.0):
+        found = below(test, share * test.level, saturation, samples)
+        assert_allclose(found.level, min(share, 1.0) * test.level)
+        # errors of one coordinate, with wᵢeᵢ²/2 = c
+        assert_allclose(found.reach, np.sqrt(2.0 * found.level / test.weights.w), rtol=1e-6)
+        away = samples.e.any(axis=1)
+        e = samples.e[away]
+        W = np.diag(test.weights.w) + test.weights.coupling * np.ones((e.shape[1],) * 2)
+        V = 0.5 * np.einsum("ni,ij,nj->n", e, W, e)
+        assert_allclose(found.covered, (found.level >= V).mean(), atol=1e-12)
+
+
+def test_learnt_gravity_has_room_where_the_true_weight_leaves_it(arm):
+    """What is to be learnt is the true arm's weight, not the believed one's."""
+    report, samples = arm.learnt_report, arm.learnt_report.samples
+    g = np.array([weight_of(arm, q) for q in samples.q])
+    pull = np.maximum(np.linalg.norm(samples.J_hat.mT * arm.kp, axis=2), 1e-9)
+    effort = 1.02 * np.abs(g).max(axis=0) + np.where(np.abs(g).max(axis=0) < 1.0, 1e3, 0.0)
+    limiter = aj.TorqueLimited(arm.learning, aj.Limits(effort=effort))
+    found = arm.report_of(limiter)
+    (free,) = found.limits.free.values()
+    assert_allclose(free, ((effort - np.abs(g)) / pull).min(), rtol=1e-9)
+    believed = np.array([Dynamics(arm.belief).g(q) for q in samples.q])
+    assert abs(free / ((effort - np.abs(believed)) / pull).min() - 1.0) > 1e-3
+    assert found.sampled is report.sampled is None
+    assert found.limits.level == 0.0
+    assert found.limits.protects  # y of learning is that of V
+    assert found.passed
+    assert found.attraction is None
+    assert_allclose(found.cross_weight.A1, 0.5 * np.eye(arm.task.m))
+    assert not found.cross_weight.A2.any()
+
+
+@pytest.mark.parametrize("gravity", ["known", "learnt"])
+def test_limited_steps_keep_V_falling_as_they_say(arm, gravity):
+    """yᵀ(τ − τ*) ≤ 0 with y of the certified V where the proof is kept, else it is the slack."""
+    learns, rng = gravity == "learnt", np.random.default_rng(5)
+    law = arm.learning if learns else arm.known
+    report = arm.learnt_report if learns else arm.report
+    weights = max(report.matrix.values(), key=lambda each: (each.certified, each.margin)).weights
+    if not learns:
+        weights = report.sampled.weights
+    g = np.abs([weight_of(arm, q) for q in report.samples.q]).max(axis=0)
+    limiter = aj.TorqueLimited(
+        law, aj.Limits(effort=1.1 * g + 1.0), cross_weight=report.cross_weight
+    )
+    theta, kept = arm.theta if learns else np.zeros(0), 0
+    for k in range(0, len(report.samples), 2):
+        q, x_d = report.samples.q[k], report.samples.x_d[k]
+        if k % 4:  # a third of the samples are at their targets
+            x_d = x_d + 0.1 * rng.normal(size=len(x_d))
+        v = 0.2 * rng.normal(size=len(q))
+        measurement = aj.Measurement(0.0, q, v, arm.sensor.value(q))
+        after, answer = limiter.step(theta.copy(), measurement, x_d, 1e-3)
+        wanted = law.evaluate(theta.copy(), measurement, x_d)
+        e = measurement.x - x_d
+        y = v + arm.cross_weight(weights, q) @ e
+        power = y @ (answer.torque - wanted.torque)
+        assert (np.abs(answer.torque) <= 1.1 * g + 1.0 + 1e-12).all()
+        if answer.limit_status is aj.LimitStatus.PROOF_KEPT:
+            kept += 1
+            assert power <= 1e-9
+        if answer.limit_status is aj.LimitStatus.PROOF_GIVEN_UP:
+            assert_allclose(power, answer.slack, rtol=1e-6)
+        if answer.limit_status is aj.LimitStatus.PROOF_KEPT and learns:
+            assert_allclose(after, theta + 1e-3 * wanted.state_rate, atol=1e-12)
+    assert kept > 2
+
+
+# -- certified starts -----------------------------------------------------------------------------
+
+
+def test_motions_from_certified_starts_never_leave_the_box(arm):
+    """From corners of what is certified to corners of the targets, the other way round."""
+    found, rng = arm.report.attraction, np.random.default_rng(2)
+    assert found.radius > 0.0
+    n = arm.bare.nv
+    for _ in range(2):
+        side = np.sign(rng.normal(size=n))
+        q0, end = arm.q + found.radius * side, arm.q - found.radius * side
+        x_d = arm.sensor.value(end)
+        run = aj.simulate(arm.plant, arm.known, x_d, q0, 1.0, dt=1e-3, record_every=5e-3)
+        assert np.abs(run.q - arm.q).max() <= 0.15
+        assert run.error_norm[0] <= found.error * (1.0 + 1e-2)
+        V0 = arm.V(found.weights, q0, np.zeros(n), x_d)
+        moved = np.abs(run.q - q0).max(axis=0)
+        assert (moved <= found.travel * np.sqrt(V0)).all()
+        assert run.error_norm[-1] < 0.3 * run.error_norm[0]
+
+
+@pytest.mark.parametrize("name", ["two_link", "three_joint"])
+def test_on_the_boundary_of_the_box_V_is_above_the_level_whatever_the_speed(name):
+    """With no joint to spare: min over q̇ of V is V at rest less ½|Ge|²_M."""
+    arm, rng = heavy(name), np.random.default_rng(4)
+    found, weights, n = arm.report.attraction, arm.report.sampled.weights, heavy(name).bare.nv
+    assert 0.0 < found.level <= arm.report.sampled.level
+    lowest = np.inf
+    for _ in range(400):
+        motion = rng.uniform(-0.15, 0.15, n)
+        k = rng.integers(n)
+        motion[k] = np.copysign(0.15, motion[k])
+        end = arm.q + found.radius * np.sign(rng.normal(size=n))
+        q, x_d = arm.q + motion, arm.sensor.value(end)
+        M = arm.plant.dynamics.M(q)
+        turned = arm.cross_weight(weights, q) @ (arm.sensor.value(q) - x_d)
+        lowest = min(lowest, arm.V(weights, q, -turned, x_d))
+        assert_allclose(
+            arm.V(weights, q, -turned, x_d),
+            arm.V(weights, q, np.zeros(n), x_d) - 0.5 * turned @ M @ turned, atol=1e-9,
+        )  # fmt: skip
+    assert lowest >= found.level * (1.0 - 0.02)
+    for side in itertools.product((-1.0, 1.0), repeat=n):  # and starts are below it
+        q0, end = arm.q + found.radius * np.array(side), arm.q - found.radius * np.array(side)
+        assert arm.V(weights, q0, np.zeros(n), arm.sensor.value(end)) <= found.level * 1.05
+
+
+def test_joints_to_spare_have_no_level_of_the_box():
+    for name, n in (("panda", 7), ("ur5", 6)):
+        arm = heavy(name)
+        assert arm.bare.nv == n
+        assert arm.report.attraction.level == 0.0
+
+
+def test_gravity_that_is_wrong_certifies_nothing(arm):
+    """The believed arm's own weight, without the tool; what learns it may begin with that."""
+    wrong = aj.SetpointController(arm.task, arm.gains, gravity=ModelGravity(arm.belief))
+    report = arm.report_of(wrong, configurations=20)
+    error = np.abs([Dynamics(arm.belief).g(q) - weight_of(arm, q) for q in report.samples.q]).max()
+    assert 0.5 * error <= report.gravity_error <= error * (1.0 + 1e-9)
+    assert not report.passed
+    assert report.certified_by is None
+    assert report.attraction is None
+    assert arm.learnt_report.gravity_error < 1e-6
+    assert arm.learnt_report.passed
