@@ -1,0 +1,462 @@
+"""Faults put into the source one by one: the tests named beside each must see it.
+
+`python tests/mutants.py` tries all of them, `python tests/mutants.py room rate` those whose names
+have one of the words. Each is put into a copy of the sources in a temporary folder; a text that is
+not there exactly once is an error, so after a change of the source the table has to follow.
+"""
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+SRC = "src/approxjac/"
+COPIED = ("src", "tests", "docs", "urdf", "conftest.py", "pyproject.toml")
+
+GRAVITY = "tests/stability/test_with_gravity.py"
+PERIODS = "tests/controllers/test_periods.py"
+FIGURES = "tests/controllers/test_documented_figures.py"
+STARTS = "tests/realtime/test_fast_starts.py"
+FORM = "tests/law/test_sampled_form.py"
+STOPS = "tests/simulation/test_joint_stops.py"
+BOUNDS = "tests/controllers/test_learning_bounds.py"
+
+# name, file, text that is there once, text instead, tests that must fail
+MUTANTS = [
+    # -- those that were asked for
+    (
+        "rate takes 1 ms for dt", "controllers/limiter.py",
+        "rate_bounds(within, self._rate, dt, lower, upper)",
+        "rate_bounds(within, self._rate, 1e-3, lower, upper)", PERIODS,
+    ),
+    (
+        "room of motors without abs", "stability/limit_cost.py",
+        "room = effort - np.abs(g)", "room = effort - g", GRAVITY,
+    ),
+    (
+        "level of limits may grow", "stability/limit_cost.py",
+        "min(1.0, float((room / along).min() / sampled.speed)) ** 2",
+        "float((room / along).min() / sampled.speed) ** 2", GRAVITY,
+    ),
+    (
+        "level of starts may grow", "stability/sampled_test.py",
+        "level = min(level, test.level)", "level = max(level, 0.0)", GRAVITY,
+    ),
+    (
+        "multipliers near 1 are stable", "stability/report.py",
+        "unstable = self.growth >= 1.0", "unstable = self.growth >= 1.0 + 1e-3", GRAVITY,
+    ),
+    (
+        "multipliers near 1 are left out", "stability/sampled_test.py",
+        "_STILL = 1e-7", "_STILL = 1e-3", GRAVITY,
+    ),
+    (
+        "fallback without what is dear", "controllers/torque_limits.py",
+        "= -np.inf, np.inf, _DEAR / M_inv[joint, joint]", "= -np.inf, np.inf, 0.0", PERIODS,
+    ),
+    (
+        "fallback in the wrong order", "controllers/torque_limits.py",
+        "np.argsort(-np.abs(wanted) /", "np.argsort(np.abs(wanted) /", PERIODS,
+    ),
+    (
+        "fallback in the order of joints", "controllers/torque_limits.py",
+        "for joint in np.argsort(-np.abs(wanted) / np.abs(M_inv).dot(upper)):",
+        "for joint in range(len(wanted)):", PERIODS,
+    ),
+    (
+        "dynamics learn without a prediction", "controllers/tracking.py",
+        "status is not _UNPREDICTED", "True", PERIODS,
+    ),
+    (
+        "dynamics rest where x is lost", "controllers/tracking.py",
+        "status is not _UNPREDICTED", "now is _OK and math.isfinite(measurement.x.sum())", PERIODS,
+    ),
+    (
+        "fast start without time for it", "realtime/easing.py",
+        "            4.0 * float(np.max(np.abs(self._rate) / speed)) * _SHORTEST,\n", "", STARTS,
+    ),
+    (
+        "eased target jumps in speed", "realtime/easing.py",
+        "place = 1.0 - r**3 * (10.0 - 15.0 * r + 6.0 * r * r)", "place = 1.0 - r", STARTS,
+    ),
+    # -- certificates and their sampled form
+    (
+        "hold of half a period", "law/sampled_form.py",
+        "return late + 2.0 * period / math.pi", "return late + period / math.pi", FORM,
+    ),
+    (
+        "growth by a filter not squared", "law/sampled_form.py",
+        "/ left**2 if", "/ left if", FORM,
+    ),
+    (
+        "gravity of the held torque of the wrong sign", "law/sampled_form.py",
+        "along = along + dg", "along = along - dg", GRAVITY,
+    ),
+    (
+        "gravity of the held torque dropped", "stability/sampled_test.py",
+        "dg = loop.gravity_gradients(everywhere)", "dg = None", GRAVITY,
+    ),
+    (
+        "level with the wrong sign of the share", "stability/sampled_form.py",
+        "return 0.5 * (1.0 - self.kinetic_share(weights)) * self.speed**2",
+        "return 0.5 * (1.0 + self.kinetic_share(weights)) * self.speed**2", GRAVITY,
+    ),
+    (
+        "level of all of the kinetic energy", "stability/sampled_form.py",
+        "return 0.5 * (1.0 - self.kinetic_share(weights)) * self.speed**2",
+        "return 0.5 * self.speed**2", GRAVITY,
+    ),
+    (
+        "inertia turned by the whole rate", "law/matrix_form.py",
+        "N = 0.5 * along + M @", "N = along + M @", GRAVITY,
+    ),
+    (
+        "potential with the believed Jacobian", "law/matrix_form.py",
+        "- J.mT * weights)", "- J_hat.mT * weights)", GRAVITY,
+    ),
+    (
+        "certified by half", "stability/certificate.py",
+        "return self.margin > 0.0 and self.violations == 0",
+        "return self.margin > 0.0 or self.violations == 0", "tests/stability/test_sampled_test.py",
+    ),
+    (
+        "any gravity is exact", "stability/closed_loop.py",
+        "EXACT_GRAVITY = 1e-5", "EXACT_GRAVITY = 1e2", GRAVITY,
+    ),
+    (
+        "learnt gravity has an alpha of its own", "stability/closed_loop.py",
+        "alpha = None if learning is None else learning.alpha", "alpha = None", GRAVITY,
+    ),
+    (
+        "what is learnt is no part of the loop", "stability/sampled_test.py",
+        "pull = learning.alpha * inverse", "pull = -learning.alpha * inverse", GRAVITY,
+    ),
+    (
+        "torques a sample late are on time", "law/sampled_loop.py",
+        "learnt - dt * loop.learning @", "learnt + dt * loop.learning @", GRAVITY,
+    ),
+    # -- certified starts
+    (
+        "travel by twice the rate", "stability/attraction.py",
+        "np.sqrt(inverse / (2.0 * rate))", "np.sqrt(inverse / (40.0 * rate))", GRAVITY,
+    ),
+    (
+        "travel from the middle", "stability/attraction.py",
+        "(radius + travel * np.sqrt(its_own) <= box.upper)",
+        "(travel * np.sqrt(its_own) <= box.upper)", GRAVITY,
+    ),
+    (
+        "boundary with the energy of the motion added", "stability/attraction.py",
+        "at.s) - kinetic)", "at.s) + kinetic)", GRAVITY,
+    ),
+    (
+        "boundary above the level of the form", "stability/attraction.py",
+        "level = min(test.level, starts.lowest(low))", "level = starts.lowest(low)", GRAVITY,
+    ),
+    (
+        "joints to spare have a level", "stability/attraction.py",
+        "    if not spare:\n", "    if True:\n", GRAVITY,
+    ),
+    # -- what limits cost
+    (
+        "the larger of two torques", "stability/limit_cost.py",
+        'along = along + np.sqrt(np.einsum("nij,jk,nik->ni", pull, potential, pull))',
+        'along = np.maximum(along, np.sqrt(np.einsum("nij,jk,nik->ni", pull, potential, pull)))',
+        GRAVITY,
+    ),
+    (
+        "level not squared", "stability/limit_cost.py",
+        "/ sampled.speed)) ** 2", "/ sampled.speed))", GRAVITY,
+    ),
+    (
+        "believed weight for the true one", "stability/limit_cost.py",
+        "return np.array([loop.dynamics(t).g(q) for t, q in pairs])",
+        "return np.array([Dynamics(loop.controller.task.robot).g(q) for t, q in pairs])", GRAVITY,
+    ),
+    (
+        "asked for with the wrong side", "stability/limit_cost.py",
+        "asked = np.abs(g - (pull", "asked = np.abs(g + (pull", GRAVITY,
+    ),
+    (
+        "room of the best sample", "stability/limit_cost.py",
+        "free[unit] = float(np.nanmin(sizes))", "free[unit] = float(np.nanmax(sizes))", GRAVITY,
+    ),
+    # -- limits and the limiter
+    (
+        "rate within one side only", "controllers/limits.py",
+        "np.minimum(upper, before + dt * rate)", "np.maximum(upper, before + dt * rate)", PERIODS,
+    ),
+    (
+        "torque before not within the efforts", "controllers/limiter.py",
+        "within = np.minimum(np.maximum(before, lower), upper)", "within = before", PERIODS,
+    ),
+    (
+        "braking of another period", "controllers/torque_limits.py",
+        "_KNOWN / (latency.of_velocity - latency.period + self._dt)",
+        "_KNOWN / latency.of_velocity", "tests/controllers/test_torque_limits.py",
+    ),
+    (
+        "least braking of a millisecond", "controllers/torque_limits.py",
+        "min(max(_UNKNOWN / self._dt, own)", "min(max(_UNKNOWN / 1e-3, own)", PERIODS,
+    ),
+    (
+        "beyond a limit by ten times as much", "controllers/torque_limits.py",
+        "_TOLD = 1e-3", "_TOLD = 1e-2", PERIODS,
+    ),
+    (
+        "acceleration without a torque of the wrong sign", "controllers/torque_limits.py",
+        "ahead.q_dd - M_inv.dot(torque)", "ahead.q_dd + M_inv.dot(torque)", PERIODS,
+    ),
+    (
+        "weight that is compensated counts twice", "controllers/prediction.py",
+        "torque if self.has_weight else torque - gravity", "torque", PERIODS,
+    ),
+    (
+        "residual of a period too much", "controllers/prediction.py",
+        "self._half = 0.5 * dt", "self._half = 0.0", PERIODS,
+    ),
+    (
+        "learning rests where the proof is kept", "controllers/limiter.py",
+        "_GOES_ON = _FREE, LimitStatus.PROOF_KEPT, LimitStatus.EXCEEDED",
+        "_GOES_ON = _FREE, LimitStatus.EXCEEDED", PERIODS,
+    ),
+    (
+        "joints at their lower torque learn", "controllers/limiter.py",
+        "locked |= np.abs(torque) > _NEARLY * self._upper",
+        "locked |= torque > _NEARLY * self._upper", "tests/controllers/test_torque_limits.py",
+    ),
+    (
+        "motors surely brake with their weight's help", "controllers/limits.py",
+        "np.maximum(effort - np.abs(dynamics.g(q))", "np.maximum(effort - dynamics.g(q)",
+        "tests/controllers/test_limits.py",
+    ),
+    # -- the quadratic program
+    (
+        "price of the other sign", "controllers/quadratic_program.py",
+        "f + price * A[-1]", "f - price * A[-1]", "tests/controllers/test_quadratic_program.py",
+    ),
+    (
+        "bound given up where it is cheap", "controllers/quadratic_program.py",
+        "if multiplier <= price:", "if multiplier >= price:",
+        "tests/controllers/test_quadratic_program.py",
+    ),
+    (
+        "answers far out are admitted", "controllers/quadratic_program.py",
+        "_TOLERANCE = 1e-6", "_TOLERANCE = 1e-2", "tests/controllers/test_quadratic_program.py",
+    ),
+    # -- rare statuses
+    (
+        "learning goes on where x is lost", "controllers/setpoint.py",
+        "(status is _OK or status is _SINGULAR)", "(status is not _SATURATED)", BOUNDS,
+    ),
+    (
+        "learning goes on where motors are saturated", "controllers/setpoint.py",
+        "(status is _OK or status is _SINGULAR)", "(status is not _LOST)", BOUNDS,
+    ),
+    (
+        "near singular nothing is learnt", "controllers/setpoint.py",
+        "(status is _OK or status is _SINGULAR)", "status is _OK", BOUNDS,
+    ),
+    # -- holds
+    (
+        "too old at equality", "controllers/measurement_hold.py",
+        "abs(far) > most", "abs(far) >= most", PERIODS,
+    ),
+    (
+        "moved by milliseconds", "controllers/measurement_hold.py",
+        "moved = dt * (rate", "moved = 1e-3 * (rate", PERIODS,
+    ),
+    (
+        "one side of the motion", "controllers/measurement_hold.py",
+        "abs(far) > most", "far > most", PERIODS,
+    ),
+    (
+        "what is too old comes back", "controllers/measurement_hold.py",
+        "                moved[coordinates] = 0.0\n", "                pass\n",
+        "tests/controllers/test_measurement_hold.py",
+    ),
+    (
+        "the same frame is new", "controllers/measurement_hold.py",
+        "(t_x > memory[len(x)]", "(t_x >= memory[len(x)]",
+        "tests/controllers/test_measurement_hold.py",
+    ),
+    # -- what is predicted
+    (
+        "x that is lost is not said", "controllers/predicted_measurement.py",
+        "(now is _PREDICTED or not math", "(now is _PREDICTED and not math", PERIODS,
+    ),
+    (
+        "x that was never seen is predicted", "controllers/predicted_measurement.py",
+        "                    seen.x[: self._task.m] = math.nan\n", "                    pass\n",
+        PERIODS,
+    ),
+    (
+        "feed of a path dropped", "controllers/predicted_measurement.py",
+        "ahead.feed if moves else None", "None", "tests/controllers/test_predicted_measurement.py",
+    ),
+    # -- the tracking law
+    (
+        "gain beyond what the period allows", "controllers/tracking.py",
+        "usual = min(_KAPPA, _STEADY / self.sampling_time)", "usual = _KAPPA", PERIODS,
+    ),
+    (
+        "gain without the frame's acceleration", "law/tracking.py",
+        "return feed - alpha * s, feed_dot - alpha * s_dot", "return feed - alpha * s, feed_dot",
+        "tests/law/test_tracking.py",
+    ),
+    (
+        "learning in the wrong direction", "law/tracking.py",
+        "return -gamma * Y_d_sigma", "return gamma * Y_d_sigma", PERIODS,
+    ),
+    (
+        "friction below zero", "controllers/adaptive_dynamics.py",
+        "        low[links : links + 3 * n] = 0.0\n", "", "tests/controllers/test_tracking.py",
+    ),
+    (
+        "dynamics learn by milliseconds", "controllers/adaptive_dynamics.py",
+        "moved = state + dt * law", "moved = state + 1e-3 * law", PERIODS,
+    ),
+    # -- easing, brake, stops
+    (
+        "target faster than it may be", "realtime/easing.py",
+        "_PEAK = 1.875", "_PEAK = 1.5", STARTS,
+    ),
+    (
+        "velocity not relative to the path", "realtime/easing.py",
+        "self._rate = velocity - goal_v", "self._rate = velocity", STARTS,
+    ),
+    (
+        "halt twice as far", "realtime/easing.py",
+        "self.distance = 0.5 * duration * velocity", "self.distance = duration * velocity", STARTS,
+    ),
+    (
+        "acceleration of an eased target", "realtime/easing.py",
+        "slope_rate2 = -r * (36.0 - 96.0 * r + 60.0 * r * r)",
+        "slope_rate2 = -r * (36.0 - 96.0 * r + 30.0 * r * r)", "tests/realtime/test_easing.py",
+    ),
+    (
+        "brake closed again", "realtime/brake.py",
+        "            if self.closed_at is not None:\n                return\n", "", STARTS,
+    ),
+    (
+        "commands after the brake", "realtime/brake.py",
+        "        if self.closed_at is not None:\n            raise HungError\n", "", STARTS,
+    ),
+    (
+        "watchdog that bites at once", "realtime/brake.py",
+        "self._beat > self._longest:", "self._beat > 0.1 * self._longest:", STARTS,
+    ),
+    (
+        "stop without its damping", "simulation/joint_stops.py",
+        "per_speed = self.stiffness * dt + self.damping", "per_speed = self.stiffness * dt",
+        FIGURES,
+    ),
+    (
+        "stop softer than its motor", "simulation/joint_stops.py",
+        "np.maximum(usual * _RATE**2, effort / _GIVES_WAY)", "usual * _RATE**2", FIGURES,
+    ),
+    (
+        "stop half as fast", "simulation/joint_stops.py",
+        "_RATE = 200.0", "_RATE = 100.0", FIGURES,
+    ),
+    # -- gravity and its bounds
+    (
+        "projection of the wrong side", "law/adaptation.py",
+        "(low & (rate < 0.0))", "(low & (rate > 0.0))", BOUNDS,
+    ),
+    (
+        "outward normals inward", "controllers/gravity.py",
+        "np.sign(g[beyond])[:, np.newaxis]", "-np.sign(g[beyond])[:, np.newaxis]", BOUNDS,
+    ),
+    (
+        "motors' bound on one side", "controllers/gravity.py",
+        "beyond = np.abs(g) > self.motors", "beyond = g > self.motors", BOUNDS,
+    ),
+    (
+        "saturated on one side", "controllers/gravity.py",
+        "and np.abs(share).max() > 1.0", "and share.max() > 1.0", BOUNDS,
+    ),
+    (
+        "bounds around zero", "controllers/gravity.py",
+        "bounds = theta0 - widths, theta0 + widths", "bounds = -widths, widths", BOUNDS,
+    ),
+    (
+        "bounds of the strongest motor", "controllers/tuning.py",
+        "(effort[:, None] / usual).min(axis=0)", "(effort[:, None] / usual).max(axis=0)", BOUNDS,
+    ),
+    # -- the rule for all defaults
+    (
+        "rate of twice the lag", "controllers/tuning.py",
+        "_LAG = 0.3", "_LAG = 0.6", FIGURES,
+    ),
+    (
+        "motors' share", "controllers/tuning.py",
+        "_TORQUE, _HOLDABLE, _SPEED = 0.755, 0.7, 0.8",
+        "_TORQUE, _HOLDABLE, _SPEED = 0.9, 0.7, 0.8", FIGURES,
+    ),
+    (
+        "forces are learnt twice as fast", "controllers/tuning.py",
+        "task_force = 0.5 * gains.kp", "task_force = 1.0 * gains.kp", FIGURES,
+    ),
+    (
+        "quieting dropped", "controllers/default_gains.py",
+        "_DAMPING_SHARE = 0.03", "_DAMPING_SHARE = 0.01", FIGURES,
+    ),
+    (
+        "damping as fast as the bandwidth", "controllers/default_gains.py",
+        "fastest = 0.5 * as_number", "fastest = 1.0 * as_number", FIGURES,
+    ),
+]  # fmt: skip
+
+
+def main(words: list[str]) -> int:
+    """Try the mutants whose names have one of the words; return how many survive."""
+    chosen = [each for each in MUTANTS if not words or any(word in each[0] for word in words)]
+    survived = []
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder)
+        for name in COPIED:
+            source = ROOT / name
+            if source.is_dir():
+                shutil.copytree(source, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
+            else:
+                shutil.copy(source, copy / name)
+        for name, file, old, new, tests in chosen:
+            path, begin = copy / SRC / file, time.perf_counter()
+            text = path.read_text(encoding="utf-8")
+            if text.count(old) != 1:
+                raise SystemExit(f"{name}: {file} has the text {text.count(old)} times: {old!r}")
+            path.write_text(text.replace(old, new), encoding="utf-8")
+            killed = fails(copy, tests)
+            path.write_text(text, encoding="utf-8")
+            seconds = time.perf_counter() - begin
+            print(f"{'killed' if killed else 'SURVIVED':9} {seconds:5.1f} s  {name}", flush=True)
+            if not killed:
+                survived.append(name)
+    print(f"{len(chosen) - len(survived)} of {len(chosen)} killed; survived: {survived}")
+    return len(survived)
+
+
+def fails(copy: Path, tests: str) -> bool:
+    """Return whether the tests of a copy find its fault."""
+    command = [
+        sys.executable, "-m", "pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider",
+        "--hypothesis-profile=mutants", *tests.split(),
+    ]  # fmt: skip
+    environment = os.environ | {
+        "PYTHONPATH": str(copy / "src"), "OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1",
+    }  # fmt: skip
+    done = subprocess.run(
+        command, cwd=copy, env=environment, capture_output=True, text=True, timeout=600
+    )
+    if done.returncode not in (0, 1):
+        raise SystemExit(f"the tests did not run: {done.stdout[-2000:]}{done.stderr[-2000:]}")
+    return done.returncode == 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
