@@ -22,7 +22,6 @@ PERIODS = "tests/controllers/test_periods.py"
 FIGURES = "tests/controllers/test_documented_figures.py"
 STARTS = "tests/realtime/test_fast_starts.py"
 FORM = "tests/law/test_sampled_form.py"
-STOPS = "tests/simulation/test_joint_stops.py"
 BOUNDS = "tests/controllers/test_learning_bounds.py"
 
 # name, file, text that is there once, text instead, tests that must fail
@@ -112,7 +111,7 @@ MUTANTS = [
     ),
     (
         "inertia turned by the whole rate", "law/matrix_form.py",
-        "N = 0.5 * along + M @", "N = along + M @", GRAVITY,
+        "N = 0.5 * along + M @", "N = along + M @", "tests/law/test_matrix_form.py",
     ),
     (
         "potential with the believed Jacobian", "law/matrix_form.py",
@@ -121,7 +120,7 @@ MUTANTS = [
     (
         "certified by half", "stability/certificate.py",
         "return self.margin > 0.0 and self.violations == 0",
-        "return self.margin > 0.0 or self.violations == 0", "tests/stability/test_sampled_test.py",
+        "return self.margin > 0.0 or self.violations == 0", GRAVITY,
     ),
     (
         "any gravity is exact", "stability/closed_loop.py",
@@ -132,16 +131,16 @@ MUTANTS = [
         "alpha = None if learning is None else learning.alpha", "alpha = None", GRAVITY,
     ),
     (
-        "what is learnt is no part of the loop", "stability/sampled_test.py",
+        "pull of learning of the wrong sign", "stability/sampled_test.py",
         "pull = learning.alpha * inverse", "pull = -learning.alpha * inverse", GRAVITY,
     ),
     (
-        "torques a sample late are on time", "law/sampled_loop.py",
+        "learning of the wrong sign in the loop", "law/sampled_loop.py",
         "learnt - dt * loop.learning @", "learnt + dt * loop.learning @", GRAVITY,
     ),
     # -- certified starts
     (
-        "travel by twice the rate", "stability/attraction.py",
+        "travel of a faster rate", "stability/attraction.py",
         "np.sqrt(inverse / (2.0 * rate))", "np.sqrt(inverse / (40.0 * rate))", GRAVITY,
     ),
     (
@@ -217,7 +216,11 @@ MUTANTS = [
     ),
     (
         "residual of a period too much", "controllers/prediction.py",
-        "self._half = 0.5 * dt", "self._half = 0.0", PERIODS,
+        "self._half = 0.5 * dt", "self._half = 0.0", "tests/controllers/test_prediction.py",
+    ),
+    (
+        "residual dropped", "controllers/prediction.py",
+        "return np.asarray(self._share * r + self._rate * apart)", "return np.asarray(r)", PERIODS,
     ),
     (
         "learning rests where the proof is kept", "controllers/limiter.py",
@@ -227,7 +230,7 @@ MUTANTS = [
     (
         "joints at their lower torque learn", "controllers/limiter.py",
         "locked |= np.abs(torque) > _NEARLY * self._upper",
-        "locked |= torque > _NEARLY * self._upper", "tests/controllers/test_torque_limits.py",
+        "locked |= torque > _NEARLY * self._upper", BOUNDS,
     ),
     (
         "motors surely brake with their weight's help", "controllers/limits.py",

@@ -93,6 +93,48 @@ def test_near_a_singular_pose_gravity_is_learnt_all_the_same():
     assert np.isfinite(answer.state_rate).all()
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_joint_at_its_torque_to_either_side_counts_as_locked(side):
+    """One joint is held back by its speed, another one asks for nearly all that its motor has.
+
+    Learning is that of the arm without both: y = q̇ + α(ĴP)⁺e of what is free.
+    """
+    arm, rng, compared = heavy("ur5"), np.random.default_rng(7), 0
+    n, L, alpha = 6, 0.05, 0.5
+    for _ in range(150):
+        q, v = arm.q + 0.1 * rng.normal(size=n), 0.05 * rng.normal(size=n)
+        now = seen(arm, q, v)
+        x_d = now.x + 0.05 * rng.normal(size=3)
+        wanted = arm.learning.evaluate(arm.theta, now, x_d).torque
+        i = int((side * wanted).argmax())
+        if side * wanted[i] < 1.0:
+            continue
+        effort = 3.0 * np.abs(wanted) + 20.0
+        effort[i] = side * wanted[i] / 0.995
+        velocity = np.full(n, 30.0)
+        j = int(rng.choice(np.setdiff1d(np.arange(n), [i])))
+        velocity[j] = abs(v[j]) / 0.99
+        limited = aj.TorqueLimited(arm.learning, aj.Limits(effort=effort, velocity=velocity))
+        state = limited.initial_state(now)
+        state[: len(arm.theta)] = arm.theta
+        after, answer = limited.step(state, now, x_d, 1e-3)
+        if answer.limit_status is not aj.LimitStatus.PROOF_GIVEN_UP:
+            continue
+        locked = np.abs(answer.torque) > 0.98 * effort
+        if not locked[i] or (np.abs(wanted) > effort).any():
+            continue
+        locked[j] = True
+        J_free = answer.J_hat * ~locked
+        if np.linalg.cond(J_free) > 20.0:
+            continue  # Ĵ⁺ is damped there
+        compared += 1
+        y = v * ~locked + alpha * np.linalg.pinv(J_free) @ (now.x - x_d)
+        Z = GravityRegressor(arm.belief).Z(q)
+        p = len(arm.theta)
+        assert_allclose(after[:p] - arm.theta, -1e-3 * L * Z.T @ y, rtol=1e-6, atol=1e-12)
+    assert compared > 3
+
+
 # -- bounds ---------------------------------------------------------------------------------------
 
 

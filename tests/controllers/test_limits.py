@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from heavy_arms import HeavyArm
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
@@ -119,6 +120,22 @@ def test_motors_surely_brake_a_joint_in_almost_every_configuration(name, rng):
     assert np.mean(enough, axis=0).min() > 0.95
     unknown = sure_deceleration(robot, np.full(robot.nv, np.inf))
     assert np.isinf(unknown).all()
+
+
+def test_motors_that_hardly_hold_the_arm_brake_it_hardly():
+    """Whatever side its weight is on: a motor may have to brake against it."""
+    robot = HeavyArm("three_joint").bare
+    rng, dynamics = np.random.default_rng(8), Dynamics(robot)
+    drawn = [robot.random_configuration(rng) for _ in range(300)]
+    g = np.abs([dynamics.g(q) for q in drawn])
+    effort = 1.1 * g.max(axis=0) + 0.5
+    a = sure_deceleration(robot, effort)
+    enough = [
+        (gravity[:, None] + np.abs(dynamics.M(q)) * a <= effort[:, None]).all(axis=0)
+        for q, gravity in zip(drawn, g, strict=True)
+    ]
+    assert (a > 0.0).all()
+    assert np.mean(enough, axis=0).min() > 0.9
 
 
 def test_acceleration_bounds_stop_what_is_too_fast():

@@ -75,13 +75,16 @@ def test_torques_change_by_the_rate_times_the_period(arm, dt, looks_ahead):
 def test_the_torque_before_counts_within_the_efforts(arm, dt):
     """A state may come from a run with other motors: it is brought into these first."""
     effort, rate = np.abs(Dynamics(arm.truth).g(arm.q)) + 2.0, 100.0
-    limited = aj.TorqueLimited(law_for(arm, dt), aj.Limits(effort=effort, rate=rate), dt=dt)
+    limits = aj.Limits(effort=effort, rate=rate)
+    limited = aj.TorqueLimited(law_for(arm, dt), limits, dt=dt, proof=False)
     now = measured(arm, arm.q)
     state = limited.initial_state(now)
     state[-arm.bare.nv :] = 10.0 * effort
-    _, answer = limited.step(state, now, now.x - 5.0, dt)
-    assert (answer.torque <= effort).all()
-    assert (answer.torque >= effort - rate * dt * (1.0 + 1e-9)).all()
+    x_d = now.x - 5.0
+    _, answer = limited.step(state, now, x_d, dt)
+    wanted = limited.controller.evaluate(np.zeros(0), now, x_d).torque
+    assert (wanted < effort - rate * dt).any()
+    assert_allclose(answer.torque, np.clip(wanted, effort - rate * dt, effort))
 
 
 # -- speeds and positions -------------------------------------------------------------------------
@@ -89,18 +92,20 @@ def test_the_torque_before_counts_within_the_efforts(arm, dt):
 
 @pytest.mark.parametrize("gravity", ["known", "learnt"])
 def test_speeds_stay_within_their_limits(arm, dt, gravity):
-    """With the true dynamics and enough torque; learnt weight is wrong by a tool at first."""
+    """With enough torque; learnt weight is wrong by a tool, which periods show."""
     learns = gravity == "learnt"
     source = aj.AdaptiveGravity(arm.belief) if learns else ModelGravity(arm.belief)
-    fastest, plant = 0.4, aj.Plant(arm.belief, arm.task)
+    fastest, plant = 0.4, arm.plant if learns else aj.Plant(arm.belief, arm.task)
     law = aj.SetpointController(
         arm.task, latency=Latency(dt), gravity=source, saturation=aj.law.Linear()
     )
     limited = aj.TorqueLimited(law, aj.Limits(velocity=fastest), dt=dt)
     assert limited.dt == dt
-    x_d = arm.task.value(arm.q) + np.array([0.15, -0.25, -0.15])
-    run = aj.simulate(plant, limited, x_d, arm.q, 0.8, dt=dt, integrator="semi_implicit_euler")
-    assert np.abs(run.v).max() <= fastest * (1.0 + 1e-3)
+    x_d = plant.sensor.value(arm.q) + np.array([0.15, -0.25, -0.15])
+    run = aj.simulate(plant, limited, x_d, arm.q, 0.6, dt=dt, integrator="semi_implicit_euler")
+    late = run.t > 0.3  # what the belief lacks shows late
+    assert np.abs(run.v[late]).max() <= fastest * (1.05 if learns else 1.0 + 1e-3)
+    assert np.abs(run.v).max() <= fastest * (1.4 if learns else 1.0 + 1e-3)
     assert np.abs(run.v).max() > 0.9 * fastest
     assert run.error_norm[-1] < run.error_norm[0]
 

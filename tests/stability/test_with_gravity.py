@@ -12,7 +12,8 @@ from numpy.testing import assert_allclose
 
 import approxjac as aj
 from approxjac.controllers import Latency, ModelGravity
-from approxjac.robots import Dynamics
+from approxjac.law import sampled_form
+from approxjac.robots import Dynamics, GravityRegressor
 from approxjac.stability.certificates.limit_cost import limit_cost
 from approxjac.stability.certificates.sampled_test import below, growth
 
@@ -122,30 +123,115 @@ def test_the_level_is_that_of_the_slowest_bound(arm):
 def test_growth_is_that_of_the_simulated_steps(name, dt, gravity):
     """The multipliers of the map of one step of `simulate`, by differences, near a target."""
     arm = heavy(name)
-    learns, n, h = gravity == "learnt", arm.bare.nv, 1e-5
+    learns, q = gravity == "learnt", arm.q
     controller = arm.learning if learns else arm.known
-    q = arm.q
-    x_d, theta = arm.sensor.value(q), arm.theta if learns else np.zeros(0)
+    x_d = arm.sensor.value(q)
+    fastest = spectral_radius(arm.plant, controller, x_d, q, dt, arm.theta if learns else None)
+    report = arm.report_of(controller, configurations=20)
+    loop = report.loop
+    at = loop.samples_at(np.zeros(1, dtype=int), q[None], x_d[None])
+    found = growth(loop, at, Latency(dt))
+    assert len(found) == 1
+    assert_allclose(1.0 - found[0], 1.0 - fastest, rtol=0.02)
+
+
+# -- weight that is held for a period -------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5", "three_joint"])
+def test_the_rate_of_the_torque_has_that_of_the_weight(name):
+    """u̇ of u = −Ĵᵀ K_p e − D_c q̇ + g along the true motion, by differences; slow, so that
+    what is quadratic in q̇ is nothing.
+    """
+    arm, rng = heavy(name), np.random.default_rng(6)
+    samples = arm.report.samples.take(np.arange(6))
+    dg = arm.report.loop.gravity_gradients(samples)
+    n, kp = arm.bare.nv, np.full(arm.task.m, arm.kp)
+    J_hat = samples.J_hat
+    D = J_hat.mT @ (arm.kv * J_hat) + arm.damping * np.eye(n)
+    rate = sampled_form.torque_rate(
+        samples.M, D, D, J_hat, samples.dJ_hat, samples.J_e, samples.s, samples.slope, kp, dg
+    )
+    for k in range(len(samples)):
+        q, x_d, v = samples.q[k], samples.x_d[k], 1e-4 * rng.normal(size=n)
+        w = 1e-2 * rng.normal(size=n)
+
+        def torque(q, v, x_d=x_d):
+            J = arm.task.jacobian(q)
+            force = arm.kp * (arm.sensor.value(q) - x_d) + arm.kv * (J @ v)
+            return -J.T @ force - arm.damping * v + weight_of(arm, q)
+
+        a = arm.plant.acceleration(q, v, torque(q, v) + w)
+        h = 1e-4
+        there, back = ((q + t * v + 0.5 * t * t * a, v + t * a) for t in (h, -h))
+        u_dot = (torque(*there) - torque(*back)) / (2.0 * h)
+        found = rate.T[k] @ np.concatenate([v, samples.s[k]]) + rate.U[k] @ w
+        assert_allclose(found, u_dot, atol=1e-4 * np.abs(u_dot).max() + 1e-6)
+        # and the part of the weight can be seen
+        assert np.abs(dg[k] @ v).max() > 0.0
+
+
+def spectral_radius(plant, controller, x_d, q, dt, theta=None):
+    """Of the map of one step of `simulate`, by differences, without what does not move."""
+    n, h, theta = len(q), 1e-5, np.zeros(0) if theta is None else theta
     rest = np.concatenate([q, np.zeros(n), theta])
 
     def after(z):
         run = aj.simulate(
-            arm.plant, controller, x_d, z[:n], dt, v0=z[n : 2 * n], dt=dt,
-            state=z[2 * n :] if learns else None,
+            plant, controller, x_d, z[:n], dt, v0=z[n : 2 * n], dt=dt,
+            state=z[2 * n :] if len(theta) else None,
         )  # fmt: skip
-        return np.concatenate([run.q[-1], run.v[-1], run.state[-1] if learns else theta])
+        return np.concatenate([run.q[-1], run.v[-1], run.state[-1][: len(theta)]])
 
     steps = h * np.eye(len(rest))
     jacobian = np.array([(after(rest + k) - after(rest - k)) / (2.0 * h) for k in steps]).T
     values = np.linalg.eigvals(jacobian)
-    moving = values[np.abs(values - 1.0) > 1e-7]
-    report = arm.report_of(controller, configurations=20)
-    target = report.samples.take(np.arange(1))
-    loop = report.loop
-    at = loop.samples_at(np.zeros(1, dtype=int), q[None], x_d[None])
-    found = growth(loop, at, Latency(dt))
-    assert len(target) == len(found) == 1
-    assert_allclose(1.0 - found[0], 1.0 - np.abs(moving).max(), rtol=0.02)
+    return np.abs(values[np.abs(values - 1.0) > 1e-7]).max()
+
+
+def upright(kp, kv, damping, gravity=None):
+    """A two-link arm that stands upright, softly held: its weight turns with q."""
+    robot = aj.load_robot("two_link")
+    task, q = aj.PositionTask(robot, axes="xz"), np.array([1.4, 0.3])
+    law = aj.SetpointController(task, aj.Gains(kp, kv, damping), gravity=gravity)
+    return aj.Plant(robot, task), law, q
+
+
+@pytest.mark.parametrize(("period", "stiff", "holds"), [(2e-3, 2.0, True), (5e-3, 1.0, False)])
+def test_weight_that_is_held_for_a_period_takes_damping(period, stiff, holds):
+    """At 5 ms this drives the arm away from its target, which no certificate may miss."""
+    plant, law, q = upright(stiff, 0.05 * stiff, 0.01 * stiff)
+    box = aj.JointBox.around(plant.robot, q, 1e-4)
+    report = aj.Study(law, plant, box, latency=Latency(period)).report(20)
+    fastest = spectral_radius(plant, law, plant.sensor.value(q), q, period)
+    assert (fastest < 1.0) == holds
+    assert (report.certified_by == "sampled form") == holds
+
+
+@pytest.mark.xfail(
+    strict=True,
+    reason="growth leaves out gravity's gradient, and no certificate in samples covers learnt "
+    "gravity: a loop that is unstable as it runs passes",
+)
+def test_weight_that_is_learnt_and_held_takes_damping():
+    robot = aj.load_robot("two_link")
+    gravity = aj.AdaptiveGravity(robot, L=1e-2, alpha=0.1)
+    plant, law, q = upright(5.0, 0.2, 0.05, gravity)
+    x_d, theta = plant.sensor.value(q), GravityRegressor(robot).theta
+    assert spectral_radius(plant, law, x_d, q, 0.01, theta) > 1.0 + 1e-4
+    box = aj.JointBox.around(robot, q, 0.02)
+    report = aj.Study(law, plant, box, target=x_d, latency=Latency(0.01)).report(40)
+    assert not report.passed
+
+
+def test_a_certificate_needs_all_samples(arm):
+    """Those that the function was chosen on, and those that it was checked in."""
+    for test in (arm.report.sampled, max(arm.report.matrix.values(), key=lambda t: t.certified)):
+        assert test.certified
+        assert not dataclasses.replace(test, violations=1).certified
+        worse = test.margins.copy()
+        worse[-1] = 0.0
+        assert not dataclasses.replace(test, margins=worse).certified
 
 
 # -- loops that hardly grow -----------------------------------------------------------------------
@@ -263,9 +349,9 @@ def test_below_the_level_no_torque_is_beyond_the_efforts(arm):
 
 def test_limits_never_certify_more_than_there_was(arm):
     """Whatever the motors have, V ≤ c is what it was without them, and so are its starts."""
-    before = arm.report.sampled
-    after = arm.report_of(limited(arm, 1e6)).sampled
-    assert after.level == before.level
+    before, report = arm.report.sampled, arm.report_of(limited(arm, 1e6))
+    after = report.sampled
+    assert after.level == report.limits.level == before.level
     assert_allclose(after.reach, before.reach)
     assert after.covered == before.covered
 
@@ -360,33 +446,59 @@ def test_motions_from_certified_starts_never_leave_the_box(arm):
         V0 = arm.V(found.weights, q0, np.zeros(n), x_d)
         moved = np.abs(run.q - q0).max(axis=0)
         assert (moved <= found.travel * np.sqrt(V0)).all()
+        if n > arm.task.m:  # or it is the level that says so
+            assert (found.radius + found.travel * np.sqrt(V0) <= 0.15 * (1.0 + 1e-2)).all()
         assert run.error_norm[-1] < 0.3 * run.error_norm[0]
 
 
-@pytest.mark.parametrize("name", ["two_link", "three_joint"])
-def test_on_the_boundary_of_the_box_V_is_above_the_level_whatever_the_speed(name):
-    """With no joint to spare: min over q̇ of V is V at rest less ½|Ge|²_M."""
-    arm, rng = heavy(name), np.random.default_rng(4)
-    found, weights, n = arm.report.attraction, arm.report.sampled.weights, heavy(name).bare.nv
+def boundary(arm, half, n):
+    """Joint motions onto the faces of a box, (k, n_v): a lattice of n places a joint."""
+    lattice = np.linspace(-half, half, n)
+    for joint in range(arm.bare.nv):
+        for side in (-half, half):
+            others = itertools.product(lattice, repeat=arm.bare.nv - 1)
+            for rest in others:
+                yield np.insert(np.array(rest), joint, side)
+
+
+@pytest.mark.parametrize(("name", "half", "n"), [("two_link", 0.8, 41), ("three_joint", 0.15, 7)])
+def test_on_the_boundary_of_the_box_V_is_above_the_level_whatever_the_speed(name, half, n):
+    """With no joint to spare: min over q̇ of V is V at rest less ½|Ge|²_M. Starts are below."""
+    arm = HeavyArm(name, half)
+    if name == "two_link":  # of which inertia takes much
+        arm.kp, arm.kv, arm.damping = 1500.0, 120.0, 4.0
+        arm.gains = aj.Gains(arm.kp, arm.kv, arm.damping)
+    found, weights = arm.report.attraction, arm.report.sampled.weights
     assert 0.0 < found.level <= arm.report.sampled.level
+    sides = np.array(list(itertools.product((-1.0, 1.0), repeat=arm.bare.nv)))
+    targets = [arm.sensor.value(arm.q + found.radius * side) for side in sides]
     lowest = np.inf
-    for _ in range(400):
-        motion = rng.uniform(-0.15, 0.15, n)
-        k = rng.integers(n)
-        motion[k] = np.copysign(0.15, motion[k])
-        end = arm.q + found.radius * np.sign(rng.normal(size=n))
-        q, x_d = arm.q + motion, arm.sensor.value(end)
-        M = arm.plant.dynamics.M(q)
-        turned = arm.cross_weight(weights, q) @ (arm.sensor.value(q) - x_d)
-        lowest = min(lowest, arm.V(weights, q, -turned, x_d))
-        assert_allclose(
-            arm.V(weights, q, -turned, x_d),
-            arm.V(weights, q, np.zeros(n), x_d) - 0.5 * turned @ M @ turned, atol=1e-9,
-        )  # fmt: skip
-    assert lowest >= found.level * (1.0 - 0.02)
-    for side in itertools.product((-1.0, 1.0), repeat=n):  # and starts are below it
-        q0, end = arm.q + found.radius * np.array(side), arm.q - found.radius * np.array(side)
-        assert arm.V(weights, q0, np.zeros(n), arm.sensor.value(end)) <= found.level * 1.05
+    for motion in boundary(arm, half, n):
+        q = arm.q + motion
+        M, x, G = arm.plant.dynamics.M(q), arm.sensor.value(q), arm.cross_weight(weights, q)
+        for x_d in targets:
+            turned = G @ (x - x_d)
+            least = 0.5 * (x - x_d) @ (weights.w * (x - x_d)) - 0.5 * turned @ M @ turned
+            if lowest > least:
+                lowest, at = least, (q, -turned, x_d)
+    assert_allclose(arm.V(weights, *at), lowest, atol=1e-9)
+    assert lowest >= found.level * (1.0 - 1e-2)
+    for side, x_d in zip(sides, targets[::-1], strict=True):
+        start = arm.q + found.radius * side
+        assert arm.V(weights, start, np.zeros(arm.bare.nv), x_d) <= found.level * 1.05
+
+
+def test_the_level_of_the_box_is_no_more_than_that_of_the_form():
+    """At a period that hardly any speed is certified for."""
+    arm = heavy("three_joint")
+    report = arm.report_of(arm.known, latency=Latency(12e-3))
+    assert report.certified_by == "sampled form"
+    assert report.sampled.level < 0.1 * arm.report.sampled.level
+    assert 0.0 < report.attraction.level <= report.sampled.level
+    x_d = arm.sensor.value(arm.q - report.attraction.radius)
+    start = arm.q + report.attraction.radius
+    V0 = arm.V(report.sampled.weights, start, np.zeros(3), x_d)
+    assert report.sampled.level * 1.05 >= V0
 
 
 def test_joints_to_spare_have_no_level_of_the_box():
