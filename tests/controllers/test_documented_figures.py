@@ -342,7 +342,7 @@ def bounce(dt):
     )  # fmt: skip
     task = aj.PositionTask(strong, axes="y")
     pressed = aj.simulate(
-        aj.Plant(strong, task), Constant(task, 1e4), np.zeros(1), np.array([0.99]), 0.5, **options
+        aj.Plant(strong, task), Constant(task, 1e4), np.zeros(1), np.array([0.99]), 0.2, **options
     )
     return (
         float(run.q.max() - 1.0),

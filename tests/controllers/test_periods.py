@@ -102,7 +102,7 @@ def test_speeds_stay_within_their_limits(arm, dt, gravity):
     limited = aj.TorqueLimited(law, aj.Limits(velocity=fastest), dt=dt)
     assert limited.dt == dt
     x_d = plant.sensor.value(arm.q) + np.array([0.15, -0.25, -0.15])
-    run = aj.simulate(plant, limited, x_d, arm.q, 0.6, dt=dt, integrator="semi_implicit_euler")
+    run = aj.simulate(plant, limited, x_d, arm.q, 0.45, dt=dt, integrator="semi_implicit_euler")
     late = run.t > 0.3  # what the belief lacks shows late
     assert np.abs(run.v[late]).max() <= fastest * (1.05 if learns else 1.0 + 1e-3)
     assert np.abs(run.v).max() <= fastest * (1.4 if learns else 1.0 + 1e-3)
@@ -179,8 +179,9 @@ def test_what_is_beyond_a_limit_has_its_status(arm, dt):
             assert answer.limit_status is expected, kind
 
 
-def test_braking_is_of_the_period(arm, dt):
+def test_braking_is_of_the_period(dt):
     """0.3 over dt and the delays that the law knows; 0.1/dt where torques change slowly."""
+    arm = heavy("three_joint")
     law = law_for(arm, dt)
     limits = aj.Limits(effort=50.0)
     assert_allclose(aj.TorqueLimited(law, limits, dt=dt).braking, 0.3 / dt)
@@ -359,9 +360,9 @@ def test_a_circle_is_followed_at_any_period(dt):
     truth = arm.bare.with_object(0.0, 0.3)
     plant = aj.Plant(truth, arm.task.on(truth))
     controller = tracking(arm, dt)
-    path = aj.Circle(arm.task.value(arm.q) + [0.0, 0.0, 0.02], 0.04, 2.0, normal=(0.0, 1.0, 0.5))
-    run = aj.simulate(plant, controller, path, arm.q, 2.5, dt=dt)
-    assert run.error_norm[run.t > 2.0].max() < 4e-3
+    path = aj.Circle(arm.task.value(arm.q) + [0.0, 0.0, 0.02], 0.04, 1.6, normal=(0.0, 1.0, 0.5))
+    run = aj.simulate(plant, controller, path, arm.q, 1.6, dt=dt)
+    assert run.error_norm[run.t > 1.2].max() < 4e-3
     assert run.error_norm.max() <= run.error_norm[0] + 2e-3
     assert set(run.status) == {Status.OK}
 
@@ -441,7 +442,7 @@ def test_a_predicted_measurement_is_learnt_from_period_by_period(dt):
     kinematics = aj.AdaptiveKinematics(arm.task, unknown=("tool",), dt=dt, noise=1e-4)
     controller = PredictedMeasurement(law_for(arm, dt), kinematics)
     x_d = arm.sensor.value(arm.q) + np.array([0.05, 0.1, -0.05])
-    run = aj.simulate(arm.plant, controller, x_d, arm.q, 2.0, dt=dt, record_every=5 * dt)
+    run = aj.simulate(arm.plant, controller, x_d, arm.q, 1.5, dt=dt, record_every=5 * dt)
     assert run.error_norm[-1] < 2e-3
     report = controller.kinematics_learnt(run.state[-1])
     assert report is not None

