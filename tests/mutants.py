@@ -413,6 +413,150 @@ MUTANTS = [
         "damping as fast as the bandwidth", "controllers/default_gains.py",
         "fastest = 0.5 * as_number", "fastest = 1.0 * as_number", FIGURES,
     ),
+    # -- a second round
+    (
+        "span without the delay", "stability/sampled_form.py",
+        "gain, span = sampled_form.hold_gain(h, d) + lag, h + d",
+        "gain, span = sampled_form.hold_gain(h, d) + lag, h", GRAVITY,
+    ),
+    (
+        "gravity that is off to one side", "stability/closed_loop.py",
+        "worst = max(worst, float(np.abs(error).max()))",
+        "worst = max(worst, float(error.max()))", GRAVITY,
+    ),
+    (
+        "held at some sample", "stability/limit_cost.py",
+        "holds = bool((room > 0.0).all())", "holds = bool((room > 0.0).any())", GRAVITY,
+    ),
+    (
+        "passed against what contradicts it", "stability/report.py",
+        "learns = self.sampled is None and not self.contradiction",
+        "learns = self.sampled is None", GRAVITY,
+    ),
+    (
+        "clipping protects V", "stability/limit_cost.py",
+        "protects = limiter.proof and known is not None and own.is_like(known)",
+        "protects = known is not None and own.is_like(known)", GRAVITY,
+    ),
+    (
+        "others learn by milliseconds", "controllers/limiter.py",
+        "after[: self._p] += dt * self._rate_of_others(state, asked, torque)",
+        "after[: self._p] += 1e-3 * self._rate_of_others(state, asked, torque)", BOUNDS,
+    ),
+    (
+        "others learn where x is lost", "controllers/limiter.py",
+        "if status in _GIVES_UP and answer.status in _TOLD:",
+        "if status in _GIVES_UP and answer.J_hat is not None:", BOUNDS,
+    ),
+    (
+        "joints at their lower speed learn", "controllers/limiter.py",
+        "locked |= np.abs(v) > _NEARLY", "locked |= v > _NEARLY", BOUNDS,
+    ),
+    (
+        "joints at their lower stop learn", "controllers/limiter.py",
+        "(motion < low + _AT_LIMIT)", "(motion < low - _AT_LIMIT)",
+        "tests/controllers/test_torque_limits.py",
+    ),
+    (
+        "relative motion the other way", "controllers/torque_limits.py",
+        "y = y - answer.reference", "y = y + answer.reference",
+        "tests/controllers/test_torque_limits.py",
+    ),
+    (
+        "jerk as if there were more of it", "controllers/limits.py",
+        "np.minimum(braking * np.abs(left), np.sqrt(jerk * np.abs(left)))",
+        "np.maximum(braking * np.abs(left), np.sqrt(jerk * np.abs(left)))",
+        "tests/controllers/test_limits.py",
+    ),
+    (
+        "way to a stop too fast", "controllers/limits.py",
+        "knee * (2.0 * speed - knee)", "knee * (2.0 * speed + knee)",
+        "tests/controllers/test_limits.py",
+    ),
+    (
+        "towards a stop faster than a joint may", "controllers/limits.py",
+        "speed if speed < fastest else fastest", "speed", PERIODS,
+    ),
+    (
+        "another V near singular poses", "controllers/cross_weight.py",
+        "y = y + np.linalg.solve(D,", "y = y - np.linalg.solve(D,",
+        "tests/controllers/test_cross_weight.py",
+    ),
+    (
+        "motion since the frame before", "controllers/measurement_hold.py",
+        "last[entries], p[coordinates], seen[k] = here, 0.0, 1.0",
+        "last[entries], seen[k] = here, 1.0", PERIODS,
+    ),
+    (
+        "held although it is new", "controllers/measurement_hold.py",
+        "answer.status is _OK and not any_new", "answer.status is _OK", PERIODS,
+    ),
+    (
+        "what was learnt is forgotten", "controllers/predicted_measurement.py",
+        "        fresh[:p] = inner[:p]\n", "", PERIODS,
+    ),
+    (
+        "reference as fast as it likes", "controllers/tracking.py",
+        "_SHARE = 0.9", "_SHARE = 9.0", PERIODS,
+    ),
+    (
+        "stop that pulls", "simulation/joint_stops.py",
+        "-side * np.maximum(push, 0.0)", "-side * push", "tests/simulation/test_joint_stops.py",
+    ),
+    (
+        "check without a margin", "controllers/tuning.py",
+        "_MARGIN = 1.5", "_MARGIN = 0.5", FIGURES,
+    ),
+    (
+        "motors' share although x is late", "controllers/tuning.py",
+        "share = _TORQUE / (1.0 + rate * latency.of_position)", "share = _TORQUE", FIGURES,
+    ),
+    (
+        "gravity is exact if it is too small", "stability/local.py",
+        "error = float(np.abs(given - wanted).max())", "error = float((given - wanted).max())",
+        GRAVITY,
+    ),
+    (
+        "filter of velocities too slow", "law/sampled_loop.py",
+        "a = dt / (velocity_filter + dt)", "a = dt / velocity_filter",
+        "tests/law/test_sampled_loop.py",
+    ),
+    (
+        "slack of round-off only", "controllers/torque_limits.py",
+        "_ROUND_OFF = 1e-10", "_ROUND_OFF = 1.0", "tests/controllers/test_torque_limits.py",
+    ),
+    (
+        "first torque from nothing", "controllers/limiter.py",
+        "return np.concatenate([state, self._kept, np.clip(hold, self._lower, self._upper)])",
+        "return np.concatenate([state, self._kept, 0.0 * hold])", PERIODS,
+    ),
+    (
+        "efforts of one side", "controllers/limiter.py",
+        "self._lower = -self._upper", "self._lower = -2.0 * self._upper", PERIODS,
+    ),
+    (
+        "saturation at the larger of torques", "controllers/tuning.py",
+        "decides = min(candidates, key=candidates.__getitem__)",
+        "decides = max(candidates, key=candidates.__getitem__)", FIGURES,
+    ),
+    (
+        "lag of x without the age of frames", "controllers/latency.py",
+        "+ self.image_age + 0.5 * self.image_period", "+ 0.5 * self.image_period", FIGURES,
+    ),
+    (
+        "kinematics' drift left out", "controllers/tracking.py",
+        "z_dot = J.dot(v) - feed + drift", "z_dot = J.dot(v) - feed",
+        "tests/controllers/test_tracking.py",
+    ),
+    (
+        "path's velocity left out", "controllers/tracking.py",
+        "z_dot = J.dot(v) - feed + drift", "z_dot = J.dot(v) + drift",
+        "tests/controllers/test_tracking.py",
+    ),
+    (
+        "posture in the task's way", "law/tracking.py",
+        "w = solve(u - dot(J_hat, null))", "w = solve(u)", "tests/law/test_tracking.py",
+    ),
 ]  # fmt: skip
 
 

@@ -100,11 +100,13 @@ def test_the_saturation_is_an_eighth_of_a_usual_distance_where_motors_have_no_li
     assert_allclose(gamma[0], usual / 8.0, rtol=0.1)
 
 
-def test_the_motors_shares_are_those_of_the_page():
+@pytest.mark.parametrize("age", [0.0, 0.02])
+def test_the_motors_shares_are_those_of_the_page(age):
     """Where motors decide γ: the share of them that force and gravity ask for, at its quantile."""
     (share,) = documented("control.md", r"for at most ([\d.]+) % of the motors' torques")
     task = aj.PositionTask(weak(effort=0.7, velocity=1e3))
-    chosen, robot = tuned(task, Latency(1e-6)), task.robot
+    latency = Latency(1e-6, image_age=age)
+    chosen, robot = tuned(task, latency), task.robot
     asked = []
     for q in drawn(task):
         g = np.abs(Dynamics(robot).g(q))
@@ -113,7 +115,11 @@ def test_the_motors_shares_are_those_of_the_page():
         # at rest, the target far away in the worst direction of the whole force
         pull = np.linalg.norm(task.jacobian(q).T * chosen.gains.kp, axis=1)
         asked.append(((g + chosen.gamma[0] * pull) / robot.effort_limits).max())
-    assert_allclose(np.quantile(asked, 0.75), share / 100.0, atol=0.05)
+    found = np.quantile(asked, 0.75)
+    if not age:
+        assert_allclose(found, share / 100.0, atol=0.05)
+    else:  # what is late overshoots
+        assert found < share / 100.0 * (1.0 - 0.5 * chosen.rate * age)
 
 
 def test_the_joints_speeds_are_those_of_the_page():
@@ -150,20 +156,20 @@ def test_forces_and_torques_are_learnt_as_the_page_says():
 
 @pytest.mark.parametrize("name", ["panda", "ur5", "three_joint"])
 def test_what_was_chosen_is_stable_with_all_of_it_larger(name):
-    """Of the sampled loop, with gravity known, at configurations of one's own."""
+    """Of an arm of 70 % of the inertia, which is as if gains were larger by as much.
+
+    Of the sampled loop whose torques are 10 ms late, at configurations of one's own.
+    """
     (margin,) = documented("control.md", r"must be stable with all of these ([\d.]+) times larger")
-    task = heavy(name).task
-    chosen = tuned(task, Latency(2e-3))
-    gains, nv = chosen.gains, task.robot.nv
-    larger = aj.Gains(*(margin * np.asarray(each) for each in (gains.kp, gains.kv, gains.damping)))
-    plant = aj.Plant(task.robot, task)
-    stable = [
-        local_stability(plant, aj.SetpointController(task, larger), q, dt=2e-3).stable
-        for q in drawn(task, 20)
-    ]
+    belief = heavy(name).bare.with_gravity((0.0, 0.0, 0.0))
+    task, latency = aj.PositionTask(belief), Latency(5e-3, torque_delay=10e-3)
+    chosen = tuned(task, latency)
     assert chosen.stable
-    assert nv == len(chosen.gains.damping)
-    assert np.mean(stable) >= 0.95
+    parts = (chosen.gains.kp, chosen.gains.kv, chosen.gains.damping)
+    larger = aj.Gains(*(margin / 0.7 * np.asarray(each) for each in parts))
+    law = aj.SetpointController(task, larger, gravity=NoGravity(belief))
+    plant = aj.Plant(belief, task, actuator_delay=10e-3)
+    assert all(local_stability(plant, law, q, dt=5e-3).stable for q in drawn(task, 20))
 
 
 # -- default gains --------------------------------------------------------------------------------

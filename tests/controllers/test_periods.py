@@ -354,6 +354,22 @@ def test_the_tracking_gain_is_as_large_as_the_period_allows(arm, dt):
     assert tracking(arm, dt).dt == dt
 
 
+def test_the_reference_is_no_faster_than_joints_may_move(arm, dt):
+    """Nine tenths of the URDF's speeds, of all joints by the same factor."""
+    law = tracking(arm, dt, speed=100.0, self_motion=0.0)
+    now = measured(arm, arm.q)
+    seen = []
+    for far in (0.01, 1.0, 5.0):
+        state = law.initial_state(now)
+        x_d = arm.task.value(arm.q) + far * np.ones(3)
+        reference = law.step(state, now, x_d, dt)[1].reference
+        share = np.abs(reference) / arm.bare.velocity_limits
+        assert share.max() <= 0.9 * (1.0 + 1e-9)
+        seen.append((share.max(), reference / np.linalg.norm(reference)))
+    assert_allclose(seen[-1][0], 0.9)
+    assert_allclose(seen[0][1], seen[-1][1], atol=0.05)
+
+
 def test_a_circle_is_followed_at_any_period(dt):
     """With the tool's weight unknown: learnt while it moves."""
     arm = heavy("three_joint")
@@ -434,6 +450,24 @@ def test_before_x_was_seen_the_joints_are_held_still_and_their_weight_is_learnt(
 
 
 # -- what is predicted ----------------------------------------------------------------------------
+
+
+def test_the_next_run_begins_with_the_weight_that_was_learnt(dt):
+    """By the law inside, beside what the kinematics know."""
+    arm = heavy("three_joint")
+    kinematics = aj.AdaptiveKinematics(arm.task, unknown=("tool",), dt=dt)
+    law = aj.SetpointController(arm.task, gravity=aj.AdaptiveGravity(arm.belief))
+    controller = PredictedMeasurement(law, kinematics)
+    now = measured(arm, arm.q, 0.1 * np.ones(3))._replace(t_x=0.0)
+    first = controller.initial_state(now)
+    state = first
+    for k in range(20):
+        later = now._replace(t=k * dt, t_x=k * dt)
+        state, _ = controller.step(state, later, now.x + 0.02, dt)
+    p = len(law.adaptation.theta0)
+    learnt = controller.learnt(state)[:p]
+    assert np.abs(learnt - controller.learnt(first)[:p]).max() > 1e-4
+    assert_array_equal(controller.learnt(controller.resumed(state, now))[:p], learnt)
 
 
 def test_a_predicted_measurement_is_learnt_from_period_by_period(dt):

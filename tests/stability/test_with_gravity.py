@@ -14,7 +14,9 @@ import approxjac as aj
 from approxjac.controllers import Latency, ModelGravity
 from approxjac.law import sampled_form
 from approxjac.robots import Dynamics, GravityRegressor
+from approxjac.stability import local_stability
 from approxjac.stability.certificates.limit_cost import limit_cost
+from approxjac.stability.certificates.sampled_form import Hold
 from approxjac.stability.certificates.sampled_test import below, growth
 
 
@@ -133,6 +135,38 @@ def test_growth_is_that_of_the_simulated_steps(name, dt, gravity):
     found = growth(loop, at, Latency(dt))
     assert len(found) == 1
     assert_allclose(1.0 - found[0], 1.0 - fastest, rtol=0.02)
+
+
+@pytest.mark.parametrize("heavier", ["truth", "belief"])
+def test_weight_that_is_wrong_to_either_side_is_no_equilibrium(heavier):
+    """Of an arm whose joints gravity pulls at to one side only."""
+    arm = heavy("three_joint")
+    plant, other = aj.Plant(arm.truth, arm.sensor), arm.belief
+    if heavier == "belief":
+        plant, other = aj.Plant(arm.belief, arm.task), arm.truth
+    law = aj.SetpointController(arm.task, arm.gains, gravity=ModelGravity(other))
+    with pytest.raises(aj.InvalidInputError):
+        local_stability(plant, law, arm.q)
+    exact = aj.SetpointController(arm.task, arm.gains, gravity=ModelGravity(plant.robot))
+    assert local_stability(plant, exact, arm.q).stable
+    learnt = aj.SetpointController(
+        arm.task, arm.gains, gravity=aj.AdaptiveGravity(other, L=0.1, torque_limits=np.inf)
+    )
+    assert local_stability(plant, learnt, arm.q).stable
+
+
+@pytest.mark.parametrize("late", [0.0, 0.7, 3.0])
+@pytest.mark.parametrize("age", [None, 0.0, 2.0])
+def test_what_acts_is_out_of_date_by_the_period_and_all_delays(late, age):
+    """Longest ages of the torque that acts, and of the x in it, counted out; in periods."""
+    frames = {} if age is None else {"image_period": 3.0, "image_age": age}
+    hold = Hold.of(Latency(1.0, torque_delay=late, **frames))
+    t = np.linspace(20.0, 40.0, 20001)[:-1]
+    sampled = np.floor(t - late)  # when the torque that acts was computed
+    assert_allclose((t - sampled).max(), hold.span, atol=2e-3)
+    if age is not None:
+        taken = 3.0 * np.floor((sampled - age) / 3.0)
+        assert (t - taken).max() <= hold.age + 1e-9
 
 
 # -- weight that is held for a period -------------------------------------------------------------
@@ -344,6 +378,11 @@ def test_below_the_level_no_torque_is_beyond_the_efforts(arm):
     assert report.limits.protects
     assert 0.0 < level == report.sampled.level < arm.report.sampled.level
     assert (largest_torques(arm, report, level) <= effort * (1.0 + 1e-9)).all()
+    clipping = limited(arm, effort, cross_weight=arm.report.cross_weight, proof=False)
+    clipped = arm.report_of(clipping).limits
+    assert clipped.level == level
+    assert not clipped.protects
+    assert not clipped.proof
     # and it is no smaller than it has to be: the bound adds two parts that are seldom at once large
     assert (largest_torques(arm, report, 6.0 * level) > effort).any()
 
