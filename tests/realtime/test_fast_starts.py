@@ -1,6 +1,7 @@
 """Targets that are eased in from a motion that is much faster than they may be."""
 
 import functools
+import time
 
 import numpy as np
 import pytest
@@ -164,13 +165,11 @@ def test_a_brake_closes_once_and_then_nothing_is_sent(error):
 
 def test_a_watchdog_leaves_a_loop_alone_that_comes_round():
     """And bites one that does not, no sooner than it may and not much later."""
-    import time
-
     robot = Robot()
     brake = Brake(robot)
-    with Watchdog(brake, 0.2) as watchdog:
-        for _ in range(8):
-            time.sleep(0.05)
+    with Watchdog(brake, 0.6) as watchdog:  # a busy machine has some time to come round
+        for _ in range(3):
+            time.sleep(0.2)
             watchdog.beat()
         assert not watchdog.bit
         assert robot.brakes == 0
@@ -179,5 +178,5 @@ def test_a_watchdog_leaves_a_loop_alone_that_comes_round():
             time.sleep(3.0)
     assert watchdog.bit
     assert robot.brakes == 1
-    assert brake.closed_at - begin > 0.19
-    assert time.perf_counter() - begin < 2.0
+    assert brake.closed_at - begin > 0.55
+    assert time.perf_counter() - begin < 2.9
