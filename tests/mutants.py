@@ -572,6 +572,9 @@ def main(words: list[str]) -> int:
                 shutil.copytree(source, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
             else:
                 shutil.copy(source, copy / name)
+        for tests in dict.fromkeys(each[4] for each in chosen):
+            if fails(copy, tests):
+                raise SystemExit(f"{tests} fails without a fault, too")
         for name, file, old, new, tests in chosen:
             path, begin = copy / SRC / file, time.perf_counter()
             text = path.read_text(encoding="utf-8")
