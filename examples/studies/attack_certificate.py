@@ -38,7 +38,7 @@ import approxjac as aj
 from approxjac.controllers import Latency
 from approxjac.stability.certificates.attraction import attraction
 from approxjac.stability.certificates.matrix_form import MatrixForm, best_weights
-from approxjac.stability.certificates.sampled_test import growth, sampled_test
+from approxjac.stability.certificates.sampled_test import sampled_test
 from approxjac.stability.loop.closed_loop import ClosedLoop
 
 ARMS = (
@@ -162,7 +162,7 @@ def longest_stable(loop, samples, latency):
     low, high = 1e-6, 1.0
     while high > 1.05 * low:
         middle = math.sqrt(low * high)
-        stable = (growth(loop, samples, in_seconds(latency, middle)) < 1.0).all()
+        stable = (loop.spectral_radii(samples, in_seconds(latency, middle)) < 1.0).all()
         low, high = (middle, high) if stable else (low, middle)
     return low
 

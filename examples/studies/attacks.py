@@ -12,7 +12,6 @@ import approxjac as aj
 from approxjac.stability.certificates.attraction import slower, travels
 from approxjac.stability.certificates.matrix_form import MatrixForm
 from approxjac.stability.certificates.sampled_form import SampledForm
-from approxjac.stability.certificates.sampled_test import growth
 from approxjac.stability.errors.region import Region
 from approxjac.stability.loop.closed_loop import SHARED, ClosedLoop
 from approxjac.stability.rollouts.setting import RolloutSetting
@@ -27,7 +26,7 @@ LONGEST, DURATION = 2000, 2.0  # of rollouts, whichever is less [periods, s]
 def linearised(controller, plant, region, latency, rng):
     """Return by what errors of a true robot grow from frame to frame, shape (OF_EACH,)."""
     loop = ClosedLoop(controller, plant, region)
-    return growth(loop, loop.draw(OF_EACH, rng), latency)
+    return loop.spectral_radii(loop.draw(OF_EACH, rng), latency)
 
 
 def start(plant, controller, region, test, rng, level):

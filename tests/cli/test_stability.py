@@ -246,7 +246,7 @@ def test_gravity_of_a_tilted_base_is_a_report_and_no_bad_input(gravity, why):
     proof = "No proof was found. The loop may still be stable" in str(result.report)
     assert proof == (gravity == "learnt")  # the learnt task force may take it up
     assert ("a problem found in the loop" in str(result.report)) != proof
-    growing = dataclasses.replace(result.report, growth=1.0 + result.report.growth)
+    growing = dataclasses.replace(result.report, spectral_radii=1.0 + result.report.spectral_radii)
     assert "a problem found in the loop" in str(growing)
     assert report.told_of_map(result, Path("out")) == []
 

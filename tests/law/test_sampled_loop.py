@@ -1,7 +1,6 @@
 """The map from frame to frame against `simulate`, and against the loop sampled each time."""
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
@@ -10,11 +9,10 @@ from scipy.linalg import expm
 import approxjac as aj
 from approxjac import law
 from approxjac.robots import Dynamics, GravityRegressor
-from approxjac.stability.loop.linearization import LinearLoop, Timing, sampled_matrix
 
 DT, Q = 4e-3, np.array([0.4, 1.1])
-LIGHT = aj.load_robot("two_link").with_gravity((0.0, 0.0, -1e-6))  # its gradient is left out
-TRUTH, BELIEF = LIGHT.with_object(0.3, 0.5), LIGHT.with_object(0.0)
+ARM = aj.load_robot("two_link")
+TRUTH, BELIEF = ARM.with_object(0.3, 0.5), ARM.with_object(0.0)
 REGRESSOR = GravityRegressor(BELIEF)
 GAINS = aj.Gains((40.0, 60.0), (15.0, 10.0), damping=(2.0, 1.0))
 FORCE, TORQUE, ALPHA = (30.0, 20.0), (2.0, 3.0), 2.0
@@ -79,40 +77,12 @@ def test_it_maps_the_state_as_simulate_does(samples, age, late, T):
         parts += [run.x[(frame - i) * samples] - x_d for i in range(1, waiting + 1)]
         return np.concatenate(parts)
 
-    [A] = law.frame_map(linear(), DT, samples, age, late, T)
+    gradient = plant.dynamics.g_gradient(Q)[np.newaxis]
+    [A] = law.frame_map(linear(), DT, samples, age, late, T or None, gravity=gradient)
     first = max(waiting, -(-late // samples), 1)
     states = np.array([state(frame) for frame in range(first, frames + 1)])
     misses = states[1:] - states[:-1] @ A.T
     assert (np.abs(misses) <= 1e-4 * np.abs(states).max(axis=0)).all()
-
-
-@pytest.mark.parametrize("age", [0, 1, 4])
-@pytest.mark.parametrize("late", [0, 2])
-@pytest.mark.parametrize("T", [0.0, 0.01])
-def test_with_a_frame_each_sample_it_is_the_sampled_loop(age, late, T, rng):
-    """det(zI − A) is the same but for the combinations of θ̂ that no joint feels, each z − 1.
-
-    There friction acts between samples, and gravity changes with q: here none.
-    """
-    n, m, p, dt = 4, 3, 9, 0.01
-    root, L_root = rng.normal(size=(n, n)), rng.normal(size=(p, p))
-    M, L = root @ root.T + np.eye(n), L_root @ L_root.T
-    J, J_hat, Y = rng.normal(size=(m, n)), rng.normal(size=(m, n)), rng.normal(size=(n, p))
-    kp, kv, damping, alpha = rng.random(m), rng.random(m), rng.random(n), 1.7
-    pinv = np.linalg.pinv(J_hat)
-    loop = LinearLoop(
-        M, np.zeros((n, n)), J, J_hat, pinv, kp, kv, np.zeros(n), damping, Y, L, alpha
-    )
-    parts = (
-        np.linalg.inv(M), J, J_hat.T * kp, J_hat.T * kv @ J_hat + np.diag(damping), Y @ L @ Y.T,
-        alpha * pinv,
-    )  # fmt: skip
-    [A] = law.frame_map(law.LinearLaw(*(x[np.newaxis] for x in parts)), dt, 1, age, late, T)
-    B = sampled_matrix(loop, Timing(dt, age, late, T or None))
-    assert len(B) - len(A) == p - n
-    for z in np.exp(1j * rng.uniform(0.5, 3.0, 5)) * rng.uniform(0.8, 1.5, 5):
-        of_A, of_B = (np.linalg.det(z * np.eye(len(C)) - C) for C in (A, B))
-        assert_allclose(of_B, of_A * (z - 1.0) ** (p - n), rtol=1e-9)
 
 
 def test_a_batch_is_each_of_it():

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from approxjac.validation import Array
 
-_SMALL = 1e-5  # friction times the time of a sample over inertia, below which series serve
+_SHORT, _ORDER = 0.5, 16  # time, in those of friction and gravity, that so many terms serve
 
 
 class LinearLaw(NamedTuple):
@@ -37,20 +38,21 @@ def frame_map(
     samples: int,
     age: int,
     torque_late: int = 0,
-    velocity_filter: float = 0.0,
+    velocity_filter: float | None = None,
     friction: Array | None = None,
+    gravity: Array | None = None,
 ) -> Array:
-    """Map of the state from one frame of x to the next, exact but for gravity's gradient.
+    """Map of the state from one frame of x to the next, exact to first order.
 
     Between samples the torque is held. With κ what is left of the learnt torque to learn, near the
     target,
 
-        M q̈ = −ĴᵀK_p x − (ĴᵀK_vĴ + B_c) q̇ + κ − B_n q̇,   κ̇ = −Y L Yᵀ (q̇ + αĴ⁺x),
+        M q̈ = −ĴᵀK_p x − (ĴᵀK_vĴ + B_c) q̇ + κ + ∂g q − B_n q̇ − ∂g q,   κ̇ = −Y L Yᵀ (q̇ + αĴ⁺x),
 
-    the friction B_n alone not held, where Y L Yᵀ is all that counts of what learns: it has the n_v
-    rates of the learnt torque and none of those combinations of parameters that no joint feels. A
-    frame is taken at the first of each `samples` samples and read from `age` samples later until
-    the next one has aged as much.
+    the friction B_n and gravity of the arm alone not held, so that gravity and its compensation do
+    not cancel. Y L Yᵀ is all that counts of what learns: it has the n_v rates of the learnt torque
+    and none of those combinations of parameters that no joint feels. A frame is taken at the first
+    of each `samples` samples and read from `age` samples later until the next one has aged as much.
 
     Args:
         loop: The loop.
@@ -58,30 +60,34 @@ def frame_map(
         samples: Samples from one frame to the next, ≥ 1.
         age: Samples from a frame to the first torque that uses it.
         torque_late: Samples from a torque to its effect.
-        velocity_filter: Time constant of the filter of q̇ [s]; 0 is an exact q̇.
+        velocity_filter: Time constant of the filter of q̇ from differences of q [s]; None is an
+            exact q̇.
         friction: Diagonal of B_n, the arm's own, shape (n_v,); none by default.
+        gravity: ∂g/∂q, which acts and is compensated, shape (k, n_v, n_v); none by default.
 
     Returns:
-        Square, shape (k, N, N), N = 3 n_v and what is delayed or filtered.
+        Square, shape (k, N, N), of (q, q̇, κ, what filters q̇, late torques, x of frames that are
+        waited for, the newest first); the late torques the oldest first.
     """
     k, n, m = loop.stiffness.shape
-    filtered = velocity_filter > 0.0
+    filtered = velocity_filter is not None
     sizes = (n, n, n, n if filtered else 0, torque_late * n, m)
     size = sum(sizes)
     q, v, learnt, w, late, x = np.split(np.eye(size), np.cumsum(sizes)[:-1])
     v_seen, w_after = v, w
-    if filtered:  # as `simulate` filters differences of q
+    if velocity_filter is not None:  # as `simulate` filters differences of q
         a = dt / (velocity_filter + dt)
         v_seen = a / dt * q + w
         w_after = (1.0 - a) * v_seen - a / dt * q
     torque = learnt - loop.stiffness @ x - loop.damping @ v_seen
+    if gravity is not None:
+        torque = torque + gravity @ q
     acting = np.concatenate([np.broadcast_to(late, (k, *late.shape)), torque], axis=1)
-    accelerated = loop.M_inv @ acting[:, :n]
-    left, once, twice = _coasting(loop.M_inv, np.zeros(n) if friction is None else friction, dt)
+    moving = np.broadcast_to(np.concatenate([q, v]), (k, 2 * n, size))
+    flow = _flow(loop.M_inv, friction, gravity, dt)
     sample = np.concatenate(
         [
-            q + once @ v + twice @ accelerated,
-            left @ v + once @ accelerated,
+            flow @ np.concatenate([moving, acting[:, :n]], axis=1),
             learnt - dt * loop.learning @ (v_seen + loop.pull @ x),
             np.broadcast_to(w_after, (k, *w_after.shape)),
             acting[:, n:],
@@ -106,16 +112,32 @@ def frame_map(
     return np.concatenate([state, *kept], axis=1)
 
 
-def _coasting(M_inv: Array, friction: Array, dt: float) -> tuple[Array, Array, Array]:
-    """Return e^(−Ft) of F = M⁻¹B_n after dt, its integral and that of this, (k, n_v, n_v)."""
-    root = np.linalg.cholesky(M_inv)
-    rates, modes = np.linalg.eigh(root.mT @ (friction[:, np.newaxis] * root))
-    x = np.maximum(rates, 0.0) * dt
-    safe = np.where(x > _SMALL, x, 1.0)
-    once = np.where(x > _SMALL, -np.expm1(-safe) / safe, 1.0 - 0.5 * x)
-    twice = np.where(x > _SMALL, (1.0 - once) / safe, 0.5 - x / 6.0)
-    there = root @ modes
-    back = np.linalg.inv(there)
-    parts = (np.exp(-x), dt * once, dt**2 * twice)
-    left, first, second = (there @ (part[..., np.newaxis] * back) for part in parts)
-    return left, first, second
+def _flow(M_inv: Array, friction: Array | None, gravity: Array | None, dt: float) -> Array:
+    """Map (q, q̇) and a torque that is held over dt to (q, q̇) after it, (k, 2 n_v, 3 n_v).
+
+    The power series of M q̈ = τ − B_n q̇ − ∂g q over a time that is short enough for it, which is
+    doubled as often as needed.
+    """
+    k, n, _ = M_inv.shape
+    none = np.zeros((k, n, n))
+    F = none if friction is None else M_inv * friction
+    K = none if gravity is None else M_inv @ gravity
+    damped, swung = (float(np.abs(each).sum(axis=1).max(initial=0.0)) for each in (F, K))
+    size = dt * max(damped, math.sqrt(swung))
+    doublings = max(0, math.ceil(math.log2(size / _SHORT))) if size > 0.0 else 0
+    h = dt / 2.0**doublings
+    # the coefficients of q: of those that q, q̇ and the torque begin with, a block each
+    last, this = (np.broadcast_to(np.eye(n, 3 * n, j * n), (k, n, 3 * n)) for j in (0, 1))
+    after = np.concatenate([last + h * this, this], axis=1)
+    factor = h
+    for order in range(2, _ORDER if size > 0.0 else 3):
+        last, this = this, -(F @ this) - K @ last
+        if order == 2:
+            this[..., 2 * n :] = M_inv
+        after[:, n:] += factor * this
+        factor *= h / order
+        after[:, :n] += factor * this
+    for _ in range(doublings):
+        still, held = after[..., : 2 * n], after[..., 2 * n :]
+        after = np.concatenate([still @ still, still @ held + held], axis=2)
+    return after

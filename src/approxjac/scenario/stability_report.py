@@ -108,7 +108,7 @@ def advice(result: StabilityResult) -> list[str]:
             f"{best.margin:.3g}, violated in {best.violations} of {best.checked} further "
             "configurations",
         ]
-        if (report.growth >= 1.0).any():
+        if (report.spectral_radii >= 1.0).any():
             lines.append(
                 "as it runs, errors grow: a shorter period, shorter delays or less damping of "
                 "light joints may help"

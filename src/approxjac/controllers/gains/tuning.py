@@ -262,7 +262,7 @@ class _Arm:
         """Return whether the sampled, delayed linearisation is stable with a margin, and damped."""
         loop = law.LinearLaw(*(part[counted] for part in self.cases(gains, learning)))
         dt, samples, age, late = latency.in_samples()
-        timing = (dt, samples, age, late, latency.velocity_filter)
+        timing = (dt, samples, age, late, latency.velocity_filter or None)
         larger = loop._replace(
             stiffness=_MARGIN * loop.stiffness,
             damping=_MARGIN * loop.damping,

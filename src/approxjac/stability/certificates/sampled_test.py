@@ -9,9 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from approxjac import law
 from approxjac.controllers.gains.latency import Latency
-from approxjac.law import LinearLaw, Saturation
+from approxjac.law import Saturation
 from approxjac.stability.certificates.certificate import MatrixTest
 from approxjac.stability.certificates.families import Family
 from approxjac.stability.certificates.matrix_form import Best, MatrixForm, best_weights
@@ -25,7 +24,6 @@ _SPARE = 1.4  # c is at most so many times what starts need: σ² is known after
 _WORST = 120  # samples that largest periods and delays are sought with
 _HALVINGS = 7
 _LONGEST = 64.0  # times the period of the loop
-_STILL = 1e-7  # from 1, what neither grows nor dies out
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -216,32 +214,3 @@ def largest_errors(saturation: Saturation, w: Array, level: float) -> Array:
         inside = w * saturation.S(middle) <= level
         low, high = np.where(inside, middle, low), np.where(inside, high, middle)
     return low
-
-
-def growth(loop: ClosedLoop, samples: Samples, latency: Latency) -> Array:
-    """Return by what errors near targets are multiplied from frame to frame at most, shape (N,).
-
-    The spectral radius of `law.frame_map` at each sample taken as a target, without what neither
-    grows nor dies out: self-motion, and what no joint feels of what is learnt. From 1 on the loop
-    is unstable there.
-    """
-    kp, kv, damping = loop.diagonals
-    learning, n = loop.controller.adaptation, samples.M.shape[-1]
-    D = law.dissipation(samples.J_hat, kv, damping)
-    rate, pull = np.zeros_like(samples.M), np.zeros_like(samples.J_hat.mT)
-    if learning is not None:
-        Y = np.array(list(map(learning.Y, samples.q, samples.J_hat)))
-        rate = Y @ law.learning_gain(learning.L, Y)
-        inverse = np.array(list(map(loop.controller.pinv.matrix, samples.J_hat)))
-        pull = learning.alpha * inverse
-    M_inv: Array = np.asarray(np.linalg.inv(samples.M))
-    linear = LinearLaw(M_inv, samples.J, samples.J_hat.mT * kp, D, rate, pull)
-    dt, frames, age, late = latency.in_samples()
-    friction = loop.plants[0].friction
-    whole = law.frame_map(linear, dt, frames, age, late, latency.velocity_filter, friction)
-    if learning is None:  # nothing is learnt
-        kept = np.r_[0 : 2 * n, 3 * n : whole.shape[-1]]
-        whole = whole[:, kept[:, np.newaxis], kept]
-    values = np.linalg.eigvals(whole)
-    sizes = np.where(np.abs(values - 1.0) < _STILL, 0.0, np.abs(values))
-    return np.asarray(sizes.max(axis=1))

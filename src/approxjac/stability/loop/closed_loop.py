@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
-from approxjac.controllers import Gains, SetpointController
+from approxjac.controllers import Gains, Latency, SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Dynamics, Robot
 from approxjac.simulation import Plant
@@ -323,6 +323,25 @@ class ClosedLoop:
         friction = self.plants[0].friction
         parts = linear_loops(self.controller, friction, configurations, M, G, J, J_hat)
         return Targets(parts, float(np.linalg.norm(self.plants[0].robot.gravity)), timing)
+
+    def spectral_radii(self, samples: Samples, latency: Latency) -> Array:
+        """Return by what errors near targets grow at most from frame to frame of x, shape (N,).
+
+        In the exact linearisation of the sampled, late loop at each sample taken as a target,
+        gravity that is held included; below 1 where it is stable.
+        """
+        J_hat, gravity = samples.J_hat, self.gravity_gradients(samples)
+        parts = linear_loops(
+            self.controller,
+            self.plants[0].friction,
+            samples.q,
+            samples.M,
+            gravity,
+            samples.J,
+            J_hat,
+        )
+        weight = float(np.linalg.norm(self.plants[0].robot.gravity))
+        return Targets(parts, weight, Timing.of(latency)).spectral_radii(self.diagonals)
 
     def attained(self, rng: np.random.Generator) -> list[list[Array]]:
         """Return configurations of the region that attain the target, for each true robot.

@@ -7,9 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from approxjac import law
-from approxjac.controllers import SetpointController
+from approxjac.controllers import Latency, SetpointController
 from approxjac.errors import InvalidInputError
-from approxjac.extras import package_of
 from approxjac.simulation import Plant
 from approxjac.validation import Array
 
@@ -50,20 +49,26 @@ class Timing(NamedTuple):
     """Times at which things happen in sampled control."""
 
     dt: float  # sampling time [s]
-    x_late: int = 0  # age of the measured x in samples
+    x_late: int = 0  # samples from a frame of x to the first torque that uses it
     torque_late: int = 0  # samples from a torque to its effect
     velocity_filter: float | None = None  # of q̇ from differences of q [s]; None is a tachometer
+    samples: int = 1  # from one frame of x to the next
+
+    @classmethod
+    def of(cls, latency: Latency) -> Timing:
+        """Return that of a loop, in whole samples."""
+        dt, samples, age, late = latency.in_samples()
+        return cls(dt, age, late, latency.velocity_filter or None, samples)
+
+    @property
+    def frame(self) -> float:
+        """Time from one frame of x to the next [s]."""
+        return self.samples * self.dt
 
     @property
     def dead_time(self) -> float:
         """Longest time from a motion to the end of the first torque that answers it [s]."""
-        return (1 + self.x_late + self.torque_late) * self.dt
-
-    def states(self, loop: LinearLoop) -> tuple[int, ...]:
-        """Lengths of the parts of the state: δq, q̇, δθ̂, filter, late x, late torques."""
-        (n, p), m = loop.Z.shape[-2:], loop.J.shape[-2]
-        filtered = 0 if self.velocity_filter is None else n
-        return n, n, p, filtered, self.x_late * m, self.torque_late * n
+        return (self.samples + self.x_late + self.torque_late) * self.dt
 
 
 def linear_loop(plant: Plant, controller: SetpointController, q: Array) -> LinearLoop:
@@ -106,77 +111,53 @@ def continuous_matrix(loop: LinearLoop) -> Array:
 
 
 def sampled_matrix(loop: LinearLoop, timing: Timing) -> Array:
-    """A of z(k+1) = A z(k): one sample of `simulate` with dt, to first order.
+    """A of z(k+1) = A z(k) from one frame of x to the next, as `simulate` runs, to first order.
 
-    z = (δq, q̇, δθ̂, w, the late x, the late torques), the oldest first. The filtered velocity is
-    (a/dt) δq + w with a = dt/(T + dt). Between samples the torque is held while friction and
-    gravity act all the time, so that gravity and its sampled compensation do not quite cancel.
+    z is that of `law.frame_map`, shape (N, N) of one target, (…, N, N) of many.
+
+    Raises:
+        InvalidInputError: A dt within which an arm that falls gets beyond all numbers.
     """
-    (n, _), m, dt = loop.Z.shape, len(loop.J), timing.dt
-    sizes = timing.states(loop)
-    # each part of the state as rows that select it from z
-    q, v, theta, w, x_late, torque_late = np.split(np.eye(sum(sizes)), np.cumsum(sizes)[:-1])
-
-    x = loop.J @ q
-    x_seen = np.vstack([x_late, x])[:m]
-    v_seen, filtered = v, w
-    if timing.velocity_filter is not None:
-        a = dt / (timing.velocity_filter + dt)
-        v_seen = a / dt * q + w
-        filtered = (1.0 - a) * v_seen - a / dt * q
-    D = (loop.J_hat.T * loop.kv) @ loop.J_hat + np.diag(loop.damping)
-    torque = -(loop.J_hat.T * loop.kp) @ x_seen - D @ v_seen + loop.G @ q + loop.Z @ theta
-    torque_acting = np.vstack([torque_late, torque])[:n]
-
-    free, forced = _held(loop, dt)
-    y = v_seen + loop.alpha * loop.J_hat_pinv @ x_seen
-    return np.vstack(
-        [
-            free @ np.vstack([q, v]) + forced @ torque_acting,
-            theta - dt * law.learning_gain(loop.L, loop.Z) @ y,
-            filtered,
-            np.vstack([x_late, x])[m:],
-            np.vstack([torque_late, torque])[n:],
-        ]
+    if loop.M.ndim == 2:
+        return np.asarray(sampled_matrix(loop.stacked(), timing)[0])
+    dt, kv, learnt = timing.dt, loop.kv, loop.Z @ law.learning_gain(loop.L, loop.Z)
+    parts = law.LinearLaw(
+        np.asarray(np.linalg.inv(loop.M)),
+        loop.J,
+        loop.J_hat.mT * loop.kp,
+        law.dissipation(loop.J_hat, kv, loop.damping),
+        learnt,
+        loop.alpha * loop.J_hat_pinv,
     )
-
-
-def equilibria(loop: LinearLoop, unseen: Array, timing: Timing | None = None) -> Array:
-    """Directions in which the equilibria with e = 0 continue, as columns of the state z.
-
-    Self-motion, along which the held torque follows gravity, and changes of θ̂ that no joint feels
-    at the target, of which `unseen` is a basis, shape (…, p, p − rank Z).
-    """
-    m, n = loop.J.shape[-2:]
-    self_motion = np.linalg.svd(loop.J)[2][..., m:, :].mT
-    sizes = Timing(1.0).states(loop) if timing is None else timing.states(loop)
-    directions = np.zeros((*loop.J.shape[:-2], sum(sizes), n - m + unseen.shape[-1]))
-    parts = np.split(directions, np.cumsum(sizes)[:-1], axis=-2)  # views
-    q, _, theta, w, _, torque_late = parts
-    q[..., : n - m] = self_motion
-    theta[..., n - m :] = unseen
-    if timing is not None:
-        if timing.velocity_filter is not None:  # standing still, (a/dt) δq + w = 0
-            w[..., : n - m] = -self_motion / (timing.velocity_filter + timing.dt)
-        for late in range(timing.torque_late):
-            torque_late[..., late * n : (late + 1) * n, : n - m] = loop.G @ self_motion
-    return directions
-
-
-def _held(loop: LinearLoop, dt: float) -> tuple[Array, Array]:
-    """Map (δq, q̇) and a torque that is held over dt to (δq, q̇) after it, exactly."""
-    expm = package_of("study", "scipy.linalg").expm
-    n = len(loop.M)
-    flow = np.zeros((3 * n, 3 * n))
-    flow[:n, n : 2 * n] = np.eye(n)
-    forces = np.hstack([-loop.G, -np.diag(loop.friction), np.eye(n)])
-    flow[n : 2 * n] = np.linalg.solve(loop.M, forces)
     with np.errstate(over="ignore", invalid="ignore"):
-        after = expm(dt * flow)
-    if not np.isfinite(after).all():  # the arm falls from the target without end in one sample
+        found = law.frame_map(
+            parts, dt, timing.samples, timing.x_late, timing.torque_late, timing.velocity_filter,
+            loop.friction, loop.G,
+        )  # fmt: skip
+    if not np.isfinite(found).all():
         raise InvalidInputError(
             f"dt must be a sampling time of control, such as 0.001 [s], got {dt:g}: the motion "
             "within one sample overflows",
             given=dt,
         )
-    return after[: 2 * n, : 2 * n], after[: 2 * n, 2 * n :]
+    return found
+
+
+def equilibria(loop: LinearLoop, unseen: Array, timing: Timing | None = None) -> Array:
+    """Directions in which the equilibria with e = 0 continue, as columns of the state z.
+
+    Self-motion, along which the held torque follows gravity, and of the continuous loop changes of
+    θ̂ that no joint feels at the target, of which `unseen` is a basis, shape (…, p, p − rank Z).
+    """
+    (m, n), p = loop.J.shape[-2:], loop.Z.shape[-1]
+    self_motion = np.linalg.svd(loop.J)[2][..., m:, :].mT
+    if timing is None:
+        free = np.zeros((*loop.J.shape[:-2], 2 * n + p, n - m + unseen.shape[-1]))
+        free[..., :n, : n - m], free[..., 2 * n :, n - m :] = self_motion, unseen
+        return free
+    moved = [self_motion, np.zeros((*self_motion.shape[:-2], 2 * n, n - m))]
+    if timing.velocity_filter is not None:  # standing still, (a/dt) δq + w = 0
+        moved.append(-self_motion / (timing.velocity_filter + timing.dt))
+    moved += [loop.G @ self_motion] * timing.torque_late
+    frames = -(-timing.x_late // timing.samples)
+    return np.concatenate([*moved, np.zeros((*self_motion.shape[:-2], frames * m, n - m))], axis=-2)

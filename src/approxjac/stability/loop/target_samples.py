@@ -39,7 +39,7 @@ class Targets:
         across = loop.J @ np.linalg.solve(loop.M, loop.J_hat.mT)
         sizes = np.linalg.svd(across, compute_uv=False)
         self._singular = sizes[:, -1] <= _SINGULAR * sizes[:, 0]
-        _, values, rows = np.linalg.svd(loop.Z)
+        columns, values, rows = np.linalg.svd(loop.Z)
         # the columns of first moments are g times a sine: where all are 1e-16, none counts
         ranks = (values > _SINGULAR * values.max(axis=-1, initial=gravity)[:, None]).sum(axis=-1)
         self.unseen = loop.Z.shape[-1] - ranks
@@ -47,8 +47,16 @@ class Targets:
         for rank in np.unique(ranks):  # those of different ranks have spaces of different sizes
             which = np.flatnonzero(ranks == rank)
             still = equilibria(loop.take(which), rows[which, rank:].mT, timing)
-            basis = np.linalg.qr(still, mode="complete")[0]
-            count = still.shape[-1]
+            N, size, count = still.shape
+            within = np.broadcast_to(np.eye(size), (N, size, size))
+            if timing is not None:  # no learnt torques but those that joints feel
+                n = loop.M.shape[-1]
+                learnt = np.zeros((N, size, rank))
+                learnt[:, 2 * n : 3 * n] = columns[which][..., :rank]
+                within = np.concatenate(
+                    [within[..., : 2 * n], learnt, within[..., 3 * n :]], axis=2
+                )
+            basis = within @ np.linalg.qr(within.mT @ still, mode="complete")[0]
             self._groups.append(_Group(which, basis[..., :count], basis[..., count:]))
 
     @property
@@ -65,7 +73,7 @@ class Targets:
         found, singular = [], self._singular.copy()
         for which, along, across in self._groups:
             own = loop.take(which)
-            A = continuous_matrix(own) if timing is None else _sampled(own, timing)
+            A = continuous_matrix(own) if timing is None else sampled_matrix(own, timing)
             at_rest = 0.0 if timing is None else 1.0
             residual = np.abs(A @ along - at_rest * along).max(axis=(1, 2), initial=0.0)
             singular[which] |= residual > 1e-9 * np.abs(A).max(axis=(1, 2))
@@ -73,14 +81,24 @@ class Targets:
         values = np.full((len(singular), max(each.shape[1] for each in found)), np.nan, complex)
         for (which, _, _), each in zip(self._groups, found, strict=True):
             values[which, : each.shape[1]] = each
-        if timing is not None:  # λ = ln(μ)/dt; −∞ for a mode that is over after one sample
+        if timing is not None:  # λ = ln(μ)/t; −∞ for a mode that is over after one frame
             sizes, angles = np.abs(values), np.angle(values)
             with np.errstate(divide="ignore"):
-                values.real, values.imag = np.log(sizes) / timing.dt, angles / timing.dt
+                values.real, values.imag = np.log(sizes) / timing.frame, angles / timing.frame
         sizes, finite = np.abs(values), np.isfinite(values)
         smallest = np.min(sizes, axis=1, initial=np.inf, where=finite)
         singular |= smallest <= _ZERO * np.max(sizes, axis=1, initial=0.0, where=finite)
         return values, singular
+
+    def spectral_radii(self, gains: Diagonals) -> Array:
+        """Return by what errors are multiplied from frame to frame at most, shape (N,).
+
+        Below 1 where the sampled loop is stable; 1 where a target is singular, and decides nothing.
+        """
+        values, singular = self.eigenvalues(gains)
+        frame = 1.0 if self.timing is None else self.timing.frame
+        radii = np.exp(frame * np.nanmax(values.real, axis=1))
+        return np.asarray(np.where(singular, np.maximum(radii, 1.0), radii))
 
     def rates(self, gains: Diagonals) -> tuple[Array, Array]:
         """Return decay rates and damping ratios with some gains, as of `LocalTest`."""
@@ -99,7 +117,3 @@ class _Group(NamedTuple):
     which: Indices
     along: Array  # orthonormal basis of the equilibria
     across: Array  # and of what is orthogonal to them
-
-
-def _sampled(loop: LinearLoop, timing: Timing) -> Array:
-    return np.array([sampled_matrix(loop.take(i), timing) for i in range(len(loop.M))])

@@ -20,7 +20,7 @@ from approxjac.stability.certificates.certificate import (
 from approxjac.stability.certificates.families import Family
 from approxjac.stability.certificates.limit_cost import LimitCost, within_limits
 from approxjac.stability.certificates.matrix_form import Best, MatrixForm, on_more
-from approxjac.stability.certificates.sampled_test import SampledTest, growth, largest, sampled_test
+from approxjac.stability.certificates.sampled_test import SampledTest, largest, sampled_test
 from approxjac.stability.certificates.theorem1 import CONSTANTS, Theorem1, theorem1
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.closed_loop import EXACT_GRAVITY, SHARED, ClosedLoop
@@ -54,9 +54,9 @@ class StabilityReport:
         theorem1: Test 1, in continuous time.
         matrix: Test 2 in continuous time by family, from the smallest to the first that certifies.
         local: Test 3, in continuous time.
-        growth: By what errors near targets are multiplied from one frame of x to the next at most,
-            in the exact linearisation of the loop as it runs, shape (k,); below 1 where it is
-            stable.
+        spectral_radii: By what errors near targets are multiplied from one frame of x to the next
+            at most, in the exact linearisation of the sampled loop with its delays, shape (k,);
+            below 1 where it is stable.
         rollouts: Test 4, or None if it was not asked for.
         gravity_error: Largest gravity torque in the region that the controller neither
             compensates nor can learn [N m or N]. All tests but the rollouts take it as zero.
@@ -74,7 +74,7 @@ class StabilityReport:
     theorem1: Theorem1
     matrix: Mapping[Family, MatrixTest]
     local: LocalTest
-    growth: Array
+    spectral_radii: Array
     rollouts: Rollouts | None
     gravity_error: float
     singular_q: Array | None
@@ -146,7 +146,7 @@ class StabilityReport:
     @property
     def contradiction(self) -> str:
         """Return what no certificate can stand beside; empty where there is nothing."""
-        unstable = self.growth >= 1.0
+        unstable = self.spectral_radii >= 1.0
         if not self.gravity_is_exact:
             return f"gravity is off by up to {self.gravity_error:.3g} N m"
         if self.singular_q is not None:
@@ -178,9 +178,9 @@ class StabilityReport:
         All else the same; 0 where none is. Worked out when it is asked for, such as to be printed.
         """
         assert self.sampled is not None
-        worst = self.samples.take(np.argsort(-self.growth)[:_WORST])
+        worst = self.samples.take(np.argsort(-self.spectral_radii)[:_WORST])
         exact = largest(
-            lambda latency: bool((growth(self.loop, worst, latency) < 1.0).all()),
+            lambda latency: bool((self.loop.spectral_radii(worst, latency) < 1.0).all()),
             lambda period: replace(self.latency, period=period),
             self.latency.period,
         )
@@ -229,7 +229,7 @@ class StabilityReport:
             "limits": None if self.limits is None else asdict(self.limits),
             "latency": plain(asdict(self.latency)),
             "certified_in_continuous_time": self.certified_in_continuous_time,
-            "largest_growth": self.growth.max(),
+            "spectral_radius": self.spectral_radii.max(),
             "sampled": self._sampled_summary(names),
             **{
                 f"{what}_q": None if q is None else angles(q)
@@ -339,9 +339,9 @@ def report_of(
     singular_q = loop.singular_configuration(samples)
     damped_q = loop.damped_configuration(everywhere)
     gravity_error = loop.gravity_error(samples.q[:: max(1, len(samples) // 20)])
-    growing = growth(loop, samples.take(np.arange(len(samples))[:_TARGETS]), latency)
+    radii = loop.spectral_radii(samples.take(slice(_TARGETS)), latency)
     report = StabilityReport(
-        loop, latency, everywhere, sampled, first, matrix, local, growing, rollouts, gravity_error,
+        loop, latency, everywhere, sampled, first, matrix, local, radii, rollouts, gravity_error,
         singular_q, damped_q, seed,
     )  # fmt: skip
     return report if limiter is None else within_limits(report, limiter)

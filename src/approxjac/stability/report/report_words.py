@@ -285,7 +285,7 @@ def _margin(test: MatrixTest) -> str:
 
 def _near_targets(report: StabilityReport) -> Row:
     """Row about the exact linearisation of the loop as it runs."""
-    unstable, worst = report.growth >= 1.0, float(report.growth.max())
+    unstable, worst = report.spectral_radii >= 1.0, float(report.spectral_radii.max())
     dt, frames, _, _ = report.latency.in_samples()
     if unstable.any():
         told = (

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from approxjac.controllers import Gains, Latency, NoGravity, SetpointController
+from approxjac.controllers import Gains, NoGravity, SetpointController
 from approxjac.controllers.gains.default_gains import default_gains, position_gains
 from approxjac.errors import UnknownNameError
 from approxjac.formatting import rows, short_fields, wrapped
 from approxjac.stability.certificates.certificate import margin
-from approxjac.stability.certificates.sampled_test import growth
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.closed_loop import SHARED
 from approxjac.stability.loop.linearization import Timing
@@ -140,13 +139,13 @@ def suggested_gains(
         own = loop.with_gains(gains)
         pull = samples.J_hat.mT @ (own.setting.kp * samples.s)[..., None]
         ratio = float((np.abs(weight - pull[..., 0]) / limits).max())
-        slowest = local_test(own, *targets, _timing(latency)).decay_rates.min()
+        slowest = local_test(own, *targets, Timing.of(latency)).decay_rates.min()
         time = _SETTLED / slowest if slowest > 0.0 else np.inf
         left = np.nan  # of no use where both of the others are missed
         if test != "local" and singular:
             left = -np.inf  # whatever the gains: the arm may stand still there
         elif ratio <= 1.0 or time <= settling_time:
-            grown = float(growth(own, samples, latency).max())
+            grown = float(own.spectral_radii(samples, latency).max())
             if grown >= 1.0:
                 left = 1.0 - grown
             else:
@@ -182,7 +181,7 @@ def suggested_gains(
             if test == "local":
                 smaller = part.loop()
                 few = smaller.draw(_LOOKED, np.random.default_rng(seed))
-                passes = bool((growth(smaller, few, latency) < 1.0).all())
+                passes = bool((smaller.spectral_radii(few, latency) < 1.0).all())
             else:
                 passes = part.report(configurations).passed
             if passes:
@@ -191,15 +190,6 @@ def suggested_gains(
 
     relax = _relaxations(tried, settling_time, tolerated, confirmed)
     return Suggestion(test, None, relax, tuple(tried))
-
-
-def _timing(latency: Latency) -> Timing:
-    """Return what the local test takes of a latency: whole samples of it."""
-    dt = latency.period
-    return Timing(
-        dt, round(latency.image_age / dt), round(latency.torque_delay / dt),
-        latency.velocity_filter or None,
-    )  # fmt: skip
 
 
 def _strength(factors: tuple[float, float, float]) -> tuple[float, float]:
