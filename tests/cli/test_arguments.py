@@ -12,8 +12,8 @@ CASES = """
 simulat panda | command 'simulat' | simulate
 --bogus | option '--bogus' | export, paper, robots, simulate, stability, view
 --completion fish | 'fish' | bash, zsh
-simulate | simulate needs one robot | got none | .urdf
-simulate panda ur5 | one robot | got panda ur5
+simulate | simulate needs the name of an arm | got none | .urdf
+simulate panda ur5 | the name of an arm | got panda ur5
 simulate pando | robot 'pando' | did you mean 'panda'
 simulate panda --learn-kinematic | '--learn-kinematic' | did you mean '--learn-kinematics'
 simulate panda --objct-length 1 | '--objct-length' | '--object-length'
@@ -79,7 +79,7 @@ paper --inertia ring | --inertia | got ring | rod or point-mass
 paper --duration -1 | --duration | got -1.0 | > 0 [s]
 robots panda --tip panda_hnad | --tip | 'panda_hnad' | panda_hand
 robots --tip tool0 | --tip, --base and --free need a robot | got none
-view | view needs one run | got none | run.npz
+view | view needs the run.npz | got none
 view x.npz | x.npz | Trajectory.save
 view file --out nowhere/page.html | --out | got nowhere/page.html | a folder that there is
 export panda --gravity none --effort-only --folder file | --folder | got file | can be made
@@ -130,7 +130,7 @@ def test_the_error_is_one_line_with_option_value_and_what_is_valid(
 )  # fmt: skip
 def test_words_are_values_of_a_key(words, key, value):
     typed = parser.Typed()
-    parser.read(typed, "simulate", words.split(), options.options_of(simulate), "one robot")
+    parser.read(typed, "simulate", words.split(), options.options_of(simulate), "NAME", "a name")
     scenario = options.scenario_of("simulate", typed.alone, typed.values)
     assert scenario.robot == "two_link"
     assert attrgetter(key)(scenario) == value

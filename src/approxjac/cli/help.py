@@ -8,6 +8,7 @@ from pathlib import Path
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin
 
+from approxjac.cli.options import POSITIONAL
 from approxjac.cli.parser import Option
 from approxjac.errors import UnknownNameError
 from approxjac.formatting import width, wrapped
@@ -52,7 +53,6 @@ def completion(shell: str, options: Mapping[str, Sequence[Option]]) -> str:
 def of_command(
     command: Callable[..., int],
     options: Sequence[Option],
-    positional: tuple[str, str],
     common: Sequence[str] = (),
 ) -> str:
     """Return the help of a command.
@@ -60,15 +60,14 @@ def of_command(
     Args:
         command: The command.
         options: Those to show.
-        positional: What has no option, and for what it is; empty of a command without.
         common: Options to show alone, with a hint at the others; all by default.
     """
-    word, meaning = positional
+    word, meaning = POSITIONAL.get(command.__name__, ("", ""))
     lines = [" ".join(["usage: approxjac", command.__name__, word, "[options]"]).replace("  ", " ")]
     for paragraph in _paragraphs(command):
         lines += ["", *_wrapped(paragraph)]
     if word:
-        lines += ["", *_entry(word, meaning, _INDENT)]
+        lines += ["", *_entry(word, f"{meaning[0].upper()}{meaning[1:]}.", _INDENT)]
     groups: dict[str, list[Option]] = {}
     for option in options:
         if not common or set(option.names) & set(common):

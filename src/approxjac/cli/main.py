@@ -16,7 +16,7 @@ from typing import get_type_hints
 import approxjac
 from approxjac.cli import help
 from approxjac.cli.export_command import export
-from approxjac.cli.options import COMMON, NEEDED, SHORT, options_of, scenario_of
+from approxjac.cli.options import COMMON, POSITIONAL, SHORT, options_of, scenario_of
 from approxjac.cli.paper_command import paper
 from approxjac.cli.parser import Typed, explained, read
 from approxjac.cli.robots_command import robots
@@ -27,19 +27,6 @@ from approxjac.errors import ApproxJacError, UnknownNameError
 from approxjac.scenario.convert import value_of
 
 _COMMANDS = {each.__name__: each for each in (paper, robots, simulate, stability, export, view)}
-_SCENARIO = (
-    "NAME|FILE",
-    "Name of an arm (approxjac robots lists them), a .urdf file, or a .toml file with a scenario; "
-    "options come before what it says.",
-)
-_POSITIONAL = {
-    "paper": ("", ""),
-    "robots": ("[NAME|FILE]", "Name or .urdf file of the one to describe."),
-    "simulate": _SCENARIO,
-    "stability": _SCENARIO,
-    "export": _SCENARIO,
-    "view": ("RUN", "File run.npz that simulate, paper or Trajectory.save wrote, or its folder."),
-}
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -86,10 +73,10 @@ def _run(arguments: list[str]) -> int:
     known_options, typed = options_of(command), Typed()
     if asked := {"-h", "--help", "--help-all"} & set(words):
         common = () if "--help-all" in asked else COMMON.get(chosen, ())
-        print(help.of_command(command, known_options, _POSITIONAL[chosen], common))
+        print(help.of_command(command, known_options, common))
         return 0
     try:
-        read(typed, chosen, words, known_options, NEEDED.get(chosen, ""))
+        read(typed, chosen, words, known_options, *POSITIONAL.get(chosen, ("", "")))
         return _called(command, typed)
     except ApproxJacError as error:
         message = explained(error, known_options, typed, typed.alone.endswith(".toml"))

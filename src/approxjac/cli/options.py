@@ -69,15 +69,17 @@ COMMON: Mapping[str, Sequence[str]] = {
     ),
 }  # fmt: skip
 """Command → the options that its help shows."""
-_ROBOT_NEEDED = (
-    "one robot (a name that approxjac robots lists, a .urdf file, or a .toml file with a scenario)"
+_ROBOT = (
+    "NAME|FILE",
+    "the name of an arm (approxjac robots lists them), a .urdf file, or a .toml file with a "
+    "scenario, which options override",
 )
-NEEDED = {
-    **dict.fromkeys(SHORT, _ROBOT_NEEDED),
-    "robots": "[one robot by its name or its .urdf file]",
-    "view": "one run (a run.npz that simulate, paper or Trajectory.save wrote, or its folder)",
+POSITIONAL: Mapping[str, tuple[str, str]] = {
+    **dict.fromkeys(SHORT, _ROBOT),
+    "robots": ("[NAME|FILE]", "the name or the .urdf file of one robot"),
+    "view": ("RUN", "the run.npz that simulate, paper or Trajectory.save wrote, or its folder"),
 }
-"""Command → what the word is that has no option."""
+"""Command → the word that has no option, in brackets where it may be left out, and what it is."""
 _STANDING_FOR_OTHERS = [
     Option(
         ("--no-limits",), "no_limits", bool, "Keep no limits, as --limits none.",

@@ -101,7 +101,12 @@ def record_options(record: Any, short: Mapping[str, str], key: str = "") -> list
 
 
 def read(
-    typed: Typed, command: str, words: Sequence[str], options: Sequence[Option], positional: str
+    typed: Typed,
+    command: str,
+    words: Sequence[str],
+    options: Sequence[Option],
+    positional: str,
+    meaning: str,
 ) -> None:
     """Read the words after a command.
 
@@ -110,8 +115,9 @@ def read(
         command: Such as "simulate".
         words: The words.
         options: Of the command.
-        positional: What the one word without an option is, such as "a robot, …"; "" of a command
-            that takes none, "[a robot]" where it may be left out.
+        positional: The one word without an option, "" of a command that takes none, in brackets
+            where it may be left out.
+        meaning: What that word is.
 
     Raises:
         UnknownNameError: No such option.
@@ -150,10 +156,10 @@ def read(
         typed.values[option.key] = Words(given[:count])
         del rest[: 0 if equals else count]
     if len(alone) > bool(positional):
-        taken = positional.strip("[]") or "options alone"
-        raise InvalidInputError(f"{command} takes {taken}, got {' '.join(alone)}", given=alone)
-    if positional and not positional.startswith("[") and not alone:
-        raise InvalidInputError(f"{command} needs {positional}, got none", given=alone)
+        taken = meaning or "options alone"
+        raise InvalidInputError(f"{command} takes {taken}; got {' '.join(alone)}", given=alone)
+    if positional[:1] not in ("", "[") and not alone:
+        raise InvalidInputError(f"{command} needs {meaning}; got none", given=alone)
     typed.alone = "".join(alone)
 
 
