@@ -42,9 +42,9 @@ simulate panda --start 0 0 | --start | 2 | 7 | [rad or m]
 simulate panda --start 0 -30 0 -120 0 90 45 | --start must be in radians | panda_joint4
 simulate panda --start 0 -0.5 0 -9 0 1.6 0.7 | --start | got -9 for panda_joint4 | -3.072 to -0.0698
 simulate panda --target 0.4 0.1 | --target | 2 | 3 | [m]
-simulate panda --target 0.4 0 0.4 --target-offset 0.1 0 0 | --target | run.target.offset | not both
+simulate panda --target 0.4 0 0.4 --target-offset 0.1 0 0 | --target | --target-offset | not both
 simulate panda --circle 0.1 --target 0 0 1 | --target | run.target.circle | not both
-simulate panda --duration 1e-9 | --duration | got 1e-09 | >= loop.dt = 0.001 [s]
+simulate panda --duration 1e-9 | --duration | got 1e-09 | >= --loop.dt = 0.001 [s]
 simulate panda --seed 1.5 | --seed must be a whole number | got 1.5
 simulate panda --limits -1 | --limits | got -1.0 | > 0
 simulate panda --object-axis q | --object-axis | 'q' | -x, -y, -z, x, y, z
@@ -69,7 +69,7 @@ simulate late.toml --sensor.delay 30 | --sensor.delay | got 30 | shorter than th
 stability panda --object-length 0.3 | --object-length must be 2 numbers | got 0.3
 stability panda --object-length 0.3 0.1 | --object-length | 0.3 | 0.1 | (smallest, largest) [m]
 stability panda --object-length 0 0.1 --around 0 0 | --around | 2 | 7 | [rad or m]
-stability panda --object-length 0 0.1 --reach-from 0 0 0 0 0 0 0 | --reach-from | stability.target
+stability panda --object-length 0 0.1 --reach-from 0 0 0 0 0 0 0 | --reach-from | needs --target
 stability panda --object-length 0 0.1 --map error qq | --map | 'qq' | error, kv, object_length
 stability panda --learn-kinematics | --learn-kinematics | left out of a report | tool origins camera
 stability panda --roll 0 1 | --roll | got position | task.kind image

@@ -108,7 +108,7 @@ def test_a_bad_file_is_one_clear_line(tmp_path, capsys, monkeypatch, text, messa
     [
         (["pando"], "robot 'pando' not in the robots known by name; did you mean"),
         (["panda", "--object-length", "-1"], "--object-length must be a finite number >= 0"),
-        (["panda", "--true.floor", "0"], "--true.floor needs true.engine mujoco"),
+        (["panda", "--true.floor", "0"], "--true.floor needs --true.engine mujoco"),
         (["missing.toml"], "missing.toml does not exist"),
         (["panda", "--circle", "0.1", "--target", "0", "0", "1"], "must not both be given"),
         (["panda", "--start", "0", "-30", "0", "-120", "0", "90", "45"], "must be in radians"),

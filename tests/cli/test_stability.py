@@ -304,7 +304,7 @@ def test_regions(tmp_path):
         (["--target", "9", "9", "9"], "target must be within reach of every true robot"),
         (["--around", "0", "0"], "--around must be 7 numbers"),
         (["--around", *AROUND, "--run", "x.npz"], "one region must be given, got around and run"),
-        (["--reach-from", *AROUND], "--reach-from needs stability.target, got none"),
+        (["--reach-from", *AROUND], "--reach-from needs --target, got none"),
         (["--map", "error", "b"], "parameter 'b' not in the map"),
         (["--map-points", "1"], "--map-points must be 0 or >= 2, got 1"),
         (
@@ -313,7 +313,7 @@ def test_regions(tmp_path):
         ),
         (["--jobs", "0"], "jobs must be >= 1, got 0"),
         (["--radius", "0"], "--radius must be a finite number > 0"),
-        (["--stability.roll", "-0.1", "0.1"], "--stability.roll needs task.kind image"),
+        (["--stability.roll", "-0.1", "0.1"], "--stability.roll needs --task.kind image"),
     ],
 )
 def test_bad_input_is_one_clear_line(tmp_path, capsys, options, text):
@@ -413,7 +413,7 @@ def test_suggested_gains_are_said_to_be_of_known_gravity_where_it_is_learnt(
     scenario = Scenario.load(tmp_path / "scenario.toml")
     result = judge.StabilityResult(scenario, judge.prepare(scenario), failing(own), scales)
     *_, following = report.advice(result)
-    assert following.startswith("next: --gravity exact, which tells what is certified as if ")
+    assert following.startswith("next: controller.gravity exact, which tells what is certified ")
     assert "--suggest-gains" not in following
 
 
@@ -472,9 +472,9 @@ def test_what_is_not_certified_says_what_is_next():
     assert not failed.passed
     scales = {"matrix": dataclasses.replace(NOT_TOLERATED, uncertainty=own.uncertainty)}
     *_, following = report.advice(judge.StabilityResult(scenario, own, failed, scales))
-    assert following.startswith("next: --suggest-gains, in place of --kp, --kv and --damping; a ")
+    assert following.startswith("next: suggest_gains, in place of controller.kp, ")
     assert following.endswith(
-        " a belief in the middle of each range, such as --believed-length 0.15 --believed-mass 0.05"
+        " of each range, such as believed.object.length 0.15 believed.object.mass 0.05"
     )
     scales["matrix"] = dataclasses.replace(scales["matrix"], scale=0.5)
     *_, following = report.advice(judge.StabilityResult(scenario, own, failed, scales))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import inspect
+import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass, field, is_dataclass
@@ -163,6 +164,14 @@ def read(
     typed.alone = "".join(alone)
 
 
+def with_options(options: Sequence[Option], text: str) -> str:
+    """Return a text with options in place of the keys that it names."""
+    for option in sorted(options, key=lambda option: -len(option.key)):
+        if "." in option.key or "_" in option.key:
+            text = re.sub(rf"(?<![\w.-]){re.escape(option.key)}(?![\w.])", option.names[0], text)
+    return text
+
+
 def explained(
     error: ApproxJacError, options: Sequence[Option], typed: Typed, from_file: bool
 ) -> str:
@@ -183,6 +192,7 @@ def explained(
     if len(known) == 1:
         (option,) = known
         usual = option.key if from_file and "." in option.key else option.names[0]
+        rest = rest if from_file else with_options(options, rest)
         return f"{typed.names.get(option.key, usual)} {rest}"
     if isinstance(error, UnknownNameError) and not message.startswith("-"):
         words = {key: value for key, value in typed.values.items() if isinstance(value, Words)}

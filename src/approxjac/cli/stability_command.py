@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from approxjac.cli.bars import ShareBar
-from approxjac.cli.options import make_folder
+from approxjac.cli.options import make_folder, options_of
+from approxjac.cli.parser import with_options
 from approxjac.errors import InvalidInputError
 from approxjac.scenario import Scenario
 
@@ -56,7 +57,7 @@ def stability(
             scenario, study, executor, bar.tell, lambda tests: bar.write(f"{tests}\n")
         )
     report.write(result, out)
-    print(report.consequences(result))
+    print(with_options(options_of(stability), report.consequences(result)))
     told = report.told_of_map(result, out)
     if told:
         print("", *told, sep="\n")
@@ -72,7 +73,7 @@ def _suggest(scenario: Scenario, out: Path) -> int:
     with ShareBar(_LONG) as bar:
         result = gains.suggested(scenario, bar.tell)
     gains.write(result, out)
-    print(gains.text(result))
+    print(with_options(options_of(stability), gains.text(result)))
     if result.report is None:
         print(f"\nsummary.json is in {out}; without gains no scenario.toml is written")
         if (out / "scenario.toml").exists():

@@ -59,7 +59,7 @@ def suggested(scenario: Scenario, progress: Callable[[str, float], None]) -> Sug
     uncertainty = uncertainty_of(study)
     if uncertainty is None:
         raise InvalidInputError(
-            "suggest_gains needs ranges of errors, such as --object-length 0 0.3, got none",
+            "suggest_gains needs ranges of errors, such as stability.object_length 0 0.3, got none",
             given=None,
         )
     arm = loaded_arm(scenario)
@@ -101,7 +101,9 @@ def text(result: SuggestedGains) -> str:
         told["gravity"] = f"taken as known exactly; in the scenario it is {control.gravity}"
     if result.refused:
         lines = wrapped("gains: none found that a report of all configurations certifies")
-        lines += wrapped(f"{result.refused}; a smaller --radius or smaller errors may help", "- ")
+        lines += wrapped(
+            f"{result.refused}; a smaller stability.radius or smaller errors may help", "- "
+        )
         return "\n".join([*lines, "", *rows(told, 2)])
     if found is None:
         lines = wrapped(result.found.heading)
@@ -122,7 +124,9 @@ def text(result: SuggestedGains) -> str:
         else "no limits known",
         "tried": f"{len(result.found.tried)} gains, gentle ones first",
     }
-    options = [f"--{name} {numbers(getattr(control, name))}" for name in ("kp", "kv", "damping")]
+    options = [
+        f"controller.{name} {numbers(getattr(control, name))}" for name in ("kp", "kv", "damping")
+    ]
     return "\n".join([*lines, "", *(f"  {option}" for option in options), "", *rows(told, 2)])
 
 

@@ -83,11 +83,11 @@ def advice(result: StabilityResult) -> list[str]:
         why = "gravity is neither known nor learnt"
         if report.loop.controller.adaptation is not None:
             why = f"no learnt gravity parameters explain all of gravity, {OF_WRONG_AXES}"
-        return [f"not certified: {why}; --gravity exact tells of all else"]
+        return [f"not certified: {why}; controller.gravity exact tells of all else"]
     if report.singular_q is not None:
         return [
             "not certified: the estimated Jacobian loses rank in the region, where the arm may "
-            "stand still away from its target; --sigma-min leaves such configurations out"
+            "stand still away from its target; stability.sigma_min leaves such configurations out"
         ]
     if not report.local.stable:
         unstable = 100 * (1 - report.local.share)
@@ -122,20 +122,20 @@ def advice(result: StabilityResult) -> list[str]:
 
 def _next(result: StabilityResult, uncertainty: Uncertainty | None) -> str:
     """Return what to do next where nothing is certified."""
-    steps = ["a smaller --radius around a configuration (--around)"]
+    steps = ["a smaller stability.radius around a configuration (stability.around)"]
     if uncertainty is not None:
         learns = result.report.loop.controller.adaptation is not None
         steps.insert(
             0,
-            "--gravity exact, which tells what is certified as if gravity were known"
+            "controller.gravity exact, which tells what is certified as if gravity were known"
             if learns  # of which gains that are found would say nothing
-            else "--suggest-gains, in place of --kp, --kv and --damping",
+            else "suggest_gains, in place of controller.kp, controller.kv and controller.damping",
         )
         least, most = uncertainty.low, uncertainty.high
         if (abs(least + most - 2.0 * uncertainty.believed) > 0.2 * (most - least)).any():
             middle = dict(zip(uncertainty.names, 0.5 * (least + most), strict=True))
             options = [
-                f"--believed-{what} {middle[f'object_{what}']:.3g}"
+                f"believed.object.{what} {middle[f'object_{what}']:.3g}"
                 for what in ("length", "mass")
                 if f"object_{what}" in middle
             ]
