@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from approxjac import law
 from approxjac.codegen import traced_limits as limits
 from approxjac.codegen import traced_setpoint as setpoint
 from approxjac.codegen.arm import traced_tasks as tasks
@@ -328,11 +329,10 @@ def _held(
     slowed = dt * side[:, np.newaxis] * M_inv * side
     per_speed = stops.stiffness * dt + stops.damping
     b = stops.stiffness / per_speed * depth + outward
-    push, left = symbols(np.zeros(nv)), b  # what is left of b without a push of its own
-    touches = symbols([False] * nv)
-    presses = symbols([False] * nv)
-    wrong: Condition = False
-    for _ in range(_GUESSES):
+    nothing = symbols(np.zeros(nv))
+
+    def guess(_: Any, values: tuple[Any, ...]) -> tuple[Any, ...]:
+        push, left, touches, presses, _ = values  # left is what is left of b without its own push
         touches = touches | (limited & (depth + dt * (outward - slowed @ push) > 0.0))
         presses = touches & np.where(presses, push > 0.0, left > 0.0)
         A = np.where(presses[:, np.newaxis] & presses, slowed, 0.0)
@@ -341,6 +341,10 @@ def _held(
         left = b - slowed @ push
         newly = limited & ~touches & (depth + dt * (outward - slowed @ push) > 0.0)
         wrong = any_of(newly | (presses & (push < 0.0)) | (touches & ~presses & (left > 0.0)))
+        return push, left, touches, presses, wrong
+
+    start = nothing, b, nothing < 0.0, nothing < 0.0, False
+    push, *_, wrong = law.repeat(_GUESSES, guess, start)
     v_end = free - dt * (M_inv @ (side * push))
     return moved(plant.robot, q, dt * v_end), v_end, wrong
 

@@ -10,7 +10,7 @@ import numpy as np
 from approxjac import law
 from approxjac.codegen.arm import traced_tasks as tasks
 from approxjac.codegen.arm.rigid_body import Arm, Configured
-from approxjac.codegen.trace.linear import Factors, damped_gram_solve
+from approxjac.codegen.trace.linear import Factors, damped_gram_solve, product
 from approxjac.codegen.trace.symbols import Condition, Scalar, Symbols, any_of, select, symbols
 from approxjac.controllers import AwayFromStops, Posture
 from approxjac.controllers.controller import Controller
@@ -289,21 +289,62 @@ def _bounded(
     beyond = np.where(np.abs(g) > learning.motors, np.where(g > 0.0, 1.0, -1.0), 0.0)
     # what may lead out; where nothing does, no multiplier is needed
     outward = [*(high & (rate > 0.0)), *(low & (rate < 0.0)), *(np.abs(g) > learning.motors)]
-    L = learning.L if learning.L.ndim == 2 else np.diag(learning.L)
-    N = np.concatenate([np.diag(side), np.multiply(beyond[:, np.newaxis], Y)])
-    NL = N @ symbols(L)
-    sizes = (N * NL).sum(axis=1)
-    inverse = np.where(sizes > 0.0, 1.0 / np.where(sizes > 0.0, sizes, 1.0), 0.0)
-    found, multipliers = rate, [0.0] * len(N)
-    for _ in range(_SWEEPS):
-        for i, before in enumerate(multipliers):
-            after = before + (N[i] @ found) * inverse[i]
-            multipliers[i] = after = select(after > 0.0, after, 0.0)
-            found = found - np.multiply(after - before, NL[i])
-    least = _ROUND_OFF * np.abs(N @ rate).max()
-    beside = N @ found
-    wrong = any_of((beside > least) | ((symbols(multipliers) > 0.0) & (beside < -least)))
+    L = learning.L
+
+    def lead(i: Any) -> Symbols:
+        """Return the row of N L of a bound of one parameter."""
+        return law.take(side, i) * law.take(L, i)
+
+    def of_motor(i: Any, values: tuple[Any]) -> tuple[tuple[Any], tuple[Any, ...]]:
+        """Return rows of N, N L and so on of what a motor has to hold."""
+        row = law.take(beyond, i) * law.take(Y, i)
+        turned = row * L if L.ndim == 1 else product(row, L)
+        return values, (row, turned, _inverse(row @ turned), row @ rate)
+
+    _, (N, NL, inverse, before) = law.collect(len(g), of_motor, (g,))
+    own_inverse = _inverse(side * (side * (L if L.ndim == 1 else L.diagonal())))
+
+    def own(values: tuple[Symbols, Symbols]) -> tuple[Symbols, Symbols]:
+        """Return the rate and multipliers after a turn of each parameter's own bound."""
+        found, multipliers = values
+        if L.ndim == 1:
+            after = np.maximum(multipliers + (side * found) * own_inverse, 0.0)
+            return found - (after - multipliers) * (side * L), after
+
+        def one(i: Any, values: tuple[Symbols]) -> tuple[tuple[Symbols], tuple[Symbols]]:
+            was = law.take(multipliers, i)
+            along = law.take(side, i) * law.take(values[0], i)
+            after = np.maximum(was + along * law.take(own_inverse, i), 0.0)
+            return (values[0] - (after - was) * lead(i),), (after,)
+
+        (found,), (after,) = law.collect(len(rate), one, (found,))
+        return found, after
+
+    def sweep(_: Any, values: tuple[Symbols, ...]) -> tuple[Symbols, ...]:
+        found, of_own, of_motors = values
+        found, of_own = own((found, of_own))
+
+        def one(i: Any, values: tuple[Symbols]) -> tuple[tuple[Symbols], tuple[Symbols]]:
+            was = law.take(of_motors, i)
+            after = was + (law.take(N, i) @ values[0]) * law.take(inverse, i)
+            after = np.maximum(after, 0.0)
+            return (values[0] - (after - was) * law.take(NL, i),), (after,)
+
+        (found,), (of_motors,) = law.collect(len(g), one, (found,))
+        return found, of_own, of_motors
+
+    start = symbols(rate), symbols(np.zeros(len(rate))), symbols(np.zeros(len(g)))
+    found, *multipliers = law.repeat(_SWEEPS, sweep, start)
+    _, (beside,) = law.collect(len(g), lambda i, v: (v, (law.take(N, i) @ found,)), (g,))
+    least = _ROUND_OFF * np.abs(np.concatenate([side * rate, before])).max()
+    beside, multiplier = np.concatenate([side * found, beside]), np.concatenate(multipliers)
+    wrong = any_of((beside > least) | ((multiplier > 0.0) & (beside < -least)))
     *kept, is_wrong = rate[0].graph.rare(
         any_of(outward), [*found.tolist(), select(wrong, 1.0, 0.0)], [*rate.tolist(), 0.0]
     )
     return symbols(kept), is_wrong > 0.0
+
+
+def _inverse(sizes: Symbols) -> Symbols:
+    """Return 1 / a of each a > 0, 0 of others."""
+    return np.where(sizes > 0.0, 1.0 / np.where(sizes > 0.0, sizes, 1.0), 0.0)

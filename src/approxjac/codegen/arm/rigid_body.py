@@ -35,6 +35,7 @@ __all__ = ["Arm", "ArmNumbers", "Configured", "arm_at", "arm_numbers", "differen
 
 Given = Callable[[str, Array], Symbols]
 _Z = symbols([0.0, 0.0, 1.0])
+_LONG = 12  # joints, beyond which all forces are turned to the world at once
 _NOTHING = symbols([0.0, 0.0, 0.0])
 
 
@@ -303,6 +304,15 @@ class Configured:
             else:
                 M[j, j] = S[0, 0] + S[1, 1]
                 f, moment = symbols([-h[1], h[0], 0.0]), symbols([-S[0, 2], -S[1, 2], M[j, j]])
+            if self._n > _LONG:
+                R, p = self._placements[j]
+                f = R @ f
+                moment = R @ moment + cross(p, f)
+                for k in self.path(j)[1:]:
+                    z, origin = self.axis(k), self._placements[k][1]
+                    turn = z @ moment - cross(z, origin) @ f
+                    M[j, k] = M[k, j] = z @ f if self.structure.slides[k] else turn
+                continue
             k = j
             while (parent := self.structure.parents[k]) >= 0:
                 f, moment = self._out(k, f), self._out(k, moment)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -62,9 +63,9 @@ def _rare(
 
 
 def _table(name: str, numbers: list[str], is_constant: bool) -> list[str]:
-    rows = [", ".join(numbers[at : at + 8]) for at in range(0, len(numbers), 8)]
+    rows = textwrap.wrap(", ".join(numbers), 72)
     first = f"    {'static ' if is_constant else ''}const double {name}[] = {{"
-    return [first, *(f"        {row}," for row in rows), "    };"]
+    return [first, *(f"        {row}" for row in rows), "    };"]
 
 
 def _loop(label: str, loop: Passes, lines: list[str], going: Going, rows: Rows) -> list[str]:
@@ -92,7 +93,7 @@ LANGUAGE = Language(
     rare=_rare,
     table=_table,
     loop=_loop,
-    cell=lambda name, i: f"{name}[{i}]",
+    cell=lambda name, array, i: [f"    const double {name} = {array}[{i}];"],
     taken=lambda name, array, i, apart, first: [
         f"    const double {name} = {array}[{apart} * {i} + {first}];"
     ],

@@ -6,7 +6,7 @@ import ctypes
 import re
 import struct
 from collections.abc import Callable, Mapping
-from itertools import chain
+from itertools import chain, count
 
 from approxjac.codegen.trace.program import STEP, Block, Going, Language, Program, Rows, Writer
 from approxjac.codegen.trace.symbols import Number, Passes
@@ -154,6 +154,7 @@ def _source(program: Program, width: int) -> str:
     pointers: list[str] = []
     allocated: list[str] = []
     constants: dict[str, str] = {}
+    written = count()
 
     def pointer(base: str, at: int, kind: str = "D") -> str:
         """Return a pointer to a row."""
@@ -226,14 +227,18 @@ def _source(program: Program, width: int) -> str:
             constants[name] = f"@{name} = internal constant [{len(numbers)} x double] [{ones}]"
             return []
         allocated.append(f"  %{name} = alloca D, i64 {len(numbers)}, align 8")
+        return [line for i, each in enumerate(numbers) for line in stored(f"%{name}", i, each)]
+
+    def stored(array: str, i: int, number: str) -> list[str]:
+        """Return the lines that write a number to a place of an array."""
+        at = f"%to{next(written)}"
         return [
-            f"  store D {each}, ptr {pointer(f'%{name}', i)}, align 8"
-            for i, each in enumerate(numbers)
+            f"  {at} = getelementptr D, ptr {array}, i64 {i}",
+            f"  store D {number}, ptr {at}, align 8",
         ]
 
     def loop(label: str, loop: Passes, lines: list[str], going: Going, rows: Rows) -> list[str]:
         s, y, i = f"%s{label}", f"%y{label}", f"%i{label}"
-        cells = {at: pointer(s, at) for at, *_ in going}
         for name, size in ((s, loop.n), (y, loop.times * loop.m)):
             allocated.append(f"  {name} = alloca D, i64 {size}, align 8")
         collected = [
@@ -246,7 +251,7 @@ def _source(program: Program, width: int) -> str:
             )
         ]
         return [
-            *(f"  store D {start}, ptr {cells[at]}, align 8" for at, start, _ in going),
+            *(line for at, start, _ in going for line in stored(s, at, start)),
             f"  br label %enter{label}",
             f"enter{label}:",
             f"  br label %loop{label}",
@@ -255,7 +260,7 @@ def _source(program: Program, width: int) -> str:
             *lines,
             f"  br label %latch{label}",
             f"latch{label}:",
-            *(f"  store D {after}, ptr {cells[at]}, align 8" for at, _, after in going),
+            *(line for at, _, after in going for line in stored(s, at, after)),
             f"  {i}.row = mul i64 {i}, {loop.m}",
             *collected,
             f"  {i}.next = add i64 {i}, 1",
@@ -295,7 +300,10 @@ def _source(program: Program, width: int) -> str:
         rare=rare,
         table=table,
         loop=loop,
-        cell=lambda name, i: f"load D, ptr {pointer(f'%{name}', i)}, align 8",
+        cell=lambda name, array, i: [
+            f"  {name}.from = getelementptr D, ptr %{array}, i64 {i}",
+            f"  {name} = load D, ptr {name}.from, align 8",
+        ],
         taken=taken,
         number=number,
     )

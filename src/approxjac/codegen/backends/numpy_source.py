@@ -59,7 +59,7 @@ _LANGUAGE = Language(
     rare=_rare,
     table=lambda name, numbers, _: [f"    {name} = [{', '.join(numbers)}]"],
     loop=_loop,
-    cell=lambda name, i: f"{name}[{i}]",
+    cell=lambda name, array, i: [f"    {name} = {array}[{i}]"],
     taken=lambda name, array, i, apart, first: [f"    {name} = {array}[{apart} * {i} + {first}]"],
     number=lambda name, i: [f"    {name} = np.float64({i})"],
 )

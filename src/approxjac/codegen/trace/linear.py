@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from approxjac.codegen.trace.symbols import Condition, Number, Scalar, Symbols, 
 
 _SWEEPS = {1: 0, 2: 1, 3: 5}
 _MANY_SWEEPS = 7  # beyond three rows
+_LARGE = 200  # entries of a matrix, beyond which its product is a loop
 
 
 class Factors:
@@ -37,8 +39,14 @@ class Factors:
 
     def solve(self, b: Symbols) -> Symbols:
         """Return A⁻¹b, b of shape (n,) or (n, k)."""
-        if b.ndim == 2:
+        if b.ndim == 2 and b.size < _LARGE:
             return symbols([self.solve(column) for column in b.T]).T
+        if b.ndim == 2:
+            rows, pivot = b.T, (self._inverse[0],)
+            _, (columns,) = law.collect(
+                len(rows), lambda i, v: (v, (self.solve(law.take(rows, i)),)), pivot
+            )
+            return symbols(columns).T
         n, z = len(b), b.tolist()
         for i in range(n):
             for k in range(i):
@@ -93,12 +101,22 @@ def eigensystem(A: Symbols) -> tuple[Symbols, Symbols]:
     if not any(isinstance(each, Scalar) for row in a for each in row):
         squares, U = np.linalg.eigh(a)
         return symbols(squares.tolist()), symbols(U.tolist())
-    vectors: list[list[Number]] = np.eye(n).tolist()
-    for _ in range(_SWEEPS.get(n, _MANY_SWEEPS)):
+    upper = np.triu_indices(n)
+
+    def sweep(_: object, values: tuple[Symbols, Symbols]) -> tuple[Symbols, Symbols]:
+        whole = symbols(np.zeros((n, n)))
+        whole[upper] = whole.T[upper] = values[0]
+        a, vectors = whole.tolist(), values[1].tolist()
         for p in range(n):
             for q in range(p + 1, n):
                 _rotate(a, vectors, p, q)
-    return symbols([a[i][i] for i in range(n)]), symbols(vectors)
+        return symbols(a)[upper], symbols(vectors)
+
+    start = symbols(a)[upper], symbols(np.eye(n))
+    found, vectors = law.repeat(_SWEEPS.get(n, _MANY_SWEEPS), sweep, start)
+    diagonal = symbols(np.zeros((n, n)))
+    diagonal[upper] = found
+    return diagonal.diagonal(), vectors
 
 
 def _rotate(a: list[list[Number]], vectors: list[list[Number]], p: int, q: int) -> None:
@@ -126,6 +144,17 @@ def _rotate(a: list[list[Number]], vectors: list[list[Number]], p: int, q: int) 
 
 def _root(a: Number) -> Number:
     return a.sqrt() if isinstance(a, Scalar) else math.sqrt(a)
+
+
+def product(a: Symbols, B: Symbols) -> Symbols:
+    """Return a @ B of a (n,) and B (n, k), in a loop over their rows where they are large."""
+    if B.size < _LARGE:
+        return a @ B
+
+    def add(j: Any, values: tuple[Symbols]) -> tuple[Symbols]:
+        return (values[0] + law.take(a[1:], j) * law.take(B[1:], j),)
+
+    return law.repeat(len(a) - 1, add, (a[0] * B[0],))[0]
 
 
 def is_regular(G: Symbols, ratio: float, scale: float) -> Condition:

@@ -187,8 +187,8 @@ class Language(NamedTuple):
             it is in the block and what it is elsewhere: the lines of both.
         table: Of a name and numbers, and whether these are constants: lines that make an array.
         loop: Of a label, a `Passes`, its lines, `Going` and `Rows`: the lines of all.
-        cell: The text that reads a place of an array: s and a loop's label is what goes from pass
-            to pass, y what is collected, t a table.
+        cell: Of a name, an array and a place: the lines that read it; s and a loop's label is what
+            goes from pass to pass, y what is collected, t a table.
         taken: Of a name, an array, i and a loop's label, how far cells are apart, and the first:
             the lines that read what the number of the pass says.
         number: Of a name, and i and a loop's label: the lines that make the pass a number.
@@ -202,7 +202,7 @@ class Language(NamedTuple):
     rare: Callable[[str, str, list[str], list[tuple[str, str, str]]], list[str]]
     table: Callable[[str, list[str], bool], list[str]]
     loop: Callable[[str, Passes, list[str], Going, Rows], list[str]]
-    cell: Callable[[str, int], str]
+    cell: Callable[[str, str, int], list[str]]
     taken: Callable[[str, str, str, int, int], list[str]]
     number: Callable[[str, str], list[str]]
 
@@ -442,7 +442,7 @@ class Writer:
         if operation == "input":
             text = language.read(*value)
         elif operation == "cell":
-            text = language.cell(*self._array(arguments[0], value))
+            return language.cell(name, *self._array(arguments[0], value))
         elif operation == "take":
             apart, first = value
             index = f"i{self._running[self._graph.nodes[arguments[1]].value]}"

@@ -201,21 +201,31 @@ class Graph:
         flat, width = [each for row in rows for each in row], len(rows[0])
         if all(not isinstance(row, Scalar) and row == flat[0] for row in flat):
             return [flat[0]] * width
-        memory, first = self._memory(flat)
+        memory, first, apart = self._memory(rows)
         arguments = memory, index.place
-        return [self._scalar(Node("take", arguments, (width, first + j))) for j in range(width)]
+        return [self._scalar(Node("take", arguments, (apart, first + j))) for j in range(width)]
 
-    def _memory(self, flat: Sequence[Number]) -> tuple[int, int]:
-        """Return the place of an array that holds some numbers, and where they begin in it."""
-        if isinstance(flat[0], Scalar) and self.nodes[flat[0].place].operation == "cell":
-            _, (memory,), first = self.nodes[flat[0].place]
-            cells = (Node("cell", (memory,), first + i) for i in range(len(flat)))
-            if all(
-                isinstance(each, Scalar) and self.nodes[each.place] == cell
-                for each, cell in zip(flat, cells, strict=True)
-            ):
-                return memory, first
-        return self._scalar(Node("table", tuple(map(self.place, flat)))).place, 0
+    def _memory(self, rows: Sequence[Sequence[Number]]) -> tuple[int, int, int]:
+        """Return the place of an array with some rows, where they begin in it and how far apart."""
+        cells = [[self._cell_of(each) for each in row] for row in rows]
+        memory, first = cells[0][0]
+        apart = cells[1][0][1] - first if len(rows) > 1 else len(rows[0])
+        if memory >= 0 and all(
+            cell == (memory, first + i * apart + j)
+            for i, row in enumerate(cells)
+            for j, cell in enumerate(row)
+        ):
+            return memory, first, apart
+        places = [self.place(each) for row in rows for each in row]
+        return self._scalar(Node("table", tuple(places))).place, 0, len(rows[0])
+
+    def _cell_of(self, number: Number) -> tuple[int, int]:
+        """Return the place of the array that a number is read from, and where; (-1, 0) of none."""
+        if isinstance(number, Scalar):
+            node = self.nodes[number.place]
+            if node.operation == "cell":
+                return node.arguments[0], node.value
+        return -1, 0
 
     def _cell(self, memory: Scalar, i: int) -> Scalar:
         return self._scalar(Node("cell", (memory.place,), i))
@@ -659,6 +669,7 @@ _FUNCTIONS: dict[np.ufunc, np.ufunc] = {
     np.bitwise_or: np.frompyfunc(lambda a, b: a | b, 2, 1),
     np.invert: np.frompyfunc(lambda a: ~a if isinstance(a, Scalar) else not a, 1, 1),
 }
+_LARGE, _FEW = 1500, 4  # entries of a matrix whose product is a loop; of a row that is not in it
 _choices = np.frompyfunc(select, 3, 1)
 
 
@@ -679,6 +690,10 @@ class SymbolArray(np.ndarray):
             return _OF_ARRAYS[function](*arguments, **options)
         result = super().__array_function__(function, types, arguments, options)
         return result.view(SymbolArray) if isinstance(result, np.ndarray) else result
+
+    def dot(self, other: Any) -> Any:  # type: ignore[override]
+        """Return self @ other."""
+        return self @ other
 
     def looped(self, *arguments: Any) -> Any:
         """Return what `law.collect` does."""
@@ -807,9 +822,37 @@ def _apply(ufunc: np.ufunc, method: str, *arguments: Any, **options: Any) -> Any
     """Return what a function of NumPy makes of arrays, some of which hold `Scalar`s."""
     if "out" in options:
         options["out"] = tuple(map(_plain, options["out"]))
+    if ufunc is np.matmul and _is_large(*arguments):
+        return _product(*arguments)
     function = getattr(_FUNCTIONS.get(ufunc, ufunc), method)
     result = function(*map(_plain, arguments), **options)
     return result.view(SymbolArray) if isinstance(result, np.ndarray) else result
+
+
+def _is_large(A: Any, b: Any) -> bool:
+    """Return whether A @ b is a loop: of a large matrix of constants and a vector."""
+    if np.ndim(A) != 2 or np.ndim(b) != 1 or np.size(A) <= _LARGE or not isinstance(b, SymbolArray):
+        return False
+    known = not any(isinstance(each, Scalar) for each in np.ravel(A).tolist())
+    return known and bool(np.count_nonzero(A) > _LARGE)
+
+
+def _product(A: Any, b: Symbols) -> Symbols:
+    """Return A @ b of constants A (k, n) and b (n,), column by column."""
+    A = np.array(A, dtype=float)
+    found = symbols(np.zeros(len(A)))
+    sparse = np.count_nonzero(A, axis=1) <= _FEW
+    found[sparse] = A[sparse] @ b
+    A = A[np.logical_not(sparse)]
+    used = A.any(axis=0)
+    columns, b = A.T[used], b[used]
+
+    def add(j: Scalar, values: tuple[Symbols]) -> tuple[Symbols]:
+        return (values[0] + law.take(columns[1:], j) * law.take(b[1:], j),)
+
+    first = columns[0] * b[0]
+    (found[~sparse],) = law.repeat(len(b) - 1, add, (first,))
+    return found
 
 
 def _where(condition: Any, a: Any, b: Any) -> Any:
