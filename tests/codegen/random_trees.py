@@ -3,9 +3,9 @@
 import numpy as np
 
 
-def random_tree(rng):
-    """Return the URDF of a tree of 2 to 8 links, and the names of two of them."""
-    n = int(rng.integers(2, 9))
+def random_tree(rng, n=None):
+    """Return the URDF of a tree of n links, by default 2 to 8, and the names of two of them."""
+    n = int(rng.integers(2, 9)) if n is None else n
     parents = [int(rng.integers(max(-1, i - 3), i)) if i else -1 for i in range(n)]
     kinds = rng.choice(["revolute", "continuous", "prismatic"], n, p=[0.6, 0.2, 0.2])
     parts = ['<robot name="tree"><link name="base"/>']

@@ -33,6 +33,14 @@ def test_terms_of_random_trees(seed):
     require_agreement(largest_errors([robot], frames, regressor, rng))
 
 
+@pytest.mark.parametrize("seed", range(2))
+def test_terms_of_many_joints(seed):
+    rng = np.random.default_rng(seed)
+    text, frames = random_tree(rng, 18)
+    robot = aj.Robot(text)
+    require_agreement(largest_errors([robot], frames, None, rng))
+
+
 STACKED = {
     "tool": {"object_length": (0.0, 0.3), "object_mass": (0.0, 1.0)},
     "origins": {
