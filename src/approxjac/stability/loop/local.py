@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from approxjac.controllers import SetpointController
+from approxjac.controllers import Controller, SetpointController
 from approxjac.controllers.gravity import Adaptation
 from approxjac.errors import InvalidInputError
+from approxjac.interface import LimitStatus
 from approxjac.simulation import Plant, Sensing
+from approxjac.simulation.targets import require_fit
 from approxjac.stability.errors.region import require_law, require_seen
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.loop.linearization import Timing, linear_loop
+from approxjac.stability.loop.numerical import numerical_modes
 from approxjac.stability.loop.samples import Indices
 from approxjac.stability.loop.target_samples import Targets
 from approxjac.validation import Array, as_number, require
@@ -106,14 +110,17 @@ class LocalStability:
 
 
 def local_stability(
-    plant: Plant, controller: SetpointController, q_target: Array, dt: float | None = None
+    plant: Plant, controller: Controller, q_target: Array, dt: float | None = None
 ) -> LocalStability:
-    """Linearise the closed loop of law (6) or (28), (29) at rest where it attains the target.
+    """Linearise the closed loop at rest where it attains the target.
 
-    With s'(0) = 1. The equilibria with e = 0 form a manifold: the self-motion, and for learnt
-    gravity every θ̂ with the right torque. Motion along it neither decays nor grows; its
-    eigenvalues, of zero, are left out. Gravity that is learnt is linearised at a θ̂ that gives the
-    true gravity around the target, and not only at it.
+    Law (6) or (28), (29) by its equations, with s'(0) = 1; any other controller by finite
+    differences, with the state nearest to its initial one that holds the arm there.
+
+    The equilibria with e = 0 form a manifold: the self-motion, and for learnt gravity every θ̂ with
+    the right torque. Motion along it neither decays nor grows; its eigenvalues, of zero, are left
+    out. Gravity that is learnt is linearised at a θ̂ that gives the true gravity around the target,
+    and not only at it.
 
     Args:
         plant: The true robot, sensor and friction.
@@ -124,21 +131,59 @@ def local_stability(
             friction and gravity acting all the time. None is the continuous loop.
 
     Raises:
-        InvalidInputError: A controller of law (5) or with a `Posture`; gravity that is not exact
-            near `q_target` and cannot become so by learning, or θ̂ that stands still there
-            (torque_limits, bounds); another task than the sensor's; a `q_target` of the wrong
+        InvalidInputError: Gravity that is not exact near `q_target` and cannot become so by
+            learning, or θ̂ that stands still there (torque_limits, bounds); another controller that
+            does not rest there, is not smooth, depends on the time or has no rate without dt;
+            another task than the sensor's; a `q_target` of the wrong
             shape, or that the sensor does not see; a plant with Coulomb friction, frames, noise,
             rounding, dropouts or torque limits; delays or a filter of q̇ without dt, or of very
             many samples.
     """
     require("plant", plant, Plant, "a Plant")
-    require_law(controller)
+    require_fit(plant, controller, controller.dt if dt is None else dt)
     plant.require_task(controller.task)
     timing = _timing(plant, dt)
     q = plant.robot.configuration(q_target, "q_target")
     require_seen("q_target", q, plant.sensor)
-    _require_gravity(plant, controller, q)
-    return _at_target(plant, controller, q, timing)
+    law: Any = controller
+    try:
+        require_law(law)
+    except InvalidInputError:
+        return _by_differences(plant, controller, q, timing)
+    _require_gravity(plant, law, q)
+    return _at_target(plant, law, q, timing)
+
+
+def _by_differences(
+    plant: Plant, controller: Controller, q: Array, timing: Timing | None
+) -> LocalStability:
+    """Return `local_stability` of a controller of any kind.
+
+    What only limits torques, or holds measurements, of a law is not felt near a target where the
+    torque is within the limits.
+    """
+    law = controller.law
+    if law is not controller and law.task is controller.task:
+        here = plant.measure(0.0, q, np.zeros(plant.robot.nv))
+        state, step = controller.initial_state(here), 1e-3 if timing is None else timing.dt
+        _, answer = controller.step(state, here, plant.sensor.value(q), controller.dt or step)
+        if answer.limit_status in (LimitStatus.UNLIMITED, LimitStatus.FREE):
+            dt = None if timing is None else timing.dt
+            return local_stability(plant, law, q, dt)
+        raise InvalidInputError(
+            f"controller must hold the arm at the target with a torque within its limits, got "
+            f"{controller!r}, which says {answer.limit_status}",
+            given=controller,
+        )
+    if timing is None and not controller.is_continuous:
+        raise InvalidInputError(
+            f"dt must be given for a controller that runs in samples, got None for {controller!r}",
+            given=None,
+        )
+    values, moving, unseen, singular = numerical_modes(plant, controller, q, timing)
+    values = values[np.argsort(-values.real)]
+    dt, dead_time = (None, 0.0) if timing is None else (timing.dt, timing.dead_time)
+    return LocalStability(values, moving, unseen, singular, dt, dead_time)
 
 
 def _at_target(

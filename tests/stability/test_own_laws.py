@@ -1,0 +1,236 @@
+"""Laws of one's own: V along their runs, their linearisation, rollouts and limits."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.testing import assert_allclose
+from own_controller import OwnController, TaskSpacePD, WindingUpNot
+from scipy.linalg import expm
+
+import approxjac as aj
+from approxjac.controllers import DifferentiatedVelocity, Posture
+from approxjac.stability.loop import local as local_module
+from approxjac.stability.loop.numerical import numerical_modes
+
+GOAL = np.array([0.5, 1.2])
+
+
+def two_link_loop(kind, dt=None, **options):
+    arm = aj.load_robot("two_link")
+    truth, belief = arm.with_object(0.2), arm.with_object(0.05)
+    plant = aj.Plant(truth, aj.PositionTask(truth, axes="xz"), friction=0.3, **options)
+    return plant, kind(aj.PositionTask(belief, axes="xz"))
+
+
+def same(found, expected, rtol):
+    """Each number that is expected is found."""
+    assert len(found) == len(expected)
+    for value in expected:
+        assert np.abs(found - value).min() <= rtol * max(1.0, abs(value)), value
+
+
+def numbers_of(plant, controller, q):
+    """M, ∂g/∂q of truth and belief, J and Ĵ at q, by differences where there is no other way."""
+    h, n = 1e-6, plant.robot.nv
+    model, units = plant.robot.model, np.eye(n)
+    believed = pin.Model(controller.task.robot.model)
+    data = believed.createData()
+
+    def slope(of):
+        columns = [of(pin.integrate(model, q, h * u)) - of(pin.integrate(model, q, -h * u))
+                   for u in units]  # fmt: skip
+        return np.array(columns).T / (2.0 * h)
+
+    G = slope(lambda at: plant.dynamics.g(at).copy())
+    G_hat = slope(lambda at: pin.computeGeneralizedGravity(believed, data, at).copy())
+    J, J_hat = slope(plant.sensor.value), slope(controller.task.value)
+    return plant.dynamics.M(q), G, G_hat, J, J_hat
+
+
+def test_the_spectrum_of_a_continuous_law_is_that_of_its_equations():
+    plant, law = two_link_loop(TaskSpacePD)  # the tool weighs nothing: gravity is exact
+    M, G, G_hat, J, J_hat = numbers_of(plant, law, GOAL)
+    D = law.kd * J_hat.T @ J_hat + (law.damping + 0.3) * np.eye(2)
+    A = np.zeros((4, 4))
+    A[:2, 2:] = np.eye(2)
+    A[2:] = np.linalg.solve(M, np.hstack([G_hat - G - law.kp * J_hat.T @ J, -D]))
+    local = aj.local_stability(plant, law, GOAL)
+    same(local.eigenvalues, np.linalg.eigvals(A), 1e-6)
+    assert (local.self_motion, local.unseen_parameters, local.singular) == (0, 0, False)
+    assert local.stable
+    assert str(local).startswith("stable: errors near the target die out at")
+
+
+@pytest.mark.parametrize("late", [(0, 0, None), (3, 2, None), (1, 1, 0.004)])
+@pytest.mark.parametrize("dt", [1e-3, 5e-3])
+def test_the_spectrum_of_a_sampled_law_is_that_of_its_equations(late, dt):
+    """Gravity is left to the integral: at the target it holds the arm."""
+    x_late, torque_late, T = late
+    sensing = aj.Sensing(x_delay=x_late * dt, velocity_filter=T)
+    plant, law = two_link_loop(WindingUpNot, sensing=sensing, actuator_delay=torque_late * dt)
+    M, G, _, J, J_hat = numbers_of(plant, law, GOAL)
+    # of Ĵᵀ f, with which the integral f holds the arm, the slope counts, too
+    f = np.linalg.solve(J_hat.T, plant.dynamics.g(GOAL))
+    h, columns = 1e-6, []
+    for unit in np.eye(2):
+        more, less = (law.task.jacobian(GOAL + s * h * unit).T @ f for s in (1.0, -1.0))
+        columns.append((more - less) / (2.0 * h))
+    held = np.array(columns).T
+    flow = np.zeros((6, 6))  # of δq, q̇ and a held torque
+    flow[:2, 2:4] = np.eye(2)
+    flow[2:4] = np.linalg.solve(M, np.hstack([-G, -0.3 * np.eye(2), np.eye(2)]))
+    free = expm(dt * flow)
+    n_w = 2 if T is not None else 0
+    sizes = [2, 2, 2, n_w, 2 * x_late, 2 * torque_late]
+    q, v, z, w, x_old, tau_old = np.split(np.eye(sum(sizes)), np.cumsum(sizes)[:-1])
+    x_seen = np.vstack([x_old, J @ q])[:2]
+    seen, w_after = v, w
+    if T is not None:
+        a = dt / (T + dt)
+        seen = a / dt * q + w
+        w_after = (1.0 - a) * seen - a / dt * q
+    D = law.kd * J_hat.T @ J_hat + law.damping * np.eye(2)
+    torque = J_hat.T @ (z - law.kp * x_seen) + held @ q - D @ seen
+    acting = np.vstack([tau_old, torque])
+    A = np.vstack([
+        free[:4, :4] @ np.vstack([q, v]) + free[:4, 4:] @ acting[:2],
+        z - law.ki * dt * x_seen, w_after, np.vstack([x_old, J @ q])[2:], acting[2:],
+    ])  # fmt: skip
+    local = aj.local_stability(plant, law, GOAL, dt)
+    mu = np.linalg.eigvals(A)
+    found = np.exp(dt * local.eigenvalues)
+    assert len(found) == len(mu)
+    for value in mu[np.abs(mu) > 0.3]:  # those that are over at once are not well conditioned
+        assert np.abs(found - value).min() < 1e-6
+    assert_allclose(np.log(np.abs(mu).max()) / dt, local.max_real_eigenvalue, rtol=1e-5)
+
+
+@pytest.mark.parametrize(("gravity", "dt"), [(False, None), (True, None), (True, 2e-3)])
+def test_differences_agree_with_the_equations_of_the_laws(gravity, dt):
+    arm = aj.load_robot("panda")
+    truth, belief = arm.with_object(0.2), arm.with_object(0.05, axis="x")
+    options = {"actuator_delay": 4e-3, "sensing": aj.Sensing(x_delay=6e-3)} if dt else {}
+    plant = aj.Plant(truth, friction=0.3, **options)
+    learnt = aj.AdaptiveGravity(belief, L=1.0, alpha=2.0) if gravity else None
+    law = aj.SetpointController(
+        aj.PositionTask(belief), aj.Gains(60.0, 30.0, damping=1.0), gravity=learnt
+    )
+    q = truth.random_configuration(np.random.default_rng(1))
+    expected = aj.local_stability(plant, law, q, dt)
+    modes = numerical_modes(plant, law, q, local_module._timing(plant, dt))
+    assert modes[1:] == (expected.self_motion, expected.unseen_parameters, expected.singular)
+    lasting = expected.eigenvalues[expected.eigenvalues.real * (dt or 0.0) > -1.0]
+    assert len(modes.eigenvalues) == len(expected.eigenvalues)
+    for value in lasting:
+        assert np.abs(modes.eigenvalues - value).min() < 1e-5 * max(1.0, abs(value))
+
+
+def test_law_5_and_postures_are_linearised_too(panda):
+    q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+    task, gains = aj.PositionTask(panda), aj.Gains(60.0, 30.0, damping=1.0)
+    plain = aj.local_stability(aj.Plant(panda), aj.SetpointController(task, gains), q)
+    quick = aj.SetpointController(task, gains, velocity=DifferentiatedVelocity(1e-4))
+    found = aj.local_stability(aj.Plant(panda), quick, q)
+    assert found.self_motion == plain.self_motion == 4
+    assert_allclose(found.decay_rate, plain.decay_rate, rtol=1e-3)  # Ẋ is ẋ, nearly
+    drawn = aj.SetpointController(task, gains, posture=Posture(q, 5.0))
+    found = aj.local_stability(aj.Plant(panda), drawn, q)
+    assert found.self_motion == 0  # the posture holds it
+    assert found.stable
+
+
+def test_what_only_limits_a_law_is_not_felt_near_the_target(panda):
+    q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+    law = aj.SetpointController(aj.PositionTask(panda))
+    expected = aj.local_stability(aj.Plant(panda), law, q, 1e-3).eigenvalues
+    for around in (aj.TorqueLimited(law), aj.HeldMeasurement(aj.TorqueLimited(law), 0.1)):
+        found = aj.local_stability(aj.Plant(panda), around, q, 1e-3).eigenvalues
+        assert_allclose(found, expected)
+    weak = aj.TorqueLimited(law, aj.Limits(effort=5.0))
+    with pytest.raises(aj.InvalidInputError, match="with a torque within its limits, got"):
+        aj.local_stability(aj.Plant(panda), weak, q, 1e-3)
+
+
+class Weightless(OwnController):
+    def evaluate(self, state, measurement, target):
+        e = measurement.x - target
+        J = self.task.jacobian(measurement.q)
+        torque = -100.0 * J.T @ e - 5.0 * measurement.v
+        return aj.Evaluation(torque, np.zeros(0), aj.Status.OK, e, J)
+
+
+class Kinked(TaskSpacePD):
+    def evaluate(self, state, measurement, target):
+        answer = super().evaluate(state, measurement, target)
+        return answer._replace(torque=answer.torque - 5.0 * np.maximum(measurement.v, 0.0))
+
+
+class ByTheClock(TaskSpacePD):
+    def evaluate(self, state, measurement, target):
+        answer = super().evaluate(state, measurement, target)
+        return answer._replace(torque=answer.torque * np.cos(measurement.t))
+
+
+@pytest.mark.parametrize(
+    ("kind", "dt", "text"),
+    [
+        (Weightless, None, "controller must hold the arm at rest at the target .* off by "),
+        (Kinked, None, "controller must be smooth near the target"),
+        (ByTheClock, 1e-3, "controller must be one whose step does not depend on the time"),
+        (WindingUpNot, None, "dt must be given for a controller that runs in samples"),
+        (lambda task: WindingUpNot(task, most=1e-3), 1e-3, "hold the arm .* best of its states"),
+    ],
+)
+def test_what_cannot_be_linearised_says_why(kind, dt, text):
+    plant, law = two_link_loop(kind)
+    with pytest.raises(aj.InvalidInputError, match=text):
+        aj.local_stability(plant, law, GOAL, dt)
+
+
+def test_a_run_decays_at_the_rate_that_is_told():
+    plant, law = two_link_loop(WindingUpNot)
+    local = aj.local_stability(plant, law, GOAL, 2e-3)
+    x_d = plant.sensor.value(GOAL)
+    run = aj.simulate(plant, law, x_d, GOAL + 0.01, 16.0, dt=2e-3, record_every=0.1)
+    late = (run.t > 6.0) & (run.error_norm > 1e-12)
+    rate = -np.polyfit(run.t[late], np.log(run.error_norm[late]), 1)[0]
+    assert_allclose(rate, local.decay_rate, rtol=0.05)
+
+
+def test_V_along_the_run_of_ones_own_law_falls_as_its_equation_says():
+    """With J = Ĵ and exact gravity V̇ = −K_d|Jq̇|² − (B_c + B) q̇²."""
+    arm = aj.load_robot("two_link")
+    task = aj.PositionTask(arm, axes="xz")
+    plant, law = aj.Plant(arm, task, friction=0.3), TaskSpacePD(task)
+    run = aj.simulate(plant, law, task.value(GOAL), GOAL + 0.3, 1.0, dt=None, record_every=1e-3)
+    M, e = plant.dynamics.M(run.q[300]), run.error[300]
+    assert_allclose(run.V[300], 0.5 * run.v[300] @ M @ run.v[300] + 100.0 * e @ e)
+    for k in (100, 400, 800):
+        J, v = task.jacobian(run.q[k]), run.v[k]
+        expected = -law.kd * (J @ v) @ (J @ v) - (law.damping + 0.3) * v @ v
+        assert_allclose(run.V_dot[k], expected, rtol=1e-3)
+
+
+def test_a_run_names_what_ones_own_law_learnt():
+    plant, law = two_link_loop(WindingUpNot)
+    run = aj.simulate(plant, law, plant.sensor.value(GOAL), GOAL, 0.1, dt=2e-3)
+    assert dict(run.parameters) == {"force along x": "N", "force along z": "N"}
+    assert_allclose(run.learnt, run.state)
+    ax = aj.view.plot_parameters(run)
+    assert [line.get_label() for line in ax.lines] == list(run.parameters)
+    assert ax.get_ylabel() == "learnt [N]"
+    wrong = WindingUpNot(law.task)
+    wrong.parameters = {"force": "N"}
+    with pytest.raises(aj.InvalidInputError, match="must name the 2 numbers that learnt"):
+        aj.simulate(plant, wrong, plant.sensor.value(GOAL), GOAL, 0.1, dt=2e-3)
+
+
+def test_ones_own_law_within_limits_keeps_them():
+    plant, law = two_link_loop(TaskSpacePD)
+    limited = aj.TorqueLimited(law, aj.Limits(effort=25.0), dt=2e-3)
+    q0 = GOAL + np.array([0.5, -0.8])
+    run = aj.simulate(plant, limited, plant.sensor.value(GOAL), q0, 6.0, dt=2e-3)
+    assert np.abs(run.tau).max() <= 25.0 + 1e-9
+    assert (run.limit_status == aj.LimitStatus.LIMITED).any()  # nothing is proven of it
+    assert run.error_norm[-1] < 1e-3
+    assert np.isfinite(run.V).all()
