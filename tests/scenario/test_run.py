@@ -93,7 +93,7 @@ def test_the_rest_is_learnt_of_a_robot_that_adds_its_own_gravity():
     assert last < 0.2 * run.error_norm[0]
     with pytest.raises(InvalidInputError, match="must be learnt, exact, believed or none in a rep"):
         prepare(made(gravity="learn_residual"))
-    with pytest.raises(InvalidInputError, match="must be learnt or believed with law T"):
+    with pytest.raises(InvalidInputError, match="must be learnt or believed with the tracking law"):
         build_scenario(made(gravity="learn_residual", law="tracking"))
 
 

@@ -1,6 +1,6 @@
 """Progress bars on a terminal: what is done, how long it has taken, and how long it may take yet.
 
-Where the output is no terminal no bar is shown (`disable=None`), and what takes long is told once.
+Where the output is no terminal no bar is shown (`disable=None`); long work is announced once.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ class ShareBar:
     """A bar of several parts of work one after the other, each from 0 to 1."""
 
     def __init__(self, long: Mapping[str, str] | None = None) -> None:
-        """Take what is to be told, of parts that take long, where no bar is shown."""
+        """Take what to announce of parts that take long where no bar is shown."""
         self._bar = _bar(1.0, "{desc}" + _TIMES, "start")
         self._what = ""
         self._long = dict(long or {})

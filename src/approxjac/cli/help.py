@@ -32,11 +32,11 @@ def of_commands(commands: Mapping[str, Callable[..., int]]) -> str:
     lines.append("")
     for name, command in commands.items():
         lines += _entry(name, _paragraphs(command)[0], 14)
-    told = (
+    text = (
         "COMMAND --help says more of each command, with examples; --version prints the version. "
         "Exit codes are 0, 1 where a verdict fell short, and 2 for bad input."
     )
-    return "\n".join([*lines, "", *wrapped(told)])
+    return "\n".join([*lines, "", *wrapped(text)])
 
 
 def completion(shell: str, options: Mapping[str, Sequence[Option]]) -> str:
@@ -77,15 +77,15 @@ def of_command(
         title = "Common options" if common else f"[{group}]" if group else "Options"
         lines += ["", title]
         for option in members:
-            # all names only where all is told
+            # all names only where all options are shown
             name = option.names[0] if common else ", ".join(option.names)
             lines += _entry(f"{name} {_values(option.hint)}".rstrip(), _text(option), _INDENT)
     if common:
-        told = (
+        text = (
             f"All {len(options)} options: approxjac {command.__name__} --help-all. Each is a key "
             "of a scenario file: --sensor.noise 0.001 is noise = 0.001 below [sensor]."
         )
-        lines += ["", *wrapped(told)]
+        lines += ["", *wrapped(text)]
     return "\n".join(lines)
 
 
@@ -116,10 +116,10 @@ def _text(option: Option) -> str:
     return f"{option.help} (default: {default})"
 
 
-def _entry(name: str, told: str, indent: int) -> list[str]:
-    """Return a name and what is told of it beside it, or below where the name is long."""
+def _entry(name: str, text: str, indent: int) -> list[str]:
+    """Return a name with a text beside it, or below where the name is long."""
     indent = min(indent, width() // 2)
-    lines = wrapped(told, " " * indent)
+    lines = wrapped(text, " " * indent)
     if len(name) + 4 > indent:
         return [f"  {name}", *lines]
     return [f"  {name}".ljust(indent) + lines[0][indent:], *lines[1:]]

@@ -58,7 +58,7 @@ class Typed:
 
 def documented(record: Any) -> dict[str, str]:
     """Return name → text of the arguments or attributes in a docstring."""
-    found: dict[str, list[str]] = {}
+    texts: dict[str, list[str]] = {}
     section, name = False, ""
     for line in inspect.cleandoc(record.__doc__ or "").splitlines():
         if line in ("Args:", "Attributes:"):
@@ -66,11 +66,11 @@ def documented(record: Any) -> dict[str, str]:
         elif section and line and not line.startswith(" "):
             section = False
         elif section and line.startswith("        "):
-            found[name].append(line.strip())
+            texts[name].append(line.strip())
         elif section and line.strip():
             name, _, text = line.strip().partition(": ")
-            found[name] = [text]
-    return {name: " ".join(lines) for name, lines in found.items()}
+            texts[name] = [text]
+    return {name: " ".join(lines) for name, lines in texts.items()}
 
 
 def own_options(command: Callable[..., int]) -> list[Option]:
@@ -85,7 +85,7 @@ def own_options(command: Callable[..., int]) -> list[Option]:
 
 def record_options(record: Any, short: Mapping[str, str], key: str = "") -> list[Option]:
     """Return the options of a scenario, or of a part of it: its keys, and short ones for some."""
-    found: list[Option] = []
+    options: list[Option] = []
     kind: Any = type(record)
     texts = documented(kind)
     for name, hint in hints(kind).items():
@@ -93,12 +93,12 @@ def record_options(record: Any, short: Mapping[str, str], key: str = "") -> list
         if hint is KW_ONLY or dotted == "robot":
             continue
         if is_dataclass(value):
-            found += record_options(value, short, f"{dotted}.")
+            options += record_options(value, short, f"{dotted}.")
             continue
         names = [option for option, meant in short.items() if meant == dotted]
         names.append(f"--{dotted.replace('_', '-')}")
-        found.append(Option(tuple(names), dotted, hint, texts[name], value))
-    return found
+        options.append(Option(tuple(names), dotted, hint, texts[name], value))
+    return options
 
 
 def read(

@@ -48,11 +48,11 @@ def _run_file(run: Path) -> Path:
                 given=run,
             )
         return run
-    found = sorted(run.glob("*.npz"))
-    if len(found) != 1:
-        names = ", ".join(path.name for path in found) or "none"
+    files = sorted(run.glob("*.npz"))
+    if len(files) != 1:
+        names = ", ".join(path.name for path in files) or "none"
         raise InvalidInputError(
             f"RUN must be a file, or a folder with one run (.npz), got {run} with {names}",
             given=run,
         )
-    return found[0]
+    return files[0]

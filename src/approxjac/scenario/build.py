@@ -20,12 +20,12 @@ from approxjac.robots import Robot, load_robot
 from approxjac.robots.urdf_edit import OBJECT_RADIUS
 from approxjac.scenario.image_setup import image_scene
 from approxjac.scenario.laws import controller_of, limits_of
-from approxjac.scenario.reachability import doubts
 from approxjac.scenario.records import Goal, Numbers, Object, Sensor, Tracker, Vectors
 from approxjac.scenario.refusals import require_effect
 from approxjac.scenario.scenario import Scenario
 from approxjac.scenario.starts import (
     configuration_of,
+    doubts,
     numbers,
     regular_configuration,
     straight_ahead,
@@ -67,17 +67,17 @@ class BuiltScenario:
 
     @functools.cached_property
     def warning(self) -> str:
-        """Return why the gains, the believed or the true arm may miss the target; or ""."""
+        """Reason why the gains, the believed or the true arm may miss the target; or ""."""
         tuning = self.law.tuning
         if tuning is not None and not tuning.stable:
             return tuning.reasons[0]
         if self.scenario.true.tracker != Tracker():
             return ""  # in whose axes nobody knows where the arm is
         run, goal = self.scenario.run, self.scenario.run.target
-        told = doubts(self.law.task, self.target, self.q0, run.duration)
-        if not told and goal != Goal() and goal.configuration is None:  # or it was there itself
-            told = doubts(self.plant.sensor, self.target, self.q0, run.duration, "true")
-        return told
+        doubt = doubts(self.law.task, self.target, self.q0, run.duration)
+        if not doubt and goal != Goal() and goal.configuration is None:  # or it was there itself
+            doubt = doubts(self.plant.sensor, self.target, self.q0, run.duration, "true")
+        return doubt
 
     @property
     def gains(self) -> dict[str, Any]:

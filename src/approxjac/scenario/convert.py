@@ -45,7 +45,7 @@ def filled(record: Any, values: Table, where: str = "", key: str = "") -> Any:
 def checked(kind: type, base: Any, values: Table, where: str = "", key: str = "") -> dict[str, Any]:
     """Return values of a table as a kind of record has them; those of inner tables fill `base`."""
     known = {field.name: field for field in fields(kind)}
-    found = {}
+    made = {}
     for name, value in values.items():
         dotted, inner = f"{key}.{name}" if key else name, getattr(base, name, None)
         if name not in known:
@@ -54,16 +54,16 @@ def checked(kind: type, base: Any, values: Table, where: str = "", key: str = ""
             table = " ".join(filter(None, (where, f"[{key}]" if key else ""))) or "a scenario"
             raise UnknownNameError("key", name, table, known)
         if is_dataclass(inner):
-            found[name] = filled(inner, _table_of(inner, value, dotted), where, dotted)
+            made[name] = filled(inner, _table_of(inner, value, dotted), where, dotted)
             continue
-        found[name] = made = value_of(hints(kind)[name], value, dotted, where)
-        for number in made if isinstance(made, tuple) else (made,):
+        made[name] = read = value_of(hints(kind)[name], value, dotted, where)
+        for number in read if isinstance(read, tuple) else (read,):
             if isinstance(number, int | float) and not isinstance(number, bool):
                 try:
                     as_number(dotted, number, **known[name].metadata)
                 except InvalidInputError as error:
                     raise InvalidInputError(f"{error}{_in(where)}", given=number) from None
-    return found
+    return made
 
 
 def value_of(hint: Any, value: Any, key: str, where: str = "") -> Any:
@@ -73,8 +73,8 @@ def value_of(hint: Any, value: Any, key: str, where: str = "") -> Any:
     typed = isinstance(value, Words)
     given = (" ".join(value) or "nothing") if typed else repr(value)
     now = RENAMED.get(f"{key} = {given.strip(chr(39))}")
-    told = f"{key} must be {wanted(hint, plain=typed)}, got {given}{_in(where)}"
-    raise InvalidInputError(told + (f", which is now {now}" if now else ""), given=value)
+    message = f"{key} must be {wanted(hint, plain=typed)}, got {given}{_in(where)}"
+    raise InvalidInputError(message + (f", which is now {now}" if now else ""), given=value)
 
 
 def converted(hint: Any, value: Any) -> Any:
@@ -158,16 +158,16 @@ def wanted(hint: Any, plain: bool = False) -> str:
 
 
 def differences(record: Any, default: Any) -> dict[str, Any]:
-    """Return what a record has otherwise than another, as tables of plain values."""
-    found: dict[str, Any] = {}
+    """Return the values of a record that differ from another's, as tables of plain values."""
+    changed: dict[str, Any] = {}
     for field in fields(record):
         mine, usual = getattr(record, field.name), getattr(default, field.name)
         if mine == usual:
             continue
-        found[field.name] = differences(mine, usual) if is_dataclass(mine) else mine
-        if isinstance(mine, Goal) and set(found[field.name]) == {"at"}:
-            found[field.name] = found[field.name]["at"]
-    return found
+        changed[field.name] = differences(mine, usual) if is_dataclass(mine) else mine
+        if isinstance(mine, Goal) and set(changed[field.name]) == {"at"}:
+            changed[field.name] = changed[field.name]["at"]
+    return changed
 
 
 def to_toml(table: Table) -> str:

@@ -78,19 +78,19 @@ def controller_of(
 
 def _kinematics(scenario: Scenario, task: Task) -> Kinematics:
     """Return the kinematics that learn what a scenario says to be unknown."""
-    unknown, told = scenario.controller.unknown, scenario.sensor
-    rest: dict[str, Any] = {"delay": told.delay, "dt": sampling_time(scenario)}
+    unknown, sensor = scenario.controller.unknown, scenario.sensor
+    rest: dict[str, Any] = {"delay": sensor.delay, "dt": sampling_time(scenario)}
     if not isinstance(task, ImageTask):
-        noise = max(told.noise, _LEAST_NOISE)
+        noise = max(sensor.noise, _LEAST_NOISE)
         return AdaptiveKinematics(task, unknown, noise=noise, angle_noise=noise, **rest)
     if isinstance(task.camera, PlanarCamera):
         least = _LEAST_NOISE * task.camera.magnification
-        return AdaptivePlanarCamera(task, unknown, noise=max(told.noise, least), **rest)
+        return AdaptivePlanarCamera(task, unknown, noise=max(sensor.noise, least), **rest)
     if "camera" in unknown:  # with its focal length
         unknown = tuple(dict.fromkeys((*unknown, "focal_length")))
     if task.camera.mount is not None:
         unknown = tuple("points" if kind == "tool" else kind for kind in unknown)
-    return AdaptiveCamera(task, unknown, noise=max(told.noise, _LEAST_PIXELS), **rest)
+    return AdaptiveCamera(task, unknown, noise=max(sensor.noise, _LEAST_PIXELS), **rest)
 
 
 def _gravity(truth: Robot, belief: Robot, kind: str, integral_action: bool | None) -> Gravity:
@@ -147,7 +147,7 @@ def _gains(task: Task, scenario: Scenario) -> Gains | None:
 
 
 def latency_of(scenario: Scenario) -> Latency:
-    """Return how late the loop of a scenario measures and acts; continuous control as at 1 kHz."""
+    """Return the delays of a scenario's loop; continuous control as at 1 kHz."""
     sensor = scenario.sensor
     learns = bool(scenario.controller.unknown)  # then frames are outside the loop
     return Latency(

@@ -16,8 +16,8 @@ from approxjac.robots import Dynamics
 from approxjac.robots.joint_limits import beyond_positions
 from approxjac.scenario.build import BuiltScenario, build_scenario
 from approxjac.scenario.laws import sampling_time
-from approxjac.scenario.reachability import too_far
 from approxjac.scenario.scenario import Scenario
+from approxjac.scenario.starts import too_far
 from approxjac.simulation import Loop, Trajectory, simulate
 from approxjac.tasks.analysis import FINE, fine_error
 from approxjac.validation import Array
@@ -204,8 +204,8 @@ class RunResult:
         if mostly(run.limit_status[last] > LimitStatus.FREE):
             return self._held_back()
         if self.on_path:
-            told = f"strays up to {self.strayed[0]:.3g} {run.task_unit} from its path"
-            return f"{told}, where at most {self.tolerance:.3g} {run.task_unit} is following it"
+            far = f"strays up to {self.strayed[0]:.3g} {run.task_unit} from its path"
+            return f"{far}, where at most {self.tolerance:.3g} {run.task_unit} is following it"
         if stands and mostly(run.status[last] == Status.NEAR_SINGULAR):
             return "stands where the believed Jacobian is singular along the error"
         moved = np.linalg.norm(run.x[last] - run.x[-1], axis=1).max()
@@ -222,7 +222,7 @@ class RunResult:
         return "moves on without approaching: too short a run, or not stable with these errors"
 
     def _learns(self, last: slice) -> bool:
-        """Return whether 1 % of the position force at the end was learnt in the last quarter."""
+        """Return True if 1 % of the position force at the end was learnt in the last quarter."""
         run, law, q = self.run, self.built.law, self.run.q[-1]
         if self.built.controller.law is not law:
             return False
@@ -230,7 +230,7 @@ class RunResult:
         return bool(np.linalg.norm(end - first) > 0.01 * np.linalg.norm(run.task_torque[-1]))
 
     def _held_back(self) -> str:
-        """Return what limits did at the end, and which."""
+        """Return which limits acted at the end, and how."""
         run = self.run
         beyond = beyond_positions(self.built.plant.robot, run.q[-1:])[0]
         weak = np.abs(self.motor_torque[-1]) > 0.999 * self.built.plant.motor_limits
@@ -245,14 +245,14 @@ class RunResult:
     # -- summary ------------------------------------------------------------------------
 
     def summary(self) -> dict[str, Any]:
-        """Return what goes into summary.json."""
+        """Return the contents of summary.json."""
         run, built, robot = self.run, self.built, self.built.plant.robot
         sizes = {"final_error": self.final_error, "start_error": self.errors_at(0)}
         if self.on_path:
             names = ("largest_error", "rms_error", "last_quarter_rms_error")
             pairs = zip(names, self.strayed, strict=True)
             sizes |= {name: {run.task_unit: error} for name, error in pairs}
-        found = {
+        values = {
             "robot": run.robot_name,
             **{f"{name}_{unit}": e for name, errors in sizes.items() for unit, e in errors.items()},
             "tolerance": self.tolerance,
@@ -275,17 +275,17 @@ class RunResult:
             "status_counts": {status.name: n for status, n in run.status_counts().items()},
             "scenario": asdict(built.scenario),
         }
-        return {name: plain(value) for name, value in found.items()}
+        return {name: plain(value) for name, value in values.items()}
 
     def _kinematics_summary(self) -> dict[str, Any] | None:
-        """Return what was learnt of the kinematics, number by number; None of nothing."""
+        """Return the learnt kinematics, number by number; None if they are not learnt."""
         if self.built.learning is None:
             return None
         learnt = self.built.learning.kinematics_learnt(self.run.state[-1])
         return {"chi_squared": learnt.chi_squared} | {r.name: r._asdict() for r in learnt.rows}
 
     def _limits_summary(self) -> dict[str, Any] | None:
-        """Return what limits did at the recorded instants; None where the controller knows none."""
+        """Return the effect of limits at the recorded instants; None without limits."""
         run, limits = self.run, self.built.limits
         if limits is None:
             return None

@@ -25,8 +25,8 @@ def require_effect(scenario: Scenario) -> None:
         for name, size in (("length", held.length), ("radius", held.radius)):
             as_size(f"{kind}.object.{name}", size or 0.0)
         as_mass(f"{kind}.object.mass", held.mass or 0.0)
-    for value, told in _faults(scenario):
-        raise InvalidInputError(told, given=value)
+    for value, message in _faults(scenario):
+        raise InvalidInputError(message, given=value)
 
 
 def _rules(scenario: Scenario) -> list[tuple[str, bool, str, str]]:
@@ -123,7 +123,7 @@ def _faults(scenario: Scenario) -> Iterator[tuple[Any, str]]:
         yield given, f"{ways} must not both be given, as there is one target"
     control = scenario.controller
     if control.law == "tracking" and control.gravity not in ("learnt", "believed"):
-        wanted = "learnt or believed with law T (controller.law)"
+        wanted = "learnt or believed with the tracking law (controller.law)"
         yield control.gravity, f"controller.gravity must be {wanted}, got {control.gravity}"
     tracker = scenario.true.tracker
     if tracker != type(tracker)() and task.axes not in (None, "xyz"):

@@ -119,12 +119,12 @@ class Scenario:
         changed = differences(self, Scenario(self.robot))
         for part, names in _ALWAYS.items():
             record = getattr(self, part)
-            told = {name: getattr(record, name) for name in names}
-            objects = {name: vars(each) for name, each in told.items() if is_dataclass(each)}
+            shown = {name: getattr(record, name) for name in names}
+            objects = {name: vars(each) for name, each in shown.items() if is_dataclass(each)}
             for name, each in objects.items():
-                told[name] = {key: value for key, value in each.items() if value is not None}
+                shown[name] = {key: value for key, value in each.items() if value is not None}
             others = {k: v for k, v in changed.get(part, {}).items() if k not in objects}
-            changed[part] = told | others
+            changed[part] = shown | others
         write_text(Path(path), to_toml(table | changed))
         return Path(path)
 

@@ -1,4 +1,4 @@
-"""Configurations to start from and to go to: chosen ones, and random ones that make sense."""
+"""Configurations to start from and to go to: given ones, random ones, and what is in reach."""
 
 from __future__ import annotations
 
@@ -8,13 +8,16 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.errors import InvalidInputError
+from approxjac.interface import TargetPath
 from approxjac.robots import Dynamics, Robot
-from approxjac.robots.joint_limits import require_radians
+from approxjac.robots.joint_limits import reach_bound, require_radians
 from approxjac.simulation.plant import holdable
 from approxjac.stability.loop.inverse_kinematics import inverse_kinematics
-from approxjac.tasks import Task
+from approxjac.tasks import PoseTask, PositionTask, Task
 from approxjac.validation import Array, as_array
 
+_STARTS = 20  # of the search for a configuration
+_INSTANTS = 200  # of a path
 REGULAR = 0.1
 """Starts and targets have σ_min of J and of Ĵ above this share of σ_max."""
 
@@ -89,3 +92,39 @@ def configuration_of(
             given=joints,
         )
     return np.array(pin.integrate(robot.model, robot.neutral(), motion))
+
+
+def too_far(task: Task, values: Array) -> str:
+    """Return why values (N, n_x) are beyond the reach of the arm stretched out; or ""."""
+    if not isinstance(task, PositionTask | PoseTask):
+        return ""
+    first, most = reach_bound(task.robot, task.frame)
+    axes = ["xyz".index(axis) for axis in task.labels[:3]]
+    away = float(np.linalg.norm(values[:, : len(axes)] - first[axes], axis=1).max())
+    if away <= most:
+        return ""
+    return f"out of reach: {away:.3g} m from the first joint, where {most:.3g} m is the most"
+
+
+def doubts(
+    task: Task, target: Array | TargetPath, q0: Array, duration: float, whose: str = "believed"
+) -> str:
+    """Return a reason why the arm of a task may not reach a target; or "".
+
+    Beyond doubt where it is too far. Otherwise by inverse kinematics from the start and from 20
+    seeded configurations, which may miss one that there is; not of paths and images.
+    """
+    if not isinstance(target, np.ndarray):
+        target = np.array([target.at(t).x for t in np.linspace(0.0, duration, _INSTANTS)])
+    far = too_far(task, np.atleast_2d(target))
+    if far:
+        return f"for the {whose} arm the target is {far}"
+    if target.ndim == 2 or not isinstance(task, PositionTask | PoseTask):
+        return ""
+    rng = np.random.default_rng(0)
+    for start in [q0, *(task.robot.random_configuration(rng) for _ in range(_STARTS))]:
+        if inverse_kinematics(task, target, start, within_limits=True) is not None:
+            return ""
+    return (
+        f"no configuration of the {whose} arm within its limits was found that reaches the target"
+    )

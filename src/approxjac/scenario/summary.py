@@ -62,7 +62,7 @@ def text(result: RunResult) -> str:
     """Return the verdict, and then what the arm did, a line each."""
     run, built, torque = result.run, result.built, result.peak_torque_ratio
     law, robot = built.law, built.plant.robot
-    told = {
+    lines = {
         "robot": f"{robot.name}, {robot.nv} joints, {robot.mass:.3g} kg with the object",
         "object": held(built.scenario),
         "believed": believed(built.scenario),
@@ -81,20 +81,20 @@ def text(result: RunResult) -> str:
         "law's status": shares(run.status_counts()),
     }
     if learnt := law.describe_learnt(run.state[-1]):
-        told["learnt"] = learnt
+        lines["learnt"] = learnt
     if built.learning is not None:
         report = built.learning.kinematics_learnt(run.state[-1])
-        told["kinematics"] = _kinematics(report, isinstance(built.plant.sensor, ImageTask))
+        lines["kinematics"] = _kinematics(report, isinstance(built.plant.sensor, ImageTask))
     if built.limits is not None:
-        told["limits' status"] = shares(run.limit_status_counts())
+        lines["limits' status"] = shares(run.limit_status_counts())
     if run.at_stops:
-        told["stops"] = f"{run.stops_told()}; up to {result.joint_limit_excess:.2g} beyond"
+        lines["stops"] = f"{run.stops_told()}; up to {result.joint_limit_excess:.2g} beyond"
     if not result.on_path and (run.x_d != run.x_d[0]).any():
-        told["shown"] = "the target was moved while it ran: errors are to the target then"
+        lines["shown"] = "the target was moved while it ran: errors are to the target then"
     if built.warning:
-        told["warning"] = built.warning
-    lines = wrapped(f"{': '.join(filter(None, (result.verdict, result.reason)))}")
-    return "\n".join([*lines, *wrapped(_error(result)), "", *rows(told, 2)])
+        lines["warning"] = built.warning
+    verdict = wrapped(": ".join(filter(None, (result.verdict, result.reason))))
+    return "\n".join([*verdict, *wrapped(_error(result)), "", *rows(lines, 2)])
 
 
 def _error(result: RunResult) -> str:
@@ -102,10 +102,10 @@ def _error(result: RunResult) -> str:
     unit, factor = display_unit(result.run.task_unit)
     within = f"{factor * result.tolerance:.3g} {unit}"
     if not result.on_path:
-        told = f"error {_size(result.errors_at(0))} -> {_size(result.final_error)}"
+        size = f"error {_size(result.errors_at(0))} -> {_size(result.final_error)}"
         if math.isnan(result.settling_time):
-            return f"{told}, where {within} is wanted"
-        return f"{told}, within {within} from {result.settling_time:.3g} s on"
+            return f"{size}, where {within} is wanted"
+        return f"{size}, within {within} from {result.settling_time:.3g} s on"
     largest, rms, last = (_size({result.run.task_unit: error}) for error in result.strayed)
     return (
         f"up to {largest} from the path, {rms} RMS, {last} in the last quarter, where {within} is "
@@ -128,12 +128,12 @@ def believed(scenario: Scenario) -> str:
     true, belief = scenario.true, scenario.believed
     right = Belief(true.object, true.shifts, true.rotations)
     wrong = differences(replace(belief, object=belief.object.like(true.object)), right)
-    told = [
+    parts = [
         f"{name} {key} {_plain(value)}"
         for name, values in wrong.items()
         for key, value in values.items()
     ]
-    return ", ".join(told) or "what is true"
+    return ", ".join(parts) or "what is true"
 
 
 def _plain(value: Any) -> str:
@@ -175,15 +175,15 @@ def _plane(result: RunResult) -> str:
 def _kinematics(learnt: KinematicReport, is_image: bool) -> str:
     """Return tool and camera as they were learnt, and whether that explains x."""
     tool = [row.value for row in learnt.rows if row.name.startswith("tool.")]
-    told = [f"tool at {numbers_of(np.round(tool, 3))} m"] if tool else []
+    parts = [f"tool at {numbers_of(np.round(tool, 3))} m"] if tool else []
     if learnt.angle:
         which, rows = ("camera", "") if is_image else ("tracker", " (camera.r in kinematics.txt)")
-        told.append(f"{which} turned by {math.degrees(learnt.angle):.1f} deg{rows}")
-    told.append(f"chi squared {learnt.chi_squared:.2f} a degree of freedom")
+        parts.append(f"{which} turned by {math.degrees(learnt.angle):.1f} deg{rows}")
+    parts.append(f"chi squared {learnt.chi_squared:.2f} a degree of freedom")
     if not learnt.is_explained:
         why = f"; it may be: {learnt.suspects}" if learnt.suspects else ""
-        told.append(f"which does not explain x{why}")
-    return ", ".join(told)
+        parts.append(f"which does not explain x{why}")
+    return ", ".join(parts)
 
 
 def _draw_kinematics(run: Trajectory, learnt: KinematicReport) -> Figure:
