@@ -1,11 +1,15 @@
 """What is typed wrong: exit code 2, one line with the user's option, the value, what is valid."""
 
+import types
 from operator import attrgetter
+from typing import Literal, Union, get_args, get_origin
 
 import pytest
 
 from approxjac.cli import main, options, parser
 from approxjac.cli.simulate_command import simulate
+from approxjac.scenario import Scenario
+from approxjac.scenario.convert import Words, converted
 
 # Words → the option (or word) that is named, the value that was given, and what would be valid.
 CASES = """
@@ -104,6 +108,36 @@ def test_the_error_is_one_line_with_option_value_and_what_is_valid(
     assert message.startswith("approxjac: ")
     assert message.count("\n") == 1
     assert [part for part in parts if part not in message] == [], message
+
+
+def sample(hint):
+    """Words of a value of a type."""
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin in (Union, types.UnionType):
+        return sample(inner[0])
+    if origin is Literal:
+        return inner[-1:]
+    if origin is dict:
+        return ("joint", "0.1", "-2e-3", "3")
+    if origin is tuple:
+        count = 4 if inner[-1] is Ellipsis else len(inner)
+        return sample(inner[0]) * count
+    return {float: ("2.5e1",), int: ("30",), str: ("word",), bool: ("true",)}[hint]
+
+
+@pytest.mark.parametrize(
+    "option", parser.record_options(Scenario("panda"), {}), ids=lambda option: option.key
+)
+def test_every_key_is_an_option_and_a_line_of_a_file(option, tmp_path):
+    words = sample(option.hint)
+    typed = parser.Typed()
+    parser.read(
+        typed, "stability", ["panda", *option.names[:1], *words], [option], "NAME", "a name"
+    )
+    scenario = options.scenario_of("simulate", typed.alone, typed.values)
+    assert scenario != Scenario("panda")
+    assert attrgetter(option.key)(scenario) == converted(option.hint, Words(words))
+    assert Scenario.load(scenario.save(tmp_path / "s.toml")) == scenario
 
 
 @pytest.mark.parametrize(

@@ -72,7 +72,7 @@ def value_of(hint: Any, value: Any, key: str, where: str = "") -> Any:
         return converted(hint, value)
     typed = isinstance(value, Words)
     given = (" ".join(value) or "nothing") if typed else repr(value)
-    now = RENAMED.get(f"{key} = {given.strip(chr(39))}")
+    now = RENAMED.get(f"{key} = {given if typed else value}")
     message = f"{key} must be {wanted(hint, plain=typed)}, got {given}{_in(where)}"
     raise InvalidInputError(message + (f", which is now {now}" if now else ""), given=value)
 

@@ -238,9 +238,8 @@ class ControllerChoice:
             "tool" where the points are.
         command: "torque", or "velocity" for robots that take joint velocities (law "tracking").
         differentiator: Time constant of Ẋ from the differentiated x, s: law (5), or law (6).
-        gravity: Compensated as it is learnt (law (28)), as it truly is ("exact"), as the believed
-            arm has it, or not at all; "learn_residual" learns what is left of it from 0, for a
-            robot that adds the gravity of the believed arm by itself (Franka, UR).
+        gravity: Compensated as learnt (law (28)), as it truly is, as believed, or not at all; or
+            the residual is learnt, of a robot that adds the believed arm's by itself (Franka, UR).
         integral_action: Learn a constant task force and joint torques; by default if gravity is
             learnt.
         settling_time: Time to settle that is wanted, s; by default as fast as inertia, motors and
