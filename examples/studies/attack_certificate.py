@@ -1,4 +1,4 @@
-"""Attack the certificate of the loop as it runs: sampled, late, with x in frames and a filtered q̇.
+"""Attack the certificate of the sampled loop: sampled, late, with x in frames and a filtered q̇.
 
 A setup is a random arm with a tool that may be longer and heavier than believed, gains, damping,
 friction, saturation, a box, delays, images and a filter. Its period is the longest of a few that

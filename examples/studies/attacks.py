@@ -1,4 +1,4 @@
-"""Runs and samples that a certificate of the loop as it runs is held against."""
+"""Runs and samples that a certificate of the sampled loop is held against."""
 
 import math
 from dataclasses import dataclass, replace

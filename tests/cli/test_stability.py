@@ -54,19 +54,19 @@ def test_a_certified_set(certified):
     assert code == 0
     summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
     assert summary["certified_by"] == "sampled form"
-    assert summary["latency"]["period"] == 1e-3
-    assert summary["limits"]["free"]["m"] > 0.05
+    assert summary["about"]["timing"]["period"] == 1e-3
+    assert summary["limits"]["at rest"]["free"]["m"] > 0.05
     assert set(summary["tolerance"]) == {"theorem1", "matrix", "local"}
     scales = [summary["tolerance"][test]["scale"] for test in ("theorem1", "matrix", "local")]
     assert scales == sorted(scales)
     assert scales[0] < 0.2 < 1.0 < scales[1]
-    assert summary["rollouts"]["runs"] == 1
+    assert summary["rollouts"]["converged"]["runs"] == 1
     assert np.array(summary["map"]["share"]).shape == (2, 2)
     assert summary["scenario"]["stability"]["object_length"] == [0.0, 0.1]
     verdict, starts, first, second = summary["advice"]
     assert ") the error goes to zero as long as the arm stays in the region" in starts
     assert verdict.startswith("certified: yes, margin 0.")
-    assert "as it runs at 1 kHz" in verdict
+    assert "sampled at 1 kHz" in verdict
     assert first.startswith(
         "in continuous time Theorem 1 does not certify object length 0 to 0.1 m"
     )
@@ -104,19 +104,12 @@ def test_what_is_not_certified_says_what_to_change(tmp_path, capsys):
     )  # fmt: skip
     shown = capsys.readouterr().out
     assert code == 1
-    assert "certified: no, as it runs at 1 kHz" in shown
+    assert "certified: no, sampled at 1 kHz" in shown
     assert "in continuous time the matrix form " in shown
-    assert "times what it is, it is certified as it runs" in shown
+    assert "next: --suggest-gains" in shown
     summary = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
-    factor = summary["damping"]["factor"]
+    assert summary["reason"] == "none"
     assert not (tmp_path / "map.png").exists()
-    # and what it says is true
-    again = stability(
-        tmp_path, "panda", "--object-length", "0", "0.3", "--around", *AROUND, "--radius", "0.1",
-        "--damping", f"{0.2 * factor}", "--kp", "400", "--kv", "80", "--configurations", "20",
-        "--runs", "0", "--map-points", "0",
-    )  # fmt: skip
-    assert again == 0
 
 
 @pytest.mark.study
@@ -431,7 +424,7 @@ def failing(own):
 
 def test_without_gains_no_scenario_is_written(tmp_path, monkeypatch, capsys):
     candidate = Candidate(aj.Gains(100.0, 20.0, 2.0), 0.2, torque_ratio=0.5, settling_time=1.47)
-    failed = SimpleNamespace(passed=False, reason="errors grow")
+    failed = SimpleNamespace(passed=False, verdict=lambda: "certified: no")
     monkeypatch.setattr(aj.Study, "report", lambda *args: failed)
     none = Suggestion("matrix", None, ("with 1.18 times the torque limits: K_p 9",), (candidate,))
     wrong = Suggestion("matrix", candidate, (), (candidate,))  # which the report does not certify

@@ -2,9 +2,7 @@
 
 import json
 import math
-import re
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,8 +19,8 @@ from approxjac.stability.certificates.theorem1 import theorem1
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.loop.inverse_kinematics import inverse_kinematics
 from approxjac.stability.loop.local import local_test
-from approxjac.stability.report import report_starts
-from approxjac.stability.report.report_words import _wrong_gravity
+from approxjac.stability.report import render
+from approxjac.stability.report.rows import of_gravity, usual_errors
 from approxjac.stability.search import suggested_gains as search
 from approxjac.stability.search.suggested_gains import Candidate, _relaxations
 
@@ -50,6 +48,11 @@ def controller_of(uncertainty, gains=None, **options):
         uncertainty.believed_task(), aj.Gains(400.0, 80.0, 10.0) if gains is None else gains,
         **options,
     )  # fmt: skip
+
+
+def by_name(report):
+    """The rows of a report."""
+    return {(row.part, row.name): row for row in report.rows}
 
 
 @pytest.fixture(scope="module")
@@ -81,32 +84,27 @@ def test_report_says_what_each_test_says(report):
     assert report.local.stable
     assert report.local.decay_rates.min() > 0.5
     text = str(report)
-    assert text.startswith("certified: yes, margin 0.")
-    assert text.splitlines()[0].endswith(", as it runs at 2 kHz")
-    assert "not proven between them." in " ".join(text.split("about")[0].split())
-    assert "  timing   a period of 0.5 ms, no delays" in text
+    assert text.splitlines()[0] == report.verdict() == render.headline(report.rows[0])
     assert max(map(len, text.splitlines())) <= 100
-    rows = {test: (said, figures) for test, said, figures in report.lines()}
-    said, figures = rows["in continuous time, Theorem 1"]
-    assert said == "does not hold"
-    assert figures.startswith("Jacobian error p = 0.346 >= 0.0")
-    worst = rows["worst case, Theorem 1"][1]
-    assert worst.startswith("object length 0.2 m")
-    assert " at q = " in worst
-    said, figures = rows["in continuous time, paper's weights"]
-    assert said == "holds"
-    assert figures.startswith("margin 0.1")
-    # 1 − (0.05/5)^(1/100), as four families and the loop as it runs share the 5 %
-    assert figures.endswith(
-        "; 0 of 100 further configurations violate it, so at most 4.5 % of all do (95 % confidence)"
-    )
-    assert rows["in continuous time, near targets"][0] == "stable"
-    said, figures = rows["as it runs, near targets"]
-    assert said == "stable"
-    assert figures.startswith("at all ")
-    starts = rows["as it runs, starts"][1]
-    assert " m in one coordinate, none in the others; " in starts
-    assert starts.endswith(" % of the starts drawn, about half near their targets")
+    rows = by_name(report)
+    first = rows["continuous", "Theorem 1"]
+    assert first.verdict == "does not hold"
+    assert first.figures["p"] == pytest.approx(0.346, abs=5e-4)
+    assert first.figures["p"] > first.figures["allowed_p"] > 0.0
+    assert rows["worst", "Theorem 1"].figures["worst_truth"].startswith("object length 0.2 m")
+    paper_weights = rows["continuous", "paper's weights"]
+    assert paper_weights.verdict == "holds"
+    assert 0.1 < paper_weights.figures["margin"] < 0.2
+    assert (paper_weights.figures["violations"], paper_weights.figures["checked"]) == (0, 100)
+    # 1 − (0.05/5)^(1/100), as four families and the sampled loop share the 5 %
+    assert paper_weights.figures["violating_at_most"] == pytest.approx(0.045, abs=5e-4)
+    for part in ("sampled", "continuous"):
+        assert rows[part, "near targets"].verdict == "stable"
+        assert rows[part, "near targets"].figures["unstable"] == 0
+    assert rows["sampled", "matrix form"].figures["margin"] == sampled.margin
+    assert_array_equal(rows["sampled", "starts"].figures["reach"], sampled.reach)
+    assert 0.0 < rows["sampled", "starts"].figures["covered"] <= 1.0
+    assert rows["sampled", "longest period"].figures == {"certified": certified, "stable": exact}
 
 
 def test_gravity_that_is_left_out_is_said_to_be_known(tools):
@@ -116,37 +114,34 @@ def test_gravity_that_is_left_out_is_said_to_be_known(tools):
 
 def test_report_says_at_once_for_which_starts_it_holds(report):
     """Those of which staying is proven, against the usual ones, of which it is assumed."""
-    told = " ".join(str(report).split("\n\n")[0].splitlines()[1:])
-    stays, usual = report.attraction, np.linalg.norm(report_starts.usual_errors(report), axis=1)
+    stays, usual = report.attraction, np.linalg.norm(usual_errors(report), axis=1)
     assert stays.error < 0.2 * np.median(usual)
-    both = "start" if report.loop.target is not None else "start and target"
-    within = f"{both} within {stays.radius:.2g} rad of the region's middle"
-    assert told.startswith(
-        f"Covers starts at rest up to {stays.error:.2g} m from their target ({within})"
-    )
-    assert f"holds from rest, {within} in every joint" in " ".join(str(report).split())
-    usually = f"the usual starts ({np.median(usual):.2g} m from their target in the median) "
-    goes = "the error goes to zero as long as the arm stays in the region."
-    assert f". From all of {usually}{goes}" in told
-    slower = replace(report.sampled, level=0.1 * report.sampled.level)
-    less = report_starts.told(replace(report, sampled=slower))
-    share = float(re.search(r"From ([\d.]+) % of the usual starts", less)[1])
-    assert 0.0 < share < 100.0
-    none = report_starts.told(replace(report, sampled=replace(report.sampled, level=0.0)))
-    assert none.endswith(f". From none of {usually}is anything proven.")
+    covers = report.rows[1]
+    assert (covers.part, covers.name, covers.verdict) == ("verdict", "covers", "certified")
+    expected = {
+        "radius": stays.radius, "error": stays.error, "any_target": True, "share": 1.0,
+        "usual": np.median(usual), "unit": "m", "joint_unit": "rad",
+    }  # fmt: skip
+    assert dict(covers.figures) == expected
+    assert by_name(report)["sampled", "staying"].figures["radius"] == stays.radius
+    assert render.meaning(covers).startswith("Covers starts at rest up to 0.")
+    for level, share in ((0.1, None), (0.0, 0.0)):
+        slower = replace(report.sampled, level=level * report.sampled.level)
+        found = replace(report, sampled=slower).rows[1].figures["share"]
+        assert found == share or (share is None and 0.0 < found < 1.0)
 
 
 def test_the_headline_says_what_is_only_assumed(report):
     """A certificate with no start of which staying is proven holds while the arm stays."""
-    ends = ", as it runs at 2 kHz"
-    assert report.verdict().endswith(ends)
+    assert report.rows[0].figures["stays"]
+    assert "as long as the arm stays" not in report.verdict()
     for stays in (None, replace(report.attraction, radius=0.0)):
         unproven = replace(report)
         vars(unproven)["attraction"] = stays
-        assert unproven.verdict().endswith(f"{ends}, as long as the arm stays in the region")
-        assert "From no start is it proven that the arm stays in the region. From all" in " ".join(
-            str(unproven).split()
-        )
+        assert not unproven.rows[0].figures["stays"]
+        assert unproven.rows[1].figures["radius"] == 0.0
+        assert by_name(unproven)["sampled", "staying"].verdict == "assumed"
+        assert unproven.verdict().endswith("as long as the arm stays in the region")
 
 
 def test_report_says_what_no_test_knows_of():
@@ -158,22 +153,19 @@ def test_report_says_what_no_test_knows_of():
 
     def rows(region, latency):
         found = aj.Study(controller_of(tools), tools, region, latency=latency).report(20)
-        return {test: figures for test, _, figures in found.lines()}
+        return {row.name: row.figures for row in found.rows if row.part == "beware"}
 
     inside = rows(aj.JointBox.around(arm, q, 0.1), Latency())
-    assert not {"joint limits", "timing"} & inside.keys()
+    assert inside == {}
     wide = aj.JointBox.around(arm, q, [0.1, 0.1, 2.0, 0.1, 0.1, 0.1])
     beyond = rows(wide, late)
-    assert "beyond those of elbow_joint: " in beyond["joint limits"]
-    assert beyond["timing"] == (
-        "in whole periods, rollouts and the linearisation near targets take torques as 2 ms late, "
-        "not 2.4 ms"
-    )
-    assert " old" not in beyond["timing"]
+    assert beyond["joint limits"] == {"joints": ["elbow_joint"]}
+    rounded = {"torque_delay": 2e-3, "given_torque_delay": 2.4e-3}
+    assert beyond["timing"] == {"rollouts": rounded, "near targets": rounded}
     part = aj.stability.RegularPart(wide, tools.believed_task(), 0.01)
-    assert "beyond those of elbow_joint: " in rows(part, Latency())["joint limits"]
+    assert rows(part, Latency())["joint limits"] == {"joints": ["elbow_joint"]}
     longer = rows(aj.JointBox.around(arm, q, 0.1), Latency(torque_delay=1e-2))
-    assert "the linearisation near targets take samples of 2.5 ms" in longer["timing"]
+    assert longer["timing"] == {"near targets": {"period": 2.5e-3}}
 
 
 def test_what_was_chosen_is_checked_elsewhere(report):
@@ -184,10 +176,12 @@ def test_what_was_chosen_is_checked_elsewhere(report):
         # of postures of a random walk no such bound is known, and none is told
         assert math.isnan(replace(test, independent=False).violating_at_most)
     walked = {name: replace(test, independent=False) for name, test in report.matrix.items()}
-    assert "(95 % confidence)" in " ".join(str(report).split())
     sampled = replace(report.sampled, independent=False)
     unbounded = replace(report, matrix=walked, sampled=sampled)
-    assert "(95 % confidence)" not in " ".join(str(unbounded).split())
+    for found, is_told in ((report, True), (unbounded, False)):
+        for row in found.rows:
+            if "violating_at_most" in row.figures:
+                assert ("confidence" in render.sentence(row)) == is_told
 
 
 def test_report_repeats_bit_by_bit():
@@ -205,13 +199,13 @@ def test_summary_is_json_and_complete(report):
     summary = json.loads(json.dumps(report.summary()))
     assert summary["certified_by"] == "sampled form"
     assert summary["certified_in_continuous_time"] == "matrix"
-    assert summary["latency"]["period"] == 5e-4
-    assert summary["sampled"]["largest_period"] >= 5e-4
-    assert summary["theorem1"]["holds"] is False
-    assert summary["theorem1"]["alpha_range"] == [None, None]
-    assert set(summary["matrix"]) == {"paper"}
-    assert len(summary["matrix"]["paper"]["worst_q"]) == 7
-    assert summary["local"]["stable"] is True
+    assert summary["about"]["timing"]["period"] == 5e-4
+    assert summary["sampled"]["longest period"]["certified"] >= 5e-4
+    assert summary["continuous"]["Theorem 1"]["verdict"] == "does not hold"
+    assert summary["continuous"]["Theorem 1"]["alpha_range"] == [None, None]
+    assert len(summary["continuous"]["paper's weights"]["worst_q"]) == 7
+    assert summary["continuous"]["near targets"]["verdict"] == "stable"
+    assert sum(len(summary[part]) for part in {row.part for row in report.rows}) == len(report.rows)
 
 
 def test_a_certified_controller_reaches_its_target(tools, box, report):
@@ -229,7 +223,7 @@ def test_a_single_robot_and_a_plant_say_the_same():
         for each in (truth, aj.Plant(truth, aj.PositionTask(truth)))
     ]
     assert reports[0].summary() == reports[1].summary()
-    assert "the true robot" in str(reports[0])
+    assert by_name(reports[0])["worst", "Theorem 1"].figures["worst_truth"] == "the true robot"
 
 
 def test_default_region_leaves_singular_configurations_out(weightless):
@@ -258,11 +252,11 @@ def test_gravity_that_is_not_exact_certifies_nothing():
     known = aj.Study(controller_of(tools), tools, region).report(20)
     assert not known.gravity_is_exact
     assert known.certified_by is None
-    assert "gravity is off by up to" in known.reason
-    assert str(known).startswith("certified: no, as it runs at 1 kHz: gravity is off")
-    why = {row[0]: row[2] for row in known.lines()}["gravity"]
-    assert "unless gravity is learnt (AdaptiveGravity)" in why
-    assert "leave it out (a robot without gravity, NoGravity)" in why
+    assert known.reason == "gravity"
+    assert known.rows[0].figures["error"] == known.gravity_error > 1.0
+    why = by_name(known)["beware", "gravity"]
+    assert dict(why.figures) == {"error": known.gravity_error, "learns": False, "by": []}
+    assert "unless gravity is learnt (AdaptiveGravity)" in render.sentence(why)
     regressor = GravityRegressor(tools.belief())
     learnt = aj.Study(
         controller_of(tools, gravity=aj.AdaptiveGravity(regressor, L=0.2, alpha=1.0)), tools, region
@@ -272,22 +266,23 @@ def test_gravity_that_is_not_exact_certifies_nothing():
     assert learnt.sampled is None
     assert learnt.passed
     assert learnt.certified_in_continuous_time == "matrix"
-    assert str(learnt).startswith("certified: in continuous time only, margin 0.")
+    assert learnt.reason == "learnt"
+    assert learnt.rows[0].verdict == "in continuous time only"
     assert set(learnt.matrix) == {"paper"}
     assert learnt.local.stable
-    assert "(learnt parameters, often slow, included)" in " ".join(str(learnt).split())
-    assert "learnt parameters" not in str(known)
+    for each, learns in ((learnt, True), (known, False)):
+        assert by_name(each)["sampled", "near targets"].figures["learns"] == learns
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "terms"),
     [
-        ({}, "the learnt task force and joint torques can take it up, and then the error is 0"),
-        ({"task_force": 1.0}, "the learnt task force can take it up"),
-        ({"task_force": 0.0}, "need not go to 0, unless a task force or joint torques are learnt"),
+        ({}, ["task force", "joint torques"]),
+        ({"task_force": 1.0}, ["task force"]),
+        ({"task_force": 0.0}, []),
     ],
 )
-def test_gravity_that_no_parameters_explain_is_not_said_to_want_learning(options, told):
+def test_gravity_that_no_parameters_explain_is_not_said_to_want_learning(options, terms):
     arm = aj.load_robot("panda")
     tilted = aj.Uncertainty(arm, joint_rotations={"panda_joint1": (0.2, 0.0, 0.0)})
     options = options and {"L": 0.2, "alpha": 1.0} | options
@@ -295,10 +290,9 @@ def test_gravity_that_no_parameters_explain_is_not_said_to_want_learning(options
     loop = ClosedLoop(law, tilted, aj.JointBox.around(arm, Q, 0.1))
     error = loop.gravity_error(Q[np.newaxis])
     assert error > 1.0
-    figures = _wrong_gravity(SimpleNamespace(gravity_error=error, loop=loop))
-    assert figures.startswith(f"no learnt gravity parameters explain up to {error:.3g} N m of it")
-    assert told in figures
-    assert "of it, as of wrong joint axes or a tilted base" in figures
+    row = of_gravity(loop, error)
+    assert dict(row.figures) == {"error": error, "learns": True, "by": terms}
+    assert render.sentence(row).startswith("no learnt gravity parameters explain up to")
     with pytest.raises(aj.InvalidInputError, match="explain it, as of wrong joint axes or a"):
         loop.require_gravity()
 
@@ -329,7 +323,7 @@ def test_a_gravity_of_ones_own_is_judged_by_what_it_returns():
     report = aj.Study(law, arm, region).report(20)
     assert not report.gravity_is_exact
     assert report.certified_by is None
-    assert "gravity by Weak" in " ".join(str(report).split())
+    assert "gravity by Weak" in by_name(report)["about", "law"].figures["law"]
 
 
 def test_progress_tells_what_is_being_done(report, seen):

@@ -17,7 +17,7 @@ import approxjac as aj
 from approxjac.formatting import percent
 from approxjac.robots import GravityRegressor
 from approxjac.stability.errors.region import Region
-from approxjac.stability.report.report_words import _rollouts
+from approxjac.stability.report.rows import of_rollouts
 from approxjac.stability.rollouts.rollouts import clopper_pearson
 from approxjac.stability.rollouts.setting import _judged
 from approxjac.tasks.analysis import fine_error
@@ -171,14 +171,14 @@ def test_torques_that_no_motor_has_are_told(serial):
     def told(*peaks):
         columns = serial.columns | {"peak_torque": np.array(peaks), "diverged": np.isnan(peaks)}
         found = dataclasses.replace(serial, columns=columns)
-        return str(found), [row for row in _rollouts(found) if row[0].endswith("torques")]
+        return str(found), [row for row in of_rollouts(found) if row.name == "torques"]
 
     text, (row,) = told(0.5, math.nan, 1.0, 1.2, 7.41)
-    beyond = "beyond motors, which are not limited here: up to 7.41 times their limits"
-    assert f"torques at least 2 of 5 runs {beyond}" in " ".join(text.split())
-    assert row[1:] == ("at least 2 of 5", beyond)
+    assert "torques at least 2 of 5 runs beyond motors" in " ".join(text.split())
+    assert row.verdict == "at least 2 of 5"
+    assert dict(row.figures) == {"beyond": 2, "most": 7.41, "unknown": 1}
     _, (row,) = told(0.5, 0.7, 1.0, 1.2, 7.41)  # none diverged
-    assert row[1:] == ("2 of 5", beyond)
+    assert row.verdict == "2 of 5"
     text, rows = told(0.5, math.nan, 1.0, 1.0 + 1e-9, 0.0)  # as of TorqueLimited
     assert "motors" not in text
     assert not rows

@@ -47,8 +47,7 @@ def test_the_loop_that_diverges_is_not_certified_and_its_report_says_so(arm):
     assert report.certified_by is None
     assert not report.passed
     assert not report.sampled.certified
-    assert report.verdict().startswith("certified: no")
-    assert "errors grow at" in report.verdict()
+    assert (report.rows[0].verdict, report.reason) == ("no", "unstable")
     assert report.spectral_radii.max() > 1.5
     faster = certificate(parts, Latency(0.45e-3), n=100)
     assert faster.certified

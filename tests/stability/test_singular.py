@@ -41,8 +41,8 @@ def test_so_no_test_certifies_a_region_with_such_a_posture(straight, configurati
     assert box.contains(report.singular_q)
     assert report.singular_q[1] == pytest.approx(0.0, abs=1e-3)
     assert report.certified_by is None
-    assert "rank" in {row[0] for row in report.lines()}
-    assert report.summary()["singular_q"] == report.singular_q.tolist()
+    assert ("beware", "rank") in {row[:2] for row in report.rows}
+    assert report.summary()["beware"]["rank"]["q"] == report.singular_q.tolist()
 
 
 def test_the_regular_part_of_the_region_is_certified(straight):
@@ -103,9 +103,9 @@ def test_where_learning_is_damped_no_certificate_says_anything():
     assert found.singular_q is None
     assert found.certified_in_continuous_time is None
     assert not found.passed
-    assert "learning is damped" in found.verdict()
+    assert found.reason == "damped"
     assert "learning uses a damped pseudo-inverse" in str(found)
-    assert found.summary()["damped_q"] == q.tolist()
+    assert found.summary()["beware"]["learning"]["q"] == q.tolist()
 
     regular = RegularPart(near, task, 0.1)
     assert aj.Study(learnt, arm, regular).report(20).damped_q is None

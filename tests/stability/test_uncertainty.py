@@ -17,6 +17,7 @@ from approxjac.codegen.arm.arm_numbers import arm_numbers
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.stability.certificates.matrix_form import MatrixForm, best_weights
 from approxjac.stability.loop.closed_loop import ClosedLoop
+from approxjac.stability.report.rows import FAMILIES
 from approxjac.tasks import FrameKinematics
 
 CAMERA = PlanarCamera(0.05, 3.0, 0.1)
@@ -364,13 +365,12 @@ def test_a_camera_that_may_be_rolled_any_way_is_not_certified():
     report = aj.Study(controller, rolls, NEAR).report(60)
     assert report.certified_by is None
     assert report.certified_in_continuous_time is None
-    assert "errors grow" in report.reason
-    rows = {name: (said, told) for name, said, told in report.lines()}
-    said, told = rows["in continuous time, near targets"]
-    grow = int((report.local.decay_rates <= 0.0).sum())
-    assert said == "unstable"
-    assert told.startswith(f"errors grow at {grow} of {len(report.local.q)} targets, at worst at ")
-    assert "This is a problem found in the loop" in str(report)
+    assert report.reason == "unstable"
+    (near,) = (row for row in report.rows if row[:2] == ("continuous", "near targets"))
+    assert near.verdict == "unstable"
+    assert near.figures["unstable"] == int((report.local.decay_rates <= 0.0).sum()) > 0
+    assert near.figures["targets"] == len(report.local.q)
+    assert report.rows[1].verdict == "problem"
 
 
 def test_true_robots_inside_that_are_worse_than_both_ends_are_found():
@@ -393,7 +393,7 @@ def test_true_robots_inside_that_are_worse_than_both_ends_are_found():
     told = tilts.describe(report.loop.values[worst])
     assert report.describe_truth(worst) == told
     of_worst = report.describe_truth(int(report.samples.truth[test.worst]))
-    assert report.summary()["matrix"][name]["worst_truth"] == of_worst
+    assert report.summary()["continuous"][FAMILIES[name]]["worst_truth"] == of_worst
 
 
 def test_what_a_share_is_bounded_with_has_a_true_robot_of_its_own():

@@ -28,7 +28,7 @@ def stability(
 
     Example: approxjac stability panda --object-length 0 0.3 --around 0 -0.5 0 -2 0 1.6 0.7
 
-    Exit code 0 if the region is certified, 1 if not: of the loop as it runs, sampled and late as
+    Exit code 0 if the region is certified, 1 if not: of the sampled loop with its delays as
     the scenario says; or in continuous time where gravity is learnt, as there it has to do.
 
     Args:

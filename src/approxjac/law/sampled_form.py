@@ -1,4 +1,4 @@
-"""The matrix form of the loop as it runs: torque held and late, x in frames that are late.
+"""The matrix form of the sampled loop: torque held and late, x in frames that are late.
 
 The torque that acts is the law's own and an error, τ = u + w, M q̈ = −C q̇ − D q̇ − ĴᵀK_p s + w, and
 the V of `law.matrix_form` obeys V̇ = −zᵀQz + yᵀw with y = q̇ + G s. A torque that was computed

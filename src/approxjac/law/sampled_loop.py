@@ -1,4 +1,4 @@
-"""The closed loop of eqs. (28), (29) to first order as it runs: sampled, late, x in frames."""
+"""The closed loop of eqs. (28), (29) to first order: sampled, late, x in frames."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ class SuggestedGains:
 
     @property
     def needs_known_gravity(self) -> bool:
-        """Return whether the gains are certified as it runs, but not with the scenario's gravity.
+        """Return whether the gains are certified when sampled, but not with the scenario's gravity.
 
         As where it is learnt, of which there are certificates in continuous time only.
         """
@@ -83,7 +83,7 @@ def suggested(scenario: Scenario, progress: Callable[[str, float], None]) -> Sug
         known = found_scenario.with_values({"controller": {"gravity": "exact"}})
         report = prepare(known).report(analysis.configurations)
         if not report.passed:
-            return SuggestedGains(scenario, errors, settling_time, found, refused=report.reason)
+            return SuggestedGains(scenario, errors, settling_time, found, refused=report.verdict())
         assert report.sampled is not None
         best = replace(found.found, margin=report.sampled.margin)
         found = replace(found, found=best)

@@ -15,8 +15,7 @@ from approxjac.formatting import joined, percent, plain, wrapped
 from approxjac.scenario.judge import StabilityResult, uncertainty_of
 from approxjac.simulation import Plant
 from approxjac.stability import Uncertainty
-from approxjac.stability.loop.closed_loop import OF_WRONG_AXES
-from approxjac.stability.report import report_starts
+from approxjac.stability.report import render
 from approxjac.stability.rollouts.rollouts import clopper_pearson
 from approxjac.stability.search.map import PARAMETERS, PLACES, labels
 from approxjac.tasks import FrameKinematics
@@ -82,7 +81,7 @@ def advice(result: StabilityResult) -> list[str]:
     if not report.gravity_is_exact:
         why = "gravity is neither known nor learnt"
         if report.loop.controller.adaptation is not None:
-            why = f"no learnt gravity parameters explain all of gravity, {OF_WRONG_AXES}"
+            why = f"no learnt gravity parameters explain all of gravity, {render.OF_WRONG_AXES}"
         return [f"not certified: {why}; controller.gravity exact tells of all else"]
     if report.singular_q is not None:
         return [
@@ -97,27 +96,30 @@ def advice(result: StabilityResult) -> list[str]:
             "region or a smaller a = k_p/k_v may"
         ]
     else:
-        first = report.theorem1
+        found = {(row.part, row.name): row for row in report.rows}
+        first = found["continuous", "Theorem 1"].figures
         best = max(report.matrix.values(), key=lambda test: (test.certified, test.margin))
-        allowed = f"{'<' if first.holds else '>='} {max(first.allowed_p, 0.0):.3g}"
         lines = [
-            f"in continuous time Theorem 1 {'certifies' if first.holds else 'does not certify'} "
-            f"{errors}: p = {first.p:.3g} {allowed}{first.too_fast}",
-            f"in continuous time the matrix form "
-            f"{'certifies' if best.certified else 'does not certify'} it: margin "
+            f"in continuous time Theorem 1 {_certifies(first['holds'])} {errors}: "
+            f"{render.theorem1(first)}",
+            f"in continuous time the matrix form {_certifies(best.certified)} it: margin "
             f"{best.margin:.3g}, violated in {best.violations} of {best.checked} further "
             "configurations",
         ]
         if (report.spectral_radii >= 1.0).any():
             lines.append(
-                "as it runs, errors grow: a shorter period, shorter delays or less damping of "
+                "sampled, errors grow: a shorter period, shorter delays or less damping of "
                 "light joints may help"
             )
     if report.certified_by is not None:
-        lines.insert(0, report_starts.told(report))
+        lines.insert(0, render.starts(report.rows[1]))
     if not report.passed:
         lines.append(_next(result, uncertainty))
     return [report.verdict(), *lines]
+
+
+def _certifies(does: bool) -> str:
+    return "certifies" if does else "does not certify"
 
 
 def _next(result: StabilityResult, uncertainty: Uncertainty | None) -> str:
@@ -234,15 +236,9 @@ def draw_map(result: StabilityResult) -> Figure | None:
 
 def summary(result: StabilityResult) -> dict[str, Any]:
     """Return what goes into summary.json."""
-    rollouts, map_ = result.report.rollouts, result.map
+    map_ = result.map
     found = {
         **result.report.summary(),
-        "rollouts": rollouts
-        and {
-            "runs": rollouts.n,
-            "converged": rollouts.n_converged,
-            "interval": rollouts.interval,
-        },
         "tolerance": {
             test: {
                 "scale": each.scale,

@@ -240,7 +240,7 @@ class _Starts:
     def _targets(self, truths: Indices, ends: Array) -> Array:
         if self._loop.target is not None:
             return np.repeat(np.asarray(self._loop.target)[np.newaxis], len(truths), axis=0)
-        return self._loop._values(truths, ends)
+        return self._loop.values_at(truths, ends)
 
     def _at(self, motions: Array) -> Array:
         model, center = self._box.robot.model, self._box.center

@@ -20,7 +20,7 @@ _NEAR = 40  # samples of a closer look
 _CLOSER = 0.15  # of the region's spread
 _NOTABLE = 1e-3  # margin
 _SAME = 1e-9  # relative, of constants
-_MISSED = 0.05 / (1 + len(FAMILIES))  # the families and the loop as it runs share the 5 %
+_MISSED = 0.05 / (1 + len(FAMILIES))  # the families and the sampled loop share the 5 %
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -59,57 +59,6 @@ class LimitCost:
             return "no proof"
         return "V falls" if self.protects else "another V"
 
-    def __str__(self) -> str:
-        each = ((name.removeprefix("torque limits, "), told) for name, _, told in self.rows())
-        return "; ".join(f"{name}: {told}" for name, told in each)
-
-    def rows(self) -> list[tuple[str, str, str]]:
-        """Return rows of a report's table: what, verdict, figures."""
-        if not self.holds:
-            told = "the motors cannot hold the arm everywhere in the region"
-            return [("torque limits", self.verdict, told)]
-        told = "limits of speed, position and rate"
-        if self.uncounted:
-            told += (
-                ", and the arm's weight, as it is given without gravity: with its base upright "
-                f"that takes up to {100.0 * self.uncounted:.2g} % of a motor's torque"
-            )
-        return [
-            ("torque limits, at rest", "", self._at_rest()),
-            *self._certified(),
-            ("torque limits, where they act", self.verdict, self._beyond()),
-            ("torque limits, not checked", "", told),
-        ]
-
-    def _at_rest(self) -> str:
-        ends = {unit: value for unit, value in self.free.items() if np.isfinite(value)}
-        if not ends:
-            return "no error asks for more torque than the motors have"
-        sizes = " or ".join(f"{value:.2g} {unit}" for unit, value in ends.items())
-        return (
-            f"errors below {sizes} never ask for more than the motors have; larger ones may: "
-            f"{100.0 * self.clipped:.3g} % of the samples do"
-        )
-
-    def _certified(self) -> list[tuple[str, str, str]]:
-        if not self.level:
-            return []
-        told = "only for starts whose motions never ask for more than the motors have"
-        return [("torque limits, certified", "", told)]
-
-    def _beyond(self) -> str:
-        if self.protects:
-            return (
-                "in steps of status PROOF_KEPT, if sampled infinitely fast; as it runs nothing is "
-                "proven there"
-            )
-        if self.proof:
-            return (
-                "the limiter keeps another Lyapunov function V falling, so nothing here is proven "
-                "there; TorqueLimited(..., cross_weight=report.cross_weight) keeps a certified one"
-            )
-        return "the limiter clips, and nothing is proven there"
-
 
 def within_limits(report: StabilityReport, limiter: TorqueLimited) -> StabilityReport:
     """Return a report of a law as that of the law in a limiter: certified are fewer starts."""
@@ -146,7 +95,7 @@ def limit_cost(
         loop: The loop without limits.
         limiter: Around its controller.
         samples: Where to look.
-        sampled: What is known of the loop as it runs.
+        sampled: What is known of the sampled loop.
         protects: Whether the limiter keeps the report's V falling.
     """
     controller, effort = loop.controller, np.asarray(limiter.limits.effort)

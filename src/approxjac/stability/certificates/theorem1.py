@@ -60,17 +60,15 @@ class Theorem1:
     @property
     def allowed_p(self) -> float:
         """The largest p that (14) and (22) allow, at `alpha`; not positive if none."""
-        if self.setting.fixed_alpha is not None and self.alpha >= self.alpha_max:
+        if self.is_too_fast:
             return 0.0
         kp, kv = self.setting.kp, self.setting.kv
         return min(law.allowed_p(self.alpha, kp, kv, self.lambda_1, self.c0, self.c1))
 
     @property
-    def too_fast(self) -> str:
-        """Return in words that learning has a larger α than (14) allows; empty if it has not."""
-        if self.setting.fixed_alpha is None or self.alpha < self.alpha_max:
-            return ""
-        return f": learning has alpha = {self.alpha:.3g} 1/s, (14) allows {self.alpha_max:.3g}"
+    def is_too_fast(self) -> bool:
+        """Return whether learning has a larger α than (14) allows."""
+        return self.setting.fixed_alpha is not None and self.alpha >= self.alpha_max
 
     @property
     def allowed_p_large_gains(self) -> float:

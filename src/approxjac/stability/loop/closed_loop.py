@@ -30,8 +30,6 @@ from approxjac.validation import Array, require
 
 EXACT_GRAVITY = 1e-5
 """Gravity torque that counts as none [N m or N]."""
-OF_WRONG_AXES = "as of wrong joint axes or a tilted base"
-"""Why gravity may be off that no learnt parameters explain."""
 SHARED = 8
 """Samples that functions are chosen on, of each true robot from inside of the errors."""
 _REGULAR = 0.5  # times a tenth of the typical σ_max: configurations below it are left out
@@ -121,7 +119,7 @@ class ClosedLoop:
         return worst
 
     @property
-    def takers(self) -> list[str]:
+    def integral_terms(self) -> list[str]:
         """Return what is learnt that can take up gravity that no parameters explain."""
         learning, parts = self.controller.adaptation, ("task force", "joint torques")
         sizes = (0, 0) if learning is None else learning.sizes[1:]
@@ -133,7 +131,10 @@ class ClosedLoop:
         if error > EXACT_GRAVITY:
             how = "AdaptiveGravity learns it"
             if self.controller.adaptation is not None:
-                how = f"no learnt gravity parameters explain it, {OF_WRONG_AXES}"
+                how = (
+                    "no learnt gravity parameters explain it, as of wrong joint axes or a tilted "
+                    "base"
+                )
             raise InvalidInputError(
                 f"gravity must be compensated exactly or be learnt, got an error of {error:.3g} "
                 f"N m; {how}, and robots with_gravity((0, 0, 0)) take it as compensated",
@@ -183,12 +184,12 @@ class ClosedLoop:
         kinds, sizes = rng.integers(3, size=n), 10.0 ** rng.uniform(-_DECADES, 0.0, n)
         away = np.choose(kinds, [np.zeros(n), sizes, np.ones(n)])  # as a share of the way
         if self.target is None:
-            others = self._seen(truths, self.region.sample(n, rng), rng)
+            others = self.seen(truths, self.region.sample(n, rng), rng)
             ends = [
                 self.parts[t].between(q, other, share)
                 for t, q, other, share in zip(truths, drawn, others, away, strict=True)
             ]
-            return self.samples_at(truths, drawn, self._values(truths, np.array(ends)))
+            return self.samples_at(truths, drawn, self.values_at(truths, np.array(ends)))
         known, model = self.attained(rng), self.region.robot.model
         for i, (t, share) in enumerate(zip(truths, away, strict=True)):
             end = known[t][rng.integers(len(known[t]))]
@@ -279,7 +280,7 @@ class ClosedLoop:
             found[each] = task_terms.errors(sensor, task_terms.values(sensor, here), x_d[each])
         return found
 
-    def _values(self, truths: Indices, configurations: Array) -> Array:
+    def values_at(self, truths: Indices, configurations: Array) -> Array:
         """Return what true robots (N,) measure at configurations (N, nq), shape (N, n_x)."""
         at = self._true_arms.at(truths, configurations)
         found = np.empty((len(truths), self.plants[0].sensor.n_x))
@@ -315,7 +316,7 @@ class ClosedLoop:
         for sensor, each, here in self._by_sensor(truths, at):
             J[each] = task_terms.sensor_jacobians(sensor, here)
         if task._uses_x:
-            x = self._values(truths, configurations)
+            x = self.values_at(truths, configurations)
             J_hat = np.array(list(map(task.jacobian, configurations, x)))
         else:
             at = self._believed_arm.at(np.zeros_like(truths), configurations)
@@ -388,7 +389,7 @@ class ClosedLoop:
             self._draw_inside(int(others[-1]) + 1, rng)
             # no part of the samples, such as every second one, is to be of corners only
             truths = rng.permutation(np.append(truths, first + others))
-        return truths, self._seen(truths, self.region.sample(len(truths), rng), rng)
+        return truths, self.seen(truths, self.region.sample(len(truths), rng), rng)
 
     def _draw_inside(self, n: int, rng: np.random.Generator) -> None:
         """Add n true robots from inside of the errors."""
@@ -400,7 +401,7 @@ class ClosedLoop:
         self.plants, self.parts = [*self.plants, *plants], [*self.parts, *parts]
         self._true_arms = self._true_arms.joined([plant.robot for plant in plants])
 
-    def _seen(self, truths: Indices, drawn: Array, rng: np.random.Generator) -> Array:
+    def seen(self, truths: Indices, drawn: Array, rng: np.random.Generator) -> Array:
         """Configurations of the region, with others for those that their true robot misses."""
         pairs = zip(truths.tolist(), drawn, strict=True)
         for t in dict.fromkeys(t for t, q in pairs if not sees(self.parts[t].sensor, q)):

@@ -1,4 +1,4 @@
-"""A closed loop near its target to first order: continuous, and as it runs sampled."""
+"""A closed loop near its target to first order: continuous, and sampled with delays."""
 
 from __future__ import annotations
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from approxjac.controllers import CrossWeight, Latency, TorqueLimited
-from approxjac.formatting import plain
 from approxjac.stability.certificates.attraction import Attraction, attraction
 from approxjac.stability.certificates.certificate import (
     MatrixTest,
@@ -21,26 +20,26 @@ from approxjac.stability.certificates.families import Family
 from approxjac.stability.certificates.limit_cost import LimitCost, within_limits
 from approxjac.stability.certificates.matrix_form import Best, MatrixForm, on_more
 from approxjac.stability.certificates.sampled_test import SampledTest, largest, sampled_test
-from approxjac.stability.certificates.theorem1 import CONSTANTS, Theorem1, theorem1
+from approxjac.stability.certificates.theorem1 import Theorem1, theorem1
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.closed_loop import EXACT_GRAVITY, SHARED, ClosedLoop
 from approxjac.stability.loop.local import LocalTest, local_test
 from approxjac.stability.loop.samples import Samples
-from approxjac.stability.report import report_words
+from approxjac.stability.report import render, rows
+from approxjac.stability.report.rows import Row
 from approxjac.stability.rollouts.rollouts import Rollouts
 from approxjac.validation import Array, as_integer
 
-_TARGETS = 1000  # that the loop as it runs is linearised at
+_TARGETS = 1000  # that the sampled loop is linearised at
 _WORST = 60
 _CHOOSE = 1000  # samples at most that functions are chosen on: more of them check instead
-_THEOREM1 = ("holds", "p", "allowed_p", "alpha", "margin", "allowed_p_large_gains", "alpha_range")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StabilityReport:
     """Findings of the tests about a controller.
 
-    The word "certified" is about the loop as it runs, sampled and late. Theorem 1 and the matrix
+    The word "certified" is about the sampled loop with its delays. Theorem 1 and the matrix
     form are about continuous time. All three are sufficient conditions that sampling found to hold;
     that a region has no other configuration where they fail is not proven, only bounded
     (`MatrixTest.violating_at_most`). They speak of motions that stay in the region.
@@ -94,14 +93,14 @@ class StabilityReport:
 
     @property
     def certified_by(self) -> str | None:
-        """Return "sampled form" if that certifies the loop as it runs, else None; see `reason`."""
+        """Return "sampled form" if that certifies the sampled loop, else None; see `reason`."""
         return None if self.reason else "sampled form"
 
     @property
     def passed(self) -> bool:
         """Return whether it is certified as far as there are certificates.
 
-        Where gravity is learnt there is none of the loop as it runs: the one in continuous time has
+        Where gravity is learnt there is none of the sampled loop: the one in continuous time has
         to do, with nothing that contradicts it.
         """
         learns = self.sampled is None and not self.contradiction
@@ -133,36 +132,33 @@ class StabilityReport:
 
     @property
     def reason(self) -> str:
-        """Return why the loop as it runs is not certified; empty where it is."""
+        """Return what keeps the sampled loop from being certified; empty where it is certified.
+
+        A contradiction; "violated", "too slow" or "none" of the Lyapunov functions found; or
+        "learnt" or "learnt, none" where gravity is learnt, which has certificates in continuous
+        time only.
+        """
         if self.contradiction:
             return self.contradiction
-        if self.sampled is not None:
-            neither = self.sampled.margin <= 0.0 and self.certified_in_continuous_time is None
-            nowhere = "no Lyapunov function was found, not even in continuous time"
-            return nowhere if neither else self.sampled.reason
-        why = "with learnt gravity there are certificates in continuous time only"
-        return why if self.certified_in_continuous_time else f"{why}, and none was found"
+        nowhere = self.certified_in_continuous_time is None
+        if self.sampled is None:
+            return "learnt, none" if nowhere else "learnt"
+        return "none" if self.sampled.margin <= 0.0 and nowhere else self.sampled.reason
 
     @property
     def contradiction(self) -> str:
         """Return what no certificate can stand beside; empty where there is nothing."""
-        unstable = self.spectral_radii >= 1.0
-        if not self.gravity_is_exact:
-            return f"gravity is off by up to {self.gravity_error:.3g} N m"
-        if self.singular_q is not None:
-            return "the estimated Jacobian loses rank in the region"
-        if self.damped_q is not None:
-            return "the region holds configurations near singular ones, where learning is damped"
-        if self.limits is not None and not self.limits.holds:
-            return "the motors cannot hold the arm everywhere in the region"
-        if unstable.any():
-            share = 100.0 * unstable.mean()
-            return f"errors grow at {share:.3g} % of the targets (exact linearisation)"
-        if not self.local.stable:
-            return "errors grow at some targets in continuous time"
-        if self.rollouts is not None and self.rollouts.n_diverged:
-            return f"{self.rollouts.n_diverged} of {self.rollouts.n} rollouts diverged"
-        return ""
+        rollouts = self.rollouts
+        found = {
+            "gravity": not self.gravity_is_exact,
+            "rank": self.singular_q is not None,
+            "damped": self.damped_q is not None,
+            "motors": self.limits is not None and not self.limits.holds,
+            "unstable": bool((self.spectral_radii >= 1.0).any()),
+            "unstable in continuous time": not self.local.stable,
+            "rollouts diverged": rollouts is not None and rollouts.n_diverged > 0,
+        }
+        return next((reason for reason, is_so in found.items() if is_so), "")
 
     def describe_truth(self, index: int) -> str:
         """Return in words which true robot the index of a sample's `truth` means."""
@@ -199,84 +195,37 @@ class StabilityReport:
             return None
         return attraction(self.loop, self.sampled, np.random.default_rng(self.seed))
 
-    def lines(self) -> list[tuple[str, str, str]]:
-        """Return the table: test, verdict, and the figures it rests on."""
-        return report_words.table(self)
+    @property
+    def has_starts_that_stay(self) -> bool:
+        """Return whether there are starts from which the region is proven not to be left."""
+        return self.attraction is not None and bool(self.attraction.radius)
+
+    @cached_property
+    def rows(self) -> list[Row]:
+        """The findings: of which part of the report, what was tested, its verdict and figures."""
+        return rows.rows_of(self)
 
     def verdict(self) -> str:
-        """Return in one line whether the loop as it runs is certified, and why not."""
-        return report_words.verdict(self)
+        """Return in one line whether the sampled loop is certified, and why not."""
+        return render.headline(rows.verdict(self))
 
     def __repr__(self) -> str:
         name, where = self.loop.controller.task.robot.name, repr(self.loop.region)
         return f"StabilityReport({name!r}: {self.verdict()}, on {where}; print it for the tests)"
 
     def __str__(self) -> str:
-        return report_words.text(self)
+        return render.text(self.rows)
 
     def summary(self) -> dict[str, Any]:
-        """Return what goes into summary.json."""
-        first, local, samples = self.theorem1, self.local, self.samples
-        angles = self.loop.controller.task.robot.angles
-        names = ("certified", "margin", "share", "violations", "checked", "violating_at_most")
+        """Return what goes into summary.json: the rows by part and name, and what is certified."""
         found = {
             "robot": self.loop.controller.task.robot.name,
-            "region": repr(self.loop.region),
-            "configurations": len(self.matrix["paper"].margins),
             "seed": self.seed,
             "certified_by": self.certified_by,
-            "reason": self.reason,
-            "limits": None if self.limits is None else asdict(self.limits),
-            "latency": plain(asdict(self.latency)),
             "certified_in_continuous_time": self.certified_in_continuous_time,
-            "spectral_radius": self.spectral_radii.max(),
-            "sampled": self._sampled_summary(names),
-            **{
-                f"{what}_q": None if q is None else angles(q)
-                for what, q in (("singular", self.singular_q), ("damped", self.damped_q))
-            },
-            "theorem1": {
-                **{name: getattr(first, name) for name in _THEOREM1},
-                "constants": {name: getattr(first, name) for name in CONSTANTS},
-                "worst_q": {name: angles(samples.q[first.worst[name]]) for name in CONSTANTS},
-            },
-            "matrix": {
-                family: {
-                    **{name: getattr(test, name) for name in names},
-                    "worst_q": angles(samples.q[test.worst]),
-                    "worst_truth": self.describe_truth(int(samples.truth[test.worst])),
-                    **test.weights._asdict(),
-                }
-                for family, test in self.matrix.items()
-            },
-            "local": {
-                "stable": local.stable,
-                "share": local.share,
-                "configurations": len(local.q),
-                "slowest_decay_rate": local.decay_rates.min(),
-                "smallest_damping_ratio": local.damping_ratios.min(),
-                "worst_q": angles(local.q[local.worst]),
-                "worst_truth": self.describe_truth(int(local.truth[local.worst])),
-            },
+            "reason": self.reason,
         }
-        return {name: plain(value) for name, value in found.items()}
-
-    def _sampled_summary(self, names: tuple[str, ...]) -> dict[str, Any] | None:
-        test, stays = self.sampled, self.attraction
-        if test is None:
-            return None
-        of_stays = {} if stays is None else vars(stays) | {"weights": stays.weights._asdict()}
-        return {
-            **{
-                name: getattr(test, name) for name in (*names, "speed", "level", "covered", "reach")
-            },
-            "worst_q": self.loop.controller.task.robot.angles(self.samples.q[test.worst]),
-            **test.weights._asdict(),
-            "largest_period": self.largest_period[0],
-            "largest_stable_period": self.largest_period[1],
-            "largest_torque_delay": self.largest_delay,
-            "attraction": of_stays or None,
-        }
+        return found | render.as_json(self.rows)
 
 
 def report_of(
@@ -327,7 +276,7 @@ def report_of(
         )  # fmt: skip
     sampled = None
     if loop.controller.adaptation is None:
-        tell("as it runs", 0.0)
+        tell("sampled form", 0.0)
         sampled = sampled_test(loop, best, form, check, latency)
     tell("local", 0.0)
     truths, configured = samples.truth, samples.q

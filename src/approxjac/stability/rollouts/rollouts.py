@@ -143,13 +143,6 @@ class Rollouts:
         return self.n_converged / self.n
 
     @property
-    def beyond_torque(self) -> tuple[str, str]:
-        """Return how many runs go beyond the limit of a motor, and how far, in words."""
-        most = f"up to {np.nanmax(self.columns['peak_torque']):.3g} times their limits"
-        count = f"{'at least ' if self.n_diverged else ''}{self.n_beyond_torque} of {self.n}"
-        return count, f"beyond motors, which are not limited here: {most}"
-
-    @property
     def interval(self) -> tuple[float, float]:
         """95 % interval for the probability to converge, after Clopper and Pearson (1934)."""
         return clopper_pearson(self.n_converged, self.n)
@@ -177,7 +170,11 @@ class Rollouts:
             f"{setting.uncertainty.describe(worst.values)}",
         }
         if self.n_beyond_torque:
-            told["torques"] = " runs ".join(self.beyond_torque)
+            told["torques"] = (
+                f"{'at least ' if self.n_diverged else ''}{self.n_beyond_torque} of {self.n} runs "
+                "beyond motors, which are not limited here: up to "
+                f"{np.nanmax(self.columns['peak_torque']):.3g} times their limits"
+            )
         if setting.reason:  # slow, and nobody asked for it
             told["engine"] = f"in Python, as {setting.reason}"
         return "\n".join([f"converged: {self.n_converged} of {self.n} runs", *rows(told, 2)])

@@ -41,7 +41,7 @@ class Candidate:
     """Gains, and how they meet the three demands."""
 
     gains: Gains
-    # of the chosen test, at most 0 where the loop as it runs fails; NaN where both others do
+    # of the chosen test, at most 0 where the sampled loop fails; NaN where both others do
     margin: float
     torque_ratio: float  # largest torque at the start as a share of the limits
     settling_time: float  # to 2 % of a small error in the worst case [s]; inf if not stable
@@ -62,7 +62,7 @@ class Suggestion:
     """Answer of `Study.gains`.
 
     Attributes:
-        test: The test that had to pass, and the loop as it runs besides.
+        test: The test that had to pass, and the sampled loop besides.
         found: The gentlest gains that meet all demands; None if none do.
         relax: What to relax if none do, in words, one line a demand; empty otherwise.
         tried: All candidates that were tried.
@@ -153,7 +153,7 @@ def suggested_gains(
         return Candidate(gains, left, ratio, time)
 
     def confirmed(candidate: Candidate) -> Candidate:
-        """Return a candidate with the margin that a report has for the loop as it runs."""
+        """Return a candidate with the margin that a report has for the sampled loop."""
         if test == "local":
             return candidate
         report = replace(known, controller=first.with_gains(candidate.gains)).report(configurations)
