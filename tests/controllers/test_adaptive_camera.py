@@ -223,14 +223,14 @@ def test_prediction_has_exact_derivatives(case, room, hand, rng):
 
     def later(s):
         new = state.copy()
-        kinematics._advance(new, s)
+        kinematics.advance(new, s)
         target = aj.Target(x + s * x_dot + s * s / 2 * x_ddot, x_dot + s * x_ddot, x_ddot)
         return kinematics.predict(new, q + s * v, v, target)
 
     now, after, before = later(0.0), later(h), later(-h)
-    assert_allclose((after.z - before.z) / (2 * h), now.J @ v - now.feed + now.drift, rtol=1e-6)
+    assert_allclose((after.z - before.z) / (2 * h), now.J @ v - now.x_d_dot + now.drift, rtol=1e-6)
     assert_allclose((after.J - before.J) / (2 * h), now.J_dot, rtol=1e-6, atol=1e-3)
-    assert_allclose((after.feed - before.feed) / (2 * h), now.feed_dot, rtol=1e-5)
+    assert_allclose((after.x_d_dot - before.x_d_dot) / (2 * h), now.x_d_ddot, rtol=1e-5)
 
 
 def test_the_prediction_of_a_camera_that_is_known_is_that_of_the_image(room):
@@ -318,7 +318,7 @@ def test_a_point_that_is_never_seen_does_not_cost_the_memory(hand):
     """Frames at one place are one key frame, whichever points they show."""
     goal, sensor, task = hand
     kinematics, estimator = AdaptiveCamera(task), AdaptiveCamera(task)._estimator
-    H, o = kinematics._points.at(goal)
+    H, o = kinematics._points_of.at(goal)
     y = kinematics._rays.at(sensor.value(goal) / 600.0)
     y[1] = np.nan
     numbers = estimator.initial()

@@ -257,10 +257,10 @@ def test_prediction_has_exact_derivatives(turned_run, rng):
         return kinematics.predict(new, q + s * v, v, target)
 
     now, after, before = later(0.0), later(h), later(-h)
-    z_dot = now.J @ v - now.feed + now.drift
+    z_dot = now.J @ v - now.x_d_dot + now.drift
     assert_allclose((after.z - before.z) / (2 * h), z_dot, atol=1e-7)
     assert_allclose((after.J - before.J) / (2 * h), now.J_dot, atol=1e-7)
-    assert_allclose((after.feed - before.feed) / (2 * h), now.feed_dot, atol=1e-7)
+    assert_allclose((after.x_d_dot - before.x_d_dot) / (2 * h), now.x_d_ddot, atol=1e-7)
 
 
 def test_estimates_move_as_is_said(turned_run, truth):

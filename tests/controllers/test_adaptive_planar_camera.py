@@ -81,7 +81,7 @@ def test_prediction_has_exact_derivatives(rng):
     task = believed(120.0)
     kinematics, q, v = AdaptivePlanarCamera(task), START, rng.standard_normal(2)
     state = kinematics.initial_state(aj.Measurement(0.0, q, v, task.value(q)))
-    inner, h = kinematics.kinematics, 1e-5
+    inner, h = kinematics, 1e-5
     for name in ("u_dot", "b_dot", "spin"):
         state[inner._at[name]] = 0.1 * rng.standard_normal(len(state[inner._at[name]]))
     x, x_dot, x_ddot = 0.01 * rng.standard_normal((3, 2))
@@ -93,9 +93,9 @@ def test_prediction_has_exact_derivatives(rng):
         return kinematics.predict(new, q + s * v, v, target)
 
     now, after, before = later(0.0), later(h), later(-h)
-    assert_allclose((after.z - before.z) / (2 * h), now.J @ v - now.feed + now.drift, atol=1e-8)
+    assert_allclose((after.z - before.z) / (2 * h), now.J @ v - now.x_d_dot + now.drift, atol=1e-8)
     assert_allclose((after.J - before.J) / (2 * h), now.J_dot, atol=1e-8)
-    assert_allclose((after.feed - before.feed) / (2 * h), now.feed_dot, atol=1e-8)
+    assert_allclose((after.x_d_dot - before.x_d_dot) / (2 * h), now.x_d_ddot, atol=1e-8)
 
 
 def test_the_believed_camera_is_where_learning_begins():

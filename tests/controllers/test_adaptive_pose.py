@@ -198,9 +198,9 @@ def test_prediction_has_exact_derivatives(turned_run, belief, rng, kind, angle):
 
     now, after, before = later(0.0), later(h), later(-h)
     assert np.linalg.norm(now.z[3:]) == pytest.approx(angle)
-    assert_allclose((after.z - before.z) / (2 * h), now.J @ v - now.feed + now.drift, atol=1e-6)
+    assert_allclose((after.z - before.z) / (2 * h), now.J @ v - now.x_d_dot + now.drift, atol=1e-6)
     assert_allclose((after.J - before.J) / (2 * h), now.J_dot, atol=1e-7)
-    assert_allclose((after.feed - before.feed) / (2 * h), now.feed_dot, atol=1e-7)
+    assert_allclose((after.x_d_dot - before.x_d_dot) / (2 * h), now.x_d_ddot, atol=1e-7)
 
 
 def test_with_what_is_believed_z_is_that_of_the_task(belief, rng):

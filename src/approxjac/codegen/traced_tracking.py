@@ -19,7 +19,7 @@ from approxjac.codegen.trace.symbols import Symbols, select, symbols
 from approxjac.controllers import AdaptiveDynamics, AdaptiveKinematics, TrackingController
 from approxjac.controllers.arguments import FLOAT64, HUGE
 from approxjac.controllers.controller import Controller
-from approxjac.controllers.learning.predicted_error import pulled_back
+from approxjac.controllers.learning.estimator import pulled_back
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
 from approxjac.robots.dynamics_regressor import COULOMB_SPEED
@@ -198,15 +198,14 @@ def compiled_step(controller: TrackingController, ordinary: Callable[..., Any]) 
     )
     first = place["torque"].start
     answered = flat[first:]
-    told = ("torque", "e", "J_hat", "gravity", "reference", "learnt", "advanced")
-    torque_at, e_at, J_at, gravity_at, reference_at, learnt_at, advanced_at = (
+    told = ("torque", "e", "J_hat", "gravity", "reference", "learnt")
+    torque_at, e_at, J_at, gravity_at, reference_at, learnt_at = (
         slice(place[name].start - first, place[name].stop - first) for name in told
     )
     usual_at = place["usual"].start - first
     m, p, end = controller.task.m, controller._n_dynamics, controller._end
     begin = p + kinematics._at["u"].start  # in the state
     smoothed_at = slice(begin, begin + len(smoothed_in))
-    moved_at = slice(begin, begin + program.rows["advanced"][1])
     J_shape, shapes, task_shape = (m, controller.task.robot.nv), controller._shapes, (m,)
     float64, array, made, isfinite = FLOAT64, np.ndarray, tuple.__new__, math.isfinite
     ok, unlimited = Status.OK, LimitStatus.UNLIMITED
@@ -252,10 +251,8 @@ def compiled_step(controller: TrackingController, ordinary: Callable[..., Any]) 
         known = after[p:end]
         with np.errstate(over="ignore", invalid="ignore"):  # which ends as an error
             try:
-                if kinematics.notice(known, measurement, dt):
-                    kinematics.advance(known, dt)
-                else:
-                    after[moved_at] = found[advanced_at]
+                kinematics.check(known, measurement, dt)
+                kinematics.correct(known, measurement, dt)
             except np.linalg.LinAlgError:
                 return None
             if not isfinite(after.dot(after)):

@@ -20,16 +20,15 @@ from approxjac.controllers.gravity import (
     RegressorGravity,
 )
 from approxjac.controllers.hold import HeldMeasurement
-from approxjac.controllers.learning.adaptive_camera import AdaptiveCamera
-from approxjac.controllers.learning.adaptive_kinematics import AdaptiveKinematics
-from approxjac.controllers.learning.adaptive_planar_camera import AdaptivePlanarCamera
+from approxjac.controllers.learning.estimator import Kinematics, PredictedError
 from approxjac.controllers.learning.kinematic_report import (
     KinematicReport,
     LearntNumber,
     TiltedAxes,
 )
-from approxjac.controllers.learning.known_kinematics import KnownKinematics
-from approxjac.controllers.learning.predicted_error import Kinematics, PredictedError
+from approxjac.controllers.learning.known import KnownKinematics
+from approxjac.controllers.learning.learnt_camera import AdaptiveCamera
+from approxjac.controllers.learning.positions import AdaptiveKinematics, AdaptivePlanarCamera
 from approxjac.controllers.limits.cross_weight import CrossWeight
 from approxjac.controllers.limits.limit import CartesianSpeed, Limit, LimitTerms, Wall
 from approxjac.controllers.limits.limiter import Limiter

@@ -13,8 +13,8 @@ import numpy as np
 
 from approxjac.controllers.gains.latency import Latency
 from approxjac.controllers.gains.tuning import Tuning
+from approxjac.controllers.learning.estimator import Kinematics
 from approxjac.controllers.learning.kinematic_report import KinematicReport
-from approxjac.controllers.learning.predicted_error import Kinematics
 from approxjac.controllers.limits.limits import Limits
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.formatting import spaced, wrapped

@@ -10,8 +10,8 @@ import numpy as np
 
 from approxjac.controllers.arguments import overflow, require_arrays, require_finite, with_rates
 from approxjac.controllers.controller import Controller, Instant
+from approxjac.controllers.learning.estimator import Kinematics
 from approxjac.controllers.learning.kinematic_report import KinematicReport
-from approxjac.controllers.learning.predicted_error import Kinematics
 from approxjac.controllers.wrapper import ControllerWrapper
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Evaluation, Measurement, Status, Target
@@ -217,7 +217,7 @@ class PredictedMeasurement(ControllerWrapper):
         ahead = self.kinematics.predict(known, q, v, target)
         x = np.concatenate([ahead.z, ahead.J.ravel()])
         moves = target.v is not None
-        return Measurement(t, q, v, x, t), Target(0.0 * x, ahead.feed if moves else None)
+        return Measurement(t, q, v, x, t), Target(0.0 * x, ahead.x_d_dot if moves else None)
 
     def __repr__(self) -> str:
         return f"PredictedMeasurement({self.controller!r}, {self.kinematics!r})"

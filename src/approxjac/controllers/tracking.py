@@ -21,8 +21,8 @@ from approxjac.controllers.arguments import (
     with_rates,
 )
 from approxjac.controllers.controller import Controller
+from approxjac.controllers.learning.estimator import Kinematics
 from approxjac.controllers.learning.kinematic_report import KinematicReport
-from approxjac.controllers.learning.predicted_error import Kinematics
 from approxjac.controllers.learning.tracking_defaults import usual_kinematics, usual_speeds
 from approxjac.controllers.limits.limits import Limits
 from approxjac.controllers.pseudoinverse import singular_ratio
@@ -227,6 +227,7 @@ class TrackingController(Immutable, Controller):
             require_dt(dt, self.dt)
         with np.errstate(over="ignore", invalid="ignore"):  # an overflow is a named error
             target, measurement = self._checked(state, measurement, target)
+            self.kinematics.check(state[self._n_dynamics : self._end], measurement, dt)
             try:
                 after, answer = self._step(state, measurement, target)
                 if math.isfinite(float(after.dot(after) + answer.torque.dot(answer.torque))):
@@ -244,7 +245,7 @@ class TrackingController(Immutable, Controller):
         now = self.kinematics.status(known, measurement)
         J_hat, v_r, a_r, status = self._reference(known, q, v, target, now)
         after, learns = state.copy(), status is not _UNPREDICTED
-        self.kinematics.go_on(after[self._n_dynamics : self._end], measurement, dt)
+        self.kinematics.correct(after[self._n_dynamics : self._end], measurement, dt)
         e = self.task.error(x, target.x)
         if status is _OK and (now is _PREDICTED or not math.isfinite(math.hypot(*e.tolist()))):
             status = _PREDICTED
@@ -266,9 +267,9 @@ class TrackingController(Immutable, Controller):
         self, known: Array, q: Array, v: Array, target: Target, now: Status = _OK
     ) -> tuple[Array, Array, Array, Status]:
         """Return Ĵ, q̇_r, q̈_r and the status that they have, given that of the kinematics."""
-        z, J, J_dot, feed, feed_dot, drift = self.kinematics.predict(known, q, v, target)
-        z_dot = J.dot(v) - feed + drift
-        u, u_dot = law.task_velocity(z, z_dot, feed, feed_dot, self._alpha, self._k)
+        z, J, J_dot, x_d_dot, x_d_ddot, drift = self.kinematics.predict(known, q, v, target)
+        z_dot = J.dot(v) - x_d_dot + drift
+        u, u_dot = law.task_velocity(z, z_dot, x_d_dot, x_d_ddot, self._alpha, self._k)
         null, null_dot = self._rest.velocity(q, v)
         if now is _LOST or not math.isfinite(float(u.dot(u) + u_dot.dot(u_dot) + np.vdot(J, J))):
             return J, np.zeros_like(v), np.zeros_like(v), now if now is _LOST else _UNPREDICTED

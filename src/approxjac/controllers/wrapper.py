@@ -12,8 +12,8 @@ from approxjac.controllers.arguments import FLOAT64
 from approxjac.controllers.controller import Controller, Instant
 from approxjac.controllers.gains.latency import Latency
 from approxjac.controllers.gains.tuning import Tuning
+from approxjac.controllers.learning.estimator import Kinematics
 from approxjac.controllers.learning.kinematic_report import KinematicReport
-from approxjac.controllers.learning.predicted_error import Kinematics
 from approxjac.controllers.limits.limits import Limits
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement

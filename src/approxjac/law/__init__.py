@@ -5,6 +5,9 @@ Symbols are the paper's; misprints are corrected and each departure is named whe
 
 from approxjac.law.adaptation import passive_output, theta_hat_rate, within_bounds
 from approxjac.law.branches import (
+    all_of,
+    alter,
+    any_of,
     array,
     choose,
     collect,
@@ -12,6 +15,7 @@ from approxjac.law.branches import (
     is_finite,
     repeat,
     select,
+    surely,
     take,
 )
 from approxjac.law.conditions import (
@@ -66,7 +70,7 @@ from approxjac.law.matrix_form import (
     potential_matrix,
     stiffness_block,
 )
-from approxjac.law.products import root
+from approxjac.law.products import length, root
 from approxjac.law.pseudoinverse import (
     SINGULAR_RATIO,
     adjugate,
@@ -84,6 +88,8 @@ from approxjac.law.rotation import (
     cross_matrix,
     explained,
     generators,
+    log_rate,
+    most_explained,
     nearest_rotation,
     quaternion,
     quaternion_between,
@@ -92,6 +98,7 @@ from approxjac.law.rotation import (
     rotation_exp,
     rotation_information,
     rotation_log,
+    rotation_of,
     rotations_everywhere,
     tangents,
     turned,
@@ -138,10 +145,13 @@ __all__ = [
     "acceleration_bounds",
     "adaptive_closed_loop_matrix",
     "adjugate",
+    "all_of",
     "allowed_p",
     "allowed_p_at_crossing",
     "allowed_p_position",
     "allowed_p_velocity",
+    "alter",
+    "any_of",
     "approach_speed",
     "array",
     "best_alpha",
@@ -182,10 +192,13 @@ __all__ = [
     "largest_alpha",
     "learning_gain",
     "learnt_gravity_torque",
+    "length",
     "limit_step",
     "limited_torque",
+    "log_rate",
     "may_be_singular",
     "measured_velocity_torque",
+    "most_explained",
     "nearest_rotation",
     "parameter_potential",
     "passive_output",
@@ -207,6 +220,7 @@ __all__ = [
     "rotation_exp",
     "rotation_information",
     "rotation_log",
+    "rotation_of",
     "rotations_everywhere",
     "saturated",
     "select",
@@ -216,6 +230,7 @@ __all__ = [
     "solved_reference",
     "speed_bounds",
     "stiffness_block",
+    "surely",
     "take",
     "tangents",
     "task_velocity",

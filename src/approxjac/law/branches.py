@@ -6,7 +6,9 @@ not known yet (of `codegen`) take both, and say themselves how.
 
 from __future__ import annotations
 
+import functools
 import math
+import operator
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -56,6 +58,36 @@ def array(values: Any) -> Any:
         return found
     unknown = next((each for each in found.flat if hasattr(each, "array")), None)
     return found if unknown is None else unknown.array(found)
+
+
+def any_of(conditions: Any) -> Any:
+    """Return whether any of some conditions (…) holds."""
+    if not conditions.dtype.hasobject:
+        return bool(conditions.any())
+    return functools.reduce(operator.or_, conditions.ravel().tolist(), False)
+
+
+def all_of(conditions: Any) -> Any:
+    """Return whether all of some conditions (…) hold."""
+    if not conditions.dtype.hasobject:
+        return bool(conditions.all())
+    return functools.reduce(operator.and_, conditions.ravel().tolist(), True)
+
+
+def surely(condition: Any) -> bool:
+    """Return whether a condition is known to hold, so that nothing else need be computed."""
+    return isinstance(condition, bool | np.bool_) and bool(condition)
+
+
+def alter(condition: Any, values: Array, change: Callable[[Array], None]) -> None:
+    """Let `change` write into an array, in place, where a condition holds; mostly it does not."""
+    if isinstance(condition, bool | np.bool_):
+        if condition:
+            change(values)
+        return
+    after = values.copy()
+    change(after)
+    values[:] = condition.altered(after, values)
 
 
 def choose(condition: Any, then: Callable[[], Values], otherwise: Callable[[], Values]) -> Values:

@@ -12,7 +12,7 @@ def forgotten_information(Lambda: Array, Lambda_0: Array, share: float) -> Array
 
     Implements Theorem A's forgetting, in samples. Λ and Λ₀ are (P, P); Λ ≥ Λ₀ stays so.
     """
-    return np.asarray(Lambda + share * (Lambda_0 - Lambda))
+    return np.asanyarray(Lambda + share * (Lambda_0 - Lambda))
 
 
 def information(Lambda: Array, H: Array, weight: float) -> Array:
@@ -20,7 +20,7 @@ def information(Lambda: Array, H: Array, weight: float) -> Array:
 
     Implements Theorem A's update of the information, in samples. H is (m, P).
     """
-    return np.asarray(Lambda + weight * H.T.dot(H))
+    return np.asanyarray(Lambda + weight * H.T.dot(H))
 
 
 def correction(Lambda: Array, H: Array, weight: float, innovation: Array) -> Array:
@@ -28,7 +28,7 @@ def correction(Lambda: Array, H: Array, weight: float, innovation: Array) -> Arr
 
     Implements Theorem A's gain, in samples. H is (m, P), R⁻¹ = weight I.
     """
-    return np.asarray(np.linalg.solve(Lambda, weight * innovation.dot(H)))
+    return np.asanyarray(np.linalg.solve(Lambda, weight * innovation.dot(H)))
 
 
 def V1(Lambda: Array, Delta: Array) -> float:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
-from approxjac.law.branches import array, select
-from approxjac.law.products import angle, root, sine_and_cosine
+from approxjac.law.branches import array, choose, complement, repeat, select, surely, take
+from approxjac.law.products import angle, length, root, sine_and_cosine
 from approxjac.validation import Array
 
 # generators of SO(3) and SO(2): rotations are exp(Σ φᵢ Gᵢ)
@@ -26,6 +27,7 @@ NO_ROTATION = 1e-6
 """A quaternion shorter than this stands for no orientation."""
 _NO_SINE, _NO_TURN = 1e-150, 1e-8  # below them the angle over its sine is 1
 _FAR = 1e100
+_QUARTIC_STEPS = 30  # of Newton's method, to the last bit
 _NEWTON_STEPS = 5  # it goes on with the next frame
 _LARGEST_STEP = 0.7  # of Newton's method [rad]
 _CONVERGED = 1e-4  # after a step as small the next would be its square [rad]
@@ -39,18 +41,18 @@ def generators(d: int) -> Array:
 def cross_matrix(phi: Array) -> Array:
     """Return [φ]ₓ = Σ φᵢ Gᵢ of φ (3,), or of an angle (1,) in the plane."""
     if len(phi) == 1:
-        return np.asarray(phi * _PLANE[0])
+        return np.asanyarray(phi * _PLANE[0])
     x, y, z = phi.tolist()
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asanyarray(array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]))
 
 
 def rotation_exp(phi: Array) -> Array:
     """Return exp([φ]ₓ) of a rotation vector (3,), or of the angle (1,) in the plane [rad]."""
-    angle = math.hypot(*phi.tolist())
-    s, c = 1.0, 0.5
-    if angle > 1e-4:
-        s, c = math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle**2
-    return np.array(rodrigues(phi.tolist(), s, c))
+    size = length(phi)
+    sine, cosine = sine_and_cosine(size)
+    turns = size > 1e-4
+    s, c = _share(sine, size, turns, 1.0), _share(1.0 - cosine, size * size, turns, 0.5)
+    return np.asanyarray(array(rodrigues(phi.tolist(), s, c)))
 
 
 def rodrigues(phi: list[float], s: float, c: float) -> list[list[float]]:
@@ -75,16 +77,32 @@ def rotation_log(R: Array) -> Array:
     Its length is at most π; at π either of the two vectors.
     """
     if len(R) == 2:
-        return np.array([math.atan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])])
-    twice = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    sine, cosine = 0.5 * math.hypot(*twice.tolist()), 0.5 * (float(R.trace()) - 1.0)
-    angle = math.atan2(sine, cosine)
-    if cosine > -0.99:
-        return np.asarray((0.5 if sine < 1e-6 else 0.5 * angle / sine) * twice)
-    symmetric = 0.5 * (R + R.T) - cosine * np.eye(3)  # (1 − cos) a aᵀ
-    axis = symmetric[:, int(np.argmax(symmetric.diagonal()))]
-    axis = axis / np.linalg.norm(axis)
-    return np.asarray((angle if axis.dot(twice) >= 0.0 else -angle) * axis)
+        return np.asanyarray(array([angle(*_plane_turn(R))]))
+    rows = R.tolist()
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rows
+    twice = array([zy - yz, xz - zx, yx - xy])
+    sine, cosine = 0.5 * length(twice), 0.5 * (xx + yy + zz - 1.0)
+    turn = angle(sine, cosine)
+
+    def half_a_turn() -> tuple[Array]:
+        symmetric = 0.5 * (R + R.T) - cosine * np.eye(3)  # (1 − cos) a aᵀ
+        x, y, z = symmetric
+        axis = select((y[1] > x[0]) & (y[1] >= z[2]), y, x)
+        axis = select((z[2] > x[0]) & (z[2] > y[1]), z, axis)
+        axis = axis / length(axis)
+        return (axis * select(axis.dot(twice) >= 0.0, turn, -turn),)
+
+    def usual() -> tuple[Array]:
+        return (twice * (0.5 * _share(turn, sine, sine >= 1e-6, 1.0)),)
+
+    found: Array = choose(cosine <= -0.99, half_a_turn, usual)[0]
+    return found
+
+
+def _plane_turn(R: Array) -> tuple[Any, Any]:
+    """Return what sine and cosine of the turn nearest to a matrix (2, 2) are in proportion to."""
+    (a, b), (c, d) = R.tolist()
+    return c - b, a + d
 
 
 def quaternion(R: Array) -> Array:
@@ -100,6 +118,34 @@ def quaternion(R: Array) -> Array:
     row = select((zz > xx) & (zz > yy), array([xz, yz, of_z, wz, of_z]), row)
     row = select(xx + yy + zz > 0.0, array([wx, wy, wz, of_w, of_w]), row)
     return np.asanyarray(row[:4] / (2.0 * root(row[4])))
+
+
+def rotation_of(quaternion: Array) -> tuple[Any, Any]:
+    """Return R (3, 3) of a quaternion (x, y, z, w) of any length, and whether it is one."""
+    size = length(quaternion)
+    is_some = (size > NO_ROTATION) & (size < math.inf)
+    x, y, z, w = (quaternion / select(is_some, size, 1.0)).tolist()
+    xx, yy, zz, xy, xz, yz = x * x, y * y, z * z, x * y, x * z, y * z
+    return array([
+        [1.0 - 2.0 * (yy + zz), 2.0 * (xy - z * w), 2.0 * (xz + y * w)],
+        [2.0 * (xy + z * w), 1.0 - 2.0 * (xx + zz), 2.0 * (yz - x * w)],
+        [2.0 * (xz - y * w), 2.0 * (yz + x * w), 1.0 - 2.0 * (xx + yy)],
+    ]), is_some  # fmt: skip
+
+
+def log_rate(E: Array, omega: Array) -> Any:
+    """Return φ' of φ = log E where E' = [ω]ₓE, shape (3,): ω less ½φ × ω and a rest of φ²."""
+    phi = rotation_log(E)
+    size = length(phi)
+    sine, cosine = sine_and_cosine(size)
+    square = size * size
+    # (1 − ½ a sin a/(1 − cos a))/a², and its series, as at small angles digits cancel
+    series = 1.0 / 12.0 + square * (1.0 / 720.0 + square * (1.0 / 30240.0 + square / 1209600.0))
+    above, below = 2.0 * (1.0 - cosine) - size * sine, 2.0 * square * (1.0 - cosine)
+    rest = _share(above, below, size > 0.2, series)
+    C = cross_matrix(phi)
+    once = C.dot(omega)
+    return omega - 0.5 * once + rest * C.dot(once)
 
 
 def quaternion_between(a: list[float], b: list[float]) -> tuple[float, float, float, float]:
@@ -157,11 +203,70 @@ def nearest_rotation(A: Array) -> Array:
     Raises:
         LinAlgError: Of A beyond 1e100, with which LAPACK may go on for ever.
     """
+    if A.dtype.hasobject:
+        return _nearest_turn(A) if len(A) == 2 else _by_quaternion(A)
     if not math.hypot(*A.ravel().tolist()) < _FAR:
         raise np.linalg.LinAlgError("A must be finite and below 1e100")
     U, _, Vt = np.linalg.svd(A)
     R = np.asarray(U.dot(Vt), dtype=np.float64)
     return R - np.outer(2.0 * U[:, -1], Vt[-1]) if _mirrors(R) else R
+
+
+def _nearest_turn(A: Array) -> Array:
+    sine, cosine = _plane_turn(A)
+    size = root(sine * sine + cosine * cosine)
+    is_some = size > 0.0
+    s, c = select(is_some, sine / size, 0.0), select(is_some, cosine / size, 1.0)
+    return np.asanyarray(array([[c, -s], [s, c]]))
+
+
+def _by_quaternion(A: Array) -> Array:
+    """Return the nearest rotation of symbols: the quaternion that makes pᵀKp largest (Davenport).
+
+    K's largest eigenvalue is at most √3‖A‖, from where Newton's method goes down to it.
+    """
+    A = A / select((size := root((A * A).sum())) > 0.0, size, 1.0)
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = A.tolist()
+    determinant = xx * (yy * zz - yz * zy) - xy * (yx * zz - yz * zx) + xz * (yx * zy - yy * zx)
+    K = array([
+        [xx - yy - zz, xy + yx, xz + zx, zy - yz],
+        [xy + yx, yy - xx - zz, yz + zy, xz - zx],
+        [xz + zx, yz + zy, zz - xx - yy, yx - xy],
+        [zy - yz, xz - zx, yx - xy, xx + yy + zz],
+    ])  # fmt: skip
+    minors = _minors(K)
+    constant = sum(((-1.0) ** j * K[0, j] * minors[0][j] for j in range(4)), 0.0)
+    eight = 8.0 * determinant
+
+    def newton(_: Any, values: tuple[Any]) -> tuple[Any]:
+        (x,) = values  # of x⁴ − 2x² − 8 det A x + det K
+        slope = 4.0 * x * (x * x - 1.0) - eight
+        down = (x * x * (x * x - 2.0) - eight * x + constant) / select(slope > 0.0, slope, 1.0)
+        return (x - select((down > 0.0) & (slope > 0.0), down, 0.0),)
+
+    # a number of the graph, that a loop goes on with
+    (largest,) = repeat(_QUARTIC_STEPS, newton, (select(xx > 2.0, xx, math.sqrt(3.0)),))
+    adjugate = _minors(K - largest * np.eye(4))
+    best, most = adjugate[0], abs(adjugate[0][0])
+    best = array([best[j] * (-1.0) ** j for j in range(4)])
+    for i in range(1, 4):  # columns of the adjugate are in proportion: the largest is exact
+        row, own = (
+            array([adjugate[i][j] * (-1.0) ** (i + j) for j in range(4)]),
+            abs(adjugate[i][i]),
+        )
+        best, most = select(own > most, row, best), select(own > most, own, most)
+    return rotation_of(best / select(most > 0.0, most, 1.0))[0]
+
+
+def _minors(K: Array) -> list[list[Any]]:
+    """Return the determinants of K (4, 4) without a row and a column."""
+
+    def minor(i: int, j: int) -> Any:
+        rows, columns = [r for r in range(4) if r != i], [c for c in range(4) if c != j]
+        (a, b, c), (d, e, f), (g, h, k) = ([K[r, c] for c in columns] for r in rows)
+        return a * (e * k - f * h) - b * (d * k - f * g) + c * (d * h - e * g)
+
+    return [[minor(i, j) for j in range(4)] for i in range(4)]
 
 
 def _mirrors(R: Array) -> bool:
@@ -190,10 +295,27 @@ def rotations_everywhere(d: int) -> Array:
     return np.array(group)
 
 
-def explained(M: Array, h: Array, A: Array) -> float:
+def explained(M: Array, h: Array, A: Array) -> Any:
     """Return ½wᵀMw + hᵀw of w = vec A, which `best_rotation` makes large."""
     w = A.ravel()
-    return float(w.dot(0.5 * M.dot(w) + h))
+    return w.dot(0.5 * M.dot(w) + h)
+
+
+def most_explained(M: Array, h: Array, rotations: Array) -> Array:
+    """Return the one of some rotations (k, d²), flat, of which `explained` is largest."""
+    if not M.dtype.hasobject:
+        values = rotations.dot(h) + 0.5 * (rotations.dot(M) * rotations).sum(axis=1)
+        return np.asarray(rotations[int(np.argmax(values))])
+
+    def better(i: Any, values: tuple[Any, Array]) -> tuple[Any, Array]:
+        w = take(rotations, i)
+        value = explained(M, h, w)
+        return select(value > values[0], value, values[0]), select(value > values[0], w, values[1])
+
+    first = rotations[0]
+    start = explained(M, h, first), first.astype(object)
+    found: Array = repeat(len(rotations), better, start)[1]
+    return found
 
 
 def best_rotation(M: Array, h: Array, A: Array) -> Array:
@@ -209,20 +331,28 @@ def best_rotation(M: Array, h: Array, A: Array) -> Array:
     """
     d = len(A)
     G = generators(d)
-    value = explained(M, h, A)
-    for _ in range(_NEWTON_STEPS):
+
+    def step(_: Any, values: tuple[Array, Any, Any]) -> tuple[Array, Any, Any]:
+        A, value, is_done = values
+        if surely(is_done):
+            return values
         slope, curvature = _derivatives(M, h, A, G)
-        step = _newton_step(slope, curvature)
-        if step is not None:
-            new = rotation_exp(step).dot(A)
-            if math.hypot(*step.tolist()) < _CONVERGED:
-                return nearest_rotation(new)
-            if (higher := explained(M, h, new)) >= value:
-                A, value = new, higher
-                continue
-        new = nearest_rotation((M.dot(A.ravel()) + h).reshape(d, d))
-        A, value = new, explained(M, h, new)
-    return nearest_rotation(A)
+        turn, is_concave = _newton_step(slope, curvature)
+        new = rotation_exp(turn).dot(A)
+        is_small = is_concave & (length(turn) < _CONVERGED)
+        higher = explained(M, h, new)
+
+        def elsewhere() -> tuple[Array, Any]:
+            other = nearest_rotation((M.dot(A.ravel()) + h).reshape(d, d))
+            return other, explained(M, h, other)
+
+        is_step = is_small | (is_concave & (higher >= value))
+        other, rise = choose(complement(is_step), elsewhere, lambda: (new, higher))
+        return select(is_done, A, other), select(is_done, value, rise), is_done | is_small
+
+    value = explained(M, h, A)
+    start = (A, value, complement(value == value))  # NaN is left as it is
+    return nearest_rotation(repeat(_NEWTON_STEPS, step, start)[0])
 
 
 def rotation_information(M: Array, h: Array, A: Array) -> Array:
@@ -232,7 +362,7 @@ def rotation_information(M: Array, h: Array, A: Array) -> Array:
 
 def tangents(A: Array) -> Array:
     """Return ∂vec(exp([δ]ₓ)A)/∂δ at δ = 0, shape (d², 1 or 3)."""
-    return np.asarray((generators(len(A)) @ A).reshape(-1, A.size).T)
+    return np.asanyarray((generators(len(A)) @ A).reshape(-1, A.size).T)
 
 
 def _derivatives(M: Array, h: Array, A: Array, G: Array) -> tuple[Array, Array]:
@@ -244,12 +374,18 @@ def _derivatives(M: Array, h: Array, A: Array, G: Array) -> tuple[Array, Array]:
     return moved.dot(rise), -(moved.dot(M).dot(moved.T) + bent)
 
 
-def _newton_step(slope: Array, curvature: Array) -> Array | None:
-    """Return δ, at most `_LARGEST_STEP` long; None where the function is not concave."""
-    try:
-        np.linalg.cholesky(curvature)
-    except np.linalg.LinAlgError:
-        return None
-    step = np.asarray(np.linalg.solve(curvature, slope), dtype=np.float64)
-    size = math.hypot(*step.tolist())
-    return step if size <= _LARGEST_STEP else step * (_LARGEST_STEP / size)
+def _newton_step(slope: Array, curvature: Array) -> tuple[Array, Any]:
+    """Return δ, at most `_LARGEST_STEP` long, and whether the function is concave; 0 where not."""
+    rows = curvature.tolist()
+    is_concave = rows[0][0] > 0.0
+    if len(rows) == 3:
+        (a, b, c), (_, e, f), (_, _, k) = rows
+        minor = a * e - b * b
+        determinant = k * minor - a * f * f + 2.0 * b * c * f - e * c * c
+        is_concave = is_concave & (minor > 0.0) & (determinant > 0.0)
+    if is_concave is False:
+        return np.zeros(len(slope)), False
+    step: Any = np.linalg.solve(curvature, slope)
+    size = length(step)
+    factor = _share(_LARGEST_STEP, size, size > _LARGEST_STEP, 1.0)
+    return np.asanyarray(select(is_concave, step * factor, 0.0 * slope)), is_concave

@@ -28,11 +28,11 @@ def saturated(z: Array, z_dot: Array, k: float | Array) -> tuple[Array, Array]:
 
 
 def task_velocity(
-    z: Array, z_dot: Array, feed: Array, feed_dot: Array, alpha: float | Array, k: float | Array
+    z: Array, z_dot: Array, x_d_dot: Array, x_d_ddot: Array, alpha: float | Array, k: float | Array
 ) -> tuple[Array, Array]:
     """u = ẋ_d − αs(z) and its derivative, with ẋ_d and ẍ_d; k is that of `saturated`."""
     s, s_dot = saturated(z, z_dot, k)
-    return feed - alpha * s, feed_dot - alpha * s_dot
+    return x_d_dot - alpha * s, x_d_ddot - alpha * s_dot
 
 
 def reference(

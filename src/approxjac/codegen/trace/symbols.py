@@ -435,6 +435,19 @@ class Scalar:
         """Return what `law.choose` does; `then` costs nothing where it never holds."""
         return _chosen(self, then(), otherwise())
 
+    def altered(self, after: Any, before: Any) -> Any:
+        """Return one array where it holds, the other elsewhere: of what differs, see `choose`."""
+        found, changed = symbols(before), symbols(after)
+        differs = [
+            i
+            for i, (a, b) in enumerate(zip(changed.tolist(), found.tolist(), strict=True))
+            if not (
+                a.place == b.place if isinstance(a, Scalar) and isinstance(b, Scalar) else a is b
+            )
+        ]
+        found[differs] = self.graph.rare(self, changed[differs].tolist(), found[differs].tolist())
+        return found
+
     def looped(self, *arguments: Any) -> Any:
         """Return what `law.collect` does."""
         return _looped(*arguments)

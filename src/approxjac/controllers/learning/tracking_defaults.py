@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from approxjac.cameras import PlanarCamera
-from approxjac.controllers.learning.adaptive_camera import AdaptiveCamera
-from approxjac.controllers.learning.adaptive_kinematics import AdaptiveKinematics
-from approxjac.controllers.learning.adaptive_planar_camera import AdaptivePlanarCamera
-from approxjac.controllers.learning.predicted_error import Kinematics
+from approxjac.controllers.learning.estimator import Kinematics
+from approxjac.controllers.learning.learnt_camera import AdaptiveCamera
+from approxjac.controllers.learning.positions import AdaptiveKinematics, AdaptivePlanarCamera
 from approxjac.errors import InvalidInputError
 from approxjac.tasks import ImageTask, PoseTask, PositionTask, StackedTask, Task
 from approxjac.tasks.analysis import seen_configurations

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from approxjac import law
 from approxjac.controllers.learning.kinematic_report import TiltedAxes
-from approxjac.controllers.learning.kinematic_unknowns import Unknowns
+from approxjac.controllers.learning.unknowns import Unknowns
 from approxjac.validation import Array
 
 _ODDS = 2.0  # of another rotation against the one at hand, as a logarithm, before it is taken
@@ -79,10 +79,10 @@ class _Packed:
         return bool((self.unpack(triangle).diagonal() > 0.99 * prior.diagonal()).all())
 
     def pack(self, matrix: Array) -> Array:
-        return np.asarray(matrix.ravel()[self._upper])
+        return np.asanyarray(matrix.ravel()[self._upper])
 
     def unpack(self, triangle: Array) -> Array:
-        return np.asarray(triangle[self._where])
+        return np.asanyarray(triangle[self._where])
 
 
 class KnownCamera:
@@ -118,13 +118,13 @@ class KnownCamera:
         """Return numbers that know what was learnt only as a belief, as vague as the first."""
         return self._about(self.estimate(numbers).Theta)
 
-    def learn(self, numbers: Array, H: Array, T: Array, o: Array, x: Array, share: float) -> Array:
+    def learn(self, numbers: Array, H: Array, o: Array, x: Array, share: Any) -> Array:
         """Return the numbers after a frame.
 
         Args:
             numbers: As before, shape (size,).
-            H: Regressor of the rows that are seen, (m, P).
-            T: That of tilts, which are looked for and not learnt, (m, t).
+            H: Regressor in the base's axes, 0 in rows that are lost, (m, P), and of tilts, which
+                are looked for and not learnt, (m, t): shape (m, P + t).
             o: What of them is known, shape (m,).
             x: What is measured, shape (m,).
             share: λT, to be forgotten.
@@ -133,7 +133,7 @@ class KnownCamera:
             x = x.reshape(-1, len(self._R)).dot(self._R).ravel()
         P, n, x = self._P, self._packed.size, x - o
         N = law.forgotten_information(self._packed.unpack(numbers[:n]), self.prior, share)
-        N = law.information(N, np.concatenate([H, T], axis=1), self._weight)
+        N, T, H = law.information(N, H, self._weight), H[:, P:], H[:, :P]
         Theta, pull = numbers[n : n + P], numbers[n + P :]
         Theta = Theta + law.correction(N[:P, :P], H, self._weight, x - H.dot(Theta))
         pull = (1.0 - share) * pull + self._weight * x.dot(T)
@@ -223,23 +223,21 @@ class UnknownCamera:
         *_, Theta, A = self._split(numbers)
         return self._about(Theta, A.reshape(self._d, self._d))
 
-    def learn(self, numbers: Array, H: Array, T: Array, o: Array, x: Array, share: float) -> Array:
+    def learn(self, numbers: Array, H: Array, o: Array, x: Array, share: Any) -> Array:
         """Return the numbers after a frame.
 
         Args:
             numbers: As before, shape (size,).
-            H: Regressor of the points that are seen, in the base frame, (k d, P).
-            T: That of tilts, which are looked for and not learnt, (k d, t).
-            o: What of them is known, (k d,).
-            x: What is measured, shape (k d,).
+            H: Regressor in the base's axes, 0 in rows that are lost, (m, P), and of tilts, which
+                are looked for and not learnt, (m, t): shape (m, P + t).
+            o: What of them is known, shape (m,).
+            x: What is measured, shape (m,).
             share: λT, to be forgotten.
         """
         d, P, W = self._d, self._P, self._weight
-        if share > 0.0:
-            *_, Theta, A = self._split(numbers)
-            numbers = numbers + share * (self._about(Theta, A.reshape(d, d)) - numbers)
+        *_, Theta, A = self._split(numbers)
+        numbers = numbers + share * (self._about(Theta, A.reshape(d, d)) - numbers)
         N, a, B, E, _, A = self._split(numbers)
-        H = np.concatenate([H, T], axis=1)
         HW = W * H.T
         N = self._packed.unpack(N) + HW.dot(H)
         a = a - HW.dot(o)
@@ -315,24 +313,26 @@ class UnknownCamera:
     def _rotation(self, M: Array, h: Array, A: Array) -> Array:
         """Return the best rotation near A, or one elsewhere that is better beyond doubt."""
         near = law.best_rotation(M, h, A)
-        found = self._everywhere
-        values = found.dot(h) + 0.5 * (found.dot(M) * found).sum(axis=1)
-        start = found[int(np.argmax(values))]
-        if start.dot(near.ravel()) > _SAME * self._d:
-            return near
-        other = law.best_rotation(M, h, start.reshape(A.shape))
-        better = law.explained(M, h, other) > law.explained(M, h, near) + _ODDS
-        return other if better else near
+        start = law.most_explained(M, h, self._everywhere)
+
+        def elsewhere() -> tuple[Array]:
+            other = law.best_rotation(M, h, start.reshape(A.shape))
+            better = law.explained(M, h, other) > law.explained(M, h, near) + _ODDS
+            return (law.select(better, other, near),)
+
+        is_other = start.dot(near.ravel()) <= _SAME * self._d
+        found: Array = law.choose(is_other, elsewhere, lambda: (near,))[0]
+        return found
 
     def _about(self, Theta: Array, A: Array) -> Array:
         """Return the sums of the prior alone, about these estimates."""
         d, n = self._d, self._n_u
-        a, b, P = np.zeros(len(self.prior)), A.T.dot(Theta[n:]), self._P
-        a[:n] = self.prior.diagonal()[:n] * Theta[:n]
-        B = np.zeros((len(a), d, d))
-        B[n:P] = np.eye(d)[:, :, np.newaxis] * (b * self.prior[n, n])
+        b, P, Q = A.T.dot(Theta[n:]), self._P, len(self.prior)
+        a = [self.prior.diagonal()[:n] * Theta[:n], np.zeros(Q - n)]
+        B = np.eye(d)[:, :, np.newaxis] * (b * self.prior[n, n])
+        of_B = [np.zeros(n * d * d), B.ravel(), np.zeros((Q - P) * d * d)]
         E = (0.5 / self._sd_R**2) * A.ravel()
-        return np.concatenate([self._packed.pack(self.prior), a, B.ravel(), E, Theta, A.ravel()])
+        return np.concatenate([self._packed.pack(self.prior), *a, *of_B, E, Theta, A.ravel()])
 
 
 def _reduced(N: Array, a: Array, B: Array, E: Array) -> tuple[Array, Array, Array]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from approxjac import law
 from approxjac.controllers.arguments import chosen_deviations, chosen_kinds
-from approxjac.controllers.learning.kinematic_orientation import Orientation
+from approxjac.controllers.learning.orientation import Orientation
 from approxjac.errors import InvalidInputError
 from approxjac.robots import KinematicRegressor
 from approxjac.robots.joint_limits import reach_bound
@@ -192,8 +192,8 @@ class Unknowns:
         if self.orientation is not None:
             x = np.concatenate([x[:3], self.orientation.points(x[3:])])
         if self.is_turned:
-            each = x.reshape(-1, self.d)
-            x = (each + 0.0 * each.sum(axis=1)[:, np.newaxis]).ravel()
+            lost = np.isnan(x.reshape(-1, self.d).sum(axis=1))
+            x = np.where(np.repeat(lost, self.d), math.nan, x)
         return x
 
     def regression(self, q: Array) -> tuple[Array, Array]:
@@ -241,8 +241,8 @@ class Unknowns:
         unsure = np.sqrt((moved.dot(self._spread).reshape(len(each), -1) ** 2).sum(axis=1))
         reach = np.repeat(1.5 * each + 4.0 * unsure, 3)[self.rows]
         if self.orientation is None:
-            return np.asarray(reach)
-        return np.concatenate([reach, np.full(9, 1.5 * self.orientation.reach(q_0, q))])
+            return np.asanyarray(reach)
+        return np.concatenate([reach, np.repeat(1.5 * self.orientation.reach(q_0, q), 9)])
 
     # -- in words and numbers --------------------------------------------------------------
 
@@ -250,7 +250,7 @@ class Unknowns:
         """Return what is learnt in the order of `names`."""
         u, c = Theta[: self.n_u - self.n_t], Theta[self.n_u :]
         if self.has_scale:
-            u = np.append(u[:-1] / u[-1], u[-1])
+            u = np.append(u[:-1] / u[-1], u[-1:])
         numbers = Theta[len(u) : self.n_u]
         tool = law.rotation_log(Orientation.told(numbers)) if self.n_t else np.zeros(0)
         turn = law.rotation_log(R) if self.turns else np.zeros(0)

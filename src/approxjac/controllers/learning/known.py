@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from approxjac.controllers.learning.predicted_error import Kinematics, PredictedError
+from approxjac.controllers.learning.estimator import Kinematics, PredictedError
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement, Target
 from approxjac.tasks import Task
@@ -57,16 +57,16 @@ class KnownKinematics(Kinematics):
 
     def predict(self, state: Array, q: Array, v: Array, target: Target) -> PredictedError:
         """Return h(q) − x_d and its derivatives."""
-        task, (x_d, feed, feed_dot) = self.task, target
+        task, (x_d, x_d_dot, x_d_ddot) = self.task, target
         x = task.value(q)
         z, J, drift = task.error(x, x_d), task.jacobian(q), self._none
-        feed = self._none if feed is None else self._combined(feed)
-        feed_dot = self._none if feed_dot is None else self._combined(feed_dot)
+        x_d_dot = self._none if x_d_dot is None else self._combined(x_d_dot)
+        x_d_ddot = self._none if x_d_ddot is None else self._combined(x_d_ddot)
         if not self._exact:
             x_dot = task._sensor_jacobian(q).dot(v)
-            drift = (x_dot - feed if task._subtracts else self._rate(x, x_dot, x_d, feed)) + feed
-            drift -= J.dot(v)
-        return PredictedError(z, J, task.jacobian_dot(q, v), feed, feed_dot, drift)
+            drift = x_dot - x_d_dot if task._subtracts else self._rate(x, x_dot, x_d, x_d_dot)
+            drift = drift + x_d_dot - J.dot(v)
+        return PredictedError(z, J, task.jacobian_dot(q, v), x_d_dot, x_d_ddot, drift)
 
     def learnt(self, state: Array) -> Array:
         """Return nothing, shape (…, 0)."""

@@ -4,42 +4,52 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from approxjac import law
-from approxjac.controllers.arguments import LONGEST_DELAY, is_rotation
-from approxjac.controllers.learning.kinematic_estimators import (
+from approxjac.cameras import PlanarCamera
+from approxjac.controllers.arguments import LONGEST_DELAY, chosen_kinds, is_rotation
+from approxjac.controllers.learning.estimator import (
+    EASED_SPEED,
+    EASED_TURN,
+    INTEGRAL,
+    JUMP,
+    LONGEST_FRAME,
+    NOISE_MEMORY,
+    SMOOTHING,
+    WINDOW,
+    Estimator,
+    Frame,
+    Frames,
+    Gate,
+    PredictedError,
+    pulled_back,
+)
+from approxjac.controllers.learning.kinematic_report import KinematicReport, rows_of
+from approxjac.controllers.learning.least_squares import (
     KnownCamera,
     UnknownCamera,
     tilted_axes,
 )
-from approxjac.controllers.learning.kinematic_frames import Frame, Frames, Gate, parts_of
-from approxjac.controllers.learning.kinematic_report import KinematicReport, rows_of
-from approxjac.controllers.learning.kinematic_unknowns import Unknowns
-from approxjac.controllers.learning.predicted_error import Kinematics, PredictedError, pulled_back
-from approxjac.interface import Measurement, Status, Target
+from approxjac.controllers.learning.unknowns import KINDS, Unknowns
+from approxjac.errors import InvalidInputError
+from approxjac.interface import Measurement, Target
 from approxjac.robots import Robot
-from approxjac.tasks import PositionTask, Task
-from approxjac.validation import Array, as_number
+from approxjac.tasks import ImageTask, PositionTask, Task
+from approxjac.validation import Array, as_number, require
 
 _FORGETTING = 1.0 / 30.0  # λ [1/s]
-_SMOOTHING = 20.0  # β [1/s]
-_INTEGRAL = 1.0  # ω_b [1/s]
-_EASED_SPEED = 0.5  # of x̂, by what is learnt [m/s]
-_EASED_TURN = 2.0 * math.pi  # of the camera's estimate [rad/s]
-_LONGEST = 0.1  # time that one frame counts for [s]
-_JUMP = 8.0  # standard deviations of x
-_WINDOW = 0.3  # over which residuals are averaged: noise goes, what is not explained stays [s]
 _MEMORY = 15.0  # of χ² [s]
-_NOISE_MEMORY = 2.0  # of the noise that is seen [s]
 _CHANGED = 3e-3, 9.0  # averaged residual [m], and in its sd: another sensor or tool
 _WORST = 4.0  # χ² above which no more is passed over
 _BELIEVED = 5.0  # of frames after which what was learnt is a belief when learning begins anew [s]
 _SMALLEST_SCALE = 0.1
+_NO_TIME = 1e-12  # of an average's share
 
 
-class AdaptiveKinematics(Kinematics):
+class AdaptiveKinematics(Estimator):
     """x̂ = R̂ p(q; θ̂) + b̂, learnt from the measured x while the arm moves.
 
     Learnt are the translations of the tool and of all joint origins, and rotation, offset and
@@ -112,7 +122,7 @@ class AdaptiveKinematics(Kinematics):
         self._orientation = unknowns.orientation
         self._frames = Frames(task.robot, task.n_x, self.delay, dt)
         n_points = len(unknowns.points(np.zeros(task.n_x)))
-        self._gate = Gate(task.robot, n_points, _JUMP * self.noise)
+        self._gate = Gate(task.robot, n_points, JUMP * self.noise)
         kind = UnknownCamera if unknowns.turns else KnownCamera
         self._estimator: KnownCamera | UnknownCamera = kind(unknowns, self.noise)
         self._turns, self._d = unknowns.turns, unknowns.d
@@ -127,28 +137,24 @@ class AdaptiveKinematics(Kinematics):
             "u_dot": n, "b_dot": n_p, "spin": len(law.generators(self._d)) if turns else 0,
             "T_spin": 3 if is_pose else 0,
         }  # fmt: skip
-        self._at, self.n_state = parts_of(sizes)
-        self._moving = slice(self._at["u"].start, self._at["b"].stop)
-        self._rates = slice(self._at["u_dot"].start, self._at["b_dot"].stop)
-        learnt = "sums told integral averaged left chi placed u b R T"
-        self._kept = tuple(self._at[name] for name in learnt.split())
+        self._lay_out(sizes, "sums told integral averaged left chi placed u b R T", "u b")
+        turning = (("R", "spin"), ("T", "T_spin"))
+        self._turning = tuple(pair for pair in turning if sizes[pair[0]])
 
     def __repr__(self) -> str:
         return f"AdaptiveKinematics({self.task!r}, unknown={self.unknown})"
 
-    # -- state ---------------------------------------------------------------------------
+    # -- learning ------------------------------------------------------------------------
 
-    def initial_state(self, measurement: Measurement) -> Array:
-        """Return the state before the first step, shape (n_state,): what is believed.
+    def _points(self, x: Array) -> Array:
+        return self._unknowns.points(x)
 
-        x̂ is the first x, so that learning begins without a jump; the first that is not lost.
-        """
-        at, state, unknowns = self._at, np.zeros(self.n_state), self._unknowns
-        state[at["frames"]] = self._frames.initial(measurement)
+    def _begin(self, state: Array) -> None:
+        at, unknowns = self._at, self._unknowns
         state[at["sums"]] = self._estimator.initial()
         state[at["told"]] = unknowns.believed
         state[at["chi"]] = 1.0, 0.0, 0.0, self.noise**2, 0.0
-        state[at["time"]] = measurement.t
+        state[at["time"]] = self._frames.last_time(state[at["frames"]])
         state[at["u"]] = unknowns.Theta[: unknowns.n_u]
         if self._turns:
             state[at["R"]] = unknowns.R.ravel()
@@ -156,125 +162,88 @@ class AdaptiveKinematics(Kinematics):
         state[at["b"]] = self._turned(unknowns.R, offset)
         if self._orientation is not None:
             state[at["T"]] = np.eye(3).ravel()
-        frame = self._frames.first(measurement)
-        if frame is not None:
-            self._place(state, frame)
-        return state
+
+    def _has_begun(self, state: Array) -> Any:
+        return law.all_of(state[self._at["placed"]] > 0.0)
 
     def _place(self, state: Array, frame: Frame) -> None:
-        """Let x̂ begin at the first x that is seen of each entry, in place."""
         at, (x, _, q), n_p = self._at, frame, self._n_p
-        placed, R = state[at["placed"]], self._rotation(state)
-        first = np.isfinite(x) & ~(placed > 0.0)
+        R = self._rotation(state)
+        first = np.isfinite(x) & ~(state[at["placed"]] > 0.0)
         if self._orientation is not None:
-            T = self._orientation.first(q, x[3:], R)
-            first[3:] &= T is not None
-            if T is not None and first[3:].all():
-                state[at["T"]] = T.ravel()
+            T, is_seen = self._orientation.first(q, x[3:], R)
+            first[3:] = first[3:] & is_seen
+            state[at["T"]] = np.where(law.all_of(first[3:]), T.ravel(), state[at["T"]])
         H, known = self._unknowns.at(q)
         x_hat = self._turned(R, known + H.dot(state[at["u"]]))
-        state[at["b"]][first[:n_p]] = (x[:n_p] - x_hat)[first[:n_p]]
-        placed[first] = 1.0
-
-    def status(self, state: Array, measurement: Measurement) -> Status:
-        """Return what may be done by a state; see `Kinematics`."""
-        has_begun = min(state[self._at["placed"]].tolist()) > 0.0
-        return self._frames.status(state[self._at["frames"]], measurement, has_begun)
-
-    def step(self, state: Array, measurement: Measurement, dt: float) -> Array:
-        """Return the state after learning from a measurement, and dt [s] later.
-
-        A measurement whose x is lost, or was seen before, or that jumps, teaches nothing.
-        """
-        state = state.copy()
-        self.go_on(state, measurement, dt)
-        return state
-
-    def go_on(self, state: Array, measurement: Measurement, dt: float) -> None:
-        """Make a state that of `step`, in place."""
-        self.notice(state, measurement, dt)
-        self.advance(state, dt)
-
-    def notice(self, state: Array, measurement: Measurement, dt: float) -> bool:
-        """Take down a measurement, and learn from it, in place; the first half of `go_on`.
-
-        Returns:
-            Whether anything that `predict` and what follows go by has changed.
-        """
-        numbers = state[self._at["frames"]]
-        measurement = self._frames.on_time(numbers, measurement, dt)
-        is_time = self._frames.remember(numbers, measurement)
-        frame = self._frames.new(numbers, measurement)
-        if frame is not None:
-            if not min(state[self._at["placed"]].tolist()) > 0.0:
-                self._place(state, frame)
-            frame = frame._replace(x=self._unknowns.points(frame.x))
-            believed, is_anew = self._gate.judge(state[self._at["gate"]], frame, self._reach)
-            if believed:
-                self._learn(state, frame, is_anew)
-                is_time = True
-        if is_time:  # the rates of smoothed estimates may wait for some milliseconds
-            self._aim(state, measurement.q, dt)
-        return is_time or frame is not None
-
-    def learnt(self, state: Array) -> Array:
-        """Return what a state, or a series of them (…, n_state), has learnt; shape (…, p).
-
-        In the order of `names` [m; rad for the camera's rotation vector].
-        """
-        return state[..., self._at["told"]]
-
-    # -- learning ------------------------------------------------------------------------
+        state[at["b"]] = np.where(first[:n_p], x[:n_p] - x_hat, state[at["b"]])
+        state[at["placed"]] = np.where(first, 1.0, state[at["placed"]])
 
     def _reach(self, q_0: Array, q: Array) -> Array:
-        return self._unknowns.reach(q_0, q) + _JUMP * self.noise
+        return self._unknowns.reach(q_0, q) + JUMP * self.noise
 
-    def _learn(self, state: Array, frame: Frame, is_anew: bool) -> None:
-        """Learn from a frame, in place."""
-        at, seen = self._at, np.isfinite(frame.x)
-        if not seen.any():
-            return
-        since = min(max(frame.t - float(state[at["time"]][0]), 0.0), _LONGEST)
-        sums, averaged, chi = state[at["sums"]], state[at["averaged"]], state[at["chi"]]
-        kept = -math.expm1(-since / _WINDOW)
-        noise = max(
-            self.noise, math.sqrt(max(chi[3], 0.0))
-        )  # as told, or as seen from frame to frame
-        usual = noise * math.sqrt(kept / (2.0 - kept))  # of what noise leaves of an average
+    def _correct(self, state: Array, frame: Frame, is_anew: Any) -> None:
+        is_seen = law.any_of(np.isfinite(frame.x))
+        law.alter(is_seen, state, lambda state: self._learn(state, frame, is_anew))
+
+    def _learn(self, state: Array, frame: Frame, is_anew: Any) -> None:
+        """Learn from a frame of which something is seen, in place."""
+        at, unknowns, x = self._at, self._unknowns, frame.x
+        averaged, chi = state[at["averaged"]], state[at["chi"]]
+        since = np.minimum(np.maximum(frame.t - state[at["time"]][0], 0.0), LONGEST_FRAME)
+        kept = -np.expm1(-since / WINDOW)
+        # as it was said, or as seen from frame to frame
+        noise = np.maximum(self.noise, np.sqrt(np.maximum(chi[3], 0.0)))
+        usual = noise * np.sqrt(kept / (2.0 - kept))  # of what noise leaves of an average
         # what was not explained all along is no news
-        unexplained = math.sqrt(min(max(chi[0], 1.0), _WORST))
-        changed = unexplained * max(_CHANGED[0], _CHANGED[1] * usual)
-        is_anew = is_anew or bool(np.abs(averaged).max() > changed)
-        if is_anew:  # what was learnt before is contradicted, as by a tool that slipped
-            if chi[1] > _BELIEVED:
-                sums = self._estimator.renewed(sums)
-            else:  # a false start, of which χ² says nothing either
-                sums, chi[0], chi[4] = self._estimator.initial(), 1.0, 0.0
-            state[at["integral"]] = averaged[:] = 0.0
-            chi[1:3] = 0.0, chi[2] + 1.0
-        H, known = self._unknowns.regression(frame.q)
-        T = self._unknowns.tilts(frame.q, state[at["u"]])
-        some = slice(None) if seen.all() else seen
-        share = -math.expm1(-_FORGETTING * since)
-        sums = self._estimator.learn(sums, H[some], T[some], known[some], frame.x[some], share)
+        unexplained = np.sqrt(np.minimum(np.maximum(chi[0], 1.0), _WORST))
+        changed = unexplained * np.maximum(_CHANGED[0], _CHANGED[1] * usual)
+        is_anew = is_anew | (np.abs(averaged).max() > changed)
+        law.alter(is_anew, state, self._renew)
+        H, known = unknowns.regression(frame.q)
+        H_T = np.concatenate([H, unknowns.tilts(frame.q, state[at["u"]])], axis=1)
+        seen, z, o = np.isfinite(x), x, known
+        if not law.surely(law.all_of(seen)):  # what is lost has no part in the sums
+            z, o = np.where(seen, x, 0.0), np.where(seen, known, 0.0)
+            H_T = np.where(seen[:, np.newaxis], H_T, 0.0)
+        share = -np.expm1(-_FORGETTING * since)
+        sums = self._estimator.learn(state[at["sums"]], H_T, o, z, share)
         state[at["sums"]] = sums
         state[at["time"]] = frame.t
         Theta, R = self._estimator.estimate(sums)
-        state[at["told"]] = self._unknowns.told(Theta, R)
+        state[at["told"]] = unknowns.told(Theta, R)
         # what is left of x: taken up by the integral, and averaged to be looked at
-        left = self._unknowns.left(frame.x, self._turned(R, known + H.dot(Theta)))
+        left = unknowns.left(x, self._turned(R, known + H.dot(Theta)))
         seen = np.isfinite(left)
-        left, integral = left[seen], state[at["integral"]]
-        integral[seen] += -math.expm1(-_INTEGRAL * since) * (left - integral[seen])
-        averaged[seen] += kept * (left - averaged[seen])
-        change = left - state[at["left"]][seen]
-        state[at["left"]][seen] = left
-        if kept > 1e-12:  # time has passed
-            chi[[1, 4]] += since
-            now = averaged[seen].dot(averaged[seen]) / (len(left) * usual**2)
-            chi[0] += since / min(chi[4] + 1.0, _MEMORY) * (now - chi[0])
-            seen_now = 0.5 * change.dot(change) / len(left)
-            chi[3] += since / min(chi[1] + 0.3, _NOISE_MEMORY) * (seen_now - chi[3])
+        n, before = np.where(seen, 1.0, 0.0).sum(), state[at["left"]]
+        integral = state[at["integral"]]
+        integral += np.where(seen, -np.expm1(-INTEGRAL * since) * (left - integral), 0.0)
+        averaged += np.where(seen, kept * (left - averaged), 0.0)
+        change = np.where(seen, left - before, 0.0)
+        square = (np.where(seen, averaged, 0.0) ** 2).sum()
+        state[at["left"]] = np.where(seen, left, before)
+
+        def look(chi: Array) -> None:
+            """Average what is left, as time has passed."""
+            chi[1] += since
+            chi[4] += since
+            now = square / (n * usual**2)
+            chi[0] += since / np.minimum(chi[4] + 1.0, _MEMORY) * (now - chi[0])
+            seen_now = 0.5 * change.dot(change) / n
+            chi[3] += since / np.minimum(chi[1] + 0.3, NOISE_MEMORY) * (seen_now - chi[3])
+
+        law.alter(kept > _NO_TIME, chi, look)
+
+    def _renew(self, state: Array) -> None:
+        """Begin anew where what was learnt is contradicted, as by a tool that slipped, in place."""
+        at = self._at
+        sums, chi = state[at["sums"]], state[at["chi"]]
+        was_learnt = chi[1] > _BELIEVED  # or it was a false start, of which χ² says nothing either
+        initial = self._estimator.initial()
+        state[at["sums"]] = np.where(was_learnt, self._estimator.renewed(sums), initial)
+        chi[0], chi[4] = law.select(was_learnt, chi[0], 1.0), law.select(was_learnt, chi[4], 0.0)
+        chi[1], chi[2] = 0.0, chi[2] + 1.0
+        state[at["integral"]] = state[at["averaged"]] = 0.0
 
     # -- the smoothed estimates ----------------------------------------------------------
 
@@ -288,50 +257,39 @@ class AdaptiveKinematics(Kinematics):
         Theta, R = self._estimator.estimate(state[at["sums"]])
         u, smooth_u = Theta[:n], state[at["u"]]
         if self._unknowns.has_scale:
-            u[-1] = max(u[-1], _SMALLEST_SCALE)
+            u[-1] = np.maximum(u[-1], _SMALLEST_SCALE)
         H, known = self._unknowns.at(q)
         smooth_p, smooth_R = known + H.dot(smooth_u), self._rotation(state)
         p = known + H.dot(u) + self._unknowns.offsets.dot(Theta[n:])
         integral, n_p = state[at["integral"]], self._n_p
         away = self._turned(R, p) + integral[:n_p]
-        away -= self._turned(smooth_R, smooth_p) + state[at["b"]]
-        rate = min(_SMOOTHING, _EASED_SPEED / max(math.hypot(*away.tolist()), 1e-9), 0.5 / dt)
+        away = away - (self._turned(smooth_R, smooth_p) + state[at["b"]])
+        rate = np.minimum(_eased(EASED_SPEED, away), min(SMOOTHING, 0.5 / dt))
         turn = law.rotation_log(R.dot(smooth_R.T)) if self._turns else np.zeros(3)
-        rate = min(rate, _EASED_TURN / max(math.hypot(*turn.tolist()), 1e-9))
+        if self._turns:
+            rate = np.minimum(rate, _eased(EASED_TURN, turn))
         if self._orientation is not None:
             T, T_goal = state[at["T"]].reshape(3, 3), self._unknowns.tool(state[at["told"]])
             smooth, goal = (smooth_R, T), (R, T_goal)
             apart, back = self._orientation.apart(q, smooth, goal, integral[n_p:])
-            rate = min(rate, _EASED_TURN / max(math.hypot(*apart.tolist()), 1e-9))
+            rate = np.minimum(rate, _eased(EASED_TURN, apart))
             state[at["T_spin"]] = rate * back.dot(apart - turn)
-        if self._turns:
-            state[at["spin"]] = spin = rate * turn
         u_dot = rate * (u - smooth_u)
         b_dot = rate * away - self._turned(smooth_R, H.dot(u_dot))
         if self._turns:
-            b_dot -= self._turned(law.cross_matrix(spin).dot(smooth_R), smooth_p)
+            state[at["spin"]] = spin = rate * turn
+            b_dot = b_dot - self._turned(law.cross_matrix(spin).dot(smooth_R), smooth_p)
         state[at["u_dot"]], state[at["b_dot"]] = u_dot, b_dot
-
-    def advance(self, state: Array, dt: float) -> None:
-        """Let the smoothed estimates follow for dt [s], in place."""
-        at = self._at
-        state[self._moving] += dt * state[self._rates]
-        if self._turns:
-            turned = law.rotation_exp(dt * state[at["spin"]]).dot(self._rotation(state))
-            state[at["R"]] = turned.ravel()
-        if self._orientation is not None:
-            T = law.rotation_exp(dt * state[at["T_spin"]]).dot(state[at["T"]].reshape(3, 3))
-            state[at["T"]] = T.ravel()
 
     def _rotation(self, state: Array) -> Array:
         """Return the smoothed rotation of the base's axes in the sensor's, (d, d)."""
         if not self._turns:
             return self._unknowns.R
-        return np.asarray(state[self._at["R"]].reshape(self._d, self._d))
+        return state[self._at["R"]].reshape(self._d, self._d)
 
     def _turned(self, R: Array, p: Array) -> Array:
         """Return R p of each point, shape (m,)."""
-        return np.asarray(p.reshape(-1, self._d).dot(R.T).ravel()) if self._is_turned else p
+        return p.reshape(-1, self._d).dot(R.T).ravel() if self._is_turned else p
 
     # -- prediction ----------------------------------------------------------------------
 
@@ -395,3 +353,84 @@ class AdaptiveKinematics(Kinematics):
         theta[self._unknowns.of_theta] = told[:n]
         turn = told[n : n + 3] if self._unknowns.n_t else None
         return self.regressor.robot_with(theta, turn)
+
+
+def _eased(fastest: float, away: Array) -> Any:
+    """Return the rate at which what is away by so much goes no faster than that."""
+    return fastest / np.maximum(law.length(away), 1e-9)
+
+
+class AdaptivePlanarCamera(AdaptiveKinematics):
+    """x̂ = m R̂ p(q; θ̂) + d̂, learnt from the image in a `PlanarCamera` while the arm moves.
+
+    It is `AdaptiveKinematics` of the position in the arm's plane, with x as the believed camera
+    would locate it. A wrong magnification m is learnt as lengths that are wrong by its factor:
+    images tell the two from each other by nothing.
+
+    Args:
+        task: An `ImageTask` of the believed robot with a `PlanarCamera`, for one frame's origin.
+        unknown: As of `AdaptiveKinematics`; "camera" is roll and offset.
+        sd: As of `AdaptiveKinematics`, in the arm's plane. By default "tool" and "origins" are as
+            wrong as magnification and lengths may be: 0.5 m.
+        noise: Standard deviation of x [m on the sensor].
+        delay: Age of x where `Measurement.t_x` is None [s].
+        dt: Sampling time of control [s].
+
+    Attributes:
+        names: Names of what is learnt, such as "joint2.x", "offset.x" and "camera.turn", from the
+            believed camera to the learnt one.
+
+    Raises:
+        InvalidInputError: Another task, or as `AdaptiveKinematics`.
+        UnknownNameError: As `AdaptiveKinematics`.
+    """
+
+    def __init__(
+        self,
+        task: ImageTask,
+        unknown: Sequence[str] = ("tool", "origins", "camera"),
+        sd: Mapping[str, float] | None = None,
+        noise: float = 2e-5,
+        delay: float = 0.0,
+        dt: float = 1e-3,
+    ) -> None:
+        given = locals()
+        require("task", task, ImageTask, "an ImageTask of the believed robot")
+        camera = task.camera
+        if not isinstance(camera, PlanarCamera) or task.frame is None or task.points.any():
+            raise InvalidInputError(
+                f"task must be an ImageTask of a frame's origin in a PlanarCamera, got {task!r}; "
+                "AdaptiveCamera is for a PinholeCamera",
+                given=task,
+            )
+        noise = as_number("noise", noise, unit="m", above=0.0)
+        m = camera.magnification
+        kinds = chosen_kinds(unknown, KINDS)
+        usual = {kind: 0.5 for kind in kinds if kind in ("tool", "origins")}
+        position = PositionTask(task.robot, task.frame, axes=camera.plane)
+        usual = usual if sd is None else sd  # type: ignore[assignment]
+        super().__init__(position, unknown, usual, noise / m, delay, dt)
+        self._m = m
+        vars(self)["task"] = task  # in place of the position
+        self._remember(given)
+        c, s = np.cos(camera.roll), np.sin(camera.roll)
+        self._seen_R, self._seen_d = np.array([[c, s], [-s, c]]), np.asarray(camera.offset)
+
+    def __repr__(self) -> str:
+        return f"AdaptivePlanarCamera({self.task!r}, unknown={self.unknown})"
+
+    def predict(self, state: Array, q: Array, v: Array, target: Target) -> PredictedError:
+        """Return the predicted error at q (nq,) and q̇ (n_v,), turned into the base's axes.
+
+        In the size that it has on the sensor of the believed camera [m].
+        """
+        x_d, *rates = target
+        rates = [None if rate is None else rate.dot(self._seen_R) / self._m for rate in rates]
+        located = Target((x_d - self._seen_d).dot(self._seen_R) / self._m, *rates)
+        found = super().predict(state, q, v, located)
+        return PredictedError(*(self._m * each for each in found))
+
+    def _own(self, measurement: Measurement) -> Measurement:
+        """Return a measurement with x in the arm's plane, as the believed camera has it."""
+        x = (measurement.x - self._seen_d).dot(self._seen_R) / self._m
+        return measurement._replace(x=x)

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from approxjac import law
-from approxjac.controllers.learning.predicted_error import PredictedError
+from approxjac.controllers.learning.estimator import PredictedError
 from approxjac.interface import Target
 from approxjac.robots import Robot
 from approxjac.tasks.frame_kinematics import FrameKinematics
 from approxjac.validation import Array
 
-_NO_ROTATION = 1e-6  # a quaternion shorter than this stands for no orientation
 _AXES = np.eye(3)
 _AXES.flags.writeable = False
-_EACH = np.arange(3)
 
 
 class Orientation:
@@ -42,14 +40,6 @@ class Orientation:
         self._l = length / math.sqrt(2.0)
         self._frame = FrameKinematics(robot, frame)
 
-    def rotation(self, quaternion: Array) -> Array | None:
-        """Return R_x of a quaternion (x, y, z, w), shape (3, 3), None where it is none."""
-        size = math.hypot(*quaternion.tolist())
-        if not _NO_ROTATION < size < math.inf:
-            return None
-        R: Array = pin.Quaternion(quaternion / size).toRotationMatrix()
-        return R
-
     def frame_rotation(self, q: Array) -> Array:
         """Return R_f, shape (3, 3)."""
         return self._frame.placement(q)[0]
@@ -58,26 +48,26 @@ class Orientation:
 
     def points(self, quaternion: Array) -> Array:
         """Return ℓ R_x e_k, one after the other, shape (9,), NaN where there is no rotation."""
-        R = self.rotation(quaternion)
-        return np.full(9, math.nan) if R is None else np.asarray(self._l * R.T.ravel())
+        R, is_some = law.rotation_of(quaternion)
+        return np.where(is_some, self._l * R.T.ravel(), math.nan)
 
     def regressor(self, q: Array) -> Array:
         """Return H of these points in the base frame, Hvec(Tᵀ), shape (9, 9)."""
-        H = np.zeros((3, 3, 3, 3))
-        H[_EACH, :, _EACH] = self._l * self.frame_rotation(q)
-        return H.reshape(9, 9)
+        R, none = self._l * self.frame_rotation(q), np.zeros((3, 3))
+        rows = [[R, none, none], [none, R, none], [none, none, R]]
+        return np.concatenate([np.concatenate(row, axis=1) for row in rows])
 
-    def reach(self, q_0: Array, q: Array) -> float:
+    def reach(self, q_0: Array, q: Array) -> Any:
         """Return how far one of these points moves from one configuration to another [m]."""
         moved = self.frame_rotation(q) - self.frame_rotation(q_0)
-        return self._l * math.hypot(*moved.ravel().tolist()) / math.sqrt(2.0)
+        return law.length(moved.ravel()) * (self._l / math.sqrt(2.0))
 
     def left(self, points: Array, predicted: Array) -> Array:
         """Return the rotation vector from predicted points to measured ones, in L, (3,) [m]."""
-        if not math.isfinite(points[0]):
-            return np.full(3, math.nan)
-        R = points.reshape(3, 3).T / self._l
-        return self.length * law.rotation_log(R.dot(law.nearest_rotation(predicted.reshape(3, 3))))
+        is_seen = np.isfinite(points[0])
+        R = np.where(is_seen, points, 0.0).reshape(3, 3).T / self._l
+        nearest = law.nearest_rotation(predicted.reshape(3, 3))
+        return np.where(is_seen, self.length * law.rotation_log(R.dot(nearest)), math.nan)
 
     @staticmethod
     def told(numbers: Array) -> Array:
@@ -92,10 +82,10 @@ class Orientation:
 
     # -- for the law ----------------------------------------------------------------------
 
-    def first(self, q: Array, quaternion: Array, R: Array) -> Array | None:
-        """Return the T with which the first x is as predicted, (3, 3), None if that is lost."""
-        R_x = self.rotation(quaternion)
-        return None if R_x is None else self.frame_rotation(q).T.dot(R.T).dot(R_x)
+    def first(self, q: Array, quaternion: Array, R: Array) -> tuple[Array, Any]:
+        """Return the T with which the first x is as predicted, (3, 3), and whether it is seen."""
+        R_x, is_seen = law.rotation_of(quaternion)
+        return self.frame_rotation(q).T.dot(R.T).dot(R_x), is_seen
 
     def apart(
         self, q: Array, before: tuple[Array, Array], goal: tuple[Array, Array], integral: Array
@@ -132,24 +122,24 @@ class Orientation:
             R: The sensor's rotation.
             spin: Its angular velocity.
         """
-        x_d, feed, feed_dot = target
-        R_d = self.rotation(x_d)
+        x_d, x_d_dot, x_d_ddot = target
+        R_d, is_some = law.rotation_of(x_d)
         J, R_f, _ = self._frame.motion(q)
         J = J[3:].copy()
         drift = R_f.dot(T_spin)
-        D = R.T.dot(_AXES if R_d is None else R_d)
+        D = R.T.dot(law.select(is_some, R_d, _AXES))
         E = R_f.dot(T).dot(D.T)
-        feed, feed_dot = _back(R, spin, feed, feed_dot)
-        speed, of_target = J.dot(v), feed - R.T.dot(spin)
+        x_d_dot, x_d_ddot = _back(R, spin, x_d_dot, x_d_ddot)
+        speed, of_target = J.dot(v), x_d_dot - R.T.dot(spin)
         # of E' = [ω]ₓE, ω = speed + drift − E of_target; ż is no ω, but for small z
-        z_dot = pin.Jlog3(E).T.dot(speed + drift - E.dot(of_target))
-        drift = z_dot - speed + feed
+        z_dot = law.log_rate(E, speed + drift - E.dot(of_target))
+        drift = z_dot - speed + x_d_dot
         J_dot = self._frame.jacobian_dot(q, v)[3:]
-        return PredictedError(law.rotation_log(E), J, J_dot, feed, feed_dot, drift)
+        return PredictedError(law.rotation_log(E), J, J_dot, x_d_dot, x_d_ddot, drift)
 
 
-def _back(R: Array, spin: Array, feed: Array | None, feed_dot: Array | None) -> tuple[Array, Array]:
+def _back(R: Array, spin: Array, x_d_dot: Any, x_d_ddot: Any) -> tuple[Array, Array]:
     """Return Rᵀẋ_d and its rate."""
-    feed = np.zeros(3) if feed is None else feed
-    feed_dot = np.zeros(3) if feed_dot is None else feed_dot
-    return R.T.dot(feed), R.T.dot(feed_dot - law.cross_matrix(spin).dot(feed))
+    x_d_dot = np.zeros(3) if x_d_dot is None else x_d_dot
+    x_d_ddot = np.zeros(3) if x_d_ddot is None else x_d_ddot
+    return R.T.dot(x_d_dot), R.T.dot(x_d_ddot - law.cross_matrix(spin).dot(x_d_dot))

@@ -1,0 +1,596 @@
+"""`Kinematics`, which predict what a law controls, and `Estimator`, which learn them from x."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from approxjac import law
+from approxjac.controllers.arguments import time_of_x, told_ahead
+from approxjac.controllers.learning.kinematic_report import KinematicReport
+from approxjac.errors import InvalidInputError, MeasurementError
+from approxjac.interface import Measurement, Status, Target
+from approxjac.robots import Robot
+from approxjac.robots.kinematic_regressor import PointMotion
+from approxjac.robots.traced import motion_between, moved
+from approxjac.tasks import Task
+from approxjac.validation import Array, Immutable, as_number, as_vector
+
+_OK, _PREDICTED = Status.OK, Status.PREDICTED  # members of an enum are slow to look up
+_LOST = Status.MEASUREMENT_LOST
+_SPACING = 10e-3  # between remembered configurations, from which others are interpolated [s]
+_HORIZON = 0.25  # age up to which a frame finds its configuration [s]
+_LONG_AGO = -1e6  # [s]
+_FOREVER = 1e15  # t of no clock [s]
+_AHEAD = 1e-9  # by which a clock is on time [s]
+_OTHER = 1.0  # by which it is another one [s]
+_CLOSEST = 4e-3  # between frames, below which there is nothing to learn from the second one [s]
+_STALE = 1.0  # without a frame to learn from, after which it is said [s]
+_FARTHEST = 1e3  # that anything is from the sensor [m]
+_ROUND_OFF = 1e-9  # of times [s]
+SMOOTHING = 20.0
+"""β, how fast what is controlled follows what is learnt [1/s]."""
+INTEGRAL = 1.0
+"""ω_b, how fast what the parameters do not explain is taken up [1/s]."""
+EASED_SPEED = 0.5
+"""Of x̂, by what is learnt [m/s]."""
+EASED_TURN = 2.0 * math.pi
+"""Of the estimate of a rotation [rad/s]."""
+LONGEST_FRAME = 0.1
+"""Time that one frame counts for [s]."""
+WINDOW = 0.3
+"""Over which residuals are averaged: noise goes, what is not explained stays [s]."""
+NOISE_MEMORY = 2.0
+"""Of the noise that is seen [s]."""
+JUMP = 8.0
+"""Standard deviations of x, beyond which it has jumped."""
+
+
+class PredictedError(NamedTuple):
+    """The error as the estimates have it at one instant, and all that its derivatives need.
+
+    In the frame where the law works: the base frame, into which the target is pulled back. With
+    Ĉ = R̂ᵀ/ŝ and ĉ = −Ĉb̂ of a camera or tracker x = sRp + b (Ĉ = I where it is known),
+    z = p̂(q) − (Ĉx_d + ĉ) and, exactly, ż = Ĵq̇ − x_d_dot + drift. Unit of the task where the sensor
+    measures in metres.
+
+    Attributes:
+        z: Predicted error, shape (m,).
+        J: Ĵ, the exact Jacobian of the prediction, shape (m, n_v).
+        J_dot: dĴ/dt along q̇ and the motion of the estimates, shape (m, n_v).
+        x_d_dot: Ĉẋ_d, shape (m,).
+        x_d_ddot: Its rate Ĉẍ_d + Ĉ'ẋ_d, shape (m,).
+        drift: What the estimates move z by, ż − Ĵq̇ + x_d_dot, shape (m,).
+    """
+
+    z: Array
+    J: Array
+    J_dot: Array
+    x_d_dot: Array
+    x_d_ddot: Array
+    drift: Array
+
+
+class Kinematics(Immutable, ABC):
+    """Kinematics, known or learnt, that predict what a law controls.
+
+    It learns from the measured x in `step`, and from nothing else; `predict` is a function of its
+    state, q and q̇. Its state is flat: it goes in and comes out.
+
+    Immutable, but it owns scratch memory: one instance a thread.
+
+    Attributes:
+        task: The task of the believed robot.
+        n_state: Length of a state.
+    """
+
+    task: Task
+    n_state: int
+    names: tuple[str, ...] = ()  # of what `learnt` returns
+    units: tuple[str, ...] = ()
+    _kept: tuple[slice, ...] = ()  # parts of a state that hold what was learnt
+
+    @abstractmethod
+    def initial_state(self, measurement: Measurement) -> Array:
+        """Return the state before the first step, shape (n_state,)."""
+
+    def resumed(self, state: Array, measurement: Measurement) -> Array:
+        """Return a state before a first step that knows what another state has learnt.
+
+        Times, configurations and frames of the other one are forgotten.
+
+        Raises:
+            InvalidInputError: A state that is not of such kinematics.
+        """
+        state = self._required(state)
+        fresh = self.initial_state(measurement)
+        for part in self._kept:
+            fresh[part] = state[part]
+        return fresh
+
+    @abstractmethod
+    def step(self, state: Array, measurement: Measurement, dt: float) -> Array:
+        """Return the state after learning from a measurement, and dt [s] later.
+
+        A measurement whose x is lost, or has been seen before, teaches nothing.
+        """
+
+    def correct(self, state: Array, measurement: Measurement, dt: float) -> None:
+        """Make a state that of `step`, in place: thousands of numbers are slow to copy."""
+        state[:] = self.step(state, measurement, dt)
+
+    def check(self, state: Array, measurement: Measurement, dt: float) -> None:
+        """Refuse a measurement that `correct` cannot learn from, such as one without a time."""
+
+    def status(self, state: Array, measurement: Measurement) -> Status:
+        """Return what may be done by a state, if any, of kinematics that learn from x.
+
+        `MEASUREMENT_LOST` before x was ever seen, so that what is predicted is as believed;
+        `PREDICTED` where x is too old to be learnt from, for a second; else `OK`.
+        """
+        return Status.OK
+
+    @abstractmethod
+    def predict(self, state: Array, q: Array, v: Array, target: Target) -> PredictedError:
+        """Return the predicted error at q (nq,) and q̇ (n_v,) [rad/s or m/s]."""
+
+    @abstractmethod
+    def learnt(self, state: Array) -> Array:
+        """Return what a state, or a series of them (…, n_state), has learnt, shape (…, p)."""
+
+    @property
+    def parameters(self) -> Mapping[str, str]:
+        """Names and units of what `learnt` returns."""
+        return dict(zip(self.names, self.units, strict=True))
+
+    def sd_of(self, state: Array) -> Array:
+        """Return the standard deviations of what a state has learnt, shape (p,)."""
+        return np.array([row.sd for row in self.report(state).rows] if self.names else [])
+
+    def _required(self, state: Array) -> Array:
+        """Return a state of such kinematics, or refuse what is none."""
+        state = as_vector("state", state, self.n_state)
+        if not self._is_state(state):
+            raise InvalidInputError(
+                f"state must be one of {self!r}, as initial_state and step return it, got numbers "
+                "that are not",
+                given=state,
+            )
+        return state
+
+    def _is_state(self, state: Array) -> bool:
+        """Return whether finite numbers (n_state,) can be a state, as far as can be told."""
+        return True
+
+    def robot(self, state: Array) -> Robot:
+        """Return the believed robot with what a state has learnt of its tool and joint origins.
+
+        Masses, friction and the tracker are not in it; a state that is saved has them all.
+
+        Raises:
+            InvalidInputError: Kinematics that learn nothing, or a state of others.
+        """
+        raise InvalidInputError(
+            f"kinematics must learn to change a robot, got {self!r}", given=self
+        )
+
+    def report(self, state: Array) -> KinematicReport:
+        """Return what a state has learnt: values, standard deviations, and what was not seen.
+
+        Raises:
+            InvalidInputError: Kinematics that learn nothing, or a state of others.
+        """
+        raise InvalidInputError(f"kinematics must learn to report, got {self!r}", given=self)
+
+
+def pulled_back(
+    motion: PointMotion, b: Array, b_dot: Array, R: Array | None, spin: Array, target: Target
+) -> PredictedError:
+    """Return the predicted error of positions x̂ = R̂p + b̂, with the target in the base's axes.
+
+    Args:
+        motion: Of the points.
+        b: b̂, shape (m,).
+        b_dot: Its rate, shape (m,).
+        R: R̂ of each point's d axes, shape (d, d); None is none.
+        spin: Its rate, (1 or 3,) [rad/s]; (0,) where it is known.
+        target: The target, shape (m,).
+    """
+    p, J, J_dot, drift = motion
+    x_d, x_d_dot, x_d_ddot = target
+    nothing = np.zeros(len(p))
+    x_d_dot = nothing if x_d_dot is None else x_d_dot
+    x_d_ddot = nothing if x_d_ddot is None else x_d_ddot
+    away = b - x_d
+    if R is None:
+        return PredictedError(p + away, J, J_dot, x_d_dot, x_d_ddot, drift + b_dot)
+    # rows are vectors: x R is Rᵀx. With R' = [ω]ₓR, Rᵀx changes by Rᵀ(x' + [ω]ₓᵀx)
+    vectors = np.array([away, x_d_dot, b_dot, x_d_ddot]).reshape(-1, len(R))
+    if len(spin):
+        half = len(vectors) // 2
+        vectors[half:] += vectors[:half].dot(law.cross_matrix(spin))
+    back = vectors.dot(R)
+    away, x_d_dot, b_dot, x_d_ddot = back if len(back) == 4 else back.reshape(4, -1)
+    return PredictedError(p + away, J, J_dot, x_d_dot, x_d_ddot, drift + b_dot)
+
+
+class Frame(NamedTuple):
+    """A frame: x (n_x,), NaN where it is lost, when it was taken [s], and q at that time (nq,)."""
+
+    x: Array
+    t: Any
+    q: Array
+
+
+class Estimator(Kinematics):
+    """Kinematics that learn from frames of x: frame, gate, correct, smooth, predict.
+
+    A *frame* is an x that is new, with the configuration at which it was taken; a *gate* passes
+    over those that jump; `_correct` learns from the others; what is controlled follows *smoothly*
+    what is learnt, and `predict` goes by it. One derived from it has what is learnt, of which
+    these are the steps. All run on numbers, and on symbols.
+
+    Attributes:
+        noise: Standard deviation of x.
+        delay: Age of x where `Measurement.t_x` is None [s].
+    """
+
+    noise: float
+    delay: float
+    _frames: Frames
+    _gate: Gate
+    _at: dict[str, slice]
+    _moving: slice  # what follows smoothly
+    _rates: slice
+    _turning: tuple[tuple[str, str], ...]  # names of rotations that do, and of their spins
+
+    def _lay_out(self, sizes: Mapping[str, int], kept: str, moving: str) -> None:
+        """Say what a state holds, one part after the other, and what of it was learnt."""
+        ends = np.cumsum(list(sizes.values())).tolist()
+        each = zip(sizes.items(), ends, strict=True)
+        self._at = at = {name: slice(end - size, end) for (name, size), end in each}
+        self.n_state = ends[-1]
+        self._kept = tuple(at[name] for name in kept.split())
+        first, *_, last = moving.split()
+        self._moving = slice(at[first].start, at[last].stop)
+        self._rates = slice(at[f"{first}_dot"].start, at[f"{last}_dot"].stop)
+
+    # -- what one derived from it has --------------------------------------------------------
+
+    def _own(self, measurement: Measurement) -> Measurement:
+        """Return a measurement with x in the units that are learnt in."""
+        return measurement
+
+    def _points(self, x: Array) -> Array:
+        """Return what is learnt from of an x, NaN where it is lost."""
+        return x
+
+    @abstractmethod
+    def _begin(self, state: Array) -> None:
+        """Write into a state what is believed."""
+
+    @abstractmethod
+    def _has_begun(self, state: Array) -> Any:
+        """Return whether x was ever seen, and x̂ placed there."""
+
+    @abstractmethod
+    def _place(self, state: Array, frame: Frame) -> None:
+        """Let x̂ begin at the first x that is seen, in place."""
+
+    @abstractmethod
+    def _reach(self, q_0: Array, q: Array) -> Array:
+        """Return how far each of `_points` may move between configurations."""
+
+    @abstractmethod
+    def _correct(self, state: Array, frame: Frame, is_anew: Any) -> None:
+        """Learn from a frame, in place.
+
+        Args:
+            state: The state.
+            frame: With `_points` of its x.
+            is_anew: Whether it is the first one after the sensor was moved.
+        """
+
+    @abstractmethod
+    def _aim(self, state: Array, q: Array, dt: float) -> None:
+        """Set the rates at which the smoothed estimates follow, in place."""
+
+    # -- the steps ---------------------------------------------------------------------------
+
+    def initial_state(self, measurement: Measurement) -> Array:
+        """Return the state before the first step, shape (n_state,): what is believed.
+
+        x̂ is the first x, so that learning begins without a jump; the first that is not lost.
+        """
+        measurement = self._own(measurement)
+        _require_known(measurement)
+        state, frames = np.zeros(self.n_state), self._at["frames"]
+        self._frames.begin(state[frames], measurement.t, measurement.q)
+        self._begin(state)
+        measurement = self._frames.by_own_clock(state[frames].copy(), measurement, 0.0)
+        frame, is_new = self._frames.new(state[frames].copy(), measurement)
+        if frame is not None and is_new:
+            self._place(state, frame)
+        return state
+
+    def check(self, state: Array, measurement: Measurement, dt: float) -> None:
+        """Refuse a measurement without a time, or whose x is by another clock."""
+        t, t_x = _time(measurement), time_of_x(measurement.t_x)
+        if t_x is not None and t_x > t:
+            ahead = self._frames.by_own_clock(state[self._at["frames"]].copy(), measurement, dt).t
+            if told := told_ahead(ahead, t_x, _OTHER):
+                raise InvalidInputError(f"t_x must be by the clock of t: {told}", given=measurement)
+
+    def step(self, state: Array, measurement: Measurement, dt: float) -> Array:
+        """Return the state after learning from a measurement, and dt [s] later.
+
+        A measurement whose x is lost, or was seen before, or that jumps, teaches nothing.
+        """
+        self.check(state, measurement, dt)
+        state = state.copy()
+        self.correct(state, measurement, dt)
+        return state
+
+    def correct(self, state: Array, measurement: Measurement, dt: float) -> None:
+        """Make a state that of `step`, in place, of a measurement that `check` takes."""
+        numbers, gate = state[self._at["frames"]], self._at["gate"]
+        measurement = self._frames.by_own_clock(numbers, self._own(measurement), dt)
+        is_time = self._frames.remember(numbers, measurement)
+        frame, is_new = self._frames.new(numbers, measurement)
+
+        def learn(state: Array) -> None:
+            assert frame is not None
+            has_begun = self._has_begun(state)
+            law.alter(law.complement(has_begun), state, lambda state: self._place(state, frame))
+            own = frame._replace(x=self._points(frame.x))
+            believed, is_anew = self._gate.judge(state[gate], own, self._reach)
+            law.alter(believed, state, lambda state: self._correct(state, own, is_anew))
+
+        if frame is not None:
+            law.alter(is_new, state, learn)
+            is_time = is_time | (is_new & (state[gate.stop - 1] > 0.0))
+        # the rates of smoothed estimates may wait for some milliseconds
+        law.alter(is_time, state, lambda state: self._aim(state, measurement.q, dt))
+        self.advance(state, dt)
+
+    def advance(self, state: Array, dt: float) -> None:
+        """Let the smoothed estimates follow for dt [s], in place."""
+        state[self._moving] += dt * state[self._rates]
+        for name, spin in self._turning:
+            turn = law.rotation_exp(dt * state[self._at[spin]])
+            state[self._at[name]] = turn.dot(state[self._at[name]].reshape(turn.shape)).ravel()
+
+    def status(self, state: Array, measurement: Measurement) -> Status:
+        """Return what may be done by a state; see `Kinematics`."""
+        silence = self._frames.silence(state[self._at["frames"]])
+        is_old: Any = measurement.t_x is not None and silence > _STALE
+        if hasattr(measurement.t_x, "graph"):  # NaN where it is not known
+            is_old = (silence > _STALE) & (measurement.t_x == measurement.t_x)
+        status: Status = law.select(is_old, _PREDICTED, _OK)
+        status = law.select(self._has_begun(state), status, _LOST)
+        return status
+
+    def learnt(self, state: Array) -> Array:
+        """Return what a state, or a series of them (…, n_state), has learnt; shape (…, p).
+
+        In the order of `names`, in `units`.
+        """
+        return state[..., self._at["told"]]
+
+
+def _time(measurement: Measurement) -> float:
+    """Return the time of a measurement [s], or refuse it: what is learnt has to be known when."""
+    name, most = "t of a measurement", _FOREVER
+    return as_number(name, measurement.t, unit="s", minimum=-most, most=most)
+
+
+def _require_known(measurement: Measurement) -> None:
+    """Refuse a first measurement without a time or a configuration."""
+    _time(measurement)
+    if not np.isfinite(measurement.q).all():
+        raise MeasurementError(
+            f"q must be finite, got {measurement.q.tolist()}: frames are learnt from with the "
+            "configuration of their time",
+            given=measurement,
+        )
+
+
+class Frames:
+    """Memory of which x is new, and at which configuration it was taken.
+
+    Its numbers: the last x, when it was taken, the last t, by how much its own clock is ahead of
+    that, when it last found a frame, and (t, q) of some hundredths of a second, the last one last.
+    A clock t that stands still from step to step is gone on with by dt.
+
+    A frame is new by `Measurement.t_x`, and was taken then. Where that is None or ahead of
+    now, it is new by a change of x, and was taken `delay` ago; 1 s ahead is refused. One taken
+    before all that is remembered is passed over, and so are those faster than at 250 Hz.
+
+    Args:
+        robot: The believed robot.
+        n_x: Length of x.
+        delay: Age of x where `Measurement.t_x` is None [s].
+        dt: Sampling time of control [s].
+    """
+
+    def __init__(self, robot: Robot, n_x: int, delay: float, dt: float) -> None:
+        self._robot, self._delay, self._n_x = robot, delay, n_x
+        self._spacing = max(_SPACING, dt)
+        self._count = math.ceil(max(_HORIZON, 2.0 * delay) / self._spacing) + 2
+        self._width = 1 + robot.nq
+        self._head = n_x + 4
+        self.size = self._head + self._count * self._width
+
+    def begin(self, numbers: Array, t: float, q: Array) -> None:
+        """Write the numbers before the first frame, where the arm was at rest."""
+        n, times = self._n_x, self._spacing * np.arange(1 - self._count, 1)
+        numbers[:n], numbers[n] = 0.0, _LONG_AGO
+        numbers[n + 1], numbers[n + 2], numbers[n + 3] = t - self._spacing, 0.0, t
+        ring = self._ring(numbers)
+        ring[:, 0], ring[:, 1:] = t + times, q
+
+    def by_own_clock(self, numbers: Array, measurement: Measurement, dt: float) -> Measurement:
+        """Return a measurement dt [s] after the one before if t stands still; t_x NaN for None."""
+        n, (t, q, v, x, t_x) = self._n_x, measurement
+        (last, ahead), t = numbers[n + 1 : n + 3].tolist(), t if hasattr(t, "graph") else float(t)
+        since = ahead - abs(t - last)
+        ahead = law.select(t == last, ahead + dt, law.select(since > 0.0, since, 0.0))
+        numbers[n + 1], numbers[n + 2] = t, ahead
+        if t_x is None or (isinstance(t_x, float) and t_x == -math.inf):
+            t_x = math.nan
+        return Measurement(t + ahead, q, v, x, t_x + ahead)
+
+    def last_time(self, numbers: Array) -> Any:
+        """Return the time of the last configuration that is remembered [s]."""
+        return numbers[self._head + (self._count - 1) * self._width]
+
+    def silence(self, numbers: Array) -> Any:
+        """Return for how long there was no frame to learn from [s]."""
+        t, ahead, found = numbers[self._n_x + 1 : self._head].tolist()
+        since = t + ahead - found
+        return law.select(since > 0.0, since, 0.0)
+
+    def remember(self, numbers: Array, measurement: Measurement) -> Any:
+        """Write down the configuration at hand, if it is time.
+
+        Returns:
+            Whether it was, or time does not pass.
+        """
+        t, q, *_ = measurement
+        since = t - self.last_time(numbers)
+
+        def shift(numbers: Array) -> None:
+            ring = self._ring(numbers)
+            ring[:-1] = ring[1:].copy()
+            ring[-1, 0], ring[-1, 1:] = t, q
+
+        is_due = since >= self._spacing - _ROUND_OFF
+        law.alter(is_due, numbers, shift)
+        # time starts anew
+        law.alter(since < -_ROUND_OFF, numbers, lambda numbers: self.begin(numbers, t, q))
+        return is_due | (since < _ROUND_OFF)
+
+    def new(self, numbers: Array, measurement: Measurement) -> tuple[Frame | None, Any]:
+        """Return a frame and whether it is new, and note it; `remember` comes first.
+
+        None, where it is surely not.
+        """
+        n, (t, _, _, x, _) = self._n_x, measurement
+        t_x: Any = measurement.t_x
+        taken_before, head = numbers[n], numbers[: n + 4]
+        is_told = t_x <= t + _AHEAD
+        # a clock that is ahead is wrong, and would say of one frame that it is always new
+        is_old = law.select(is_told, t_x <= taken_before, law.all_of(x == numbers[:n]))
+        has_last = taken_before > _LONG_AGO
+        if law.surely(is_old & has_last):
+            return None, False
+        taken = law.select(is_told, law.select(t_x < t, t_x, t), t - self._delay)
+        since, seen = taken - taken_before, np.abs(x) < _FARTHEST
+        known = np.where(seen, x, 0.0)
+        passed = (is_old & has_last) | ((since > 0.0) & (since < _CLOSEST - _ROUND_OFF))
+        passed = passed | law.complement(law.any_of(seen))
+        passed = passed | (has_last & law.complement(is_told) & law.all_of(known == numbers[:n]))
+        if law.surely(passed):
+            return None, False
+        is_noted = law.complement(passed)
+        q, is_found = self._at(numbers, taken, measurement)
+
+        def note(head: Array) -> None:
+            head[:n], head[n] = known, taken
+            head[n + 3] = law.select(is_found, t, head[n + 3])
+
+        law.alter(is_noted, head, note)
+        return Frame(np.where(seen, x, math.nan), taken, q), is_noted & is_found
+
+    def _at(self, numbers: Array, t: Any, measurement: Measurement) -> tuple[Array, Any]:
+        """Return the configuration at a time [s], and whether it is not longer ago than known."""
+        ring = self._ring(numbers)
+        times = np.append(ring[:, 0], measurement.t)
+        rows = np.concatenate([ring[:, 1:], measurement.q[np.newaxis]])
+        before, after = times[:-1], times[1:]
+        here = np.where((before < t) & (after >= t), 1.0, 0.0)
+        gaps = np.maximum(after - before, _ROUND_OFF)
+        share = here.dot(np.minimum((t - before) / gaps, 1.0))
+        begins, ends = here.dot(rows[:-1]), here.dot(rows[1:])
+        robot, is_found = self._robot, before[0] < t
+        if is_found is False or is_found is np.False_:
+            return measurement.q, False
+        if robot.nq == robot.nv:
+            return begins + share * (ends - begins), is_found
+        begins = np.where(is_found, begins, measurement.q)
+        ends = np.where(is_found, ends, measurement.q)
+        return moved(robot, begins, share * motion_between(robot, begins, ends)), is_found
+
+    def _ring(self, numbers: Array) -> Array:
+        return numbers[self._head :].reshape(self._count, self._width)
+
+
+class Gate:
+    """Tells a sensor that jumps from an arm that moves.
+
+    From one frame to the next that is believed, x moves by no more than the arm does. One that
+    moves farther is passed over, and so are all until x is back; but if it stays, and frames agree
+    with each other, the sensor is believed: it was moved.
+
+    Its numbers: frames passed over in a row, then of the last frame that was believed and of the
+    last one that was not: configuration, x, and 1 for each entry of x that was seen at it; and
+    1 if the last one was believed.
+
+    Args:
+        robot: The believed robot.
+        n_x: Length of x.
+        jump: By how much x may change wherever the arm is, so that nobody need ask.
+    """
+
+    PASSED_OVER = 8
+    """Frames in a row that agree after which the sensor is believed."""
+
+    def __init__(self, robot: Robot, n_x: int, jump: float = 0.0) -> None:
+        self._nq, self._n_x, self._jump = robot.nq, n_x, jump
+        self._width = robot.nq + 2 * n_x
+        self.size = 2 + 2 * self._width
+
+    def judge(
+        self, numbers: Array, frame: Frame, moved: Callable[[Array, Array], Array]
+    ) -> tuple[Any, Any]:
+        """Return whether to believe a frame, and whether it is the first after the sensor moved.
+
+        Args:
+            numbers: As before; what is judged is noted.
+            frame: The frame.
+            moved: moved(q_0, q) → how far each entry of x may move between configurations, (n_x,).
+        """
+        last, other = numbers[1:-1].reshape(2, -1)
+        believed, fits = True, self._fits(last, frame, moved)
+        if not law.surely(fits):
+            jumps = law.complement(fits)
+            agrees = (numbers[0] > 0.0) & self._fits(other, frame, moved)
+            count = law.select(agrees, numbers[0] + 1.0, 1.0)
+            believed = fits | (count >= self.PASSED_OVER)
+            numbers[0] = law.select(believed, 0.0, count)
+            law.alter(jumps, other, lambda other: self._note(other, frame))
+        else:
+            numbers[0] = 0.0
+        law.alter(believed, last, lambda last: self._note(last, frame))
+        numbers[-1] = law.select(believed, 1.0, 0.0)
+        return believed, believed & law.complement(fits)
+
+    def _fits(self, last: Array, frame: Frame, moved: Callable[[Array, Array], Array]) -> Any:
+        """Return whether x is where it may be after the last frame; where none was, it may be."""
+        nq, n = self._nq, self._nq + self._n_x
+        compared = (last[n:] > 0.0) & np.isfinite(frame.x)
+        change = np.where(compared, np.abs(frame.x - last[nq:n]), 0.0)
+        is_near = change.max() <= self._jump
+        if law.surely(is_near):  # which is usual
+            return True
+        return is_near | law.all_of(change <= moved(last[:nq], frame.q))
+
+    def _note(self, where: Array, frame: Frame) -> None:
+        n, seen = self._nq, np.isfinite(frame.x)
+        where[:n] = frame.q
+        where[n : n + self._n_x] = np.where(seen, frame.x, where[n : n + self._n_x])
+        where[n + self._n_x :] = np.where(seen, 1.0, 0.0)
