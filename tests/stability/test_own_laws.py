@@ -234,3 +234,63 @@ def test_ones_own_law_within_limits_keeps_them():
     assert (run.limit_status == aj.LimitStatus.LIMITED).any()  # nothing is proven of it
     assert run.error_norm[-1] < 1e-3
     assert np.isfinite(run.V).all()
+
+
+def study_of(kind, reach=0.1, **options):
+    arm = aj.load_robot("two_link")
+    errors = aj.Uncertainty(arm, object_length=(0.0, reach), object_axis="x")
+    law = kind(errors.believed_task())
+    region = aj.JointBox.around(arm, GOAL, 0.2)
+    latency = aj.Latency(period=2e-3, torque_delay=2e-3)
+    return aj.Study(law, errors, region, latency=latency, duration=4.0, **options)
+
+
+def test_a_report_of_ones_own_law_says_which_tests_apply():
+    study = study_of(TaskSpacePD, seed=1)
+    report = study.report(40, runs=20)
+    assert isinstance(report, aj.stability.OtherLawReport)
+    (first, none, why), (second, stable, figures), (third, passes, runs) = report.lines()
+    assert (first, none) == ("certificates", "not applicable")
+    assert "SetpointController" in why
+    assert (second, stable, third, passes) == ("near targets", "stable", "rollouts", "pass")
+    assert "100.0 % of 40 targets" in figures
+    assert "20 of 20 converged" in runs
+    assert report.passed
+    assert str(report).startswith("nothing is proven of this law; no test that applies speaks")
+    decays = [each.decay_rate for each in report.local.found]
+    assert report.local.worst == np.argmin(decays)
+    assert report.summary()["decay_rates"] == decays
+    # each is what `local_stability` says of that robot, late as the study says
+    k = report.local.worst
+    given = study.uncertainty.plant(report.local.values[k])
+    plant = aj.Plant(given.robot, given.sensor, actuator_delay=2e-3)
+    alone = aj.local_stability(plant, study.controller, report.local.q[k], 2e-3)
+    assert_allclose(alone.eigenvalues, report.local.found[k].eigenvalues)
+
+
+def test_a_report_finds_what_speaks_against_a_law():
+    def shaky(task):
+        return TaskSpacePD(task, kd=900.0)  # too much damping for the period
+
+    report = study_of(shaky).report(20, runs=3)
+    assert not report.passed
+    assert report.lines()[1][1] == "not stable"
+    assert report.lines()[2][1] == "fail"
+    weightless = study_of(Weightless).report(20)
+    assert not weightless.passed
+    assert weightless.lines()[1][1:] == (
+        "not applicable",
+        "1 left out: controller must hold the arm at rest at the target for it to be an "
+        "equilibrium",
+    )
+    assert weightless.lines()[2][1] == "not run"
+
+
+@pytest.mark.parametrize("kind", [TaskSpacePD, WindingUpNot])
+def test_tolerance_of_ones_own_law_is_by_rollouts_and_near_targets(kind):
+    study = study_of(kind, reach=0.3)
+    with pytest.raises(aj.InvalidInputError, match='tests must be "local" or "rollouts", got'):
+        study.tolerance()
+    found = study.tolerance(["local", "rollouts"], draws=4, precision=0.2, largest=2.0)
+    assert found["rollouts"].scale > 0.5
+    assert found["local"].scale > 0.5

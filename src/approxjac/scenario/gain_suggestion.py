@@ -82,6 +82,7 @@ def suggested(scenario: Scenario, progress: Callable[[str, float], None]) -> Sug
         # the search is of fewer configurations, and of law (6) with known gravity and no limits
         known = found_scenario.with_values({"controller": {"gravity": "exact"}})
         report = prepare(known).report(analysis.configurations)
+        assert isinstance(report, StabilityReport)
         if not report.passed:
             return SuggestedGains(scenario, errors, settling_time, found, refused=report.verdict())
         assert report.sampled is not None
@@ -89,6 +90,7 @@ def suggested(scenario: Scenario, progress: Callable[[str, float], None]) -> Sug
         found = replace(found, found=best)
         if choice.gravity != "exact":
             report = prepare(found_scenario).report(analysis.configurations)
+            assert isinstance(report, StabilityReport)
         return SuggestedGains(found_scenario, errors, settling_time, found, report)
     return SuggestedGains(scenario, errors, settling_time, found)
 

@@ -134,6 +134,7 @@ def analyse(
     report = study.report(
         analysis.configurations, runs=runs, execution=execution, progress=progress
     )
+    assert isinstance(report, StabilityReport)  # the laws of scenarios have certificates
     found(report)
     if uncertainty is None:
         return StabilityResult(scenario, study, report)

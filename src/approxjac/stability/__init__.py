@@ -4,6 +4,7 @@ from approxjac.stability.certificates.lyapunov import LyapunovValue, lyapunov
 from approxjac.stability.errors.region import JointBox, Region, RegularPart, SublevelSet, Tube
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.local import LocalStability, local_stability
+from approxjac.stability.report.other_laws import NearTargets, OtherLawReport
 from approxjac.stability.report.report import StabilityReport
 from approxjac.stability.rollouts.portions import Execution
 from approxjac.stability.rollouts.rollouts import Rollout, Rollouts
@@ -18,6 +19,8 @@ __all__ = [
     "JointBox",
     "LocalStability",
     "LyapunovValue",
+    "NearTargets",
+    "OtherLawReport",
     "Region",
     "RegularPart",
     "Rollout",

@@ -17,9 +17,10 @@ from approxjac.interface import Target, TargetPath
 from approxjac.robots import Robot
 from approxjac.simulation import Plant, Sensing
 from approxjac.simulation.targets import require_fit, wanted_of
-from approxjac.stability.errors.region import Region
+from approxjac.stability.errors.region import Region, uncovered
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.closed_loop import ClosedLoop, usual_region
+from approxjac.stability.report.other_laws import OtherLawReport, near_targets
 from approxjac.stability.report.report import StabilityReport, report_of
 from approxjac.stability.rollouts.portions import Execution, carried_out
 from approxjac.stability.rollouts.rollouts import Rollouts
@@ -104,12 +105,15 @@ class Study:
         runs: int = 0,
         execution: Execution | None = None,
         progress: Progress = None,
-    ) -> StabilityReport:
+    ) -> StabilityReport | OtherLawReport:
         """Tell before anything moves whether the loop is stable, and by how much.
 
         Half of the configurations, 1000 at most, find the worst cases and choose the Lyapunov
         functions, with a closer look around the worst of them; the others check what was chosen.
         With `TorqueLimited` certified are those starts whose motions its efforts never limit.
+
+        A law that no certificate is for, such as one of your own, is linearised at targets of the
+        region, and its report says so: an `OtherLawReport`.
 
         Args:
             configurations: How many to draw, ≥ 20, corners and inside of the errors half each.
@@ -118,9 +122,9 @@ class Study:
             progress: Called with what is being done and the share of it; True shows a bar.
 
         Raises:
-            InvalidInputError: Law (5) or a posture torque, a task whose Jacobian uses the measured
-                x, an empty region or one that a true camera sees nothing of, a target that no
-                configuration of a true robot attains, or numbers out of range.
+            InvalidInputError: A task whose Jacobian uses the measured x, an empty region or one
+                that a true camera sees nothing of, a target that no configuration of a true robot
+                attains, or numbers out of range.
         """
         if runs and not isinstance(self.uncertainty, Uncertainty):
             raise InvalidInputError(
@@ -128,6 +132,8 @@ class Study:
                 f"got {self.uncertainty!r}",
                 given=self.uncertainty,
             )
+        if reason := uncovered(self.controller):
+            return self._of_other_law(reason, configurations, runs, execution, progress)
         limiter = self.controller if isinstance(self.controller, TorqueLimited) else None
         with telling(progress) as tell:
             loop = self.loop()
@@ -286,6 +292,25 @@ class Study:
                 self, settling_time, test, torque_limits, configurations,
                 lambda share: tell("gains", share),
             )  # fmt: skip
+
+    def _of_other_law(
+        self,
+        reason: str,
+        configurations: int,
+        runs: int,
+        execution: Execution | None,
+        progress: Progress,
+    ) -> OtherLawReport:
+        """Return the report of a law that no certificate is for."""
+        count = as_integer("configurations", configurations, 20)
+        setting = self.setting()
+        with telling(progress) as tell:
+            told = lambda share: tell("near targets", share)  # noqa: E731
+            local = near_targets(setting, self.timing, count, told)
+            many = self.rollouts(runs, execution=execution, progress=tell) if runs else None
+        return OtherLawReport(
+            self.controller, setting.uncertainty, self.timing, reason, local, many, self.seed
+        )
 
     # -- what the tests are made of -------------------------------------------------------------
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from approxjac.controllers import SetpointController, TrackingController
+from approxjac.controllers import Controller, SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import numbers, short
 from approxjac.robots import Robot
@@ -334,7 +335,8 @@ class RegularPart(Region):
 
 def require_setpoint(controller: SetpointController) -> None:
     """Refuse anything else, such as a controller that limits it or holds measurements for it."""
-    if isinstance(controller, TrackingController):
+    given: Any = controller
+    if isinstance(given, Controller) and given.kinematics is not None:
         raise InvalidInputError(
             "controller must be a SetpointController: a TrackingController learns its Jacobian, "
             "and no test covers that over a region; use rollouts to see how often it converges; "
@@ -371,6 +373,16 @@ def require_law(controller: SetpointController) -> None:
             f"posture = {controller.posture!r}",
             given=controller,
         )
+
+
+def uncovered(controller: Controller) -> str:
+    """Return why no certificate is for a controller, or for the law within its limits; or ""."""
+    law: Any = controller.law if controller.limits is not None else controller
+    try:
+        require_law(law)
+    except InvalidInputError as error:
+        return str(error).split("; got ")[0].split(", got ")[0]
+    return ""
 
 
 def require_seen(name: str, q: Array, sensor: Task) -> None:

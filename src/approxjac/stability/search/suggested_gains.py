@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -156,7 +156,8 @@ def suggested_gains(
         """Return a candidate with the margin that a report has for the sampled loop."""
         if test == "local":
             return candidate
-        report = replace(known, controller=first.with_gains(candidate.gains)).report(configurations)
+        own = replace(known, controller=first.with_gains(candidate.gains))
+        report: Any = own.report(configurations)
         assert report.sampled is not None
         left = report.sampled.margin
         return replace(candidate, margin=left if report.passed else min(left, 0.0))

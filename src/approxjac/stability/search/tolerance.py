@@ -13,10 +13,12 @@ from approxjac.formatting import rows, wrapped
 from approxjac.stability.certificates.certificate import refine_constants, refine_weights
 from approxjac.stability.certificates.matrix_form import MatrixForm
 from approxjac.stability.certificates.theorem1 import theorem1
+from approxjac.stability.errors.region import uncovered
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.closed_loop import SHARED, ClosedLoop
 from approxjac.stability.loop.local import local_test
 from approxjac.stability.loop.visibility import UnattainedError
+from approxjac.stability.report.other_laws import near_targets
 from approxjac.validation import Array, as_number, require
 
 if TYPE_CHECKING:
@@ -100,7 +102,15 @@ def tolerances(
     uncertainty = study.uncertainty
     require("uncertainty", uncertainty, Uncertainty, "an Uncertainty")
     assert isinstance(uncertainty, Uncertainty)
-    loop = study.loop()
+    reason = uncovered(study.controller)
+    if reason and (without := set(tests) - {"local", "rollouts"}):
+        raise InvalidInputError(
+            f'tests must be "local" or "rollouts", got {sorted(without)}: no certificate is for '
+            f"this law; {reason}",
+            given=tests,
+        )
+    loop = None if reason else study.loop()
+    region = study.region if loop is None else loop.region
     if uncertainty.d == 0:
         raise InvalidInputError(
             f"uncertainty must have a range to scale, got {uncertainty!r}", given=uncertainty
@@ -110,16 +120,22 @@ def tolerances(
             raise UnknownNameError("test", test, "the tests", (*TESTS, "rollouts"))
     largest = uncertainty.largest_scale(as_number("largest", largest, above=0.0))
     precision = as_number("precision", precision, above=0.0)
-    loop.require_gravity()
+    if loop is not None:
+        loop.require_gravity()
 
     untested: set[tuple[Test, float]] = set()
 
     def failing(test: Test, scale: float) -> Array | None:
         """The true values with which a test fails at a scale, or None if it passes."""
-        scaled = loop.scaled(scale)
+        scaled = None if loop is None else loop.scaled(scale)
+        own = replace(study, uncertainty=uncertainty.scaled(scale), region=region)
         try:
-            if test == "rollouts":
-                own = replace(study, uncertainty=uncertainty.scaled(scale), region=loop.region)
+            if scaled is None and test == "local":
+                local = near_targets(own.setting(), own.timing, draws or _CONFIGURATIONS)
+                if local.refused:
+                    raise InvalidInputError("; ".join(local.refused), given=study.controller)
+                return None if local.stable else local.values[local.worst]
+            if scaled is None or test == "rollouts":
                 many = own.rollouts(draws or _RUNS, failures=1)
                 return None if many.n_converged == many.n else many.runs[-1].values
             return _failing(
@@ -130,8 +146,9 @@ def tolerances(
                 raise
             # grown errors have put the target out of reach, or have a camera look elsewhere
             untested.add((test, scale))
-            of_run = test == "rollouts"
-            return np.array(error.given if of_run else scaled.values[error.truth])
+            if scaled is None or test == "rollouts":
+                return np.array(error.given)
+            return np.array(scaled.values[error.truth])
 
     found: dict[Test, Tolerance] = {}
     for k, test in enumerate(tests):

@@ -1,0 +1,190 @@
+"""`OtherLawReport`: what can be told of a controller that no certificate is for."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from approxjac.controllers import Controller, Latency
+from approxjac.errors import InvalidInputError
+from approxjac.formatting import percent, plain, rows, wrapped
+from approxjac.simulation import Plant, Sensing
+from approxjac.stability.errors.uncertainty import Uncertainty
+from approxjac.stability.loop.inverse_kinematics import inverse_kinematics
+from approxjac.stability.loop.local import LocalStability, local_stability
+from approxjac.stability.rollouts.rollouts import Rollouts
+from approxjac.stability.rollouts.setting import RolloutSetting
+from approxjac.validation import Array
+
+_MOST_TARGETS = 200
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class NearTargets:
+    """The loop linearised at targets of a region, with true robots drawn from the errors.
+
+    Attributes:
+        found: The linearisations, k of them.
+        q: Configurations that attain the targets, shape (k, nq).
+        values: True values of the uncertain coordinates, shape (k, d).
+        refused: How many others were left out, by the reason.
+    """
+
+    found: tuple[LocalStability, ...]
+    q: Array
+    values: Array
+    refused: dict[str, int]
+
+    @property
+    def stable(self) -> bool:
+        """Return whether all are stable, and none was left out."""
+        return bool(self.found) and not self.refused and all(each.stable for each in self.found)
+
+    @property
+    def worst(self) -> int:
+        """Index of the target with the slowest decay."""
+        return int(np.argmin([each.decay_rate for each in self.found]))
+
+    def figures(self, uncertainty: Uncertainty) -> tuple[str, str]:
+        """Return verdict and figures of a row."""
+        left_out = "; ".join(f"{n} left out: {why}" for why, n in self.refused.items())
+        if not self.found:
+            return "not applicable", left_out
+        share = float(np.mean([each.stable for each in self.found]))
+        worst = self.found[self.worst]
+        figures = (
+            f"stable at {percent(share)} % of {len(self.found)} targets, slowest decay "
+            f"{worst.decay_rate:.3g} 1/s, damping ratio at least "
+            f"{min(each.damping_ratio for each in self.found):.2g}; the slowest with "
+            f"{uncertainty.describe(self.values[self.worst])}"
+        )
+        figures = "; ".join(filter(None, (figures, left_out)))
+        return "stable" if self.stable else "not stable", figures
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class OtherLawReport:
+    """Findings about a controller that no certificate is for: nothing is proven of it.
+
+    Attributes:
+        controller: The controller.
+        uncertainty: The errors.
+        latency: When the loop measures and acts.
+        reason: Why no certificate covers it.
+        local: The loop as it is sampled, late, to first order at targets of the region.
+        rollouts: Or None if they were not asked for.
+        seed: Of all drawing.
+    """
+
+    controller: Controller
+    uncertainty: Uncertainty
+    latency: Latency
+    reason: str
+    local: NearTargets
+    rollouts: Rollouts | None
+    seed: int
+
+    @property
+    def passed(self) -> bool:
+        """Return whether all tests that apply pass: no proof, but nothing speaks against it."""
+        converged = self.rollouts is None or self.rollouts.n_converged == self.rollouts.n
+        tested = bool(self.local.found) or self.rollouts is not None
+        return tested and converged and (self.local.stable or not self.local.found)
+
+    def lines(self) -> list[tuple[str, str, str]]:
+        """Return a row for each test: its name, verdict, and the figures it rests on."""
+        table = [
+            ("certificates", "not applicable", self.reason),
+            ("near targets", *self.local.figures(self.uncertainty)),
+        ]
+        if self.rollouts is None:
+            return [*table, ("rollouts", "not run", "report(runs=100) runs them")]
+        many = self.rollouts
+        low, high = many.interval
+        figures = (
+            f"{many.n_converged} of {many.n} converged, "
+            f"{percent(low)} to {percent(high)} % of all by the interval"
+        )
+        return [*table, ("rollouts", "pass" if many.n_converged == many.n else "fail", figures)]
+
+    def verdict(self) -> str:
+        """Return in a line what was found."""
+        if self.passed:
+            return "nothing is proven of this law; no test that applies speaks against it"
+        return "nothing is proven of this law, and a test speaks against it: see below"
+
+    def __repr__(self) -> str:
+        return f"OtherLawReport({self.controller!r}: {self.verdict()})"
+
+    def __str__(self) -> str:
+        table = {name: f"{verdict}: {figures}" for name, verdict, figures in self.lines()}
+        about = {
+            "law": "; ".join(self.controller.describe()[:2]),
+            "errors": self.uncertainty.describe_box(),
+            "timing": repr(self.latency),
+        }
+        return "\n".join([*wrapped(self.verdict()), *rows(table, 2), *rows(about, 2)])
+
+    def summary(self) -> dict[str, Any]:
+        """Return what goes into summary.json."""
+        found = {
+            "passed": self.passed,
+            "seed": self.seed,
+            "tests": [dict(zip(("test", "verdict", "figures"), row)) for row in self.lines()],  # noqa: B905
+            "decay_rates": [each.decay_rate for each in self.local.found],
+        }
+        return {name: plain(value) for name, value in found.items()}
+
+
+def near_targets(
+    setting: RolloutSetting,
+    latency: Latency,
+    count: int,
+    tell: Callable[[float], None] = lambda share: None,
+) -> NearTargets:
+    """Linearise a sampled loop at the targets of the first rollouts of a setting.
+
+    A start that is drawn is the target, unless there is one. Frames of x count as a delay of half
+    the time between them.
+
+    Args:
+        setting: Of the rollouts.
+        latency: When the loop measures and acts.
+        count: How many targets, 200 at most.
+        tell: Called with the share that is done.
+    """
+    late = Sensing(
+        x_delay=latency.image_age + 0.5 * latency.image_period,
+        velocity_filter=latency.velocity_filter or None,
+    )
+    found, where, values, refused = [], [], [], Counter[str]()
+    count = min(count, _MOST_TARGETS)
+    for k in range(count):
+        tell(k / count)
+        start = setting.start(k)
+        given = setting.uncertainty.plant(start.values)
+        plant = Plant(
+            given.robot, given.sensor, sensing=late, actuator_delay=latency.torque_delay,
+            friction=given.friction,
+        )  # fmt: skip
+        q: Array | None = start.q
+        if setting.target is not None:
+            q = inverse_kinematics(plant.sensor, start.target, start.q)
+        if q is None:
+            refused["no configuration near the start attains the target"] += 1
+            continue
+        try:
+            found.append(local_stability(plant, setting.controller, q, setting.dt))
+        except InvalidInputError as error:
+            refused[str(error).split(", got ")[0]] += 1
+            if k == 0 and not found:  # of the law, not of the target
+                break
+            continue
+        where.append(q)
+        values.append(start.values)
+    shape = len(found), setting.uncertainty.d
+    return NearTargets(tuple(found), np.array(where), np.array(values).reshape(shape), refused)
