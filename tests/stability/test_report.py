@@ -345,23 +345,26 @@ def test_bad_input_is_named(tools, box, weightless):
         aj.Study(controller, tools, box).report(3)
     with pytest.raises(aj.InvalidInputError, match="seed must be an integer >= 0, got -1"):
         aj.Study(controller, tools, box, seed=-1).report()
-    with pytest.raises(
-        aj.InvalidInputError, match="a TrackingController learns its Jacobian, and no test"
-    ):
-        aj.Study(aj.TrackingController(controller.task), tools, box).report()
     with pytest.raises(aj.InvalidInputError, match="runs needs an Uncertainty"):
         aj.Study(controller, weightless.with_object(0.1), box).report(40, runs=5)
     with pytest.raises(aj.InvalidInputError, match="region must be a Region, such as JointBox"):
         aj.Study(controller, tools, region=3).report()
     with pytest.raises(aj.InvalidInputError, match="truth must be a Plant, a Robot or an Uncert"):
         aj.Study(controller, uncertainty="panda").report()
-    law_5 = controller_of(tools, velocity=DifferentiatedVelocity())
-    with pytest.raises(aj.InvalidInputError, match=r"the laws \(6\) and \(28\) without a posture"):
-        aj.Study(law_5, tools, box).report()
     with pytest.raises(aj.InvalidInputError, match="kp must be > 0"):
         aj.Study(controller_of(tools, aj.Gains(0.0, 1.0, 1.0)), tools, box).report()
     with pytest.raises(aj.InvalidInputError, match=r"object_mass must be .*>= 0"):
         aj.Uncertainty(weightless, object_mass=(-1.0, 1.0))
+
+
+def test_laws_without_certificates_have_a_report_that_says_so(tools, box):
+    law_5 = controller_of(tools, velocity=DifferentiatedVelocity())
+    report = aj.Study(law_5, tools, box).report(20)
+    assert "the laws (6) and (28) without a posture" in report.lines()[0][2]
+    tracking = aj.Study(aj.TrackingController(law_5.task), tools, box).report(20)
+    assert "a TrackingController learns its Jacobian" in tracking.lines()[0][2]
+    assert tracking.lines()[1][1] == "not applicable"
+    assert not tracking.passed
 
 
 # -- tolerance ------------------------------------------------------------------------------
@@ -601,8 +604,10 @@ def test_a_law_of_ones_own_is_not_certified_as_the_one_it_is_derived_from():
     def V_and_W(law, *_):
         return aj.stability.lyapunov(aj.Plant(arm, task), law, [0.3, 0.8], [0.0, 0.0], [0.5, 0.5])
 
+    report = aj.Study(law, errors, region).report(20)
+    assert "Pushed has another evaluate; rollouts" in report.lines()[0][2]
+    assert not report.passed
     tests = (
-        lambda *loop: aj.Study(*loop).report(),
         lambda *loop: aj.Study(*loop).tolerance(),
         V_and_W,
     )

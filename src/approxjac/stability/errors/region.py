@@ -357,8 +357,9 @@ def require_torque_of_the_laws(controller: SetpointController) -> None:
     ]
     if own:
         raise InvalidInputError(
-            "the conditions are those of the laws (6) and (28), got a law of your own: "
-            f"{type(controller).__name__} has another {' and '.join(own)}; rollouts judge any law",
+            "the conditions are those of the laws (6) and (28), and "
+            f"{type(controller).__name__} has another {' and '.join(own)}; rollouts judge any law; "
+            f"got {controller!r}",
             given=controller,
         )
 
