@@ -31,6 +31,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.browser)
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _cache(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Keep machine code beside the files of the tests, for all processes of a run."""
+    base = tmp_path_factory.getbasetemp()
+    shared = base if os.environ.get("PYTEST_XDIST_WORKER") is None else base.parent
+    os.environ["APPROXJAC_CACHE"] = str(shared / "machine_code")
+
+
 @pytest.fixture(scope="session", params=ARMS)
 def arm(request: pytest.FixtureRequest) -> aj.Robot:
     """Five robots that load by name, and with the marker `every_arm` the others."""

@@ -8,6 +8,7 @@ import struct
 from collections.abc import Callable, Mapping
 from itertools import chain, count
 
+from approxjac.codegen.backends.machine_code import MachineCode
 from approxjac.codegen.trace.program import STEP, Block, Going, Language, Program, Rows, Writer
 from approxjac.codegen.trace.symbols import Number, Passes
 from approxjac.extras import package_of
@@ -113,22 +114,14 @@ class LlvmLanes:
         self, program: Program, width: int | None = None, features: str | None = None
     ) -> None:
         llvm = package_of("fast", "llvmlite.binding")
-        llvm.initialize_native_target()
-        llvm.initialize_native_asmprinter()
         features = features or llvm.get_host_cpu_features().flatten()
         self.width = width or (8 if _WIDE in features else 4)
         if _WIDE in features:  # or LLVM takes two halves of each vector
             features += ",-prefer-256-bit"
-        machine = llvm.Target.from_default_triple().create_target_machine(
-            cpu=llvm.get_host_cpu_name(), features=features, opt=2, jit=True
-        )
-        module = llvm.parse_assembly(_source(program, self.width))
-        self._engine = llvm.create_mcjit_compiler(module, machine)  # the function lives in it
-        self._engine.finalize_object()
+        self._code = MachineCode.of(_source(program, self.width), features)
         pointer, number = ctypes.c_void_p, ctypes.c_int64
-        self._run = ctypes.CFUNCTYPE(None, *[pointer] * 4, *[number] * 5)(
-            self._engine.get_function_address("run")
-        )
+        kind = ctypes.CFUNCTYPE(None, *[pointer] * 4, *[number] * 5)
+        self._run = kind(self._code.address)
 
     def run(
         self, kept: Array, parameters: Array, last: int, every: int, block: Block | None = None

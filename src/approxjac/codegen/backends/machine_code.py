@@ -1,0 +1,169 @@
+"""Machine code of a text in LLVM's language, which is kept for the next one that is the same.
+
+What code is made of is its text, the processor, and the versions of this library and of llvmlite:
+the same ones get the code that there is, of this process or of an earlier one on this machine. It
+is kept in a folder `approxjac` among the user's caches, or where the environment variable
+APPROXJAC_CACHE says; "0" or "off" keep it nowhere. Files are written whole or not at all, and carry
+a digest: what is damaged is compiled again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+import threading
+from collections import OrderedDict
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple
+
+from approxjac.extras import package_of
+from approxjac.files import replaced
+
+_MAGIC = b"approxjac machine code 1\n"
+_IN_MEMORY = 32  # programs
+_ON_DISK = 256 * 2**20  # bytes of all
+_SWITCH = "APPROXJAC_CACHE"
+_OFF = ("", "0", "off", "no", "false")
+
+
+class Counts(NamedTuple):
+    """Where this process has had its machine code from.
+
+    Attributes:
+        compiled: Texts that were compiled.
+        read: Codes that were read from the folder.
+        shared: Codes that this process already had.
+    """
+
+    compiled: int = 0
+    read: int = 0
+    shared: int = 0
+
+
+class MachineCode:
+    """The function `run` of a text, which lives as long as this does.
+
+    Attributes:
+        address: Where it begins.
+    """
+
+    _known: ClassVar[OrderedDict[str, MachineCode]] = OrderedDict()
+    _lock: ClassVar[Any] = threading.RLock()
+    counts: ClassVar[Counts] = Counts()
+
+    def __init__(self, llvm: Any, machine: Any, code: bytes) -> None:
+        self._engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
+        self._engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+        self._engine.finalize_object()
+        self.address: int = self._engine.get_function_address("run")
+        if not self.address:
+            raise RuntimeError("machine code has no function run")
+
+    @classmethod
+    def of(cls, text: str, features: str) -> MachineCode:
+        """Return that of a text, for this processor with some of its features.
+
+        Raises:
+            MissingPackageError: llvmlite is not installed.
+        """
+        llvm = package_of("fast", "llvmlite.binding")
+        llvm.initialize_native_target()
+        llvm.initialize_native_asmprinter()
+        name = _digest(llvm, text, features)
+        with cls._lock:  # LLVM is no faster in several threads, and all may want the same
+            if name in cls._known:
+                cls._known.move_to_end(name)
+                cls._count("shared")
+                return cls._known[name]
+            found = cls._known[name] = cls._loaded(llvm, name, text, features)
+            while len(cls._known) > _IN_MEMORY:
+                cls._known.popitem(last=False)
+        return found
+
+    @classmethod
+    def _loaded(cls, llvm: Any, name: str, text: str, features: str) -> MachineCode:
+        machine = llvm.Target.from_default_triple().create_target_machine(
+            cpu=llvm.get_host_cpu_name(), features=features, opt=2, jit=True
+        )
+        folder = cache_folder()
+        path = None if folder is None else folder / f"{name}.code"
+        code = None if path is None else _read(path)
+        if code is not None:
+            cls._count("read")
+            return cls(llvm, machine, code)
+        code = machine.emit_object(llvm.parse_assembly(text))
+        cls._count("compiled")
+        if path is not None:
+            _write(path, code)
+        return cls(llvm, machine, code)
+
+    @classmethod
+    def _count(cls, what: str) -> None:
+        cls.counts = cls.counts._replace(**{what: getattr(cls.counts, what) + 1})
+
+
+def cache_folder() -> Path | None:
+    """Return where machine code is kept for the next process, or None."""
+    chosen = os.environ.get(_SWITCH)
+    if chosen is not None:
+        return None if chosen.strip().lower() in _OFF else Path(chosen).expanduser()
+    try:
+        if sys.platform == "win32":
+            base = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+        elif sys.platform == "darwin":
+            base = Path.home() / "Library" / "Caches"
+        else:
+            own = Path(os.environ.get("XDG_CACHE_HOME", ""))
+            base = own if own.is_absolute() else Path.home() / ".cache"
+    except RuntimeError:  # there is no home
+        return None
+    return base / "approxjac"
+
+
+def _digest(llvm: Any, text: str, features: str) -> str:
+    """Return what code is made of, as a name of a file."""
+    import llvmlite
+
+    import approxjac
+
+    parts = (
+        approxjac.__version__, llvmlite.__version__, str(llvm.llvm_version_info),
+        llvm.get_default_triple(), llvm.get_host_cpu_name(), features, text,
+    )  # fmt: skip
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()
+
+
+def _read(path: Path) -> bytes | None:
+    """Return the code of a file, or None where there is none that is whole."""
+    try:
+        with path.open("rb") as file:
+            data = file.read(_ON_DISK)
+        head = len(_MAGIC) + hashlib.sha256().digest_size
+        if data[: len(_MAGIC)] != _MAGIC or _signed(path, data[head:]) != data[len(_MAGIC) : head]:
+            return None
+        os.utime(path)  # the next to go is the one that was not used for longest
+    except OSError:
+        return None
+    return data[head:]
+
+
+def _write(path: Path, code: bytes) -> None:
+    """Keep code; where that cannot be, it is compiled again the next time."""
+    try:
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        with replaced(path) as unfinished:
+            unfinished.write_bytes(_MAGIC + _signed(path, code) + code)
+        files = [(each.stat().st_mtime, each) for each in path.parent.glob("*.code")]
+        left = _ON_DISK
+        for _, each in sorted(files, reverse=True):
+            left -= each.stat().st_size
+            if left < 0:
+                each.unlink(missing_ok=True)
+    except OSError:
+        pass
+
+
+def _signed(path: Path, code: bytes) -> bytes:
+    """Return a digest of code and of what it was made of, so that no file stands in for another."""
+    return hashlib.sha256(path.stem.encode() + code).digest()
