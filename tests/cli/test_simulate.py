@@ -104,28 +104,6 @@ def test_a_bad_file_is_one_clear_line(tmp_path, capsys, monkeypatch, text, messa
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["pando"], "robot 'pando' not in the robots known by name; did you mean"),
-        (["panda", "--object-length", "-1"], "--object-length must be a finite number >= 0"),
-        (["panda", "--true.floor", "0"], "--true.floor needs --true.engine mujoco"),
-        (["missing.toml"], "missing.toml does not exist"),
-        (["panda", "--circle", "0.1", "--target", "0", "0", "1"], "must not both be given"),
-        (["panda", "--start", "0", "-30", "0", "-120", "0", "90", "45"], "must be in radians"),
-        (["panda", "--limits", "-1"], "--limits must be a finite number > 0"),
-        (["panda", "--task.kind", "image", "--task.points", "4"], "task.points must be 1, 2 or 3"),
-        (["panda", "--task.kind", "image", "--true.camera.focal-length", "0"],
-         "--true.camera.focal-length must be a finite number > 0"),
-    ],
-)  # fmt: skip
-def test_bad_options_are_one_clear_line(tmp_path, capsys, words, message):
-    assert main(["simulate", *words, "--out", str(tmp_path)]) == 2
-    error = capsys.readouterr().err
-    assert message in error
-    assert error.count("\n") == 1
-
-
-@pytest.mark.parametrize(
     ("words", "target"),
     [(["--circle", "0.1"], {"circle": {"radius": 0.1}}),
      (["--line", "0", "0.1", "0"], {"line": {"offset": [0.0, 0.1, 0.0]}})],

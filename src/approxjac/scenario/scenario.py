@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
-from dataclasses import KW_ONLY, dataclass, fields, is_dataclass
+from dataclasses import KW_ONLY, dataclass, fields
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
 
 from approxjac.errors import InvalidInputError
 from approxjac.files import read_text, write_text
@@ -14,6 +15,7 @@ from approxjac.scenario.records import (
     Belief,
     ControllerChoice,
     LoopRecord,
+    Object,
     Run,
     Sensor,
     TaskChoice,
@@ -22,14 +24,6 @@ from approxjac.scenario.records import (
 from approxjac.scenario.study_records import Analysis
 
 _MOST_TEXT = 1_000_000  # bytes of a file
-
-
-_ALWAYS = {
-    "true": ("object",),
-    "believed": ("object",),
-    "controller": ("law", "gravity"),
-    "run": ("duration", "seed"),
-}
 
 
 @dataclass(frozen=True)
@@ -115,18 +109,18 @@ class Scenario:
         What a reader asks for first is in it, also where it is as by default: the objects, the
         controller's law and gravity, duration and seed.
         """
-        table: dict[str, Any] = {"robot": self.robot}
-        changed = differences(self, Scenario(self.robot))
-        for part, names in _ALWAYS.items():
-            record = getattr(self, part)
-            shown = {name: getattr(record, name) for name in names}
-            objects = {name: vars(each) for name, each in shown.items() if is_dataclass(each)}
-            for name, each in objects.items():
-                shown[name] = {key: value for key, value in each.items() if value is not None}
-            others = {k: v for k, v in changed.get(part, {}).items() if k not in objects}
-            changed[part] = shown | others
-        write_text(Path(path), to_toml(table | changed))
+        usual = vars(Scenario(self.robot)) | _ALWAYS_SHOWN
+        table = {"robot": self.robot, **differences(self, SimpleNamespace(**usual))}
+        write_text(Path(path), to_toml(table))
         return Path(path)
 
     def __str__(self) -> str:
         return to_toml({"robot": self.robot, **differences(self, Scenario(self.robot))})
+
+
+_ALWAYS_SHOWN = {  # differ from whatever a scenario has
+    "true": Truth(object=Object(length=math.nan, mass=math.nan)),
+    "believed": Belief(object=Object(length=math.nan, mass=math.nan)),
+    "controller": ControllerChoice(law="", gravity=""),  # type: ignore[arg-type]
+    "run": Run(duration=math.nan, seed=-1),
+}
