@@ -19,6 +19,7 @@ from approxjac.codegen.step import compiled
 from approxjac.controllers import HeldMeasurement, PredictedMeasurement
 from approxjac.errors import MissingPackageError, UnknownNameError
 from approxjac.law import Sine
+from approxjac.robots import Dynamics
 from approxjac.stability.rollouts import setting as rollout_setting
 
 SHORT = {"runs": 24, "duration": 1.0, "dt": 2e-3}
@@ -197,10 +198,9 @@ def test_what_is_not_covered_runs_in_python_and_says_so(panda):
     predicted = PredictedMeasurement(controller, aj.AdaptiveKinematics(controller.task))
     many = aj.Study(predicted, errors, region, duration=0.01).rollouts(1)
     assert many.setting.engine == "python"
-    assert many.setting.reason.startswith(
-        "controller must be a SetpointController, or one in a Tor"
-    )
-    with pytest.raises(aj.InvalidInputError, match="must be a SetpointController, or one in a"):
+    assert many.setting.reason.startswith("controller must take symbols to make code of it")
+    assert many.setting.reason.endswith("which runs in Python")
+    with pytest.raises(aj.InvalidInputError, match="controller must take symbols to make code"):
         aj.Study(predicted, errors, region, duration=0.01).rollouts(
             1, execution=aj.stability.Execution(engine="lanes")
         )
@@ -216,9 +216,6 @@ def test_what_derived_classes_do_is_not_taken_for_what_theirs_do(panda):
             state, answer = super().step(*arguments)
             return state, answer._replace(torque=0.5 * answer.torque)
 
-    class Blind(HeldMeasurement):
-        pass
-
     class Sticky(aj.Uncertainty):
         def plant(self, values):
             plant = super().plant(values)
@@ -229,12 +226,45 @@ def test_what_derived_classes_do_is_not_taken_for_what_theirs_do(panda):
     own = Sticky(panda, object_length=(0.0, 0.2), object_mass=(0.0, 0.5))
     for loop, text in (
         ((Weak(controller, limits), errors), "controller must be a TorqueLimited itself to "),
-        ((Blind(controller, 0.1), errors), "controller must be a HeldMeasurement itself to "),
         ((controller, own), "uncertainty must be one whose plant and robot are those of Uncert"),
     ):
         many = aj.Study(*loop, region, duration=0.01).rollouts(1)
         assert many.setting.engine == "python"
         assert many.setting.reason.startswith(text)
+
+
+def test_what_is_ones_own_runs_in_lanes_as_in_python(panda):
+    class Faint(HeldMeasurement):
+        def step(self, *arguments):
+            state, answer = super().step(*arguments)
+            return state, answer._replace(torque=0.9 * answer.torque)
+
+    class Along(aj.PositionTask):
+        def jacobian(self, q, x=None):
+            return super().jacobian(q) * (1.0 + 0.1 * np.sin(q[0]))
+
+        def on(self, robot):
+            return Along(robot, self.frame, self.axes)
+
+    class Springs(aj.Controller):
+        def step(self, state, measurement, target, dt):
+            t, q, v, x, _ = measurement
+            e = self.task.error(x, target)
+            torque = -np.dot(50.0 * np.tanh(e) + 0.1 * t, self.task.jacobian(q)) - 5.0 * v
+            return state, aj.Evaluation(torque + Dynamics(panda).g(q), None, aj.Status.OK, e)
+
+    controller, errors, region = study("panda")
+    options = {"runs": 4, "duration": 0.2, "dt": 2e-3}
+    for own in (
+        Faint(controller, 0.1),
+        aj.SetpointController(Along(controller.task.robot)),
+        Springs(controller.task),
+    ):
+        ours = rolled(own, errors, region, engine="lanes", **options)
+        python = rolled(own, errors, region, engine="python", **options)
+        for column in ("final_error", "peak_torque", "peak_speed"):
+            found, expected = ours.columns[column], python.columns[column]
+            np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-12, err_msg=column)
 
 
 def test_a_compiled_law_runs_in_lanes_as_the_one_that_it_was_made_from():

@@ -14,7 +14,6 @@ import approxjac as aj
 from approxjac.cameras import PlanarCamera
 from approxjac.codegen.backends.numpy_source import NumpyLanes
 from approxjac.codegen.step import compiled, step_program
-from approxjac.codegen.traced_setpoint import STATUSES
 from approxjac.controllers import (
     AwayFromStops,
     DifferentiatedVelocity,
@@ -25,8 +24,9 @@ from approxjac.errors import InvalidInputError, MeasurementError, MissingPackage
 from approxjac.law import Sine, Tanh, theta_hat_rate
 from approxjac.robots import GravityRegressor
 from approxjac.simulation.sampled_loop import SampledLoop
-from approxjac.tasks import CombinedTask, NonsingularTask
+from approxjac.tasks import CombinedTask, FrameKinematics, NonsingularTask
 
+STATUSES = tuple(aj.Status)
 CAMERA = aj.PinholeCamera.looking_at((0.4, 0.0, 0.4), (2.0, -1.0, 1.0), 600.0, (640, 480))
 NEAR = aj.PinholeCamera.looking_at((0.45, 0.0, 0.4), (1.1, -0.3, 0.9), 300.0, (640, 480))
 STUDY = pytest.mark.study
@@ -495,48 +495,137 @@ def test_made_from_one_it_is_compiled_too(panda, rng, asked):
         ours.evaluate = None
 
 
-def test_what_is_not_covered_is_refused(panda):
-    class OwnSaturation(Tanh):
-        pass
+class Cubic:
+    """s(e) = e / (1 + (e/γ)²)^½: a saturation of one's own."""
 
-    class OwnGravity(aj.NoGravity):
-        pass
+    d, c_bar, gamma = 1.0, 0.5, 0.1
 
-    class OwnLaw(aj.SetpointController):
-        pass
+    def s(self, e):
+        return e / np.sqrt(1.0 + (e / self.gamma) ** 2)
 
-    class OwnPosture(Posture):
-        pass
+    def S(self, e):
+        return self.gamma**2 * (np.sqrt(1.0 + (e / self.gamma) ** 2) - 1.0)
+
+    def ds(self, e):
+        return (1.0 + (e / self.gamma) ** 2) ** -1.5
+
+    def d_bar(self, e_max):
+        return float(np.sqrt(1.0 + (e_max / self.gamma) ** 2))
+
+
+class Weighed(aj.controllers.ModelGravity):
+    """Gravity of the model and of a load on the wrist, from its Jacobian."""
+
+    def __init__(self, robot, mass=1.0):
+        super().__init__(robot)
+        self.mass, self._wrist = mass, FrameKinematics(robot, "panda_link7")
+
+    def torque(self, q):
+        return super().torque(q) + self._wrist.jacobian(q)[2] * (9.81 * self.mass)
+
+
+class Leaning(Posture):
+    """A posture that is drawn to less where the first joint is turned."""
+
+    def torque(self, task, gains, rate):
+        usual = super().torque(task, gains, rate)
+        return lambda q: usual(q) * np.cos(q[0])
+
+
+class Firmer(aj.SetpointController):
+    """A law that pushes twice as hard."""
+
+    def evaluate(self, state, measurement, target):
+        answer = super().evaluate(state, measurement, target)
+        return answer._replace(torque=2.0 * answer.torque)
+
+
+class Springs(aj.Controller):
+    """A law of one's own in samples: the force on the task before last is kept."""
+
+    def initial_state(self, measurement):
+        return np.zeros(3)
+
+    def step(self, state, measurement, target, dt):
+        _, q, v, x, _ = measurement
+        e = self.task.error(x, target)
+        force = 0.5 * (state - 300.0 * e)
+        torque = np.dot(force, self.task.jacobian(q)) - 5.0 * v * (1.0 + np.tanh(measurement.t))
+        return force + dt * e, aj.Evaluation(torque, None, aj.Status.OK, e)
+
+
+def of_ones_own(panda):
+    task = aj.PositionTask(panda)
+    return (
+        aj.SetpointController(task, aj.Gains(300.0, 60.0, 2.0), saturation=Cubic()),
+        aj.SetpointController(task, saturation=Cubic(), gravity=learning(panda)),
+        aj.SetpointController(task, gravity=Weighed(panda)),
+        aj.SetpointController(task, posture=Leaning(panda.neutral() + 0.1, 5.0)),
+        aj.HeldMeasurement(aj.SetpointController(task), 0.05),
+        aj.HeldMeasurement(
+            aj.TorqueLimited(
+                aj.SetpointController(task, gravity=learning(panda)),
+                aj.Limits(effort=panda.effort_limits),
+            ),
+            0.05,
+        ),
+        Firmer(task),
+        Springs(task),
+    )
+
+
+@pytest.mark.parametrize("k", range(8))
+def test_what_is_ones_own_is_compiled_as_it_is(panda, k, rng):
+    plain = of_ones_own(panda)[k]
+    ours = compiled(plain)
+    assert isinstance(ours, type(plain))
+    measurement, target = measured(plain.task, rng, 0.05, BENT)
+    state = plain.initial_state(measurement)
+    usual, x = 0, measurement.x
+    for step in range(200):
+        t = step * 1e-3
+        q = BENT + 0.1 * np.sin(t + np.arange(7.0))
+        measurement, _ = measured(plain.task, rng, 0.0, q)
+        measurement = measurement._replace(t=t, t_x=0.03 * (step // 30))
+        x = x if step % 30 else measurement.x
+        measurement = measurement._replace(x=x)
+        after, expected = plain.step(state, measurement, target, 1e-3)
+        found, answer = ours.step(state, measurement, target, 1e-3)
+        size = 1.0 + np.abs(after).max(initial=0.0)
+        assert_allclose(found / size, after / size, rtol=0, atol=1e-12)
+        scale = 1.0 + np.abs(expected.torque).max()
+        assert_allclose(answer.torque / scale, expected.torque / scale, rtol=0, atol=1e-12)
+        assert answer.status is expected.status
+        assert answer.limit_status is expected.limit_status
+        assert (answer.J_hat is None) == (expected.J_hat is None)
+        usual += expected.status in (aj.Status.OK, aj.Status.MEASUREMENT_HELD)
+        state = after
+    assert usual > 150
+    assert pickle.loads(pickle.dumps(ours)).ordinary.task.labels == plain.task.labels
+
+
+def test_what_cannot_be_traced_is_named(panda):
+    class Clipped(Cubic):
+        def s(self, e):
+            return super().s(e) if e.ndim > 1 or e[0] < 1e300 else e
 
     class OwnLimits(aj.TorqueLimited):
         pass
 
     task = aj.PositionTask(panda)
+    law = aj.SetpointController(task)
     for controller, text in (
-        (OwnLaw(task), "controller must be a SetpointController, or one in a TorqueLimited with "),
         (
-            OwnLimits(aj.SetpointController(task), aj.Limits(effort=panda.effort_limits)),
+            OwnLimits(law, aj.Limits(effort=panda.effort_limits)),
             "controller must be a TorqueLimited itself to make code of it, got OwnLimits: ",
         ),
+        (aj.TorqueLimited(law), "limits must be those of effort alone to make code of them"),
         (
-            aj.SetpointController(task, posture=OwnPosture(panda.neutral(), 1.0)),
-            "posture must be a Posture or AwayFromStops itself, and AwayFromStops for an arm with ",
+            aj.SetpointController(task, saturation=Clipped()),
+            "controller must take symbols to make code of it, with choices by numpy.where or "
+            "law.choose and no branch on a value, which Clipped.s does not: TypeError: no branch",
         ),
-        (
-            aj.SetpointController(task, saturation=OwnSaturation(0.1)),
-            "saturation must be Linear, Sine or Tanh to make code of it, got ",
-        ),
-        (
-            aj.SetpointController(task, gravity=OwnGravity(panda)),
-            "gravity must be a ModelGravity, NoGravity, RegressorGravity or AdaptiveGravity to ",
-        ),
-        (
-            aj.SetpointController(
-                aj.PositionTask(aj.load_robot("kinova"), axes="xy"),
-                posture=Posture(aj.load_robot("kinova").neutral(), 1.0),
-            ),
-            "posture must be a Posture or AwayFromStops itself, and AwayFromStops for an arm with ",
-        ),
+        (task, "controller must be a controller, such as SetpointController(task), got"),
     ):
         with pytest.raises(aj.InvalidInputError) as refused:
             compiled(controller)

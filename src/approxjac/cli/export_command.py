@@ -41,7 +41,7 @@ def export(
                 given=limits,
             )
         controller = controller.with_limits(Limits(effort=limits.effort))
-    path = export_c(controller, folder)  # type: ignore[arg-type]  # it refuses others
+    path = export_c(controller, folder)  # it refuses others
     print(built.law)
     print(f"\nThe controller is in {path}; {path / 'controller.h'} says how to call it")
     print(f"Try it: cmake -B {path / 'build'} {path} && cmake --build {path / 'build'}")

@@ -15,9 +15,8 @@ from approxjac.codegen.backends.numpy_source import NumpyLanes
 from approxjac.codegen.loop_program import TOLD, LoopProgram, closed_loop
 from approxjac.codegen.regions import Box
 from approxjac.codegen.trace.program import Block, Program
-from approxjac.codegen.traced_hold import inside
-from approxjac.codegen.traced_limits import law_of
 from approxjac.controllers.controller import Controller
+from approxjac.controllers.setpoint import SetpointController
 from approxjac.interface import Measurement, Target, TargetPath
 from approxjac.simulation import Plant
 from approxjac.tasks.analysis import image_feature
@@ -55,13 +54,17 @@ class Begun(NamedTuple):
     ) -> Begun:
         """Return that of a plant at rest."""
         # only law (5) begins with x, once it is measured, and of images the points' order is seen
-        law = law_of(inside(controller))
-        needed = law.velocity is not None or image_feature(law.task) is not None
+        law = controller.law
+        is_setpoint = isinstance(law, SetpointController)
+        needed = not is_setpoint or law.velocity is not None  # type: ignore[attr-defined]
+        needed = needed or image_feature(law.task) is not None
         x = plant.sensor.value(q) if needed else target
         state = controller.initial_state(Measurement(0.0, q, np.zeros(plant.robot.nv), x))
         numbers = arm_numbers(plant.robot, tasks.frames(plant.sensor))
         holding = plant.dynamics.g(q) if plant.actuator_delay > 0.0 else np.zeros(plant.robot.nv)
-        sensor, gains = tasks.numbers([plant.sensor]), np.concatenate(law.diagonals)
+        sensor, gains = tasks.numbers([plant.sensor]), np.zeros(0)
+        if isinstance(law, SetpointController):
+            gains = np.concatenate(law.diagonals)
         return cls(q, target, state, numbers, sensor, seed, holding, gains)
 
 
@@ -119,7 +122,9 @@ class Lanes:
         self._loop.senses.begun(program, kept, np.array([start.holding for start in starts]))
         numbers, sensors, targets = _stacked(starts)
         named = self._loop.truth.named(numbers) | sensors | {"target": targets}
-        named["gains"] = np.array([start.gains for start in starts])
+        gains = np.array([start.gains for start in starts])
+        if gains.size:
+            named["gains"] = gains
         return _packed(kept, width), _packed(program.filled(named), width)
 
     @functools.cached_property

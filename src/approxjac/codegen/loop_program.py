@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from approxjac import law
-from approxjac.codegen import traced_limits as limits
-from approxjac.codegen import traced_setpoint as setpoint
+from approxjac.codegen import traced_law as laws
 from approxjac.codegen.arm import traced_tasks as tasks
 from approxjac.codegen.arm.arm_numbers import ArmNumbers, arm_numbers
 from approxjac.codegen.arm.rigid_body import Arm, Configured, moved
@@ -28,12 +27,11 @@ from approxjac.codegen.trace.symbols import (
     select,
     symbols,
 )
-from approxjac.codegen.traced_hold import Held, inside
-from approxjac.controllers import HeldMeasurement
 from approxjac.controllers.controller import Controller
 from approxjac.controllers.gains.gains import Diagonals
+from approxjac.controllers.setpoint import SetpointController
 from approxjac.errors import InvalidInputError
-from approxjac.interface import Target, TargetPath
+from approxjac.interface import Evaluation, Measurement, Target, TargetPath
 from approxjac.simulation import Plant
 from approxjac.simulation.integrators import INTEGRATORS
 from approxjac.validation import Array
@@ -85,16 +83,10 @@ def require_covered(controller: Controller, plant: Plant) -> None:
     """Refuse a closed loop of which no code can be made.
 
     Raises:
-        InvalidInputError: Another law, task or plant than those covered, or a class derived from
-            theirs, which may do something else.
+        InvalidInputError: A controller or a sensor that takes no symbols, or another plant than
+            those covered.
     """
-    if isinstance(controller, HeldMeasurement) and type(controller) is not HeldMeasurement:
-        raise InvalidInputError(
-            "controller must be a HeldMeasurement itself to make code of it, got "
-            f"{type(controller).__name__}: {controller!r}",
-            given=controller,
-        )
-    limits.require_covered(inside(controller))
+    laws.require_covered(controller)
     tasks.require_covered(plant.sensor)
     more = (plant.servo, plant.torque_limits, plant.adds_gravity)
     if type(plant) is not Plant or any(part is not None for part in more):
@@ -140,10 +132,10 @@ def closed_loop(
     sensor = {name: program.given(name, values) for name, values in sensors.items()}
     senses, m = Senses(plant, dt, steps, path), controller.task.m
     x_d, v_d = senses.target(program) or (at_rest, None)
-    own = Diagonals(*np.split(program.given("gains", gains), (m, 2 * m)))
-    loop = _Loop.of(
-        program, controller, plant, numbers, sensor, x_d, dt, integrator, senses, v_d, own
-    )
+    if gains.size:
+        own = Diagonals(*np.split(program.given("gains", gains), (m, 2 * m)))
+        controller = laws.with_gains(controller, own)
+    loop = _Loop.of(program, controller, plant, numbers, sensor, x_d, dt, integrator, senses, v_d)
     answer, robot = loop.answer, plant.robot
     told = {name: program.kept(name, 1)[0] for name in TOLD}
     program.step(loop.after | {
@@ -179,9 +171,11 @@ def recorded_loop(controller: Controller, plant: Plant, dt: float, integrator: s
     }
     found = {
         "x": loop.x, "torque": answer.torque, "e": answer.e, "J_hat": answer.J_hat,
-        "status": answer.status, "limit_status": loop.within.status, "slack": loop.within.slack,
-        "rate": answer.rate,
+        "status": answer.status, "limit_status": answer.limit_status, "slack": answer.slack,
+        "rate": answer.state_rate,
     }  # fmt: skip
+    unknown = {"J_hat": np.zeros((plant.sensor.m, plant.robot.nv)), "rate": np.zeros(0)}
+    found |= {name: unknown[name] for name in unknown if found[name] is None}
     for name, value in found.items():
         program.kept(name, symbols(value).size)
     program.step(loop.after | flags | found)
@@ -196,8 +190,7 @@ class _Loop(NamedTuple):
     v: Symbols
     x: Symbols
     error: Symbols  # of what no sensor sees, too
-    answer: setpoint.Answer
-    within: limits.TracedTorque
+    answer: Evaluation
     after: dict[str, Any]
     diverged: Condition
     left: Condition
@@ -215,48 +208,38 @@ class _Loop(NamedTuple):
         integrator: str,
         senses: Senses | None = None,
         v_d: Symbols | None = None,
-        gains: Diagonals | None = None,
     ) -> _Loop:
-        robot, task = plant.robot, controller.task
+        robot = plant.robot
         truth = Arm(program.given, "truth", robot, tasks.frames(plant.sensor), numbers)
-        belief = Arm(program.given, "belief", task.robot, tasks.frames(task))
         q, v = program.kept("q", robot.nq), program.kept("v", robot.nv)
-        controller, holds = inside(controller), controller
-        law = limits.law_of(controller)
-        n_state, n_memory = setpoint.n_state(law), 0
-        if isinstance(holds, HeldMeasurement):
-            n_memory = holds._memory
-        whole = program.kept("state", n_state + n_memory)
-        state, memory = whole[:n_state], whole[n_state:]
+        state = program.kept("state", len(laws.first_state(controller)))
         here = truth.at(q)
         value = tasks.value(plant.sensor, here, sensor)
         x = tasks.seen(plant.sensor, value)
         error = tasks.error(plant.sensor, value, x_d)
         told, may_lose = Measured(q, v, x, {}), tasks.may_lose(plant.sensor)
         left: Condition = False
-        if senses is not None:
+        counted: dict[str, Any] = {}
+        if senses is None:
+            count = program.kept("count", 1)[0]
+            time, counted = count * dt, {"count": count + 1.0}
+            t_x = time
+        else:
             told, may_lose = senses.measured(program, q, v, x), may_lose or senses.may_lose
-            if law.velocity is not None:  # which begins with the first x, and refuses a lost one
-                is_first = symbols(program.k < 1.0)
-                followed = np.where(is_first, told.x, state[law.resting :])
-                state = np.concatenate([state[: law.resting], followed])
-                left = any_of(is_first & ~np.isfinite(told.x))
-        if isinstance(holds, HeldMeasurement):
-            assert senses is not None
-            held = Held.of(holds, memory, told.x, senses.time_of_x(program))
-            told, may_lose = told._replace(x=held.x), True
-        answer, within = limits.answer(
-            controller, belief.at(told.q), told.q, told.v, told.x, x_d, state,
-            may_lose=may_lose, v_d=v_d, gains=gains,
-        )  # fmt: skip
-        answer, acting, kept = answer._replace(torque=within.torque), within.torque, told.kept
-        if isinstance(holds, HeldMeasurement):
-            memory = held.after(answer.J_hat, told.v, dt)
+            time, t_x = program.k * dt, senses.time_of_x(program)
+            state, left = _begun(program, controller, state, told)
+        program.graph.is_finite = not may_lose
+        measurement = Measurement(time, told.q, told.v, told.x, t_x)
+        target = x_d if v_d is None else Target(x_d, v_d)
+        after, answer, unfinished = laws.stepped(controller, state, measurement, target, dt)
+        program.graph.is_finite = False
+        left = left | unfinished
+        acting, kept = answer.torque, told.kept | counted
         if senses is not None:
             acting, late = senses.acting(program, answer.torque)
             kept = kept | late
         q_end, v_end = _advanced(plant, truth, here, q, v, acting, dt, integrator)
-        touched, left = _touched(plant, q_end), left | answer.left
+        touched = _touched(plant, q_end)
         if isinstance(touched, Scalar):
             q_held, v_held, wrong = _held(plant, here, q, v, acting, dt)
             n, ends = len(q), [*q_end.tolist(), *v_end.tolist(), 0.0]
@@ -264,11 +247,22 @@ class _Loop(NamedTuple):
             *ends, is_wrong = program.graph.rare(touched, stopped, ends)
             q_end, v_end, left = symbols(ends[:n]), symbols(ends[n:]), left | (is_wrong > 0.0)
         left = left | any_of(np.abs(q_end) > LARGEST_ANGLE)
-        after_it = np.concatenate([state + dt * answer.rate, memory])
-        squares = [(each * each).sum() for each in (q_end, v_end, answer.torque, state, memory)]
-        after = {"q": q_end, "v": v_end, "state": after_it} | kept
+        squares = [(each * each).sum() for each in (q_end, v_end, answer.torque, state)]
         diverged = ~(sum(squares, 0.0) < _FINITE)
-        return cls(truth, q, v, x, error, answer, within, after, diverged, left)
+        following: dict[str, Any] = {"q": q_end, "v": v_end, "state": after}
+        return cls(truth, q, v, x, error, answer, following | kept, diverged, left)
+
+
+def _begun(
+    program: Program, controller: Controller, state: Symbols, told: Measured
+) -> tuple[Symbols, Condition]:
+    """Return a state that begins with the first x, where it does, and whether that is lost."""
+    if not isinstance(controller.law, SetpointController) or controller.law.velocity is None:
+        return state, False
+    is_first, p, m = symbols(program.k < 1.0), controller.resting, controller.law.task.m
+    followed = np.where(is_first, told.x, state[p : p + m])
+    state = np.concatenate([state[:p], followed, state[p + m :]])
+    return state, any_of(is_first & ~np.isfinite(told.x))
 
 
 def _larger(known: Number, shares: Symbols) -> Number:

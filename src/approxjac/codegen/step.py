@@ -2,73 +2,79 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any
 
 import numpy as np
 
-from approxjac.codegen import traced_limits as limits
-from approxjac.codegen import traced_setpoint as setpoint
+from approxjac.codegen import traced_law as laws
 from approxjac.codegen import traced_tracking as tracking
-from approxjac.codegen.arm import traced_tasks as tasks
-from approxjac.codegen.arm.rigid_body import Arm
 from approxjac.codegen.backends.llvm import LlvmLanes
 from approxjac.codegen.trace.program import Program
-from approxjac.codegen.trace.symbols import Scalar, select, symbols
+from approxjac.codegen.trace.symbols import Scalar, any_of, select, symbols
 from approxjac.codegen.whole_run import WholeLoops
 from approxjac.controllers.arguments import FLOAT64, HUGE
 from approxjac.controllers.controller import Controller
-from approxjac.controllers.limits.torque_limited import TorqueLimited
-from approxjac.controllers.setpoint import SetpointController
 from approxjac.controllers.tracking import TrackingController
+from approxjac.controllers.wrapper import ControllerWrapper
+from approxjac.errors import InvalidInputError
 from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
 from approxjac.validation import Array
 
 _ROUND_OFF = 1e-12
-_OK = float(setpoint.STATUSES.index(Status.OK))
+_USUAL = (Status.OK, Status.MEASUREMENT_HELD)
 
 
 def step_program(controller: Controller, *, may_lose: bool, moves: bool = False) -> Program:
-    """Return the program of one evaluation of a law with its limits.
+    """Return the program of one step of a controller.
 
-    What is kept are its arguments "q", "v", "x", "target" and "state", and its answer "torque",
-    "rate" (the law's own), "e", "gravity", "J_hat", "status" (its place in `setpoint.STATUSES`),
-    "limit_status", "slack", "left" (whether all that does not hold) and "usual" (whether it holds,
-    all numbers are small, and the status is OK).
+    What is kept are its arguments "q", "v", "x", "target", "state", "dt", "t" and "t_x", and its
+    answer "torque", "after" (the state after the step), "rate" (the law's own), "e", "gravity",
+    "J_hat", "status" and "limit_status" (numbers of a `Status` and a `LimitStatus`), "slack",
+    "left" (whether all that does not hold) and "usual" (whether it holds, all numbers are small,
+    and the status is that of a usual step); without those that the controller does not answer with.
 
     Args:
-        controller: A controller that `limits.require_covered` takes.
+        controller: The controller.
         may_lose: Whether x may be lost.
         moves: Whether the target may move: an argument "target_v" more, and "reference" in the
             answer.
+
+    Raises:
+        InvalidInputError: It takes no symbols.
     """
-    inside = limits.law_of(controller)
-    task, robot = inside.task, inside.task.robot
+    task, robot = controller.task, controller.task.robot
     program = Program()
-    arm = Arm(program.given, "belief", robot, tasks.frames(task))
-    q, v = program.kept("q", robot.nq), program.kept("v", robot.nv)
-    x, target = program.kept("x", task.n_x), program.kept("target", task.n_x)
-    state = program.kept("state", setpoint.n_state(inside))
-    v_d = program.kept("target_v", task._measured.m) if moves else None
-    answer = setpoint.answer(inside, arm.at(q), q, v, x, target, state, may_lose=may_lose, v_d=v_d)
-    within = limits.limited(controller, answer, v)
-    numbers = [q, v, x, target, state, answer.e, answer.torque, answer.rate]
-    numbers += [] if v_d is None else [v_d]
+    program.graph.is_finite = not may_lose
+    sizes = {
+        "q": robot.nq, "v": robot.nv, "x": task.n_x, "target": task.n_x,
+        "state": len(laws.first_state(controller)), "dt": 1, "t": 1, "t_x": 1,
+    }  # fmt: skip
+    if moves:
+        sizes["target_v"] = task._measured.m
+    given = {name: program.kept(name, size) for name, size in sizes.items()}
+    q, v, x, target, state, (dt,), (time,), (t_x,), *v_d = given.values()
+    if controller.dt is not None:
+        dt = controller.dt
+    measurement = Measurement(time, q, v, x, t_x)
+    wanted = Target(target, v_d[0]) if moves else target
+    after, answer, left = laws.stepped(controller, state, measurement, wanted, dt)
+    numbers = [q, v, x, target, state, answer.e, answer.torque, after, *v_d]
     size = sum(((each * each).sum() for each in numbers), 0.0)
-    usual = (answer.status == _OK) & (size < HUGE**2)
+    usual = any_of([answer.status == each for each in _USUAL]) & (size < HUGE**2)
     for joint in list(robot.model.joints)[1:]:
         if joint.nq == 2:  # a (cos, sin) pair off the unit circle is for Python to judge
             cosine, sine = q[joint.idx_q], q[joint.idx_q + 1]
             usual = usual & (abs(cosine * cosine + sine * sine - 1.0) < _ROUND_OFF)
-    usual = usual & ~answer.left if isinstance(answer.left, Scalar) else usual
+    usual = usual & ~left if isinstance(left, Scalar) else usual
     found = {
-        "torque": within.torque, "rate": answer.rate, "e": answer.e, "gravity": answer.gravity,
-        "J_hat": answer.J_hat, "status": answer.status, "limit_status": within.status,
-        "slack": within.slack, "left": select(answer.left, 1.0, 0.0),
-        "usual": select(usual, 1.0, 0.0),
+        "torque": answer.torque, "after": after, "rate": answer.state_rate, "e": answer.e,
+        "gravity": answer.gravity, "J_hat": answer.J_hat, "status": answer.status,
+        "limit_status": answer.limit_status, "slack": answer.slack, "left": select(left, 1.0, 0.0),
+        "usual": select(usual, 1.0, 0.0), "reference": answer.reference,
     }  # fmt: skip
-    if moves:
-        found["reference"] = answer.reference
+    found = {name: value for name, value in found.items() if value is not None}
     for name, value in found.items():
         program.kept(name, symbols(value).size)
     program.step(found)
@@ -78,33 +84,40 @@ def step_program(controller: Controller, *, may_lose: bool, moves: bool = False)
 def compiled(controller: Controller) -> Any:
     """Return a controller that computes the same to rounding, with its usual steps as machine code.
 
-    A usual step is one whose status is OK. Whatever is not (x is lost, Ĵ near a singular pose,
-    torques beyond the limits where gravity is learnt, wrong arguments) is left to the controller
-    as it is, from the beginning. Kinematics of law T learn from frames in Python.
+    A usual step is one whose status is OK, or that of a held x. Whatever is not (x is lost, Ĵ near
+    a singular pose, torques beyond the limits where gravity is learnt, wrong arguments) is left to
+    the controller as it is, from the beginning. Kinematics of law T learn from frames in Python.
+
+    Any controller will do whose step takes symbols, that is, which computes with NumPy and without
+    a branch on a value: with a task, camera, saturation or gravity of your own, too, and one of
+    your own. What does not is named in the error.
 
     It needs llvmlite (`pip install 'approxjac[fast]'`), and some tenths of a second to be built. A
     copy of it, as another process gets, is built again.
 
     Args:
-        controller: A `SetpointController` with a task, a saturation and gravity that code can be
-            made of, or such a law in a `TorqueLimited` with limits of effort alone; or a
+        controller: The controller; a `TorqueLimited` with limits of effort alone; a
             `TrackingController` of positions whose kinematics and dynamics learn.
 
     Returns:
         A controller of the same kind.
 
     Raises:
-        InvalidInputError: Another controller, or one with what is not covered.
+        InvalidInputError: A controller that takes no symbols.
         MissingPackageError: llvmlite is not installed.
     """
     if isinstance(controller, _MachineCode):
         return controller
-    kind: Any = _Compiled if isinstance(controller, SetpointController) else _CompiledLimits
+    if not isinstance(controller, Controller):
+        raise InvalidInputError(
+            f"controller must be a controller, such as SetpointController(task), got "
+            f"{controller!r}",
+            given=controller,
+        )
+    kind: Any = _kind_of(type(controller))
     if isinstance(controller, TrackingController):
         kind = _CompiledTracking
         tracking.require_covered(controller)
-    else:
-        limits.require_covered(controller)
     found: Any = object.__new__(kind)
     vars(found).update(vars(controller))
     found._build()
@@ -144,40 +157,50 @@ class _MachineCode:
         They are variables: methods that looked attributes up would take twice as long.
         """
         controller = self.ordinary
-        inside = limits.law_of(controller)
         usually: Any = super()
         ordinary: Any = getattr(usually, "evaluate", None)
         ordinary_step: Any = usually.step
-        program = step_program(controller, may_lose=False, moves=True)
+        program = step_program(controller, may_lose=False, moves=_may_move(controller))
         buffer = np.zeros((1, program.n_rows, 1))
         flat = buffer[0, :, 0]
         run = LlvmLanes(program, width=1).bound(buffer, np.zeros((1, 1, 1)))
         place = {name: slice(at, at + size) for name, (at, size) in program.rows.items()}
+        nothing = np.zeros(0)
         q_in, v_in, x_in, target_in, state_in, rate_in = (
-            flat[place[name]] for name in ("q", "v", "x", "target", "state", "target_v")
+            flat[place[name]] if name in place else nothing
+            for name in ("q", "v", "x", "target", "state", "target_v")
         )
+        dt_at, t_at, t_x_at = (place[name].start for name in ("dt", "t", "t_x"))
         first = place["torque"].start
         answered = flat[first:]
-        torque_at, rate_at, e_at, gravity_at, J_at, reference_at = (
-            slice(place[name].start - first, place[name].stop - first)
-            for name in ("torque", "rate", "e", "gravity", "J_hat", "reference")
+        none = slice(0, 0)
+        torque_at, after_at, own_rate_at, e_at, gravity_at, J_at, reference_at = (
+            slice(place[name].start - first, place[name].stop - first) if name in place else none
+            for name in ("torque", "after", "rate", "e", "gravity", "J_hat", "reference")
         )
-        usual_at, limit_at, slack_at = (
-            place[name].start - first for name in ("usual", "limit_status", "slack")
+        has_rate, has_gravity, has_J = (name in place for name in ("rate", "gravity", "J_hat"))
+        usual_at, status_at, limit_at, slack_at = (
+            place[name].start - first for name in ("usual", "status", "limit_status", "slack")
         )
-        J_shape = inside.task.m, inside.task.robot.nv
-        p, shapes, no_rate = inside.resting, inside._shapes, inside._no_rate
-        is_limited = controller is not inside
-        unlimited, limited = LimitStatus.UNLIMITED, LimitStatus.LIMITED
-        learns = unlimited, LimitStatus.FREE, LimitStatus.PROOF_KEPT
-        statuses = {float(each): each for each in LimitStatus}
+        task = controller.task
+        J_shape, shapes = (task.m, task.robot.nv), (
+            q_in.shape, v_in.shape, x_in.shape, target_in.shape, state_in.shape
+        )  # fmt: skip
+        no_rate = np.zeros(len(state_in))
+        no_rate.flags.writeable = False
+        limited = LimitStatus.LIMITED
+        limit_statuses = {float(each): each for each in LimitStatus}
+        statuses = {float(each): each for each in Status}
         float64, array, made = FLOAT64, np.ndarray, tuple.__new__
-        ok, m = Status.OK, (inside.task._measured.m,)
+        m, may_move = (task._measured.m,), "target_v" in place
+        # nothing but what holds x asks when it was taken, and then has to know it
+        needs_time = isinstance(controller, ControllerWrapper) or not _is_ours(controller)
+        own_dt = controller.dt
 
         def answer(state: Array, measurement: Measurement, target: Target | Array) -> Any:
-            """Return the answer of a usual step, or None."""
+            """Return what a usual step is answered with, or None."""
             try:
-                _, q, v, x, _ = measurement
+                t, q, v, x, t_x = measurement
                 x_d, v_d = (target, None) if type(target) is array else target[:2]
                 if (
                     (q.shape, v.shape, x.shape, x_d.shape, state.shape) == shapes
@@ -187,26 +210,33 @@ class _MachineCode:
                     and type(q) is type(v) is type(x) is type(x_d) is type(state) is array
                     and (
                         v_d is None
-                        or (type(v_d) is array and v_d.shape == m and v_d.dtype is float64)
+                        or (
+                            may_move
+                            and type(v_d) is array
+                            and v_d.shape == m
+                            and v_d.dtype is float64
+                        )
                     )
                 ):
                     q_in[:], v_in[:], x_in[:], target_in[:] = q, v, x, x_d
-                    rate_in[:] = 0.0 if v_d is None else v_d
-                    rate = no_rate
+                    if may_move:
+                        rate_in[:] = 0.0 if v_d is None else v_d
+                    if needs_time:
+                        flat[t_at], flat[t_x_at] = t, t_x
                     if state.size:
                         state_in[:] = state
                     run()
                     found = answered.copy()
                     if found[usual_at]:
-                        if state.size:
-                            rate = found[rate_at]
-                        status, slack = unlimited, 0.0
-                        if is_limited:
-                            status = statuses[found[limit_at]]
-                            slack = math.nan if status is limited else float(found[slack_at])
-                        return made(Evaluation, (
-                            found[torque_at], rate, ok, found[e_at], found[J_at].reshape(J_shape),
-                            found[gravity_at], status, slack,
+                        rate = None
+                        if has_rate:
+                            rate = found[own_rate_at] if state.size else no_rate
+                        limit = limit_statuses[found[limit_at]]
+                        slack = math.nan if limit is limited else float(found[slack_at])
+                        return found, made(Evaluation, (
+                            found[torque_at], rate, statuses[found[status_at]], found[e_at],
+                            found[J_at].reshape(J_shape) if has_J else None,
+                            found[gravity_at] if has_gravity else None, limit, slack,
                             None if v_d is None else found[reference_at],
                         ))  # fmt: skip
             except (AttributeError, IndexError, TypeError, ValueError):
@@ -214,28 +244,36 @@ class _MachineCode:
             return None
 
         def evaluate(state: Array, measurement: Measurement, target: Target | Array) -> Any:
-            return answer(state, measurement, target) or ordinary(state, measurement, target)
+            found = answer(state, measurement, target)
+            return ordinary(state, measurement, target) if found is None else found[1]
 
         def step(state: Array, measurement: Measurement, target: Target | Array, dt: float) -> Any:
-            found = answer(state, measurement, target)
-            if found is None or not (isinstance(dt, float) and 0.0 < dt <= 1.0):
+            found = None
+            if isinstance(dt, float) and 0.0 < dt <= 1.0 and own_dt in (None, dt):
+                flat[dt_at] = dt
+                found = answer(state, measurement, target)
+            if found is None:
                 return ordinary_step(state, measurement, target, dt)
-            after = state + dt * found.state_rate if state.size else state.copy()
-            if p and found.limit_status not in learns:
-                after[:p] = state[:p]
-            return after, found
+            return found[0][after_at], found[1]
 
         vars(self).update(step=step, whole_run=WholeLoops(controller).run)
-        if controller is inside:
+        if controller.is_continuous:
             vars(self)["evaluate"] = evaluate
 
 
-class _Compiled(_MachineCode, SetpointController):
-    """A law with machine code."""
+def _is_ours(controller: Controller) -> bool:
+    return type(controller).__module__.startswith("approxjac.")
 
 
-class _CompiledLimits(_MachineCode, TorqueLimited):
-    """A law within limits of effort, with machine code."""
+def _may_move(controller: Controller) -> bool:
+    """Return whether ẋ_d of a target is taken, as by controllers of this library."""
+    return _is_ours(controller)
+
+
+@functools.cache
+def _kind_of(kind: type[Controller]) -> type:
+    """Return the class of compiled controllers of a kind."""
+    return type(f"_Compiled{kind.__name__}", (_MachineCode, kind), {"__module__": __name__})
 
 
 class _CompiledTracking(_MachineCode, TrackingController):

@@ -347,19 +347,23 @@ class Adaptation(NamedTuple):
             told.append(f"constant torques of up to {torques[i]:+.3g} {unit} ({at})")
         return f"to compensate, beside the believed arm's weight: {'; '.join(told)}"
 
-    def bounded(self, rate: Array, theta_hat: Array, Y: Array, g: Array) -> Array:
+    def bounded(self, rate: Array, theta_hat: Array, Y: Array, g: Array) -> tuple[Array, Any]:
         """Return dθ̂/dt (P,) with what would lead out of bounds taken back, for g = Yθ̂ (n_v,).
+
+        And whether that was not found, of symbols.
 
         Beside the bounds of each parameter there are those of the motors: where |Yθ̂| is beyond
         them, it grows no further. V̇ ≤ −W stays where the true arm can be held at q.
         """
         if self.bounds is None:
-            return rate
+            return rate, False
+        if type(rate) is not np.ndarray:
+            return law.swept_within_bounds(rate, theta_hat, self.bounds, self.L, Y, g, self.motors)
         outward = None
         if _is_beyond(g, self.motors):
             beyond = np.abs(g) > self.motors
             outward = np.sign(g[beyond])[:, np.newaxis] * Y[beyond]
-        return law.within_bounds(rate, theta_hat, *self.bounds, self.L, outward)
+        return law.within_bounds(rate, theta_hat, *self.bounds, self.L, outward), False
 
     def require_alpha(self, alpha: float) -> None:
         """Refuse another α of y [1/s] than that of this."""
@@ -369,12 +373,15 @@ class Adaptation(NamedTuple):
                 given=alpha,
             )
 
-    def rests(self, torque: Array) -> bool:
+    def rests(self, torque: Array) -> Any:
         """Return whether any torque (n_v,) is beyond its limit, where θ̂ stands still."""
         return _is_beyond(torque, self.torque_limits)
 
 
-def _is_beyond(torque: Array, limits: Array) -> bool:
+def _is_beyond(torque: Array, limits: Array) -> Any:
+    if torque.dtype.hasobject:
+        finite = np.isfinite(limits)
+        return (np.abs(torque) > limits)[finite].any() if finite.any() else False
     share = torque / limits
     # the norm first: it is cheap, and mostly small enough
     return bool(math.hypot(*share.tolist()) > 1.0 and np.abs(share).max() > 1.0)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from approxjac import law
 from approxjac.controllers.arguments import require_array, time_of_x
 from approxjac.controllers.controller import Controller
 from approxjac.controllers.wrapper import ControllerWrapper
@@ -84,7 +85,6 @@ class HeldMeasurement(ControllerWrapper):
         self._parts = task._parts
         self._origin = task._origin
         self._uncombined = uncombined(task)
-        self._limits = [self.unseen[coordinates].tolist() for _, coordinates in self._parts]
         self._moved = slice(task.n_x + 1, task.n_x + 1 + m)  # p within the memory
         self._memory = self._moved.stop + len(self._parts)
 
@@ -111,66 +111,52 @@ class HeldMeasurement(ControllerWrapper):
             InvalidInputError: As the controller, a t_x that is no finite number, or a controller
                 that answers without Ĵ.
         """
+        if hasattr(getattr(measurement, "q", None), "arm_of"):  # symbols
+            n = len(state) - self._memory
+            return self._stepped(state[:n], state[n:], measurement, target, dt, measurement.t_x)
         inner, memory = self._split(state)
         require("measurement", measurement, Measurement, "Measurement(t, q, v, x)")
-        x, t_x = measurement.x, measurement.t_x
-        require_array("x", x, len(self._origin), self.controller.task)
-        t_x = time_of_x(t_x)
+        require_array("x", measurement.x, len(self._origin), self.controller.task)
+        t_x = time_of_x(measurement.t_x)
         with np.errstate(over="ignore", invalid="ignore"):  # an overflow is a named error
-            memory = memory.copy()
-            used, too_old, any_new = self._seen(memory, x, t_x)
-            measured = measurement._replace(x=used)
-            after, answer = self.controller.step(inner, measured, target, dt)
-            if answer.J_hat is None:
-                raise InvalidInputError(
-                    f"controller must answer with J_hat, which says how far the image moves, "
-                    f"got {self.controller!r}, which has none",
-                    given=self.controller,
-                )
-            rate = answer.J_hat.dot(measurement.v)
-            moved = dt * (rate if self._uncombined is None else self._uncombined.dot(rate))
-            for coordinates in too_old:
-                moved[coordinates] = 0.0
-            memory[self._moved] += moved
-        if not math.isfinite(math.hypot(*memory.tolist())):
+            after, answer = self._stepped(inner, memory, measurement, target, dt, t_x)
+        if not math.isfinite(math.hypot(*after[len(inner) :].tolist())):
             raise MeasurementError(
-                f"the state overflows: x = {x.tolist()} and v = {measurement.v.tolist()} are "
-                "beyond what can be kept",
+                f"the state overflows: x = {measurement.x.tolist()} and "
+                f"v = {measurement.v.tolist()} are beyond what can be kept",
                 given=measurement,
             )
-        status = _HELD if answer.status is _OK and not any_new else answer.status
-        return np.concatenate([after, memory]), answer._replace(status=status)
+        return after, answer
 
-    def _seen(self, memory: Array, x: Array, t_x: float | None) -> tuple[Array, list[slice], bool]:
-        """Remember x, and return the x to use, which p are too old, and whether x is new.
-
-        The p of a part that is too old stands still: an arm that sags back is not seen by that.
-        """
-        last, p, seen = memory[: len(x)], memory[self._moved], memory[self._moved.stop :]
-        measured, before, moved = x.tolist(), last.tolist(), p.tolist()
-        later = t_x is not None and (t_x > memory[len(x)] or not seen.any())
+    def _stepped(
+        self,
+        inner: Array,
+        memory: Array,
+        measurement: Measurement,
+        target: Target | Array,
+        dt: float,
+        t_x: float | None,
+    ) -> tuple[Array, Evaluation]:
+        """Return what `step` does, of numbers that have been checked, or of symbols."""
+        x = measurement.x
         # numbers may be no measurement all the same, such as a quaternion of zeros
-        told = x if self._measured._subtracts else self._measured.error(x, self._origin)
-        errors = told.tolist()
-        used, too_old, any_new = x.copy(), list[slice](), False
-        for k, (entries, coordinates) in enumerate(self._parts):
-            here = measured[entries]
-            finite = all(map(math.isfinite, here + errors[coordinates]))
-            never = seen[k] == 0.0
-            if finite and (never or (later if t_x is not None else here != before[entries])):
-                last[entries], p[coordinates], seen[k] = here, 0.0, 1.0
-                any_new = True
-            elif never or any(
-                abs(far) > most
-                for far, most in zip(moved[coordinates], self._limits[k], strict=True)
-            ):
-                used[entries] = math.nan
-                too_old.append(coordinates)
-            else:  # lost, told again, or a frame that was overtaken
-                used[entries] = before[entries]
-        if any_new and later:
-            memory[len(x)] = t_x
-        return used, too_old, any_new
+        errors = x if self._measured._subtracts else self._measured.error(x, self._origin)
+        taken, knows_time = (0.0, False) if t_x is None else (t_x, True)
+        held = law.hold_step(memory, x, errors, taken, knows_time, self._parts, self.unseen)
+        measured = measurement._replace(x=held.x)
+        after, answer = self.controller.step(inner, measured, target, dt)
+        if answer.J_hat is None:
+            raise InvalidInputError(
+                f"controller must answer with J_hat, which says how far the image moves, "
+                f"got {self.controller!r}, which has none",
+                given=self.controller,
+            )
+        rate = answer.J_hat.dot(measurement.v)
+        motion = dt * (rate if self._uncombined is None else self._uncombined.dot(rate))
+        is_held = law.complement(held.is_new) & (answer.status == _OK)
+        status = law.select(is_held, _HELD, answer.status)
+        after = np.concatenate([after, law.hold_moved(held, motion)])
+        return after, answer._replace(status=status)
 
     def __repr__(self) -> str:
         return f"HeldMeasurement({self.controller!r}, unseen={self.unseen.tolist()})"

@@ -7,13 +7,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 
-from approxjac import law
 from approxjac.controllers.gains.gains import Diagonals
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import short_fields
 from approxjac.robots.joint_limits import require_radians
+from approxjac.robots.traced import motion_between
 from approxjac.tasks import Task
 from approxjac.validation import Array, as_array, as_diagonal, as_number, is_scalar, shape_of
 
@@ -63,8 +62,7 @@ class Posture:
         wanted = robot.configuration(self.q, "q of the posture")
         require_radians("q of the posture", robot, wanted)
         stiffness = as_diagonal("stiffness", self.stiffness, robot.nv, unit="N m/rad")
-        model = robot.model
-        return lambda q: np.asarray(stiffness * pin.difference(model, q, wanted))
+        return lambda q: stiffness * motion_between(robot, q, wanted)
 
 
 @dataclass(frozen=True)
@@ -99,25 +97,24 @@ class AwayFromStops:
             InvalidInputError: A robot without self-motion.
         """
         robot = task.robot
-        push = self.push(task, gains, rate)
+        _require_redundant(self, task)
+        push = self._push(task, gains, rate)
         if robot.nq == robot.nv:
             return push
-        model, neutral = robot.model, robot.neutral()
-        return lambda q: push(pin.difference(model, neutral, q))
+        neutral = robot.neutral()
+        return lambda q: push(motion_between(robot, neutral, q))
 
-    def push(self, task: Task, gains: Diagonals, rate: float) -> Torque:
-        """Return the same function of how far joints are from the neutral q, shape (n_v,).
-
-        Raises:
-            InvalidInputError: A robot without self-motion.
-        """
-        _require_redundant(self, task)
+    def _push(self, task: Task, gains: Diagonals, rate: float) -> Torque:
+        """Return the same function of how far joints are from the neutral q, shape (n_v,)."""
         lower, upper = task.robot.position_limits
         width = np.minimum(self.share * (upper - lower), _WIDEST)
         lower, upper, stiffness = lower + width, upper - width, rate * gains.damping
 
+        stops = np.isfinite(width)
+
         def torque(motion: Array) -> Array:
-            return np.asarray(stiffness * (np.minimum(np.maximum(motion, lower), upper) - motion))
+            beyond = np.minimum(np.maximum(motion, lower), upper) - motion
+            return np.where(stops, stiffness * beyond, 0.0)
 
         return torque
 
@@ -130,19 +127,3 @@ def _require_redundant(posture: Posture | AwayFromStops, task: Task) -> None:
             f"{robot.name} with {robot.nv} joints and {task.m} coordinates",
             given=posture,
         )
-
-
-def within_null_space(torque: Array, J_hat: Array, G: Array, ratio: float, scale: float) -> Array:
-    """Return N τ with N = I − Ĵ⁺Ĵ, faded out near a singular Ĵ; shape (n_v,).
-
-    G is ĴĴᵀ; `ratio` and `scale` are those of `law.damped_gram_solve`.
-    """
-    w, damped = law.damped_gram_solve(G, J_hat.dot(torque), ratio, scale)
-    if damped == 0.0:
-        return np.asarray(torque - w.dot(J_hat))
-    # With a damped Ĵ⁺, N would be no projector. An exact one that is faded out is one still,
-    # and continuous, as it turns only where its weight is zero.
-    _, values, rows = np.linalg.svd(J_hat, full_matrices=False)
-    threshold = ratio * max(values[0], scale)
-    weight = (values[-1] / threshold) ** 2 if threshold > 0.0 else 0.0
-    return np.asarray(weight * (torque - rows.T.dot(rows.dot(torque))))

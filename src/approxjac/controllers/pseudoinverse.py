@@ -39,7 +39,7 @@ class Pseudoinverse:
 
     Attributes:
         weight: As of `law.cross_weight_pinv`, shape (n_v,); None is I.
-        root: Its square root, or None.
+        singularity: What counts as near singular.
         scale: That of `law.damped_gram_solve`, at which Ĵ vanishes.
         ratio: σ_min/σ_max below which Ĵ is near singular, as in `law.damped_gram_solve`.
     """
@@ -48,7 +48,8 @@ class Pseudoinverse:
         self, weight: Array | None, scale: float, ratio: float = law.SINGULAR_RATIO
     ) -> None:
         self.weight, self.scale, self.ratio = weight, scale, ratio
-        self.root = None if weight is None else np.sqrt(weight)
+        inverse_root = None if weight is None else 1.0 / np.sqrt(weight)
+        self.singularity = law.Singularity(ratio, scale, inverse_root)
 
     def times(self, J_hat: Array, s: Array, whole: Array | None = None) -> tuple[Array, float]:
         """Return Ĵ⁺s (n_v,), and its damping λ, 0 away from singular configurations.
@@ -56,21 +57,22 @@ class Pseudoinverse:
         Of a Ĵ without the columns of some joints, `whole` is the one with them, whose size says
         what is near singular.
         """
-        root, scale = self.root, self.scale
+        singularity = self.singularity
         if whole is not None:
-            scale = float(np.linalg.norm(whole if root is None else whole / root, 2))
-        if root is not None:
-            J_hat = J_hat / root
-        w, damped = law.damped_gram_solve(J_hat.dot(J_hat.T), s, self.ratio, scale)
-        pinv_s = w.dot(J_hat)
-        return (pinv_s if root is None else pinv_s / root), damped
+            scale = float(np.linalg.norm(self._weighted(whole), 2))
+            singularity = singularity._replace(scale=scale)
+        return law.damped_pinv(J_hat, s, singularity)
 
     def is_damped(self, J_hat: Array) -> NDArray[np.bool_]:
         """Return whether Ĵ⁺ is damped, of Ĵ (…, m, n_v), shape (…)."""
-        J_hat = J_hat if self.root is None else J_hat / self.root
-        squares = np.asarray(np.linalg.svd(J_hat, compute_uv=False) ** 2, dtype=np.float64)
+        values = np.linalg.svd(self._weighted(J_hat), compute_uv=False)
+        squares = np.asarray(values**2, dtype=np.float64)
         least, largest = squares[..., -1], squares[..., 0]
         return law.gram_damping(least, largest, self.ratio, self.scale) > 0.0
+
+    def _weighted(self, J_hat: Array) -> Array:
+        inverse_root = self.singularity.inverse_root
+        return J_hat if inverse_root is None else J_hat * inverse_root
 
     def matrix(self, J_hat: Array) -> Array:
         """Return Ĵ⁺ of a Ĵ (m, n_v), shape (n_v, m)."""

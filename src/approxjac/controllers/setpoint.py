@@ -26,7 +26,7 @@ from approxjac.controllers.gravity import (
     describe_gravity,
     require_gravity,
 )
-from approxjac.controllers.posture import AwayFromStops, Posture, within_null_space
+from approxjac.controllers.posture import AwayFromStops, Posture
 from approxjac.controllers.pseudoinverse import Pseudoinverse, singular_ratio
 from approxjac.controllers.saturation import describe_saturation, require_saturation
 from approxjac.interface import (
@@ -175,11 +175,12 @@ class SetpointController(Immutable, Controller):
             InvalidInputError: A measurement of the wrong shapes, or of mirrored corners.
             MeasurementError: Law (5), and the first x is lost.
         """
-        task, x_d = self.task, np.zeros(self.task.n_x)
-        q, _, x = require_arrays(self._no_rate, measurement, x_d, task, self._n_state)
-        analysis.require_as_believed(task, q, x)
-        if self.velocity is not None:
-            self.velocity.require_finite(x)
+        task, x_d, x = self.task, np.zeros(self.task.n_x), getattr(measurement, "x", None)
+        if not hasattr(x, "arm_of"):  # which symbols have
+            q, _, x = require_arrays(self._no_rate, measurement, x_d, task, self._n_state)
+            analysis.require_as_believed(task, q, x)
+            if self.velocity is not None:
+                self.velocity.require_finite(x)
         theta0 = np.zeros(0) if self.adaptation is None else self.adaptation.theta0
         followed = np.zeros(0) if self.velocity is None else x
         return np.concatenate([theta0, followed])
@@ -238,9 +239,12 @@ class SetpointController(Immutable, Controller):
             Shape (n_v,) [rad/s or m/s]; q̇ where x was lost.
         """
         e, J_hat = answer.e, answer.J_hat
-        if J_hat is None or not math.isfinite(e.dot(e)):  # s of an infinite e may be finite
+        if J_hat is None or (told := law.is_finite(e)) is False:  # s of an infinite e may be finite
             return v
-        return law.passive_output(v, self.pinv.times(J_hat, self.saturation.s(e))[0], alpha)
+        s = law.array(self.saturation.s(e))
+        if told is not True:
+            s = law.select(told, s, np.zeros(len(e)))
+        return law.passive_output(v, self.pinv.times(J_hat, s)[0], alpha)
 
     def is_proven(self, answer: Evaluation) -> bool:
         """Return whether V̇ is known where this law gave an answer: with x, and with Ĵ⁺."""
@@ -262,7 +266,7 @@ class SetpointController(Immutable, Controller):
         y = law.passive_output(v, self.pinv.times(J_free, s, J_hat)[0], learning.alpha)
         Y = learning.Y(q, J_hat)
         rate = law.theta_hat_rate(learning.L, Y, y)
-        return learning.bounded(rate, state[: self._p], Y, g)
+        return learning.bounded(rate, state[: self._p], Y, g)[0]
 
     @property
     def resting(self) -> int:
@@ -366,6 +370,10 @@ class SetpointController(Immutable, Controller):
         except (TypeError, ValueError, AttributeError):
             usual = False
         if not usual:
+            if hasattr(getattr(measurement, "q", None), "arm_of"):  # symbols
+                e = law.array(self.task.error(x, target))
+                lost = law.complement(law.is_finite(e))
+                return self._answer(q, v, x, e, state, v_d, lost)
             q, v, x = require_arrays(state, measurement, target, self.task, self._n_state)
         # One number that is not small if anything is not finite. Unlike sums of squares it
         # overflows without a warning, and it is faster.
@@ -393,55 +401,50 @@ class SetpointController(Immutable, Controller):
         raise overflow(measurement)
 
     def _answer(
-        self, q: Array, v: Array, x: Array, e: Array, state: Array, v_d: Array | None, lost: bool
+        self, q: Array, v: Array, x: Array, e: Array, state: Array, v_d: Array | None, lost: Any
     ) -> Evaluation:
-        """Evaluate the law at inputs that have been checked."""
-        J_hat = self.task.jacobian(q, x)
-        s = np.zeros_like(e) if lost else self.saturation.s(e)
-        kp, kv, damping = self.diagonals
-        G = J_hat.dot(J_hat.T)
-        learning = self.adaptation
+        """Evaluate the law at inputs that have been checked, or are symbols."""
+        J_hat = law.array(self.task.jacobian(q, x))
+        s = np.zeros(self.task.m)
+        if lost is not True:
+            s = law.select(lost, s, law.array(self.saturation.s(e)))
+        learning, g, Y, x_dot, theta_hat = self.adaptation, None, None, None, state[: self._p]
         if learning is None:
-            singular = law.is_near_singular(G, self.pinv.ratio, self._scale)
-            g = self.gravity.torque(q).copy()  # type: ignore[union-attr]  # the others have one
+            g = law.array(self.gravity.torque(q)).copy()  # type: ignore[union-attr]
         else:
-            pinv_s, damped = self.pinv.times(J_hat, s)
-            singular = damped > 0.0
             Y = learning.Y(q, J_hat)
-            g = law.gravity(Y, state[: self._p])  # with it, (6) below is (28)
-        bias = g
-        if self._pull is not None:
-            bias = bias + within_null_space(self._pull(q), J_hat, G, self.pinv.ratio, self._scale)
-        rate, x_dot = self._no_rate, None
         if self.velocity is not None:
             # The differentiator's state follows x with time constant T: its rate is Ẋ itself.
             # Without x it goes on with Ĵq̇, so that there is no jump when x is back.
-            x_dot = J_hat.dot(v) if lost else (x - state[self._p :]) / self._lag
-            rate = x_dot if learning is None else np.append(self._no_rate[: self._p], x_dot)
-        relative, reference = x_dot, None
-        if v_d is not None:  # the law of the motion relative to ẋ_d, and to Ĵ⁺ẋ_d of the joints
-            relative = (J_hat.dot(v) if x_dot is None else x_dot) - v_d
-            reference = law.damped_gram_solve(G, v_d, self.pinv.ratio, self._scale)[0].dot(J_hat)
-            v = v - reference
-        if relative is None:
-            torque = law.estimated_velocity_torque(J_hat, kp, kv, s, v, damping, bias)
-        else:
-            torque = law.measured_velocity_torque(J_hat, kp, kv, s, relative, v, damping, bias)
+            x_dot = (x - state[self._p :]) / self._lag
+            x_dot = law.select(lost, J_hat.dot(v), x_dot)
+        if v_d is not None:
+            v_d = law.select(lost, np.zeros(len(v_d)), v_d)
+        pull = None if self._pull is None else self._pull(q)
+        terms = law.SetpointTerms(J_hat, s, g, Y, pull, x_dot, v_d)
+        kp, kv, damping = self.diagonals
+        torque, g, singular, relative, pinv_s, reference = law.setpoint_step(
+            kp, kv, damping, terms, v, theta_hat, self.pinv.singularity
+        )
+        status = law.select(singular, _SINGULAR, _OK)
+        rate = self._no_rate
+        if learning is not None:
+            rests, far = learning.rests(torque), self.reach.is_exceeded(q, e)
+            stands = lost | rests | far
 
-        status = _OK
-        if lost:
-            status = _LOST
-        elif learning is not None and learning.rests(torque):
-            status = _SATURATED
-        elif learning is not None and self.reach.is_exceeded(q, e):
-            status = _FAR
-        elif singular:
-            status = _SINGULAR
-        if learning is not None and (status is _OK or status is _SINGULAR):
-            y = law.passive_output(v, pinv_s, self._alpha)
-            theta_rate = law.theta_hat_rate(learning.L, Y, y)
-            theta_rate = learning.bounded(theta_rate, state[: self._p], Y, g)
-            rate = theta_rate if x_dot is None else np.append(theta_rate, x_dot)
+            rate = np.zeros(self._p)
+            if stands is not True:
+                assert Y is not None
+                assert pinv_s is not None
+                y = law.passive_output(relative, pinv_s, self._alpha)
+                learnt = law.theta_hat_rate(law.array(learning.L), Y, y)
+                learnt, unfinished = learning.bounded(learnt, theta_hat, Y, g)
+                law.leave(unfinished & law.complement(stands))
+                rate = law.select(stands, rate, learnt)
+            status = law.select(rests, _SATURATED, law.select(far, _FAR, status))
+        if x_dot is not None:
+            rate = x_dot if learning is None else np.concatenate([rate, x_dot])
+        status = law.select(lost, _LOST, status)
         return Evaluation(torque, rate, status, e, J_hat, g, _UNLIMITED, 0.0, reference)
 
     def describe(self) -> list[str]:

@@ -3,7 +3,12 @@
 Symbols are the paper's; misprints are corrected and each departure is named where it is made.
 """
 
-from approxjac.law.adaptation import passive_output, theta_hat_rate, within_bounds
+from approxjac.law.adaptation import (
+    passive_output,
+    swept_within_bounds,
+    theta_hat_rate,
+    within_bounds,
+)
 from approxjac.law.branches import (
     all_of,
     alter,
@@ -13,6 +18,7 @@ from approxjac.law.branches import (
     collect,
     complement,
     is_finite,
+    leave,
     repeat,
     select,
     surely,
@@ -105,6 +111,17 @@ from approxjac.law.rotation import (
 )
 from approxjac.law.sampled_loop import LinearLaw, frame_map
 from approxjac.law.saturation import Linear, Saturation, Sine, Tanh
+from approxjac.law.steps import (
+    HoldStep,
+    SetpointStep,
+    SetpointTerms,
+    Singularity,
+    damped_pinv,
+    hold_moved,
+    hold_step,
+    setpoint_step,
+    within_null_space,
+)
 from approxjac.law.torque import (
     bounded_torque,
     bounded_torque_bound,
@@ -129,6 +146,7 @@ from approxjac.law.tracking import (
 __all__ = [
     "SINGULAR_RATIO",
     "V1",
+    "HoldStep",
     "JointRange",
     "LimitStep",
     "Linear",
@@ -136,7 +154,10 @@ __all__ = [
     "Minimum",
     "Rows",
     "Saturation",
+    "SetpointStep",
+    "SetpointTerms",
     "Sine",
+    "Singularity",
     "Tanh",
     "TorqueRows",
     "V",
@@ -168,6 +189,7 @@ __all__ = [
     "cross_weight_damped",
     "cross_weight_pinv",
     "damped_gram_solve",
+    "damped_pinv",
     "damping_rate",
     "decrease_matrix",
     "dissipation",
@@ -179,6 +201,8 @@ __all__ = [
     "generators",
     "gram_damping",
     "gravity",
+    "hold_moved",
+    "hold_step",
     "image_turn",
     "inertial_block",
     "information",
@@ -192,6 +216,7 @@ __all__ = [
     "largest_alpha",
     "learning_gain",
     "learnt_gravity_torque",
+    "leave",
     "length",
     "limit_step",
     "limited_torque",
@@ -225,12 +250,14 @@ __all__ = [
     "saturated",
     "select",
     "servo_lag_rate",
+    "setpoint_step",
     "slowed",
     "solution",
     "solved_reference",
     "speed_bounds",
     "stiffness_block",
     "surely",
+    "swept_within_bounds",
     "take",
     "tangents",
     "task_velocity",
@@ -240,5 +267,6 @@ __all__ = [
     "turned",
     "within",
     "within_bounds",
+    "within_null_space",
     "within_speeds",
 ]

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
+from approxjac.law.branches import choose, collect, repeat, select, take
 from approxjac.law.products import dot
 from approxjac.validation import Array
 
 _TINY = np.finfo(float).tiny
+_SWEEPS = 10
+_SWEPT = 1e-12  # of what led out of bounds, which sweeps may leave
 _ROUND_OFF = (
     1e-8  # bounds nearer to dependent count as dependent: λ grows as 1/angle, its error too
 )
@@ -27,7 +32,7 @@ def theta_hat_rate(L: Array, Z: Array, y: Array) -> Array:
     Implements Eq. (29), differentiated. The adaptation gain L is a diagonal (p,) or a matrix
     (p, p), the gravity regressor Z is (n_v, p).
     """
-    return -L * dot(y, Z) if L.ndim == 1 else -dot(L, dot(y, Z))
+    return -L * dot(y, Z) if L.ndim == 1 else -dot(dot(y, Z), L)
 
 
 def within_bounds(
@@ -70,6 +75,91 @@ def within_bounds(
     projected = root * kept if L.ndim == 1 else root.dot(kept)
     projected = np.where(low, np.maximum(projected, 0.0), projected)  # the box to the last bit
     return np.asarray(np.where(high, np.minimum(projected, 0.0), projected))
+
+
+def swept_within_bounds(
+    rate: Array,
+    theta_hat: Array,
+    bounds: tuple[Array, Array],
+    L: Array,
+    Y: Array,
+    g: Array,
+    motors: Array,
+) -> tuple[Array, Any]:
+    """Return what `within_bounds` does, by sweeps without a branch, and whether they did not end.
+
+    C. Hildreth's method ("A quadratic programming procedure", Naval Research Logistics 4(1), 1957)
+    takes the multiplier of one bound after the other. A few sweeps mostly end.
+
+    Args:
+        rate: dθ̂/dt of `theta_hat_rate`, shape (P,).
+        theta_hat: θ̂, shape (P,).
+        bounds: Its smallest and largest values, each (P,).
+        L: A diagonal (P,) or a matrix (P, P).
+        Y: Regressor, shape (n_v, P).
+        g: Yθ̂, which grows no further where it is beyond what motors have, shape (n_v,).
+        motors: What they have, shape (n_v,).
+    """
+    lower, upper = bounds
+    high, low, is_beyond = theta_hat >= upper, theta_hat <= lower, np.abs(g) > motors
+    side = np.where(high, 1.0, np.where(low, -1.0, 0.0))
+    beyond = np.where(is_beyond, np.where(g > 0.0, 1.0, -1.0), 0.0)
+    # what may lead out; where nothing does, no multiplier is needed
+    outward = np.concatenate([high & (rate > 0.0), low & (rate < 0.0), is_beyond])
+    own_lead = side * L if L.ndim == 1 else L
+    own_size = _inverse(side * (side * (L if L.ndim == 1 else L.diagonal())))
+
+    def of_motor(i: Any, values: tuple[Any]) -> tuple[tuple[Any], tuple[Any, ...]]:
+        """Return rows of N, N L and so on of what a motor has to hold."""
+        row = take(beyond, i) * take(Y, i)
+        turned = row * L if L.ndim == 1 else dot(row, L)
+        return values, (row, turned, _inverse(dot(row, turned)), dot(row, rate))
+
+    def own(found: Array, multipliers: Array) -> tuple[Array, Array]:
+        """Return the rate and multipliers after a turn of each parameter's own bound."""
+        if L.ndim == 1:
+            after = np.maximum(multipliers + (side * found) * own_size, 0.0)
+            return found - (after - multipliers) * own_lead, after
+
+        def one(i: Any, values: tuple[Array]) -> tuple[tuple[Array], tuple[Any]]:
+            was, (found,) = take(multipliers, i), values
+            along = take(side, i) * take(found, i)
+            after = np.maximum(was + along * take(own_size, i), 0.0)
+            return (found - (after - was) * (take(side, i) * take(own_lead, i)),), (after,)
+
+        (found,), (after,) = collect(len(rate), one, (found,))
+        return found, after
+
+    def swept() -> tuple[Array, Any]:
+        _, (N, NL, size, before) = collect(len(g), of_motor, (g,))
+
+        def sweep(_: Any, values: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+            found, of_own, of_motors = values
+            found, of_own = own(found, of_own)
+
+            def one(i: Any, values: tuple[Array]) -> tuple[tuple[Array], tuple[Any]]:
+                was, (found,) = take(of_motors, i), values
+                after = np.maximum(was + dot(take(N, i), found) * take(size, i), 0.0)
+                return (found - (after - was) * take(NL, i),), (after,)
+
+            (found,), (of_motors,) = collect(len(g), one, (found,))
+            return found, of_own, of_motors
+
+        start = rate, 0.0 * rate, 0.0 * g
+        found, *multipliers = repeat(_SWEEPS, sweep, start)
+        _, (beside,) = collect(len(g), lambda i, v: (v, (dot(take(N, i), found),)), (g,))
+        least = _SWEPT * np.abs(np.concatenate([side * rate, before])).max()
+        beside, multiplier = np.concatenate([side * found, beside]), np.concatenate(multipliers)
+        wrong = ((beside > least) | ((multiplier > 0.0) & (beside < -least))).any()
+        return found, select(wrong, 1.0, 0.0)
+
+    found, unfinished = choose(outward.any(), swept, lambda: (rate, 0.0))
+    return found, unfinished > 0.0
+
+
+def _inverse(sizes: Any) -> Any:
+    """Return 1 / a of each a > 0, 0 of others."""
+    return np.where(sizes > 0.0, 1.0 / np.where(sizes > 0.0, sizes, 1.0), 0.0)
 
 
 def _nonnegative(F: Array, c: Array) -> Array:

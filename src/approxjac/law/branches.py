@@ -51,6 +51,12 @@ def is_finite(x: Any) -> Any:
     return math.isfinite(square) if isinstance(square, float) else square.is_finite()
 
 
+def leave(condition: Any) -> None:
+    """Say that what is computed does not hold where a condition, not known yet, holds."""
+    if condition is not False:
+        condition.leave()
+
+
 def array(values: Any) -> Any:
     """Return numbers, some of which may not be known yet, as an array."""
     found = values if isinstance(values, np.ndarray) else np.array(values)

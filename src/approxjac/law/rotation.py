@@ -255,7 +255,8 @@ def _by_quaternion(A: Array) -> Array:
             abs(adjugate[i][i]),
         )
         best, most = select(own > most, row, best), select(own > most, own, most)
-    return rotation_of(best / select(most > 0.0, most, 1.0))[0]
+    found: Array = rotation_of(best / select(most > 0.0, most, 1.0))[0]
+    return found
 
 
 def _minors(K: Array) -> list[list[Any]]:

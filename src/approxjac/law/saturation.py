@@ -126,7 +126,7 @@ class Sine(_Bounded):
     def s(self, e: Array) -> Array:
         """s(e), between −γ and γ."""
         u: Array = e / self._gamma
-        if u.ndim == 1 and math.hypot(*u.tolist()) < _QUARTER:
+        if u.ndim == 1 and not u.dtype.hasobject and math.hypot(*u.tolist()) < _QUARTER:
             return self._gamma * np.sin(u)  # near the target, where nothing saturates
         return sine(u, self._gamma)
 

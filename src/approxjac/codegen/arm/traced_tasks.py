@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from traceback import walk_tb
 from typing import Any
 
 import numpy as np
@@ -47,10 +48,19 @@ def traced(name: str, given: Any, computed: Callable[[], Any]) -> Any:
     except (TypeError, AttributeError, ValueError, IndexError, ZeroDivisionError) as error:
         raise InvalidInputError(
             f"{name} must take symbols to make code of it, with choices by numpy.where or "
-            f"law.choose and no branch on a value, got {type(given).__name__}: {given!r}, in which "
-            f"there is {type(error).__name__}: {error}",
+            f"law.choose and no branch on a value, which {_place(error)} does not: "
+            f"{type(error).__name__}: {error}; got {given!r}, which runs in Python",
             given=given,
         ) from error
+
+
+def _place(error: Exception) -> str:
+    """Return the method in which it failed: the last one of a user's, or of this library's."""
+    frames = [frame for frame, _ in walk_tb(error.__traceback__) if "self" in frame.f_locals]
+    ours = [f for f in frames if not f.f_globals["__name__"].startswith("approxjac.codegen")]
+    own = [f for f in ours if not f.f_globals["__name__"].startswith("approxjac.")]
+    last = (own or ours or frames)[-1]
+    return f"{type(last.f_locals['self']).__name__}.{last.f_code.co_name}"
 
 
 def may_lose(task: Task) -> bool:

@@ -9,14 +9,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from approxjac.codegen import traced_limits as limits
-from approxjac.codegen.arm import traced_tasks as tasks
-from approxjac.codegen.arm.rigid_body import Arm
+from approxjac import law
+from approxjac.codegen import traced_law as laws
 from approxjac.codegen.backends.numpy_source import numpy_function
-from approxjac.codegen.trace.program import Going, Language, Program, Rows, Writer
-from approxjac.codegen.trace.symbols import Graph, Number, Passes, inputs, symbols
-from approxjac.controllers.limits.torque_limited import TorqueLimited
-from approxjac.controllers.setpoint import SetpointController
+from approxjac.codegen.trace.program import Going, Language, Rows, Writer
+from approxjac.codegen.trace.symbols import Graph, Number, Passes, Scalar, inputs, symbols
+from approxjac.controllers.controller import Controller
+from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement
 from approxjac.validation import Array
 
@@ -101,25 +100,62 @@ LANGUAGE = Language(
 )
 
 
+class _NoTime:
+    """Time, which C does not know: what asks for it takes no code."""
+
+    def _refuse(self, *_: Any) -> Any:
+        raise TypeError("C knows no time t")
+
+    __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = __truediv__ = _refuse
+    __lt__ = __le__ = __gt__ = __ge__ = __float__ = __array__ = _refuse
+
+
+_NO_TIME: Any = _NoTime()
+
+
 class SampledStep(NamedTuple):
     """One step of a law with a state, as arithmetic.
 
     Attributes:
         graph: All that is computed, of the inputs "q", "v", "x", "target", "state" and "dt".
         outputs: Name → numbers: "torque", "after" (the state after the step), "e", "gravity",
-            "J_hat" (row by row), "status" (its place in `setpoint.STATUSES`), "limit_status" and
+            "J_hat" (row by row), "status" (the number of a `Status`), "limit_status" and
             "slack".
-        law: The law, as it is inside of its limits.
-        initial_state: State before the first step, shape (n_state,), but for the last
-            `n_followed`, which are the first x.
-        n_followed: How many numbers of the state, its last, follow x: m of law (5).
+        controller: What takes it.
+        begun: State before the first step, numbers and entries of the first q, v and x.
     """
 
     graph: Graph
     outputs: dict[str, list[Number]]
-    law: SetpointController
-    initial_state: Array
-    n_followed: int
+    controller: Controller
+    begun: list[Number]
+
+    def initial_state(self, x: Array) -> Array:
+        """Return the state before the first step, where x (n_x,) is measured first."""
+        each = zip(self.begun, self.firsts, strict=True)
+        return np.array([value if i is None else x[i] for value, i in each], dtype=float)
+
+    @property
+    def firsts(self) -> list[int | None]:
+        """Which entry of the first x each number of the first state is; None is a constant.
+
+        Raises:
+            InvalidInputError: It is neither.
+        """
+        found: list[int | None] = []
+        for each in self.begun:
+            value = self.graph.nodes[each.place].value if isinstance(each, Scalar) else None
+            if not isinstance(each, Scalar):
+                found.append(None)
+            elif isinstance(value, tuple) and value[0] == "x":
+                found.append(value[1])
+            else:
+                raise InvalidInputError(
+                    "controller must begin with numbers and the first x to make C of it, got "
+                    f"{self.controller!r}",
+                    given=self.controller,
+                )
+        return found
 
     def lines(self) -> tuple[list[str], dict[str, list[str]]]:
         """Return the lines of C that compute the outputs, and what these are called there."""
@@ -151,31 +187,37 @@ class SampledStep(NamedTuple):
         return found
 
 
-def sampled_step(controller: SetpointController | TorqueLimited) -> SampledStep:
-    """Return one step of a controller that `limits.require_covered` takes, for a target at rest.
+def sampled_step(controller: Controller) -> SampledStep:
+    """Return one step of a controller, for a target at rest.
 
     x may be lost. Where the sweeps that keep what is learnt within its bounds do not end, it rests.
+
+    Raises:
+        InvalidInputError: A controller that takes no symbols.
     """
-    law = limits.law_of(controller)
-    task, robot, p = law.task, law.task.robot, law.resting
-    neutral = robot.neutral()
-    rest = Measurement(0.0, neutral, np.zeros(robot.nv), task.value(neutral))
-    initial_state = law.initial_state(rest)
-    program = Program()
+    task, robot = controller.task, controller.task.robot
+    graph = Graph()
     sizes = {
         "q": robot.nq, "v": robot.nv, "x": task.n_x, "target": task.n_x,
-        "state": len(initial_state), "dt": 1,
+        "state": len(laws.first_state(controller)), "dt": 1,
     }  # fmt: skip
-    given = {name: inputs(program.graph, name, size) for name, size in sizes.items()}
+    given = {name: inputs(graph, name, size) for name, size in sizes.items()}
     q, v, x, target, state, (dt,) = given.values()
-    arm = Arm(program.given, "belief", robot, tasks.frames(task)).at(q)
-    answer, within = limits.answer(controller, arm, q, v, x, target, state, may_lose=True)
-    rate = symbols(answer.rate)
-    rate[:p] = np.where(answer.left, 0.0, rate[:p])
+    # nothing tells when x was taken: an x that differs is new
+    measurement = Measurement(_NO_TIME, q, v, x)
+    after, answer, left = laws.stepped(
+        controller, state, measurement, target, dt if controller.dt is None else controller.dt
+    )
+    p = controller.resting
+    after[:p] = law.select(left, state[:p], after[:p])
     outputs = {
-        "torque": within.torque, "after": state + np.multiply(dt, rate), "e": answer.e,
-        "gravity": answer.gravity, "J_hat": answer.J_hat, "status": answer.status,
-        "limit_status": within.status, "slack": within.slack,
+        "torque": answer.torque, "after": after, "e": answer.e, "gravity": answer.gravity,
+        "J_hat": answer.J_hat, "status": answer.status, "limit_status": answer.limit_status,
+        "slack": answer.slack,
     }  # fmt: skip
-    flat = {name: symbols(value).ravel().tolist() for name, value in outputs.items()}
-    return SampledStep(program.graph, flat, law, initial_state, len(initial_state) - p)
+    zeros = {"gravity": np.zeros(robot.nv), "J_hat": np.zeros((task.m, robot.nv))}
+    flat = {
+        name: symbols(zeros[name] if value is None else value).ravel().tolist()
+        for name, value in outputs.items()
+    }
+    return SampledStep(graph, flat, controller, laws.begun(controller, q, v, x).tolist())

@@ -12,10 +12,9 @@ from approxjac.codegen.backends import c_templates as templates
 from approxjac.codegen.backends.c99 import SampledStep, constant, sampled_step
 from approxjac.codegen.backends.c_words import identifier, pairs, words
 from approxjac.codegen.trace.symbols import LARGEST_ANGLE
-from approxjac.codegen.traced_limits import require_covered
+from approxjac.controllers.controller import Controller
 from approxjac.controllers.gains.latency import Latency
 from approxjac.controllers.limits.torque_limited import TorqueLimited
-from approxjac.controllers.setpoint import SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.files import reason, together, write_text
 from approxjac.validation import Array, require
@@ -25,7 +24,7 @@ _LOST = 10  # x is, every so many steps
 _OFF_CIRCLE = 1e-3  # what Robot.configuration takes, too
 
 
-def export_c(controller: SetpointController | TorqueLimited, folder: str | PathLike[str]) -> Path:
+def export_c(controller: Controller, folder: str | PathLike[str]) -> Path:
     """Write a controller as plain C99: no allocation, no library but libm, re-entrant.
 
     The folder gets controller.h and controller.c, an example main.c, a selftest.c with recorded
@@ -38,8 +37,9 @@ def export_c(controller: SetpointController | TorqueLimited, folder: str | PathL
     end, learning rests for that step, for which V̇ ≤ −W is not claimed.
 
     Args:
-        controller: A `SetpointController` that `codegen.compiled` takes, too, or one in a
-            `TorqueLimited` with limits of effort alone and a weight that is a diagonal.
+        controller: Any that takes symbols: a `SetpointController`, also with a task, saturation or
+            gravity of your own; one in a `HeldMeasurement`, or in a `TorqueLimited` with limits of
+            effort alone and a weight that is a diagonal; or a controller of your own.
         folder: Where to write; made if it is not there.
 
     Returns:
@@ -48,7 +48,7 @@ def export_c(controller: SetpointController | TorqueLimited, folder: str | PathL
     Raises:
         InvalidInputError: A controller that is not covered, or a folder that cannot be made.
     """
-    require_covered(controller)
+    require("controller", controller, Controller, "a controller such as SetpointController(task)")
     require("folder", folder, (str, PathLike), "a folder")
     step = sampled_step(controller)
     named = words(controller, step)
@@ -76,13 +76,11 @@ def export_c(controller: SetpointController | TorqueLimited, folder: str | PathL
     return path
 
 
-def _period(controller: SetpointController | TorqueLimited) -> float:
+def _period(controller: Controller) -> float:
     """Return the period that a controller was made for [s]; 1 ms where it does not say."""
-    law = controller.law
-    assert isinstance(law, SetpointController)
     if isinstance(controller, TorqueLimited):
         return controller._dt
-    return (law.latency or Latency()).period
+    return controller.dt or (controller.latency or Latency()).period
 
 
 def _filled(text: str, named: dict[str, str]) -> str:
@@ -92,7 +90,7 @@ def _filled(text: str, named: dict[str, str]) -> str:
 def _source(step: SampledStep) -> dict[str, str]:
     """Return what only the source has."""
     lines, names = step.lines()
-    prefix = identifier(step.law.task.robot.name)
+    prefix = identifier(step.controller.task.robot.name)
     stores = [
         f"    answer->{name}[{i}] = {value};"
         for name in ("torque", "e", "gravity")
@@ -123,7 +121,7 @@ def _source(step: SampledStep) -> dict[str, str]:
 def _q_checks(step: SampledStep) -> str:
     """Return the condition that q is a configuration."""
     of_pairs = pairs(step)
-    angles = set(range(step.law.task.robot.nq)) - {i + k for i in of_pairs for k in (0, 1)}
+    angles = set(range(step.controller.task.robot.nq)) - {i + k for i in of_pairs for k in (0, 1)}
     holds = [f"fabs(q[{i}]) <= {LARGEST_ANGLE!r}" for i in sorted(angles)]
     holds += [
         f"fabs(sqrt(q[{i}] * q[{i}] + q[{i + 1}] * q[{i + 1}]) - 1.0) <= {_OFF_CIRCLE!r}"
@@ -134,14 +132,14 @@ def _q_checks(step: SampledStep) -> str:
 
 def _first(step: SampledStep) -> str:
     """Return the body of the function that sets the first state."""
-    n, p = len(step.initial_state), step.law.resting
-    values = step.initial_state.tolist()
-    lines = [f"state->values[{i}] = {constant(values[i])};" for i in range(p)]
-    lines += [f"state->values[{i}] = x[{i - p}];" for i in range(p, n)]
-    if n == 0:
+    lines = [
+        f"state->values[{k}] = {constant(float(each)) if i is None else f'x[{i}]'};"
+        for k, (each, i) in enumerate(zip(step.begun, step.firsts, strict=True))
+    ]
+    if not lines:
         lines.append("state->values[0] = 0.0;")
-    if n > p:
-        lines.append(f"return is_finite(x, {n - p});")
+    if any(i is not None for i in step.firsts):
+        lines.append(f"return is_finite(x, {step.controller.task.n_x});")
     else:
         lines += ["(void)x;", "return 1;"]
     return "\n".join(f"    {line}" for line in lines)
@@ -152,14 +150,14 @@ Record = dict[str, Array]
 
 def _recorded(step: SampledStep, dt: float) -> list[Record]:
     """Return steps at random configurations, one after the other, with what they answer."""
-    task, robot, rng = step.law.task, step.law.task.robot, np.random.default_rng(0)
-    function, found, state = step.in_numpy(), [], step.initial_state
+    task, rng = step.controller.task, np.random.default_rng(0)
+    robot, function, found, state = task.robot, step.in_numpy(), [], np.zeros(0)
     for k in range(_RECORDED):
         q, v = robot.random_configuration(rng), rng.normal(scale=0.5, size=robot.nv)
         x = task.value(q) + rng.normal(scale=0.02, size=task.n_x)
         target = x + rng.normal(scale=0.02 if k % 2 else 0.5, size=task.n_x)
         if k == 0:
-            state = np.concatenate([state[: step.law.resting], x[: step.n_followed]])
+            state = step.initial_state(x)
         if k % _LOST == _LOST - 1:
             x = np.full(task.n_x, np.nan)
         given = {"q": q, "v": v, "x": x, "target": target}

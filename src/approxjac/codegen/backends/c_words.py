@@ -9,6 +9,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from approxjac.codegen.backends.c99 import SampledStep
+from approxjac.controllers.controller import Controller
+from approxjac.controllers.gravity import Adaptation
+from approxjac.controllers.hold import HeldMeasurement
 from approxjac.controllers.limits.torque_limited import TorqueLimited
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.formatting import joined
@@ -19,10 +22,10 @@ from approxjac.validation import Array
 _LINE = 96
 
 
-def words(controller: SetpointController | TorqueLimited, step: SampledStep) -> dict[str, str]:
+def words(controller: Controller, step: SampledStep) -> dict[str, str]:
     """Return the names, sizes and texts that stand in several files."""
-    task, robot = step.law.task, step.law.task.robot
-    prefix, n_state = identifier(robot.name), len(step.initial_state)
+    task, robot = controller.task, controller.task.robot
+    prefix, n_state = identifier(robot.name), len(step.begun)
     return {
         "prefix": prefix,
         "PREFIX": prefix.upper(),
@@ -52,26 +55,43 @@ def identifier(name: str) -> str:
 
 def pairs(step: SampledStep) -> list[int]:
     """Return where (cos, sin) of continuous joints stand in q."""
-    joints = list(step.law.task.robot.model.joints)[1:]
+    joints = list(step.controller.task.robot.model.joints)[1:]
     return [joint.idx_q for joint in joints if joint.nq == 2]
 
 
-def _made_from(
-    controller: SetpointController | TorqueLimited, step: SampledStep
-) -> Iterator[tuple[str, str]]:
+def _made_from(controller: Controller, step: SampledStep) -> Iterator[tuple[str, str]]:
     """Return what a controller was made from: name, text."""
     import approxjac
 
-    law, task, robot = step.law, step.law.task, step.law.task.robot
-    kp, kv, damping = law.diagonals
-    number = "(6)" if law.velocity is None else "(5)"
-    if law.adaptation is not None:
-        number = "(28), (29)" if law.velocity is None else "(5), (29)"
+    law, task, robot = controller.law, controller.task, controller.task.robot
     yield "made by", f"approxjac {approxjac.__version__}"
     yield "robot", f"{robot.name}, as it is believed, {robot.mass:.6g} kg"
     named = zip(robot.joint_names, robot.joint_units, strict=True)
     yield "joints", ", ".join(f"{name} [{unit}]" for name, unit in named)
     yield "task", f"{task!r}, x in {_units_of_x(task)}"
+    if isinstance(law, SetpointController):
+        yield from _of_law(law)
+    else:
+        yield "law", repr(law)
+    inside = controller
+    if isinstance(controller, HeldMeasurement):
+        inside = controller.controller
+        unseen = _numbers(controller.unseen)
+        yield "held", f"the last x that was seen, until it has moved by {unseen}"
+    if isinstance(inside, TorqueLimited):
+        efforts = _numbers(np.asarray(inside.limits.effort))
+        how = "so that V' <= -W stays where it can" if inside.proof else "clipped"
+        yield "limits", f"torques {efforts} [N m or N], {how}; none of speeds and positions"
+    else:
+        yield "limits", "none"
+
+
+def _of_law(law: SetpointController) -> Iterator[tuple[str, str]]:
+    """Return gains, saturation, gravity and so on."""
+    kp, kv, damping = law.diagonals
+    number = "(6)" if law.velocity is None else "(5)"
+    if law.adaptation is not None:
+        number = "(28), (29)" if law.velocity is None else "(5), (29)"
     yield "law", number
     yield "K_p", f"{_numbers(kp)} [J per unit of e squared]"
     yield "K_v", f"{_numbers(kv)} [J s per unit of e squared]"
@@ -87,21 +107,15 @@ def _made_from(
         yield (
             "gravity",
             f"learnt: {p} parameters of {learning.robot.name}, {forces} task forces, {torques} "
-            f"joint torques, alpha = {learning.alpha:.6g} [1/s]{_of_rest(step)}",
+            f"joint torques, alpha = {learning.alpha:.6g} [1/s]{_of_rest(learning)}",
         )
     if law.velocity is not None:
         yield "velocity", f"x, filtered with {law.velocity.time_constant:g} s and differentiated"
     yield "posture", "none" if law.posture is None else repr(law.posture)
-    if isinstance(controller, TorqueLimited):
-        efforts = _numbers(np.asarray(controller.limits.effort))
-        how = "so that V' <= -W stays where it can" if controller.proof else "clipped"
-        yield "limits", f"torques {efforts} [N m or N], {how}; none of speeds and positions"
-    else:
-        yield "limits", "none"
 
 
-def _of_rest(step: SampledStep) -> str:
-    if step.initial_state[: step.law.resting].any():
+def _of_rest(learning: Adaptation) -> str:
+    if learning.theta0.any():
         return ""
     return "; from 0: all of it is learnt, or the rest where the robot adds its own"
 
@@ -137,7 +151,7 @@ def _enumeration(prefix: str, outcomes: type[Status] | type[LimitStatus]) -> str
 
 
 def _units_of_q(step: SampledStep) -> str:
-    units = joined(step.law.task.robot.joint_units)
+    units = joined(step.controller.task.robot.joint_units)
     found = [f"q[{i}], q[{i + 1}]" for i in pairs(step)]
     if not found:
         return units
@@ -151,9 +165,12 @@ def _units_of_x(task: Task) -> str:
 
 
 def _state_words(step: SampledStep) -> str:
-    n, p = len(step.initial_state), step.law.resting
+    n, p, firsts = len(step.begun), step.controller.resting, step.firsts
     if n == 0:
         return "This law has none; C has no empty structures."
+    followed = [k for k, i in enumerate(firsts) if i is not None]
+    end = followed[-1] + 1 if followed else p
     parts = [f"[0] to [{p - 1}] are what is learnt of gravity"] if p else []
-    parts += [f"[{p}] to [{n - 1}] are x, filtered"] if n > p else []
+    parts += [f"[{p}] to [{end - 1}] are x, filtered"] if followed else []
+    parts += [f"[{end}] to [{n - 1}] are what the controller keeps"] if n > end else []
     return f"{'; '.join(parts)}."

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -146,17 +145,6 @@ def _root(a: Number) -> Number:
     return a.sqrt() if isinstance(a, Scalar) else math.sqrt(a)
 
 
-def product(a: Symbols, B: Symbols) -> Symbols:
-    """Return a @ B of a (n,) and B (n, k), in a loop over their rows where they are large."""
-    if B.size < _LARGE:
-        return a @ B
-
-    def add(j: Any, values: tuple[Symbols]) -> tuple[Symbols]:
-        return (values[0] + law.take(a[1:], j) * law.take(B[1:], j),)
-
-    return law.repeat(len(a) - 1, add, (a[0] * B[0],))[0]
-
-
 def is_regular(G: Symbols, ratio: float, scale: float) -> Condition:
     """Return whether σ_min of J is surely above a share of σ_max and of a scale, from G = J Jᵀ."""
     if len(G) <= 3:
@@ -166,39 +154,3 @@ def is_regular(G: Symbols, ratio: float, scale: float) -> Condition:
     largest = Factors(G).solve(symbols(np.eye(len(G)))).trace()  # at least 1 / least eigenvalue
     regular = (ratio**2 * trace * largest < 1.0) & (trace > len(G) * scale**2)
     return regular & (largest > 0.0)
-
-
-def damped_gram_solve(
-    G: Symbols, b: Symbols, scale: float, ratio: float = law.SINGULAR_RATIO
-) -> tuple[Symbols, Number, Condition, Number]:
-    """Return what `law.damped_gram_solve` does, on symbols.
-
-    Args:
-        G: J Jᵀ, shape (m, m).
-        b: Shape (m,).
-        scale: As there.
-        ratio: As there.
-
-    Returns:
-        w (m,); λ², 0 away from singular poses; whether it may be damped; and the smallest
-        eigenvalue of G where it may be, 0 elsewhere.
-    """
-    if len(b) <= 3:
-        rows, determinant, _, _ = law.adjugate(G.tolist())
-        w = symbols(law.solution(rows, determinant, b.tolist()))
-    else:
-        w = Factors(G).solve(b)
-    regular = is_regular(G, ratio, scale)
-    if not isinstance(regular, Scalar) and regular:  # J of a gantry is the same everywhere
-        return w, 0.0, False, 0.0
-    squares, _ = eigensystem(G)
-    least, most = squares.min(), squares.max()
-    damping = law.gram_damping(least, most, ratio, scale)
-    damped = Factors(G + np.multiply(damping, np.eye(len(b)))).solve(b)
-    damped = np.where((most <= 0.0) & (scale == 0.0), 0.0, damped)
-    if not isinstance(regular, Scalar):
-        return damped, damping, damping > 0.0, least
-    *found, damping, least = regular.graph.rare(
-        ~regular, [*damped.tolist(), damping, least], [*w.tolist(), 0.0, 0.0]
-    )
-    return symbols(found), damping, ~regular, least

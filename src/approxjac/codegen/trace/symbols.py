@@ -118,12 +118,14 @@ class Graph:
         nodes: The operations.
         is_finite: All numbers are taken to be finite, so that nothing is computed to find out.
         arms: Arms whose terms are computed, each with the robot that it is.
+        left: Whether what is computed does not hold.
     """
 
     def __init__(self, is_finite: bool = False) -> None:
         self.nodes: list[Node] = []
         self.is_finite = is_finite
         self.arms: list[Any] = []
+        self.left: Condition = False
         self._known: dict[object, int] = {}
         self._blocks = self._loops = 0
         self._running: list[int] = []  # loops whose body is being written down
@@ -401,6 +403,10 @@ class Scalar:
     def __eq__(self, other: object) -> Scalar:
         return self.graph.apply("equal", self, other)
 
+    @_leaves_arrays
+    def __ne__(self, other: object) -> Scalar:
+        return ~self.graph.apply("equal", self, other)
+
     __hash__ = None  # type: ignore[assignment]
 
     def __and__(self, other: Condition) -> Condition:
@@ -471,6 +477,10 @@ class Scalar:
     def is_finite(self) -> Condition:
         """Return whether a number is finite."""
         return True if self.graph.is_finite else abs(self) < math.inf
+
+    def leave(self) -> None:
+        """Do what `law.leave` does."""
+        self.graph.left = self.graph.left | self
 
     def sine_and_cosine(self) -> tuple[Number, Number]:
         """Return sin a and cos a."""
@@ -693,6 +703,8 @@ class SymbolArray(np.ndarray):
     such as `if`, is a TypeError: a choice is `np.where`.
     """
 
+    __array_priority__ = 1.0  # so that the product with an array of numbers is one of symbols
+
     def __array_ufunc__(self, *arguments: Any, **options: Any) -> Any:
         return _apply(*arguments, **options)
 
@@ -706,6 +718,8 @@ class SymbolArray(np.ndarray):
 
     def dot(self, other: Any) -> Any:  # type: ignore[override]
         """Return self @ other."""
+        if self.ndim == 1 and np.ndim(other) == 2:
+            return np.transpose(other) @ self
         return self @ other
 
     def looped(self, *arguments: Any) -> Any:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
+from approxjac.law.products import length
 from approxjac.robots import Robot
 from approxjac.robots.joint_limits import reach_bound
 from approxjac.robots.urdf_edit import direction
@@ -26,21 +28,24 @@ class Reach:
     """
 
     def __init__(self, task: Task) -> None:
-        self._task, self.origin, self.most = task, [0.0], math.inf
+        self._task, self.origin, self.most = task, np.zeros(1), math.inf
         if isinstance(task, PositionTask | PoseTask):
             origin, self.most = reach_bound(task.robot, task.frame)
-            self.origin = origin[["xyz".index(axis) for axis in task.labels[:3]]].tolist()
+            self.origin = origin[["xyz".index(axis) for axis in task.labels[:3]]]
 
-    def is_exceeded(self, q: Array, e: Array) -> bool:
+    def is_exceeded(self, q: Array, e: Array) -> Any:
         """Return whether a target is too far away for the arm, and an unmodelled tool.
 
         It is e (m,) away from where the believed arm is at q: who measures x may stand anywhere.
         """
         k = len(self.origin)
-        if math.hypot(*e[:k].tolist()) <= UNKNOWN_TOOL * self.most:
+        if self.most == math.inf:
             return False
-        there = self._task.value(q)[:k] - e[:k]
-        return math.dist(there.tolist(), self.origin) > (1.0 + UNKNOWN_TOOL) * self.most
+        is_far = length(e[:k]) > UNKNOWN_TOOL * self.most
+        if is_far is False:
+            return False
+        there = self._task.value(q)[:k] - e[:k] - self.origin
+        return is_far & (length(there) > (1.0 + UNKNOWN_TOOL) * self.most)
 
 
 UNKNOWN_TOOL = 0.18
@@ -57,6 +62,6 @@ def with_unknown_tool(robot: Robot) -> Robot:
         FrameKinematics(robot, frame).placement(neutral)[0] for frame in (joint.parent, robot.tip)
     )
     _, reach = reach_bound(robot, robot.tip)
-    length = UNKNOWN_TOOL * reach if math.isfinite(reach) else 0.0
-    shift = length * of_parent.T @ of_tip @ np.asarray(direction(robot.outward_axis()))
+    longer = UNKNOWN_TOOL * reach if math.isfinite(reach) else 0.0
+    shift = longer * of_parent.T @ of_tip @ np.asarray(direction(robot.outward_axis()))
     return robot.with_kinematic_error({joint.name: shift.tolist()})

@@ -1,0 +1,138 @@
+"""A controller on symbols: its own step, whatever it is, run on numbers that are not known yet."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from approxjac.codegen import traced_limits as limits
+from approxjac.codegen.arm.traced_tasks import traced
+from approxjac.codegen.trace.program import Program
+from approxjac.codegen.trace.symbols import Condition, Symbols, inputs, symbols
+from approxjac.controllers.controller import Controller
+from approxjac.controllers.gains.gains import Diagonals
+from approxjac.controllers.limits.torque_limited import TorqueLimited
+from approxjac.controllers.setpoint import SetpointController
+from approxjac.errors import InvalidInputError
+from approxjac.interface import Evaluation, Measurement, Target
+from approxjac.validation import Array
+
+
+class TracedStep(NamedTuple):
+    """Outcome of one step of a controller on symbols.
+
+    Attributes:
+        after: State after the step, shape (n_state,).
+        answer: Its answer; statuses are numbers.
+        left: Whether that does not hold, and is left to Python.
+    """
+
+    after: Symbols
+    answer: Evaluation
+    left: Condition
+
+
+def stepped(
+    controller: Controller,
+    state: Symbols,
+    measurement: Measurement,
+    target: Target | Array,
+    dt: Any,
+) -> TracedStep:
+    """Return what `Controller.step` does.
+
+    Args:
+        controller: Any controller.
+        state: Its state.
+        measurement: What is measured, as symbols.
+        target: Wanted task value, as symbols.
+        dt: Sampling time [s], known or not.
+
+    Raises:
+        InvalidInputError: It takes no symbols, as it branches on a value or asks Pinocchio.
+    """
+    controller = on_symbols(controller)
+    answer: Any
+    after, answer = traced(
+        "controller", controller, lambda: controller.step(state, measurement, target, dt)
+    )
+    if not isinstance(answer, Evaluation):
+        raise InvalidInputError(
+            f"step must return a state and an Evaluation, got {answer!r}", given=answer
+        )
+    after = symbols(after)
+    named: dict[str, Any] = {
+        name: None if value is None else symbols(value) for name, value in answer._asdict().items()
+    }
+    for name in ("status", "limit_status", "slack"):
+        value = named[name][()]
+        named[name] = float(value) if isinstance(value, int | float) else value
+    graph = next(each.graph for each in measurement.q.tolist() if hasattr(each, "graph"))
+    return TracedStep(after, Evaluation(**named), graph.left)
+
+
+def on_symbols(controller: Controller) -> Any:
+    """Return a controller whose step takes symbols, as far as ours is concerned."""
+    controller = getattr(controller, "ordinary", controller)  # of one that is compiled
+    if isinstance(controller, TorqueLimited):
+        return limits.TracedLimiter(controller)
+    inside = {
+        name: on_symbols(part)
+        for name, part in vars(controller).items()
+        if isinstance(part, Controller)
+    }
+    return _copy(controller, inside) if inside else controller
+
+
+def with_gains(controller: Controller, diagonals: Diagonals) -> Controller:
+    """Return a controller whose law has gains that are not known yet."""
+    controller = getattr(controller, "ordinary", controller)
+    changed: dict[str, Any] = {
+        name: with_gains(part, diagonals)
+        for name, part in vars(controller).items()
+        if isinstance(part, Controller)
+    }
+    if isinstance(controller, SetpointController):
+        changed["diagonals"] = diagonals
+    return _copy(controller, changed) if changed else controller
+
+
+def _copy(controller: Controller, changed: dict[str, Any]) -> Controller:
+    found: Controller = object.__new__(type(controller))
+    vars(found).update(vars(controller), **changed)
+    return found
+
+
+def first_state(controller: Controller) -> Array:
+    """Return a state before a first step, at some measurement, whose length is that of all."""
+    task, robot = controller.task, controller.task.robot
+    q = robot.neutral()
+    x = task.value(q)
+    x = np.where(np.isfinite(x), x, task._origin)
+    return controller.initial_state(Measurement(0.0, q, np.zeros(robot.nv), x, 0.0))
+
+
+def begun(controller: Controller, q: Symbols, v: Symbols, x: Symbols) -> Symbols:
+    """Return what `Controller.initial_state` does."""
+    own = getattr(controller, "ordinary", controller)
+    measurement = Measurement(0.0, q, v, x, 0.0)
+    return symbols(traced("controller", own, lambda: own.initial_state(measurement)))
+
+
+def require_covered(controller: Controller) -> None:
+    """Refuse a controller of which no code can be made.
+
+    Raises:
+        InvalidInputError: It takes no symbols.
+    """
+    program = Program()
+    graph, task, robot = program.graph, controller.task, controller.task.robot
+    q, v, x, x_d, t = (
+        inputs(graph, name, size)
+        for name, size in (
+            ("q", robot.nq), ("v", robot.nv), ("x", task.n_x), ("target", task.n_x), ("t", 2)
+        )
+    )  # fmt: skip
+    state = inputs(graph, "state", len(first_state(controller)))
+    stepped(controller, state, Measurement(t[0], q, v, x, t[1]), x_d, controller.dt or 1e-3)

@@ -1,0 +1,233 @@
+"""Steps of the set-point laws and of a held measurement, on numbers or on symbols.
+
+A controller checks its arguments, collects the terms of the believed robot and calls these.
+`codegen` writes them down by calling the controller with symbols.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import operator
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from approxjac.law.branches import array, choose, complement, is_finite, select
+from approxjac.law.products import dot
+from approxjac.law.pseudoinverse import (
+    SINGULAR_RATIO,
+    damped_gram_solve,
+    is_near_singular,
+)
+from approxjac.law.torque import estimated_velocity_torque, gravity, measured_velocity_torque
+from approxjac.validation import Array
+
+_LEAST = 1e-300
+
+
+class Singularity(NamedTuple):
+    """What counts as near singular.
+
+    Attributes:
+        ratio: σ_min/σ_max below which Ĵ does.
+        scale: A σ_max below which it counts as this large [unit of the task/rad].
+        inverse_root: 1/√R of the Ĵ⁺ of least q̇ᵀRq̇, shape (n_v,); None is R = I.
+    """
+
+    ratio: float = SINGULAR_RATIO
+    scale: float = 0.0
+    inverse_root: Array | None = None
+
+
+class SetpointTerms(NamedTuple):
+    """Terms of the believed robot at a measured q, and of the error.
+
+    Attributes:
+        J_hat: Ĵ, shape (m, n_v).
+        s: s(e), shape (m,); zeros where x is lost.
+        g: Gravity torque, shape (n_v,); None where it is learnt.
+        Y: Regressor of what is learnt, shape (n_v, P); None of nothing.
+        pull: τ₀ of a posture, shape (n_v,), or None.
+        x_dot: Measured Ẋ, shape (m,); None is Ĵq̇.
+        v_d: ẋ_d of a target that moves, shape (m,); None is at rest.
+    """
+
+    J_hat: Array
+    s: Array
+    g: Array | None = None
+    Y: Array | None = None
+    pull: Array | None = None
+    x_dot: Array | None = None
+    v_d: Array | None = None
+
+
+class SetpointStep(NamedTuple):
+    """Answer of a set-point law.
+
+    Attributes:
+        torque: τ, shape (n_v,).
+        g: Gravity torque in it, shape (n_v,).
+        is_singular: Whether Ĵ is near singular.
+        v: q̇, less Ĵ⁺ẋ_d of a target that moves, shape (n_v,).
+        pinv_s: Ĵ⁺s(e), shape (n_v,), where something is learnt.
+        reference: Ĵ⁺ẋ_d of a target that moves, shape (n_v,).
+    """
+
+    torque: Array
+    g: Array
+    is_singular: Any
+    v: Array
+    pinv_s: Array | None
+    reference: Array | None
+
+
+def setpoint_step(
+    kp: Array,
+    kv: Array,
+    damping: Array,
+    terms: SetpointTerms,
+    v: Array,
+    theta_hat: Array,
+    singularity: Singularity,
+) -> SetpointStep:
+    """Return what the laws (5), (6) and (28) answer, with a posture and on a path.
+
+    Args:
+        kp: Diagonal of K_p, shape (m,).
+        kv: Diagonal of K_v, shape (m,).
+        damping: Diagonal of B_c, shape (n_v,).
+        terms: Of the believed robot.
+        v: q̇, shape (n_v,).
+        theta_hat: θ̂, shape (P,).
+        singularity: What counts as near singular.
+    """
+    J_hat, s, g, Y, pull, x_dot, v_d = terms
+    ratio, scale, _ = singularity
+    G, pinv_s, reference = dot(J_hat, J_hat.T), None, None
+    if Y is None:
+        assert g is not None
+        is_singular = is_near_singular(G, ratio, scale)
+    else:
+        pinv_s, damped = damped_pinv(J_hat, s, singularity)
+        is_singular = damped > 0.0
+        g = gravity(Y, theta_hat)  # with it, (6) is (28)
+    bias = g if pull is None else g + within_null_space(pull, J_hat, G, ratio, scale)
+    relative = x_dot
+    if v_d is not None:  # the law of the motion relative to ẋ_d, and to Ĵ⁺ẋ_d of the joints
+        relative = (dot(J_hat, v) if x_dot is None else x_dot) - v_d
+        reference = dot(damped_gram_solve(G, v_d, ratio, scale)[0], J_hat)
+        v = v - reference
+    if relative is None:
+        torque = estimated_velocity_torque(J_hat, kp, kv, s, v, damping, bias)
+    else:
+        torque = measured_velocity_torque(J_hat, kp, kv, s, relative, v, damping, bias)
+    return SetpointStep(torque, g, is_singular, v, pinv_s, reference)
+
+
+def damped_pinv(J_hat: Array, s: Array, singularity: Singularity) -> tuple[Array, Any]:
+    """Return Ĵ⁺s (n_v,), of least q̇ᵀRq̇, and its damping λ: 0 away from singular poses."""
+    ratio, scale, inverse_root = singularity
+    if inverse_root is not None:
+        J_hat = J_hat * inverse_root
+    w, damped = damped_gram_solve(dot(J_hat, J_hat.T), s, ratio, scale)
+    pinv_s = dot(w, J_hat)
+    return (pinv_s if inverse_root is None else pinv_s * inverse_root), damped
+
+
+def within_null_space(torque: Array, J_hat: Array, G: Array, ratio: float, scale: float) -> Array:
+    """Return N τ with N = I − Ĵ⁺Ĵ, faded out near a singular Ĵ; shape (n_v,).
+
+    G is ĴĴᵀ; `ratio` and `scale` are those of `damped_gram_solve`.
+    """
+    b = dot(J_hat, torque)
+    w, damped = damped_gram_solve(G, b, ratio, scale)
+
+    def faded() -> tuple[Array]:
+        # With a damped Ĵ⁺, N would be no projector. An exact one that is faded out is one still,
+        # and continuous, as it turns only where its weight is zero.
+        squares, U = np.linalg.eigh(G)
+        squares = np.maximum(squares, 0.0)
+        threshold = ratio**2 * np.maximum(squares.max(), max(scale**2, _LEAST))
+        inverse = np.where(squares > 0.0, 1.0 / np.where(squares > 0.0, squares, 1.0), 0.0)
+        projected = dot(dot(U, dot(b, U) * inverse), J_hat)
+        return (squares.min() / threshold * (torque - projected),)
+
+    found: Array = choose(damped > 0.0, faded, lambda: (torque - dot(w, J_hat),))[0]
+    return found
+
+
+class HoldStep(NamedTuple):
+    """A held measurement at one step.
+
+    Attributes:
+        x: What the controller is given, shape (n_x,); NaN where it is too old.
+        memory: What is remembered of x: (x, t_x, p, seen).
+        stands: Of each part, the rows of p and whether they stand still.
+        is_new: Whether any part is.
+    """
+
+    x: Array
+    memory: Array
+    stands: list[tuple[slice, Any]]
+    is_new: Any
+
+
+def hold_step(
+    memory: Array,
+    x: Array,
+    errors: Array,
+    t_x: Any,
+    knows_time: Any,
+    parts: Sequence[tuple[slice, slice]],
+    most: Array,
+) -> HoldStep:
+    """Return the last x that was seen, part by part, until the arm has moved too far.
+
+    Args:
+        memory: (x, t_x, p, seen) of the steps before, shape (n_x + 1 + m + parts,).
+        x: What arrives, shape (n_x,).
+        errors: Its errors to any value, shape (m,), not finite where x is no measurement.
+        t_x: When it was taken [s].
+        knows_time: Whether that is known; if not, an x that differs is new.
+        parts: Entries of x, and of the error, of what is measured at once, in order.
+        most: How far each error may move without being seen, shape (m,).
+    """
+    n, end = len(x), len(memory) - len(parts)
+    last, t_last, p, seen = memory[:n], memory[n], memory[n + 1 : end], memory[end:]
+    far, was_seen = (np.abs(p) > most).tolist(), [each != 0.0 for each in seen.tolist()]
+    later = knows_time & ((t_x > t_last) | complement(_any(was_seen)))
+    used, kept, moved, known, stands = [], [], [], [], list[tuple[slice, Any]]()
+    any_new: Any = False
+    for (entries, rows), ever in zip(parts, was_seen, strict=True):
+        here, before = x[entries], last[entries]
+        own = array(here.tolist() + errors[rows].tolist())
+        never, new = complement(ever), later
+        if knows_time is not True:
+            differs = _any([a != b for a, b in zip(here.tolist(), before.tolist(), strict=True)])
+            new = select(knows_time, later, differs)
+        is_new = is_finite(own) & (never | new)
+        is_old = complement(is_new) & (never | _any(far[rows]))
+        kept.append(select(is_new, here, before))
+        used.append(select(is_old, np.full(len(here), math.nan), kept[-1]))
+        moved.append(select(is_new, np.zeros(rows.stop - rows.start), p[rows]))
+        known.append(select(is_new | ever, 1.0, 0.0))
+        stands.append((rows, is_old))
+        any_new = any_new | is_new
+    t_last = select(any_new & later, t_x, t_last)
+    remembered = np.concatenate([*kept, array([t_last]), *moved, array(known)])
+    return HoldStep(np.concatenate(used), remembered, stands, any_new)
+
+
+def hold_moved(held: HoldStep, motion: Array) -> Array:
+    """Return the memory after a step in which errors move by so much, shape (m,)."""
+    parts, n = held.stands, len(held.x) + 1
+    p = held.memory[n : -len(parts)]
+    # a part that is too old stands still: an arm that sags back is not seen by that
+    moved = [p[rows] + select(is_old, 0.0 * motion[rows], motion[rows]) for rows, is_old in parts]
+    return np.concatenate([held.memory[:n], *moved, held.memory[-len(parts) :]])
+
+
+def _any(conditions: Sequence[Any]) -> Any:
+    return functools.reduce(operator.or_, conditions, False)
