@@ -16,7 +16,7 @@ import numpy as np
 from common import carried_object, head, parser, row, run_all, write
 
 import approxjac as aj
-from approxjac.scenario import Scenario, build_scenario, run_scenario
+from approxjac.scenario import Scenario, run_scenario
 
 WANTED = 0.95  # share of the runs with known gravity that has to converge
 
@@ -47,13 +47,11 @@ def run_case(case):
     length, mass = carried_object(case.robot)
     try:
         result = run_scenario(
-            build_scenario(
-                Scenario(
-                    case.robot,
-                    true={"object": {"length": length, "mass": mass}},
-                    controller={"gravity": case.gravity, "limits": "none"},
-                    run={"start": "random", "duration": case.duration, "seed": case.seed},
-                )
+            Scenario(
+                case.robot,
+                true={"object": {"length": length, "mass": mass}},
+                controller={"gravity": case.gravity, "limits": "none"},
+                run={"start": "random", "duration": case.duration, "seed": case.seed},
             )
         )
     except aj.errors.ApproxJacError as error:

@@ -24,7 +24,7 @@ IN_HAND = BARE | {"camera": {"mount": "tip"}}
 
 
 def made(robot="panda", **parts):
-    return run_scenario(build_scenario(camera(robot, **{"believed": WRONG, **parts})))
+    return run_scenario(camera(robot, **{"believed": WRONG, **parts}))
 
 
 @pytest.fixture(scope="module")

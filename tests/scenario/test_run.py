@@ -24,7 +24,7 @@ FAR = {"start": HOME, "target": {"offset": (0.3, -0.4, 0.3)}}
 
 @pytest.fixture(scope="module")
 def done():
-    return run_scenario(build_scenario(reach(run={**NEAR, "duration": 6.0})))
+    return run_scenario(reach(run={**NEAR, "duration": 6.0}))
 
 
 def test_truth_and_belief_are_two_robots_that_differ_as_the_scenario_says():
@@ -98,13 +98,13 @@ def test_the_rest_is_learnt_of_a_robot_that_adds_its_own_gravity():
 
 
 def test_a_pose_has_errors_of_two_units():
-    result = run_scenario(build_scenario(reach(
+    result = run_scenario(reach(
         task={"kind": "pose"}, controller={"gravity": "exact"},
         run={
             "start": HOME, "target": {"offset": (0.03, 0.0, 0.0, 0.2, 0.0, 0.0)}, "duration": 15.0,
             "tolerance": 5e-3,
         },
-    )))  # fmt: skip
+    ))  # fmt: skip
     summary = result.summary()
     assert summary["final_error_m"] < 5e-3
     assert summary["final_error_rad"] < 5e-3
@@ -182,7 +182,7 @@ def test_gains_may_be_given_one_by_one():
     ],
 )  # fmt: skip
 def test_what_kept_it_from_its_target_is_named(robot, parts, reason):
-    result = run_scenario(build_scenario(reach(robot, **parts)))
+    result = run_scenario(reach(robot, **parts))
     assert not result.converged
     assert reason in result.reason
     assert result.reason
@@ -243,7 +243,7 @@ def test_what_the_believed_arm_cannot_reach_is_named_before_the_run(robot, parts
 def test_joints_that_touched_their_stops_are_reported():
     target = {"start": HOME, "target": (-0.6, 0.0, 0.4), "duration": 4.0}
     unlimited = {"gravity": "exact", "limits": "none"}
-    result = run_scenario(build_scenario(reach(controller=unlimited, run=target)))
+    result = run_scenario(reach(controller=unlimited, run=target))
     assert result.summary()["limits"] is None
     low, high = aj.load_robot("panda").position_limits
     beyond = np.maximum(result.run.q - high, low - result.run.q).max()
@@ -298,7 +298,7 @@ LIMITED = {"limits": 0.7, "gravity": "exact", "settling_time": 0.4}
 
 @pytest.fixture(scope="module")
 def limited():
-    return run_scenario(build_scenario(reach(controller=LIMITED, run={**FAR, "duration": 1.0})))
+    return run_scenario(reach(controller=LIMITED, run={**FAR, "duration": 1.0}))
 
 
 def test_the_law_is_wrapped_and_the_motors_saturate_at_the_same_limits():
@@ -331,7 +331,7 @@ def test_what_limits_did_is_told(limited):
 
 def test_a_torque_rate_is_kept():
     rated = {"limits": "urdf", "torque_rate": 500.0, "settling_time": 0.4}
-    result = run_scenario(build_scenario(reach(controller=rated, run={**FAR, "duration": 0.2})))
+    result = run_scenario(reach(controller=rated, run={**FAR, "duration": 0.2}))
     assert np.abs(np.diff(result.run.tau, axis=0)).max() <= 500.0 * 2e-3 + 1e-9
 
 
@@ -458,7 +458,7 @@ def test_a_path_is_followed_as_closely_as_wanted_and_only_within_reach():
         built = dataclasses.replace(near.built, scenario=wanted)
         assert dataclasses.replace(near, built=built).verdict == verdict
     away = {"line": {"offset": (1.0, 0.0, 0.1), "duration": 0.5}}
-    far = run_scenario(build_scenario(reach(run={"start": HOME, "target": away, "duration": 1.0})))
+    far = run_scenario(reach(run={"start": HOME, "target": away, "duration": 1.0}))
     assert far.reason.startswith("out of reach: 1.43 m from the first joint")
 
 
@@ -484,7 +484,7 @@ PARTS = ("tool", "origins", "camera")
 )
 def test_kinematics_that_are_learnt_follow_a_circle(tmp_path, controller):
     """A tool and a tracker turned by 97° that nobody told of; and what was learnt is written."""
-    result = run_scenario(build_scenario(Scenario("panda", controller=controller, **LEARNS)))
+    result = run_scenario(Scenario("panda", controller=controller, **LEARNS))
     last = result.run.error_norm[result.run.t > 3.0]
     assert np.sqrt(np.mean(last**2)) < 5e-3
     assert not result.failed
@@ -541,14 +541,12 @@ def test_a_pose_is_learnt_from_a_tracker():
     """The tool's orientation with its position, and one rotation of the tracker for both."""
     target = {"offset": (0.05, -0.1, 0.1, 0.2, 0.0, 0.3)}
     result = run_scenario(
-        build_scenario(
-            Scenario(
-                "panda",
-                **LEARNS | {"run": {"start": HOME, "target": target, "duration": 2.2}},
-                task={"kind": "pose"},
-                loop={"dt": 2e-3},
-                controller={"law": "tracking", "unknown": PARTS},
-            )
+        Scenario(
+            "panda",
+            **LEARNS | {"run": {"start": HOME, "target": target, "duration": 2.2}},
+            task={"kind": "pose"},
+            loop={"dt": 2e-3},
+            controller={"law": "tracking", "unknown": PARTS},
         )
     )
     assert np.linalg.norm(result.run.error[result.run.t > 2.0], axis=1).max() < 5e-3
@@ -600,7 +598,7 @@ def test_configurations_are_told_as_angles():
     """Of an arm with continuous joints one number a joint, and no cosines and sines."""
     q = [0.1, 2.9, 1.3, -4.0, 1.4, 0.2]
     scenario = Scenario("kinova", run={"start": q, "target": {"offset": (0.0, 0.0, 0.01)}})
-    result = run_scenario(build_scenario(scenario.with_values({"run": {"duration": 0.01}})))
+    result = run_scenario(scenario.with_values({"run": {"duration": 0.01}}))
     told = next(
         line for line in report.text(result).splitlines() if line.startswith("  q at start")
     )
@@ -614,7 +612,7 @@ def test_configurations_are_told_as_angles():
 def test_a_run_that_never_began_has_no_verdict(offset):
     """As with --view and Ctrl-C before the page is opened; neither at its target nor away from."""
     run = {"start": HOME, "target": {"offset": offset}, "duration": 1.0}
-    result = run_scenario(build_scenario(reach(run=run)), observer=lambda loop: loop.stop())
+    result = run_scenario(reach(run=run), observer=lambda loop: loop.stop())
     assert result.run.t[-1] == 0.0
     assert report.text(result).startswith("stopped after 0 s: nothing was simulated")
     assert result.failed

@@ -15,7 +15,7 @@ import approxjac as aj
 from approxjac import paper, view
 from approxjac.controllers import RegressorGravity
 from approxjac.robots import GravityRegressor
-from approxjac.scenario import build_scenario, run_scenario
+from approxjac.scenario import run_scenario
 from approxjac.simulation.scene import Scene
 from approxjac.tasks import FrameKinematics
 from approxjac.view.browser.document import document, page_data
@@ -56,7 +56,7 @@ def watched():
     """A camera in the room that is rolled against what is believed of it."""
     rolled = {"camera": {"roll": 0.5}}
     scenario = camera(believed=rolled, loop={"dt": 0.002}, run={"duration": 3.0, "seed": 2})
-    return run_scenario(build_scenario(scenario)).run
+    return run_scenario(scenario).run
 
 
 @pytest.fixture(scope="module")
