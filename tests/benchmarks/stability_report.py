@@ -11,6 +11,7 @@ library's `Dynamics` and tasks, and with Pinocchio alone (n times C, n times dJ/
 """
 
 import argparse
+import importlib.util
 import json
 import os
 import subprocess
@@ -24,9 +25,12 @@ import turns
 
 import approxjac as aj
 from approxjac.robots import Dynamics
-from approxjac.stability.loop.closed_loop import ClosedLoop
-from approxjac.stability.report import report as report_module
 from approxjac.tasks.analysis import jacobian_gradient
+
+if importlib.util.find_spec("approxjac.stability.closed_loop"):  # of older trees
+    from approxjac.stability.closed_loop import ClosedLoop
+else:
+    from approxjac.stability.loop.closed_loop import ClosedLoop
 
 POSTURES, ROUNDS = 10_000, 3
 CENTRE = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.0])
@@ -119,6 +123,8 @@ def parts():
     gains, believed = aj.Gains(400.0, 80.0, 5.0), errors.believed_task()
     controller = aj.SetpointController(believed, gains, gravity=aj.NoGravity(believed.robot))
     region = aj.JointBox.around(arm, [0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7], 0.15)
+    from approxjac.stability.report import report as report_module
+
     form, taken = report_module.sampled_test, []
 
     def timed(*arguments):
