@@ -50,9 +50,19 @@ class Begun(NamedTuple):
 
     @classmethod
     def of(
-        cls, controller: Controller, plant: Plant, q: Array, target: Array, seed: int = 0
+        cls,
+        controller: Controller,
+        plant: Plant,
+        q: Array,
+        target: Array,
+        seed: int = 0,
+        frames: tuple[str, ...] | None = None,
     ) -> Begun:
-        """Return that of a plant at rest."""
+        """Return that of a plant at rest.
+
+        `frames` are those that its sensor looks at, where they are known: to find them takes as
+        long as many steps.
+        """
         # only law (5) begins with x, once it is measured, and of images the points' order is seen
         law = controller.law
         is_setpoint = isinstance(law, SetpointController)
@@ -60,7 +70,8 @@ class Begun(NamedTuple):
         needed = needed or image_feature(law.task) is not None
         x = plant.sensor.value(q) if needed else target
         state = controller.initial_state(Measurement(0.0, q, np.zeros(plant.robot.nv), x))
-        numbers = arm_numbers(plant.robot, tasks.frames(plant.sensor))
+        frames = tasks.frames(plant.sensor) if frames is None else frames
+        numbers = arm_numbers(plant.robot, frames)
         holding = plant.dynamics.g(q) if plant.actuator_delay > 0.0 else np.zeros(plant.robot.nv)
         sensor, gains = tasks.numbers([plant.sensor]), np.zeros(0)
         if isinstance(law, SetpointController):

@@ -252,7 +252,7 @@ class Uncertainty:
         if self._moved is not None and self._moved.robot is robot:
             return self._moved
         camera = None if self.camera is None else self._true_camera(self._by_name(values))
-        plant = self._nominal._of(robot, self._task_of(robot, camera))
+        plant = self.nominal._of(robot, self._task_of(robot, camera))
         make = self._make_task
         same = isinstance(make, partial) and make.func is PositionTask and "axes" in make.keywords
         if same and self._perturbation.moves(robot):  # other tasks may look at the robot
@@ -269,7 +269,8 @@ class Uncertainty:
         return moving
 
     @cached_property
-    def _nominal(self) -> Plant:
+    def nominal(self) -> Plant:
+        """The true robot where nothing is wrong: the believed one, with its sensor and friction."""
         return Plant(self.belief(), self.believed_task(), self.friction)
 
     def describe(self, values: Sequence[float] | Array) -> str:

@@ -61,11 +61,11 @@ class Start:
     target: Array
     seed: int
 
-    def begun(self, controller: Controller) -> Begun:
-        """Return what lanes keep of it."""
+    def begun(self, controller: Controller, frames: tuple[str, ...] | None = None) -> Begun:
+        """Return what lanes keep of it, whose sensor looks at some frames."""
         from approxjac.codegen.lanes import Begun
 
-        return Begun.of(controller, self.plant, self.q, self.target, self.seed)
+        return Begun.of(controller, self.plant, self.q, self.target, self.seed, frames)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +116,9 @@ class RolloutSetting:
         try:
             from approxjac.codegen.loop_program import require_covered
 
-            require_covered(self.controller, self.plant(self.uncertainty.believed))
+            require_covered(
+                self.controller, self.uncertainty.nominal._sensed(self.sensing, self.actuator_delay)
+            )
             self._require_alike()
             self._box()
         except InvalidInputError as error:
@@ -226,13 +228,16 @@ class RolloutSetting:
 
     def _of_lanes(self, indices: range) -> dict[str, Array]:
         """Return runs in lanes, as columns; those that lanes leave are runs in Python."""
+        from approxjac.codegen.arm import traced_tasks as tasks
+
         lanes, rows, begun = _lanes_of(self), [], []
         moving = replace(self, uncertainty=self.uncertainty.moving())
+        frames = tasks.frames(self.uncertainty.nominal.sensor)
         for index in indices:
             start = moving.start(index)
             at = index, start.values, start.q, start.target
             rows.append((*at, *([math.nan] * 4), *([False] * 3)))
-            begun.append(start.begun(self.controller))
+            begun.append(start.begun(self.controller, frames))
         told: dict[str, Any] = lanes.run(begun, self.every)
         found: dict[str, Any] = _columns(rows)
         diverged, last_bad = told["diverged"] > 0.0, told["last_bad"]
@@ -306,6 +311,7 @@ _compiling = threading.Lock()
 
 def _lanes_of(setting: RolloutSetting) -> Lanes:
     """Return the compiled loop of a setting, compiled once in each process."""
+    from approxjac.codegen.arm import traced_tasks as tasks
     from approxjac.codegen.lanes import Lanes
 
     with _compiling:
@@ -316,7 +322,8 @@ def _lanes_of(setting: RolloutSetting) -> Lanes:
             for law, errors in setting.alike or ((setting.controller, setting.uncertainty),):
                 one = replace(setting, controller=law, uncertainty=errors)
                 starts = [one.start(index) for index in range(setting.examples)]
-                examples += [each.begun(law) for each in starts]
+                frames = tasks.frames(errors.nominal.sensor)
+                examples += [each.begun(law, frames) for each in starts]
             _lanes[setting.key] = Lanes(
                 law, starts[0].plant, examples, setting._box(), setting.dt, setting.steps,
                 setting.accuracy,

@@ -145,13 +145,17 @@ def _of_parameters(
     """
     axes = [each.tolist() for each in values]
     settings: dict[tuple[float, ...], RolloutSetting] = {}
+    uncertainty = study.uncertainty
+    assert isinstance(uncertainty, Uncertainty)
+    scales = axes[names.index("error")] if "error" in names else [1.0]
+    errors = {scale: uncertainty.scaled(scale) for scale in scales}
     for point in itertools.product(*axes):
         at = dict(zip(names, point, strict=True))
         scale = at.pop("error", 1.0)
         own = replace(
             study,
             controller=_with_gains(study.controller, at) if at else study.controller,
-            uncertainty=study.uncertainty.scaled(scale),  # type: ignore[union-attr]
+            uncertainty=errors[scale],
         ).setting()
         if scale <= 1.0 or _is_seen(own, n):
             settings[point] = own.with_engine(execution.engine, n)
