@@ -13,7 +13,6 @@ from approxjac.codegen import traced_tracking as tracking
 from approxjac.codegen.backends.llvm import LlvmLanes
 from approxjac.codegen.trace.program import Program
 from approxjac.codegen.trace.symbols import Scalar, any_of, select, symbols
-from approxjac.codegen.whole_run import WholeLoops
 from approxjac.controllers.arguments import FLOAT64, HUGE
 from approxjac.controllers.controller import Controller
 from approxjac.controllers.tracking import TrackingController
@@ -127,7 +126,7 @@ def compiled(controller: Controller) -> Any:
 class _MachineCode:
     """Part of a compiled controller that is machine code, in the variables `_MADE`."""
 
-    _MADE = ("evaluate", "step", "whole_run")
+    _MADE = ("evaluate", "step")
 
     def __init_subclass__(cls) -> None:
         if _MachineCode not in cls.__bases__:
@@ -256,7 +255,7 @@ class _MachineCode:
                 return ordinary_step(state, measurement, target, dt)
             return found[0][after_at], found[1]
 
-        vars(self).update(step=step, whole_run=WholeLoops(controller).run)
+        vars(self).update(step=step)
         if controller.is_continuous:
             vars(self)["evaluate"] = evaluate
 

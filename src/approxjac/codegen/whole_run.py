@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
+import importlib.util
+import pickle
+import threading
+import uuid
+from collections import OrderedDict
 from collections.abc import Callable
 
 import numpy as np
@@ -17,48 +23,61 @@ from approxjac.simulation.sampled_loop import SampledLoop
 from approxjac.simulation.trajectory import Trajectory
 from approxjac.validation import Array
 
-_KEPT = 4  # loops that a law keeps
-_STEPS = 2000  # that are worth compiling for
+_KEPT = 8  # loops
+_NOT_INSTALLED = "llvmlite is not installed: pip install 'approxjac[fast]'"
+_STEPS = 5000  # that take Python longer than to trace and to compile the loop
+_loops: OrderedDict[str, _Loop] = OrderedDict()
+_lock = threading.Lock()
 
 
-class WholeLoops:
-    """Loops of one law with some plants, compiled when they first run.
+def whole_run(
+    loop: SampledLoop, stride: int, progress: Callable[[float], None] | None, *, must: bool
+) -> tuple[Trajectory | None, str]:
+    """Return what `engines.run_in_code` does."""
+    try:
+        code = _loop_of(loop, must)
+    except InvalidInputError as error:
+        if must:
+            raise
+        return None, str(error)
+    if code is None:
+        return None, ""
+    columns = code.run(loop, stride, progress)
+    if columns is None:  # the same again, from the beginning, to the error or past what is rare
+        return None, "code does not cover what happened on the way"
+    return Record.of(loop.plant, loop.controller, columns, loop.dt).trajectory(), ""
 
-    Args:
-        law: The law, or one within limits of effort, without machine code.
+
+def _loop_of(loop: SampledLoop, must: bool) -> _Loop | None:
+    """Return the compiled loop of a run, or None of one that is shorter than it takes to make it.
+
+    Raises:
+        InvalidInputError: Code cannot be made of it.
     """
-
-    def __init__(self, law: Controller) -> None:
-        self._law = law
-        self._loops: dict[tuple[int, float, str], tuple[Plant, _Loop]] = {}
-
-    def run(
-        self, loop: SampledLoop, stride: int, progress: Callable[[float], None] | None
-    ) -> Trajectory | None:
-        """Return a run from its beginning to its end, or None where `SampledLoop` has to do it.
-
-        So it is where code does not cover it, where it diverges, and for a run that is shorter than
-        it takes to compile it.
-        """
-        plant, key = loop.plant, (id(loop.plant), loop.dt, loop.integrator)
-        if key not in self._loops:
-            if loop.steps < _STEPS or not isinstance(loop.path, np.ndarray):
-                return None
-            if plant.needs_sampling:
-                return None
-            try:
-                require_covered(self._law, plant)
-            except InvalidInputError:
-                return None
-            while len(self._loops) >= _KEPT:
-                del self._loops[next(iter(self._loops))]
-            self._loops[key] = plant, _Loop(self._law, plant, loop.dt, loop.integrator)
-        columns = self._loops[key][1].run(loop, stride, progress)
-        return (
-            None
-            if columns is None
-            else Record.of(plant, loop.controller, columns, loop.dt).trajectory()
-        )
+    plant, law = loop.plant, getattr(loop.controller, "ordinary", loop.controller)
+    if loop.steps < _STEPS and not (must or law is not loop.controller):
+        return None
+    for holds, which in (
+        (not isinstance(loop.path, np.ndarray), "a target that moves"),
+        (plant.needs_sampling, "sensing, delays or a servo"),
+        (not must and importlib.util.find_spec("llvmlite") is None, _NOT_INSTALLED),
+    ):
+        if holds:
+            why = f'engine must be "python" or None for {which}, got "compiled"' if must else which
+            raise InvalidInputError(why, given="compiled")
+    try:  # what may have been changed since is compared by its value
+        values = pickle.dumps((law, plant, loop.dt, loop.integrator))
+        key = hashlib.sha256(values).hexdigest()
+    except (pickle.PicklingError, AttributeError, TypeError):
+        key = uuid.uuid4().hex
+    with _lock:
+        if key not in _loops:
+            require_covered(law, plant)
+            while len(_loops) >= _KEPT:
+                _loops.popitem(last=False)
+            _loops[key] = _Loop(law, plant, loop.dt, loop.integrator)
+        _loops.move_to_end(key)
+        return _loops[key]
 
 
 class _Loop:
@@ -66,11 +85,7 @@ class _Loop:
 
     def __init__(self, law: Controller, plant: Plant, dt: float, integrator: str) -> None:
         program = recorded_loop(law, plant, dt, integrator)
-        buffer = np.zeros((1, program.n_rows, 1))
-        lanes, nothing = LlvmLanes(program, width=1), np.zeros((1, 1, 1))
-        self._flat = buffer[0, :, 0]
-        self._first = lanes.bound(buffer, nothing)
-        self._lanes, self._arrays = lanes, (buffer, nothing)
+        self._lanes, self._rows = LlvmLanes(program, width=1), program.n_rows
         self._place = {name: slice(at, at + size) for name, (at, size) in program.rows.items()}
         self._n_before = self._place["state"].stop  # rows of what is known before a step
         self._shape = plant.sensor.m, plant.robot.nv
@@ -79,15 +94,17 @@ class _Loop:
         self, loop: SampledLoop, stride: int, progress: Callable[[float], None] | None
     ) -> list[Array] | None:
         """Return the columns of a run, or None of one that is not covered."""
-        flat, place, steps = self._flat, self._place, loop.steps
-        flat[:] = 0.0
+        place, steps, lanes = self._place, loop.steps, self._lanes
+        # of each run its own, as others may be under way
+        buffer, nothing = np.zeros((1, self._rows, 1)), np.zeros((1, 1, 1))
+        flat, first = buffer[0, :, 0], lanes.bound(buffer, nothing)
         for name, value in (
             ("target", loop.target), ("q", loop.truth.q), ("v", loop.truth.v),
             ("state", loop.state),
         ):  # fmt: skip
             flat[place[name]] = value
         at = [*range(0, steps, stride), steps]
-        n_before, first = self._n_before, self._first
+        n_before = self._n_before
         before, answered = flat[:n_before], flat[n_before:]
         table = np.empty((len(at), len(flat)))
         for row, (k, following) in zip(
@@ -97,7 +114,7 @@ class _Loop:
             first()
             row[n_before:] = answered
             if following - k > 1:
-                self._lanes.run(*self._arrays, following - k - 2, 1)
+                lanes.run(buffer, nothing, following - k - 2, 1)
             if flat[place[TOLD.left]].any() or flat[place[TOLD.diverged]].any():
                 return None
             if progress is not None:

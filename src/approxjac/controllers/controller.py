@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from abc import ABC
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple, Self
 
@@ -78,7 +78,6 @@ class Controller(ABC):
         kinematics: What predicts the error that it controls, known or learnt; None where it
             controls the measured one.
         alpha: α of `passive_output` [1/s] where none is given.
-        whole_run: What `simulate` runs where code is made of the whole loop; None.
 
     Args:
         task: The task of the believed robot.
@@ -93,7 +92,6 @@ class Controller(ABC):
     parameters: Mapping[str, str] = MappingProxyType({})
     kinematics: Kinematics | None = None
     alpha: float = 1.0
-    whole_run: Callable[..., Any] | None = None
 
     def __init__(self, task: Task) -> None:
         self.task = task

@@ -52,6 +52,8 @@ class Trajectory:
             torque, σ_min, the law as printed, and the function that `learnt_sd` is.
         ended: Why a run on a robot ended, in words; "" of others.
         fault_name: Of the `Fault` that ended it; "" without one.
+        engine: What carried out a simulated run: "machine code" or "Python", and why, where it was
+            Python for a reason; "" of others.
     """
 
     t: Array
@@ -76,6 +78,7 @@ class Trajectory:
     derived: Callable[[Trajectory, str], Any] = field(kw_only=True)
     ended: str = field(default="", kw_only=True)
     fault_name: str = field(default="", kw_only=True)
+    engine: str = field(default="", kw_only=True)
     _more_arrays: ClassVar[tuple[str, ...]] = ()  # of what derives from it, in its files too
     _more_texts: ClassVar[tuple[str, ...]] = ()
 
@@ -317,6 +320,8 @@ class Trajectory:
             told["stops"] = self.stops_told()
         if self.ended:
             told["ended"] = self.ended
+        if self.engine:
+            told["engine"] = self.engine
         return told
 
     def _error_told(self) -> str:
@@ -364,7 +369,7 @@ def _npz(path: str | Path) -> Path:
 
 
 _TEXTS = ("robot_name", "joint_names", "joint_units", "task_labels", "task_units")
-_ENDS = ("ended", "fault_name")  # of runs on robots
+_ENDS = ("ended", "fault_name", "engine")  # of some runs
 _NUMBERS = (np.dtype(np.float64), np.dtype(np.int64))
 _DERIVED = ("task_torque", "V", "sigma_min")
 _OTHERS = (*_TEXTS, *_ENDS, "scene", "derived")

@@ -1,0 +1,105 @@
+"""What carries a run out, and what it says about that."""
+
+import importlib.util
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+import approxjac as aj
+from approxjac.codegen import whole_run
+from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.simulation import Trajectory
+
+
+@pytest.fixture
+def loop(two_link):
+    """A plant, a law, a target and a start."""
+    task = aj.PositionTask(two_link, axes="xz")
+    q = np.array([0.4, 0.9])
+    return aj.Plant(two_link, task), aj.SetpointController(task), task.value(q + 0.2), q
+
+
+def test_long_runs_are_compiled_and_say_so(loop):
+    python = aj.simulate(*loop, 6.0, engine="python", record_every=0.1)
+    run = aj.simulate(*loop, 6.0, record_every=0.1)
+    assert (python.engine, run.engine) == ("Python", "machine code")
+    assert "engine" in str(run)
+    for name in ("q", "v", "x", "tau", "error"):
+        expected = getattr(python, name)
+        np.testing.assert_allclose(getattr(run, name), expected, rtol=0, atol=1e-11)
+    np.testing.assert_array_equal(run.status, python.status)
+
+
+def test_short_runs_are_compiled_where_that_is_asked_for(loop):
+    assert aj.simulate(*loop, 0.1).engine == "Python"
+    assert aj.simulate(*loop, 0.1, engine="compiled").engine == "machine code"
+    assert aj.simulate(*loop, 0.1, engine="python").engine == "Python"
+
+
+def test_an_engine_that_is_none(loop):
+    with pytest.raises(UnknownNameError, match="engine"):
+        aj.simulate(*loop, 0.1, engine="gpu")
+
+
+def test_a_run_in_python_says_what_is_not_compiled(loop, two_link, monkeypatch):
+    plant, law, target, q = loop
+    noisy = aj.Plant(two_link, plant.sensor, actuator_delay=2e-3)
+
+    def watch(loop):
+        pass
+
+    for changes, word in (
+        ({"plant": noisy}, "delay"),
+        ({"observer": watch}, "observer"),
+    ):
+        given = {"plant": plant, "controller": law, "target": target, "q0": q} | changes
+        run = aj.simulate(**given, duration=6.0, record_every=0.1)
+        assert run.engine.startswith("Python: ")
+        assert word in run.engine
+        assert word in str(run)
+        with pytest.raises(InvalidInputError, match=word) as refused:
+            aj.simulate(**given, duration=0.1, engine="compiled")
+        assert "engine" in str(refused.value)
+    with pytest.raises(InvalidInputError, match="engine"):
+        aj.simulate(*loop, 0.1, dt=None, engine="compiled")
+    found = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name: None if name == "llvmlite" else found(name)
+    )
+    assert "approxjac[fast]" in aj.simulate(*loop, 6.0, record_every=1.0).engine
+
+
+def test_what_was_changed_is_traced_again(loop):
+    plant, law, target, q = loop
+    first = aj.simulate(*loop, 0.5, engine="compiled")
+    own = aj.Plant(plant.robot, plant.sensor, friction=3.0)
+    second = aj.simulate(own, law, target, q, 0.5, engine="compiled")
+    expected = aj.simulate(own, law, target, q, 0.5, engine="python")
+    np.testing.assert_allclose(second.q, expected.q, atol=1e-12)
+    assert np.abs(second.q - first.q).max() > 1e-4
+
+
+def test_threads_run_the_same_loop_at_once(loop):
+    plant, law, target, q = loop
+    starts = [q + 0.01 * i for i in range(8)]
+
+    def last(q0):
+        return aj.simulate(plant, law, target, q0, 2.0, engine="compiled").q
+
+    expected = [last(each) for each in starts]
+    with ThreadPoolExecutor(4) as pool:
+        for run, known in zip(pool.map(last, starts), expected, strict=True):
+            np.testing.assert_array_equal(run, known)
+
+
+def test_a_file_keeps_the_engine(loop, tmp_path):
+    run = aj.simulate(*loop, 0.1, engine="compiled")
+    assert Trajectory.load(run.save(tmp_path / "run")).engine == "machine code"
+
+
+def test_loops_that_are_kept_are_few(loop):
+    plant, law, target, q = loop
+    for dt in np.linspace(1e-3, 2e-3, whole_run._KEPT + 3):
+        aj.simulate(plant, law, target, q, 3 * dt, dt=dt, engine="compiled")
+    assert len(whole_run._loops) <= whole_run._KEPT
