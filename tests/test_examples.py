@@ -31,6 +31,7 @@ PAGES = {
     "14": ["tracker_turned"],
     "15": ["calibrate_on_the_job"],
     "17": ["wall"],
+    "18": ["own_law"],
 }
 REACHES = ("01", "04", "09")  # whose pages end at a target, with a belief that is wrong
 

@@ -24,6 +24,7 @@ _NULL = 1e-6  # rate that counts as zero [1/s]: differences round to 1e-8, modes
 _ZERO = 1e-9  # relative eigenvalue that counts as zero
 _IN_Q = 1e-6  # part of a unit vector that counts as one along q
 _ROUNDS = 20  # of Newton's method
+_FARTHEST = 0.5  # that a joint may move along the self-motion to where it rests [rad or m]
 _MOST_STATES = 400
 _SUBSTEPS = 4  # of the plant in a sample, so that its motion counts as exact
 
@@ -85,7 +86,7 @@ class _Loop:
             )
         state = self._resting(state)
         self._sizes = [n, n, len(state)]
-        torque, _ = self._answer(q, still, self._x_d, state)
+        torque, _ = self._answer(self._q, still, self._x_d, state)
         parts = [still, still, state]
         if timing is not None:
             late = timing.x_late * plant.sensor.m
@@ -143,9 +144,12 @@ class _Loop:
         return np.array(answer.torque), np.asarray((after - state) / dt)
 
     def _resting(self, state: Array) -> Array:
-        """Return the state nearest to one with which the arm stays at rest at the target."""
+        """Return a state with which the arm stays at rest at the target, and go there.
+
+        The nearest by Newton's method, where the self-motion may give way.
+        """
         plant, q, x_d = self._plant, self._q, self._x_d
-        still, gravity = np.zeros(plant.robot.nv), plant.dynamics.g(self._q)
+        still = np.zeros(plant.robot.nv)
         now, later = (self._answer(q, still, x_d, state, t) for t in (0.0, 1.0))
         if not all(map(np.array_equal, now, later)):
             raise InvalidInputError(
@@ -154,29 +158,32 @@ class _Loop:
                 given=self._controller,
             )
 
-        def left(state: Array) -> Array:
-            torque, rate = self._answer(q, still, x_d, state)
-            return np.concatenate([torque - gravity, rate])
+        def left(z: Array) -> Array:
+            at = self._at(z[:n])
+            x = plant.sensor.value(at)
+            torque, rate = self._answer(at, still, x, z[n:])
+            off = torque - plant.dynamics.g(at)
+            return np.concatenate([off, rate, plant.sensor.error(x, x_d)])
 
-        size = max(1.0, float(np.abs(gravity).max()))
-        for _ in range(_ROUNDS if len(state) else 0):
-            residual = left(state)
+        z, n = np.concatenate([still, state]), len(still)
+        size = max(1.0, float(np.abs(plant.dynamics.g(q)).max()))
+        for _ in range(_ROUNDS):
+            residual = left(z)
             if np.abs(residual).max() <= 1e-3 * _AT_REST * size:
                 break
-            slopes = _slopes(left, state, None)
-            state = state - np.linalg.lstsq(slopes, residual, rcond=1e-9)[0]
-        residual = left(state)
-        off = float(np.abs(residual).max())
-        if not off <= _AT_REST * size:
-            n = len(gravity)
+            z = z - np.linalg.lstsq(_slopes(left, z, None), residual, rcond=1e-9)[0]
+        residual = left(z)
+        if not (np.abs(residual).max() <= _AT_REST * size and np.abs(z[:n]).max() <= _FARTHEST):
+            best = f" with the best of its states, {z[n:].tolist()}" if len(state) else ""
             raise InvalidInputError(
                 f"controller must hold the arm at rest at the target for it to be an equilibrium, "
                 f"got {self._controller!r}, whose torque is off by "
-                f"{np.abs(residual[:n]).max():.3g} N m there"
-                + (f" with the best of its states, {state.tolist()}" if len(state) else ""),
+                f"{np.abs(left(np.concatenate([still, z[n:]]))[:n]).max():.3g} N m there{best}",
                 given=self._controller,
             )
-        return state
+        self._q = self._at(z[:n])
+        self._x_d = plant.sensor.value(self._q)
+        return np.asarray(z[n:])
 
 
 def _slopes(function: Callable[[Array], Array], z: Array, smooth: Controller | None) -> Array:
