@@ -121,13 +121,15 @@ def converted(hint: Any, value: Any) -> Any:
 def _meant(hint: Any, words: Words) -> Any:
     """Return the value of another kind that words stand for where one of a type is wanted."""
     origin, inner = get_origin(hint), get_args(hint)
+    if not words:
+        raise ValueError
     if origin is tuple:
         if len(words) == 1 and inner[0] is not str:
             words = Words(words[0].split(","))  # such as 0,1,1
         return [Words((word,)) for word in words]
     if origin is dict:  # a joint and its vector, and so on
         count = 1 + len(get_args(inner[1]))
-        if not words or len(words) % count:
+        if len(words) % count:
             raise ValueError
         return {words[k]: Words(words[k + 1 : k + count]) for k in range(0, len(words), count)}
     (word,) = words
