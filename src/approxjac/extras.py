@@ -14,7 +14,7 @@ _NEEDED_BY = {
     "qp": "a QP solver other than DAQP",
     "study": "drawing, judging stability or integrating in continuous time",
     "view": "showing robots or reading their meshes",
-    "vision": "reading calibration files or images",
+    "vision": "the search for tags in images",
 }
 
 

@@ -12,7 +12,6 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.errors import InvalidInputError
-from approxjac.extras import package_of
 from approxjac.validation import Array, as_array, as_number
 
 _LONGEST = 500_000  # file [bytes]
@@ -141,7 +140,8 @@ def _is_fisheye(path: str | Path, values: Mapping[str, Any], fisheye: bool | Non
 
 def _read(path: Path) -> dict[Any, Any]:
     """Return the mapping that a YAML file holds; all numbers in it are still texts."""
-    yaml = package_of("vision", "yaml")
+    import yaml  # where it is used
+
     try:
         with path.open("rb") as file:
             content = file.read(_LONGEST + 1)
