@@ -97,7 +97,7 @@ def rated(loop, test, found, latency, rng):
     """Return what bounds the drift in fresh samples over what does in those that were used."""
     seen, old = loop.draw(RATED, rng, inside=SHARED), test.form
     form = SampledForm(
-        MatrixForm(seen, loop.setting), loop.plants[0].friction, latency, old.speed, old.reach,
+        MatrixForm(seen, loop.setting), loop.plants[0].friction, latency, old.speed, old.most_s,
         loop.gravity_gradients(seen),
     )  # fmt: skip
     bounds = travels(slower(form), loop.controller.saturation, found.weights, found.rate)

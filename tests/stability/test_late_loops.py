@@ -8,8 +8,7 @@ import pytest
 
 import approxjac as aj
 from approxjac.robots import GravityRegressor
-from approxjac.stability.loop.linearization import Timing, linear_loop
-from approxjac.stability.loop.target_samples import Targets
+from approxjac.stability.loop.linearization import Targets, Timing, linear_loop
 
 AROUND = {"panda": [0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7], "ur5": [0.0, -1.2, 1.4, -1.0, -1.5, 0.0]}
 

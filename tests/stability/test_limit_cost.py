@@ -54,7 +54,7 @@ def test_certified_are_fewer_starts_and_the_limiter_keeps_this_V(report, kept):
     assert kept.cross_weight.is_like(report.cross_weight)
     assert kept.limits.protects
     assert 0.0 < kept.sampled.level == kept.limits.level < 0.1 * report.sampled.level
-    assert (kept.sampled.reach < 0.5 * report.sampled.reach).all()
+    assert (kept.sampled.certified_error < 0.5 * report.sampled.certified_error).all()
     assert kept.sampled.covered < report.sampled.covered
     at_rest, certified, acting, _ = rows = of_limits(kept.limits)
     assert acting.verdict == kept.limits.verdict == "V falls"

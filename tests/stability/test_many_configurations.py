@@ -8,10 +8,9 @@ from random_trees import random_tree
 import approxjac as aj
 from approxjac.robots import Dynamics, GravityRegressor
 from approxjac.stability.loop.closed_loop import ClosedLoop
-from approxjac.stability.loop.configuration_terms import Arms
-from approxjac.stability.loop.linearization import OF_TARGETS, Timing, linear_loop
+from approxjac.stability.loop.linearization import OF_TARGETS, Targets, Timing, linear_loop
 from approxjac.stability.loop.local import local_test
-from approxjac.stability.loop.target_samples import Targets
+from approxjac.stability.loop.terms import Arms
 from approxjac.tasks import CombinedTask, NonsingularTask, PoseTrackerTask, TrackerTask
 from approxjac.tasks.analysis import jacobian_gradient
 from approxjac.tasks.frame_kinematics import FrameKinematics

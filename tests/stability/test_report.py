@@ -17,7 +17,7 @@ from approxjac.robots import GravityRegressor
 from approxjac.stability.certificates.matrix_form import MatrixForm
 from approxjac.stability.certificates.theorem1 import theorem1
 from approxjac.stability.loop.closed_loop import ClosedLoop
-from approxjac.stability.loop.inverse_kinematics import inverse_kinematics
+from approxjac.stability.loop.configurations import inverse_kinematics
 from approxjac.stability.loop.local import local_test
 from approxjac.stability.report import render
 from approxjac.stability.report.rows import of_gravity, usual_errors
@@ -102,7 +102,9 @@ def test_report_says_what_each_test_says(report):
         assert rows[part, "near targets"].verdict == "stable"
         assert rows[part, "near targets"].figures["unstable"] == 0
     assert rows["sampled", "matrix form"].figures["margin"] == sampled.margin
-    assert_array_equal(rows["sampled", "starts"].figures["reach"], sampled.reach)
+    assert_array_equal(
+        rows["sampled", "starts"].figures["certified_error"], sampled.certified_error
+    )
     assert 0.0 < rows["sampled", "starts"].figures["covered"] <= 1.0
     assert rows["sampled", "longest period"].figures == {"certified": certified, "stable": exact}
 

@@ -9,8 +9,7 @@ import pytest
 import approxjac as aj
 from approxjac.stability import lyapunov
 from approxjac.stability.loop.closed_loop import ClosedLoop
-from approxjac.stability.loop.inverse_kinematics import inverse_kinematics
-from approxjac.stability.loop.visibility import UnattainedError, VisiblePart
+from approxjac.stability.loop.configurations import UnattainedError, VisiblePart, inverse_kinematics
 from approxjac.tasks import CombinedTask
 from approxjac.tasks.analysis import sees
 

@@ -393,7 +393,7 @@ def test_limits_never_certify_more_than_there_was(arm):
     before, report = arm.report.sampled, arm.report_of(limited(arm, 1e6))
     after = report.sampled
     assert after.level == report.limits.level == before.level
-    assert_allclose(after.reach, before.reach)
+    assert_allclose(after.certified_error, before.certified_error)
     assert after.covered == before.covered
 
 
@@ -404,7 +404,7 @@ def test_a_level_never_grows(arm):
         found = below(test, share * test.level, saturation, samples)
         assert_allclose(found.level, min(share, 1.0) * test.level)
         # errors of one coordinate, with wᵢeᵢ²/2 = c
-        assert_allclose(found.reach, np.sqrt(2.0 * found.level / test.weights.w), rtol=1e-6)
+        assert_allclose(found.certified_error, np.sqrt(2.0 * found.level / test.weights.w), rtol=1e-6)
         away = samples.e.any(axis=1)
         e = samples.e[away]
         W = np.diag(test.weights.w) + test.weights.coupling * np.ones((e.shape[1],) * 2)

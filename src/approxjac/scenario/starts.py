@@ -12,7 +12,7 @@ from approxjac.interface import TargetPath
 from approxjac.robots import Dynamics, Robot
 from approxjac.robots.joint_limits import reach_bound, require_radians
 from approxjac.simulation.plant import holdable
-from approxjac.stability.loop.inverse_kinematics import inverse_kinematics
+from approxjac.stability.loop.configurations import inverse_kinematics
 from approxjac.tasks import PoseTask, PositionTask, Task
 from approxjac.validation import Array, as_array
 

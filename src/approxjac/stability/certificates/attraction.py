@@ -132,7 +132,7 @@ def _farthest(
         samples = loop.near(samples, k, _NEAR, _CLOSE, rng)
         near = SampledForm(
             MatrixForm(samples, form.setting), loop.plants[0].friction, test.latency, form.speed,
-            form.reach, loop.gravity_gradients(samples), form.turning,
+            form.most_s, loop.gravity_gradients(samples), form.turning,
         )  # fmt: skip
         found = travels(slower(near), saturation, weights, rate)
         if (found <= most).all():
@@ -153,7 +153,7 @@ def travels(form: SampledForm, saturation: Saturation, weights: Weights, rate: f
 
     Errors are as large as the function lets them be.
     """
-    faster = form.with_reach(form.largest_s(weights)).at_rate(
+    faster = form.with_largest_s(form.largest_s(weights)).at_rate(
         rate, _largest_ratio(saturation, form, weights)
     )
     F = faster.decrease(weights)
@@ -167,8 +167,8 @@ def travels(form: SampledForm, saturation: Saturation, weights: Weights, rate: f
 
 def _largest_ratio(saturation: Saturation, form: SampledForm, weights: Weights) -> float:
     """Largest S(e)/s(e)² of motions that stay below v̄: ½ where s(e) = e."""
-    reach = largest_errors(saturation, weights.w, 0.5 * form.speed**2)
-    errors = np.linspace(0.0, 1.0, 200)[1:, np.newaxis] * reach
+    largest = largest_errors(saturation, weights.w, 0.5 * form.speed**2)
+    errors = np.linspace(0.0, 1.0, 200)[1:, np.newaxis] * largest
     s = saturation.s(errors)
     positive = s > 0.0
     return float((saturation.S(errors)[positive] / s[positive] ** 2).max(initial=0.5))

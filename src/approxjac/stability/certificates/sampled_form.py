@@ -101,7 +101,7 @@ class SampledForm(MatrixForm):
         friction: Diagonal of the arm's own part of B, shape (n_v,).
         latency: Of the loop.
         speed: v̄ [√J].
-        reach: s̄, at least |s(e)| along these motions; it counts where x comes in frames.
+        most_s: s̄, at least |s(e)| along these motions; it counts where x comes in frames.
         dg: ∂g/∂q of the gravity torque that the law adds, shape (N, n_v, n_v).
         turning: Of these samples and of others; of these by default.
     """
@@ -114,12 +114,12 @@ class SampledForm(MatrixForm):
         friction: Array,
         latency: Latency,
         speed: float,
-        reach: float = 0.0,
+        most_s: float = 0.0,
         dg: Array | None = None,
         turning: Turning | None = None,
     ) -> None:
         self.samples, self.setting, self._of_samples = form.samples, form.setting, form._of_samples
-        self.hold, self.speed, self.reach = Hold.of(latency), speed, reach
+        self.hold, self.speed, self.most_s = Hold.of(latency), speed, most_s
         self._decay = 0.0, 0.5
         at, D, kp = self.samples, self._of_samples.D, self.setting.kp
         D_c = D - np.diag(friction)
@@ -154,7 +154,7 @@ class SampledForm(MatrixForm):
         b = hold.gain * turning.curvature * v_bar
         b += hold.turned * (turning.filtered * v_bar + turning.gravity)
         if hold.frames is not None:
-            b += hold.span * turning.stiffness * self.reach
+            b += hold.span * turning.stiffness * self.most_s
         return self._growth * b
 
     @property
@@ -183,13 +183,13 @@ class SampledForm(MatrixForm):
     def with_speed(self, speed: float) -> Self:
         """Return this with another v̄ > 0, and s̄ in proportion."""
         other = copy.copy(self)
-        other.speed, other.reach = speed, self.reach * speed / self.speed
+        other.speed, other.most_s = speed, self.most_s * speed / self.speed
         return other
 
-    def with_reach(self, reach: float) -> Self:
+    def with_largest_s(self, most_s: float) -> Self:
         """Return this with another s̄."""
         other = copy.copy(self)
-        other.reach = reach
+        other.most_s = most_s
         return other
 
     def _turning(self, D_c: Array, dg: Array | None) -> Turning:

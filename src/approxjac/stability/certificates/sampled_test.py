@@ -36,8 +36,8 @@ class SampledTest(MatrixTest):
             of [√J].
         level: c [J]: motions that begin with V ≤ c stay below v̄.
         covered: Share of the samples away from their targets that may be started from, at rest.
-        reach: Largest error of one task coordinate that may be started from at rest, the others
-            being zero, shape (m,) [units of the task].
+        certified_error: Largest error of one task coordinate that may be started from at rest, the
+            others being zero, shape (m,) [units of the task].
         form: What it rests on; the samples that it was chosen on come first.
     """
 
@@ -45,7 +45,7 @@ class SampledTest(MatrixTest):
     speed: float
     level: float
     covered: float
-    reach: Array
+    certified_error: Array
     form: SampledForm
 
     def __repr__(self) -> str:
@@ -125,8 +125,8 @@ def sampled_test(
     needed = _SPARE * float((saturation.S(everywhere.e) @ potential).max(initial=0.0))
     dg = loop.gravity_gradients(everywhere)
     fastest = math.sqrt(2.0 * needed)
-    reach = fastest / math.sqrt(2.0 * setting.c_bar * float(potential.min()))
-    whole = SampledForm(form, friction, latency, fastest, reach, dg)
+    most_s = fastest / math.sqrt(2.0 * setting.c_bar * float(potential.min()))
+    whole = SampledForm(form, friction, latency, fastest, most_s, dg)
     found = _at_speed(whole, first, known)
     if not found.passes and fastest > 0.0:  # and it may be that no speed is slow enough
         found = _at_speed(whole.with_speed(_SLOWEST * fastest), first, known)
@@ -164,9 +164,9 @@ def _at_speed(whole: SampledForm, first: int, known: Best) -> _AtSpeed:
     """Choose a function on the first samples, and check it on the others."""
     best, family = _best(whole.take(slice(first)), known)
     # s̄ is of the weights that were begun with: of smaller ones errors may be larger
-    reach = whole.largest_s(best.weights)
-    if reach > whole.reach:
-        whole = whole.with_reach(reach)
+    most_s = whole.largest_s(best.weights)
+    if most_s > whole.most_s:
+        whole = whole.with_largest_s(most_s)
         best = best._replace(margins=whole.take(slice(first)).margins(best.weights))
     if best.margins.min() <= 0.0:
         return _AtSpeed(whole, best, family, None)
@@ -180,8 +180,8 @@ def below(test: SampledTest, level: float, saturation: Saturation, samples: Samp
     away = samples.take(np.flatnonzero(samples.e.any(axis=1)))  # a third is at the target
     energies = test.weights.at_rest(saturation.S(away.e), away.s)
     covered = float((energies <= level).mean()) if len(away) else 1.0
-    reach = largest_errors(saturation, test.weights.w, level)
-    return replace(test, level=level, covered=covered, reach=reach)
+    error = largest_errors(saturation, test.weights.w, level)
+    return replace(test, level=level, covered=covered, certified_error=error)
 
 
 def _best(form: SampledForm, known: Best) -> tuple[Best, Family]:

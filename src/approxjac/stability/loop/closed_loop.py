@@ -16,14 +16,16 @@ from approxjac.simulation import Plant
 from approxjac.stability.certificates.families import Setting
 from approxjac.stability.errors.region import JointBox, Region, RegularPart, require_law
 from approxjac.stability.errors.uncertainty import Uncertainty
-from approxjac.stability.loop import task_terms
-from approxjac.stability.loop.configuration_terms import Arms, Configurations
-from approxjac.stability.loop.inverse_kinematics import inverse_kinematics
-from approxjac.stability.loop.linearization import Timing, linear_loops
+from approxjac.stability.loop import terms
+from approxjac.stability.loop.configurations import (
+    UnattainedError,
+    VisiblePart,
+    inverse_kinematics,
+    least_regular,
+)
+from approxjac.stability.loop.linearization import Targets, Timing, linear_loops
 from approxjac.stability.loop.samples import Indices, Samples
-from approxjac.stability.loop.singular import least_regular
-from approxjac.stability.loop.target_samples import Targets
-from approxjac.stability.loop.visibility import UnattainedError, VisiblePart
+from approxjac.stability.loop.terms import Arms, Configurations
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import require_jacobian_of_q, sees, vanishing
 from approxjac.validation import Array, require
@@ -83,7 +85,7 @@ class ClosedLoop:
         self.target = None if target is None else self.plants[0].sensor.target(target)
         self.parts = [VisiblePart(region, plant.sensor, k) for k, plant in enumerate(self.plants)]
         robots = [plant.robot for plant in self.plants]
-        self._true_arms = task_terms.arms_of(robots, [plant.sensor for plant in self.plants])
+        self._true_arms = terms.arms_of(robots, [plant.sensor for plant in self.plants])
         self._attained: list[list[Array]] = []
 
     def scaled(self, factor: float) -> ClosedLoop:
@@ -237,13 +239,13 @@ class ClosedLoop:
             at = self._true_arms.at(of_portion, q)
             M[rows], dM[rows] = at.M(), at.M_gradient()
             for sensor, each, here in self._by_sensor(of_portion, at):
-                e_here = task_terms.errors(sensor, task_terms.values(sensor, here), x_d[rows][each])
-                J_here = task_terms.sensor_jacobians(sensor, here)
+                e_here = terms.errors(sensor, terms.values(sensor, here), x_d[rows][each])
+                J_here = terms.sensor_jacobians(sensor, here)
                 e[rows][each], J[rows][each] = e_here, J_here
-                J_e[rows][each] = task_terms.error_jacobians(sensor, e_here, J_here)
+                J_e[rows][each] = terms.error_jacobians(sensor, e_here, J_here)
             at = self._believed_arm.at(np.zeros_like(of_portion), q)
-            J_hat[rows] = task_terms.jacobians(task, at)
-            dJ_hat[rows] = task_terms.gradients(task, at)
+            J_hat[rows] = terms.jacobians(task, at)
+            dJ_hat[rows] = terms.gradients(task, at)
         values = np.linalg.svd(J_hat, compute_uv=False)
         singular = values[:, -1] <= _SINGULAR * values[:, 0]
         if singular.any():
@@ -277,7 +279,7 @@ class ClosedLoop:
         at = self._true_arms.at(truths, configurations)
         found = np.empty((len(truths), self.controller.task.m))
         for sensor, each, here in self._by_sensor(truths, at):
-            found[each] = task_terms.errors(sensor, task_terms.values(sensor, here), x_d[each])
+            found[each] = terms.errors(sensor, terms.values(sensor, here), x_d[each])
         return found
 
     def values_at(self, truths: Indices, configurations: Array) -> Array:
@@ -285,7 +287,7 @@ class ClosedLoop:
         at = self._true_arms.at(truths, configurations)
         found = np.empty((len(truths), self.plants[0].sensor.n_x))
         for sensor, each, here in self._by_sensor(truths, at):
-            found[each] = task_terms.values(sensor, here)
+            found[each] = terms.values(sensor, here)
         return found
 
     def _by_sensor(
@@ -295,14 +297,14 @@ class ClosedLoop:
         sensors = [self.plants[t].sensor for t in truths]
         groups: dict[Hashable, list[int]] = {}
         for i, sensor in enumerate(sensors):
-            groups.setdefault(task_terms.kind(sensor, at.arms.frames), []).append(i)
+            groups.setdefault(terms.kind(sensor, at.arms.frames), []).append(i)
         for rows in groups.values():
             each = np.array(rows)
             yield sensors[rows[0]], each, at if len(each) == len(truths) else at.take(each)
 
     @cached_property
     def _believed_arm(self) -> Arms:
-        return task_terms.arms_of([self.controller.task.robot], [self.controller.task])
+        return terms.arms_of([self.controller.task.robot], [self.controller.task])
 
     def linearised(
         self, truths: Indices, configurations: Array, timing: Timing | None = None
@@ -314,13 +316,13 @@ class ClosedLoop:
             G = self._gravity_gradients(truths, configurations)
         J = np.empty((len(truths), task.m, task.robot.nv))
         for sensor, each, here in self._by_sensor(truths, at):
-            J[each] = task_terms.sensor_jacobians(sensor, here)
+            J[each] = terms.sensor_jacobians(sensor, here)
         if task._uses_x:
             x = self.values_at(truths, configurations)
             J_hat = np.array(list(map(task.jacobian, configurations, x)))
         else:
             at = self._believed_arm.at(np.zeros_like(truths), configurations)
-            J_hat = task_terms.jacobians(task, at)
+            J_hat = terms.jacobians(task, at)
         friction = self.plants[0].friction
         parts = linear_loops(self.controller, friction, configurations, M, G, J, J_hat)
         return Targets(parts, float(np.linalg.norm(self.plants[0].robot.gravity)), timing)

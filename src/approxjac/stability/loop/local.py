@@ -18,10 +18,9 @@ from approxjac.simulation import Plant, Sensing
 from approxjac.simulation.targets import require_fit
 from approxjac.stability.errors.region import require_law, require_seen
 from approxjac.stability.loop.closed_loop import ClosedLoop
-from approxjac.stability.loop.linearization import Timing, linear_loop
+from approxjac.stability.loop.linearization import Targets, Timing, linear_loop
 from approxjac.stability.loop.numerical import numerical_modes
 from approxjac.stability.loop.samples import Indices
-from approxjac.stability.loop.target_samples import Targets
 from approxjac.validation import Array, as_number, require
 
 _EXACT = 1e-6  # relative error of a gravity compensation that counts as none

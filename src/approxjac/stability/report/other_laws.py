@@ -14,7 +14,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.formatting import percent, plain, rows, wrapped
 from approxjac.simulation import Plant, Sensing
 from approxjac.stability.errors.uncertainty import Uncertainty
-from approxjac.stability.loop.inverse_kinematics import inverse_kinematics
+from approxjac.stability.loop.configurations import inverse_kinematics
 from approxjac.stability.loop.local import LocalStability, local_stability
 from approxjac.stability.rollouts.rollouts import Rollouts
 from approxjac.stability.rollouts.setting import RolloutSetting

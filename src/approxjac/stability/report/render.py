@@ -227,10 +227,10 @@ def _near(f: Mapping[str, Any]) -> str:
 
 
 def _covered(f: Mapping[str, Any]) -> str:
-    units, reach = f["units"], f["reach"]
-    each = ", ".join(f"{r:.2g} {unit}" for r, unit in zip(reach, units, strict=True))
+    units, errors = f["units"], f["certified_error"]
+    each = ", ".join(f"{r:.2g} {unit}" for r, unit in zip(errors, units, strict=True))
     if len(set(units)) == 1:
-        each = f"{', '.join(f'{r:.2g}' for r in reach)} {units[0]}"
+        each = f"{', '.join(f'{r:.2g}' for r in errors)} {units[0]}"
     return (
         f"at rest, with an error of up to {each} in one coordinate, none in the others; "
         f"{100.0 * f['covered']:.3g} % of the starts drawn, about half near their targets"

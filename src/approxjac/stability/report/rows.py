@@ -222,7 +222,11 @@ def _sampled(report: StabilityReport) -> Iterator[Row]:
         yield Row("sampled", "matrix form", said, figures)
         if not report.reason:
             units = report.loop.controller.task.units
-            covered = {"reach": sampled.reach, "units": units, "covered": sampled.covered}
+            covered = {
+                "certified_error": sampled.certified_error,
+                "units": units,
+                "covered": sampled.covered,
+            }
             yield Row("sampled", "starts", "", covered)
             stays = report.attraction
             said = "in part" if report.has_starts_that_stay else "assumed"

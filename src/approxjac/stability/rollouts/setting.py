@@ -22,7 +22,7 @@ from approxjac.simulation.simulate import whole
 from approxjac.simulation.targets import Wanted, target_at, x_of
 from approxjac.stability.errors.region import JointBox, Region, RegularPart
 from approxjac.stability.errors.uncertainty import Uncertainty
-from approxjac.stability.loop.visibility import UnattainedError, VisiblePart
+from approxjac.stability.loop.configurations import UnattainedError, VisiblePart
 from approxjac.validation import Array
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from approxjac.formatting import percent, rows, wrapped
 from approxjac.stability.errors.coordinates import spoken
 from approxjac.stability.errors.region import require_setpoint
 from approxjac.stability.errors.uncertainty import Uncertainty
-from approxjac.stability.loop.visibility import UnattainedError
+from approxjac.stability.loop.configurations import UnattainedError
 from approxjac.stability.rollouts.portions import Execution, carried_out
 from approxjac.stability.rollouts.rollouts import Rollouts, clopper_pearson
 from approxjac.stability.rollouts.setting import RolloutSetting, sharing

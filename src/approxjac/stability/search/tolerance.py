@@ -16,8 +16,8 @@ from approxjac.stability.certificates.theorem1 import theorem1
 from approxjac.stability.errors.region import uncovered
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.closed_loop import SHARED, ClosedLoop
+from approxjac.stability.loop.configurations import UnattainedError
 from approxjac.stability.loop.local import local_test
-from approxjac.stability.loop.visibility import UnattainedError
 from approxjac.stability.report.other_laws import near_targets
 from approxjac.validation import Array, as_number, require
 
