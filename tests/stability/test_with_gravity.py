@@ -404,7 +404,8 @@ def test_a_level_never_grows(arm):
         found = below(test, share * test.level, saturation, samples)
         assert_allclose(found.level, min(share, 1.0) * test.level)
         # errors of one coordinate, with wᵢeᵢ²/2 = c
-        assert_allclose(found.certified_error, np.sqrt(2.0 * found.level / test.weights.w), rtol=1e-6)
+        largest = np.sqrt(2.0 * found.level / test.weights.w)
+        assert_allclose(found.certified_error, largest, rtol=1e-6)
         away = samples.e.any(axis=1)
         e = samples.e[away]
         W = np.diag(test.weights.w) + test.weights.coupling * np.ones((e.shape[1],) * 2)
