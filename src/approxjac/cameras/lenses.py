@@ -250,6 +250,10 @@ def inverse(growing: Callable[[float], float], wanted: float, largest: float) ->
         low, high, wanted = ends
         middle = 0.5 * (low + high)
         is_short = growing(middle) < wanted
+        if is_short is True:
+            return middle, high, wanted
+        if is_short is False:
+            return low, middle, wanted
         return law.select(is_short, middle, low), law.select(is_short, high, middle), wanted
 
     low, high, _ = law.repeat(HALVINGS, halved, (0.0, largest, wanted))

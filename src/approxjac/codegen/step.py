@@ -69,9 +69,10 @@ def step_program(controller: Controller, *, may_lose: bool, moves: bool = False)
     usual = usual & ~left if isinstance(left, Scalar) else usual
     found = {
         "torque": answer.torque, "after": after, "rate": answer.state_rate, "e": answer.e,
-        "gravity": answer.gravity, "J_hat": answer.J_hat, "status": answer.status,
-        "limit_status": answer.limit_status, "slack": answer.slack, "left": select(left, 1.0, 0.0),
-        "usual": select(usual, 1.0, 0.0), "reference": answer.reference,
+        "gravity": answer.gravity, "J_hat": answer.J_hat, "reference": answer.reference,
+        "left": select(left, 1.0, 0.0), "status": answer.status,
+        "limit_status": answer.limit_status, "slack": answer.slack,
+        "usual": select(usual, 1.0, 0.0),
     }  # fmt: skip
     found = {name: value for name, value in found.items() if value is not None}
     for name, value in found.items():
@@ -178,9 +179,7 @@ class _MachineCode:
             for name in ("torque", "after", "rate", "e", "gravity", "J_hat", "reference")
         )
         has_rate, has_gravity, has_J = (name in place for name in ("rate", "gravity", "J_hat"))
-        usual_at, status_at, limit_at, slack_at = (
-            place[name].start - first for name in ("usual", "status", "limit_status", "slack")
-        )
+        told_at = slice(place["status"].start - first, place["usual"].stop - first)
         task = controller.task
         J_shape, shapes = (task.m, task.robot.nv), (
             q_in.shape, v_in.shape, x_in.shape, target_in.shape, state_in.shape
@@ -194,7 +193,7 @@ class _MachineCode:
         m, may_move = (task._measured.m,), "target_v" in place
         # nothing but what holds x asks when it was taken, and then has to know it
         needs_time = isinstance(controller, ControllerWrapper) or not _is_ours(controller)
-        own_dt = controller.dt
+        own_dt, any_dt = controller.dt, controller.dt is None
 
         def answer(state: Array, measurement: Measurement, target: Target | Array) -> Any:
             """Return what a usual step is answered with, or None."""
@@ -226,14 +225,16 @@ class _MachineCode:
                         state_in[:] = state
                     run()
                     found = answered.copy()
-                    if found[usual_at]:
+                    status, limit, slack, usual = found[told_at].tolist()
+                    if usual:
                         rate = None
                         if has_rate:
                             rate = found[own_rate_at] if state.size else no_rate
-                        limit = limit_statuses[found[limit_at]]
-                        slack = math.nan if limit is limited else float(found[slack_at])
+                        limit = limit_statuses[limit]
+                        if limit is limited:
+                            slack = math.nan
                         return found, made(Evaluation, (
-                            found[torque_at], rate, statuses[found[status_at]], found[e_at],
+                            found[torque_at], rate, statuses[status], found[e_at],
                             found[J_at].reshape(J_shape) if has_J else None,
                             found[gravity_at] if has_gravity else None, limit, slack,
                             None if v_d is None else found[reference_at],
@@ -248,7 +249,7 @@ class _MachineCode:
 
         def step(state: Array, measurement: Measurement, target: Target | Array, dt: float) -> Any:
             found = None
-            if isinstance(dt, float) and 0.0 < dt <= 1.0 and own_dt in (None, dt):
+            if isinstance(dt, float) and 0.0 < dt <= 1.0 and (any_dt or dt == own_dt):
                 flat[dt_at] = dt
                 found = answer(state, measurement, target)
             if found is None:

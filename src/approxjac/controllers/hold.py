@@ -82,7 +82,7 @@ class HeldMeasurement(ControllerWrapper):
         self._measured = task._measured  # whose parts are lost one by one
         m = self._measured.m
         self.unseen = as_limits("unseen", unseen, m, unit=joined(self._measured.units))
-        self._parts = task._parts
+        self._parts, self._most = task._parts, self.unseen.tolist()
         self._origin = task._origin
         self._uncombined = uncombined(task)
         self._moved = slice(task.n_x + 1, task.n_x + 1 + m)  # p within the memory
@@ -142,7 +142,7 @@ class HeldMeasurement(ControllerWrapper):
         # numbers may be no measurement all the same, such as a quaternion of zeros
         errors = x if self._measured._subtracts else self._measured.error(x, self._origin)
         taken, knows_time = (0.0, False) if t_x is None else (t_x, True)
-        held = law.hold_step(memory, x, errors, taken, knows_time, self._parts, self.unseen)
+        held = law.hold_step(memory, x, errors, taken, knows_time, self._parts, self._most)
         measured = measurement._replace(x=held.x)
         after, answer = self.controller.step(inner, measured, target, dt)
         if answer.J_hat is None:

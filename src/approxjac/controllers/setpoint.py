@@ -405,9 +405,9 @@ class SetpointController(Immutable, Controller):
     ) -> Evaluation:
         """Evaluate the law at inputs that have been checked, or are symbols."""
         J_hat = law.array(self.task.jacobian(q, x))
-        s = np.zeros(self.task.m)
-        if lost is not True:
-            s = law.select(lost, s, law.array(self.saturation.s(e)))
+        s = law.array(self.saturation.s(e)) if lost is not True else np.zeros(self.task.m)
+        if lost is not False:
+            s = law.select(lost, np.zeros(self.task.m), s)
         learning, g, Y, x_dot, theta_hat = self.adaptation, None, None, None, state[: self._p]
         if learning is None:
             g = law.array(self.gravity.torque(q)).copy()  # type: ignore[union-attr]
@@ -417,8 +417,9 @@ class SetpointController(Immutable, Controller):
             # The differentiator's state follows x with time constant T: its rate is Ẋ itself.
             # Without x it goes on with Ĵq̇, so that there is no jump when x is back.
             x_dot = (x - state[self._p :]) / self._lag
-            x_dot = law.select(lost, J_hat.dot(v), x_dot)
-        if v_d is not None:
+            if lost is not False:
+                x_dot = law.select(lost, J_hat.dot(v), x_dot)
+        if v_d is not None and lost is not False:
             v_d = law.select(lost, np.zeros(len(v_d)), v_d)
         pull = None if self._pull is None else self._pull(q)
         terms = law.SetpointTerms(J_hat, s, g, Y, pull, x_dot, v_d)
@@ -432,7 +433,7 @@ class SetpointController(Immutable, Controller):
             rests, far = learning.rests(torque), self.reach.is_exceeded(q, e)
             stands = lost | rests | far
 
-            rate = np.zeros(self._p)
+            rate = self._no_rate[: self._p]
             if stands is not True:
                 assert Y is not None
                 assert pinv_s is not None

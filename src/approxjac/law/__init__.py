@@ -10,6 +10,7 @@ from approxjac.law.adaptation import (
     within_bounds,
 )
 from approxjac.law.branches import (
+    all_finite,
     all_of,
     alter,
     any_of,
@@ -166,6 +167,7 @@ __all__ = [
     "acceleration_bounds",
     "adaptive_closed_loop_matrix",
     "adjugate",
+    "all_finite",
     "all_of",
     "allowed_p",
     "allowed_p_at_crossing",

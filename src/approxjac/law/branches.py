@@ -51,6 +51,15 @@ def is_finite(x: Any) -> Any:
     return math.isfinite(square) if isinstance(square, float) else square.is_finite()
 
 
+def all_finite(numbers: list[Any]) -> Any:
+    """Return whether all of some numbers are finite."""
+    try:
+        return math.isfinite(math.hypot(*numbers))
+    except TypeError:  # they are symbols
+        square: Any = sum((each * each for each in numbers), 0.0)
+        return square.is_finite()
+
+
 def leave(condition: Any) -> None:
     """Say that what is computed does not hold where a condition, not known yet, holds."""
     if condition is not False:
@@ -123,7 +132,12 @@ def repeat(count: int, body: Callable[[Any, Values], Values], start: Values) -> 
         body: Of i, from 0, and the values before; returns the values after, of the same shapes.
         start: Numbers and arrays.
     """
-    return collect(count, lambda i, values: (body(i, values), ()), start)[0]
+    if any(hasattr(value, "looped") for value in start):
+        return collect(count, lambda i, values: (body(i, values), ()), start)[0]
+    values = start
+    for i in range(count):
+        values = body(i, values)
+    return values
 
 
 def collect(

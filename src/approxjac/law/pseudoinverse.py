@@ -57,6 +57,8 @@ def damped_gram_solve(
         w = dot(U, dot(b, U) / np.where(lifted > 0.0, lifted, 1.0))
         return select(largest > 0.0, w, np.zeros_like(b)), root(damping)
 
+    if singular is False:
+        return solve(b), 0.0
     return choose(singular, damped, lambda: (solve(b), 0.0))
 
 
@@ -104,6 +106,9 @@ def _ends(squares: Array) -> tuple[Any, Any]:
 
 def may_be_singular(G: Array, singular_ratio: float, scale: float) -> Any:
     """Return False where σ_min of J is surely above a share of σ_max and the scale, of G = J Jᵀ."""
+    if len(G) <= 3:
+        _, _, bound, trace = adjugate(G.tolist())
+        return complement(is_surely_regular(bound, trace, singular_ratio, scale))
     return _regular_solver(G, singular_ratio, scale)[1]
 
 
@@ -132,6 +137,8 @@ def is_near_singular(G: Array, singular_ratio: float = SINGULAR_RATIO, scale: fl
         return (gram_damping(least, largest, singular_ratio, scale),)
 
     may_be = may_be_singular(G, singular_ratio, scale)
+    if may_be is False:
+        return False
     damping: Any = choose(may_be, by_eigenvalues, lambda: (0.0,))[0]
     return bool(damping > 0.0) if isinstance(damping, float) else damping > 0.0
 

@@ -160,12 +160,15 @@ def quaternion_between(a: list[float], b: list[float]) -> tuple[float, float, fl
 
 def rotation_between(a: list[float], b: list[float]) -> tuple[float, float, float]:
     """Return log(R_a R_bᵀ) [rad] from quaternions (x, y, z, w); NaN where one is none."""
-    length_a, length_b = _length(a), _length(b)
+    (ax, ay, az, aw), (bx, by, bz, bw) = a, b
+    length_a = root(ax * ax + ay * ay + az * az + aw * aw)
+    length_b = root(bx * bx + by * by + bz * bz + bw * bw)
     are_some = (length_a > NO_ROTATION) & (length_b > NO_ROTATION)
     are_some = are_some & (length_a < math.inf) & (length_b < math.inf)
     if are_some is False:
         return math.nan, math.nan, math.nan
-    unit_a, unit_b = [entry / length_a for entry in a], [entry / length_b for entry in b]
+    unit_a = [ax / length_a, ay / length_a, az / length_a, aw / length_a]
+    unit_b = [bx / length_b, by / length_b, bz / length_b, bw / length_b]
     x, y, z, w = quaternion_between(unit_a, unit_b)
     sine = root(x * x + y * y + z * z)  # of half the angle
     # of the two quaternions of this rotation, the one that turns by at most 180°
@@ -176,7 +179,7 @@ def rotation_between(a: list[float], b: list[float]) -> tuple[float, float, floa
 
 def turned(quaternion: list[float], phi: list[float]) -> tuple[float, float, float, float]:
     """Return a quaternion (x, y, z, w) after a turn by a rotation vector [rad]."""
-    size = _length(phi)
+    size = root(sum((each * each for each in phi[1:]), phi[0] * phi[0]))
     half = 0.5 * size
     sine, cosine = sine_and_cosine(half)
     factor = _share(sine, size, size > _NO_TURN, 0.5)
@@ -190,11 +193,6 @@ def _share(above: float, below: float, is_some: bool, otherwise: float) -> float
         return otherwise
     share: float = select(is_some, above / below, otherwise)
     return share
-
-
-def _length(vector: list[float]) -> float:
-    length: float = root(sum((each * each for each in vector[1:]), vector[0] * vector[0]))
-    return length
 
 
 def nearest_rotation(A: Array) -> Array:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from approxjac.law.branches import array, choose, complement, is_finite, select
+from approxjac.law.branches import all_finite, array, choose, complement, select
 from approxjac.law.products import dot
 from approxjac.law.pseudoinverse import (
     SINGULAR_RATIO,
@@ -163,13 +163,17 @@ class HoldStep(NamedTuple):
 
     Attributes:
         x: What the controller is given, shape (n_x,); NaN where it is too old.
-        memory: What is remembered of x: (x, t_x, p, seen).
+        last: The last x that was seen, and when it was taken.
+        moved: p, how far each error has moved since.
+        known: Of each part, 1 if it was ever seen.
         stands: Of each part, the rows of p and whether they stand still.
         is_new: Whether any part is.
     """
 
     x: Array
-    memory: Array
+    last: list[Any]
+    moved: list[Any]
+    known: list[Any]
     stands: list[tuple[slice, Any]]
     is_new: Any
 
@@ -181,7 +185,7 @@ def hold_step(
     t_x: Any,
     knows_time: Any,
     parts: Sequence[tuple[slice, slice]],
-    most: Array,
+    most: Sequence[float],
 ) -> HoldStep:
     """Return the last x that was seen, part by part, until the arm has moved too far.
 
@@ -192,42 +196,57 @@ def hold_step(
         t_x: When it was taken [s].
         knows_time: Whether that is known; if not, an x that differs is new.
         parts: Entries of x, and of the error, of what is measured at once, in order.
-        most: How far each error may move without being seen, shape (m,).
+        most: How far each error may move without being seen, m numbers.
     """
-    n, end = len(x), len(memory) - len(parts)
-    last, t_last, p, seen = memory[:n], memory[n], memory[n + 1 : end], memory[end:]
-    far, was_seen = (np.abs(p) > most).tolist(), [each != 0.0 for each in seen.tolist()]
+    kept, n = memory.tolist(), len(x)
+    last, t_last, p, seen = kept[:n], kept[n], kept[n + 1 : -len(parts)], kept[-len(parts) :]
+    measured, told, was_seen = x.tolist(), errors.tolist(), [each > 0.0 for each in seen]
     later = knows_time & ((t_x > t_last) | complement(_any(was_seen)))
-    used, kept, moved, known, stands = [], [], [], [], list[tuple[slice, Any]]()
-    any_new: Any = False
+    used, moved, known, stands = list[Any](), list[Any](), list[Any](), list[tuple[slice, Any]]()
+    remembered, any_new = list[Any](), False
     for (entries, rows), ever in zip(parts, was_seen, strict=True):
-        here, before = x[entries], last[entries]
-        own = array(here.tolist() + errors[rows].tolist())
-        never, new = complement(ever), later
+        here, before, own = measured[entries], last[entries], p[rows]
+        new = later
         if knows_time is not True:
-            differs = _any([a != b for a, b in zip(here.tolist(), before.tolist(), strict=True)])
+            differs = complement(_all([a == b for a, b in zip(here, before, strict=True)]))
             new = select(knows_time, later, differs)
-        is_new = is_finite(own) & (never | new)
-        is_old = complement(is_new) & (never | _any(far[rows]))
-        kept.append(select(is_new, here, before))
-        used.append(select(is_old, np.full(len(here), math.nan), kept[-1]))
-        moved.append(select(is_new, np.zeros(rows.stop - rows.start), p[rows]))
+        never = complement(ever)
+        is_new = all_finite(here + told[rows]) & (never | new)
+        is_far = _any([abs(far) > end for far, end in zip(own, most[rows], strict=True)])
+        is_old = complement(is_new) & (never | is_far)
+        now = _each(is_new, here, before)
+        remembered += now
+        used += _each(is_old, [math.nan] * len(here), now)
+        moved += _each(is_new, [0.0] * len(own), own)
         known.append(select(is_new | ever, 1.0, 0.0))
         stands.append((rows, is_old))
         any_new = any_new | is_new
-    t_last = select(any_new & later, t_x, t_last)
-    remembered = np.concatenate([*kept, array([t_last]), *moved, array(known)])
-    return HoldStep(np.concatenate(used), remembered, stands, any_new)
+    remembered.append(select(any_new & later, t_x, t_last))
+    return HoldStep(array(used), remembered, moved, known, stands, any_new)
 
 
 def hold_moved(held: HoldStep, motion: Array) -> Array:
     """Return the memory after a step in which errors move by so much, shape (m,)."""
-    parts, n = held.stands, len(held.x) + 1
-    p = held.memory[n : -len(parts)]
-    # a part that is too old stands still: an arm that sags back is not seen by that
-    moved = [p[rows] + select(is_old, 0.0 * motion[rows], motion[rows]) for rows, is_old in parts]
-    return np.concatenate([held.memory[:n], *moved, held.memory[-len(parts) :]])
+    by, moved = motion.tolist(), list[Any]()
+    for rows, is_old in held.stands:
+        # a part that is too old stands still: an arm that sags back is not seen by that
+        own = held.moved[rows]
+        moved += _each(is_old, own, [a + b for a, b in zip(own, by[rows], strict=True)])
+    after: Array = array(held.last + moved + held.known)
+    return after
+
+
+def _each(condition: Any, a: list[Any], b: list[Any]) -> list[Any]:
+    if condition is True:
+        return a
+    if condition is False:
+        return b
+    return [select(condition, *pair) for pair in zip(a, b, strict=True)]
 
 
 def _any(conditions: Sequence[Any]) -> Any:
     return functools.reduce(operator.or_, conditions, False)
+
+
+def _all(conditions: Sequence[Any]) -> Any:
+    return functools.reduce(operator.and_, conditions, True)
