@@ -6,6 +6,7 @@ What a function here refuses is an InvalidInputError, with the name of the argum
 from __future__ import annotations
 
 import copy
+import functools
 import inspect
 import math
 from typing import Any, ClassVar, Self
@@ -239,6 +240,7 @@ class Immutable:
     """
 
     _arguments: dict[str, Any]
+    _given: tuple[tuple[Any, ...], dict[str, Any]]
 
     def _remember(self, arguments: dict[str, Any]) -> None:
         """Keep the arguments of the constructor, its `locals()` at the beginning."""
@@ -263,8 +265,17 @@ class Immutable:
             )
         object.__setattr__(self, name, value)
 
+    def __new__(cls, *given: Any, **named: Any) -> Self:
+        """Keep what it is built from, whatever its class takes."""
+        self = super().__new__(cls)
+        self.__dict__["_given"] = given, named
+        return self
+
     def __reduce__(self) -> tuple[Any, ...]:
-        return _built, (type(self), self._arguments)
+        if self._arguments.keys() == inspect.signature(type(self)).parameters.keys():
+            return _built, (type(self), self._arguments)
+        given, named = self._given  # to a class of a user's, with arguments of its own
+        return functools.partial(type(self), *given, **named), ()
 
 
 def _built(kind: type[Immutable], arguments: dict[str, Any]) -> Immutable:

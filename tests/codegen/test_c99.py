@@ -9,6 +9,7 @@ import subprocess
 import numpy as np
 import pinocchio as pin
 import pytest
+from own_parts import of_ones_own
 
 import approxjac as aj
 from approxjac.codegen.backends.c99 import sampled_step
@@ -249,6 +250,31 @@ def test_it_gives_the_bits_of_numpy(case, tmp_path):
     if isinstance(controller, aj.TorqueLimited) and case.startswith("panda"):
         wanted = {"PROOF_KEPT", "PROOF_GIVEN_UP"} if controller.proof else set()
         assert wanted | {"FREE", "LIMITED"} <= limits
+
+
+@needs_compiler
+@pytest.mark.parametrize("k", range(8))
+def test_what_is_ones_own_is_the_same_in_c(panda, k, tmp_path, rng):
+    """200 steps of a task's, a saturation's, gravity's and a law's of one's own, and a held x."""
+    controller = of_ones_own(panda)[k]
+    if k == 7:  # its torque depends on t, which C does not know
+        with pytest.raises(aj.InvalidInputError, match=r"Springs\.step does not: .* C knows"):
+            aj.export_c(controller, tmp_path)
+        return
+    in_c, task = InC(controller, tmp_path), controller.task
+    q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+    target = task.value(q) + 0.05
+    x, state = target, controller.initial_state(Measurement(0.0, q, np.zeros(7), target))
+    for step in range(200):
+        now, v = q + 0.1 * np.sin(1e-2 * step + np.arange(7.0)), 0.1 * rng.normal(size=7)
+        x = x if step % 30 else task.value(now)
+        after, expected = controller.step(state, Measurement(0.0, now, v, x), target, 1e-3)
+        status, found, answer = in_c.step(state, now, v, x, target, 1e-3)
+        assert status == expected.status
+        scale = 1.0 + np.abs(expected.torque).max()
+        np.testing.assert_allclose(answer["torque"] / scale, expected.torque / scale, atol=1e-12)
+        np.testing.assert_allclose(found, after, rtol=1e-12, atol=1e-12)
+        state = after
 
 
 @needs_compiler

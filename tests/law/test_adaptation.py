@@ -113,3 +113,29 @@ def test_further_bounds_are_kept_and_the_potential_falls(
     assert (outward @ projected <= 1e-7).all()
     assert (projected[theta_hat <= LOWER] >= 0.0).all()
     assert (projected[theta_hat >= UPPER] <= 0.0).all()
+
+
+@pytest.mark.parametrize("is_full", [False, True])
+def test_sweeps_end_where_the_active_set_does(is_full, rng):
+    """Random rates, bounds and motors, at which some of each are reached."""
+    ended = 0
+    for _ in range(200):
+        P, n = 6, 3
+        A = rng.normal(size=(P, P))
+        L = A @ A.T + np.eye(P) if is_full else rng.uniform(0.1, 2.0, P)
+        theta, Y = rng.normal(size=P), rng.normal(size=(n, P))
+        lower, upper = theta - rng.uniform(0.1, 1.0, P), theta + rng.uniform(0.1, 1.0, P)
+        lower = np.where(rng.random(P) < 0.2, theta, lower)
+        upper = np.where((rng.random(P) < 0.2) & (lower < theta), theta, upper)
+        g = Y @ theta
+        motors = np.where(rng.random(n) < 0.3, 0.5, 2.0) * np.abs(g)
+        rate = law.theta_hat_rate(L, Y, rng.normal(size=n))
+        beyond = np.abs(g) > motors
+        outward = np.sign(g[beyond])[:, None] * Y[beyond] if beyond.any() else None
+        expected = law.within_bounds(rate, theta, lower, upper, L, outward)
+        found, unfinished = law.swept_within_bounds(rate, theta, (lower, upper), L, Y, g, motors)
+        if not unfinished:
+            ended += 1
+            scale = 1.0 + np.abs(rate).max()
+            np.testing.assert_allclose(found / scale, expected / scale, rtol=0, atol=1e-11)
+    assert ended > 100
