@@ -46,8 +46,8 @@ class Status(_Outcome):
     )
     MEASUREMENT_LOST = (
         "the task measurement is not finite, or none was seen yet that can be learnt from: no "
-        "position force, damping and gravity compensation only, adaptation frozen (law T goes on "
-        "learning what holds the arm)"
+        "position force, damping and gravity compensation only, adaptation frozen (the tracking "
+        "law goes on learning what holds the arm)"
     )
     TORQUE_SATURATED = (
         "the law asks for more than the robot's effort limits: what it learns stands still"
@@ -60,8 +60,8 @@ class Status(_Outcome):
         "adaptation paused"
     )
     PREDICTED = (
-        "the task measurement is not finite, or too old to be learnt from: the law goes on with "
-        "the predicted value, of which nothing is learnt meanwhile"
+        "the task measurement is not finite, or too old to be learnt from: the law uses "
+        "the predicted value, adaptation paused"
     )
     NOT_PREDICTED = (
         "there is no prediction to go by, such as of a point that the believed camera does not "
@@ -166,7 +166,7 @@ class Evaluation(NamedTuple):
         limit_status: What limits did to the torque.
         slack: σ ≥ 0, what limits add to V̇ [W]; NaN where it is not known.
         reference: Joint velocity that the law leads the joints to, shape (n_v,) [rad/s or m/s]: q̇_r
-            of law T, Ĵ⁺ẋ_d of the set-point laws on a path; None is none.
+            of the tracking law, Ĵ⁺ẋ_d of the set-point laws on a path; None is none.
     """
 
     torque: Array

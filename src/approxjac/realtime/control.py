@@ -17,7 +17,7 @@ from approxjac.realtime.accuracy import Tolerances, task_bounds
 from approxjac.realtime.brake import Brake, HungError, Watchdog
 from approxjac.realtime.driver import Driver
 from approxjac.realtime.faults import Fault
-from approxjac.realtime.observer_thread import Onlooker
+from approxjac.realtime.observer_thread import ObserverThread
 from approxjac.realtime.robot_loop import RobotLoop
 from approxjac.realtime.robot_run import RobotRun
 from approxjac.realtime.scheduling import Scheduling, StopSignals, undisturbed
@@ -115,7 +115,7 @@ def control(
         require_held(driver, controller, loop.measurement.q, loop.answer)
         for _ in range(_WARM):
             controller.step(loop.state, loop.measurement, loop._wanted, driver.dt)
-        watched = held.enter_context(Onlooker(loop, observer))
+        watched = held.enter_context(ObserverThread(loop, observer))
         held.enter_context(undisturbed(scheduling or Scheduling()))
         error: BaseException | None = None
         longest = _HANGS * tolerances.max_period
@@ -132,7 +132,7 @@ def control(
             brake.close()
         if watchdog.bit:
             loop.fault = Fault.READ_HUNG
-            loop.detail = loop.hung_told(longest)
+            loop.detail = loop.describe_hang(longest)
         elif error is not None:
             loop.fault, loop.detail = Fault.FAILED, ""
         run = _run_of(loop, why)
@@ -152,7 +152,7 @@ def _run(
     watchdog: Watchdog,
     signals: StopSignals,
     stop: threading.Event | None,
-    watched: Onlooker,
+    watched: ObserverThread,
 ) -> str:
     """Run to the end, and return why it ended."""
     why = ""
@@ -166,7 +166,7 @@ def _run(
             elif loop.step >= steps:
                 why = "its time was over: brought to rest"
             elif loop.fault is not None:
-                why = f"{loop.told()}; brought to rest"
+                why = f"{loop.describe_fault()}; brought to rest"
             if why:
                 loop.halt()
         if signals.count > 1:
@@ -181,7 +181,7 @@ def _run(
 def _run_of(loop: RobotLoop, why: str) -> RobotRun:
     fault = loop.fault
     if fault is not None and not fault.stops:
-        why = f"{loop.told()}; braked at once" + (f" ({why})" if why else "")
+        why = f"{loop.describe_fault()}; braked at once" + (f" ({why})" if why else "")
     run = loop.record().trajectory()
     scene = None if run.scene is None else replace(run.scene, knows_truth=False)
     done = slice(1, max(loop.step, 1))

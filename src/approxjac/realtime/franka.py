@@ -51,8 +51,8 @@ class FrankaDriver:
             and must not wait.
         command: "torque", or "velocity" for a controller that commands velocities.
         gravity: The robot as it knows itself, whose gravity is taken off again: for controllers
-            that compensate all of it, such as law T. None sends torques as they are, for those that
-            leave it to the robot.
+            that compensate all of it, such as the tracking law. None sends torques as they are, for
+            those that leave it to the robot.
         collision: Torques of the joints and forces on the tip above which a contact is a collision
             and ends in a reflex: a number or shape (7,) [N m], and a number or shape (6,) [N, N m].
             None leaves what the robot has.
@@ -81,8 +81,8 @@ class FrankaDriver:
         require("sensor", sensor, Callable, "a function of t and q that returns x")  # type: ignore[arg-type]
         require("command", command, str, '"torque" or "velocity"')
         if command not in ("torque", "velocity"):
-            told = f'command must be "torque" or "velocity", got {command!r}'
-            raise InvalidInputError(told, given=command)
+            message = f'command must be "torque" or "velocity", got {command!r}'
+            raise InvalidInputError(message, given=command)
         self.command: Literal["torque", "velocity"] = command
         if gravity is not None:
             require("gravity", gravity, Robot, "a Robot, such as the arm without its tool")
@@ -136,8 +136,8 @@ class FrankaDriver:
         """
         with self._lock:
             if self._braked:
-                told = "cannot send: the robot was braked; recover() lets it take commands again"
-                raise DriverError(told, given=command)
+                message = "cannot send: the robot was braked; recover() lets it take commands again"
+                raise DriverError(message, given=command)
             try:
                 if self._control is None:
                     self._control = self._started()

@@ -1,4 +1,4 @@
-"""`Onlooker`: an observer of a robot's loop, in a thread that the loop does not wait for."""
+"""`ObserverThread`: an observer of a robot's loop, in a thread that the loop does not wait for."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _PATIENCE = 30.0  # s, for which the observer may prepare before the arm moves
 _ANSWER = 1.0  # s, within which the loop carries out what is asked for
 
 
-class Onlooker:
+class ObserverThread:
     """A thread that shows copies of a loop to an observer, and asks the loop for what that wants.
 
     Args:
@@ -35,7 +35,7 @@ class Onlooker:
         self._thread: threading.Thread | None = None
         self.error: BaseException | None = None
 
-    def __enter__(self) -> Onlooker:
+    def __enter__(self) -> ObserverThread:
         if self._observer is not None:
             self._seen = Seen(self._loop, self)
             self._thread = threading.Thread(
@@ -95,13 +95,13 @@ class Seen(Loop):
 
     _knows_truth = False
 
-    def __init__(self, loop: RobotLoop, onlooker: Onlooker) -> None:
+    def __init__(self, loop: RobotLoop, thread: ObserverThread) -> None:
         # controllers and plants have scratch memory: one instance a thread
         super().__init__(
             copy.deepcopy(loop.plant), copy.deepcopy(loop.controller), loop.path, loop.dt,
             loop.steps,
         )  # fmt: skip
-        self._loop, self._onlooker = loop, onlooker
+        self._loop, self._thread = loop, thread
 
     def look(self, over: bool) -> None:
         """See how the loop is now."""
@@ -112,13 +112,13 @@ class Seen(Loop):
 
     def aim_at(self, target: Any) -> None:
         """Have the loop move its target."""
-        self._onlooker.ask(self._loop.aim_at, target)
+        self._thread.ask(self._loop.aim_at, target)
 
     def exchange(self, controller: Any) -> None:
         """Have the loop go on with another controller."""
-        self._onlooker.ask(self._loop.exchange, copy.deepcopy(controller))
+        self._thread.ask(self._loop.exchange, copy.deepcopy(controller))
         self.controller = controller
 
     def stop(self) -> None:
         """Have the loop come to rest."""
-        self._onlooker.ask(self._loop.stop)
+        self._thread.ask(self._loop.stop)

@@ -122,11 +122,11 @@ class RobotLoop(Loop):
         fault = self._watch.look(measurement, self._read)
         known = bool(np.isfinite(measurement.q).all() and np.isfinite(measurement.v).all())
         late = fault is Fault.TORQUE_LATE
-        self._note(fault, self._watch.detail + (self.work_told() if late else ""))
+        self._note(fault, self._watch.detail + (self.describe_work() if late else ""))
         if fault is None and known:
             self._note(self._sensor.look(measurement, self.target))
-            if told := two_clocks(measurement, self.dt):
-                self._note(Fault.CLOCK_JUMPED, told)
+            if message := two_clocks(measurement, self.dt):
+                self._note(Fault.CLOCK_JUMPED, message)
         if known and not self._brakes():
             self._look(measurement)
             if not self._brakes():
@@ -230,8 +230,8 @@ class RobotLoop(Loop):
         if (np.abs(error) > self._max_error).any():
             i = int(np.argmax(np.abs(error) / self._max_error))
             most = f"at most {self._max_error[i]:.3g}"
-            told = f"{task.labels[i]}: {abs(error[i]):.3g} {task.units[i]}, {most}"
-            self._note(Fault.ASTRAY, told)
+            message = f"{task.labels[i]}: {abs(error[i]):.3g} {task.units[i]}, {most}"
+            self._note(Fault.ASTRAY, message)
         if self.halting:
             way = float(np.linalg.norm(task.error(x, self._stopped_at)))
             self.stop_distance = max(self.stop_distance, way)
@@ -257,7 +257,7 @@ class RobotLoop(Loop):
         elif self._limited * self.dt > self._timeout:
             self._note(Fault.LIMITS)
 
-    def work_told(self) -> str:
+    def describe_work(self) -> str:
         """Return in words how long it took from a state to its command, before and usually."""
         works = 1e3 * self.works[: self.step]
         if not len(works):
@@ -265,18 +265,19 @@ class RobotLoop(Loop):
         last, usual = works[-1], np.median(works)
         return f"; the command before took this machine {last:.3g} ms, {usual:.3g} in the median"
 
-    def hung_told(self, longest: float) -> str:
+    def describe_hang(self, longest: float) -> str:
         """Return in words what did not come back within a time after the last command [s]."""
         came = self._read - self._sent  # later: the state came after the brake, to another thread
-        told = "no state came"
+        message = "no state came"
         if 0.0 < came < longest:
-            told = f"the state was read after {1e3 * came:.3g} ms; the command, or sending it, "
-            told += "did not come back"
+            message = f"the state was read after {1e3 * came:.3g} ms; the command, or sending it, "
+            message += "did not come back"
         return (
-            f"no command for {1e3 * longest:.3g} ms, twice `max_period`: {told}" + self.work_told()
+            f"no command for {1e3 * longest:.3g} ms, twice `max_period`: {message}"
+            + self.describe_work()
         )
 
-    def told(self) -> str:
+    def describe_fault(self) -> str:
         """Return the fault in words."""
         if self.fault is None:
             return ""

@@ -47,7 +47,7 @@ class RobotRun(Trajectory):
         """Return the number of commands that came later than a time after the one before [s]."""
         return int((self.gap > longest).sum())
 
-    def _error_told(self) -> str:
+    def _error_line(self) -> str:
         """Return in words how far the target went, which is eased in, and the error at the end."""
         error = f"error {self.error_norm[-1]:.3g} {self.task_unit} at the end"
         sensor = None if self.scene is None else self.scene.sensor
@@ -57,18 +57,18 @@ class RobotRun(Trajectory):
         way = max(float(np.linalg.norm(sensor.error(x_d, self.x_d[0]))) for x_d in some)
         return f"target led {way:.3g} {self.task_unit} away from the start, {error}"
 
-    def _told(self) -> dict[str, str]:
+    def _figures(self) -> dict[str, str]:
         """Describe the run, with its stop and the times that commands took."""
-        told = super()._told()
+        figures = super()._figures()
         if np.isfinite(self.stop_distance):
-            told["stop"] = (
+            figures["stop"] = (
                 f"within {self.stop_distance:.3g} {self.task_unit} "
                 f"(at most {self.stop_bound:.3g} was foreseen)"
             )
         if len(self.work):
             half, most, worst = 1e6 * np.percentile(self.work, [50.0, 99.0, 100.0])
-            told["work"] = (
+            figures["work"] = (
                 f"{half:.0f} µs in the median, 99 % within {most:.0f}, worst {worst:.0f}; "
                 f"longest gap {1e3 * self.gap.max():.3g} ms"
             )
-        return told
+        return figures

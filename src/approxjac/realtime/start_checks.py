@@ -85,8 +85,8 @@ def require_at_rest(driver: Driver, task: Task, timeout: float) -> Measurement:
             raise InvalidInputError(
                 f"{name} must be known before the arm moves, got {listed(values)}", given=measured
             )
-    if told := two_clocks(measured, driver.dt):
-        raise InvalidInputError(f"t_x must be by the clock of t: {told}", given=measured)
+    if message := two_clocks(measured, driver.dt):
+        raise InvalidInputError(f"t_x must be by the clock of t: {message}", given=measured)
     if (np.abs(measured.v) > _AT_REST).any():
         raise InvalidInputError(
             f"the arm must be at rest, below {_AT_REST} rad/s or m/s, got v = {listed(measured.v)}",
@@ -104,10 +104,10 @@ def _beyond(robot: Robot, q: Array) -> str:
     """Return in words which joints are beyond their limits, where, and the limits."""
     low, high = robot.position_limits
     angles = pin.difference(robot.model, robot.neutral(), q)
-    told = zip(robot.joint_names, angles, robot.joint_units, low, high, strict=True)
+    joints = zip(robot.joint_names, angles, robot.joint_units, low, high, strict=True)
     return "; ".join(
         f"{name} at {angle:.4g} {unit}, limits {least:.4g} and {most:.4g}"
-        for name, angle, unit, least, most in told
+        for name, angle, unit, least, most in joints
         if not least <= angle <= most
     )
 
@@ -151,17 +151,17 @@ def require_held(driver: Driver, controller: Controller, q: Array, answer: Evalu
         needed = Dynamics(robot).g(q)
     slack = _HELD * np.where(np.isfinite(most), most, np.abs(needed).max())
     if (np.abs(answer.gravity - needed) > slack).any():
-        told = "the controller must compensate gravity, such as by AdaptiveGravity(robot)"
+        message = "the controller must compensate gravity, such as by AdaptiveGravity(robot)"
         if driver.adds_gravity:
-            told = "the robot adds its own gravity: " + (
+            message = "the robot adds its own gravity: " + (
                 "take it off each torque in the driver's send, as FrankaDriver(gravity=arm) does, "
-                "and set adds_gravity = False, for law T compensates all of it"
+                "and set adds_gravity = False, for the tracking law compensates all of it"
                 if controller.law.kinematics is not None
                 else "the controller must learn what is left of it, AdaptiveGravity(robot, "
                 "theta0=0.0), or leave it out, NoGravity(robot)"
             )
         raise InvalidInputError(
-            f"{told}; it compensates {listed(answer.gravity)}, and the arm takes "
+            f"{message}; it compensates {listed(answer.gravity)}, and the arm takes "
             f"{listed(needed)} [N m or N]",
             given=answer,
         )

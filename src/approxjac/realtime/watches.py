@@ -146,9 +146,9 @@ class FaultWatch:
         unit = self._units[j]
         return f"{self._names[j]}: {abs(v[j]):.3g} {unit}/s, at most {abs(v[j]) / share:.3g}"
 
-    def _tell(self, fault: Fault, j: int, told: str) -> Fault:
-        """Return a fault of a joint, with what is told of it as its detail."""
-        self.detail = f"{self._names[j]}: {told}"
+    def _tell(self, fault: Fault, j: int, message: str) -> Fault:
+        """Return a fault of a joint, with a message as its detail."""
+        self.detail = f"{self._names[j]}: {message}"
         return fault
 
     def _unanswered(self, same: Array) -> Fault | None:
@@ -162,10 +162,10 @@ class FaultWatch:
         if not unanswered.any():
             return None
         j = int(unanswered.argmax())
-        told = f"its torque changed by {pushed[j]:.3g} {_TORQUE[self._units[j]]}"
+        message = f"its torque changed by {pushed[j]:.3g} {_TORQUE[self._units[j]]}"
         if led[j] > _WAY:
-            told = f"it was led {led[j]:.3g} {self._units[j]}"
-        return self._tell(Fault.COMMAND_UNANSWERED, j, told)
+            message = f"it was led {led[j]:.3g} {self._units[j]}"
+        return self._tell(Fault.COMMAND_UNANSWERED, j, message)
 
     def _compare(
         self, way: Array, v: Array, before: Array, elapsed: float, missed: int
@@ -185,8 +185,8 @@ class FaultWatch:
             return self._q_or_v(way, off, v, elapsed)
         if (sudden > self._v_jump * (periods + missed)).any():
             j = int(np.argmax(sudden / self._v_jump))
-            told = f"from {before[j]:.3g} to {v[j]:.3g} {self._units[j]}/s"
-            return self._tell(Fault.VELOCITY_JUMPED, j, told)
+            message = f"from {before[j]:.3g} to {v[j]:.3g} {self._units[j]}/s"
+            return self._tell(Fault.VELOCITY_JUMPED, j, message)
         for window in _WINDOWS:
             if k >= window:
                 old = self._sums[(k - window) % size]
@@ -211,16 +211,16 @@ class FaultWatch:
 
     def _disagrees(self, j: int, way: float, mean: float, elapsed: float) -> Fault:
         ways = f"{way:.3g} {self._units[j]} by q and {mean:.3g} by q̇"
-        told = f"moved {ways} in {1e3 * elapsed:.3g} ms"
-        return self._tell(Fault.VELOCITY_DISAGREES, j, told)
+        message = f"moved {ways} in {1e3 * elapsed:.3g} ms"
+        return self._tell(Fault.VELOCITY_DISAGREES, j, message)
 
     def _q_or_v(self, way: Array, off: Array, v: Array, elapsed: float) -> Fault:
         j = int(np.argmax(off / self._q_jump))
         q_moves = abs(way[j]) > self._q_jump[j] + self._dt * self._fastest[j]
         if not q_moves:
             return self._disagrees(j, way[j], elapsed * v[j], elapsed)
-        told = f"by {way[j]:.3g} {self._units[j]} in {1e3 * elapsed:.3g} ms"
-        return self._tell(Fault.POSITION_JUMPED, j, told)
+        message = f"by {way[j]:.3g} {self._units[j]} in {1e3 * elapsed:.3g} ms"
+        return self._tell(Fault.POSITION_JUMPED, j, message)
 
     def _speed(self, t: float, v: Array) -> Fault | None:
         """Look at speeds, and whether they grow like those of a loop that is unstable."""
@@ -244,7 +244,7 @@ _LENGTH_SIGMAS = 7.0  # of lengths, of up to three coordinates
 _KEPT = 512  # periods for which q is remembered: frames may be as old
 _SPANS = (0.03, 0.06, 0.12, 0.25)  # over which frames are compared [s]
 _APART = 4e-3  # s, between frames that are kept
-_FRAMES = 3.0  # periods of x for which the same one may be told
+_FRAMES = 3.0  # periods of x for which the same one may be read
 
 _IMAGE = 0.5  # share of Ĵ by which an image may move otherwise than is believed
 
@@ -440,7 +440,7 @@ class SensorWatch:
         return [math.hypot(*error[group].tolist()) for group in self._groups]
 
     def _repeated(self, t: float, q: Array, x_d: Array, last: _Frame) -> Fault | None:
-        """Return a fault where the same x is told although the tip must have moved."""
+        """Return a fault where the same x is read although the tip must have moved."""
         if t - self._seen <= self._longest:
             return None
         now = self._frame(t, last.x, q, self._path, x_d)

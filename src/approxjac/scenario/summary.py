@@ -88,7 +88,7 @@ def text(result: RunResult) -> str:
     if built.limits is not None:
         lines["limits' status"] = shares(run.limit_status_counts())
     if run.at_stops:
-        lines["stops"] = f"{run.stops_told()}; up to {result.joint_limit_excess:.2g} beyond"
+        lines["stops"] = f"{run.describe_stops()}; up to {result.joint_limit_excess:.2g} beyond"
     if not result.on_path and (run.x_d != run.x_d[0]).any():
         lines["shown"] = "the target was moved while it ran: errors are to the target then"
     if built.warning:

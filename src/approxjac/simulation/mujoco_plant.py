@@ -120,12 +120,12 @@ def _require_possible(robot: Robot) -> None:
     """Refuse links that MuJoCo refuses, and say which."""
     wrong = impossible_inertias(robot.tree)
     if wrong:
-        told = [f"{link} {short(moments)}" for link, moments in list(wrong.items())[:_FEW]]
+        named = [f"{link} {short(moments)}" for link, moments in list(wrong.items())[:_FEW]]
         more = f" and {len(wrong) - _FEW} more" if len(wrong) > _FEW else ""
         raise UrdfError(
             f"MuJoCo refuses links of {robot.name} with inertias that no body has, a principal "
-            f"moment larger than the other two together [kg m^2]: {', '.join(told)}{more}; correct "
-            "them in the URDF, or let MuJoCo put their mean in place: "
+            f"moment larger than the other two together [kg m^2]: {', '.join(named)}{more}; "
+            "correct them in the URDF, or let MuJoCo put their mean in place: "
             'MujocoPlant(..., balance_inertia=True), or inertias = "balanced" under [true] of a '
             "scenario",
             given=robot,

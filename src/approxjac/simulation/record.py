@@ -96,11 +96,11 @@ class Record:
         import approxjac
 
         dt = "in continuous time" if self._dt is None else f"dt {self._dt:g} s"
-        told = [f"approxjac {approxjac.__version__}, {dt}"]
+        lines = [f"approxjac {approxjac.__version__}, {dt}"]
         for start, controller in self._controllers:
-            told += [f"from t = {self._columns[0][start]:g} s:"] if start else []
-            told.append(str(controller))
-        return "\n".join(told)
+            lines += [f"from t = {self._columns[0][start]:g} s:"] if start else []
+            lines.append(str(controller))
+        return "\n".join(lines)
 
     def _learnt(self, states: Array) -> Array:
         """Return the learnt numbers of the last controller by each state, shape (N, p)."""

@@ -303,28 +303,28 @@ class Trajectory:
 
     def __str__(self) -> str:
         """Return the error first, then the largest torque, and what was wrong meanwhile."""
-        return "\n".join([*wrapped(self._error_told()), *rows(self._told(), 2)])
+        return "\n".join([*wrapped(self._error_line()), *rows(self._figures(), 2)])
 
-    def _told(self) -> dict[str, str]:
-        """Return names and what is told of each below the error."""
+    def _figures(self) -> dict[str, str]:
+        """Return names and figures to print below the error."""
         k = int(np.abs(self.tau).max(axis=0).argmax())
         unit = {"rad": "N m", "m": "N"}[self.joint_units[k]]
-        told = {
+        figures = {
             "run": f"{self.robot_name}, {self.t[-1]:g} s, {len(self.t)} samples",
             "torque": f"at most {np.abs(self.tau[:, k]).max():.3g} {unit} ({self.joint_names[k]})",
             "law's status": shares(self.status_counts()),
         }
         if self._limits():
-            told["limits' status"] = shares(self.limit_status_counts())
+            figures["limits' status"] = shares(self.limit_status_counts())
         if self.at_stops:
-            told["stops"] = self.stops_told()
+            figures["stops"] = self.describe_stops()
         if self.ended:
-            told["ended"] = self.ended
+            figures["ended"] = self.ended
         if self.engine:
-            told["engine"] = self.engine
-        return told
+            figures["engine"] = self.engine
+        return figures
 
-    def _error_told(self) -> str:
+    def _error_line(self) -> str:
         norm, last = self.error_norm, len(self.t) - 1
         error = f"error {norm[0]:.3g} -> {norm[-1]:.3g} {self.task_unit}"
         above = np.nonzero(norm > 0.01 * norm[0])[0]
@@ -332,7 +332,7 @@ class Trajectory:
             error += f", below 1 % of the start from {self.t[above[-1] + 1]:.3g} s on"
         return error
 
-    def stops_told(self) -> str:
+    def describe_stops(self) -> str:
         """Return which joints were at their stops, and for how long, in words; "" if none was."""
         return ", ".join(f"{name} for {time:.3g} s" for name, time in self.at_stops.items())
 

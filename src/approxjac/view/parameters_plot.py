@@ -78,8 +78,8 @@ def plot_parameters(
         if truth is not None:
             ax.plot([], [], "--", color=COLORS["neutral"], linewidth=0.9, label="true values")
         units = dict.fromkeys(run.parameters[name] or "–" for name in chosen)
-        bands_told = ", ± 2 sd" if np.isfinite(deviations).any() else ""
-        over_time(ax, run, ylabel=f"learnt{bands_told} [{' or '.join(units)}]", title=title)
+        shown = ", ± 2 sd" if np.isfinite(deviations).any() else ""
+        over_time(ax, run, ylabel=f"learnt{shown} [{' or '.join(units)}]", title=title)
         if np.isfinite(deviations).any() and within:
             room = 0.05 * (max(within) - min(within)) or 1e-3
             ax.set_ylim(min(within) - room, max(within) + room)

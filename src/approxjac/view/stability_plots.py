@@ -55,8 +55,8 @@ def plot_allowed_error(
             ax.axvline(own_a, color=SERIES[3], label=label)
         ax.set(xlabel="$a = k_p / k_v$ [1/s]", ylabel=f"allowed $p$ [{unit}]", xlim=(left, right))
         ax.set(ylim=(0.0, 1.25 * max(p, float(velocity.max()))))
-        told = rf"$\alpha = \sqrt{{\lambda_2}}$ = {alpha:.4f} 1/s"
-        ax.set_title(f"Figure 1: allowed Jacobian error ({told})")
+        crossover = rf"$\alpha = \sqrt{{\lambda_2}}$ = {alpha:.4f} 1/s"
+        ax.set_title(f"Figure 1: allowed Jacobian error ({crossover})")
         if wide:
             ax.set_xscale("log")
     return ax

@@ -76,5 +76,5 @@ def target_of(loop: Loop, target: Array, size: float) -> Array:
 
 def _require_near(target: Array, way: Array, far: float, words: str) -> None:
     if not (np.abs(way) <= far).all():
-        told = f"target must be at most {far:.3g} {words}, got {target.tolist()}"
-        raise InvalidInputError(told[:_LONGEST], given=target)
+        message = f"target must be at most {far:.3g} {words}, got {target.tolist()}"
+        raise InvalidInputError(message[:_LONGEST], given=target)

@@ -134,15 +134,15 @@ def _legend(scene: Scene, image: bool) -> list[tuple[str, str, str, str]]:
 
     The page shows those of what occurs in it.
     """
-    held, told = bool(held_objects(scene.truth)), scene.belief is not None
+    held, believes = bool(held_objects(scene.truth)), scene.belief is not None
     ghost = "arm and camera as the controller believes them"
     ghost = ghost if image else "the arm as the controller believes it"
     known = scene.knows_truth
     entries = (
         (True, "arm", "bar", "the arm as it is" if known else "the arm as believed"),
         (held, "object", "bar", "object that it holds"),
-        (told, "believed", "bar", ghost),
-        (told, "believed_tip", "", _TIPS[learnt_regressor(scene) is not None]),
+        (believes, "believed", "bar", ghost),
+        (believes, "believed_tip", "", _TIPS[learnt_regressor(scene) is not None]),
         (True, "true", "", f"{'true tip' if known else 'tip by the belief'} and its path"),
         (any(feature.axes for feature in features(scene.sensor)),
          "measured", "", "measured tip" + ", where it differs" * known),

@@ -78,8 +78,8 @@ class LiveView:
     def __call__(self, loop: Loop) -> None:
         """Show a step of a run, do what the user wants, and wait until it is time to go on."""
         if self._closed:
-            told = "a LiveView is for one run, and this one has shown its run: make another one"
-            raise InvalidInputError(told, given=self)
+            message = "a LiveView is for one run, and this one has shown its run: make another one"
+            raise InvalidInputError(message, given=self)
         if self._server is None:
             self._start(loop)
         self._obey(loop)
@@ -126,10 +126,10 @@ class LiveView:
         if threading.current_thread() is threading.main_thread():
             self._before = signal.signal(signal.SIGINT, self._interrupt)
         other = "" if server.taken is None else f" (port {server.taken} is taken)"
-        told = f"The run is shown at {server.url}{other}"
+        message = f"The run is shown at {server.url}{other}"
         if not open_browser(server.url):
-            told = f"No browser could be opened here: open {server.url} on this machine{other}"
-        print(told, flush=True)
+            message = f"No browser could be opened here: open {server.url} on this machine{other}"
+        print(message, flush=True)
         until = time.monotonic() + self._patience
         while time.monotonic() < until and not self._interrupted and not server.opened.wait(_NAP):
             pass
@@ -165,10 +165,10 @@ class LiveView:
 
     def _greeting(self) -> str:
         """Return the first message to a page; it may date from before the belief changed."""
-        told: dict[str, Any] = {"rows": list(self._rows.values()), "controls": self._controls()}
+        message: dict[str, Any] = {"rows": list(self._rows.values()), "controls": self._controls()}
         if self._changed and self._stage is not None:
-            told["redraw"] = self._stage.data("believed")
-        return json.dumps(told)
+            message["redraw"] = self._stage.data("believed")
+        return json.dumps(message)
 
     def _tell(self, **parts: Any) -> None:
         """Send a message to all pages."""
@@ -259,8 +259,8 @@ class LiveView:
         elif wish == "stop":
             loop.stop()
         else:
-            told = repr(wish)[:LONG]
-            raise InvalidInputError(f"commands are: {_WISHES}; got {told}", given=wish)
+            message = repr(wish)[:LONG]
+            raise InvalidInputError(f"commands are: {_WISHES}; got {message}", given=wish)
 
 
 def _plain(value: Any) -> Any:

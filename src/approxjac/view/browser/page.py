@@ -214,8 +214,8 @@ def _entry(path: Path, head: str) -> str:
     image = path.with_suffix(".png")
     picture = f'<img src="{quote(image.name)}" alt="">' if image.is_file() else ""
     named = title[1] if title else escape(path.stem)
-    told = f"<p>{text[1]}</p>" if text else ""
-    return f'<li><a href="{quote(path.name)}">{picture}<b>{_indexed(named)}</b>{told}</a></li>'
+    line = f"<p>{text[1]}</p>" if text else ""
+    return f'<li><a href="{quote(path.name)}">{picture}<b>{_indexed(named)}</b>{line}</a></li>'
 
 
 def _table(rows: Mapping[str, Sequence[str]]) -> str:
@@ -233,8 +233,8 @@ def _table(rows: Mapping[str, Sequence[str]]) -> str:
         if name:
             cells[0] = f'<a href="{quote(name)}">{cells[0]}</a>'
             named = zip(map(escape, heads), cells, strict=True)
-            told = (f'<td data-head="{head}"><span>{cell}</span></td>' for head, cell in named)
-            lines.append(f"<tr>{''.join(told)}</tr>")
+            shown = (f'<td data-head="{head}"><span>{cell}</span></td>' for head, cell in named)
+            lines.append(f"<tr>{''.join(shown)}</tr>")
     top = "".join(f"<th>{escape(head)}</th>" for head in heads)
     return f"<table><thead><tr>{top}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
 

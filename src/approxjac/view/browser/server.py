@@ -115,8 +115,8 @@ class PageServer:
 
             async def on_message(self, message: str | bytes) -> None:
                 with contextlib.suppress(ValueError, RecursionError):
-                    told = json.loads(message)
-                    for wish, value in told.items() if isinstance(told, dict) else ():
+                    given = json.loads(message)
+                    for wish, value in given.items() if isinstance(given, dict) else ():
                         outer._keep(wish, value)
                 await asyncio.sleep(_SPARE)  # the next one is read then: none can flood a run
 
