@@ -51,7 +51,7 @@ MUTANTS = [
         "(self.spectral_radii >= 1.0).any()", "(self.spectral_radii >= 1.0 + 1e-3).any()", GRAVITY,
     ),
     (
-        "multipliers near 1 are left out", "stability/loop/target_samples.py",
+        "multipliers near 1 are left out", "stability/loop/linearization.py",
         "radii = np.exp(frame * np.nanmax(values.real, axis=1))",
         "radii = np.exp(frame * np.nanmax(values.real - 1.0, axis=1))", GRAVITY,
     ),
