@@ -269,7 +269,7 @@ MUTANTS = [
     # -- holds
     (
         "too old at equality", "law/steps.py",
-        "(np.abs(p) > most)", "(np.abs(p) >= most)", PERIODS,
+        "abs(far) > end", "abs(far) >= end", PERIODS,
     ),
     (
         "moved by milliseconds", "controllers/hold.py",
@@ -277,12 +277,12 @@ MUTANTS = [
     ),
     (
         "one side of the motion", "law/steps.py",
-        "(np.abs(p) > most)", "(p > most)", PERIODS,
+        "abs(far) > end", "far > end", PERIODS,
     ),
     (
         "what is too old comes back", "law/steps.py",
-        "p[rows] + select(is_old, 0.0 * motion[rows], motion[rows])",
-        "p[rows] + motion[rows]", "tests/controllers/test_measurement_hold.py",
+        "_each(is_old, own, [a + b",
+        "_each(False, own, [a + b", "tests/controllers/test_measurement_hold.py",
     ),
     (
         "the same frame is new", "law/steps.py",
@@ -485,7 +485,7 @@ MUTANTS = [
     ),
     (
         "motion since the frame before", "law/steps.py",
-        "select(is_new, np.zeros(rows.stop - rows.start), p[rows])", "p[rows]", PERIODS,
+        "moved += _each(is_new, [0.0] * len(own), own)", "moved += own", PERIODS,
     ),
     (
         "held although it is new", "controllers/hold.py",
