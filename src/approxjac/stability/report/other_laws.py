@@ -5,17 +5,20 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from approxjac.controllers import Controller, Latency
 from approxjac.errors import InvalidInputError
-from approxjac.formatting import percent, plain, rows, wrapped
+from approxjac.formatting import plain, rows, wrapped
 from approxjac.simulation import Plant, Sensing
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.configurations import inverse_kinematics
 from approxjac.stability.loop.local import LocalStability, local_stability
+from approxjac.stability.report import render
+from approxjac.stability.report.rows import Row
 from approxjac.stability.rollouts.rollouts import Rollouts
 from approxjac.stability.rollouts.setting import RolloutSetting
 from approxjac.validation import Array
@@ -49,21 +52,19 @@ class NearTargets:
         """Index of the target with the slowest decay."""
         return int(np.argmin([each.decay_rate for each in self.found]))
 
-    def figures(self, uncertainty: Uncertainty) -> tuple[str, str]:
-        """Return verdict and figures of a row."""
-        left_out = "; ".join(f"{n} left out: {why}" for why, n in self.refused.items())
+    def row(self, uncertainty: Uncertainty) -> Row:
+        """Return the row of a report."""
         if not self.found:
-            return "not applicable", left_out
-        share = float(np.mean([each.stable for each in self.found]))
-        worst = self.found[self.worst]
-        figures = (
-            f"stable at {percent(share)} % of {len(self.found)} targets, slowest decay "
-            f"{worst.decay_rate:.3g} 1/s, damping ratio at least "
-            f"{min(each.damping_ratio for each in self.found):.2g}; the slowest with "
-            f"{uncertainty.describe(self.values[self.worst])}"
-        )
-        figures = "; ".join(filter(None, (figures, left_out)))
-        return "stable" if self.stable else "not stable", figures
+            return Row("other law", "near targets", "not applicable", {"refused": self.refused})
+        figures = {
+            "targets": len(self.found),
+            "share": float(np.mean([each.stable for each in self.found])),
+            "decay": self.found[self.worst].decay_rate,
+            "damping_ratio": min(each.damping_ratio for each in self.found),
+            "worst_truth": uncertainty.describe(self.values[self.worst]),
+            "refused": self.refused,
+        }
+        return Row("other law", "near targets", "stable" if self.stable else "not stable", figures)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -95,21 +96,19 @@ class OtherLawReport:
         tested = bool(self.local.found) or self.rollouts is not None
         return tested and converged and (self.local.stable or not self.local.found)
 
-    def lines(self) -> list[tuple[str, str, str]]:
-        """Return a row for each test: its name, verdict, and the figures it rests on."""
-        table = [
-            ("certificates", "not applicable", self.reason),
-            ("near targets", *self.local.figures(self.uncertainty)),
+    @cached_property
+    def rows(self) -> list[Row]:
+        """The findings: what was tested, its verdict and figures."""
+        found = [
+            Row("other law", "certificates", "not applicable", {"reason": self.reason}),
+            self.local.row(self.uncertainty),
         ]
         if self.rollouts is None:
-            return [*table, ("rollouts", "not run", "report(runs=100) runs them")]
-        many = self.rollouts
-        low, high = many.interval
-        figures = (
-            f"{many.n_converged} of {many.n} converged, "
-            f"{percent(low)} to {percent(high)} % of all by the interval"
-        )
-        return [*table, ("rollouts", "pass" if many.n_converged == many.n else "fail", figures)]
+            return [*found, Row("other law", "rollouts", "not run", {})]
+        many, (low, high) = self.rollouts, self.rollouts.interval
+        figures = {"converged": many.n_converged, "runs": many.n, "low": low, "high": high}
+        passes = "pass" if many.n_converged == many.n else "fail"
+        return [*found, Row("other law", "rollouts", passes, figures)]
 
     def verdict(self) -> str:
         """Return in a line what was found."""
@@ -121,7 +120,7 @@ class OtherLawReport:
         return f"OtherLawReport({self.controller!r}: {self.verdict()})"
 
     def __str__(self) -> str:
-        table = {name: f"{verdict}: {figures}" for name, verdict, figures in self.lines()}
+        table = {row.name: f"{row.verdict}: {render.sentence(row)}" for row in self.rows}
         about = {
             "law": "; ".join(self.controller.describe()[:2]),
             "errors": self.uncertainty.describe_box(),
@@ -131,13 +130,9 @@ class OtherLawReport:
 
     def summary(self) -> dict[str, Any]:
         """Return what goes into summary.json."""
-        found = {
-            "passed": self.passed,
-            "seed": self.seed,
-            "tests": [dict(zip(("test", "verdict", "figures"), row)) for row in self.lines()],  # noqa: B905
-            "decay_rates": [each.decay_rate for each in self.local.found],
-        }
-        return {name: plain(value) for name, value in found.items()}
+        decay_rates = [each.decay_rate for each in self.local.found]
+        found = {"passed": self.passed, "seed": self.seed, "decay_rates": plain(decay_rates)}
+        return found | render.as_json(self.rows)
 
 
 def near_targets(

@@ -306,6 +306,28 @@ def _ended(f: Mapping[str, Any]) -> str:
     return f"{ended}, with {f['values']}"
 
 
+def _other_near(f: Mapping[str, Any]) -> str:
+    """The linearisation of a law that no certificate is for."""
+    left_out = [f"{n} left out: {why}" for why, n in f["refused"].items()]
+    if "targets" not in f:
+        return "; ".join(left_out)
+    said = (
+        f"stable at {percent(f['share'])} % of {f['targets']} targets, slowest decay "
+        f"{f['decay']:.3g} 1/s, damping ratio at least {f['damping_ratio']:.2g}; the slowest with "
+        f"{f['worst_truth']}"
+    )
+    return "; ".join([said, *left_out])
+
+
+def _other_rollouts(f: Mapping[str, Any]) -> str:
+    if not f:
+        return "report(runs=100) runs them"
+    return (
+        f"{f['converged']} of {f['runs']} converged, {percent(f['low'])} to {percent(f['high'])} % "
+        "of all by the interval"
+    )
+
+
 _LIMITS = {
     "cannot hold": "the motors cannot hold the arm everywhere in the region",
     "V falls": "in steps of status PROOF_KEPT, in continuous time; of the sampled loop nothing is "
@@ -360,6 +382,9 @@ _SENTENCES: dict[tuple[str, str], Callable[[Mapping[str, Any]], str]] = {
         "only for starts whose motions never ask for more than the motors have"
     ),
     ("limits", "not checked"): _not_checked,
+    ("other law", "certificates"): lambda f: str(f["reason"]),
+    ("other law", "near targets"): _other_near,
+    ("other law", "rollouts"): _other_rollouts,
     ("rollouts", "converged"): lambda f: (
         f"within {f['accuracy']:g} {f['unit']} throughout the last tenth of {f['duration']:g} s; "
         f"{percent(f['low'])} to {percent(f['high'])} % of all do (95 % confidence)"
