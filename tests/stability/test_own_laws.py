@@ -292,3 +292,14 @@ def test_tolerance_of_ones_own_law_is_by_rollouts_and_near_targets(kind):
     found = study.tolerance(["local", "rollouts"], draws=4, precision=0.2, largest=2.0)
     assert found["rollouts"].scale > 0.5
     assert found["local"].scale > 0.5
+
+
+def test_a_held_law_within_limits_has_no_certificate_but_a_report():
+    def held(task):
+        law = aj.SetpointController(task, aj.Gains(60.0, 20.0, 1.0))
+        return aj.HeldMeasurement(aj.TorqueLimited(law, dt=2e-3), 0.5)
+
+    report = study_of(held).report(20)
+    assert isinstance(report, aj.stability.OtherLawReport)
+    assert report.lines()[0][1] == "not applicable"
+    assert report.lines()[1][1] == "stable"

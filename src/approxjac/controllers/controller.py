@@ -197,6 +197,11 @@ class Controller(ABC):
             given=self,
         )
 
+    @property
+    def limited_law(self) -> Controller | None:
+        """The law whose torque this brings within limits; None of what limits none itself."""
+        return None
+
     def with_limits(self, limits: Limits) -> Self:
         """Return this controller with other limits than those that it keeps.
 

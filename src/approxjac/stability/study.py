@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.controllers import Latency, TorqueLimited
+from approxjac.controllers import Latency
 from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Target, TargetPath
@@ -134,7 +134,7 @@ class Study:
             )
         if reason := uncovered(self.controller):
             return self._of_other_law(reason, configurations, runs, execution, progress)
-        limiter = self.controller if isinstance(self.controller, TorqueLimited) else None
+        limiter: Any = self.controller if self.controller.limited_law is not None else None
         with telling(progress) as tell:
             loop = self.loop()
             many = self.rollouts(runs, execution=execution, progress=tell) if runs else None
@@ -325,8 +325,7 @@ class Study:
         Raises:
             InvalidInputError: A controller that there are none of, or what it does not fit.
         """
-        law: Any = self.controller
-        law = law.controller if isinstance(law, TorqueLimited) else law
+        law: Any = self.controller.limited_law or self.controller
         return ClosedLoop(law, self.uncertainty, self.region, self.target)  # type: ignore[arg-type]
 
     def setting(self) -> RolloutSetting:

@@ -214,6 +214,11 @@ class Limiter(ControllerWrapper):
         """The limits with an entry for each joint."""
         return self._limits
 
+    @property
+    def limited_law(self) -> Controller:
+        """The law whose torque is limited."""
+        return self.controller
+
     def with_limits(self, limits: Limits) -> Self:
         """Return this with other limits."""
         return self._rebuilt(limits=limits)

@@ -378,7 +378,7 @@ def require_law(controller: SetpointController) -> None:
 
 def uncovered(controller: Controller) -> str:
     """Return why no certificate is for a controller, or for the law within its limits; or ""."""
-    law: Any = controller.law if controller.limits is not None else controller
+    law: Any = controller.limited_law or controller
     try:
         require_law(law)
     except InvalidInputError as error:
