@@ -1,7 +1,5 @@
 """`approxjac export`: the controller of a scenario as C, and what it refuses."""
 
-import pytest
-
 import approxjac as aj
 from approxjac.cli import main
 from approxjac.scenario import Scenario, build_scenario
@@ -51,18 +49,7 @@ def test_what_a_robot_adds_by_itself_is_left_to_it(tmp_path):
     assert all("= 0.0;" in line for line in start.splitlines() if "state->values" in line)
 
 
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        (["panda"], "C code keeps limits of torques only, and this controller keeps those of "),
-        (
-            ["panda", "--learn-kinematics", "--no-limits"],
-            "controller must be a SetpointController, ",
-        ),
-        (["two_link", "--controller.unseen", "0.1"], "controller must be a SetpointController"),
-    ],
-)
-def test_what_is_not_covered_is_refused_with_the_reason(options, text, tmp_path, capsys):
-    assert export(tmp_path / "none", *options) == 2
-    assert capsys.readouterr().err.startswith(f"approxjac: {text}")
+def test_what_is_not_covered_is_refused_with_the_reason(tmp_path, capsys):
+    assert export(tmp_path / "none", "panda", "--learn-kinematics", "--no-limits") == 2
+    assert capsys.readouterr().err.startswith("approxjac: controller must take symbols")
     assert not (tmp_path / "none").exists()

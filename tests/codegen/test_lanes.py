@@ -3,6 +3,7 @@
 import functools
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from approxjac.codegen.lanes import Lanes
 from approxjac.codegen.loop_program import TOLD
 from approxjac.codegen.regions import Box
 from approxjac.codegen.step import compiled
-from approxjac.controllers import HeldMeasurement, PredictedMeasurement
+from approxjac.controllers import CartesianSpeed, HeldMeasurement, PredictedMeasurement
 from approxjac.errors import MissingPackageError, UnknownNameError
 from approxjac.law import Sine
 from approxjac.robots import Dynamics
@@ -49,7 +50,20 @@ def limited(loop, share, **options):
     return aj.TorqueLimited(controller, aj.Limits(effort=upper), **options), errors, region
 
 
+def within_urdf(loop, share, motion=(), **options):
+    """The loop within all limits of the URDF, and of motion."""
+    controller, errors, region = loop
+    limits = replace(aj.Limits.of(controller.task.robot, scale=share), **options)
+    dt = SHORT["dt"]
+    return aj.TorqueLimited(controller, [limits, *motion], dt=dt), errors, region
+
+
 STUDIES = {
+    "limits of the URDF": lambda: within_urdf(study("panda"), 0.5),
+    "limits of the URDF, and learnt gravity": lambda: within_urdf(study("panda", learns=True), 0.5),
+    "limits with a rate, accelerations and a speed": lambda: within_urdf(
+        study("ur5"), 0.5, [CartesianSpeed(0.3)], rate=3000.0, acceleration=50.0
+    ),
     "limits that keep the proof": lambda: limited(study("panda", learns=True), 0.4),
     "limits, known gravity": lambda: limited(study("ur5"), 0.3),
     "limits that clip": lambda: limited(study("panda"), 0.4, proof=False),
@@ -70,7 +84,13 @@ def require_agreement(ours, python, tolerance=1e-9):
             assert_allclose(found, expected, rtol=tolerance, atol=tolerance, err_msg=name)
 
 
-@pytest.mark.parametrize("name", STUDIES)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(each, marks=pytest.mark.study) if "and learnt" in each else each
+        for each in STUDIES
+    ],
+)
 def test_runs_are_those_of_python(name):
     """Also at joint stops, near singular configurations, and outside of the region."""
     loop = STUDIES[name]()
@@ -78,11 +98,13 @@ def test_runs_are_those_of_python(name):
     assert (ours.setting.engine, ours.setting.reason) == ("lanes", "")
     python = rolled(*loop, engine="python", **SHORT)
     assert python.setting.engine == "python"
-    # motors that come to their limits and leave them let round-off grow
-    require_agreement(ours, python, 1e-8 if name.startswith("limits") else 1e-9)
+    # motors that come to their limits and leave them let round-off grow, and so does the distance
+    # between DAQP's and the interior minimum
+    solves = name.startswith(("limits of the URDF", "limits with"))
+    require_agreement(ours, python, 1e-5 if solves else 1e-8 if name.startswith("limits") else 1e-9)
     assert not ours.columns["stayed"].all()
     if name.startswith("limits"):
-        assert ours.columns["peak_torque"].max() < 0.5
+        assert ours.columns["peak_torque"].max() <= 0.5
     run = ours.replay(5)
     assert run.error_norm[-1] == pytest.approx(ours.runs[5].final_error, abs=1e-9)
     assert run.t[-1] == 1.0

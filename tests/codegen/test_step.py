@@ -541,7 +541,7 @@ def test_what_cannot_be_traced_is_named(panda):
             OwnLimits(law, aj.Limits(effort=panda.effort_limits)),
             "controller must be a TorqueLimited itself to make code of it, got OwnLimits: ",
         ),
-        (aj.TorqueLimited(law), "limits must be those of effort alone to make code of them"),
+        (aj.TorqueLimited(law, solver="osqp"), "solver must be 'daqp' to make code of a limiter"),
         (
             aj.SetpointController(task, saturation=Clipped()),
             "controller must take symbols to make code of it, with choices by numpy.where or "

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from approxjac.errors import InvalidInputError
 from approxjac.scenario import Scenario
 
 
@@ -17,13 +16,12 @@ def export(
 
     Example: approxjac export panda --believed-length 0.1 --effort-only --folder controller
 
-    The code keeps limits of torques; it knows none of speeds and positions, which a scenario has by
-    default. Exit code 0; 2 where the controller is not covered, with the reason.
+    Exit code 0; 2 where the controller is not covered, with the reason.
 
     Args:
         scenario: The scenario; what is true of it has no part in the controller.
         effort_only: Keep the limits of torques, and leave those of speeds and positions out: they
-            are the robot's own to keep then.
+            are the robot's own to keep then, and the code is a tenth as long.
         folder: Folder for controller.h, controller.c, main.c, selftest.c and CMakeLists.txt.
     """
     from approxjac.codegen import export_c
@@ -32,14 +30,7 @@ def export(
 
     built = build_scenario(scenario)
     controller, limits = built.controller, built.limits
-    if controller.limits is not None and limits is not None:
-        if not effort_only:
-            raise InvalidInputError(
-                "C code keeps limits of torques only, and this controller keeps those of speeds "
-                "and positions, too: --effort-only leaves them to the robot, --limits none leaves "
-                "all out",
-                given=limits,
-            )
+    if effort_only and controller.limits is not None and limits is not None:
         controller = controller.with_limits(Limits(effort=limits.effort))
     path = export_c(controller, folder)  # it refuses others
     print(built.law)

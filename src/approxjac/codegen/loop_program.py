@@ -15,7 +15,6 @@ from approxjac.codegen.arm.arm_numbers import ArmNumbers, arm_numbers
 from approxjac.codegen.arm.rigid_body import Arm, Configured, moved
 from approxjac.codegen.regions import Box, outside
 from approxjac.codegen.sensors import Measured, Senses
-from approxjac.codegen.trace.linear import Factors
 from approxjac.codegen.trace.program import Program
 from approxjac.codegen.trace.symbols import (
     LARGEST_ANGLE,
@@ -32,6 +31,7 @@ from approxjac.controllers.gains.gains import Diagonals
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Evaluation, Measurement, Target, TargetPath
+from approxjac.law.factors import Factors
 from approxjac.simulation import Plant
 from approxjac.simulation.integrators import INTEGRATORS
 from approxjac.validation import Array

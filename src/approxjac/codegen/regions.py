@@ -9,8 +9,8 @@ import numpy as np
 
 from approxjac.codegen.arm import traced_tasks as tasks
 from approxjac.codegen.arm.rigid_body import Arm
-from approxjac.codegen.trace.linear import Factors
 from approxjac.codegen.trace.symbols import Condition, Symbols, any_of, symbols
+from approxjac.law.factors import Factors
 from approxjac.robots import Robot
 from approxjac.tasks import Task
 from approxjac.validation import Array

@@ -67,6 +67,8 @@ def step_program(controller: Controller, *, may_lose: bool, moves: bool = False)
             cosine, sine = q[joint.idx_q], q[joint.idx_q + 1]
             usual = usual & (abs(cosine * cosine + sine * sine - 1.0) < _ROUND_OFF)
     usual = usual & ~left if isinstance(left, Scalar) else usual
+    if isinstance(answer.limit_status, Scalar):
+        usual = usual & ~(answer.limit_status == LimitStatus.INFEASIBLE)
     found = {
         "torque": answer.torque, "after": after, "rate": answer.state_rate, "e": answer.e,
         "gravity": answer.gravity, "J_hat": answer.J_hat, "reference": answer.reference,
@@ -86,7 +88,9 @@ def compiled(controller: Controller) -> Any:
 
     A usual step is one whose status is OK, or that of a held x. Whatever is not (x is lost, Ĵ near
     a singular pose, torques beyond the limits where gravity is learnt, wrong arguments) is left to
-    the controller as it is, from the beginning. Kinematics of law T learn from frames in Python.
+    the controller as it is, from the beginning; so are limits that no torque keeps. Kinematics of
+    law T learn from frames in Python. Where limits of speed, position or motion act, a torque is
+    that of Python to 1e-6.
 
     Any controller will do whose step takes symbols, that is, which computes with NumPy and without
     a branch on a value: with a task, camera, saturation or gravity of your own, too, and one of
@@ -96,8 +100,8 @@ def compiled(controller: Controller) -> Any:
     copy of it, as another process gets, is built again.
 
     Args:
-        controller: The controller; a `TorqueLimited` with limits of effort alone; a
-            `TrackingController` of positions whose kinematics and dynamics learn.
+        controller: The controller; a `TrackingController` of positions whose kinematics and
+            dynamics learn.
 
     Returns:
         A controller of the same kind.

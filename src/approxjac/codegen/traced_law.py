@@ -117,7 +117,7 @@ def begun(controller: Controller, q: Symbols, v: Symbols, x: Symbols) -> Symbols
     """Return what `Controller.initial_state` does."""
     own = getattr(controller, "ordinary", controller)
     measurement = Measurement(0.0, q, v, x, 0.0)
-    return symbols(traced("controller", own, lambda: own.initial_state(measurement)))
+    return symbols(traced("controller", own, lambda: on_symbols(own).initial_state(measurement)))
 
 
 def require_covered(controller: Controller) -> None:

@@ -13,7 +13,7 @@ from approxjac.codegen.arm import traced_tasks as tasks
 from approxjac.codegen.arm.learnt_arm import LearntBodies, point_motion
 from approxjac.codegen.arm.rigid_body import Arm
 from approxjac.codegen.backends.llvm import LlvmLanes
-from approxjac.codegen.trace.linear import Factors, is_regular
+from approxjac.codegen.trace.linear import is_regular
 from approxjac.codegen.trace.program import Program
 from approxjac.codegen.trace.symbols import Symbols, select, symbols
 from approxjac.controllers import AdaptiveDynamics, AdaptiveKinematics, TrackingController
@@ -22,6 +22,7 @@ from approxjac.controllers.controller import Controller
 from approxjac.controllers.learning.estimator import pulled_back
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
+from approxjac.law.factors import Factors
 from approxjac.robots.dynamics_regressor import COULOMB_SPEED
 from approxjac.tasks import PoseTask
 from approxjac.validation import Array

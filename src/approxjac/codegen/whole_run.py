@@ -14,6 +14,7 @@ import numpy as np
 
 from approxjac.codegen.backends.llvm import LlvmLanes
 from approxjac.codegen.loop_program import TOLD, recorded_loop, require_covered
+from approxjac.codegen.traced_limits import solves
 from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError
 from approxjac.interface import LimitStatus
@@ -26,6 +27,7 @@ from approxjac.validation import Array
 _KEPT = 8  # loops
 _NOT_INSTALLED = "llvmlite is not installed: pip install 'approxjac[fast]'"
 _STEPS = 5000  # that take Python longer than to trace and to compile the loop
+_SOLVER_STEPS = 50_000  # where limits need a solver, whose code is ten times as long
 _loops: OrderedDict[str, _Loop] = OrderedDict()
 _lock = threading.Lock()
 
@@ -55,7 +57,8 @@ def _loop_of(loop: SampledLoop, must: bool) -> _Loop | None:
         InvalidInputError: Code cannot be made of it.
     """
     plant, law = loop.plant, getattr(loop.controller, "ordinary", loop.controller)
-    if loop.steps < _STEPS and not (must or law is not loop.controller):
+    enough = _SOLVER_STEPS if solves(law) else _STEPS
+    if loop.steps < enough and not (must or law is not loop.controller):
         return None
     for holds, which in (
         (not isinstance(loop.path, np.ndarray), "a target that moves"),

@@ -90,6 +90,7 @@ from approxjac.law.pseudoinverse import (
     right_pinv,
     solution,
 )
+from approxjac.law.quadratic import interior_minimum
 from approxjac.law.rotation import (
     best_rotation,
     cross_matrix,
@@ -208,6 +209,7 @@ __all__ = [
     "image_turn",
     "inertial_block",
     "information",
+    "interior_minimum",
     "is_finite",
     "is_near_singular",
     "is_surely_regular",

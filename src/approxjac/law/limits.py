@@ -279,7 +279,7 @@ class LimitStep(NamedTuple):
         f: q̈ by the believed dynamics with it, shape (n_v,), where motion is bounded.
         slack: σ = yᵀ(τ − τ*), at least 0 [W]; 0 where the proof was not asked for.
         verdict: 0, or 1 where no torque keeps all bounds, 2 where the solver failed.
-        free: Whether τ is τ*.
+        free: 1 where τ is τ*, else 0.
     """
 
     torque: Array
@@ -336,9 +336,9 @@ def limit_step(
         f = motion.forward(near)
         q_dd = f + residual
         fits = within(rows.low.tolist(), rows.of(q_dd).tolist(), rows.high.tolist())
-    free = complement(beyond)
+    free = select(beyond, 0.0, 1.0)
     if weight is None:
-        fits = fits & free
+        fits = fits & complement(beyond)
 
     def searched() -> tuple[Array, Array, Any, Any, Any]:
         M_inv = motion.M_inv()
@@ -356,7 +356,7 @@ def limit_step(
         (torque,) = choose(verdict > 0, lambda: (brakes(M_inv, bounds),), lambda: (found,))
         left = 0.0 if y is None else power_above(torque, wanted, y)
         after = f if rows is None else f + M_inv.dot(torque - near)
-        return torque, after, left, verdict, False
+        return torque, after, left, verdict, 0.0
 
     return LimitStep(*choose(complement(fits), searched, lambda: (near, f, slack, 0, free)))
 

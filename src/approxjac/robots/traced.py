@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 def arm_of(robot: Robot, q: Any) -> Any:
     """Return what has the terms of a robot at a q that is not known yet; None where it is known.
 
-    It has `frame(name)`, `jacobian(name)`, `gravity()`, `M()`, `bias(v)` and `Z(regressor)`.
+    It has `frame(name)`, `jacobian(name)`, `drift(name, v)`, `gravity()`, `M()`, `bias(v)` and
+    `Z(regressor)`.
     """
     own = getattr(q, "arm_of", None)
     return None if own is None else own(robot)

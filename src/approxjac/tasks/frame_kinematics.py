@@ -130,6 +130,8 @@ class FrameKinematics:
 
     def drift(self, q: Array, v: Array) -> Array:
         """Return J̇q̇, shape (6,): what accelerates the frame, and turns it, where q̈ is 0."""
+        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
+            return np.asanyarray(arm.drift(self.frame, v))
         return np.asarray(self.jacobian_dot(q, v).dot(v))
 
     def _placement(self, q: Array) -> pin.SE3:

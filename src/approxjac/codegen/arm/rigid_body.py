@@ -17,7 +17,6 @@ import numpy as np
 
 from approxjac.codegen.arm.arm_numbers import ArmNumbers, Reduced, Structure, arm_numbers, reduced
 from approxjac.codegen.arm.bodies import Body, Motion, Wrench, cross, force, gradient
-from approxjac.codegen.trace.linear import Factors
 from approxjac.codegen.trace.symbols import (
     Graph,
     Number,
@@ -27,6 +26,7 @@ from approxjac.codegen.trace.symbols import (
     select,
     symbols,
 )
+from approxjac.law.factors import Factors
 from approxjac.robots import GravityRegressor, Robot
 from approxjac.robots.model import own_joints
 from approxjac.validation import Array
@@ -182,6 +182,16 @@ class Configured:
             else:
                 J[:3, j], J[3:, j] = cross(z, p - origin), z
         return self.arm.robot.mimic_joints.columns(J)
+
+    def drift(self, name: str, v: Symbols) -> Symbols:
+        """Return J̇q̇ of `jacobian` for velocities (n_v,), shape (6,)."""
+        i, carrier = self._frame(name)
+        if carrier < 0:
+            return _zeros(6)
+        motion = self.motions(v, _zeros(self.nv), _NOTHING)[carrier]
+        p, R = self.arm.numbers.frame_translations[i], self._placements[carrier][0]
+        at = motion.a if motion.gradient is None else motion.a + motion.gradient @ p
+        return np.concatenate([R @ at, R @ motion.omega_dot])
 
     def axis(self, joint: int) -> Symbols:
         """Return the axis of a joint in the world, shape (3,)."""

@@ -79,11 +79,26 @@ def _made_from(controller: Controller, step: SampledStep) -> Iterator[tuple[str,
         unseen = _numbers(controller.unseen)
         yield "held", f"the last x that was seen, until it has moved by {unseen}"
     if isinstance(inside, TorqueLimited):
-        efforts = _numbers(np.asarray(inside.limits.effort))
         how = "so that V' <= -W stays where it can" if inside.proof else "clipped"
-        yield "limits", f"torques {efforts} [N m or N], {how}; none of speeds and positions"
+        yield "limits", f"{'; '.join(_limits(inside))}; {how}"
     else:
         yield "limits", "none"
+
+
+def _limits(controller: TorqueLimited) -> Iterator[str]:
+    """Return the limits that a controller keeps, in words."""
+    limits = controller.limits
+    for words, value in (
+        ("torques {} [N m or N]", limits.effort),
+        ("their rates {} [N m/s or N/s]", limits.rate),
+        ("speeds {} [rad/s or m/s]", limits.velocity),
+        ("accelerations {} [rad/s^2 or m/s^2]", limits.acceleration),
+        ("positions from {} [rad or m]", limits.position and limits.position[0]),
+        ("to {} [rad or m]", limits.position and limits.position[1]),
+    ):
+        if np.isfinite(np.asarray(value, dtype=float)).any():
+            yield words.format(_numbers(np.asarray(value)))
+    yield from map(repr, controller.motion_limits)
 
 
 def _of_law(law: SetpointController) -> Iterator[tuple[str, str]]:

@@ -36,7 +36,12 @@ def _rare(
     _: str, condition: str, lines: list[str], results: list[tuple[str, str, str]]
 ) -> list[str]:
     chosen = [f"    {name} = np.where({condition}, {a}, {b})" for name, a, b in results]
-    return [*lines, *chosen]
+    return [
+        f"    if np.any({condition}):",
+        *(f"    {line}" for line in [*lines, *chosen]),
+        "    else:",
+        *(f"        {name} = {b}" for name, _, b in results),
+    ]
 
 
 def _loop(label: str, loop: Passes, lines: list[str], going: Going, rows: Rows) -> list[str]:

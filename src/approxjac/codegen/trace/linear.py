@@ -8,53 +8,11 @@ import numpy as np
 
 from approxjac import law
 from approxjac.codegen.trace.symbols import Condition, Number, Scalar, Symbols, select, symbols
+from approxjac.law.factors import Factors
 
 _SWEEPS = {1: 0, 2: 1, 3: 5}
 _MANY_SWEEPS = 7  # beyond three rows
 _LARGE = 200  # entries of a matrix, beyond which its product is a loop
-
-
-class Factors:
-    """A = LDLᵀ of a symmetric positive definite A (n, n)."""
-
-    def __init__(self, A: Symbols) -> None:
-        n = len(A)
-        self._L: list[list[Number]] = [[0.0] * n for _ in range(n)]
-        self._inverse: list[Number] = []  # of D
-        self.pivots: list[Number] = []  # D
-        scaled: list[list[Number]] = [[0.0] * n for _ in range(n)]  # LD
-        for i in range(n):
-            for j in range(i):
-                total: Number = A[i, j]
-                for k in range(j):
-                    total = total - scaled[i][k] * self._L[j][k]
-                scaled[i][j] = total
-                self._L[i][j] = total * self._inverse[j]
-            pivot: Number = A[i, i]
-            for k in range(i):
-                pivot = pivot - scaled[i][k] * self._L[i][k]
-            self.pivots.append(pivot)
-            self._inverse.append(1.0 / pivot)
-
-    def solve(self, b: Symbols) -> Symbols:
-        """Return A⁻¹b, b of shape (n,) or (n, k)."""
-        if b.ndim == 2 and b.size < _LARGE:
-            return symbols([self.solve(column) for column in b.T]).T
-        if b.ndim == 2:
-            rows, pivot = b.T, (self._inverse[0],)
-            _, (columns,) = law.collect(
-                len(rows), lambda i, v: (v, (self.solve(law.take(rows, i)),)), pivot
-            )
-            return symbols(columns).T
-        n, z = len(b), b.tolist()
-        for i in range(n):
-            for k in range(i):
-                z[i] = z[i] - self._L[i][k] * z[k]
-        z = [each * inverse for each, inverse in zip(z, self._inverse, strict=True)]
-        for i in reversed(range(n)):
-            for k in range(i + 1, n):
-                z[i] = z[i] - self._L[k][i] * z[k]
-        return symbols(z)
 
 
 def solved(A: Symbols, b: Symbols) -> Symbols:

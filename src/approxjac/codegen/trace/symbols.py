@@ -685,6 +685,7 @@ _FUNCTIONS: dict[np.ufunc, np.ufunc] = {
     np.hypot: np.frompyfunc(lambda a, b: products.root(a * a + b * b), 2, 1),
     np.exp: _of_one(np.exp, exp),
     np.sign: _of_one(np.sign, lambda a: select(a > 0.0, 1.0, select(a < 0.0, -1.0, 0.0))),
+    np.copysign: np.frompyfunc(lambda a, b: select(b < 0.0, -abs(a), abs(a)), 2, 1),
     np.logical_and: np.frompyfunc(lambda a, b: a & b, 2, 1),
     np.logical_or: np.frompyfunc(lambda a, b: a | b, 2, 1),
     np.logical_not: np.frompyfunc(lambda a: law.complement(a), 1, 1),

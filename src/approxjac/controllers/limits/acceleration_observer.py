@@ -16,7 +16,7 @@ from approxjac.interface import Measurement
 from approxjac.validation import Array
 
 _HUGE = HUGE**2  # a sum of squares
-_NEVER = 1e100  # [s], a time that is never measured
+_NEVER = 1e20  # [s], a time that is never measured
 
 
 class AccelerationObserver:

@@ -65,7 +65,7 @@ class LimitTerms:
         return self._of(frame).drift(self.q, self.v)
 
     def stay_above(
-        self, value: Array, J: Array, drift: Array, returning: float = np.inf
+        self, value: Any, J: Any, drift: Any, returning: float = np.inf
     ) -> tuple[Array, Array, Array]:
         """Return rows that keep some h(q) at 0 or above.
 
@@ -78,6 +78,7 @@ class LimitTerms:
             drift: J̇q̇, shape (k,).
             returning: How fast it has to come back at most.
         """
+        value, J, drift = (law.array(each) for each in (value, J, drift))
         fastest = np.where(value < 0.0, returning, _FAR)
         knee = (np.abs(J) * self.deceleration).max(axis=1) / self.approach
         falls = law.approach_speed(value, fastest, self.approach, knee)
@@ -85,7 +86,7 @@ class LimitTerms:
         return J, low - drift, np.full(len(J), np.inf)
 
     def stay_below(
-        self, rate: Array, most: float | Array, J: Array, drift: Array
+        self, rate: Any, most: float | Array, J: Any, drift: Any
     ) -> tuple[Array, Array, Array]:
         """Return rows that keep some speed Jq̇ at its bound or below.
 
@@ -95,6 +96,7 @@ class LimitTerms:
             J: Shape (k, n_v).
             drift: J̇q̇, shape (k,).
         """
+        rate, J, drift = (law.array(each) for each in (rate, J, drift))
         most = np.broadcast_to(most, (len(J),))
         high = law.acceleration_bounds(rate, most, self.braking, self._jerk_of(J))
         return J, np.full(len(J), -np.inf), high - drift
@@ -172,10 +174,11 @@ class Wall(Limit):
     def rows(self, terms: LimitTerms, v: Array, dt: float) -> tuple[Array, Array, Array]:
         """Return rows, one a frame."""
         n, frames = self.normal, self.frames or (None,)
-        height = law.array([n.dot(terms.position(each) - self.point) for each in frames])
-        J = np.stack([n.dot(terms.jacobian(each)[:3]) for each in frames])
-        drift = law.array([n.dot(terms.drift(each)[:3]) for each in frames])
-        return terms.stay_above(height - (self.margin + _CLEAR), J, drift, _RETURN)
+        edge = n.dot(self.point) + self.margin + _CLEAR
+        height = [n.dot(terms.position(each)) - edge for each in frames]
+        J = [n.dot(terms.jacobian(each)[:3]) for each in frames]
+        drift = [n.dot(terms.drift(each)[:3]) for each in frames]
+        return terms.stay_above(height, J, drift, _RETURN)
 
     def __repr__(self) -> str:
         frames = f", frames={list(self.frames)}" if self.frames else ""
@@ -202,7 +205,7 @@ class CartesianSpeed(Limit):
         along = velocity / np.maximum(speed, _STILL)
         drift = along.dot(terms.drift(self.frame)[:3])
         row = along.dot(J)[np.newaxis]
-        return terms.stay_below(law.array([speed]), self.most, row, law.array([drift]))
+        return terms.stay_below([speed], self.most, row, [drift])
 
     def __repr__(self) -> str:
         frame = "" if self.frame is None else f", frame={self.frame!r}"

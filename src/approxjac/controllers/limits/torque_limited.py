@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-import pinocchio as pin
 
 from approxjac import law
 from approxjac.controllers.arguments import require_dt
@@ -25,6 +24,7 @@ from approxjac.controllers.limits.limits import Limits, sure_deceleration
 from approxjac.controllers.limits.quadratic_program import QuadraticProgram, as_solver
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.interface import Evaluation, LimitStatus, Measurement, Target
+from approxjac.robots.traced import motion_between
 from approxjac.validation import Array, as_diagonal, as_number, require
 
 Weight = Literal["joint inertia", "inertia", "identity"]
@@ -171,7 +171,6 @@ class TorqueLimited(Limiter):
         self._jerk = self._rate / own if self._has_rate else None
         self._prediction = AccelerationObserver(controller, self._dt, self.braking)
         self._dynamics = self._prediction.dynamics
-        self._model = robot.model
         self._neutral = None if robot.nq == robot.nv else robot.neutral()
         # arrays, which NumPy multiplies with in a third of the time of numbers
         self._braking, self._alpha = np.array(self.braking), np.array(self.alpha)
@@ -231,7 +230,10 @@ class TorqueLimited(Limiter):
         if self._looks_ahead:
             residual = self._prediction.residual(memory, asked.measurement)
             rows = self.rows(asked.measurement)
-        found = self.limited(asked, residual, rows, self._solver.minimum, self._brakes.minimum)
+        found = self.limited(
+            asked, residual, rows, lambda: self._passive_output(asked),
+            self._solver.minimum, self._brakes.minimum,
+        )  # fmt: skip
         proven = self.proof and self.controller.is_proven(answer)
         status, slack = _VERDICTS[found.verdict], found.slack if proven else math.nan
         if found.free:
@@ -252,6 +254,7 @@ class TorqueLimited(Limiter):
         asked: Asked,
         residual: Array | None,
         rows: law.Rows | None,
+        output: Callable[[], tuple[Array, Any]],
         minimum: law.Minimum,
         brake_minimum: law.Minimum,
     ) -> law.LimitStep:
@@ -261,6 +264,7 @@ class TorqueLimited(Limiter):
             asked: What is asked for.
             residual: r, shape (n_v,), where there are rows.
             rows: Bounds of motion, if there are any.
+            output: Gives y, shape (n_v,), and ρ.
             minimum: Solver.
             brake_minimum: Solver of what is sent where that finds nothing.
         """
@@ -271,9 +275,6 @@ class TorqueLimited(Limiter):
             hold = np.minimum(np.maximum(gravity, lower), upper)
             rest = -self._braking * measurement.v
             return law.braked(M_inv, bounds, lower, upper, believed, rest, hold, brake_minimum)
-
-        def output() -> tuple[Array, Any]:
-            return self._passive_output(asked)
 
         return law.limit_step(
             asked.answer.torque, asked.clipped, law.complement(asked.free), lower, upper,
@@ -293,7 +294,7 @@ class TorqueLimited(Limiter):
             return law.Rows(low, high)
         terms = self._terms(q, v)
         more = [limit.rows(terms, v, self._dt) for limit in self.motion_limits]
-        E, lows, highs = zip(*more, strict=True)
+        E, lows, highs = zip(*(map(law.array, each) for each in more), strict=True)
         return law.Rows(
             np.concatenate([low, *lows]), np.concatenate([high, *highs]), np.concatenate(E)
         )
@@ -306,7 +307,7 @@ class TorqueLimited(Limiter):
 
     def _positions(self, q: Array) -> Array:
         """Return the position of each joint, shape (n_v,) [rad or m]."""
-        return q if self._neutral is None else pin.difference(self._model, self._neutral, q)
+        return q if self._neutral is None else motion_between(self.task.robot, self._neutral, q)
 
     def _terms(self, q: Array, v: Array) -> LimitTerms:
         """Return what limits of motion make their rows of."""
@@ -330,9 +331,13 @@ class TorqueLimited(Limiter):
             y = self.cross_weight.passive_output(law_inside, answer, v)
         if answer.reference is not None:
             y = y - answer.reference
+        return y, self.price(y, v)
+
+    def price(self, y: Array, v: Array) -> Any:
+        """Return ρ, less where y is 0 at a speed that joints may not have."""
         if self._per_speed is None:
-            return y, self._rho
-        return y, self._rho / law.largest(((y - v) * self._per_speed).tolist(), 1.0)
+            return self._rho
+        return self._rho / law.largest(((y - v) * self._per_speed).tolist(), 1.0)
 
     def _usual_braking(self, inertias: Array) -> float:
         latency = self.controller.latency
