@@ -73,7 +73,7 @@ def value_of(hint: Any, value: Any, key: str, where: str = "") -> Any:
     typed = isinstance(value, Words)
     given = (" ".join(value) or "nothing") if typed else repr(value)
     now = RENAMED.get(f"{key} = {given if typed else value}")
-    message = f"{key} must be {wanted(hint, plain=typed)}, got {given}{_in(where)}"
+    message = f"{key} must be {wanted(hint)}, got {given}{_in(where)}"
     raise InvalidInputError(message + (f", which is now {now}" if now else ""), given=value)
 
 
@@ -140,21 +140,18 @@ def _meant(hint: Any, words: Words) -> Any:
     return word
 
 
-def wanted(hint: Any, plain: bool = False) -> str:
-    """Return in words what a value of a type is; `plain` as one types it."""
+def wanted(hint: Any) -> str:
+    """Return in words what a value of a type is."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin in _UNIONS:
-        return " or ".join(wanted(kind, plain) for kind in inner if kind is not type(None))
+        return " or ".join(wanted(kind) for kind in inner if kind is not type(None))
     if origin is Literal:
-        words = [word if plain else json.dumps(word) for word in inner]
-        return " or ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
+        return " or ".join(filter(None, [", ".join(inner[:-1]), inner[-1]]))
     if origin is dict:
-        each = "a joint and 3 numbers" if plain else wanted(inner[1])
-        return f"{each}, for one or several" if plain else f"a table of names, each with {each}"
+        return "3 numbers for each of some joints"
     if origin is tuple:
         what = "words" if inner[0] is str else "numbers"
-        count = f"{len(inner)} " if inner[-1] is not Ellipsis else ""
-        return f"{count}{what}" if plain else f"a list of {count}{what}"
+        return what if inner[-1] is Ellipsis else f"{len(inner)} {what}"
     names = {float: "a number", int: "a whole number", str: "a word", bool: "true or false"}
     return names.get(hint, "a path")
 
