@@ -303,3 +303,23 @@ def test_a_held_law_within_limits_has_no_certificate_but_a_report():
     assert isinstance(report, aj.stability.OtherLawReport)
     assert report.lines()[0][1] == "not applicable"
     assert report.lines()[1][1] == "stable"
+
+
+def test_what_a_controller_does_not_tell_has_a_default_or_a_named_error(panda):
+    task = aj.PositionTask(panda)
+    law, here = OwnController(task), aj.Plant(panda).measure(0.0, panda.neutral(), np.zeros(7))
+    with pytest.raises(aj.InvalidInputError, match=r"must have a step\(state, measurement, target"):
+        aj.simulate(aj.Plant(panda), law, task.value(panda.neutral()), duration=0.01)
+    for use in (
+        lambda: law.with_task(task),
+        lambda: law.with_limits(aj.Limits(effort=1.0)),
+        lambda: law.kinematics_learnt(np.zeros(0)),
+        lambda: law.learnt_robot(np.zeros(0)),
+        lambda: law.resumed(np.zeros(0), here),
+    ):
+        with pytest.raises(aj.InvalidInputError, match="controller must "):
+            use()
+    assert str(law) == "own controller\n  position task (x, y, z) of panda"
+    assert law.law is law
+    assert not law.is_continuous
+    assert law.learnt(np.zeros(3)).shape == (0,)
