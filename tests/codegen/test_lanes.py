@@ -305,6 +305,9 @@ def test_without_llvmlite(monkeypatch):
     told = " ".join(str(found).split())
     assert told.endswith("engine in Python, as llvmlite is not installed")
 
+    with pytest.warns(UserWarning, match=r"20000 runs .* 10 min .*approxjac\[fast\]"):
+        aj.Study(*loop, duration=0.5).setting().with_engine(None, 20_000)
+
     def missing(extra, name):
         raise MissingPackageError("no", given=name)
 

@@ -8,6 +8,7 @@ import math
 import pickle
 import threading
 import uuid
+import warnings
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +37,8 @@ COLUMNS = (
 """Fields of `Rollout` that are told of each run."""
 
 _RECORDS = 500  # of a run: 50 in its last tenth
+_PER_STEP = 6e-5  # s, of a step of a run in Python
+_LONG = 60.0  # s, which is said before
 _EXAMPLES = 16  # runs that show what differs from run to run
 _ENGINES = ("lanes", "python")
 _COMPILED = 4  # loops that a process keeps
@@ -128,6 +131,7 @@ class RolloutSetting:
         if engine is not None:
             package_of("fast", "llvmlite")
         elif importlib.util.find_spec("llvmlite") is None:
+            self._warn(runs)
             return replace(self, reason="llvmlite is not installed")
         setting = replace(self, engine="lanes", examples=min(max(runs, 2), _EXAMPLES))
         try:
@@ -135,6 +139,17 @@ class RolloutSetting:
         except (pickle.PicklingError, AttributeError, TypeError):
             key = uuid.uuid4().hex  # for the threads of this process
         return replace(setting, key=key)
+
+    def _warn(self, runs: int) -> None:
+        """Say what runs will take without llvmlite, where that is long."""
+        seconds = _PER_STEP * self.steps * runs
+        if seconds > _LONG:
+            warnings.warn(
+                f"{runs} runs of {self.duration:g} s take Python about {seconds / 60.0:.0f} min of "
+                f"one core, and machine code some {max(seconds / 300.0, 1.0):.0f} s: "
+                "pip install 'approxjac[fast]'",
+                stacklevel=4,
+            )
 
     def _require_alike(self) -> None:
         """Refuse true robots that may differ in more than lengths, axes, masses and cameras."""
