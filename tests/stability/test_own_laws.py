@@ -301,8 +301,8 @@ def test_a_held_law_within_limits_has_no_certificate_but_a_report():
 
     report = study_of(held).report(20)
     assert isinstance(report, aj.stability.OtherLawReport)
-    assert report.lines()[0][1] == "not applicable"
-    assert report.lines()[1][1] == "stable"
+    assert report.rows[0].verdict == "not applicable"
+    assert report.rows[1].verdict == "stable"
 
 
 def test_what_a_controller_does_not_tell_has_a_default_or_a_named_error(panda):
