@@ -8,6 +8,7 @@ from typing import Self
 
 import numpy as np
 
+from approxjac import law
 from approxjac.controllers.arguments import overflow, require_arrays, require_finite, with_rates
 from approxjac.controllers.controller import Controller, Instant
 from approxjac.controllers.learning.estimator import Kinematics
@@ -166,30 +167,45 @@ class PredictedMeasurement(ControllerWrapper):
             MeasurementError: As the controller.
             InvalidInputError: As the controller.
         """
-        inner, known = self._split(state)
         target = target if isinstance(target, Target) else Target(target)
+        if hasattr(getattr(measurement, "q", None), "arm_of"):  # symbols
+            n = len(state) - self._memory
+            known = state[n:].copy()
+            after, answer = self._stepped(state[:n], known, measurement, target, dt)
+            self.kinematics.correct(known, measurement, dt)
+            return np.concatenate([after, known]), answer
+        inner, known = self._split(state)
         x_d = self._task.target(target.x)
-        q, v, x = require_arrays(state, measurement, x_d, self._task, len(state))
+        q, v, _ = require_arrays(state, measurement, x_d, self._task, len(state))
         if not math.isfinite(math.hypot(*q.tolist(), *v.tolist())):
             require_finite(q, v, x_d, state, self._task)
         target = with_rates(target._replace(x=x_d), self._task.m)
-        now = self.kinematics.status(known, measurement)
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # an overflow is a named error
-                e = self._task.error(x, x_d)
-                seen, origin = self._predicted(known, measurement, target)
-                if now is _LOST:  # nothing is predicted before x was seen once
-                    seen.x[: self._task.m] = math.nan
-                after, answer = self.controller.step(inner, seen, origin, dt)
+                after, answer = self._stepped(inner, known, measurement, target, dt)
                 known = self.kinematics.step(known, measurement, dt)
         except (ArithmeticError, np.linalg.LinAlgError):
             raise overflow(measurement) from None
         if not math.isfinite(math.hypot(*known.tolist())):
             raise overflow(measurement)
-        status = answer.status
-        if status is _OK and (now is _PREDICTED or not math.isfinite(math.hypot(*e.tolist()))):
-            status = _PREDICTED
-        return np.concatenate([after, known]), answer._replace(e=e, status=status)
+        return np.concatenate([after, known]), answer
+
+    def _stepped(
+        self, inner: Array, known: Array, measurement: Measurement, target: Target, dt: float
+    ) -> tuple[Array, Evaluation]:
+        """Return the controller's state after a step, and its answer to what is predicted."""
+        now = self.kinematics.status(known, measurement)
+        e = law.array(self._task.error(measurement.x, target.x))
+        seen, origin = self._predicted(known, measurement, target)
+        z = seen.x[: self._task.m]
+        # nothing is predicted before x was seen once
+        z = law.select(now == _LOST, np.full(len(z), math.nan), z)
+        seen = seen._replace(x=np.concatenate([z, seen.x[len(z) :]]))
+        after, answer = self.controller.step(inner, seen, origin, dt)
+        is_predicted = (now == _PREDICTED) | law.complement(law.is_finite(e))
+        is_predicted = is_predicted & (answer.status == _OK)
+        status = law.select(is_predicted, _PREDICTED, answer.status)
+        return after, answer._replace(e=e, status=status)
 
     def kinematics_learnt(self, state: Array) -> KinematicReport:
         """Return what a state has learnt of the kinematics.
@@ -215,7 +231,7 @@ class PredictedMeasurement(ControllerWrapper):
         """Return z and Ĵ as a measurement, and the target that it is to reach: none is left."""
         t, q, v, *_ = measurement
         ahead = self.kinematics.predict(known, q, v, target)
-        x = np.concatenate([ahead.z, ahead.J.ravel()])
+        x = np.concatenate([law.array(ahead.z), law.array(ahead.J).ravel()])
         moves = target.v is not None
         return Measurement(t, q, v, x, t), Target(0.0 * x, ahead.x_d_dot if moves else None)
 
