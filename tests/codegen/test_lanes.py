@@ -87,7 +87,9 @@ def require_agreement(ours, python, tolerance=1e-9):
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(each, marks=pytest.mark.study) if "and learnt" in each else each
+        pytest.param(each, marks=pytest.mark.study)
+        if "and learnt" in each or "a rate" in each
+        else each
         for each in STUDIES
     ],
 )

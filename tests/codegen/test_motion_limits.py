@@ -148,6 +148,7 @@ def test_in_C_they_are_those_of_python(name, tmp_path, rng):
 
 
 @needs_compiler
+@pytest.mark.study
 def test_the_self_test_of_all_limits_passes(tmp_path):
     folder = aj.export_c(limiter("rate"), tmp_path)
     made = "cc -std=c99 -O1 -ffp-contract=off selftest.c controller.c -lm -o selftest && ./selftest"
