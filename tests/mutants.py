@@ -292,12 +292,11 @@ MUTANTS = [
     # -- what is predicted
     (
         "x that is lost is not said", "controllers/predicted_measurement.py",
-        "(now is _PREDICTED or not math", "(now is _PREDICTED and not math", PERIODS,
+        "(now == _PREDICTED) | law.complement(", "(now == _PREDICTED) & law.complement(", PERIODS,
     ),
     (
         "x that was never seen is predicted", "controllers/predicted_measurement.py",
-        "                    seen.x[: self._task.m] = math.nan\n", "                    pass\n",
-        PERIODS,
+        "law.select(now == _LOST,", "law.select(False,", PERIODS,
     ),
     (
         "feed of a path dropped", "controllers/predicted_measurement.py",
