@@ -7,6 +7,7 @@ import shlex
 from functools import partialmethod
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -424,7 +425,8 @@ def failing(own):
 
 def test_without_gains_no_scenario_is_written(tmp_path, monkeypatch, capsys):
     candidate = Candidate(aj.Gains(100.0, 20.0, 2.0), 0.2, torque_ratio=0.5, settling_time=1.47)
-    failed = SimpleNamespace(passed=False, verdict=lambda: "certified: no")
+    failed = Mock(spec=aj.stability.StabilityReport, passed=False)
+    failed.verdict.return_value = "certified: no"
     monkeypatch.setattr(aj.Study, "report", lambda *args: failed)
     none = Suggestion("matrix", None, ("with 1.18 times the torque limits: K_p 9",), (candidate,))
     wrong = Suggestion("matrix", candidate, (), (candidate,))  # which the report does not certify
