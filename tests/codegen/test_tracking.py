@@ -1,4 +1,4 @@
-"""Law T compiled: the same steps as in NumPy, whatever is measured and wherever it leads."""
+"""The tracking law compiled: the same steps as in NumPy, whatever is measured."""
 
 import copy
 import pickle
@@ -11,8 +11,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 from random_trees import random_tree
 
 import approxjac as aj
-from approxjac.codegen.arm.learnt_arm import LearntBodies, point_motion
+from approxjac.codegen.arm.learnt_arm import LearntBodies
 from approxjac.codegen.arm.rigid_body import Arm
+from approxjac.codegen.lanes import Begun, Lanes
+from approxjac.codegen.regions import Box
 from approxjac.codegen.step import compiled
 from approxjac.codegen.trace.program import Program
 from approxjac.codegen.trace.symbols import inputs
@@ -69,11 +71,16 @@ def slow_motion(task, rng, steps, rate=60.0):
 def assert_same(ours, expected, tolerance=1e-10):
     """Equal to rounding: state and answer."""
     (own, answer), (other, told) = ours, expected
-    assert_allclose(own, other, rtol=tolerance, atol=tolerance * (1.0 + np.abs(other)).max())
+    size = 1.0 + np.abs(other).max(initial=0.0)
+    assert_allclose(own, other, rtol=tolerance, atol=tolerance * size)
     for name in ("torque", "e", "J_hat", "gravity", "reference"):
         a, b = getattr(answer, name), getattr(told, name)
+        if b is None:  # of velocities there is no gravity
+            assert a is None, name
+            continue
         assert a.shape == b.shape, name
-        assert_allclose(a, b, rtol=0, atol=tolerance * (1.0 + np.abs(b).max()), err_msg=name)
+        size = 1.0 + np.abs(np.nan_to_num(b)).max()
+        assert_allclose(a, b, rtol=0, atol=tolerance * size, err_msg=name)
     assert answer.status is told.status
     assert answer.limit_status is told.limit_status
     assert answer.state_rate is None
@@ -93,7 +100,7 @@ def traced_terms(robot, frames):
     )
     here = Arm(program.given, "arm", robot, points.frames).at(q)
     bodies = LearntBodies(here, v, v_r, a_r)
-    motion = point_motion(here, points, v, theta, theta_dot)
+    motion = here.points(points).motion(v, theta, theta_dot)
     terms = {**motion._asdict(), "powers": bodies.powers(sigma), "torque": bodies.torque(a)}
     return program, {**terms, "gravity": bodies.gravity(a)}, points, links
 
@@ -190,7 +197,7 @@ def test_a_whole_circle_is_the_same(panda):
     assert_array_equal(ours.status, plain.status)
 
 
-def test_what_is_not_usual_is_answered_as_in_numpy(ur5, rng, asked):
+def test_what_is_seldom_is_answered_as_in_numpy(ur5, rng, asked):
     task = aj.PositionTask(ur5)
     plain, ours = pair(task)
     measurements = list(slow_motion(task, rng, 40))
@@ -218,9 +225,8 @@ def test_what_is_not_usual_is_answered_as_in_numpy(ur5, rng, asked):
         expected = plain.step(begun, measurement, moving, DT)
         assert status in (None, expected[1].status), name
         own, told = ours.step(begun, measurement, moving, DT)
-        assert len(asked) == before + 1, name
-        assert_array_equal(own, expected[0])
-        assert_array_equal(told.torque, expected[1].torque)
+        assert len(asked) == before, name
+        assert_same((own, told), expected, 1e-9)
     first = usual._replace(x=np.full(3, np.nan))
     fresh = plain.initial_state(first)
     assert ours.step(fresh, first, target, DT)[1].status is aj.Status.MEASUREMENT_LOST
@@ -283,18 +289,23 @@ def test_made_from_one_it_is_compiled_too(two_link, rng, asked):
     assert_allclose(own[1].torque, expected[1].torque, rtol=0, atol=1e-10)
 
 
-def test_what_is_not_covered_is_refused(two_link, panda):
-    task = aj.PositionTask(two_link)
+def test_known_kinematics_dynamics_poses_and_velocities_are_covered(two_link, panda, rng, asked):
+    position = aj.PositionTask(two_link)
     T = aj.TrackingController
+    kinematics = KnownKinematics(position)
     pose = PoseTask(panda)
-    for law, match in (
-        (T(task, kinematics=KnownKinematics(task)), r"^kinematics must be AdaptiveKinematics to"),
-        (T(task, dynamics=ModelDynamics(two_link)), r"^dynamics must be AdaptiveDynamics to make"),
-        (T(task, command="velocity"), r"^command must be \"torque\" to make code of it"),
-        (T(pose), r"^task must be one of positions to make code of it, got PoseTask"),
+    for plain in (
+        T(position, kinematics=kinematics, dynamics=ModelDynamics(two_link)),
+        T(position, kinematics=kinematics, command="velocity"),
+        T(pose),
     ):
-        with pytest.raises(aj.InvalidInputError, match=match):
-            compiled(law)
+        ours, state = compiled(plain), None
+        for measurement in slow_motion(plain.task, rng, 40):
+            state = plain.initial_state(measurement) if state is None else state
+            expected = plain.step(state, measurement, measurement.x, DT)
+            assert_same(ours.step(state, measurement, measurement.x, DT), expected, 1e-9)
+            state = expected[0]
+    assert asked == []
 
 
 def test_an_answer_is_the_users_to_keep(two_link, rng):
@@ -309,3 +320,31 @@ def test_an_answer_is_the_users_to_keep(two_link, rng):
     assert_array_equal(state, given)
     for own, other in zip((after, answer.torque, answer.J_hat), kept, strict=True):
         assert_array_equal(own, other)
+
+
+# -- loops ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("unknown", [("tool", "offset"), ("origins", "camera")])
+def test_many_runs_at_once_are_those_of_simulate(two_link, unknown):
+    """With noise, seldom and late frames, lost ones, and a first one that comes late."""
+    task = aj.PositionTask(two_link, axes="xz")
+    kinematics = aj.AdaptiveKinematics(task, unknown=unknown, delay=0.03)
+    law, start = aj.TrackingController(task, kinematics=kinematics), np.array([0.5, 1.2])
+    sensing = aj.Sensing(x_noise=1e-3, x_rate=60.0, x_delay=0.03, x_dropout=0.2)
+    truths = [two_link.with_object(length, mass=0.2, name="held") for length in (0.1, 0.15, 0.2)]
+    plants = [aj.Plant(each, task.on(each), sensing=sensing) for each in truths]
+    targets = [each.sensor.value(start) + [0.05, 0.02] for each in plants]
+    starts = [
+        Begun.of(law, plant, start, target, seed=k)
+        for k, (plant, target) in enumerate(zip(plants, targets, strict=True))
+    ]
+    region = Box(start, np.full(2, -9.0), np.full(2, 9.0))
+    lanes = Lanes(law, plants[0], starts, region, DT, 400, 1e-3)
+    found = lanes.run(starts, 400)
+    assert not found["left"].any()
+    for k, (plant, target) in enumerate(zip(plants, targets, strict=True)):
+        run = aj.simulate(
+            plant, law, target, start, 0.4, dt=DT, integrator="semi_implicit_euler", seed=k
+        )
+        assert_allclose(found["error"][k], run.error_norm[-1], rtol=0, atol=1e-10)

@@ -241,11 +241,11 @@ def test_the_reference_acceleration_is_exact(kind, rng):
     def reference(t):
         return controller._reference(state, q_of(t), v_of(t), target(t))
 
-    J, _, a_r, status = reference(0.0)
+    J, _, a_r, is_damped, _ = reference(0.0)
     damped = np.linalg.svd(J, compute_uv=False)
     ratio = 0.08 if len(set(task.units)) == 1 else 0.02
-    assert (status is aj.Status.NEAR_SINGULAR) == (damped[-1] < ratio * damped[0])
-    assert (kind == "singular") <= (status is aj.Status.NEAR_SINGULAR)
+    assert is_damped == (damped[-1] < ratio * damped[0])
+    assert (kind == "singular") <= is_damped
     h = 1e-5
     expected = (reference(h)[1] - reference(-h)[1]) / (2.0 * h)
     if kind in ("pose", "continuous", "combined"):  # ω_d is constant in neither frame: 1e-4
@@ -597,7 +597,7 @@ def test_what_is_learnt_stays_within_bounds(panda, rng):
     dynamics = AdaptiveDynamics(panda, gain=1e6)
     a, q = dynamics.initial_state(), STARTS["panda"]
     for _ in range(50):
-        a, torque = dynamics.step(a, q, *rng.normal(size=(3, 7)), 1e-3)
+        a, torque, _ = dynamics.step(a, q, *rng.normal(size=(3, 7)), True, 1e-3)
         assert np.isfinite(torque).all()
     links = dynamics.regressor.links
     assert (np.abs(a - dynamics.initial_state()) <= 20.0 * dynamics.sd + 1e-12).all()

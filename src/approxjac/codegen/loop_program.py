@@ -257,6 +257,10 @@ def _begun(
     program: Program, controller: Controller, state: Symbols, told: Measured
 ) -> tuple[Symbols, Condition]:
     """Return a state that begins with the first x, where it does, and whether that is lost."""
+    if controller.kinematics is not None and controller.law is controller:
+        first = laws.begun(controller, told.q, told.v, told.x)
+        law.alter(program.k < 1.0, state, lambda state: state.__setitem__(slice(None), first))
+        return state, False
     if not isinstance(controller.law, SetpointController) or controller.law.velocity is None:
         return state, False
     is_first, p, m = symbols(program.k < 1.0), controller.resting, controller.law.task.m

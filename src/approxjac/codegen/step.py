@@ -88,9 +88,9 @@ def compiled(controller: Controller) -> Any:
 
     A usual step is one whose status is OK, or that of a held x. Whatever is not (x is lost, Ĵ near
     a singular pose, torques beyond the limits where gravity is learnt, wrong arguments) is left to
-    the controller as it is, from the beginning; so are limits that no torque keeps. Kinematics of
-    law T learn from frames in Python. Where limits of speed, position or motion act, a torque is
-    that of Python to 1e-6.
+    the controller as it is, from the beginning; so are limits that no torque keeps. Of a
+    `TrackingController` every step is usual. Where limits of speed, position or motion act, a
+    torque is that of Python to 1e-6.
 
     Any controller will do whose step takes symbols, that is, which computes with NumPy and without
     a branch on a value: with a task, camera, saturation or gravity of your own, too, and one of
@@ -100,8 +100,7 @@ def compiled(controller: Controller) -> Any:
     copy of it, as another process gets, is built again.
 
     Args:
-        controller: The controller; a `TrackingController` of positions whose kinematics and
-            dynamics learn.
+        controller: The controller.
 
     Returns:
         A controller of the same kind.
@@ -281,7 +280,7 @@ def _kind_of(kind: type[Controller]) -> type:
 
 
 class _CompiledTracking(_MachineCode, TrackingController):
-    """Law T with machine code."""
+    """The tracking law with machine code."""
 
     def _build(self) -> None:
         vars(self)["step"] = tracking.compiled_step(self.ordinary, super(_MachineCode, self).step)

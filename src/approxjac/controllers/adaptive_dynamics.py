@@ -1,4 +1,4 @@
-"""Sources of law T's torque for a motion: the believed model, or what it learns."""
+"""Sources of the tracking law's torque for a motion: the believed model, or what it learns."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -15,6 +16,7 @@ from approxjac.controllers.gains.sample_configurations import usual_inertias
 from approxjac.robots import Dynamics, Robot
 from approxjac.robots.dynamics_regressor import DynamicsRegressor
 from approxjac.robots.joint_limits import reach_bound
+from approxjac.robots.traced import arm_of
 from approxjac.validation import Array, Immutable, as_diagonal, as_number, require
 
 _MASS = 0.03  # share of the arm's mass that a link's may be wrong by
@@ -65,9 +67,9 @@ class MotionDynamics(Immutable, ABC):
 
     @abstractmethod
     def step(
-        self, state: Array, q: Array, v: Array, v_r: Array, a_r: Array, dt: float
-    ) -> tuple[Array, Array]:
-        """Return the state dt [s] later, and the torque of the motion by it, shape (n_v,).
+        self, state: Array, q: Array, v: Array, v_r: Array, a_r: Array, learns: Any, dt: float
+    ) -> tuple[Array, Array, Array]:
+        """Return the state dt [s] later, the torque of the motion by it, and that of gravity.
 
         The torque is that of the *new* state: a step of a rate that is evaluated before it is
         taken adds nothing to V₂, however short the period is against what learns.
@@ -78,7 +80,8 @@ class MotionDynamics(Immutable, ABC):
             v: q̇, shape (n_v,).
             v_r: q̇_r, shape (n_v,).
             a_r: q̈_r, shape (n_v,).
-            dt: Time to learn for [s]; 0 learns nothing.
+            learns: Whether to learn.
+            dt: Time to learn for [s].
         """
 
     @abstractmethod
@@ -87,6 +90,8 @@ class MotionDynamics(Immutable, ABC):
 
     def momentum(self, q: Array, v: Array) -> Array:
         """Return M̂(q) v of the believed arm with its rotors, nothing learnt; shape (n_v,)."""
+        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
+            return np.asanyarray(arm.momentum(v) + self.rotor_inertia * v)
         p = pin.rnea(self._weightless, self._data, q, self._still, v)
         return np.asarray(p + self.rotor_inertia * v)
 
@@ -131,14 +136,17 @@ class ModelDynamics(MotionDynamics):
         return np.zeros(0)
 
     def step(
-        self, state: Array, q: Array, v: Array, v_r: Array, a_r: Array, dt: float
-    ) -> tuple[Array, Array]:
+        self, state: Array, q: Array, v: Array, v_r: Array, a_r: Array, learns: Any, dt: float
+    ) -> tuple[Array, Array, Array]:
         """Return the state as it is, and the torque by two passes of RNEA; see `MotionDynamics`."""
+        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
+            motion = arm.reference_torque(v, v_r, a_r) + self.rotor_inertia * a_r
+            return state, motion, arm.gravity()
         middle = pin.rnea(self._model, self._data, q, 0.5 * (v + v_r), a_r) + (
             self.rotor_inertia * a_r
         )
         apart = pin.rnea(self._weightless, self._data, q, 0.5 * (v - v_r), self._still)
-        return state, middle - apart
+        return state, middle - apart, self.gravity(state, q)
 
     def gravity(self, state: Array, q: Array) -> Array:
         """Return ĝ(q), shape (n_v,) [N m or N]."""
@@ -228,20 +236,17 @@ class AdaptiveDynamics(MotionDynamics):
         return self._prior.copy()
 
     def step(
-        self, state: Array, q: Array, v: Array, v_r: Array, a_r: Array, dt: float
-    ) -> tuple[Array, Array]:
-        """Return what is learnt dt [s] later, and Y_d â with it; see `MotionDynamics`."""
-        (links, joints), k, sigma = (
-            self.regressor.parts(q, v, v_r, a_r),
-            self.regressor.links,
-            v - v_r,
-        )
-        if dt > 0.0:
-            Y_d_sigma = np.concatenate([sigma.dot(links), (joints * sigma).ravel()])
-            moved = state + dt * law.dynamics_rate(self.gamma, Y_d_sigma)
-            state = np.minimum(np.maximum(moved, self._low), self._high)
+        self, state: Array, q: Array, v: Array, v_r: Array, a_r: Array, learns: Any, dt: float
+    ) -> tuple[Array, Array, Array]:
+        """Return what is learnt dt [s] later, and Y_d â and Zâ with it; see `MotionDynamics`."""
+        links, k, sigma = self.regressor.motion(q, v, v_r, a_r), self.regressor.links, v - v_r
+        joints = self.regressor.of_joints(v_r, a_r)
+        Y_d_sigma = np.concatenate([links.powers(sigma), (joints * sigma).ravel()])
+        moved = state + dt * law.dynamics_rate(self.gamma, Y_d_sigma)
+        state = law.select(learns, np.minimum(np.maximum(moved, self._low), self._high), state)
         of_joints = joints * state[k:].reshape(joints.shape)
-        return state, links.dot(state[:k]) + np.add.reduce(of_joints)
+        torque = links.torque(state[:k]) + np.add.reduce(of_joints)
+        return state, torque, links.gravity(state[:k])
 
     def gravity(self, state: Array, q: Array) -> Array:
         """Return Z(q) â of the links, shape (n_v,) [N m or N]."""

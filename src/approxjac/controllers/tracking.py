@@ -1,4 +1,4 @@
-"""`TrackingController`: law T, which follows what kinematics predict, with dynamics that learn."""
+"""`TrackingController`: follow what kinematics predict, with dynamics that learn."""
 
 from __future__ import annotations
 
@@ -47,7 +47,9 @@ _SHARE = 0.9  # of the speed limits of joints
 
 
 class TrackingController(Immutable, Controller):
-    """Follow a target with a predicted error, learnt kinematics and learnt dynamics; law T.
+    """Follow a target with a predicted error, learnt kinematics and learnt dynamics.
+
+    It is the tracking law, adaptive, after Slotine and Li.
 
     τ = Y_d(q, q̇, q̇_r, q̈_r) â − κM̂σ with σ = q̇ − q̇_r, where the reference velocity
 
@@ -134,7 +136,6 @@ class TrackingController(Immutable, Controller):
         self.command = command
         limits = Limits.of(robot).for_joints(robot.nv)
         self._fastest = _SHARE * np.asarray(limits.velocity)
-        self._has_speeds = bool(np.isfinite(self._fastest).any())
         self._commands = None
         if command == "velocity":
             self._commands = VelocityCommand(robot, limits, acceleration, self.dt)
@@ -150,7 +151,7 @@ class TrackingController(Immutable, Controller):
             self._added = self.dynamics.gain_inertia(room)
             self._n_dynamics = self.dynamics.n_state
         self._end = self._n_dynamics + self.kinematics.n_state
-        self._n_state = n_state = self._end + (0 if self._commands is None else robot.nv)
+        self.n_state = n_state = self._end + (0 if self._commands is None else robot.nv)
         # of q, v, x, target and state
         self._shapes = (robot.nq,), (robot.nv,), (task.n_x,), (task.n_x,), (n_state,)
         # of metres and radians at once it is usually 0.05, where nothing is singular
@@ -185,9 +186,12 @@ class TrackingController(Immutable, Controller):
         Raises:
             InvalidInputError: A measurement of the wrong shapes, or of mirrored corners.
         """
-        state, x_d = np.zeros(self._n_state), np.zeros(self.task.n_x)
-        q, v, x = require_arrays(state, measurement, x_d, self.task, self._n_state)
-        require_as_believed(self.task, q, x)
+        if not hasattr(getattr(measurement, "q", None), "arm_of"):  # or it is of symbols
+            state, x_d = np.zeros(self.n_state), np.zeros(self.task.n_x)
+            q, _, x = require_arrays(state, measurement, x_d, self.task, self.n_state)
+            require_as_believed(self.task, q, x)
+        _, q, v, *_ = measurement
+        state = np.zeros_like(q, shape=self.n_state)
         if self._commands is None:
             state[: self._n_dynamics] = self.dynamics.initial_state()
         else:
@@ -203,7 +207,7 @@ class TrackingController(Immutable, Controller):
         Raises:
             InvalidInputError: A state of another controller, or a measurement of the wrong shapes.
         """
-        state = require_state(state, self._n_state)
+        state = require_state(state, self.n_state)
         fresh, (p, end) = self.initial_state(measurement), (self._n_dynamics, self._end)
         fresh[:p] = state[:p]
         fresh[p:end] = self.kinematics.resumed(state[p:end], measurement)
@@ -223,62 +227,62 @@ class TrackingController(Immutable, Controller):
                 sin) pairs of continuous joints off the unit circle, or another dt than the one that
                 this controller is for.
         """
+        if hasattr(state, "arm_of"):  # symbols
+            return self.evolve(
+                state, measurement, target if isinstance(target, Target) else Target(target)
+            )
         if dt != self.dt:
             require_dt(dt, self.dt)
         with np.errstate(over="ignore", invalid="ignore"):  # an overflow is a named error
             target, measurement = self._checked(state, measurement, target)
             self.kinematics.check(state[self._n_dynamics : self._end], measurement, dt)
             try:
-                after, answer = self._step(state, measurement, target)
+                after, answer = self.evolve(state, measurement, target)
                 if math.isfinite(float(after.dot(after) + answer.torque.dot(answer.torque))):
                     return after, answer
             except (ArithmeticError, np.linalg.LinAlgError):  # what has overflowed, Ĵ too
                 pass
         raise overflow(measurement)
 
-    def _step(
+    def evolve(
         self, state: Array, measurement: Measurement, target: Target
     ) -> tuple[Array, Evaluation]:
-        """Return what `step` does, for arguments that are checked."""
+        """Return what `step` does of arguments that are checked, or are symbols."""
         _, q, v, x, _ = measurement
-        known, dt = state[self._n_dynamics : self._end], self.dt
+        p, end, dt = self._n_dynamics, self._end, self.dt
+        known = state[p:end]
         now = self.kinematics.status(known, measurement)
-        J_hat, v_r, a_r, status = self._reference(known, q, v, target, now)
-        after, learns = state.copy(), status is not _UNPREDICTED
-        self.kinematics.correct(after[self._n_dynamics : self._end], measurement, dt)
+        waits = now is _LOST if isinstance(now, Status) else now == float(_LOST)
+        J_hat, v_r, a_r, damped, is_known = self._reference(known, q, v, target, waits)
+        after, learns = state.copy(), is_known | waits
+        self.kinematics.correct(after[p:end], measurement, dt)
         e = self.task.error(x, target.x)
-        if status is _OK and (now is _PREDICTED or not math.isfinite(math.hypot(*e.tolist()))):
-            status = _PREDICTED
+        is_old = now is _PREDICTED if isinstance(now, Status) else now == float(_PREDICTED)
+        status = law.select(is_old | law.complement(law.is_finite(e)), _PREDICTED, _OK)
+        status = law.select(damped, _SINGULAR, status)
+        status = law.select(waits, _LOST, law.select(is_known, status, _UNPREDICTED))
         if self._commands is not None:
-            _, _, w, _ = self._reference(known, q, v_r, target, now)
-            lag, sent = self._commands.step(state[:1], q, v, v_r, w, state[self._end :])
-            after[:1], after[self._end :] = lag, sent
+            _, _, w, _, _ = self._reference(known, q, v_r, target, waits)
+            lag, sent = self._commands.step(state[:1], q, v, v_r, w, state[end:])
+            after[:1], after[end:] = lag, sent
             return after, Evaluation(sent, None, status, e, J_hat, None, reference=v_r)
-        a_hat = state[: self._n_dynamics]
-        a_hat, motion = self.dynamics.step(a_hat, q, v, v_r, a_r, dt if learns else 0.0)
-        after[: self._n_dynamics] = a_hat
+        a_hat, motion, g = self.dynamics.step(state[:p], q, v, v_r, a_r, learns, dt)
+        after[:p] = a_hat
         sigma = v - v_r
         M_sigma = self.dynamics.momentum(q, sigma) + self._added * sigma
         torque = law.tracking_torque(motion, self.kappa, M_sigma)
-        g = self.dynamics.gravity(a_hat, q)
         return after, Evaluation(torque, None, status, e, J_hat, g, reference=v_r)
 
     def _reference(
-        self, known: Array, q: Array, v: Array, target: Target, now: Status = _OK
-    ) -> tuple[Array, Array, Array, Status]:
-        """Return Ĵ, q̇_r, q̈_r and the status that they have, given that of the kinematics."""
-        z, J, J_dot, x_d_dot, x_d_ddot, drift = self.kinematics.predict(known, q, v, target)
-        z_dot = J.dot(v) - x_d_dot + drift
-        u, u_dot = law.task_velocity(z, z_dot, x_d_dot, x_d_ddot, self._alpha, self._k)
-        null, null_dot = self._rest.velocity(q, v)
-        if now is _LOST or not math.isfinite(float(u.dot(u) + u_dot.dot(u_dot) + np.vdot(J, J))):
-            return J, np.zeros_like(v), np.zeros_like(v), now if now is _LOST else _UNPREDICTED
-        v_r, a_r, damped = law.reference(
-            J, J_dot, u, u_dot, null, null_dot, self._ratio, self._scale
-        )
-        if self._has_speeds:
-            v_r, a_r = law.within_speeds(v_r, a_r, self._fastest)
-        return J, v_r, a_r, _SINGULAR if damped > 0.0 else _OK
+        self, known: Array, q: Array, v: Array, target: Target, waits: Any = False
+    ) -> tuple[Array, Array, Array, Any, Any]:
+        """Return Ĵ and what `law.reference_step` does."""
+        predicted = self.kinematics.predict(known, q, v, target)
+        null = self._rest.velocity(q, v)
+        return predicted.J, *law.reference_step(
+            *predicted, v, *null, waits, self._alpha, self._k, self._fastest,
+            self._ratio, self._scale,
+        )  # fmt: skip
 
     def _checked(
         self, state: Array, measurement: Measurement, target: Target | Array
@@ -299,7 +303,7 @@ class TrackingController(Immutable, Controller):
         except (TypeError, ValueError, AttributeError):
             usual = False
         if not usual:
-            q, v, x = require_arrays(state, measurement, x_d, task, self._n_state)
+            q, v, x = require_arrays(state, measurement, x_d, task, self.n_state)
         largest = math.hypot(*q.tolist(), *v.tolist(), *x_d.tolist())
         if not (largest < HUGE and state.dot(state) < HUGE):
             require_finite(q, v, x_d, state, task)
@@ -338,7 +342,7 @@ class TrackingController(Immutable, Controller):
 
     def _of_kinematics(self, state: Array) -> Array:
         """Return the kinematics' part of a state, or refuse one of another controller."""
-        return require_state(state, self._n_state)[self._n_dynamics : self._end]
+        return require_state(state, self.n_state)[self._n_dynamics : self._end]
 
     def kinematics_learnt(self, state: Array) -> KinematicReport:
         """Return what a state has learnt of the kinematics.

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import pinocchio as pin
 
 from approxjac import law
 from approxjac.controllers.limits.limits import Limits, sure_deceleration
 from approxjac.robots import Robot
+from approxjac.robots.traced import motion_between
 from approxjac.validation import Array, as_limits
 
 _APPROACH = 5.0  # κ of `law.speed_bounds` [1/s]
@@ -52,7 +52,7 @@ class VelocityCommand:
         self.acceleration = as_limits("acceleration", given, robot.nv, unit="rad/s^2 or m/s^2")
         slowing = np.minimum(self.acceleration, sure)
         self._joints = law.JointRange.of(limits.position, limits.velocity, _APPROACH, slowing)
-        self._model = robot.model
+        self._robot = robot
         self._neutral = None if robot.nq == robot.nv else robot.neutral()
         self._dt, self._change = dt, dt * self.acceleration
 
@@ -71,15 +71,14 @@ class VelocityCommand:
         """
         wanted = v_r + state[0] * w
         sent = self._within(q, wanted, before)
-        if sent.tolist() != wanted.tolist():
-            return state, sent
-        lag = float(state[0]) + self._dt * law.servo_lag_rate(_GAIN, w, v - v_r)
-        return np.array([min(max(lag, 0.0), _LONGEST)]), sent
+        lag = state + self._dt * law.servo_lag_rate(_GAIN, w, v - v_r)
+        lag = np.minimum(np.maximum(lag, 0.0), _LONGEST)
+        return law.select(law.all_of(sent == wanted), lag, state), sent
 
     def _within(self, q: Array, velocity: Array, before: Array) -> Array:
         """Return the velocity within limits, given the command before."""
-        motion = q if self._neutral is None else pin.difference(self._model, self._neutral, q)
+        motion = q if self._neutral is None else motion_between(self._robot, self._neutral, q)
         low, high = law.speed_bounds(motion, self._joints)
         wanted = np.minimum(np.maximum(velocity, low), high)
         within = np.minimum(np.maximum(wanted, before - self._change), before + self._change)
-        return np.asarray(within)
+        return np.asanyarray(within)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -44,7 +43,7 @@ def damped_gram_solve(
     Returns:
         w, shape (m,), zero where G is, and λ (0 where w is exact).
     """
-    solve, singular = _regular_solver(G, singular_ratio, scale)
+    solve, singular = regular_solver(G, singular_ratio, scale)
 
     def damped() -> tuple[Array, float]:
         squares, U = np.linalg.eigh(G)
@@ -62,22 +61,29 @@ def damped_gram_solve(
     return choose(singular, damped, lambda: (solve(b), 0.0))
 
 
-def damped_gram_solver(
+def damped_solver(
     G: Array, singular_ratio: float = SINGULAR_RATIO, scale: float = 0.0
-) -> tuple[Callable[[Array], Array], float]:
-    """Return b ↦ w of `damped_gram_solve`, for several b, and λ; of numbers."""
-    solve, singular = _regular_solver(G, singular_ratio, scale)
-    if not singular:
-        return solve, 0.0
+) -> tuple[Callable[[Array], Array], Array, Any]:
+    """Return b ↦ w of `damped_gram_solve`, for several b, by eigenvectors; and λ².
+
+    Returns:
+        The function; eigenvectors of the least and the largest eigenvalue, (2, m); λ², which may be
+        0.
+    """
     squares, U = np.linalg.eigh(G)
-    if squares[-1] <= 0.0 and scale == 0.0:
-        return np.zeros_like, 0.0
-    damping = float(gram_damping(squares[0], squares[-1], singular_ratio, scale))
+    least, largest = _ends(squares)
+    damping = gram_damping(least, largest, singular_ratio, scale)
     lifted = np.maximum(squares, 0.0) + damping
-    return lambda b: dot(U, dot(b, U) / lifted), math.sqrt(damping)
+    inverse = np.where(lifted > 0.0, 1.0 / np.where(lifted > 0.0, lifted, 1.0), 0.0)
+    ends = U.T[[0, -1]]
+    if U.dtype.hasobject:  # whose order is not known
+        for i, row in enumerate(U.T):
+            ends[0] = select(squares[i] <= least, row, ends[0])
+            ends[1] = select(squares[i] >= largest, row, ends[1])
+    return lambda b: dot(U, dot(b, U) * inverse), ends, damping
 
 
-def _regular_solver(
+def regular_solver(
     G: Array, singular_ratio: float, scale: float
 ) -> tuple[Callable[[Array], Array], Any]:
     """Return b ↦ G⁻¹b, and whether J may be near singular, where it is not to be used.
@@ -109,24 +115,25 @@ def may_be_singular(G: Array, singular_ratio: float, scale: float) -> Any:
     if len(G) <= 3:
         _, _, bound, trace = adjugate(G.tolist())
         return complement(is_surely_regular(bound, trace, singular_ratio, scale))
-    return _regular_solver(G, singular_ratio, scale)[1]
+    return regular_solver(G, singular_ratio, scale)[1]
 
 
 def damping_rate(
-    J: Array, J_dot: Array, singular_ratio: float = SINGULAR_RATIO, scale: float = 0.0
-) -> float:
-    """d(λ²)/dt of `damped_gram_solve` where λ > 0, along a motion of J (m, n_v) with rate J'.
+    J: Array,
+    J_dot: Array,
+    ends: Array,
+    singular_ratio: float = SINGULAR_RATIO,
+    scale: float = 0.0,
+) -> Any:
+    """d(λ²)/dt of `damped_solver` where λ > 0, along a motion of J (m, n_v) with rate J'.
 
     (λ²)' = ε²' − (σ_min²)', with (σᵢ²)' = 2 (Jᵀuᵢ)ᵀJ'ᵀuᵢ of its left singular vector uᵢ. Where
-    singular values cross, one of the derivatives to either side.
+    singular values cross, one of the derivatives to either side. `ends` are those two vectors.
     """
-    squares, U = np.linalg.eigh(dot(J, J.T))
-
-    def square_rate(i: int) -> float:
-        return 2.0 * float(dot(dot(U[:, i], J), dot(U[:, i], J_dot)))
-
-    of_threshold = singular_ratio**2 * square_rate(-1) if squares[-1] > scale**2 else 0.0
-    return of_threshold - square_rate(0)
+    moved = [dot(u, J) for u in ends]
+    least, largest = (2.0 * dot(u_J, dot(u, J_dot)) for u, u_J in zip(ends, moved, strict=True))
+    is_ratio = dot(moved[1], moved[1]) > scale**2
+    return select(is_ratio, singular_ratio**2 * largest, 0.0) - least
 
 
 def is_near_singular(G: Array, singular_ratio: float = SINGULAR_RATIO, scale: float = 0.0) -> Any:

@@ -1,4 +1,4 @@
-"""Law T: motion that follows a target, its exact derivative, the torque for it, and its V.
+"""The tracking law: motion that follows a target, its derivative, the torque for it, and its V.
 
 Not of the paper: J.-J. E. Slotine and W. Li, "On the adaptive control of robot manipulators", Int.
 J. Robotics Research 6(3), 1987, on an error that kinematics predict. Shapes: z, u, ẋ_d are (m,), Ĵ
@@ -8,11 +8,18 @@ is (m, n_v), q̇, q̇_r, q̈_r, σ, n₀ are (n_v,).
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
+from approxjac.law.branches import choose, complement, is_finite, select
 from approxjac.law.products import dot, root
-from approxjac.law.pseudoinverse import SINGULAR_RATIO, damped_gram_solver, damping_rate
+from approxjac.law.pseudoinverse import (
+    SINGULAR_RATIO,
+    damped_solver,
+    damping_rate,
+    regular_solver,
+)
 from approxjac.validation import Array
 
 
@@ -60,14 +67,76 @@ def reference(
     Returns:
         q̇_r, q̈_r and λ.
     """
-    solve, damped = damped_gram_solver(dot(J_hat, J_hat.T), singular_ratio, scale)
-    rate = damping_rate(J_hat, J_hat_dot, singular_ratio, scale) if damped > 0.0 else 0.0
-    return *solved_reference(solve, rate, J_hat, J_hat_dot, u, u_dot, null, null_dot), damped
+    motion = J_hat, J_hat_dot, u, u_dot, null, null_dot
+    G = dot(J_hat, J_hat.T)
+    solve, singular = regular_solver(G, singular_ratio, scale)
+
+    def damped() -> tuple[Array, Array, Any]:
+        solve, ends, damping = damped_solver(G, singular_ratio, scale)
+        rate = damping_rate(J_hat, J_hat_dot, ends, singular_ratio, scale)
+        return *solved_reference(solve, select(damping > 0.0, rate, 0.0), *motion), root(damping)
+
+    return choose(singular, damped, lambda: (*solved_reference(solve, 0.0, *motion), 0.0))
+
+
+def reference_step(
+    z: Array,
+    J_hat: Array,
+    J_hat_dot: Array,
+    x_d_dot: Array,
+    x_d_ddot: Array,
+    drift: Array,
+    v: Array,
+    null: Array,
+    null_dot: Array,
+    waits: Any,
+    alpha: float | Array,
+    k: float | Array,
+    fastest: Array,
+    singular_ratio: float = SINGULAR_RATIO,
+    scale: float = 0.0,
+) -> tuple[Array, Array, Any, Any]:
+    """Return q̇_r and q̈_r that lead a predicted error to zero, and what is to be said of them.
+
+    Args:
+        z: Predicted error.
+        J_hat: Ĵ.
+        J_hat_dot: Ĵ'.
+        x_d_dot: ẋ_d.
+        x_d_ddot: ẍ_d.
+        drift: What the estimates move z by.
+        v: q̇.
+        null: n₀.
+        null_dot: Its derivative.
+        waits: Whether the joints are to stand still, as nothing is predicted yet.
+        alpha: As for `task_velocity`.
+        k: As for `task_velocity`.
+        fastest: Speeds of joints, as for `within_speeds`.
+        singular_ratio: As for `reference`.
+        scale: As for `reference`.
+
+    Returns:
+        q̇_r; q̈_r; whether Ĵ⁺ is damped; whether all is finite, and else the joints stand still.
+    """
+    z_dot = dot(J_hat, v) - x_d_dot + drift
+    u, u_dot = task_velocity(z, z_dot, x_d_dot, x_d_ddot, alpha, k)
+    is_known = is_finite(np.concatenate([u, u_dot, J_hat.ravel()]))
+
+    def moves() -> tuple[Array, Array, Any]:
+        v_r, a_r, damped = reference(
+            J_hat, J_hat_dot, u, u_dot, null, null_dot, singular_ratio, scale
+        )
+        return *within_speeds(v_r, a_r, fastest), damped
+
+    nothing = np.zeros(len(v))
+    still = waits | complement(is_known)
+    v_r, a_r, damped = choose(still, lambda: (nothing, nothing, 0.0), moves)
+    return v_r, a_r, damped > 0.0, is_known
 
 
 def solved_reference(
     solve: Callable[[Array], Array],
-    rate: float,
+    rate: Any,
     J_hat: Array,
     J_hat_dot: Array,
     u: Array,
@@ -85,7 +154,7 @@ def solved_reference(
     velocity = dot(w, J_hat) + null
     h = dot(w, J_hat_dot) + null_dot
     rest = u_dot - dot(J_hat_dot, velocity) - dot(J_hat, h)
-    if rate != 0.0:
+    if not (isinstance(rate, float) and rate == 0.0):
         rest = rest - rate * w
     return velocity, h + dot(solve(rest), J_hat)
 
@@ -95,14 +164,22 @@ def within_speeds(velocity: Array, acceleration: Array, fastest: Array) -> tuple
 
     Where c = fastestᵢ/abs(q̇_r,i) of one joint, c' = −c q̈_r,i/q̇_r,i.
     """
-    share = np.abs(velocity) / fastest
-    i = int(share.argmax())
-    if share[i] <= 1.0:
-        return velocity, acceleration
-    return slowed(velocity, acceleration, float(share[i]), acceleration[i] / velocity[i])
+    shares = np.abs(velocity) / fastest
+    if not shares.dtype.hasobject:
+        i = int(shares.argmax())
+        if shares[i] <= 1.0:
+            return velocity, acceleration
+        return slowed(velocity, acceleration, float(shares[i]), acceleration[i] / velocity[i])
+    share, v_i, a_i = shares[0], velocity[0], acceleration[0]
+    for each, v_next, a_next in zip(shares[1:], velocity[1:], acceleration[1:], strict=True):
+        more = each > share
+        share, v_i = select(more, each, share), select(more, v_next, v_i)
+        a_i = select(more, a_next, a_i)
+    slow = slowed(velocity, acceleration, share, a_i / select(share > 1.0, v_i, 1.0))
+    return choose(share > 1.0, lambda: slow, lambda: (velocity, acceleration))
 
 
-def slowed(velocity: Array, acceleration: Array, share: float, rate: float) -> tuple[Array, Array]:
+def slowed(velocity: Array, acceleration: Array, share: Any, rate: Any) -> tuple[Array, Array]:
     """c q̇_r and its derivative, with c = 1/share and c' = −c `rate`; see `within_speeds`."""
     c = 1.0 / share
     return velocity * c, (acceleration - velocity * rate) * c
@@ -118,12 +195,12 @@ def dynamics_rate(gamma: Array, Y_d_sigma: Array) -> Array:
     return -gamma * Y_d_sigma
 
 
-def servo_lag_rate(gamma: float, acceleration: Array, sigma: Array) -> float:
+def servo_lag_rate(gamma: float, acceleration: Array, sigma: Array) -> Any:
     """dL̂/dt = −γ wᵀσ, of a servo with L q̈ + q̇ = q̇_cmd that is sent q̇_r + L̂w.
 
     With q̈_r = w + Dσ, V₃ = ½L‖σ‖² + (L̂ − L)²/2γ has V̇₃ = −σᵀ(I + LD)σ.
     """
-    return -gamma * float(dot(acceleration, sigma))
+    return -gamma * dot(acceleration, sigma)
 
 
 def tracking_potential(sigma: Array, M: Array, a_error: Array, gamma: Array) -> float:

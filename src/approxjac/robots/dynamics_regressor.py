@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.robots.robot import Robot
+from approxjac.robots.traced import arm_of
 from approxjac.validation import Array, require
 
 COULOMB_SPEED = 0.05
@@ -16,6 +17,25 @@ COULOMB_SPEED = 0.05
 _HALF = np.array(0.5)  # an array, which NumPy multiplies with in a third of the time of a number
 _OF_A_LINK = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 _OF_A_JOINT = ("rotor", "viscous", "coulomb", "constant")
+
+
+class LinkMotion:
+    """The columns Y of links in M(q)q̈_r + C(q, q̇)q̇_r + g(q) = Y a, as products with them."""
+
+    def __init__(self, regressor: DynamicsRegressor, q: Array, Y: Array) -> None:
+        self._regressor, self._q, self._Y = regressor, q, Y
+
+    def powers(self, sigma: Array) -> Array:
+        """Return Yᵀσ of σ (n_v,), shape (p,)."""
+        return np.asarray(sigma.dot(self._Y))
+
+    def torque(self, a: Array) -> Array:
+        """Return Y a of parameters (p,), shape (n_v,) [N m or N]."""
+        return np.asarray(self._Y.dot(a))
+
+    def gravity(self, a: Array) -> Array:
+        """Return g(q) of parameters (p,), shape (n_v,) [N m or N]."""
+        return np.asarray(self._regressor.Z(self._q).dot(a))
 
 
 class DynamicsRegressor:
@@ -108,7 +128,19 @@ class DynamicsRegressor:
         middle, apart = mimic.v(_HALF * (v + v_r)), mimic.v(_HALF * (v - v_r))
         links = self._torques(self._model, q_all, middle, mimic.v(a_r))
         links = links - self._torques(self._weightless, q_all, apart, self._zero)
-        return links, np.array((a_r, v_r, np.tanh(v_r / COULOMB_SPEED), self._one))
+        return links, self.of_joints(v_r, a_r)
+
+    def of_joints(self, v_r: Array, a_r: Array) -> Array:
+        """Return the diagonals of the columns of joints, shape (4, n_v)."""
+        each = a_r, v_r, np.tanh(v_r / COULOMB_SPEED), self._one
+        return np.concatenate(each).reshape(4, -1)
+
+    def motion(self, q: Array, v: Array, v_r: Array, a_r: Array) -> LinkMotion:
+        """Return what the links' part of `Y_d` makes of vectors; the arguments are those of it."""
+        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
+            found: LinkMotion = arm.bodies(v, v_r, a_r)
+            return found
+        return LinkMotion(self, q, self.parts(q, v, v_r, a_r)[0])
 
     def Z(self, q: Array) -> Array:
         """Gravity's part of the links' columns, Y_d(q, 0, 0, 0), shape (n_v, 10 links)."""

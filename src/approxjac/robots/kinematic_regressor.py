@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from approxjac.errors import InvalidInputError
 from approxjac.robots.robot import Robot
+from approxjac.robots.traced import arm_of
 from approxjac.robots.urdf_edit import direction
 from approxjac.validation import Array, as_array, as_vector, require
 
@@ -66,6 +67,9 @@ class KinematicRegressor:
             frames the name of the frame in place of "tool".
         theta: Their values for `robot` itself, shape (p,) [m].
         turning: Names of the joints that turn.
+        across: Two directions across the axis of each of these, in the axes of the link that
+            carries it, shape (t, 3, 2).
+        points: Frame of each point, and where it is in that frame's axes, shape (3,) [m].
         has_offset: Whether `offset` is ever anything but 0.
 
     Raises:
@@ -111,6 +115,7 @@ class KinematicRegressor:
             [model.joints[joint].shortname().startswith("JointModelP") for joint in joints]
         )
         axes = np.array([direction(list(robot.tree.joints[name].axis)) for name in self.movers])
+        self.points = tuple((int(f), point) for f, point in zip(of_frame, known, strict=True))
         rotations = [placed[f].placement.rotation for f in of_frame]
         own = [R @ point for R, point in zip(rotations, known, strict=True)]
         # two directions across the axis of each joint that turns, on the link that carries it
@@ -119,7 +124,7 @@ class KinematicRegressor:
         carried = [model.jointPlacements[joints[i]].rotation for i in self._turning]
         across = [np.linalg.svd(axes[i][np.newaxis])[2][1:].T for i in self._turning]
         each = [R @ e for R, e in zip(carried, across, strict=True)]
-        self._across = np.array(each).reshape(-1, 3, 2)
+        self.across = np.array(each).reshape(-1, 3, 2)
         origins = [model.jointPlacements[joint].translation for joint in joints]
         self.theta = np.concatenate([*origins, *(each.placement.translation for each in placed)])
         self.theta.flags.writeable = False
@@ -184,6 +189,8 @@ class KinematicRegressor:
 
     def Y(self, q: Array) -> Array:
         """Return Y(q), shape (3k, p)."""
+        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
+            return np.asanyarray(arm.points(self).Y())
         pin.computeJointJacobians(self._freed, self._data, self._all(q, self._nothing))
         return self._jacobians(pin.getFrameJacobian).take(self._of_theta, 1)
 
@@ -195,6 +202,8 @@ class KinematicRegressor:
 
     def position(self, q: Array, theta: Array) -> Array:
         """Return p = Y(q)θ + offset(q), shape (3k,) [m], of parameters θ (p,)."""
+        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
+            return np.asanyarray(arm.points(self).motion(None, theta, None).p)
         pin.forwardKinematics(self._freed, self._data, self._all(q, theta))
         return self._positions()
 
@@ -209,6 +218,9 @@ class KinematicRegressor:
 
     def motion(self, q: Array, v: Array, theta: Array, theta_dot: Array) -> PointMotion:
         """Return positions and derivatives at q (nq,) and q̇ (n_v,), with θ and θ' (p,) [m, m/s]."""
+        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
+            found: PointMotion = arm.points(self).motion(v, theta, theta_dot)
+            return found
         speeds = as_vector("v", v, self.robot.nv)
         if not self._plain:
             speeds = self._columns.dot(speeds)
@@ -224,11 +236,13 @@ class KinematicRegressor:
 
         Two for each of the t joints in `turning`, about directions across its axis.
         """
+        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
+            return np.asanyarray(arm.points(self).tilts(theta, self.across))
         points = self.position(q, theta).reshape(-1, 1, 3)
         # where a joint begins, in the axes of the link that carries it
         begins = [self._data.oMi[self._freed.parents[link]] for link in self._turning_links]
         levers = self._moves * (points - [each.translation for each in begins])
-        across = np.array([each.rotation for each in begins]) @ self._across
+        across = np.array([each.rotation for each in begins]) @ self.across
         columns = levers.dot(_CROSS).reshape(*levers.shape, 3) @ across
         return np.asarray(columns.transpose(0, 2, 1, 3).reshape(3 * self.k, -1))
 

@@ -118,6 +118,8 @@ class FrameKinematics:
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:
         """Return the time derivative of `jacobian` along q̇, shape (6, n_v)."""
+        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
+            return np.asanyarray(arm.jacobian_dot(self.frame, v))
         q, v = self.robot.configuration(q), as_vector("v", v, self.robot.nv)
         mimic_joints = self.robot.mimic_joints
         frame = self._id_in_all

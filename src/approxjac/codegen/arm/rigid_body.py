@@ -27,7 +27,7 @@ from approxjac.codegen.trace.symbols import (
     symbols,
 )
 from approxjac.law.factors import Factors
-from approxjac.robots import GravityRegressor, Robot
+from approxjac.robots import GravityRegressor, KinematicRegressor, Robot
 from approxjac.robots.model import own_joints
 from approxjac.validation import Array
 
@@ -193,6 +193,39 @@ class Configured:
         at = motion.a if motion.gradient is None else motion.a + motion.gradient @ p
         return np.concatenate([R @ at, R @ motion.omega_dot])
 
+    def jacobian_dot(self, name: str, v: Symbols) -> Symbols:
+        """Return the rate of `jacobian` along q̇ (n_v,), shape (6, n_v)."""
+        _, carrier = self._frame(name)
+        speeds, p = self.arm.robot.mimic_joints.v(v), self.frame(name)[1]
+        path = self.path(carrier)[::-1]
+        J_dot, spin, spins = _zeros(6, self._n), _NOTHING, {}
+        for j in path:
+            z = self.axis(j)
+            spins[j] = spin
+            spin = spin if self.structure.slides[j] else spin + z * speeds[j]
+        # velocities of a joint's origin and of the frame's, from the base outwards
+        begins = {j: self._placements[j][1] for j in path}
+
+        def moved(of: Symbols, joints: list[int]) -> Symbols:
+            rate = _NOTHING
+            for i in joints:
+                z = self.axis(i)
+                arm = z if self.structure.slides[i] else cross(z, of - begins[i])
+                rate = rate + arm * speeds[i]
+            return rate
+
+        p_dot = moved(p, path)
+        for place, j in enumerate(path):
+            z = self.axis(j)
+            z_dot = cross(spins[j], z)
+            if self.structure.slides[j]:
+                J_dot[:3, j] = z_dot
+                continue
+            away_dot = p_dot - moved(begins[j], path[:place])
+            J_dot[:3, j] = cross(z_dot, p - begins[j]) + cross(z, away_dot)
+            J_dot[3:, j] = z_dot
+        return self.arm.robot.mimic_joints.columns(J_dot)
+
     def axis(self, joint: int) -> Symbols:
         """Return the axis of a joint in the world, shape (3,)."""
         return self._placements[joint][0][:, 2]
@@ -275,6 +308,25 @@ class Configured:
                 moment = moment + cross(self._origins[j], f)
                 forces[parent] = held[0] + f, held[1] + moment
         return self.arm.robot.mimic_joints.rows(tau)
+
+    def reference_torque(self, v: Symbols, v_r: Symbols, a_r: Symbols) -> Symbols:
+        """Return M(q)q̈_r + C(q, q̇)q̇_r + g(q), with C in its Christoffel form, shape (n_v,)."""
+        middle = self.motions(0.5 * (v + v_r), a_r, -self._numbers.gravity)
+        apart = self.motions(0.5 * (v - v_r), _zeros(self.nv), _NOTHING)
+        each = zip(self._bodies, middle, apart, strict=True)
+        return self.torque([force(b, m.a - n.a, m.gradient - n.gradient) for b, m, n in each])
+
+    def bodies(self, v: Symbols, v_r: Symbols, a_r: Symbols) -> Any:
+        """Return the links of a reference motion whose parameters are learnt."""
+        from approxjac.codegen.arm.learnt_arm import LearntBodies
+
+        return LearntBodies(self, v, v_r, a_r)
+
+    def points(self, regressor: KinematicRegressor) -> Any:
+        """Return the points of a regressor, whose translations are learnt."""
+        from approxjac.codegen.arm.learnt_arm import LearntPoints
+
+        return LearntPoints(self, regressor)
 
     def forward(self, v: Symbols, tau: Symbols) -> Symbols:
         """Return q̈ from q̇ and τ (n_v,), shape (n_v,) [rad/s² or m/s²]."""

@@ -291,7 +291,7 @@ class Estimator(Kinematics):
 
         Args:
             state: The state.
-            frame: With `_points` of its x.
+            frame: With `_points` of its x, of which something is seen.
             is_anew: Whether it is the first one after the sensor was moved.
         """
 
@@ -307,14 +307,15 @@ class Estimator(Kinematics):
         x̂ is the first x, so that learning begins without a jump; the first that is not lost.
         """
         measurement = self._own(measurement)
-        _require_known(measurement)
-        state, frames = np.zeros(self.n_state), self._at["frames"]
+        if not hasattr(measurement.q, "arm_of"):  # or it is of symbols
+            _require_known(measurement)
+        state, frames = np.zeros_like(measurement.q, shape=self.n_state), self._at["frames"]
         self._frames.begin(state[frames], measurement.t, measurement.q)
         self._begin(state)
         measurement = self._frames.by_own_clock(state[frames].copy(), measurement, 0.0)
         frame, is_new = self._frames.new(state[frames].copy(), measurement)
-        if frame is not None and is_new:
-            self._place(state, frame)
+        if frame is not None:
+            law.alter(is_new, state, lambda state: self._place(state, frame))
         return state
 
     def check(self, state: Array, measurement: Measurement, dt: float) -> None:
@@ -342,17 +343,16 @@ class Estimator(Kinematics):
         is_time = self._frames.remember(numbers, measurement)
         frame, is_new = self._frames.new(numbers, measurement)
 
-        def learn(state: Array) -> None:
-            assert frame is not None
-            has_begun = self._has_begun(state)
-            law.alter(law.complement(has_begun), state, lambda state: self._place(state, frame))
-            own = frame._replace(x=self._points(frame.x))
-            believed, is_anew = self._gate.judge(state[gate], own, self._reach)
-            law.alter(believed, state, lambda state: self._correct(state, own, is_anew))
-
         if frame is not None:
-            law.alter(is_new, state, learn)
-            is_time = is_time | (is_new & (state[gate.stop - 1] > 0.0))
+            own = frame._replace(x=self._points(frame.x))
+            begins = is_new & law.complement(self._has_begun(state))
+            law.alter(begins, state, lambda state: self._place(state, frame))
+            judged = state[gate]
+            law.alter(is_new, judged, lambda gate: self._gate.judge(gate, own, self._reach))
+            believed, is_anew = is_new & (judged[-2] > 0.0), judged[-1] > 0.0
+            is_seen = law.any_of(np.isfinite(own.x))
+            law.alter(believed & is_seen, state, lambda state: self._correct(state, own, is_anew))
+            is_time = is_time | believed
         # the rates of smoothed estimates may wait for some milliseconds
         law.alter(is_time, state, lambda state: self._aim(state, measurement.q, dt))
         self.advance(state, dt)
@@ -538,7 +538,7 @@ class Gate:
 
     Its numbers: frames passed over in a row, then of the last frame that was believed and of the
     last one that was not: configuration, x, and 1 for each entry of x that was seen at it; and
-    1 if the last one was believed.
+    whether the last one was believed, and the first after the sensor moved, 1 or 0.
 
     Args:
         robot: The believed robot.
@@ -552,19 +552,17 @@ class Gate:
     def __init__(self, robot: Robot, n_x: int, jump: float = 0.0) -> None:
         self._nq, self._n_x, self._jump = robot.nq, n_x, jump
         self._width = robot.nq + 2 * n_x
-        self.size = 2 + 2 * self._width
+        self.size = 3 + 2 * self._width
 
-    def judge(
-        self, numbers: Array, frame: Frame, moved: Callable[[Array, Array], Array]
-    ) -> tuple[Any, Any]:
-        """Return whether to believe a frame, and whether it is the first after the sensor moved.
+    def judge(self, numbers: Array, frame: Frame, moved: Callable[[Array, Array], Array]) -> None:
+        """Note whether to believe a frame, and whether it is the first after the sensor moved.
 
         Args:
             numbers: As before; what is judged is noted.
             frame: The frame.
             moved: moved(q_0, q) → how far each entry of x may move between configurations, (n_x,).
         """
-        last, other = numbers[1:-1].reshape(2, -1)
+        last, other = numbers[1:-2].reshape(2, -1)
         believed, fits = True, self._fits(last, frame, moved)
         if not law.surely(fits):
             jumps = law.complement(fits)
@@ -576,8 +574,8 @@ class Gate:
         else:
             numbers[0] = 0.0
         law.alter(believed, last, lambda last: self._note(last, frame))
-        numbers[-1] = law.select(believed, 1.0, 0.0)
-        return believed, believed & law.complement(fits)
+        numbers[-2] = law.select(believed, 1.0, 0.0)
+        numbers[-1] = law.select(believed & law.complement(fits), 1.0, 0.0)
 
     def _fits(self, last: Array, frame: Frame, moved: Callable[[Array, Array], Array]) -> Any:
         """Return whether x is where it may be after the last frame; where none was, it may be."""

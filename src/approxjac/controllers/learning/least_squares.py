@@ -240,6 +240,8 @@ class UnknownCamera:
         N, a, B, E, _, A = self._split(numbers)
         HW = W * H.T
         N = self._packed.unpack(N) + HW.dot(H)
+        if N.dtype.hasobject:  # symbols are symmetric only where they are the same
+            N = self._packed.unpack(self._packed.pack(N))
         a = a - HW.dot(o)
         seen = x.reshape(-1, d)
         each = HW.reshape(len(a), -1, d).transpose(0, 2, 1).dot(seen)  # Σ Hᵀ x

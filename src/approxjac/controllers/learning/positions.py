@@ -183,11 +183,6 @@ class AdaptiveKinematics(Estimator):
         return self._unknowns.reach(q_0, q) + JUMP * self.noise
 
     def _correct(self, state: Array, frame: Frame, is_anew: Any) -> None:
-        is_seen = law.any_of(np.isfinite(frame.x))
-        law.alter(is_seen, state, lambda state: self._learn(state, frame, is_anew))
-
-    def _learn(self, state: Array, frame: Frame, is_anew: Any) -> None:
-        """Learn from a frame of which something is seen, in place."""
         at, unknowns, x = self._at, self._unknowns, frame.x
         averaged, chi = state[at["averaged"]], state[at["chi"]]
         since = np.minimum(np.maximum(frame.t - state[at["time"]][0], 0.0), LONGEST_FRAME)

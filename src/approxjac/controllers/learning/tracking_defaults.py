@@ -1,4 +1,4 @@
-"""Kinematics and speeds of law T where none are given."""
+"""Kinematics and speeds of the tracking law where none are given."""
 
 from __future__ import annotations
 

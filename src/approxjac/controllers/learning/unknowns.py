@@ -202,12 +202,12 @@ class Unknowns:
         H = np.concatenate([H, self.offsets], axis=1)
         if self.orientation is None:
             return H, known
-        regressor, turned = self.orientation.regressor(q), np.zeros((9, H.shape[1]))
+        regressor, n = self.orientation.regressor(q), H.shape[1]
         if self.n_t:
-            turned[:, self.n_u - 9 : self.n_u] = regressor
-            axes = np.zeros(9)
+            others = np.zeros((9, self.n_u - 9)), np.zeros((9, n - self.n_u))
+            turned, axes = np.concatenate([others[0], regressor, others[1]], axis=1), np.zeros(9)
         else:
-            axes = regressor.dot(np.eye(3).ravel())
+            turned, axes = np.zeros((9, n)), regressor.dot(np.eye(3).ravel())
         return np.concatenate([H, turned]), np.concatenate([known, axes])
 
     def at(self, q: Array) -> tuple[Array, Array]:
