@@ -6,12 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.law.branches import choose, collect, repeat, select, take
+from approxjac.law.branches import choose, collect, collected, repeat, select, take
 from approxjac.law.products import dot
 from approxjac.validation import Array
 
 _TINY = np.finfo(float).tiny
 _SWEEPS = 10
+_FEW, _SOME = 12, 32  # motors and parameters whose bounds are taken without loops of their own
 _SWEPT = 1e-12  # of what led out of bounds, which sweeps may leave
 _ROUND_OFF = (
     1e-8  # bounds nearer to dependent count as dependent: λ grows as 1/angle, its error too
@@ -127,11 +128,13 @@ def swept_within_bounds(
             after = np.maximum(was + along * take(own_size, i), 0.0)
             return (found - (after - was) * (take(side, i) * take(own_lead, i)),), (after,)
 
-        (found,), (after,) = collect(len(rate), one, (found,))
+        each = collect if len(rate) > _SOME else collected
+        (found,), (after,) = each(len(rate), one, (found,))
         return found, after
 
     def swept() -> tuple[Array, Any]:
-        _, (N, NL, size, before) = collect(len(g), of_motor, (g,))
+        each = collect if len(g) > _FEW else collected  # which leaves out what is surely 0
+        _, (N, NL, size, before) = each(len(g), of_motor, (g,))
 
         def sweep(_: Any, values: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
             found, of_own, of_motors = values
@@ -142,12 +145,12 @@ def swept_within_bounds(
                 after = np.maximum(was + dot(take(N, i), found) * take(size, i), 0.0)
                 return (found - (after - was) * take(NL, i),), (after,)
 
-            (found,), (of_motors,) = collect(len(g), one, (found,))
+            (found,), (of_motors,) = each(len(g), one, (found,))
             return found, of_own, of_motors
 
         start = rate, 0.0 * rate, 0.0 * g
         found, *multipliers = repeat(_SWEEPS, sweep, start)
-        _, (beside,) = collect(len(g), lambda i, v: (v, (dot(take(N, i), found),)), (g,))
+        _, (beside,) = each(len(g), lambda i, v: (v, (dot(take(N, i), found),)), (g,))
         least = _SWEPT * np.abs(np.concatenate([side * rate, before])).max()
         beside, multiplier = np.concatenate([side * found, beside]), np.concatenate(multipliers)
         wrong = ((beside > least) | ((multiplier > 0.0) & (beside < -least))).any()
