@@ -15,7 +15,6 @@ from approxjac.controllers.controller import Controller
 from approxjac.interface import Measurement
 from approxjac.validation import Array
 
-_HUGE = HUGE**2  # a sum of squares
 _NEVER = 1e20  # [s], a time that is never measured
 
 
@@ -79,5 +78,5 @@ class AccelerationObserver:
         expected = measurement.v + self._period * f
         memory = np.concatenate([[measurement.t + self._dt], expected, residual])
         # what is absurd must not make the next period's prediction overflow
-        found: Array = equations.select(memory.dot(memory) < _HUGE, memory, self._nothing)
+        found: Array = equations.select(np.abs(memory).max() < HUGE, memory, self._nothing)
         return found
