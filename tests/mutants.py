@@ -70,11 +70,11 @@ MUTANTS = [
     ),
     (
         "dynamics learn without a prediction", "controllers/tracking.py",
-        "status is not _UNPREDICTED", "True", PERIODS,
+        "state.copy(), is_known | waits", "state.copy(), True", PERIODS,
     ),
     (
         "dynamics rest where x is lost", "controllers/tracking.py",
-        "status is not _UNPREDICTED", "now is _OK and math.isfinite(measurement.x.sum())", PERIODS,
+        "state.copy(), is_known | waits", "state.copy(), is_known & law.is_finite(x)", PERIODS,
     ),
     (
         "fast start without time for it", "realtime/easing.py",
@@ -544,14 +544,14 @@ MUTANTS = [
         "+ self.image_age + 0.5 * self.image_period", "+ 0.5 * self.image_period", FIGURES,
     ),
     (
-        "kinematics' drift left out", "controllers/tracking.py",
-        "z_dot = J.dot(v) - x_d_dot + drift",
-        "z_dot = J.dot(v) - x_d_dot", "tests/controllers/test_tracking.py",
+        "kinematics' drift left out", "law/tracking.py",
+        "z_dot = dot(J_hat, v) - x_d_dot + drift",
+        "z_dot = dot(J_hat, v) - x_d_dot", "tests/controllers/test_tracking.py",
     ),
     (
-        "path's velocity left out", "controllers/tracking.py",
-        "z_dot = J.dot(v) - x_d_dot + drift",
-        "z_dot = J.dot(v) + drift", "tests/controllers/test_tracking.py",
+        "path's velocity left out", "law/tracking.py",
+        "z_dot = dot(J_hat, v) - x_d_dot + drift",
+        "z_dot = dot(J_hat, v) + drift", "tests/controllers/test_tracking.py",
     ),
     (
         "posture in the task's way", "law/tracking.py",
