@@ -17,7 +17,7 @@ from approxjac.codegen.lanes import Lanes
 from approxjac.codegen.loop_program import TOLD
 from approxjac.codegen.regions import Box
 from approxjac.codegen.step import compiled
-from approxjac.controllers import CartesianSpeed, HeldMeasurement, PredictedMeasurement
+from approxjac.controllers import CartesianSpeed, HeldMeasurement
 from approxjac.errors import MissingPackageError, UnknownNameError
 from approxjac.law import Sine
 from approxjac.robots import Dynamics
@@ -219,13 +219,18 @@ def test_columns_and_table():
 
 def test_what_is_not_covered_runs_in_python_and_says_so(panda):
     controller, errors, region = study("panda")
-    predicted = PredictedMeasurement(controller, aj.AdaptiveKinematics(controller.task))
-    many = aj.Study(predicted, errors, region, duration=0.01).rollouts(1)
+
+    class Branching(Sine):
+        def s(self, e):
+            return super().s(e) if np.abs(e).max() > 0.01 else e
+
+    own = aj.SetpointController(controller.task, controller.gains, saturation=Branching(0.1))
+    many = aj.Study(own, errors, region, duration=0.01).rollouts(1)
     assert many.setting.engine == "python"
     assert many.setting.reason.startswith("controller must take symbols to make code of it")
     assert many.setting.reason.endswith("which runs in Python")
     with pytest.raises(aj.InvalidInputError, match="controller must take symbols to make code"):
-        aj.Study(predicted, errors, region, duration=0.01).rollouts(
+        aj.Study(own, errors, region, duration=0.01).rollouts(
             1, execution=aj.stability.Execution(engine="lanes")
         )
     with pytest.raises(UnknownNameError, match="engine"):

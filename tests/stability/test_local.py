@@ -13,7 +13,7 @@ from approxjac.controllers import RegressorGravity
 from approxjac.law import Sine
 from approxjac.robots import GravityRegressor
 from approxjac.stability import lyapunov
-from approxjac.stability.loop import target_samples as targets_module
+from approxjac.stability.loop import linearization as targets_module
 
 
 def linearized_by_differences(plant, controller, q_target):

@@ -359,13 +359,17 @@ def test_bad_input_is_named(tools, box, weightless):
         aj.Uncertainty(weightless, object_mass=(-1.0, 1.0))
 
 
+def unwrapped(report):
+    return " ".join(str(report).split())
+
+
 def test_laws_without_certificates_have_a_report_that_says_so(tools, box):
     law_5 = controller_of(tools, velocity=DifferentiatedVelocity())
     report = aj.Study(law_5, tools, box).report(20)
-    assert "the laws (6) and (28) without a posture" in report.lines()[0][2]
+    assert "the laws (6) and (28) without a posture" in unwrapped(report)
     tracking = aj.Study(aj.TrackingController(law_5.task), tools, box).report(20)
-    assert "a TrackingController learns its Jacobian" in tracking.lines()[0][2]
-    assert tracking.lines()[1][1] == "not applicable"
+    assert "a TrackingController learns its Jacobian" in unwrapped(tracking)
+    assert "not applicable" in tracking.rows[1].verdict
     assert not tracking.passed
 
 
@@ -607,7 +611,7 @@ def test_a_law_of_ones_own_is_not_certified_as_the_one_it_is_derived_from():
         return aj.stability.lyapunov(aj.Plant(arm, task), law, [0.3, 0.8], [0.0, 0.0], [0.5, 0.5])
 
     report = aj.Study(law, errors, region).report(20)
-    assert "Pushed has another evaluate; rollouts" in report.lines()[0][2]
+    assert "Pushed has another evaluate; rollouts" in unwrapped(report)
     assert not report.passed
     tests = (
         lambda *loop: aj.Study(*loop).tolerance(),

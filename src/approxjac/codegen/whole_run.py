@@ -63,6 +63,7 @@ def _loop_of(loop: SampledLoop, must: bool) -> _Loop | None:
     for holds, which in (
         (not isinstance(loop.path, np.ndarray), "a target that moves"),
         (plant.needs_sampling, "sensing, delays or a servo"),
+        (not must and _is_own(law), 'a law of your own, unless engine="compiled" is asked for'),
         (not must and importlib.util.find_spec("llvmlite") is None, _NOT_INSTALLED),
     ):
         if holds:
@@ -81,6 +82,14 @@ def _loop_of(loop: SampledLoop, must: bool) -> _Loop | None:
             _loops[key] = _Loop(law, plant, loop.dt, loop.integrator)
         _loops.move_to_end(key)
         return _loops[key]
+
+
+def _is_own(law: Controller) -> bool:
+    """Return True for a user's class: code of it is made when asked for, not by default."""
+    inside = getattr(law, "controller", law)
+    return any(
+        not type(each).__module__.startswith("approxjac.") for each in (law, inside, law.law)
+    )
 
 
 class _Loop:

@@ -136,7 +136,7 @@ class Controller(ABC):
             MeasurementError: As `evaluate`, or a state that overflows.
         """
         answer = self.evaluate(state, measurement, target)
-        if hasattr(answer.torque, "arm_of"):  # symbols
+        if isinstance(answer, Evaluation) and hasattr(answer.torque, "arm_of"):  # symbols
             return state + np.multiply(dt, answer.state_rate), answer  # type: ignore[arg-type]
         if not (isinstance(dt, float) and 0.0 < dt < math.inf):
             dt = as_number("dt", dt, unit="s", above=0.0)
