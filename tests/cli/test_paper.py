@@ -148,7 +148,7 @@ def test_a_verdict_that_differs_gives_exit_code_1(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (["--figures"], "approxjac: --figures takes whole numbers, got nothing"),
+        (["--figures"], "approxjac: --figures must be numbers, got nothing"),
         (["--figures", "2"], "approxjac: --figures must be among 1, 3, 4, 5, 6, 7, 8, got 2"),
         (["--friction", "-1"], "approxjac: --friction must be a finite number >= 0"),
         (

@@ -190,8 +190,9 @@ def test_the_run_of_a_robot_is_shown_and_its_target_moved(panda, open_page):
     live, stop = view.LiveView(patience=30.0), threading.Event()
     with ThreadPoolExecutor() as pool:
         running = pool.submit(
-            aj.control, driver, limited, target, 60.0, observer=live, stop=stop, late=5.0
-        )
+            aj.control, driver, limited, target, 60.0, observer=live, stop=stop,
+            tolerances=aj.realtime.Tolerances(max_period=5.0),
+        )  # fmt: skip
         wait_for(lambda: live.url is not None or running.done())
         page = open_page(live.url)
         page.wait_for_function("approxjac.state().length > 20")

@@ -356,7 +356,7 @@ def live_page(scene, row, *scripts):
 
 
 def rows_of(run, every=100):
-    names = ("t", "q", "x_measured", "x_d", "error", "tau", "task_torque", "V")
+    names = ("t", "q", "x_measured", "x_d", "error", "tau", "task_torque", "V", "learnt")
     return [
         SimpleNamespace(
             task_labels=run.task_labels,
