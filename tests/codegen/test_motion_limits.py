@@ -79,7 +79,7 @@ def test_compiled_steps_are_those_of_python(name, rng):
                 assert_array_equal(found.torque, expected.torque)
             states = [theirs, theirs]
             seen.add(expected.limit_status.name)
-    assert {"FREE", "INFEASIBLE"} <= seen
+    assert "FREE" in seen and ("INFEASIBLE" in seen or name == "no proof")
     assert seen & {"PROOF_KEPT", "LIMITED"}
 
 
@@ -127,8 +127,8 @@ def test_a_whole_run_is_that_of_python(panda, monkeypatch):
 def test_in_C_they_are_those_of_python(name, tmp_path, rng):
     """Also where no torque keeps them: there C brakes by itself."""
     controller = limiter(name)
-    in_c, first, seen = InC(controller, tmp_path), sampled_step(controller).initial_state, set()
-    assert "what the limits keep" in (tmp_path / "controller.h").read_text("utf-8")
+    in_c, first, seen = InC(controller, tmp_path), sampled_step(controller).begun, set()
+    assert "what the controller keeps" in (tmp_path / "controller.h").read_text("utf-8")
     apart = []
     for measurements, target in steps(controller, 60, rng):
         state, kept = controller.initial_state(measurements[0]), first

@@ -263,7 +263,7 @@ def _begun(
         return state, False
     if not isinstance(controller.law, SetpointController) or controller.law.velocity is None:
         return state, False
-    is_first, p, m = symbols(program.k < 1.0), controller.resting, controller.law.task.m
+    is_first, p, m = symbols(program.k < 1.0), controller.law.resting, controller.law.task.m
     followed = np.where(is_first, told.x, state[p : p + m])
     state = np.concatenate([state[:p], followed, state[p + m :]])
     return state, any_of(is_first & ~np.isfinite(told.x))

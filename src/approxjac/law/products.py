@@ -36,6 +36,6 @@ def _of(y: Any, x: Any) -> Any:
 def sine_and_cosine(a: Any) -> tuple[Any, Any]:
     """Return sin a and cos a of a number, known or not."""
     if isinstance(a, float):
-        return math.sin(a), math.cos(a)
+        return (math.sin(a), math.cos(a)) if math.isfinite(a) else (math.nan, math.nan)
     sine, cosine = a.sine_and_cosine()
     return sine, cosine

@@ -208,7 +208,7 @@ def sampled_step(controller: Controller) -> SampledStep:
     after, answer, left = laws.stepped(
         controller, state, measurement, target, dt if controller.dt is None else controller.dt
     )
-    p = controller.resting
+    p = controller.law.resting
     after[:p] = law.select(left, state[:p], after[:p])
     outputs = {
         "torque": answer.torque, "after": after, "e": answer.e, "gravity": answer.gravity,

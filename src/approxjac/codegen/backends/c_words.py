@@ -180,7 +180,7 @@ def _units_of_x(task: Task) -> str:
 
 
 def _state_words(step: SampledStep) -> str:
-    n, p, firsts = len(step.begun), step.controller.resting, step.firsts
+    n, p, firsts = len(step.begun), step.controller.law.resting, step.firsts
     if n == 0:
         return "This law has none; C has no empty structures."
     followed = [k for k, i in enumerate(firsts) if i is not None]
