@@ -92,7 +92,8 @@ def left(path, folder, out):
     """Copy what an example left in a folder of its own, beside the text that it printed."""
     out.mkdir(parents=True, exist_ok=True)
     for file in (folder / path.stem).iterdir():
-        shutil.copy(file, out)
+        if file.is_file():  # a folder is of C
+            shutil.copy(file, out)
     return story(path, (folder / f"{path.stem}.txt").read_text(encoding="utf-8"))
 
 
