@@ -129,7 +129,7 @@ class RunResult:
 
     @property
     def peak_speed_ratio(self) -> float:
-        """Largest recorded abs(q̇) as a share of the joint's limit; NaN where no limit is known."""
+        """Largest abs(q̇) as a share of the joint's limit; NaN where no limit is known."""
         limits = self.built.limits
         known = self.built.plant.robot.velocity_limits if limits is None else limits.velocity
         return _peak(self.run.v, np.asarray(known))
