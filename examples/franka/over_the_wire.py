@@ -15,10 +15,13 @@ from simulated_franka import Camera, SimulatedFranka, missing
 
 import approxjac as aj
 from approxjac.controllers import AdaptiveDynamics, AdaptiveKinematics, Latency
-from approxjac.realtime import FrankaDriver
+from approxjac.realtime import FrankaDriver, Scheduling, Tolerances
 
 FAR, DURATION = 0.12, 8.0  # m, s
-ALONE = {"cpu": min(os.sched_getaffinity(0)), "late": 0.5}  # the simulated robot has the last one
+ALONE = {  # the simulated robot has the last processor
+    "scheduling": Scheduling(cpu=min(os.sched_getaffinity(0))),
+    "tolerances": Tolerances(max_period=0.5),
+}
 LATE = {"noise": 1e-3, "rate": 60.0, "late": 0.03}  # of a camera: 1 mm, 60 Hz, 30 ms
 STIFF = 0.4  # s, for stiffer gains than by default: friction hides less of the error
 ROTORS = 0.1  # inertia of the drives as the joints feel them [kg m²]
