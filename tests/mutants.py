@@ -353,7 +353,7 @@ MUTANTS = [
     ),
     (
         "watchdog that bites at once", "realtime/brake.py",
-        "self._beat > self._longest:", "self._beat > 0.1 * self._longest:", STARTS,
+        "self._beat > self.longest:", "self._beat > 0.1 * self.longest:", STARTS,
     ),
     (
         "stop without its damping", "simulation/joint_stops.py",

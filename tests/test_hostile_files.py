@@ -16,7 +16,7 @@ import approxjac as aj
 from approxjac.cameras import PinholeCamera
 from approxjac.errors import ApproxJacError, TrajectoryFileError
 from approxjac.realtime import SimulatedDriver
-from approxjac.realtime.robot_run import RobotRun
+from approxjac.realtime.control import RobotRun
 from approxjac.robots.meshes import find_mesh
 from approxjac.stability.rollouts.portions import _kept_part
 from approxjac.view.mesh_drawing import load_mesh

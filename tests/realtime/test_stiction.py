@@ -26,5 +26,5 @@ def test_a_joint_may_stand_still_under_a_torque(torque, reference, fault):
     for k in range(200):
         t = 1e-3 * k
         found = found or watch.look(aj.Measurement(t, Q, np.zeros(7), np.zeros(3)), t)
-        watch.sent(torque, reference)
+        watch.commanded(torque, reference)
     assert found is fault

@@ -44,7 +44,7 @@ def watched(change=None, seconds=0.6, noise=0.0, dt=DT, accuracy=None, sent=None
         fault = watch.look(m, 10.0 + t)
         if fault is not None:
             return fault, t
-        watch.sent(np.zeros(7) if sent is None else sent(t), None)
+        watch.commanded(np.zeros(7) if sent is None else sent(t), None)
     return None, seconds
 
 
@@ -323,7 +323,7 @@ def test_speed_that_grows_as_the_target_leads_is_no_fault():
         for k in range(300):
             m = fast(aj.Measurement(k * DT, START, START, np.zeros(3)))
             found.append(watch.look(m, 10.0 + m.t))
-            watch.sent(np.zeros(7), m.v if leads else None)
+            watch.commanded(np.zeros(7), m.v if leads else None)
         assert (Fault.SPEED_GREW in found) is not leads
 
 

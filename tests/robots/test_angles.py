@@ -6,7 +6,7 @@ import pytest
 import approxjac as aj
 from approxjac.controllers import Posture
 from approxjac.realtime import SimulatedDriver
-from approxjac.realtime.reading import read
+from approxjac.realtime.driver import read
 from approxjac.robots import Dynamics, GravityRegressor, excitation
 from approxjac.stability import SublevelSet, Tube
 

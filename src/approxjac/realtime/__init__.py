@@ -1,11 +1,9 @@
 """The loop on a robot: drivers, `control`, and the faults that it looks for."""
 
-from approxjac.realtime.accuracy import Accuracy, Tolerances
-from approxjac.realtime.control import control
+from approxjac.realtime.control import RobotRun, control
 from approxjac.realtime.driver import Driver
-from approxjac.realtime.faults import Fault
+from approxjac.realtime.faults import Accuracy, Fault, Tolerances
 from approxjac.realtime.franka import FrankaDriver
-from approxjac.realtime.robot_run import RobotRun
 from approxjac.realtime.scheduling import Pace, Scheduling
 from approxjac.realtime.simulated_driver import SimulatedDriver
 

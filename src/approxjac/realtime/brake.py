@@ -28,7 +28,7 @@ class Brake:
     """
 
     def __init__(self, driver: Driver) -> None:
-        self._driver, self._lock = driver, threading.Lock()
+        self.driver, self._lock = driver, threading.Lock()
         self.error: BaseException | None = None
         self.closed_at: float | None = None
 
@@ -39,7 +39,7 @@ class Brake:
                 return
             self.closed_at = time.perf_counter()
             try:
-                self._driver.brake()
+                self.driver.brake()
             except BaseException as error:  # whatever it is, the watchdog and the loop go on
                 self.error = error
 
@@ -47,7 +47,7 @@ class Brake:
         """Send a command; a HungError once the brake is closed, as the watchdog may do."""
         if self.closed_at is not None:
             raise HungError
-        self._driver.send(command)
+        self.driver.send(command)
 
 
 class Watchdog:
@@ -61,11 +61,12 @@ class Watchdog:
         longest: Time that a round may take [s].
 
     Attributes:
+        longest: As given.
         bit: Whether it had to brake.
     """
 
     def __init__(self, brake: Brake, longest: float) -> None:
-        self._brake, self._longest = brake, longest
+        self._brake, self.longest = brake, longest
         self._loop = threading.current_thread()
         self._is_main = self._loop is threading.main_thread()
         self._beat, self._over = time.perf_counter(), threading.Event()
@@ -91,8 +92,8 @@ class Watchdog:
             signal.signal(signal.SIGALRM, self._before or signal.SIG_DFL)
 
     def _watch(self) -> None:
-        while not self._over.wait(self._longest / _LOOKS):
-            if time.perf_counter() - self._beat > self._longest:
+        while not self._over.wait(self.longest / _LOOKS):
+            if time.perf_counter() - self._beat > self.longest:
                 self.bit = True
                 self._brake.close()
                 if self._is_main and self._loop.ident is not None:

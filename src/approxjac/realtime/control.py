@@ -1,4 +1,4 @@
-"""`control`: the loop on a robot, and nothing left undone when it ends."""
+"""`control`: the loop on a robot, and nothing left undone when it ends; `RobotRun`, its record."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ import math
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import fields, replace
+from dataclasses import dataclass, field, fields, replace
 from types import NoneType
-from typing import Any
+from typing import ClassVar
+
+import numpy as np
 
 from approxjac.controllers.controller import Controller
 from approxjac.errors import ControlError
 from approxjac.interface import Target, TargetPath
-from approxjac.realtime.accuracy import Tolerances, task_bounds
 from approxjac.realtime.brake import Brake, HungError, Watchdog
 from approxjac.realtime.driver import Driver
-from approxjac.realtime.faults import Fault
+from approxjac.realtime.faults import Fault, Tolerances, task_bounds
 from approxjac.realtime.observer_thread import ObserverThread
 from approxjac.realtime.robot_loop import RobotLoop
-from approxjac.realtime.robot_run import RobotRun
 from approxjac.realtime.scheduling import Scheduling, StopSignals, undisturbed
 from approxjac.realtime.start_checks import (
     require_able,
@@ -36,7 +36,68 @@ from approxjac.validation import Array, as_number, require
 
 _WARM = 50  # steps before the first that counts: caches, and whatever is made at first use
 _HANGS = 2.0  # times `max_period`, after which the watchdog brakes
+_SOME = 200  # instants of a run, among which the farthest target is looked for
 _SPEED = {"m": 0.2, "rad": 0.5, "px": 100.0}  # of targets that are eased in, per s
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RobotRun(Trajectory):
+    """The record of a run on a robot, which plots and pages take like any other `Trajectory`.
+
+    What nobody can know stands for what is: x is what was measured last, the scene has the believed
+    robot twice, and V is that of the believed arm. The error is that of x to the target when x was
+    taken, as `Measurement.t_x` tells; without it to the target of the same instant.
+
+    Attributes:
+        stop_distance: How far x went from the call for a controlled stop until the brake, NaN
+            without one [length in the units of the task].
+        stop_bound: How far it may go: the error then, the way of the target that comes to rest,
+            and what is faster than that target for the 0.3 s that this takes.
+        gap: Time from command to command in each period of the run, shape (K,) [s].
+        work: Time from the measurement to the command in each, shape (K,) [s].
+    """
+
+    stop_distance: float = field(kw_only=True)
+    stop_bound: float = field(kw_only=True)
+    gap: Array = field(kw_only=True)
+    work: Array = field(kw_only=True)
+    _more_arrays: ClassVar[tuple[str, ...]] = ("gap", "work")
+    _more_texts: ClassVar[tuple[str, ...]] = ("stop_distance", "stop_bound")
+
+    @property
+    def fault(self) -> Fault | None:
+        """Return the fault that ended it, or None."""
+        return Fault[self.fault_name] if self.fault_name else None
+
+    def late(self, longest: float) -> int:
+        """Return the number of commands that came later than a time after the one before [s]."""
+        return int((self.gap > longest).sum())
+
+    def _error_line(self) -> str:
+        """Return in words how far the target went, which is eased in, and the error at the end."""
+        error = f"error {self.error_norm[-1]:.3g} {self.task_unit} at the end"
+        sensor = None if self.scene is None else self.scene.sensor
+        if sensor is None:
+            return error
+        some = self.x_d[np.unique(np.linspace(0, len(self.t) - 1, _SOME).astype(int))]
+        way = max(float(np.linalg.norm(sensor.error(x_d, self.x_d[0]))) for x_d in some)
+        return f"target led {way:.3g} {self.task_unit} away from the start, {error}"
+
+    def _figures(self) -> dict[str, str]:
+        """Describe the run, with its stop and the times that commands took."""
+        figures = super()._figures()
+        if np.isfinite(self.stop_distance):
+            figures["stop"] = (
+                f"within {self.stop_distance:.3g} {self.task_unit} "
+                f"(at most {self.stop_bound:.3g} was foreseen)"
+            )
+        if len(self.work):
+            half, most, worst = 1e6 * np.percentile(self.work, [50.0, 99.0, 100.0])
+            figures["work"] = (
+                f"{half:.0f} µs in the median, 99 % within {most:.0f}, worst {worst:.0f}; "
+                f"longest gap {1e3 * self.gap.max():.3g} ms"
+            )
+        return figures
 
 
 def control(
@@ -88,7 +149,13 @@ def control(
             braked, and `given` is the run until then.
     """
     require("driver", driver, Driver, "a Driver, with read, send and brake")
-    plant = _believed(driver, controller)
+    # the robot as it is believed to be, which takes what the controller commands
+    robot, servo = controller.task.robot, None
+    if controller.command == "velocity":
+        servo = VelocityServo()
+    adds = robot if driver.adds_gravity and servo is None else None
+    task = controller.task._measured
+    plant = Plant(robot, task, adds_gravity=adds, servo=servo)
     require_fit(plant, controller, driver.dt)
     require_able(driver, controller)
     wanted = wanted_of(controller.task, target, 0.0)
@@ -98,7 +165,6 @@ def control(
     require("scheduling", scheduling, (Scheduling, NoneType), "Scheduling(...)")
     require("stop", stop, (threading.Event, NoneType), "a threading.Event")
     require("observer", observer, (Callable, NoneType), "a function of a Loop")  # type: ignore[arg-type]
-    task = controller.task._measured
     speeds = task_bounds("speed", speed, task, _SPEED, "/s")
     tolerances = (tolerances or Tolerances()).for_task(task, driver.dt)
     brake, signals = Brake(driver), StopSignals()
@@ -107,32 +173,30 @@ def control(
         held.callback(brake.close)  # whatever happens from here on
         first = require_at_rest(driver, task, tolerances.timeout)
         require_start(task, wanted, first.x)
-        loop = RobotLoop(
-            driver, brake, plant, controller, wanted, first, steps, tolerances, speeds, state
-        )
+        loop = RobotLoop(brake, plant, controller, wanted, first, steps, tolerances, speeds, state)
         if not loop.learns_sensor:
             require_near(task, first.x)
-        require_held(driver, controller, loop.measurement.q, loop.answer)
+        require_held(driver, controller, first.q, loop.answer)
         for _ in range(_WARM):
             controller.step(loop.state, loop.measurement, loop._wanted, driver.dt)
-        watched = held.enter_context(ObserverThread(loop, observer))
+        watched = None
+        if observer is not None:
+            watched = held.enter_context(ObserverThread(loop, observer))
         held.enter_context(undisturbed(scheduling or Scheduling()))
         error: BaseException | None = None
-        longest = _HANGS * tolerances.max_period
-        watchdog = Watchdog(brake, longest)
+        watchdog, why = Watchdog(brake, _HANGS * tolerances.max_period), ""
         try:
             with watchdog:
                 signals.looked_at = True
-                why = _run(loop, steps, watchdog, signals, stop, watched)
+                why = _run(loop, watchdog, signals, stop, watched)
         except HungError:
-            why = ""
+            pass
         except Exception as raised:
             error, why = raised, f"{type(raised).__name__}: {raised}"
         finally:  # before threads are waited for
             brake.close()
         if watchdog.bit:
-            loop.fault = Fault.READ_HUNG
-            loop.detail = loop.describe_hang(longest)
+            loop.fault, loop.detail = Fault.READ_HUNG, loop.describe_hang(watchdog.longest)
         elif error is not None:
             loop.fault, loop.detail = Fault.FAILED, ""
         run = _run_of(loop, why)
@@ -148,11 +212,10 @@ def control(
 
 def _run(
     loop: RobotLoop,
-    steps: int,
     watchdog: Watchdog,
     signals: StopSignals,
     stop: threading.Event | None,
-    watched: ObserverThread,
+    watched: ObserverThread | None,
 ) -> str:
     """Run to the end, and return why it ended."""
     why = ""
@@ -163,7 +226,7 @@ def _run(
                 why = f"{signals.name}: brought to rest"
             elif (stop is not None and stop.is_set()) or loop.stopped:
                 why = "asked to stop: brought to rest"
-            elif loop.step >= steps:
+            elif loop.step >= loop.steps:
                 why = "its time was over: brought to rest"
             elif loop.fault is not None:
                 why = f"{loop.describe_fault()}; brought to rest"
@@ -171,7 +234,8 @@ def _run(
                 loop.halt()
         if signals.count > 1:
             return f"{signals.name}, twice: braked at once"
-        watched.serve()
+        if watched is not None:
+            watched.serve()
         if not loop.advance():
             break
         watchdog.beat()
@@ -182,27 +246,17 @@ def _run_of(loop: RobotLoop, why: str) -> RobotRun:
     fault = loop.fault
     if fault is not None and not fault.stops:
         why = f"{loop.describe_fault()}; braked at once" + (f" ({why})" if why else "")
-    run = loop.record().trajectory()
+    record, errors = loop.record()
+    run = record.trajectory()
     scene = None if run.scene is None else replace(run.scene, knows_truth=False)
     done = slice(1, max(loop.step, 1))
     kept = {field.name: getattr(run, field.name) for field in fields(Trajectory)}
     return RobotRun(
         **kept
-        | {"error": loop.errors, "scene": scene, "ended": why}
+        | {"error": errors, "scene": scene, "ended": why}
         | {"fault_name": "" if fault is None else fault.name},
         stop_distance=float(loop.stop_distance),
         stop_bound=float(loop.stop_bound),
         gap=loop.gaps[done].astype(float),
         work=loop.works[done].astype(float),
     )
-
-
-def _believed(driver: Driver, controller: Controller) -> Plant:
-    """Return the robot as it is believed to be, which takes what the controller commands."""
-    robot = controller.task.robot
-    options: dict[str, Any] = {}
-    if controller.command == "velocity":
-        options["servo"] = VelocityServo()
-    elif driver.adds_gravity:
-        options["adds_gravity"] = robot
-    return Plant(robot, controller.task._measured, **options)

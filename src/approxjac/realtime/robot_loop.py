@@ -11,12 +11,10 @@ import numpy as np
 
 from approxjac.controllers.controller import Controller
 from approxjac.interface import LimitStatus, Measurement, Status, Target, TargetPath
-from approxjac.realtime.accuracy import Tolerances
 from approxjac.realtime.brake import Brake
-from approxjac.realtime.driver import Driver
+from approxjac.realtime.driver import read, two_clocks
 from approxjac.realtime.easing import Eased, Halt
-from approxjac.realtime.faults import Fault
-from approxjac.realtime.reading import read, two_clocks
+from approxjac.realtime.faults import Fault, Tolerances
 from approxjac.realtime.start_checks import require_able
 from approxjac.realtime.watches import FaultWatch, SensorWatch
 from approxjac.simulation.loop import Loop
@@ -29,9 +27,6 @@ _ROWS = 60_000  # recorded at most
 _TAIL = 1000  # periods before the end of which each is recorded
 _HALT = 0.3  # s, within which the target of a controlled stop comes to rest
 _AT_REST = 0.05  # rad/s or m/s
-_FASTER = 0.15  # of its largest speed, by which a joint may be faster than it is led to be
-_SLOW = {"rad": 0.4, "m": 0.1}  # per s; or by this, where its largest speed is low
-_FADES = 0.5  # s, in which that fades: joints that share a motion swing on
 _LOST = (Status.MEASUREMENT_LOST, Status.NOT_PREDICTED)
 
 
@@ -39,8 +34,7 @@ class RobotLoop(Loop):
     """A loop whose measurements come from a robot, with a watch over them.
 
     Args:
-        driver: The robot.
-        brake: Its brake.
+        brake: That of the robot.
         plant: What is believed of it.
         controller: The controller.
         path: Where the target is.
@@ -52,8 +46,8 @@ class RobotLoop(Loop):
 
     Attributes:
         fault: What is wrong, or None.
-        learns_sensor: Whether the controller learns where the sensor is.
         detail: Of the fault, in words: which joint, and by how much; "" for none.
+        learns_sensor: Whether the controller learns where the sensor is.
         halting: Whether it is being brought to rest.
     """
 
@@ -62,7 +56,6 @@ class RobotLoop(Loop):
 
     def __init__(
         self,
-        driver: Driver,
         brake: Brake,
         plant: Plant,
         controller: Controller,
@@ -73,50 +66,42 @@ class RobotLoop(Loop):
         speeds: Array,
         state: Array | None,
     ) -> None:
+        driver, robot = brake.driver, plant.robot
         super().__init__(plant, controller, path, driver.dt, steps)
-        self._driver, self._brake, self._speeds = driver, brake, speeds
-        self._tolerances, self._timeout = tolerances, tolerances.timeout
+        self._brake, self._speeds, self._tolerances = brake, speeds, tolerances
         self._max_error = np.asarray(tolerances.max_error)
-        task, accuracy = controller.task._measured, tolerances.accuracy
-        fastest = driver.limits.for_joints(plant.robot.nv).velocity
-        fastest = np.minimum(plant.robot.velocity_limits, np.asarray(fastest))
-        still = np.zeros(task.m)
+        fastest = np.asarray(driver.limits.for_joints(robot.nv).velocity)
         self._begun = first.t
-        self.measurement = self._timed(first)
-        self.truth = self.measurement
-        self._eased: Eased | Halt = Eased(task, path, 0.0, first.x, still, speeds)
+        self.truth = self.measurement = self._timed(first)
+        self._ease(first.x, np.zeros(controller.task._measured.m))
         self._aim()
         self.state = first_state(plant, controller, self._wanted, self.measurement, self.dt, state)
         self._control()
-        commands_velocity = driver.command == "velocity"
         self._watch = FaultWatch(
-            plant.robot, self.dt, accuracy, fastest, tolerances.max_period, commands_velocity
-        )
+            robot, self.dt, tolerances.accuracy, np.minimum(robot.velocity_limits, fastest),
+            tolerances.max_period, driver.command == "velocity",
+        )  # fmt: skip
         kinematics = controller.kinematics
         self.learns_sensor = kinematics is not None and bool(kinematics.names)
-        self._sensor = self._sensor_watch()
+        self._watch_sensor()
         self.fault: Fault | None = None
         self.detail = ""
-        self.halting = False
+        self.halting = self._blind = False
         self._lost = self._limited = self._halted = 0
-        self._blind, self._asked = False, np.zeros(plant.robot.nv)
-        slow = [_SLOW[unit] for unit in plant.robot.joint_units]
-        self._fades = math.exp(-self.dt / _FADES)
-        self._faster = np.maximum(_FASTER * fastest, slow)
         self._sent = self._read = time.perf_counter()
         self.stop_distance = self.stop_bound = np.nan
         self._stopped_at = first.x
         self._stride = max(1, math.ceil(steps / _ROWS))
-        rounds = steps + math.ceil(self._timeout / self.dt) + 2  # with those of a stop
+        rounds = steps + math.ceil(tolerances.timeout / self.dt) + 2  # with those of a stop
         self._record = Record(plant, rounds // self._stride + _TAIL + 2, self.dt)
-        self._tail: deque[tuple[int, tuple[Any, ...], tuple[Array, Array, float]]] = deque()
+        self._tail: deque[tuple[int, tuple[Any, ...], Array]] = deque()
         self._errors: list[Array] = []
         self.gaps = np.zeros(rounds, dtype=np.float32)
         self.works = np.zeros(rounds, dtype=np.float32)
 
     def advance(self) -> bool:
         """Carry out a period; return whether the run goes on. It never sends after a fault."""
-        measurement = self._timed(read(self._driver, self.controller.task))
+        measurement = self._timed(read(self._brake.driver, self.controller.task))
         self._read = time.perf_counter()
         self.measurement = measurement
         fault = self._watch.look(measurement, self._read)
@@ -133,11 +118,12 @@ class RobotLoop(Loop):
                 self._control()
                 self.tau = as_vector("the controller's command", self.tau, self.plant.robot.nv)
                 self._judge()
+        fault = self._watch.commanded(self.tau, self.answer.reference)
+        self._note(fault, self._watch.detail)
         if self._brakes():
             return False
         # without q and q̇ the last command goes out once more, which no limit has to object to
         self._brake.send(self.tau)
-        self._watch.sent(self.tau, self.answer.reference)
         now = time.perf_counter()
         self.gaps[self.step], self.works[self.step] = now - self._sent, now - self._read
         self._sent = now
@@ -163,37 +149,37 @@ class RobotLoop(Loop):
 
     def aim_at(self, target: Target | TargetPath | Array) -> None:
         """Move the target, which is eased in from where it is now."""
-        now = self.step * self.dt
-        path = wanted_of(self.plant.sensor, target, now)
-        if self.halting:
-            return
-        task, velocity = self.controller.task._measured, self._velocity
-        self._eased = Eased(task, path, now, self.target, velocity, self._speeds)
-        self.path = path
+        path = wanted_of(self.plant.sensor, target, self.step * self.dt)
+        if not self.halting:
+            self.path = path
+            self._ease(self.target, self._velocity)
 
     def exchange(self, controller: Controller) -> None:
         """Let another controller go on, from the next step on."""
-        require_able(self._driver, controller)
+        require_able(self._brake.driver, controller)
         super().exchange(controller)
-        self._sensor = self._sensor_watch()
+        self._watch_sensor()
 
-    def _sensor_watch(self) -> SensorWatch:
-        blind = np.asarray(self._tolerances.max_blind_motion)
-        accuracy, task = self._tolerances.accuracy, self.controller.task
-        return SensorWatch(task, self.dt, accuracy, blind, self.learns_sensor)
+    def _watch_sensor(self) -> None:
+        accuracy, blind = self._tolerances.accuracy, np.asarray(self._tolerances.max_blind_motion)
+        task = self.controller.task
+        self._sensor = SensorWatch(task, self.dt, accuracy, blind, self.learns_sensor)
 
-    def record(self) -> Record:
-        """Return the record, with each of the last periods."""
+    def _ease(self, x: Array, velocity: Array) -> None:
+        """Have the target begin at x (n_x,) with a velocity (m,) and join its path."""
+        task, now = self.controller.task._measured, self.step * self.dt
+        self._eased: Eased | Halt = Eased(task, self.path, now, x, velocity, self._speeds)
+
+    def record(self) -> tuple[Record, Array]:
+        """Return the record, with each of the last periods, and its errors (N, m).
+
+        They are those of x to the target when x was taken.
+        """
         if not self._tail:  # nothing was known: the instant before it
             self._keep()
         while self._tail:
             self._evict(last=True)
-        return self._record
-
-    @property
-    def errors(self) -> Array:
-        """Errors of x to the target when x was taken, at the instants of `record`, (N, m)."""
-        return np.array(self._errors)
+        return self._record, np.array(self._errors)
 
     def _timed(self, measurement: Measurement) -> Measurement:
         """Return it in the time of the run."""
@@ -217,9 +203,7 @@ class RobotLoop(Loop):
         x, task = measurement.x, self.controller.task._measured
         sees = bool(np.isfinite(x).all())
         if self._blind and sees and not self.halting:
-            # from where it is seen again
-            now, still = self.step * self.dt, np.zeros(task.m)
-            self._eased = Eased(task, self.path, now, x, still, self._speeds)
+            self._ease(x, np.zeros(task.m))  # from where it is seen again
             self._blind = False
         self._aim()
         seen = measurement if sees else self.truth
@@ -238,23 +222,15 @@ class RobotLoop(Loop):
 
     def _judge(self) -> None:
         """Look at what the controller says of its answer."""
-        asked = self.answer.reference
-        if asked is not None:
-            fastest = np.abs(asked)
-            self._asked = np.maximum(self._fades * self._asked, 2.0 * fastest + fastest.max())
-            share = np.abs(self.measurement.v) / (self._asked + self._faster)
-            if (share > 1.0).any():
-                j = int(share.argmax())
-                self._note(Fault.TOO_FAST, self._watch.too_fast(j, share[j], self.measurement.v))
         lost = self.answer.status in _LOST
         self._lost = self._lost + 1 if lost else 0
         self._blind = self._blind or lost
-        voids = self.answer.limit_status >= LimitStatus.PROOF_GIVEN_UP
-        voids &= self.answer.limit_status is not LimitStatus.EXCEEDED
+        status = self.answer.limit_status
+        voids = status >= LimitStatus.PROOF_GIVEN_UP and status is not LimitStatus.EXCEEDED
         self._limited = self._limited + 1 if voids else 0
-        if self._lost * self.dt > self._timeout:
+        if self._lost * self.dt > self._tolerances.timeout:
             self._note(Fault.BLIND)
-        elif self._limited * self.dt > self._timeout:
+        elif self._limited * self.dt > self._tolerances.timeout:
             self._note(Fault.LIMITS)
 
     def describe_work(self) -> str:
@@ -268,19 +244,16 @@ class RobotLoop(Loop):
     def describe_hang(self, longest: float) -> str:
         """Return in words what did not come back within a time after the last command [s]."""
         came = self._read - self._sent  # later: the state came after the brake, to another thread
-        message = "no state came"
+        what = "no state came"
         if 0.0 < came < longest:
-            message = f"the state was read after {1e3 * came:.3g} ms; the command, or sending it, "
-            message += "did not come back"
-        return (
-            f"no command for {1e3 * longest:.3g} ms, twice `max_period`: {message}"
-            + self.describe_work()
-        )
+            what = f"the state was read after {1e3 * came:.3g} ms; the command, or sending it, "
+            what += "did not come back"
+        work = self.describe_work()
+        return f"no command for {1e3 * longest:.3g} ms, twice `max_period`: {what}{work}"
 
     def describe_fault(self) -> str:
         """Return the fault in words."""
-        if self.fault is None:
-            return ""
+        assert self.fault is not None
         detail = f" ({self.detail})" if self.detail else ""
         return f"{self.fault}: {self.fault.message}{detail}"
 
@@ -300,31 +273,31 @@ class RobotLoop(Loop):
         self._halted += 1
         slow = bool(np.abs(self.measurement.v).max() < _AT_REST)
         since = self._halted * self.dt
-        return (slow and since > _HALT) or since > self._timeout
+        return (slow and since > _HALT) or since > self._tolerances.timeout
 
     def _keep(self) -> None:
         instant = (
             self.truth, self.measurement.x, self.state, self.answer, self.tau, self.target,
             self.controller,
         )  # fmt: skip
-        self._tail.append((self.step, instant, self._led()))
+        self._tail.append((self.step, instant, self._error()))
         if len(self._tail) > _TAIL:
             self._evict(last=False)
 
     def _evict(self, last: bool) -> None:
-        step, instant, (before, after, share) = self._tail.popleft()
+        step, instant, error = self._tail.popleft()
         if last or step % self._stride == 0:
             self._record.add(*instant)
-            error, x = self.plant.sensor.error, instant[0].x
-            self._errors.append((1.0 - share) * error(x, before) + share * error(x, after))
+            self._errors.append(error)
 
-    def _led(self) -> tuple[Array, Array, float]:
-        """Return the targets between which x was taken, and how far between; now if that is all."""
-        t, _, _, _, t_x = self.truth
+    def _error(self) -> Array:
+        """Return the error of x to the target when it was taken, by targets of periods before."""
+        t, _, _, x, t_x = self.truth
+        error = self.plant.sensor.error
         if t_x is None or not t_x < t:
-            return self.target, self.target, 0.0
-        targets = self._tail  # of the periods before
-        ago = min((t - t_x) / self.dt, float(len(targets)))
+            return error(x, self.target)
+        ago = min((t - t_x) / self.dt, float(len(self._tail)))
         k = math.ceil(ago)
-        before, after = (self.target if i <= 0 else targets[-i][1][5] for i in (k, k - 1))
-        return before, after, k - ago
+        before, after = (self.target if i <= 0 else self._tail[-i][1][5] for i in (k, k - 1))
+        share = k - ago
+        return (1.0 - share) * error(x, before) + share * error(x, after)

@@ -52,21 +52,8 @@ def undisturbed(scheduling: Scheduling) -> Iterator[None]:
     Raises:
         InvalidInputError: A processor that is not there, or a priority that the system refuses.
     """
-    before = _set(scheduling.cpu, scheduling.priority)
-    _hush()
-    try:
-        yield
-    finally:
-        _unhush()
-        if before is not None:
-            affinity, policy, parameters = before
-            os.sched_setscheduler(0, policy, parameters)
-            os.sched_setaffinity(0, affinity)
-
-
-def _hush() -> None:
-    """Quieten the interpreter, unless another loop's thread has done it."""
     global _loops, _usual
+    before = _set(scheduling.cpu, scheduling.priority)
     with _lock:
         if _loops == 0:
             _usual = sys.getswitchinterval(), gc.isenabled(), gc.get_freeze_count()
@@ -75,21 +62,22 @@ def _hush() -> None:
             gc.disable()
             sys.setswitchinterval(_SWITCH)
         _loops += 1
-
-
-def _unhush() -> None:
-    """Put back what was before, once no loop is left."""
-    global _loops
-    with _lock:
-        _loops -= 1
-        if _loops:
-            return
-        switch, collects, frozen = _usual
-        sys.setswitchinterval(switch)
-        if not frozen:  # by somebody else, too
-            gc.unfreeze()
-        if collects:
-            gc.enable()
+    try:
+        yield
+    finally:
+        with _lock:
+            _loops -= 1
+            if _loops == 0:
+                switch, collects, frozen = _usual
+                sys.setswitchinterval(switch)
+                if not frozen:  # by somebody else, too
+                    gc.unfreeze()
+                if collects:
+                    gc.enable()
+        if before is not None:
+            affinity, policy, parameters = before
+            os.sched_setscheduler(0, policy, parameters)
+            os.sched_setaffinity(0, affinity)
 
 
 def _set(cpu: int | None, priority: int | None) -> tuple[set[int], int, os.sched_param] | None:

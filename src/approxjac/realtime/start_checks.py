@@ -8,16 +8,13 @@ import math
 import numpy as np
 import pinocchio as pin
 
-from approxjac.controllers import (
-    Latency,
-)
+from approxjac.controllers import Latency
 from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import listed
 from approxjac.interface import Evaluation, LimitStatus, Measurement
-from approxjac.realtime.driver import Driver
-from approxjac.realtime.reading import read, two_clocks
-from approxjac.robots import Dynamics, Robot
+from approxjac.realtime.driver import Driver, read, two_clocks
+from approxjac.robots import Dynamics
 from approxjac.robots.joint_limits import beyond_positions, reach_bound, require_radians
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import features
@@ -93,23 +90,17 @@ def require_at_rest(driver: Driver, task: Task, timeout: float) -> Measurement:
             given=measured,
         )
     require_radians("q", robot, measured.q)
-    if (beyond_positions(robot, measured.q[None])[0] > 0.0).any():
-        raise InvalidInputError(
-            f"q must be within the joints' limits, got {_beyond(robot, measured.q)}", given=measured
+    beyond = np.flatnonzero(beyond_positions(robot, measured.q[None])[0] > 0.0)
+    if beyond.size:
+        low, high = robot.position_limits
+        angles = pin.difference(robot.model, robot.neutral(), measured.q)
+        where = "; ".join(
+            f"{robot.joint_names[j]} at {angles[j]:.4g} {robot.joint_units[j]}, limits "
+            f"{low[j]:.4g} and {high[j]:.4g}"
+            for j in beyond
         )
+        raise InvalidInputError(f"q must be within the joints' limits, got {where}", given=measured)
     return measured
-
-
-def _beyond(robot: Robot, q: Array) -> str:
-    """Return in words which joints are beyond their limits, where, and the limits."""
-    low, high = robot.position_limits
-    angles = pin.difference(robot.model, robot.neutral(), q)
-    joints = zip(robot.joint_names, angles, robot.joint_units, low, high, strict=True)
-    return "; ".join(
-        f"{name} at {angle:.4g} {unit}, limits {least:.4g} and {most:.4g}"
-        for name, angle, unit, least, most in joints
-        if not least <= angle <= most
-    )
 
 
 def require_near(task: Task, x: Array) -> None:
@@ -121,11 +112,8 @@ def require_near(task: Task, x: Array) -> None:
         if not feature.axes or feature.frame is None:
             continue
         origin, reach = reach_bound(task.robot, feature.frame)
-        given = x[feature.entries][: len(feature.axes)]
-        if feature.placed is not None:
-            R, b = feature.placed
-            given = (given - b) @ R
-        away = float(np.linalg.norm(given - origin[["xyz".index(axis) for axis in feature.axes]]))
+        origin = origin[["xyz".index(axis) for axis in feature.axes]]
+        away = float(np.linalg.norm(feature.place(x) - origin))
         if away > max(_FAR, _REACHES * reach):
             raise InvalidInputError(
                 f"x must be in m, got {listed(x)}: the tip would be {away:.3g} m from the base of "
@@ -137,7 +125,6 @@ def require_near(task: Task, x: Array) -> None:
 def require_held(driver: Driver, controller: Controller, q: Array, answer: Evaluation) -> None:
     """Refuse to begin where the command does not hold the arm, as it is believed to be."""
     robot = controller.task.robot
-    limits = driver.limits.for_joints(robot.nv)
     if answer.limit_status in (LimitStatus.INFEASIBLE, LimitStatus.SOLVER_FAILED):
         raise InvalidInputError(
             f"the limits do not hold the arm as it stands: {answer.limit_status.message}",
@@ -145,10 +132,8 @@ def require_held(driver: Driver, controller: Controller, q: Array, answer: Evalu
         )
     if driver.command != "torque" or answer.gravity is None:
         return
-    most = np.asarray(limits.effort)
-    needed = np.zeros(len(most))
-    if not driver.adds_gravity:
-        needed = Dynamics(robot).g(q)
+    most = np.asarray(driver.limits.for_joints(robot.nv).effort)
+    needed = np.zeros(robot.nv) if driver.adds_gravity else Dynamics(robot).g(q)
     slack = _HELD * np.where(np.isfinite(most), most, np.abs(needed).max())
     if (np.abs(answer.gravity - needed) > slack).any():
         message = "the controller must compensate gravity, such as by AdaptiveGravity(robot)"

@@ -84,10 +84,7 @@ def features(task: Task | None) -> tuple[Feature, ...]:
 def place_of(task: Task, x: Array) -> Array | None:
     """Return where in the world a value x (n_x,) is, shape (3,) [m]; None if it does not tell."""
     told = next((part for part in features(task) if part.axes == "xyz"), None)
-    if told is None:
-        return None
-    place: Array = x[told.entries][:3]
-    return place if told.placed is None else (place - told.placed[1]) @ told.placed[0]
+    return None if told is None else told.place(x)
 
 
 def image_feature(task: Task | None) -> Feature | None:

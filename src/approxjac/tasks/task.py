@@ -28,6 +28,11 @@ class Feature(NamedTuple):
     points: Array = np.zeros((1, 3))  # of the frame, shape (k, 3) [m]
     placed: tuple[Array, Array] | None = None  # R, b of a position x = R p + b in other axes
 
+    def place(self, x: Array) -> Array:
+        """Return the coordinates along `axes` of the position that values (..., n_x) give [m]."""
+        own: Array = x[..., self.entries][..., : len(self.axes)]
+        return own if self.placed is None else (own - self.placed[1]) @ self.placed[0]
+
 
 class Task(Immutable, Saved, ABC):
     """A task X = h(q) of one robot.
