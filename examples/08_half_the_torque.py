@@ -45,7 +45,13 @@ for row, (name, limiter) in enumerate(
     {"clipped": clipped, "QP": aj.TorqueLimited(law, limits)}.items()
 ):
     run = aj.simulate(
-        plant, limiter, target, start, duration=4.0, dt=1e-3, integrator="semi_implicit_euler"
+        plant,
+        limiter,
+        target,
+        start,
+        duration=4.0,
+        dt=1e-3,
+        computation=aj.simulation.Computation("semi_implicit_euler"),
     )
     speed = np.abs(run.v / arm.velocity_limits).max()
     beyond = max(0.0, (run.q - high).max(), (low - run.q).max())

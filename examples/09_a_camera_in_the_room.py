@@ -54,7 +54,15 @@ held = aj.HeldMeasurement(law, unseen=40.0)  # beyond 40 px of motion without an
 
 vision = aj.Sensing(x_rate=30.0, x_delay=0.03, x_noise=0.5)
 plant = aj.Plant(truth, sensor, sensing=vision, torque_limits=truth.effort_limits)
-run = aj.simulate(plant, held, target, start, 12.0, dt=1e-3, integrator="semi_implicit_euler")
+run = aj.simulate(
+    plant,
+    held,
+    target,
+    start,
+    12.0,
+    dt=1e-3,
+    computation=aj.simulation.Computation("semi_implicit_euler"),
+)
 last = run.error[run.t > 11.0]
 print(run)
 print(f"RMS of each coordinate over the last second: {np.sqrt((last**2).mean(axis=0)).round(2)} px")

@@ -68,7 +68,15 @@ figure, axes = view.new_figure(
 axes[5].sharey(axes[2])  # torques at one scale
 for row, (name, law) in enumerate(laws.items()):
     held = aj.HeldMeasurement(law, unseen=40.0)
-    run = aj.simulate(plant, held, target, start, 5.0, dt=1e-3, integrator="semi_implicit_euler")
+    run = aj.simulate(
+        plant,
+        held,
+        target,
+        start,
+        5.0,
+        dt=1e-3,
+        computation=aj.simulation.Computation("semi_implicit_euler"),
+    )
     print(f"{name}: {run}")
     view.plot_image(run, camera, axes[3 * row], title=f"Paths in the image: {name}")
     view.plot_error(run, axes[3 * row + 1], title=f"Task error: {name}")

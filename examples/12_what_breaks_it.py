@@ -80,7 +80,11 @@ def weak(share, proof):
 
 def left(truly, law, dt, start, shown):
     """The largest error in the last tenth of 6 s, or the largest speed."""
-    how = {"duration": round(6.0 / dt) * dt, "dt": dt, "integrator": "semi_implicit_euler"}
+    how = {
+        "duration": round(6.0 / dt) * dt,
+        "dt": dt,
+        "computation": aj.simulation.Computation("semi_implicit_euler"),
+    }
     try:
         run = aj.simulate(truly, law, truly.sensor.value(GOAL), start, **how)
     except aj.errors.SimulationError:  # it diverged

@@ -43,7 +43,13 @@ limited = aj.TorqueLimited(law, [aj.Limits.of(belief), wall, CartesianSpeed(0.20
 figure, axes = view.new_figure(2, 2, title="A target behind a wall, with an unknown tool of 12 cm")
 for row, (name, controller) in enumerate({"alone": alone, "wall and speed": limited}.items()):
     run = aj.simulate(
-        plant, controller, target, start, duration=4.0, dt=1e-3, integrator="semi_implicit_euler"
+        plant,
+        controller,
+        target,
+        start,
+        duration=4.0,
+        dt=1e-3,
+        computation=aj.simulation.Computation("semi_implicit_euler"),
     )
     believed = np.array([task.value(q) for q in run.q])
     paths = {"true tip": run.x, "believed tip": believed}

@@ -57,7 +57,11 @@ start = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 truth = arm.with_object(0.15, 0.4, axis="x")
 plant = aj.Plant(truth, ranged(truth))
 target = plant.sensor.value(start) + [-0.15, 0.10]
-options = {"duration": 4.0, "dt": 1e-3, "integrator": "semi_implicit_euler"}
+options = {
+    "duration": 4.0,
+    "dt": 1e-3,
+    "computation": aj.simulation.Computation("semi_implicit_euler"),
+}
 runs = [aj.simulate(plant, each, target, start, **options) for each in (law, quick)]
 apart = np.abs(runs[0].tau - runs[1].tau).max()
 print(f"it ends {1e3 * runs[0].error_norm[-1]:.2f} mm away; torques of both differ by {apart:.0e}")

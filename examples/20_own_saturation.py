@@ -59,7 +59,11 @@ start = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 plant = aj.Plant(arm.with_object(0.15, 0.4, axis="x"))
 target = plant.sensor.value(start) + [0.10, -0.20, 0.15]
 region = aj.JointBox.around(arm, start, 0.3)
-options = {"duration": 4.0, "dt": 1e-3, "integrator": "semi_implicit_euler"}
+options = {
+    "duration": 4.0,
+    "dt": 1e-3,
+    "computation": aj.simulation.Computation("semi_implicit_euler"),
+}
 
 figure, (left, right) = view.new_figure(1, 2, title="A saturation of one's own")
 for name, saturation in (("tanh", Tanh(gamma)), ("own", Soft(gamma))):

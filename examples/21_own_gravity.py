@@ -48,7 +48,11 @@ plant, task = aj.Plant(truth), aj.PositionTask(belief)
 start = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 target = plant.sensor.value(start) + [0.10, -0.20, 0.15]
 region = aj.JointBox.around(truth, start, 0.3)
-options = {"duration": 4.0, "dt": 1e-3, "integrator": "semi_implicit_euler"}
+options = {
+    "duration": 4.0,
+    "dt": 1e-3,
+    "computation": aj.simulation.Computation("semi_implicit_euler"),
+}
 
 figure, (left, right) = view.new_figure(1, 2, title="A weight that no URDF has")
 for name, gravity in (

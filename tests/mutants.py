@@ -356,16 +356,16 @@ MUTANTS = [
         "self._beat > self.longest:", "self._beat > 0.1 * self.longest:", STARTS,
     ),
     (
-        "stop without its damping", "simulation/joint_stops.py",
+        "stop without its damping", "simulation/plant.py",
         "per_speed = self.stiffness * dt + self.damping", "per_speed = self.stiffness * dt",
         FIGURES,
     ),
     (
-        "stop softer than its motor", "simulation/joint_stops.py",
+        "stop softer than its motor", "simulation/plant.py",
         "np.maximum(usual * _RATE**2, effort / _GIVES_WAY)", "usual * _RATE**2", FIGURES,
     ),
     (
-        "stop half as fast", "simulation/joint_stops.py",
+        "stop half as fast", "simulation/plant.py",
         "_RATE = 200.0", "_RATE = 100.0", FIGURES,
     ),
     # -- gravity and its bounds
@@ -499,7 +499,7 @@ MUTANTS = [
         "_SHARE = 0.9", "_SHARE = 9.0", PERIODS,
     ),
     (
-        "stop that pulls", "simulation/joint_stops.py",
+        "stop that pulls", "simulation/plant.py",
         "-side * np.maximum(push, 0.0)", "-side * push", "tests/simulation/test_joint_stops.py",
     ),
     (

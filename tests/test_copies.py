@@ -129,9 +129,12 @@ def test_mimic_joints_and_continuous_ones(copied, rng):
 
 def test_plants(holding, copied, rng):
     plant = aj.Plant(
-        holding, aj.PositionTask(holding), 0.3, coulomb=0.1, sensing=aj.Sensing(x_noise=1e-3),
+        holding,
+        aj.PositionTask(holding),
+        aj.simulation.Friction(0.3, coulomb=0.1),
+        sensing=aj.Sensing(x_noise=1e-3),
         torque_limits=holding.effort_limits,
-    )  # fmt: skip
+    )
     other = copied(plant)
     q, v, tau = holding.random_configuration(rng), rng.normal(size=7), rng.normal(size=7)
     assert_array_equal(other.acceleration(q, v, tau), plant.acceleration(q, v, tau))

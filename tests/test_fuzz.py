@@ -491,7 +491,7 @@ def test_a_run_with_corrupted_input_ends_finite(name, bound):
     plant = aj.Plant(robot, controller.task, friction=2.0, torque_limits=LIMITS)
     corrupted = Corrupted(controller, 0, plant.dynamics.g(START))
     target = controller.task.value(START)
-    options = {"dt": 1e-3, "integrator": "semi_implicit_euler"}
+    options = {"dt": 1e-3, "computation": aj.simulation.Computation("semi_implicit_euler")}
     run = aj.simulate(plant, corrupted, target, START, 1.0, **options)
     assert corrupted.refused > 50
     assert corrupted.answered > 50
@@ -547,6 +547,14 @@ def _simulate(**changes):
     return aj.simulate(**arguments)
 
 
+def _simulate_from(**changes):
+    return _simulate(q0=aj.simulation.InitialState(**{"q0": (0.3, 0.8), **changes}))
+
+
+def _simulate_by(**changes):
+    return _simulate(computation=aj.simulation.Computation(**changes))
+
+
 def _plant(**changes):
     return aj.Plant(**{"robot": parts()["panda"], "sensor": parts()["task"], **changes})
 
@@ -556,6 +564,10 @@ def _run_with(**changes):
     plant = _plant(**changes)
     controller = aj.SetpointController(parts()["task"], parts()["gains"])
     return aj.simulate(plant, controller, (0.4, 0.1, 0.5), START, 3e-3, dt=1e-3)
+
+
+def _rough(**changes):
+    return _run_with(friction=aj.simulation.Friction(**changes))
 
 
 class Still(aj.Controller):
@@ -585,12 +597,14 @@ def _sensed(**changes):
 
 ENTRANCES = {
     _simulate: (
-        "plant", "controller", "target", "q0", "duration", "dt", "v0", "record_every",
-        "integrator", "seed", "progress",
+        "plant", "controller", "target", "q0", "duration", "dt", "record_every", "seed",
+        "computation",
     ),
+    _simulate_from: ("q0", "v0", "state"),
+    _simulate_by: ("integrator", "engine", "progress"),
+    _rough: ("viscous", "coulomb", "coulomb_velocity"),
     _run_with: (
-        "robot", "sensor", "friction", "coulomb", "coulomb_velocity", "sensing", "actuator_delay",
-        "torque_limits", "servo",
+        "robot", "sensor", "friction", "sensing", "actuator_delay", "torque_limits", "servo",
     ),
     _servoed: ("lag", "delay", "period", "quantum"),
     _sensed: (

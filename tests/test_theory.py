@@ -89,7 +89,12 @@ def test_without_x_kinetic_energy_falls_by_what_damping_takes(panda):
     q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
     dt = 1e-5
     run = aj.simulate(
-        plant, controller, sensor.value(q0) + 0.1, q0, 20 * dt, dt=dt, v0=np.linspace(-1.0, 1.0, 7)
+        plant,
+        controller,
+        sensor.value(q0) + 0.1,
+        aj.simulation.InitialState(q0, v0=np.linspace(-1.0, 1.0, 7)),
+        20 * dt,
+        dt=dt,
     )
     assert run.status_counts() == {aj.Status.MEASUREMENT_LOST: len(run.t)}
     energy = [0.5 * v @ dynamics.M(q) @ v for q, v in zip(run.q, run.v, strict=True)]

@@ -125,7 +125,13 @@ def as_it_runs(controller, plant, q, target, latency):
         actuator_delay=latency.torque_delay,
     )  # fmt: skip
     return aj.simulate(
-        real, controller, target, q, STEPS * latency.period, dt=latency.period, integrator="rk4"
+        real,
+        controller,
+        target,
+        q,
+        STEPS * latency.period,
+        dt=latency.period,
+        computation=aj.simulation.Computation("rk4"),
     )
 
 

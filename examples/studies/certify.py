@@ -153,9 +153,14 @@ def move(loop, rate):
     for length in (duration / 30.0, *(duration * 2.0**k for k in range(at_most))):
         try:
             piece = aj.simulate(
-                loop.plant, loop.controller, loop.target, q, length, v0=v, dt=None,
+                loop.plant,
+                loop.controller,
+                loop.target,
+                aj.simulation.InitialState(q, v0=v),
+                length,
+                dt=None,
                 record_every=length / RECORDS,
-            )  # fmt: skip
+            )
         except aj.errors.SimulationError:
             return pieces, False, False
         pieces.append(piece)
@@ -210,9 +215,15 @@ def near_rate(loop, rate):
     plant, time = loop.plant, 3.0 / abs(rate)
     moved = 1e-5 * np.random.default_rng(0).standard_normal(plant.robot.nv)
     run = aj.simulate(
-        plant, loop.controller, loop.target, pin.integrate(plant.robot.model, loop.q_target, moved),
-        2.0 * time, record_every=time / 400.0, dt=None, atol=1e-12, rtol=1e-7,
-    )  # fmt: skip
+        plant,
+        loop.controller,
+        loop.target,
+        pin.integrate(plant.robot.model, loop.q_target, moved),
+        2.0 * time,
+        record_every=time / 400.0,
+        dt=None,
+        computation=aj.simulation.Computation(rtol=1e-7, atol=1e-12),
+    )
     M = plant.dynamics.M(loop.q_target)
     energy = np.einsum("ki,ij,kj->k", run.v, M, run.v)
     energy = energy + (run.error**2) @ loop.controller.diagonals.kp

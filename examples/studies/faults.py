@@ -241,7 +241,10 @@ def prepared(arm, sensing=None):
     truth, belief = robot.with_object(TOOL, MASS, axis="x"), robot.with_object(0.0)
     friction = 0.02 * robot.effort_limits
     plant = aj.MujocoPlant(
-        truth, sensor=aj.PositionTask(truth), coulomb=friction, friction=0.5, sensing=sensing
+        truth,
+        sensor=aj.PositionTask(truth),
+        friction=aj.simulation.Friction(0.5, coulomb=friction),
+        sensing=sensing,
     )
     latency = None
     if sensing is not None:

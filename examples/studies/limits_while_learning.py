@@ -35,7 +35,7 @@ from approxjac.controllers.limits.limits import sure_deceleration
 from approxjac.robots import GravityRegressor
 from approxjac.robots.joint_limits import reach_bound
 from approxjac.scenario.starts import regular_configuration
-from approxjac.simulation.integrators import rk4
+from approxjac.simulation.plant import rk4
 
 ROBOTS = ("xarm7", "ur5", "panda", "kinova", "tiago_arm")
 SETTLING_TIMES = (0.3, 0.5, 1.0, 2.0)

@@ -144,7 +144,7 @@ def simulate(loop, built, law, watch, q0, seed):
     try:
         aj.simulate(
             plant, controller, watch.target, q0, LONGEST, dt=DT, record_every=1.0,
-            integrator="semi_implicit_euler", seed=seed, observer=watch,
+            computation=aj.simulation.Computation("semi_implicit_euler"), seed=seed, observer=watch,
         )  # fmt: skip
     except aj.errors.SimulationError:
         watch.verdict = "diverges"

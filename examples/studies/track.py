@@ -122,9 +122,17 @@ def run_case(case):
     sent = controller if case.delay == DELAY else WithoutTime(controller)
     try:
         run = aj.simulate(
-            plant, sent, target, setup.q0, case.duration, dt=DT, record_every=5 * DT,
-            integrator="semi_implicit_euler", seed=setup.seed, observer=look,
-        )  # fmt: skip
+            plant,
+            sent,
+            target,
+            setup.q0,
+            case.duration,
+            dt=DT,
+            record_every=5 * DT,
+            computation=aj.simulation.Computation("semi_implicit_euler"),
+            seed=setup.seed,
+            observer=look,
+        )
     except aj.errors.SimulationError as error:
         return Outcome(case, reason=str(error))
     windows = {w: tracks.rms(run, *w) for w in WINDOWS if w[1] <= case.duration + 1e-9}

@@ -153,7 +153,9 @@ def plant_of(case, setup):
     if case.kind in ("real", "lost"):
         coulomb = COULOMB * setup.belief.effort_limits
         plant = setup.plant(
-            kind=aj.MujocoPlant, friction=VISCOUS, coulomb=coulomb, actuator_delay=LATE
+            kind=aj.MujocoPlant,
+            friction=aj.simulation.Friction(VISCOUS, coulomb),
+            actuator_delay=LATE,
         )
         plant.mujoco_model.dof_armature[:] = ROTOR
         return plant
@@ -202,9 +204,16 @@ def run_case(case):
 
     try:
         run = aj.simulate(
-            plant, controller, target_of(case, setup, plant), setup.q0, DURATION[case.kind],
-            dt=law.dt, integrator="semi_implicit_euler", seed=case.seed, observer=look,
-        )  # fmt: skip
+            plant,
+            controller,
+            target_of(case, setup, plant),
+            setup.q0,
+            DURATION[case.kind],
+            dt=law.dt,
+            computation=aj.simulation.Computation("semi_implicit_euler"),
+            seed=case.seed,
+            observer=look,
+        )
     except aj.errors.SimulationError as error:
         return Outcome(case, reason=str(error))
     state, steps = last[0], (math.nan, math.nan)

@@ -132,9 +132,16 @@ def run_plane(case):
         largest[0] = max(largest[0], float(np.abs(loop.answer.torque).max()))
 
     run = aj.simulate(
-        aj.Plant(sensor.robot, sensor), aj.TrackingController(task), target,
-        start, 10.0, dt=DT, record_every=5 * DT, integrator="semi_implicit_euler", observer=look,
-    )  # fmt: skip
+        aj.Plant(sensor.robot, sensor),
+        aj.TrackingController(task),
+        target,
+        start,
+        10.0,
+        dt=DT,
+        record_every=5 * DT,
+        computation=aj.simulation.Computation("semi_implicit_euler"),
+        observer=look,
+    )
     norm = run.error_norm / m
     return Outcome(case, rms(run.t, norm, PLANE_WINDOWS), norm[0], norm.max(), largest[0])
 
@@ -162,9 +169,17 @@ def run_case(case):
 
     try:
         run = aj.simulate(
-            plant, controller_of(case, sensor, task), target, start, 12.0, dt=DT,
-            record_every=5 * DT, integrator="semi_implicit_euler", seed=case.seed, observer=look,
-        )  # fmt: skip
+            plant,
+            controller_of(case, sensor, task),
+            target,
+            start,
+            12.0,
+            dt=DT,
+            record_every=5 * DT,
+            computation=aj.simulation.Computation("semi_implicit_euler"),
+            seed=case.seed,
+            observer=look,
+        )
     except aj.errors.SimulationError as error:
         return Outcome(case, reason=str(error))
     norm = run.error_norm

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 import approxjac as aj
-from approxjac.simulation.integrators import rk4
+from approxjac.simulation.plant import rk4
 
 SHORTEST, AS_LONG = 0.1, 0.3  # of the longest period; share of the periods that are as long
 TINY = 1e-9  # of a period

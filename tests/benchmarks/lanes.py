@@ -70,7 +70,7 @@ def simulated(learns):
     def run(steps):
         aj.simulate(
             begin.plant, law, begin.target, begin.q, steps * DT, dt=DT, record_every=steps * DT,
-            integrator="semi_implicit_euler",
+            computation=aj.simulation.Computation("semi_implicit_euler"),
         )  # fmt: skip
         return steps
 

@@ -12,7 +12,7 @@ import approxjac as aj
 from approxjac.codegen.backends.c99 import sampled_step
 from approxjac.codegen.step import compiled
 from approxjac.controllers import CartesianSpeed, Limit, Wall
-from approxjac.simulation.sampled_loop import SampledLoop
+from approxjac.simulation.loop import SampledLoop
 
 
 class HighElbow(Limit):
@@ -111,7 +111,11 @@ def test_a_whole_run_is_that_of_python(panda, monkeypatch):
     wall = Wall(x + [0.0, 0.3, 0.0], [0.0, -1.0, 0.0], 0.1)
     limits = [replace(aj.Limits.of(belief), rate=1000.0), wall, CartesianSpeed(0.3)]
     plain = aj.TorqueLimited(aj.SetpointController(aj.PositionTask(belief)), limits)
-    options = {"duration": 2.0, "dt": 1e-3, "integrator": "semi_implicit_euler"}
+    options = {
+        "duration": 2.0,
+        "dt": 1e-3,
+        "computation": aj.simulation.Computation("semi_implicit_euler"),
+    }
     expected = aj.simulate(plant, plain, x + [0.0, 0.4, 0.0], **options)
     quick = compiled(plain)
     monkeypatch.delattr(SampledLoop, "advance")

@@ -24,7 +24,7 @@ from approxjac.controllers import (
 from approxjac.errors import InvalidInputError, MeasurementError, MissingPackageError
 from approxjac.law import Sine, Tanh, theta_hat_rate
 from approxjac.robots import GravityRegressor
-from approxjac.simulation.sampled_loop import SampledLoop
+from approxjac.simulation.loop import SampledLoop
 from approxjac.tasks import CombinedTask, NonsingularTask
 
 STATUSES = tuple(aj.Status)
@@ -602,7 +602,11 @@ def test_a_whole_run_within_limits_of_effort_is_that_of_python(panda, learns, mo
     target = plant.sensor.value(plant.ready_configuration()) + [0.15, -0.15, 0.1]
     law = aj.SetpointController(task, gravity=gravity)
     limited = aj.TorqueLimited(law, aj.Limits(effort=0.45 * belief.effort_limits))
-    options = {"duration": 2.0, "dt": 1e-3, "integrator": "semi_implicit_euler"}
+    options = {
+        "duration": 2.0,
+        "dt": 1e-3,
+        "computation": aj.simulation.Computation("semi_implicit_euler"),
+    }
     plain = aj.simulate(plant, limited, target, **options)
     monkeypatch.delattr(SampledLoop, "advance")
     quick = aj.simulate(plant, compiled(limited), target, **options)
@@ -619,7 +623,14 @@ def test_what_python_does_again_is_told_once(panda):
     assert repr(law) == f"compiled({law.ordinary!r})"
     told, target = [], np.array([0.5, 0.1, 0.5])
     with pytest.raises(aj.errors.SimulationError):
-        aj.simulate(aj.Plant(panda), law, target, duration=2.0, dt=1e-3, progress=told.append)
+        aj.simulate(
+            aj.Plant(panda),
+            law,
+            target,
+            duration=2.0,
+            dt=1e-3,
+            computation=aj.simulation.Computation(progress=told.append),
+        )
     assert len(told) > 3
     assert (np.diff(told) > 0.0).all()
 

@@ -11,7 +11,7 @@ import approxjac as aj
 from approxjac.cameras import PlanarCamera
 from approxjac.codegen import compiled
 from approxjac.controllers import DifferentiatedVelocity
-from approxjac.simulation.sampled_loop import SampledLoop
+from approxjac.simulation.loop import SampledLoop
 from approxjac.tasks import NonsingularTask
 
 SHORT = {"runs": 5, "duration": 0.3, "dt": 2e-3, "accuracy": 0.05}
@@ -112,7 +112,11 @@ def test_one_whole_run_is_that_of_python(name, monkeypatch):
     controller, known, region = STUDIES[name]()
     few = rolled(controller, known, region, engine="python", **SHORT | {"runs": 1})
     start = few.setting.start(1)
-    options = {"duration": 4.2, "dt": 2e-3, "integrator": "semi_implicit_euler"}
+    options = {
+        "duration": 4.2,
+        "dt": 2e-3,
+        "computation": aj.simulation.Computation("semi_implicit_euler"),
+    }
     plain = aj.simulate(start.plant, controller, start.target, start.q, **options)
     monkeypatch.delattr(SampledLoop, "advance")
     quick = aj.simulate(start.plant, compiled(controller), start.target, start.q, **options)

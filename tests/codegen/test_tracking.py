@@ -345,6 +345,13 @@ def test_many_runs_at_once_are_those_of_simulate(two_link, unknown):
     assert not found["left"].any()
     for k, (plant, target) in enumerate(zip(plants, targets, strict=True)):
         run = aj.simulate(
-            plant, law, target, start, 0.4, dt=DT, integrator="semi_implicit_euler", seed=k
+            plant,
+            law,
+            target,
+            start,
+            0.4,
+            dt=DT,
+            computation=aj.simulation.Computation("semi_implicit_euler"),
+            seed=k,
         )
         assert_allclose(found["error"][k], run.error_norm[-1], rtol=0, atol=1e-10)

@@ -32,7 +32,7 @@ def closed_loop(arms, duration, gains=None, plant=None, every=0.02, **options):
     controller = aj.SetpointController(aj.PositionTask(belief), gains, gravity=gravity)
     run = aj.simulate(
         aj.Plant(truth, sensor, **(plant or {})), controller, sensor.value(GOAL), START, duration,
-        dt=2e-3, record_every=every, integrator="semi_implicit_euler",
+        dt=2e-3, record_every=every, computation=aj.simulation.Computation("semi_implicit_euler"),
     )  # fmt: skip
     return controller, run
 

@@ -44,7 +44,7 @@ def rms(task, moves, seconds):
     target = Around(x_d) if moves else x_d
     run = aj.simulate(
         aj.Plant(sensor.robot, sensor), controller, target, START, seconds, dt=1e-3,
-        record_every=5e-3, integrator="semi_implicit_euler",
+        record_every=5e-3, computation=aj.simulation.Computation("semi_implicit_euler"),
     )  # fmt: skip
     error = run.error_norm[:-1].reshape(seconds, -1) / CAMERA.magnification
     return np.sqrt((error**2).mean(axis=1))

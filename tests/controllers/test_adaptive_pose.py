@@ -407,7 +407,7 @@ def plant_of(sensor, **sensing):
 def simulated(plant, controller, target, seconds, dt=2e-3):
     return aj.simulate(
         plant, controller, target, HOME, seconds, dt=dt, record_every=0.01,
-        integrator="semi_implicit_euler",
+        computation=aj.simulation.Computation("semi_implicit_euler"),
     )  # fmt: skip
 
 

@@ -153,9 +153,15 @@ def settling_shares(name, settling_time):
     for start in np.array(STARTS[name]):
         for direction in np.vstack([np.eye(task.m), -np.eye(task.m)]):
             run = aj.simulate(
-                plant, controller, task.value(start) + 0.07 * direction, start,
-                8 * settling_time, dt=dt, record_every=5 * dt, integrator="semi_implicit_euler",
-            )  # fmt: skip
+                plant,
+                controller,
+                task.value(start) + 0.07 * direction,
+                start,
+                8 * settling_time,
+                dt=dt,
+                record_every=5 * dt,
+                computation=aj.simulation.Computation("semi_implicit_euler"),
+            )
             sizes = np.linalg.norm(run.error, axis=1)
             assert sizes[-1] < 0.02 * sizes[0]
             shares.append(run.t[np.nonzero(sizes > 0.02 * sizes[0])[0][-1]] / settling_time)

@@ -341,11 +341,15 @@ def bounce(dt):
     """How deep a joint sinks in at 1 rad/s, how fast it comes back; how deep a motor presses."""
     light, strong = turntable()
     task = aj.PositionTask(light, axes="y")
-    options = {"dt": dt, "integrator": "semi_implicit_euler"}
+    options = {"dt": dt, "computation": aj.simulation.Computation("semi_implicit_euler")}
     run = aj.simulate(
-        aj.Plant(light, task), Constant(task, 0.0), np.zeros(1), np.array([0.99]), 0.08,
-        v0=np.ones(1), **options,
-    )  # fmt: skip
+        aj.Plant(light, task),
+        Constant(task, 0.0),
+        np.zeros(1),
+        aj.simulation.InitialState(np.array([0.99]), v0=np.ones(1)),
+        0.08,
+        **options,
+    )
     task = aj.PositionTask(strong, axes="y")
     pressed = aj.simulate(
         aj.Plant(strong, task), Constant(task, 1e4), np.zeros(1), np.array([0.99]), 0.2, **options

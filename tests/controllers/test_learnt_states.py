@@ -121,7 +121,9 @@ def test_a_limiter_resumes_what_the_law_inside_learnt(task):
     assert_array_equal(controller.kinematics_learnt(run.state[-1]).covariance, learnt.covariance)
     assert_array_equal(controller.kinematics_learnt(start).covariance, learnt.covariance)
     assert controller.learnt_robot(start) == controller.learnt_robot(run.state[-1])
-    after = aj.simulate(plant, controller, x_d, HOME, 0.01, dt=1e-3, state=start)
+    after = aj.simulate(
+        plant, controller, x_d, aj.simulation.InitialState(HOME, state=start), 0.01, dt=1e-3
+    )
     assert np.isfinite(after.tau).all()
 
 

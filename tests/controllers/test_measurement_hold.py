@@ -307,7 +307,11 @@ def reach(controller, sensing, duration=4.0, offset=(0.1, -0.15, 0.16), seed=0, 
     sensor = controller.task.on(truth)
     plant = aj.Plant(truth, sensor, sensing=sensing)
     target = sensor.displaced(sensor.value(START), np.resize(offset, controller.task.m))
-    options = {"dt": DT, "integrator": "semi_implicit_euler", "seed": seed}
+    options = {
+        "dt": DT,
+        "computation": aj.simulation.Computation("semi_implicit_euler"),
+        "seed": seed,
+    }
     return aj.simulate(plant, controller, target, START, duration, **options)
 
 

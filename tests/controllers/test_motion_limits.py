@@ -127,7 +127,7 @@ def blocked(name, dt, limits=(), direction=(0.6, 0.0, -0.8), inside=0.0, **optio
     controller = aj.TorqueLimited(law, [aj.Limits.of(belief), wall, *limits], dt=dt)
     run = aj.simulate(
         plant, controller, plant.sensor.value(q0) + 0.4 * d, q0, duration=1.5, dt=dt,
-        integrator="semi_implicit_euler",
+        computation=aj.simulation.Computation("semi_implicit_euler"),
     )  # fmt: skip
     heights = (run.x - point) @ -d
     tips = np.array([believed.value(q) for q in run.q])
@@ -175,11 +175,11 @@ def test_accelerations_of_joints_are_no_larger_than_they_may_be(panda):
     controller = aj.TorqueLimited(aj.SetpointController(task), limits)
     run = aj.simulate(
         aj.Plant(panda), controller, target, q0, duration=1.5, dt=1e-3,
-        integrator="semi_implicit_euler",
+        computation=aj.simulation.Computation("semi_implicit_euler"),
     )  # fmt: skip
     free = aj.simulate(
         aj.Plant(panda), aj.TorqueLimited(controller.controller), target, q0,
-        duration=1.5, dt=1e-3, integrator="semi_implicit_euler",
+        duration=1.5, dt=1e-3, computation=aj.simulation.Computation("semi_implicit_euler"),
     )  # fmt: skip
     fastest = [np.abs(np.diff(each.v, axis=0)).max() / 1e-3 for each in (run, free)]
     assert fastest[0] < 2.02
@@ -203,7 +203,7 @@ def test_walls_that_contradict_each_other_have_a_status_and_brake(panda):
     assert np.isfinite(after).all()
     run = aj.simulate(
         aj.Plant(panda), controller, p + 0.2, q0, duration=0.5, dt=1e-3,
-        integrator="semi_implicit_euler",
+        computation=aj.simulation.Computation("semi_implicit_euler"),
     )  # fmt: skip
     assert set(run.limit_status_counts()) == {aj.LimitStatus.INFEASIBLE}
     assert np.abs(run.v).max() < 0.2  # it stands between them
@@ -219,7 +219,7 @@ def test_a_limit_of_ones_own_is_kept(panda):
     for limits in (None, HighElbow("panda_link4", lowest)):
         run = aj.simulate(
             aj.Plant(panda), aj.TorqueLimited(law, limits), target, q0, duration=2.0, dt=1e-3,
-            integrator="semi_implicit_euler",
+            computation=aj.simulation.Computation("semi_implicit_euler"),
         )  # fmt: skip
         lows.append(min(elbow.position(q)[2] for q in run.q[::10]) - lowest)
     assert lows[0] < -0.01

@@ -102,7 +102,15 @@ def test_speeds_stay_within_their_limits(arm, dt, gravity):
     limited = aj.TorqueLimited(law, aj.Limits(velocity=fastest), dt=dt)
     assert limited.dt == dt
     x_d = plant.sensor.value(arm.q) + np.array([0.15, -0.25, -0.15])
-    run = aj.simulate(plant, limited, x_d, arm.q, 0.4, dt=dt, integrator="semi_implicit_euler")
+    run = aj.simulate(
+        plant,
+        limited,
+        x_d,
+        arm.q,
+        0.4,
+        dt=dt,
+        computation=aj.simulation.Computation("semi_implicit_euler"),
+    )
     late = run.t > 0.3  # what the belief lacks shows late
     assert np.abs(run.v[late]).max() <= fastest * (1.05 if learns else 1.0 + 1e-3)
     assert np.abs(run.v).max() <= fastest * (1.4 if learns else 1.0 + 1e-3)
@@ -146,7 +154,15 @@ def test_a_joint_comes_to_its_limit_no_faster_than_it_may(arm, dt):
     limited = aj.TorqueLimited(law, aj.Limits(position=(low, high)), dt=dt)
     plant = aj.Plant(arm.belief, arm.task, joint_limits=False)
     x_d = arm.task.value(arm.q) + 0.3 * arm.task.jacobian(arm.q)[:, joint]
-    run = aj.simulate(plant, limited, x_d, arm.q, 0.6, dt=dt, integrator="semi_implicit_euler")
+    run = aj.simulate(
+        plant,
+        limited,
+        x_d,
+        arm.q,
+        0.6,
+        dt=dt,
+        computation=aj.simulation.Computation("semi_implicit_euler"),
+    )
     left = high[joint] - run.q[:, joint]
     assert left.min() > -1e-9
     assert left.min() < 0.02
@@ -305,7 +321,15 @@ def test_a_held_law_stops_on_time_in_a_run(dt):
     sensing = aj.Sensing(x_rate=1.0 / (4 * dt), x_frozen=[(20 * dt, 10.0)])
     plant = aj.Plant(arm.truth, arm.sensor, sensing=sensing)
     x_d = arm.sensor.value(arm.q) + np.array([0.0, 0.25, -0.15])
-    run = aj.simulate(plant, held, x_d, arm.q, 0.6, dt=dt, integrator="semi_implicit_euler")
+    run = aj.simulate(
+        plant,
+        held,
+        x_d,
+        arm.q,
+        0.6,
+        dt=dt,
+        computation=aj.simulation.Computation("semi_implicit_euler"),
+    )
     lost = np.flatnonzero(run.status == Status.MEASUREMENT_LOST)
     assert len(lost) > 10
     first = lost[0]

@@ -82,9 +82,15 @@ def test_the_task_is_reached_exactly_and_the_self_motion_comes_to_rest(name):
             posture=None if stiffness is None else Posture(POSTURE[name], stiffness),
         )
         run = aj.simulate(
-            aj.Plant(truth, sensor), controller, target, START[name], 14.0,
-            dt=2e-3, record_every=14.0, integrator="semi_implicit_euler",
-        )  # fmt: skip
+            aj.Plant(truth, sensor),
+            controller,
+            target,
+            START[name],
+            14.0,
+            dt=2e-3,
+            record_every=14.0,
+            computation=aj.simulation.Computation("semi_implicit_euler"),
+        )
         assert np.linalg.norm(run.error[0]) > 0.1
         assert np.linalg.norm(run.error[-1]) < 1e-6
         assert np.abs(run.v[-1]).max() < 1e-4

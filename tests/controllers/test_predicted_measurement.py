@@ -33,7 +33,7 @@ def run(plant, controller, duration, **options):
     x_d = plant.sensor.value(HOME) + [0.1, -0.1, 0.1]
     return aj.simulate(
         plant, controller, x_d, HOME, duration, dt=1e-3, record_every=0.01,
-        integrator="semi_implicit_euler", **options,
+        computation=aj.simulation.Computation("semi_implicit_euler"), **options,
     )  # fmt: skip
 
 

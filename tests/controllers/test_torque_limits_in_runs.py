@@ -25,7 +25,15 @@ def test_the_rate_is_kept_over_a_run(panda):
     plant = aj.Plant(truth, sensor=aj.PositionTask(truth))
     q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
     x_d = plant.sensor.value(q0) + [0.1, -0.2, 0.2]
-    run = aj.simulate(plant, limited, x_d, q0, 1.0, dt=DT, integrator="semi_implicit_euler")
+    run = aj.simulate(
+        plant,
+        limited,
+        x_d,
+        q0,
+        1.0,
+        dt=DT,
+        computation=aj.simulation.Computation("semi_implicit_euler"),
+    )
     assert np.abs(np.diff(run.tau, axis=0)).max() <= 500.0 * DT + 1e-9
     assert np.abs(np.diff(run.tau, axis=0)).max() > 0.99 * 500.0 * DT
     hold = Dynamics(panda).g(q0)
@@ -42,7 +50,15 @@ def test_speeds_stay_within_their_limits_where_the_model_is_exact(panda):
     q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
     for _ in range(3):
         x_d = plant.sensor.value(q0) + rng.uniform(-0.4, 0.4, 3)
-        run = aj.simulate(plant, limited, x_d, q0, 1.5, dt=DT, integrator="semi_implicit_euler")
+        run = aj.simulate(
+            plant,
+            limited,
+            x_d,
+            q0,
+            1.5,
+            dt=DT,
+            computation=aj.simulation.Computation("semi_implicit_euler"),
+        )
         assert np.abs(run.v).max() < 0.5 * (1.0 + 1e-6)
         assert np.abs(run.v).max() > 0.45
         low, high = panda.position_limits
@@ -62,7 +78,13 @@ def test_a_joint_driven_into_its_limit_stops_at_it_without_chatter(panda, tool):
     limited = aj.TorqueLimited(law_of(belief, RegressorGravity(regressor, theta)))
     q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
     run = aj.simulate(
-        plant, limited, [0.0, -0.1, -0.5], q0, 6.0, dt=DT, integrator="semi_implicit_euler"
+        plant,
+        limited,
+        [0.0, -0.1, -0.5],
+        q0,
+        6.0,
+        dt=DT,
+        computation=aj.simulation.Computation("semi_implicit_euler"),
     )
     low, high = panda.position_limits
     room = np.minimum(run.q - low, high - run.q)
@@ -83,7 +105,15 @@ def test_a_joint_beyond_its_limit_comes_back(panda):
     q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
     q0[3] = high[3] + 0.2
     x_d = plant.sensor.value(q0)  # the law itself would stay
-    run = aj.simulate(plant, limited, x_d, q0, 1.0, dt=DT, integrator="semi_implicit_euler")
+    run = aj.simulate(
+        plant,
+        limited,
+        x_d,
+        q0,
+        1.0,
+        dt=DT,
+        computation=aj.simulation.Computation("semi_implicit_euler"),
+    )
     assert run.q[-1, 3] <= high[3] + 1e-3
 
 
@@ -95,7 +125,15 @@ def test_a_joint_far_beyond_its_limit_comes_back_no_faster_than_it_may(panda, jo
     q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
     q0[joint] = high[joint] + beyond
     x_d = plant.sensor.value(q0)
-    run = aj.simulate(plant, limited, x_d, q0, 1.5, dt=DT, integrator="semi_implicit_euler")
+    run = aj.simulate(
+        plant,
+        limited,
+        x_d,
+        q0,
+        1.5,
+        dt=DT,
+        computation=aj.simulation.Computation("semi_implicit_euler"),
+    )
     assert run.q[-1, joint] <= high[joint] + 1e-3
     assert (np.abs(run.v) / panda.velocity_limits).max() <= 1.0 + 1e-6
 
@@ -109,7 +147,15 @@ def test_rates_and_joint_limits_go_together(panda, rate, offset):
     plant = aj.Plant(panda, sensor=aj.PositionTask(panda))
     q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
     x_d = plant.sensor.value(q0) + offset
-    run = aj.simulate(plant, limited, x_d, q0, 3.0, dt=DT, integrator="semi_implicit_euler")
+    run = aj.simulate(
+        plant,
+        limited,
+        x_d,
+        q0,
+        3.0,
+        dt=DT,
+        computation=aj.simulation.Computation("semi_implicit_euler"),
+    )
     assert np.abs(np.diff(run.tau, axis=0)).max() <= rate * DT + 1e-9
     assert (np.abs(run.v) / panda.velocity_limits).max() < 1.5
     low, high = panda.position_limits
@@ -137,7 +183,15 @@ def test_a_target_far_out_of_reach_makes_no_torque_chatter(name, tool):
     limited = aj.TorqueLimited(law_of(belief))
     q0 = robot.random_configuration(np.random.default_rng(3))
     x_d = 2.5 * plant.sensor.value(q0)
-    run = aj.simulate(plant, limited, x_d, q0, 2.0, dt=DT, integrator="semi_implicit_euler")
+    run = aj.simulate(
+        plant,
+        limited,
+        x_d,
+        q0,
+        2.0,
+        dt=DT,
+        computation=aj.simulation.Computation("semi_implicit_euler"),
+    )
     given_up = run.limit_status == aj.LimitStatus.PROOF_GIVEN_UP
     assert given_up.any()
     assert alternating(run.tau[-500:], robot.effort_limits) == 0
@@ -153,7 +207,15 @@ def test_the_fallback_brings_an_arm_to_rest(name):
     q0 = robot.random_configuration(np.random.default_rng(1))
     v0 = 0.3 * np.random.default_rng(0).normal(size=robot.nv)
     x_d = plant.sensor.value(q0) + 100.0  # so that every step is limited
-    run = aj.simulate(plant, limited, x_d, q0, 1.0, v0=v0, dt=DT, integrator="semi_implicit_euler")
+    run = aj.simulate(
+        plant,
+        limited,
+        x_d,
+        aj.simulation.InitialState(q0, v0=v0),
+        1.0,
+        dt=DT,
+        computation=aj.simulation.Computation("semi_implicit_euler"),
+    )
     assert (run.limit_status == aj.LimitStatus.SOLVER_FAILED).all()
     speed = np.linalg.norm(run.v, axis=1)
     assert speed[-1] < 0.6 * speed[0]

@@ -149,7 +149,7 @@ def test_payload_rotors_and_friction_are_learnt():
     truth.model.armature[:] = 0.1
     task = aj.PositionTask(belief, "panda_hand_tcp")
     sensor = aj.PositionTask(truth, "panda_hand_tcp")
-    plant = aj.Plant(truth, sensor, friction=1.0, coulomb=0.2)
+    plant = aj.Plant(truth, sensor, friction=aj.simulation.Friction(1.0, coulomb=0.2))
     rms = {}
     for kind in (AdaptiveDynamics, ModelDynamics):
         controller = known(task, dynamics=kind(belief))
@@ -589,7 +589,14 @@ def test_a_light_arm_learns_the_weight_of_its_object():
     task = aj.PositionTask(truth)
     law_ = known(task, dynamics=AdaptiveDynamics(arm))
     path = aj.Circle(task.value(q) - [0.04, 0.0, 0.0], 0.04, 4.0)
-    run = aj.simulate(aj.Plant(truth, task), law_, path, q, 4.0, integrator="semi_implicit_euler")
+    run = aj.simulate(
+        aj.Plant(truth, task),
+        law_,
+        path,
+        q,
+        4.0,
+        computation=aj.simulation.Computation("semi_implicit_euler"),
+    )
     assert np.sqrt(np.mean(run.error_norm[run.t > 2.0] ** 2)) < 1e-3
 
 

@@ -21,7 +21,9 @@ def loop(two_link):
 
 
 def test_long_runs_are_compiled_and_say_so(loop):
-    python = aj.simulate(*loop, 6.0, engine="python", record_every=0.1)
+    python = aj.simulate(
+        *loop, 6.0, computation=aj.simulation.Computation(engine="python"), record_every=0.1
+    )
     run = aj.simulate(*loop, 6.0, record_every=0.1)
     assert (python.engine, run.engine) == ("Python", "machine code")
     assert "engine" in str(run)
@@ -33,13 +35,19 @@ def test_long_runs_are_compiled_and_say_so(loop):
 
 def test_short_runs_are_compiled_where_that_is_asked_for(loop):
     assert aj.simulate(*loop, 0.1).engine == "Python"
-    assert aj.simulate(*loop, 0.1, engine="compiled").engine == "machine code"
-    assert aj.simulate(*loop, 0.1, engine="python").engine == "Python"
+    assert (
+        aj.simulate(*loop, 0.1, computation=aj.simulation.Computation(engine="compiled")).engine
+        == "machine code"
+    )
+    assert (
+        aj.simulate(*loop, 0.1, computation=aj.simulation.Computation(engine="python")).engine
+        == "Python"
+    )
 
 
 def test_an_engine_that_is_none(loop):
     with pytest.raises(UnknownNameError, match="engine"):
-        aj.simulate(*loop, 0.1, engine="gpu")
+        aj.simulate(*loop, 0.1, computation=aj.simulation.Computation(engine="gpu"))
 
 
 def test_a_run_in_python_says_what_is_not_compiled(loop, two_link, monkeypatch):
@@ -59,10 +67,12 @@ def test_a_run_in_python_says_what_is_not_compiled(loop, two_link, monkeypatch):
         assert word in run.engine
         assert word in str(run)
         with pytest.raises(InvalidInputError, match=word) as refused:
-            aj.simulate(**given, duration=0.1, engine="compiled")
+            aj.simulate(
+                **given, duration=0.1, computation=aj.simulation.Computation(engine="compiled")
+            )
         assert "engine" in str(refused.value)
     with pytest.raises(InvalidInputError, match="engine"):
-        aj.simulate(*loop, 0.1, dt=None, engine="compiled")
+        aj.simulate(*loop, 0.1, dt=None, computation=aj.simulation.Computation(engine="compiled"))
     found = importlib.util.find_spec
     monkeypatch.setattr(
         importlib.util, "find_spec", lambda name: None if name == "llvmlite" else found(name)
@@ -72,10 +82,14 @@ def test_a_run_in_python_says_what_is_not_compiled(loop, two_link, monkeypatch):
 
 def test_what_was_changed_is_traced_again(loop):
     plant, law, target, q = loop
-    first = aj.simulate(*loop, 0.5, engine="compiled")
+    first = aj.simulate(*loop, 0.5, computation=aj.simulation.Computation(engine="compiled"))
     own = aj.Plant(plant.robot, plant.sensor, friction=3.0)
-    second = aj.simulate(own, law, target, q, 0.5, engine="compiled")
-    expected = aj.simulate(own, law, target, q, 0.5, engine="python")
+    second = aj.simulate(
+        own, law, target, q, 0.5, computation=aj.simulation.Computation(engine="compiled")
+    )
+    expected = aj.simulate(
+        own, law, target, q, 0.5, computation=aj.simulation.Computation(engine="python")
+    )
     np.testing.assert_allclose(second.q, expected.q, atol=1e-12)
     assert np.abs(second.q - first.q).max() > 1e-4
 
@@ -85,7 +99,9 @@ def test_threads_run_the_same_loop_at_once(loop):
     starts = [q + 0.01 * i for i in range(8)]
 
     def last(q0):
-        return aj.simulate(plant, law, target, q0, 2.0, engine="compiled").q
+        return aj.simulate(
+            plant, law, target, q0, 2.0, computation=aj.simulation.Computation(engine="compiled")
+        ).q
 
     expected = [last(each) for each in starts]
     with ThreadPoolExecutor(4) as pool:
@@ -94,12 +110,20 @@ def test_threads_run_the_same_loop_at_once(loop):
 
 
 def test_a_file_keeps_the_engine(loop, tmp_path):
-    run = aj.simulate(*loop, 0.1, engine="compiled")
+    run = aj.simulate(*loop, 0.1, computation=aj.simulation.Computation(engine="compiled"))
     assert Trajectory.load(run.save(tmp_path / "run")).engine == "machine code"
 
 
 def test_loops_that_are_kept_are_few(loop):
     plant, law, target, q = loop
     for dt in np.linspace(1e-3, 2e-3, whole_run._KEPT + 3):
-        aj.simulate(plant, law, target, q, 3 * dt, dt=dt, engine="compiled")
+        aj.simulate(
+            plant,
+            law,
+            target,
+            q,
+            3 * dt,
+            dt=dt,
+            computation=aj.simulation.Computation(engine="compiled"),
+        )
     assert len(whole_run._loops) <= whole_run._KEPT

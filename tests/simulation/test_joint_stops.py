@@ -10,7 +10,7 @@ from own_controller import OwnController
 import approxjac as aj
 from approxjac.robots import Dynamics
 from approxjac.robots.joint_limits import beyond_positions
-from approxjac.simulation.joint_stops import JointStops
+from approxjac.simulation.plant import JointStops
 
 # mimic and prismatic joints; continuous ones; a wrist of 1e-5 kg m^2 and less; planar
 NAMES = ("panda", "tiago_arm", "kinova", "so101", "two_link")
@@ -86,9 +86,13 @@ def test_the_energy_of_a_run_into_stops_never_grows(integrator, name, seed):
     q0, v0 = near_limits(robot, rng), rng.normal(size=robot.nv)
     v0 *= np.sqrt(0.02 * np.trace(dynamics.M(q0)) / dynamics.energy(q0, v0))
     run = aj.simulate(
-        plant, Constant(plant.sensor, 0.0), plant.sensor.value(q0), q0, 0.3, v0=v0,
-        integrator=integrator,
-    )  # fmt: skip
+        plant,
+        Constant(plant.sensor, 0.0),
+        plant.sensor.value(q0),
+        aj.simulation.InitialState(q0, v0=v0),
+        0.3,
+        computation=aj.simulation.Computation(integrator),
+    )
     energy = [dynamics.energy(q, v) + stored(stops, q) for q, v in zip(run.q, run.v, strict=True)]
     assert max(energy) <= energy[0] + (1e-6 if integrator == "rk4" else 0.1) * dynamics.energy(
         q0, v0
@@ -108,7 +112,12 @@ def test_a_motor_presses_a_joint_a_hundredth_beyond_its_limit_at_most(
     plant = plant_of(robot, friction=friction)
     q0 = plant.ready_configuration()
     run = aj.simulate(
-        plant, Constant(plant.sensor, torque), np.zeros(3), q0, 3.0, integrator=integrator
+        plant,
+        Constant(plant.sensor, torque),
+        np.zeros(3),
+        q0,
+        3.0,
+        computation=aj.simulation.Computation(integrator),
     )
     assert np.abs(run.v[-1]).max() < 1e-3
     beyond = beyond_positions(robot, run.q[-1:])[0]
@@ -119,12 +128,12 @@ def test_a_motor_presses_a_joint_a_hundredth_beyond_its_limit_at_most(
 def test_sampled_steps_converge_to_the_continuous_law():
     robot, rng = ARMS["panda"], np.random.default_rng(1)
     plant, q0, v0 = plant_of(robot), near_limits(robot, rng), rng.normal(size=robot.nv)
-    arguments = plant, Constant(plant.sensor, 1.0), np.zeros(3), q0, 0.1
-    exact = aj.simulate(*arguments, dt=None, v0=v0, record_every=0.01)
+    start = aj.simulation.InitialState(q0, v0)
+    arguments = plant, Constant(plant.sensor, 1.0), np.zeros(3), start, 0.1
+    exact = aj.simulate(*arguments, dt=None, record_every=0.01)
     assert (beyond_positions(robot, exact.q).max(axis=0) > 1e-3).sum() > 3
     errors = [
-        np.abs(aj.simulate(*arguments, dt=dt, v0=v0).q[-1] - exact.q[-1]).max()
-        for dt in (1e-3, 1e-4)
+        np.abs(aj.simulate(*arguments, dt=dt).q[-1] - exact.q[-1]).max() for dt in (1e-3, 1e-4)
     ]
     assert errors[1] < min(0.2 * errors[0], 5e-3)
 

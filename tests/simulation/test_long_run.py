@@ -30,8 +30,7 @@ def run_of(panda, duration, record_every, progress):
     plant = aj.Plant(
         truth,
         aj.PositionTask(truth),
-        friction=0.5,
-        coulomb=0.5,
+        friction=aj.simulation.Friction(0.5, coulomb=0.5),
         sensing=sensing,
         actuator_delay=2e-3,
     )
@@ -46,9 +45,8 @@ def run_of(panda, duration, record_every, progress):
         duration,
         dt=1e-3,
         record_every=record_every,
-        integrator="semi_implicit_euler",
+        computation=aj.simulation.Computation("semi_implicit_euler", progress=progress),
         seed=1,
-        progress=progress,
     )
 
 

@@ -150,7 +150,11 @@ def test_closed_loops_agree_to_1e_12(controller, integrator):
     arguments = (X0 + [0.10, -0.15, 0.16], Q0, 2.0)
     ours, theirs = (
         aj.simulate(
-            plant(TRUTH, SENSOR, 0.1), controller, *arguments, dt=1e-3, integrator=integrator
+            plant(TRUTH, SENSOR, 0.1),
+            controller,
+            *arguments,
+            dt=1e-3,
+            computation=aj.simulation.Computation(integrator),
         )
         for plant in (aj.Plant, aj.MujocoPlant)
     )
@@ -183,7 +187,13 @@ def test_a_run_is_mujocos_own_stepping(above_floor, height):
     dt = 1e-3
     target = [X0[0], X0[1], height]
     run = aj.simulate(
-        above_floor, LAWS["law (6)"], target, Q0, 2.0, dt=dt, integrator="semi_implicit_euler"
+        above_floor,
+        LAWS["law (6)"],
+        target,
+        Q0,
+        2.0,
+        dt=dt,
+        computation=aj.simulation.Computation("semi_implicit_euler"),
     )
     assert (touching(above_floor, run.q).min() < 0.0) == (height < 0.0)
     model = copy.copy(above_floor.mujoco_model)
@@ -213,7 +223,13 @@ def pressed(plant, controller, target, duration=10.0, back=X0, dt=2e-3):
     """Four seconds towards a target, then back."""
     path = ThereAndBack(target, back, 4.0)
     return aj.simulate(
-        plant, controller, path, Q0, duration, dt=dt, integrator="semi_implicit_euler"
+        plant,
+        controller,
+        path,
+        Q0,
+        duration,
+        dt=dt,
+        computation=aj.simulation.Computation("semi_implicit_euler"),
     )
 
 

@@ -61,7 +61,15 @@ def swing(sensing, *, robot=None, dt=1e-3, duration=0.2, seed=0, **plant):
     plant = aj.Plant(robot, aj.PositionTask(robot, axes="xz"), sensing=sensing, **plant)
     probe = Probe(plant.sensor, lambda t: np.array([0.5, -0.2]))
     target, q0 = np.zeros(2), np.array([0.3, 0.8])
-    run = aj.simulate(plant, probe, target, q0, duration, dt=dt, seed=seed, v0=(0.4, -0.3))
+    run = aj.simulate(
+        plant,
+        probe,
+        target,
+        aj.simulation.InitialState(q0, v0=(0.4, -0.3)),
+        duration,
+        dt=dt,
+        seed=seed,
+    )
     return run, probe.told[1:]  # the first evaluation looks at the controller
 
 
@@ -252,7 +260,9 @@ def test_an_arm_that_sees_nothing_slows_down_and_does_not_fall(panda, position):
     controller = aj.SetpointController(position)
     target = position.value(START) + [0.1, 0.1, 0.1]
     v0 = np.array([0.5, -0.4, 0.3, 0.6, -0.5, 0.4, 1.0])
-    run = aj.simulate(plant, controller, target, START, 4.0, dt=1e-3, v0=v0)
+    run = aj.simulate(
+        plant, controller, target, aj.simulation.InitialState(START, v0=v0), 4.0, dt=1e-3
+    )
     assert run.status_counts() == {aj.Status.MEASUREMENT_LOST: 4001}
     kinetic = [0.5 * v @ plant.dynamics.M(q) @ v for q, v in zip(run.q, run.v, strict=True)]
     assert (np.diff(kinetic) < 0.0).all()
@@ -328,7 +338,13 @@ FIELDS = [
 
 def closed_loop(panda, sensing, seed=0):
     task = aj.PositionTask(panda)
-    plant = aj.Plant(panda, task, sensing=sensing, actuator_delay=2e-3, coulomb=0.1)
+    plant = aj.Plant(
+        panda,
+        task,
+        sensing=sensing,
+        actuator_delay=2e-3,
+        friction=aj.simulation.Friction(coulomb=0.1),
+    )
     controller = aj.SetpointController(task, gravity=aj.AdaptiveGravity(GravityRegressor(panda)))
     target = task.value(START) + [0.1, 0.1, 0.1]
     return aj.simulate(plant, controller, target, START, 0.3, dt=1e-3, seed=seed)
@@ -386,9 +402,10 @@ def accelerations(run, dt):
 def probed(torque, *, dt=1e-3, duration=0.1, q0=(0.3, 0.8), v0=(0.0, 0.0), **plant):
     robot = aj.load_robot("two_link")
     plant = aj.Plant(robot, aj.PositionTask(robot, axes="xz"), **plant)
-    options = {"dt": dt, "v0": v0, "integrator": "semi_implicit_euler"}
+    options = {"dt": dt, "computation": aj.simulation.Computation("semi_implicit_euler")}
     probe = Probe(plant.sensor, torque)
-    return plant, aj.simulate(plant, probe, np.zeros(2), np.array(q0), duration, **options)
+    start = aj.simulation.InitialState(np.array(q0), v0)
+    return plant, aj.simulate(plant, probe, np.zeros(2), start, duration, **options)
 
 
 def wavy(t):
@@ -449,9 +466,7 @@ def test_friction_is_the_formula(rng):
     plant = aj.Plant(
         robot,
         aj.PositionTask(robot, axes="xz"),
-        friction=B,
-        coulomb=coulomb,
-        coulomb_velocity=0.02,
+        friction=aj.simulation.Friction(B, coulomb=coulomb, coulomb_velocity=0.02),
     )
     for _ in range(20):
         v, tau, q = rng.normal(0.0, 0.05, 2), rng.normal(size=2), rng.normal(size=2)
@@ -468,9 +483,7 @@ def test_coulomb_friction_dissipates_exactly_its_power(viscous):
     plant = aj.Plant(
         robot,
         aj.PositionTask(robot, axes="xz"),
-        friction=viscous,
-        coulomb=coulomb,
-        coulomb_velocity=width,
+        friction=aj.simulation.Friction(viscous, coulomb=coulomb, coulomb_velocity=width),
     )
     probe = Probe(plant.sensor, lambda t: np.zeros(2))
     run = aj.simulate(plant, probe, np.zeros(2), (0.3, 0.8), 2.0, record_every=1e-3, dt=None)
@@ -556,10 +569,10 @@ def test_sensing_of_the_wrong_length_is_refused_by_the_plant(changes):
 @pytest.mark.parametrize(
     "changes",
     [
-        {"coulomb": -1.0},
-        {"coulomb": (1.0,)},
-        {"coulomb": np.nan},
-        {"coulomb_velocity": 0.0},
+        {"friction": aj.simulation.Friction(coulomb=-1.0)},
+        {"friction": aj.simulation.Friction(coulomb=(1.0,))},
+        {"friction": aj.simulation.Friction(coulomb=np.nan)},
+        {"friction": aj.simulation.Friction(coulomb_velocity=0.0)},
         {"actuator_delay": -1e-3},
         {"actuator_delay": np.nan},
         {"torque_limits": 0.0},
@@ -591,7 +604,15 @@ def test_a_bad_seed_is_refused(seed):
 def test_progress_must_be_a_function(panda, position):
     plant, controller = aj.Plant(panda, position), aj.SetpointController(position)
     with pytest.raises(aj.InvalidInputError, match="progress must be a function of the time reac"):
-        aj.simulate(plant, controller, np.ones(3), START, 1.0, dt=0.1, progress=True)
+        aj.simulate(
+            plant,
+            controller,
+            np.ones(3),
+            START,
+            1.0,
+            dt=0.1,
+            computation=aj.simulation.Computation(progress=True),
+        )
 
 
 # -- all of it together ---------------------------------------------------------------------
@@ -622,13 +643,16 @@ def test_the_target_is_reached_with_realistic_measurements(
     plant = aj.Plant(
         truth,
         aj.PositionTask(truth),
-        friction=0.5,
-        coulomb=0.5,
+        friction=aj.simulation.Friction(0.5, coulomb=0.5),
         sensing=EVERYTHING,
         actuator_delay=2e-3,
     )
     target = plant.sensor.value(START) + offset
-    options = {"dt": 1e-3, "integrator": "semi_implicit_euler", "seed": seed}
+    options = {
+        "dt": 1e-3,
+        "computation": aj.simulation.Computation("semi_implicit_euler"),
+        "seed": seed,
+    }
     run = aj.simulate(plant, controller, target, START, 8.0, **options)
     assert run.error_norm[0] > 0.24
     assert run.error_norm.max() < 1.05 * run.error_norm[0]

@@ -16,7 +16,8 @@ from approxjac.errors import (
     UnknownNameError,
 )
 from approxjac.robots import GravityRegressor
-from approxjac.simulation.integrators import INTEGRATORS
+from approxjac.simulation import Computation, InitialState
+from approxjac.simulation.plant import INTEGRATORS
 
 
 class ConstantTorque(OwnController):
@@ -36,16 +37,19 @@ def plant_of(robot, friction=0.0, **options):
     return aj.Plant(robot, aj.PositionTask(robot, axes=axes), friction=friction, **options)
 
 
+EXACT = Computation(rtol=1e-12, atol=1e-13)
 PLANE = plant_of(aj.load_robot("two_link")).sensor
 
 
-def released(robot, tau, duration, friction=0.0, **options):
+def released(robot, tau, duration, friction=0.0, computation=None, **options):
     """A run under a constant torque from a fixed start, as if there were no joint stops."""
     plant = plant_of(robot, friction, joint_limits=False)
     rng = np.random.default_rng(1)
     q0 = robot.random_configuration(rng)
     v0 = rng.uniform(-1, 1, robot.nv)
-    options = {"dt": None, "v0": v0, "q0": q0, "duration": duration, **options}
+    options = {"dt": None, "q0": InitialState(q0, v0), "duration": duration, **options}
+    if computation is not None:
+        options["computation"] = computation
     controller = ConstantTorque(plant.sensor, tau)
     run = aj.simulate(plant, controller, np.zeros(plant.sensor.m), **options)
     return plant, run
@@ -63,10 +67,10 @@ def robot(request):
 def test_convergence_order_under_a_held_torque(robot, integrator, order):
     tau = 0.5 * np.ones(robot.nv)
     duration = 0.064 if robot.nv == 6 else 0.256
-    _, reference = released(robot, tau, duration, rtol=1e-12, atol=1e-13)
+    _, reference = released(robot, tau, duration, computation=EXACT)
     errors = []
     for dt in (duration / 32, duration / 64):
-        _, run = released(robot, tau, duration, dt=dt, integrator=integrator)
+        _, run = released(robot, tau, duration, dt=dt, computation=Computation(integrator))
         q_error = pin.difference(robot.model, reference.q[-1], run.q[-1])
         errors.append(np.linalg.norm(np.concatenate([q_error, run.v[-1] - reference.v[-1]])))
     measured = np.log2(errors[0] / errors[1])
@@ -75,10 +79,10 @@ def test_convergence_order_under_a_held_torque(robot, integrator, order):
 
 def test_the_continuous_error_follows_the_tolerance(robot):
     tau = np.zeros(robot.nv)
-    _, reference = released(robot, tau, 0.3, rtol=1e-12, atol=1e-13)
+    _, reference = released(robot, tau, 0.3, computation=EXACT)
     errors = []
     for rtol in (1e-4, 1e-6, 1e-8):
-        _, run = released(robot, tau, 0.3, rtol=rtol, atol=rtol / 100)
+        _, run = released(robot, tau, 0.3, computation=Computation(rtol=rtol, atol=rtol / 100))
         errors.append(np.abs(run.v[-1] - reference.v[-1]).max())
     assert errors[0] > 10 * errors[1] > 100 * errors[2]
     assert errors[2] < 1e-5 * np.abs(reference.v).max()
@@ -317,7 +321,12 @@ def test_records_can_be_thinned(short_run):
     assert_allclose(thin.t, [0.0, 0.03, 0.06, 0.09, 0.1])
     assert_allclose(thin.q, short_run.q[[0, 3, 6, 9, 10]])
     seen = []
-    run = aj.simulate(*arguments, dt=None, record_every=0.025, progress=seen.append)
+    run = aj.simulate(
+        *arguments,
+        dt=None,
+        record_every=0.025,
+        computation=aj.simulation.Computation(progress=seen.append),
+    )
     assert_allclose(run.t, [0.0, 0.025, 0.05, 0.075, 0.1])
     assert seen == sorted(seen)
     assert seen[-1] == pytest.approx(0.1)
@@ -337,7 +346,11 @@ def test_records_can_be_thinned(short_run):
             r"q0 must have shape \(2,\) \[rad or m\], got shape",
         ),
         ({"q0": (np.nan, 0.0)}, aj.InvalidInputError, r"q0 must be finite \[rad or m\], got \[nan"),
-        ({"v0": (1.0, np.inf)}, aj.InvalidInputError, r"v0 must be finite \[rad/s\], got"),
+        (
+            {"q0": InitialState(v0=(1.0, np.inf))},
+            aj.InvalidInputError,
+            r"v0 must be finite \[rad/s\], got",
+        ),
         ({"duration": 0.0}, aj.InvalidInputError, r"duration must be a finite number > 0 \[s\]"),
         ({"dt": -1.0}, aj.InvalidInputError, r"dt must be a finite number > 0 \[s\], got -1.0"),
         (
@@ -356,12 +369,6 @@ def test_records_can_be_thinned(short_run):
             r"duration must be a whole number of record_every = 0.3 \[s\], got 1",
         ),
         ({"record_every": 0.0}, aj.InvalidInputError, r"record_every must be a finite number > 0"),
-        ({"rtol": 0.0}, aj.InvalidInputError, r"rtol must be a finite number > 0, got 0.0"),
-        (
-            {"dt": 0.1, "integrator": "rk5"},
-            UnknownNameError,
-            "integrator 'rk5' not in the integrators; did you mean 'rk4'",
-        ),
     ],
 )
 def test_bad_arguments_are_refused(changes, error, text):
@@ -369,6 +376,23 @@ def test_bad_arguments_are_refused(changes, error, text):
     arguments = {"target": (0.5, 1.2), "q0": (0.3, 0.8), "duration": 1.0, "dt": None, **changes}
     with pytest.raises(error, match=text):
         aj.simulate(plant_of(robot), ConstantTorque(PLANE, (0.0, 0.0)), **arguments)
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "text"),
+    [
+        ({"rtol": 0.0}, aj.InvalidInputError, r"rtol must be a finite number > 0, got 0.0"),
+        ({"atol": -1.0}, aj.InvalidInputError, r"atol must be a finite number > 0, got -1.0"),
+        (
+            {"integrator": "rk5"},
+            UnknownNameError,
+            "integrator 'rk5' not in the integrators; did you mean 'rk4'",
+        ),
+    ],
+)
+def test_a_computation_that_is_none(given, error, text):
+    with pytest.raises(error, match=text):
+        Computation(**given)
 
 
 def test_a_configuration_off_the_circle_is_refused():
@@ -406,7 +430,12 @@ def test_a_run_that_explodes_is_a_named_error(dt, text):
     plant = plant_of(aj.load_robot("two_link").with_gravity((0.0, 0.0, 0.0)))
     with pytest.raises(SimulationError, match=text):
         aj.simulate(
-            plant, Explosive(PLANE, (0.0, 0.0)), (0.0, 0.0), (0.3, 0.8), 100.0, v0=(1.0, 1.0), dt=dt
+            plant,
+            Explosive(PLANE, (0.0, 0.0)),
+            (0.0, 0.0),
+            aj.simulation.InitialState((0.3, 0.8), v0=(1.0, 1.0)),
+            100.0,
+            dt=dt,
         )
 
 

@@ -12,12 +12,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 import approxjac as aj
 from approxjac.controllers import Controller, HeldMeasurement
 from approxjac.robots import Dynamics
-from approxjac.simulation import Loop, VelocityServo
-from approxjac.simulation.integrators import INTEGRATORS
+from approxjac.simulation import Computation, Friction, InitialState, Loop, VelocityServo
+from approxjac.simulation.plant import INTEGRATORS
 
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 PLANTS = (aj.Plant, aj.MujocoPlant)
-ROUGH = {"friction": 0.5, "coulomb": 0.3}
+ROUGH = {"friction": Friction(0.5, 0.3)}
 
 
 @pytest.fixture(autouse=True)
@@ -56,11 +56,12 @@ class ResolvedRate(Controller):
         return state, aj.Evaluation(velocity, None, aj.Status.OK, e, J_hat)
 
 
-def driven(plant, velocity, q0=None, duration=0.2, dt=1e-3, **options):
+def driven(plant, velocity, q0=None, duration=0.2, dt=1e-3, v0=None, **options):
     """A run in which joints are told a velocity, and what the controller measured."""
     told = Told(plant.sensor, velocity)
     q0 = plant.ready_configuration() if q0 is None else q0
-    return aj.simulate(plant, told, plant.sensor.value(q0), q0, duration, dt=dt, **options), told
+    target, start = plant.sensor.value(q0), InitialState(q0, v0)
+    return aj.simulate(plant, told, target, start, duration, dt=dt, **options), told
 
 
 def constant(value, nv):
@@ -82,7 +83,7 @@ def test_a_step_has_the_lag_and_the_delay(name, dt):
 
 def test_semi_implicit_euler_has_the_lag_to_first_order(panda):
     plant = aj.Plant(panda, servo=VelocityServo(lag=0.03, delay=0.0))
-    run, _ = driven(plant, constant(0.1, 7), integrator="semi_implicit_euler")
+    run, _ = driven(plant, constant(0.1, 7), computation=Computation("semi_implicit_euler"))
     exact = 0.1 * (1.0 - np.exp(-run.t / 0.03))
     assert np.abs(run.v - exact[:, None]).max() < 0.1 * 0.01
 
@@ -176,7 +177,7 @@ def test_joints_stop_and_come_back(panda, kind, integrator):
     away = np.zeros(7)
     away[5] = 1.0  # towards 3.75 rad
     q0 = START + np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.8, 0.0])
-    options = {"duration": 1.5, "integrator": integrator}
+    options = {"duration": 1.5, "computation": Computation(integrator)}
     run, _ = driven(plant, lambda t: away if t < 1.0 else -away, q0, **options)
     limit = panda.position_limits[1][5]
     assert limit < run.q[:, 5].max() < limit + 0.02
@@ -207,7 +208,7 @@ def test_a_resolved_rate_controller_reaches_its_target(name):
     servo = VelocityServo(quantum=2.0 * np.pi / 4096)
     runs = []
     for kind in PLANTS:
-        plant = kind(truth, servo=servo, **{"friction": 0.05, "coulomb": 0.02})
+        plant = kind(truth, servo=servo, friction=Friction(0.05, 0.02))
         q0 = plant.ready_configuration()
         target = plant.sensor.value(q0) + [0.03, -0.03, -0.02]
         law = ResolvedRate(aj.PositionTask(belief), 3.0)
@@ -271,7 +272,9 @@ def test_without_a_servo_a_run_is_the_plain_loop_bit_by_bit(panda, integrator):
     plant = aj.Plant(panda, friction=0.5, actuator_delay=3e-3, torque_limits=80.0)
     law = aj.SetpointController(aj.PositionTask(panda))
     target, dt = plant.sensor.value(START) + [0.1, -0.15, 0.16], 1e-3
-    run = aj.simulate(plant, law, target, START, 0.3, dt=dt, integrator=integrator)
+    run = aj.simulate(
+        plant, law, target, START, 0.3, dt=dt, computation=aj.simulation.Computation(integrator)
+    )
     q, v, state = START, np.zeros(7), np.zeros(0)
     waiting = deque([Dynamics(panda).g(q)] * 3)
     for k in range(301):

@@ -152,12 +152,12 @@ def test_a_singular_target_is_never_stable(two_link, q):
 GOAL = np.array([0.6, 1.2])
 
 
-def two_link_loop(two_link, gravity=None, **options):
+def two_link_loop(two_link, gravity=None, friction=0.3, **options):
     """A two-link arm with a wrong tool; its gravity is known, or learnt with (L, α)."""
     belief = aj.load_robot("two_link").with_object(0.2, 0.1, radius=0.0, axis="x")
     regressor = GravityRegressor(belief, "x")
     known = RegressorGravity(regressor, regressor.fit(two_link)[0])
-    plant = aj.Plant(two_link, aj.PositionTask(two_link, axes="xz"), friction=0.3, **options)
+    plant = aj.Plant(two_link, aj.PositionTask(two_link, axes="xz"), friction, **options)
     controller = aj.SetpointController(
         aj.PositionTask(belief, axes="xz"), aj.Gains(60.0, 30.0),
         gravity=known if gravity is None
@@ -405,7 +405,7 @@ def test_what_has_another_linearization_is_refused(two_link):
 @pytest.mark.parametrize(
     "options",
     [
-        {"coulomb": 1.0},
+        {"friction": aj.simulation.Friction(coulomb=1.0)},
         {"torque_limits": 20.0},
         {"actuator_delay": 0.01},
         {"sensing": aj.Sensing(x_noise=1e-3)},
@@ -425,7 +425,7 @@ def test_what_eq_1_does_not_have_is_refused(two_link, options):
 @pytest.mark.parametrize(
     "options",
     [
-        {"coulomb": 1.0},
+        {"friction": aj.simulation.Friction(coulomb=1.0)},
         {"torque_limits": 20.0},
         {"sensing": aj.Sensing(x_noise=1e-3)},
         {"sensing": aj.Sensing(x_quantum=1e-3)},

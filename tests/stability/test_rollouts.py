@@ -76,7 +76,13 @@ def test_runs_are_what_a_simulation_by_hand_is(controller, uncertainty, serial):
     q0 = REGION.sample(1, rng)[0]
     target = plant.sensor.value(REGION.sample(1, rng)[0])
     record = aj.simulate(
-        plant, controller, target, q0, 0.8, dt=4e-3, integrator="semi_implicit_euler"
+        plant,
+        controller,
+        target,
+        q0,
+        0.8,
+        dt=4e-3,
+        computation=aj.simulation.Computation("semi_implicit_euler"),
     )
     assert_array_equal(run.values, values)
     assert_array_equal(run.q0, q0)

@@ -97,8 +97,14 @@ def test_motions_from_the_level_are_as_slow_as_assumed_and_end_at_the_target(nam
     x_d, v0 = x_d - size * e0, size * v0
     V0 = arm.V(test.weights, q, v0, x_d)
     run = aj.simulate(
-        arm.plant, arm.known, x_d, q, 0.8, v0=v0, dt=period, record_every=5 * period,
-    )  # fmt: skip
+        arm.plant,
+        arm.known,
+        x_d,
+        aj.simulation.InitialState(q, v0=v0),
+        0.8,
+        dt=period,
+        record_every=5 * period,
+    )
     V = np.array([arm.V(test.weights, *at, x_d) for at in zip(run.q, run.v, strict=True)])
     M = np.array([arm.plant.dynamics.M(at) for at in run.q])
     speeds = np.sqrt(np.einsum("ni,nij,nj->n", run.v, M, run.v))
@@ -216,9 +222,15 @@ def spectral_radius(plant, controller, x_d, q, dt, theta=None):
 
     def after(z):
         run = aj.simulate(
-            plant, controller, x_d, z[:n], dt, v0=z[n : 2 * n], dt=dt,
-            state=z[2 * n :] if len(theta) else None,
-        )  # fmt: skip
+            plant,
+            controller,
+            x_d,
+            aj.simulation.InitialState(
+                z[:n], v0=z[n : 2 * n], state=z[2 * n :] if len(theta) else None
+            ),
+            dt,
+            dt=dt,
+        )
         return np.concatenate([run.q[-1], run.v[-1], run.state[-1][: len(theta)]])
 
     steps = h * np.eye(len(rest))

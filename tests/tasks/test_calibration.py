@@ -221,7 +221,15 @@ def test_a_camera_is_learnt_through_its_lens(panda, options):
     controller = aj.TrackingController(task, kinematics=learns, dt=2e-3)
     plant = aj.Plant(panda, sensor)
     x_d = sensor.value(q0) + [40.0, -30.0]
-    run = aj.simulate(plant, controller, x_d, q0, 4.0, dt=2e-3, integrator="semi_implicit_euler")
+    run = aj.simulate(
+        plant,
+        controller,
+        x_d,
+        q0,
+        4.0,
+        dt=2e-3,
+        computation=aj.simulation.Computation("semi_implicit_euler"),
+    )
     assert run.error_norm[0] == pytest.approx(50.0)
     assert run.error_norm[-1] < 0.5
     # a target that moves out of what the lens shows leaves no torque undefined

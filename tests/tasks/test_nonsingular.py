@@ -207,11 +207,17 @@ def test_pulled_inwards_a_stretched_arm_stalls_with_the_plain_jacobian_and_not_w
     gains = aj.default_gains(task, 0.5)
     runs = [
         aj.simulate(
-            plant, aj.SetpointController(chosen, gains), target, q, duration,
-            dt=1e-3, record_every=duration, integrator="semi_implicit_euler",
+            plant,
+            aj.SetpointController(chosen, gains),
+            target,
+            q,
+            duration,
+            dt=1e-3,
+            record_every=duration,
+            computation=aj.simulation.Computation("semi_implicit_euler"),
         )
         for chosen, duration in ((task, 0.5), (designed, 4.0))
-    ]  # fmt: skip
+    ]
     plain, arrived = runs
     assert_allclose(plain.tau[0], Dynamics(robot).g(q), atol=1e-4)
     assert np.linalg.norm(plain.error[-1]) > (1 - 1e-9) * distance
@@ -240,9 +246,14 @@ def test_torques_are_bounded_and_continuous_through_a_singular_posture(name, kin
     largest = []
     for dt in (1e-3, 5e-4, 2.5e-4):
         run = aj.simulate(
-            aj.Plant(robot, task), controller, target, start, 0.2, dt=dt, v0=4.0 * swing,
-            integrator="semi_implicit_euler",
-        )  # fmt: skip
+            aj.Plant(robot, task),
+            controller,
+            target,
+            aj.simulation.InitialState(start, v0=4.0 * swing),
+            0.2,
+            dt=dt,
+            computation=aj.simulation.Computation("semi_implicit_euler"),
+        )
         bend = run.q[:, 1 if name == "two_link" else 5]
         middle = q[1 if name == "two_link" else 5]
         assert bend[0] < middle < bend.max()  # through it

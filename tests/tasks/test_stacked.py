@@ -108,7 +108,7 @@ def test_the_elbow_is_placed_while_the_tip_reaches_its_target(panda):
     target = sensor.value(q0 + [0.4, 0.1, -0.3, 0.1, 0.1, -0.1, 0.2])
     run = aj.simulate(
         aj.Plant(truth, sensor), aj.SetpointController(task), target, q0, 20.0,
-        dt=2e-3, record_every=20.0, integrator="semi_implicit_euler",
+        dt=2e-3, record_every=20.0, computation=aj.simulation.Computation("semi_implicit_euler"),
     )  # fmt: skip
     assert np.abs(run.error[0]).min() > 0.01
     assert np.abs(run.error[-1]).max() < 1e-4

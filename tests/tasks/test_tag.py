@@ -103,7 +103,15 @@ def test_a_tag_reaches_its_place_in_the_image_and_nothing_is_singular(panda, opt
     start = Q + AWAY
     assert np.isfinite(sensor._seen(sensor.value(start))).all()
     plant = aj.Plant(panda, sensor, torque_limits=panda.effort_limits)
-    run = aj.simulate(plant, law, x_d, start, 6.0, dt=2e-3, integrator="semi_implicit_euler")
+    run = aj.simulate(
+        plant,
+        law,
+        x_d,
+        start,
+        6.0,
+        dt=2e-3,
+        computation=aj.simulation.Computation("semi_implicit_euler"),
+    )
     assert np.abs(run.error[0]).max() > 100.0
     assert np.abs(run.error[-1]).max() < 8.0
     assert run.error.shape[1] == 2 * len(sensor.points)

@@ -33,7 +33,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.interface import Evaluation, Measurement, Target, TargetPath
 from approxjac.law.factors import Factors
 from approxjac.simulation import Plant
-from approxjac.simulation.integrators import INTEGRATORS
+from approxjac.simulation.plant import INTEGRATORS
 from approxjac.validation import Array
 
 _GUESSES = 3

@@ -12,6 +12,7 @@ from approxjac.codegen.trace.program import Program
 from approxjac.codegen.trace.symbols import Number, Symbols, select, symbols
 from approxjac.interface import Target, TargetPath
 from approxjac.simulation import Plant, Sensing
+from approxjac.simulation.loop import target_at
 from approxjac.simulation.sensing import (
     filtered,
     frames_of,
@@ -19,7 +20,6 @@ from approxjac.simulation.sensing import (
     lost_entries,
     rounded,
 )
-from approxjac.simulation.targets import target_at
 from approxjac.tasks.analysis import with_error
 from approxjac.validation import Array, as_diagonal
 

@@ -19,8 +19,8 @@ from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError
 from approxjac.interface import LimitStatus
 from approxjac.simulation import Plant
+from approxjac.simulation.loop import SampledLoop
 from approxjac.simulation.record import Record
-from approxjac.simulation.sampled_loop import SampledLoop
 from approxjac.simulation.trajectory import Trajectory
 from approxjac.validation import Array
 
@@ -35,7 +35,14 @@ _lock = threading.Lock()
 def whole_run(
     loop: SampledLoop, stride: int, progress: Callable[[float], None] | None, *, must: bool
 ) -> tuple[Trajectory | None, str]:
-    """Return what `engines.run_in_code` does."""
+    """Return a run that machine code carried out; or None, and why it did not.
+
+    Args:
+        loop: At the beginning.
+        stride: Which steps are recorded: each so many, and the last.
+        progress: Called now and then with the time reached [s].
+        must: Make code of a short run, too, and raise an error where that is not possible.
+    """
     try:
         code = _loop_of(loop, must)
     except InvalidInputError as error:

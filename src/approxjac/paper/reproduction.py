@@ -10,7 +10,7 @@ import numpy as np
 
 from approxjac import law
 from approxjac.paper.experiments import EXPERIMENTS, Experiment, Setup, Verdict, build
-from approxjac.simulation import Trajectory, simulate
+from approxjac.simulation import Computation, Trajectory, simulate
 from approxjac.stability import LocalStability, local_stability
 from approxjac.validation import Array
 
@@ -94,7 +94,7 @@ def run_experiment(
         dt=None,
         # at most 25 ms, whatever the duration: error ratios are read between the records
         record_every=setup.duration / max(4800, math.ceil(setup.duration / 0.025)),
-        progress=progress,
+        computation=Computation(progress=progress),
     )
     theta_hat = controller.learnt(run.state)[-1] if experiment.learn_gravity else None
     return Reproduction(experiment, run, local_stability(plant, controller, q_target), theta_hat)

@@ -27,11 +27,10 @@ from approxjac.realtime.start_checks import (
     require_held,
     require_near,
 )
-from approxjac.simulation.plant import Plant
+from approxjac.simulation.loop import require_fit, require_start, wanted_of
+from approxjac.simulation.plant import Plant, VelocityServo
 from approxjac.simulation.simulate import Observer
-from approxjac.simulation.targets import require_fit, require_start, wanted_of
 from approxjac.simulation.trajectory import Trajectory
-from approxjac.simulation.velocity_servo import VelocityServo
 from approxjac.validation import Array, as_number, require
 
 _WARM = 50  # steps before the first that counts: caches, and whatever is made at first use

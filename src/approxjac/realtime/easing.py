@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from approxjac.interface import Target
-from approxjac.simulation.targets import Wanted, target_at
+from approxjac.simulation.loop import Wanted, target_at
 from approxjac.tasks import Task
 from approxjac.validation import Array
 

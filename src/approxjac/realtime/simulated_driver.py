@@ -13,9 +13,8 @@ from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement
 from approxjac.realtime.scheduling import Pace
 from approxjac.robots import Dynamics, Robot
-from approxjac.simulation.held_commands import HeldCommands
-from approxjac.simulation.integrators import INTEGRATORS
-from approxjac.simulation.plant import Plant
+from approxjac.simulation.loop import HeldCommands
+from approxjac.simulation.plant import INTEGRATORS, Plant
 from approxjac.simulation.sensing import SensorReadings
 from approxjac.validation import Array, as_integer, as_number, require
 

@@ -31,6 +31,7 @@ from approxjac.scenario.starts import (
     straight_ahead,
 )
 from approxjac.simulation import (
+    Friction,
     MujocoPlant,
     Plant,
     Sensing,
@@ -222,8 +223,8 @@ def _target(
 
 def _plant(truth: Robot, sensor: Task, motors: Array, scenario: Scenario, belief: Robot) -> Plant:
     true = scenario.true
+    friction = Friction(true.friction, true.coulomb)
     options: dict[str, Any] = {
-        "coulomb": true.coulomb,
         "sensing": sensing_of(scenario.sensor),
         "actuator_delay": scenario.loop.actuator_delay,
         "torque_limits": motors if np.isfinite(motors).any() else None,
@@ -235,8 +236,8 @@ def _plant(truth: Robot, sensor: Task, motors: Array, scenario: Scenario, belief
         options["adds_gravity"] = belief
     if true.engine == "mujoco":
         options |= {"floor": true.floor, "balance_inertia": true.inertias == "balanced"}
-        return MujocoPlant(truth, sensor, true.friction, **options)
-    return Plant(truth, sensor, true.friction, **options)
+        return MujocoPlant(truth, sensor, friction, **options)
+    return Plant(truth, sensor, friction, **options)
 
 
 def sensing_of(given: Sensor) -> Sensing | None:

@@ -18,7 +18,7 @@ from approxjac.scenario.build import BuiltScenario, build_scenario
 from approxjac.scenario.laws import sampling_time
 from approxjac.scenario.scenario import Scenario
 from approxjac.scenario.starts import too_far
-from approxjac.simulation import Loop, Trajectory, simulate
+from approxjac.simulation import Computation, Loop, Trajectory, simulate
 from approxjac.tasks.analysis import FINE, fine_error
 from approxjac.validation import Array
 
@@ -313,15 +313,15 @@ def run_scenario(
     built = build_scenario(scenario) if isinstance(scenario, Scenario) else scenario
     run, dt = built.scenario.run, sampling_time(built.scenario)
     options: dict[str, Any] = {"dt": None, "record_every": run.duration / _CONTINUOUS_RECORDS}
-    duration = run.duration
+    duration, integrator = run.duration, "rk4"
     if dt > 0.0:
         every = max(1, round(duration / (dt * _RECORDS)))
         duration = max(1, round(duration / (dt * every))) * dt * every
         options = {"dt": dt, "record_every": every * dt, "seed": run.seed}
-        options |= {"integrator": "semi_implicit_euler"}
+        integrator = "semi_implicit_euler"
     record = simulate(
-        built.plant, built.controller, built.target, built.q0, duration, progress=progress,
-        observer=observer, **options,
+        built.plant, built.controller, built.target, built.q0, duration, observer=observer,
+        computation=Computation(integrator, progress=progress), **options,
     )  # fmt: skip
     return RunResult(built, record)
 

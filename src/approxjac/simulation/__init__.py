@@ -1,14 +1,16 @@
 """Simulation: plants that are the truth, integrators, runs and their records."""
 
-from approxjac.simulation.loop import Loop
+from approxjac.simulation.loop import InitialState, Loop
 from approxjac.simulation.mujoco_plant import MujocoPlant
-from approxjac.simulation.plant import Plant
+from approxjac.simulation.plant import Friction, Plant, VelocityServo
 from approxjac.simulation.sensing import Sensing
-from approxjac.simulation.simulate import simulate
+from approxjac.simulation.simulate import Computation, simulate
 from approxjac.simulation.trajectory import Trajectory
-from approxjac.simulation.velocity_servo import VelocityServo
 
 __all__ = [
+    "Computation",
+    "Friction",
+    "InitialState",
     "Loop",
     "MujocoPlant",
     "Plant",
@@ -16,4 +18,4 @@ __all__ = [
     "Trajectory",
     "VelocityServo",
     "simulate",
-]  # fmt: skip
+]

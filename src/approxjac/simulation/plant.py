@@ -1,23 +1,22 @@
-"""The plant: the true robot, its friction and the sensor that watches it."""
+"""The plant: the true robot, its friction, stops and servo, and the sensor that watches it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal, Self
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 import pinocchio as pin
 
 from approxjac.errors import InvalidInputError
-from approxjac.formatting import short
+from approxjac.formatting import short, short_fields
 from approxjac.interface import Measurement
 from approxjac.robots import Dynamics, Robot
 from approxjac.robots.model import WORLD
-from approxjac.simulation.integrators import Acceleration, Integrator
-from approxjac.simulation.joint_stops import JointStops
 from approxjac.simulation.sensing import Sensing, SensorReadings
-from approxjac.simulation.velocity_servo import VelocityServo
 from approxjac.tasks import PositionTask, Task
 from approxjac.tasks.analysis import sees
 from approxjac.validation import (
@@ -33,16 +32,218 @@ from approxjac.validation import (
 _DRAWN = 300  # configurations, to find one to start from
 _INNER = 0.8  # share of each joint's range that they are drawn from
 _HOLDABLE = 0.7  # of the effort limits
+_SHORTEST = 1e-3  # lag of a servo; a run goes on in steps of at most that [s]
+_RATE = 200.0  # natural frequency of a joint on its stop, critically damped [rad/s]
+_GIVES_WAY = 0.01  # at most under the whole torque of its motor [rad or m]
+_STOP_DRAWN = 50  # configurations, for the usual inertia of a joint
+
+Acceleration = Callable[[Array, Array, Array], Array]
+Motion = Callable[[Array, Array], Array]
+Integrator = Callable[[Acceleration, Motion, Array, Array, Array, float], tuple[Array, Array]]
+
+
+def rk4(
+    acceleration: Acceleration, moved: Motion, q: Array, v: Array, tau: Array, dt: float
+) -> tuple[Array, Array]:
+    """Return (q, v) after dt [s] by the classical Runge–Kutta method, order 4.
+
+    The acceleration q̈(q, q̇, τ) may alias scratch memory; `moved` is q (nq,) after a motion
+    (n_v,).
+    """
+    half = 0.5 * dt
+    a1 = acceleration(q, v, tau).copy()
+    v2 = v + half * a1
+    a2 = acceleration(moved(q, half * v), v2, tau).copy()
+    v3 = v + half * a2
+    a3 = acceleration(moved(q, half * v2), v3, tau).copy()
+    v4 = v + dt * a3
+    a4 = acceleration(moved(q, dt * v3), v4, tau)
+    q_new = moved(q, dt / 6.0 * (v + 2.0 * v2 + 2.0 * v3 + v4))
+    return q_new, v + dt / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
+
+
+def semi_implicit_euler(
+    acceleration: Acceleration, moved: Motion, q: Array, v: Array, tau: Array, dt: float
+) -> tuple[Array, Array]:
+    """Return (q, v) after dt: velocity first, then position with the new velocity, order 1.
+
+    The scheme of most physics engines. Arguments as for `rk4`.
+    """
+    v_new = v + dt * acceleration(q, v, tau)
+    return moved(q, dt * v_new), v_new
+
+
+INTEGRATORS: Mapping[str, Integrator] = {"rk4": rk4, "semi_implicit_euler": semi_implicit_euler}
+
+
+@dataclass(frozen=True, repr=False)
+class VelocityServo:
+    """The robot's own loop around its joints, where a controller commands q̇ in place of torques.
+
+    It takes a command every `period`, acts on it `delay` later, and makes q̇ follow it with a
+    first-order lag, lag · q̈ = q̇_cmd − q̇, by the torque
+
+        τ = M(q)(q̇_cmd − q̇)/lag + C(q, q̇)q̇ + g(q) + friction
+
+    of the true arm, clipped at the limits of its motors (`Plant.motor_limits`). It is a good servo:
+    it has no errors but these. What it does not know is whatever the arm runs into; a joint that
+    is held up, or whose motor is at its limit, disturbs the others. Until the first command takes
+    effect it holds the arm at rest. Limits of speed are the controller's to keep.
+
+    It stands for a robot that takes positions, too, if that is sent ∫q̇_cmd dt and follows it with
+    this lag: from the same start both then move alike. Not where it is held up: there the integral
+    goes on ahead, and is caught up with later.
+
+    Attributes:
+        lag: Time constant, ≥ 1 ms [s].
+        delay: Time from a command that is taken to its effect [s].
+        period: Time between commands that are taken [s]; others are not seen.
+        quantum: Steps in which positions are measured, as `Sensing.q_quantum` [rad or m].
+
+    Raises:
+        InvalidInputError: A number that is negative, not finite or too small.
+    """
+
+    lag: float = 0.03
+    delay: float = 0.008
+    period: float = 0.008
+    quantum: float = 0.0
+    __repr__ = short_fields
+
+    def __post_init__(self) -> None:
+        as_number("lag", self.lag, unit="s", minimum=_SHORTEST)
+        as_number("delay", self.delay, unit="s", minimum=0.0)
+        as_number("period", self.period, unit="s", above=0.0)
+        as_number("quantum", self.quantum, unit="rad or m", minimum=0.0)
+
+    def sensed(self, sensing: Sensing | None) -> Sensing | None:
+        """Return sensing with the servo's quanta of positions, unless it has its own."""
+        if self.quantum == 0.0:
+            return sensing
+        sensing = Sensing() if sensing is None else sensing
+        if np.any(sensing.q_quantum):
+            raise InvalidInputError(
+                f"quantum of the servo must be 0 where the sensing has a q_quantum of its own, "
+                f"got {self.quantum:g} beside {sensing!r}",
+                given=self,
+            )
+        return replace(sensing, q_quantum=self.quantum)
+
+
+class JointStops:
+    """Stops at `Robot.position_limits`: p = max(0, kδ + dδ̇) where a joint is δ > 0 beyond one.
+
+    A stop pushes back and never pulls. As kδ is part of p while δ grows, and p at most kδ while it
+    shrinks, T + ½kδ² never grows through a stop.
+
+    k is that of 200 rad/s with the usual inertia of the joint, 1/mean (M⁻¹)_ii, or stiffer where
+    its motor could press the joint further than 0.01 rad or m beyond the limit; d = 2k / 200 rad/s.
+    So a joint that runs into its stop at v sinks in by about v/(e·200 rad/s), 2 mrad at 1 rad/s.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot, self._limits = robot, robot.position_limits
+        # of each coordinate of q, infinite of continuous joints
+        self.ends = [(-math.inf, math.inf)] * robot.nq
+        for name, low, high in zip(robot.joint_names, *self._limits, strict=True):
+            joint = robot.model.joints[robot.model.getJointId(name)]
+            self.ends[joint.idx_q] = float(low), float(high)
+
+    @cached_property
+    def stiffness(self) -> Array:
+        """k, shape (n_v,) [N m/rad or N/m]."""
+        robot, dynamics, rng = self._robot, Dynamics(self._robot), np.random.default_rng(0)
+        drawn = (robot.random_configuration(rng) for _ in range(_STOP_DRAWN))
+        usual = 1.0 / np.mean([np.diag(dynamics.M_inv(q)) for q in drawn], axis=0)
+        effort = np.where(np.isfinite(robot.effort_limits), robot.effort_limits, 0.0)
+        return np.asarray(np.maximum(usual * _RATE**2, effort / _GIVES_WAY))
+
+    @cached_property
+    def damping(self) -> Array:
+        """d, shape (n_v,) [N m s/rad or N s/m]."""
+        return 2.0 / _RATE * self.stiffness
+
+    def touched(self, q: Array) -> bool:
+        """Return True where a joint is beyond its limits; quick, as every step asks."""
+        for value, (low, high) in zip(q.tolist(), self.ends):  # noqa: B905, SIM110 (it is quick)
+            if value < low or value > high:  # one that is NaN is not
+                return True
+        return False
+
+    def depth(self, q: Array) -> tuple[Array, Array]:
+        """Return δ, −∞ without limits, and the side of the nearer limit, +1 or −1: (n_v,) each."""
+        motion = pin.difference(self._robot.model, self._robot.neutral(), q)
+        low, high = self._limits
+        above, below = motion - high, low - motion
+        return np.maximum(above, below), np.where(above > below, 1.0, -1.0)
+
+    def torque(self, q: Array, v: Array) -> Array:
+        """Return −p on the upper side and p on the lower one, shape (n_v,) [N m or N]."""
+        depth, side = self.depth(q)
+        push = self.stiffness * np.maximum(depth, 0.0) + self.damping * side * v
+        return np.where(depth > 0.0, -side * np.maximum(push, 0.0), 0.0)
+
+    def held_torque(self, q: Array, v: Array, M_inv: Array, dt: float) -> Array:
+        """Return the torque (n_v,) that stops hold over a step dt [s] of semi-implicit Euler.
+
+        Of p with δ and δ̇ at the end of the step (implicit Euler), so that what is said of the
+        energy holds for a step of any length, with any stiffness. v is that at the end of the step
+        if there were no stops.
+        """
+        depth, side = self.depth(q)
+        v = side * v  # outwards
+        slowed = dt * side[:, np.newaxis] * M_inv * side  # v by a unit of each push
+        per_speed = self.stiffness * dt + self.damping
+        push = np.zeros(len(v))
+        touching = np.zeros(len(v), dtype=bool)
+        while True:
+            # what pushes one joint back may push another one beyond its limit
+            reached = depth + dt * (v - slowed @ push) > 0.0
+            if not (reached & ~touching).any():
+                return -side * push
+            touching |= reached
+            there = np.flatnonzero(touching)
+            push[there] = _complementary(
+                np.diag(1.0 / per_speed[there]) + slowed[np.ix_(there, there)],
+                (self.stiffness * depth)[there] / per_speed[there] + v[there],
+            )
+
+
+def _complementary(A: Array, b: Array) -> Array:
+    """Return p ≥ 0 with Ap ≥ b, one of them an equality in each entry, by Murty's pivoting."""
+    held = np.zeros(len(b), dtype=bool)
+    rounding = 1e-12 * np.abs(b).max()
+    while True:
+        p = np.zeros(len(b))
+        p[held] = np.linalg.solve(A[np.ix_(held, held)], b[held])
+        wrong = np.where(held, p < 0.0, A @ p < b - rounding)
+        if not wrong.any():
+            return p
+        held[wrong.argmax()] ^= True
+
+
+class Friction(NamedTuple):
+    """Friction of the joints, Bq̇ + τ_c tanh(q̇/v_c); eq. (1) has the first term only.
+
+    Attributes:
+        viscous: B ≥ 0, a number or shape (n_v,) [N m s/rad or N s/m].
+        coulomb: Coulomb friction τ_c ≥ 0, a number or shape (n_v,) [N m or N].
+        coulomb_velocity: v_c > 0 within which it passes from −τ_c to τ_c [rad/s or m/s]. So that
+            joints creep rather than stick; a τ_c dt much above M v_c makes a sampled run unstable.
+    """
+
+    viscous: float | Sequence[float] | Array = 0.0
+    coulomb: float | Sequence[float] | Array = 0.0
+    coulomb_velocity: float = 0.05
 
 
 class Plant(Immutable):
-    """M(q) q̈ + C(q, q̇)q̇ + B q̇ + τ_c tanh(q̇/v_c) + g(q) = τ of the true robot, eq. (1).
+    """M(q) q̈ + C(q, q̇)q̇ + friction + g(q) = τ of the true robot, eq. (1).
 
     It yields measurements and takes torques, or velocities if it has a servo; nothing else of it
-    reaches a controller. The
-    direction of gravity is the robot's: see `Robot.with_gravity`. The term with τ_c is Coulomb
-    friction, which eq. (1) does not have. Nor has it joint stops: what is claimed of eq. (1) is
-    claimed of arms strictly within their joint limits, where stops do nothing.
+    reaches a controller. The direction of gravity is the robot's: see `Robot.with_gravity`. What
+    is claimed of eq. (1) is claimed of arms strictly within their joint limits, where joint stops
+    do nothing.
 
     Owns scratch memory: one instance a thread.
 
@@ -50,11 +251,8 @@ class Plant(Immutable):
         robot: The true robot.
         sensor: What measures X: a task of the true robot; by default the position of its tip,
             `PositionTask(robot)`.
-        friction: Natural viscous friction B ≥ 0, a number or shape (n_v,) [N m s/rad or N s/m].
-            Damping that the URDF mentions is not used.
-        coulomb: Coulomb friction τ_c ≥ 0, a number or shape (n_v,) [N m or N].
-        coulomb_velocity: v_c > 0 within which it passes from −τ_c to τ_c [rad/s or m/s]. So that
-            joints creep rather than stick; a τ_c dt much above M v_c makes a sampled run unstable.
+        friction: A `Friction`, or the viscous one alone: B ≥ 0, a number or shape (n_v,)
+            [N m s/rad or N s/m]. Damping that the URDF mentions is not used.
         sensing: How measurements differ from the truth; not at all by default. Needs dt.
         actuator_delay: Time from a torque to its effect [s], rounded to whole samples; until the
             first one takes effect the robot is held by g(q). Needs dt.
@@ -76,10 +274,8 @@ class Plant(Immutable):
         self,
         robot: Robot,
         sensor: Task | None = None,
-        friction: float | Sequence[float] | Array = 0.0,
+        friction: float | Sequence[float] | Array | Friction = 0.0,
         *,
-        coulomb: float | Sequence[float] | Array = 0.0,
-        coulomb_velocity: float = 0.05,
         sensing: Sensing | None = None,
         actuator_delay: float = 0.0,
         torque_limits: float | Sequence[float] | Array | None = None,
@@ -99,9 +295,10 @@ class Plant(Immutable):
         nv = robot.nv
         self.robot = robot
         self.sensor = sensor
-        self.friction = as_diagonal("friction", friction, nv, unit="N m s/rad", positive=False)
+        viscous, coulomb, width = friction if isinstance(friction, Friction) else Friction(friction)
+        self.friction = as_diagonal("friction", viscous, nv, unit="N m s/rad", positive=False)
         self.coulomb = as_diagonal("coulomb", coulomb, nv, unit="N m", positive=False)
-        self.coulomb_velocity = as_number("coulomb_velocity", coulomb_velocity, above=0.0)
+        self.coulomb_velocity = as_number("coulomb_velocity", width, above=0.0)
         self.servo = servo
         self.sensing = sensing if servo is None else servo.sensed(sensing)
         self.actuator_delay = as_number("actuator_delay", actuator_delay, unit="s", minimum=0.0)
@@ -126,19 +323,21 @@ class Plant(Immutable):
         """Return this plant of another robot with the same joints, in a fifth of the time."""
         _require_own(robot, sensor)
         _ = self.stops  # those of the arm, whatever it holds
-        plant, arguments = object.__new__(type(self)), {"robot": robot, "sensor": sensor}
-        vars(plant).update(vars(self), **arguments, _arguments=self._arguments | arguments)
+        plant = self._with(robot=robot, sensor=sensor)
         for name in ("dynamics", "_data"):
             vars(plant).pop(name, None)
         return plant
 
     def _sensed(self, sensing: Sensing | None, actuator_delay: float) -> Self:
-        """Return this plant with sensing and lateness that were checked, without building it."""
+        """Return this plant with sensing and lateness that were checked; its own where ideal."""
         if sensing is None and actuator_delay == 0.0:
             return self
-        changed: dict[str, Any] = {"sensing": sensing, "actuator_delay": actuator_delay}
+        return self._with(sensing=sensing, actuator_delay=actuator_delay)
+
+    def _with(self, **changes: Any) -> Self:
+        """Return this plant with other arguments, which were checked, without building it."""
         plant = object.__new__(type(self))
-        vars(plant).update(vars(self), **changed, _arguments=self._arguments | changed)
+        vars(plant).update(vars(self), **changes, _arguments=self._arguments | changes)
         return plant
 
     @property

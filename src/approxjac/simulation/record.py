@@ -10,8 +10,7 @@ import numpy as np
 from approxjac.controllers.controller import Controller, Instant
 from approxjac.interface import Evaluation, LimitStatus, Measurement, Status
 from approxjac.simulation.plant import Plant
-from approxjac.simulation.scene import Scene
-from approxjac.simulation.trajectory import Trajectory
+from approxjac.simulation.trajectory import Scene, Trajectory
 from approxjac.tasks import Task
 from approxjac.validation import Array
 

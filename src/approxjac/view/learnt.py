@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from approxjac.robots import KinematicRegressor
-from approxjac.simulation.scene import Scene
+from approxjac.simulation.trajectory import Scene
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import features
 from approxjac.tasks.task import Feature

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import approxjac as aj
 from approxjac import view
 from approxjac.controllers import PredictedMeasurement
-from approxjac.simulation.scene import Scene
+from approxjac.simulation.trajectory import Scene
 from approxjac.tasks import TrackerTask
 from approxjac.view.browser.frames import RunFrames
 from approxjac.view.browser.page import page

@@ -63,7 +63,7 @@ def simulate(arm, observer=None, duration=0.3, **options):
     plant, controller, target = parts(arm)
     return aj.simulate(
         plant, controller, target, START, duration, dt=1e-3,
-        integrator="semi_implicit_euler", observer=observer, **options,
+        computation=aj.simulation.Computation("semi_implicit_euler"), observer=observer, **options,
     )  # fmt: skip
 
 

@@ -16,7 +16,7 @@ from approxjac import paper, view
 from approxjac.controllers import RegressorGravity
 from approxjac.robots import GravityRegressor
 from approxjac.scenario import run_scenario
-from approxjac.simulation.scene import Scene
+from approxjac.simulation.trajectory import Scene
 from approxjac.tasks import FrameKinematics
 from approxjac.view.browser.document import document, page_data
 from approxjac.view.browser.frames import RunFrames

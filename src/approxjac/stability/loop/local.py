@@ -15,7 +15,7 @@ from approxjac.controllers.gravity import Adaptation
 from approxjac.errors import InvalidInputError
 from approxjac.interface import LimitStatus
 from approxjac.simulation import Plant, Sensing
-from approxjac.simulation.targets import require_fit
+from approxjac.simulation.loop import require_fit
 from approxjac.stability.errors.region import require_law, require_seen
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.loop.linearization import Targets, Timing, linear_loop

@@ -13,7 +13,7 @@ from approxjac.controllers import Controller
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement
 from approxjac.simulation import Plant
-from approxjac.simulation.integrators import rk4
+from approxjac.simulation.plant import rk4
 from approxjac.stability.loop.linearization import Timing
 from approxjac.validation import Array
 

@@ -18,9 +18,9 @@ from approxjac.controllers import Gains, SetpointController
 from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError, SimulationError, UnknownNameError
 from approxjac.extras import package_of
-from approxjac.simulation import Plant, Sensing, Trajectory, simulate
+from approxjac.simulation import Computation, Plant, Sensing, Trajectory, simulate
+from approxjac.simulation.loop import Wanted, target_at, x_of
 from approxjac.simulation.simulate import whole
-from approxjac.simulation.targets import Wanted, target_at, x_of
 from approxjac.stability.errors.region import JointBox, Region, RegularPart
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.configurations import UnattainedError, VisiblePart
@@ -216,7 +216,8 @@ class RolloutSetting:
         target = start.target if self.target is None else self.target
         return simulate(
             start.plant, self.controller, target, start.q, self.duration, dt=self.dt,
-            record_every=self.every * self.dt, integrator="semi_implicit_euler", seed=start.seed,
+            record_every=self.every * self.dt, seed=start.seed,
+            computation=Computation("semi_implicit_euler"),
         )  # fmt: skip
 
     def _of_python(self, start: Start) -> tuple[Any, ...]:

@@ -15,7 +15,7 @@ import numpy as np
 from approxjac.cameras import Camera, PinholeCamera
 from approxjac.extras import package_of
 from approxjac.simulation import Trajectory
-from approxjac.simulation.scene import Scene
+from approxjac.simulation.trajectory import Scene
 from approxjac.tasks.analysis import features, image_feature
 from approxjac.validation import Array
 from approxjac.view.browser.stage import Stage, grid

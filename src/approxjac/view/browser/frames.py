@@ -10,7 +10,7 @@ import numpy as np
 from approxjac.robots import Robot
 from approxjac.robots.model import own_joints
 from approxjac.simulation import Trajectory
-from approxjac.simulation.scene import Scene
+from approxjac.simulation.trajectory import Scene
 from approxjac.tasks import FrameKinematics, Task
 from approxjac.tasks.analysis import image_feature
 from approxjac.tasks.frame_kinematics import PointKinematics

@@ -12,7 +12,7 @@ import pinocchio as pin
 
 from approxjac.cameras import PinholeCamera, PlanarCamera
 from approxjac.extras import package_of
-from approxjac.simulation.scene import Scene
+from approxjac.simulation.trajectory import Scene
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import image_feature
 from approxjac.validation import Array, plane_rows
