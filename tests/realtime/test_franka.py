@@ -17,7 +17,7 @@ from over_the_wire import errors
 from simulated_franka import Camera, SimulatedFranka, missing
 
 import approxjac as aj
-from approxjac.errors import DriverError, InvalidInputError, MissingPackageError
+from approxjac.errors import ControlError, DriverError, InvalidInputError, MissingPackageError
 from approxjac.realtime import FrankaDriver
 
 STILL = np.zeros(7)
@@ -254,6 +254,17 @@ def judged(robot, run):
     return [error[np.searchsorted(run.t, t) :].max() for t in (2.0, 5.0)]
 
 
+def undelayed(lead, tries=5):
+    """Lead a robot, and again where a busy machine delays commands: its reflex sees a jump."""
+    for last in range(tries):
+        with SimulatedFranka() as robot:
+            try:
+                return judged(robot, lead(robot))
+            except ControlError as error:
+                if last == tries - 1 or "acceleration_discontinuity" not in str(error):
+                    raise
+
+
 @pytest.mark.wire
 @needs_robot
 def test_the_tip_of_an_unknown_tool_arrives_in_spite_of_friction(robot):
@@ -288,8 +299,8 @@ def test_it_arrives_by_velocities(robot):
 
 @pytest.mark.wire
 @needs_robot
-def test_it_follows_a_circle_by_velocities_and_a_camera(robot):
-    learning, learnt = judged(robot, over_the_wire.circle_by_velocities(robot))
+def test_it_follows_a_circle_by_velocities_and_a_camera():
+    learning, learnt = undelayed(over_the_wire.circle_by_velocities)
     assert learning < 4e-3
     assert learnt < 2e-3  # as by torques; the camera alone has 1 mm of noise
 
