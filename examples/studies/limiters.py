@@ -134,7 +134,7 @@ def limiter(name, built):
     if name == "clip":
         return usual_limiters.clipped(law, limits)
     if name == "scale":
-        return usual_limiters.TaskTorqueScaled(law, limits)
+        return usual_limiters.TaskTorqueScaled(law, aj.Limits(limits.effort, limits.rate))
     if name == "qp-torque":
         limits = aj.Limits(limits.effort)
     return aj.TorqueLimited(law, limits)

@@ -531,16 +531,9 @@ def test_what_cannot_be_traced_is_named(panda):
         def s(self, e):
             return super().s(e) if e.ndim > 1 or e[0] < 1e300 else e
 
-    class OwnLimits(aj.TorqueLimited):
-        pass
-
     task = aj.PositionTask(panda)
     law = aj.SetpointController(task)
     for controller, text in (
-        (
-            OwnLimits(law, aj.Limits(effort=panda.effort_limits)),
-            "controller must be a TorqueLimited itself to make code of it, got OwnLimits: ",
-        ),
         (aj.TorqueLimited(law, solver="osqp"), "solver must be 'daqp' to make code of a limiter"),
         (
             aj.SetpointController(task, saturation=Clipped()),

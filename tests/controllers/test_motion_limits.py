@@ -2,6 +2,7 @@
 
 import copy
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
@@ -10,7 +11,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac.controllers import CartesianSpeed, Limit, LimitTerms, Wall
-from approxjac.controllers.limits.limit import FramesByName
 from approxjac.robots import Dynamics
 from approxjac.tasks.frame_kinematics import FrameKinematics
 
@@ -26,7 +26,7 @@ def terms_of(robot, q, v, **options):
     given = {
         "approach": 10.0, "braking": 100.0, "deceleration": np.linspace(1.0, 5.0, robot.nv),
     } | options  # fmt: skip
-    return LimitTerms(robot, q, v, FramesByName(robot), **given)
+    return LimitTerms(robot, q, v, partial(FrameKinematics, robot), **given)
 
 
 class HighElbow(Limit):

@@ -24,7 +24,7 @@ def test_what_is_learnt_does_not_change_what_is_predicted(panda, rng):
     law = law_of(panda, aj.AdaptiveGravity(panda))
     prediction = AccelerationObserver(law, DT, RATE)
     torque, measurement = rng.normal(size=7), measured(Q, rng.normal(size=7))
-    f = [prediction.forward(measurement, torque, 10.0 * rng.normal(size=7)) for _ in range(2)]
+    f = [prediction.forward(measurement, 10.0 * rng.normal(size=7), torque) for _ in range(2)]
     assert_array_equal(*f)
     assert_allclose(f[0], aj.Plant(panda).acceleration(Q, measurement.v, torque))
 

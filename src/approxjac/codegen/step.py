@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import math
 from typing import Any
 
 import numpy as np
@@ -189,7 +188,6 @@ class _MachineCode:
         )  # fmt: skip
         no_rate = np.zeros(len(state_in))
         no_rate.flags.writeable = False
-        limited = LimitStatus.LIMITED
         limit_statuses = {float(each): each for each in LimitStatus}
         statuses = {float(each): each for each in Status}
         float64, array, made = FLOAT64, np.ndarray, tuple.__new__
@@ -233,13 +231,11 @@ class _MachineCode:
                         rate = None
                         if has_rate:
                             rate = found[own_rate_at] if state.size else no_rate
-                        limit = limit_statuses[limit]
-                        if limit is limited:
-                            slack = math.nan
                         return found, made(Evaluation, (
                             found[torque_at], rate, statuses[status], found[e_at],
                             found[J_at].reshape(J_shape) if has_J else None,
-                            found[gravity_at] if has_gravity else None, limit, slack,
+                            found[gravity_at] if has_gravity else None,
+                            limit_statuses[limit], slack,
                             None if v_d is None else found[reference_at],
                         ))  # fmt: skip
             except (AttributeError, IndexError, TypeError, ValueError):

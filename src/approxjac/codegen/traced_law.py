@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from approxjac.codegen import traced_limits as limits
 from approxjac.codegen.arm.traced_tasks import traced
 from approxjac.codegen.trace.program import Program
 from approxjac.codegen.trace.symbols import Condition, Symbols, inputs, symbols
@@ -76,13 +75,37 @@ def on_symbols(controller: Controller) -> Any:
     """Return a controller whose step takes symbols, as far as ours is concerned."""
     controller = getattr(controller, "ordinary", controller)  # of one that is compiled
     if isinstance(controller, TorqueLimited):
-        return limits.TracedLimiter(controller)
+        _require_limiter(controller)
     inside = {
         name: on_symbols(part)
         for name, part in vars(controller).items()
         if isinstance(part, Controller)
     }
     return _copy(controller, inside) if inside else controller
+
+
+def _require_limiter(limiter: TorqueLimited) -> None:
+    """Refuse a limiter with a cross_weight, or with another solver than DAQP where it needs one."""
+    if limiter.cross_weight is not None:
+        raise InvalidInputError(
+            f"cross_weight must be None to make code of a limiter, got {limiter.cross_weight!r}",
+            given=limiter.cross_weight,
+        )
+    if limiter.needs_solver and limiter.solver != "daqp":
+        raise InvalidInputError(
+            f"solver must be 'daqp' to make code of a limiter that needs one, got "
+            f"{limiter.solver!r}",
+            given=limiter.solver,
+        )
+
+
+def solves(controller: Any) -> bool:
+    """Return whether a controller, or one inside of it, is a limiter that needs a solver."""
+    while controller is not None:
+        if isinstance(controller, TorqueLimited):
+            return controller.needs_solver
+        controller = getattr(controller, "controller", None)
+    return False
 
 
 def with_gains(controller: Controller, diagonals: Diagonals) -> Controller:

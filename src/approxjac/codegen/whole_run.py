@@ -14,7 +14,7 @@ import numpy as np
 
 from approxjac.codegen.backends.llvm import LlvmLanes
 from approxjac.codegen.loop_program import TOLD, recorded_loop, require_covered
-from approxjac.codegen.traced_limits import solves
+from approxjac.codegen.traced_law import solves
 from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError
 from approxjac.interface import LimitStatus

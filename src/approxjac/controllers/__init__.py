@@ -31,7 +31,6 @@ from approxjac.controllers.learning.learnt_camera import AdaptiveCamera
 from approxjac.controllers.learning.positions import AdaptiveKinematics, AdaptivePlanarCamera
 from approxjac.controllers.limits.cross_weight import CrossWeight
 from approxjac.controllers.limits.limit import CartesianSpeed, Limit, LimitTerms, Wall
-from approxjac.controllers.limits.limiter import Limiter
 from approxjac.controllers.limits.limits import Limits
 from approxjac.controllers.limits.torque_limited import TorqueLimited
 from approxjac.controllers.posture import AwayFromStops, Posture
@@ -64,7 +63,6 @@ __all__ = [
     "LearntNumber",
     "Limit",
     "LimitTerms",
-    "Limiter",
     "Limits",
     "ModelDynamics",
     "ModelGravity",

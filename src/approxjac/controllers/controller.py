@@ -296,7 +296,7 @@ class Controller(ABC):
         """
         return v
 
-    def is_proven(self, answer: Evaluation) -> bool:
+    def is_proven(self, answer: Evaluation) -> Any:
         """Return whether V̇ is known where this law gave an answer; by default nowhere."""
         return False
 
@@ -330,7 +330,9 @@ class Controller(ABC):
 
     def resolved_alpha(self, alpha: float | None) -> float:
         """Return α of y [1/s], or refuse one that does not fit; None asks for the usual one."""
-        return self.alpha if alpha is None else as_number("alpha", alpha, unit="1/s", above=0.0)
+        return (
+            self.alpha if alpha is None else as_number("cross_weight", alpha, unit="1/s", above=0.0)
+        )
 
     def damping_rate(self, inertias: Array) -> float:
         """Return how fast this law damps joints [1/s], given usual inertias (k, n_v, n_v)."""

@@ -365,14 +365,6 @@ class Adaptation(NamedTuple):
             outward = np.sign(g[beyond])[:, np.newaxis] * Y[beyond]
         return law.within_bounds(rate, theta_hat, *self.bounds, self.L, outward), False
 
-    def require_alpha(self, alpha: float) -> None:
-        """Refuse another α of y [1/s] than that of this."""
-        if alpha != self.alpha:
-            raise InvalidInputError(
-                f"alpha must be that of the adaptation, {self.alpha:g} [1/s], got {alpha:g}",
-                given=alpha,
-            )
-
     def rests(self, torque: Array) -> Any:
         """Return whether any torque (n_v,) is beyond its limit, where θ̂ stands still."""
         return _is_beyond(torque, self.torque_limits)

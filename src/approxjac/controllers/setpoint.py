@@ -29,6 +29,7 @@ from approxjac.controllers.gravity import (
 from approxjac.controllers.posture import AwayFromStops, Posture
 from approxjac.controllers.pseudoinverse import Pseudoinverse, singular_ratio
 from approxjac.controllers.saturation import describe_saturation, require_saturation
+from approxjac.errors import InvalidInputError
 from approxjac.interface import (
     Evaluation,
     LimitStatus,
@@ -39,7 +40,7 @@ from approxjac.interface import (
 from approxjac.law import Linear, Saturation, Tanh
 from approxjac.robots import Dynamics, GravityRegressor, Robot
 from approxjac.tasks import Task, analysis
-from approxjac.validation import Array, Immutable, as_number, as_vector, require
+from approxjac.validation import Array, Immutable, as_vector, require
 
 _OK, _LOST = Status.OK, Status.MEASUREMENT_LOST  # members of an enum are slow to look up
 _ALPHA_SHARE = 0.3  # of the rate of the task's slow pole
@@ -246,9 +247,9 @@ class SetpointController(Immutable, Controller):
             s = law.select(told, s, np.zeros(len(e)))
         return law.passive_output(v, self.pinv.times(J_hat, s)[0], alpha)
 
-    def is_proven(self, answer: Evaluation) -> bool:
+    def is_proven(self, answer: Evaluation) -> Any:
         """Return whether V̇ is known where this law gave an answer: with x, and with Ĵ⁺."""
-        return answer.status is _OK
+        return answer.status == _OK
 
     def rate_without(
         self, locked: Array, state: Array, measurement: Measurement, answer: Evaluation
@@ -282,11 +283,12 @@ class SetpointController(Immutable, Controller):
 
     def resolved_alpha(self, alpha: float | None) -> float:
         """Return α of y [1/s]; where gravity is learnt, it is that of the adaptation."""
-        if alpha is None:
-            return self.alpha
-        alpha = as_number("alpha", alpha, unit="1/s", above=0.0)
-        if self.adaptation is not None:
-            self.adaptation.require_alpha(alpha)
+        alpha = super().resolved_alpha(alpha)
+        if self.adaptation is not None and alpha != self.alpha:
+            raise InvalidInputError(
+                f"cross_weight must be that of the adaptation, {self.alpha:g} [1/s], got {alpha:g}",
+                given=alpha,
+            )
         return alpha
 
     def damping_rate(self, inertias: Array) -> float:

@@ -396,7 +396,7 @@ class TrackingController(Immutable, Controller):
         """Return α of y, which is in σ."""
         if alpha is not None:
             raise InvalidInputError(
-                f"alpha must be None for a TrackingController, whose y is q̇ − q̇_r, got {alpha!r}",
+                f"cross_weight must be None for a TrackingController, whose y is σ, got {alpha!r}",
                 given=alpha,
             )
         return self.alpha

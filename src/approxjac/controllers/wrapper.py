@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Mapping
 from typing import Any, Literal, Self
 
@@ -22,6 +23,11 @@ from approxjac.tasks import Task
 from approxjac.validation import Array, Immutable, as_vector
 
 
+def _inner(name: str) -> Any:
+    whose = operator.attrgetter(f"controller.{name}")
+    return property(whose, doc=f"As `{name}` of the controller inside.")
+
+
 class ControllerWrapper(Immutable, Controller):
     """A controller that steps another one and keeps some memory of its own.
 
@@ -38,54 +44,21 @@ class ControllerWrapper(Immutable, Controller):
     _what: str = ""  # it does, in words
     _memory: int = 0  # length of what it keeps itself
 
+    # what is the controller's inside
+    command: Literal["torque", "velocity"] = _inner("command")
+    task: Task = _inner("task")
+    dt: float | None = _inner("dt")
+    latency: Latency | None = _inner("latency")
+    tuning: Tuning | None = _inner("tuning")
+    limits: Limits | None = _inner("limits")
+    parameters: Mapping[str, str] = _inner("parameters")
+    kinematics: Kinematics | None = _inner("kinematics")
+    gain_values: dict[str, Any] = _inner("gain_values")
+    law: Controller = _inner("law")
+
     def describe(self) -> list[str]:
         """Return what the controller inside is, and then what is done to it."""
         return [*self.controller.describe(), self._what or f"within {type(self).__name__}"]
-
-    @property
-    def command(self) -> Literal["torque", "velocity"]:  # type: ignore[override]  # read-only
-        """Return what the controller inside commands."""
-        return self.controller.command
-
-    @property
-    def task(self) -> Task:  # type: ignore[override]
-        """The task of the believed robot."""
-        return self.controller.task
-
-    @property
-    def dt(self) -> float | None:  # type: ignore[override]
-        """Sampling time that control has to have [s], or None where any will do."""
-        return self.controller.dt
-
-    @property
-    def latency(self) -> Latency | None:  # type: ignore[override]
-        """Of the loop, if it is known."""
-        return self.controller.latency
-
-    @property
-    def tuning(self) -> Tuning | None:  # type: ignore[override]
-        """What a rule chose of the gains inside, and why; None if they are given."""
-        return self.controller.tuning
-
-    @property
-    def limits(self) -> Limits | None:  # type: ignore[override]
-        """Limits that are kept inside, with an entry for each joint; None is none."""
-        return self.controller.limits
-
-    @property
-    def gain_values(self) -> dict[str, Any]:
-        """Gains of the controller inside by their names."""
-        return self.controller.gain_values
-
-    @property
-    def kinematics(self) -> Kinematics | None:  # type: ignore[override]
-        """What predicts the error that the controller inside controls; None is none."""
-        return self.controller.kinematics
-
-    @property
-    def law(self) -> Controller:
-        """The law inside of all wrappers; its state is the first part of theirs."""
-        return self.controller.law
 
     def learnt(self, state: Array) -> Array:
         """Return what the controller inside has learnt, shape (…, p)."""
@@ -118,11 +91,6 @@ class ControllerWrapper(Immutable, Controller):
     def describe_learnt(self, state: Array) -> str:
         """Return in words what the controller inside has learnt beside kinematics."""
         return self.controller.describe_learnt(self._split(state)[0])
-
-    @property
-    def parameters(self) -> Mapping[str, str]:  # type: ignore[override]
-        """Names and units of what the controller inside learns."""
-        return self.controller.parameters
 
     def learnt_sd(self, state: Array) -> Array:
         """Return the standard deviations of what the controller inside has learnt, shape (p,)."""
@@ -161,6 +129,8 @@ class ControllerWrapper(Immutable, Controller):
             InvalidInputError: A state that is no such array, or a memory that is not finite.
         """
         least = self._memory
+        if hasattr(state, "arm_of"):  # symbols
+            return state[: len(state) - least], state[len(state) - least :]
         if type(state) is not np.ndarray or state.ndim != 1 or state.dtype != FLOAT64:
             raise InvalidInputError(
                 f"state must be an array of float64 as initial_state and step return it, got "

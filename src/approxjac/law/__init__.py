@@ -45,6 +45,7 @@ from approxjac.law.estimation import (
 )
 from approxjac.law.images import image_turn, ray_basis, ray_jacobian, rays
 from approxjac.law.limits import (
+    AskedTorque,
     JointRange,
     LimitStep,
     Minimum,
@@ -148,6 +149,7 @@ from approxjac.law.tracking import (
 __all__ = [
     "SINGULAR_RATIO",
     "V1",
+    "AskedTorque",
     "HoldStep",
     "JointRange",
     "LimitStep",

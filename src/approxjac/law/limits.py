@@ -10,7 +10,7 @@ import functools
 import math
 import operator
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -249,18 +249,6 @@ class TorqueRows(NamedTuple):
         return cls(rows.of(M_inv), rows.low - offset, rows.high - offset, rows, at_rest)
 
 
-class BelievedArm(Protocol):
-    """What `limit_step` asks of the believed arm, at one step."""
-
-    def forward(self, torque: Array) -> Array:
-        """Return q̈ by the believed dynamics, shape (n_v,)."""
-        ...
-
-    def M_inv(self) -> Array:
-        """Return M̂⁻¹, shape (n_v, n_v)."""
-        ...
-
-
 Minimum = Callable[..., tuple[Array, Any]]
 """Solver of min ½zᵀHz + fᵀz subject to lower ≤ z ≤ upper and low ≤ A z ≤ high.
 
@@ -269,6 +257,24 @@ row, per unit, or None where that is a bound as the others; and whether it is li
 is paid. It returns z, and 0 where z is the minimum, 1 where nothing keeps the bounds, 2 where it
 failed.
 """
+
+
+class AskedTorque(NamedTuple):
+    """A torque that a law asks for, and its bounds, each of shape (n_v,).
+
+    Attributes:
+        torque: τ*.
+        lower: Smallest torques.
+        upper: Largest torques.
+        clipped: τ* brought within them.
+        is_beyond: Whether that is another torque.
+    """
+
+    torque: Array
+    lower: Array
+    upper: Array
+    clipped: Array
+    is_beyond: Any
 
 
 class LimitStep(NamedTuple):
@@ -290,14 +296,11 @@ class LimitStep(NamedTuple):
 
 
 def limit_step(
-    wanted: Array,
-    clipped: Array,
-    beyond: Any,
-    lower: Array,
-    upper: Array,
+    asked: AskedTorque,
     output: Callable[[], tuple[Array, Any]] | None,
     weight: Array | None,
-    motion: BelievedArm,
+    forward: Callable[[Array], Array],
+    M_inverse: Callable[[], Array],
     rows: Rows | None,
     residual: Array | None,
     brakes: Callable[[Array, TorqueRows | None], Array],
@@ -310,19 +313,17 @@ def limit_step(
     diagonal and the closed form keeps the rows, no solver is asked.
 
     Args:
-        wanted: τ*, shape (n_v,).
-        clipped: τ* brought within its bounds, shape (n_v,).
-        beyond: Whether that is another torque.
-        lower: Smallest torques, shape (n_v,).
-        upper: Largest torques, shape (n_v,).
+        asked: τ* and its bounds.
         output: Gives y, shape (n_v,), and ρ; None is without the proof.
         weight: Diagonal of R, shape (n_v,); None is R = M̂⁻¹.
-        motion: The believed arm.
+        forward: Gives the believed arm's q̈ of a torque.
+        M_inverse: Gives M̂⁻¹, shape (n_v, n_v).
         rows: Bounds of motion, if there are any.
         residual: What is added to the believed q̈, shape (n_v,), where there are rows.
         brakes: Gives what is sent where there is no minimum, of M̂⁻¹ and the rows: `braked`.
         minimum: Solver.
     """
+    wanted, lower, upper, clipped, beyond = asked
 
     def nearest() -> tuple[Array, Any]:
         if output is None or weight is None:
@@ -333,7 +334,7 @@ def limit_step(
     near, slack = choose(beyond, nearest, lambda: (wanted, 0.0))
     q_dd, fits, f = near, True, near
     if rows is not None and residual is not None:
-        f = motion.forward(near)
+        f = forward(near)
         q_dd = f + residual
         fits = within(rows.low.tolist(), rows.of(q_dd).tolist(), rows.high.tolist())
     free = select(beyond, 0.0, 1.0)
@@ -341,7 +342,7 @@ def limit_step(
         fits = fits & complement(beyond)
 
     def searched() -> tuple[Array, Array, Any, Any, Any]:
-        M_inv = motion.M_inv()
+        M_inv = M_inverse()
         bounds = None if rows is None else TorqueRows.of(rows, M_inv, q_dd - M_inv.dot(near))
         A, low, high = _NO_ROWS if bounds is None else bounds[:3]
         A, y, price = A.reshape(-1, len(wanted)), None, None
@@ -366,7 +367,7 @@ def braked(
     bounds: TorqueRows | None,
     lower: Array,
     upper: Array,
-    motion: BelievedArm,
+    forward: Callable[[Array], Array],
     brake: Array,
     hold: Array,
     minimum: Minimum,
@@ -382,7 +383,7 @@ def braked(
         bounds: Of the rows, if there are any.
         lower: Smallest torques, shape (n_v,).
         upper: Largest torques, shape (n_v,).
-        motion: The believed arm.
+        forward: Gives the believed arm's q̈ of a torque.
         brake: q̈ that brings joints to rest, shape (n_v,).
         hold: What is sent where nothing else is known, shape (n_v,).
         minimum: Solver.
@@ -390,7 +391,7 @@ def braked(
     n, start = len(lower), brake
     if bounds is None:
         free = np.full(n, np.inf)
-        at_rest = motion.forward(np.zeros_like(hold))
+        at_rest = forward(np.zeros_like(hold))
         bounds = TorqueRows.of(Rows(-free, free), M_inv, at_rest)
     elif bounds.rows.E is None:
         start = np.zeros(n)

@@ -103,6 +103,8 @@ LANGUAGE = Language(
 class _NoTime:
     """Time, which C does not know: what asks for it takes no code."""
 
+    is_unknown = True
+
     def _refuse(self, *_: Any) -> Any:
         raise TypeError("C knows no time t")
 

@@ -514,7 +514,9 @@ class Frames:
         before, after = times[:-1], times[1:]
         here = np.where((before < t) & (after >= t), 1.0, 0.0)
         gaps = np.maximum(after - before, _ROUND_OFF)
-        since = np.minimum(np.maximum(t - before, 0.0), gaps)  # of the gaps that t is not in, anything
+        since = np.minimum(
+            np.maximum(t - before, 0.0), gaps
+        )  # of the gaps that t is not in, anything
         share = here.dot(since / gaps)
         begins, ends = here.dot(rows[:-1]), here.dot(rows[1:])
         robot, is_found = self._robot, before[0] < t

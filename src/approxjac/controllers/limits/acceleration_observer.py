@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from approxjac import law as equations
+from approxjac import law
 from approxjac.controllers.arguments import HUGE
 from approxjac.controllers.controller import Controller
 from approxjac.interface import Measurement
@@ -35,14 +35,14 @@ class AccelerationObserver:
     Owns scratch memory: one instance a thread.
 
     Args:
-        law: The law whose torques are predicted.
+        controller: The law whose torques are predicted.
         dt: Period [s].
         rate: Of r [1/s], at most 1/dt.
     """
 
-    def __init__(self, law: Controller, dt: float, rate: float) -> None:
-        robot = law.task.robot
-        self.dynamics, self.has_weight = law.believed_dynamics()
+    def __init__(self, controller: Controller, dt: float, rate: float) -> None:
+        robot = controller.task.robot
+        self.dynamics, self.has_weight = controller.believed_dynamics()
         self.size = 1 + 2 * robot.nv
         self._n = robot.nv
         self._dt, self._rate, self._share = dt, np.array(rate), np.array(1.0 - rate * dt)
@@ -54,22 +54,22 @@ class AccelerationObserver:
         """Return the memory before the first period."""
         return self._nothing.copy()
 
+    def timed(self, memory: Array, measurement: Measurement) -> Measurement:
+        """Return a measurement that comes when it is expected where nothing tells the time."""
+        if not hasattr(measurement.t, "is_unknown"):
+            return measurement
+        return measurement._replace(t=law.select(memory[0] < _NEVER, memory[0], 0.0))
+
     def residual(self, memory: Array, measurement: Measurement) -> Array:
         """Return r by now, shape (n_v,) [rad/s² or m/s²]."""
         n = self._n
         r, is_due = memory[n + 1 :], abs(measurement.t - memory[0]) <= self._half
         apart = measurement.v - memory[1 : n + 1]
-        found: Array = equations.select(is_due, self._share * r + self._rate * apart, r)
-        return found
+        residual: Array = law.select(is_due, self._share * r + self._rate * apart, r)
+        return residual
 
-    def forward(self, measurement: Measurement, torque: Array, gravity: Array) -> Array:
-        """Return f, shape (n_v,) [rad/s² or m/s²].
-
-        Args:
-            measurement: q and q̇.
-            torque: τ, shape (n_v,).
-            gravity: What the controller compensates, shape (n_v,).
-        """
+    def forward(self, measurement: Measurement, gravity: Array, torque: Array) -> Array:
+        """Return f of a torque, shape (n_v,) [rad/s² or m/s²]; gravity is what is compensated."""
         _, q, v, _, _ = measurement
         return self.dynamics.forward(q, v, torque if self.has_weight else torque - gravity)
 
@@ -78,5 +78,5 @@ class AccelerationObserver:
         expected = measurement.v + self._period * f
         memory = np.concatenate([[measurement.t + self._dt], expected, residual])
         # what is absurd must not make the next period's prediction overflow
-        found: Array = equations.select(np.abs(memory).max() < HUGE, memory, self._nothing)
-        return found
+        kept: Array = law.select(np.abs(memory).max() < HUGE, memory, self._nothing)
+        return kept

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -47,7 +48,7 @@ class CrossWeight:
             for mine, its in pairs
         ) and (not np.any(self.A2) or np.allclose(self.damping, other.damping, rtol=_SAME))
 
-    def passive_output(self, controller: SetpointController, answer: Evaluation, v: Array) -> Array:
+    def passive_output(self, controller: Any, answer: Evaluation, v: Array) -> Array:
         """Return y = q̇ + Gs(e) where a law gave an answer, shape (n_v,) [rad/s or m/s].
 
         It is q̇ where the law says that there is no V: without x, and without Ĵ⁺.
@@ -63,7 +64,7 @@ class CrossWeight:
             y = y + np.linalg.solve(D, J_hat.T.dot(kv * self.A2.dot(s)))
         return np.asarray(y)
 
-    def required_of(self, controller: SetpointController) -> CrossWeight:
+    def required_of(self, controller: Any) -> CrossWeight:
         """Return this with arrays of its own, or refuse it for a law.
 
         Raises:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -33,7 +33,7 @@ class LimitTerms:
         jerk: How fast accelerations of joints change, shape (n_v,); None is without end.
 
     Args:
-        frames: Kinematics by the name of their frame.
+        frames: Gives kinematics by the name of their frame.
     """
 
     def __init__(
@@ -41,7 +41,7 @@ class LimitTerms:
         robot: Robot,
         q: Array,
         v: Array,
-        frames: Mapping[str, FrameKinematics],
+        frames: Callable[[str], FrameKinematics],
         approach: float,
         braking: float,
         deceleration: Array,
@@ -105,19 +105,7 @@ class LimitTerms:
         return None if self.jerk is None else np.abs(J).dot(self.jerk)
 
     def _of(self, frame: str | None) -> FrameKinematics:
-        return self._frames[self.robot.tip_or(None) if frame is None else frame]
-
-
-class FramesByName(dict[str, FrameKinematics]):
-    """Kinematics by the name of their frame, made when they are first asked for."""
-
-    def __init__(self, robot: Robot) -> None:
-        super().__init__()
-        self._robot = robot
-
-    def __missing__(self, frame: str) -> FrameKinematics:
-        self[frame] = FrameKinematics(self._robot, frame)
-        return self[frame]
+        return self._frames(self.robot.tip_or(None) if frame is None else frame)
 
 
 class Limit(ABC):

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from approxjac import law
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.extras import package_of
 from approxjac.validation import Array
@@ -127,8 +128,13 @@ class Solver:
         high: Array,
         price: float | None = None,
         pays: bool = False,
-    ) -> tuple[Array, int]:
-        """Return z, and 0, or 1 where nothing keeps the bounds, 2 where it failed."""
+    ) -> tuple[Array, Any]:
+        """Return z, and 0, or 1 where nothing keeps the bounds, 2 where it failed: `law.Minimum`.
+
+        Of symbols by `law.interior_minimum`.
+        """
+        if f.dtype.hasobject:
+            return law.interior_minimum(H, f, lower, upper, A, low, high, price, pays)
         z, verdict = self.solve(QuadraticProgram(H, f, lower, upper, A, low, high), price, pays)
         return (f, _NUMBERS[verdict]) if z is None else (z, 0)
 

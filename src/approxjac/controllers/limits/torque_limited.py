@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import math
+import operator
 from collections.abc import Callable, Sequence
-from typing import Any, Literal, NamedTuple
+from functools import partial
+from typing import Any, Literal, Self
 
 import numpy as np
 
@@ -18,50 +21,34 @@ from approxjac.controllers.gains.sample_configurations import (
 )
 from approxjac.controllers.limits.acceleration_observer import AccelerationObserver
 from approxjac.controllers.limits.cross_weight import CrossWeight
-from approxjac.controllers.limits.limit import FramesByName, Limit, LimitTerms, require_rows
-from approxjac.controllers.limits.limiter import Asked, Limited, Limiter
+from approxjac.controllers.limits.limit import Limit, LimitTerms, require_rows
 from approxjac.controllers.limits.limits import Limits, sure_deceleration
 from approxjac.controllers.limits.quadratic_program import QuadraticProgram, as_solver
+from approxjac.controllers.wrapper import ControllerWrapper
 from approxjac.errors import InvalidInputError, UnknownNameError
-from approxjac.interface import Evaluation, LimitStatus, Measurement, Target
+from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
 from approxjac.robots.traced import motion_between
+from approxjac.tasks.frame_kinematics import FrameKinematics
 from approxjac.validation import Array, as_diagonal, as_number, require
 
 Weight = Literal["joint inertia", "inertia", "identity"]
 _WEIGHTS = ("joint inertia", "inertia", "identity")
-_FREE, _LIMITED = LimitStatus.FREE, LimitStatus.LIMITED
-_VERDICTS = _LIMITED, LimitStatus.INFEASIBLE, LimitStatus.SOLVER_FAILED
+_FREE, _LIMITED = LimitStatus.FREE, LimitStatus.LIMITED  # members of an enum are slow to look up
+_INFEASIBLE, _FAILED = LimitStatus.INFEASIBLE, LimitStatus.SOLVER_FAILED
 _KEPT, _GIVEN_UP = LimitStatus.PROOF_KEPT, LimitStatus.PROOF_GIVEN_UP
+_GOES_ON = _FREE, _KEPT, LimitStatus.EXCEEDED  # V̇ ≤ −W holds
+_LEARNS = Status.OK, Status.NEAR_SINGULAR  # of the law, where there is something to learn from
 _UNKNOWN, _KNOWN = 0.1, 0.3  # times the rate of samples, or of the lag: how fast damping may be
-_TOLD = 1e-3  # beyond a limit of speed (as a share) or position [rad or m] that has its status
-_HUGE = 1e30  # below it nothing overflows
+_BEYOND = 1e-3  # a limit of speed (as a share) or position [rad or m], which has a status
+_AT_LIMIT = 0.02  # a joint this near to its position limit counts as at it [rad or m]
+_NEARLY = 0.98  # of a limit of torque or speed
 _FAR = 1e100  # a deceleration that stands for infinity
 _TRIAL = 1.0  # speed of joints at which limits are asked for their rows first [rad/s or m/s]
+_UNSET, _SET = 1e20, 1e19  # a torque before that is not known yet, and what is surely known
+_LARGEST = np.finfo(float).max
 
 
-class Believed(NamedTuple):
-    """The believed arm at one step, as `law.limit_step` asks for it.
-
-    Attributes:
-        prediction: What predicts.
-        measurement: q and q̇.
-        gravity: What the controller compensates, shape (n_v,).
-    """
-
-    prediction: AccelerationObserver
-    measurement: Measurement
-    gravity: Array
-
-    def forward(self, torque: Array) -> Array:
-        """Return q̈ by the believed dynamics, shape (n_v,)."""
-        return self.prediction.forward(self.measurement, torque, self.gravity)
-
-    def M_inv(self) -> Array:
-        """Return M̂⁻¹, shape (n_v, n_v)."""
-        return self.prediction.dynamics.M_inv(self.measurement.q)
-
-
-class TorqueLimited(Limiter):
+class TorqueLimited(ControllerWrapper):
     """A controller whose torque keeps limits, and the proof where limits leave room for it.
 
     Replacing the law's τ* by τ changes V̇ by yᵀ(τ − τ*) with y = q̇ + αĴ⁺s(e), so that any τ with
@@ -79,10 +66,25 @@ class TorqueLimited(Limiter):
     joints are braked as hard as motors can, those first that need it most. On a path q̇ − Ĵ⁺ẋ_d
     takes the place of q̇ in y.
 
+    Learning by eq. (29) goes on where the torque is free, or limited such that V̇ ≤ −W holds: the
+    parameters are part of that V, and it needs them to move. Where the proof is given up, joints
+    that are at a limit count as locked: the others go on learning as the arm of these joints does,
+    y = q̇ + α(ĴP)⁺s(e) with P leaving out what is locked. So an arm that weight has pushed to a
+    stop learns what it needs to leave it, and nothing winds up where the others cannot lessen the
+    error. Otherwise θ̂ rests. This takes the place of `AdaptiveGravity.torque_limits`. Dynamics that
+    a `TrackingController` learns rest wherever the proof is given up; its kinematics go on.
+
+    Its state is that of the controller, followed by what it predicts, where motion is limited, and
+    by the torque of the step before where the rate of torques is; the first step starts from the
+    torque that holds the arm. `resumed`, `kinematics_learnt` and `learnt_robot` of the law are to
+    be had of this, too, and take its states.
+
     Immutable, but it owns scratch memory: one instance a thread.
 
     Attributes:
+        alpha: α of y [1/s].
         cross_weight: G of the V that is kept falling; None where it is αĴ⁺.
+        limits: Limits of joints and motors, with an entry for each joint.
         motion_limits: Limits of motion besides those of joints.
 
     Args:
@@ -94,26 +96,26 @@ class TorqueLimited(Limiter):
             "inertia", M̂(q)⁻¹, so that accelerations change least; "identity"; or a diagonal, shape
             (n_v,).
         proof: Whether yᵀ(τ − τ*) ≤ σ is asked for.
-        alpha: α of y [1/s]; that of the adaptation where gravity is learnt. By default 0.3 of the
-            rate of the task's slow pole: with a small α it is q̇ that counts, and the proof can be
-            kept more often.
-        cross_weight: G of y = q̇ + G(q)s(e) in place of αĴ⁺, such as `StabilityReport.cross_weight`:
-            then it is the report's own V that the limits let fall.
+        cross_weight: G of y = q̇ + G(q)s(e), such as `StabilityReport.cross_weight`: then it is the
+            report's own V that the limits let fall. Or α of αĴ⁺ [1/s]; by default that of the
+            adaptation where gravity is learnt, and else 0.3 of the rate of the task's slow pole:
+            with a small α it is q̇ that counts, and the proof can be kept more often.
         dt: Sampling time [s].
         braking: How fast damping may be, and the correction of `AccelerationObserver` [1/s],
-            at most 1/dt. By
-            default 0.3 over the lag of q̇ where the law knows its latency. Else as fast as the law's
-            own joint damping, which the loop stands, but from 0.1/dt to 0.3/dt; with a limit of the
-            rate 0.1/dt.
+            at most 1/dt. By default 0.3 over the lag of q̇ where the law knows its latency. Else as
+            fast as the law's own joint damping, which the loop stands, but from 0.1/dt to 0.3/dt;
+            with a limit of the rate 0.1/dt.
         approach: κ of `speed_bounds` [1/s], at most `braking`; a tenth of it by default.
         solver: "daqp", "osqp", or a function that takes a `QuadraticProgram` and returns its
             minimum.
 
     Raises:
-        InvalidInputError: Numbers out of range, limits of another number of joints, another α than
-            that of the adaptation, or a cross_weight beside α or of another law.
+        InvalidInputError: Numbers out of range, limits of another number of joints, or a
+            cross_weight of another law, or with another α than that of the adaptation.
         UnknownNameError: No such weight or solver.
     """
+
+    _what = "its torque is kept within limits"
 
     def __init__(
         self,
@@ -122,45 +124,53 @@ class TorqueLimited(Limiter):
         *,
         weight: Weight | Sequence[float] | Array = "joint inertia",
         proof: bool = True,
-        alpha: float | None = None,
-        cross_weight: CrossWeight | None = None,
+        cross_weight: CrossWeight | float | None = None,
         dt: float = 1e-3,
         braking: float | None = None,
         approach: float | None = None,
         solver: str | Callable[[QuadraticProgram], Array | None] = "daqp",
     ) -> None:
         self._remember(locals())
-        arguments = self._arguments
+        wanted = (
+            "a law such as SetpointController (what holds measurements goes around it: "
+            "HeldMeasurement(TorqueLimited(law), ...))"
+        )
+        require("controller", controller, Controller, wanted)
+        if controller.command != "torque":
+            raise InvalidInputError(
+                f'controller must command torques to be limited, got command="velocity" of '
+                f"{controller!r}, which keeps limits of its own",
+                given=controller,
+            )
+        robot = controller.task.robot
+        self.controller = controller
         of_joints, self.motion_limits = _sorted(limits)
-        super().__init__(controller, of_joints)
-        self._arguments = arguments
+        self._limits = (Limits.of(robot) if of_joints is None else of_joints).for_joints(robot.nv)
+        self._upper, self._rate = np.asarray(self.limits.effort), np.asarray(self.limits.rate)
+        self._lower = -self._upper
+        self._has_rate = bool(np.isfinite(self._rate).any())
+        self._law, self._p = controller.with_limiter(self._upper), controller.resting
         self._dt = as_number("dt", dt, unit="s", above=0.0)
         inside = controller.dt
         if inside is not None and not math.isclose(inside, self._dt):
-            wanted = f"that of the controller inside, {inside:g} [s]"
-            told = (
-                f"{dt!r}; take TorqueLimited(..., dt={inside!r}), or build the controller inside "
+            raise InvalidInputError(
+                f"dt must be that of the controller inside, {inside:g} [s], got {dt!r}; take "
+                f"TorqueLimited(..., dt={inside!r}), or build the controller inside for another",
+                given=dt,
             )
-            told += "for another"
-            raise InvalidInputError(f"dt must be {wanted}, got {told}", given=dt)
         require("proof", proof, bool, "True or False")
-        robot = controller.task.robot
         self.proof = proof
-        self.alpha = controller.resolved_alpha(alpha)
-        if cross_weight is not None:
-            wanted = "a CrossWeight, such as that of a StabilityReport, or None"
-            require("cross_weight", cross_weight, CrossWeight, wanted)
-            if alpha is not None:
-                raise InvalidInputError(
-                    f"alpha must be None with a cross_weight, which takes its place, got {alpha!r}",
-                    given=alpha,
-                )
-            cross_weight = cross_weight.required_of(controller)  # type: ignore[arg-type]
-        self.cross_weight = cross_weight
+        if isinstance(cross_weight, CrossWeight):
+            self.cross_weight: CrossWeight | None = cross_weight.required_of(controller)
+            self.alpha = controller.resolved_alpha(None)
+        else:
+            self.cross_weight = None
+            self.alpha = controller.resolved_alpha(cross_weight)
         inertias = usual_inertias(robot)
         usual = self._usual_braking(inertias)
-        self.braking = self._rate_of("braking", braking, 1.0 / self._dt, usual)
-        self.approach = self._rate_of("approach", approach, self.braking, 0.1 * self.braking)
+        self.braking = _rate("braking", usual if braking is None else braking, 1.0 / self._dt)
+        usual = 0.1 * self.braking
+        self.approach = _rate("approach", usual if approach is None else approach, self.braking)
         self._solver, self._brakes = as_solver(solver), as_solver("daqp")
         self._diagonal = self._resolved_weight(weight, inertias)
         self.weight = weight if isinstance(weight, str) else self._diagonal
@@ -169,8 +179,6 @@ class TorqueLimited(Limiter):
             self._rho = self.braking / quickest(inertias, 1.0 / self._diagonal)
         own = np.median([np.diag(M) for M in inertias], axis=0)
         self._jerk = self._rate / own if self._has_rate else None
-        self._prediction = AccelerationObserver(controller, self._dt, self.braking)
-        self._dynamics = self._prediction.dynamics
         self._neutral = None if robot.nq == robot.nv else robot.neutral()
         # arrays, which NumPy multiplies with in a third of the time of numbers
         self._braking, self._alpha = np.array(self.braking), np.array(self.alpha)
@@ -180,107 +188,182 @@ class TorqueLimited(Limiter):
         sure = np.minimum(sure_deceleration(robot, self._upper), most)
         self._sure = np.minimum(sure, _FAR)
         self._joints = law.JointRange.of(self.limits.position, fastest, self.approach, sure)
-        too_fast = (1.0 + _TOLD) * fastest
-        self._told = [*(low - _TOLD), *-too_fast], [*(high + _TOLD), *too_fast]
+        too_fast = (1.0 + _BEYOND) * fastest
+        self._beyond = [*(low - _BEYOND), *-too_fast], [*(high + _BEYOND), *too_fast]
         self._per_speed = 1.0 / fastest if np.isfinite(fastest).any() else None
-        self._frames = FramesByName(robot)
-        self._looks_ahead = bool(np.isfinite([low, high, fastest, most]).any())
+        self._frames = functools.cache(partial(FrameKinematics, robot))
         if self.motion_limits:
-            self._looks_ahead = True
             q = robot.random_configuration(np.random.default_rng(0))
             for limit in self.motion_limits:
                 require_rows(limit, self._terms(q, np.full(robot.nv, _TRIAL)), self._dt)
-        if self._looks_ahead:
-            self._keep(self._prediction.nothing())
-        # with a diagonal R, the nearest torque within bounds alone is the clipped one
-        self._only_clips = not (proof or self._looks_ahead) and self._diagonal is not None
+        self._prediction = AccelerationObserver(controller, self._dt, self.braking)
+        # whether a torque within its limits may be limited, too
+        bounds_motion = bool(np.isfinite([low, high, fastest, most]).any())
+        self._looks_ahead = bounds_motion or bool(self.motion_limits)
+        self._kept = self._prediction.nothing() if self._looks_ahead else np.zeros(0)
+        self._memory = len(self._kept) + (robot.nv if self._has_rate else 0)
 
     @property
     def dt(self) -> float | None:  # type: ignore[override]
         """Sampling time that control has to have [s], or None where any will do."""
         return self._dt if self._looks_ahead else self.controller.dt
 
+    @property
+    def limits(self) -> Limits:  # type: ignore[override]
+        """The limits with an entry for each joint."""
+        return self._limits
+
+    @property
+    def limited_law(self) -> Controller:
+        """The law whose torque is limited."""
+        return self.controller
+
+    @property
+    def solver(self) -> str:
+        """Name of the solver."""
+        return self._solver.name
+
+    @property
+    def needs_solver(self) -> bool:
+        """Whether a solver may be called: without one the minimum is known in closed form."""
+        return self._looks_ahead or self._diagonal is None
+
+    def with_limits(self, limits: Limits) -> Self:
+        """Return this with other limits."""
+        return self._rebuilt(limits=limits)
+
+    def initial_state(self, measurement: Measurement) -> Array:
+        """Return the state before the first step; errors are those of the controller."""
+        before = np.full(self._memory - len(self._kept), _UNSET)
+        return np.concatenate([self._law.initial_state(measurement), self._kept, before])
+
     def step(
         self, state: Array, measurement: Measurement, target: Target | Array, dt: float
     ) -> tuple[Array, Evaluation]:
-        """Return the state after a step, and a torque within the limits: see `Limiter.step`.
+        """Return the state after a step, and a torque within the limits.
+
+        Arguments and errors are those of the controller.
 
         Raises:
             InvalidInputError: Another dt than the one that speeds and positions are limited for.
         """
-        if self._looks_ahead and dt != self._dt:
+        traced = hasattr(state, "arm_of")
+        if self._looks_ahead and not traced and dt != self._dt:
             require_dt(dt, self._dt)
-        return super().step(state, measurement, target, dt)
-
-    def _limit(self, asked: Asked) -> Limited:
-        if self._only_clips:
-            return Limited(asked.clipped, _LIMITED, math.nan, asked.memory)
-        answer, (_, q, v, *_) = asked.answer, asked.measurement
-        numbers = answer.torque.tolist() + answer.e.tolist() + q.tolist() + v.tolist()
-        numbers += asked.gravity.tolist() + asked.memory.tolist()  # what was learnt may be any
-        if math.hypot(*numbers) < _HUGE:  # NaN where x is lost
-            return self._nearest(asked)
-        with np.errstate(over="ignore", invalid="ignore"):  # what overflows has a status
-            return self._nearest(asked)
-
-    def _nearest(self, asked: Asked) -> Limited:
-        """Return what `_limit` does."""
-        answer, memory = asked.answer, asked.memory
-        residual = rows = None
-        if self._looks_ahead:
-            residual = self._prediction.residual(memory, asked.measurement)
-            rows = self.rows(asked.measurement)
-        found = self.limited(
-            asked, residual, rows, lambda: self._passive_output(asked),
-            self._solver.minimum, self._brakes.minimum,
-        )  # fmt: skip
-        proven = self.proof and self.controller.is_proven(answer)
-        status, slack = _VERDICTS[found.verdict], found.slack if proven else math.nan
-        if found.free:
-            status, slack = _FREE, 0.0
-            if rows is not None and self.is_exceeded(asked.measurement):
-                status = LimitStatus.EXCEEDED
-        elif not found.verdict:
-            # without x, or without Ĵ⁺, there is no V
-            status = (_KEPT if slack == 0.0 else _GIVEN_UP) if proven else _LIMITED
-        if residual is not None:
-            memory = self._prediction.expecting(asked.measurement, found.f, residual)
-        return Limited(found.torque, status, float(slack), memory)
-
-    # what follows runs on symbols, too
+        state, memory = self._split(state)
+        after, answer = self._law.step(state, measurement, target, dt)
+        wanted, g, lower, upper = answer.torque, answer.gravity, self._lower, self._upper
+        if g is None:
+            g = self._law.gravity_torque(state, measurement.q)
+        if self._has_rate:
+            memory, before = memory[: len(self._kept)], memory[len(self._kept) :]
+            before = np.where(before > _SET, g, before)
+            within = np.minimum(np.maximum(before, lower), upper)
+            with np.errstate(over="ignore"):  # no bound at all, of an absurd rate or dt
+                lower, upper = law.rate_bounds(within, self._rate, dt, lower, upper)
+        torque: Array = np.minimum(np.maximum(wanted, lower), upper)
+        is_free = law.all_of(torque == wanted)
+        status, slack = _FREE, 0.0
+        if is_free is not True or self._looks_ahead:
+            asked = law.AskedTorque(wanted, lower, upper, torque, law.complement(is_free))
+            torque, status, slack, memory = self.limited(answer, g, measurement, asked, memory)
+            if self._p:
+                after = self._rested(after, state, measurement, answer, torque, status, dt)
+        if traced:  # what overflows has to show
+            torque = np.where(np.abs(wanted) <= _LARGEST, torque, wanted)
+        if self._memory:
+            after = np.concatenate([after, memory, torque] if self._has_rate else [after, memory])
+        return after, Evaluation(torque, *answer[1:6], status, slack, answer.reference)
 
     def limited(
         self,
-        asked: Asked,
-        residual: Array | None,
-        rows: law.Rows | None,
-        output: Callable[[], tuple[Array, Any]],
-        minimum: law.Minimum,
-        brake_minimum: law.Minimum,
-    ) -> law.LimitStep:
-        """Return the torque of a step within its limits, as numbers or as symbols.
+        answer: Evaluation,
+        gravity: Array,
+        measurement: Measurement,
+        asked: law.AskedTorque,
+        memory: Array,
+    ) -> tuple[Array, Any, Any, Array]:
+        """Return the torque within its bounds, what was done to it, σ [W], and what is kept.
+
+        It runs on symbols, too.
 
         Args:
-            asked: What is asked for.
-            residual: r, shape (n_v,), where there are rows.
-            rows: Bounds of motion, if there are any.
-            output: Gives y, shape (n_v,), and ρ.
-            minimum: Solver.
-            brake_minimum: Solver of what is sent where that finds nothing.
+            answer: Answer of the law.
+            gravity: Gravity torque in it, shape (n_v,).
+            measurement: What was measured.
+            asked: Its torque, and the bounds.
+            memory: What was kept from the step before.
         """
-        _, gravity, measurement, lower, upper, *_ = asked
-        believed = Believed(self._prediction, measurement, gravity)
+        forward = partial(self._prediction.forward, measurement, gravity)
+        M_inv = partial(self._prediction.dynamics.M_inv, measurement.q)
+        output = partial(self._passive_output, answer, measurement.v) if self.proof else None
 
         def brakes(M_inv: Array, bounds: law.TorqueRows | None) -> Array:
+            lower, upper = asked.lower, asked.upper
             hold = np.minimum(np.maximum(gravity, lower), upper)
-            rest = -self._braking * measurement.v
-            return law.braked(M_inv, bounds, lower, upper, believed, rest, hold, brake_minimum)
+            rest, solver = -self._braking * measurement.v, self._brakes.minimum
+            return law.braked(M_inv, bounds, lower, upper, forward, rest, hold, solver)
 
-        return law.limit_step(
-            asked.answer.torque, asked.clipped, law.complement(asked.free), lower, upper,
-            output if self.proof else None, self._diagonal, believed, rows, residual, brakes,
-            minimum,
-        )  # fmt: skip
+        residual = rows = None
+        with np.errstate(over="ignore", invalid="ignore"):  # what overflows has a status
+            if self._looks_ahead:
+                measurement = self._prediction.timed(memory, measurement)
+                residual = self._prediction.residual(memory, measurement)
+                rows = self.rows(measurement)
+            torque, f, slack, verdict, is_free = law.limit_step(
+                asked, output, self._diagonal, forward, M_inv, rows, residual, brakes,
+                self._solver.minimum,
+            )  # fmt: skip
+            if residual is not None:
+                memory = self._prediction.expecting(measurement, f, residual)
+        # without x, or without Ĵ⁺, there is no V
+        is_proven = self.proof and self._law.is_proven(answer)
+        status = law.select(is_proven, law.select(slack == 0.0, _KEPT, _GIVEN_UP), _LIMITED)
+        failed = law.select(verdict > 1, LimitStatus.SOLVER_FAILED, LimitStatus.INFEASIBLE)
+        status = law.select(verdict > 0, failed, status)
+        free: Any = _FREE
+        if rows is not None:
+            free = law.select(self.is_exceeded(measurement), LimitStatus.EXCEEDED, _FREE)
+        slack = law.select(is_free > 0.0, 0.0, law.select(is_proven, slack, math.nan))
+        return torque, law.select(is_free > 0.0, free, status), slack, memory
+
+    def _rested(
+        self,
+        after: Array,
+        state: Array,
+        measurement: Measurement,
+        answer: Evaluation,
+        torque: Array,
+        status: Any,
+        dt: float,
+    ) -> Array:
+        """Return a state after a step with what is learnt at rest where the proof is given up."""
+        p = self._p
+        if hasattr(after, "arm_of"):
+            goes_on = functools.reduce(operator.or_, [status == each for each in _GOES_ON])
+            rests = law.complement(goes_on)
+            if self._looks_ahead:  # what joints at no limit learn is left to Python
+                is_beyond = law.any_of(np.abs(answer.torque) > self._upper)
+                law.leave(rests & (status == _GIVEN_UP) & law.complement(is_beyond))
+            return np.concatenate([law.select(rests, state[:p], after[:p]), after[p:]])
+        if status in _GOES_ON:
+            return after
+        after[:p] = state[:p]
+        # or θ̂ would ask for ever more than the motors have
+        has_room = not (np.abs(answer.torque) > self._upper).any()
+        if status in (_GIVEN_UP, _LIMITED) and answer.status in _LEARNS and has_room:
+            locked = self._locked(measurement, torque)
+            if locked.any():
+                after[:p] += dt * self._law.rate_without(locked, state, measurement, answer)
+        return after
+
+    def _locked(self, measurement: Measurement, torque: Array) -> Array:
+        """Return which joints are at a limit, shape (n_v,)."""
+        motion, (low, high) = self._positions(measurement.q), np.asarray(self.limits.position)
+        locked = (motion < low + _AT_LIMIT) | (motion > high - _AT_LIMIT)
+        locked |= np.abs(measurement.v) > _NEARLY * np.asarray(self.limits.velocity)
+        locked |= np.abs(torque) > _NEARLY * self._upper
+        return np.asarray(locked)
 
     def rows(self, measurement: Measurement) -> law.Rows:
         """Return the bounds of motion at a configuration and speed."""
@@ -301,43 +384,34 @@ class TorqueLimited(Limiter):
 
     def is_exceeded(self, measurement: Measurement) -> Any:
         """Return whether a joint is beyond its limits of speed or position."""
-        _, q, v, *_ = measurement
-        place = self._positions(q).tolist() + v.tolist()
-        return law.complement(law.within(self._told[0], place, self._told[1]))
+        place = self._positions(measurement.q).tolist() + measurement.v.tolist()
+        return law.complement(law.within(self._beyond[0], place, self._beyond[1]))
 
     def _positions(self, q: Array) -> Array:
-        """Return the position of each joint, shape (n_v,) [rad or m]."""
         return q if self._neutral is None else motion_between(self.task.robot, self._neutral, q)
 
     def _terms(self, q: Array, v: Array) -> LimitTerms:
-        """Return what limits of motion make their rows of."""
         return LimitTerms(
             self.task.robot, q, v, self._frames, self.approach, self.braking,
             self._sure, self._jerk,
         )  # fmt: skip
 
-    def _passive_output(self, asked: Asked) -> tuple[Array, float]:
+    def _passive_output(self, answer: Evaluation, v: Array) -> tuple[Array, Any]:
         """Return y, shape (n_v,), and ρ.
 
         λ pulls q̇ to where y is 0, such as Ĵ⁺ẋ_d − αĴ⁺s(e). Where that is faster than joints may
         move, ρ is reduced, or the pull would drive them into their limits of speed for as long as
         the error lasts.
         """
-        answer, v = asked.answer, asked.measurement.v
         if self.cross_weight is None:
-            y = self.controller.passive_output(answer, v, self._alpha)
+            y = self._law.passive_output(answer, v, self._alpha)
         else:
-            law_inside: Any = self.controller
-            y = self.cross_weight.passive_output(law_inside, answer, v)
+            y = self.cross_weight.passive_output(self._law, answer, v)
         if answer.reference is not None:
             y = y - answer.reference
-        return y, self.price(y, v)
-
-    def price(self, y: Array, v: Array) -> Any:
-        """Return ρ, less where y is 0 at a speed that joints may not have."""
         if self._per_speed is None:
-            return self._rho
-        return self._rho / law.largest(((y - v) * self._per_speed).tolist(), 1.0)
+            return y, self._rho
+        return y, self._rho / law.largest(((y - v) * self._per_speed).tolist(), 1.0)
 
     def _usual_braking(self, inertias: Array) -> float:
         latency = self.controller.latency
@@ -346,17 +420,6 @@ class TorqueLimited(Limiter):
         # the loop stands the law's own damping, too; a limit of the rate makes it act late
         own = 0.0 if self._has_rate else self.controller.damping_rate(inertias)
         return min(max(_UNKNOWN / self._dt, own), _KNOWN / self._dt)
-
-    def _rate_of(self, name: str, value: float | None, most: float, usual: float) -> float:
-        """Return a rate that was given, at most `most`, or the usual one."""
-        if value is None:
-            return usual
-        rate = as_number(name, value, unit="1/s", above=0.0)
-        if rate > most * (1.0 + 1e-9):
-            raise InvalidInputError(
-                f"{name} must be at most {most:g} [1/s], got {rate:g}", given=value
-            )
-        return rate
 
     def _resolved_weight(self, weight: Any, inertias: Array) -> Array | None:
         """Return the diagonal of R, or None where it is no diagonal."""
@@ -373,9 +436,13 @@ class TorqueLimited(Limiter):
         weight = self.weight if isinstance(self.weight, str) else "a diagonal"
         return (
             f"TorqueLimited({self.controller!r}, weight={weight}, proof={self.proof}, "
-            f"dt={self._dt:g}, braking={self.braking:g}, solver={self._solver.name}"
+            f"dt={self._dt:g}, braking={self.braking:g}, solver={self.solver}"
             + (")" if self.cross_weight is None else f", cross_weight={self.cross_weight!r})")
         )
+
+
+def _rate(name: str, value: float, most: float) -> float:
+    return as_number(name, value, unit="1/s", above=0.0, most=most * (1.0 + 1e-9))
 
 
 def _sorted(
