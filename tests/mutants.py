@@ -44,7 +44,7 @@ MUTANTS = [
     ),
     (
         "level of starts may grow", "stability/certificates/sampled_test.py",
-        "level = min(level, test.level)", "level = max(level, 0.0)", GRAVITY,
+        "level=min(level, self.level)", "level=max(level, 0.0)", GRAVITY,
     ),
     (
         "multipliers near 1 are stable", "stability/report/report.py",
@@ -99,7 +99,7 @@ MUTANTS = [
     ),
     (
         "gravity of the held torque dropped", "stability/certificates/sampled_test.py",
-        "dg = loop.gravity_gradients(everywhere)", "dg = None", GRAVITY,
+        "dg = loop.gravity_gradients(form.samples)", "dg = None", GRAVITY,
     ),
     (
         "level with the wrong sign of the share", "stability/certificates/sampled_form.py",
@@ -432,8 +432,7 @@ MUTANTS = [
     ),
     (
         "passed against what contradicts it", "stability/report/report.py",
-        "learns = self.sampled is None and not self.contradiction",
-        "learns = self.sampled is None", GRAVITY,
+        "if self.contradiction:", "if self.contradiction and self.sampled:", GRAVITY,
     ),
     (
         "clipping protects V", "stability/certificates/limit_cost.py",

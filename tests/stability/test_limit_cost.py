@@ -9,8 +9,7 @@ import pytest
 import approxjac as aj
 from approxjac.formatting import plain
 from approxjac.stability.certificates.limit_cost import limit_cost
-from approxjac.stability.report import render
-from approxjac.stability.report.rows import of_limits
+from approxjac.stability.report.report import of_limits
 
 Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 
@@ -60,15 +59,15 @@ def test_certified_are_fewer_starts_and_the_limiter_keeps_this_V(report, kept):
     assert acting.verdict == kept.limits.verdict == "V falls"
     assert at_rest.figures["free"]["m"] == pytest.approx(0.066, abs=5e-4)
     assert certified.figures["level"] == kept.limits.level
-    assert all(map(render.sentence, rows))
+    assert all(row.text for row in rows)
 
 
 def test_without_it_nothing_is_proven_where_limits_act(law, arm, tools, box, report):
     limiter = aj.TorqueLimited(law, aj.Limits(effort=0.5 * arm.effort_limits))
-    cost = limit_cost(report.loop, limiter, report.samples, report.sampled, False)
+    cost = limit_cost(report.loop, limiter, report.samples, report.sampled, None)
     assert cost.verdict == "another V"
     limiter = aj.TorqueLimited(law, aj.Limits(effort=0.5 * arm.effort_limits), proof=False)
-    cost = limit_cost(report.loop, limiter, report.samples, report.sampled, False)
+    cost = limit_cost(report.loop, limiter, report.samples, report.sampled, None)
     assert cost.verdict == "no proof"
 
 

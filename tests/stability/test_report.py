@@ -19,8 +19,7 @@ from approxjac.stability.certificates.theorem1 import theorem1
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.loop.configurations import inverse_kinematics
 from approxjac.stability.loop.local import local_test
-from approxjac.stability.report import render
-from approxjac.stability.report.rows import of_gravity, usual_errors
+from approxjac.stability.report.report import of_gravity, usual_errors
 from approxjac.stability.search import suggested_gains as search
 from approxjac.stability.search.suggested_gains import Candidate, _relaxations
 
@@ -84,7 +83,7 @@ def test_report_says_what_each_test_says(report):
     assert report.local.stable
     assert report.local.decay_rates.min() > 0.5
     text = str(report)
-    assert text.splitlines()[0] == report.verdict() == render.headline(report.rows[0])
+    assert text.splitlines()[0] == report.verdict() == report.rows[0].text
     assert max(map(len, text.splitlines())) <= 100
     rows = by_name(report)
     first = rows["continuous", "Theorem 1"]
@@ -126,7 +125,7 @@ def test_report_says_at_once_for_which_starts_it_holds(report):
     }  # fmt: skip
     assert dict(covers.figures) == expected
     assert by_name(report)["sampled", "staying"].figures["radius"] == stays.radius
-    assert render.meaning(covers).startswith("Covers starts at rest up to 0.")
+    assert covers.text.startswith("Covers starts at rest up to 0.")
     for level, share in ((0.1, None), (0.0, 0.0)):
         slower = replace(report.sampled, level=level * report.sampled.level)
         found = replace(report, sampled=slower).rows[1].figures["share"]
@@ -183,7 +182,7 @@ def test_what_was_chosen_is_checked_elsewhere(report):
     for found, is_told in ((report, True), (unbounded, False)):
         for row in found.rows:
             if "violating_at_most" in row.figures:
-                assert ("confidence" in render.sentence(row)) == is_told
+                assert ("confidence" in row.text) == is_told
 
 
 def test_report_repeats_bit_by_bit():
@@ -258,7 +257,7 @@ def test_gravity_that_is_not_exact_certifies_nothing():
     assert known.rows[0].figures["error"] == known.gravity_error > 1.0
     why = by_name(known)["beware", "gravity"]
     assert dict(why.figures) == {"error": known.gravity_error, "learns": False, "by": []}
-    assert "unless gravity is learnt (AdaptiveGravity)" in render.sentence(why)
+    assert "unless gravity is learnt (AdaptiveGravity)" in why.text
     regressor = GravityRegressor(tools.belief())
     learnt = aj.Study(
         controller_of(tools, gravity=aj.AdaptiveGravity(regressor, L=0.2, alpha=1.0)), tools, region
@@ -294,7 +293,7 @@ def test_gravity_that_no_parameters_explain_is_not_said_to_want_learning(options
     assert error > 1.0
     row = of_gravity(loop, error)
     assert dict(row.figures) == {"error": error, "learns": True, "by": terms}
-    assert render.sentence(row).startswith("no learnt gravity parameters explain up to")
+    assert row.text.startswith("no learnt gravity parameters explain up to")
     with pytest.raises(aj.InvalidInputError, match="explain it, as of wrong joint axes or a"):
         loop.require_gravity()
 

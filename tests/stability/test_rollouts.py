@@ -17,7 +17,7 @@ import approxjac as aj
 from approxjac.formatting import percent
 from approxjac.robots import GravityRegressor
 from approxjac.stability.errors.region import Region
-from approxjac.stability.report.rows import of_rollouts
+from approxjac.stability.report.report import of_rollouts
 from approxjac.stability.rollouts.rollouts import clopper_pearson
 from approxjac.stability.rollouts.setting import _judged
 from approxjac.tasks.analysis import fine_error

@@ -72,14 +72,14 @@ def test_the_period_certified_at_a_posture_is_a_quarter_of_pi_of_the_exact_one(
     form = MatrixForm(samples, loop.setting)
     known = best_weights(form, "free")
 
-    def stable(latency):
-        return bool((loop.spectral_radii(samples, latency) < 1.0).all())
+    def stable(period):
+        return bool((loop.spectral_radii(samples, Latency(period)) < 1.0).all())
 
-    def certified(latency):
-        return sampled_test(loop, known, form, form, latency).certified
+    def certified(period):
+        return sampled_test(loop, known, form, form, Latency(period)).certified
 
-    exact = largest(stable, Latency, 8e-3 / damping)
-    assert 0.75 < largest(certified, Latency, 0.5 * exact) / exact < 0.25 * math.pi + 0.01
+    exact = largest(stable, 8e-3 / damping)
+    assert 0.75 < largest(certified, 0.5 * exact) / exact < 0.25 * math.pi + 0.01
 
 
 @pytest.mark.parametrize(("kp", "kv", "least"), [(400.0, 80.0, 0.0), (50.0, 50.0, 0.28)])

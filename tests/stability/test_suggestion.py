@@ -40,11 +40,11 @@ def longest_period(tools, box, gains):
     """The longest period that is stable near 60 targets [s]."""
     loop = ClosedLoop(law_of(tools, gains), tools, box)
     samples = loop.draw(60, np.random.default_rng(0))
-    return largest(
-        lambda latency: bool((loop.spectral_radii(samples, latency) < 1.0).all()),
-        lambda period: replace(KHZ, period=period),
-        KHZ.period,
-    )
+
+    def stable(period):
+        return bool((loop.spectral_radii(samples, replace(KHZ, period=period)) < 1.0).all())
+
+    return largest(stable, KHZ.period)
 
 
 def test_tuned_damping_has_the_shape_of_the_inertia_by_itself(tools, box):

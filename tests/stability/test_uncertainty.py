@@ -17,7 +17,7 @@ from approxjac.codegen.arm.arm_numbers import arm_numbers
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.stability.certificates.matrix_form import MatrixForm, best_weights
 from approxjac.stability.loop.closed_loop import ClosedLoop
-from approxjac.stability.report.rows import FAMILIES
+from approxjac.stability.report.report import FAMILY_NAMES
 from approxjac.tasks import FrameKinematics
 
 CAMERA = PlanarCamera(0.05, 3.0, 0.1)
@@ -393,7 +393,7 @@ def test_true_robots_inside_that_are_worse_than_both_ends_are_found():
     told = tilts.describe(report.loop.values[worst])
     assert report.describe_truth(worst) == told
     of_worst = report.describe_truth(int(report.samples.truth[test.worst]))
-    assert report.summary()["continuous"][FAMILIES[name]]["worst_truth"] == of_worst
+    assert report.summary()["continuous"][FAMILY_NAMES[name]]["worst_truth"] == of_worst
 
 
 def test_what_a_share_is_bounded_with_has_a_true_robot_of_its_own():

@@ -17,7 +17,6 @@ from approxjac.robots import Dynamics, GravityRegressor
 from approxjac.stability import local_stability
 from approxjac.stability.certificates.limit_cost import limit_cost
 from approxjac.stability.certificates.sampled_form import Hold
-from approxjac.stability.certificates.sampled_test import below
 
 
 @functools.cache
@@ -358,9 +357,7 @@ def test_the_weight_takes_room_in_both_directions(arm):
         seen += 1
         effort = np.abs(g).max(axis=0) + 0.2 * pull.max(axis=0)
         effort[i] = np.abs(g[:, i]).max() + 0.02 * pull[:, i].max()
-        cost = limit_cost(
-            arm.report.loop, limited(arm, effort), samples, arm.report.sampled, protects=False
-        )
+        cost = limit_cost(arm.report.loop, limited(arm, effort), samples, arm.report.sampled, None)
         (free,) = cost.free.values()
         assert cost.holds
         assert (np.abs(g) + free * pull <= effort * (1.0 + 1e-9)).all()
@@ -374,7 +371,7 @@ def test_motors_hold_the_arm_only_where_they_have_more_than_its_weight(arm):
     for share, holds in ((1.001, True), (0.999, False)):
         effort = np.maximum(share * g, 1e-3)
         cost = limit_cost(
-            arm.report.loop, limited(arm, effort), arm.report.samples, arm.report.sampled, False
+            arm.report.loop, limited(arm, effort), arm.report.samples, arm.report.sampled, None
         )
         assert cost.holds == holds
         assert (cost.level > 0.0) == holds
@@ -411,9 +408,8 @@ def test_limits_never_certify_more_than_there_was(arm):
 
 def test_a_level_never_grows(arm):
     test, samples = arm.report.sampled, arm.report.samples
-    saturation = arm.known.saturation
     for share in (0.0, 0.3, 1.0, 2.0):
-        found = below(test, share * test.level, saturation, samples)
+        found = test.below(share * test.level)
         assert_allclose(found.level, min(share, 1.0) * test.level)
         # errors of one coordinate, with wᵢeᵢ²/2 = c
         largest = np.sqrt(2.0 * found.level / test.weights.w)

@@ -15,7 +15,7 @@ from approxjac.formatting import joined, percent, plain, wrapped
 from approxjac.scenario.judge import StabilityResult, uncertainty_of
 from approxjac.simulation import Plant
 from approxjac.stability import Uncertainty
-from approxjac.stability.report import render
+from approxjac.stability.report.report import OF_WRONG_AXES, covered_starts
 from approxjac.stability.rollouts.rollouts import clopper_pearson
 from approxjac.stability.search.map import PARAMETERS, PLACES, labels
 from approxjac.tasks import FrameKinematics
@@ -81,7 +81,7 @@ def advice(result: StabilityResult) -> list[str]:
     if not report.gravity_is_exact:
         why = "gravity is neither known nor learnt"
         if report.loop.controller.adaptation is not None:
-            why = f"no learnt gravity parameters explain all of gravity, {render.OF_WRONG_AXES}"
+            why = f"no learnt gravity parameters explain all of gravity, {OF_WRONG_AXES}"
         return [f"not certified: {why}; controller.gravity exact tells of all else"]
     if report.singular_q is not None:
         return [
@@ -96,12 +96,10 @@ def advice(result: StabilityResult) -> list[str]:
             "region or a smaller a = k_p/k_v may"
         ]
     else:
-        found = {(row.part, row.name): row for row in report.rows}
-        first = found["continuous", "Theorem 1"].figures
+        first = report.theorem1
         best = max(report.matrix.values(), key=lambda test: (test.certified, test.margin))
         lines = [
-            f"in continuous time Theorem 1 {_certifies(first['holds'])} {errors}: "
-            f"{render.theorem1(first)}",
+            f"in continuous time Theorem 1 {_certifies(first.holds)} {errors}: {first}",
             f"in continuous time the matrix form {_certifies(best.certified)} it: margin "
             f"{best.margin:.3g}, violated in {best.violations} of {best.checked} further "
             "configurations",
@@ -112,7 +110,7 @@ def advice(result: StabilityResult) -> list[str]:
                 "light joints may help"
             )
     if report.certified_by is not None:
-        lines.insert(0, render.starts(report.rows[1]))
+        lines.insert(0, covered_starts(report.rows[1].figures))
     if not report.passed:
         lines.append(_next(result, uncertainty))
     return [report.verdict(), *lines]

@@ -104,9 +104,9 @@ def _rates(test: SampledTest, saturation: Saturation) -> list[tuple[float, float
     largest = _largest_ratio(saturation, whole, test.weights)
     worst, all_found = whole.take(np.argsort(test.margins)[:_WORST]), []
     for rate in _RATES:
-        if not whole.at_rate(rate, largest).is_possible():
+        if not whole.changed(decay=(rate, largest)).is_possible():
             break
-        found = best_weights(worst.at_rate(rate, largest), "free").weights
+        found = best_weights(worst.changed(decay=(rate, largest)), "free").weights
         if (found.w <= 0.0).any():
             continue
         for multiple in _MULTIPLES:
@@ -153,9 +153,8 @@ def travels(form: SampledForm, saturation: Saturation, weights: Weights, rate: f
 
     Errors are as large as the function lets them be.
     """
-    faster = form.with_largest_s(form.largest_s(weights)).at_rate(
-        rate, _largest_ratio(saturation, form, weights)
-    )
+    decay = rate, _largest_ratio(saturation, form, weights)
+    faster = form.changed(most_s=form.largest_s(weights), decay=decay)
     F = faster.decrease(weights)
     positive = np.linalg.eigvalsh(F)[:, 0] > 0.0
     n = form.samples.M.shape[-1]

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,13 +10,10 @@ from approxjac import law
 from approxjac.controllers import CrossWeight, TorqueLimited
 from approxjac.robots import Dynamics
 from approxjac.robots.robot import STANDARD_GRAVITY
-from approxjac.stability.certificates.sampled_test import SampledTest, below
+from approxjac.stability.certificates.sampled_test import SampledTest
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.loop.samples import Samples
 from approxjac.validation import Array
-
-if TYPE_CHECKING:
-    from approxjac.stability.report.report import StabilityReport
 
 _FEW = 100  # samples that a weight that is not counted is looked up at
 _FAR = 1e9  # an error at which a saturation that is bounded has its bound
@@ -60,27 +56,12 @@ class LimitCost:
         return "V falls" if self.protects else "another V"
 
 
-def within_limits(report: StabilityReport, limiter: TorqueLimited) -> StabilityReport:
-    """Return a report of a law as that of the law in a limiter: certified are fewer starts."""
-    loop, known = report.loop, report.cross_weight
-    own = limiter.cross_weight
-    if own is None:
-        m = loop.controller.task.m
-        own = CrossWeight(limiter.alpha * np.eye(m), np.zeros((m, m)), loop.setting.B)
-    protects = limiter.proof and known is not None and own.is_like(known)
-    cost = limit_cost(loop, limiter, report.samples, report.sampled, protects)
-    sampled = report.sampled
-    if sampled is not None and sampled.certified:
-        sampled = below(sampled, cost.level, loop.controller.saturation, report.samples)
-    return replace(report, sampled=sampled, limits=cost)
-
-
 def limit_cost(
     loop: ClosedLoop,
     limiter: TorqueLimited,
     samples: Samples,
     sampled: SampledTest | None,
-    protects: bool,
+    known: CrossWeight | None,
 ) -> LimitCost:
     """Return what the limits of effort of a limiter cost its loop.
 
@@ -96,10 +77,15 @@ def limit_cost(
         limiter: Around its controller.
         samples: Where to look.
         sampled: What is known of the sampled loop.
-        protects: Whether the limiter keeps the report's V falling.
+        known: G of the V that certifies the loop without limits; None if none does.
     """
     controller, effort = loop.controller, np.asarray(limiter.limits.effort)
     kp, kv, damping = loop.diagonals
+    own = limiter.cross_weight
+    if own is None:
+        one = np.eye(controller.task.m)
+        own = CrossWeight(limiter.alpha * one, 0.0 * one, loop.setting.B)
+    protects = limiter.proof and known is not None and own.is_like(known)
     g = _gravity(loop, samples)
     room = effort - np.abs(g)
     pull = samples.J_hat.mT * kp

@@ -17,7 +17,14 @@ import numpy as np
 
 from approxjac import law
 from approxjac.extras import package_of
-from approxjac.stability.certificates.families import BOX, Family, FamilyNumbers, Setting, Weights
+from approxjac.stability.certificates.families import (
+    BOX,
+    Family,
+    FamilyNumbers,
+    Setting,
+    Weights,
+    family_numbers,
+)
 from approxjac.stability.loop.samples import Indices, Samples
 from approxjac.validation import Array
 
@@ -96,7 +103,7 @@ class MatrixForm:
 
     def unknowns(self, family: Family) -> FamilyNumbers:
         """Return what is sought in a family."""
-        return FamilyNumbers(family, self.setting)
+        return family_numbers(family, self.setting)
 
     def metric(self, Y: Array) -> Array:
         """Return what eigenvectors are sought in: Y, filled up where it is zero."""
@@ -113,22 +120,16 @@ class MatrixForm:
             return margins
         Q, G = self._decrease(weights)
         n = Q.shape[-1] - len(weights.w)
-        stiffness, root = Q[:, n:, n:], self._of_samples.root
-        try:
-            lower = np.linalg.cholesky(stiffness)
-        except np.linalg.LinAlgError:
-            positive = np.linalg.eigvalsh(stiffness)[:, 0] > 0.0
-            if positive.all():
-                raise
-            margins[positive] = self.take(positive.nonzero()[0]).margins(weights)
-            return margins
-        factor = np.zeros_like(Q)
-        factor[:, :n, :n], factor[:, n:, n:] = root, np.linalg.inv(lower)
-        decrease = np.linalg.eigvalsh(factor @ Q @ factor.mT)[:, 0]
+        positive = np.linalg.eigvalsh(Q[:, n:, n:])[:, 0] > 0.0
+        Q = Q[positive]
+        root = np.zeros_like(Q)
+        root[:, :n, :n] = self._of_samples.root[positive]
+        root[:, n:, n:] = np.linalg.inv(np.linalg.cholesky(Q[:, n:, n:]))
+        margins[positive] = np.linalg.eigvalsh(root @ Q @ root.mT)[:, 0]
         if self.setting.large_gains:  # V is all potential
-            return np.asarray(np.minimum(decrease, 1.0))
+            return np.minimum(margins, 1.0)
         # of P the margin is 1 less the largest singular value of the whitened cross block
-        return np.asarray(np.minimum(decrease, 1.0 - np.sqrt(self._kinetic(weights, G))))
+        return np.minimum(margins, 1.0 - np.sqrt(self._kinetic(weights, G)))
 
     def _is_bounded(self, weights: Weights) -> bool:
         """Return whether V at rest is positive: 2c̄W + Ω is."""

@@ -5,14 +5,13 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from approxjac import law
 from approxjac.controllers.gains.latency import Latency
 from approxjac.law import sampled_form
-from approxjac.law.sampled_form import TorqueRate
 from approxjac.stability.certificates.families import Family, FamilyNumbers, Weights
 from approxjac.stability.certificates.matrix_form import Best, MatrixForm, best_of
 from approxjac.stability.loop.samples import Samples
@@ -77,18 +76,11 @@ class Turning(NamedTuple):
         gravity: Largest |∂g q̇| in the norm of D⁻¹ over |q̇|_D, where q̇ is filtered [1/s].
     """
 
-    curvature: float
-    damping: float
-    stiffness: float
+    curvature: float = 0.0
+    damping: float = 0.0
+    stiffness: float = 0.0
     filtered: float = 0.0
     gravity: float = 0.0
-
-
-class _Rates(NamedTuple):
-    """Rates of all of the torque, and of its part with D_c."""
-
-    whole: TorqueRate
-    damping: TorqueRate
 
 
 class SampledForm(MatrixForm):
@@ -104,6 +96,10 @@ class SampledForm(MatrixForm):
         most_s: s̄, at least |s(e)| along these motions; it counts where x comes in frames.
         dg: ∂g/∂q of the gravity torque that the law adds, shape (N, n_v, n_v).
         turning: Of these samples and of others; of these by default.
+
+    Attributes:
+        decay: ρ, with which F − ρP is in place of F and gains are those of e^(ρt)(z, w), so that
+            V e^(2ρt) never rises, and the largest S(e)/s(e)² [1/s, –].
     """
 
     fills = True
@@ -120,27 +116,23 @@ class SampledForm(MatrixForm):
     ) -> None:
         self.samples, self.setting, self._of_samples = form.samples, form.setting, form._of_samples
         self.hold, self.speed, self.most_s = Hold.of(latency), speed, most_s
-        self._decay = 0.0, 0.5
+        self.decay = 0.0, 0.5
         at, D, kp = self.samples, self._of_samples.D, self.setting.kp
         D_c = D - np.diag(friction)
-        self._rates = _Rates(
-            sampled_form.torque_rate(
+        if self.hold.frames is None:
+            self._rate = sampled_form.torque_rate(
                 at.M, D, D_c, at.J_hat, at.dJ_hat, at.J_e, at.s, at.slope, kp, dg
-            ),
-            sampled_form.damping_rate_of_torque(at.M, D, D_c, at.J_hat, kp, dg),
-        )
+            )
+        else:
+            self._rate = sampled_form.damping_rate_of_torque(at.M, D, D_c, at.J_hat, kp, dg)
         self.turning = self._turning(D_c, dg) if turning is None else turning
         # of L⁻¹UL, D = LLᵀ: the rate at which the torque's error answers itself [1/s]
-        turned = self._of_samples.root @ self._rates.whole.U @ np.linalg.inv(self._of_samples.root)
+        turned = self._of_samples.root @ self._rate.U @ np.linalg.inv(self._of_samples.root)
         self._fastest = float(np.linalg.svd(turned, compute_uv=False)[:, 0].max())
 
     @property
-    def _rate(self) -> TorqueRate:
-        return self._rates.whole if self.hold.frames is None else self._rates.damping
-
-    @property
     def _growth(self) -> float:
-        rate = self._decay[0] + self.turning.damping * self.speed
+        rate = self.decay[0] + self.turning.damping * self.speed
         return sampled_form.growth(rate, self.hold.span, self.hold.lag)
 
     @property
@@ -161,63 +153,44 @@ class SampledForm(MatrixForm):
     def _frames(self) -> float | None:
         """γ_x, grown with the rate [s]."""
         x = self.hold.frames
-        return None if x is None else x * sampled_form.growth(self._decay[0], self.hold.age)
+        return None if x is None else x * sampled_form.growth(self.decay[0], self.hold.age)
 
-    def with_latency(self, latency: Latency) -> Self:
-        """Return this of a loop with another period and delay of torques."""
+    def changed(self, **values: Any) -> Self:
+        """Return this with another `hold`, `speed`, `most_s` or `decay`."""
         other = copy.copy(self)
-        other.hold = Hold.of(latency)
-        return other
-
-    def at_rate(self, rate: float, largest: float = 0.5) -> Self:
-        """Return this with F − ρP in place of F, and gains of e^(ρt)(z, w): V e^(2ρt) never rises.
-
-        Args:
-            rate: ρ [1/s].
-            largest: Of S(e)/s(e)².
-        """
-        other = copy.copy(self)
-        other._decay = rate, largest
+        for name, value in values.items():
+            setattr(other, name, value)
         return other
 
     def with_speed(self, speed: float) -> Self:
         """Return this with another v̄ > 0, and s̄ in proportion."""
-        other = copy.copy(self)
-        other.speed, other.most_s = speed, self.most_s * speed / self.speed
-        return other
-
-    def with_largest_s(self, most_s: float) -> Self:
-        """Return this with another s̄."""
-        other = copy.copy(self)
-        other.most_s = most_s
-        return other
+        return self.changed(speed=speed, most_s=self.most_s * speed / self.speed)
 
     def _turning(self, D_c: Array, dg: Array | None) -> Turning:
         """The largest of all samples, a portion after the other, as caches are small."""
-        rows = [slice(k, k + _PORTION) for k in range(0, len(D_c), _PORTION)]
-        each = [self._turning_of(r, D_c[r], None if dg is None else dg[r]) for r in rows]
-        return Turning(*(max(values) for values in zip(*each, strict=True)))
-
-    def _turning_of(self, rows: slice, D_c: Array, dg: Array | None) -> Turning:
-        at, D, kv = self.samples.take(rows), self._of_samples.D[rows], self.setting.kv
-        filtered, gravity, root = 0.0, 0.0, self._of_samples.root[rows]
-        if self.hold.lag and dg is not None:
-            gravity = float(np.linalg.norm(root @ dg @ root.mT, 2, axis=(-2, -1)).max())
-        if not self.speed:
-            return Turning(0.0, 0.0, 0.0, 0.0, gravity)
-        if self.hold.lag:
-            along = sampled_form.damping_turn_along(at.M, D, at.J_hat, at.dJ_hat, kv)
-            filtered = float(along.max())
-        kappa = sampled_form.torque_curvature(at.M, at.dM, D, D_c, at.J_hat, at.dJ_hat, kv)
-        k_R = sampled_form.damping_turn(at.M, D, at.J_hat, at.dJ_hat, kv)
-        e_bar = 0.0
-        if self.hold.frames is not None:
-            e_bar = float(sampled_form.stiffness_turn(D, at.dJ_hat, self.setting.kp).max())
-        return Turning(float(kappa.max()), float(k_R.max()), e_bar, filtered, gravity)
+        found, of, (kp, kv) = Turning(), self._of_samples, (self.setting.kp, self.setting.kv)
+        for k in range(0, len(D_c), _PORTION):
+            rows = slice(k, k + _PORTION)
+            at, D, root, each = self.samples.take(rows), of.D[rows], of.root[rows], {}
+            if self.hold.lag and dg is not None:
+                each["gravity"] = np.linalg.norm(root @ dg[rows] @ root.mT, 2, axis=(-2, -1))
+            if self.speed:
+                turned = at.M, D, at.J_hat, at.dJ_hat, kv
+                each["damping"] = sampled_form.damping_turn(*turned)
+                each["curvature"] = sampled_form.torque_curvature(
+                    at.M, at.dM, D, D_c[rows], at.J_hat, at.dJ_hat, kv
+                )
+                if self.hold.lag:
+                    each["filtered"] = sampled_form.damping_turn_along(*turned)
+                if self.hold.frames is not None:
+                    each["stiffness"] = sampled_form.stiffness_turn(D, at.dJ_hat, kp)
+            most = {name: float(values.max()) for name, values in each.items()}
+            found = Turning(*map(max, found, Turning(**most)))
+        return found
 
     def _with(self, samples: Samples, changed: Callable[[Array], Array]) -> Self:
         other = super()._with(samples, changed)
-        other._rates = _Rates(*(each.changed(changed) for each in self._rates))
+        other._rate = self._rate.changed(changed)
         return other
 
     def is_possible(self) -> bool:
@@ -232,7 +205,8 @@ class SampledForm(MatrixForm):
     def best_multiplier(self, weights: Weights) -> Best:
         """Choose the multiplier, and X, of a function that is known."""
         fixed = weights._replace(multiplier=0.0, X=0.0)
-        return best_of(self, FamilyNumbers.none(fixed).with_positive(self._multipliers()))
+        known = FamilyNumbers(fixed, [], np.zeros(0), np.zeros(0))
+        return best_of(self, known.with_positive(self._multipliers()))
 
     def _multipliers(self) -> list[Weights]:
         m = len(self.setting.kp)
@@ -256,7 +230,7 @@ class SampledForm(MatrixForm):
             Q, G, of.D, at.J_hat, self.setting.kp, self._rate, weights.multiplier, self._gain,
             self._b, frames,
         )  # fmt: skip
-        rate, largest = self._decay
+        rate, largest = self.decay
         if rate:
             P = law.potential_matrix(at.M, G, weights.block(largest))
             k = P.shape[-1]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from functools import cached_property
 
 import numpy as np
 
@@ -14,9 +14,8 @@ from approxjac.law import Saturation
 from approxjac.stability.certificates.certificate import MatrixTest
 from approxjac.stability.certificates.families import Family
 from approxjac.stability.certificates.matrix_form import Best, MatrixForm, best_weights
-from approxjac.stability.certificates.sampled_form import SampledForm
+from approxjac.stability.certificates.sampled_form import Hold, SampledForm
 from approxjac.stability.loop.closed_loop import ClosedLoop
-from approxjac.stability.loop.samples import Samples
 from approxjac.validation import Array
 
 _SLOWER, _SLOWEST = (0.5, 0.25), 0.06  # times the speed that all starts need, that are tried
@@ -32,21 +31,15 @@ class SampledTest(MatrixTest):
 
     Attributes:
         latency: Of the loop that it speaks of.
-        speed: v̄ of `law.sampled_form`: √(q̇ᵀMq̇) stays below it along the motions that this speaks
-            of [√J].
         level: c [J]: motions that begin with V ≤ c stay below v̄.
-        covered: Share of the samples away from their targets that may be started from, at rest.
-        certified_error: Largest error of one task coordinate that may be started from at rest, the
-            others being zero, shape (m,) [units of the task].
         form: What it rests on; the samples that it was chosen on come first.
+        saturation: Of the loop.
     """
 
     latency: Latency
-    speed: float
     level: float
-    covered: float
-    certified_error: Array
     form: SampledForm
+    saturation: Saturation
 
     def __repr__(self) -> str:
         verdict = "certified" if self.certified else "not certified"
@@ -59,47 +52,53 @@ class SampledTest(MatrixTest):
             return ""
         return "violated" if self.margin > 0.0 else "too slow"
 
+    @property
+    def speed(self) -> float:
+        """v̄ of `law.sampled_form`: √(q̇ᵀMq̇) stays below it along the motions meant here [√J]."""
+        return self.form.speed
+
+    @cached_property
+    def covered(self) -> float:
+        """Share of the samples away from their targets that may be started from, at rest."""
+        e = self.form.samples.e
+        e = e[e.any(axis=1)]  # a third is at the target
+        energies = self.weights.at_rest(self.saturation.S(e), self.saturation.s(e))
+        return float((energies <= self.level).mean()) if len(e) else 1.0
+
+    @cached_property
+    def certified_error(self) -> Array:
+        """Largest error of one task coordinate to start from at rest, others being zero, (m,)."""
+        return largest_errors(self.saturation, self.weights.w, self.level)
+
+    def below(self, level: float) -> SampledTest:
+        """Return this of motions that begin with V ≤ level only, if that is less than its own."""
+        return replace(self, level=min(level, self.level))
+
     def largest_period(self) -> float:
         """Return the largest period that this function certifies, all else the same [s]."""
-        return largest(self._passes, self._of_period, self.latency.period)
+        return largest(lambda period: self._passes(period=period), self.latency.period)
 
     def largest_delay(self) -> float:
-        """Return the largest delay of torques that this function certifies, all else the same [s].
+        """Return the largest delay of torques that this certifies, all else the same [s], or 0."""
+        return largest(lambda delay: self._passes(torque_delay=delay), self.latency.period)
 
-        0 where it certifies none.
-        """
-        return largest(self._passes, self._of_delay, self.latency.period)
-
-    def _of_period(self, period: float) -> Latency:
-        return replace(self.latency, period=period)
-
-    def _of_delay(self, delay: float) -> Latency:
-        return replace(self.latency, torque_delay=delay)
-
-    def _passes(self, latency: Latency) -> bool:
-        """Return whether some multiplier certifies another latency in the worst samples."""
-        worst = np.argsort(self.margins)[:_WORST]
-        form = self.form.take(worst).with_latency(latency)
+    def _passes(self, **other: float) -> bool:
+        """Return whether some multiplier certifies other times in the worst samples."""
+        hold = Hold.of(replace(self.latency, **other))
+        form = self.form.take(np.argsort(self.margins)[:_WORST]).changed(hold=hold)
         return form.is_possible() and bool(form.best_multiplier(self.weights).margins.min() > 0.0)
 
 
-def largest(
-    passes: Callable[[Latency], bool], at: Callable[[float], Latency], first: float
-) -> float:
+def largest(passes: Callable[[float], bool], first: float) -> float:
     """Return the largest time that passes, by halving from `first` on; 0 where none does."""
     low, high = 0.0, first
-    while high < _LONGEST * first and passes(at(high)):
+    while high < _LONGEST * first and passes(high):
         low, high = high, 2.0 * high
-    while low == 0.0 and high > first / _LONGEST:
-        if passes(at(0.5 * high)):
-            low = 0.5 * high
-        else:
-            high *= 0.5
-    if low == 0.0:
-        return 0.0
-    for _ in range(_HALVINGS):
+    halvings = int(low > 0.0)
+    while halvings <= _HALVINGS and high > first / _LONGEST:
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if passes(at(middle)) else (low, middle)
+        low, high = (middle, high) if passes(middle) else (low, middle)
+        halvings += low > 0.0
     return low
 
 
@@ -117,71 +116,41 @@ def sampled_test(
         fresh: The same to check it on.
         latency: Of the loop.
     """
-    setting, saturation = loop.setting, loop.controller.saturation
-    friction = loop.plants[0].friction
-    form, first = chosen.join(fresh), len(chosen.samples)
-    everywhere = form.samples
+    setting, saturation, n = loop.setting, loop.controller.saturation, len(chosen.samples)
+    form = chosen.join(fresh)
     potential = setting.kp + setting.alpha * setting.kv
-    needed = _SPARE * float((saturation.S(everywhere.e) @ potential).max(initial=0.0))
-    dg = loop.gravity_gradients(everywhere)
+    needed = _SPARE * float((saturation.S(form.samples.e) @ potential).max(initial=0.0))
+    dg = loop.gravity_gradients(form.samples)
     fastest = math.sqrt(2.0 * needed)
     most_s = fastest / math.sqrt(2.0 * setting.c_bar * float(potential.min()))
-    whole = SampledForm(form, friction, latency, fastest, most_s, dg)
-    found = _at_speed(whole, first, known)
-    if not found.passes and fastest > 0.0:  # and it may be that no speed is slow enough
-        found = _at_speed(whole.with_speed(_SLOWEST * fastest), first, known)
-        if found.passes:
-            tries = (_at_speed(whole.with_speed(k * fastest), first, known) for k in _SLOWER)
-            found = next((each for each in tries if each.passes), found)
-    whole, best, family, violations = found
-    if violations is None and not whole.is_possible():
-        violations = len(fresh.samples)
-    elif violations is None:
-        violations = int((whole.take(slice(first, None)).margins(best.weights) <= 0.0).sum())
-    level = max(0.0, whole.level(best.weights))
-    test = SampledTest(
-        family, best.weights, best.margins, len(fresh.samples), violations, loop.region.independent,
-        latency, whole.speed, level, 1.0, np.zeros(len(potential)), whole,
-    )  # fmt: skip
-    return below(test, level, saturation, everywhere)
 
+    def at_speed(form: SampledForm) -> SampledTest:
+        """Choose a function on the first samples, and check it on the others if it passes."""
+        best, family = _best(form.take(slice(n)), known)
+        most_s = form.largest_s(best.weights)
+        if most_s > form.most_s:  # of smaller weights than were begun with, errors may be larger
+            form = form.changed(most_s=most_s)
+            best = best._replace(margins=form.take(slice(n)).margins(best.weights))
+        violations = checked = len(fresh.samples)
+        if best.margins.min() > 0.0:
+            margins = form.take(slice(n, None)).margins(best.weights)
+            violations = int((margins <= 0.0).sum())
+        return SampledTest(
+            family, best.weights, best.margins, checked, violations, loop.region.independent,
+            latency, max(0.0, form.level(best.weights)), form, saturation,
+        )  # fmt: skip
 
-class _AtSpeed(NamedTuple):
-    """Finding for a v̄."""
-
-    whole: SampledForm
-    best: Best  # in the samples that it was chosen on
-    family: Family
-    violations: int | None  # in the others; None where it fails in those already
-
-    @property
-    def passes(self) -> bool:
-        """Return whether it holds in all samples."""
-        return self.violations == 0
-
-
-def _at_speed(whole: SampledForm, first: int, known: Best) -> _AtSpeed:
-    """Choose a function on the first samples, and check it on the others."""
-    best, family = _best(whole.take(slice(first)), known)
-    # s̄ is of the weights that were begun with: of smaller ones errors may be larger
-    most_s = whole.largest_s(best.weights)
-    if most_s > whole.most_s:
-        whole = whole.with_largest_s(most_s)
-        best = best._replace(margins=whole.take(slice(first)).margins(best.weights))
-    if best.margins.min() <= 0.0:
-        return _AtSpeed(whole, best, family, None)
-    margins = whole.take(slice(first, None)).margins(best.weights)
-    return _AtSpeed(whole, best, family, int((margins <= 0.0).sum()))
-
-
-def below(test: SampledTest, level: float, saturation: Saturation, samples: Samples) -> SampledTest:
-    """Return a test for motions that begin with V ≤ level only, if that is less than its own."""
-    level = min(level, test.level)
-    away = samples.take(np.flatnonzero(samples.e.any(axis=1)))  # a third is at the target
-    energies = test.weights.at_rest(saturation.S(away.e), away.s)
-    covered = float((energies <= level).mean()) if len(away) else 1.0
-    error = largest_errors(saturation, test.weights.w, level)
-    return replace(test, level=level, covered=covered, certified_error=error)
+    whole = SampledForm(form, loop.plants[0].friction, latency, fastest, most_s, dg)
+    found = at_speed(whole)
+    if not found.certified and fastest > 0.0:  # and it may be that no speed is slow enough
+        found = at_speed(whole.with_speed(_SLOWEST * fastest))
+        slower = _SLOWER if found.certified else ()
+        tries = (at_speed(whole.with_speed(k * fastest)) for k in slower)
+        found = next((each for each in tries if each.certified), found)
+    if found.margin <= 0.0 and found.form.is_possible():
+        margins = found.form.take(slice(n, None)).margins(found.weights)
+        found = replace(found, violations=int((margins <= 0.0).sum()))
+    return found
 
 
 def _best(form: SampledForm, known: Best) -> tuple[Best, Family]:

@@ -43,6 +43,14 @@ class Theorem1:
         verdict = "holds" if self.holds else "does not hold"
         return f"Theorem1({verdict}: p = {self.p:.4g}, allowed {max(self.allowed_p, 0.0):.4g})"
 
+    def __str__(self) -> str:
+        sign = "<" if self.holds else ">="
+        text = f"p = {self.p:.3g} {sign} {max(self.allowed_p, 0.0):.3g} allowed"
+        if not self.is_too_fast:
+            return text
+        allowed = f"(14) allows {self.alpha_max:.3g}"
+        return f"{text}: learning has alpha = {self.alpha:.3g} 1/s, {allowed}"
+
     @property
     def alpha_max(self) -> float:
         """The α that (14) allows [1/s]."""

@@ -12,13 +12,12 @@ import numpy as np
 
 from approxjac.controllers import Controller, Latency
 from approxjac.errors import InvalidInputError
-from approxjac.formatting import plain, rows, wrapped
+from approxjac.formatting import percent, plain, rows, wrapped
 from approxjac.simulation import Plant, Sensing
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.configurations import inverse_kinematics
 from approxjac.stability.loop.local import LocalStability, local_stability
-from approxjac.stability.report import render
-from approxjac.stability.report.rows import Row
+from approxjac.stability.report.rows import Row, as_json
 from approxjac.stability.rollouts.rollouts import Rollouts
 from approxjac.stability.rollouts.setting import RolloutSetting
 from approxjac.validation import Array
@@ -52,20 +51,6 @@ class NearTargets:
         """Index of the target with the slowest decay."""
         return int(np.argmin([each.decay_rate for each in self.found]))
 
-    def row(self, uncertainty: Uncertainty) -> Row:
-        """Return the row of a report."""
-        if not self.found:
-            return Row("other law", "near targets", "not applicable", {"refused": self.refused})
-        figures = {
-            "targets": len(self.found),
-            "share": float(np.mean([each.stable for each in self.found])),
-            "decay": self.found[self.worst].decay_rate,
-            "damping_ratio": min(each.damping_ratio for each in self.found),
-            "worst_truth": uncertainty.describe(self.values[self.worst]),
-            "refused": self.refused,
-        }
-        return Row("other law", "near targets", "stable" if self.stable else "not stable", figures)
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class OtherLawReport:
@@ -92,23 +77,47 @@ class OtherLawReport:
     @property
     def passed(self) -> bool:
         """Return whether all tests that apply pass: no proof, but nothing speaks against it."""
-        converged = self.rollouts is None or self.rollouts.n_converged == self.rollouts.n
-        tested = bool(self.local.found) or self.rollouts is not None
-        return tested and converged and (self.local.stable or not self.local.found)
+        verdicts = {row.verdict for row in self.rows[1:]}
+        return not verdicts & {"not stable", "fail"} and bool(verdicts & {"stable", "pass"})
 
     @cached_property
     def rows(self) -> list[Row]:
         """The findings: what was tested, its verdict and figures."""
-        found = [
-            Row("other law", "certificates", "not applicable", {"reason": self.reason}),
-            self.local.row(self.uncertainty),
-        ]
-        if self.rollouts is None:
-            return [*found, Row("other law", "rollouts", "not run", {})]
-        many, (low, high) = self.rollouts, self.rollouts.interval
+        none = {"reason": self.reason}
+        certificates = Row("other law", "certificates", "not applicable", none, self.reason)
+        return [certificates, self._near(), self._simulated()]
+
+    def _near(self) -> Row:
+        local, verdict = self.local, "not applicable"
+        figures: dict[str, Any] = {"refused": local.refused}
+        said = [f"{n} left out: {why}" for why, n in local.refused.items()]
+        if local.found:
+            verdict = "stable" if local.stable else "not stable"
+            share = float(np.mean([each.stable for each in local.found]))
+            decay = local.found[local.worst].decay_rate
+            ratio = min(each.damping_ratio for each in local.found)
+            truth = self.uncertainty.describe(local.values[local.worst])
+            figures |= {"targets": len(local.found), "share": share, "decay": decay}
+            figures |= {"damping_ratio": ratio, "worst_truth": truth}
+            said.insert(
+                0,
+                f"stable at {percent(share)} % of {len(local.found)} targets, slowest decay "
+                f"{decay:.3g} 1/s, damping ratio at least {ratio:.2g}; the slowest with {truth}",
+            )
+        return Row("other law", "near targets", verdict, figures, "; ".join(said))
+
+    def _simulated(self) -> Row:
+        many = self.rollouts
+        if many is None:
+            return Row("other law", "rollouts", "not run", {}, "report(runs=100) runs them")
+        low, high = many.interval
         figures = {"converged": many.n_converged, "runs": many.n, "low": low, "high": high}
+        text = (
+            f"{many.n_converged} of {many.n} converged, {percent(low)} to {percent(high)} % of all "
+            "by the interval"
+        )
         passes = "pass" if many.n_converged == many.n else "fail"
-        return [*found, Row("other law", "rollouts", passes, figures)]
+        return Row("other law", "rollouts", passes, figures, text)
 
     def verdict(self) -> str:
         """Return in a line what was found."""
@@ -120,7 +129,7 @@ class OtherLawReport:
         return f"OtherLawReport({self.controller!r}: {self.verdict()})"
 
     def __str__(self) -> str:
-        table = {row.name: f"{row.verdict}: {render.sentence(row)}" for row in self.rows}
+        table = {row.name: f"{row.verdict}: {row.text}" for row in self.rows}
         about = {
             "law": "; ".join(self.controller.describe()[:2]),
             "errors": self.uncertainty.describe_box(),
@@ -132,7 +141,7 @@ class OtherLawReport:
         """Return what goes into summary.json."""
         decay_rates = [each.decay_rate for each in self.local.found]
         found = {"passed": self.passed, "seed": self.seed, "decay_rates": plain(decay_rates)}
-        return found | render.as_json(self.rows)
+        return found | as_json(self.rows)
 
 
 def near_targets(
@@ -141,16 +150,10 @@ def near_targets(
     count: int,
     tell: Callable[[float], None] = lambda share: None,
 ) -> NearTargets:
-    """Linearise a sampled loop at the targets of the first rollouts of a setting.
+    """Linearise a sampled loop at the targets of the first rollouts of a setting, 200 at most.
 
     A start that is drawn is the target, unless there is one. Frames of x count as a delay of half
     the time between them.
-
-    Args:
-        setting: Of the rollouts.
-        latency: When the loop measures and acts.
-        count: How many targets, 200 at most.
-        tell: Called with the share that is done.
     """
     late = Sensing(
         x_delay=latency.image_age + 0.5 * latency.image_period,

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from approxjac.controllers import CrossWeight, Latency, TorqueLimited
+from approxjac.formatting import joined, numbers_of, percent
 from approxjac.stability.certificates.attraction import Attraction, attraction
 from approxjac.stability.certificates.certificate import (
     MatrixTest,
@@ -17,19 +20,49 @@ from approxjac.stability.certificates.certificate import (
     refine_weights,
 )
 from approxjac.stability.certificates.families import Family
-from approxjac.stability.certificates.limit_cost import LimitCost, within_limits
+from approxjac.stability.certificates.limit_cost import LimitCost, limit_cost
 from approxjac.stability.certificates.matrix_form import Best, MatrixForm, on_more
 from approxjac.stability.certificates.sampled_test import SampledTest, largest, sampled_test
 from approxjac.stability.certificates.theorem1 import Theorem1, theorem1
+from approxjac.stability.errors.region import JointBox
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.closed_loop import EXACT_GRAVITY, SHARED, ClosedLoop
+from approxjac.stability.loop.linearization import Timing
 from approxjac.stability.loop.local import LocalTest, local_test
 from approxjac.stability.loop.samples import Samples
-from approxjac.stability.report import render, rows
-from approxjac.stability.report.rows import Row
+from approxjac.stability.report.rows import Row, as_json, as_text
 from approxjac.stability.rollouts.rollouts import Rollouts
 from approxjac.validation import Array, as_integer
 
+FAMILY_NAMES: dict[Family, str] = {
+    "paper": "paper's weights",
+    "free": "free potential",
+    "wide": "widened",
+    "full": "coupled",
+}
+OF_WRONG_AXES = "as of wrong joint axes or a tilted base"
+_IF_IT_STAYS = "as long as the arm stays in the region"
+_REASONS = {
+    "rank": "the estimated Jacobian loses rank in the region",
+    "damped": "the region holds configurations near singular ones, where learning is damped",
+    "motors": "the motors cannot hold the arm everywhere in the region",
+    "unstable in continuous time": "errors grow at some targets in continuous time",
+    "too slow": "no Lyapunov function was found for this period and these delays",
+    "none": "no Lyapunov function was found, not even in continuous time",
+    "learnt": "with learnt gravity there are certificates in continuous time only",
+    "learnt, none": "with learnt gravity there are certificates in continuous time only, and none "
+    "was found",
+}
+_LIMITS = {
+    "cannot hold": _REASONS["motors"],
+    "V falls": "in steps of status PROOF_KEPT, in continuous time; of the sampled loop nothing is "
+    "proven there",
+    "another V": "the limiter keeps another Lyapunov function V falling, so nothing here is proven "
+    "there; TorqueLimited(..., cross_weight=report.cross_weight) keeps a certified one",
+    "no proof": "the limiter clips, and nothing is proven there",
+}
+_TINY = 1e-6
+_DRAWN = 400  # starts that tell what is usual
 _TARGETS = 1000  # that the sampled loop is linearised at
 _WORST = 60
 _CHOOSE = 1000  # samples at most that functions are chosen on: more of them check instead
@@ -103,10 +136,7 @@ class StabilityReport:
         Where gravity is learnt there is none of the sampled loop: the one in continuous time has
         to do, with nothing that contradicts it.
         """
-        learns = self.sampled is None and not self.contradiction
-        return self.certified_by is not None or (
-            learns and self.certified_in_continuous_time is not None
-        )
+        return self.reason in ("", "learnt")
 
     @property
     def certified_in_continuous_time(self) -> str | None:
@@ -175,12 +205,12 @@ class StabilityReport:
         """
         assert self.sampled is not None
         worst = self.samples.take(np.argsort(-self.spectral_radii)[:_WORST])
-        exact = largest(
-            lambda latency: bool((self.loop.spectral_radii(worst, latency) < 1.0).all()),
-            lambda period: replace(self.latency, period=period),
-            self.latency.period,
-        )
-        return self.sampled.largest_period(), exact
+
+        def stable(period: float) -> bool:
+            radii = self.loop.spectral_radii(worst, replace(self.latency, period=period))
+            return bool((radii < 1.0).all())
+
+        return self.sampled.largest_period(), largest(stable, self.latency.period)
 
     @cached_property
     def largest_delay(self) -> float:
@@ -203,18 +233,23 @@ class StabilityReport:
     @cached_property
     def rows(self) -> list[Row]:
         """The findings: of which part of the report, what was tested, its verdict and figures."""
-        return rows.rows_of(self)
+        starts = {} if self.reason else _starts(self)
+        found = [_verdict(self), _covers(self, starts), *_about(self), *_beware(self)]
+        found += _sampled(self, starts)
+        found += [] if self.limits is None else of_limits(self.limits)
+        found += _continuous(self)
+        return found if self.rollouts is None else [*found, *of_rollouts(self.rollouts)]
 
     def verdict(self) -> str:
         """Return in one line whether the sampled loop is certified, and why not."""
-        return render.headline(rows.verdict(self))
+        return _verdict(self).text
 
     def __repr__(self) -> str:
         name, where = self.loop.controller.task.robot.name, repr(self.loop.region)
         return f"StabilityReport({name!r}: {self.verdict()}, on {where}; print it for the tests)"
 
     def __str__(self) -> str:
-        return render.text(self.rows)
+        return as_text(self.rows)
 
     def summary(self) -> dict[str, Any]:
         """Return what goes into summary.json: the rows by part and name, and what is certified."""
@@ -225,7 +260,7 @@ class StabilityReport:
             "certified_in_continuous_time": self.certified_in_continuous_time,
             "reason": self.reason,
         }
-        return found | render.as_json(self.rows)
+        return found | as_json(self.rows)
 
 
 def report_of(
@@ -237,17 +272,7 @@ def report_of(
     limiter: TorqueLimited | None = None,
     rollouts: Rollouts | None = None,
 ) -> StabilityReport:
-    """Return the report of a loop; see `Study.report`.
-
-    Args:
-        loop: The loop.
-        latency: When it measures and acts.
-        configurations: How many to draw, ≥ 20.
-        seed: Of all drawing.
-        tell: Called with what is being done and the share of it.
-        limiter: Around the loop's controller, or None.
-        rollouts: That were made of it, or None.
-    """
+    """Return the report of a loop; see `Study.report`."""
     half = min(as_integer("configurations", configurations, 20) // 2, _CHOOSE)
     rng = np.random.default_rng(seed)
     tell("configurations", 0.0)
@@ -293,4 +318,479 @@ def report_of(
         loop, latency, everywhere, sampled, first, matrix, local, radii, rollouts, gravity_error,
         singular_q, damped_q, seed,
     )  # fmt: skip
-    return report if limiter is None else within_limits(report, limiter)
+    if limiter is None:
+        return report
+    cost = limit_cost(loop, limiter, everywhere, sampled, report.cross_weight)
+    if sampled is not None and sampled.certified:
+        sampled = sampled.below(cost.level)
+    return replace(report, sampled=sampled, limits=cost)
+
+
+# -- rows -----------------------------------------------------------------------------------------
+
+
+def _verdict(report: StabilityReport) -> Row:
+    """Whether the sampled loop is certified, and why not."""
+    period, late = report.latency.period, report.latency.of_position > report.latency.period
+    figures: dict[str, Any] = {"period": period, "late": late}
+    rate = 1.0 / period
+    runs = "sampled at " + (f"{1e-3 * rate:.3g} kHz" if rate >= 1e3 else f"{rate:.3g} Hz")
+    runs += " with its delays" if late else ""
+    if report.passed:
+        learns = report.sampled is None
+        tests = report.matrix.values() if report.sampled is None else [report.sampled]
+        figures["margin"] = max(test.margin for test in tests)
+        verdict = "in continuous time only" if learns else "yes"
+        text = f"certified: {verdict}, margin {figures['margin']:.2g}"
+        if learns:
+            text += f"; with learnt gravity there is no certificate {runs}"
+            return Row("verdict", "certified", verdict, figures, text)
+        figures["stays"] = report.has_starts_that_stay
+        text += f", {runs}" if figures["stays"] else f", {runs}, {_IF_IT_STAYS}"
+        return Row("verdict", "certified", verdict, figures, text)
+    why, its_figures = _why(report)
+    figures |= {"reason": report.reason} | its_figures
+    return Row("verdict", "certified", "no", figures, f"certified: no, {runs}: {why}")
+
+
+def _why(report: StabilityReport) -> tuple[str, dict[str, Any]]:
+    """Why a loop is not certified, and the figures of that."""
+    sampled, rollouts = report.sampled, report.rollouts
+    if report.reason == "gravity":
+        error = report.gravity_error
+        return f"gravity is off by up to {error:.3g} N m", {"error": error}
+    if report.reason == "unstable":
+        share = float((report.spectral_radii >= 1.0).mean())
+        text = f"errors grow at {100.0 * share:.3g} % of the targets (exact linearisation)"
+        return text, {"share": share}
+    if report.reason == "rollouts diverged" and rollouts is not None:
+        counts = {"diverged": rollouts.n_diverged, "runs": rollouts.n}
+        return f"{rollouts.n_diverged} of {rollouts.n} rollouts diverged", counts
+    if report.reason == "violated" and sampled is not None:
+        text = (
+            f"the Lyapunov function found fails in {sampled.violations} of {sampled.checked} "
+            "further configurations"
+        )
+        return text, {"violations": sampled.violations, "checked": sampled.checked}
+    return _REASONS[report.reason], {}
+
+
+def _covers(report: StabilityReport, starts: dict[str, Any]) -> Row:
+    """What follows from the verdict, in a sentence or two."""
+    runs, figures, left = report.rollouts, dict[str, Any](), ""
+    if runs is not None:
+        figures = {"left": runs.n_left, "runs": runs.n}
+        left = f" It left the region in {runs.n_left} of {runs.n} rollouts."
+    if starts:
+        text = f"{covered_starts(starts)}{left} Checked on samples of the region, not proven "
+        return Row("verdict", "covers", "certified", figures | starts, f"{text}between them.")
+    if report.passed:
+        text = (
+            f"In continuous time the error would go to zero {_IF_IT_STAYS}.{left} Of the sampled "
+            "loop nothing is proven, though no instability was found."
+        )
+        return Row("verdict", "covers", "continuous", figures, text)
+    judged = replace(report, gravity_error=0.0) if report.loop.integral_terms else report
+    if judged.contradiction:
+        figures["rounded"] = bool(_rounded(report.latency))
+        rounded = " Some tests round the delays: see beware." if figures["rounded"] else ""
+        text = f"This is a problem found in the loop, not just a missing proof.{rounded}"
+        return Row("verdict", "covers", "problem", figures, text)
+    where = "near targets" if runs is None else "near targets and rollouts"
+    text = f"No proof was found. The loop may still be stable: see {where}."
+    return Row("verdict", "covers", "unknown", figures, text)
+
+
+def _starts(report: StabilityReport) -> dict[str, Any]:
+    """For which starts a certificate holds, and how far the usual ones are away."""
+    sampled, stays = report.sampled, report.attraction
+    assert sampled is not None
+    e, saturation = usual_errors(report), report.loop.controller.saturation
+    energies = sampled.weights.at_rest(saturation.S(e), saturation.s(e))
+    units = {*report.loop.plants[0].robot.joint_units}
+    return {
+        "radius": 0.0 if stays is None else stays.radius,
+        "error": 0.0 if stays is None else stays.error,
+        "any_target": report.loop.target is None,
+        "share": float((energies <= sampled.level).mean()),
+        "usual": float(np.median(np.linalg.norm(e, axis=1))),
+        "unit": joined(report.loop.controller.task.units),
+        "joint_unit": "rad" if units == {"rad"} else "rad or m",
+    }
+
+
+def covered_starts(starts: Mapping[str, Any]) -> str:
+    """Return for which starts a certificate holds, from the figures of the row "covers"."""
+    share, unit = starts["share"], starts["unit"]
+    of_these = "all" if share == 1.0 else f"{percent(share)} %" if share else "none"
+    goes = f"the error goes to zero {_IF_IT_STAYS}" if share else "is anything proven"
+    begins = "From no start is it proven that the arm stays in the region"
+    if starts["radius"]:
+        begins = (
+            f"Covers starts at rest up to {starts['error']:.2g} {unit} from their target "
+            f"({_within(starts)} of the region's middle)"
+        )
+    away = f"{starts['usual']:.2g} {unit} from their target in the median"
+    return f"{begins}. From {of_these} of the usual starts ({away}) {goes}."
+
+
+def _within(starts: Mapping[str, Any]) -> str:
+    """What must be near the region's middle: the start, and a target that is not fixed."""
+    both = "start and target" if starts["any_target"] else "start"
+    return f"{both} within {starts['radius']:.2g} {starts['joint_unit']}"
+
+
+def usual_errors(report: StabilityReport) -> Array:
+    """Return errors between configurations of the region, or to its one target, shape (N, m)."""
+    loop, rng = report.loop, np.random.default_rng(report.seed)
+    truths = np.arange(_DRAWN) % len(loop.corners)
+    q, ends = (loop.seen(truths, loop.region.sample(_DRAWN, rng), rng) for _ in range(2))
+    if loop.target is None:
+        return loop.errors(truths, q, loop.values_at(truths, ends))
+    return loop.errors(truths, q, np.tile(np.asarray(loop.target), (_DRAWN, 1)))
+
+
+def _about(report: StabilityReport) -> Iterator[Row]:
+    loop, latency, paper = report.loop, report.latency, report.matrix["paper"]
+    law, learns = loop.controller.describe()[0], loop.controller.adaptation is not None
+    names = ("period", "torque_delay", "velocity_filter", "image_period", "image_age")
+    late = [f"torques {_ms(latency.torque_delay)} late"] if latency.torque_delay else []
+    if latency.velocity_filter:
+        late.append(f"joint velocities filtered over {_ms(latency.velocity_filter)}")
+    if latency.image_period or latency.image_age:
+        every = f"every {_ms(latency.image_period)}, " if latency.image_period else ""
+        late.append(f"x {every}{_ms(latency.image_age)} old on arrival")
+    timing = ", ".join([f"a period of {_ms(latency.period)}", *(late or ["no delays"])])
+    truth, region = loop.truth, str(loop.region)
+    errors = truth.describe_box() if isinstance(truth, Uncertainty) else "one true robot"
+    yield Row("about", "law", "", {"law": law}, law)
+    yield Row("about", "timing", "", {name: getattr(latency, name) for name in names}, timing)
+    yield Row("about", "errors", "", {"errors": errors}, errors)
+    yield Row("about", "region", "", {"region": region}, region)
+    assumed = (
+        f"gravity is {'learnt' if learns else 'known exactly'}, friction is viscous, no torque "
+        "limit or joint stop is reached"
+    )
+    yield Row("about", "assumed", "", {"learns": learns}, assumed)
+    drawn = {"chosen": len(paper.margins), "checked": paper.checked, "seed": report.seed}
+    text = (
+        f"{drawn['chosen']} configurations to choose Lyapunov functions, {paper.checked} others to "
+        f"check them, seed {report.seed}; nothing is proven between them"
+    )
+    yield Row("about", "drawn", "", drawn, text)
+    text = "share of the designed damping left in the worst configuration: above 0 passes"
+    yield Row("about", "margin", "", {}, text)
+
+
+def _beware(report: StabilityReport) -> Iterator[Row]:
+    """What is not as certificates assume, or as one may think."""
+    angles = report.loop.plants[0].robot.angles
+    left_out = "a bound on sigma_min leaves {} out (RegularPart)"
+    if not report.gravity_is_exact:
+        yield of_gravity(report.loop, report.gravity_error)
+    if report.singular_q is not None:
+        q = angles(report.singular_q)
+        text = (
+            "the estimated Jacobian loses rank in the region, where the arm may stand still away "
+            f"from its target: at q = {_numbers(q, 3)}; nothing below holds there; "
+            f"{left_out.format('such configurations')}"
+        )
+        yield Row("beware", "rank", "lost", {"q": q}, text)
+    if report.damped_q is not None:
+        q = angles(report.damped_q)
+        text = (
+            "learning uses a damped pseudo-inverse near singular configurations, such as q = "
+            f"{_numbers(q, 3)}, which nothing below covers; {left_out.format('them')}"
+        )
+        yield Row("beware", "learning", "damped", {"q": q}, text)
+    if beyond := _beyond_limits(report):
+        text = (
+            f"the region goes beyond those of {', '.join(beyond)}: the arm would stop there, which "
+            "nothing below accounts for"
+        )
+        yield Row("beware", "joint limits", "beyond", {"joints": beyond}, text)
+    if rounded := _rounded(report.latency):
+        names = {"rollouts": "rollouts", "near targets": "the linearisation near targets"}
+        taken = {names[who]: ", ".join(_taken(each)) for who, each in rounded.items()}
+        if len(taken) == 2 and len(set(taken.values())) == 1:
+            taken = {" and ".join(taken): next(iter(taken.values()))}
+        whole = "; ".join(f"{who} take {what}" for who, what in taken.items())
+        yield Row("beware", "timing", "rounded", rounded, f"in whole periods, {whole}")
+
+
+def of_gravity(loop: ClosedLoop, error: float) -> Row:
+    """Return the row about a gravity torque that is neither compensated nor learnt [N m]."""
+    learns, by = loop.controller.adaptation is not None, loop.integral_terms
+    text = (
+        f"off by up to {error:.3g} N m: the error does not go to 0 but to where K_p makes up for "
+        "it, unless gravity is learnt (AdaptiveGravity); if it is known exactly, leave it out (a "
+        "robot without gravity, NoGravity)"
+    )
+    if learns:
+        text = f"no learnt gravity parameters explain up to {error:.3g} N m of it, {OF_WRONG_AXES}"
+        if by:  # at rest θ̂ stands still: Ĵ y = α s(e) = 0 with d, and y = 0 with w
+            text += (
+                f"; the learnt {' and '.join(by)} can take it up, and then the error is 0 where "
+                "the arm comes to rest, but nothing is proven"
+            )
+        else:
+            text += (
+                ": the error need not go to 0, unless a task force or joint torques are learnt, "
+                "too (task_force, joint_torque)"
+            )
+    figures = {"error": error, "learns": learns, "by": by}
+    return Row("beware", "gravity", "not exact", figures, text)
+
+
+def _beyond_limits(report: StabilityReport) -> list[str]:
+    """Names of joints that the region lets go beyond their limits."""
+    region, robot = report.loop.region, report.loop.plants[0].robot
+    zero = robot.neutral()
+    if isinstance(region, JointBox):
+        middle = pin.difference(robot.model, zero, region.center)
+        low, high = middle + region.lower, middle + region.upper
+    else:
+        motions = np.array([pin.difference(robot.model, zero, q) for q in report.samples.q])
+        low, high = motions.min(axis=0), motions.max(axis=0)
+    least, most = robot.position_limits
+    beyond = (low < least - _TINY) | (high > most + _TINY)
+    return [name for name, is_so in zip(robot.joint_names, beyond, strict=True) if is_so]
+
+
+def _rounded(latency: Latency) -> dict[str, dict[str, float]]:
+    """How rollouts and the linearisation round times: by whom, what is taken [s]."""
+    period, given = latency.period, (latency.torque_delay, latency.image_age)
+    dt, _, age, late = latency.in_samples()
+    whole = [round(each / period) for each in given]
+    found = {}
+    for who, step, counts in (("rollouts", period, whole), ("near targets", dt, (late, age))):
+        taken: dict[str, float] = {}
+        for name, value, n in zip(("torque_delay", "image_age"), given, counts, strict=True):
+            if abs(value - n * step) > _TINY * period:
+                taken |= {name: n * step, f"given_{name}": value}
+        if step > period * (1.0 + _TINY):
+            taken["period"] = step
+        if taken:
+            found[who] = taken
+    return found
+
+
+def _taken(times: Mapping[str, float]) -> list[str]:
+    said = [f"samples of {_ms(times['period'])}"] if "period" in times else []
+    for name, what, how in (("torque_delay", "torques", "late"), ("image_age", "x", "old")):
+        if name in times:
+            now, given = times[name], times[f"given_{name}"]
+            said.append(f"{what} as {_ms(now)} {how}, not {_ms(given)}")
+    return said
+
+
+def _sampled(report: StabilityReport, starts: dict[str, Any]) -> Iterator[Row]:
+    """Rows about the loop that is sampled and late."""
+    sampled, radii, frame = report.sampled, report.spectral_radii, Timing.of(report.latency).frame
+    if sampled is not None:
+        verdict = "holds" if sampled.certified else "does not hold"
+        if sampled.certified and report.reason:
+            verdict = "withdrawn"
+        text = _margin(sampled)
+        if math.isfinite(sampled.margin):
+            text += f" ({FAMILY_NAMES[sampled.family]})"
+        names = ("family", "speed", "level")
+        figures = _figures(report, sampled) | {name: getattr(sampled, name) for name in names}
+        yield Row("sampled", "matrix form", verdict, figures, text)
+        if starts:
+            yield _covered(report, sampled)
+            yield _staying(report, starts)
+        certified, stable = report.largest_period
+        text = "stable near targets " + (f"up to {_ms(stable)}" if stable else "at no period tried")
+        if certified:
+            passes = f"the function found passes up to {_ms(certified)}, all else the same"
+            text = f"{passes} (margin 0 there); {text}"
+        else:
+            text += "; the function found passes at none"
+        figures = {"certified": certified, "stable": stable}
+        yield Row("sampled", "longest period", "", figures, text)
+        if certified:
+            longest, given = report.largest_delay, report.latency.torque_delay
+            passes = f"up to {_ms(longest)}" if longest else "at none"
+            text = f"the function found passes {passes}, all else the same"
+            text += f"; here it is {_ms(given)}" if given else ""
+            figures = {"certified": longest, "given": given}
+            yield Row("sampled", "longest delay of torques", "", figures, text)
+    worst, unstable = float(radii.max()), int((radii >= 1.0).sum())
+    decay = -math.log(worst) / frame if worst > 0.0 else math.inf
+    figures = {"spectral_radius": worst, "frame": frame}
+    yield _near(report, "sampled", figures, len(radii), unstable, decay)
+
+
+def _figures(report: StabilityReport, test: MatrixTest) -> dict[str, Any]:
+    """Figures of a test of the matrix form."""
+    names = ("margin", "share", "violations", "checked", "violating_at_most", "certified")
+    return {
+        **{name: getattr(test, name) for name in names},
+        **_case(report, int(report.samples.truth[test.worst]), report.samples.q[test.worst]),
+        **test.weights._asdict(),
+    }
+
+
+def _case(report: StabilityReport, truth: int, q: Array) -> dict[str, Any]:
+    """Figures of one of the cases: the true robot and the configuration."""
+    angles = report.loop.plants[0].robot.angles(q)
+    return {"worst_truth": report.describe_truth(truth), "worst_q": angles}
+
+
+def _margin(test: MatrixTest) -> str:
+    """The margin of a test, and how far it is to be trusted."""
+    if not math.isfinite(test.margin):
+        return "the period and delays are too long for any function of this kind"
+    said, most = f"margin {test.margin:.3g}", test.violating_at_most
+    if test.margin <= 0.0:
+        return f"{said}; positive in {100.0 * test.share:.3g} % of the configurations"
+    said += f"; {test.violations} of {test.checked} further configurations violate it"
+    if test.certified and math.isfinite(most):
+        said += f", so at most {100.0 * most:.2g} % of all do (95 % confidence)"
+    return said
+
+
+def _covered(report: StabilityReport, sampled: SampledTest) -> Row:
+    units, errors = report.loop.controller.task.units, sampled.certified_error
+    each = ", ".join(f"{r:.2g} {unit}" for r, unit in zip(errors, units, strict=True))
+    if len(set(units)) == 1:
+        each = f"{', '.join(f'{r:.2g}' for r in errors)} {units[0]}"
+    text = (
+        f"at rest, with an error of up to {each} in one coordinate, none in the others; "
+        f"{100.0 * sampled.covered:.3g} % of the starts drawn, about half near their targets"
+    )
+    figures = {"certified_error": errors, "units": units, "covered": sampled.covered}
+    return Row("sampled", "starts", "", figures, text)
+
+
+def _staying(report: StabilityReport, starts: dict[str, Any]) -> Row:
+    stays, figures = report.attraction, dict(starts)
+    if stays is not None:
+        figures |= {name: getattr(stays, name) for name in ("travel", "rate", "level")}
+        figures |= stays.weights._asdict()
+    if not starts["radius"]:
+        text = "from no start is it proven that the arm stays in the region"
+        return Row("sampled", "staying", "assumed", figures, text)
+    text = (
+        f"holds from rest, {_within(starts)} of the region's middle in every joint (errors of up "
+        f"to {starts['error']:.2g} {starts['unit']}); assumed elsewhere"
+    )
+    return Row("sampled", "staying", "in part", figures, text)
+
+
+def _near(
+    report: StabilityReport,
+    part: str,
+    figures: dict[str, Any],
+    targets: int,
+    unstable: int,
+    decay: float,
+) -> Row:
+    """Row of an exact linearisation, sampled or in continuous time."""
+    learns, ratio = report.loop.controller.adaptation is not None, figures.get("damping_ratio")
+    figures |= {"targets": targets, "unstable": unstable, "decay": decay, "learns": learns}
+    if unstable:
+        worst = f"at {-decay:.3g}/s"
+        if ratio is None:
+            worst = f"{figures['spectral_radius']:.3g}-fold in {_ms(figures['frame'])}"
+        text = f"errors grow at {unstable} of {targets} targets, at worst {worst}"
+        return Row(part, "near targets", "unstable", figures, text)
+    learnt = " (learnt parameters, often slow, included)" if learns else ""
+    text = f"at all {targets} targets; slowest decay {decay:.3g}/s{learnt}"
+    text += "" if ratio is None else f", damping ratio {ratio:.2g}"
+    return Row(part, "near targets", "stable", figures, text)
+
+
+def _continuous(report: StabilityReport) -> Iterator[Row]:
+    """Rows about the same loop in continuous time, and the worst cases."""
+    first, local, samples = report.theorem1, report.local, report.samples
+    passed = "holds" if report.is_as_assumed else "would hold"
+    names = ("p", "allowed_p", "alpha", "alpha_max", "margin", "allowed_p_large_gains",
+             "alpha_range", "b_J", "lambda_m", "lambda_1", "lambda_2", "c0", "c1")  # fmt: skip
+    figures: dict[str, Any] = {name: getattr(first, name) for name in names}
+    figures |= {"holds": first.holds, "too_fast": first.is_too_fast}
+    verdict = passed if first.holds else "does not hold"
+    yield Row("continuous", "Theorem 1", verdict, figures, f"Jacobian error {first}")
+    for family, test in report.matrix.items():
+        verdict = passed if test.certified else "does not hold"
+        figures = _figures(report, test)
+        yield Row("continuous", FAMILY_NAMES[family], verdict, figures, _margin(test))
+    figures = {"damping_ratio": float(local.damping_ratios.min())}
+    unstable, decay = int((local.decay_rates <= 0.0).sum()), float(local.decay_rates.min())
+    yield _near(report, "continuous", figures, len(local.q), unstable, decay)
+    form = report.sampled or list(report.matrix.values())[-1]
+    for name, truths, q, k in (
+        ("matrix form", samples.truth, samples.q, form.worst),
+        ("near targets", local.truth, local.q, local.worst),
+        ("Theorem 1", samples.truth, samples.q, first.worst["p"]),
+    ):
+        case = _case(report, int(truths[k]), q[k])
+        text = f"{case['worst_truth']} at q = {_numbers(case['worst_q'], 2)}"
+        yield Row("worst", name, "", case, text)
+
+
+def of_limits(cost: LimitCost) -> list[Row]:
+    """Return rows about limits of effort."""
+    acting = Row("limits", "where they act", cost.verdict, {}, _LIMITS[cost.verdict])
+    if not cost.holds:
+        return [acting._replace(figures={"free": cost.free})]
+    ends = [f"{value:.2g} {unit}" for unit, value in cost.free.items() if np.isfinite(value)]
+    text = "no error asks for more torque than the motors have"
+    if ends:
+        text = (
+            f"errors below {' or '.join(ends)} never ask for more than the motors have; larger "
+            f"ones may: {100.0 * cost.clipped:.3g} % of the samples do"
+        )
+    rows = [Row("limits", "at rest", "", {"free": cost.free, "clipped": cost.clipped}, text)]
+    if cost.level:
+        text = "only for starts whose motions never ask for more than the motors have"
+        rows.append(Row("limits", "certified", "", {"level": cost.level}, text))
+    text = "limits of speed, position and rate"
+    if cost.uncounted:
+        text += (
+            ", and the arm's weight, as it is given without gravity: with its base upright that "
+            f"takes up to {100.0 * cost.uncounted:.2g} % of a motor's torque"
+        )
+    return [*rows, acting, Row("limits", "not checked", "", {"uncounted": cost.uncounted}, text)]
+
+
+def of_rollouts(found: Rollouts) -> list[Row]:
+    """Return rows about simulated runs."""
+    (low, high), worst, setting, n = found.interval, found.worst, found.setting, found.n
+    unit = joined(setting.controller.task.units)
+    converged = {
+        "runs": n, "converged": found.n_converged, "low": low, "high": high, "unit": unit,
+        "accuracy": setting.accuracy, "duration": setting.duration,
+    }  # fmt: skip
+    text = (
+        f"within {setting.accuracy:g} {unit} throughout the last tenth of {setting.duration:g} s; "
+        f"{percent(low)} to {percent(high)} % of all do (95 % confidence)"
+    )
+    diverged, left = {"diverged": found.n_diverged}, {"left": found.n_left}
+    rows = [
+        Row("rollouts", "converged", f"{found.n_converged} of {n}", converged, text),
+        Row("rollouts", "diverged", f"{found.n_diverged} of {n}", diverged),
+        Row("rollouts", "left the region", f"{found.n_left} of {n}", left, "without diverging"),
+    ]
+    if found.n_beyond_torque:
+        most = float(np.nanmax(found.columns["peak_torque"]))
+        peaks = {"beyond": found.n_beyond_torque, "most": most, "unknown": found.n_diverged}
+        count = f"{'at least ' if found.n_diverged else ''}{found.n_beyond_torque} of {n}"
+        text = f"beyond motors, which are not limited here: up to {most:.3g} times their limits"
+        rows.append(Row("rollouts", "torques", count, peaks, text))
+    values = setting.uncertainty.describe(worst.values)
+    ended = "diverged" if worst.diverged else f"ended {worst.final_error:.3g} {unit} off"
+    figures = {
+        "diverged": worst.diverged, "error": worst.final_error, "unit": unit, "values": values,
+    }  # fmt: skip
+    worst_row = Row("rollouts", "worst", f"run {worst.index}", figures, f"{ended}, with {values}")
+    return [*rows, worst_row]
+
+
+def _numbers(q: Array, digits: int) -> str:
+    return numbers_of(np.round(q, digits))
+
+
+def _ms(seconds: float) -> str:
+    return f"{1e3 * seconds:.3g} ms"
