@@ -32,7 +32,7 @@ from approxjac.stability.loop.local import LocalTest, local_test
 from approxjac.stability.loop.samples import Samples
 from approxjac.stability.report.rows import Row, as_json, as_text
 from approxjac.stability.rollouts.rollouts import Rollouts
-from approxjac.validation import Array, as_integer
+from approxjac.validation import Array
 
 FAMILY_NAMES: dict[Family, str] = {
     "paper": "paper's weights",
@@ -273,7 +273,7 @@ def report_of(
     rollouts: Rollouts | None = None,
 ) -> StabilityReport:
     """Return the report of a loop; see `Study.report`."""
-    half = min(as_integer("configurations", configurations, 20) // 2, _CHOOSE)
+    half = min(configurations // 2, _CHOOSE)
     rng = np.random.default_rng(seed)
     tell("configurations", 0.0)
     samples = loop.draw(half, rng, inside=SHARED)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -20,11 +20,9 @@ from approxjac.stability.loop.configurations import UnattainedError
 from approxjac.stability.rollouts.portions import Execution, carried_out
 from approxjac.stability.rollouts.rollouts import Rollouts, clopper_pearson
 from approxjac.stability.rollouts.setting import RolloutSetting, sharing
+from approxjac.stability.studied_loop import StudiedLoop
 from approxjac.tasks import FrameKinematics
 from approxjac.validation import Array, as_array, require
-
-if TYPE_CHECKING:
-    from approxjac.stability.study import Study
 
 PARAMETERS = {
     "error": "scale of the errors [–]",
@@ -101,16 +99,14 @@ class StabilityMap:
 
 
 def map_of(
-    study: Study,
+    study: StudiedLoop,
     over: Mapping[str, Sequence[float] | Array],
     n: int,
     execution: Execution,
     tell: Callable[[float], None],
 ) -> StabilityMap:
     """Return the map of a study over some parameters; see `Study.map`."""
-    uncertainty = study.uncertainty
-    require("uncertainty", uncertainty, Uncertainty, "an Uncertainty")
-    assert isinstance(uncertainty, Uncertainty)
+    uncertainty = study.errors
     require("over", over, Mapping, "a dict of one or two parameters and their values")
     if len(over) not in (1, 2):
         raise InvalidInputError(
@@ -132,7 +128,7 @@ _Counts = tuple[Any, Mapping[tuple[float, ...], Rollouts]]
 
 
 def _of_parameters(
-    study: Study,
+    study: StudiedLoop,
     names: tuple[str, ...],
     values: tuple[Array, ...],
     n: int,
@@ -145,8 +141,7 @@ def _of_parameters(
     """
     axes = [each.tolist() for each in values]
     settings: dict[tuple[float, ...], RolloutSetting] = {}
-    uncertainty = study.uncertainty
-    assert isinstance(uncertainty, Uncertainty)
+    uncertainty = study.errors
     scales = axes[names.index("error")] if "error" in names else [1.0]
     errors = {scale: uncertainty.scaled(scale) for scale in scales}
     for point in itertools.product(*axes):
@@ -174,7 +169,7 @@ def _of_parameters(
 
 
 def _of_what_is_drawn(
-    study: Study,
+    study: StudiedLoop,
     names: tuple[str, ...],
     values: tuple[Array, ...],
     n: int,
@@ -185,8 +180,7 @@ def _of_what_is_drawn(
 
     A run counts at the point that it is nearest to, but not beyond half a step from the ends.
     """
-    uncertainty, shape = study.uncertainty, tuple(each.size for each in values)
-    assert isinstance(uncertainty, Uncertainty)
+    uncertainty, shape = study.errors, tuple(each.size for each in values)
     many = study.rollouts(
         n * int(np.prod(shape)), execution=execution, progress=lambda _, share: tell(share)
     )

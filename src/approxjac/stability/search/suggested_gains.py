@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,15 +14,12 @@ from approxjac.controllers.gains.default_gains import default_gains, position_ga
 from approxjac.errors import UnknownNameError
 from approxjac.formatting import rows, short_fields, wrapped
 from approxjac.stability.certificates.certificate import margin
-from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.closed_loop import SHARED
 from approxjac.stability.loop.linearization import Timing
 from approxjac.stability.loop.local import local_test
-from approxjac.stability.search.tolerance import TESTS, Test
-from approxjac.validation import Array, as_limits, as_number, require
-
-if TYPE_CHECKING:
-    from approxjac.stability.study import Study
+from approxjac.stability.search.tolerance import TESTS, Test, tolerances
+from approxjac.stability.studied_loop import StudiedLoop
+from approxjac.validation import Array, as_limits, as_number
 
 _RATES = (1.0, 1.5, 2.5, 4.0)  # of the position gain, times what settles the believed arm
 _STIFFNESS = (1.0, 0.5, 2.0, 4.0)  # of K_v, times the default
@@ -104,7 +101,7 @@ class Suggestion:
 
 
 def suggested_gains(
-    study: Study,
+    study: StudiedLoop,
     settling_time: float,
     test: Test,
     torque_limits: float | Sequence[float] | Array | None,
@@ -112,9 +109,7 @@ def suggested_gains(
     tell: Callable[[float], None],
 ) -> Suggestion:
     """Return gains that pass a test for a study's errors; see `Study.gains`."""
-    uncertainty, latency, seed = study.uncertainty, study.timing, study.seed
-    require("uncertainty", uncertainty, Uncertainty, "an Uncertainty")
-    assert isinstance(uncertainty, Uncertainty)
+    uncertainty, latency, seed = study.errors, study.timing, study.seed
     if test not in TESTS:
         raise UnknownNameError("test", test, "the tests", TESTS)
     settling_time = as_number("settling_time", settling_time, unit="s", above=0.0)
@@ -176,7 +171,7 @@ def suggested_gains(
 
     def tolerated(gains: Gains) -> float:
         own = replace(known, controller=first.with_gains(gains))
-        scale = own.tolerance((test,), largest=1.0, draws=configurations)[test].scale
+        scale = tolerances(own, (test,), largest=1.0, draws=configurations)[test].scale
         for share in _SHARES if scale > 0.0 else ():
             part = replace(own, uncertainty=weightless.scaled(share * scale))
             if test == "local":

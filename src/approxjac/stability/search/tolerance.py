@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -19,10 +19,8 @@ from approxjac.stability.loop.closed_loop import SHARED, ClosedLoop
 from approxjac.stability.loop.configurations import UnattainedError
 from approxjac.stability.loop.local import local_test
 from approxjac.stability.report.other_laws import near_targets
-from approxjac.validation import Array, as_number, require
-
-if TYPE_CHECKING:
-    from approxjac.stability.study import Study
+from approxjac.stability.studied_loop import StudiedLoop
+from approxjac.validation import Array, as_number
 
 Test = Literal["theorem1", "matrix", "local", "rollouts"]
 TESTS: tuple[Test, ...] = ("theorem1", "matrix", "local")
@@ -91,17 +89,15 @@ class Tolerance:
 
 
 def tolerances(
-    study: Study,
+    study: StudiedLoop,
     tests: Sequence[Test],
-    largest: float,
-    precision: float,
-    draws: int | None,
-    tell: Callable[[float], None],
+    largest: float = 10.0,
+    precision: float = 0.02,
+    draws: int | None = None,
+    tell: Callable[[float], None] = lambda share: None,
 ) -> dict[Test, Tolerance]:
     """Return the largest scaling of a study's errors for each test; see `Study.tolerance`."""
-    uncertainty = study.uncertainty
-    require("uncertainty", uncertainty, Uncertainty, "an Uncertainty")
-    assert isinstance(uncertainty, Uncertainty)
+    uncertainty = study.errors
     reason = uncovered(study.controller)
     if reason and (without := set(tests) - {"local", "rollouts"}):
         raise InvalidInputError(
