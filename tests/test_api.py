@@ -139,7 +139,7 @@ def test_type_checkers_know_the_names(tmp_path):
     assert types[1].startswith("approxjac.stability.report.report.StabilityReport")
     assert types[2] == "approxjac.stability.errors.region.Tube"
     assert types[3].startswith("def (run: approxjac.simulation.trajectory.Trajectory)")
-    assert types[4].startswith("def (self: approxjac.stability.study.Study, n:")
+    assert types[4].startswith("def (self: approxjac.stability.studied_loop.StudiedLoop, n:")
     errors = re.findall(r"error: (.*)", process.stdout)
     assert len(errors) == 2
     assert 'Argument "kp" to "Gains" has incompatible type "str"' in errors[0]

@@ -127,9 +127,9 @@ class MatrixForm:
         root[:, n:, n:] = np.linalg.inv(np.linalg.cholesky(Q[:, n:, n:]))
         margins[positive] = np.linalg.eigvalsh(root @ Q @ root.mT)[:, 0]
         if self.setting.large_gains:  # V is all potential
-            return np.minimum(margins, 1.0)
+            return np.asarray(np.minimum(margins, 1.0))
         # of P the margin is 1 less the largest singular value of the whitened cross block
-        return np.minimum(margins, 1.0 - np.sqrt(self._kinetic(weights, G)))
+        return np.asarray(np.minimum(margins, 1.0 - np.sqrt(self._kinetic(weights, G))))
 
     def _is_bounded(self, weights: Weights) -> bool:
         """Return whether V at rest is positive: 2c̄W + Ω is."""
