@@ -319,9 +319,9 @@ def test_a_point_that_is_never_seen_does_not_cost_the_memory(hand):
     goal, sensor, task = hand
     kinematics, estimator = AdaptiveCamera(task), AdaptiveCamera(task)._estimator
     H, o = kinematics._points_of.at(goal)
-    y = kinematics._rays.at(sensor.value(goal) / 600.0)
+    y = kinematics._rays(sensor.value(goal) / 600.0)
     y[1] = np.nan
-    numbers = estimator.initial()
+    numbers = estimator.about(kinematics._first)
     for _ in range(5):
         numbers = estimator.learn(numbers, H, o, y)
     (weights, *_) = estimator._terms(numbers)

@@ -171,7 +171,7 @@ def test_a_known_camera_is_theorem_a(belief, truth):
 
     def look(t, q, state):
         sums, estimator = state[kinematics._at["sums"]], kinematics._estimator
-        Theta = estimator.estimate(sums).Theta
+        Theta, _ = estimator.estimate(sums)
         values.append(law.V1(estimator.information(sums), true - Theta))
 
     run = follow(kinematics, truth, noise=0.0, delay=0.0, rate=500.0, look=look, seconds=3.0)
@@ -191,7 +191,8 @@ def test_theorem_a_holds_for_any_rotation(belief, truth, angle):
     values, falls, last = [], [], [0.0]
 
     def squares(sums, Theta, w):
-        N, a, B, E = estimator._leading(sums, len(Theta))
+        n, (N, a, B, E, *_) = len(Theta), estimator._split(sums)
+        N, a, B = estimator._unpack(N)[:n, :n], a[:n], B[:n]
         return 0.5 * Theta @ N @ Theta - Theta @ (a + B @ w) - E @ w
 
     def look(t, q, state):
@@ -199,9 +200,10 @@ def test_theorem_a_holds_for_any_rotation(belief, truth, angle):
             return
         last[0] = state[at["time"]][0]
         sums = state[at["sums"]]
-        values.append(squares(sums, true, R.T.ravel()) - squares(sums, *estimator._split(sums)[4:]))
+        Theta, R_hat = estimator.estimate(sums)
+        best = squares(sums, Theta, R_hat.T.ravel())
+        values.append(squares(sums, true, R.T.ravel()) - best)
         H, known = kinematics._unknowns.at(q)
-        Theta, R_hat = estimator.estimate(state[at["sums"]])
         left = R @ sensor.value(q) + OFFSET - R_hat @ (known + H @ Theta[:-3] + Theta[-3:])
         falls.append(0.5 * left @ left / kinematics.noise**2)
 

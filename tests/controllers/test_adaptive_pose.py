@@ -273,7 +273,7 @@ def test_the_learnt_robot_has_the_pose_that_was_measured(panda, belief, tip, rng
     task = aj.PoseTask(robot, tip)
     kinematics = AdaptiveKinematics(task, ("tool", "origins"))
     state = kinematics.initial_state(aj.Measurement(0.0, HOME, np.zeros(7), task.value(HOME)))
-    told = state[kinematics._at["told"]]
+    told = state[kinematics._at["learnt"]]
     told[:] += 0.1 * rng.standard_normal(len(told))
     found = kinematics.robot(state)
     q = panda.random_configuration(rng)

@@ -16,7 +16,7 @@ from own_controller import OwnController
 
 import approxjac as aj
 from approxjac import Status
-from approxjac.controllers import KnownKinematics, Latency, NoGravity, tuned
+from approxjac.controllers import KnownKinematics, Latency, NoGravity, TrackingGains, tuned
 from approxjac.robots import Dynamics, GravityRegressor
 from approxjac.stability import local_stability
 
@@ -365,7 +365,9 @@ def bounce(dt):
 def test_the_tracking_law_keeps_its_reach_of_speed():
     """At most 0.5 m/s of the tip by default: α s(z) of an error that is far, along it."""
     task = heavy("three_joint").task
-    law = aj.TrackingController(task, kinematics=KnownKinematics(task), self_motion=0.0)
+    law = aj.TrackingController(
+        task, kinematics=KnownKinematics(task), gains=TrackingGains(self_motion=0.0)
+    )
     q = heavy("three_joint").q
     x = task.value(q)
     for far in (0.5, 5.0):

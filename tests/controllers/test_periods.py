@@ -18,6 +18,7 @@ from approxjac.controllers import (
     ModelGravity,
     NoGravity,
     PredictedMeasurement,
+    TrackingGains,
 )
 from approxjac.robots import Dynamics
 
@@ -380,7 +381,7 @@ def test_the_tracking_gain_is_as_large_as_the_period_allows(arm, dt):
 
 def test_the_reference_is_no_faster_than_joints_may_move(arm, dt):
     """Nine tenths of the URDF's speeds, of all joints by the same factor."""
-    law = tracking(arm, dt, speed=100.0, self_motion=0.0)
+    law = tracking(arm, dt, speed=100.0, gains=TrackingGains(self_motion=0.0))
     now = measured(arm, arm.q)
     seen = []
     for far in (0.01, 1.0, 5.0):
@@ -409,9 +410,8 @@ def test_a_circle_is_followed_at_any_period(dt):
 
 def test_dynamics_learn_by_the_period(arm, dt):
     """â' = −ΓY_dᵀσ over dt: twice as much in twice the time."""
-    controllers = [
-        tracking(arm, k * dt, kappa=20.0, dynamics=AdaptiveDynamics(arm.belief)) for k in (1, 2)
-    ]
+    gains, dynamics = TrackingGains(kappa=20.0), AdaptiveDynamics(arm.belief)
+    controllers = [tracking(arm, k * dt, gains=gains, dynamics=dynamics) for k in (1, 2)]
     v = 0.1 * np.sin(np.arange(arm.bare.nv))
     now = measured(arm, arm.q, v)
     moved = []

@@ -15,6 +15,7 @@ from approxjac.controllers import (
     KnownKinematics,
     ModelDynamics,
     TrackingController,
+    TrackingGains,
 )
 from approxjac.controllers.adaptive_dynamics import (
     squared_rate_of_arm,
@@ -452,8 +453,7 @@ def test_noise_of_the_velocity_is_no_lag():
         ({"posture": np.zeros(6)}, r"posture must have shape \(7,\) \[rad or m\], got"),
         ({"posture": np.full(7, 90.0)}, "posture must be in radians"),
         ({"speed": 0.0}, r"speed must be numbers > 0 \[unit of the task/s\], one or 3, infinite"),
-        ({"alpha": 0.0}, r"alpha must be a finite number > 0 \[1/s\], got 0.0"),
-        ({"kappa": -1.0}, r"kappa must be a finite number > 0 \[1/s\], got -1.0"),
+        ({"gains": 60.0}, r"gains must be TrackingGains\(\.\.\.\) or None, got 60.0"),
         ({"dt": 0.0}, r"dt must be a finite number > 0 \[s\], got 0.0"),
         ({"command": "position"}, 'command must be "torque" or "velocity", got \'position\''),
         ({"acceleration": 3.0}, 'acceleration must be None without command="velocity", got 3.0'),
@@ -619,7 +619,7 @@ def test_what_is_learnt_stays_within_bounds(panda, rng):
         ("ur5", {}, "self-motion: drawn nowhere, as all joints turn a whole turn"),
         ("kinova", {}, "ranges of j2s6s200_joint_2, "),
         ("panda", {"posture": [0, 0, 0, -1, 0, 1, 0]}, "self-motion: drawn to the posture that"),
-        ("panda", {"self_motion": 0.0}, ""),
+        ("panda", {"gains": TrackingGains(self_motion=0.0)}, ""),
         ("two_link", {}, ""),
     ],
 )

@@ -20,13 +20,12 @@ from approxjac.controllers.gravity import (
     RegressorGravity,
 )
 from approxjac.controllers.hold import HeldMeasurement
-from approxjac.controllers.learning.estimator import Kinematics, PredictedError
+from approxjac.controllers.learning.estimator import Kinematics, KnownKinematics
 from approxjac.controllers.learning.kinematic_report import (
     KinematicReport,
     LearntNumber,
     TiltedAxes,
 )
-from approxjac.controllers.learning.known import KnownKinematics
 from approxjac.controllers.learning.learnt_camera import AdaptiveCamera
 from approxjac.controllers.learning.positions import AdaptiveKinematics, AdaptivePlanarCamera
 from approxjac.controllers.limits.cross_weight import CrossWeight
@@ -36,8 +35,9 @@ from approxjac.controllers.limits.torque_limited import TorqueLimited
 from approxjac.controllers.posture import AwayFromStops, Posture
 from approxjac.controllers.predicted_measurement import PredictedMeasurement
 from approxjac.controllers.setpoint import SetpointController
-from approxjac.controllers.tracking import TrackingController
+from approxjac.controllers.tracking import TrackingController, TrackingGains
 from approxjac.controllers.wrapper import ControllerWrapper
+from approxjac.law import PredictedError
 
 __all__ = [
     "Adaptation",
@@ -76,6 +76,7 @@ __all__ = [
     "TiltedAxes",
     "TorqueLimited",
     "TrackingController",
+    "TrackingGains",
     "Tuning",
     "Wall",
     "default_gains",

@@ -240,23 +240,27 @@ class Controller(ABC):
         """
         raise self._learns_no_kinematics()
 
-    def kinematics_learnt(self, state: Array) -> KinematicReport:
-        """Return what a state has learnt of the kinematics.
+    def kinematics_of(self, state: Array) -> tuple[Kinematics, Array]:
+        """Return the kinematics that this learns, and their part of a state.
 
         Raises:
             InvalidInputError: A controller that learns no kinematics, or a state of another one.
         """
         raise self._learns_no_kinematics()
+
+    def kinematics_learnt(self, state: Array) -> KinematicReport:
+        """Return what a state has learnt of the kinematics; raises as `kinematics_of`."""
+        kinematics, known = self.kinematics_of(state)
+        return kinematics.report(known)
 
     def learnt_robot(self, state: Array) -> Robot:
         """Return the believed robot with what a state has learnt of its tool and joint origins.
 
-        Masses, friction and the tracker are not in it; a state that is saved has them all.
-
-        Raises:
-            InvalidInputError: A controller that learns no kinematics, or a state of another one.
+        Masses, friction and the tracker are not in it; a state that is saved has them all. Raises
+        as `kinematics_of`.
         """
-        raise self._learns_no_kinematics()
+        kinematics, known = self.kinematics_of(state)
+        return kinematics.robot(known)
 
     def _learns_no_kinematics(self) -> InvalidInputError:
         return InvalidInputError(

@@ -12,7 +12,6 @@ from approxjac import law
 from approxjac.controllers.arguments import overflow, require_arrays, require_finite, with_rates
 from approxjac.controllers.controller import Controller, Instant
 from approxjac.controllers.learning.estimator import Kinematics
-from approxjac.controllers.learning.kinematic_report import KinematicReport
 from approxjac.controllers.wrapper import ControllerWrapper
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Evaluation, Measurement, Status, Target
@@ -207,23 +206,9 @@ class PredictedMeasurement(ControllerWrapper):
         status = law.select(is_predicted, _PREDICTED, answer.status)
         return after, answer._replace(e=e, status=status)
 
-    def kinematics_learnt(self, state: Array) -> KinematicReport:
-        """Return what a state has learnt of the kinematics.
-
-        Raises:
-            InvalidInputError: Kinematics that learn nothing, or a state of another controller.
-        """
-        return self.kinematics.report(self._split(state)[1])
-
-    def learnt_robot(self, state: Array) -> Robot:
-        """Return the believed robot with what a state has learnt of its tool and joint origins.
-
-        Masses, friction and the tracker are not in it; a state that is saved has them all.
-
-        Raises:
-            InvalidInputError: Kinematics that learn nothing, or a state of another controller.
-        """
-        return self.kinematics.robot(self._split(state)[1])
+    def kinematics_of(self, state: Array) -> tuple[Kinematics, Array]:
+        """Return the kinematics, and their part of a state."""
+        return self.kinematics, self._split(state)[1]
 
     def _predicted(
         self, known: Array, measurement: Measurement, target: Target

@@ -1,14 +1,21 @@
-"""`TrackingController`: follow what kinematics predict, with dynamics that learn."""
+"""`TrackingController`: follow what kinematics predict, with dynamics that learn.
+
+The reference that it follows has a self-motion (`RestConfiguration`), and is a torque or a velocity
+command (`VelocityCommand`).
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Literal, Self
 
 import numpy as np
+import pinocchio as pin
 
 from approxjac import law
+from approxjac.cameras import PlanarCamera
 from approxjac.controllers.adaptive_dynamics import AdaptiveDynamics, MotionDynamics
 from approxjac.controllers.arguments import (
     FLOAT64,
@@ -22,19 +29,24 @@ from approxjac.controllers.arguments import (
 )
 from approxjac.controllers.controller import Controller
 from approxjac.controllers.learning.estimator import Kinematics
-from approxjac.controllers.learning.kinematic_report import KinematicReport
-from approxjac.controllers.learning.tracking_defaults import usual_kinematics, usual_speeds
-from approxjac.controllers.limits.limits import Limits
+from approxjac.controllers.learning.learnt_camera import AdaptiveCamera
+from approxjac.controllers.learning.positions import AdaptiveKinematics, AdaptivePlanarCamera
+from approxjac.controllers.limits.limits import Limits, sure_deceleration
 from approxjac.controllers.pseudoinverse import singular_ratio
-from approxjac.controllers.rest_configuration import RestConfiguration
-from approxjac.controllers.velocity_command import VelocityCommand
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import spaced
 from approxjac.interface import Evaluation, Measurement, Status, Target
 from approxjac.robots import Dynamics, Robot
-from approxjac.tasks import Task
-from approxjac.tasks.analysis import require_as_believed, require_controllable, vanishing
-from approxjac.validation import Array, Immutable, as_limits, as_number, require
+from approxjac.robots.joint_limits import require_radians
+from approxjac.robots.traced import motion_between
+from approxjac.tasks import ImageTask, PoseTask, PositionTask, StackedTask, Task
+from approxjac.tasks.analysis import (
+    require_as_believed,
+    require_controllable,
+    seen_configurations,
+    vanishing,
+)
+from approxjac.validation import Array, Immutable, as_array, as_limits, as_number, require
 
 _OK, _SINGULAR = Status.OK, Status.NEAR_SINGULAR  # members of an enum are slow to look up
 _PREDICTED, _UNPREDICTED, _LOST = Status.PREDICTED, Status.NOT_PREDICTED, Status.MEASUREMENT_LOST
@@ -44,6 +56,36 @@ _ROOM = 0.5  # κ dt λ_max(M⁻¹M̂) at most
 _QUICK = 2.0  # times κ, how fast a parameter may learn
 _SINGULAR_RATIO = 0.08  # of σ_max, below which Ĵ⁺ is damped
 _SHARE = 0.9  # of the speed limits of joints
+_SPEEDS = {"m": 0.5, "rad": 1.0}  # at which errors of a task are reduced
+_TURN = 0.5  # [rad/s], at which those of other tasks go by their Jacobian
+_SELF_MOTION = 0.5  # at most [rad/s or m/s]
+_WHOLE = 0.999  # of a turn
+_APPROACH = 5.0  # κ of `law.speed_bounds` [1/s]
+_LAG_GAIN = 1.0  # of what learns the lag
+_LONGEST_LAG = 0.1  # [s]
+_SOONEST = 0.1  # that a joint gets to its full speed in, where nothing is told [s]
+
+
+@dataclass(frozen=True)
+class TrackingGains:
+    """How fast a `TrackingController` reduces errors.
+
+    Attributes:
+        alpha: α, how fast small errors are reduced > 0 [1/s].
+        kappa: κ, how fast the joints follow their reference > 0 [1/s]. By default 60, or 0.25/dt
+            where that is less.
+        self_motion: k_n, how fast the self-motion is [1/s].
+    """
+
+    alpha: float = 4.0
+    kappa: float | None = None
+    self_motion: float = 1.0
+
+    def __post_init__(self) -> None:
+        as_number("alpha", self.alpha, unit="1/s", above=0.0)
+        if self.kappa is not None:
+            as_number("kappa", self.kappa, unit="1/s", above=0.0)
+        as_number("self_motion", self.self_motion, unit="1/s", minimum=0.0)
 
 
 class TrackingController(Immutable, Controller):
@@ -77,10 +119,7 @@ class TrackingController(Immutable, Controller):
             [unit of the task/s]. By default 0.5 m/s and 1 rad/s, and of other units what half a
             rad/s of the joints makes.
         dt: Sampling time [s].
-        alpha: α, how fast small errors are reduced > 0 [1/s].
-        kappa: κ, how fast the joints follow their reference > 0 [1/s]. By default 60, or 0.25/dt
-            where that is less.
-        self_motion: k_n [1/s].
+        gains: α, κ and k_n; by default those of `TrackingGains()`.
         command: "torque", or "velocity" for a robot that takes joint velocities: then q̇_r is the
             command, ahead of the lag of the robot's servo, which is learnt in place of the
             dynamics, and within the URDF's limits of speed and position.
@@ -105,9 +144,7 @@ class TrackingController(Immutable, Controller):
         posture: Sequence[float] | Array | None = None,
         speed: float | Sequence[float] | Array | None = None,
         dt: float = 1e-3,
-        alpha: float = 4.0,
-        kappa: float | None = None,
-        self_motion: float = 1.0,
+        gains: TrackingGains | None = None,
         command: Literal["torque", "velocity"] = "torque",
         acceleration: float | Sequence[float] | Array | None = None,
     ) -> None:
@@ -116,18 +153,18 @@ class TrackingController(Immutable, Controller):
         robot = task.robot
         self.task = task
         self.dt = dt = as_number("dt", dt, unit="s", above=0.0)
-        self.kinematics = usual_kinematics(task, dt) if kinematics is None else kinematics
-        self.alpha = as_number("alpha", alpha, unit="1/s", above=0.0)
+        self.kinematics = _usual_kinematics(task, dt) if kinematics is None else kinematics
+        gains = TrackingGains() if gains is None else gains
+        require("gains", gains, TrackingGains, "TrackingGains(...) or None")
         usual = min(_KAPPA, _STEADY / self.dt)
-        self.kappa = usual if kappa is None else as_number("kappa", kappa, unit="1/s", above=0.0)
+        self.alpha, self.kappa = float(gains.alpha), usual if gains.kappa is None else gains.kappa
         if dynamics is None:
             dynamics = AdaptiveDynamics(robot, fastest=_QUICK * self.kappa)
         self.dynamics = dynamics
         self._require_parts()
-        fast = usual_speeds(task) if speed is None else speed
+        fast = _usual_speeds(task) if speed is None else speed
         self.speed = as_limits("speed", fast, task.m, unit="unit of the task/s")
-        self.self_motion = as_number("self_motion", self_motion, unit="1/s", minimum=0.0)
-        self._rest = RestConfiguration(task, posture, self.self_motion)
+        self._rest = RestConfiguration(task, posture, gains.self_motion)
         require("command", command, str, '"torque" or "velocity"')
         if command not in ("torque", "velocity"):
             raise InvalidInputError(
@@ -135,7 +172,7 @@ class TrackingController(Immutable, Controller):
             )
         self.command = command
         limits = Limits.of(robot).for_joints(robot.nv)
-        self._fastest = _SHARE * np.asarray(limits.velocity)
+        self._added, self._n_dynamics = np.zeros(robot.nv), 1  # the lag of a servo
         self._commands = None
         if command == "velocity":
             self._commands = VelocityCommand(robot, limits, acceleration, self.dt)
@@ -144,11 +181,8 @@ class TrackingController(Immutable, Controller):
                 f'acceleration must be None without command="velocity", got {acceleration!r}',
                 given=acceleration,
             )
-        room = max(1.0, _ROOM / (self.kappa * self.dt))
-        self._added = np.zeros(robot.nv)
-        self._n_dynamics = 1  # the lag of a servo
-        if self._commands is None:
-            self._added = self.dynamics.gain_inertia(room)
+        else:
+            self._added = self.dynamics.gain_inertia(max(1.0, _ROOM / (self.kappa * self.dt)))
             self._n_dynamics = self.dynamics.n_state
         self._end = self._n_dynamics + self.kinematics.n_state
         self.n_state = n_state = self._end + (0 if self._commands is None else robot.nv)
@@ -156,24 +190,25 @@ class TrackingController(Immutable, Controller):
         self._shapes = (robot.nq,), (robot.nv,), (task.n_x,), (task.n_x,), (n_state,)
         # of metres and radians at once it is usually 0.05, where nothing is singular
         most = _SINGULAR_RATIO if len(set(task.units)) == 1 else law.SINGULAR_RATIO
-        self._ratio, self._scale = singular_ratio(task, most), vanishing(task)
+        self._gains = law.ReferenceGains(
+            # as arrays, which NumPy multiplies with in a third of the time of numbers
+            np.array(self.alpha), self.alpha / self.speed, _SHARE * np.asarray(limits.velocity),
+            singular_ratio(task, most), vanishing(task),
+        )  # fmt: skip
         self._continuous = robot.nq != robot.nv
-        # as arrays, which NumPy multiplies with in a third of the time of numbers
-        self._alpha, self._k = np.array(self.alpha), self.alpha / self.speed
 
     def _require_parts(self) -> None:
         """Refuse kinematics or dynamics that are none, or of another robot."""
-        task = self.task
-        require("kinematics", self.kinematics, Kinematics, "AdaptiveKinematics(task) or None")
+        task, of = self.task, self.kinematics
+        require("kinematics", of, Kinematics, "AdaptiveKinematics(task) or None")
         wanted = "AdaptiveDynamics(robot), ModelDynamics(robot) or None"
         require("dynamics", self.dynamics, MotionDynamics, wanted)
-        told = self.kinematics.task
-        if told.robot.joint_names != task.robot.joint_names or told.labels != task.labels:
+        names = task.robot.joint_names
+        if of.task.robot.joint_names != names or of.task.labels != task.labels:
             raise InvalidInputError(
-                f"kinematics must be of the task {task!r}, got {self.kinematics!r}",
-                given=self.kinematics,
+                f"kinematics must be of the task {task!r}, got {of!r}", given=of
             )
-        if self.dynamics.robot.joint_names != task.robot.joint_names:
+        if self.dynamics.robot.joint_names != names:
             raise InvalidInputError(
                 f"dynamics must be of a robot with the joints of {task.robot.name}, got "
                 f"{self.dynamics!r}",
@@ -200,13 +235,7 @@ class TrackingController(Immutable, Controller):
         return state
 
     def resumed(self, state: Array, measurement: Measurement) -> Array:
-        """Return a state before a first step that knows what another state (…) has learnt.
-
-        Such as the last one of a run before, for `simulate(state=...)`; of the same controller.
-
-        Raises:
-            InvalidInputError: A state of another controller, or a measurement of the wrong shapes.
-        """
+        """Return a state before a first step that knows what another state has learnt."""
         state = require_state(state, self.n_state)
         fresh, (p, end) = self.initial_state(measurement), (self._n_dynamics, self._end)
         fresh[:p] = state[:p]
@@ -279,10 +308,7 @@ class TrackingController(Immutable, Controller):
         """Return Ĵ and what `law.reference_step` does."""
         predicted = self.kinematics.predict(known, q, v, target)
         null = self._rest.velocity(q, v)
-        return predicted.J, *law.reference_step(
-            *predicted, v, *null, waits, self._alpha, self._k, self._fastest,
-            self._ratio, self._scale,
-        )  # fmt: skip
+        return predicted.J, *law.reference_step(predicted, v, null, waits, self._gains)
 
     def _checked(
         self, state: Array, measurement: Measurement, target: Target | Array
@@ -316,10 +342,7 @@ class TrackingController(Immutable, Controller):
         return target, measurement
 
     def learnt(self, state: Array) -> Array:
-        """Return what a state, or a series of them (…, n_state), has learnt, shape (…, p).
-
-        First the parameters of the dynamics, then what the kinematics have learnt.
-        """
+        """Return what a state has learnt: of the dynamics, then of the kinematics, (…, p)."""
         known = self.kinematics.learnt(state[..., self._n_dynamics : self._end])
         return np.concatenate([state[..., : self._n_dynamics], known], axis=-1)
 
@@ -337,30 +360,13 @@ class TrackingController(Immutable, Controller):
 
     def learnt_sd(self, state: Array) -> Array:
         """Return the standard deviations of what was learnt, NaN of the dynamics, shape (p,)."""
-        known = self.kinematics.sd_of(self._of_kinematics(state))
-        return np.concatenate([np.full(self._n_dynamics, np.nan), known])
+        kinematics, known = self.kinematics_of(state)
+        return np.concatenate([np.full(self._n_dynamics, np.nan), kinematics.sd_of(known)])
 
-    def _of_kinematics(self, state: Array) -> Array:
-        """Return the kinematics' part of a state, or refuse one of another controller."""
-        return require_state(state, self.n_state)[self._n_dynamics : self._end]
-
-    def kinematics_learnt(self, state: Array) -> KinematicReport:
-        """Return what a state has learnt of the kinematics.
-
-        Raises:
-            InvalidInputError: Kinematics that learn nothing, or a state of another controller.
-        """
-        return self.kinematics.report(self._of_kinematics(state))
-
-    def learnt_robot(self, state: Array) -> Robot:
-        """Return the believed robot with what a state has learnt of its tool and joint origins.
-
-        Masses, friction and the tracker are not in it; a state that is saved has them all.
-
-        Raises:
-            InvalidInputError: Kinematics that learn nothing, or a state of another controller.
-        """
-        return self.kinematics.robot(self._of_kinematics(state))
+    def kinematics_of(self, state: Array) -> tuple[Kinematics, Array]:
+        """Return the kinematics, and their part of a state."""
+        state = require_state(state, self.n_state)
+        return self.kinematics, state[self._n_dynamics : self._end]
 
     def with_task(self, task: Task) -> Self:
         """Return this controller with another task, such as that of another believed robot.
@@ -424,3 +430,168 @@ class TrackingController(Immutable, Controller):
     def __repr__(self) -> str:
         parts = f"{self.task!r}, {self.kinematics!r}, {self.dynamics!r}"
         return f"TrackingController({parts}, alpha={self.alpha:g}, kappa={self.kappa:g})"
+
+
+class RestConfiguration:
+    """n₀ = −k_n s(q ⊖ q_rest), no faster than 0.5 rad/s, and its derivative.
+
+    Of continuous joints the sine of the angle takes the place of the angle, so that n₀ has no jump
+    half a turn away.
+
+    Args:
+        task: The task of the believed robot.
+        q: q_rest, shape (nq,). By default the middle of the ranges of joints that turn less than
+            once, or slide less than 2 m. The others are drawn nowhere: the middle of ±2π says
+            nothing of an elbow.
+        rate: k_n [1/s].
+
+    Raises:
+        InvalidInputError: A q_rest for an arm without self-motion, of the wrong shape or in
+            degrees.
+    """
+
+    def __init__(self, task: Task, q: Sequence[float] | Array | None, rate: float) -> None:
+        robot = task.robot
+        if q is not None and robot.nv <= task.m:
+            raise InvalidInputError(
+                f"posture is for arms with more joints than task coordinates, got one for "
+                f"{robot.name} with {robot.nv} joints and {task.m} coordinates",
+                given=q,
+            )
+        # as arrays, which NumPy multiplies with in a third of the time of numbers
+        self._pull, self._share = np.full(robot.nv, -rate), np.array(rate / _SELF_MOTION)
+        self._is_vector = robot.nq == robot.nv
+        joints = robot._joints.values()
+        self._continuous = np.array([joint.nq > joint.nv for joint in joints])
+        self._first = np.array([joint.idx_q for joint in joints])  # the cosine of (cos, sin)
+        self._second = self._first + self._continuous
+        self._none = np.zeros(robot.nv) if robot.nv <= task.m or rate == 0.0 else None
+        self._names = None if q is not None else robot.joint_names
+        if q is None:
+            lower, upper = robot.usual_range()
+            whole = np.where(np.array(robot.joint_units) == "m", 2.0, 2.0 * np.pi)
+            self._pull[upper - lower > _WHOLE * whole] = 0.0
+            middle = 0.5 * (lower + upper)
+            self.q = np.array(pin.integrate(robot.model, robot.neutral(), middle))
+            return
+        self.q = as_array("posture", robot.configuration(q, "posture"), (robot.nq,))
+        require_radians("posture", robot, self.q)
+
+    def words(self) -> str:
+        """Return where it draws the self-motion to; "" where there is none or it is left alone."""
+        if self._none is not None:
+            return ""
+        if self._names is None:
+            return "self-motion: drawn to the posture that is given"
+        drawn = [name for name, k in zip(self._names, self._pull, strict=True) if k]
+        if not drawn:
+            return "self-motion: drawn nowhere, as all joints turn a whole turn"
+        if len(drawn) == len(self._names):
+            return "self-motion: drawn to the middle of the ranges of all joints"
+        middle = f"drawn to the middle of the ranges of {', '.join(drawn)}"
+        return f"self-motion: {middle}; joints that turn a whole turn are free"
+
+    def velocity(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Return n₀ and its derivative at q (nq,) and q̇ (n_v,)."""
+        if self._none is not None:
+            return self._none, self._none
+        if self._is_vector:
+            away, rate = q - self.q, v
+        else:
+            a, b = q.take(self._first), q.take(self._second)
+            c, s = self.q.take(self._first), self.q.take(self._second)
+            away = np.where(self._continuous, b * c - a * s, a - c)
+            rate = np.where(self._continuous, a * c + b * s, 1.0) * v
+        s, s_dot = law.saturated(away, rate, self._share)
+        return self._pull * s, self._pull * s_dot
+
+
+class VelocityCommand:
+    """The velocity nearest to q̇_r + L̂w that joints may be commanded, with a lag L̂ that is learnt.
+
+    w = ∂q̇_r/∂t + Dq̇_r with D = ∂q̇_r/∂q is q̈_r = w + Dσ of joints that move as they should: it has
+    no noise of q̇, which would be in q̈_r and in σ alike and make L̂ grow. A servo with
+    L q̈ + q̇ = q̇_cmd and σ = q̇ − q̇_r has Lσ̇ = −(I + LD)σ + (L̂ − L)w, so with L̂' = −γ wᵀσ the
+    function V₃ = ½L‖σ‖² + (L̂ − L)²/2γ has V̇₃ = −σᵀ(I + LD)σ. With D near −αĴ⁺Ĵ that is negative
+    for a lag below 1/α. A delay counts as lag, for which nothing is proven.
+
+    Speed is brought within its limits along q̇_r as a whole (`law.within_speeds`, before); joints
+    near their position limits are slowed down each on its own, and each command differs from the
+    one before by the acceleration that there may be. Where a command is limited, L̂ rests.
+
+    Args:
+        robot: The believed robot.
+        limits: With an entry for each joint.
+        acceleration: A number or shape (n_v,) [rad/s² or m/s²]; by default `sure_deceleration`, but
+            no more than leads to full speed in 0.1 s.
+        dt: Time from command to command [s].
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        limits: Limits,
+        acceleration: float | Sequence[float] | Array | None,
+        dt: float,
+    ) -> None:
+        sure = sure_deceleration(robot, np.asarray(limits.effort))
+        usual = np.minimum(sure, np.asarray(limits.velocity) / _SOONEST)
+        given = usual if acceleration is None else acceleration
+        self.acceleration = as_limits("acceleration", given, robot.nv, unit="rad/s^2 or m/s^2")
+        slowing = np.minimum(self.acceleration, sure)
+        self._joints = law.JointRange.of(limits.position, limits.velocity, _APPROACH, slowing)
+        self._robot = robot
+        self._neutral = None if robot.nq == robot.nv else robot.neutral()
+        self._dt, self._change = dt, dt * self.acceleration
+
+    def step(
+        self, state: Array, q: Array, v: Array, v_r: Array, w: Array, before: Array
+    ) -> tuple[Array, Array]:
+        """Return L̂ a period later, shape (1,), and the command, shape (n_v,).
+
+        Args:
+            state: L̂ [s], shape (1,).
+            q: Configuration, shape (nq,).
+            v: q̇, shape (n_v,).
+            v_r: q̇_r, shape (n_v,).
+            w: q̈_r at q̇ = q̇_r, shape (n_v,).
+            before: The command before, shape (n_v,).
+        """
+        wanted = v_r + state[0] * w
+        sent = self._within(q, wanted, before)
+        lag = state + self._dt * law.servo_lag_rate(_LAG_GAIN, w, v - v_r)
+        lag = np.minimum(np.maximum(lag, 0.0), _LONGEST_LAG)
+        return law.select(law.all_of(sent == wanted), lag, state), sent
+
+    def _within(self, q: Array, velocity: Array, before: Array) -> Array:
+        """Return the velocity within limits, given the command before."""
+        motion = q if self._neutral is None else motion_between(self._robot, self._neutral, q)
+        low, high = law.speed_bounds(motion, self._joints)
+        wanted = np.minimum(np.maximum(velocity, low), high)
+        within = np.minimum(np.maximum(wanted, before - self._change), before + self._change)
+        return np.asanyarray(within)
+
+
+def _usual_kinematics(task: Task, dt: float) -> Kinematics:
+    """Return kinematics that learn: tool and joint origins; of an image the camera as well."""
+    parts = task.tasks if isinstance(task, StackedTask) else (task,)
+    if isinstance(task, PoseTask) or all(isinstance(part, PositionTask) for part in parts):
+        return AdaptiveKinematics(task, unknown=("tool", "origins"), dt=dt)
+    if isinstance(task, ImageTask):
+        planar = isinstance(task.camera, PlanarCamera)
+        return AdaptivePlanarCamera(task, dt=dt) if planar else AdaptiveCamera(task, dt=dt)
+    raise InvalidInputError(
+        f"kinematics must be given for {task!r}: what is learnt by itself are positions, poses "
+        "and images; KnownKinematics(task) takes the believed arm for true",
+        given=task,
+    )
+
+
+def _usual_speeds(task: Task) -> list[float]:
+    """Return the largest speeds of a task's coordinates [unit of the task/s], length m."""
+    known = {} if isinstance(task, ImageTask) else _SPEEDS  # of a sensor's metres nothing is
+    if set(task.units) <= set(known):
+        return [known[unit] for unit in task.units]
+    rows = [np.linalg.norm(task.jacobian(q), axis=1) for q in seen_configurations(task, 20)]
+    usual = _TURN * np.median(rows, axis=0)
+    return [known.get(unit, value) for unit, value in zip(task.units, usual, strict=True)]

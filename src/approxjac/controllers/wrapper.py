@@ -14,11 +14,9 @@ from approxjac.controllers.controller import Controller, Instant
 from approxjac.controllers.gains.latency import Latency
 from approxjac.controllers.gains.tuning import Tuning
 from approxjac.controllers.learning.estimator import Kinematics
-from approxjac.controllers.learning.kinematic_report import KinematicReport
 from approxjac.controllers.limits.limits import Limits
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement
-from approxjac.robots import Robot
 from approxjac.tasks import Task
 from approxjac.validation import Array, Immutable, as_vector
 
@@ -109,13 +107,9 @@ class ControllerWrapper(Immutable, Controller):
         inner, _ = self._split(as_vector("state", state, len(self.initial_state(measurement))))
         return self._begun(self.controller.resumed(inner, measurement), measurement)
 
-    def kinematics_learnt(self, state: Array) -> KinematicReport:
-        """Return what a state has learnt of the kinematics."""
-        return self.controller.kinematics_learnt(self._split(state)[0])
-
-    def learnt_robot(self, state: Array) -> Robot:
-        """Return the believed robot with what a state has learnt of tool and joint origins."""
-        return self.controller.learnt_robot(self._split(state)[0])
+    def kinematics_of(self, state: Array) -> tuple[Kinematics, Array]:
+        """Return the kinematics that the controller inside learns, and their part of a state."""
+        return self.controller.kinematics_of(self._split(state)[0])
 
     def _begun(self, state: Array, measurement: Measurement) -> Array:
         """Return a first state of the controller inside with the memory before the first step."""

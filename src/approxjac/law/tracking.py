@@ -8,7 +8,7 @@ is (m, n_v), q̇, q̇_r, q̈_r, σ, n₀ are (n_v,).
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,6 +21,49 @@ from approxjac.law.pseudoinverse import (
     regular_solver,
 )
 from approxjac.validation import Array
+
+
+class PredictedError(NamedTuple):
+    """The error as the estimates have it at one instant, and all that its derivatives need.
+
+    In the frame where the law works: the base frame, into which the target is pulled back. With
+    Ĉ = R̂ᵀ/ŝ and ĉ = −Ĉb̂ of a camera or tracker x = sRp + b (Ĉ = I where it is known),
+    z = p̂(q) − (Ĉx_d + ĉ) and, exactly, ż = Ĵq̇ − x_d_dot + drift. Unit of the task where the sensor
+    measures in metres.
+
+    Attributes:
+        z: Predicted error, shape (m,).
+        J: Ĵ, the exact Jacobian of the prediction, shape (m, n_v).
+        J_dot: dĴ/dt along q̇ and the motion of the estimates, shape (m, n_v).
+        x_d_dot: Ĉẋ_d, shape (m,).
+        x_d_ddot: Its rate Ĉẍ_d + Ĉ'ẋ_d, shape (m,).
+        drift: What the estimates move z by, ż − Ĵq̇ + x_d_dot, shape (m,).
+    """
+
+    z: Array
+    J: Array
+    J_dot: Array
+    x_d_dot: Array
+    x_d_ddot: Array
+    drift: Array
+
+
+class ReferenceGains(NamedTuple):
+    """How fast a reference leads an error to zero.
+
+    Attributes:
+        alpha: As for `task_velocity`.
+        k: As for `task_velocity`.
+        fastest: Speeds of joints, as for `within_speeds`.
+        singular_ratio: As for `damped_gram_solve`.
+        scale: As for `damped_gram_solve`.
+    """
+
+    alpha: float | Array
+    k: float | Array
+    fastest: Array
+    singular_ratio: float = SINGULAR_RATIO
+    scale: float = 0.0
 
 
 def saturated(z: Array, z_dot: Array, k: float | Array) -> tuple[Array, Array]:
@@ -54,6 +97,10 @@ def reference(
 ) -> tuple[Array, Array, float]:
     """q̇_r = Ĵ⁺(u − Ĵn₀) + n₀ and its derivative, with Ĵ⁺ of `damped_gram_solve`.
 
+    With w = (ĴĴᵀ + λ²I)⁻¹(u − Ĵn₀) and h = Ĵ'ᵀw + n₀', differentiating the definition gives
+
+        q̈_r = h + Ĵ⁺(u' − Ĵ'q̇_r − Ĵh − (λ²)'w).
+
     Args:
         J_hat: Ĵ.
         J_hat_dot: Ĵ', its derivative along the motion.
@@ -67,96 +114,57 @@ def reference(
     Returns:
         q̇_r, q̈_r and λ.
     """
-    motion = J_hat, J_hat_dot, u, u_dot, null, null_dot
     G = dot(J_hat, J_hat.T)
     solve, singular = regular_solver(G, singular_ratio, scale)
+
+    def solved(solve: Callable[[Array], Array], rate: Any) -> tuple[Array, Array]:
+        """Return q̇_r and q̈_r with b ↦ (ĴĴᵀ + λ²I)⁻¹b and (λ²)', None of no damping."""
+        w = solve(u - dot(J_hat, null))
+        velocity = dot(w, J_hat) + null
+        h = dot(w, J_hat_dot) + null_dot
+        rest = u_dot - dot(J_hat_dot, velocity) - dot(J_hat, h)
+        if rate is not None:
+            rest = rest - rate * w
+        return velocity, h + dot(solve(rest), J_hat)
 
     def damped() -> tuple[Array, Array, Any]:
         solve, ends, damping = damped_solver(G, singular_ratio, scale)
         rate = damping_rate(J_hat, J_hat_dot, ends, singular_ratio, scale)
-        return *solved_reference(solve, select(damping > 0.0, rate, 0.0), *motion), root(damping)
+        return *solved(solve, select(damping > 0.0, rate, 0.0)), root(damping)
 
-    return choose(singular, damped, lambda: (*solved_reference(solve, 0.0, *motion), 0.0))
+    return choose(singular, damped, lambda: (*solved(solve, None), 0.0))
 
 
 def reference_step(
-    z: Array,
-    J_hat: Array,
-    J_hat_dot: Array,
-    x_d_dot: Array,
-    x_d_ddot: Array,
-    drift: Array,
-    v: Array,
-    null: Array,
-    null_dot: Array,
-    waits: Any,
-    alpha: float | Array,
-    k: float | Array,
-    fastest: Array,
-    singular_ratio: float = SINGULAR_RATIO,
-    scale: float = 0.0,
+    error: PredictedError, v: Array, null: tuple[Array, Array], waits: Any, gains: ReferenceGains
 ) -> tuple[Array, Array, Any, Any]:
     """Return q̇_r and q̈_r that lead a predicted error to zero, and what is to be said of them.
 
     Args:
-        z: Predicted error.
-        J_hat: Ĵ.
-        J_hat_dot: Ĵ'.
-        x_d_dot: ẋ_d.
-        x_d_ddot: ẍ_d.
-        drift: What the estimates move z by.
+        error: Predicted error.
         v: q̇.
-        null: n₀.
-        null_dot: Its derivative.
+        null: n₀ and its derivative.
         waits: Whether the joints are to stand still, as nothing is predicted yet.
-        alpha: As for `task_velocity`.
-        k: As for `task_velocity`.
-        fastest: Speeds of joints, as for `within_speeds`.
-        singular_ratio: As for `reference`.
-        scale: As for `reference`.
+        gains: How fast.
 
     Returns:
         q̇_r; q̈_r; whether Ĵ⁺ is damped; whether all is finite, and else the joints stand still.
     """
+    z, J_hat, J_hat_dot, x_d_dot, x_d_ddot, drift = error
     z_dot = dot(J_hat, v) - x_d_dot + drift
-    u, u_dot = task_velocity(z, z_dot, x_d_dot, x_d_ddot, alpha, k)
+    u, u_dot = task_velocity(z, z_dot, x_d_dot, x_d_ddot, gains.alpha, gains.k)
     is_known = is_finite(np.concatenate([u, u_dot, J_hat.ravel()]))
 
     def moves() -> tuple[Array, Array, Any]:
-        v_r, a_r, damped = reference(
-            J_hat, J_hat_dot, u, u_dot, null, null_dot, singular_ratio, scale
+        v_r, a_r, damping = reference(
+            J_hat, J_hat_dot, u, u_dot, *null, gains.singular_ratio, gains.scale
         )
-        return *within_speeds(v_r, a_r, fastest), damped
+        return *within_speeds(v_r, a_r, gains.fastest), damping
 
     nothing = np.zeros(len(v))
     still = waits | complement(is_known)
-    v_r, a_r, damped = choose(still, lambda: (nothing, nothing, 0.0), moves)
-    return v_r, a_r, damped > 0.0, is_known
-
-
-def solved_reference(
-    solve: Callable[[Array], Array],
-    rate: Any,
-    J_hat: Array,
-    J_hat_dot: Array,
-    u: Array,
-    u_dot: Array,
-    null: Array,
-    null_dot: Array,
-) -> tuple[Array, Array]:
-    """q̇_r and q̈_r of `reference`, with b ↦ (ĴĴᵀ + λ²I)⁻¹b and (λ²)' given.
-
-    With w = (ĴĴᵀ + λ²I)⁻¹(u − Ĵn₀) and h = Ĵ'ᵀw + n₀', differentiating the definition gives
-
-        q̈_r = h + Ĵ⁺(u' − Ĵ'q̇_r − Ĵh − (λ²)'w).
-    """
-    w = solve(u - dot(J_hat, null))
-    velocity = dot(w, J_hat) + null
-    h = dot(w, J_hat_dot) + null_dot
-    rest = u_dot - dot(J_hat_dot, velocity) - dot(J_hat, h)
-    if not (isinstance(rate, float) and rate == 0.0):
-        rest = rest - rate * w
-    return velocity, h + dot(solve(rest), J_hat)
+    v_r, a_r, damping = choose(still, lambda: (nothing, nothing, 0.0), moves)
+    return v_r, a_r, damping > 0.0, is_known
 
 
 def within_speeds(velocity: Array, acceleration: Array, fastest: Array) -> tuple[Array, Array]:
@@ -167,22 +175,18 @@ def within_speeds(velocity: Array, acceleration: Array, fastest: Array) -> tuple
     shares = np.abs(velocity) / fastest
     if not shares.dtype.hasobject:
         i = int(shares.argmax())
-        if shares[i] <= 1.0:
+        share, v_i, a_i = float(shares[i]), velocity[i], acceleration[i]
+        if share <= 1.0:
             return velocity, acceleration
-        return slowed(velocity, acceleration, float(shares[i]), acceleration[i] / velocity[i])
-    share, v_i, a_i = shares[0], velocity[0], acceleration[0]
-    for each, v_next, a_next in zip(shares[1:], velocity[1:], acceleration[1:], strict=True):
-        more = each > share
-        share, v_i = select(more, each, share), select(more, v_next, v_i)
-        a_i = select(more, a_next, a_i)
-    slow = slowed(velocity, acceleration, share, a_i / select(share > 1.0, v_i, 1.0))
+    else:
+        share, v_i, a_i = shares[0], velocity[0], acceleration[0]
+        for each, v_next, a_next in zip(shares[1:], velocity[1:], acceleration[1:], strict=True):
+            more = each > share
+            share, v_i = select(more, each, share), select(more, v_next, v_i)
+            a_i = select(more, a_next, a_i)
+    c, rate = 1.0 / share, a_i / select(share > 1.0, v_i, 1.0)
+    slow = velocity * c, (acceleration - velocity * rate) * c
     return choose(share > 1.0, lambda: slow, lambda: (velocity, acceleration))
-
-
-def slowed(velocity: Array, acceleration: Array, share: Any, rate: Any) -> tuple[Array, Array]:
-    """c q̇_r and its derivative, with c = 1/share and c' = −c `rate`; see `within_speeds`."""
-    c = 1.0 / share
-    return velocity * c, (acceleration - velocity * rate) * c
 
 
 def tracking_torque(feedforward: Array, kappa: float, M_hat_sigma: Array) -> Array:

@@ -1,4 +1,4 @@
-"""`Kinematics`, which predict what a law controls, and `Estimator`, which learn them from x."""
+"""`Kinematics`, which predict what a law controls: known ones, and `Estimator`, which learns."""
 
 from __future__ import annotations
 
@@ -10,15 +10,20 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from approxjac import law
-from approxjac.controllers.arguments import time_of_x, told_ahead
-from approxjac.controllers.learning.kinematic_report import KinematicReport
+from approxjac.controllers.arguments import LONGEST_DELAY, time_of_x, told_ahead
+from approxjac.controllers.learning.kinematic_report import (
+    KinematicReport,
+    LearntNumber,
+    TiltedAxes,
+)
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import Measurement, Status, Target
-from approxjac.robots import Robot
-from approxjac.robots.kinematic_regressor import PointMotion
+from approxjac.law import PredictedError
+from approxjac.robots import KinematicRegressor, Robot
 from approxjac.robots.traced import motion_between, moved
 from approxjac.tasks import Task
-from approxjac.validation import Array, Immutable, as_number, as_vector
+from approxjac.tasks.analysis import combination
+from approxjac.validation import Array, Immutable, as_number, as_vector, require
 
 _OK, _PREDICTED = Status.OK, Status.PREDICTED  # members of an enum are slow to look up
 _LOST = Status.MEASUREMENT_LOST
@@ -32,47 +37,18 @@ _CLOSEST = 4e-3  # between frames, below which there is nothing to learn from th
 _STALE = 1.0  # without a frame to learn from, after which it is said [s]
 _FARTHEST = 1e3  # that anything is from the sensor [m]
 _ROUND_OFF = 1e-9  # of times [s]
-SMOOTHING = 20.0
-"""β, how fast what is controlled follows what is learnt [1/s]."""
-INTEGRAL = 1.0
-"""ω_b, how fast what the parameters do not explain is taken up [1/s]."""
-EASED_SPEED = 0.5
-"""Of x̂, by what is learnt [m/s]."""
-EASED_TURN = 2.0 * math.pi
-"""Of the estimate of a rotation [rad/s]."""
-LONGEST_FRAME = 0.1
-"""Time that one frame counts for [s]."""
+_SMOOTHING = 20.0  # β, how fast what is controlled follows what is learnt [1/s]
+_INTEGRAL = 1.0  # ω_b, how fast what the parameters do not explain is taken up [1/s]
+_EASED_SPEED = 0.5  # of x̂, by what is learnt [m/s]
+_EASED_TURN = 2.0 * math.pi  # of the estimate of a rotation [rad/s]
+_LONGEST_FRAME = 0.1  # time that one frame counts for [s]
+_NOISE_MEMORY = 2.0  # of the noise that is seen [s]
+_DIFFERENCE = 1e-5  # of values, either way, from which a rate is taken [unit of the task]
+_TURNS_BACK = 10.0  # times as fast as what moves: an error that has jumped, as at half a turn
 WINDOW = 0.3
 """Over which residuals are averaged: noise goes, what is not explained stays [s]."""
-NOISE_MEMORY = 2.0
-"""Of the noise that is seen [s]."""
 JUMP = 8.0
 """Standard deviations of x, beyond which it has jumped."""
-
-
-class PredictedError(NamedTuple):
-    """The error as the estimates have it at one instant, and all that its derivatives need.
-
-    In the frame where the law works: the base frame, into which the target is pulled back. With
-    Ĉ = R̂ᵀ/ŝ and ĉ = −Ĉb̂ of a camera or tracker x = sRp + b (Ĉ = I where it is known),
-    z = p̂(q) − (Ĉx_d + ĉ) and, exactly, ż = Ĵq̇ − x_d_dot + drift. Unit of the task where the sensor
-    measures in metres.
-
-    Attributes:
-        z: Predicted error, shape (m,).
-        J: Ĵ, the exact Jacobian of the prediction, shape (m, n_v).
-        J_dot: dĴ/dt along q̇ and the motion of the estimates, shape (m, n_v).
-        x_d_dot: Ĉẋ_d, shape (m,).
-        x_d_ddot: Its rate Ĉẍ_d + Ĉ'ẋ_d, shape (m,).
-        drift: What the estimates move z by, ż − Ĵq̇ + x_d_dot, shape (m,).
-    """
-
-    z: Array
-    J: Array
-    J_dot: Array
-    x_d_dot: Array
-    x_d_ddot: Array
-    drift: Array
 
 
 class Kinematics(Immutable, ABC):
@@ -187,35 +163,80 @@ class Kinematics(Immutable, ABC):
         raise InvalidInputError(f"kinematics must learn to report, got {self!r}", given=self)
 
 
-def pulled_back(
-    motion: PointMotion, b: Array, b_dot: Array, R: Array | None, spin: Array, target: Target
-) -> PredictedError:
-    """Return the predicted error of positions x̂ = R̂p + b̂, with the target in the base's axes.
+class KnownKinematics(Kinematics):
+    """z = h(q) − x_d of the believed arm. The measured x is not used.
+
+    With a wrong model the arm goes where the model says, which is elsewhere.
 
     Args:
-        motion: Of the points.
-        b: b̂, shape (m,).
-        b_dot: Its rate, shape (m,).
-        R: R̂ of each point's d axes, shape (d, d); None is none.
-        spin: Its rate, (1 or 3,) [rad/s]; (0,) where it is known.
-        target: The target, shape (m,).
+        task: The task of the believed robot.
+
+    Raises:
+        InvalidInputError: A task whose Jacobian depends on the measured x.
     """
-    p, J, J_dot, drift = motion
-    x_d, x_d_dot, x_d_ddot = target
-    nothing = np.zeros(len(p))
-    x_d_dot = nothing if x_d_dot is None else x_d_dot
-    x_d_ddot = nothing if x_d_ddot is None else x_d_ddot
-    away = b - x_d
-    if R is None:
-        return PredictedError(p + away, J, J_dot, x_d_dot, x_d_ddot, drift + b_dot)
-    # rows are vectors: x R is Rᵀx. With R' = [ω]ₓR, Rᵀx changes by Rᵀ(x' + [ω]ₓᵀx)
-    vectors = np.array([away, x_d_dot, b_dot, x_d_ddot]).reshape(-1, len(R))
-    if len(spin):
-        half = len(vectors) // 2
-        vectors[half:] += vectors[:half].dot(law.cross_matrix(spin))
-    back = vectors.dot(R)
-    away, x_d_dot, b_dot, x_d_ddot = back if len(back) == 4 else back.reshape(4, -1)
-    return PredictedError(p + away, J, J_dot, x_d_dot, x_d_ddot, drift + b_dot)
+
+    n_state = 0
+
+    def __init__(self, task: Task) -> None:
+        self._remember(locals())
+        require("task", task, Task, "a task of the believed robot, such as PositionTask(robot)")
+        if task._uses_x:
+            raise InvalidInputError(
+                f"task must have a Jacobian that depends on q only, such as an ImageTask with "
+                f"depth='believed', got {task!r}",
+                given=task,
+            )
+        self.task = task
+        self._combination = combination(task)  # a target moves as what is measured does
+        own = type(task)._sensor_jacobian is not Task._sensor_jacobian
+        self._exact = task._subtracts and not own  # ż = Ĵq̇ − ẋ_d
+        self._none = np.zeros(task.m)
+        self._none.flags.writeable = False
+
+    def initial_state(self, measurement: Measurement) -> Array:
+        """Return no state, shape (0,)."""
+        return np.zeros(0)
+
+    def step(self, state: Array, measurement: Measurement, dt: float) -> Array:
+        """Return the state as it is: there is nothing to learn."""
+        return state
+
+    def predict(self, state: Array, q: Array, v: Array, target: Target) -> PredictedError:
+        """Return h(q) − x_d and its derivatives."""
+        task, (x_d, x_d_dot, x_d_ddot) = self.task, target
+        x = task.value(q)
+        z, J, drift = task.error(x, x_d), task.jacobian(q), self._none
+        x_d_dot = self._none if x_d_dot is None else self._combined(x_d_dot)
+        x_d_ddot = self._none if x_d_ddot is None else self._combined(x_d_ddot)
+        if not self._exact:
+            x_dot = task._sensor_jacobian(q).dot(v)
+            drift = x_dot - x_d_dot if task._subtracts else self._rate(x, x_dot, x_d, x_d_dot)
+            drift = drift + x_d_dot - J.dot(v)
+        return PredictedError(z, J, task.jacobian_dot(q, v), x_d_dot, x_d_ddot, drift)
+
+    def learnt(self, state: Array) -> Array:
+        """Return nothing, shape (…, 0)."""
+        return state[..., :0]
+
+    def __repr__(self) -> str:
+        return f"KnownKinematics({self.task!r})"
+
+    def _combined(self, rate: Array) -> Array:
+        return np.asarray(self._combination.dot(rate))
+
+    def _rate(self, x: Array, x_dot: Array, x_d: Array, x_d_dot: Array) -> Array:
+        """Return ż of an error that is no difference, such as a rotation vector; shape (m,)."""
+        size = math.hypot(*x_dot.tolist(), *x_d_dot.tolist())
+        if size == 0.0:
+            return self._none
+        task, h = self.task, _DIFFERENCE / size
+        after, before = (
+            task.error(task.displaced(x, k * x_dot), task.displaced(x_d, k * x_d_dot))
+            for k in (h, -h)
+        )
+        rate = (after - before) / (2.0 * h)
+        jumped = not math.hypot(*rate.tolist()) < _TURNS_BACK * size
+        return x_dot - x_d_dot if jumped else np.asarray(rate)
 
 
 class Frame(NamedTuple):
@@ -235,25 +256,56 @@ class Estimator(Kinematics):
     these are the steps. All run on numbers, and on symbols.
 
     Attributes:
+        regressor: Points of the robot, linear in the translations of tool and joint origins.
         noise: Standard deviation of x.
         delay: Age of x where `Measurement.t_x` is None [s].
     """
 
+    regressor: KinematicRegressor
     noise: float
     delay: float
-    _frames: Frames
-    _gate: Gate
     _at: dict[str, slice]
-    _moving: slice  # what follows smoothly
-    _rates: slice
-    _turning: tuple[tuple[str, str], ...]  # names of rotations that do, and of their spins
+    _turning: tuple[tuple[str, str], ...]  # names of rotations that follow, and of their spins
+    _believed: Array  # values of `names` before the first frame, and their standard deviations
+    _sd: Array
+    _noise_unit = "m"
+    _pixels: Array | float = 1.0  # units of the noise in one of `_points`
 
-    def _lay_out(self, sizes: Mapping[str, int], kept: str, moving: str) -> None:
-        """Say what a state holds, one part after the other, and what of it was learnt."""
+    def _lay_out(
+        self,
+        own: Mapping[str, int],
+        kept: str,
+        moving: str,
+        delay: float,
+        dt: float,
+        n_points: int,
+        jump: float = 0.0,
+    ) -> None:
+        """Say what a state holds, one part after the other, and what of it was learnt.
+
+        Args:
+            own: Lengths of parts by name, what moves one after the other, and their rates, too.
+            kept: Parts that hold what was learnt.
+            moving: Parts that follow smoothly.
+            delay: As `delay`.
+            dt: Sampling time of control [s].
+            n_points: Length of `_points`.
+            jump: By how much these may change wherever the arm is.
+        """
+        task, m = self.task, self.task.m
+        self.delay = as_number("delay", delay, unit="s", minimum=0.0, most=LONGEST_DELAY)
+        dt = as_number("dt", dt, unit="s", above=0.0)
+        self._frames = Frames(task.robot, task.n_x, self.delay, dt)
+        self._gate = Gate(task.robot, n_points, jump)
+        sizes = {
+            "frames": self._frames.size, "gate": self._gate.size, "time": 1,
+            "learnt": len(self.names), "integral": m, "averaged": m, "left": m, "noted": 3, **own,
+        }  # fmt: skip
         ends = np.cumsum(list(sizes.values())).tolist()
         each = zip(sizes.items(), ends, strict=True)
         self._at = at = {name: slice(end - size, end) for (name, size), end in each}
         self.n_state = ends[-1]
+        kept = f"learnt integral averaged left noted {kept}"
         self._kept = tuple(at[name] for name in kept.split())
         first, *_, last = moving.split()
         self._moving = slice(at[first].start, at[last].stop)
@@ -286,18 +338,36 @@ class Estimator(Kinematics):
         """Return how far each of `_points` may move between configurations."""
 
     @abstractmethod
-    def _correct(self, state: Array, frame: Frame, is_anew: Any) -> None:
-        """Learn from a frame, in place.
+    def _correct(self, state: Array, frame: Frame, since: Any, is_anew: Any) -> None:
+        """Learn from a frame, in place, and let `_account` have what it does not explain.
 
         Args:
             state: The state.
             frame: With `_points` of its x, of which something is seen.
+            since: Time that it counts for [s].
             is_anew: Whether it is the first one after the sensor was moved.
         """
 
     @abstractmethod
     def _aim(self, state: Array, q: Array, dt: float) -> None:
-        """Set the rates at which the smoothed estimates follow, in place."""
+        """Set the rates at which the smoothed estimates follow, in place.
+
+        As `_eased` says, or more slowly where x̂ or a rotation would be fast, as after a restart.
+        """
+
+    @abstractmethod
+    def _covariance(self, state: Array) -> tuple[Array, float]:
+        """Return the covariance (p, p) of what is estimated, and χ² a degree of freedom.
+
+        Both by the noise that is told, or χ² by the noise that is seen.
+        """
+
+    @abstractmethod
+    def _in_units(self, covariance: Array, learnt: Array) -> Array:
+        """Return the covariance of what is estimated as that of what `learnt` returns."""
+
+    def _axes(self, state: Array) -> TiltedAxes:
+        return TiltedAxes(1.0, 0.0, "", 0.0)
 
     # -- the steps ---------------------------------------------------------------------------
 
@@ -306,11 +376,19 @@ class Estimator(Kinematics):
 
         x̂ is the first x, so that learning begins without a jump; the first that is not lost.
         """
-        measurement = self._own(measurement)
+        measurement, at = self._own(measurement), self._at
         if not hasattr(measurement.q, "arm_of"):  # or it is of symbols
-            _require_known(measurement)
-        state, frames = np.zeros_like(measurement.q, shape=self.n_state), self._at["frames"]
+            _time(measurement)
+            if not np.isfinite(measurement.q).all():
+                raise MeasurementError(
+                    f"q must be finite, got {measurement.q.tolist()}: frames are learnt from with "
+                    "the configuration of their time",
+                    given=measurement,
+                )
+        state, frames = np.zeros_like(measurement.q, shape=self.n_state), at["frames"]
         self._frames.begin(state[frames], measurement.t, measurement.q)
+        state[at["time"]] = self._frames.last_time(state[frames])
+        state[at["noted"]] = 0.0, 0.0, self.noise**2
         self._begin(state)
         measurement = self._frames.by_own_clock(state[frames].copy(), measurement, 0.0)
         frame, is_new = self._frames.new(state[frames].copy(), measurement)
@@ -323,8 +401,10 @@ class Estimator(Kinematics):
         t, t_x = _time(measurement), time_of_x(measurement.t_x)
         if t_x is not None and t_x > t:
             ahead = self._frames.by_own_clock(state[self._at["frames"]].copy(), measurement, dt).t
-            if told := told_ahead(ahead, t_x, _OTHER):
-                raise InvalidInputError(f"t_x must be by the clock of t: {told}", given=measurement)
+            if message := told_ahead(ahead, t_x, _OTHER):
+                raise InvalidInputError(
+                    f"t_x must be by the clock of t: {message}", given=measurement
+                )
 
     def step(self, state: Array, measurement: Measurement, dt: float) -> Array:
         """Return the state after learning from a measurement, and dt [s] later.
@@ -351,7 +431,14 @@ class Estimator(Kinematics):
             law.alter(is_new, judged, lambda gate: self._gate.judge(gate, own, self._reach))
             believed, is_anew = is_new & (judged[-2] > 0.0), judged[-1] > 0.0
             is_seen = law.any_of(np.isfinite(own.x))
-            law.alter(believed & is_seen, state, lambda state: self._correct(state, own, is_anew))
+
+            def learn(state: Array) -> None:
+                time = state[self._at["time"]]
+                since = np.minimum(np.maximum(own.t - time[0], 0.0), _LONGEST_FRAME)
+                time[0] = own.t
+                self._correct(state, own, since, is_anew)
+
+            law.alter(believed & is_seen, state, learn)
             is_time = is_time | believed
         # the rates of smoothed estimates may wait for some milliseconds
         law.alter(is_time, state, lambda state: self._aim(state, measurement.q, dt))
@@ -364,6 +451,43 @@ class Estimator(Kinematics):
             turn = law.rotation_exp(dt * state[self._at[spin]])
             state[self._at[name]] = turn.dot(state[self._at[name]].reshape(turn.shape)).ravel()
 
+    def _account(self, state: Array, left: Array, since: Any) -> None:
+        """Note what is left of x (m,) after a frame, NaN where nothing is, in place.
+
+        The integral takes it up, it is averaged to be looked at, and its change is noise.
+        """
+        at, seen = self._at, np.isfinite(left)
+        n, before = np.where(seen, 1.0, 0.0).sum(), state[at["left"]]
+        integral, averaged, noted = (state[at[name]] for name in ("integral", "averaged", "noted"))
+        integral += np.where(seen, -np.expm1(-_INTEGRAL * since) * (left - integral), 0.0)
+        averaged += np.where(seen, -np.expm1(-since / WINDOW) * (left - averaged), 0.0)
+        change = np.where(seen, left - before, 0.0) * self._pixels
+        state[at["left"]] = np.where(seen, left, before)
+        noted[0] += since
+        share = since / np.minimum(noted[0] + 0.3, _NOISE_MEMORY)
+        noted[2] += share * (0.5 * change.dot(change) / np.maximum(n, 1.0) - noted[2])
+
+    def _forget(self, state: Array) -> None:
+        """Note that learning begins anew, in place."""
+        noted = state[self._at["noted"]]
+        noted[0], noted[1] = 0.0, noted[1] + 1.0
+        state[self._at["integral"]] = state[self._at["averaged"]] = 0.0
+
+    @staticmethod
+    def _eased(dt: float, away: Any, *turns: Array) -> Any:
+        """Return the rate β at which the smoothed estimates follow, or one that is slow enough.
+
+        Args:
+            dt: Sampling time [s].
+            away: By how much x̂ is to move [m].
+            turns: Rotation vectors by which something is to turn.
+        """
+        rate = _EASED_SPEED / np.maximum(away, 1e-9)
+        rate = np.minimum(rate, min(_SMOOTHING, 0.5 / dt))
+        for turn in turns:
+            rate = np.minimum(rate, _EASED_TURN / np.maximum(law.length(turn), 1e-9))
+        return rate
+
     def status(self, state: Array, measurement: Measurement) -> Status:
         """Return what may be done by a state; see `Kinematics`."""
         silence = self._frames.silence(state[self._at["frames"]])
@@ -374,29 +498,38 @@ class Estimator(Kinematics):
         status = law.select(self._has_begun(state), status, _LOST)
         return status
 
+    # -- what was learnt -----------------------------------------------------------------
+
     def learnt(self, state: Array) -> Array:
         """Return what a state, or a series of them (…, n_state), has learnt; shape (…, p).
 
         In the order of `names`, in `units`.
         """
-        return state[..., self._at["told"]]
+        return state[..., self._at["learnt"]]
+
+    def report(self, state: Array) -> KinematicReport:
+        """Return what a state has learnt: values, standard deviations, and what was not seen."""
+        at, state = self._at, self._required(state)
+        learnt, (P, chi) = self.learnt(state), self._covariance(state)
+        seconds, restarts, variance = state[at["noted"]].tolist()
+        share = 1.0 - P.diagonal() / self._sd**2
+        wider = max(chi, 1.0) * max(1.0, variance / self.noise**2)
+        P = self._in_units(P * wider, learnt)
+        numbers = np.array([self._believed, learnt, np.sqrt(P.diagonal()), share]).T.tolist()
+        each = zip(self.names, self.units, numbers, strict=True)
+        rows = tuple(LearntNumber(name, unit, *row) for name, unit, row in each)
+        turn = [r.value for r in rows if r.unit == "rad" and r.name.startswith("camera.")]
+        return KinematicReport(
+            rows, P, math.hypot(*turn), chi, self._axes(state), (self.noise, math.sqrt(variance)),
+            seconds, int(restarts), self._noise_unit,
+            self._frames.silence(state[at["frames"]]), self.regressor.movers[-1],
+        )  # fmt: skip
 
 
 def _time(measurement: Measurement) -> float:
     """Return the time of a measurement [s], or refuse it: what is learnt has to be known when."""
     name, most = "t of a measurement", _FOREVER
     return as_number(name, measurement.t, unit="s", minimum=-most, most=most)
-
-
-def _require_known(measurement: Measurement) -> None:
-    """Refuse a first measurement without a time or a configuration."""
-    _time(measurement)
-    if not np.isfinite(measurement.q).all():
-        raise MeasurementError(
-            f"q must be finite, got {measurement.q.tolist()}: frames are learnt from with the "
-            "configuration of their time",
-            given=measurement,
-        )
 
 
 class Frames:

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
-
-import numpy as np
 
 from approxjac.validation import Array
 
@@ -40,20 +37,6 @@ class LearntNumber(NamedTuple):
     def is_seen(self) -> bool:
         """Return whether more than half of the prior variance was resolved."""
         return self.share >= _NOT_SEEN
-
-
-def rows_of(
-    names: Sequence[str],
-    units: Sequence[str],
-    believed: Array,
-    value: Array,
-    covariance: Array,
-    share: Array,
-) -> tuple[LearntNumber, ...]:
-    """Return a row for each of p numbers; arrays of shape (p,), the covariance (p, p)."""
-    numbers = np.array([believed, value, np.sqrt(covariance.diagonal()), share]).T.tolist()
-    each = zip(names, units, numbers, strict=True)
-    return tuple(LearntNumber(name, unit, *row) for name, unit, row in each)
 
 
 class TiltedAxes(NamedTuple):

@@ -10,31 +10,11 @@ import numpy as np
 
 from approxjac import law
 from approxjac.cameras import PinholeCamera
-from approxjac.controllers.arguments import (
-    LONGEST_DELAY,
-    chosen_deviations,
-    chosen_kinds,
-    is_rotation,
-)
-from approxjac.controllers.learning.estimator import (
-    EASED_SPEED,
-    EASED_TURN,
-    INTEGRAL,
-    JUMP,
-    LONGEST_FRAME,
-    NOISE_MEMORY,
-    SMOOTHING,
-    WINDOW,
-    Estimator,
-    Frame,
-    Frames,
-    Gate,
-    PredictedError,
-)
-from approxjac.controllers.learning.key_frames import Deviations, ImageEstimate, ImageEstimator
-from approxjac.controllers.learning.kinematic_report import KinematicReport, TiltedAxes, rows_of
+from approxjac.controllers.arguments import chosen_deviations, chosen_kinds, is_rotation
+from approxjac.controllers.learning.estimator import JUMP, Estimator, Frame
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement, Target
+from approxjac.law import PredictedError
 from approxjac.robots import KinematicRegressor, Robot
 from approxjac.tasks import CombinedTask, ImageTask
 from approxjac.tasks.analysis import (
@@ -49,6 +29,24 @@ _SETTLED = 1.0  # after which what is learnt explains x, if χ² is below the ne
 _EXPLAINED = 4.0
 _MOVES = 2.0  # times as far as believed, and four standard deviations: what is no jump
 _DIFFERENCE = 1e-5  # of rays, either way, from which the lens's curvature is taken
+_USUAL_SD: Mapping[str, float] = {
+    "tool": 0.2, "points": 0.2, "origins": 0.02, "position": 0.5, "rotation": 1.0,
+    "focal_length": 0.3,
+}  # fmt: skip
+_THREE = "; of a tag take three corners, ImageTask(robot, camera, points=points[:3])"
+_KEYS = 40  # key frames
+_MOST = 200.0  # frames that one of them counts for at most
+_NEW = (0.03, 0.15)  # of o [m] and H, from a key frame on
+_NEAREST = 0.05  # that a point is before the camera [m]
+_PLACED = 0.5  # depth of points that are believed behind the camera [m]
+_DAMPING = (0.0, 1.0, 1e2, 1e4, 1e6)  # of Levenberg and Marquardt, in prior informations
+_TURN = 0.7  # of one step [rad]
+_DOUBT = 4.0  # χ² a degree of freedom, above which another roll is looked for
+_LARGEST_CHI = 1e9  # that is said
+_ODDS = 8.0  # of it against the one at hand, as a logarithm, before it is taken
+_BETTER = 0.7  # and its cost, as a share
+_VIEWS = 6  # of the best ones that are tried
+_PATIENCE = 10.0  # frames for it to become better
 
 
 class AdaptiveCamera(Estimator):
@@ -94,6 +92,8 @@ class AdaptiveCamera(Estimator):
         UnknownNameError: An sd of something else.
     """
 
+    _noise_unit = "px"
+
     def __init__(
         self,
         task: ImageTask,
@@ -104,48 +104,93 @@ class AdaptiveCamera(Estimator):
         dt: float = 1e-3,
     ) -> None:
         self._remember(locals())
-        self._unknowns = unknowns = CameraUnknowns(task, unknown, sd)
-        self.task, self.unknown = task, unknowns.kinds
-        self.names, self.units = unknowns.names, unknowns.units
-        self.noise = as_number("noise", noise, unit="px", above=0.0)
-        self.delay = as_number("delay", delay, unit="s", minimum=0.0, most=LONGEST_DELAY)
-        dt = as_number("dt", dt, unit="s", above=0.0)
-        self._points_of, self._believed = unknowns.points, unknowns.believed
-        self._k, n = self._points_of.k, len(self._believed.u)
-        self._camera = camera = unknowns.camera
-        self._rays, self._f = ImageRays(camera), np.asarray(camera.focal_length)
-        noise_of_rays = self.noise / self._f
-        estimator = ImageEstimator(self._believed, unknowns.sd, noise_of_rays, self._k)
-        self._estimator, self._told = estimator, estimator.sd > 0.0
-        self._frames = Frames(task.robot, task.m, self.delay, dt)
-        self._gate = Gate(task.robot, task.m)
-        seen = seen_configurations(task, 20)
-        self._usual_depth = float(np.median([task.depths(q) for q in seen]))
-        self._scale = self._f / self._usual_depth
+        self._camera = camera = _camera(task)
+        where = "tool" if camera.mount is None else "points"
+        valid = (where, "origins", "camera", "focal_length")
+        usual = (where, *valid[2:])
+        self.unknown = kinds = chosen_kinds(usual if unknown is None else unknown, valid)
+        moves, zooms = "camera" in kinds, "focal_length" in kinds
+        used = {*kinds, *(("position", "rotation") if moves else ())}
+        sds = chosen_deviations(sd, _USUAL_SD, used)
+        self.task, self.noise = task, as_number("noise", noise, unit="px", above=0.0)
+        self._points_of = points = _WatchedPoints(task, where in kinds, "origins" in kinds)
+        self.regressor, self._k, n = points.regressor, points.k, len(points.u)
+        R, p = np.asarray(camera.rotation).T, np.asarray(camera.position)
+        self._first = ImageEstimate(points.u, R, p, 0.0)
+        sd_u = np.where(points.is_points, sds[where], sds["origins"])
+        self._sd_u, pose = sd_u, [moves * sds["position"]] * 3 + [moves * sds["rotation"]] * 3
+        all_sd = np.concatenate([sd_u, pose, [zooms * sds["focal_length"]]])
+        # pixels as rays: center, distortion and focal length those that are believed
+        self._f, self._center = np.asarray(camera.focal_length), np.asarray(camera.center)
+        self._lens = None if camera._lens.is_straight else camera._lens
+        self._estimator = _ImageEstimator(self._first, all_sd, self.noise / self._f, self._k)
+        self._is_learnt = all_sd > 0.0
+        self._sd, self._believed = all_sd[self._is_learnt], self._in_order(self._first)
+        of_pose = [f"camera.{each}" for each in ("x", "y", "z", "rx", "ry", "rz")] if moves else []
+        self.names = (*points.names, *of_pose, *(["focal_length"] if zooms else []))
+        self.units = tuple(
+            "px" if name == "focal_length" else "rad" if name in of_pose[3:] else "m"
+            for name in self.names
+        )
+        depths = [task.depths(q) for q in seen_configurations(task, 20)]
+        self._usual_depth = float(np.median(depths))
+        self._scale, self._pixels = self._f / self._usual_depth, np.tile(self._f, self._k)
         m = task.m
         sizes = {
-            "frames": self._frames.size, "gate": self._gate.size, "keys": estimator.size,
-            "told": len(self.names), "integral": m, "averaged": m, "left": m, "seen": 4, "time": 1,
+            "keys": self._estimator.size, "explained": 1,
             "R": 9, "u": n, "t": 3, "stretch": 1, "b": m,
             "spin": 3, "u_dot": n, "t_dot": 3, "stretch_dot": 1, "b_dot": m,
         }  # fmt: skip
-        learnt = "keys told integral averaged left seen u R t stretch b"
-        self._lay_out(sizes, learnt, "u t stretch b")
+        kept = "keys explained R u t stretch b"
+        self._lay_out(sizes, kept, "u t stretch b", delay, dt, m)
         self._turning = (("R", "spin"),)
 
     def __repr__(self) -> str:
         return f"AdaptiveCamera({self.task!r}, unknown={self.unknown})"
 
-    # -- learning ------------------------------------------------------------------------
+    # -- pixels as rays ------------------------------------------------------------------
 
     def _own(self, measurement: Measurement) -> Measurement:
-        return self._rays.of_measurement(measurement)
+        x = (measurement.x.reshape(-1, 2) - self._center) / self._f
+        return measurement._replace(x=x.ravel())
+
+    def _rays(self, w: Array) -> Array:
+        """Return the rays (k, 2) that are seen at w (2k,), in focal lengths; NaN where none is."""
+        w, lens = w.reshape(-1, 2), self._lens
+        if lens is None:
+            return w
+        return np.array([lens.ray(each) if np.isfinite(each).all() else each for each in w])
+
+    def _target_rays(self, target: Target) -> tuple[Array, Array, Array]:
+        """Return the rays of a target, and their first and second derivatives, (k, 2) each.
+
+        Of one that moves out of the image they are those at its edge.
+        """
+        x_d, v_d, a_d = target
+        x_d = x_d.reshape(-1, 2)
+        if self._lens is not None:
+            x_d = np.array([self._camera.nearest(each) for each in x_d])
+        y = self._rays(((x_d - self._center) / self._f).ravel())
+        y_dot, y_ddot = (
+            np.zeros(y.shape) if rate is None else rate.reshape(-1, 2) / self._f
+            for rate in (v_d, a_d)
+        )
+        for i, ray in enumerate(y if self._lens is not None and v_d is not None else ()):
+            D = self._slopes(ray)  # w = d(y), so Dy' = w' and Dy″ = w″ − D'y'
+            y_dot[i] = rate = np.linalg.solve(D, y_dot[i])
+            h = _DIFFERENCE / max(math.hypot(*rate.tolist()), 1e-12)
+            bent = self._slopes(ray + h * rate) - self._slopes(ray - h * rate)
+            y_ddot[i] = np.linalg.solve(D, y_ddot[i] - bent.dot(rate) / (2.0 * h))
+        return y, y_dot, y_ddot
+
+    def _slopes(self, ray: Array) -> Array:
+        assert self._lens is not None
+        return np.array(self._lens.slopes(*ray.tolist())).reshape(2, 2)
+
+    # -- learning ------------------------------------------------------------------------
 
     def _begin(self, state: Array) -> None:
-        at = self._at
-        state[at["keys"]] = self._estimator.initial()
-        state[at["time"]] = self._frames.last_time(state[at["frames"]])
-        state[at["seen"]] = 0.0, 0.0, self.noise**2, 0.0
+        state[self._at["keys"]] = self._estimator.about(self._first)
         self._follow(state)
 
     def _has_begun(self, state: Array) -> Any:
@@ -153,81 +198,63 @@ class AdaptiveCamera(Estimator):
 
     def _place(self, state: Array, frame: Frame) -> None:
         """Let the camera, and what is controlled, begin where it sees a first frame, in place."""
-        y = self._rays.at(frame.x)
+        y = self._rays(frame.x)
         if np.isfinite(y).all(axis=1).any():
-            H, o = self._points_of.at(frame.q)
-            numbers = state[self._at["keys"]]
-            numbers[:] = self._estimator.renewed(self._estimator.learn(numbers, H, o, y))
-            numbers[-2] = 1e-12  # the camera was placed
+            keys = state[self._at["keys"]]
+            learnt = self._estimator.learn(keys, *self._points_of.at(frame.q), y)
+            keys[:] = self._estimator.renewed(learnt)
+            keys[-2] = 1e-12  # the camera was placed
         self._follow(state)
 
     def _follow(self, state: Array) -> None:
         """Let what is controlled be what is estimated, in place."""
         at = self._at
         u, R, p, stretch = estimate = self._estimator.estimate(state[at["keys"]])
-        state[at["told"]] = self._in_order(estimate)
+        state[at["learnt"]] = self._in_order(estimate)
         state[at["u"]], state[at["R"]], state[at["t"]] = u, R.ravel(), -R.dot(p)
         state[at["stretch"]] = stretch
 
     def _in_order(self, estimate: ImageEstimate) -> Array:
         """Return what is learnt in the order of `names`."""
-        turn = law.rotation_log(self._believed.R.dot(estimate.R.T))
+        turn = law.rotation_log(self._first.R.dot(estimate.R.T))
         f = self._f[0] * math.exp(estimate.stretch)
-        return np.concatenate([estimate.u, estimate.p, turn, [f]])[self._told]
+        return np.concatenate([estimate.u, estimate.p, turn, [f]])[self._is_learnt]
 
     def _reach(self, q_0: Array, q: Array) -> Array:
-        """Return how far each entry of w may move from one configuration to another, (m,)."""
         (H_0, o_0), (H, o) = self._points_of.at(q_0), self._points_of.at(q)
-        u = self._believed.u
+        u = self._first.u
         known = np.linalg.norm(o + H.dot(u) - o_0 - H_0.dot(u), axis=1)
-        unsure = self._unknowns.unsure(H - H_0)
+        unsure = np.sqrt((((H - H_0) * self._sd_u) ** 2).sum(axis=(1, 2)))
         rays = (_MOVES * known + 4.0 * unsure) * _MOVES / self._usual_depth
         return np.asarray(np.repeat(rays, 2) + JUMP * self.noise / self._f.min())
 
-    def _correct(self, state: Array, frame: Frame, is_anew: Any) -> None:
-        """Learn from a frame, in place."""
-        at, estimator = self._at, self._estimator
-        since = min(max(frame.t - float(state[at["time"]][0]), 0.0), LONGEST_FRAME)
-        state[at["time"]] = frame.t
-        H, o = self._points_of.at(frame.q)
-        y, keys = self._rays.at(frame.x), state[at["keys"]]
+    def _correct(self, state: Array, frame: Frame, since: Any, is_anew: Any) -> None:
+        at, estimator, y = self._at, self._estimator, self._rays(frame.x)
         seen = np.isfinite(y).all(axis=1)
         if not seen.any():
             return
-        # seconds, restarts, variance of x [px²], and whether it was explained
-        noted, averaged = state[at["seen"]], state[at["averaged"]].reshape(-1, 2)
-        unlike = bool(np.abs(averaged * self._f).max() > _CHANGED * self.noise)
-        if is_anew or (unlike and noted[3]):  # what was learnt before is contradicted
+        H, o = self._points_of.at(frame.q)
+        keys, explained, noted = state[at["keys"]], state[at["explained"]], state[at["noted"]]
+        unlike = np.abs(state[at["averaged"]] * self._pixels).max() > _CHANGED * self.noise
+        if is_anew or (unlike and explained[0]):  # what was learnt before is contradicted
             keys = estimator.renewed(keys)
-            state[at["integral"]] = averaged[:] = 0.0
-            noted[0], noted[1], noted[3] = 0.0, noted[1] + 1.0, 0.0
+            explained[0] = 0.0
+            self._forget(state)
         state[at["keys"]] = keys = estimator.learn(keys, H, o, y)
         u, R, p, stretch = estimate = estimator.estimate(keys)
-        state[at["told"]] = self._in_order(estimate)
+        state[at["learnt"]] = self._in_order(estimate)
         c = (o + H.dot(u) - p).dot(R.T)
         seen &= c[:, 2] > self._camera.near  # others have no image, as far as is known
-        left = np.zeros_like(y)
+        left = np.full_like(y, np.nan)
         left[seen] = y[seen] - law.rays(c[seen], math.exp(stretch))
-        integral = state[at["integral"]].reshape(-1, 2)
-        integral[seen] += -math.expm1(-INTEGRAL * since) * (left[seen] - integral[seen])
-        averaged[seen] += -math.expm1(-since / WINDOW) * (left[seen] - averaged[seen])
-        before = state[at["left"]].reshape(-1, 2)
-        change = (left - before) * self._f * seen[:, np.newaxis]
-        before[seen] = left[seen]
-        noted[0] += since
+        self._account(state, left.ravel(), since)
         if noted[0] > _SETTLED and estimator.chi_squared(keys) < _EXPLAINED:
-            noted[3] = 1.0
-        share = since / min(noted[0] + 0.3, NOISE_MEMORY)
-        noted[2] += share * (0.25 * float((change * change).sum()) / max(seen.sum(), 1) - noted[2])
+            explained[0] = 1.0
 
     # -- the smoothed estimates ----------------------------------------------------------
 
     def _aim(self, state: Array, q: Array, dt: float) -> None:
-        """Set the rates at which the smoothed estimates follow, in place.
-
-        All follow with the rate β, and the camera such that the points at q do. All are slower
-        where x̂ or R would be fast, as after a restart.
-        """
+        # all follow, and the camera such that the points at q do
         at = self._at
         u, R, p, stretch = self._estimator.estimate(state[at["keys"]])
         smooth_u, smooth_R, smooth_stretch = self._smooth(state)
@@ -240,12 +267,7 @@ class AdaptiveCamera(Estimator):
         )
         beside = np.abs(ray - smooth_ray).max() * max(float(c[:, 2].max()), self._camera.near)
         turn = law.rotation_log(R.dot(smooth_R.T))
-        rate = min(
-            SMOOTHING,
-            0.5 / dt,
-            EASED_SPEED / max(float(beside), 1e-9),
-            EASED_TURN / max(math.hypot(*turn.tolist()), 1e-9),
-        )
+        rate = self._eased(dt, beside, turn)
         u_dot, spin = rate * (u - smooth_u), rate * turn
         moved = H.dot(u_dot).dot(smooth_R.T) + smooth_r.dot(law.cross_matrix(spin).dot(smooth_R).T)
         state[at["u_dot"]], state[at["spin"]] = u_dot, spin
@@ -268,18 +290,15 @@ class AdaptiveCamera(Estimator):
         """
         at, k, s = self._at, self._k, self._scale[:, np.newaxis]
         u, R, stretch = self._smooth(state)
-        t_dot, spin, l_dot = (
-            state[at["t_dot"]],
-            state[at["spin"]],
-            float(state[at["stretch_dot"]][0]),
-        )
+        t_dot, spin = state[at["t_dot"]], state[at["spin"]]
+        l_dot = float(state[at["stretch_dot"]][0])
         r, J_r, J_r_dot, drift_r = self._points_of.motion(q, v, u, state[at["u_dot"]])
         R_dot = law.cross_matrix(spin).dot(R)
         c, A = r.dot(R.T) + state[at["t"]], R @ J_r
         drift_c = drift_r.dot(R.T) + r.dot(R_dot.T) + t_dot
         A_dot = R @ J_r_dot + R_dot @ J_r
         # the target's rays, as the learnt focal length shows them
-        y, y_dot, y_ddot = self._rays.of_target(target)
+        y, y_dot, y_ddot = self._target_rays(target)
         shrink = math.exp(-stretch)
         rho = shrink * (y - state[at["b"]].reshape(-1, 2))
         led, led_dot = shrink * y_dot, shrink * (y_ddot - l_dot * y_dot)
@@ -303,107 +322,35 @@ class AdaptiveCamera(Estimator):
     # -- what was learnt -----------------------------------------------------------------
 
     def _is_state(self, state: Array) -> bool:
-        _, R, _, _ = self._estimator.estimate(state[self._at["keys"]])
-        return is_rotation(R)
+        return is_rotation(self._estimator.estimate(state[self._at["keys"]]).R)
 
     def camera(self, state: Array) -> PinholeCamera:
         """Return the camera as a state has learnt it."""
-        state = self._required(state)
+        state, believed = self._required(state), self._first
         _, R, p, stretch = self._estimator.estimate(state[self._at["keys"]])
         return self._camera.with_error(
-            shift=self._believed.R.dot(p - self._believed.p),
-            rotation=law.rotation_log(self._believed.R.dot(R.T)),
+            shift=believed.R.dot(p - believed.p),
+            rotation=law.rotation_log(believed.R.dot(R.T)),
             focal_factor=math.exp(stretch),
         )
 
     def robot(self, state: Array) -> Robot:
         """Return the believed robot with the translations that a state has learnt."""
         u, *_ = self._estimator.estimate(self._required(state)[self._at["keys"]])
-        return self._points_of.regressor.robot_with(self._points_of.theta(u))
+        return self.regressor.robot_with(self._points_of.theta(u))
 
-    def report(self, state: Array) -> KinematicReport:
-        """Return what a state has learnt: values, standard deviations, and what was not seen.
+    def _covariance(self, state: Array) -> tuple[Array, float]:
+        keys, is_learnt = state[self._at["keys"]], self._is_learnt
+        beyond = max(1.0, state[self._at["noted"]][2] / self.noise**2)
+        covariance = self._estimator.covariance(keys)[np.ix_(is_learnt, is_learnt)]
+        return covariance, self._estimator.chi_squared(keys) / float(beyond)
 
-        The covariance is of the rotation in the learnt camera's own axes.
-        """
-        at, noise, state = self._at, self.noise, self._required(state)
-        keys = state[at["keys"]]
-        told, sd = self.learnt(state).copy(), self._estimator.sd[self._told]
-        believed = self._in_order(self._believed)
-        seconds, restarts, variance, _ = state[at["seen"]].tolist()
-        P = self._estimator.covariance(keys)[np.ix_(self._told, self._told)]
-        share = 1.0 - P.diagonal() / sd**2
-        beyond = max(1.0, variance / noise**2)  # noise that is seen, over what was told
-        chi = self._estimator.chi_squared(keys) / beyond
-        units = self._unknowns.units
-        scale = np.array([-1.0 if unit == "rad" else 1.0 for unit in units])
-        if units[-1] == "px":  # of which the logarithm is learnt
-            scale[-1] = told[-1]
-        P = P * (max(chi, 1.0) * beyond) * scale * scale[:, np.newaxis]
-        rows = rows_of(self.names, units, believed, told, P, share)
-        angle = math.hypot(*told[[unit == "rad" for unit in units]].tolist())
-        untested, told_seen = TiltedAxes(1.0, 0.0, "", 0.0), (noise, math.sqrt(variance))
-        return KinematicReport(
-            rows, P, angle, chi, untested, told_seen, seconds, int(restarts), "px",
-            self._frames.silence(state[at["frames"]]), self._points_of.regressor.movers[-1],
-        )  # fmt: skip
-
-
-USUAL_SD: Mapping[str, float] = {
-    "tool": 0.2, "points": 0.2, "origins": 0.02, "position": 0.5, "rotation": 1.0,
-    "focal_length": 0.3,
-}  # fmt: skip
-"""Plausible errors: of translations along each axis [m], rotation [rad], and the log of f."""
-_THREE = "; of a tag take three corners, ImageTask(robot, camera, points=points[:3])"
-
-
-class CameraUnknowns:
-    """Unknowns of the image of points in a pinhole camera.
-
-    Args:
-        task: Image of the points, of the believed robot.
-        unknown: What may be wrong, or None for the usual.
-        sd: Plausible errors in place of those of `USUAL_SD`.
-
-    Attributes:
-        camera: The believed camera.
-        kinds: What may be wrong.
-        points: The points, linear in translations.
-        believed: What is believed.
-        sd: Plausible errors of it, 0 of what is known.
-        names: Names of what is learnt, in the order of an estimate.
-        units: Their units.
-    """
-
-    def __init__(self, task: Any, unknown: Any, sd: Any) -> None:
-        self.camera = camera = _camera(task)
-        where = "tool" if camera.mount is None else "points"
-        valid = (where, "origins", "camera", "focal_length")
-        self.kinds = kinds = chosen_kinds(
-            (where, *valid[2:]) if unknown is None else unknown, valid
-        )
-        used = {*kinds, *(("position", "rotation") if "camera" in kinds else ())}
-        sds = chosen_deviations(sd, USUAL_SD, used)
-        self.points = points = WatchedPoints(task, where in kinds, "origins" in kinds)
-        R, p = np.asarray(camera.rotation).T, np.asarray(camera.position)
-        self.believed = ImageEstimate(points.u, R, p, 0.0)
-        moves, zooms = "camera" in kinds, "focal_length" in kinds
-        self.sd = Deviations(
-            np.where(points.is_points, sds[where], sds["origins"]),
-            moves * sds["position"],
-            moves * sds["rotation"],
-            zooms * sds["focal_length"],
-        )
-        pose = [f"camera.{each}" for each in ("x", "y", "z", "rx", "ry", "rz")] if moves else []
-        zoom = ["focal_length"] if zooms else []
-        self.names = (*points.names, *pose, *zoom)
-        self.units = tuple(
-            "px" if name in zoom else "rad" if name in pose[3:] else "m" for name in self.names
-        )
-
-    def unsure(self, moved: Array) -> Array:
-        """Return the standard deviation of moves (k, 3, n_u) of the points, shape (k,) [m]."""
-        return np.asarray(np.sqrt(((moved * self.sd.u) ** 2).sum(axis=(1, 2))))
+    def _in_units(self, covariance: Array, learnt: Array) -> Array:
+        # rotations in the learnt camera's own axes; of the focal length its logarithm is learnt
+        scale = np.array([-1.0 if unit == "rad" else 1.0 for unit in self.units])
+        if self.units[-1] == "px":
+            scale[-1] = learnt[-1]
+        return covariance * scale * scale[:, np.newaxis]
 
 
 def _camera(task: Any) -> PinholeCamera:
@@ -438,60 +385,7 @@ def _camera(task: Any) -> PinholeCamera:
     return camera
 
 
-class ImageRays:
-    """Pixels as rays: center, distortion and focal length are those that are believed.
-
-    Args:
-        camera: The camera as it is believed.
-    """
-
-    def __init__(self, camera: PinholeCamera) -> None:
-        self._f, self._c = np.asarray(camera.focal_length), np.asarray(camera.center)
-        self._camera = camera
-        self._lens = None if camera._lens.is_straight else camera._lens
-
-    def of_measurement(self, measurement: Measurement) -> Measurement:
-        """Return a measurement with x from the camera's center, in focal lengths."""
-        x = (measurement.x.reshape(-1, 2) - self._c) / self._f
-        return measurement._replace(x=x.ravel())
-
-    def at(self, w: Array) -> Array:
-        """Return the rays (k, 2) that are seen at w (2k,), in focal lengths; NaN where none is."""
-        w, lens = w.reshape(-1, 2), self._lens
-        if lens is None:
-            return w
-        return np.array([lens.ray(each) if np.isfinite(each).all() else each for each in w])
-
-    def of_target(self, target: Target) -> tuple[Array, Array, Array]:
-        """Return the rays of a target, and their first and second derivatives, (k, 2) each.
-
-        Of one that moves out of the image they are those at its edge.
-        """
-        x_d, v_d, a_d = target
-        x_d = x_d.reshape(-1, 2)
-        if self._lens is not None:
-            x_d = np.array([self._camera.nearest(each) for each in x_d])
-        y = self.at(((x_d - self._c) / self._f).ravel())
-        nothing = np.zeros(y.shape)
-        y_dot = nothing if v_d is None else v_d.reshape(-1, 2) / self._f
-        y_ddot = nothing if a_d is None else a_d.reshape(-1, 2) / self._f
-        if self._lens is None or v_d is None:
-            return y, y_dot, y_ddot
-        y_ddot = y_ddot.copy()
-        for i, ray in enumerate(y):  # w = d(y), so Dy' = w' and Dy″ = w″ − D'y'
-            D = self._slopes(ray)
-            y_dot[i] = rate = np.linalg.solve(D, y_dot[i])
-            h = _DIFFERENCE / max(math.hypot(*rate.tolist()), 1e-12)
-            bent = self._slopes(ray + h * rate) - self._slopes(ray - h * rate)
-            y_ddot[i] = np.linalg.solve(D, y_ddot[i] - bent.dot(rate) / (2.0 * h))
-        return y, y_dot, y_ddot
-
-    def _slopes(self, ray: Array) -> Array:
-        assert self._lens is not None
-        return np.array(self._lens.slopes(*ray.tolist())).reshape(2, 2)
-
-
-class PointsMotion(NamedTuple):
+class _PointsMotion(NamedTuple):
     """Points and their derivatives, with translations that are learnt.
 
     Attributes:
@@ -507,7 +401,7 @@ class PointsMotion(NamedTuple):
     drift: Array
 
 
-class WatchedPoints:
+class _WatchedPoints:
     """r(q) = o(q) + H(q)u in the axes of the camera's mount, with u translations.
 
     Of a camera in the world the points are the robot's: u moves the tool. Of one on the robot they
@@ -570,7 +464,7 @@ class WatchedPoints:
         """Return all translations of `regressor`, those that are known as well; shape (p,) [m]."""
         return np.asarray(self._theta + self._S.dot(u[: self._n_theta]))
 
-    def motion(self, q: Array, v: Array, u: Array, u_dot: Array) -> PointsMotion:
+    def motion(self, q: Array, v: Array, u: Array, u_dot: Array) -> _PointsMotion:
         """Return points and derivatives at q (nq,) and q̇ (n_v,), with u and u' (n_u,)."""
         n = self._n_theta
         theta, theta_dot = self.theta(u), self._S.dot(u_dot[:n])
@@ -578,7 +472,7 @@ class WatchedPoints:
         J, J_dot = (each.reshape(-1, 3, J.shape[1]) for each in (J, J_dot))
         p, drift = p.reshape(-1, 3), drift.reshape(-1, 3)
         if not self._is_carried:
-            return PointsMotion(p, J, J_dot, drift)
+            return _PointsMotion(p, J, J_dot, drift)
         # r = A(P − o) with rows a of A: each entry is a product a·w
         A, a_J, a_J_dot = p[1:] - p[0], J[1:] - J[0], J_dot[1:] - J_dot[0]
         a_dot = a_J.dot(v)
@@ -588,9 +482,311 @@ class WatchedPoints:
             w, w_dot, moved = w + u[n:], w_dot + u_dot[n:], moved + u_dot[n:]
         each = np.einsum("kj,ajn->kan", w, a_J)
         each_dot = np.einsum("kj,ajn->kan", w, a_J_dot) + np.einsum("j,ajn->an", w_dot, a_J)
-        return PointsMotion(
+        return _PointsMotion(
             w.dot(A.T),
             each - A.dot(J[0]),
             each_dot - a_dot.dot(J[0]) - A.dot(J_dot[0]),
             np.tile(A.dot(moved), (self.k, 1)),
         )
+
+
+class ImageEstimate(NamedTuple):
+    """Estimate of the unknowns in y = e^λ π(R(o + Hu − p)).
+
+    Attributes:
+        u: Translations, shape (n_u,) [m].
+        R: Rotation of the mount's axes in the camera's, (3, 3).
+        p: Position of the camera in the axes of its mount, shape (3,) [m].
+        stretch: λ, the logarithm of the focal length over the believed one.
+    """
+
+    u: Array
+    R: Array
+    p: Array
+    stretch: float
+
+
+_Terms = tuple[Array, Array, Array, Array]
+
+
+class _ImageEstimator:
+    """Least squares over key frames, linearised anew with each frame.
+
+    A key frame is the mean of y and of r = o + Hu over a short way, which is as linear in u as one
+    frame is. As rays are no linear function, what is remembered are 40 of them. Each new frame
+    brings a step of Levenberg and Marquardt from the estimate, with the prior as it was at first.
+
+    Where the estimate does not explain what is seen, the camera may be rolled, or elsewhere about
+    the points: the turn of the image that explains it best from there, in closed form, is tried
+    beside the estimate for some frames, and taken if it is better beyond doubt.
+
+    Its numbers: key frames (for each point its count, y, o and H), the estimate, the one that is
+    tried beside it, how long that has been tried (0: it is not), how many were tried before, χ²,
+    and which key frame is last.
+
+    Args:
+        believed: The estimate before the first frame.
+        sd: Plausible errors of u, p, the rotation and λ; 0 of what is known.
+        noise: Of y, shape (2,).
+        k: Number of points.
+    """
+
+    def __init__(self, believed: ImageEstimate, sd: Array, noise: Array, k: int) -> None:
+        self._believed, self._k, self._n = believed, k, len(believed.u)
+        n = self._n
+        self._free, self._size = np.flatnonzero(sd > 0.0), len(sd)
+        self._prior = np.where(sd > 0.0, sd, np.inf) ** -2.0
+        self._weight = noise**-2.0
+        self._shape = _KEYS, k, 6 + 3 * n
+        self._m, self._e = _KEYS * k * (6 + 3 * n), n + 13
+        self.size = self._m + 2 * self._e + 4
+        everywhere = law.rotations_everywhere(3)  # of which those with the same view are one
+        _, first = np.unique(np.round(everywhere[:, 2], 6), axis=0, return_index=True)
+        self._views = everywhere[first]
+
+    # -- numbers -------------------------------------------------------------------------
+
+    def about(self, estimate: ImageEstimate) -> Array:
+        """Return the numbers (size,) before the first frame, with an estimate."""
+        numbers = np.zeros(self.size)
+        numbers[self._m : self._m + self._e] = self._packed(estimate)
+        return numbers
+
+    def renewed(self, numbers: Array) -> Array:
+        """Return numbers that have forgotten all frames, but not the estimate."""
+        return self.about(self.estimate(numbers))
+
+    def estimate(self, numbers: Array) -> ImageEstimate:
+        """Return what is estimated."""
+        return self._unpacked(numbers[self._m : self._m + self._e])
+
+    def has_begun(self, numbers: Array) -> bool:
+        """Return whether there was a frame: χ² is above 0 from the first one on."""
+        return bool(numbers[-2] > 0.0)
+
+    def chi_squared(self, numbers: Array) -> float:
+        """Return χ² of all key frames a degree of freedom."""
+        return float(numbers[-2])
+
+    def learn(self, numbers: Array, H: Array, o: Array, y: Array) -> Array:
+        """Return the numbers after a frame.
+
+        Args:
+            numbers: As before, shape (size,).
+            H: Of the points, shape (k, 3, n_u).
+            o: Shape (k, 3).
+            y: What is measured, shape (k, 2), NaN of points that are lost.
+        """
+        numbers = numbers.copy()
+        self._remember(numbers, H, o, y)
+        terms = self._terms(numbers)
+        m, e = self._m, self._e
+        first = not self.has_begun(numbers)
+        best = self.estimate(numbers)
+        if first or not math.isfinite(self._misfit(best, terms)):
+            best = self._placed(best, terms)
+        best, cost = self._improved(best, terms, 8 if first else 1)
+        chi = self._chi_squared(best, terms)
+        tried = numbers[m + 2 * e]
+        if chi > _DOUBT and not first and self._prior[-2] > 0.0:
+            if tried:
+                other = self._unpacked(numbers[m + e : m + 2 * e])
+            else:
+                other = self._another(terms, int(numbers[-3]))
+            other, cost_other = self._improved(other, terms, 2)
+            if cost_other < min(_BETTER * cost, cost - _ODDS):
+                best, tried, numbers[-3] = other, 0.0, 0.0
+                chi = self._chi_squared(best, terms)
+            else:
+                tried += 1.0
+                if tried > _PATIENCE:
+                    tried, numbers[-3] = 0.0, numbers[-3] + 1.0
+                numbers[m + e : m + 2 * e] = self._packed(other)
+        else:
+            tried = 0.0
+        numbers[m : m + e] = self._packed(best)
+        numbers[m + 2 * e], numbers[-2] = tried, min(max(chi, 1e-12), _LARGEST_CHI)
+        return numbers
+
+    def covariance(self, numbers: Array) -> Array:
+        """Return the covariance of (u, p, φ, λ), φ of R ← exp([φ]ₓ)R; 0 of what is known."""
+        covariance, free = np.zeros((self._size, self._size)), self._free
+        A, _ = self._normal(self.estimate(numbers), self._terms(numbers))
+        covariance[np.ix_(free, free)] = np.linalg.inv(A[np.ix_(free, free)])
+        return covariance
+
+    def _packed(self, estimate: ImageEstimate) -> Array:
+        u, R, p, stretch = estimate
+        return np.concatenate([u, R.ravel(), p, [stretch]])
+
+    def _unpacked(self, numbers: Array) -> ImageEstimate:
+        n = self._n
+        R, p = numbers[n : n + 9].reshape(3, 3), numbers[n + 9 : n + 12]
+        return ImageEstimate(numbers[:n].copy(), R.copy(), p.copy(), float(numbers[n + 12]))
+
+    # -- key frames ----------------------------------------------------------------------
+
+    def _remember(self, numbers: Array, H: Array, o: Array, y: Array) -> None:
+        """Add a frame to the last key frame, or begin another one, in place."""
+        keys = numbers[: self._m].reshape(self._shape)
+        if not 0.0 <= numbers[-1] < _KEYS:
+            raise InvalidInputError(
+                f"state must be one of this controller's, got key frame {numbers[-1]:g}",
+                given=numbers,
+            )
+        last = int(numbers[-1])
+        key = keys[last]
+        has = key[:, 0] > 0.0
+        if has.any():
+            away = np.abs(key[has, 3:6] - o[has]).max() / _NEW[0]
+            away += np.linalg.norm(key[has, 6:] - H.reshape(self._k, -1)[has]) / _NEW[1]
+            if away > 1.0:
+                last = (last + 1) % _KEYS
+                numbers[-1] = last
+                key = keys[last]
+                key[:] = 0.0
+        seen = np.isfinite(y).all(axis=1)
+        count = np.minimum(key[:, 0] + seen, _MOST)
+        share = np.where(seen, 1.0 / np.maximum(count, 1.0), 0.0)[:, np.newaxis]
+        now = np.concatenate([np.nan_to_num(y), o, H.reshape(self._k, -1)], axis=1)
+        key[:, 1:] += share * (now - key[:, 1:])
+        key[:, 0] = count
+
+    def _terms(self, numbers: Array) -> _Terms:
+        """Return weights (N, 2), y (N, 2), o (N, 3) and H (N, 3, n_u) of what is remembered."""
+        rows = numbers[: self._m].reshape(-1, self._shape[2])
+        rows = rows[rows[:, 0] > 0.0]
+        weights = rows[:, :1] * self._weight
+        return weights, rows[:, 1:3], rows[:, 3:6], rows[:, 6:].reshape(len(rows), 3, self._n)
+
+    def _chi_squared(self, estimate: ImageEstimate, terms: _Terms) -> float:
+        rows = 2.0 * len(terms[0])
+        return 2.0 * self._misfit(estimate, terms) / max(rows - len(self._free), 0.5 * rows)
+
+    # -- least squares -------------------------------------------------------------------
+
+    def _places(self, estimate: ImageEstimate, terms: _Terms) -> Array:
+        """Return the points in the camera's axes, shape (N, 3)."""
+        u, R, p, _ = estimate
+        return np.asarray((terms[2] + terms[3].dot(u) - p).dot(R.T))
+
+    def _misfit(self, estimate: ImageEstimate, terms: _Terms) -> float:
+        """Return half the weighted sum of squares of what is left of y; inf behind the camera."""
+        c = self._places(estimate, terms)
+        if not (c[:, 2] > _NEAREST).all():
+            return math.inf
+        left = terms[1] - law.rays(c, math.exp(estimate.stretch))
+        return 0.5 * float((terms[0] * left * left).sum())
+
+    def _cost(self, estimate: ImageEstimate, terms: _Terms) -> float:
+        """Return the misfit, and what it costs to be away from what is believed."""
+        away = self._away(estimate)
+        turned = estimate.R - self._believed.R
+        prior = away.dot(self._prior * away) + 0.5 * self._prior[-2] * float(
+            np.vdot(turned, turned)
+        )
+        return self._misfit(estimate, terms) + 0.5 * float(prior)
+
+    def _away(self, estimate: ImageEstimate) -> Array:
+        """Return how far an estimate is from what is believed, but for the rotation."""
+        u, _, p, stretch = self._believed
+        return np.concatenate(
+            [estimate.u - u, estimate.p - p, np.zeros(3), [estimate.stretch - stretch]]
+        )
+
+    def _normal(self, estimate: ImageEstimate, terms: _Terms) -> tuple[Array, Array]:
+        """Return the normal matrix (P, P) and the descent (P,) of the cost."""
+        weights, y, _, H = terms
+        R, stretch = estimate.R, math.exp(estimate.stretch)
+        c = self._places(estimate, terms)
+        shown = law.rays(c, stretch)
+        A = law.ray_jacobian(c, stretch)
+        AR = A @ R
+        n = self._n
+        rows = np.empty((*A.shape[:2], self._size))
+        rows[:, :, :n], rows[:, :, n : n + 3] = AR @ H, -AR
+        for i, G in enumerate(law.generators(3)):  # c moves by φ × c
+            rows[:, :, n + 3 + i] = (A @ c.dot(G.T)[:, :, np.newaxis])[..., 0]
+        rows[:, :, -1] = shown
+        rows = rows.reshape(-1, self._size)
+        weighted = rows * weights.reshape(-1, 1)
+        normal = weighted.T.dot(rows) + np.diag(self._prior)
+        descent = (y - shown).ravel().dot(weighted) - self._prior * self._away(estimate)
+        tangents = (law.generators(3) @ R).reshape(3, -1)
+        turned = (R - self._believed.R).ravel()
+        descent[n + 3 : n + 6] -= 0.5 * self._prior[-2] * tangents.dot(turned)
+        return normal, descent
+
+    def _improved(
+        self, estimate: ImageEstimate, terms: _Terms, steps: int
+    ) -> tuple[ImageEstimate, float]:
+        """Return an estimate after some steps of Levenberg and Marquardt, and its cost."""
+        cost, free = self._cost(estimate, terms), self._free
+        for _ in range(steps if math.isfinite(cost) else 0):  # nothing leads out from behind it
+            normal, descent = self._normal(estimate, terms)
+            normal, descent = normal[np.ix_(free, free)], descent[free]
+            for damping in _DAMPING:
+                step = np.zeros(self._size)
+                damped = normal + np.diag(damping * self._prior[free])
+                step[free] = np.linalg.solve(damped, descent)
+                new = self._moved(estimate, step)
+                lower = self._cost(new, terms)
+                if lower < cost:
+                    estimate, cost = new, lower
+                    break
+            else:
+                break
+        return estimate, cost
+
+    def _moved(self, estimate: ImageEstimate, step: Array) -> ImageEstimate:
+        u, R, p, stretch = estimate
+        n = self._n
+        turn = step[n + 3 : n + 6]
+        largest = max(1.0, math.hypot(*turn.tolist()) / _TURN)
+        step = step / largest
+        R = law.rotation_exp(step[n + 3 : n + 6]).dot(R)
+        return ImageEstimate(u + step[:n], R, p + step[n : n + 3], stretch + float(step[-1]))
+
+    # -- where to start ------------------------------------------------------------------
+
+    def _placed(self, estimate: ImageEstimate, terms: _Terms) -> ImageEstimate:
+        """Return an estimate whose camera is moved such that it sees the points, about as it does.
+
+        Where they are believed behind it, it is moved back; then sideways.
+        """
+        if self._prior[self._n] == 0.0:  # where it is is known
+            return estimate
+        u, R, p, stretch = estimate
+        weights = terms[0][:, 0] / terms[0][:, 0].sum()
+        c = self._places(estimate, terms)
+        back = 0.0 if c[:, 2].min() > _NEAREST else _PLACED - float(c[:, 2].min())
+        c[:, 2] += back
+        beside = weights.dot(c[:, 2:] * terms[1] * math.exp(-stretch) - c[:, :2])
+        return ImageEstimate(u, R, p - np.append(beside, back).dot(R), stretch)
+
+    def _another(self, terms: _Terms, rank: int) -> ImageEstimate:
+        """Return another estimate to begin with: a camera elsewhere about the points, and rolled.
+
+        At the depth that is believed. Where it is believed is the first, and from there the best
+        roll, in closed form; of other views, the one whose images are alike but for turn and size.
+
+        Args:
+            terms: What is remembered.
+            rank: How many were tried before.
+        """
+        weights, y, o, H = terms
+        w = weights[:, 0] / weights[:, 0].sum()
+        u, _, p, stretch = believed = self._placed(self._believed, terms)
+        r = o + H.dot(u)
+        depth = max(float(w.dot((r - p).dot(believed.R[2]))), _PLACED)
+        views = np.eye(3)[np.newaxis] if rank % 2 == 0 else self._views
+        R = believed.R @ views
+        center = depth * np.append(math.exp(-stretch) * w.dot(y), 1.0)
+        c = (r - w.dot(r)) @ R.transpose(0, 2, 1) + center
+        c[..., 2] = np.maximum(c[..., 2], _NEAREST)
+        turns, left = law.image_turn(c[..., :2] / c[..., 2:], y, weights[:, 0])
+        best = np.argsort(left)[(rank // 2) % min(_VIEWS, len(left))]
+        rolled = law.rotation_exp(np.array([0.0, 0.0, turns[best]])).dot(R[best])
+        if self._prior[self._n] > 0.0:
+            p = w.dot(r) - center.dot(rolled)
+        return believed._replace(R=rolled, p=p)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,32 +11,13 @@ import numpy as np
 
 from approxjac import law
 from approxjac.cameras import PlanarCamera
-from approxjac.controllers.arguments import LONGEST_DELAY, chosen_kinds, is_rotation
-from approxjac.controllers.learning.estimator import (
-    EASED_SPEED,
-    EASED_TURN,
-    INTEGRAL,
-    JUMP,
-    LONGEST_FRAME,
-    NOISE_MEMORY,
-    SMOOTHING,
-    WINDOW,
-    Estimator,
-    Frame,
-    Frames,
-    Gate,
-    PredictedError,
-    pulled_back,
-)
-from approxjac.controllers.learning.kinematic_report import KinematicReport, rows_of
-from approxjac.controllers.learning.least_squares import (
-    KnownCamera,
-    UnknownCamera,
-    tilted_axes,
-)
+from approxjac.controllers.arguments import chosen_kinds, is_rotation
+from approxjac.controllers.learning.estimator import JUMP, WINDOW, Estimator, Frame
+from approxjac.controllers.learning.kinematic_report import TiltedAxes
 from approxjac.controllers.learning.unknowns import KINDS, Unknowns
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement, Target
+from approxjac.law import PredictedError
 from approxjac.robots import Robot
 from approxjac.tasks import ImageTask, PositionTask, Task
 from approxjac.validation import Array, as_number, require
@@ -47,6 +29,9 @@ _WORST = 4.0  # χ² above which no more is passed over
 _BELIEVED = 5.0  # of frames after which what was learnt is a belief when learning begins anew [s]
 _SMALLEST_SCALE = 0.1
 _NO_TIME = 1e-12  # of an average's share
+_ODDS = 2.0  # of another rotation against the one at hand, as a logarithm, before it is taken
+_SD_TILT = 0.1  # of an axis that may be tilted [rad]
+_SAME = 0.8  # of tr(AᵀA'): about 45°, nearer than which rotations are one to Newton's method
 
 
 class AdaptiveKinematics(Estimator):
@@ -108,41 +93,35 @@ class AdaptiveKinematics(Estimator):
         angle_noise: float = 5e-3,
     ) -> None:
         self._remember(locals())
-        task = PositionTask(task) if isinstance(task, Robot) else task
-        self.task, self.unknown = task, unknown
-        self.noise = as_number("noise", noise, unit="m", above=0.0)
+        self.task = task = PositionTask(task) if isinstance(task, Robot) else task
+        self.unknown = unknown
+        noise = as_number("noise", noise, unit="m", above=0.0)
         angle_noise = as_number("angle_noise", angle_noise, unit="rad", above=0.0, most=1.0)
-        self.delay = as_number("delay", delay, unit="s", minimum=0.0, most=LONGEST_DELAY)
-        dt = as_number("dt", dt, unit="s", above=0.0)
-        length = self.noise / angle_noise
-        self._unknowns = unknowns = Unknowns(task, unknown, sd, length)
-        as_number("noise", noise, unit="m", above=0.0, most=unknowns.largest_noise)
-        self.regressor = unknowns.regressor
+        self._unknowns = unknowns = Unknowns(task, unknown, sd, noise / angle_noise)
+        self.noise = as_number("noise", noise, unit="m", above=0.0, most=unknowns.largest_noise)
+        self.regressor, self._orientation = unknowns.regressor, unknowns.orientation
         self.names, self.units = unknowns.names, unknowns.units
-        self._orientation = unknowns.orientation
-        self._frames = Frames(task.robot, task.n_x, self.delay, dt)
-        n_points = len(unknowns.points(np.zeros(task.n_x)))
-        self._gate = Gate(task.robot, n_points, JUMP * self.noise)
-        kind = UnknownCamera if unknowns.turns else KnownCamera
-        self._estimator: KnownCamera | UnknownCamera = kind(unknowns, self.noise)
+        self._believed, self._sd = unknowns.believed, unknowns.sd
+        kind = _UnknownRotation if unknowns.turns else _KnownRotation
+        self._estimator: _LeastSquares = kind(unknowns, noise)
         self._turns, self._d = unknowns.turns, unknowns.d
         self._is_turned, self._n_p = unknowns.is_turned, len(unknowns.constant)
-        m, n, turns, n_p = task.m, unknowns.n_u, self._turns, self._n_p
-        is_pose = self._orientation is not None
+        turns, is_pose = unknowns.turns, unknowns.orientation is not None
+        n, n_p, spin = unknowns.n_u, self._n_p, len(law.generators(self._d)) if turns else 0
         sizes = {
-            "frames": self._frames.size, "gate": self._gate.size, "sums": self._estimator.size,
-            "told": len(self.names), "integral": m, "averaged": m, "left": m, "chi": 5, "time": 1,
-            "placed": task.n_x, "u": n, "b": n_p, "R": self._d**2 if turns else 0,
-            "T": 9 if is_pose else 0,
-            "u_dot": n, "b_dot": n_p, "spin": len(law.generators(self._d)) if turns else 0,
-            "T_spin": 3 if is_pose else 0,
+            "sums": self._estimator.size, "chi": 2, "placed": task.n_x,
+            "R": self._d**2 if turns else 0, "spin": spin,
+            "T": 9 if is_pose else 0, "T_spin": 3 if is_pose else 0,
+            "u": n, "b": n_p, "u_dot": n, "b_dot": n_p,
         }  # fmt: skip
-        self._lay_out(sizes, "sums told integral averaged left chi placed u b R T", "u b")
+        n_points = len(unknowns.points(np.zeros(task.n_x)))
+        kept = "sums chi placed u b R T"
+        self._lay_out(sizes, kept, "u b", delay, dt, n_points, JUMP * noise)
         turning = (("R", "spin"), ("T", "T_spin"))
         self._turning = tuple(pair for pair in turning if sizes[pair[0]])
 
     def __repr__(self) -> str:
-        return f"AdaptiveKinematics({self.task!r}, unknown={self.unknown})"
+        return f"{type(self).__name__}({self.task!r}, unknown={self.unknown})"
 
     # -- learning ------------------------------------------------------------------------
 
@@ -152,9 +131,8 @@ class AdaptiveKinematics(Estimator):
     def _begin(self, state: Array) -> None:
         at, unknowns = self._at, self._unknowns
         state[at["sums"]] = self._estimator.initial()
-        state[at["told"]] = unknowns.believed
-        state[at["chi"]] = 1.0, 0.0, 0.0, self.noise**2, 0.0
-        state[at["time"]] = self._frames.last_time(state[at["frames"]])
+        state[at["learnt"]] = unknowns.believed
+        state[at["chi"]] = 1.0, 0.0
         state[at["u"]] = unknowns.Theta[: unknowns.n_u]
         if self._turns:
             state[at["R"]] = unknowns.R.ravel()
@@ -182,19 +160,17 @@ class AdaptiveKinematics(Estimator):
     def _reach(self, q_0: Array, q: Array) -> Array:
         return self._unknowns.reach(q_0, q) + JUMP * self.noise
 
-    def _correct(self, state: Array, frame: Frame, is_anew: Any) -> None:
+    def _correct(self, state: Array, frame: Frame, since: Any, is_anew: Any) -> None:
         at, unknowns, x = self._at, self._unknowns, frame.x
         averaged, chi = state[at["averaged"]], state[at["chi"]]
-        since = np.minimum(np.maximum(frame.t - state[at["time"]][0], 0.0), LONGEST_FRAME)
         kept = -np.expm1(-since / WINDOW)
         # as it was said, or as seen from frame to frame
-        noise = np.maximum(self.noise, np.sqrt(np.maximum(chi[3], 0.0)))
+        noise = np.maximum(self.noise, np.sqrt(np.maximum(state[at["noted"]][2], 0.0)))
         usual = noise * np.sqrt(kept / (2.0 - kept))  # of what noise leaves of an average
         # what was not explained all along is no news
         unexplained = np.sqrt(np.minimum(np.maximum(chi[0], 1.0), _WORST))
         changed = unexplained * np.maximum(_CHANGED[0], _CHANGED[1] * usual)
-        is_anew = is_anew | (np.abs(averaged).max() > changed)
-        law.alter(is_anew, state, self._renew)
+        law.alter(is_anew | (np.abs(averaged).max() > changed), state, self._renew)
         H, known = unknowns.regression(frame.q)
         H_T = np.concatenate([H, unknowns.tilts(frame.q, state[at["u"]])], axis=1)
         seen, z, o = np.isfinite(x), x, known
@@ -202,30 +178,18 @@ class AdaptiveKinematics(Estimator):
             z, o = np.where(seen, x, 0.0), np.where(seen, known, 0.0)
             H_T = np.where(seen[:, np.newaxis], H_T, 0.0)
         share = -np.expm1(-_FORGETTING * since)
-        sums = self._estimator.learn(state[at["sums"]], H_T, o, z, share)
-        state[at["sums"]] = sums
-        state[at["time"]] = frame.t
+        state[at["sums"]] = sums = self._estimator.learn(state[at["sums"]], H_T, o, z, share)
         Theta, R = self._estimator.estimate(sums)
-        state[at["told"]] = unknowns.told(Theta, R)
-        # what is left of x: taken up by the integral, and averaged to be looked at
+        state[at["learnt"]] = unknowns.told(Theta, R)
         left = unknowns.left(x, self._turned(R, known + H.dot(Theta)))
+        self._account(state, left, since)
         seen = np.isfinite(left)
-        n, before = np.where(seen, 1.0, 0.0).sum(), state[at["left"]]
-        integral = state[at["integral"]]
-        integral += np.where(seen, -np.expm1(-INTEGRAL * since) * (left - integral), 0.0)
-        averaged += np.where(seen, kept * (left - averaged), 0.0)
-        change = np.where(seen, left - before, 0.0)
-        square = (np.where(seen, averaged, 0.0) ** 2).sum()
-        state[at["left"]] = np.where(seen, left, before)
+        square = (np.where(seen, averaged, 0.0) ** 2).sum() / np.where(seen, 1.0, 0.0).sum()
 
         def look(chi: Array) -> None:
-            """Average what is left, as time has passed."""
+            """Average χ² as time has passed."""
             chi[1] += since
-            chi[4] += since
-            now = square / (n * usual**2)
-            chi[0] += since / np.minimum(chi[4] + 1.0, _MEMORY) * (now - chi[0])
-            seen_now = 0.5 * change.dot(change) / n
-            chi[3] += since / np.minimum(chi[1] + 0.3, NOISE_MEMORY) * (seen_now - chi[3])
+            chi[0] += since / np.minimum(chi[1] + 1.0, _MEMORY) * (square / usual**2 - chi[0])
 
         law.alter(kept > _NO_TIME, chi, look)
 
@@ -233,21 +197,17 @@ class AdaptiveKinematics(Estimator):
         """Begin anew where what was learnt is contradicted, as by a tool that slipped, in place."""
         at = self._at
         sums, chi = state[at["sums"]], state[at["chi"]]
-        was_learnt = chi[1] > _BELIEVED  # or it was a false start, of which χ² says nothing either
+        # or it was a false start, of which χ² says nothing either
+        was_learnt = state[at["noted"]][0] > _BELIEVED
         initial = self._estimator.initial()
         state[at["sums"]] = np.where(was_learnt, self._estimator.renewed(sums), initial)
-        chi[0], chi[4] = law.select(was_learnt, chi[0], 1.0), law.select(was_learnt, chi[4], 0.0)
-        chi[1], chi[2] = 0.0, chi[2] + 1.0
-        state[at["integral"]] = state[at["averaged"]] = 0.0
+        chi[0], chi[1] = law.select(was_learnt, chi[0], 1.0), law.select(was_learnt, chi[1], 0.0)
+        self._forget(state)
 
     # -- the smoothed estimates ----------------------------------------------------------
 
     def _aim(self, state: Array, q: Array, dt: float) -> None:
-        """Set the rates at which the smoothed estimates follow, in place.
-
-        u and R follow with the rate β, and the offset such that x̂ at q does; of a pose so does T.
-        All are slower where x̂ or R would be fast, as after a restart.
-        """
+        # u and R follow, and the offset such that x̂ at q does; of a pose so does T
         at, n = self._at, self._unknowns.n_u
         Theta, R = self._estimator.estimate(state[at["sums"]])
         u, smooth_u = Theta[:n], state[at["u"]]
@@ -259,22 +219,22 @@ class AdaptiveKinematics(Estimator):
         integral, n_p = state[at["integral"]], self._n_p
         away = self._turned(R, p) + integral[:n_p]
         away = away - (self._turned(smooth_R, smooth_p) + state[at["b"]])
-        rate = np.minimum(_eased(EASED_SPEED, away), min(SMOOTHING, 0.5 / dt))
         turn = law.rotation_log(R.dot(smooth_R.T)) if self._turns else np.zeros(3)
-        if self._turns:
-            rate = np.minimum(rate, _eased(EASED_TURN, turn))
+        turns = [turn] if self._turns else []
         if self._orientation is not None:
-            T, T_goal = state[at["T"]].reshape(3, 3), self._unknowns.tool(state[at["told"]])
+            T, T_goal = state[at["T"]].reshape(3, 3), self._unknowns.tool(state[at["learnt"]])
             smooth, goal = (smooth_R, T), (R, T_goal)
             apart, back = self._orientation.apart(q, smooth, goal, integral[n_p:])
-            rate = np.minimum(rate, _eased(EASED_TURN, apart))
+            turns.append(apart)
+        rate = self._eased(dt, law.length(away), *turns)
+        if self._orientation is not None:
             state[at["T_spin"]] = rate * back.dot(apart - turn)
-        u_dot = rate * (u - smooth_u)
+        state[at["u_dot"]] = u_dot = rate * (u - smooth_u)
         b_dot = rate * away - self._turned(smooth_R, H.dot(u_dot))
         if self._turns:
             state[at["spin"]] = spin = rate * turn
             b_dot = b_dot - self._turned(law.cross_matrix(spin).dot(smooth_R), smooth_p)
-        state[at["u_dot"]], state[at["b_dot"]] = u_dot, b_dot
+        state[at["b_dot"]] = b_dot
 
     def _rotation(self, state: Array) -> Array:
         """Return the smoothed rotation of the base's axes in the sensor's, (d, d)."""
@@ -307,14 +267,23 @@ class AdaptiveKinematics(Estimator):
         return PredictedError(*map(np.concatenate, zip(positions, turns, strict=True)))
 
     def _positions(self, state: Array, q: Array, v: Array, target: Target) -> PredictedError:
-        """Return the predicted error of positions."""
+        """Return the predicted error of positions x̂ = R̂p + b̂, in the base's axes."""
         at, unknowns = self._at, self._unknowns
         theta, theta_dot = unknowns.translations(state[at["u"]]), unknowns.rates(state[at["u_dot"]])
-        motion = self.regressor.motion(q, v, theta, theta_dot)
-        b, b_dot = state[at["b"]], state[at["b_dot"]]
-        R = self._rotation(state) if self._is_turned else None
-        spin = state[at["spin"]]
-        return pulled_back(self._unknowns.seen(motion), b, b_dot, R, spin, target)
+        p, J, J_dot, drift = unknowns.seen(self.regressor.motion(q, v, theta, theta_dot))
+        x_d, x_d_dot, x_d_ddot = target
+        x_d_dot = np.zeros(len(p)) if x_d_dot is None else x_d_dot
+        x_d_ddot = np.zeros(len(p)) if x_d_ddot is None else x_d_ddot
+        away, b_dot, spin = state[at["b"]] - x_d, state[at["b_dot"]], state[at["spin"]]
+        if self._is_turned:
+            # rows are vectors: x R is Rᵀx. With R' = [ω]ₓR, Rᵀx changes by Rᵀ(x' + [ω]ₓᵀx)
+            vectors = np.array([away, x_d_dot, b_dot, x_d_ddot]).reshape(-1, self._d)
+            if len(spin):
+                half = len(vectors) // 2
+                vectors[half:] += vectors[:half].dot(law.cross_matrix(spin))
+            back = vectors.dot(self._rotation(state))
+            away, x_d_dot, b_dot, x_d_ddot = back if len(back) == 4 else back.reshape(4, -1)
+        return PredictedError(p + away, J, J_dot, x_d_dot, x_d_ddot, drift + b_dot)
 
     # -- what was learnt -----------------------------------------------------------------
 
@@ -322,24 +291,19 @@ class AdaptiveKinematics(Estimator):
         sums = state[self._at["sums"]]
         return is_rotation(self._rotation(state)) and self._estimator.are_numbers(sums)
 
-    def report(self, state: Array) -> KinematicReport:
-        """Return what a state has learnt: values, standard deviations, and what was not seen."""
-        at, unknowns, state = self._at, self._unknowns, self._required(state)
-        told = self.learnt(state)
-        chi, seconds, restarts, variance, _ = state[at["chi"]].tolist()
-        Theta, _ = self._estimator.estimate(state[at["sums"]])
-        P = unknowns.merged(self._estimator.covariance(state[at["sums"]]), Theta)
-        share = 1.0 - P.diagonal() / unknowns.sd**2
-        P = P * (max(chi, 1.0) * max(1.0, variance / self.noise**2))
-        P = unknowns.unscaled(P, told)
-        rows = rows_of(self.names, unknowns.units, unknowns.believed, told, P, share)
-        turn = told[len(P) - len(state[at["spin"]]) :]
-        angle, noise = math.hypot(*turn.tolist()), (self.noise, math.sqrt(variance))
-        found, scale = self._estimator.tilts(state[at["sums"]]), (self.noise / max(noise)) ** 2
-        axes = tilted_axes(found, self.regressor.turning, scale)
-        times = seconds, int(restarts), "m", self._frames.silence(state[at["frames"]])
-        last = self.regressor.movers[-1]
-        return KinematicReport(rows, P, angle, chi, axes, noise, *times, last)
+    def _covariance(self, state: Array) -> tuple[Array, float]:
+        sums = state[self._at["sums"]]
+        Theta, _ = self._estimator.estimate(sums)
+        covariance = self._unknowns.merged(self._estimator.covariance(sums), Theta)
+        return covariance, float(state[self._at["chi"]][0])
+
+    def _in_units(self, covariance: Array, learnt: Array) -> Array:
+        return self._unknowns.unscaled(covariance, learnt)
+
+    def _axes(self, state: Array) -> TiltedAxes:
+        noise = max(self.noise, math.sqrt(state[self._at["noted"]][2]))
+        sums, joints = state[self._at["sums"]], self.regressor.turning
+        return self._estimator.tilted_axes(sums, joints, (self.noise / noise) ** 2)
 
     def robot(self, state: Array) -> Robot:
         """Return the believed robot with what a state has learnt of its tool and origins."""
@@ -348,11 +312,6 @@ class AdaptiveKinematics(Estimator):
         theta[self._unknowns.of_theta] = told[:n]
         turn = told[n : n + 3] if self._unknowns.n_t else None
         return self.regressor.robot_with(theta, turn)
-
-
-def _eased(fastest: float, away: Array) -> Any:
-    """Return the rate at which what is away by so much goes no faster than that."""
-    return fastest / np.maximum(law.length(away), 1e-9)
 
 
 class AdaptivePlanarCamera(AdaptiveKinematics):
@@ -411,9 +370,6 @@ class AdaptivePlanarCamera(AdaptiveKinematics):
         c, s = np.cos(camera.roll), np.sin(camera.roll)
         self._seen_R, self._seen_d = np.array([[c, s], [-s, c]]), np.asarray(camera.offset)
 
-    def __repr__(self) -> str:
-        return f"AdaptivePlanarCamera({self.task!r}, unknown={self.unknown})"
-
     def predict(self, state: Array, q: Array, v: Array, target: Target) -> PredictedError:
         """Return the predicted error at q (nq,) and q̇ (n_v,), turned into the base's axes.
 
@@ -422,10 +378,275 @@ class AdaptivePlanarCamera(AdaptiveKinematics):
         x_d, *rates = target
         rates = [None if rate is None else rate.dot(self._seen_R) / self._m for rate in rates]
         located = Target((x_d - self._seen_d).dot(self._seen_R) / self._m, *rates)
-        found = super().predict(state, q, v, located)
-        return PredictedError(*(self._m * each for each in found))
+        return PredictedError(*(self._m * each for each in super().predict(state, q, v, located)))
 
     def _own(self, measurement: Measurement) -> Measurement:
         """Return a measurement with x in the arm's plane, as the believed camera has it."""
         x = (measurement.x - self._seen_d).dot(self._seen_R) / self._m
         return measurement._replace(x=x)
+
+
+class _LeastSquares(ABC):
+    """Least squares of x = R(o + HΘ), of which a state has the sums: `size` numbers.
+
+    Matrices (P, P) of these are kept as their upper triangles, as a state is copied and recorded.
+    """
+
+    size: int
+
+    def __init__(self, unknowns: Unknowns, noise: float) -> None:
+        self._first, self._R, self._d = unknowns.Theta, unknowns.R, unknowns.d
+        self._n_u, self._P = unknowns.n_u, len(unknowns.Theta)
+        tilts = np.full(unknowns.n_tilts, _SD_TILT)  # which are looked for and not learnt
+        self.prior = np.diag(np.append(unknowns.sd_Theta, tilts) ** -2.0)
+        self._weight = noise**-2.0
+        n = len(self.prior)
+        rows, columns = np.triu_indices(n)
+        self._upper, self._n = rows * n + columns, len(rows)
+        self._where = np.zeros((n, n), dtype=int)
+        self._where[rows, columns] = self._where[columns, rows] = np.arange(len(rows))
+
+    def _pack(self, matrix: Array) -> Array:
+        return np.asanyarray(matrix.ravel()[self._upper])
+
+    def _unpack(self, numbers: Array) -> Array:
+        return np.asanyarray(numbers[self._where])
+
+    def initial(self) -> Array:
+        """Return the numbers before the first frame, shape (size,)."""
+        return self._about(self._first, self._R.T)
+
+    def are_numbers(self, numbers: Array) -> bool:
+        """Return whether they can be those of such an estimator."""
+        # forgetting goes towards the prior, so nothing is ever known less well
+        diagonal = self._unpack(numbers).diagonal()
+        return bool((diagonal > 0.99 * self.prior.diagonal()).all())
+
+    def renewed(self, numbers: Array) -> Array:
+        """Return numbers that know what was learnt only as a belief, as vague as the first."""
+        Theta, R = self.estimate(numbers)
+        return self._about(Theta, R.T)
+
+    @abstractmethod
+    def learn(self, numbers: Array, H: Array, o: Array, x: Array, share: Any) -> Array:
+        """Return the numbers after a frame.
+
+        Args:
+            numbers: As before, shape (size,).
+            H: Regressor in the base's axes, 0 in rows that are lost, (m, P), and of tilts, (m, t):
+                shape (m, P + t).
+            o: What of them is known, shape (m,).
+            x: What is measured, shape (m,).
+            share: λT, to be forgotten.
+        """
+
+    @abstractmethod
+    def estimate(self, numbers: Array) -> tuple[Array, Array]:
+        """Return Θ̂ in the base's axes, (P,), and R̂ of the base's axes in the sensor's, (d, d)."""
+
+    @abstractmethod
+    def covariance(self, numbers: Array) -> Array:
+        """Return the covariance of (u, b), and of φ with R ← exp([φ]ₓ)R where R is learnt."""
+
+    @abstractmethod
+    def _about(self, Theta: Array, A: Array) -> Array:
+        """Return the numbers of the prior alone, about these estimates, with A = Rᵀ."""
+
+    @abstractmethod
+    def _tilts(self, numbers: Array) -> tuple[float, Array, Array]:
+        """Return by how much tilts of axes lower the sum of squares, which, and covariance."""
+
+    def tilted_axes(self, numbers: Array, joints: Sequence[str], scale: float) -> TiltedAxes:
+        """Return what tilts of the axes of joints, two each, would explain beyond what is learnt.
+
+        Args:
+            numbers: Shape (size,).
+            joints: Their names.
+            scale: Of the noise's variance, as it was told over what it is.
+        """
+        if len(self.prior) == self._P:
+            return TiltedAxes(1.0, 0.0, "", 0.0)
+        fall, tilts, covariance = self._tilts(numbers)
+        variances = covariance.diagonal()
+        freedom = float((1.0 - variances / _SD_TILT**2).sum())  # of `fall`, if none is tilted
+        pairs = np.array([tilts, tilts / np.sqrt(variances)]).reshape(2, -1, 2)
+        joint = int(np.linalg.norm(pairs[1], axis=1).argmax())
+        angle = float(np.linalg.norm(pairs[0, joint]))
+        return TiltedAxes(fall / max(freedom, 1e-9) * scale, freedom, joints[joint], angle)
+
+
+class _KnownRotation(_LeastSquares):
+    """Rᵀx = o + HΘ with R known: recursive least squares with forgetting towards the prior.
+
+    Theorem A. Its numbers: Λ, Θ̂.
+    """
+
+    def __init__(self, unknowns: Unknowns, noise: float) -> None:
+        super().__init__(unknowns, noise)
+        self._is_turned = not np.array_equal(self._R, np.eye(self._d))
+        self.size = self._n + len(self.prior)
+
+    def learn(self, numbers: Array, H: Array, o: Array, x: Array, share: Any) -> Array:
+        if self._is_turned:
+            x = x.reshape(-1, self._d).dot(self._R).ravel()
+        P, n, x = self._P, self._n, x - o
+        N = law.forgotten_information(self._unpack(numbers), self.prior, share)
+        N, T, H = law.information(N, H, self._weight), H[:, P:], H[:, :P]
+        Theta, pull = numbers[n : n + P], numbers[n + P :]
+        Theta = Theta + law.correction(N[:P, :P], H, self._weight, x - H.dot(Theta))
+        pull = (1.0 - share) * pull + self._weight * x.dot(T)
+        return np.concatenate([self._pack(N), Theta, pull])
+
+    def estimate(self, numbers: Array) -> tuple[Array, Array]:
+        return numbers[self._n : self._n + self._P].copy(), self._R
+
+    def information(self, numbers: Array) -> Array:
+        """Return Λ, shape (P, P)."""
+        return self._unpack(numbers)[: self._P, : self._P]
+
+    def covariance(self, numbers: Array) -> Array:
+        n = self._n_u
+        covariance = np.asarray(np.linalg.inv(self.information(numbers)), dtype=np.float64)
+        if self._is_turned and n < self._P:
+            covariance[n:] = self._R.dot(covariance[n:])
+            covariance[:, n:] = covariance[:, n:].dot(self._R.T)
+        return covariance
+
+    def _tilts(self, numbers: Array) -> tuple[float, Array, Array]:
+        n, P, N = self._n, self._P, self._unpack(numbers)
+        pull = numbers[n + P :] - N[P:, :P].dot(numbers[n : n + P])
+        left = np.linalg.inv(N[P:, P:] - N[P:, :P].dot(np.linalg.solve(N[:P, :P], N[:P, P:])))
+        return float(pull.dot(left).dot(pull)), left.dot(pull), left
+
+    def _about(self, Theta: Array, A: Array) -> Array:
+        return np.concatenate([self._pack(self.prior), Theta, np.zeros(len(self.prior) - self._P)])
+
+
+class _UnknownRotation(_LeastSquares):
+    """x = R(o + Hu + c), with R any rotation: exact least squares over all frames at once.
+
+    In the base frame Rᵀx = o + Hu + c, and as R changes no lengths, the sums over frames that the
+    least squares need do not depend on R. So all frames are remembered, exactly, in sums N, a, B
+    and E of fixed size: for a rotation A = Rᵀ, with w = vec A,
+
+        Θ(A) = N⁻¹(a + Bw), and A maximises ½(a + Bw)ᵀN⁻¹(a + Bw) + Eᵀw
+
+    over rotations only, 3 numbers (1 in the plane) instead of all, and looked for everywhere.
+    Forgetting is towards the prior about what is estimated now, which leaves the estimate where it
+    is.
+
+    As in Theorem A no excitation is needed. Where x is exact, V = J(true) − J(estimate) ≥ 0 of the
+    sum of squares J (which is V₁ where the rotation is known) falls with each frame by at least
+    ½‖ε‖²/noise², ε what is left of x: J(true) does not grow, and the least J grows by that much.
+    So ε is square summable, for any motion. With forgetting this holds where the sum of squares is
+    as convex as the prior.
+    """
+
+    def __init__(self, unknowns: Unknowns, noise: float) -> None:
+        super().__init__(unknowns, noise)
+        self._sd_R = unknowns.sd_R
+        Q, dd = len(self.prior), self._d**2
+        sizes = [self._n, Q, Q * dd, dd, self._P, dd]
+        self.size = sum(sizes)
+        ends = np.cumsum(sizes).tolist()
+        self._parts = [slice(end - size, end) for size, end in zip(sizes, ends, strict=True)]
+        self._everywhere = law.rotations_everywhere(self._d).reshape(-1, dd)
+
+    def _split(self, numbers: Array) -> tuple[Array, Array, Array, Array, Array, Array]:
+        """Return N, a, B, E, and the estimates Θ and A."""
+        N, a, B, E, Theta, A = (numbers[part] for part in self._parts)
+        return N, a, B.reshape(len(a), -1), E, Theta, A.reshape(self._d, self._d)
+
+    def learn(self, numbers: Array, H: Array, o: Array, x: Array, share: Any) -> Array:
+        d, P, W = self._d, self._P, self._weight
+        *_, Theta, A = self._split(numbers)
+        numbers = numbers + share * (self._about(Theta, A) - numbers)
+        N, a, B, E, _, A = self._split(numbers)
+        HW = W * H.T
+        N = self._unpack(N) + HW.dot(H)
+        if N.dtype.hasobject:  # symbols are symmetric only where they are the same
+            N = self._unpack(self._pack(N))
+        a = a - HW.dot(o)
+        seen = x.reshape(-1, d)
+        each = HW.reshape(len(a), -1, d).transpose(0, 2, 1).dot(seen)  # Σ Hᵀ x
+        B = B + each.reshape(len(a), -1)
+        E = E + (W * o.reshape(-1, d).T.dot(seen)).ravel()
+        solved, M, h = _reduced(N[:P, :P], a[:P], B[:P], E)
+        w = self._rotation(M, h, A).ravel()
+        Theta = solved[:, 0] + solved[:, 1:].dot(w)
+        return np.concatenate([self._pack(N), a, B.ravel(), E, Theta, w])
+
+    def estimate(self, numbers: Array) -> tuple[Array, Array]:
+        *_, Theta, A = self._split(numbers)
+        return Theta.copy(), A.T
+
+    def covariance(self, numbers: Array) -> Array:
+        # that of the least squares: rotation first, all else given the rotation
+        d, P = self._d, self._P
+        *_, Theta, A = self._split(numbers)
+        G, joint = law.generators(d), self._joint(numbers, A, P)[0]
+        # b = Rc with R = Aᵀ ← R exp(−[δ]ₓ), and φ = −Rδ (−δ in the plane)
+        c, R = Theta[self._n_u :], A.T
+        T = np.eye(P + len(G))
+        T[self._n_u : P, self._n_u : P] = R
+        T[self._n_u : P, P:] = -R.dot((G @ c).T)
+        T[P:, P:] = -R if d == 3 else -1.0
+        return np.asarray(T.dot(joint).dot(T.T))
+
+    def _tilts(self, numbers: Array) -> tuple[float, Array, Array]:
+        # with all else and the rotation best for them
+        P, Q = self._P, len(self.prior)
+        *sums, _, A = self._split(numbers)
+        _, without, _ = self._joint(numbers, A, P)
+        _, M, h = _reduced(self._unpack(sums[0]), *sums[1:])
+        covariance, value, Theta = self._joint(numbers, law.best_rotation(M, h, A), Q)
+        return 2.0 * (value - without), Theta[P:], covariance[P:Q, P:Q]
+
+    def _joint(self, numbers: Array, A: Array, n: int) -> tuple[Array, float, Array]:
+        """Return the covariance of the first n numbers and δ of A ← exp([δ]ₓ)A, and what is best.
+
+        Returns:
+            The covariance (n + 1 or 3) squared; the fall of the sum of squares from where all is 0,
+            halved; the numbers, (n,).
+        """
+        N, a, B, E, *_ = self._split(numbers)
+        N, a = self._unpack(N)[:n, :n], a[:n]
+        solved, M, h = _reduced(N, a, B[:n], E)
+        known, axes = np.linalg.eigh(law.rotation_information(M, h, A))
+        # nothing is known less well than before
+        of_delta = (axes / np.maximum(known, self._sd_R**-2.0)).dot(axes.T)
+        moved = np.concatenate([solved[:, 1:].dot(law.tangents(A)), np.eye(len(of_delta))])
+        covariance = moved.dot(of_delta).dot(moved.T)
+        covariance[:n, :n] += np.linalg.inv(N)
+        value = law.explained(M, h, A.ravel()) + 0.5 * float(a.dot(solved[:, 0]))
+        return covariance, value, solved[:, 0] + solved[:, 1:].dot(A.ravel())
+
+    def _rotation(self, M: Array, h: Array, A: Array) -> Array:
+        """Return the best rotation near A, or one elsewhere that is better beyond doubt."""
+        near = law.best_rotation(M, h, A)
+        start = law.most_explained(M, h, self._everywhere)
+
+        def elsewhere() -> tuple[Array]:
+            other = law.best_rotation(M, h, start.reshape(A.shape))
+            better = law.explained(M, h, other) > law.explained(M, h, near) + _ODDS
+            return (law.select(better, other, near),)
+
+        is_other = start.dot(near.ravel()) <= _SAME * self._d
+        best: Array = law.choose(is_other, elsewhere, lambda: (near,))[0]
+        return best
+
+    def _about(self, Theta: Array, A: Array) -> Array:
+        d, n, P, Q = self._d, self._n_u, self._P, len(self.prior)
+        b = A.T.dot(Theta[n:])
+        a = [self.prior.diagonal()[:n] * Theta[:n], np.zeros(Q - n)]
+        B = np.eye(d)[:, :, np.newaxis] * (b * self.prior[n, n])
+        of_B = [np.zeros(n * d * d), B.ravel(), np.zeros((Q - P) * d * d)]
+        E = (0.5 / self._sd_R**2) * A.ravel()
+        return np.concatenate([self._pack(self.prior), *a, *of_B, E, Theta, A.ravel()])
+
+
+def _reduced(N: Array, a: Array, B: Array, E: Array) -> tuple[Array, Array, Array]:
+    """Return N⁻¹[a B], and M and h of what rotations alone have to maximise."""
+    solved = np.linalg.solve(N, np.concatenate([a[:, np.newaxis], B], axis=1))
+    M = B.T.dot(solved[:, 1:])
+    return solved, 0.5 * (M + M.T), B.T.dot(solved[:, 0]) + E
