@@ -79,7 +79,7 @@ stability panda --object-length 0 0.1 --around 0 0 | --around | 2 | 7 | [rad or 
 stability panda --object-length 0 0.1 --reach-from 0 0 0 0 0 0 0 | --reach-from | needs --target
 stability panda --object-length 0 0.1 --map error qq | --map | 'qq' | error, kv, object_length
 stability panda --learn-kinematics | --learn-kinematics | left out of a report | tool origins camera
-stability panda --roll 0 1 | --roll | got position | task.kind image
+stability panda --roll 0 1 | --roll | got 0 1 with position | task.kind image
 stability panda --jobs 0 | --jobs | got 0 | >= 1
 paper --figures 2 | --figures | got 2 | 1, 3, 4, 5, 6, 7, 8
 paper --inertia ring | --inertia | got ring | rod or point-mass

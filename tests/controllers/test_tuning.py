@@ -14,7 +14,7 @@ from approxjac.controllers.gains.sample_configurations import usual_postures
 from approxjac.controllers.gains.tuning import Learning, _Arm
 from approxjac.robots import Dynamics, GravityRegressor
 from approxjac.scenario import build_scenario
-from approxjac.scenario.laws import latency_of
+from approxjac.scenario.build import latency_of
 
 IDEAL = Latency()
 SENSORS = Latency(torque_delay=2e-3, velocity_filter=5e-3, image_period=1 / 60)

@@ -47,7 +47,8 @@ def records(record):
         if dataclasses.is_dataclass(value):
             fields[field.name] = records(value)
         elif field.name != "robot":
-            made = values(hints(type(record))[field.name], field.metadata)
+            checks_itself = isinstance(record, aj.simulation.VelocityServo)
+            made = values(hints(type(record))[field.name], field.metadata or checks_itself)
             # what is given by default otherwise than by None cannot be none again
             fields[field.name] = st.one_of(st.just(value), made)
     return st.builds(lambda **given: dataclasses.replace(record, **given), **fields)
@@ -108,6 +109,7 @@ def test_the_examples_are_built(path):
         ({"controller": {"integral": "learnt"}}, "controller.integral is now .*integral_action"),
         ({"controller": {"gravity": "rest"}}, "controller.gravity .* now learn_residual"),
         ({"controller": {"kp": (1, -1)}}, "controller.kp must be a finite number > 0, got -1"),
+        ({"true": {"servo": {"lag": 0}}}, "true.servo.lag must be a finite number >= 0.001 ."),
         ({"sensor": {"lost": 3}}, "sensor.lost must be 2 numbers, got 3"),
         ({"sensor": {"noise": True}}, "sensor.noise must be a number, got True"),
         ({"believed": {"shifts": {"a": (1, 2)}}}, "believed.shifts must be 3 numbers for each"),

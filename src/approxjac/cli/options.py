@@ -12,8 +12,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.files import reason
 from approxjac.scenario import Scenario
 from approxjac.scenario.convert import Words
-from approxjac.scenario.records import Goal
-from approxjac.scenario.study_records import Analysis
+from approxjac.scenario.records import Analysis, Goal
 
 # A report is about errors that are given as ranges, and takes gravity as compensated exactly.
 _USUAL = {
@@ -124,12 +123,16 @@ def scenario_of(command: str, source: str, values: Mapping[str, Words]) -> Scena
     return scenario.with_values(table)
 
 
-def make_folder(out: Path) -> None:
-    """Make the folder that a command writes to.
+def require_folder_of(option: str, file: Path | None) -> None:
+    """Refuse a file, if one is given, that there is no folder for."""
+    if file is not None and not file.parent.is_dir():
+        raise InvalidInputError(
+            f"{option} must be a file in a folder that there is, got {file}", given=file
+        )
 
-    Raises:
-        InvalidInputError: It cannot be made.
-    """
+
+def make_folder(out: Path) -> None:
+    """Make the folder that a command writes to."""
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -15,62 +15,38 @@ from dataclasses import KW_ONLY, dataclass, field, is_dataclass
 from typing import Any, get_type_hints
 
 from approxjac.errors import ApproxJacError, InvalidInputError, UnknownNameError
-from approxjac.scenario.convert import Words, converted, hints, value_of
+from approxjac.scenario.convert import WRONG_TYPE, Words, converted, hints, value_of
 
 _RENAMED = {"--path": "--circle RADIUS, --line OFFSET or --waypoints POINTS"}
 
 
 @dataclass(frozen=True)
 class Option:
-    """An option of a command.
+    """An option of a command."""
 
-    Attributes:
-        names: As they may be typed, the usual one first.
-        key: In a scenario, with dots; or of the command's own argument.
-        hint: Type of its value.
-        help: What it is for.
-        default: Value without it.
-        means: Keys and their values, of an option that stands for others.
-    """
-
-    names: tuple[str, ...]
-    key: str
-    hint: Any
+    names: tuple[str, ...]  # as they may be typed, the usual one first
+    key: str  # in a scenario, with dots; or of the command's own argument
+    hint: Any  # type of its value
     help: str
     default: Any = None
-    means: Mapping[str, Words] = field(default_factory=dict)
+    means: Mapping[str, Words] = field(default_factory=dict)  # of one that stands for others
 
 
 @dataclass
 class Typed:
-    """What was typed after a command: the word without an option, and values by key.
+    """What was typed after a command."""
 
-    Attributes:
-        alone: The robot, or the run; empty if there is none.
-        values: Key → its words; True of an option without a value.
-        names: Key → the option as it was typed.
-    """
-
-    alone: str = ""
-    values: dict[str, Any] = field(default_factory=dict)
-    names: dict[str, str] = field(default_factory=dict)
+    alone: str = ""  # the word without an option: the robot, or the run
+    values: dict[str, Any] = field(default_factory=dict)  # key → words; True of a mere option
+    names: dict[str, str] = field(default_factory=dict)  # key → option as it was typed
 
 
 def documented(record: Any) -> dict[str, str]:
     """Return name → text of the arguments or attributes in a docstring."""
-    texts: dict[str, list[str]] = {}
-    section, name = False, ""
-    for line in inspect.cleandoc(record.__doc__ or "").splitlines():
-        if line in ("Args:", "Attributes:"):
-            section = True
-        elif section and line and not line.startswith(" "):
-            section = False
-        elif section and line.startswith("        "):
-            texts[name].append(line.strip())
-        elif section and line.strip():
-            name, _, text = line.strip().partition(": ")
-            texts[name] = [text]
-    return {name: " ".join(lines) for name, lines in texts.items()}
+    doc = inspect.cleandoc(record.__doc__ or "").replace("`", "")
+    section = re.search(r"^(?:Args|Attributes):\n((?: .*\n?)*)", doc, re.M)
+    entries = re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", section[1] if section else "", re.M)
+    return {name: " ".join(text.split()) for name, text in entries}
 
 
 def own_options(command: Callable[..., int]) -> list[Option]:
@@ -109,20 +85,10 @@ def read(
     positional: str,
     meaning: str,
 ) -> None:
-    """Read the words after a command.
+    """Read the words after a command, and keep in `typed` also what comes before an error.
 
-    Args:
-        typed: Gets what is read, also what was read before an error.
-        command: Such as "simulate".
-        words: The words.
-        options: Of the command.
-        positional: The one word without an option, "" of a command that takes none, in brackets
-            where it may be left out.
-        meaning: What that word is.
-
-    Raises:
-        UnknownNameError: No such option.
-        InvalidInputError: Words that an option does not take, or too many without one.
+    `positional` is the one word without an option, "" of a command that takes none, in brackets
+    where it may be left out; `meaning` is what it is.
     """
     named = {name: option for option in options for name in option.names}
     rest, alone = list(words), list[str]()
@@ -150,10 +116,12 @@ def read(
         count = _fitting(option.hint, given)
         left = len(given) - count
         if not count or (left and (equals or alone or left > 1 or not positional)):
+            aside = option.help.partition(". ")[0].partition("; ")[0].rstrip(".")
             try:
                 value_of(option.hint, Words(given), option.key)
             except InvalidInputError as error:
-                raise InvalidInputError(f"{error} ({_aside(option)})", given=given) from None
+                text = f"{error} ({aside[:1].lower()}{aside[1:]})"
+                raise InvalidInputError(text, given=given) from None
         typed.values[option.key] = Words(given[:count])
         del rest[: 0 if equals else count]
     if len(alone) > bool(positional):
@@ -172,23 +140,20 @@ def with_options(options: Sequence[Option], text: str) -> str:
     return text
 
 
-def explained(
-    error: ApproxJacError, options: Sequence[Option], typed: Typed, from_file: bool
-) -> str:
+def explained(error: ApproxJacError, options: Sequence[Option], typed: Typed) -> str:
     """Return an error's message with the user's own option in place of the key it begins with.
 
     A key that was not typed stays as it is in a file, if there is one.
     """
-    message = str(error)
+    message, from_file = str(error), typed.alone.endswith(".toml")
     key, _, rest = message.partition(" ")
     known = [
         each
         for each in options
         if key in (each.key, each.key.rpartition(".")[2]) or f"--{key}" in each.names
     ]
-    known = [each for each in known if each.key in typed.names] or [
-        each for each in known if each.key == key
-    ]
+    typed_ones = [each for each in known if each.key in typed.names]
+    known = typed_ones or [each for each in known if each.key == key]
     if len(known) == 1:
         (option,) = known
         usual = option.key if from_file and "." in option.key else option.names[0]
@@ -208,13 +173,7 @@ def _is_option(word: str) -> bool:
 def _fitting(hint: Any, words: Sequence[str]) -> int:
     """Return how many of the first words make a value; 0 where none do."""
     for count in range(len(words), 0, -1):
-        with suppress(TypeError, ValueError, OverflowError):
+        with suppress(*WRONG_TYPE):
             converted(hint, Words(words[:count]))
             return count
     return 0
-
-
-def _aside(option: Option) -> str:
-    """Return what an option is for, as a remark in a sentence."""
-    text = option.help.partition(". ")[0].partition("; ")[0].rstrip(".")
-    return text[:1].lower() + text[1:]

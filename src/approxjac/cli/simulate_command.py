@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 from approxjac.cli.bars import time_bar
-from approxjac.cli.options import make_folder
+from approxjac.cli.options import make_folder, require_folder_of
 from approxjac.errors import InvalidInputError
 from approxjac.scenario import Scenario
 
@@ -46,10 +46,7 @@ def simulate(
             )
     if view and scenario.loop.dt == "continuous":  # what is shown are steps
         scenario = scenario.with_values({"loop": {"dt": 1e-3}})
-    if save is not None and not save.parent.is_dir():
-        raise InvalidInputError(
-            f"--save must be a file in a folder that there is, got {save}", given=save
-        )
+    require_folder_of("--save", save)
     built = build_scenario(scenario)
     make_folder(out)
     if built.warning:

@@ -43,7 +43,6 @@ def stability(
     from contextlib import nullcontext
 
     from approxjac.scenario import judge
-    from approxjac.scenario import stability_report as report
 
     if jobs < 1:
         raise InvalidInputError(f"jobs must be >= 1, got {jobs}", given=jobs)
@@ -54,26 +53,24 @@ def stability(
     pool = ProcessPoolExecutor(jobs) if jobs > 1 else nullcontext()
     with pool as executor, ShareBar(_LONG) as bar:
         result = judge.analyse(
-            scenario, study, executor, bar.tell, lambda tests: bar.write(f"{tests}\n")
+            scenario, study, executor, bar.tell, lambda report: bar.bar.write(f"{report}\n")
         )
-    report.write(result, out)
-    print(with_options(options_of(stability), report.consequences(result)))
-    told = report.told_of_map(result, out)
-    if told:
-        print("", *told, sep="\n")
-    print(f"\nPictures and summary.json are in {out}")
+    judge.write(result, out)
+    if follows := with_options(options_of(stability), judge.consequences(result, out)):
+        print(follows, end="\n\n")
+    print(f"Pictures and summary.json are in {out}")
     return 0 if result.report.passed else 1
 
 
 def _suggest(scenario: Scenario, out: Path) -> int:
     """Find gains, and tell of them."""
-    from approxjac.scenario import gain_suggestion as gains
+    from approxjac.scenario import judge
 
     make_folder(out)
     with ShareBar(_LONG) as bar:
-        result = gains.suggested(scenario, bar.tell)
-    gains.write(result, out)
-    print(with_options(options_of(stability), gains.text(result)))
+        result = judge.suggested(scenario, bar.tell)
+    judge.write_gains(result, out)
+    print(with_options(options_of(stability), str(result)))
     if result.report is None:
         print(f"\nsummary.json is in {out}; without gains no scenario.toml is written")
         if (out / "scenario.toml").exists():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from approxjac.cli.options import require_folder_of
 from approxjac.errors import InvalidInputError
 
 
@@ -25,10 +26,7 @@ def view(
     from approxjac.view import save_page
     from approxjac.view.browser.page import open_browser
 
-    if out is not None and not out.parent.is_dir():
-        raise InvalidInputError(
-            f"--out must be a file in a folder that there is, got {out}", given=out
-        )
+    require_folder_of("--out", out)
     path = _run_file(Path(run))
     beside = path.with_name(path.name.removesuffix(".npz") + ".html")
     page = save_page(Trajectory.load(path), out or beside, title)
@@ -40,19 +38,17 @@ def view(
 
 def _run_file(run: Path) -> Path:
     """Return the file of a run, where its folder may have been given."""
-    if not run.is_dir():
-        if run.is_file() and run.suffix.lower() != ".npz":
-            raise InvalidInputError(
-                f"RUN must be a run.npz that simulate, paper or Trajectory.save wrote, or a "
-                f"folder with one, got {run}",
-                given=run,
-            )
-        return run
-    files = sorted(run.glob("*.npz"))
+    files = sorted(run.glob("*.npz")) if run.is_dir() else [run]
     if len(files) != 1:
         names = ", ".join(path.name for path in files) or "none"
         raise InvalidInputError(
             f"RUN must be a file, or a folder with one run (.npz), got {run} with {names}",
+            given=run,
+        )
+    if files[0].is_file() and files[0].suffix.lower() != ".npz":
+        raise InvalidInputError(
+            "RUN must be a run.npz that simulate, paper or Trajectory.save wrote, or a folder "
+            f"with one, got {run}",
             given=run,
         )
     return files[0]

@@ -2,24 +2,48 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 
 from approxjac.cameras import PlanarCamera
-from approxjac.controllers import Limits
-from approxjac.controllers.controller import Controller
+from approxjac.controllers import (
+    AdaptiveCamera,
+    AdaptiveGravity,
+    AdaptiveKinematics,
+    AdaptivePlanarCamera,
+    AwayFromStops,
+    Controller,
+    DifferentiatedVelocity,
+    Gains,
+    Gravity,
+    HeldMeasurement,
+    Kinematics,
+    KnownKinematics,
+    Latency,
+    Limits,
+    ModelDynamics,
+    ModelGravity,
+    NoGravity,
+    Posture,
+    PredictedMeasurement,
+    RegressorGravity,
+    SetpointController,
+    TorqueLimited,
+    TrackingController,
+    tuned,
+)
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import joined
 from approxjac.interface import TargetPath
+from approxjac.law import Sine
 from approxjac.paths import Circle, Line, Waypoints
-from approxjac.robots import Robot, load_robot
+from approxjac.robots import GravityRegressor, Robot, load_robot
 from approxjac.robots.urdf_edit import OBJECT_RADIUS
 from approxjac.scenario.image_setup import image_scene
-from approxjac.scenario.laws import controller_of, limits_of
 from approxjac.scenario.records import Goal, Numbers, Object, Sensor, Tracker, Vectors
 from approxjac.scenario.refusals import require_effect
 from approxjac.scenario.scenario import Scenario
@@ -30,13 +54,7 @@ from approxjac.scenario.starts import (
     regular_configuration,
     straight_ahead,
 )
-from approxjac.simulation import (
-    Friction,
-    MujocoPlant,
-    Plant,
-    Sensing,
-    VelocityServo,
-)
+from approxjac.simulation import Friction, MujocoPlant, Plant, Sensing
 from approxjac.tasks import (
     CombinedTask,
     ImageTask,
@@ -51,6 +69,8 @@ from approxjac.tasks.analysis import with_error
 from approxjac.validation import Array
 
 _PLANAR_FOCAL_LENGTH = 0.05  # [m]
+_LEAST_PIXELS = 0.05  # noise of an image that a scenario has without [px]
+_LEAST_NOISE = 1e-4  # of x that a scenario has without [m or rad]
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +86,7 @@ class BuiltScenario:
     limits: Limits | None  # that the controller keeps, an entry for each joint
     believe: Callable[[float], Robot]  # from the believed length of the object [m]
 
-    @functools.cached_property
+    @cached_property
     def warning(self) -> str:
         """Reason why the gains, the believed or the true arm may miss the target; or ""."""
         tuning = self.law.tuning
@@ -81,13 +101,8 @@ class BuiltScenario:
         return doubt
 
     @property
-    def gains(self) -> dict[str, Any]:
-        """The gains of the law by their names."""
-        return self.law.gain_values
-
-    @property
     def learning(self) -> Controller | None:
-        """Return the controller that learns kinematics; None if they are not learnt."""
+        """The controller that learns kinematics; None if they are not learnt."""
         return self.controller if self.scenario.controller.unknown else None
 
 
@@ -108,7 +123,7 @@ def build_scenario(scenario: Scenario, arm: Robot | None = None) -> BuiltScenari
     """
     arm = loaded_arm(scenario) if arm is None else arm
     require_effect(scenario)
-    true, believed = scenario.true, scenario.believed
+    true, believed, chosen = scenario.true, scenario.believed, scenario.controller
     truth = holding(arm, true.object, true.shifts, true.rotations)
 
     def believe(length: float) -> Robot:
@@ -121,25 +136,31 @@ def build_scenario(scenario: Scenario, arm: Robot | None = None) -> BuiltScenari
     rng = np.random.default_rng(scenario.run.seed)
     task: Task
     sensor: Task
-    if scenario.task.kind == "image" and scenario.true.camera.kind == "pinhole":
+    if scenario.task.kind == "image" and true.camera.kind == "pinhole":
         (sensor, task), q0, q_goal = image_scene(truth, belief, arm.tip_or(None), scenario, rng)
         target = _target(sensor, q0, scenario, lambda: q_goal)
-        alike = scenario.controller.differentiator is None and not scenario.controller.unknown
-        if scenario.task.points > 1 and alike:
+        if scenario.task.points > 1 and chosen.differentiator is None and not chosen.unknown:
             x_d = target if isinstance(target, np.ndarray) else target.at(0.0).x
             task = CombinedTask.balanced(task, x_d)
         plant = _plant(truth, sensor, motors, scenario, belief)
     else:
         sensor, task = _tasks(truth, belief, scenario)
         plant = _plant(truth, sensor, motors, scenario, belief)
-        draw = functools.partial(regular_configuration, sensor, task, rng, motors)
+        draw = partial(regular_configuration, sensor, task, rng, motors)
         if isinstance(start := scenario.run.start, tuple):
             q0 = configuration_of(truth, "run.start", start)
         else:
             q0 = plant.ready_configuration() if start is None else draw()
-        goal = draw if start == "random" else functools.partial(straight_ahead, sensor, q0, draw)
+        goal = draw if start == "random" else partial(straight_ahead, sensor, q0, draw)
         target = _target(sensor, q0, scenario, goal)
-    law, controller = controller_of(scenario, task, truth, q0, limits)
+    kinematics = _kinematics(scenario, task) if chosen.unknown else None
+    law = controller = _law(scenario, task, truth, q0, kinematics)
+    if limits is not None and chosen.command == "torque":
+        controller = TorqueLimited(law, limits, dt=sampling_time(scenario))
+    if kinematics is not None and chosen.law != "tracking":
+        controller = PredictedMeasurement(controller, kinematics)
+    if chosen.unseen is not None:
+        controller = HeldMeasurement(controller, chosen.unseen)
     return BuiltScenario(scenario, plant, controller, law, q0, target, limits, believe)
 
 
@@ -168,14 +189,11 @@ def _tasks(truth: Robot, belief: Robot, scenario: Scenario) -> tuple[Task, Task]
     else:
         task = PositionTask(belief, axes=chosen.axes)
     tracker = scenario.true.tracker
-    if tracker != Tracker():
-        kind: type[PoseTrackerTask] | type[TrackerTask]
-        kind = PoseTrackerTask if chosen.kind == "pose" else TrackerTask
-        return kind(truth, tracker.rotation, tracker.offset), task
-    return task.on(truth), task
-
-
-# -- target -----------------------------------------------------------------------------
+    if tracker == Tracker():
+        return task.on(truth), task
+    if chosen.kind == "pose":
+        return PoseTrackerTask(truth, tracker.rotation, tracker.offset), task
+    return TrackerTask(truth, tracker.rotation, tracker.offset), task
 
 
 def _target(
@@ -213,7 +231,7 @@ def _target(
     if goal.at is None:
         return sensor.value(draw())
     if isinstance(sensor, ImageTask) and "px" in sensor.units:  # a target has no depths
-        images = numbers("run.target.at", goal.at, sensor.m, "px")
+        images = coordinates("at", goal.at)
         return sensor.target(with_error(sensor, sensor.value(draw()), sensor._origin, images))
     return sensor.target(goal.at)
 
@@ -224,14 +242,12 @@ def _target(
 def _plant(truth: Robot, sensor: Task, motors: Array, scenario: Scenario, belief: Robot) -> Plant:
     true = scenario.true
     friction = Friction(true.friction, true.coulomb)
-    options: dict[str, Any] = {
-        "sensing": sensing_of(scenario.sensor),
-        "actuator_delay": scenario.loop.actuator_delay,
-        "torque_limits": motors if np.isfinite(motors).any() else None,
-    }
+    options: dict[str, Any] = {"sensing": sensing_of(scenario.sensor)}
     if scenario.controller.command == "velocity":
-        options["servo"] = VelocityServo(**vars(true.servo))
-        options["torque_limits"], options["actuator_delay"] = None, 0.0
+        options["servo"] = true.servo
+    else:
+        options["actuator_delay"] = scenario.loop.actuator_delay
+        options["torque_limits"] = motors if np.isfinite(motors).any() else None
     if scenario.controller.gravity == "learn_residual":
         options["adds_gravity"] = belief
     if true.engine == "mujoco":
@@ -250,3 +266,113 @@ def sensing_of(given: Sensor) -> Sensing | None:
     lost: Any = () if given.lost is None else ((*given.lost, *part),)
     frozen = () if given.frozen is None else (given.frozen,)
     return Sensing(**of_x, **of_q, x_rate=given.rate, x_lost=lost, x_frozen=frozen)
+
+
+# -- the controller ---------------------------------------------------------------------
+
+
+def _law(
+    scenario: Scenario, task: Task, truth: Robot, q0: Array, kinematics: Kinematics | None
+) -> Controller:
+    chosen, latency = scenario.controller, latency_of(scenario)
+    if chosen.law == "tracking":
+        return TrackingController(
+            task,
+            kinematics=KnownKinematics(task) if kinematics is None else kinematics,
+            dynamics=None if chosen.gravity == "learnt" else ModelDynamics(task.robot),
+            dt=sampling_time(scenario),
+            command=chosen.command,
+        )
+    posture: Posture | AwayFromStops | None = None
+    if chosen.posture_stiffness:
+        posture = Posture(q0, chosen.posture_stiffness)
+    elif limits_of(scenario, task.robot) is not None and task.robot.nv > task.m:
+        posture = AwayFromStops()
+    gains, differentiator = None, chosen.differentiator
+    given = {"kp": chosen.kp, "kv": chosen.kv, "damping": chosen.damping}
+    if any(given.values()):  # those of the rule stand beside them
+        usual = tuned(task, latency, settling_time=chosen.settling_time).gains
+        values = {
+            name: getattr(usual, name) if value is None else value[0] if len(value) == 1 else value
+            for name, value in given.items()
+        }
+        gains = Gains(**values)
+    return SetpointController(
+        task,
+        gains,
+        gravity=_gravity(truth, task.robot, chosen.gravity, chosen.integral_action),
+        saturation=None if chosen.gamma is None else Sine(chosen.gamma),
+        velocity=None if differentiator is None else DifferentiatedVelocity(differentiator),
+        posture=posture,
+        latency=latency,
+        settling_time=chosen.settling_time,
+    )
+
+
+def _gravity(truth: Robot, belief: Robot, kind: str, integral_action: bool | None) -> Gravity:
+    """Return the gravity of a controller by its kind."""
+    if kind in ("learnt", "learn_residual"):
+        nothing = 0.0 if integral_action is False else None
+        theta0 = 0.0 if kind == "learn_residual" else None
+        return AdaptiveGravity(belief, theta0=theta0, task_force=nothing, joint_torque=nothing)
+    if kind == "exact":
+        regressor = GravityRegressor(belief)
+        theta = regressor.fit(truth)[0]
+        if integral_action:
+            return AdaptiveGravity(regressor, L=0.0, theta0=theta)
+        return RegressorGravity(regressor, theta)
+    if integral_action:
+        return AdaptiveGravity(belief, L=0.0, theta0=0.0 if kind == "none" else None)
+    return NoGravity(belief) if kind == "none" else ModelGravity(belief)
+
+
+def _kinematics(scenario: Scenario, task: Task) -> Kinematics:
+    """Return the kinematics that learn what a scenario says to be unknown."""
+    unknown, noise = scenario.controller.unknown, scenario.sensor.noise
+    rest: dict[str, Any] = {"delay": scenario.sensor.delay, "dt": sampling_time(scenario)}
+    if not isinstance(task, ImageTask):
+        noise = max(noise, _LEAST_NOISE)
+        return AdaptiveKinematics(task, unknown, noise=noise, angle_noise=noise, **rest)
+    if isinstance(task.camera, PlanarCamera):
+        noise = max(noise, _LEAST_NOISE * task.camera.magnification)
+        return AdaptivePlanarCamera(task, unknown, noise=noise, **rest)
+    if "camera" in unknown:  # with its focal length
+        unknown = tuple(dict.fromkeys((*unknown, "focal_length")))
+    if task.camera.mount is not None:
+        unknown = tuple("points" if kind == "tool" else kind for kind in unknown)
+    return AdaptiveCamera(task, unknown, noise=max(noise, _LEAST_PIXELS), **rest)
+
+
+def latency_of(scenario: Scenario) -> Latency:
+    """Return the delays of a scenario's loop; continuous control as at 1 kHz."""
+    sensor = scenario.sensor
+    learns = bool(scenario.controller.unknown)  # then frames are outside the loop
+    return Latency(
+        period=sampling_time(scenario) or Latency.period,
+        torque_delay=scenario.loop.actuator_delay,
+        velocity_filter=sensor.velocity_filter or 0.0,
+        image_period=0.0 if learns or sensor.rate is None else 1.0 / sensor.rate,
+        image_age=0.0 if learns else sensor.delay,
+    )
+
+
+def sampling_time(scenario: Scenario) -> float:
+    """Return the period of control [s], 0 where it is continuous."""
+    return scenario.loop.dt if isinstance(scenario.loop.dt, float) else 0.0
+
+
+def limits_of(scenario: Scenario, belief: Robot) -> Limits | None:
+    """Return the limits that the controller keeps, with an entry for each joint."""
+    share = scenario.controller.limits
+    if share == "none" or sampling_time(scenario) == 0.0:
+        return None
+    if not np.isfinite(belief.effort_limits).any():
+        if share == "urdf":
+            return None
+        raise InvalidInputError(
+            f"controller.limits are shares of the URDF's effort limits, and that of {belief.name} "
+            f"has none, got {share}",
+            given=share,
+        )
+    limits = Limits.of(belief, share if isinstance(share, float) else 1.0)
+    return replace(limits, rate=scenario.controller.torque_rate).for_joints(belief.nv)

@@ -20,7 +20,8 @@ from approxjac.validation import as_number
 
 Table = Mapping[str, Any]
 _UNIONS = (Union, types.UnionType)
-_WRONG = (TypeError, ValueError, OverflowError)  # one of 400 digits is no float
+WRONG_TYPE = (TypeError, ValueError, OverflowError)
+"""Errors of `converted`; a number of 400 digits is no float."""
 
 
 class Words(tuple[str, ...]):
@@ -39,7 +40,11 @@ def filled(record: Any, values: Table, where: str = "", key: str = "") -> Any:
     A value may be a record or its table. Errors name the file `where` the table is from, and the
     dotted `key` of the record within its scenario.
     """
-    return replace(record, **checked(type(record), record, values, where, key))
+    made = checked(type(record), record, values, where, key)
+    try:
+        return replace(record, **made)
+    except InvalidInputError as error:  # of a record of the library, which knows no key
+        raise InvalidInputError(f"{key}.{error}{_in(where)}", given=error.given) from None
 
 
 def checked(kind: type, base: Any, values: Table, where: str = "", key: str = "") -> dict[str, Any]:
@@ -68,7 +73,7 @@ def checked(kind: type, base: Any, values: Table, where: str = "", key: str = ""
 
 def value_of(hint: Any, value: Any, key: str, where: str = "") -> Any:
     """Return a value as a field of that type has it, or refuse it by its key."""
-    with suppress(*_WRONG):
+    with suppress(*WRONG_TYPE):
         return converted(hint, value)
     typed = isinstance(value, Words)
     given = (" ".join(value) or "nothing") if typed else repr(value)
@@ -87,7 +92,7 @@ def converted(hint: Any, value: Any) -> Any:
     if origin in _UNIONS:
         # typed words are also a text, and so may be none
         for kind in sorted(inner, key=lambda kind: kind is not type(None)):
-            with suppress(*_WRONG):
+            with suppress(*WRONG_TYPE):
                 return converted(kind, value)
         raise TypeError
     if isinstance(value, Words):
@@ -138,6 +143,13 @@ def _meant(hint: Any, words: Words) -> Any:
     if hint in (bool, type(None)):
         return {"true": True, "false": False, "None": None}.get(word, word)
     return word
+
+
+def typed_as(value: Any) -> str:
+    """Return a value as it may be typed."""
+    if isinstance(value, tuple):
+        return " ".join(map(typed_as, value))
+    return f"{value:g}" if isinstance(value, float) else f"{value}"
 
 
 def wanted(hint: Any) -> str:

@@ -1,24 +1,37 @@
-"""The stability of a scenario's loop, before anything moves."""
+"""The stability of a scenario's loop before anything moves: tests, words, pictures and files."""
 
 from __future__ import annotations
 
+import json
+import textwrap
 from collections.abc import Callable
 from concurrent.futures import Executor
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import partial
-from typing import cast
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from approxjac.cameras import Camera
 from approxjac.controllers import Limits, SetpointController, TorqueLimited
 from approxjac.errors import InvalidInputError
+from approxjac.files import together, write_text
+from approxjac.formatting import joined, numbers, percent, plain, rows, wrapped
 from approxjac.robots import Robot
-from approxjac.scenario.build import BuiltScenario, build_scenario, holding, loaded_arm, sensing_of
-from approxjac.scenario.laws import latency_of, limits_of
+from approxjac.scenario.build import (
+    BuiltScenario,
+    build_scenario,
+    holding,
+    latency_of,
+    limits_of,
+    loaded_arm,
+    sensing_of,
+)
+from approxjac.scenario.records import Analysis
+from approxjac.scenario.refusals import refuse, require_reportable
 from approxjac.scenario.scenario import Scenario
 from approxjac.scenario.starts import configuration_of
-from approxjac.scenario.study_records import Analysis
 from approxjac.simulation import Plant, Trajectory
 from approxjac.stability import (
     Execution,
@@ -29,19 +42,34 @@ from approxjac.stability import (
     StabilityReport,
     Study,
     SublevelSet,
+    Suggestion,
     Tolerance,
     Tube,
     Uncertainty,
 )
 from approxjac.stability.loop.closed_loop import ClosedLoop
-from approxjac.stability.search.map import PLACES, are_drawn, own_values
+from approxjac.stability.rollouts.rollouts import clopper_pearson
+from approxjac.stability.search.map import PARAMETERS, PLACES, are_drawn, labels, own_values
 from approxjac.stability.search.tolerance import Test
 from approxjac.tasks import CombinedTask, FrameKinematics, ImageTask, Task
 from approxjac.tasks.analysis import features, fine_error
 from approxjac.validation import Array
+from approxjac.view import (
+    new_figure,
+    plot_allowed_error,
+    plot_margins,
+    plot_shares,
+    save_figure,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Progress = Callable[[str, float], None]
 _DRAWN = 200  # configurations that tell how far the tip gets
+_SETTLING_TIME = 1.0  # that gains are wanted for [s]
+_GAINS = ("kp", "kv", "damping")
+_OF_MAP = ("names", "x", "y", "share", "intervals", "runs")  # in summary.json
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,30 +91,8 @@ def uncertainty_of(study: Study) -> Uncertainty | None:
 
 def prepare(scenario: Scenario) -> Study:
     """Return the study of a scenario's controller, with the errors that it may meet."""
-    analysis = scenario.stability
-    if analysis.map_points == 1:
-        raise InvalidInputError("stability.map_points must be 0 or >= 2, got 1", given=1)
-    choice = scenario.controller
-    if choice.law == "tracking" or choice.unknown:
-        name, given = ("unknown", choice.unknown) if choice.unknown else ("law", choice.law)
-        told = given if isinstance(given, str) else " ".join(given)
-        raise InvalidInputError(
-            f"controller.{name} must be left out of a report, which is about a fixed Jacobian, got "
-            f"{told}",
-            given=given,
-        )
-    for name in ("focal_length", "distance", "roll"):
-        given = getattr(analysis, name)
-        if given is not None and scenario.task.kind != "image":
-            raise InvalidInputError(
-                f"stability.{name} needs task.kind image, got {scenario.task.kind}", given=given
-            )
-    if choice.gravity == "learn_residual":
-        raise InvalidInputError(
-            "controller.gravity must be learnt, exact, believed or none in a report, which is of "
-            "robots that add none, got learn_residual",
-            given="learn_residual",
-        )
+    require_reportable(scenario)
+    analysis, choice = scenario.stability, scenario.controller
     arm, gravity = loaded_arm(scenario), choice.gravity
     if gravity == "exact":  # eq. (9): what is compensated exactly is not felt
         arm, gravity = arm.with_gravity((0.0, 0.0, 0.0)), "none"
@@ -94,7 +100,7 @@ def prepare(scenario: Scenario) -> Study:
     choice = replace(choice, gravity=gravity, limits="none", torque_rate=None)
     built = build_scenario(replace(scenario, controller=choice), arm)
     truth = _truth(arm, built, analysis)
-    law = cast(SetpointController, built.law)  # tracking is refused above
+    law = cast(SetpointController, built.law)  # tracking is refused
     limits = limits_of(scenario, law.task.robot)
     run, timing = scenario.run, latency_of(scenario)
     study = Study(
@@ -136,14 +142,11 @@ def analyse(
     )
     assert isinstance(report, StabilityReport)  # the laws of scenarios have certificates
     found(report)
-    if uncertainty is None:
-        return StabilityResult(scenario, study, report)
-
     tolerances: dict[Test, Tolerance] = {}
-    if report.gravity_is_exact:  # as is assumed by all tests but rollouts
+    if uncertainty is not None and report.gravity_is_exact:  # as all tests but rollouts assume
         tolerances = study.tolerance(progress=progress)
     map_ = None
-    if analysis.map_points:
+    if uncertainty is not None and analysis.map_points:
         points = {
             name: _values(name, report.loop, uncertainty, analysis.map_points)
             for name in analysis.map
@@ -214,29 +217,333 @@ def _region(
             )
         nominal = truth.plant(truth.believed) if isinstance(truth, Uncertainty) else truth
         region = SublevelSet(nominal, controller, analysis.target, at("reach_from"))
-    if region is None or least is None:
-        return region
-    return RegularPart(region, controller.task, least)
+    return RegularPart(region, controller.task, least) if region and least is not None else region
 
 
 def _values(name: str, loop: ClosedLoop, uncertainty: Uncertainty, count: int) -> Array:
     """Return the values of a parameter of the map."""
-    shares = np.linspace(0.0, 1.0, count)
-    middles = (np.arange(count) + 0.5) / count  # what is drawn is shared out into cells
-    if name in uncertainty.names:
-        at = uncertainty.names.index(name)
-        low, high = uncertainty.low[at], uncertainty.high[at]
-        return np.asarray(low + (high - low) * middles)
-    if name in PLACES:
-        robot = uncertainty.belief()
-        tip = FrameKinematics(robot, robot.tip_or(None))
-        drawn = loop.region.sample(_DRAWN, np.random.default_rng(0))
-        places = np.array([tip.position(q)[PLACES.index(name)] for q in drawn])
-        return np.asarray(places.min() + np.ptp(places) * middles)
-    own = own_values(loop.controller)[name]
+    if name in PLACES or name in uncertainty.names:
+        if name in PLACES:
+            robot = uncertainty.belief()
+            tip = FrameKinematics(robot, robot.tip_or(None))
+            drawn = loop.region.sample(_DRAWN, np.random.default_rng(0))
+            places = np.array([tip.position(q)[PLACES.index(name)] for q in drawn])
+            low, high = places.min(), places.max()
+        else:
+            at = uncertainty.names.index(name)
+            low, high = uncertainty.low[at], uncertainty.high[at]
+        # what is drawn is shared out into cells, and these are their middles
+        return np.asarray(low + (high - low) * ((np.arange(count) + 0.5) / count))
+    shares, own = np.linspace(0.0, 1.0, count), own_values(loop.controller)[name]
     values = own * 10.0 ** (2.0 * shares - 1.0)
     if name == "error":
         values = uncertainty.largest_scale(3.0) * shares
     if count > 2 and values[0] < own < values[-1]:  # the report's own point is one of the map
         values[1 + np.abs(values[1:-1] - own).argmin()] = own
     return np.asarray(values)
+
+
+# -- words ------------------------------------------------------------------------------
+
+
+def consequences(result: StabilityResult, out: Path) -> str:
+    """Return what follows from a report: what to do next, what is tolerated, and of the map."""
+    blocks = [[], [], rows_of_map(result.map, out)]
+    if steps := advice(result):
+        blocks[0] = wrapped(f"next: {'; '.join(steps)}")
+    if result.tolerances:
+        how = "in continuous time, by a search on fewer configurations; a report may find less:"
+        blocks[1] = [*wrapped(how), *map(str, result.tolerances.values())]
+    return "\n\n".join("\n".join(block) for block in blocks if block)
+
+
+def advice(result: StabilityResult) -> list[str]:
+    """Return what to do next, steps that a person can take; none where the loop is certified."""
+    report, uncertainty = result.report, uncertainty_of(result.study)
+    if report.passed:
+        return []
+    if not report.gravity_is_exact:
+        return ["controller.gravity exact, which tells of all else"]
+    if report.singular_q is not None:
+        return [
+            "stability.sigma_min, which leaves out configurations where the estimated Jacobian "
+            "loses rank, and the arm may stand still away from its target"
+        ]
+    steps = []
+    if uncertainty is not None:
+        learns = report.loop.controller.adaptation is not None
+        steps.append(
+            "controller.gravity exact, which tells what is certified as if gravity were known"
+            if learns  # of which gains that are found would say nothing
+            else "suggest_gains, in place of controller.kp, controller.kv and controller.damping"
+        )
+        least, most = uncertainty.low, uncertainty.high
+        if (abs(least + most - 2.0 * uncertainty.believed) > 0.2 * (most - least)).any():
+            middle = dict(zip(uncertainty.names, 0.5 * (least + most), strict=True))
+            options = [
+                f"believed.object.{what} {middle[f'object_{what}']:.3g}"
+                for what in ("length", "mass")
+                if f"object_{what}" in middle
+            ]
+            such = f", such as {' '.join(options)}" if options else ""
+            steps.append(f"a belief in the middle of each range{such}")
+        scale = result.tolerances["matrix"].scale
+        if 0.0 < scale < 1.0:  # of which a report may find a little less
+            smaller = uncertainty.scaled(0.8 * scale).describe_box()
+            steps.append(f"smaller errors, such as {smaller}")
+    if not report.local.stable:
+        steps.append("smaller errors, another region or a smaller a = k_p/k_v")
+    elif (report.spectral_radii >= 1.0).any():
+        steps.append("a shorter period, shorter delays or less damping of light joints")
+    steps.append("a smaller stability.radius around a configuration (stability.around)")
+    return steps
+
+
+def rows_of_map(found: StabilityMap | None, out: Path) -> list[str]:
+    """Return what came of the runs of a map, and where its picture is."""
+    if found is None:
+        return []
+    where = f"The map is {out / 'map.png'}"
+    share, n, made = found.share.ravel(), found.runs.ravel(), np.flatnonzero(found.runs)
+    if not made.size:
+        return [where]
+    sure, of_all = ", with 95 % confidence {} to {} %", ""
+    if found.names[0] not in PARAMETERS:  # or points share what is drawn
+        of_all = sure.format(*map(percent, clopper_pearson(found.converged, int(n.sum()))))
+    good, over = percent(found.converged / n.sum()), " and ".join(found.names)
+    lines = [f"map: {good} % of {n.sum()} runs over {over} converge{of_all}"]
+    ends = {"least": made[share[made].argmin()], "most": made[share[made].argmax()]}
+    for what, k in ends.items():
+        j, i = np.unravel_index(k, found.runs.shape)
+        at = f"{found.names[0]} {found.x[i]:.3g}, {found.names[1]} {found.y[j]:.3g}"
+        of_these = sure.format(*map(percent, found.intervals[j, i]))
+        lines.append(f"  {what} of all points at {at}: {percent(share[k])} % of {n[k]}{of_these}")
+    return [*lines, where]
+
+
+# -- pictures and files -----------------------------------------------------------------
+
+
+def draw_allowed_error(result: StabilityResult) -> Figure:
+    """Draw Figure 1 of the paper for this arm and its errors."""
+    first, controller = result.report.theorem1, result.report.loop.controller
+    kp, kv, _ = controller.diagonals
+    figure, (ax,) = new_figure(size=(6.5, 4.8))
+    plot_allowed_error(
+        first.lambda_2,
+        first.p,
+        unit=f"{joined(controller.task.units)}/rad",
+        p_label=r"$p$ of the errors, the largest $\|J^T - \hat{J}^T\|$",
+        own_a=float(kp.max() / kv.max()),
+        ax=ax,
+    )
+    return figure
+
+
+def draw_workspace(result: StabilityResult) -> Figure:
+    """Draw the margin of the matrix form over the workspace, in two planes of the world."""
+    report = result.report
+    best = max(report.matrix.values(), key=lambda test: test.margin)
+    robot = report.loop.controller.task.robot
+    tip = FrameKinematics(robot, robot.tip_or(None))
+    positions = np.array([tip.position(q) for q in report.samples.q[: len(best.margins)]])
+    widths = np.ptp(positions, axis=0)
+    pairs = {"xz": widths[[0, 2]], "xy": widths[:2]}  # on a line in a plane nothing is to be seen
+    planes = [plane for plane, two in pairs.items() if two.min() > 0.01 * two.max()] or ["xz"]
+    between = " " if len(planes) > 1 else "\n"
+    figure, axes = new_figure(
+        len(planes),
+        size=(5.2 * len(planes), 4.6),
+        title=f"{robot.name}: margin of the matrix form in continuous time,{between}"
+        "where the believed tip is",
+    )
+    for ax, plane in zip(axes, planes, strict=True):
+        plot_margins(positions, best.margins, plane, ax, title=f"{plane[0]}-{plane[1]} plane")
+    return figure
+
+
+def draw_map(result: StabilityResult) -> Figure | None:
+    """Draw the share of runs that converge, between its interval's ends; None of no map."""
+    found, uncertainty = result.map, uncertainty_of(result.study)
+    if found is None or uncertainty is None:
+        return None
+    controller = result.report.loop.controller
+    title = (
+        f"{controller.task.robot.name}: share of {found.runs.sum()} runs that converge, each with "
+        f"95 % confidence; errors are {uncertainty.describe_box()}"
+    )
+    figure, axes = new_figure(3, size=(14.0, 4.6), title=textwrap.fill(title, 130))
+    own = own_values(controller)  # the belief besides
+    own |= dict(zip(uncertainty.names, uncertainty.believed.tolist(), strict=True))
+    first, second = found.names
+    none = np.isnan(found.share)
+    shares = {
+        "at least": found.intervals[..., 0],
+        "of the runs": found.share,
+        "at most": found.intervals[..., 1],
+    }
+    for ax, (title, share) in zip(axes, shares.items(), strict=True):
+        plot_shares(
+            found.x,
+            found.y,
+            np.where(none, np.nan, share),
+            labels=(labels(uncertainty)[first], labels(uncertainty)[second]),
+            own=(own[first], own[second]) if first in own and second in own else None,
+            own_name="as given" if first in PARAMETERS else "as believed",
+            ax=ax,
+            title=title,
+        )
+        if first in PLACES and second in PLACES:
+            ax.set_aspect("equal", adjustable="datalim")
+    return figure
+
+
+def summary(result: StabilityResult) -> dict[str, Any]:
+    """Return what goes into summary.json."""
+    map_ = result.map
+    found = {
+        **result.report.summary(),
+        "tolerance": {
+            test: {
+                "scale": each.scale,
+                "fails_at": each.fails_at,
+                "is_tested": each.is_tested,
+                "errors": each.uncertainty.describe_box(),
+                "worst": each.worst_text,
+            }
+            for test, each in result.tolerances.items()
+        },
+        "advice": advice(result),
+        "gains": result.report.loop.controller.diagonals._asdict(),
+        "map": map_ and {name: getattr(map_, name) for name in _OF_MAP},
+        "scenario": asdict(result.scenario),
+    }
+    return {name: plain(value) for name, value in found.items()}
+
+
+def write(result: StabilityResult, out: Path) -> None:
+    """Write the pictures, summary.json and scenario.toml into a folder."""
+    drawn = draw_map(result)
+    with together(out) as folder:
+        save_figure(draw_allowed_error(result), folder / "figure1")
+        save_figure(draw_workspace(result), folder / "workspace")
+        if drawn is not None:
+            save_figure(drawn, folder / "map")
+        result.scenario.save(folder / "scenario.toml")
+        write_text(folder / "summary.json", json.dumps(summary(result), indent=2) + "\n")
+        for ending in ("png", "svg") if drawn is None else ():
+            # no map of another run beside the other files
+            (out / f"map.{ending}").unlink(missing_ok=True)
+
+
+# -- gains ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class SuggestedGains:
+    """Gains found for a scenario, or what to relax."""
+
+    scenario: Scenario  # with the gains that were found and certified
+    errors: str
+    settling_time: float  # wanted [s]
+    suggestion: Suggestion
+    report: StabilityReport | None = None  # of the scenario as it is; None without gains
+
+    @property
+    def needs_known_gravity(self) -> bool:
+        """True if the gains are certified when sampled, but not with the scenario's gravity.
+
+        As where it is learnt, of which there are certificates in continuous time only.
+        """
+        return self.report is not None and self.report.certified_by is None
+
+    def __str__(self) -> str:
+        control, about = self.scenario.controller, {"errors": self.errors}
+        if self.suggestion.found is None:
+            about["settling time"] = f"{self.settling_time:g} s"
+        else:
+            about["settling time"] = f"{self.settling_time:g} s is wanted"
+            about["tried"] = f"{len(self.suggestion.tried)} gains, gentle ones first"
+        if control.gravity != "exact":
+            about["gravity"] = f"taken as known exactly; in the scenario it is {control.gravity}"
+        lines = [str(self.suggestion), *rows(about, 2)]
+        if self.report is not None:
+            if self.needs_known_gravity:
+                lines += wrapped(f"with gravity {control.gravity}: {self.report.verdict()}")
+            lines.append("")
+            lines += [f"  controller.{name} {numbers(getattr(control, name))}" for name in _GAINS]
+        return "\n".join(lines)
+
+
+def suggested(scenario: Scenario, progress: Callable[[str, float], None]) -> SuggestedGains:
+    """Return gains of law (6) that a whole report certifies for a scenario's errors.
+
+    Raises:
+        InvalidInputError: No ranges of errors, or gains that are given already.
+    """
+    left_out = "must be left out where gains are to be found"
+    refuse(scenario, [(f"controller.{name}", True, left_out, "") for name in _GAINS])
+    study = prepare(scenario)
+    uncertainty = uncertainty_of(study)
+    if uncertainty is None:
+        raise InvalidInputError(
+            "suggest_gains needs ranges of errors, such as stability.object_length 0 0.3, got none",
+            given=None,
+        )
+    # a report of known gravity leaves it out, but motors have to hold the arm
+    heavy = replace(uncertainty, arm=uncertainty.arm.with_gravity(loaded_arm(scenario).gravity))
+    limits = limits_of(scenario, study.controller.task.robot)
+    settling_time = scenario.controller.settling_time or _SETTLING_TIME
+    suggestion = replace(study, uncertainty=heavy).gains(
+        settling_time,
+        torque_limits=None if limits is None else limits.effort,
+        configurations=min(scenario.stability.configurations, 200),
+        progress=progress,
+    )
+    errors, found = uncertainty.describe_box(), suggestion.found
+    if found is None:
+        return SuggestedGains(scenario, errors, settling_time, suggestion)
+    diagonals = study.loop().controller.with_gains(found.gains).diagonals
+    gains = {name: tuple(getattr(diagonals, name)) for name in _GAINS}
+    # a settling time is refused beside given gains
+    own = scenario.with_values({"controller": gains | {"settling_time": None}})
+    # the search is of fewer configurations, and of law (6) with known gravity and no limits
+    report = _report(own.with_values({"controller": {"gravity": "exact"}}))
+    if not report.passed:
+        relax = (
+            "a smaller stability.radius or smaller errors, as a report of all configurations says "
+            f"of the gains tried: {report.verdict()}"
+        )
+        suggestion = replace(suggestion, found=None, relax=(relax,))
+        return SuggestedGains(scenario, errors, settling_time, suggestion)
+    assert report.sampled is not None
+    suggestion = replace(suggestion, found=replace(found, margin=report.sampled.margin))
+    if own.controller.gravity != "exact":
+        report = _report(own)
+    return SuggestedGains(own, errors, settling_time, suggestion, report)
+
+
+def _report(scenario: Scenario) -> StabilityReport:
+    report = prepare(scenario).report(scenario.stability.configurations)
+    assert isinstance(report, StabilityReport)  # the laws of scenarios have certificates
+    return report
+
+
+def write_gains(result: SuggestedGains, out: Path) -> None:
+    """Write summary.json, and scenario.toml if gains were found, into a folder."""
+    found, control = result.suggestion.found, result.scenario.controller
+    summary: dict[str, Any] = {
+        "found": found is not None,
+        "errors": result.errors,
+        "relax": result.suggestion.relax,
+        "tried": len(result.suggestion.tried),
+    }
+    if found is not None and result.report is not None:
+        summary |= {name: getattr(control, name) for name in _GAINS}
+        summary |= {"margin": found.margin, "torque_ratio": found.torque_ratio}
+        summary["settling_time_s"] = found.settling_time
+        summary["verdict"] = result.report.verdict()  # with the scenario's own gravity
+    with together(out) as folder:
+        if found is not None:
+            result.scenario.save(folder / "scenario.toml")
+        write_text(folder / "summary.json", json.dumps(plain(summary), indent=2) + "\n")

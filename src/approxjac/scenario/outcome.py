@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
@@ -14,8 +14,7 @@ from approxjac.formatting import plain
 from approxjac.interface import LimitStatus, Status
 from approxjac.robots import Dynamics
 from approxjac.robots.joint_limits import beyond_positions
-from approxjac.scenario.build import BuiltScenario, build_scenario
-from approxjac.scenario.laws import sampling_time
+from approxjac.scenario.build import BuiltScenario, build_scenario, sampling_time
 from approxjac.scenario.scenario import Scenario
 from approxjac.scenario.starts import too_far
 from approxjac.simulation import Computation, Loop, Trajectory, simulate
@@ -55,9 +54,12 @@ class RunResult:
     @property
     def tolerance(self) -> float:
         """Error below which the task counts as done [m, and rad of a pose; px of an image]."""
-        scenario = self.built.scenario
-        least = tolerance_of(scenario, self.run.task_units)
-        if scenario.run.tolerance is not None or not self.on_path:
+        given, noise = self.built.scenario.run.tolerance, self.built.scenario.sensor.noise
+        if given is not None:
+            return given
+        # of an image it is of an RMS of the last tenth
+        least = max(FINE["px"], noise) if self.in_pixels else fine_error(self.run.task_units, noise)
+        if not self.on_path:
             return least
         size = float(np.linalg.norm(self.run.x_d - self.run.x_d[0], axis=1).max())
         return max(least, _STRAY * size)
@@ -224,8 +226,6 @@ class RunResult:
     def _learns(self, last: slice) -> bool:
         """Return True if 1 % of the position force at the end was learnt in the last quarter."""
         run, law, q = self.run, self.built.law, self.run.q[-1]
-        if self.built.controller.law is not law:
-            return False
         first, end = (law.gravity_torque(run.state[last][k], q) for k in (0, -1))
         return bool(np.linalg.norm(end - first) > 0.01 * np.linalg.norm(run.task_torque[-1]))
 
@@ -270,7 +270,7 @@ class RunResult:
             "q_start": robot.angles(built.q0),
             "q_end": robot.angles(run.q[-1]),
             "controller": repr(built.law),
-            "gains": built.gains,
+            "gains": built.law.gain_values,
             "kinematics": self._kinematics_summary(),
             "status_counts": {status.name: n for status, n in run.status_counts().items()},
             "scenario": asdict(built.scenario),
@@ -324,15 +324,6 @@ def run_scenario(
         computation=Computation(integrator, progress=progress), **options,
     )  # fmt: skip
     return RunResult(built, record)
-
-
-def tolerance_of(scenario: Scenario, units: Iterable[str]) -> float:
-    """Return the error below which a task of some units is done: m, and rad of a pose; px."""
-    if scenario.run.tolerance is not None:
-        return scenario.run.tolerance
-    if "px" in units:  # an RMS of the last tenth
-        return max(FINE["px"], scenario.sensor.noise)
-    return fine_error(units, scenario.sensor.noise)
 
 
 def _peak(values: Array, limits: Array) -> float:

@@ -3,24 +3,36 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from operator import attrgetter
 from typing import Any
 
 from approxjac.errors import InvalidInputError
 from approxjac.robots.urdf_edit import as_mass, as_size
+from approxjac.scenario.convert import typed_as
+from approxjac.scenario.records import Tracker
 from approxjac.scenario.scenario import Scenario
 
-_TRACKED = ("position", "pose")  # kinds of tasks that a tracker can be the sensor of
+_OF_SETPOINT = ["settling_time", "kp", "kv", "damping", "gamma", "posture_stiffness"]
+_OF_SETPOINT += ["differentiator", "integral_action"]
+Rule = tuple[str, bool, str, str]
+"""A key that may do nothing, whether it does here, its use, and what there is in its place."""
+
+
+def refuse(scenario: Scenario, rules: Iterable[Rule]) -> None:
+    """Refuse what was given although it does nothing by some rules."""
+    usual = Scenario(scenario.robot)
+    for key, useless, what, there_is in rules:
+        value = attrgetter(key)(scenario)
+        if useless and value != attrgetter(key)(usual):
+            given = typed_as(value) if isinstance(value, tuple) else value
+            where = f" with {there_is}" if there_is else ""
+            raise InvalidInputError(f"{key} {what}, got {given}{where}", given=value)
 
 
 def require_effect(scenario: Scenario) -> None:
     """Refuse what was given but would do nothing, or what contradicts something else."""
-    usual = Scenario(scenario.robot)
-    for key, useless, what, where in _rules(scenario):
-        value = attrgetter(key)(scenario)
-        if useless and value != attrgetter(key)(usual):
-            raise InvalidInputError(f"{key} {what}, got {value} with {where}", given=value)
+    refuse(scenario, _rules(scenario))
     for kind, held in (("true", scenario.true.object), ("believed", scenario.believed.object)):
         for name, size in (("length", held.length), ("radius", held.radius)):
             as_size(f"{kind}.object.{name}", size or 0.0)
@@ -29,15 +41,34 @@ def require_effect(scenario: Scenario) -> None:
         raise InvalidInputError(message, given=value)
 
 
-def _rules(scenario: Scenario) -> list[tuple[str, bool, str, str]]:
-    """Return keys that may do nothing, whether they do here, their use, and what there is."""
+def require_reportable(scenario: Scenario) -> None:
+    """Refuse what a stability report is not about."""
+    kind = scenario.task.kind
+    fixed = "must be left out of a report, which is about a fixed Jacobian"
+    adds = scenario.controller.gravity == "learn_residual"
+    none = "must be learnt, exact, believed or none in a report, which is of robots that add none"
+    rules = [
+        ("controller.unknown", True, fixed, ""),
+        ("controller.law", True, fixed, ""),
+        ("controller.gravity", adds, none, ""),
+        ("stability.map_points", scenario.stability.map_points == 1, "must be 0 or >= 2", ""),
+    ]
+    for name in ("focal_length", "distance", "roll"):
+        rules.append((f"stability.{name}", kind != "image", "needs task.kind image", kind))
+    refuse(scenario, rules)
+
+
+def _rules(scenario: Scenario) -> Iterator[Rule]:
     task, control, true = scenario.task, scenario.controller, scenario.true
     image = task.kind == "image"
     pinhole = image and true.camera.kind == "pinhole"
     in_hand = pinhole and true.camera.mount is not None
-    needs = 'needs controller.limits, "urdf" or a share of the URDF\'s such as 0.5'
+    tracks, learns = control.law == "tracking", bool(control.unknown)
+    velocities = control.command == "velocity"
     gains = None not in (control.kp, control.kv, control.damping)
-    rules = [
+    limits = 'needs controller.limits, "urdf" or a share of the URDF\'s such as 0.5'
+    tracked = task.kind in ("position", "pose")
+    yield from [
         ("true.floor", true.engine != "mujoco", "needs true.engine mujoco", true.engine),
         ("true.inertias", true.engine != "mujoco", "needs true.engine mujoco", true.engine),
         ("task.axes", task.kind in ("pose", "image"), "are those of a position", task.kind),
@@ -46,72 +77,59 @@ def _rules(scenario: Scenario) -> list[tuple[str, bool, str, str]]:
         ("task.depth", not pinhole, "is that of a pinhole camera's image", task.kind),
         ("task.spread", task.points == 1, "is for several points", "one point"),
         ("true.camera", not image, "is for task.kind image", task.kind),
-        ("true.tracker", task.kind not in _TRACKED, "is for task.kind position or pose", task.kind),
+        ("true.tracker", not tracked, "is for task.kind position or pose", task.kind),
         ("believed.camera", not image, "is for task.kind image", task.kind),
         ("true.camera.looking_at", in_hand, "is for a camera in the world", "one in hand"),
         ("controller.settling_time", gains, "is for default gains", "given ones"),
-        ("controller.torque_rate", control.limits == "none", needs, "none"),
+        ("controller.torque_rate", control.limits == "none", limits, "none"),
         ("sensor.lost_part", scenario.sensor.lost is None, "needs a time in sensor.lost", "none"),
-    ]
-    tracks, learns = control.law == "tracking", bool(control.unknown)
-    for_setpoint = (
-        "differentiator",
-        "integral_action",
-        "settling_time",
-        "kp",
-        "kv",
-        "damping",
-        "gamma",
-    )
-    rules += [
-        (f"controller.{name}", tracks, "is of the law setpoint", control.law)
-        for name in (*for_setpoint, "posture_stiffness")
-    ]
-    velocities = control.command == "velocity"
-    rules += [
         ("true.servo", not velocities, "needs controller.command velocity", control.command),
         ("controller.command", not tracks, "needs controller.law tracking", control.law),
         ("controller.torque_rate", velocities, "is of torques", control.command),
         ("loop.actuator_delay", velocities, "is of torques: see true.servo", control.command),
         ("controller.unseen", learns, "is of no use where x is predicted", "controller.unknown"),
     ]
-    continuous = scenario.loop.dt == "continuous"
-    of_control = ("law", "unknown", "torque_rate", "unseen")
-    sampled = [*(f"controller.{name}" for name in of_control), "sensor", "loop.actuator_delay"]
+    for name in _OF_SETPOINT:
+        yield f"controller.{name}", tracks, "is of the law setpoint", control.law
+    sampled = [f"controller.{name}" for name in ("law", "unknown", "torque_rate", "unseen")]
+    sampled += ["sensor", "loop.actuator_delay"]
     if control.limits != "none":
         sampled.append("controller.limits")
-    rules += [(key, continuous, "needs a loop.dt in s", "continuous") for key in sampled]
+    for key in sampled:
+        yield key, scenario.loop.dt == "continuous", "needs a loop.dt in s", "continuous"
     # what a camera in hand watches is not the object
     for kind, held in (("true", true.object), ("believed", scenario.believed.object)):
         weightless = in_hand and held.mass == 0.0 and held.length != 0.0
-        needs = f"needs {kind}.object.mass"
-        rules.append((f"{kind}.object.length", weightless, needs, "a camera in hand"))
-    return rules
+        mass = f"needs {kind}.object.mass"
+        yield f"{kind}.object.length", weightless, mass, "a camera in hand"
 
 
 def _faults(scenario: Scenario) -> Iterator[tuple[Any, str]]:
     """Say which values cannot be, or not with others."""
     dt, run, sensor, task = scenario.loop.dt, scenario.run, scenario.sensor, scenario.task
+
+    def wrong(key: str, wanted: str, given: Any = None) -> tuple[Any, str]:
+        value = attrgetter(key)(scenario)
+        return value, f"{key} must be {wanted}, got {value if given is None else given}"
+
     if isinstance(dt, float):
         if run.duration < dt:
-            wanted = f"a finite number >= loop.dt = {dt:g} [s]"
-            yield run.duration, f"run.duration must be {wanted}, got {run.duration}"
+            yield wrong("run.duration", f"a finite number >= loop.dt = {dt:g} [s]")
         if sensor.rate is not None and sensor.rate > 1.0 / dt * (1.0 + 1e-9):
-            wanted = f"at most that of control, {1.0 / dt:g} [Hz]"
-            yield sensor.rate, f"sensor.rate must be {wanted}, got {sensor.rate:g}"
+            most = f"at most that of control, {1.0 / dt:g} [Hz]"
+            yield wrong("sensor.rate", most, f"{sensor.rate:g}")
     if sensor.delay >= run.duration:
-        wanted = f"shorter than the run, {run.duration:g} [s]"
-        yield sensor.delay, f"sensor.delay must be {wanted}, got {sensor.delay:g}"
-    part, parts = sensor.lost_part, max(task.points, len(task.frames))
-    if (part or 1) > parts:
-        yield part, f"sensor.lost_part must be one of the parts of x, 1 to {parts}, got {part}"
+        shorter = f"shorter than the run, {run.duration:g} [s]"
+        yield wrong("sensor.delay", shorter, f"{sensor.delay:g}")
+    parts = max(task.points, len(task.frames))
+    if (sensor.lost_part or 1) > parts:
+        yield wrong("sensor.lost_part", f"one of the parts of x, 1 to {parts}")
     for name, interval in (("lost", sensor.lost), ("frozen", sensor.frozen)):
         if interval is not None and not max(0.0, interval[0]) < min(run.duration, interval[1]):
-            wanted = f"the start and the end of a time within the run, 0 to {run.duration:g} [s]"
-            yield interval, f"sensor.{name} must be {wanted}, got {interval}"
+            within = f"the start and the end of a time within the run, 0 to {run.duration:g} [s]"
+            yield wrong(f"sensor.{name}", within)
     if sensor.dropout > 1.0:
-        wanted = "a probability from 0 to 1"
-        yield sensor.dropout, f"sensor.dropout must be {wanted}, got {sensor.dropout}"
+        yield wrong("sensor.dropout", "a probability from 0 to 1")
     goal = run.target
     for path, leads in (("circle", "radius"), ("line", "offset"), ("waypoints", "points")):
         half = getattr(goal, path)
@@ -124,20 +142,13 @@ def _faults(scenario: Scenario) -> Iterator[tuple[Any, str]]:
     control = scenario.controller
     if control.law == "tracking" and control.gravity not in ("learnt", "believed"):
         wanted = "learnt or believed with the tracking law (controller.law)"
-        yield control.gravity, f"controller.gravity must be {wanted}, got {control.gravity}"
-    tracker = scenario.true.tracker
-    if tracker != type(tracker)() and task.axes not in (None, "xyz"):
-        yield task.axes, f"task.axes must be xyz with true.tracker, got {task.axes}"
-    if scenario.controller.differentiator is not None and task.depth == "measured":
-        yield (
-            task.depth,
-            "task.depth must be believed or constant with a differentiator, which differentiates "
-            "the image alone, got measured",
-        )
+        yield wrong("controller.gravity", wanted)
+    if scenario.true.tracker != Tracker() and task.axes not in (None, "xyz"):
+        yield wrong("task.axes", "xyz with true.tracker")
+    if control.differentiator is not None and task.depth == "measured":
+        alone = "believed or constant with a differentiator, which differentiates the image alone"
+        yield wrong("task.depth", alone)
     roll = scenario.believed.camera.roll
     if abs(roll) > math.pi:
-        yield (
-            roll,
-            f"believed.camera.roll must be within -pi and pi [rad], got {roll:g}"
-            f" ({math.radians(roll):.4g} rad would be {roll:g} degrees)",
-        )
+        degrees = f"{roll:g} ({math.radians(roll):.4g} rad would be {roll:g} degrees)"
+        yield wrong("believed.camera.roll", "within -pi and pi [rad]", degrees)

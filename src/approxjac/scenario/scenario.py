@@ -12,6 +12,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.files import read_text, write_text
 from approxjac.scenario.convert import Table, checked, differences, filled, to_toml
 from approxjac.scenario.records import (
+    Analysis,
     Belief,
     ControllerChoice,
     LoopRecord,
@@ -21,7 +22,6 @@ from approxjac.scenario.records import (
     TaskChoice,
     Truth,
 )
-from approxjac.scenario.study_records import Analysis
 
 _MOST_TEXT = 1_000_000  # bytes of a file
 

@@ -6,17 +6,15 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from approxjac.controllers import (
-    KinematicReport,
-)
+from approxjac.controllers import KinematicReport
 from approxjac.files import together, write_text
 from approxjac.formatting import numbers_of, rows, shares, wrapped
 from approxjac.interface import LimitStatus
-from approxjac.scenario.convert import differences
+from approxjac.scenario.convert import differences, typed_as
 from approxjac.scenario.outcome import RunResult
 from approxjac.scenario.records import Belief
 from approxjac.scenario.scenario import Scenario
@@ -107,10 +105,8 @@ def _error(result: RunResult) -> str:
             return f"{size}, where {within} is wanted"
         return f"{size}, within {within} from {result.settling_time:.3g} s on"
     largest, rms, last = (_size({result.run.task_unit: error}) for error in result.strayed)
-    return (
-        f"up to {largest} from the path, {rms} RMS, {last} in the last quarter, where {within} is "
-        "wanted"
-    )
+    sizes = f"up to {largest} from the path, {rms} RMS, {last} in the last quarter"
+    return f"{sizes}, where {within} is wanted"
 
 
 def held(scenario: Scenario) -> str:
@@ -118,8 +114,7 @@ def held(scenario: Scenario) -> str:
     given = scenario.true.object
     if not given.length and not given.mass:
         return "none"
-    axis = given.axis if isinstance(given.axis, str) else given.axis and numbers_of(given.axis)
-    along = f", along {axis} of the tip" if axis else ""
+    along = f", along {typed_as(given.axis)} of the tip" if given.axis else ""
     return f"{given.length:g} m long, {given.mass:g} kg{along}"
 
 
@@ -129,18 +124,11 @@ def believed(scenario: Scenario) -> str:
     right = Belief(true.object, true.shifts, true.rotations)
     wrong = differences(replace(belief, object=belief.object.like(true.object)), right)
     parts = [
-        f"{name} {key} {_plain(value)}"
+        f"{name} {key} {typed_as(value)}"
         for name, values in wrong.items()
         for key, value in values.items()
     ]
     return ", ".join(parts) or "what is true"
-
-
-def _plain(value: Any) -> str:
-    """Return numbers or words without brackets."""
-    if value is None:
-        return "by default"
-    return value if isinstance(value, str) else numbers_of(value)
 
 
 def draw(result: RunResult) -> Figure:
@@ -198,12 +186,10 @@ def _draw_kinematics(run: Trajectory, learnt: KinematicReport) -> Figure:
 
 
 def _size(errors: dict[str, float]) -> str:
-    return " and ".join(_length(value, unit) for unit, value in errors.items())
-
-
-def _length(value: float, unit: str) -> str:
-    """Return the size of an error to three digits: in mm below a metre, and not below 1 µm."""
-    shown, factor = display_unit(unit)
-    if unit == "m" and value >= 1.0:
-        shown, factor = unit, 1.0
-    return "< 0.001 " + shown if factor * value < 1e-3 else f"{factor * value:.3g} {shown}"
+    """Return errors to three digits: of lengths in mm below a metre, and not below 1 µm."""
+    parts = []
+    for unit, value in errors.items():
+        shown, factor = (unit, 1.0) if unit == "m" and value >= 1.0 else display_unit(unit)
+        size = "< 0.001" if factor * value < 1e-3 else f"{factor * value:.3g}"
+        parts.append(f"{size} {shown}")
+    return " and ".join(parts)

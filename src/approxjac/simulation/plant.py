@@ -95,10 +95,10 @@ class VelocityServo:
     goes on ahead, and is caught up with later.
 
     Attributes:
-        lag: Time constant, ≥ 1 ms [s].
+        lag: Time constant with which joints follow, ≥ 1 ms [s].
         delay: Time from a command that is taken to its effect [s].
         period: Time between commands that are taken [s]; others are not seen.
-        quantum: Steps in which positions are measured, as `Sensing.q_quantum` [rad or m].
+        quantum: Steps in which positions are measured [rad or m].
 
     Raises:
         InvalidInputError: A number that is negative, not finite or too small.

@@ -92,9 +92,10 @@ class Suggestion:
             return "\n".join(
                 [*lines, *(line for each in self.relax for line in wrapped(each, "- "))]
             )
+        share = f"at the start at most {100 * self.found.torque_ratio:.2g} % of the limits"
         told = {
             "gains": str(self.found.gains),
-            "torque": f"at the start at most {100 * self.found.torque_ratio:.2g} % of the limits",
+            "torque": share if self.found.torque_ratio else "no limits known",
             "settles": f"in {self.found.settling_time:.3g} s {SETTLES}",
         }
         return "\n".join([*wrapped(self.heading), *rows(told, 2)])
