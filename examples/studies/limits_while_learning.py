@@ -33,7 +33,6 @@ import approxjac as aj
 from approxjac.controllers import RegressorGravity
 from approxjac.controllers.limits.limits import sure_deceleration
 from approxjac.robots import GravityRegressor
-from approxjac.robots.joint_limits import reach_bound
 from approxjac.scenario.starts import regular_configuration
 from approxjac.simulation.plant import rk4
 
@@ -116,7 +115,7 @@ def run_start(case, plant, limited, rng):
     far = bool(rng.integers(2))
     goal = sensor.value(truth.random_configuration(rng))
     if far:
-        base, reach = reach_bound(truth, sensor.frame)
+        base, reach = truth.reach_bound(sensor.frame)
         away = goal - base
         goal = base + away * (rng.uniform(1.1, 1.5) * min(reach, 3.0) / np.linalg.norm(away))
     v = np.zeros(truth.nv)

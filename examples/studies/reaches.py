@@ -12,7 +12,6 @@ import numpy as np
 from common import head, row, two_digits
 
 import approxjac as aj
-from approxjac.robots.joint_limits import beyond_positions
 from approxjac.scenario import Scenario, run_scenario
 
 ARMS = (
@@ -89,7 +88,7 @@ def run(case, built):
         return Outcome(case, reason=f"{error}", asked=tally.asked)
     record, steps = result.run, max(1, tally.counts.total())
     norm, last = record.error_norm, record.t > record.t[-1] - 2.0
-    ends = beyond_positions(built.plant.robot, record.q)
+    ends = built.plant.robot.beyond_limits(record.q)
     limits = built.plant.robot.velocity_limits
     way = record.error @ record.error[0] / norm[0]  # what is left of the way to the target
     return Outcome(

@@ -20,7 +20,7 @@ from approxjac.codegen.trace.program import Program
 from approxjac.codegen.trace.symbols import inputs
 from approxjac.controllers import KnownKinematics, ModelDynamics
 from approxjac.robots import KinematicRegressor
-from approxjac.robots.dynamics_regressor import DynamicsRegressor
+from approxjac.robots.torque_regressors import DynamicsRegressor
 from approxjac.tasks import PoseTask, TrackerTask
 
 DT = 1e-3

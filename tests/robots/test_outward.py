@@ -6,7 +6,6 @@ import pytest
 import approxjac as aj
 from approxjac.robots import robot_names
 from approxjac.robots.catalog import NAMED, urdf_path
-from approxjac.robots.joint_limits import reach_bound
 from approxjac.tasks import FrameKinematics
 
 AXES = {"panda": "z", "ur5": "z", "two_link": "x", "z1": "x", "talos_arm": "-z", "so100": "-y"}
@@ -49,7 +48,7 @@ def test_of_another_parent_it_is_asked_anew():
 @pytest.mark.parametrize("name", robot_names())
 def test_no_posture_is_beyond_the_reach(name, rng):
     robot = aj.load_robot(name).with_object(0.1)
-    first, most = reach_bound(robot, "object_tip")
+    first, most = robot.reach_bound("object_tip")
     tip = FrameKinematics(robot, "object_tip")
     tips = [tip.position(robot.random_configuration(rng)) for _ in range(200)]
     farthest = np.linalg.norm(np.array(tips) - first, axis=1).max()
@@ -64,7 +63,7 @@ def test_the_reach_with_a_joint_that_mimics_another(kind, bounded):
     <mimic joint="joint2" multiplier="0.5"/></joint><link name="end"><inertial><mass value="0.1"/>
     <inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
     robot = aj.Robot(text.replace("</robot>", joint + "</robot>"), tip="end")
-    _, most = reach_bound(robot, "end")
+    _, most = robot.reach_bound("end")
     assert np.isfinite(most) == bounded
     if bounded:
         assert most == pytest.approx(2.3)

@@ -9,7 +9,6 @@ from own_controller import OwnController
 
 import approxjac as aj
 from approxjac.robots import Dynamics
-from approxjac.robots.joint_limits import beyond_positions
 from approxjac.simulation.plant import JointStops
 
 # mimic and prismatic joints; continuous ones; a wrist of 1e-5 kg m^2 and less; planar
@@ -120,7 +119,7 @@ def test_a_motor_presses_a_joint_a_hundredth_beyond_its_limit_at_most(
         computation=aj.simulation.Computation(integrator),
     )
     assert np.abs(run.v[-1]).max() < 1e-3
-    beyond = beyond_positions(robot, run.q[-1:])[0]
+    beyond = robot.beyond_limits(run.q[-1:])[0]
     assert (beyond > 0.0).all()
     assert beyond.max() <= 0.01 * share + 1e-6
 
@@ -131,7 +130,7 @@ def test_sampled_steps_converge_to_the_continuous_law():
     start = aj.simulation.InitialState(q0, v0)
     arguments = plant, Constant(plant.sensor, 1.0), np.zeros(3), start, 0.1
     exact = aj.simulate(*arguments, dt=None, record_every=0.01)
-    assert (beyond_positions(robot, exact.q).max(axis=0) > 1e-3).sum() > 3
+    assert (robot.beyond_limits(exact.q).max(axis=0) > 1e-3).sum() > 3
     errors = [
         np.abs(aj.simulate(*arguments, dt=dt).q[-1] - exact.q[-1]).max() for dt in (1e-3, 1e-4)
     ]
@@ -146,7 +145,7 @@ def test_a_long_step_at_a_stop_stays_stable(dt):
     q0 = near_limits(robot, np.random.default_rng(3))
     run = aj.simulate(plant, Constant(plant.sensor, 0.0), np.zeros(3), q0, 1.0, dt=dt)
     assert np.abs(run.v).max() <= 0.05 * 200.0  # δ / T, of a joint that is let go at δ
-    assert beyond_positions(robot, run.q[-1:]).max() < 1e-4
+    assert robot.beyond_limits(run.q[-1:]).max() < 1e-4
 
 
 @given(arms, seeds)

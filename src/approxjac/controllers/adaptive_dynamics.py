@@ -14,8 +14,7 @@ import pinocchio as pin
 from approxjac import law
 from approxjac.controllers.gains.sample_configurations import usual_inertias
 from approxjac.robots import Dynamics, Robot
-from approxjac.robots.dynamics_regressor import DynamicsRegressor
-from approxjac.robots.joint_limits import reach_bound
+from approxjac.robots.torque_regressors import DynamicsRegressor
 from approxjac.robots.traced import arm_of
 from approxjac.validation import Array, Immutable, as_diagonal, as_number, require
 
@@ -264,7 +263,7 @@ def plausible_errors(regressor: DynamicsRegressor) -> Array:
     """
     robot = regressor.robot
     mass = _MASS * robot.mass
-    reach = math.inf if robot.tip is None else reach_bound(robot, robot.tip)[1]
+    reach = math.inf if robot.tip is None else robot.reach_bound(robot.tip)[1]
     length = max(_LENGTH * reach, _SHORTEST) if math.isfinite(reach) else _LENGTH
     link = mass * np.array([1.0, *[length] * 3, *[length**2] * 6])
     links = np.tile(link, regressor.links // 10)

@@ -11,7 +11,6 @@ import numpy as np
 from approxjac.controllers.gains.gains import Diagonals
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import short_fields
-from approxjac.robots.joint_limits import require_radians
 from approxjac.robots.traced import motion_between
 from approxjac.tasks import Task
 from approxjac.validation import Array, as_array, as_diagonal, as_number, is_scalar, shape_of
@@ -60,7 +59,7 @@ class Posture:
         robot = task.robot
         _require_redundant(self, task)
         wanted = robot.configuration(self.q, "q of the posture")
-        require_radians("q of the posture", robot, wanted)
+        robot.require_radians("q of the posture", wanted)
         stiffness = as_diagonal("stiffness", self.stiffness, robot.nv, unit="N m/rad")
         return lambda q: stiffness * motion_between(robot, q, wanted)
 

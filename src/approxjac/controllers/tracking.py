@@ -37,7 +37,6 @@ from approxjac.errors import InvalidInputError
 from approxjac.formatting import spaced
 from approxjac.interface import Evaluation, Measurement, Status, Target
 from approxjac.robots import Dynamics, Robot
-from approxjac.robots.joint_limits import require_radians
 from approxjac.robots.traced import motion_between
 from approxjac.tasks import ImageTask, PoseTask, PositionTask, StackedTask, Task
 from approxjac.tasks.analysis import (
@@ -475,7 +474,7 @@ class RestConfiguration:
             self.q = np.array(pin.integrate(robot.model, robot.neutral(), middle))
             return
         self.q = as_array("posture", robot.configuration(q, "posture"), (robot.nq,))
-        require_radians("posture", robot, self.q)
+        robot.require_radians("posture", self.q)
 
     def words(self) -> str:
         """Return where it draws the self-motion to; "" where there is none or it is left alone."""

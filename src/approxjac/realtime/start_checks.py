@@ -15,7 +15,6 @@ from approxjac.formatting import listed
 from approxjac.interface import Evaluation, LimitStatus, Measurement
 from approxjac.realtime.driver import Driver, read, two_clocks
 from approxjac.robots import Dynamics
-from approxjac.robots.joint_limits import beyond_positions, reach_bound, require_radians
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import features
 from approxjac.validation import Array
@@ -89,8 +88,8 @@ def require_at_rest(driver: Driver, task: Task, timeout: float) -> Measurement:
             f"the arm must be at rest, below {_AT_REST} rad/s or m/s, got v = {listed(measured.v)}",
             given=measured,
         )
-    require_radians("q", robot, measured.q)
-    beyond = np.flatnonzero(beyond_positions(robot, measured.q[None])[0] > 0.0)
+    robot.require_radians("q", measured.q)
+    beyond = np.flatnonzero(robot.beyond_limits(measured.q[None])[0] > 0.0)
     if beyond.size:
         low, high = robot.position_limits
         angles = pin.difference(robot.model, robot.neutral(), measured.q)
@@ -111,7 +110,7 @@ def require_near(task: Task, x: Array) -> None:
     for feature in features(task):
         if not feature.axes or feature.frame is None:
             continue
-        origin, reach = reach_bound(task.robot, feature.frame)
+        origin, reach = task.robot.reach_bound(feature.frame)
         origin = origin[["xyz".index(axis) for axis in feature.axes]]
         away = float(np.linalg.norm(feature.place(x) - origin))
         if away > max(_FAR, _REACHES * reach):

@@ -11,13 +11,13 @@ import pinocchio as pin
 
 from approxjac.errors import InvalidInputError
 from approxjac.robots.robot import Robot
+from approxjac.robots.torque_regressors import anywhere, independent_columns
 from approxjac.robots.traced import arm_of
 from approxjac.robots.urdf_edit import direction
 from approxjac.validation import Array, as_array, as_vector, require
 
 _RANK_TOLERANCE = 1e-4  # axes in URDFs are rounded, such as 1.5708 for a right angle
 _COEFFICIENT = 1e-3  # below which a parameter has no part in a combination
-_SAMPLES = 60
 # a @ _CROSS is −[a]ₓ, row by row
 _CROSS = np.array([
     [0, 0, 0, 0, 0, 1, 0, -1, 0],
@@ -207,15 +207,6 @@ class KinematicRegressor:
         pin.forwardKinematics(self._freed, self._data, self._all(q, theta))
         return self._positions()
 
-    def jacobian(self, q: Array, theta: Array) -> Array:
-        """Return ∂p/∂q with parameters θ (p,), shape (3k, n_v)."""
-        pin.computeJointJacobians(self._freed, self._data, self._all(q, theta))
-        return self._along_joints(self._jacobians(pin.getFrameJacobian))
-
-    def jacobian_dot(self, q: Array, v: Array, theta: Array) -> Array:
-        """Return the rate of `jacobian` along q̇ (n_v,), at fixed θ (p,); shape (3k, n_v)."""
-        return self.motion(q, v, theta, self._nothing).J_dot
-
     def motion(self, q: Array, v: Array, theta: Array, theta_dot: Array) -> PointMotion:
         """Return positions and derivatives at q (nq,) and q̇ (n_v,), with θ and θ' (p,) [m, m/s]."""
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
@@ -361,14 +352,8 @@ class KinematicRegressor:
     @cached_property
     def _independent(self) -> tuple[list[int], Array]:
         """Return the columns of Y that do not depend on those before; G with Y = Y[:, kept] G."""
-        robot, rng = self.robot, np.random.default_rng(0)
-        reach = np.where(np.array(robot.joint_units) == "m", 1.0, np.pi)
-        motions = rng.uniform(-reach, reach, (_SAMPLES, robot.nv))
-        drawn = [np.array(pin.integrate(robot.model, robot.neutral(), each)) for each in motions]
-        A = np.vstack([self.Y(q) for q in drawn]) / np.sqrt(_SAMPLES)
-        alone = np.abs(np.diag(np.linalg.qr(A, mode="r")))
-        kept: list[int] = np.flatnonzero(alone > _RANK_TOLERANCE).tolist()
-        return kept, np.linalg.lstsq(A[:, kept], A, rcond=None)[0]
+        drawn = anywhere(self.robot, np.random.default_rng(0))
+        return independent_columns(np.vstack([self.Y(q) for q in drawn]), _RANK_TOLERANCE)
 
 
 def _combination_text(parts: Sequence[tuple[float, str]]) -> str:

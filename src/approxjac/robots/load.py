@@ -19,7 +19,6 @@ from approxjac.errors import (
     UrdfError,
 )
 from approxjac.robots.catalog import NAMED, NamedRobot, urdf_path
-from approxjac.robots.joint_limits import reach_bound
 from approxjac.robots.robot import STANDARD_GRAVITY, Robot
 from approxjac.robots.urdf import MOST_TEXT, Urdf, leader_of, likely_tips
 from approxjac.robots.urdf_edit import with_locked_joints
@@ -255,7 +254,7 @@ def _heavy_and_strong(robot: Robot) -> list[str]:
     """Say which links are too heavy for the arm's size, and which motors too strong for it."""
     if robot.tip is None:
         return []
-    reach = reach_bound(robot, robot.tip)[1]
+    reach = robot.reach_bound(robot.tip)[1]
     if not 0.0 < reach < np.inf:
         return []
     findings = []

@@ -12,8 +12,7 @@ import pinocchio as pin
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.files import write_text
 from approxjac.robots import meshes, urdf_edit
-from approxjac.robots.mimic_joints import MimicJoints
-from approxjac.robots.model import build_model, outward_axis, own_joints
+from approxjac.robots.model import MimicJoints, build_model, outward_axis, own_joints
 from approxjac.robots.urdf import Urdf, likely_tips
 from approxjac.validation import Array, Immutable, as_array, as_number, as_vector, require, shape_of
 
@@ -193,6 +192,47 @@ class Robot(Immutable):
         zero, each = self.neutral(), q.reshape(-1, self.nq)
         differences = [pin.difference(self.model, zero, one) for one in each]
         return np.array(differences).reshape(*q.shape[:-1], self.nv)
+
+    def beyond_limits(self, q: Array) -> Array:
+        """Return the excess of each joint over its limits at q (N, nq); shape (N, n_v) [rad or m].
+
+        Negative within them, −∞ where a joint has none.
+        """
+        low, high = self.position_limits
+        motions = np.array([pin.difference(self.model, self.neutral(), each) for each in q])
+        return np.asarray(np.maximum(motions - high, low - motions))
+
+    def require_radians(self, name: str, q: Array) -> None:
+        """Raise an InvalidInputError if q (nq,) is a turn or more beyond a limit, as degrees are.
+
+        One that is a little beyond them may be where a run ended.
+        """
+        beyond = self.beyond_limits(q[np.newaxis])[0]
+        beyond[np.array(self.joint_units) != "rad"] = 0.0
+        if beyond.max() > 2.0 * np.pi:
+            raise InvalidInputError(
+                f"{name} must be in radians: it is {beyond.max():.4g} rad beyond the limits of "
+                f"{self.joint_names[int(beyond.argmax())]}, as degrees would be",
+                given=q,
+            )
+
+    def reach_bound(self, frame: str) -> tuple[Array, float]:
+        """Return the place of the first joint before a frame (3,), and a bound on its reach [m].
+
+        The bound is the arm stretched out along its links, whatever its joints allow; infinite with
+        a prismatic joint without limits, or one that mimics another.
+        """
+        model, there = self.model, self.model.frames[self.frame_id(frame)]
+        joints = list(model.supports[there.parentJoint])[1:]
+        origins = [model.jointPlacements[j].translation for j in joints]
+        ways = (*origins[1:], there.placement.translation)
+        reach = sum(float(np.linalg.norm(way)) for way in ways)
+        slides = dict(zip(self.joint_names, np.abs(self.position_limits).max(axis=0), strict=True))
+        every = self.mimic_joints.model  # in which mimic joints move on their own
+        for name in (model.names[j] for j in joints):
+            if every.joints[every.getJointId(name)].shortname().startswith("JointModelP"):
+                reach += float(slides.get(name, np.inf))
+        return np.array(origins[0]) if joints else np.zeros(3), reach
 
     def frame_id(self, frame: str) -> int:
         """Return Pinocchio's index of a frame.

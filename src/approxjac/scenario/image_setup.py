@@ -12,7 +12,6 @@ import pinocchio as pin
 from approxjac.cameras import PinholeCamera
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Dynamics, Robot
-from approxjac.robots.joint_limits import beyond_positions
 from approxjac.robots.urdf_edit import direction
 from approxjac.scenario.scenario import Scenario
 from approxjac.scenario.starts import REGULAR, configuration_of, is_regular
@@ -211,7 +210,7 @@ def _is_usable(scene: Scene, q: Array, ratio: float) -> bool:
     assert isinstance(sensor.camera, PinholeCamera)  # the scenes above have no other
     images, size = _images(sensor, q), np.array(sensor.camera.size)
     return (
-        bool((beyond_positions(robot, q[np.newaxis]) <= 0.0).all())
+        bool((robot.beyond_limits(q[np.newaxis]) <= 0.0).all())
         and bool(((images > _MARGIN * size) & (images < (1.0 - _MARGIN) * size)).all())
         and holdable(Dynamics(robot), q, robot.effort_limits)
         and is_regular(*scene, q, ratio)

@@ -13,7 +13,6 @@ import numpy as np
 from approxjac.formatting import plain
 from approxjac.interface import LimitStatus, Status
 from approxjac.robots import Dynamics
-from approxjac.robots.joint_limits import beyond_positions
 from approxjac.scenario.build import BuiltScenario, build_scenario, sampling_time
 from approxjac.scenario.scenario import Scenario
 from approxjac.scenario.starts import too_far
@@ -139,7 +138,7 @@ class RunResult:
     @property
     def joint_limit_excess(self) -> float:
         """Distance of a joint beyond its position limits at most [rad or m]; 0 if none was."""
-        return max(0.0, float(beyond_positions(self.built.plant.robot, self.run.q).max()))
+        return max(0.0, float(self.built.plant.robot.beyond_limits(self.run.q).max()))
 
     # -- verdict ------------------------------------------------------------------------
 
@@ -194,7 +193,7 @@ class RunResult:
         if far:
             return far
         stands = bool(len(before) and size[last].max() > 0.9 * before.max())
-        at_stop = (beyond_positions(self.built.plant.robot, run.q[last]) > 0.0).mean(axis=0) > 0.5
+        at_stop = (self.built.plant.robot.beyond_limits(run.q[last]) > 0.0).mean(axis=0) > 0.5
         if stands and at_stop.any():
             return f"stands at the joint stops of {', '.join(np.array(run.joint_names)[at_stop])}"
         most = self.built.plant.motor_limits * (1.0 + 1e-9)  # solvers round
@@ -232,7 +231,7 @@ class RunResult:
     def _held_back(self) -> str:
         """Return which limits acted at the end, and how."""
         run = self.run
-        beyond = beyond_positions(self.built.plant.robot, run.q[-1:])[0]
+        beyond = self.built.plant.robot.beyond_limits(run.q[-1:])[0]
         weak = np.abs(self.motor_torque[-1]) > 0.999 * self.built.plant.motor_limits
         limits = [
             f"the {kind} limits of {', '.join(np.array(run.joint_names)[there])}"

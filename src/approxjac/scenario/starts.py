@@ -10,7 +10,6 @@ import pinocchio as pin
 from approxjac.errors import InvalidInputError
 from approxjac.interface import TargetPath
 from approxjac.robots import Dynamics, Robot
-from approxjac.robots.joint_limits import reach_bound, require_radians
 from approxjac.simulation.plant import holdable
 from approxjac.stability.loop.configurations import inverse_kinematics
 from approxjac.tasks import PoseTask, PositionTask, Task
@@ -83,7 +82,7 @@ def configuration_of(
     """Return the configuration (nq,) of one number a joint, continuous joints included."""
     motion = numbers(name, joints, robot.nv, "rad or m")
     if within_limits and robot.nq == robot.nv:
-        require_radians(name, robot, motion)
+        robot.require_radians(name, motion)
     low, high = robot.position_limits
     for i in np.nonzero((motion < low) | (motion > high))[0] if within_limits else ():
         raise InvalidInputError(
@@ -98,7 +97,7 @@ def too_far(task: Task, values: Array) -> str:
     """Return why values (N, n_x) are beyond the reach of the arm stretched out; or ""."""
     if not isinstance(task, PositionTask | PoseTask):
         return ""
-    first, most = reach_bound(task.robot, task.frame)
+    first, most = task.robot.reach_bound(task.frame)
     axes = ["xyz".index(axis) for axis in task.labels[:3]]
     away = float(np.linalg.norm(values[:, : len(axes)] - first[axes], axis=1).max())
     if away <= most:

@@ -13,7 +13,6 @@ from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError, MeasurementError, SimulationError
 from approxjac.formatting import joined
 from approxjac.interface import Evaluation, Measurement, Target, TargetPath
-from approxjac.robots.joint_limits import require_radians
 from approxjac.simulation.plant import INTEGRATORS, Plant
 from approxjac.simulation.sensing import SensorReadings
 from approxjac.tasks import Task
@@ -154,7 +153,7 @@ class InitialState(NamedTuple):
         robot = plant.robot
         q0 = plant.ready_configuration() if self.q0 is None else self.q0
         q = as_array("q0", robot.configuration(q0, "q0"), (robot.nq,))
-        require_radians("q0", robot, q)
+        robot.require_radians("q0", q)
         v0 = np.zeros(robot.nv) if self.v0 is None else self.v0
         return q, as_array("v0", v0, (robot.nv,), "rad/s"), self.state
 

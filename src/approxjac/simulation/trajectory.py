@@ -19,7 +19,6 @@ from approxjac.files import read_arrays, reason, replaced
 from approxjac.formatting import joined, rows, shares, wrapped
 from approxjac.interface import LimitStatus, Status
 from approxjac.robots import Robot
-from approxjac.robots.joint_limits import beyond_positions
 from approxjac.tasks import (
     ImageTask,
     PoseTask,
@@ -289,7 +288,7 @@ class Trajectory:
         """
         if self.scene is None:
             return {}
-        share = (beyond_positions(self.scene.truth, self.q) > _TOUCHES).mean(axis=0)
+        share = (self.scene.truth.beyond_limits(self.q) > _TOUCHES).mean(axis=0)
         times = zip(self.joint_names, (share * (self.t[-1] - self.t[0])).tolist(), strict=True)
         return {name: time for name, time in times if time > 0.0}
 

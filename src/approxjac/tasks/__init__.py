@@ -2,13 +2,17 @@
 
 from approxjac.tasks.combined import CombinedTask
 from approxjac.tasks.frame_kinematics import FrameKinematics
+from approxjac.tasks.frame_tasks import (
+    PoseTask,
+    PoseTrackerTask,
+    PositionTask,
+    TrackerTask,
+    best_axes,
+)
 from approxjac.tasks.image import ImageTask
 from approxjac.tasks.nonsingular import NonsingularTask
-from approxjac.tasks.pose import PoseTask
-from approxjac.tasks.position import PositionTask, best_axes
 from approxjac.tasks.stacked import StackedTask
 from approxjac.tasks.task import Task
-from approxjac.tasks.tracker import PoseTrackerTask, TrackerTask
 
 __all__ = [
     "CombinedTask",

@@ -9,7 +9,6 @@ import numpy as np
 
 from approxjac.law.products import length
 from approxjac.robots import Robot
-from approxjac.robots.joint_limits import reach_bound
 from approxjac.robots.urdf_edit import direction
 from approxjac.tasks import PoseTask, PositionTask, Task
 from approxjac.tasks.frame_kinematics import FrameKinematics
@@ -30,7 +29,7 @@ class Reach:
     def __init__(self, task: Task) -> None:
         self._task, self.origin, self.most = task, np.zeros(1), math.inf
         if isinstance(task, PositionTask | PoseTask):
-            origin, self.most = reach_bound(task.robot, task.frame)
+            origin, self.most = task.robot.reach_bound(task.frame)
             self.origin = origin[["xyz".index(axis) for axis in task.labels[:3]]]
 
     def is_exceeded(self, q: Array, e: Array) -> Any:
@@ -61,7 +60,7 @@ def with_unknown_tool(robot: Robot) -> Robot:
     of_parent, of_tip = (
         FrameKinematics(robot, frame).placement(neutral)[0] for frame in (joint.parent, robot.tip)
     )
-    _, reach = reach_bound(robot, robot.tip)
+    _, reach = robot.reach_bound(robot.tip)
     longer = UNKNOWN_TOOL * reach if math.isfinite(reach) else 0.0
     shift = longer * of_parent.T @ of_tip @ np.asarray(direction(robot.outward_axis()))
     return robot.with_kinematic_error({joint.name: shift.tolist()})

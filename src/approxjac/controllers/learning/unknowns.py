@@ -14,7 +14,6 @@ from approxjac.errors import InvalidInputError
 from approxjac.interface import Target
 from approxjac.law import PredictedError
 from approxjac.robots import KinematicRegressor, Robot
-from approxjac.robots.joint_limits import reach_bound
 from approxjac.robots.kinematic_regressor import PointMotion
 from approxjac.tasks import (
     PoseTask,
@@ -84,7 +83,7 @@ class Unknowns:
         self.regressor = regressor = KinematicRegressor(task.robot, frames)
         self.n_tilts = 0 if isinstance(task, PoseTask) else 2 * len(regressor.turning)
         entries = [(frames.index(point.frame), axis) for point in points for axis in point.axes]
-        reaches = [reach_bound(task.robot, frame)[1] for frame in frames]
+        reaches = [task.robot.reach_bound(frame)[1] for frame in frames]
         self.largest_noise = _NOISY * max(1.0, *reaches)
         rows = [3 * frame + "xyz".index(axis) for frame, axis in entries]
         in_order = rows == list(range(3 * regressor.k))

@@ -14,7 +14,6 @@ from approxjac.controllers import Controller, SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import numbers, short
 from approxjac.robots import Robot
-from approxjac.robots.joint_limits import require_radians
 from approxjac.simulation import Plant
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import sees
@@ -118,7 +117,7 @@ class JointBox(Region):
     ) -> JointBox:
         """Return the box of all configurations whose joints are within `radius` [rad or m] of q."""
         radius = as_entries("radius", radius, robot.nv, "rad")
-        require_radians("q", robot, robot.configuration(q))
+        robot.require_radians("q", robot.configuration(q))
         return cls(robot, -radius, radius, q)
 
     def sample(self, n: int, rng: np.random.Generator) -> Array:

@@ -1,4 +1,4 @@
-"""The gravity regressor Z(q) of eq. (27) in base parameters."""
+"""Regressors of torques: what moves a robot, as a matrix times its inertial parameters."""
 
 from __future__ import annotations
 
@@ -14,10 +14,162 @@ from approxjac.robots.robot import Robot
 from approxjac.robots.traced import arm_of
 from approxjac.validation import Array, as_array, as_number, axis_rows, require, shape_of
 
+COULOMB_SPEED = 0.05
+"""Speed within which Coulomb friction passes from −τ_c to τ_c [rad/s or m/s]."""
+
 _RANK_TOLERANCE = 1e-9
+_HALF = np.array(0.5)  # an array, which NumPy multiplies with in a third of the time of a number
+_OF_A_LINK = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+_OF_A_JOINT = ("rotor", "viscous", "coulomb", "constant")
 
 
-class GravityRegressor:
+class _TorqueRegressor:
+    """Pinocchio's regressor of a torque, with ten dynamic parameters of each moving link."""
+
+    names: tuple[str, ...]
+
+    def __init__(self, robot: Robot) -> None:
+        require("robot", robot, Robot, "a Robot")
+        self.robot, self._mimic_joints = robot, robot.mimic_joints
+        self._model = robot.mimic_joints.model  # Pinocchio has no regressor with mimic joints
+        self._data = self._model.createData()
+        self._zero = np.zeros(self._model.nv)
+        self._many = self._model.nv > 1  # of one joint Pinocchio's regressor has lost an axis
+        self._movers = list(self._model.names)[1:]
+        inertias = list(self._model.inertias)[1:]
+        self._dynamic = np.concatenate([each.toDynamicParameters() for each in inertias])
+        self._last = len(self._movers) - 1  # the moving link that holds the tip
+        if robot.tip is not None:
+            frame = self._model.getFrameId(robot.tip, pin.FrameType.BODY)
+            self._last = int(self._model.frames[frame].parentJoint or self._last + 1) - 1
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.robot,)  # a copy has scratch memory of its own
+
+    @property
+    def p(self) -> int:
+        """Number of parameters."""
+        return len(self.names)
+
+    def _torques(self, model: pin.Model, q: Array, v: Array, a: Array) -> Array:
+        """Return the columns of links at q (nq,), and velocities and accelerations of all."""
+        q_all = self._mimic_joints.q(q)
+        Y: Array = pin.computeJointTorqueRegressor(model, self._data, q_all, v, a)
+        return self._mimic_joints.rows(Y if self._many else Y[np.newaxis])
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.robot.name!r}: {self.p} parameters)"
+
+
+class LinkMotion:
+    """The columns Y of links in M(q)q̈_r + C(q, q̇)q̇_r + g(q) = Y a, as products with them."""
+
+    def __init__(self, regressor: DynamicsRegressor, q: Array, Y: Array) -> None:
+        self._regressor, self._q, self._Y = regressor, q, Y
+
+    def powers(self, sigma: Array) -> Array:
+        """Return Yᵀσ of σ (n_v,), shape (p,)."""
+        return np.asarray(sigma.dot(self._Y))
+
+    def torque(self, a: Array) -> Array:
+        """Return Y a of parameters (p,), shape (n_v,) [N m or N]."""
+        return np.asarray(self._Y.dot(a))
+
+    def gravity(self, a: Array) -> Array:
+        """Return g(q) of parameters (p,), shape (n_v,) [N m or N]."""
+        return np.asarray(self._regressor.Z(self._q).dot(a))
+
+
+class DynamicsRegressor(_TorqueRegressor):
+    """M(q)q̈_r + C(q, q̇)q̇_r + g(q) + joint torques = Y_d(q, q̇, q̇_r, q̈_r) a.
+
+    Of each moving link a has ten inertial parameters about the joint's frame, as
+    `pin.Inertia.toDynamicParameters` has them: m, the first moments and the inertia. Of each joint
+    it has rotor inertia, viscous friction, Coulomb friction and a constant torque, with columns
+    q̈_r, q̇_r, tanh(q̇_r/v_c) and 1. It is the friction of the *reference* velocity: friction never
+    falls with speed, so what the true one has more opposes σ = q̇ − q̇_r.
+
+    C is the Christoffel form, by polarisation: C(q, q̇)q̇_r = c(q, ½(q̇ + q̇_r)) − c(q, ½(q̇ − q̇_r))
+    with c(q, v) = C(q, v)v. So Ṁ − 2C is skew-symmetric.
+
+    All parameters are kept, although they depend on each other: a law that learns them from a prior
+    leaves what makes no torque as it was.
+
+    Owns scratch memory: one instance a thread.
+
+    Args:
+        robot: The (believed) robot.
+
+    Attributes:
+        names: Names of the parameters, such as "joint1.mx" [kg m] or "joint1.rotor" [kg m²].
+        units: Their units.
+        a: Their values for `robot` itself, whose joints have none, shape (p,).
+        links: Number of the parameters of links, which come first.
+        last_link: Those of the link that holds the tip.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        super().__init__(robot)
+        self._weightless = pin.Model(self._model)
+        self._weightless.gravity.linear = np.zeros(3)
+        self._one = np.ones(robot.nv)
+        self.links = len(self._dynamic)
+        self.last_link = slice(10 * self._last, 10 * self._last + 10)
+        names = [f"{mover}.{label}" for mover in self._movers for label in _OF_A_LINK]
+        # all of one kind at once, so that its columns are a diagonal
+        names += [f"{joint}.{label}" for label in _OF_A_JOINT for joint in robot.joint_names]
+        self.names = tuple(names)
+        turning = [unit == "rad" for unit in robot.joint_units]
+        of_joints = (("kg m²", "kg"), ("N m s/rad", "N s/m"), ("N m", "N"), ("N m", "N"))
+        self.units = ("kg", *3 * ("kg m",), *6 * ("kg m²",)) * len(self._movers) + tuple(
+            angular if turns else linear for angular, linear in of_joints for turns in turning
+        )
+        self.a = np.concatenate([self._dynamic, np.zeros(len(_OF_A_JOINT) * robot.nv)])
+        self.a.flags.writeable = False
+
+    def Y_d(self, q: Array, v: Array, v_r: Array, a_r: Array) -> Array:
+        """Y_d(q, q̇, q̇_r, q̈_r), shape (n_v, p).
+
+        Its arguments are not checked.
+
+        Args:
+            q: Configuration, shape (nq,).
+            v: q̇, shape (n_v,) [rad/s or m/s].
+            v_r: q̇_r, shape (n_v,) [rad/s or m/s].
+            a_r: q̈_r, shape (n_v,) [rad/s² or m/s²].
+        """
+        links, joints = self.parts(q, v, v_r, a_r)
+        return np.concatenate([links, *(np.diag(each) for each in joints)], axis=1)
+
+    def parts(self, q: Array, v: Array, v_r: Array, a_r: Array) -> tuple[Array, Array]:
+        """Return Y_d as its columns of links (n_v, 10 links), and the diagonals of the others.
+
+        The arguments are those of `Y_d`; the diagonals are (4, n_v).
+        """
+        mimic = self._mimic_joints
+        middle, apart = mimic.v(_HALF * (v + v_r)), mimic.v(_HALF * (v - v_r))
+        links = self._torques(self._model, q, middle, mimic.v(a_r))
+        links = links - self._torques(self._weightless, q, apart, self._zero)
+        return links, self.of_joints(v_r, a_r)
+
+    def of_joints(self, v_r: Array, a_r: Array) -> Array:
+        """Return the diagonals of the columns of joints, shape (4, n_v)."""
+        each = a_r, v_r, np.tanh(v_r / COULOMB_SPEED), self._one
+        return np.concatenate(each).reshape(4, -1)
+
+    def motion(self, q: Array, v: Array, v_r: Array, a_r: Array) -> LinkMotion:
+        """Return what the links' part of `Y_d` makes of vectors; the arguments are those of it."""
+        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
+            found: LinkMotion = arm.bodies(v, v_r, a_r)
+            return found
+        return LinkMotion(self, q, self.parts(q, v, v_r, a_r)[0])
+
+    def Z(self, q: Array) -> Array:
+        """Gravity's part of the links' columns, Y_d(q, 0, 0, 0), shape (n_v, 10 links)."""
+        return self._torques(self._model, q, self._zero, self._zero)
+
+
+class GravityRegressor(_TorqueRegressor):
     """g(q) = Z(q) θ with as few parameters as gravity can tell apart.
 
     Pinocchio's joint-torque regressor at rest has for each moving link its mass and three first
@@ -49,19 +201,15 @@ class GravityRegressor:
     """
 
     def __init__(self, robot: Robot, moments: str = "xyz") -> None:
-        require("robot", robot, Robot, "a Robot")
+        super().__init__(robot)
         self._moments = moments
         axes = axis_rows("moments", moments)
-        self.robot = robot
-        self._model = robot.mimic_joints.model  # Pinocchio has no regressor with mimic joints
-        self._data = self._model.createData()
-        self._zero = np.zeros(self._model.nv)
         # of each link's ten dynamic parameters, the first four are m, m c_x, m c_y, m c_z
         offsets = [0, *(1 + axis for axis in sorted(axes))]
         candidates = np.array([10 * i + k for i in range(self._model.nv) for k in offsets])
         rng = np.random.default_rng(0)
-        stacked = np.vstack([self._full(q)[:, candidates] for q in _anywhere(robot, rng)])
-        kept, grouping = _independent_columns(stacked)
+        stacked = np.vstack([self._full(q)[:, candidates] for q in anywhere(robot, rng)])
+        kept, grouping = independent_columns(stacked)
         if not kept:
             raise InvalidInputError(
                 f"gravity exerts no torque on {robot.name}: there is nothing to learn "
@@ -69,16 +217,11 @@ class GravityRegressor:
                 given=robot,
             )
         self.columns = candidates[kept]
-        self._held = grouping[:, candidates // 10 == self._last_mover()]
+        self._held = grouping[:, candidates // 10 == self._last]
         self._usual = np.sqrt(np.mean(stacked[:, kept] ** 2, axis=0))
-        labels = ["m", "mx", "my", "mz"]
-        movers = list(self._model.names)[1:]
-        self.names = tuple(f"{movers[c // 10]}.{labels[c % 10]}" for c in self.columns)
+        self.names = tuple(f"{self._movers[c // 10]}.{_OF_A_LINK[c % 10]}" for c in self.columns)
         self.units = tuple("kg m" if c % 10 else "kg" for c in self.columns)
-        parameters = np.concatenate(
-            [inertia.toDynamicParameters() for inertia in list(self._model.inertias)[1:]]
-        )
-        self.theta = grouping @ parameters[candidates]
+        self.theta = grouping @ self._dynamic[candidates]
         self.theta.flags.writeable = False
         error = self._error(robot, self.theta, rng)
         if error > 1e-9:
@@ -90,11 +233,6 @@ class GravityRegressor:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.robot, self._moments)  # a copy has scratch memory of its own
-
-    @property
-    def p(self) -> int:
-        """Number of parameters."""
-        return len(self.columns)
 
     def Z(self, q: Array) -> Array:
         """Gravity regressor Z(q), shape (n_v, p) [m²/s² for first moments, with g inside]."""
@@ -147,16 +285,9 @@ class GravityRegressor:
         load: Array = np.linalg.lstsq(weighted, change * self._usual, rcond=1e-9)[0]
         return load
 
-    def _last_mover(self) -> int:
-        """Return the index of the moving link that holds the tip."""
-        model, tip = self._model, self.robot.tip
-        if tip is None:
-            return int(model.nv) - 1
-        return int(model.frames[model.getFrameId(tip, pin.FrameType.BODY)].parentJoint) - 1
-
     def _samples(self, robot: Robot, rng: np.random.Generator) -> tuple[Array, Array]:
         """Return Z of this robot and g of another, stacked over random configurations."""
-        dynamics, configurations = Dynamics(robot), _anywhere(robot, rng)
+        dynamics, configurations = Dynamics(robot), anywhere(robot, rng)
         Z = np.vstack([self.Z(q) for q in configurations])
         return Z, np.concatenate([dynamics.g(q) for q in configurations])
 
@@ -166,33 +297,27 @@ class GravityRegressor:
         return float(np.abs(Z @ theta - g).max() / max(np.abs(g).max(), 1e-300))
 
     def _full(self, q: Array) -> Array:
-        """Return all columns at rest, ten for each moving link; an alias of scratch memory."""
-        mimic_joints = self.robot.mimic_joints
-        regressor: Array = pin.computeJointTorqueRegressor(
-            self._model, self._data, mimic_joints.q(q), self._zero, self._zero
-        )
-        if regressor.ndim == 1:  # of one joint Pinocchio's regressor has lost an axis
-            regressor = regressor[np.newaxis]
-        return mimic_joints.rows(regressor)
+        """Return all columns at rest; an alias of scratch memory."""
+        return self._torques(self._model, q, self._zero, self._zero)
 
     def __repr__(self) -> str:
         return f"GravityRegressor({self.robot.name!r}: {self.p} parameters {', '.join(self.names)})"
 
 
-def _anywhere(robot: Robot, rng: np.random.Generator) -> list[Array]:
+def anywhere(robot: Robot, rng: np.random.Generator) -> list[Array]:
     """Return 60 configurations over full turns (and ±1 m): limits must not hide a column."""
     reach = np.where(np.array(robot.joint_units) == "m", 1.0, np.pi)
     motions = rng.uniform(-reach, reach, (60, robot.nv))
     return [np.array(pin.integrate(robot.model, robot.neutral(), motion)) for motion in motions]
 
 
-def _independent_columns(A: Array) -> tuple[list[int], Array]:
+def independent_columns(A: Array, tolerance: float = _RANK_TOLERANCE) -> tuple[list[int], Array]:
     """Return the columns of A that do not depend on those before, and G with A = A[:, kept] G."""
     scale = np.linalg.norm(A, axis=0)
-    some = np.nonzero(scale > _RANK_TOLERANCE * scale.max(initial=0.0))[0]
+    some = np.nonzero(scale > tolerance * scale.max(initial=0.0))[0]
     # on the diagonal is what of a column no combination of those before it makes
     alone = np.abs(np.diag(np.linalg.qr(A[:, some] / scale[some], mode="r")))
-    kept: list[int] = some[alone > _RANK_TOLERANCE].tolist()
+    kept: list[int] = some[alone > tolerance].tolist()
     grouping: Array = np.linalg.lstsq(A[:, kept], A, rcond=None)[0].astype(np.float64)
     grouping[np.abs(grouping) < 1e-12] = 0.0
     return kept, grouping

@@ -1,0 +1,243 @@
+"""Position or pose of a frame, in the world or as a tracker sees it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from typing import Self
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac import law
+from approxjac.robots import Robot
+from approxjac.tasks.frame_kinematics import FrameKinematics
+from approxjac.tasks.task import Feature, Task
+from approxjac.validation import Array, as_array, axis_rows, require
+
+_STILL = 1e-4  # share of the fastest axis below which nothing moves along it (URDFs are rounded)
+_NOWHERE = (0.0, 0.0, 0.0)
+
+
+class PositionTask(Task):
+    """X = position of a frame's origin along world axes [m].
+
+    Args:
+        robot: The robot, true or believed.
+        frame: Frame name; the robot's `tip` by default.
+        axes: World axes in the order wanted, such as "xyz" or "xz"; by default those that the arm
+            commands: all three, or of a planar arm or one with fewer joints the best of them
+            (`best_axes`).
+
+    Raises:
+        UnknownNameError: No such frame, or an axis that is not x, y or z.
+        InvalidInputError: No or doubled axes, or more of them than joints.
+    """
+
+    _kind = "position"
+
+    def __init__(self, robot: Robot, frame: str | None = None, axes: str | None = None) -> None:
+        require("robot", robot, Robot, "a Robot")
+        self.frame = robot.tip_or(frame)
+        self.axes = best_axes(robot, self.frame) if axes is None else axes
+        self._rows = _as_slice(tuple(axis_rows("axes", self.axes)))
+        super().__init__(robot, tuple(self.axes), ("m",) * len(self.axes))
+        self._frame = FrameKinematics(robot, self.frame)
+        self._features = (Feature(slice(0, self.m), self.frame, self.axes),)
+
+    def value(self, q: Array) -> Array:
+        return self._frame.position(q)[self._rows]
+
+    def jacobian(self, q: Array, x: Array | None = None) -> Array:
+        return self._frame.jacobian(q)[self._rows]
+
+    def jacobian_dot(self, q: Array, v: Array) -> Array:
+        return self._frame.jacobian_dot(q, v)[self._rows]
+
+    def on(self, robot: Robot) -> PositionTask:
+        return PositionTask(robot, self.frame, self.axes)
+
+    def __repr__(self) -> str:
+        return f"PositionTask({self.robot.name!r}, {self.frame!r}, {self.axes!r})"
+
+
+@cache
+def _as_slice(rows: tuple[int, ...]) -> slice | list[int]:
+    """Return rows at equal distances as a slice, which NumPy takes without a copy."""
+    step = rows[1] - rows[0] if len(rows) > 1 else 1
+    end = rows[-1] + step
+    found = slice(rows[0], end if end >= 0 else None, step)
+    return found if tuple(range(3))[found] == rows else list(rows)
+
+
+def best_axes(robot: Robot, frame: str | None = None) -> str:
+    """Return world axes along which an arm commands a frame (its `tip` by default).
+
+    "xyz" without the axes along which nothing moves the frame, as of a planar arm; and of an arm
+    with fewer joints as many as joints, those along which it moves fastest, in the mean over seeded
+    configurations.
+    """
+    rng, kinematics = np.random.default_rng(0), FrameKinematics(robot, robot.tip_or(frame))
+    drawn = [robot.random_configuration(rng) for _ in range(20)]
+    jacobians = np.array([kinematics.jacobian(q)[:3] for q in drawn])
+    speeds = np.linalg.norm(jacobians, axis=2).sum(axis=0)
+    moving = int((speeds > _STILL * speeds.max()).sum()) or 3
+    return "".join("xyz"[i] for i in sorted(np.argsort(-speeds)[: min(moving, robot.nv)]))
+
+
+class PoseTask(Task):
+    """X = position [m] and orientation of a frame in the world; m = 6.
+
+    A value is (x, y, z) and a quaternion (x, y, z, w), shape (7,), as `pin.SE3ToXYZQUAT` has it;
+    the quaternion's length and sign do not matter. The error is (p − p_d, φ): φ = log(R R_dᵀ) is
+    the rotation vector that leads from the target's orientation to the measured one, in world
+    axes [rad], valid up to 180°. At 180° itself the two ways round are equally long; of them
+    the one of the quaternion's sign is taken.
+
+    The Jacobian is the geometric one (velocity and angular velocity, world axes). With it
+    d/dt ½‖φ‖² = φᵀω holds exactly for every φ below 180°, so the paper's potential and proof carry
+    over there, where the three rotational gains are equal and s(φ) = φ. With other gains V̇ = −W
+    holds with ∂e/∂q in place of J, which then counts as a part of the Jacobian's error.
+
+    Args:
+        robot: The robot, true or believed.
+        frame: Frame name; the robot's `tip` by default.
+
+    Raises:
+        UnknownNameError: No such frame.
+        InvalidInputError: Fewer than six joints.
+    """
+
+    _kind = "pose"
+
+    def __init__(self, robot: Robot, frame: str | None = None) -> None:
+        super().__init__(robot, ("x", "y", "z", "rx", "ry", "rz"), ("m",) * 3 + ("rad",) * 3, 7)
+        self.frame = robot.tip_or(frame)
+        self._frame = FrameKinematics(robot, self.frame)
+        self._features = (Feature(slice(0, 7), self.frame, "xyz"),)
+        self._origin = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])  # no rotation
+
+    def value(self, q: Array) -> Array:
+        return self._frame.pose(q)
+
+    def jacobian(self, q: Array, x: Array | None = None) -> Array:
+        return self._frame.jacobian(q)
+
+    def jacobian_dot(self, q: Array, v: Array) -> Array:
+        return self._frame.jacobian_dot(q, v)
+
+    def error(self, x: Array, x_d: Array) -> Array:
+        px, py, pz, *quaternion = x.tolist()
+        dx, dy, dz, *target = x_d.tolist()
+        turn = law.rotation_between(quaternion, target)
+        return np.asanyarray(law.array([px - dx, py - dy, pz - dz, *turn]))
+
+    def displaced(self, x: Array, e: Array) -> Array:
+        turned = law.turned(x[3:].tolist(), e[3:].tolist())
+        return np.concatenate([x[:3] + e[:3], law.array(turned)])
+
+    def on(self, robot: Robot) -> PoseTask:
+        return PoseTask(robot, self.frame)
+
+    def _error_jacobian(self, e: Array, J: Array) -> Array:
+        rates = pin.Jlog3(pin.exp3(e[3:])).T  # φ̇ = rates ω, as ω is in world axes
+        return np.concatenate([J[:3], rates @ J[3:]])
+
+    def __repr__(self) -> str:
+        return f"PoseTask({self.robot.name!r}, {self.frame!r})"
+
+
+class _Tracked(Task):
+    """A task of a frame in the axes of a tracker, R p + b of a position p in the world."""
+
+    frame: str
+    _frame: FrameKinematics
+
+    def _track(self, rotation: Sequence[float] | Array, offset: Sequence[float] | Array) -> None:
+        self.rotation = as_array("rotation", rotation, (3,), "rad")
+        self.offset = as_array("offset", offset, (3,), "m")
+        self._R: Array = pin.exp3(self.rotation)
+        placed = self._R, self.offset
+        self._features = (Feature(slice(0, self.n_x), self.frame, "xyz", placed=placed),)
+
+    def on(self, robot: Robot) -> Self:
+        return type(self)(robot, self.rotation, self.offset, self.frame)  # type: ignore[call-arg]
+
+    def __repr__(self) -> str:
+        rotation, offset = self.rotation.tolist(), self.offset.tolist()
+        return f"{type(self).__name__}({self.robot.name!r}, {self.frame!r}, {rotation}, {offset})"
+
+
+class TrackerTask(_Tracked):
+    """X = R p + b: position p of a frame's origin in the axes of a tracker [m].
+
+    Nobody has lined the tracker up with the robot's base. Targets are in its axes, too. A
+    controller that knows nothing of the tracker takes a `PositionTask` for it.
+
+    Args:
+        robot: The robot, true or believed.
+        rotation: R, from the axes of the world to those of the tracker, as a rotation vector,
+            shape (3,) [rad].
+        offset: b, the origin of the world in the axes of the tracker, shape (3,) [m].
+        frame: Frame name; the robot's `tip` by default.
+
+    Raises:
+        UnknownNameError: No such frame.
+        InvalidInputError: Vectors of another length or not finite.
+    """
+
+    _kind = "tracker"
+
+    def __init__(
+        self,
+        robot: Robot,
+        rotation: Sequence[float] | Array = _NOWHERE,
+        offset: Sequence[float] | Array = _NOWHERE,
+        frame: str | None = None,
+    ) -> None:
+        super().__init__(robot, ("x", "y", "z"), ("m", "m", "m"))
+        self.frame = robot.tip_or(frame)
+        self._frame = FrameKinematics(robot, self.frame)
+        self._track(rotation, offset)
+
+    def value(self, q: Array) -> Array:
+        return self._R @ self._frame.position(q) + self.offset
+
+    def jacobian(self, q: Array, x: Array | None = None) -> Array:
+        return np.asanyarray(self._R @ self._frame.jacobian(q)[:3])
+
+    def jacobian_dot(self, q: Array, v: Array) -> Array:
+        return np.asarray(self._R @ self._frame.jacobian_dot(q, v)[:3])
+
+
+class PoseTrackerTask(_Tracked, PoseTask):
+    """X = (R p + b, R R_f): the pose of a frame in the axes of a tracker; m = 6.
+
+    As a `PoseTask` in all else. A controller that knows nothing of the tracker takes a `PoseTask`
+    for it. Arguments and errors are those of a `TrackerTask`, and fewer than six joints.
+    """
+
+    _kind = "pose tracker"
+
+    def __init__(
+        self,
+        robot: Robot,
+        rotation: Sequence[float] | Array = _NOWHERE,
+        offset: Sequence[float] | Array = _NOWHERE,
+        frame: str | None = None,
+    ) -> None:
+        PoseTask.__init__(self, robot, frame)
+        self._track(rotation, offset)
+
+    def value(self, q: Array) -> Array:
+        R, p = self._frame.placement(q)
+        return np.concatenate([self._R @ p + self.offset, law.quaternion(self._R @ R)])
+
+    def jacobian(self, q: Array, x: Array | None = None) -> Array:
+        return self._turned(self._frame.jacobian(q))
+
+    def jacobian_dot(self, q: Array, v: Array) -> Array:
+        return self._turned(self._frame.jacobian_dot(q, v))
+
+    def _turned(self, J: Array) -> Array:
+        return np.concatenate([self._R @ J[:3], self._R @ J[3:]])
