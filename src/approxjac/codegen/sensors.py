@@ -7,21 +7,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from approxjac.codegen.arm.rigid_body import difference, moved
+from approxjac.codegen.arm.rigid_body import difference
 from approxjac.codegen.trace.program import Program
 from approxjac.codegen.trace.symbols import Number, Symbols, select, symbols
 from approxjac.interface import Target, TargetPath
 from approxjac.simulation import Plant, Sensing
 from approxjac.simulation.loop import target_at
 from approxjac.simulation.sensing import (
+    SensorFrames,
+    encoded,
     filtered,
-    frames_of,
     generator,
+    imaged,
     lost_entries,
-    rounded,
 )
-from approxjac.tasks.analysis import with_error
-from approxjac.validation import Array, as_diagonal
+from approxjac.validation import Array
 
 _IMAGE, _TORQUE = "image", "late_torque"
 
@@ -68,16 +68,13 @@ class Senses:
             targets = (target_at(path, k * dt) for k in range(steps + 1))
             self._targets = [each for each in targets if isinstance(each, Target)]
         sensing = self._sensing = plant.sensing or Sensing()
-        m, nv = plant.sensor.m, plant.robot.nv
-        self._x_noise, self._x_quantum, self._q_noise, self._q_quantum = (
-            as_diagonal(name, getattr(sensing, name), size, positive=False)
-            for name, size in (("x_noise", m), ("x_quantum", m), ("q_noise", nv), ("q_quantum", nv))
-        )
+        sizes = sensing.sizes(plant.sensor)
+        self._x_noise, self._x_quantum, self._q_noise, self._q_quantum = sizes
         self._lost = lost_entries(sensing, plant.sensor)
         self.may_lose = sensing.x_dropout > 0.0 or bool(self._lost)
         self.late = round(min(plant.actuator_delay / dt, float(steps)))
         self._k = np.arange(steps + 1)
-        frames = frames_of(sensing, dt)
+        frames = SensorFrames(sensing, dt)
         each = (frames.next(k * dt) for k in range(steps + 1))
         taken, kept_at, self._lost_in, read_at, new, self._t_x = zip(*each, strict=True)
         self._is_taken, self._is_new = np.array(taken), np.array(new)
@@ -90,23 +87,18 @@ class Senses:
         sensing, robot = self._sensing, self._sensor.robot
         sensor = self._sensor
         kept: dict[str, Any] = {}
-        if self._q_noise.any():
-            q = moved(robot, q, self._q_noise * program.drawn("q_noise", len(self._q_noise)))
-        if self._q_quantum.any():
-            neutral = symbols(robot.neutral())
-            motion = difference(robot, neutral, q)
-            q = moved(robot, neutral, rounded(motion, self._q_quantum))
+
+        def noise(name: str, size: Array) -> Symbols | None:
+            return size * program.drawn(name, len(size)) if size.any() else None
+
+        q = encoded(robot, q, noise("q_noise", self._q_noise), self._q_quantum)
         if sensing.velocity_filter is not None:
             before, v = program.kept("q_before", len(q)), program.kept("v_filtered", len(v))
             motion = difference(robot, before, q)
             slope = np.where(symbols(program.k > 0.0), motion, 0.0) / self._dt
             v = filtered(v, slope, sensing.velocity_filter, self._dt)
             kept |= {"q_before": q, "v_filtered": v}
-        if self._x_noise.any():
-            x = sensor.displaced(x, self._x_noise * program.drawn("x_noise", len(self._x_noise)))
-        if self._x_quantum.any():
-            origin = symbols(sensor._origin)
-            x = with_error(sensor, x, origin, rounded(sensor.error(x, origin), self._x_quantum))
+        x = imaged(sensor, x, noise("x_noise", self._x_noise), self._x_quantum)
         if self._lost:
             x = np.where(program.timed("lost", len(x)) > 0.0, np.nan, x)
         if not self._is_now.all():

@@ -14,6 +14,8 @@ import pinocchio as pin
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import short_fields
 from approxjac.interface import Measurement
+from approxjac.robots import Robot
+from approxjac.robots.traced import motion_between, moved
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import with_error
 from approxjac.validation import Array, as_diagonal, as_number, shape_of
@@ -91,6 +93,16 @@ class Sensing:
         others = (self.x_noise, self.x_quantum, self.x_dropout, self.q_noise, self.q_quantum)
         return not any(np.any(value) for value in others)
 
+    def sizes(self, task: Task) -> tuple[Array, Array, Array, Array]:
+        """Return noise and quantum of a task's x (m,), noise and quantum of q (n_v,)."""
+        m, nv = task.m, task.robot.nv
+        sizes = {"x_noise": m, "x_quantum": m, "q_noise": nv, "q_quantum": nv}
+        x_noise, x_quantum, q_noise, q_quantum = (
+            as_diagonal(name, getattr(self, name), size, positive=False)
+            for name, size in sizes.items()
+        )
+        return x_noise, x_quantum, q_noise, q_quantum
+
 
 class SensorReadings:
     """The readings of one run, sample by sample; the same seed gives the same ones.
@@ -99,25 +111,26 @@ class SensorReadings:
     """
 
     def __init__(self, sensing: Sensing, task: Task, dt: float, seed: int) -> None:
-        m, nv = task.m, task.robot.nv
         self._task, self._model, self._dt = task, task.robot.model, dt
-        self._neutral = task.robot.neutral()
-        self._x_noise = as_diagonal("x_noise", sensing.x_noise, m, positive=False)
-        self._x_quantum = as_diagonal("x_quantum", sensing.x_quantum, m, positive=False)
-        self._q_noise = as_diagonal("q_noise", sensing.q_noise, nv, positive=False)
-        self._q_quantum = as_diagonal("q_quantum", sensing.q_quantum, nv, positive=False)
+        self._x_noise, self._x_quantum, self._q_noise, self._q_quantum = sensing.sizes(task)
+        self._x_noisy, self._q_noisy = self._x_noise.any(), self._q_noise.any()
         self._dropout, self._filter = sensing.x_dropout, sensing.velocity_filter
         self._lost = lost_entries(sensing, task)
-        self._frames = frames_of(sensing, dt)
+        self._frames = SensorFrames(sensing, dt)
         self._images: dict[int, Array] = {}
         self._reading = np.full(task.n_x, np.nan)
         self._of_x, self._of_q, self._of_dropouts = (generator(seed, kind) for kind in DRAWN)
         self._before: Array | None = None
-        self._v = np.zeros(nv)
+        self._v = np.zeros(task.robot.nv)
 
     def read(self, truth: Measurement) -> Measurement:
         """Return the measurement at the next sample, given what is true then."""
-        q = self._read_q(truth.q)
+        noise = (
+            self._q_noise * self._of_q.standard_normal(len(self._q_noise))
+            if self._q_noisy
+            else None
+        )
+        q = encoded(self._task.robot, truth.q, noise, self._q_quantum)
         v = truth.v if self._filter is None else self._difference(q, self._filter)
         x, t_x = self._read_x(truth.t, truth.x)
         return Measurement(truth.t, q, v, x, t_x)
@@ -135,27 +148,13 @@ class SensorReadings:
 
     def _taken(self, x: Array, lost: list[int]) -> Array:
         """Return the image that is taken of x, with what is lost of it."""
-        if self._x_noise.any():
-            noise = self._x_noise * self._of_x.standard_normal(self._task.m)
-            x = self._task.displaced(x, noise)
-        if self._x_quantum.any():
-            origin = self._task._origin
-            e = rounded(self._task.error(x, origin), self._x_quantum)
-            x = with_error(self._task, x, origin, e)
+        noise = self._x_noise * self._of_x.standard_normal(self._task.m) if self._x_noisy else None
+        x = imaged(self._task, x, noise, self._x_quantum)
         if lost:
             x = x.copy()
         for interval in lost:
             x[self._lost[interval]] = np.nan
         return x
-
-    def _read_q(self, q: Array) -> Array:
-        if self._q_noise.any():
-            noise = self._q_noise * self._of_q.standard_normal(len(self._q_noise))
-            q = pin.integrate(self._model, q, noise)
-        if self._q_quantum.any():
-            motion = pin.difference(self._model, self._neutral, q)
-            q = pin.integrate(self._model, self._neutral, rounded(motion, self._q_quantum))
-        return q
 
     def _difference(self, q: Array, time_constant: float) -> Array:
         if self._before is not None:
@@ -175,6 +174,26 @@ def generator(seed: int, kind: str) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i,) if i else ()))
 
 
+def encoded(robot: Robot, q: Array, noise: Array | None, quantum: Array) -> Array:
+    """Return what encoders deliver of q (nq,), with noise and steps (n_v,)."""
+    if noise is not None:
+        q = moved(robot, q, noise)
+    if quantum.any():
+        neutral = robot.neutral()
+        q = moved(robot, neutral, rounded(motion_between(robot, neutral, q), quantum))
+    return q
+
+
+def imaged(task: Task, x: Array, noise: Array | None, quantum: Array) -> Array:
+    """Return what a sensor makes of x (n_x,), with noise and steps (m,) of its error."""
+    if noise is not None:
+        x = task.displaced(x, noise)
+    if quantum.any():
+        origin = task._origin
+        x = with_error(task, x, origin, rounded(task.error(x, origin), quantum))
+    return x
+
+
 def rounded(values: Array, steps: Array) -> Array:
     """Round to multiples of steps; a step of 0 rounds nothing."""
     safe = np.where(steps > 0.0, steps, 1.0)
@@ -186,15 +205,18 @@ def filtered(v: Array, slope: Array, time_constant: float, dt: float) -> Array:
     return v + dt / (time_constant + dt) * (slope - v)
 
 
-def frames_of(sensing: Sensing, dt: float) -> SensorFrames:
-    """Return the frames of x of one run, at a sampling time [s]."""
-    lost = [(start, end) for start, end, *_ in sensing.x_lost]
-    return SensorFrames(dt, sensing.x_rate, sensing.x_delay, lost, sensing.x_frozen)
-
-
 def lost_entries(sensing: Sensing, task: Task) -> list[slice]:
     """Return the entries of x that each of the intervals `x_lost` takes."""
-    return [_entries(task, *part) for _, _, *part in sensing.x_lost]
+    parts, entries = task._parts, []
+    for _, _, *part in sensing.x_lost:
+        if part and part[0] >= len(parts):
+            valid = "0" if len(parts) == 1 else f"0 to {len(parts) - 1}"
+            raise InvalidInputError(
+                f"part of x_lost must be one of the parts of {task!r}, {valid}, got {part[0]}",
+                given=part[0],
+            )
+        entries.append(parts[part[0]][0] if part else slice(None))
+    return entries
 
 
 def _intervals(name: str, value: Any, *, parts: bool) -> tuple[Any, ...]:
@@ -217,20 +239,6 @@ def _intervals(name: str, value: Any, *, parts: bool) -> tuple[Any, ...]:
         end = as_number(f"end of {name}", end, unit="s", above=start)
         checked.append((start, end, *part))
     return tuple(checked)
-
-
-def _entries(task: Task, part: int | None = None) -> slice:
-    """Return the entries of x that one of its parts has, or all."""
-    if part is None:
-        return slice(None)
-    parts = task._parts
-    if part >= len(parts):
-        valid = "0" if len(parts) == 1 else f"0 to {len(parts) - 1}"
-        raise InvalidInputError(
-            f"part of x_lost must be one of the parts of {task!r}, {valid}, got {part}",
-            given=part,
-        )
-    return parts[part][0]
 
 
 _FOREVER = 1e15  # samples
@@ -263,25 +271,16 @@ class SensorFrames:
     Images have places, which are taken again once nobody will read what is there.
 
     Args:
+        sensing: Rate, delay, and when x is lost or frozen.
         dt: Sampling time [s].
-        x_rate: As of `Sensing`, like all below.
-        x_delay: Age of a frame that arrives [s].
-        lost: Intervals (start, end) [s].
-        frozen: Intervals (start, end) [s].
     """
 
-    def __init__(
-        self,
-        dt: float,
-        x_rate: float | None,
-        x_delay: float,
-        lost: Sequence[tuple[float, float]],
-        frozen: Sequence[tuple[float, float]],
-    ) -> None:
-        self._dt, self._lost, self._frozen = dt, lost, frozen
-        per_sample = None if x_rate is None else x_rate * dt
+    def __init__(self, sensing: Sensing, dt: float) -> None:
+        self._dt, self._frozen = dt, sensing.x_frozen
+        self._lost = [(start, end) for start, end, *_ in sensing.x_lost]
+        per_sample = None if sensing.x_rate is None else sensing.x_rate * dt
         self._per_sample = None if per_sample is None or per_sample > 1.0 - _TINY else per_sample
-        late = round(min(x_delay / dt, _FOREVER))
+        late = round(min(sensing.x_delay / dt, _FOREVER))
         self._places = late + 1
         if self._per_sample is not None:  # those that are taken while one is on its way
             self._places = min(self._places, math.ceil(late * self._per_sample) + 2)
@@ -295,15 +294,14 @@ class SensorFrames:
         if self._per_sample is not None:  # counted from the start, so that no rounding adds up
             number = math.floor(self._samples * self._per_sample + _TINY)
         self._samples += 1
-        lost: list[int] = []
         is_taken = number != self._number
-        if is_taken and self._frozen and self._taken:
-            is_taken = not self._within(t, self._frozen)
+        if self._frozen and self._taken and self._within(t, self._frozen):
+            is_taken = False
         self._number = number
+        lost = self._within(t, self._lost) if is_taken and self._lost else []
         if is_taken:
             self._kept_at, self._taken_at = self._taken % self._places, t
             self._taken += 1
-            lost = self._within(t, self._lost) if self._lost else lost
         self._late.append((number, self._kept_at, self._taken_at))
         arriving, read_at, t_x = self._late[0]  # before the first one arrives, the first is seen
         is_new = arriving != self._arrived or self._per_sample is None
