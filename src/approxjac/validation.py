@@ -289,6 +289,12 @@ class Saved:
     """
 
     _kind: ClassVar[str]
+    _kinds: ClassVar[dict[str, Any]] = {}
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        if "_kind" in vars(cls):
+            Saved._kinds[cls._kind] = cls
 
     def _saved(self) -> dict[str, Any] | None:
         """Return texts, numbers, lists and dictionaries; None of what is not kept."""

@@ -252,9 +252,6 @@ def test_a_file_keeps_the_law_in_words(panda, tmp_path):
     np.savez(path, texts=np.array(json.dumps(texts | {"law": 3})), **arrays)
     with pytest.raises(TrajectoryFileError, match="its law is no text"):
         aj.Trajectory.load(path)
-    del texts["law"]  # as older files are
-    np.savez(path, texts=np.array(json.dumps(texts)), **arrays)
-    assert aj.Trajectory.load(path).law == ""
 
 
 def test_a_run_of_a_wrapper_of_ones_own_is_saved(tmp_path):

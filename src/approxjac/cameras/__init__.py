@@ -1,7 +1,7 @@
 """Cameras: how points in space become images, and what is known of a camera."""
 
+from approxjac.cameras.calibration import tag_corners
 from approxjac.cameras.camera import Camera, PlanarCamera
 from approxjac.cameras.pinhole import PinholeCamera
-from approxjac.cameras.tag import tag_corners
 
 __all__ = ["Camera", "PinholeCamera", "PlanarCamera", "tag_corners"]

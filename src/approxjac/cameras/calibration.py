@@ -1,4 +1,4 @@
-"""Calibrations of OpenCV and ROS, and the files that they keep them in."""
+"""Calibrations of OpenCV and ROS, the files that they keep them in, and tags."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Calibration(NamedTuple):
 def opencv_parameters(
     K: Any, distortion: Any, rvec: Any, tvec: Any, camera_pose: Any
 ) -> dict[str, Any]:
-    """Return arguments of a `PinholeCamera` from OpenCV's; see `PinholeCamera.from_opencv`."""
+    """Return arguments of a `PinholeCamera` from those of `PinholeCamera.from_opencv`."""
     k = as_array("K", K, (3, 3), "px")
     if np.abs(k - [[k[0, 0], 0.0, k[0, 2]], [0.0, k[1, 1], k[1, 2]], [0.0, 0.0, 1.0]]).any():
         raise InvalidInputError(
@@ -53,17 +53,13 @@ def opencv_parameters(
             f"{list(coefficients)}",
             given=distortion,
         )
+    focal_length, center = (k[0, 0], k[1, 1]), (k[0, 2], k[1, 2])
     place: dict[str, Any] = {
-        "focal_length": (k[0, 0], k[1, 1]),
-        "center": (k[0, 2], k[1, 2]),
-        "distortion": coefficients,
-    }
+        "focal_length": focal_length, "center": center, "distortion": coefficients
+    }  # fmt: skip
     if (rvec is None) != (tvec is None) or not (rvec is None or camera_pose is None):
-        given = [
-            name
-            for name, each in (("rvec", rvec), ("tvec", tvec), ("camera_pose", camera_pose))
-            if each is not None
-        ]
+        places = {"rvec": rvec, "tvec": tvec, "camera_pose": camera_pose}
+        given = [name for name, each in places.items() if each is not None]
         raise InvalidInputError(
             f"where a camera stands must be given by rvec and tvec, or by camera_pose, got "
             f"{' and '.join(given)}",
@@ -82,11 +78,7 @@ def opencv_parameters(
 def read_calibration(
     path: str | Path, size: Sequence[int] | None, fisheye: bool | None
 ) -> Calibration:
-    """Read a calibration file; arguments fill in what it lacks.
-
-    Raises:
-        InvalidInputError: See `PinholeCamera.from_file`.
-    """
+    """Read a calibration file; arguments fill in what it lacks."""
     keys = {str(name).lower(): value for name, value in _read(Path(path)).items()}
     values = {
         name: next((keys[each] for each in names if each in keys), None)
@@ -177,7 +169,12 @@ def _read(path: Path) -> dict[Any, Any]:
     return content
 
 
-def _numbers(path: str | Path, name: str, value: Any) -> Array:
+def _numbers(
+    path: str | Path,
+    name: str,
+    value: Any,
+    wanted: str = "a matrix of finite numbers, with data: [...]",
+) -> Array:
     """Return the numbers of a matrix as a file holds it: a mapping with data, or a list."""
     data = value.get("data") if isinstance(value, dict) else value
     rows = data if isinstance(data, list) else [data]
@@ -187,9 +184,7 @@ def _numbers(path: str | Path, name: str, value: Any) -> Array:
     except (TypeError, ValueError):
         numbers = np.array([math.nan])
     if not np.isfinite(numbers).all():
-        raise InvalidInputError(
-            f"{name} of {path} must be a matrix of finite numbers, with data: [...]", given=path
-        )
+        raise InvalidInputError(f"{name} of {path} must be {wanted}", given=path)
     if isinstance(value, dict) and "rows" in value and "cols" in value:
         shape = [_number(path, f"{each} of {name}", value[each]) for each in ("rows", "cols")]
         if shape[0] * shape[1] != len(numbers):
@@ -203,13 +198,8 @@ def _numbers(path: str | Path, name: str, value: Any) -> Array:
 
 def _number(path: str | Path, name: str, value: object) -> float:
     """Return a number >= 0 as a file holds it."""
-    try:
-        number = float(value) if isinstance(value, str) else math.nan
-    except (TypeError, ValueError):
-        number = math.nan
-    if not math.isfinite(number):
-        raise InvalidInputError(f"{name} of {path} must be a number", given=path)
-    return as_number(name, number, minimum=0.0)
+    (number,) = _numbers(path, name, [value], "a number")
+    return as_number(name, float(number), minimum=0.0)
 
 
 _AXES = "the camera's axes (right, down, forward)"
@@ -253,3 +243,31 @@ def view_axes(position: object, looking_at: object, up: object) -> Array:
     z: Array = view / np.linalg.norm(view)
     x: Array = right / np.linalg.norm(right)
     return np.column_stack([x, np.cross(z, x), z])
+
+
+def tag_corners(size: float, tag_pose: object = None) -> Array:
+    """Return the corners of a square tag, as points of an `ImageTask`, shape (4, 3) [m].
+
+    In the order in which `cv2.aruco` detects them: upper left, upper right, lower right, lower left
+    of the upright tag. (pupil-apriltags begins at the lower left and goes the other way round:
+    take `corners[::-1]`.) Their images are the x of the task, `corners.ravel()`, eight numbers:
+    `CombinedTask.balanced` makes the six of them that a controller takes::
+
+        points = aj.cameras.tag_corners(0.08, tag_pose)
+        image = aj.ImageTask(belief, camera, points=points)
+        law = aj.SetpointController(aj.tasks.CombinedTask.balanced(image, x_d))
+
+    Args:
+        size: Length of its black square's side, > 0 [m].
+        tag_pose: From the tag to the frame that it is fixed to, shape (4, 4) [m]; the tag's x axis
+            points right, y up, and z out of it. By default it is in that frame's origin and axes.
+
+    Raises:
+        InvalidInputError: A size that is not positive, or a pose that is none.
+    """
+    half = 0.5 * as_number("size", size, unit="m", above=0.0)
+    corners = half * np.array([[-1.0, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
+    if tag_pose is None:
+        return corners
+    R, p = as_pose("tag_pose", tag_pose)
+    return np.asarray(corners @ R.T + p)

@@ -236,7 +236,9 @@ class Distortion(Lens):
             h20, h21, h22 = self._T[2].tolist()
             beside = r * r * (3.0 * p + first) + r**4 * second
             conditions.append(h22 * below - math.hypot(h20, h21) * (r * above + beside * below))
-        first = min(FARTHEST, *map(_first_root, conditions))
+        scales = FARTHEST ** np.arange(20.0)
+        scaled = (np.asarray(each.coef) * scales[: len(each.coef)] for each in conditions)
+        first = FARTHEST * min(1.0, *map(_first_root, scaled))
         return first if self._is_round else _SURELY * first
 
 
@@ -274,19 +276,12 @@ def _even(coefficients: Sequence[float]) -> Polynomial:
     return Polynomial([1.0, 0.0, a, 0.0, b, 0.0, c])
 
 
-def _first_root(polynomial: Polynomial) -> float:
-    """Return the first r > 0, up to `FARTHEST`, at which a polynomial is 0; else infinity."""
-    # in r/FARTHEST, where a coefficient that never counts is seen to be small
-    given: Array = np.asarray(polynomial.coef, dtype=np.float64)
-    coefficients = given * FARTHEST ** np.arange(len(given), dtype=np.float64)
-    coefficients = np.where(np.abs(coefficients) > 1e-15, coefficients, 0.0)
+def _first_root(coefficients: Array) -> float:
+    """Return the first r from 0 to 1 at which a polynomial is 0; else infinity."""
+    coefficients = np.where(np.abs(coefficients) > 1e-15, coefficients, 0.0)  # or it never counts
     roots = np.polynomial.polynomial.polyroots(np.trim_zeros(coefficients, "b"))
-    radii = [
-        FARTHEST * float(root.real)
-        for root in roots
-        if abs(root.imag) < 1e-9 * abs(root.real) and 0.0 < root.real <= 1.0
-    ]
-    return min(radii, default=math.inf)
+    real = roots[np.abs(roots.imag) < 1e-9 * np.abs(roots.real)].real
+    return float(min(real[(real > 0.0) & (real <= 1.0)], default=math.inf))
 
 
 def _tilt(tau_x: float, tau_y: float) -> Array:
@@ -346,13 +341,8 @@ class Fisheye(Lens):
         self._k = tuple(coefficients) or (0.0,) * 4
         growth = [1.0, *(n * k for n, k in zip((3.0, 5.0, 7.0, 9.0), self._k, strict=True))]
         slope = np.array(growth) * WIDEST ** (2.0 * np.arange(5))  # of θ_d, in (θ/widest)²
-        slope = np.trim_zeros(np.where(np.abs(slope) > 1e-15, slope, 0.0), "b")
-        turns = [
-            float(root.real)
-            for root in np.polynomial.polynomial.polyroots(slope)
-            if abs(root.imag) < 1e-9 * abs(root.real) and 0.0 < root.real < 1.0
-        ]
-        self.widest = WIDEST * math.sqrt(min(turns, default=1.0))
+        turn = min(1.0, _first_root(slope))
+        self.widest = WIDEST * math.sqrt(turn)
         self.largest_radius, self.shown_radius = math.tan(self.widest), self.bent(self.widest)
 
     def bent(self, theta: float) -> float:

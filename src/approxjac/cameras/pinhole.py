@@ -80,14 +80,14 @@ class PinholeCamera(Camera):
     labels = ("u", "v")
     unit = "px"
     _kind = "PinholeCamera"
-    _f: Array = field(init=False, repr=False, compare=False)
-    _c: Array = field(init=False, repr=False, compare=False)
-    _R: Array = field(init=False, repr=False, compare=False)
-    _p: Array = field(init=False, repr=False, compare=False)
-    _R_t: Array = field(init=False, repr=False, compare=False)  # in the order that a step needs
-    _edges: list[tuple[float, float]] = field(init=False, repr=False, compare=False)  # of rays
-    _sees_all: bool = field(init=False, repr=False, compare=False)  # each pixel has a ray
-    _lens: Lens = field(init=False, repr=False, compare=False)
+    _f: Array = field(init=False, compare=False)
+    _c: Array = field(init=False, compare=False)
+    _R: Array = field(init=False, compare=False)
+    _p: Array = field(init=False, compare=False)
+    _R_t: Array = field(init=False, compare=False)  # in the order that a step needs
+    _edges: list[tuple[float, float]] = field(init=False, compare=False)  # of rays
+    _sees_all: bool = field(init=False, compare=False)  # each pixel has a ray
+    _lens: Lens = field(init=False, compare=False)
 
     def __post_init__(self) -> None:
         focal = (self.focal_length,) * 2 if is_scalar(self.focal_length) else self.focal_length
@@ -137,7 +137,7 @@ class PinholeCamera(Camera):
         up: Sequence[float] | Array = (0.0, 0.0, 1.0),
         **options: Any,
     ) -> PinholeCamera:
-        """Return a camera whose optical axis goes through a point.
+        """Return a camera whose optical axis goes through a point, as `standing_at` puts it.
 
         Args:
             target: The point, shape (3,) [m].
@@ -146,9 +146,6 @@ class PinholeCamera(Camera):
             size: Width and height of the image [px].
             up: Direction that is up in the image, shape (3,).
             **options: Center, distortion, fisheye, mount and near, as for `PinholeCamera`.
-
-        Raises:
-            InvalidInputError: A target at the camera's own position, or straight up or down.
         """
         return cls(focal_length, size, **options).standing_at(position, looking_at=target, up=up)
 
@@ -165,11 +162,10 @@ class PinholeCamera(Camera):
         fisheye: bool = False,
         **options: Any,
     ) -> PinholeCamera:
-        """Return the camera that OpenCV's calibration tells.
+        """Return the camera of a calibration by OpenCV.
 
-        Its pose is given by rvec and tvec, or by camera_pose, in the axes of what it is fixed
-        to: the world, or the `mount` that carries it. Told by neither, it is at that frame's origin
-        with its axes; see `standing_at`.
+        Its pose in what it is fixed to, the world or the `mount` that carries it, is given by rvec
+        and tvec or by camera_pose; by default it is in that frame's origin and axes.
 
         Args:
             K: Camera matrix, shape (3, 3), without skew [px].
@@ -202,9 +198,9 @@ class PinholeCamera(Camera):
     ) -> PinholeCamera:
         """Return the camera of a YAML file of OpenCV's FileStorage, or of ROS's camera_info.
 
-        What is read of it: camera_matrix (or K), distortion_coefficients (or D), the width and
-        height of the image, and which model it is, where it says so: ROS's distortion_model
-        (plumb_bob, rational_polynomial, equidistant), or fisheye_model of OpenCV's sample program.
+        It has a camera_matrix (or K), distortion_coefficients (or D), the width and height of the
+        image, and may name its model: ROS's distortion_model (plumb_bob, rational_polynomial,
+        equidistant), or fisheye_model of OpenCV's sample program.
 
         Args:
             path: Of the file, at most 0.5 MB.

@@ -13,36 +13,15 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from approxjac.cameras import PinholeCamera, PlanarCamera
 from approxjac.errors import InvalidInputError, TrajectoryFileError
 from approxjac.files import read_arrays, reason, replaced
 from approxjac.formatting import joined, rows, shares, wrapped
 from approxjac.interface import LimitStatus, Status
 from approxjac.robots import Robot
-from approxjac.tasks import (
-    ImageTask,
-    PoseTask,
-    PoseTrackerTask,
-    PositionTask,
-    StackedTask,
-    Task,
-    TrackerTask,
-)
-from approxjac.validation import Array, as_number, require
+from approxjac.tasks import StackedTask, Task
+from approxjac.validation import Array, Saved, as_number, require
 
 _TOUCHES = 1e-6  # beyond a position limit; less is rounding [rad or m]
-_KINDS: Mapping[str, Any] = {
-    made._kind: made
-    for made in (
-        PositionTask,
-        TrackerTask,
-        PoseTask,
-        PoseTrackerTask,
-        ImageTask,
-        PinholeCamera,
-        PlanarCamera,
-    )
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,20 +57,11 @@ class Scene:
         """Return the scene that `to_dict` described."""
         truth = _restored_robot(kept["truth"])
         belief = None if kept["belief"] is None else _restored_robot(kept["belief"])
-        limits = [np.inf if x is None else float(x) for x in kept["torque_limits"]]
+        limits = np.array([np.inf if x is None else float(x) for x in kept["torque_limits"]])
         if len(limits) != truth.nv or (belief is not None and belief.nv != truth.nv):
             raise ValueError("its robots and torque limits have different numbers of joints")
-        sensor = _restored_task(kept["sensor"], truth)
-        task = _restored_task(kept["task"], belief)
-        return cls(
-            truth,
-            belief,
-            sensor,
-            task,
-            np.array(limits),
-            kept.get("parameters", {}),
-            kept.get("knows_truth", True),
-        )
+        sensor, task = _restored_task(kept["sensor"], truth), _restored_task(kept["task"], belief)
+        return cls(truth, belief, sensor, task, limits, kept["parameters"], kept["knows_truth"])
 
 
 def _saved_robot(robot: Robot) -> dict[str, Any]:
@@ -113,11 +83,11 @@ def _restored_task(kept: Mapping[str, Any] | None, robot: Robot | None) -> Task 
         parts: list[Any] = [_restored_task(part, robot) for part in kept["tasks"]]
         return StackedTask(*parts)
     given = {**kept}
-    made = _KINDS[given.pop("kind")]
+    kind = Saved._kinds[given.pop("kind")]
     if "camera" in given:
         camera = {**given["camera"]}
-        given["camera"] = _KINDS[camera.pop("kind")](**camera)
-    task: Task = made(robot, **given)
+        given["camera"] = Saved._kinds[camera.pop("kind")](**camera)
+    task: Task = kind(robot, **given)
     return task
 
 
@@ -335,21 +305,18 @@ class Trajectory:
         try:
             with path.open("rb") as stream:
                 arrays = read_arrays(stream, ("texts", *_ARRAYS, *cls._more_arrays))
-            texts = json.loads(str(arrays.pop("texts")))
-            ends = {name: texts.get(name, "") for name in _ENDS}
-            law = texts.get("law", "")  # which older files do not have
-            for name, text in {"law": law, **ends}.items():
+            given = json.loads(str(arrays.pop("texts")))
+            ends = {name: given[name] for name in (*_ENDS, "law")}
+            for name, text in ends.items():
                 if not isinstance(text, str):
                     raise ValueError(f"its {name} is no text")
-            known = (*_TEXTS, *cls._more_texts, "scene")
-            texts = {name: texts[name] for name in known}
-            scene = texts.pop("scene")
+            texts = {name: given[name] for name in (*_TEXTS, *cls._more_texts)}
             for name in ("joint_names", "joint_units", "task_labels", "task_units"):
                 texts[name] = tuple(texts[name])
-            kept = {name: arrays.pop(name) for name in _DERIVED} | {"law": law}
             unknown = np.full(arrays["learnt"].shape[-1], np.nan)
+            kept = {name: arrays.pop(name) for name in _DERIVED} | {"law": ends.pop("law")}
             derived = partial(_read, kept | {"learnt_sd": lambda state: unknown})
-            scene = None if scene is None else Scene.from_dict(scene)
+            scene = None if given["scene"] is None else Scene.from_dict(given["scene"])
             run = cls(**arrays, **texts, **ends, scene=scene, derived=derived)
             run._require_shapes()
             return run
