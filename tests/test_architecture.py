@@ -27,7 +27,7 @@ ALLOWED = {
         "__init__", "cameras", "controllers", "errors", "extras", "files", "formatting",
         "interface", "law", "robots", "simulation", "tasks", "validation",
     },
-    "cameras": {"errors", "formatting", "law", "robots", "validation"},
+    "cameras": {"errors", "files", "formatting", "law", "robots", "validation"},
     "tasks": {"cameras", "errors", "formatting", "law", "robots", "validation"},
     "controllers": {
         "cameras", "errors", "extras", "formatting", "interface", "law", "robots", "tasks",

@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.errors import InvalidInputError
+from approxjac.files import read_text, reason
 from approxjac.validation import Array, as_array, as_number
 
 _LONGEST = 500_000  # file [bytes]
@@ -53,10 +54,8 @@ def opencv_parameters(
             f"{list(coefficients)}",
             given=distortion,
         )
-    focal_length, center = (k[0, 0], k[1, 1]), (k[0, 2], k[1, 2])
-    place: dict[str, Any] = {
-        "focal_length": focal_length, "center": center, "distortion": coefficients
-    }  # fmt: skip
+    place: dict[str, Any] = {"focal_length": (k[0, 0], k[1, 1]), "center": (k[0, 2], k[1, 2])}
+    place["distortion"] = coefficients
     if (rvec is None) != (tvec is None) or not (rvec is None or camera_pose is None):
         places = {"rvec": rvec, "tvec": tvec, "camera_pose": camera_pose}
         given = [name for name, each in places.items() if each is not None]
@@ -135,25 +134,16 @@ def _read(path: Path) -> dict[Any, Any]:
     import yaml  # where it is used
 
     try:
-        with path.open("rb") as file:
-            content = file.read(_LONGEST + 1)
-        if len(content) > _LONGEST:
-            raise InvalidInputError(
-                f"{path} must be a calibration of at most {_LONGEST / 1e6:g} MB, and is longer",
-                given=path,
-            )
         # OpenCV begins its files with %YAML:1.0, which is no YAML
-        text = re.sub(r"\A\ufeff?%YAML[^\n]*\n", "", content.decode("utf-8"))
+        text = re.sub(r"\A\ufeff?%YAML[^\n]*\n", "", read_text(path, _LONGEST))
         # texts only, whatever their tags are, such as !!opencv-matrix: nothing is executed, and no
         # number or alias can be made to take long
         content = yaml.load(text, Loader=yaml.BaseLoader)
     except OSError as error:
         raise InvalidInputError(
-            f"{path} must be a calibration file that can be read, got {error.strerror}", given=path
+            f"{path} must be a calibration file that can be read, got {reason(error)}", given=path
         ) from error
     except (UnicodeDecodeError, yaml.YAMLError, RecursionError, ValueError) as error:
-        if isinstance(error, InvalidInputError):
-            raise
         line = getattr(error, "problem_mark", None)
         at = "" if line is None else f" at line {line.line + 2}"
         problem = getattr(error, "problem", None) or type(error).__name__
