@@ -18,7 +18,7 @@ from approxjac.errors import ApproxJacError, TrajectoryFileError
 from approxjac.realtime import SimulatedDriver
 from approxjac.realtime.control import RobotRun
 from approxjac.robots.meshes import find_mesh
-from approxjac.stability.rollouts.portions import _kept_part
+from approxjac.stability.rollouts.portions import _portion
 from approxjac.view.mesh_drawing import load_mesh
 
 ARRAYS = ("t", "q", "v", "x", "x_d", "error", "tau", "state", "status", "slack", "V", "sigma_min")
@@ -58,18 +58,21 @@ def of_robot_run(path):
     return of_run(path, RobotRun)
 
 
-def columns(_, indices):
-    return {"index": np.array(indices), "final_error": np.linspace(0.0, 1.0, len(indices))}
+class Runs:
+    """What many runs share, as far as a portion of them needs it."""
+
+    def columns(self, indices):
+        return {"index": np.array(indices), "final_error": np.linspace(0.0, 1.0, len(indices))}
 
 
 def write_portion(path):
-    _kept_part(path.parent, columns, "study", range(50))
+    _portion(path.parent, False, Runs(), range(50))
     (portion,) = path.parent.iterdir()
     return portion  # under a name of its own
 
 
 def of_portion(path):
-    found = _kept_part(path.parent, columns, "study", range(50))
+    found = _portion(path.parent, False, Runs(), range(50))
     return [found["index"], found["final_error"]]
 
 

@@ -105,20 +105,25 @@ class LlvmLanes:
         program: The program.
         width: Runs a vector; by default those that fill one of this machine.
         features: Of the processor to compile for; those of this one by default.
+        effort: Of LLVM, from 0 to 3.
 
     Raises:
         MissingPackageError: llvmlite is not installed.
     """
 
     def __init__(
-        self, program: Program, width: int | None = None, features: str | None = None
+        self,
+        program: Program,
+        width: int | None = None,
+        features: str | None = None,
+        effort: int = 2,
     ) -> None:
         llvm = package_of("fast", "llvmlite.binding")
         features = features or llvm.get_host_cpu_features().flatten()
         self.width = width or (8 if _WIDE in features else 4)
         if _WIDE in features:  # or LLVM takes two halves of each vector
             features += ",-prefer-256-bit"
-        self._code = MachineCode.of(_source(program, self.width), features)
+        self._code = MachineCode.of(_source(program, self.width), features, effort)
         pointer, number = ctypes.c_void_p, ctypes.c_int64
         kind = ctypes.CFUNCTYPE(None, *[pointer] * 4, *[number] * 5)
         self._run = kind(self._code.address)

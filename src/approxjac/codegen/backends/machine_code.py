@@ -61,8 +61,10 @@ class MachineCode:
             raise RuntimeError("machine code has no function run")
 
     @classmethod
-    def of(cls, text: str, features: str) -> MachineCode:
+    def of(cls, text: str, features: str, effort: int = 2) -> MachineCode:
         """Return that of a text, for this processor with some of its features.
+
+        With an effort of 0 it is compiled ten times as fast, and runs a few times as long.
 
         Raises:
             MissingPackageError: llvmlite is not installed.
@@ -70,21 +72,21 @@ class MachineCode:
         llvm = package_of("fast", "llvmlite.binding")
         llvm.initialize_native_target()
         llvm.initialize_native_asmprinter()
-        name = _digest(llvm, text, features)
+        name = _digest(llvm, text, features, effort)
         with cls._lock:  # LLVM is no faster in several threads, and all may want the same
             if name in cls._known:
                 cls._known.move_to_end(name)
                 cls._count("shared")
                 return cls._known[name]
-            found = cls._known[name] = cls._loaded(llvm, name, text, features)
+            found = cls._known[name] = cls._loaded(llvm, name, text, features, effort)
             while len(cls._known) > _IN_MEMORY:
                 cls._known.popitem(last=False)
         return found
 
     @classmethod
-    def _loaded(cls, llvm: Any, name: str, text: str, features: str) -> MachineCode:
+    def _loaded(cls, llvm: Any, name: str, text: str, features: str, effort: int) -> MachineCode:
         machine = llvm.Target.from_default_triple().create_target_machine(
-            cpu=llvm.get_host_cpu_name(), features=features, opt=2, jit=True
+            cpu=llvm.get_host_cpu_name(), features=features, opt=effort, jit=True
         )
         folder = cache_folder()
         path = None if folder is None else folder / f"{name}.code"
@@ -121,7 +123,7 @@ def cache_folder() -> Path | None:
     return base / "approxjac"
 
 
-def _digest(llvm: Any, text: str, features: str) -> str:
+def _digest(llvm: Any, text: str, features: str, effort: int) -> str:
     """Return what code is made of, as a name of a file."""
     import llvmlite
 
@@ -129,7 +131,7 @@ def _digest(llvm: Any, text: str, features: str) -> str:
 
     parts = (
         approxjac.__version__, llvmlite.__version__, str(llvm.llvm_version_info),
-        llvm.get_default_triple(), llvm.get_host_cpu_name(), features, text,
+        llvm.get_default_triple(), llvm.get_host_cpu_name(), features, str(effort), text,
     )  # fmt: skip
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()
 

@@ -205,7 +205,7 @@ class _Starts:
     def errors(self, radius: float) -> Array:
         """Return errors of starts within a radius, shape (N, m)."""
         starts, ends = (self._at(radius * motions) for motions in self._pairs)
-        return self._loop.errors(self._truths, starts, self._targets(self._truths, ends))
+        return self._loop.terms(self._truths, starts, self._targets(self._truths, ends)).e
 
     def lowest(self, radius: float) -> float:
         """Return the smallest V on the boundary, with any speed, of targets within a radius [J]."""
@@ -239,7 +239,7 @@ class _Starts:
     def _targets(self, truths: Indices, ends: Array) -> Array:
         if self._loop.target is not None:
             return np.repeat(np.asarray(self._loop.target)[np.newaxis], len(truths), axis=0)
-        return self._loop.values_at(truths, ends)
+        return self._loop.terms(truths, ends).x
 
     def _at(self, motions: Array) -> Array:
         model, center = self._box.robot.model, self._box.center

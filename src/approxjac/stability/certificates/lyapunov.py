@@ -10,7 +10,7 @@ from approxjac import law
 from approxjac.controllers import SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.simulation import Plant
-from approxjac.stability.errors.region import require_seen, require_torque_of_the_laws
+from approxjac.stability.errors.region import require_law, require_seen
 from approxjac.tasks.analysis import require_jacobian_of_q
 from approxjac.validation import Array, as_array, as_number, require, shape_of
 
@@ -59,7 +59,7 @@ def lyapunov(
             plant with Coulomb friction, sensing, actuator delay or torque limits.
     """
     require("plant", plant, Plant, "a Plant")
-    require_torque_of_the_laws(controller)
+    require_law(controller, alone=False)
     plant.require_task(controller.task)
     plant.require_ideal("the Lyapunov function")
     alpha = controller.alpha if alpha is None else alpha

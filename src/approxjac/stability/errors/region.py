@@ -309,8 +309,7 @@ class RegularPart(Region):
         while len(drawn) < n:
             batch = self.region.sample(max(n - len(drawn), 20), rng)
             tried += len(batch)
-            regular = (q for q in batch if self._is_regular(q))
-            drawn.extend(itertools.islice(regular, n - len(drawn)))
+            drawn += itertools.islice(filter(self._is_regular, batch), n - len(drawn))
             if tried > _TRIES * (len(drawn) + 1):
                 raise InvalidInputError(
                     f"sigma_min must be smaller, or the region is empty: {len(drawn)} of {tried} "
@@ -346,31 +345,25 @@ def require_setpoint(controller: SetpointController) -> None:
     require("controller", controller, SetpointController, wanted)
 
 
-def require_torque_of_the_laws(controller: SetpointController) -> None:
-    """Refuse a class that is derived from `SetpointController` and returns another torque."""
+def require_law(controller: SetpointController, *, alone: bool = True) -> None:
+    """Refuse a controller whose torque is not that of the laws (6) or (28); `alone`: or with more.
+
+    More is a posture torque, or the velocity of law (5).
+    """
     require_setpoint(controller)
-    own = [
-        name
-        for name in ("evaluate", "step")
-        if getattr(type(controller), name) is not getattr(SetpointController, name)
-    ]
+    kind, laws = type(controller), "the conditions are those of the laws (6) and (28)"
+    names = ("evaluate", "step")
+    own = [name for name in names if getattr(kind, name) is not getattr(SetpointController, name)]
     if own:
         raise InvalidInputError(
-            "the conditions are those of the laws (6) and (28), and "
-            f"{type(controller).__name__} has another {' and '.join(own)}; rollouts judge any law; "
+            f"{laws}, and {kind.__name__} has another {' and '.join(own)}; rollouts judge any law; "
             f"got {controller!r}",
             given=controller,
         )
-
-
-def require_law(controller: SetpointController) -> None:
-    """Refuse a controller whose closed loop is neither eq. (9) nor that of (28), (29)."""
-    require_torque_of_the_laws(controller)
-    if controller.velocity is not None or controller.posture is not None:
+    if alone and (controller.velocity is not None or controller.posture is not None):
         raise InvalidInputError(
-            "the conditions are those of the laws (6) and (28) without a posture torque, got "
-            f"{controller!r} with velocity = {controller.velocity!r} and "
-            f"posture = {controller.posture!r}",
+            f"{laws} without a posture torque, got {controller!r} with "
+            f"velocity = {controller.velocity!r} and posture = {controller.posture!r}",
             given=controller,
         )
 

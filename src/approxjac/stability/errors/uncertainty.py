@@ -9,29 +9,183 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from approxjac.cameras import Camera
-from approxjac.errors import InvalidInputError
+from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import Perturbation, Robot
 from approxjac.robots.urdf_edit import as_mass, as_size, direction
 from approxjac.simulation import Plant
-from approxjac.stability.errors.coordinates import (
-    Coordinate,
-    as_bounds,
-    as_range,
-    camera_coordinates,
-    in_words,
-    joint_coordinates,
-    require_ranges_only,
-    spoken,
-)
 from approxjac.tasks import ImageTask, PositionTask, Task, best_axes
-from approxjac.validation import Array, as_integer, as_number, as_vector, is_scalar, require
+from approxjac.validation import (
+    Array,
+    as_array,
+    as_integer,
+    as_number,
+    as_vector,
+    is_scalar,
+    require,
+)
 
 _NONE = 1e-4  # of the width of a range: an end that is nearer to 0 is written as 0
+_PIECE = 0.25 * math.pi  # longest range of an angle that its two ends stand for [rad]
+_LEAST_FOCAL = 0.1  # of the believed one
+_TURN = 2.0 * math.pi * (1.0 + 1e-9)
+_CALIBRATION = ("focal_length", "distance", "roll")  # of a camera
+
+
+class Coordinate(NamedTuple):
+    """One number that is not known: what is believed of it, and the range that it may be in."""
+
+    name: str
+    unit: str
+    believed: float
+    low: float
+    high: float
+
+    def scaled(self, factor: float) -> Coordinate:
+        """Shrunk or grown about what is believed.
+
+        Exact for the factors 0 and 1, and never without what is believed, whatever is rounded.
+        """
+        believed = self.believed
+        low, high = (factor * end + (1.0 - factor) * believed for end in (self.low, self.high))
+        return self._replace(low=min(low, believed), high=max(high, believed))
+
+    @property
+    def largest_factor(self) -> float:
+        """The factor beyond which this grows to what no lens is: a tenth of the focal length."""
+        if self.name != "camera focal_length" or self.low >= self.believed:
+            return math.inf
+        return max(1.0, (1.0 - _LEAST_FOCAL) * self.believed / (self.believed - self.low))
+
+    def ends(self) -> tuple[float, ...]:
+        """The ends of the range, or of the pieces that two ends of an angle can stand for.
+
+        Between the ends of δ, a rotation is a convex combination of theirs times at most
+        1/cos(δ/2): 1.08 for 45°, but without bound towards half a turn.
+
+        Raises:
+            InvalidInputError: An angle with a range beyond a full turn.
+        """
+        if self.unit != "rad" or self.high - self.low <= _PIECE:
+            return tuple(dict.fromkeys((self.low, self.high)))
+        if self.high - self.low > _TURN:
+            raise InvalidInputError(
+                f"{self.name} must have a range of at most a full turn, 6.283 [rad], got "
+                f"{self.low:.4g} to {self.high:.4g}",
+                given=(self.low, self.high),
+            )
+        pieces = math.ceil((self.high - self.low) / _PIECE - 1e-9)
+        inner = (self.low + k / pieces * (self.high - self.low) for k in range(1, pieces))
+        return (self.low, *inner, self.high)
+
+
+def _as_range(name: str, given: Any, believed: float, unit: str, of: str = "") -> list[Coordinate]:
+    """Return the coordinate, named `of` + name, whose range was given as (low, high), if any was.
+
+    Raises:
+        InvalidInputError: Not two finite numbers, reversed, or without what is believed in it.
+    """
+    if given is None:
+        return []
+    if is_scalar(given):
+        raise InvalidInputError(
+            f"{name} must be (smallest, largest) [{unit}], such as (0.0, {given!r}), got {given!r}",
+            given=given,
+        )
+    low, high = as_array(name, given, (2,), unit).tolist()
+    if low > high:
+        raise InvalidInputError(
+            f"{name} must be (smallest, largest) [{unit}], got {(low, high)}; "
+            f"{(high, low)} is such a range",
+            given=given,
+        )
+    if not low <= believed <= high:
+        remedy = ""
+        if name.startswith("object_"):
+            own = name.replace("object", "believed")
+            remedy = f"; or believe the middle, {own} {0.5 * (low + high):g}"
+        raise InvalidInputError(
+            f"{name} must contain what is believed, {believed:g} [{unit}], got {(low, high)}; "
+            f"{(min(low, believed), max(high, believed))} does{remedy}",
+            given=given,
+        )
+    return [Coordinate(of + name, unit, float(believed), low, high)]
+
+
+def _as_bounds(name: str, given: Any, arm: Robot, unit: str) -> dict[str, tuple[float, ...]]:
+    """Return how far joints of an arm may be off along x, y, z, checked, as a new dictionary.
+
+    Raises:
+        InvalidInputError: No mapping, wrong shapes, not finite or negative.
+        UnknownNameError: No such joint.
+    """
+    require(name, given, Mapping, "a mapping from joint names to bounds of shape (3,)")
+    bounds = {}
+    for joint, bound in given.items():
+        if joint not in arm.tree.joints:
+            raise UnknownNameError("joint", joint, arm.name, arm.tree.joints)
+        array = as_array(f"{name} of {joint}", bound, (3,), unit)
+        if (array < 0.0).any():
+            raise InvalidInputError(
+                f"{name} of {joint} must be >= 0 [{unit}], as they are to either side, "
+                f"got {array.tolist()}",
+                given=bound,
+            )
+        bounds[joint] = tuple(array.tolist())
+    return bounds
+
+
+def _joint_coordinates(
+    joints: Sequence[str], shifts: Mapping[str, Any], rotations: Mapping[str, Any]
+) -> list[Coordinate]:
+    """Return the coordinates of joints whose origins may be off; bounds of 0 make none."""
+    kinds = (("shift", "m", shifts), ("rotation", "rad", rotations))
+    return [
+        Coordinate(f"{joint} {kind} {axis}", unit, 0.0, -bound, bound)
+        for joint, (kind, unit, bounds) in itertools.product(joints, kinds)
+        for axis, bound in zip("xyz", bounds.get(joint, (0.0,) * 3), strict=True)
+        if bound > 0.0
+    ]
+
+
+def _camera_coordinates(camera: Camera | None, *ranges: Any) -> list[Coordinate]:
+    """Return the coordinates of a camera's focal length, distance and roll that have a range.
+
+    Raises:
+        InvalidInputError: A range without a camera, or that is none.
+        UnknownNameError: One that the camera's calibration does not have.
+    """
+    found: list[Coordinate] = []
+    for name, given in zip(_CALIBRATION, ranges, strict=True):
+        if given is None:
+            continue
+        if camera is None:
+            raise InvalidInputError(
+                f"{name} is that of a camera, got {given!r} without one: give the believed "
+                "camera as camera, such as PlanarCamera(f, z)",
+                given=given,
+            )
+        if name not in camera.calibration:
+            where = f"the calibration of {type(camera).__name__}"
+            raise UnknownNameError("range", name, where, camera.calibration)
+        found += _as_range(name, given, *camera.calibration[name], of="camera ")
+    return found
+
+
+def _in_words(name: str, value: float, unit: str) -> str:
+    """A coordinate at a value, such as "camera roll 0.349 rad (20.0 deg)"."""
+    value += 0.0  # of -0 makes 0
+    degrees = f" ({math.degrees(value):.1f} deg)" if unit == "rad" else ""
+    return f"{spoken(name)} {value:.3g} {unit}{degrees}"
+
+
+def spoken(name: str) -> str:
+    """Return the name of a coordinate or parameter as text; joints keep theirs."""
+    return name.replace("object_", "object ").replace("focal_length", "focal length")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -107,7 +261,16 @@ class Uncertainty:
     _moved: Plant | None = field(init=False, default=None)
 
     def __init_subclass__(cls) -> None:
-        require_ranges_only(cls)
+        made = ("names", "units", "d", "believed", "low", "high")
+        if own := [name for name in made if name in vars(cls)]:  # its box would be another one
+            raise InvalidInputError(
+                f"a class derived from Uncertainty must leave {', '.join(made)} to the ranges that "
+                "it is given, as its corners and its scaling are made of them, got "
+                f"{cls.__name__} with {', '.join(own)} of its own; give joint_shifts and "
+                "joint_rotations that hold your errors (which are then independent), or judge one "
+                "true robot at a time with Study(controller, robot) or simulate(Plant(robot), ...)",
+                given=cls,
+            )
 
     def __post_init__(self) -> None:
         require("arm", self.arm, Robot, "the believed Robot, without the object")
@@ -119,14 +282,14 @@ class Uncertainty:
             direction(self.object_axis)
         # copies, so that nobody changes them later
         for name, unit in (("joint_shifts", "m"), ("joint_rotations", "rad")):
-            self._set(name, as_bounds(name, getattr(self, name), self.arm, unit))
+            self._set(name, _as_bounds(name, getattr(self, name), self.arm, unit))
         if not is_scalar(self.friction):
             self._set("friction", tuple(self.friction))  # type: ignore[arg-type]
         given = [
-            *as_range("object_length", self.object_length, self.believed_length, "m"),
-            *as_range("object_mass", self.object_mass, self.believed_mass, "kg"),
-            *joint_coordinates(self._joints, self.joint_shifts, self.joint_rotations),
-            *camera_coordinates(self.camera, self.focal_length, self.distance, self.roll),
+            *_as_range("object_length", self.object_length, self.believed_length, "m"),
+            *_as_range("object_mass", self.object_mass, self.believed_mass, "kg"),
+            *_joint_coordinates(self._joints, self.joint_shifts, self.joint_rotations),
+            *_camera_coordinates(self.camera, self.focal_length, self.distance, self.roll),
         ]
         self._set("_coordinates", tuple(known.scaled(self.factor) for known in given))
         self._require_physical()
@@ -223,6 +386,12 @@ class Uncertainty:
 
     # -- the robots ---------------------------------------------------------------------
 
+    @property
+    def makes_the_robots(self) -> bool:
+        """Return whether this class makes true robots, so that they differ in numbers only."""
+        own = type(self)
+        return (own.plant, own.robot) == (Uncertainty.plant, Uncertainty.robot)
+
     def belief(self) -> Robot:
         """Return the believed robot, holding the object that is believed."""
         return self._perturbation.base
@@ -251,7 +420,8 @@ class Uncertainty:
         robot = self.robot(values)
         if self._moved is not None and self._moved.robot is robot:
             return self._moved
-        camera = None if self.camera is None else self._true_camera(self._by_name(values))
+        at = dict(zip(self.names, self._checked(values).tolist(), strict=True))
+        camera = None if self.camera is None else self._true_camera(self.camera, at)
         plant = self.nominal._of(robot, self._task_of(robot, camera))
         make = self._make_task
         same = isinstance(make, partial) and make.func is PositionTask and "axes" in make.keywords
@@ -275,23 +445,21 @@ class Uncertainty:
 
     def describe(self, values: Sequence[float] | Array) -> str:
         """Return values (d,) in words, such as "object length 0.3 m, camera roll 0.349 rad"."""
-        at = self._by_name(values)
-        return ", ".join(map(in_words, at, at.values(), self.units)) or "no error"
+        return (
+            ", ".join(map(_in_words, self.names, self._checked(values), self.units)) or "no error"
+        )
 
     def describe_box(self) -> str:
         """Return the ranges in words, such as "object length 0 to 0.3 m"."""
         shown = []
         for name, unit, _, low, high in self._coordinates:
             ends = (0.0 if abs(end) < _NONE * (high - low) else end for end in (low, high))
-            least, most = (in_words("", end, unit).strip() for end in ends)
+            least, most = (_in_words("", end, unit).strip() for end in ends)
             shown.append(f"{spoken(name)} {least.removesuffix(f' {unit}')} to {most}")
         return ", ".join(shown) or "no error"
 
     def _checked(self, values: Sequence[float] | Array) -> Array:
         return as_vector("values", values, self.d, ", ".join(self.units))
-
-    def _by_name(self, values: Sequence[float] | Array) -> dict[str, float]:
-        return dict(zip(self.names, self._checked(values).tolist(), strict=True))
 
     @cached_property
     def _of_robot(self) -> tuple[list[float], list[int]]:
@@ -321,16 +489,14 @@ class Uncertainty:
         held = self.believed_length, self.believed_mass
         return Perturbation(self.arm, held, self.object_axis, self._joints)
 
-    def _true_camera(self, at: Mapping[str, float]) -> Camera | None:
+    def _true_camera(self, camera: Camera, at: Mapping[str, float]) -> Camera:
         """The camera at some values; the believed one itself where nothing is wrong with it."""
-        if self.camera is None:
-            return None
         wrong = {
             name: at[f"camera {name}"]
-            for name, known in self.camera.calibration.items()
+            for name, known in camera.calibration.items()
             if at.get(f"camera {name}", known.value) != known.value
         }
-        return self.camera.recalibrated(wrong) if wrong else self.camera
+        return camera.recalibrated(wrong) if wrong else camera
 
     @cached_property
     def _make_task(self) -> Callable[..., Task]:
@@ -350,12 +516,11 @@ class Uncertainty:
         object.__setattr__(self, name, value)  # frozen once it is built
 
     def _require_task(self) -> None:
-        of: tuple[Robot | Camera, ...] = (self.arm,)
+        of: list[Any] = [self.arm]
         wanted = "from a robot to its task, such as PositionTask"
         if self.camera is not None:
             require("camera", self.camera, Camera, "a camera, such as PlanarCamera(f, z), or None")
-            of = self.arm, self.camera
-            wanted = "of a robot and a camera, such as ImageTask"
+            of, wanted = [*of, self.camera], "of a robot and a camera, such as ImageTask"
         try:
             if self.task is not None:
                 inspect.signature(self.task).bind(*of)
@@ -371,24 +536,27 @@ class Uncertainty:
         grown = "" if self.factor == 1.0 else f" with the factor {self.factor:.4g}"
         for known in self._coordinates:
             known.ends()  # refuses an angle beyond a full turn
-            if known.name.startswith("object_") and known.low < 0.0:
+            if not known.name.startswith("object_"):
+                continue
+            if known.low < 0.0:
                 raise InvalidInputError(
                     f"{known.name} must be >= 0 in the whole set [{known.unit}], "
                     f"got {known.low:.4g} to {known.high:.4g}{grown}",
                     given=(known.low, known.high),
                 )
-            if known.name.startswith("object_"):
-                (as_mass if known.unit == "kg" else as_size)(known.name, known.high)
+            (as_mass if known.unit == "kg" else as_size)(known.name, known.high)
+        if self.camera is None:
+            return
         # a camera knows itself what it cannot be, and is that in a corner first
         unsure = [known for known in self._coordinates if known.name.startswith("camera ")]
+        names, units = ([getattr(known, of) for known in unsure] for of in ("name", "unit"))
         for corner in itertools.product(*((known.low, known.high) for known in unsure)):
-            at = {known.name: value for known, value in zip(unsure, corner, strict=True)}
             try:
-                self._true_camera(at)
+                self._true_camera(self.camera, dict(zip(names, corner, strict=True)))
             except InvalidInputError as error:
-                shown = ", ".join(map(in_words, at, corner, (known.unit for known in unsure)))
                 raise InvalidInputError(
-                    f"a camera must exist everywhere in the set, got {shown}{grown}: {error}",
+                    "a camera must exist everywhere in the set, got "
+                    f"{', '.join(map(_in_words, names, corner, units))}{grown}: {error}",
                     given=corner,
                 ) from error
 

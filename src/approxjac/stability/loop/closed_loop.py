@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
@@ -16,7 +16,6 @@ from approxjac.simulation import Plant
 from approxjac.stability.certificates.families import Setting
 from approxjac.stability.errors.region import JointBox, Region, RegularPart, require_law
 from approxjac.stability.errors.uncertainty import Uncertainty
-from approxjac.stability.loop import terms
 from approxjac.stability.loop.configurations import (
     UnattainedError,
     VisiblePart,
@@ -25,7 +24,13 @@ from approxjac.stability.loop.configurations import (
 )
 from approxjac.stability.loop.linearization import Targets, Timing, linear_loops
 from approxjac.stability.loop.samples import Indices, Samples
-from approxjac.stability.loop.terms import Arms, Configurations
+from approxjac.stability.loop.terms import (
+    Terms,
+    TracedTerms,
+    error_jacobians,
+    terms_alone,
+    traced_terms,
+)
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import require_jacobian_of_q, sees, vanishing
 from approxjac.validation import Array, require
@@ -39,7 +44,6 @@ _STARTS = 20  # of the search for configurations that attain a target
 _WEIGHED = 8  # true robots from inside whose gravity is looked at, besides the corners
 _DECADES = 6.0  # of the sizes of small errors
 _VANISHING = 1e-4  # σ_min that is found there, of a tenth of the typical σ_max
-_PORTION = 500  # configurations at once, as many as fit into a processor's cache
 _SINGULAR = 1e-9  # σ_min as a share of σ_max at which Ĵ⁺ cannot be computed
 
 
@@ -84,14 +88,15 @@ class ClosedLoop:
         self.region = region
         self.target = None if target is None else self.plants[0].sensor.target(target)
         self.parts = [VisiblePart(region, plant.sensor, k) for k, plant in enumerate(self.plants)]
-        robots = [plant.robot for plant in self.plants]
-        self._true_arms = terms.arms_of(robots, [plant.sensor for plant in self.plants])
+        self._numbers: Array = np.empty(0)  # of the true robots, as `terms` has them
         self._attained: list[list[Array]] = []
 
     def scaled(self, factor: float) -> ClosedLoop:
         """Return the loop with the errors of its `Uncertainty` shrunk or grown."""
         assert isinstance(self.truth, Uncertainty)
-        return ClosedLoop(self.controller, self.truth.scaled(factor), self.region, self.target)
+        scaled = ClosedLoop(self.controller, self.truth.scaled(factor), self.region, self.target)
+        vars(scaled)["_traced"] = self._traced
+        return scaled
 
     def with_gains(self, gains: Gains) -> ClosedLoop:
         """Return the loop with other gains than its controller's."""
@@ -191,7 +196,7 @@ class ClosedLoop:
                 self.parts[t].between(q, other, share)
                 for t, q, other, share in zip(truths, drawn, others, away, strict=True)
             ]
-            return self.samples_at(truths, drawn, self.values_at(truths, np.array(ends)))
+            return self.samples_at(truths, drawn, self.terms(truths, np.array(ends)).x)
         known, model = self.attained(rng), self.region.robot.model
         for i, (t, share) in enumerate(zip(truths, away, strict=True)):
             end = known[t][rng.integers(len(known[t]))]
@@ -218,6 +223,25 @@ class ClosedLoop:
         x_d = np.repeat(known.x_d[k : k + 1], n, axis=0)
         return self.samples_at(np.full(n, truth), nearby, x_d)
 
+    def terms(self, truths: Indices, configurations: Array, x_d: Array | None = None) -> Terms:
+        """Return the terms of true robots (N,) at configurations (N, nq), of targets (N, n_x)."""
+        task = self.controller.task
+        x_d = np.repeat(task._origin[None], len(truths), axis=0) if x_d is None else x_d
+        if self._traced is not None:
+            try:
+                if new := self.plants[len(self._numbers) :]:
+                    self._numbers = np.array([*self._numbers, *self._traced.numbers(new)])
+                return self._traced.at(self._numbers[truths], configurations, x_d)
+            except ValueError:  # of a robot from inside that differs in more than others
+                self._traced = None
+        each = zip(truths.tolist(), configurations, x_d, strict=True)
+        rows = [terms_alone(self.plants[t], self.dynamics(t), task, *at) for t, *at in each]
+        return Terms(*map(np.array, zip(*rows, strict=True)))
+
+    @cached_property
+    def _traced(self) -> TracedTerms | None:
+        return traced_terms(self.truth, self.controller.task)
+
     def samples_at(
         self, truths: Indices, configurations: Array, x_d: Array | None = None
     ) -> Samples:
@@ -229,24 +253,10 @@ class ClosedLoop:
         """
         task, saturation = self.controller.task, self.controller.saturation
         require_jacobian_of_q(task, "the conditions over a region")
-        N, n, m = len(configurations), task.robot.nv, task.m
+        N = len(configurations)
         x_d = np.repeat(np.asarray(self.target)[None], N, axis=0) if x_d is None else x_d
-        M, dM = np.empty((N, n, n)), np.empty((N, n, n, n))
-        J, J_e, J_hat = np.empty((N, m, n)), np.empty((N, m, n)), np.empty((N, m, n))
-        dJ_hat, e = np.empty((N, n, m, n)), np.empty((N, m))
-        for rows in _portions(N):
-            of_portion, q = truths[rows], configurations[rows]
-            at = self._true_arms.at(of_portion, q)
-            M[rows], dM[rows] = at.M(), at.M_gradient()
-            for sensor, each, here in self._by_sensor(of_portion, at):
-                e_here = terms.errors(sensor, terms.values(sensor, here), x_d[rows][each])
-                J_here = terms.sensor_jacobians(sensor, here)
-                e[rows][each], J[rows][each] = e_here, J_here
-                J_e[rows][each] = terms.error_jacobians(sensor, e_here, J_here)
-            at = self._believed_arm.at(np.zeros_like(of_portion), q)
-            J_hat[rows] = terms.jacobians(task, at)
-            dJ_hat[rows] = terms.gradients(task, at)
-        values = np.linalg.svd(J_hat, compute_uv=False)
+        at = self.terms(truths, configurations, x_d)
+        values = np.linalg.svd(at.J_hat, compute_uv=False)
         singular = values[:, -1] <= _SINGULAR * values[:, 0]
         if singular.any():
             raise InvalidInputError(
@@ -255,77 +265,38 @@ class ClosedLoop:
                 "sigma_min) leaves them out",
                 given=configurations,
             )
-        s, slope = saturation.s(e), saturation.ds(e)
-        return Samples(truths, configurations, x_d, M, dM, J, J_e, J_hat, dJ_hat, e, s, slope)
+        J_e = error_jacobians(self.plants[0].sensor, at.e, at.J)
+        s, slope = saturation.s(at.e), saturation.ds(at.e)
+        return Samples(
+            truths, configurations, x_d, at.M, at.dM, at.J, J_e, at.J_hat, at.dJ_hat, at.e, s, slope
+        )
 
     def gravity_gradients(self, samples: Samples) -> Array:
         """Return ∂g/∂q of the true robots at samples, shape (N, n_v, n_v) [N m/rad or N/m]."""
-        return self._gravity_gradients(samples.truth, samples.q)
-
-    def _gravity_gradients(self, truths: Indices, configurations: Array) -> Array:
-        N, n = len(truths), self.region.robot.nv
-        if not self.plants[0].robot.gravity.any():
-            return np.zeros((N, n, n))
-        pairs = zip(truths, configurations, strict=True)
-        return np.array([self.dynamics(t).g_gradient(q) for t, q in pairs])
+        return self.terms(samples.truth, samples.q).dg
 
     def dynamics(self, truth: int) -> Dynamics:
         """Return those of a true robot. They are large: kept at corners only."""
         plant = self.plants[truth]
         return plant.dynamics if truth < len(self.corners) else Dynamics(plant.robot)
 
-    def errors(self, truths: Indices, configurations: Array, x_d: Array) -> Array:
-        """Return e of true robots (N,) at configurations (N, nq), of targets (N, n_x), (N, m)."""
-        at = self._true_arms.at(truths, configurations)
-        found = np.empty((len(truths), self.controller.task.m))
-        for sensor, each, here in self._by_sensor(truths, at):
-            found[each] = terms.errors(sensor, terms.values(sensor, here), x_d[each])
-        return found
-
-    def values_at(self, truths: Indices, configurations: Array) -> Array:
-        """Return what true robots (N,) measure at configurations (N, nq), shape (N, n_x)."""
-        at = self._true_arms.at(truths, configurations)
-        found = np.empty((len(truths), self.plants[0].sensor.n_x))
-        for sensor, each, here in self._by_sensor(truths, at):
-            found[each] = terms.values(sensor, here)
-        return found
-
-    def _by_sensor(
-        self, truths: Indices, at: Configurations
-    ) -> Iterator[tuple[Task, Array, Configurations]]:
-        """Sensors, which of the configurations are of each or of one alike, and these."""
-        sensors = [self.plants[t].sensor for t in truths]
-        groups: dict[Hashable, list[int]] = {}
-        for i, sensor in enumerate(sensors):
-            groups.setdefault(terms.kind(sensor, at.arms.frames), []).append(i)
-        for rows in groups.values():
-            each = np.array(rows)
-            yield sensors[rows[0]], each, at if len(each) == len(truths) else at.take(each)
-
-    @cached_property
-    def _believed_arm(self) -> Arms:
-        return terms.arms_of([self.controller.task.robot], [self.controller.task])
-
     def linearised(
         self, truths: Indices, configurations: Array, timing: Timing | None = None
     ) -> Targets:
         """Linearise at true robots (N,) with configurations (N, nq), taken as targets."""
-        task, at = self.controller.task, self._true_arms.at(truths, configurations)
-        M, G = at.M(), np.zeros((len(truths), task.robot.nv, task.robot.nv))
-        if timing is not None:  # gravity and its compensation do not quite cancel
-            G = self._gravity_gradients(truths, configurations)
-        J = np.empty((len(truths), task.m, task.robot.nv))
-        for sensor, each, here in self._by_sensor(truths, at):
-            J[each] = terms.sensor_jacobians(sensor, here)
-        if task._uses_x:
-            x = self.values_at(truths, configurations)
-            J_hat = np.array(list(map(task.jacobian, configurations, x)))
-        else:
-            at = self._believed_arm.at(np.zeros_like(truths), configurations)
-            J_hat = terms.jacobians(task, at)
-        friction = self.plants[0].friction
-        parts = linear_loops(self.controller, friction, configurations, M, G, J, J_hat)
-        return Targets(parts, float(np.linalg.norm(self.plants[0].robot.gravity)), timing)
+        at = self.terms(truths, configurations)
+        # sampled, gravity and its compensation do not quite cancel
+        G = np.zeros_like(at.dg) if timing is None else at.dg
+        return self._targets(configurations, at, G, timing)
+
+    def _targets(
+        self, configurations: Array, at: Terms | Samples, G: Array, timing: Timing | None
+    ) -> Targets:
+        plant = self.plants[0]
+        parts = linear_loops(
+            self.controller, plant.friction, configurations, at.M, G, at.J, at.J_hat
+        )
+        return Targets(parts, float(np.linalg.norm(plant.robot.gravity)), timing)
 
     def spectral_radii(self, samples: Samples, latency: Latency) -> Array:
         """Return by what errors near targets grow at most from frame to frame of x, shape (N,).
@@ -333,18 +304,8 @@ class ClosedLoop:
         In the exact linearisation of the sampled, late loop at each sample taken as a target,
         gravity that is held included; below 1 where it is stable.
         """
-        J_hat, gravity = samples.J_hat, self.gravity_gradients(samples)
-        parts = linear_loops(
-            self.controller,
-            self.plants[0].friction,
-            samples.q,
-            samples.M,
-            gravity,
-            samples.J,
-            J_hat,
-        )
-        weight = float(np.linalg.norm(self.plants[0].robot.gravity))
-        return Targets(parts, weight, Timing.of(latency)).spectral_radii(self.diagonals)
+        G, timing = self.gravity_gradients(samples), Timing.of(latency)
+        return self._targets(samples.q, samples, G, timing).spectral_radii(self.diagonals)
 
     def attained(self, rng: np.random.Generator) -> list[list[Array]]:
         """Return configurations of the region that attain the target, for each true robot.
@@ -401,7 +362,6 @@ class ClosedLoop:
         parts = [VisiblePart(self.region, p.sensor, first + k) for k, p in enumerate(plants)]
         self.values = np.concatenate([self.values, values])
         self.plants, self.parts = [*self.plants, *plants], [*self.parts, *parts]
-        self._true_arms = self._true_arms.joined([plant.robot for plant in plants])
 
     def seen(self, truths: Indices, drawn: Array, rng: np.random.Generator) -> Array:
         """Configurations of the region, with others for those that their true robot misses."""
@@ -409,11 +369,6 @@ class ClosedLoop:
         for t in dict.fromkeys(t for t, q in pairs if not sees(self.parts[t].sensor, q)):
             drawn[truths == t] = self.parts[t].replace_unseen(drawn[truths == t], rng)
         return drawn
-
-
-def _portions(N: int) -> Iterator[slice]:
-    for start in range(0, N, _PORTION):
-        yield slice(start, start + _PORTION)
 
 
 def usual_region(task: Task) -> RegularPart:

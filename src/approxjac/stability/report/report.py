@@ -446,8 +446,8 @@ def usual_errors(report: StabilityReport) -> Array:
     truths = np.arange(_DRAWN) % len(loop.corners)
     q, ends = (loop.seen(truths, loop.region.sample(_DRAWN, rng), rng) for _ in range(2))
     if loop.target is None:
-        return loop.errors(truths, q, loop.values_at(truths, ends))
-    return loop.errors(truths, q, np.tile(np.asarray(loop.target), (_DRAWN, 1)))
+        return loop.terms(truths, q, loop.terms(truths, ends).x).e
+    return loop.terms(truths, q, np.tile(np.asarray(loop.target), (_DRAWN, 1))).e
 
 
 def _about(report: StabilityReport) -> Iterator[Row]:

@@ -7,7 +7,6 @@ import hashlib
 import math
 import os
 import pickle
-import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import dataclass
@@ -87,8 +86,7 @@ def carried_out(
         else:
             size = 1 if executor is None and folder is None else min(shared, _PORTION)
         pieces += [(k, range(runs)[at : at + size]) for at in range(0, runs, size)]
-    part = partial(_part, _Copies())
-    part = part if folder is None else partial(_kept_part, Path(folder), part)
+    part = partial(_portion, None if folder is None else Path(folder), executor is not None)
     if folder is not None or isinstance(executor, ProcessPoolExecutor):  # others may pickle more
         for setting in settings:
             _require_picklable(setting)
@@ -126,35 +124,16 @@ def _require_picklable(setting: RolloutSetting) -> None:
         ) from error
 
 
-class _Copies:
-    """Copies of settings, as tasks and controllers have scratch memory: one instance a thread."""
-
-    def __init__(self) -> None:
-        self._here = threading.local()
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), ()  # other processes have their own
-
-    def of(self, setting: RolloutSetting) -> RolloutSetting:
-        """Return that of this thread, which it keeps until it is asked for another's."""
-        known = vars(self._here).get("known")
-        if known is None or known[0] is not setting:
-            known = self._here.known = setting, copy.deepcopy(setting)
-        return known[1]
-
-
-def _part(copies: _Copies, setting: RolloutSetting, indices: range) -> dict[str, Array]:
-    """Return the columns of some runs."""
-    return copies.of(setting).columns(indices)
-
-
-def _kept_part(
-    folder: Path, part: Callable[..., dict[str, Array]], setting: RolloutSetting, indices: range
+def _portion(
+    folder: Path | None, is_shared: bool, setting: RolloutSetting, indices: range
 ) -> dict[str, Array]:
-    """Return the columns of some runs, from their file if there is one."""
-    name = hashlib.sha256(pickle.dumps((setting, indices))).hexdigest()[:20]
-    file = folder / f"{name}.npz"
-    if file.exists():
+    """Return the columns of some runs, from their file if there is one.
+
+    Where others go on meanwhile it is of a copy, as tasks and controllers have scratch memory.
+    """
+    name = "" if folder is None else hashlib.sha256(pickle.dumps((setting, indices))).hexdigest()
+    file = None if folder is None else folder / f"{name[:20]}.npz"
+    if file is not None and file.exists():
         try:
             with file.open("rb") as stream:
                 return read_arrays(stream)
@@ -164,8 +143,9 @@ def _kept_part(
                 "it, and its runs are done again",
                 given=folder,
             ) from error
-    found = part(setting, indices)
-    folder.mkdir(parents=True, exist_ok=True)
-    with replaced(file) as unfinished, unfinished.open("wb") as kept:
-        np.savez(kept, **found)  # type: ignore[arg-type]
+    found = (copy.deepcopy(setting) if is_shared else setting).columns(indices)
+    if file is not None:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with replaced(file) as unfinished, unfinished.open("wb") as kept:
+            np.savez(kept, **found)  # type: ignore[arg-type]
     return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -11,49 +11,10 @@ from approxjac.errors import InvalidInputError
 from approxjac.extras import package_of
 from approxjac.formatting import joined, percent, rows
 from approxjac.simulation import Trajectory
-from approxjac.stability.rollouts.setting import RolloutSetting
+from approxjac.stability.rollouts.setting import COLUMNS, Rollout, RolloutSetting
 from approxjac.validation import Array, as_integer
 
 _BEYOND = 1.0 + 1e-6  # of a limit: a torque at it, and round-off, is not beyond
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Rollout:
-    """One run.
-
-    Attributes:
-        index: k, from 0. Seed and index decide all that is drawn.
-        values: True values of the uncertain coordinates, shape (d,).
-        q0: Start, at rest, shape (nq,).
-        target: x_d at the beginning, shape (n_x,).
-        final_error: ‖e‖ at the end [unit of the task]; infinite if the run diverged, or ended
-            behind the camera, where there is no image.
-        settling_time: First recorded time from which on ‖e‖ is below the tolerance at every
-            recorded instant [s]; NaN if it is not at the end.
-        peak_torque: Largest torque asked for at a recorded instant, as a share of its motor's
-            limit; NaN if the run diverged.
-        peak_speed: Largest speed of a joint there, as a share of its limit; NaN if it diverged.
-        converged: Whether it is at every recorded instant of the last tenth.
-        diverged: Whether the simulation could not be carried to its end.
-        stayed: Whether all recorded configurations are in the region; False if the run diverged.
-    """
-
-    index: int
-    values: Array
-    q0: Array
-    target: Array
-    final_error: float
-    settling_time: float
-    peak_torque: float
-    peak_speed: float
-    converged: bool
-    diverged: bool
-    stayed: bool
-
-    def __repr__(self) -> str:
-        became = "diverged" if self.diverged else f"ended {self.final_error:.3g} off"
-        settled = f", converged after {self.settling_time:.3g} s" if self.converged else ""
-        return f"Rollout({self.index}: {became}{settled})"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -72,7 +33,7 @@ class Rollouts:
     @cached_property
     def runs(self) -> tuple[Rollout, ...]:
         """The runs, in the order of their index."""
-        each = (self.columns[field.name] for field in fields(Rollout))
+        each = (self.columns[name] for name in COLUMNS)
         return tuple(
             Rollout(*(value.item() if value.ndim == 0 else value for value in row))
             for row in zip(*each, strict=True)

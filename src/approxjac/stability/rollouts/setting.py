@@ -9,12 +9,12 @@ import pickle
 import threading
 import uuid
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from approxjac.controllers import Gains, SetpointController
+from approxjac.controllers import SetpointController
 from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError, SimulationError, UnknownNameError
 from approxjac.extras import package_of
@@ -30,18 +30,54 @@ if TYPE_CHECKING:
     from approxjac.codegen.lanes import Begun, Lanes
     from approxjac.codegen.regions import Box
 
-COLUMNS = (
-    "index", "values", "q0", "target", "final_error", "settling_time", "peak_torque", "peak_speed",
-    "converged", "diverged", "stayed",
-)  # fmt: skip
-"""Fields of `Rollout` that are told of each run."""
-
 _RECORDS = 500  # of a run: 50 in its last tenth
 _PER_STEP = 6e-5  # s, of a step of a run in Python
 _LONG = 60.0  # s, which is said before
 _EXAMPLES = 16  # runs that show what differs from run to run
 _ENGINES = ("lanes", "python")
 _COMPILED = 4  # loops that a process keeps
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Rollout:
+    """One run.
+
+    Attributes:
+        index: k, from 0. Seed and index decide all that is drawn.
+        values: True values of the uncertain coordinates, shape (d,).
+        q0: Start, at rest, shape (nq,).
+        target: x_d at the beginning, shape (n_x,).
+        final_error: ‖e‖ at the end [unit of the task]; infinite if the run diverged, or ended
+            behind the camera, where there is no image.
+        settling_time: First recorded time from which on ‖e‖ is below the tolerance at every
+            recorded instant [s]; NaN if it is not at the end.
+        peak_torque: Largest torque asked for at a recorded instant, as a share of its motor's
+            limit; NaN if the run diverged.
+        peak_speed: Largest speed of a joint there, as a share of its limit; NaN if it diverged.
+        converged: Whether it is at every recorded instant of the last tenth.
+        diverged: Whether the simulation could not be carried to its end.
+        stayed: Whether all recorded configurations are in the region; False if the run diverged.
+    """
+
+    index: int
+    values: Array
+    q0: Array
+    target: Array
+    final_error: float
+    settling_time: float
+    peak_torque: float
+    peak_speed: float
+    converged: bool
+    diverged: bool
+    stayed: bool
+
+    def __repr__(self) -> str:
+        became = "diverged" if self.diverged else f"ended {self.final_error:.3g} off"
+        settled = f", converged after {self.settling_time:.3g} s" if self.converged else ""
+        return f"Rollout({self.index}: {became}{settled})"
+
+
+COLUMNS = tuple(field.name for field in fields(Rollout))
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +127,7 @@ class RolloutSetting:
         examples: Number of runs that show what differs.
         key: What the compiled loop is known by.
         alike: Controllers and errors of settings with the same compiled loop, which differ in all
-            that differs between them; itself alone by default.
+            that differs between them.
     """
 
     controller: Controller
@@ -119,10 +155,15 @@ class RolloutSetting:
         try:
             from approxjac.codegen.loop_program import require_covered
 
+            if not self.uncertainty.makes_the_robots:
+                raise InvalidInputError(
+                    "uncertainty must be one whose plant and robot are those of Uncertainty for "
+                    f"lanes, got {type(self.uncertainty).__name__}: {self.uncertainty!r}",
+                    given=self.uncertainty,
+                )
             require_covered(
                 self.controller, self.uncertainty.nominal._sensed(self.sensing, self.actuator_delay)
             )
-            self._require_alike()
             self._box()
         except InvalidInputError as error:
             if engine is not None:
@@ -149,16 +190,6 @@ class RolloutSetting:
                 f"one core, and machine code some {max(seconds / 300.0, 1.0):.0f} s: "
                 "pip install 'approxjac[fast]'",
                 stacklevel=4,
-            )
-
-    def _require_alike(self) -> None:
-        """Refuse true robots that may differ in more than lengths, axes, masses and cameras."""
-        own = type(self.uncertainty)
-        if (own.plant, own.robot) != (Uncertainty.plant, Uncertainty.robot):
-            raise InvalidInputError(
-                "uncertainty must be one whose plant and robot are those of Uncertainty for lanes, "
-                f"got {own.__name__}: {self.uncertainty!r}",
-                given=self.uncertainty,
             )
 
     def _box(self) -> Box:
@@ -220,96 +251,80 @@ class RolloutSetting:
             computation=Computation("semi_implicit_euler"),
         )  # fmt: skip
 
-    def _of_python(self, start: Start) -> tuple[Any, ...]:
-        """Return a run in Python, as its row."""
+    def _of_python(self, start: Start) -> Rollout:
+        """Return a run in Python."""
         begins = start.index, start.values, start.q, start.target
         try:
             record = self.simulated(start)
         except SimulationError:
-            return (*begins, math.inf, math.nan, math.nan, math.nan, False, True, False)
+            return Rollout(*begins, math.inf, *[math.nan] * 3, False, True, False)
         settling, converged = _judged(record.t, record.error_norm, self.accuracy)
         final = float(record.error_norm[-1])
-        final = math.inf if math.isnan(final) else final
         robot = start.plant.robot
-        torque = float(np.abs(record.tau / start.plant.motor_limits).max())
-        speed = float(np.abs(record.v / robot.velocity_limits).max())
-        stayed = all(bool(self.region.contains(q)) for q in record.q)
-        return (*begins, final, settling, torque, speed, converged, False, stayed)
+        return Rollout(
+            *begins,
+            final_error=math.inf if math.isnan(final) else final,
+            settling_time=settling,
+            peak_torque=float(np.abs(record.tau / start.plant.motor_limits).max()),
+            peak_speed=float(np.abs(record.v / robot.velocity_limits).max()),
+            converged=converged,
+            diverged=False,
+            stayed=all(bool(self.region.contains(q)) for q in record.q),
+        )
 
     def columns(self, indices: range) -> dict[str, Array]:
         """Return some runs, as columns; with a copy of this, where others go on meanwhile."""
         if self.engine == "lanes":
             return self._of_lanes(indices)
-        return _columns([self._of_python(self.start(index)) for index in indices])
+        rows = [vars(self._of_python(self.start(index))) for index in indices]
+        return {name: np.array([row[name] for row in rows]) for name in COLUMNS}
 
     def _of_lanes(self, indices: range) -> dict[str, Array]:
         """Return runs in lanes, as columns; those that lanes leave are runs in Python."""
         from approxjac.codegen.arm import traced_tasks as tasks
 
-        lanes, rows, begun = _lanes_of(self), [], []
+        lanes, starts, begun = _lanes_of(self), [], []
         moving = replace(self, uncertainty=self.uncertainty.moving())
         frames = tasks.frames(self.uncertainty.nominal.sensor)
         for index in indices:
             start = moving.start(index)
-            at = index, start.values, start.q, start.target
-            rows.append((*at, *([math.nan] * 4), *([False] * 3)))
+            starts.append((index, start.values, start.q, start.target))
             begun.append(start.begun(self.controller, frames))
-        told: dict[str, Any] = lanes.run(begun, self.every)
-        found: dict[str, Any] = _columns(rows)
-        diverged, last_bad = told["diverged"] > 0.0, told["last_bad"]
-        found["diverged"] = diverged
-        lost = np.isnan(told["error"])
-        found["final_error"] = np.where(diverged | lost, math.inf, told["error"])
+        last: dict[str, Any] = lanes.run(begun, self.every)
+        diverged, last_bad = last["diverged"] > 0.0, last["last_bad"]
+        settled = (last_bad < self.steps) & ~diverged
         after = np.where(last_bad < 0.0, 0.0, (last_bad // self.every + 1) * self.every)
         after = np.minimum(after, self.steps)  # the last instant is recorded, too
-        settled = (last_bad < self.steps) & ~diverged
-        found["settling_time"] = np.where(settled, after * self.dt, math.nan)
-        tenth = np.ceil((0.9 - 1e-9) * self.steps)
-        found["converged"] = settled & (last_bad < tenth)
-        found["stayed"] = (told["outside"] == 0.0) & ~diverged
-        for name, of in (("peak_torque", "torque"), ("peak_speed", "speed")):
-            found[name] = np.where(diverged, math.nan, told[of])
-        for k in np.flatnonzero(told["left"]):
-            for name, value in zip(COLUMNS, self._of_python(self.start(indices[k])), strict=True):
+        found: dict[str, Any] = dict(zip(COLUMNS, map(np.array, zip(*starts, strict=True))))  # noqa: B905
+        found |= {
+            "final_error": np.where(diverged | np.isnan(last["error"]), math.inf, last["error"]),
+            "settling_time": np.where(settled, after * self.dt, math.nan),
+            "peak_torque": np.where(diverged, math.nan, last["torque"]),
+            "peak_speed": np.where(diverged, math.nan, last["speed"]),
+            "converged": settled & (last_bad < np.ceil((0.9 - 1e-9) * self.steps)),
+            "diverged": diverged,
+            "stayed": (last["outside"] == 0.0) & ~diverged,
+        }
+        for k in np.flatnonzero(last["left"]):
+            for name, value in vars(self._of_python(self.start(indices[k]))).items():
                 found[name][k] = value
         return found
 
 
 def sharing(settings: list[RolloutSetting]) -> list[RolloutSetting]:
-    """Return settings of which those that differ in gains and scale alone share a compiled loop."""
-    groups: dict[bytes, list[int]] = {}
-    gains = [np.zeros(0)] * len(settings)
-    for k, setting in enumerate(settings):
-        law = setting.controller
-        # in code, gains are numbers like others; but limits and postures follow from them
-        if type(law) is SetpointController and law.posture is None:
-            gains[k] = np.concatenate(law.diagonals)
-            law = law.with_gains(Gains(1.0, 1.0, 1.0))
-        errors = replace(setting.uncertainty, factor=1.0)
-        try:
-            rest = pickle.dumps(replace(setting, controller=law, uncertainty=errors, key=""))
-        except (pickle.PicklingError, AttributeError, TypeError):
-            continue
-        groups.setdefault(rest, []).append(k)
-    found = list(settings)
-    for group in groups.values():
-        errors = max((settings[k].uncertainty for k in group), key=lambda each: each.factor)
-        shown: list[Controller] = []
-        known = np.zeros(gains[group[0]].shape, dtype=bool)  # numbers that differ
-        for k in group:
-            differs = gains[k] != gains[group[0]]
-            if not shown or (differs & ~known).any():
-                shown.append(settings[k].controller)
-                known |= differs
-        alike = tuple((law, errors) for law in shown)
-        key = hashlib.sha256(pickle.dumps((settings[group[0]].key, alike))).hexdigest()
-        for k in group if len(group) > 1 and settings[group[0]].engine == "lanes" else ():
-            found[k] = replace(settings[k], key=key, alike=alike)
-    return found
+    """Return settings that differ in scale alone, or in gains that all grow, with one loop.
 
-
-def _columns(rows: list[tuple[Any, ...]]) -> dict[str, Array]:
-    return {name: np.array(each) for name, each in zip(COLUMNS, zip(*rows), strict=True)}  # noqa: B905
+    In code, gains are numbers like others; but limits and postures follow from them.
+    """
+    first, last = settings[0].controller, settings[-1].controller
+    if first is not last and not (type(first) is SetpointController and first.posture is None):
+        return settings
+    if settings[0].engine != "lanes":
+        return settings
+    errors = max((each.uncertainty for each in settings), key=lambda each: each.factor)
+    alike = tuple((law, errors) for law in dict.fromkeys((first, last)))
+    key = settings[0].key + settings[-1].key
+    return [replace(each, key=key, alike=alike) for each in settings]
 
 
 def _judged(t: Array, error: Array, tolerance: float) -> tuple[float, bool]:

@@ -13,9 +13,8 @@ from approxjac.controllers import Gains, SetpointController
 from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.formatting import percent, rows, wrapped
-from approxjac.stability.errors.coordinates import spoken
 from approxjac.stability.errors.region import require_setpoint
-from approxjac.stability.errors.uncertainty import Uncertainty
+from approxjac.stability.errors.uncertainty import Uncertainty, spoken
 from approxjac.stability.loop.configurations import UnattainedError
 from approxjac.stability.rollouts.portions import Execution, carried_out
 from approxjac.stability.rollouts.rollouts import Rollouts, clopper_pearson
