@@ -167,6 +167,19 @@ def equilibria(loop: LinearLoop, unseen: Array, timing: Timing | None = None) ->
     return np.concatenate([*moved, np.zeros((*self_motion.shape[:-2], frames * m, n - m))], axis=-2)
 
 
+def damping_ratios(values: NDArray[np.complex128], dead_time: float) -> Array:
+    """Return the smallest −Re λ/|λ| of λ (…, k), at most 1; shape (…).
+
+    Modes that fall to a tenth within the dead time are not counted: every delay has such modes, as
+    many as samples, and nobody sees them.
+    """
+    sizes = np.abs(values)
+    lasting = (values.real * dead_time > -math.log(10.0)) & (sizes != 0.0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratios = -values.real / sizes
+    return np.asarray(np.min(ratios, axis=-1, initial=1.0, where=lasting))
+
+
 _SINGULAR = 1e-10  # relative smallest singular value that counts as zero
 _ZERO = 1e-11  # size of an eigenvalue relative to the largest that counts as zero
 
@@ -252,11 +265,7 @@ class Targets:
         """Return decay rates and damping ratios with some gains, as of `LocalTest`."""
         values, singular = self.eigenvalues(gains)
         decay = np.where(singular, 0.0, -np.nanmax(values.real, axis=1))
-        sizes = np.abs(values)
-        lasting = (values.real * self.dead_time > -math.log(10.0)) & (sizes != 0.0)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            ratios = -values.real / sizes
-        return decay, np.min(ratios, axis=1, initial=1.0, where=lasting)
+        return decay, damping_ratios(values, self.dead_time)
 
 
 class _Group(NamedTuple):
