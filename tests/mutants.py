@@ -43,7 +43,7 @@ MUTANTS = [
         "float((room / along).min() / sampled.speed) ** 2", GRAVITY,
     ),
     (
-        "level of starts may grow", "stability/certificates/sampled_test.py",
+        "level of starts may grow", "stability/certificates/certificate.py",
         "level=min(level, self.level)", "level=max(level, 0.0)", GRAVITY,
     ),
     (
@@ -98,7 +98,7 @@ MUTANTS = [
         "along = along + dg", "along = along - dg", GRAVITY,
     ),
     (
-        "gravity of the held torque dropped", "stability/certificates/sampled_test.py",
+        "gravity of the held torque dropped", "stability/certificates/certificate.py",
         "dg = loop.gravity_gradients(form.samples)", "dg = None", GRAVITY,
     ),
     (

@@ -37,8 +37,8 @@ from common import carried_object, head, parser, row, run_all, write
 import approxjac as aj
 from approxjac.controllers import Latency
 from approxjac.stability.certificates.attraction import attraction
+from approxjac.stability.certificates.certificate import sampled_test
 from approxjac.stability.certificates.matrix_form import MatrixForm, best_weights
-from approxjac.stability.certificates.sampled_test import sampled_test
 from approxjac.stability.loop.closed_loop import ClosedLoop
 
 ARMS = (

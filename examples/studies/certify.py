@@ -22,8 +22,7 @@ from random_loops import Case, build, cases, damped
 
 import approxjac as aj
 from approxjac import law
-from approxjac.stability.certificates.families import FAMILIES, Weights
-from approxjac.stability.certificates.matrix_form import MatrixForm
+from approxjac.stability.certificates.matrix_form import FAMILIES, MatrixForm, Weights
 from approxjac.stability.loop.closed_loop import ClosedLoop
 
 NAMES = {

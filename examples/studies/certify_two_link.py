@@ -13,8 +13,7 @@ from common import head, parser, row, write
 
 import approxjac as aj
 from approxjac import law, paper
-from approxjac.stability.certificates.families import FAMILIES
-from approxjac.stability.certificates.matrix_form import MatrixForm, best_weights
+from approxjac.stability.certificates.matrix_form import FAMILIES, MatrixForm, best_weights
 from approxjac.stability.certificates.theorem1 import theorem1
 from approxjac.stability.loop.closed_loop import ClosedLoop
 

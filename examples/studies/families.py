@@ -17,8 +17,13 @@ from scipy.linalg import solve_continuous_lyapunov
 
 import approxjac as aj
 from approxjac import law
-from approxjac.stability.certificates.families import FAMILIES, Weights
-from approxjac.stability.certificates.matrix_form import MatrixForm, best_of, best_weights
+from approxjac.stability.certificates.matrix_form import (
+    FAMILIES,
+    MatrixForm,
+    Weights,
+    best_of,
+    best_weights,
+)
 from approxjac.stability.loop.closed_loop import ClosedLoop
 
 TWO_LINKS = ("two-link, camera", "two-link, lengths")

@@ -13,8 +13,13 @@ import approxjac as aj
 from approxjac import law, paper
 from approxjac.cameras import PlanarCamera
 from approxjac.robots import GravityRegressor
-from approxjac.stability.certificates.families import FAMILIES, Setting, Weights
-from approxjac.stability.certificates.matrix_form import MatrixForm, best_weights
+from approxjac.stability.certificates.matrix_form import (
+    FAMILIES,
+    MatrixForm,
+    Setting,
+    Weights,
+    best_weights,
+)
 from approxjac.stability.certificates.theorem1 import theorem1
 from approxjac.stability.loop.closed_loop import ClosedLoop
 

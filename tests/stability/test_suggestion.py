@@ -9,7 +9,7 @@ import pytest
 import approxjac as aj
 from approxjac.controllers import tuned
 from approxjac.controllers.gains.sample_configurations import usual_postures
-from approxjac.stability.certificates.sampled_test import largest
+from approxjac.stability.certificates.certificate import largest
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.search import suggested_gains
 

@@ -10,8 +10,7 @@ import pytest
 import random_loops
 
 import approxjac as aj
-from approxjac.stability.certificates.families import Weights
-from approxjac.stability.certificates.matrix_form import MatrixForm
+from approxjac.stability.certificates.matrix_form import MatrixForm, Weights
 from approxjac.stability.loop.closed_loop import ClosedLoop
 
 pytestmark = pytest.mark.study

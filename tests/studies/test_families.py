@@ -6,7 +6,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from approxjac import law
-from approxjac.stability.certificates.families import FAMILIES
+from approxjac.stability.certificates.matrix_form import FAMILIES
 
 pytestmark = pytest.mark.study
 

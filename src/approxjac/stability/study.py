@@ -60,19 +60,10 @@ class Study(StudiedLoop):
     ) -> dict[Test, Tolerance]:
         """Find the largest scaling of the errors for which each test still passes.
 
-        Theorem 1 and the matrix form are about motions that stay in the region, in continuous time.
-        The configurations that choose the Lyapunov function are the only ones it is tried in: this
-        finds how large errors may be about, and a report, which checks it in others, may find none
-        a little below. The local test speaks of what begins near its target only, and rollouts
-        prove nothing.
-
-        A region with a configuration where Ĵ loses rank passes neither of the first two tests, at
-        any scale.
-
-        By bisection, with the same configurations at every scale. Sets grow with their scale, so
-        for the first two tests whatever passes at one scale passes at all smaller ones (as far as
-        corners and configurations tell). The local test looks at corners and might pass again
-        beyond a gap, and so might rollouts, which pass where all of them converge.
+        By bisection, with the same configurations at every scale. Functions are tried only in the
+        configurations that choose them, so a report may find a little less; a region where Ĵ loses
+        rank passes neither "theorem1" nor "matrix". The local test and rollouts might pass again
+        beyond a gap.
 
         Args:
             tests: "theorem1", "matrix", "local" or "rollouts". The first two are not for a task
@@ -102,9 +93,8 @@ class Study(StudiedLoop):
         """Carry out rollouts over a grid of one or two parameters, or of what they draw.
 
         Over parameters ("error", "a", "kv" and "damping", see `PARAMETERS`) each point has the same
-        n runs, which differ by what was changed and not by what was drawn. Over the errors
-        (`uncertainty.names`) and the place of the believed tip at the start ("x", "y", "z" [m])
-        there are n runs a point in all, drawn from the whole set and the whole region: each counts
+        n runs, but for what was changed. Over the errors (`uncertainty.names`) and the place of the
+        believed tip at the start ("x", "y", "z" [m]) there are n runs a point in all: each counts
         at the point that it is nearest to.
 
         Args:
@@ -134,15 +124,11 @@ class Study(StudiedLoop):
         """Find gains of law (6) that pass a test, with gravity that is known exactly.
 
         Three demands: the test passes for every corner of the errors and every configuration drawn,
-        and so does the loop sampled, with delays; the torque of a start at rest, gravity
-        compensated, is within the limits; and a small error settles to 2 % in the wanted time with
-        every true robot, linearised near the target: a far reach takes longer.
-        Tried are the default gains and multiples of them, from gentle to strong, K_p along with K_v
-        and the damping so that the believed arm settles in time. The controller's own gains do not
-        count.
-
-        Sampled means of "theorem1" and "matrix" that a whole report is passed, and of "local" that
-        the exact linearisation of the sampled, late loop is stable at each target drawn.
+        and so does the loop sampled, with delays, by a whole report or, of "local", by its exact
+        linearisation; the torque of a start at rest, gravity compensated, is within the limits; and
+        a small error settles to 2 % in the wanted time with every true robot: a far reach takes
+        longer. Tried are multiples of the default gains, from gentle to strong, K_p along with K_v
+        and the damping so that the believed arm settles in time.
 
         Args:
             settling_time: Wanted > 0 [s].

@@ -8,10 +8,9 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.law import Saturation
-from approxjac.stability.certificates.families import Weights
-from approxjac.stability.certificates.matrix_form import MatrixForm, best_weights
+from approxjac.stability.certificates.certificate import SampledTest, largest_errors
+from approxjac.stability.certificates.matrix_form import MatrixForm, Weights, best_weights
 from approxjac.stability.certificates.sampled_form import SampledForm
-from approxjac.stability.certificates.sampled_test import SampledTest, largest_errors
 from approxjac.stability.errors.region import JointBox
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.loop.samples import Indices

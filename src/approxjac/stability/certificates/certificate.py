@@ -1,14 +1,27 @@
-"""Tests 1 and 2 over a region: constants and Lyapunov functions, with their worst cases."""
+"""Tests 1 and 2 over a region, in continuous time and sampled: functions and worst cases."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from approxjac.stability.certificates.families import FAMILIES, Family, Setting, Weights
-from approxjac.stability.certificates.matrix_form import Best, MatrixForm, best_weights, on_more
+from approxjac.controllers.gains.latency import Latency
+from approxjac.law import Saturation
+from approxjac.stability.certificates.matrix_form import (
+    FAMILIES,
+    Best,
+    Family,
+    MatrixForm,
+    Setting,
+    Weights,
+    best_weights,
+    on_more,
+)
+from approxjac.stability.certificates.sampled_form import Hold, SampledForm
 from approxjac.stability.certificates.theorem1 import CONSTANTS, badness, constants, theorem1
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.loop.samples import Samples
@@ -21,6 +34,11 @@ _CLOSER = 0.15  # of the region's spread
 _NOTABLE = 1e-3  # margin
 _SAME = 1e-9  # relative, of constants
 _MISSED = 0.05 / (1 + len(FAMILIES))  # the families and the sampled loop share the 5 %
+_SLOWER, _SLOWEST = (0.5, 0.25), 0.06  # times the speed that all starts need, that are tried
+_SPARE = 1.4  # c is at most so many times what starts need: σ² is known afterwards only
+_WORST = 120  # samples that largest periods and delays are sought with
+_HALVINGS = 7
+_LONGEST = 64.0  # times the period of the loop
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -45,7 +63,7 @@ class MatrixTest:
 
     def __repr__(self) -> str:
         verdict = "certified" if self.certified else "not certified"
-        return f"MatrixTest({self.family!r}: {verdict}, margin {self.margin:.3g})"
+        return f"{type(self).__name__}({self.family!r}: {verdict}, margin {self.margin:.3g})"
 
     @property
     def margin(self) -> float:
@@ -80,14 +98,70 @@ class MatrixTest:
         return clopper_pearson(self.violations, self.checked, 1.0 - 2.0 * _MISSED)[1]
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class SampledTest(MatrixTest):
+    """Verdict of the form that is held and late, over a region.
+
+    Attributes:
+        latency: Of the loop that it speaks of.
+        level: c [J]: motions that begin with V ≤ c stay below v̄.
+        form: What it rests on; the samples that it was chosen on come first.
+        saturation: Of the loop.
+    """
+
+    latency: Latency
+    level: float
+    form: SampledForm
+    saturation: Saturation
+
+    @property
+    def reason(self) -> str:
+        """Return why it is not certified: "violated", or "too slow" a loop; empty where it is."""
+        if self.certified:
+            return ""
+        return "violated" if self.margin > 0.0 else "too slow"
+
+    @property
+    def speed(self) -> float:
+        """v̄ of `law.sampled_form`: √(q̇ᵀMq̇) stays below it along the motions meant here [√J]."""
+        return self.form.speed
+
+    @cached_property
+    def covered(self) -> float:
+        """Share of the samples away from their targets that may be started from, at rest."""
+        e = self.form.samples.e
+        e = e[e.any(axis=1)]  # a third is at the target
+        energies = self.weights.at_rest(self.saturation.S(e), self.saturation.s(e))
+        return float((energies <= self.level).mean()) if len(e) else 1.0
+
+    @cached_property
+    def certified_error(self) -> Array:
+        """Largest error of one task coordinate to start from at rest, others being zero, (m,)."""
+        return largest_errors(self.saturation, self.weights.w, self.level)
+
+    def below(self, level: float) -> SampledTest:
+        """Return this of motions that begin with V ≤ level only, if that is less than its own."""
+        return replace(self, level=min(level, self.level))
+
+    def largest_period(self) -> float:
+        """Return the largest period that this function certifies, all else the same [s]."""
+        return largest(lambda period: self._passes(period=period), self.latency.period)
+
+    def largest_delay(self) -> float:
+        """Return the largest delay of torques that this certifies, all else the same [s], or 0."""
+        return largest(lambda delay: self._passes(torque_delay=delay), self.latency.period)
+
+    def _passes(self, **other: float) -> bool:
+        """Return whether some multiplier certifies other times in the worst samples."""
+        hold = Hold.of(replace(self.latency, **other))
+        form = self.form.take(np.argsort(self.margins)[:_WORST]).changed(hold=hold)
+        return form.is_possible() and bool(form.best_multiplier(self.weights).margins.min() > 0.0)
+
+
 def refine_constants(
     loop: ClosedLoop, samples: Samples, rng: np.random.Generator
 ) -> tuple[Samples, dict[str, Array]]:
-    """Look closer around the worst sample of each constant of Theorem 1.
-
-    Returns:
-        The samples and those found, and their `constants`.
-    """
+    """Add samples from around the worst of each constant of Theorem 1; and all `constants`."""
     setting = loop.setting
     values = constants(samples, setting)
     more: list[Samples] = []
@@ -122,7 +196,6 @@ def refine_weights(
     """Choose a Lyapunov function, with a closer look around its worst sample."""
     best = best_weights(form, family)
     worst, k, least = form.samples, int(best.margins.argmin()), float(best.margins.min())
-    found: list[MatrixForm] = []
     for _ in range(_REFINED):
         worst = loop.near(worst, k, _NEAR, _CLOSER, rng)
         its = MatrixForm(worst, form.setting)
@@ -131,22 +204,98 @@ def refine_weights(
         if margins[k] > least - _NOTABLE:
             break
         least = float(margins[k])
-        found.append(its.take(np.array([k])))
-    for more in found:
-        form = form.join(more)
+        form = form.join(its.take(np.array([k])))
     return form, on_more(form, family, best)
 
 
-def margin(test: str, samples: Samples, setting: Setting) -> float:
-    """Return the margin of "theorem1" or "matrix" on samples, without a closer look.
+def smallest_family(form: MatrixForm, families: Sequence[Family]) -> tuple[Best, Family]:
+    """Return the function of the first family that is positive everywhere, or the best of all."""
+    found: list[tuple[Best, Family]] = []
+    for family in families:
+        found.append((best_weights(form, family), family))
+        if found[-1][0].margins.min() > 0.0:
+            break
+    return max(found, key=lambda each: float(each[0].margins.min()))
 
-    That of the smallest family of Lyapunov functions that passes everywhere, or the best of all.
-    """
+
+def margin(test: str, samples: Samples, setting: Setting) -> float:
+    """Return the margin of "theorem1" or "matrix" on samples, without a closer look."""
     if test == "theorem1":
         return theorem1(samples, setting).margin
-    form, most = MatrixForm(samples, setting), -math.inf
-    for family in setting.families:
-        most = max(most, float(best_weights(form, family).margins.min()))
-        if most > 0.0:
-            break
-    return most
+    best, _ = smallest_family(MatrixForm(samples, setting), setting.families)
+    return float(best.margins.min())
+
+
+def largest(passes: Callable[[float], bool], first: float) -> float:
+    """Return the largest time that passes, by halving from `first` on; 0 where none does."""
+    low, high = 0.0, first
+    while high < _LONGEST * first and passes(high):
+        low, high = high, 2.0 * high
+    halvings = int(low > 0.0)
+    while halvings <= _HALVINGS and high > first / _LONGEST:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if passes(middle) else (low, middle)
+        halvings += low > 0.0
+    return low
+
+
+def sampled_test(
+    loop: ClosedLoop, known: Best, chosen: MatrixForm, fresh: MatrixForm, latency: Latency
+) -> SampledTest:
+    """Choose a function that certifies a loop of known gravity with a latency, for starts at rest.
+
+    v̄ is such that all samples may be started from, or less where that is not certified. `known`,
+    and the forms at samples to choose it on and to check it on, are of continuous time.
+    """
+    setting, saturation, n = loop.setting, loop.controller.saturation, len(chosen.samples)
+    form = chosen.join(fresh)
+    potential = setting.kp + setting.alpha * setting.kv
+    needed = _SPARE * float((saturation.S(form.samples.e) @ potential).max(initial=0.0))
+    dg = loop.gravity_gradients(form.samples)
+    fastest = math.sqrt(2.0 * needed)
+    most_s = fastest / math.sqrt(2.0 * setting.c_bar * float(potential.min()))
+
+    def at_speed(form: SampledForm) -> SampledTest:
+        """Choose a function on the first samples, and check it on the others if it passes."""
+        first, family = form.take(slice(n)), setting.families[1]
+        if form.is_possible():
+            best, family = smallest_family(first, setting.families[1:])
+        else:
+            weights = known.weights._replace(multiplier=0.5)
+            best = known._replace(weights=weights, margins=np.full(n, -np.inf))
+        most_s = form.largest_s(best.weights)
+        if most_s > form.most_s:  # of smaller weights than were begun with, errors may be larger
+            form = form.changed(most_s=most_s)
+            best = best._replace(margins=form.take(slice(n)).margins(best.weights))
+        violations = checked = len(fresh.samples)
+        if best.margins.min() > 0.0:
+            margins = form.take(slice(n, None)).margins(best.weights)
+            violations = int((margins <= 0.0).sum())
+        return SampledTest(
+            family, best.weights, best.margins, checked, violations, loop.region.independent,
+            latency, max(0.0, form.level(best.weights)), form, saturation,
+        )  # fmt: skip
+
+    whole = SampledForm(form, loop.plants[0].friction, latency, fastest, most_s, dg)
+    found = at_speed(whole)
+    if not found.certified and fastest > 0.0:  # and it may be that no speed is slow enough
+        found = at_speed(whole.with_speed(_SLOWEST * fastest))
+        slower = _SLOWER if found.certified else ()
+        tries = (at_speed(whole.with_speed(k * fastest)) for k in slower)
+        found = next((each for each in tries if each.certified), found)
+    if found.margin <= 0.0 and found.form.is_possible():
+        margins = found.form.take(slice(n, None)).margins(found.weights)
+        found = replace(found, violations=int((margins <= 0.0).sum()))
+    return found
+
+
+def largest_errors(saturation: Saturation, w: Array, level: float) -> Array:
+    """The largest eᵢ with wᵢSᵢ(eᵢ) ≤ c, the others being zero, shape (m,)."""
+    low, high = np.zeros(len(w)), np.full(len(w), 1e-9)
+    while ((w * saturation.S(high) < level) & (high < 1e6)).any():
+        high = np.where(w * saturation.S(high) < level, 2.0 * high, high)
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        inside = w * saturation.S(middle) <= level
+        low, high = np.where(inside, middle, low), np.where(inside, high, middle)
+    return low

@@ -10,7 +10,7 @@ from approxjac import law
 from approxjac.controllers import CrossWeight, TorqueLimited
 from approxjac.robots import Dynamics
 from approxjac.robots.robot import STANDARD_GRAVITY
-from approxjac.stability.certificates.sampled_test import SampledTest
+from approxjac.stability.certificates.certificate import SampledTest
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.loop.samples import Samples
 from approxjac.validation import Array

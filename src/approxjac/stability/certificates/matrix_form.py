@@ -9,25 +9,31 @@ SciPy) take less than a conic solver takes to read the problem. What is found is
 from __future__ import annotations
 
 import copy
+import itertools
 from collections.abc import Callable
 from contextlib import suppress
-from typing import NamedTuple, Self
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, Self
 
 import numpy as np
 
 from approxjac import law
 from approxjac.extras import package_of
-from approxjac.stability.certificates.families import (
-    BOX,
-    Family,
-    FamilyNumbers,
-    Setting,
-    Weights,
-    family_numbers,
-)
 from approxjac.stability.loop.samples import Indices, Samples
 from approxjac.validation import Array
 
+Family = Literal["paper", "free", "wide", "full"]
+"""The Lyapunov functions that are tried.
+
+"paper" is G = αĴ⁺ with w = k_p + αk_v, "free" is G = αĴ⁺ with any w, "wide" is
+G = Ĵ⁺A₁ + D⁻¹ĴᵀK_vA₂ with any m × m matrices A₁ and A₂, and any w, and "full" is "wide" with any
+coupling Ω besides. (For m > 3 A₁ and A₂ are diagonal: full ones have so many entries that finding
+them takes minutes.)
+"""
+FAMILIES: tuple[Family, ...] = ("paper", "free", "wide", "full")
+
+_FULL = 3  # task coordinates up to which the matrices of "wide" are full
+_BOX = 30.0  # unknowns are sought within so many times their natural size
 _ACTIVE = 60  # samples to begin with
 _MORE = 40  # and how many of the worst are added at a time
 _FIRST = 5  # looked at first: one of so many samples
@@ -37,6 +43,107 @@ _ROUNDS = 150
 _STEP = 0.4
 _PRECISION = 5e-3  # of the margin
 _SIGN = 1e-5  # and while it is negative, as weights of other sizes may still make it positive
+
+
+class Weights(NamedTuple):
+    """A Lyapunov function V = ½q̇ᵀMq̇ + q̇ᵀM(Ĵ⁺A₁ + D⁻¹ĴᵀK_vA₂)s + Σ wᵢSᵢ(eᵢ) + ½sᵀΩs."""
+
+    A1: Array  # shape (m, m) [1/s]; αI in the paper
+    A2: Array  # shape (m, m) [1/s]; zero in the paper
+    w: Array  # shape (m,) [N per unit of the task]; k_p + αk_v in the paper
+    multiplier: float = 0.0  # λ of `law.sampled_form`
+    X: Array | float = 0.0  # its X, shape (m,)
+    coupling: Array | float = 0.0  # Ω, symmetric with a diagonal of zeros, shape (m, m)
+
+    def plus(self, share: float, other: Weights) -> Weights:
+        """Return these weights and a share of others."""
+        return Weights(*(mine + share * its for mine, its in zip(self, other, strict=True)))  # type: ignore[arg-type]
+
+    def at_rest(self, S: Array, s: Array) -> Array:
+        """Return V at rest [J], of S(e) and s(e), any leading axes."""
+        return law.potential(S, s, self.w, self.coupling + np.zeros_like(self.A1))
+
+    def block(self, c_bar: float) -> Array:
+        """Return 2c̄ W + Ω, shape (m, m)."""
+        return law.potential_block(self.w, self.coupling + np.zeros_like(self.A1), c_bar)
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """The closed loop's part of the conditions, the same in every sample."""
+
+    kp: Array  # diagonal of K_p, shape (m,)
+    kv: Array  # diagonal of K_v, shape (m,)
+    B: Array  # diagonal of all viscous damping, shape (n_v,)
+    c_bar: float  # c̄ of eq. (8)
+    fixed_alpha: float | None = None  # α where gravity is learnt with it by (29) [1/s]
+    weight: Array | None = None  # of `law.cross_weight_pinv`, shape (n_v,)
+    large_gains: bool = False  # leave out what inertia takes, as in the limit of large gains
+
+    @property
+    def alpha(self) -> float:
+        """α, or its natural size where it is free, half the mean rate k_p/k_v [1/s]."""
+        if self.fixed_alpha is not None:
+            return self.fixed_alpha
+        return 0.5 * float(np.mean(self.kp / self.kv))
+
+    @property
+    def families(self) -> tuple[Family, ...]:
+        """Families that apply, as (29) learns along q̇ + αĴ⁺s(e), which G then has to match."""
+        return FAMILIES if self.fixed_alpha is None else ("paper", "free")
+
+
+class FamilyNumbers(NamedTuple):
+    """The unknowns y of a family, scaled to be of the order of one: `fixed` + Σ yₖ `basis`ₖ."""
+
+    fixed: Weights
+    basis: list[Weights]
+    start: Array  # y to begin with, and the least that are sought, shape (d,)
+    least: Array
+
+    def with_positive(self, more: list[Weights]) -> FamilyNumbers:
+        """Return these and others that are not negative, each 1 to begin with."""
+        start = np.append(self.start, np.ones(len(more)))
+        least = np.append(self.least, np.zeros(len(more)))
+        return FamilyNumbers(self.fixed, [*self.basis, *more], start, least)
+
+    def weights(self, y: Array) -> Weights:
+        """Return the Lyapunov function of some unknowns."""
+        found = self.fixed
+        for k, part in zip(y, self.basis, strict=True):
+            found = found.plus(k, part)
+        return found
+
+
+def family_numbers(family: Family, setting: Setting) -> FamilyNumbers:
+    """Return the unknowns of a family."""
+    m = len(setting.kp)
+    one, zero, none = np.eye(m), np.zeros((m, m)), np.zeros(m)
+    alpha, kp, kv = setting.alpha, setting.kp, setting.kv
+    potentials = [Weights(zero, zero, row) for row in np.diag(kp + alpha * kv)]
+    fixed, start = Weights(zero, zero, none), [1.0]
+    cross = [Weights(alpha * one, zero, none)]
+    if family == "paper":
+        fixed = Weights(zero, zero, kp)
+        cross, potentials = [Weights(alpha * one, zero, alpha * kv)], []
+    elif family != "free":  # any A₁ and A₂, from αĴ⁺ on
+        entries = [(i, j) for i in range(m) for j in range(m) if i == j or m <= _FULL]
+        units = [alpha * np.outer(one[i], one[j]) for i, j in entries]
+        cross = [Weights(unit, zero, none) for unit in units]
+        cross += [Weights(zero, unit, none) for unit in units]
+        start = [float(i == j) for i, j in entries] + [0.0] * len(units)
+    couplings = []
+    if family == "full":  # of the size of the potentials that it couples
+        sizes = np.sqrt(kp + alpha * kv)
+        for i, j in itertools.combinations(range(m), 2):
+            pair = np.outer(one[i], one[j]) * sizes[i] * sizes[j]
+            couplings.append(Weights(zero, zero, none, coupling=pair + pair.T))
+    if setting.fixed_alpha is not None:
+        fixed, cross, start = fixed.plus(1.0, cross[0]), [], []
+    begun = np.array([*start, *np.ones(len(potentials)), *np.zeros(len(couplings))])
+    return FamilyNumbers(
+        fixed, [*cross, *potentials, *couplings], begun, np.full(len(begun), -_BOX)
+    )
 
 
 class Best(NamedTuple):
@@ -86,20 +193,24 @@ class MatrixForm:
         """Return X and Y with the margin as the largest μ for which X − μY ≥ 0.
 
         X holds Q of V̇ = −zᵀQz and P of V ≥ ½zᵀPz, one after the other, Y the same without their
-        cross blocks and inertia; both of shape (2, N, n_v + m, n_v + m) and affine in the weights.
+        cross blocks and inertia; both of shape (2, N, k, k) and affine in the weights. Here k is
+        n_v + m; if larger, P is filled up with a block that is always positive.
         """
         D, M = self._of_samples.D, self.samples.M
         Q, G = self._decrease(weights)
         P = law.potential_matrix(M, G, weights.block(self.setting.c_bar))
-        X = np.stack([Q, P])
-        Y = np.zeros_like(X)
-        n = D.shape[-1]
-        Y[0, :, :n, :n] = D
-        Y[1, :, :n, :n] = M
-        Y[:, :, n:, n:] = X[:, :, n:, n:]
-        if self.setting.large_gains:  # V is all potential
-            X[1] = Y[1]
+        F = self._form(weights, Q, G)
+        n, k, whole = D.shape[-1], P.shape[-1], F.shape[-1]
+        X, Y = np.zeros((2, *F.shape)), np.zeros((2, *F.shape))
+        Y[0, :, :n, :n], Y[1, :, :n, :n] = D, M
+        Y[0, :, n:k, n:k], Y[1, :, n:k, n:k] = Q[:, n:, n:], P[:, n:, n:]
+        X[0], X[1, :, :k, :k] = F, Y[1, :, :k, :k] if self.setting.large_gains else P
+        X[1, :, range(k, whole), range(k, whole)] = 1.0
         return X, Y
+
+    def _form(self, weights: Weights, Q: Array, G: Array) -> Array:
+        """What has to be positive along motions: Q, or a larger form."""
+        return Q
 
     def unknowns(self, family: Family) -> FamilyNumbers:
         """Return what is sought in a family."""
@@ -247,14 +358,8 @@ def _cutting_planes(
     X − μY is affine in the unknowns; its eigenvectors v bound its least eigenvalue by vᵀ(X − μY)v.
     These bounds, the cuts, hold of the same samples among others, too.
 
-    Args:
-        form: Of the samples.
-        unknowns: The unknowns.
-        start: Those to begin with, shape (d,).
-        cuts: vᵀXv and vᵀYv that are known, as affine functions, shape (2, c, 1 + d).
-
-    Returns:
-        The best unknowns, their least margin, and the cuts that matter near them.
+    They are vᵀXv and vᵀYv as affine functions, shape (2, c, 1 + d). Returned are the best unknowns,
+    their least margin, and the cuts that matter near them.
     """
     linprog = package_of("study", "scipy.optimize").linprog
     d = len(start)
@@ -296,7 +401,7 @@ def _cutting_planes(
             np.append(np.zeros(d), -1.0),
             A_ub=np.column_stack([-bound[:, 1:], cuts[1] @ np.append(1.0, best)]),
             b_ub=bound[:, 0],
-            bounds=[*((least, BOX) for least in unknowns.least), (None, 10.0)],
+            bounds=[*((least, _BOX) for least in unknowns.least), (None, 10.0)],
             method="highs-ds",
             options={"presolve": False},
         )

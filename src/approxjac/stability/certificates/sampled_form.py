@@ -12,8 +12,14 @@ import numpy as np
 from approxjac import law
 from approxjac.controllers.gains.latency import Latency
 from approxjac.law import sampled_form
-from approxjac.stability.certificates.families import Family, FamilyNumbers, Weights
-from approxjac.stability.certificates.matrix_form import Best, MatrixForm, best_of
+from approxjac.stability.certificates.matrix_form import (
+    Best,
+    Family,
+    FamilyNumbers,
+    MatrixForm,
+    Weights,
+    best_of,
+)
 from approxjac.stability.loop.samples import Samples
 from approxjac.validation import Array
 
@@ -202,24 +208,25 @@ class SampledForm(MatrixForm):
         """Natural size of λ: ½ at the largest γ that may do, and as 1/γ below it."""
         return _HALF / min(1.0, math.sqrt(self._gain) * self._fastest)
 
-    def best_multiplier(self, weights: Weights) -> Best:
-        """Choose the multiplier, and X, of a function that is known."""
-        fixed = weights._replace(multiplier=0.0, X=0.0)
-        known = FamilyNumbers(fixed, [], np.zeros(0), np.zeros(0))
-        return best_of(self, known.with_positive(self._multipliers()))
-
-    def _multipliers(self) -> list[Weights]:
+    def _with_multipliers(self, numbers: FamilyNumbers) -> FamilyNumbers:
         m = len(self.setting.kp)
         zero, none = np.zeros((m, m)), np.zeros(m)
         more = [Weights(zero, zero, none, self._size)]
         if self.hold.frames is not None:
-            sizes = _HALF * self.setting.kp / self.hold.frames
-            more += [Weights(zero, zero, none, 0.0, row) for row in np.diag(sizes)]
-        return more
+            more += [
+                Weights(zero, zero, none, 0.0, row)
+                for row in np.diag(_HALF * self.setting.kp / self.hold.frames)
+            ]
+        return numbers.with_positive(more)
+
+    def best_multiplier(self, weights: Weights) -> Best:
+        """Choose the multiplier, and X, of a function that is known."""
+        fixed, none = weights._replace(multiplier=0.0, X=0.0), np.zeros(0)
+        return best_of(self, self._with_multipliers(FamilyNumbers(fixed, [], none, none)))
 
     def unknowns(self, family: Family) -> FamilyNumbers:
         """Return those of the family, with the multiplier and X."""
-        return super().unknowns(family).with_positive(self._multipliers())
+        return self._with_multipliers(super().unknowns(family))
 
     def _form(self, weights: Weights, Q: Array, G: Array) -> Array:
         of, at, frames = self._of_samples, self.samples, None
@@ -237,31 +244,17 @@ class SampledForm(MatrixForm):
             F[:, :k, :k] -= rate * P
         return F
 
-    def pencils(self, weights: Weights) -> tuple[Array, Array]:
-        """Return X and Y as `MatrixForm` has them, with F in place of Q and as large.
-
-        P is filled up with a block that is always positive.
-        """
-        X, Y = super().pencils(weights)
-        Q, G = self._decrease(weights)
-        F = self._form(weights, Q, G)
-        k, N = X.shape[-1], F.shape[-1]
-        whole, less = np.zeros((2, *F.shape)), np.zeros((2, *F.shape))
-        whole[0], whole[1, :, :k, :k] = F, X[1]
-        less[:, :, :k, :k] = Y
-        rest = range(k, N)
-        whole[1, :, rest, rest] = 1.0
-        return whole, less
-
     def metric(self, Y: Array) -> Array:
         """Return Y, filled up where it is zero."""
-        n, (k, N) = self.samples.M.shape[-1], (sum(self.samples.J_e.shape[-2:]), Y.shape[-1])
-        found = Y.copy()
+        (m, n), whole = self.samples.J_e.shape[-2:], Y.shape[-1]
+        k, found = n + m, Y.copy()
         found[0, :, k : k + n, k : k + n] = self._size * np.linalg.inv(self._of_samples.D)
-        sizes = 1.0 if self.hold.frames is None else _HALF * self.setting.kp / self.hold.frames
-        rest = range(k + n, N)
-        found[0, :, rest, rest] = np.broadcast_to(sizes, N - k - n)[:, np.newaxis]
-        rest = range(k, N)
+        if self.hold.frames is not None:
+            frames = range(k + n, whole)
+            found[0, :, frames, frames] = (_HALF * self.setting.kp / self.hold.frames)[
+                :, np.newaxis
+            ]
+        rest = range(k, whole)
         found[1, :, rest, rest] = 1.0
         return found
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from approxjac import law
-from approxjac.stability.certificates.families import Setting
+from approxjac.stability.certificates.matrix_form import Setting
 from approxjac.stability.loop.samples import Samples
 from approxjac.validation import Array
 

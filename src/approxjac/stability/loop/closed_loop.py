@@ -13,7 +13,7 @@ from approxjac.controllers import Gains, Latency, SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Dynamics, Robot
 from approxjac.simulation import Plant
-from approxjac.stability.certificates.families import Setting
+from approxjac.stability.certificates.matrix_form import Setting
 from approxjac.stability.errors.region import JointBox, Region, RegularPart, require_law
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.configurations import (

@@ -16,13 +16,14 @@ from approxjac.formatting import joined, numbers_of, percent
 from approxjac.stability.certificates.attraction import Attraction, attraction
 from approxjac.stability.certificates.certificate import (
     MatrixTest,
+    SampledTest,
+    largest,
     refine_constants,
     refine_weights,
+    sampled_test,
 )
-from approxjac.stability.certificates.families import Family
 from approxjac.stability.certificates.limit_cost import LimitCost, limit_cost
-from approxjac.stability.certificates.matrix_form import Best, MatrixForm, on_more
-from approxjac.stability.certificates.sampled_test import SampledTest, largest, sampled_test
+from approxjac.stability.certificates.matrix_form import Best, Family, MatrixForm, on_more
 from approxjac.stability.certificates.theorem1 import Theorem1, theorem1
 from approxjac.stability.errors.region import JointBox
 from approxjac.stability.errors.uncertainty import Uncertainty
