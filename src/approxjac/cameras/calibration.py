@@ -238,14 +238,10 @@ def view_axes(position: object, looking_at: object, up: object) -> Array:
 def tag_corners(size: float, tag_pose: object = None) -> Array:
     """Return the corners of a square tag, as points of an `ImageTask`, shape (4, 3) [m].
 
-    In the order in which `cv2.aruco` detects them: upper left, upper right, lower right, lower left
-    of the upright tag. (pupil-apriltags begins at the lower left and goes the other way round:
-    take `corners[::-1]`.) Their images are the x of the task, `corners.ravel()`, eight numbers:
-    `CombinedTask.balanced` makes the six of them that a controller takes::
-
-        points = aj.cameras.tag_corners(0.08, tag_pose)
-        image = aj.ImageTask(belief, camera, points=points)
-        law = aj.SetpointController(aj.tasks.CombinedTask.balanced(image, x_d))
+    In the order of `cv2.aruco`: upper left, upper right, lower right, lower left of the upright
+    tag. (pupil-apriltags begins at the lower left and goes the other way round: take
+    `corners[::-1]`.) The x of the task is `corners.ravel()`, eight numbers, of which
+    `CombinedTask.balanced` makes the six that a controller takes.
 
     Args:
         size: Length of its black square's side, > 0 [m].

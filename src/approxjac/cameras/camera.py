@@ -96,9 +96,8 @@ class Camera(Saved, ABC):
 class PlanarCamera(Camera):
     """The paper's camera (section 5.1), parallel to the plane that the arm moves in.
 
-    (x_s, y_s) = f/(z − f) [[cos δ, sin δ], [−sin δ, cos δ]] (x, y) + d, on the sensor, in
-    metres. It is the `PinholeCamera` whose depth is z − f for every point, looks along the normal
-    of the plane and sees without end.
+    (x_s, y_s) = f/(z − f) [[cos δ, sin δ], [−sin δ, cos δ]] (x, y) + d, on the sensor [m]: the
+    `PinholeCamera` whose depth is z − f for every point, and that sees without end.
 
     Attributes:
         focal_length: f > 0 [m].

@@ -74,18 +74,11 @@ class Distortion(Lens):
         p (1 + k₁ρ + k₂ρ² + k₃ρ³)/(1 + k₄ρ + k₅ρ² + k₆ρ³)
           + (2p₁xy + p₂(ρ + 2x²), p₁(ρ + 2y²) + 2p₂xy) + (s₁ρ + s₂ρ², s₃ρ + s₄ρ²),
 
-    seen on a sensor that is tilted by (τ_x, τ_y).
+    seen on a sensor that is tilted by (τ_x, τ_y); the coefficients are those of `PinholeCamera`.
 
     The map is one to one on a disc of rays where its derivative has a positive definite symmetric
     part; `largest_radius` is that of such a disc, by bounds on the derivative (exact where the
     distortion is radial).
-
-    Args:
-        coefficients: (k₁, k₂, k₃) or fewer; or 4, 5, 8, 12 or 14 in OpenCV's order: k₁, k₂, p₁, p₂,
-            k₃, k₄, k₅, k₆, s₁, s₂, s₃, s₄, τ_x, τ_y.
-
-    Raises:
-        InvalidInputError: Another number of them, or a sensor tilted by 90° or more.
     """
 
     def __init__(self, coefficients: Sequence[float]) -> None:
@@ -321,12 +314,6 @@ class Fisheye(Lens):
     Attributes:
         widest: Angle up to which rays are shown [rad].
         shown_radius: Distance from the middle up to which there are rays, in focal lengths.
-
-    Args:
-        coefficients: (k₁, k₂, k₃, k₄), or none, which are 0.
-
-    Raises:
-        InvalidInputError: Another number of them.
     """
 
     is_straight = False

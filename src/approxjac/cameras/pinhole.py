@@ -42,12 +42,10 @@ class PinholeCamera(Camera):
     the camera's x axis points right in the image, y down, z along the view; (0, 0) is the middle of
     the upper left pixel. `from_opencv` and `from_file` take a calibration as it is.
 
-    A polynomial of a lens folds back somewhere: rays beyond have no image (NaN), and pixels that no
-    ray is shown at are not seen. So it is beyond 85° from the optical axis of a fisheye lens, too.
-
-    For a Jacobian a point is taken at the nearest ray within the image and at a depth of at least
-    `near`, where it is outside: a believed camera may have the point there, or even behind it,
-    while the true one sees it.
+    Rays beyond where the lens's polynomial folds back, or beyond 85° of a fisheye lens, have no
+    image (NaN), and pixels that no ray is shown at are not seen. For a Jacobian a point outside is
+    taken at the nearest ray within the image and at a depth of at least `near`: a believed camera
+    may have it there, or behind it, while the true one sees it.
 
     Attributes:
         focal_length: f_x = f_y, or (f_x, f_y), > 0 [px].
@@ -226,11 +224,8 @@ class PinholeCamera(Camera):
 
         Args:
             position: Of the camera, shape (3,) [m].
-            looking_at: The point, shape (3,) [m].
+            looking_at: The point, shape (3,) [m], not straight up or down.
             up: Direction that is up in the image, shape (3,).
-
-        Raises:
-            InvalidInputError: A point at the camera's own position, or straight up or down.
         """
         return replace(self, position=position, rotation=view_axes(position, looking_at, up))
 

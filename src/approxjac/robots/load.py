@@ -37,11 +37,11 @@ def load_robot(
 
     Where the tip is known, the arm is the chain from `base` to it: the robot's other joints, such
     as those of fingers, wheels or the other arm, are locked, each at zero or at its limit nearest
-    to zero. Mimic joints are locked with the joint that they follow. A robot that is loaded by name
-    has that name.
+    to zero, and mimic joints with the joint that they follow.
 
     Args:
-        source: A name ("panda", "two_link", …), a path, or text that starts with "<".
+        source: A name ("panda", "two_link", …), which the robot then has; a path; or text that
+            starts with "<".
         gravity: Acceleration of gravity in the world frame, shape (3,) [m/s²].
         tip: End-effector frame; by default the named robot's own, or the last link of an arm
             that does not branch. Of a branched file without it, no joint is locked.
@@ -59,10 +59,6 @@ def load_robot(
 
     Warns:
         ImplausibleRobotWarning: Masses or effort limits of a file that look like placeholders.
-
-    Example:
-        >>> load_robot("two_link").joint_names
-        ('joint1', 'joint2')
     """
     text, path, entry = _find(source)
     if entry is not None:

@@ -19,9 +19,9 @@ from approxjac.validation import Array
 class Perturbation:
     """Robots that differ from one in the size of its object, and in the origins of its joints.
 
-    For many of them: `robot` copies the Pinocchio model and moves what is elsewhere in it, which
-    takes a hundredth of the time that building the model from a URDF does. It is the model of
-    `Robot.with_object` and `with_kinematic_error` up to round-off.
+    For many of them: `robot` copies the Pinocchio model and moves what is elsewhere in it, in a
+    hundredth of the time that `Robot.with_object` and `with_kinematic_error` take, for the same
+    model up to round-off.
 
     Args:
         arm: The robot, without the object.

@@ -159,11 +159,8 @@ class Robot(Immutable):
     def configuration(self, q: Sequence[float] | Array, name: str = "q") -> Array:
         """Return `q` as a float array of shape (nq,), itself if it is one already.
 
-        One number a joint, shape (n_v,), is taken as well: the angles of continuous joints.
-
-        Raises:
-            InvalidInputError: Wrong shape, not finite, or (cos, sin) pairs of continuous joints
-                that are off the unit circle.
+        One number a joint, shape (n_v,), is taken as well: the angles of continuous joints. An
+        InvalidInputError says what else is wrong, such as (cos, sin) pairs off the unit circle.
         """
         if self.nq != self.nv and shape_of(q) == (self.nv,) and not hasattr(q, "arm_of"):
             motion = as_array(name, q, (self.nv,), "rad or m")
@@ -278,17 +275,15 @@ class Robot(Immutable):
         """Return this robot holding an object: a uniform cylinder with a frame at its far end.
 
         The object is a URDF link `name` on a fixed joint at the origin of `parent`; the frame at
-        its end is the link `{name}_tip`, which becomes the new `tip`. Both keep the orientation
-        of `parent`.
+        its end is the link `{name}_tip`, which becomes the new `tip`, turned as `parent` is.
 
         Args:
             length: From the parent's origin to the tip, 0 to 10 [m].
             mass: ≥ 0 [kg].
             radius: Of the cylinder, 0 to 10 [m]; 0 is a thin rod.
             parent: Link that holds it; the robot's `tip` by default.
-            axis: Direction in the parent's frame: "x", "y", "z", with a sign if wanted, or a
-                vector of shape (3,); by default the axis that leads on from the arm, such as z of
-                the Panda's hand and x of the two-link arm.
+            axis: Direction in the parent's frame: "x", "-z", …, or a vector of shape (3,); by
+                default the axis that leads on from the arm (`outward_axis`).
             name: Name of the new link.
 
         Raises:

@@ -86,14 +86,12 @@ class DynamicsRegressor(_TorqueRegressor):
     Of each moving link a has ten inertial parameters about the joint's frame, as
     `pin.Inertia.toDynamicParameters` has them: m, the first moments and the inertia. Of each joint
     it has rotor inertia, viscous friction, Coulomb friction and a constant torque, with columns
-    q̈_r, q̇_r, tanh(q̇_r/v_c) and 1. It is the friction of the *reference* velocity: friction never
-    falls with speed, so what the true one has more opposes σ = q̇ − q̇_r.
+    q̈_r, q̇_r, tanh(q̇_r/v_c) and 1: friction of the *reference* velocity. It never falls with speed,
+    so what the true one has more opposes σ = q̇ − q̇_r.
 
-    C is the Christoffel form, by polarisation: C(q, q̇)q̇_r = c(q, ½(q̇ + q̇_r)) − c(q, ½(q̇ − q̇_r))
-    with c(q, v) = C(q, v)v. So Ṁ − 2C is skew-symmetric.
-
-    All parameters are kept, although they depend on each other: a law that learns them from a prior
-    leaves what makes no torque as it was.
+    C is the Christoffel form, so that Ṁ − 2C is skew-symmetric, by polarisation: C(q, q̇)q̇_r =
+    c(q, ½(q̇ + q̇_r)) − c(q, ½(q̇ − q̇_r)) with c(q, v) = C(q, v)v. All parameters are kept, although
+    they depend on each other: a law that learns them leaves what makes no torque as it was.
 
     Owns scratch memory: one instance a thread.
 
@@ -128,16 +126,7 @@ class DynamicsRegressor(_TorqueRegressor):
         self.a.flags.writeable = False
 
     def Y_d(self, q: Array, v: Array, v_r: Array, a_r: Array) -> Array:
-        """Y_d(q, q̇, q̇_r, q̈_r), shape (n_v, p).
-
-        Its arguments are not checked.
-
-        Args:
-            q: Configuration, shape (nq,).
-            v: q̇, shape (n_v,) [rad/s or m/s].
-            v_r: q̇_r, shape (n_v,) [rad/s or m/s].
-            a_r: q̈_r, shape (n_v,) [rad/s² or m/s²].
-        """
+        """Y_d (n_v, p) of q (nq,), q̇, q̇_r [rad/s or m/s] and q̈_r [rad/s² or m/s²]; not checked."""
         links, joints = self.parts(q, v, v_r, a_r)
         return np.concatenate([links, *(np.diag(each) for each in joints)], axis=1)
 
@@ -172,13 +161,11 @@ class DynamicsRegressor(_TorqueRegressor):
 class GravityRegressor(_TorqueRegressor):
     """g(q) = Z(q) θ with as few parameters as gravity can tell apart.
 
-    Pinocchio's joint-torque regressor at rest has for each moving link its mass and three first
-    moments (m c_x, m c_y, m c_z). Many of these columns depend on each other (an outer link's
-    mass acts like a first moment of its parent). A column that depends on columns before it,
-    in link order, is left out and its parameter is added to theirs.
-
-    The span of Z does not change when the translations of joint origins are wrong, so gravity
-    can be learnt exactly with wrong lengths; wrong axis directions break that.
+    Of each moving link they are its mass and three first moments (m c_x, m c_y, m c_z). A column
+    that depends on columns before it, in link order, is left out and its parameter is added to
+    theirs (an outer link's mass acts like a first moment of its parent). The span of Z does not
+    change when the translations of joint origins are wrong, so gravity can be learnt exactly with
+    wrong lengths; wrong axis directions break that.
 
     Owns scratch memory: one instance a thread.
 
@@ -241,17 +228,14 @@ class GravityRegressor(_TorqueRegressor):
         return self._full(self.robot.configuration(q)).take(self.columns, 1)
 
     def fit(self, robot: Robot, *, seed: int = 0) -> tuple[Array, float]:
-        """Return the θ with which this Z(q) reproduces the gravity of another robot.
+        """Return the θ with which this Z(q) reproduces the gravity of a robot with these joints.
 
-        Of all θ that do so equally well, the one nearest to this robot's own.
-
-        Args:
-            robot: Robot with the same joints, such as the true one.
-            seed: Of the random configurations.
+        Of all θ that do so equally well, the one nearest to this robot's own; `seed` is that of the
+        random configurations.
 
         Returns:
-            θ, shape (p,), and the residual, which is the largest error of Z θ relative to the
-            largest gravity torque, over random configurations that the fit did not use.
+            θ, shape (p,), and the residual: the largest error of Z θ relative to the largest
+            gravity torque, over random configurations that the fit did not use.
 
         Raises:
             InvalidInputError: Other joints, or another gravity.
@@ -372,10 +356,6 @@ def excitation(regressor: GravityRegressor, q: Array, threshold: float = 0.05) -
         regressor: The regressor.
         q: Configurations of the motion, shape (N, nq) [rad or m].
         threshold: Share of a parameter's effect that must be its own, from 0 to 1.
-
-    Raises:
-        InvalidInputError: Wrong shapes or not finite, no configuration, or a threshold out of
-            range.
     """
     require("regressor", regressor, GravityRegressor, "a GravityRegressor")
     robot = regressor.robot

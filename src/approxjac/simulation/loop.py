@@ -270,12 +270,6 @@ class Loop:
 class HeldCommands:
     """Commands of one run: torques, late; or velocities, taken at the servo's period and late.
 
-    Args:
-        plant: What takes them.
-        q: Configuration at the start, shape (nq,).
-        dt: Sampling time of the controller [s].
-        samples: Number of samples of the run.
-
     Attributes:
         h: Time for which each command that acts is held [s]: dt, or at most 1 ms with a servo.
     """
@@ -308,13 +302,9 @@ class HeldCommands:
 
 
 class SampledLoop(Loop):
-    """A closed loop whose command is held over dt (zero-order hold).
+    """A closed loop whose command is held over dt (zero-order hold), as `simulate` runs it.
 
-    `simulate` runs it. An observer gets it after every step of the controller; what it does not
-    touch is the same to the last bit as without it.
-
-    Attributes:
-        integrator: Of the plant.
+    What an observer does not touch is the same to the last bit as without it.
     """
 
     def __init__(

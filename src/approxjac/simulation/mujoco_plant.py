@@ -30,14 +30,12 @@ class MujocoPlant(Plant):
 
     MuJoCo opens the URDF that `Robot.save_urdf` writes. Without contact and within the joint
     limits, accelerations are those of `Plant` to rounding. Limits and floor are soft constraints
-    with MuJoCo's own default, a time constant of 20 ms: what hits them or presses on them sinks
-    in a little, the more the harder ("MuJoCo as the plant" in the documentation has figures).
-    What the arm and its object touch is the floor only, never each other; the shapes are those of
-    <collision> in the URDF, meshes as their convex hulls.
+    with MuJoCo's own default, a time constant of 20 ms ("MuJoCo as the plant" in the documentation
+    has figures). What the arm and its object touch is the floor only, never each other; the shapes
+    are those of <collision> in the URDF, meshes as their convex hulls.
 
     Do not give `simulate` dt=None if a limit or the floor may be touched: these forces jump, and
     the continuous integration does not keep its tolerance across a jump.
-    Damping and friction that the URDF mentions are not used, as in `Plant`.
 
     Needs `pip install 'approxjac[mujoco]'`. Owns scratch memory: one instance a thread.
 
@@ -46,9 +44,9 @@ class MujocoPlant(Plant):
         sensor, friction: As for `Plant`.
         floor: Height z of a horizontal floor in the world frame [m]; None for no floor. What is
             fixed to the base may be below it.
-        balance_inertia: Whether a link with an inertia that no body has, a principal moment larger
-            than the other two together, gets the mean of the three in each; it is refused by
-            default. Accelerations are then not quite those of `Plant`.
+        balance_inertia: Whether a link with an inertia that no body has gets the mean of its
+            principal moments in each, which is not quite what `Plant` has; it is refused by
+            default.
         **options: The others of `Plant`.
 
     Attributes:

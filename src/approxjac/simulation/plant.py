@@ -85,20 +85,19 @@ class VelocityServo:
 
         τ = M(q)(q̇_cmd − q̇)/lag + C(q, q̇)q̇ + g(q) + friction
 
-    of the true arm, clipped at the limits of its motors (`Plant.motor_limits`). It is a good servo:
-    it has no errors but these. What it does not know is whatever the arm runs into; a joint that
-    is held up, or whose motor is at its limit, disturbs the others. Until the first command takes
-    effect it holds the arm at rest. Limits of speed are the controller's to keep.
+    of the true arm, clipped at the limits of its motors (`Plant.motor_limits`). It has no errors
+    but these; a joint that is held up, or whose motor is at its limit, disturbs the others. Until
+    the first command takes effect it holds the arm at rest. Limits of speed are the controller's to
+    keep.
 
-    It stands for a robot that takes positions, too, if that is sent ∫q̇_cmd dt and follows it with
-    this lag: from the same start both then move alike. Not where it is held up: there the integral
-    goes on ahead, and is caught up with later.
+    Away from obstacles it stands for a robot that takes positions, too, if that is sent ∫q̇_cmd dt
+    and follows it with this lag.
 
     Attributes:
-        lag: Time constant with which joints follow, ≥ 1 ms [s].
+        lag: Time constant, ≥ 1 ms [s].
         delay: Time from a command that is taken to its effect [s].
         period: Time between commands that are taken [s]; others are not seen.
-        quantum: Steps in which positions are measured [rad or m].
+        quantum: Steps in which positions are measured, as `Sensing.q_quantum` [rad or m].
 
     Raises:
         InvalidInputError: A number that is negative, not finite or too small.
@@ -133,12 +132,10 @@ class VelocityServo:
 class JointStops:
     """Stops at `Robot.position_limits`: p = max(0, kδ + dδ̇) where a joint is δ > 0 beyond one.
 
-    A stop pushes back and never pulls. As kδ is part of p while δ grows, and p at most kδ while it
-    shrinks, T + ½kδ² never grows through a stop.
-
-    k is that of 200 rad/s with the usual inertia of the joint, 1/mean (M⁻¹)_ii, or stiffer where
-    its motor could press the joint further than 0.01 rad or m beyond the limit; d = 2k / 200 rad/s.
-    So a joint that runs into its stop at v sinks in by about v/(e·200 rad/s), 2 mrad at 1 rad/s.
+    A stop pushes back and never pulls: T + ½kδ² never grows through it. k is that of 200 rad/s with
+    the usual inertia of the joint, 1/mean (M⁻¹)_ii, or stiffer where its motor could press the
+    joint further than 0.01 rad or m beyond the limit; d = 2k / 200 rad/s. So a joint that runs into
+    its stop at v sinks in by about v/(e·200 rad/s), 2 mrad at 1 rad/s.
     """
 
     def __init__(self, robot: Robot) -> None:

@@ -33,21 +33,21 @@ class Sensing:
     tachometer, as the paper recommends for x.
 
     Each x that is taken is a frame. With an `x_rate`, frame k is taken at the first control sample
-    at or after k/x_rate, and until the next one arrives the last one is read again, bit by bit, as
-    a camera's driver does. Noise, rounding and dropout happen once a frame.
+    at or after k/x_rate, and until the next one arrives the last one is read again, bit by bit.
+    Noise, rounding and dropout happen once a frame.
 
     Attributes:
         x_noise: Standard deviation of white noise on the task coordinates, a number or shape
             (m,) [unit of the task].
-        x_quantum: Steps that they are rounded to, a number or shape (m,) [unit of the task].
+        x_quantum: Steps that they are rounded to, likewise.
         x_delay: Age of x when it arrives [s]; rounded to whole samples of control.
         x_dropout: Probability that a frame of x is lost, from 0 to 1: NaN until the next arrives.
         q_noise: Standard deviation of white noise on q, a number or shape (n_v,) [rad or m].
-        q_quantum: Steps of the encoders, a number or shape (n_v,) [rad or m].
+        q_quantum: Steps of the encoders, likewise.
         velocity_filter: Time constant T of q̇ from differences of the measured q,
             T dq̇/dt + q̇ = Δq/dt [s], from q̇ = 0 at the first sample; 0 does not filter. None is an
             exact tachometer.
-        x_rate: SensorFrames of x a second [Hz]; None takes one at each control sample.
+        x_rate: Frames of x a second [Hz]; None takes one at each control sample.
         x_lost: Intervals (start, end) [s] in which x is lost, or (start, end, part) for one of the
             parts that a task of several measurements has, counted from 0.
         x_frozen: Intervals (start, end) [s] in which no new frame arrives and the last is read.

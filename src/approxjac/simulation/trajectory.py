@@ -110,10 +110,8 @@ class Trajectory:
         limit_status: `LimitStatus` at these instants, shape (N,).
         slack: σ, what limits add to V̇, NaN where it is not known, shape (N,) [W].
         robot_name: Name of the true robot.
-        joint_names: In the order of v and τ.
-        joint_units: "rad", or "m" for prismatic joints, in the same order.
-        task_labels: Names of the task coordinates, length m.
-        task_units: Their units, length m.
+        joint_names, joint_units: In the order of v and τ; "rad", or "m" for prismatic joints.
+        task_labels, task_units: Of the task coordinates, length m.
         scene: Who took part, to draw the run with; None if that is not known.
         derived: Returns what is worked out of a run only when it is asked for, by name: V, task
             torque, σ_min, the law as printed, and the function that `learnt_sd` is.

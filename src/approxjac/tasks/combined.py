@@ -28,28 +28,18 @@ class CombinedTask(WrappedTask):
     K_p and K_v are diagonal, so they weigh the coordinates and nothing between them. The images of
     several points move together when the hand moves sideways and hardly apart when it comes
     nearer: one gain for all coordinates makes the second slow. With C the directions that a motion
-    shows well and those that it shows little become coordinates of their own kind. What is
-    measured, and a target, stay those of the task itself; C changes what is stable no more than
-    gains do.
+    shows well and those that it shows little become coordinates of their own. What is measured, and
+    a target, stay those of the task itself; C changes what is stable no more than gains do.
 
-    With fewer rows than columns C makes fewer coordinates. The four corners of a tag are eight, of
-    which a rigid body moves six: s = C x is a task like any other, with the Jacobian C J, so that
-    the law and its proof hold for s wherever C Ĵ has full row rank; near the target C x = C x_d
-    leaves no other x. `balanced` chooses such a C.
-
-    Corners, or the tag's pose? Corners by this task need nothing of the lens or the tag's size to
-    be exact: what the pixels say is what is controlled, to a fraction of a pixel. Take them where
-    gravity is known, not learnt, the camera to some ten degrees, and the tag's side is a tenth of
-    its distance or more. A tag's tilt is seen badly, though. Otherwise compute its pose by
-    `cv2.solvePnP`, which needs the true K, distortion and size of the tag, and take a
-    `PoseTrackerTask`, or a `TrackerTask` of its position alone.
+    With fewer rows than columns C makes fewer coordinates: of the eight of a tag's corners a rigid
+    body moves six. s = C x is a task like any other, with the Jacobian C J, and the law's proof
+    holds for it wherever C Ĵ has full row rank. `balanced` chooses such a C.
 
     Source: the combination matrix of B. Espiau, F. Chaumette and P. Rives, "A new approach to
     visual servoing in robotics", IEEE Trans. Robotics and Automation 8 (1992).
 
     For controllers: the plant's sensor is the task itself, also that of rollouts. The other
-    stability tests, which need errors of both in the same coordinates, take a plant whose sensor
-    is `CombinedTask(sensor, C)` with the same C.
+    stability tests take a plant whose sensor is `CombinedTask(sensor, C)` with the same C.
 
     Args:
         task: The task of the believed robot.
@@ -85,12 +75,9 @@ class CombinedTask(WrappedTask):
 
         C = Ā^(−1/2), with Ā the mean of the mobility Ĵ M̂⁻¹ Ĵᵀ, its trace set to one, over the 30 of
         400 seeded configurations whose values are nearest to a target; with ‖C‖ = 1, so that it
-        makes no error larger.
-
-        Of more coordinates than the arm can move one by one, such as the eight of a tag's corners,
-        C takes the six (or as many as there are joints) with the largest mobility; of those Ā is
-        that at the target, in configurations where the believed arm has that value or comes nearest
-        to it.
+        makes no error larger. Of more coordinates than the arm can move one by one, such as the
+        eight of a tag's corners, C takes those with the largest mobility; of these Ā is that where
+        the believed arm has the target's value or comes nearest to it.
 
         Args:
             task: The task of the believed robot.

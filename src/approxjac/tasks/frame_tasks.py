@@ -90,14 +90,12 @@ class PoseTask(Task):
 
     A value is (x, y, z) and a quaternion (x, y, z, w), shape (7,), as `pin.SE3ToXYZQUAT` has it;
     the quaternion's length and sign do not matter. The error is (p − p_d, φ): φ = log(R R_dᵀ) is
-    the rotation vector that leads from the target's orientation to the measured one, in world
-    axes [rad], valid up to 180°. At 180° itself the two ways round are equally long; of them
-    the one of the quaternion's sign is taken.
+    the rotation vector from the target's orientation to the measured one, in world axes [rad],
+    valid up to 180°.
 
-    The Jacobian is the geometric one (velocity and angular velocity, world axes). With it
-    d/dt ½‖φ‖² = φᵀω holds exactly for every φ below 180°, so the paper's potential and proof carry
-    over there, where the three rotational gains are equal and s(φ) = φ. With other gains V̇ = −W
-    holds with ∂e/∂q in place of J, which then counts as a part of the Jacobian's error.
+    The Jacobian is the geometric one, with which d/dt ½‖φ‖² = φᵀω holds exactly for every φ below
+    180°: the paper's proof carries over where the three rotational gains are equal and s(φ) = φ.
+    With other gains V̇ = −W holds with ∂e/∂q in place of J.
 
     Args:
         robot: The robot, true or believed.
@@ -180,10 +178,6 @@ class TrackerTask(_Tracked):
             shape (3,) [rad].
         offset: b, the origin of the world in the axes of the tracker, shape (3,) [m].
         frame: Frame name; the robot's `tip` by default.
-
-    Raises:
-        UnknownNameError: No such frame.
-        InvalidInputError: Vectors of another length or not finite.
     """
 
     _kind = "tracker"

@@ -30,12 +30,8 @@ class ImageTask(Task):
     carried by the robot and watches points of the world (eye-in-hand).
 
     With k points x is (u₁, v₁, u₂, v₂, …) and m = 2k. A controller takes at most 6 of them, and at
-    most as many as there are joints: of four points, such as the corners of a tag,
-    `CombinedTask.balanced` makes six coordinates.
-
-    What Ĵ_I needs of a point is where it is. By default that is where the believed robot and the
-    believed camera have it. With a depth of its own, a point is on the ray of its *measured*
-    image, at that depth, as classical visual servoing has it.
+    most as many as there are joints: of more, such as the corners of a tag,
+    `CombinedTask.balanced` makes as many.
 
     Args:
         robot: The robot, true or believed.
@@ -44,16 +40,17 @@ class ImageTask(Task):
             the camera is carried by the robot, which is None as an attribute.
         points: Positions of the points in that frame, shape (k, 3) [m]; its origin by default. To
             be given for points of the world.
-        depth: "believed"; or Z > 0 that is taken for every point, or for each, shape (k,) [m]; or
-            "measured" for a camera that measures it: then x is (u₁, v₁, Z₁, …) and has n_x = 3k
-            entries. The depths are no part of the error, and those of a target are not used. Where
-            none is measured (Z is not finite, or not > 0) it is the believed one.
+        depth: Where Ĵ_I takes a point to be. "believed": where the believed robot and camera have
+            it. Or on the ray of its *measured* image, at a depth Z > 0 of all, or of each, shape
+            (k,) [m]; or "measured" for a camera that measures it: then x is (u₁, v₁, Z₁, …) and has
+            n_x = 3k entries. The depths are no part of the error, and those of a target are not
+            used. Where none is measured (Z is not finite, or not > 0) it is the believed one.
 
     Raises:
         UnknownNameError: No such frame.
-        InvalidInputError: Points that are the same or three
-            that lie on one line, whose image never tells how the body is turned about it; points
-            that move with the camera; a depth for a camera that has none.
+        InvalidInputError: Points that are the same or all on one line, whose image never tells how
+            the body is turned about it; points that move with the camera; a depth for a camera that
+            has none.
     """
 
     _kind = "image"

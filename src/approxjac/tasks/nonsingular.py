@@ -24,23 +24,18 @@ class NonsingularTask(WrappedTask):
 
         Ĵ_d(q) = Ĵ(q) + P(q) (Ĵ(q ⊕ bend) − Ĵ(q)),   P = Σ wᵢ uᵢuᵢᵀ,   wᵢ = max(0, 1 − (σᵢ/ε)²)
 
-    with σᵢ, uᵢ the singular values and left singular vectors of Ĵ(q) and ε = `ratio` · σ_max (or
-    of a tenth of the σ_max that Ĵ typically has, where even σ_max is smaller). In task directions
-    that are being lost, Ĵ_d has the rows of a configuration that is bent a little; all other rows
-    stay. P depends on ĴĴᵀ only, so Ĵ_d is continuous through a singular configuration.
-
-    What it costs is Δ = Ĵ_d − Ĵ, which `design_error` reports and which adds to the error of the
-    model. `bend` also decides to which side the arm folds: of a square Jacobian the singular
-    configurations are not gone but moved to the other side of the fold (its determinant has to
-    change its sign somewhere).
+    with σᵢ, uᵢ the singular values and left singular vectors of Ĵ(q) and ε = `ratio` · σ_max (or of
+    a tenth of the σ_max that Ĵ typically has, where even σ_max is smaller): task directions that
+    are being lost get the rows of a configuration that is bent a little. `bend` also decides to
+    which side the arm folds: of a square Jacobian the singular configurations are moved to the
+    other side of the fold, as its determinant has to change its sign somewhere.
 
     For controllers; a sensor is a plain task of the true robot.
 
     Args:
         task: The task of the believed robot.
         bend: Joint name → how far the bent one is away [rad or m], such as {"joint4": 0.3}.
-        ratio: Where a singular value falls below this share of the largest, Ĵ is changed; > 0
-            and < 1.
+        ratio: Share of the largest singular value below which Ĵ is changed, > 0 and < 1.
 
     Raises:
         UnknownNameError: No such joint.

@@ -43,7 +43,8 @@ class Task(Immutable, Saved, ABC):
     The error e of a value to a target has m coordinates. Mostly e = X − X_d and X has m entries
     too; a pose has 7 entries and an error of 6 coordinates.
 
-    A task of one's own has `value`, `jacobian` and `on`::
+    A task of one's own has `value`, `jacobian` and `on`, and with another error its own `error` and
+    `displaced`, too::
 
         class Distance(aj.Task):
             def __init__(self, robot, point):
@@ -60,9 +61,8 @@ class Task(Immutable, Saved, ABC):
             def on(self, robot):
                 return Distance(robot, self.point)
 
-    One with another error than x − x_d has its own `error` and `displaced`, too.
-
-    Immutable, but it owns scratch memory: one instance a thread.
+    Immutable, but it owns scratch memory: one instance a thread. Methods raise an
+    InvalidInputError for a q or v of the wrong length or not finite.
 
     Args:
         robot: The robot whose kinematics the task uses.
@@ -112,11 +112,7 @@ class Task(Immutable, Saved, ABC):
 
     @abstractmethod
     def value(self, q: Array) -> Array:
-        """Return X = h(q), shape (n_x,), NaN where a sensor would not see it.
-
-        Raises:
-            InvalidInputError: A q of the wrong length or not finite.
-        """
+        """Return X = h(q), shape (n_x,), NaN where a sensor would not see it."""
 
     @abstractmethod
     def jacobian(self, q: Array, x: Array | None = None) -> Array:
@@ -127,9 +123,6 @@ class Task(Immutable, Saved, ABC):
             x: Measured value, shape (n_x,), for a task that uses it, such as an image whose depth
                 is measured. Parts of it that are lost, and None, are replaced by what this robot
                 would measure.
-
-        Raises:
-            InvalidInputError: A q of the wrong length or not finite.
         """
 
     @abstractmethod
@@ -144,9 +137,6 @@ class Task(Immutable, Saved, ABC):
         """Return d/dt of `jacobian` along q̇, shape (m, n_v).
 
         A central difference, good to some 1e-9 of it, of tasks that do not have it exactly.
-
-        Raises:
-            InvalidInputError: A q or v of the wrong length or not finite.
         """
         q, v = self.robot.configuration(q), as_vector("v", v, self.robot.nv)
         speed = float(np.linalg.norm(v))
