@@ -217,7 +217,7 @@ def test_prediction_has_exact_derivatives(case, room, hand, rng):
     x = np.tile([330.0, 210.0], m // 2) + 30.0 * rng.standard_normal(m)
     state = kinematics.initial_state(aj.Measurement(0.0, q, 0.0 * q, x))
     at, v, h = kinematics._at, rng.standard_normal(len(q)), 1e-5
-    for name in ("u_dot", "t_dot", "b_dot", "spin", "stretch_dot", "b"):
+    for name in ("u_dot", "t_dot", "b_dot", "R_spin", "stretch_dot", "b"):
         state[at[name]] = 0.1 * rng.standard_normal(len(state[at[name]]))
     x_dot, x_ddot = 100.0 * rng.standard_normal((2, m))
 

@@ -244,7 +244,7 @@ def test_a_rotation_near_a_known_one_is_learnt_as_without(belief, rng):
 def test_prediction_has_exact_derivatives(turned_run, rng):
     kinematics, _, run = turned_run
     state, at = run.state.copy(), kinematics._at
-    for name in ("u_dot", "b_dot", "spin"):
+    for name in ("u_dot", "b_dot", "R_spin"):
         state[at[name]] = 0.1 * rng.standard_normal(len(state[at[name]]))
     q, v, h = run.q, rng.standard_normal(7), 1e-5
     x, x_dot, x_ddot = rng.standard_normal((3, 3))
@@ -253,7 +253,7 @@ def test_prediction_has_exact_derivatives(turned_run, rng):
         new = state.copy()
         new[at["u"]] += s * state[at["u_dot"]]
         new[at["b"]] += s * state[at["b_dot"]]
-        turned = rotation_exp(s * state[at["spin"]]) @ state[at["R"]].reshape(3, 3)
+        turned = rotation_exp(s * state[at["R_spin"]]) @ state[at["R"]].reshape(3, 3)
         new[at["R"]] = turned.ravel()
         target = aj.Target(x + s * x_dot + s * s / 2 * x_ddot, x_dot + s * x_ddot, x_ddot)
         return kinematics.predict(new, q + s * v, v, target)
@@ -272,7 +272,7 @@ def test_estimates_move_as_is_said(turned_run, truth):
     after = kinematics.step(run.state, aj.Measurement(9.0, run.q, np.zeros(7), run.x, 8.99), 1e-3)
     assert_allclose(after[at["u"]], run.state[at["u"]] + 1e-3 * after[at["u_dot"]])
     assert_allclose(after[at["b"]], run.state[at["b"]] + 1e-3 * after[at["b_dot"]])
-    turned = rotation_exp(1e-3 * after[at["spin"]]) @ run.state[at["R"]].reshape(3, 3)
+    turned = rotation_exp(1e-3 * after[at["R_spin"]]) @ run.state[at["R"]].reshape(3, 3)
     assert_allclose(after[at["R"]], turned.ravel())
 
 

@@ -82,7 +82,7 @@ def test_prediction_has_exact_derivatives(rng):
     kinematics, q, v = AdaptivePlanarCamera(task), START, rng.standard_normal(2)
     state = kinematics.initial_state(aj.Measurement(0.0, q, v, task.value(q)))
     inner, h = kinematics, 1e-5
-    for name in ("u_dot", "b_dot", "spin"):
+    for name in ("u_dot", "b_dot", "R_spin"):
         state[inner._at[name]] = 0.1 * rng.standard_normal(len(state[inner._at[name]]))
     x, x_dot, x_ddot = 0.01 * rng.standard_normal((3, 2))
 

@@ -169,7 +169,7 @@ def test_prediction_has_exact_derivatives(turned_run, belief, rng, kind, angle):
         state = kinematics.initial_state(aj.Measurement(0.0, HOME, np.zeros(7), np.arange(7.0)))
         R = rotation_exp(turn)
     at = kinematics._at
-    for name in ("u_dot", "b_dot", "spin", "T_spin"):
+    for name in ("u_dot", "b_dot", "R_spin", "T_spin"):
         state[at[name]] = 0.3 * rng.standard_normal(len(state[at[name]]))
     q, v, h = run.q, rng.standard_normal(7), 1e-5
     p, p_dot, p_ddot, w, w_dot, way = rng.standard_normal((6, 3))
@@ -186,7 +186,7 @@ def test_prediction_has_exact_derivatives(turned_run, belief, rng, kind, angle):
         for name in ("u", "b"):
             new[at[name]] += s * state[at[name + "_dot"]]
         if turned:
-            new[at["R"]] = rotation("R", "spin", s).ravel()
+            new[at["R"]] = rotation("R", "R_spin", s).ravel()
         new[at["T"]] = rotation("T", "T_spin", s).ravel()
         now = rotation_exp(s * w + s * s / 2 * w_dot) @ R_d  # ω = w + s ẇ, to first order
         target = aj.Target(
@@ -223,7 +223,7 @@ def test_estimates_move_as_is_said(turned_run, sensor):
     kinematics, run = turned_run
     at, x = kinematics._at, sensor.value(run.q)
     after = kinematics.step(run.state, aj.Measurement(9.0, run.q, np.zeros(7), x, 8.99), 1e-3)
-    for name, spin in (("R", "spin"), ("T", "T_spin")):
+    for name, spin in (("R", "R_spin"), ("T", "T_spin")):
         turned = rotation_exp(1e-3 * after[at[spin]]) @ run.state[at[name]].reshape(3, 3)
         assert_allclose(after[at[name]], turned.ravel())
     for k in range(400):  # what is left after half a second is what is learnt meanwhile
@@ -231,7 +231,7 @@ def test_estimates_move_as_is_said(turned_run, sensor):
         after = kinematics.step(after, aj.Measurement(t, run.q, np.zeros(7), x, 8.99), 1e-3)
     Theta, R = kinematics._estimator.estimate(after[at["sums"]])
     n = kinematics._unknowns.n_u
-    T = kinematics._orientation.told(Theta[n - 9 : n])
+    T = kinematics._orientation.of(Theta[n - 9 : n])
     goal = rotation_exp(after[at["integral"]][3:] / kinematics._orientation.length)
     goal = goal @ R @ kinematics._orientation.frame_rotation(run.q) @ T
     z = kinematics.predict(

@@ -71,16 +71,8 @@ class MotionDynamics(Immutable, ABC):
         """Return the state dt [s] later, the torque of the motion by it, and that of gravity.
 
         The torque is that of the *new* state: a step of a rate that is evaluated before it is
-        taken adds nothing to V₂, however short the period is against what learns.
-
-        Args:
-            state: â and d̂, shape (n_state,).
-            q: Configuration, shape (nq,).
-            v: q̇, shape (n_v,).
-            v_r: q̇_r, shape (n_v,).
-            a_r: q̈_r, shape (n_v,).
-            learns: Whether to learn.
-            dt: Time to learn for [s].
+        taken adds nothing to V₂, however short the period is against what learns. q is (nq,), q̇,
+        q̇_r and q̈_r are (n_v,); `learns` says whether to learn.
         """
 
     @abstractmethod
@@ -148,7 +140,7 @@ class ModelDynamics(MotionDynamics):
         return state, middle - apart, self.gravity(state, q)
 
     def gravity(self, state: Array, q: Array) -> Array:
-        """Return ĝ(q), shape (n_v,) [N m or N]."""
+        """Return ĝ(q) of the model."""
         return np.array(pin.computeGeneralizedGravity(self._model, self._data, q))
 
     def __repr__(self) -> str:

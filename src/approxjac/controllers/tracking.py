@@ -18,7 +18,6 @@ from approxjac import law
 from approxjac.cameras import PlanarCamera
 from approxjac.controllers.adaptive_dynamics import AdaptiveDynamics, MotionDynamics
 from approxjac.controllers.arguments import (
-    FLOAT64,
     HUGE,
     overflow,
     require_arrays,
@@ -184,9 +183,7 @@ class TrackingController(Immutable, Controller):
             self._added = self.dynamics.gain_inertia(max(1.0, _ROOM / (self.kappa * self.dt)))
             self._n_dynamics = self.dynamics.n_state
         self._end = self._n_dynamics + self.kinematics.n_state
-        self.n_state = n_state = self._end + (0 if self._commands is None else robot.nv)
-        # of q, v, x, target and state
-        self._shapes = (robot.nq,), (robot.nv,), (task.n_x,), (task.n_x,), (n_state,)
+        self.n_state = self._end + (0 if self._commands is None else robot.nv)
         # of metres and radians at once it is usually 0.05, where nothing is singular
         most = _SINGULAR_RATIO if len(set(task.units)) == 1 else law.SINGULAR_RATIO
         self._gains = law.ReferenceGains(
@@ -280,12 +277,11 @@ class TrackingController(Immutable, Controller):
         p, end, dt = self._n_dynamics, self._end, self.dt
         known = state[p:end]
         now = self.kinematics.status(known, measurement)
-        waits = now is _LOST if isinstance(now, Status) else now == float(_LOST)
+        waits, is_old = now == _LOST, now == _PREDICTED
         J_hat, v_r, a_r, damped, is_known = self._reference(known, q, v, target, waits)
         after, learns = state.copy(), is_known | waits
         self.kinematics.correct(after[p:end], measurement, dt)
         e = self.task.error(x, target.x)
-        is_old = now is _PREDICTED if isinstance(now, Status) else now == float(_PREDICTED)
         status = law.select(is_old | law.complement(law.is_finite(e)), _PREDICTED, _OK)
         status = law.select(damped, _SINGULAR, status)
         status = law.select(waits, _LOST, law.select(is_known, status, _UNPREDICTED))
@@ -318,17 +314,7 @@ class TrackingController(Immutable, Controller):
             target if isinstance(target, Target) else Target(target), task._measured.m
         )
         x_d = target.x
-        try:
-            _, q, v, x, _ = measurement
-            usual = (
-                (q.shape, v.shape, x.shape, x_d.shape, state.shape) == self._shapes
-                and q.dtype is v.dtype is x.dtype is x_d.dtype is state.dtype is FLOAT64
-                and type(q) is type(v) is type(x) is type(x_d) is type(state) is np.ndarray
-            )
-        except (TypeError, ValueError, AttributeError):
-            usual = False
-        if not usual:
-            q, v, x = require_arrays(state, measurement, x_d, task, self.n_state)
+        q, v, x = require_arrays(state, measurement, x_d, task, self.n_state)
         largest = math.hypot(*q.tolist(), *v.tolist(), *x_d.tolist())
         if not (largest < HUGE and state.dot(state) < HUGE):
             require_finite(q, v, x_d, state, task)
@@ -389,10 +375,6 @@ class TrackingController(Immutable, Controller):
         """Numbers of the state, those of the dynamics, that rest while limits give the proof up."""
         return self._n_dynamics
 
-    def passive_output(self, answer: Evaluation, v: Array, alpha: float | Array) -> Array:
-        """Return σ: the joint velocity less the answer's reference q̇_r, as it is given here."""
-        return v
-
     def is_proven(self, answer: Evaluation) -> bool:
         """Return whether V̇₂ is known: always, as the kinematics do not enter."""
         return True
@@ -435,18 +417,9 @@ class RestConfiguration:
     """n₀ = −k_n s(q ⊖ q_rest), no faster than 0.5 rad/s, and its derivative.
 
     Of continuous joints the sine of the angle takes the place of the angle, so that n₀ has no jump
-    half a turn away.
-
-    Args:
-        task: The task of the believed robot.
-        q: q_rest, shape (nq,). By default the middle of the ranges of joints that turn less than
-            once, or slide less than 2 m. The others are drawn nowhere: the middle of ±2π says
-            nothing of an elbow.
-        rate: k_n [1/s].
-
-    Raises:
-        InvalidInputError: A q_rest for an arm without self-motion, of the wrong shape or in
-            degrees.
+    half a turn away. By default q_rest is the middle of the ranges of joints that turn less than
+    once, or slide less than 2 m. The others are drawn nowhere: the middle of ±2π says nothing of
+    an elbow.
     """
 
     def __init__(self, task: Task, q: Sequence[float] | Array | None, rate: float) -> None:
@@ -516,14 +489,8 @@ class VelocityCommand:
 
     Speed is brought within its limits along q̇_r as a whole (`law.within_speeds`, before); joints
     near their position limits are slowed down each on its own, and each command differs from the
-    one before by the acceleration that there may be. Where a command is limited, L̂ rests.
-
-    Args:
-        robot: The believed robot.
-        limits: With an entry for each joint.
-        acceleration: A number or shape (n_v,) [rad/s² or m/s²]; by default `sure_deceleration`, but
-            no more than leads to full speed in 0.1 s.
-        dt: Time from command to command [s].
+    one before by the acceleration that there may be: by default `sure_deceleration`, but no more
+    than leads to full speed in 0.1 s. Where a command is limited, L̂ rests.
     """
 
     def __init__(
@@ -546,29 +513,15 @@ class VelocityCommand:
     def step(
         self, state: Array, q: Array, v: Array, v_r: Array, w: Array, before: Array
     ) -> tuple[Array, Array]:
-        """Return L̂ a period later, shape (1,), and the command, shape (n_v,).
-
-        Args:
-            state: L̂ [s], shape (1,).
-            q: Configuration, shape (nq,).
-            v: q̇, shape (n_v,).
-            v_r: q̇_r, shape (n_v,).
-            w: q̈_r at q̇ = q̇_r, shape (n_v,).
-            before: The command before, shape (n_v,).
-        """
+        """Return L̂ [s] a period later, shape (1,), and the command; w is q̈_r at q̇ = q̇_r."""
         wanted = v_r + state[0] * w
-        sent = self._within(q, wanted, before)
+        motion = q if self._neutral is None else motion_between(self._robot, self._neutral, q)
+        low, high = law.speed_bounds(motion, self._joints)
+        sent = np.minimum(np.maximum(wanted, low), high)
+        sent = np.minimum(np.maximum(sent, before - self._change), before + self._change)
         lag = state + self._dt * law.servo_lag_rate(_LAG_GAIN, w, v - v_r)
         lag = np.minimum(np.maximum(lag, 0.0), _LONGEST_LAG)
         return law.select(law.all_of(sent == wanted), lag, state), sent
-
-    def _within(self, q: Array, velocity: Array, before: Array) -> Array:
-        """Return the velocity within limits, given the command before."""
-        motion = q if self._neutral is None else motion_between(self._robot, self._neutral, q)
-        low, high = law.speed_bounds(motion, self._joints)
-        wanted = np.minimum(np.maximum(velocity, low), high)
-        within = np.minimum(np.maximum(wanted, before - self._change), before + self._change)
-        return np.asanyarray(within)
 
 
 def _usual_kinematics(task: Task, dt: float) -> Kinematics:

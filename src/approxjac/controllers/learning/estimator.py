@@ -88,19 +88,21 @@ class Kinematics(Immutable, ABC):
             fresh[part] = state[part]
         return fresh
 
-    @abstractmethod
     def step(self, state: Array, measurement: Measurement, dt: float) -> Array:
         """Return the state after learning from a measurement, and dt [s] later.
 
-        A measurement whose x is lost, or has been seen before, teaches nothing.
+        A measurement whose x is lost, or was seen before, or that jumps, teaches nothing.
         """
-
-    def correct(self, state: Array, measurement: Measurement, dt: float) -> None:
-        """Make a state that of `step`, in place: thousands of numbers are slow to copy."""
-        state[:] = self.step(state, measurement, dt)
+        self.check(state, measurement, dt)
+        state = state.copy()
+        self.correct(state, measurement, dt)
+        return state
 
     def check(self, state: Array, measurement: Measurement, dt: float) -> None:
         """Refuse a measurement that `correct` cannot learn from, such as one without a time."""
+
+    def correct(self, state: Array, measurement: Measurement, dt: float) -> None:
+        """Make a state that of `step`, in place; by default nothing is learnt."""
 
     def status(self, state: Array, measurement: Measurement) -> Status:
         """Return what may be done by a state, if any, of kinematics that learn from x.
@@ -197,10 +199,6 @@ class KnownKinematics(Kinematics):
         """Return no state, shape (0,)."""
         return np.zeros(0)
 
-    def step(self, state: Array, measurement: Measurement, dt: float) -> Array:
-        """Return the state as it is: there is nothing to learn."""
-        return state
-
     def predict(self, state: Array, q: Array, v: Array, target: Target) -> PredictedError:
         """Return h(q) − x_d and its derivatives."""
         task, (x_d, x_d_dot, x_d_ddot) = self.task, target
@@ -265,28 +263,19 @@ class Estimator(Kinematics):
     noise: float
     delay: float
     _at: dict[str, slice]
-    _turning: tuple[tuple[str, str], ...]  # names of rotations that follow, and of their spins
     _believed: Array  # values of `names` before the first frame, and their standard deviations
     _sd: Array
     _noise_unit = "m"
     _pixels: Array | float = 1.0  # units of the noise in one of `_points`
 
     def _lay_out(
-        self,
-        own: Mapping[str, int],
-        kept: str,
-        moving: str,
-        delay: float,
-        dt: float,
-        n_points: int,
-        jump: float = 0.0,
+        self, own: Mapping[str, int], delay: float, dt: float, n_points: int, jump: float = 0.0
     ) -> None:
         """Say what a state holds, one part after the other, and what of it was learnt.
 
         Args:
-            own: Lengths of parts by name, what moves one after the other, and their rates, too.
-            kept: Parts that hold what was learnt.
-            moving: Parts that follow smoothly.
+            own: Lengths of parts by name. What is smoothed has a rate: of each name one in "_dot",
+                in the same order without a gap, and of rotations one in "_spin".
             delay: As `delay`.
             dt: Sampling time of control [s].
             n_points: Length of `_points`.
@@ -305,11 +294,14 @@ class Estimator(Kinematics):
         each = zip(sizes.items(), ends, strict=True)
         self._at = at = {name: slice(end - size, end) for (name, size), end in each}
         self.n_state = ends[-1]
-        kept = f"learnt integral averaged left noted {kept}"
-        self._kept = tuple(at[name] for name in kept.split())
-        first, *_, last = moving.split()
-        self._moving = slice(at[first].start, at[last].stop)
-        self._rates = slice(at[f"{first}_dot"].start, at[f"{last}_dot"].stop)
+        rates = [name for name in own if name.endswith("_dot")]
+        spins = [name for name in own if name.endswith("_spin") and own[name]]
+        fresh = {"frames", "gate", "time", *rates, *spins}
+        self._kept = tuple(part for name, part in at.items() if name not in fresh)
+        self._rates = slice(at[rates[0]].start, at[rates[-1]].stop)
+        first, last = (at[name.removesuffix("_dot")] for name in (rates[0], rates[-1]))
+        self._moving = slice(first.start, last.stop)
+        self._turning = tuple((name.removesuffix("_spin"), name) for name in spins)
 
     # -- what one derived from it has --------------------------------------------------------
 
@@ -367,6 +359,7 @@ class Estimator(Kinematics):
         """Return the covariance of what is estimated as that of what `learnt` returns."""
 
     def _axes(self, state: Array) -> TiltedAxes:
+        """Return whether tilted axes would explain x better."""
         return TiltedAxes(1.0, 0.0, "", 0.0)
 
     # -- the steps ---------------------------------------------------------------------------
@@ -405,16 +398,6 @@ class Estimator(Kinematics):
                 raise InvalidInputError(
                     f"t_x must be by the clock of t: {message}", given=measurement
                 )
-
-    def step(self, state: Array, measurement: Measurement, dt: float) -> Array:
-        """Return the state after learning from a measurement, and dt [s] later.
-
-        A measurement whose x is lost, or was seen before, or that jumps, teaches nothing.
-        """
-        self.check(state, measurement, dt)
-        state = state.copy()
-        self.correct(state, measurement, dt)
-        return state
 
     def correct(self, state: Array, measurement: Measurement, dt: float) -> None:
         """Make a state that of `step`, in place, of a measurement that `check` takes."""

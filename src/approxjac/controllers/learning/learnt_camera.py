@@ -16,6 +16,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement, Target
 from approxjac.law import PredictedError
 from approxjac.robots import KinematicRegressor, Robot
+from approxjac.robots.kinematic_regressor import PointMotion
 from approxjac.tasks import CombinedTask, ImageTask
 from approxjac.tasks.analysis import (
     controllable_coordinates,
@@ -138,12 +139,10 @@ class AdaptiveCamera(Estimator):
         m = task.m
         sizes = {
             "keys": self._estimator.size, "explained": 1,
-            "R": 9, "u": n, "t": 3, "stretch": 1, "b": m,
-            "spin": 3, "u_dot": n, "t_dot": 3, "stretch_dot": 1, "b_dot": m,
+            "R": 9, "R_spin": 3, "u": n, "t": 3, "stretch": 1, "b": m,
+            "u_dot": n, "t_dot": 3, "stretch_dot": 1, "b_dot": m,
         }  # fmt: skip
-        kept = "keys explained R u t stretch b"
-        self._lay_out(sizes, kept, "u t stretch b", delay, dt, m)
-        self._turning = (("R", "spin"),)
+        self._lay_out(sizes, delay, dt, m)
 
     def __repr__(self) -> str:
         return f"AdaptiveCamera({self.task!r}, unknown={self.unknown})"
@@ -270,7 +269,7 @@ class AdaptiveCamera(Estimator):
         rate = self._eased(dt, beside, turn)
         u_dot, spin = rate * (u - smooth_u), rate * turn
         moved = H.dot(u_dot).dot(smooth_R.T) + smooth_r.dot(law.cross_matrix(spin).dot(smooth_R).T)
-        state[at["u_dot"]], state[at["spin"]] = u_dot, spin
+        state[at["u_dot"]], state[at["R_spin"]] = u_dot, spin
         state[at["t_dot"]] = (rate * (c - smooth_c) - moved).mean(axis=0)
         state[at["stretch_dot"]] = rate * (stretch - smooth_stretch)
         state[at["b_dot"]] = rate * (state[at["integral"]] - state[at["b"]])
@@ -290,7 +289,7 @@ class AdaptiveCamera(Estimator):
         """
         at, k, s = self._at, self._k, self._scale[:, np.newaxis]
         u, R, stretch = self._smooth(state)
-        t_dot, spin = state[at["t_dot"]], state[at["spin"]]
+        t_dot, spin = state[at["t_dot"]], state[at["R_spin"]]
         l_dot = float(state[at["stretch_dot"]][0])
         r, J_r, J_r_dot, drift_r = self._points_of.motion(q, v, u, state[at["u_dot"]])
         R_dot = law.cross_matrix(spin).dot(R)
@@ -385,22 +384,6 @@ def _camera(task: Any) -> PinholeCamera:
     return camera
 
 
-class _PointsMotion(NamedTuple):
-    """Points and their derivatives, with translations that are learnt.
-
-    Attributes:
-        r: Points in the axes of the mount, shape (k, 3) [m].
-        J: ∂r/∂q, shape (k, 3, n_v).
-        J_dot: Its rate along q̇ and u', shape (k, 3, n_v).
-        drift: What u' moves r by, shape (k, 3) [m/s].
-    """
-
-    r: Array
-    J: Array
-    J_dot: Array
-    drift: Array
-
-
 class _WatchedPoints:
     """r(q) = o(q) + H(q)u in the axes of the camera's mount, with u translations.
 
@@ -464,15 +447,19 @@ class _WatchedPoints:
         """Return all translations of `regressor`, those that are known as well; shape (p,) [m]."""
         return np.asarray(self._theta + self._S.dot(u[: self._n_theta]))
 
-    def motion(self, q: Array, v: Array, u: Array, u_dot: Array) -> _PointsMotion:
-        """Return points and derivatives at q (nq,) and q̇ (n_v,), with u and u' (n_u,)."""
+    def motion(self, q: Array, v: Array, u: Array, u_dot: Array) -> PointMotion:
+        """Return points and derivatives at q (nq,) and q̇ (n_v,), with u and u' (n_u,).
+
+        In the axes of the mount: r and what u' moves it by are (k, 3), ∂r/∂q and its rate
+        (k, 3, n_v).
+        """
         n = self._n_theta
         theta, theta_dot = self.theta(u), self._S.dot(u_dot[:n])
         p, J, J_dot, drift = self.regressor.motion(q, v, theta, theta_dot)
         J, J_dot = (each.reshape(-1, 3, J.shape[1]) for each in (J, J_dot))
         p, drift = p.reshape(-1, 3), drift.reshape(-1, 3)
         if not self._is_carried:
-            return _PointsMotion(p, J, J_dot, drift)
+            return PointMotion(p, J, J_dot, drift)
         # r = A(P − o) with rows a of A: each entry is a product a·w
         A, a_J, a_J_dot = p[1:] - p[0], J[1:] - J[0], J_dot[1:] - J_dot[0]
         a_dot = a_J.dot(v)
@@ -482,7 +469,7 @@ class _WatchedPoints:
             w, w_dot, moved = w + u[n:], w_dot + u_dot[n:], moved + u_dot[n:]
         each = np.einsum("kj,ajn->kan", w, a_J)
         each_dot = np.einsum("kj,ajn->kan", w, a_J_dot) + np.einsum("j,ajn->an", w_dot, a_J)
-        return _PointsMotion(
+        return PointMotion(
             w.dot(A.T),
             each - A.dot(J[0]),
             each_dot - a_dot.dot(J[0]) - A.dot(J_dot[0]),

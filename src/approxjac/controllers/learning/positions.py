@@ -110,15 +110,12 @@ class AdaptiveKinematics(Estimator):
         n, n_p, spin = unknowns.n_u, self._n_p, len(law.generators(self._d)) if turns else 0
         sizes = {
             "sums": self._estimator.size, "chi": 2, "placed": task.n_x,
-            "R": self._d**2 if turns else 0, "spin": spin,
+            "R": self._d**2 if turns else 0, "R_spin": spin,
             "T": 9 if is_pose else 0, "T_spin": 3 if is_pose else 0,
             "u": n, "b": n_p, "u_dot": n, "b_dot": n_p,
         }  # fmt: skip
         n_points = len(unknowns.points(np.zeros(task.n_x)))
-        kept = "sums chi placed u b R T"
-        self._lay_out(sizes, kept, "u b", delay, dt, n_points, JUMP * noise)
-        turning = (("R", "spin"), ("T", "T_spin"))
-        self._turning = tuple(pair for pair in turning if sizes[pair[0]])
+        self._lay_out(sizes, delay, dt, n_points, JUMP * noise)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.task!r}, unknown={self.unknown})"
@@ -180,7 +177,7 @@ class AdaptiveKinematics(Estimator):
         share = -np.expm1(-_FORGETTING * since)
         state[at["sums"]] = sums = self._estimator.learn(state[at["sums"]], H_T, o, z, share)
         Theta, R = self._estimator.estimate(sums)
-        state[at["learnt"]] = unknowns.told(Theta, R)
+        state[at["learnt"]] = unknowns.in_order(Theta, R)
         left = unknowns.left(x, self._turned(R, known + H.dot(Theta)))
         self._account(state, left, since)
         seen = np.isfinite(left)
@@ -232,7 +229,7 @@ class AdaptiveKinematics(Estimator):
         state[at["u_dot"]] = u_dot = rate * (u - smooth_u)
         b_dot = rate * away - self._turned(smooth_R, H.dot(u_dot))
         if self._turns:
-            state[at["spin"]] = spin = rate * turn
+            state[at["R_spin"]] = spin = rate * turn
             b_dot = b_dot - self._turned(law.cross_matrix(spin).dot(smooth_R), smooth_p)
         state[at["b_dot"]] = b_dot
 
@@ -259,7 +256,7 @@ class AdaptiveKinematics(Estimator):
         x_d, v_d, a_d = target
         rates = [(None, None) if rate is None else (rate[:3], rate[3:]) for rate in (v_d, a_d)]
         (v_p, v_r), (a_p, a_r) = rates
-        R, spin = self._rotation(state), state[at["spin"]] if self._turns else np.zeros(3)
+        R, spin = self._rotation(state), state[at["R_spin"]] if self._turns else np.zeros(3)
         positions = self._positions(state, q, v, Target(x_d[:3], v_p, a_p))
         turns = self._orientation.predict(
             q, v, Target(x_d[3:], v_r, a_r), T, state[at["T_spin"]], R, spin
@@ -274,7 +271,7 @@ class AdaptiveKinematics(Estimator):
         x_d, x_d_dot, x_d_ddot = target
         x_d_dot = np.zeros(len(p)) if x_d_dot is None else x_d_dot
         x_d_ddot = np.zeros(len(p)) if x_d_ddot is None else x_d_ddot
-        away, b_dot, spin = state[at["b"]] - x_d, state[at["b_dot"]], state[at["spin"]]
+        away, b_dot, spin = state[at["b"]] - x_d, state[at["b_dot"]], state[at["R_spin"]]
         if self._is_turned:
             # rows are vectors: x R is Rᵀx. With R' = [ω]ₓR, Rᵀx changes by Rᵀ(x' + [ω]ₓᵀx)
             vectors = np.array([away, x_d_dot, b_dot, x_d_ddot]).reshape(-1, self._d)
@@ -307,10 +304,10 @@ class AdaptiveKinematics(Estimator):
 
     def robot(self, state: Array) -> Robot:
         """Return the believed robot with what a state has learnt of its tool and origins."""
-        theta, told = self.regressor.theta.copy(), self.learnt(self._required(state))
+        theta, learnt = self.regressor.theta.copy(), self.learnt(self._required(state))
         n = len(self._unknowns.of_theta)
-        theta[self._unknowns.of_theta] = told[:n]
-        turn = told[n : n + 3] if self._unknowns.n_t else None
+        theta[self._unknowns.of_theta] = learnt[:n]
+        turn = learnt[n : n + 3] if self._unknowns.n_t else None
         return self.regressor.robot_with(theta, turn)
 
 

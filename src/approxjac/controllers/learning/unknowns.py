@@ -27,11 +27,9 @@ from approxjac.tasks.frame_kinematics import FrameKinematics
 from approxjac.validation import Array
 
 KINDS = ("tool", "origins", "camera", "offset", "scale")
-"""Kinds of unknowns."""
-USUAL_SD: Mapping[str, float] = {
+_USUAL_SD: Mapping[str, float] = {
     "tool": 0.2, "orientation": 1.0, "origins": 0.02, "camera": 1.0, "offset": 0.2, "scale": 0.2,
 }  # fmt: skip
-"""Plausible errors: of translations and offset along each axis [m], rotations [rad], and scale."""
 _NOISY = 0.3  # of the arm's reach, or of a metre, above which noise is in millimetres
 _AXES = np.eye(3)
 _AXES.flags.writeable = False
@@ -41,40 +39,16 @@ _TURNABLE = ("xyz", "xy", "yx", "xz", "zx", "yz", "zy")
 class Unknowns:
     """x = R(o(q) + H(q)Θ), with Θ = (u, c): translations and scale u, offset c = Rᵀb.
 
-    Of a pose u has the nine numbers of the tool's rotation, too, and x the axes as points.
-
-    Args:
-        task: Position of a frame, of several, or as a tracker sees it, or a pose, of the believed
-            robot.
-        unknown: Some of `KINDS`.
-        sd: Plausible errors in place of those of `USUAL_SD`.
-        length: What a radian counts as, beside positions [m].
-
-    Attributes:
-        regressor: p(q) of the frames.
-        orientation: What the rest of x depends on, of a pose.
-        names: Names of all that is learnt: u, then b, then the rotation.
-        units: Their units.
-        believed: Their values before the first frame.
-        sd: Their standard deviations then.
-        n_u: Length of u.
-        n_tilts: Number of tilts of axes, which are looked for and not learnt; none of a pose.
-        d: Number of axes of a point.
-        R: Believed rotation of the base's axes in the sensor's, shape (d, d).
-        Theta: Believed Θ, shape (P,).
-        turns: Whether the rotation is learnt.
-        is_turned: Whether x is in other axes than the base's.
-        constant: What is to be added to p, as the offset is known, in the base's axes.
-        has_scale: Whether a scale is learnt, the last entry of u.
-        largest_noise: Of x that could be meant [m].
-        n_t: How many numbers of u the tool's rotation are, its last: 9 or 0.
+    Of a pose u ends with the nine numbers of the tool's rotation, and x has the axes as points. R
+    (d, d) turns the base's axes into the sensor's. `names` are u, then b, then the rotation; a
+    scale is the last entry of u. `length` [m] is what a radian counts as, beside positions.
     """
 
     def __init__(self, task: Task, unknown: Any, sd: Any, length: float) -> None:
         kinds = chosen_kinds(unknown, KINDS)
         used = {*kinds, *(("offset",) if "camera" in kinds else ())}
         used |= {"orientation"} if isinstance(task, PoseTask) and "tool" in kinds else set()
-        sds = chosen_deviations(sd, USUAL_SD, used)
+        sds = chosen_deviations(sd, _USUAL_SD, used)
         points = _points(task)
         self.turns, self.has_scale = "camera" in kinds, "scale" in kinds
         axes, self.R, b = self._axes(task, points)
@@ -84,7 +58,7 @@ class Unknowns:
         self.n_tilts = 0 if isinstance(task, PoseTask) else 2 * len(regressor.turning)
         entries = [(frames.index(point.frame), axis) for point in points for axis in point.axes]
         reaches = [task.robot.reach_bound(frame)[1] for frame in frames]
-        self.largest_noise = _NOISY * max(1.0, *reaches)
+        self.largest_noise = _NOISY * max(1.0, *reaches)  # that could be meant
         rows = [3 * frame + "xyz".index(axis) for frame, axis in entries]
         in_order = rows == list(range(3 * regressor.k))
         self.rows: slice | Array = slice(None) if in_order else np.array(rows)
@@ -139,7 +113,7 @@ class Unknowns:
             deviations = [*deviations, *[sds["camera"]] * len(law.generators(self.d))]
         self.names = tuple(names)
         self.units = tuple(_unit(name) for name in names)
-        self.believed = self.told(self.Theta, self.R)
+        self.believed = self.in_order(self.Theta, self.R)
         self.sd = np.sqrt(self.merged(np.diag(np.square(deviations)), self.Theta).diagonal())
 
     def _axes(self, task: Task, points: list[_Point]) -> tuple[str, Array, Array]:
@@ -205,19 +179,16 @@ class Unknowns:
         H = np.concatenate([H, self.offsets], axis=1)
         if self.orientation is None:
             return H, known
-        regressor, n = self.orientation.regressor(q), H.shape[1]
-        if self.n_t:
-            others = np.zeros((9, self.n_u - 9)), np.zeros((9, n - self.n_u))
-            turned, axes = np.concatenate([others[0], regressor, others[1]], axis=1), np.zeros(9)
-        else:
-            turned, axes = np.zeros((9, n)), regressor.dot(np.eye(3).ravel())
-        return np.concatenate([H, turned]), np.concatenate([known, axes])
+        axes, n = self.orientation.regressor(q), H.shape[1]
+        if not self.n_t:
+            known = np.concatenate([known, axes.dot(_AXES.ravel())])
+            return np.concatenate([H, np.zeros((9, n))]), known
+        none = [np.zeros((9, self.n_u - 9)), np.zeros((9, n - self.n_u))]
+        axes = np.concatenate([none[0], axes, none[1]], axis=1)
+        return np.concatenate([H, axes]), np.concatenate([known, np.zeros(9)])
 
     def at(self, q: Array) -> tuple[Array, Array]:
-        """Return H(q) of positions without the offset's columns, and their o(q).
-
-        Shapes (m, n_u) and (m,), or (3, n_u) and (3,) of a pose.
-        """
+        """Return H(q) of positions without the offset's columns, (m or 3, n_u), and their o(q)."""
         Y = self.regressor.Y(q)[self.rows]
         known = Y.dot(self.theta) + self.constant
         if self.regressor.has_offset:
@@ -247,24 +218,24 @@ class Unknowns:
             return np.asanyarray(reach)
         return np.concatenate([reach, np.repeat(1.5 * self.orientation.reach(q_0, q), 9)])
 
-    # -- in words and numbers --------------------------------------------------------------
+    # -- what was learnt -------------------------------------------------------------------
 
-    def told(self, Theta: Array, R: Array) -> Array:
+    def in_order(self, Theta: Array, R: Array) -> Array:
         """Return what is learnt in the order of `names`."""
         u, c = Theta[: self.n_u - self.n_t], Theta[self.n_u :]
         if self.has_scale:
             u = np.append(u[:-1] / u[-1], u[-1:])
         numbers = Theta[len(u) : self.n_u]
-        tool = law.rotation_log(Orientation.told(numbers)) if self.n_t else np.zeros(0)
+        tool = law.rotation_log(Orientation.of(numbers)) if self.n_t else np.zeros(0)
         turn = law.rotation_log(R) if self.turns else np.zeros(0)
         return np.concatenate([u, tool, R.dot(c) if len(c) else c, turn])
 
-    def tool(self, told: Array) -> Array:
-        """Return the rotation of the tool from what is believed, of what is told (p,), (3, 3)."""
+    def tool(self, learnt: Array) -> Array:
+        """Return the rotation of the tool from what is believed, of numbers in order, (3, 3)."""
         if not self.n_t:
             return np.eye(3)
         start = len(self.of_theta)
-        return law.rotation_exp(told[start : start + 3])
+        return law.rotation_exp(learnt[start : start + 3])
 
     def left(self, x: Array, predicted: Array) -> Array:
         """Return what is left of x, of a pose as position and rotation vector, (m,) [m]."""
@@ -273,14 +244,14 @@ class Unknowns:
         turn = self.orientation.left(x[3:], predicted[3:])
         return np.concatenate([x[:3] - predicted[:3], turn])
 
-    def unscaled(self, P: Array, told: Array) -> Array:
+    def unscaled(self, P: Array, learnt: Array) -> Array:
         """Return a covariance, of translations that were learnt times the scale, as without it."""
         if not self.has_scale:
             return P
         n = self.n_u - 1
         T = np.eye(len(P))
-        T[:n, :n] /= told[n]
-        T[:n, n] = -told[:n] / told[n]
+        T[:n, :n] /= learnt[n]
+        T[:n, n] = -learnt[:n] / learnt[n]
         return np.asarray(T.dot(P).dot(T.T))
 
     def merged(self, P: Array, Theta: Array) -> Array:
@@ -289,7 +260,7 @@ class Unknowns:
             return P
         start, end = self.n_u - 9, self.n_u
         M = np.eye(len(P))
-        M[start : start + 3, start:end] = Orientation.told_by(Theta[start:end])
+        M[start : start + 3, start:end] = Orientation.turn_of(Theta[start:end])
         M = np.delete(M, slice(start + 3, end), axis=0)
         return np.asarray(M.dot(P).dot(M.T))
 
@@ -304,15 +275,14 @@ class _Point(NamedTuple):
 def _points(task: Task) -> list[_Point]:
     """Return the positions that a task is made of."""
     points: list[_Point] = []
-    for each in task.tasks if isinstance(task, StackedTask) else [task]:
+    parts = task.tasks if isinstance(task, StackedTask) else (task,)
+    for each in parts:
         if isinstance(each, TrackerTask) or (isinstance(each, PoseTrackerTask) and each is task):
             R = law.rotation_exp(each.rotation)
             points.append(_Point(each.frame, "xyz", R, each.offset))
-        elif isinstance(each, PoseTask) and each is task:
-            points.append(_Point(each.frame, "xyz", np.eye(3), np.zeros(3)))
-        elif isinstance(each, PositionTask):
-            d = len(each.axes)
-            points.append(_Point(each.frame, each.axes, np.eye(d), np.zeros(d)))
+        elif isinstance(each, PositionTask) or (isinstance(each, PoseTask) and each is task):
+            axes = getattr(each, "axes", "xyz")
+            points.append(_Point(each.frame, axes, np.eye(len(axes)), np.zeros(len(axes))))
         else:
             raise InvalidInputError(
                 "task must be a PositionTask, a TrackerTask, a StackedTask of them, a PoseTask or "
@@ -321,7 +291,7 @@ def _points(task: Task) -> list[_Point]:
             )
     first = points[0]
     one = all(np.array_equal(p.R, first.R) and np.array_equal(p.b, first.b) for p in points)
-    kinds = {type(each) for each in (task.tasks if isinstance(task, StackedTask) else [task])}
+    kinds = {type(each) for each in parts}
     if TrackerTask in kinds and not (one and len(kinds) == 1):
         raise InvalidInputError(
             f"task must be of one tracker, with one rotation and offset, got {task!r}", given=task
@@ -342,14 +312,9 @@ class Orientation:
     is one for them and the position, and what the sums over frames have to hold does not change.
     T is the rotation nearest to the nine: with R known, the average of R_fᵀRᵀR_x and the prior.
     Of a rotation vector φ, Σ‖ℓ[φ]ₓ e_k‖² = 2ℓ²‖φ‖²; so with ℓ = L/√2, and L the noise of
-    positions over that of angles, both weigh as their noise says.
+    positions over that of angles, what a radian counts as [m], both weigh as their noise says.
 
     Owns scratch memory: one instance a thread.
-
-    Args:
-        robot: The believed robot.
-        frame: The frame.
-        length: L, metres that a radian counts as.
     """
 
     def __init__(self, robot: Robot, frame: str, length: float) -> None:
@@ -387,14 +352,14 @@ class Orientation:
         return np.where(is_seen, self.length * law.rotation_log(R.dot(nearest)), math.nan)
 
     @staticmethod
-    def told(numbers: Array) -> Array:
+    def of(numbers: Array) -> Array:
         """Return T of the nine numbers vec(Tᵀ), shape (3, 3)."""
         return law.nearest_rotation(numbers.reshape(3, 3).T)
 
     @staticmethod
-    def told_by(numbers: Array) -> Array:
+    def turn_of(numbers: Array) -> Array:
         """Return the rotation vector that small changes of the nine turn T by, a map (3, 9)."""
-        tangents = law.tangents(Orientation.told(numbers)).reshape(3, 3, 3)
+        tangents = law.tangents(Orientation.of(numbers)).reshape(3, 3, 3)
         return 0.5 * tangents.transpose(1, 0, 2).reshape(9, 3).T
 
     # -- for the law ----------------------------------------------------------------------
@@ -407,17 +372,10 @@ class Orientation:
     def apart(
         self, q: Array, before: tuple[Array, Array], goal: tuple[Array, Array], integral: Array
     ) -> tuple[Array, Array]:
-        """Return how far the orientations of (R, T) are apart, and how to make it the tool's.
+        """Return the rotation vector from one orientation to another, and to make it the tool's.
 
-        Args:
-            q: Configuration, (nq,).
-            before: R and T as they are.
-            goal: R and T as they are to be.
-            integral: Rotation vector by which the orientation is to be beside that, in L [m].
-
-        Returns:
-            Rotation vector in the sensor's axes (3,), and the rotation from these axes to those in
-            which T turns (3, 3).
+        Both are of R and T; `integral` turns the goal further, in L [m]. The vector (3,) is in the
+        sensor's axes, and the rotation (3, 3) from these to those in which T turns.
         """
         R_f = self.frame_rotation(q)
         (R, T), (R_goal, T_goal) = before, goal
@@ -430,14 +388,8 @@ class Orientation:
     ) -> PredictedError:
         """Return z = log(R_f T (RᵀR_d)ᵀ) and its derivatives, in the base's axes.
 
-        Args:
-            q: Configuration, (nq,).
-            v: q̇, (n_v,).
-            target: Quaternion of R_d (4,), ω_d and its rate (3,) in the sensor's axes.
-            T: The tool's rotation.
-            T_spin: Its angular velocity, T' = [T_spin]ₓT.
-            R: The sensor's rotation.
-            spin: Its angular velocity.
+        The target is the quaternion of R_d (4,), ω_d and its rate (3,) in the sensor's axes;
+        T' = [T_spin]ₓT and R' = [spin]ₓR.
         """
         x_d, x_d_dot, x_d_ddot = target
         R_d, is_some = law.rotation_of(x_d)
@@ -446,17 +398,13 @@ class Orientation:
         drift = R_f.dot(T_spin)
         D = R.T.dot(law.select(is_some, R_d, _AXES))
         E = R_f.dot(T).dot(D.T)
-        x_d_dot, x_d_ddot = _back(R, spin, x_d_dot, x_d_ddot)
+        x_d_dot = np.zeros(3) if x_d_dot is None else x_d_dot
+        x_d_ddot = np.zeros(3) if x_d_ddot is None else x_d_ddot
+        x_d_ddot = R.T.dot(x_d_ddot - law.cross_matrix(spin).dot(x_d_dot))
+        x_d_dot = R.T.dot(x_d_dot)
         speed, of_target = J.dot(v), x_d_dot - R.T.dot(spin)
         # of E' = [ω]ₓE, ω = speed + drift − E of_target; ż is no ω, but for small z
         z_dot = law.log_rate(E, speed + drift - E.dot(of_target))
         drift = z_dot - speed + x_d_dot
         J_dot = self._frame.jacobian_dot(q, v)[3:]
         return PredictedError(law.rotation_log(E), J, J_dot, x_d_dot, x_d_ddot, drift)
-
-
-def _back(R: Array, spin: Array, x_d_dot: Any, x_d_ddot: Any) -> tuple[Array, Array]:
-    """Return Rᵀẋ_d and its rate."""
-    x_d_dot = np.zeros(3) if x_d_dot is None else x_d_dot
-    x_d_ddot = np.zeros(3) if x_d_ddot is None else x_d_ddot
-    return R.T.dot(x_d_dot), R.T.dot(x_d_ddot - law.cross_matrix(spin).dot(x_d_dot))
