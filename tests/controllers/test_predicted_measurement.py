@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 import approxjac as aj
 from approxjac.controllers import KnownKinematics, PredictedMeasurement
 from approxjac.errors import InvalidInputError, MeasurementError
-from approxjac.simulation import Sensing
+from approxjac.simulation import InitialState, Sensing
 from approxjac.tasks import TrackerTask
 
 HOME = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
@@ -29,11 +29,11 @@ def controller_of(panda, wrapped=lambda law: law):
     return PredictedMeasurement(wrapped(law), aj.AdaptiveKinematics(task, noise=1e-3, delay=0.03))
 
 
-def run(plant, controller, duration, **options):
+def run(plant, controller, duration, state=None):
     x_d = plant.sensor.value(HOME) + [0.1, -0.1, 0.1]
     return aj.simulate(
-        plant, controller, x_d, HOME, duration, dt=1e-3, record_every=0.01,
-        computation=aj.simulation.Computation("semi_implicit_euler"), **options,
+        plant, controller, x_d, InitialState(HOME, None, state), duration, dt=1e-3,
+        record_every=0.01, computation=aj.simulation.Computation("semi_implicit_euler"),
     )  # fmt: skip
 
 

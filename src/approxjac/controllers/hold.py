@@ -69,14 +69,7 @@ class HeldMeasurement(ControllerWrapper):
             raise InvalidInputError(
                 f"controller must be one that is not held yet, got {controller!r}", given=controller
             )
-        wanted = "a controller with a task, such as SetpointController(task)"
-        require("controller", controller, Controller, wanted)
-        if controller.law.kinematics is not None:
-            raise InvalidInputError(
-                f"controller must be one that controls the measured x, got {controller!r}, which "
-                "goes on with a predicted x by itself",
-                given=controller,
-            )
+        self._require_measured(controller)
         task = controller.task
         self.controller = controller
         self._measured = task._measured  # whose parts are lost one by one
@@ -111,52 +104,37 @@ class HeldMeasurement(ControllerWrapper):
             InvalidInputError: As the controller, a t_x that is no finite number, or a controller
                 that answers without Ĵ.
         """
-        if hasattr(getattr(measurement, "q", None), "arm_of"):  # symbols
-            n = len(state) - self._memory
-            return self._stepped(state[:n], state[n:], measurement, target, dt, measurement.t_x)
         inner, memory = self._split(state)
-        require("measurement", measurement, Measurement, "Measurement(t, q, v, x)")
-        require_array("x", measurement.x, len(self._origin), self.controller.task)
-        t_x = time_of_x(measurement.t_x)
+        t_x, is_traced = getattr(measurement, "t_x", None), hasattr(state, "arm_of")
+        if not is_traced:
+            require("measurement", measurement, Measurement, "Measurement(t, q, v, x)")
+            require_array("x", measurement.x, len(self._origin), self.controller.task)
+            t_x = time_of_x(t_x)
+        x = measurement.x
         with np.errstate(over="ignore", invalid="ignore"):  # an overflow is a named error
-            after, answer = self._stepped(inner, memory, measurement, target, dt, t_x)
-        if not math.isfinite(math.hypot(*after[len(inner) :].tolist())):
+            # numbers may be no measurement all the same, such as a quaternion of zeros
+            errors = x if self._measured._subtracts else self._measured.error(x, self._origin)
+            taken, knows_time = (0.0, False) if t_x is None else (t_x, True)
+            held = law.hold_step(memory, x, errors, taken, knows_time, self._parts, self._most)
+            after, answer = self.controller.step(inner, measurement._replace(x=held.x), target, dt)
+            if answer.J_hat is None:
+                raise InvalidInputError(
+                    f"controller must answer with J_hat, which says how far the image moves, "
+                    f"got {self.controller!r}, which has none",
+                    given=self.controller,
+                )
+            rate = answer.J_hat.dot(measurement.v)
+            motion = dt * (rate if self._uncombined is None else self._uncombined.dot(rate))
+            memory = law.hold_moved(held, motion)
+        if not (is_traced or math.isfinite(math.hypot(*memory.tolist()))):
             raise MeasurementError(
-                f"the state overflows: x = {measurement.x.tolist()} and "
-                f"v = {measurement.v.tolist()} are beyond what can be kept",
+                f"the state overflows: x = {x.tolist()} and v = {measurement.v.tolist()} are "
+                "beyond what can be kept",
                 given=measurement,
             )
-        return after, answer
-
-    def _stepped(
-        self,
-        inner: Array,
-        memory: Array,
-        measurement: Measurement,
-        target: Target | Array,
-        dt: float,
-        t_x: float | None,
-    ) -> tuple[Array, Evaluation]:
-        """Return what `step` does, of numbers that have been checked, or of symbols."""
-        x = measurement.x
-        # numbers may be no measurement all the same, such as a quaternion of zeros
-        errors = x if self._measured._subtracts else self._measured.error(x, self._origin)
-        taken, knows_time = (0.0, False) if t_x is None else (t_x, True)
-        held = law.hold_step(memory, x, errors, taken, knows_time, self._parts, self._most)
-        measured = measurement._replace(x=held.x)
-        after, answer = self.controller.step(inner, measured, target, dt)
-        if answer.J_hat is None:
-            raise InvalidInputError(
-                f"controller must answer with J_hat, which says how far the image moves, "
-                f"got {self.controller!r}, which has none",
-                given=self.controller,
-            )
-        rate = answer.J_hat.dot(measurement.v)
-        motion = dt * (rate if self._uncombined is None else self._uncombined.dot(rate))
         is_held = law.complement(held.is_new) & (answer.status == _OK)
         status = law.select(is_held, _HELD, answer.status)
-        after = np.concatenate([after, law.hold_moved(held, motion)])
-        return after, answer._replace(status=status)
+        return np.concatenate([after, memory]), answer._replace(status=status)
 
     def __repr__(self) -> str:
         return f"HeldMeasurement({self.controller!r}, unseen={self.unseen.tolist()})"

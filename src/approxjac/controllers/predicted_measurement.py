@@ -53,13 +53,7 @@ class PredictedMeasurement(ControllerWrapper):
     def __init__(self, controller: Controller, kinematics: Kinematics) -> None:
         self._remember(locals())
         require("kinematics", kinematics, Kinematics, "AdaptiveKinematics(task)")
-        require("controller", controller, Controller, "a controller such as SetpointController")
-        if controller.law.kinematics is not None:
-            raise InvalidInputError(
-                f"controller must be one that controls the measured x, got {controller!r}, which "
-                "has kinematics of its own",
-                given=controller,
-            )
+        self._require_measured(controller)
         task = kinematics.task
         frames, own = ([each.frame for each in features(t)] for t in (controller.task, task))
         alike = (controller.task.labels, controller.task.units) == (task.labels, task.units)
@@ -127,11 +121,7 @@ class PredictedMeasurement(ControllerWrapper):
         )
 
     def initial_state(self, measurement: Measurement) -> Array:
-        """Return the state before the first step.
-
-        Raises:
-            InvalidInputError: A measurement of the wrong shapes.
-        """
+        """Return the state before the first step."""
         require_arrays(np.zeros(0), measurement, self._task._origin, self._task, 0)
         known = self.kinematics.initial_state(measurement)
         target = Target(self._task._origin)
@@ -139,13 +129,7 @@ class PredictedMeasurement(ControllerWrapper):
         return np.concatenate([self.controller.initial_state(seen), known])
 
     def resumed(self, state: Array, measurement: Measurement) -> Array:
-        """Return a state before a first step that knows what another state has learnt.
-
-        Such as the last one of a run before, for `simulate(state=...)`; of the same controller.
-
-        Raises:
-            InvalidInputError: A state of another controller, or a measurement of the wrong shapes.
-        """
+        """Return a state before a first step that knows what another state has learnt."""
         fresh = self.initial_state(measurement)
         inner, known = self._split(as_vector("state", state, len(fresh)))
         known = self.kinematics.resumed(known, measurement)
@@ -166,26 +150,26 @@ class PredictedMeasurement(ControllerWrapper):
             MeasurementError: As the controller.
             InvalidInputError: As the controller.
         """
-        target = target if isinstance(target, Target) else Target(target)
-        if hasattr(getattr(measurement, "q", None), "arm_of"):  # symbols
-            n = len(state) - self._memory
-            known = state[n:].copy()
-            after, answer = self._stepped(state[:n], known, measurement, target, dt)
-            self.kinematics.correct(known, measurement, dt)
-            return np.concatenate([after, known]), answer
         inner, known = self._split(state)
-        x_d = self._task.target(target.x)
-        q, v, _ = require_arrays(state, measurement, x_d, self._task, len(state))
-        if not math.isfinite(math.hypot(*q.tolist(), *v.tolist())):
-            require_finite(q, v, x_d, state, self._task)
-        target = with_rates(target._replace(x=x_d), self._task.m)
+        target, is_traced = (
+            target if isinstance(target, Target) else Target(target),
+            hasattr(state, "arm_of"),
+        )
+        if not is_traced:
+            x_d = self._task.target(target.x)
+            q, v, _ = require_arrays(state, measurement, x_d, self._task, len(state))
+            if not math.isfinite(math.hypot(*q.tolist(), *v.tolist())):
+                require_finite(q, v, x_d, state, self._task)
+            target = with_rates(target._replace(x=x_d), self._task.m)
+            self.kinematics.check(known, measurement, dt)
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # an overflow is a named error
                 after, answer = self._stepped(inner, known, measurement, target, dt)
-                known = self.kinematics.step(known, measurement, dt)
+                known = known.copy()
+                self.kinematics.correct(known, measurement, dt)
         except (ArithmeticError, np.linalg.LinAlgError):
             raise overflow(measurement) from None
-        if not math.isfinite(math.hypot(*known.tolist())):
+        if not (is_traced or math.isfinite(math.hypot(*known.tolist()))):
             raise overflow(measurement)
         return np.concatenate([after, known]), answer
 

@@ -18,7 +18,7 @@ from approxjac.controllers.limits.limits import Limits
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement
 from approxjac.tasks import Task
-from approxjac.validation import Array, Immutable, as_vector
+from approxjac.validation import Array, Immutable, as_vector, require
 
 
 def _inner(name: str) -> Any:
@@ -115,6 +115,18 @@ class ControllerWrapper(Immutable, Controller):
         """Return a first state of the controller inside with the memory before the first step."""
         fresh = self.initial_state(measurement)
         return np.concatenate([state, fresh[len(state) :]])
+
+    @staticmethod
+    def _require_measured(controller: Controller) -> None:
+        """Refuse a controller of something else than the measured x."""
+        wanted = "a controller with a task, such as SetpointController(task)"
+        require("controller", controller, Controller, wanted)
+        if controller.law.kinematics is not None:
+            raise InvalidInputError(
+                f"controller must be one that controls the measured x, got {controller!r}, which "
+                "predicts x by kinematics of its own",
+                given=controller,
+            )
 
     def _split(self, state: Array) -> tuple[Array, Array]:
         """Return the state of the controller inside, and the memory.
