@@ -12,7 +12,8 @@ from certify import NAMES
 from common import head, parser, row, write
 
 import approxjac as aj
-from approxjac import law, paper
+from approxjac import law
+from approxjac.paper import experiments as paper
 from approxjac.stability.certificates.matrix_form import FAMILIES, MatrixForm, best_weights
 from approxjac.stability.certificates.theorem1 import theorem1
 from approxjac.stability.loop.closed_loop import ClosedLoop

@@ -8,7 +8,7 @@ import numpy as np
 from common import carried_object
 
 import approxjac as aj
-from approxjac import paper
+from approxjac.paper import experiments as paper
 
 
 class Case(NamedTuple):

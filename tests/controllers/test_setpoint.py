@@ -8,11 +8,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
-from approxjac import paper
 from approxjac.controllers import DifferentiatedVelocity, ModelGravity, RegressorGravity
 from approxjac.controllers.controller import Instant
 from approxjac.errors import MeasurementError
 from approxjac.law import Sine, Tanh
+from approxjac.paper import experiments as paper
 from approxjac.robots import Dynamics, GravityRegressor
 from approxjac.scenario import Scenario, build_scenario
 

@@ -8,8 +8,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
-from approxjac import paper
 from approxjac.errors import UnknownNameError
+from approxjac.paper import experiments as paper
 from approxjac.robots import Dynamics
 
 # figure: max Re λ, ‖e‖/‖e(0)‖ at 5, 20, 60, 120 s, verdict, as THEORY.md prints them

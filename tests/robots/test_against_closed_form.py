@@ -4,7 +4,7 @@ from numpy.testing import assert_allclose
 from two_link_closed_form import TwoLink
 
 import approxjac as aj
-from approxjac import paper
+from approxjac.paper import experiments as paper
 from approxjac.robots import Dynamics, GravityRegressor
 
 

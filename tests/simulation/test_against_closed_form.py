@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 from two_link_closed_form import TwoLink, camera
 
-from approxjac import paper
+from approxjac.paper import experiments as paper
 
 BELIEFS = {  # figure: believed camera f, z, δ; believed lengths; K_p, K_v; from the paper's text
     3: ((0.05, 3.0, np.pi / 3), (1.0, 1.0, 0.5), 5000.0, 5000.0),

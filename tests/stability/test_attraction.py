@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import approxjac as aj
-from approxjac import paper
 from approxjac.controllers import Latency
+from approxjac.paper import experiments as paper
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 import approxjac as aj
-from approxjac import law, paper
+from approxjac import law
 from approxjac.cameras import PlanarCamera
+from approxjac.paper import experiments as paper
 from approxjac.robots import GravityRegressor
 from approxjac.stability.certificates.matrix_form import (
     FAMILIES,

@@ -9,10 +9,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
-from approxjac import paper
 from approxjac.controllers import DifferentiatedVelocity, Latency
 from approxjac.errors import UnknownNameError
 from approxjac.law import Sine
+from approxjac.paper import experiments as paper
 from approxjac.robots import GravityRegressor
 from approxjac.stability.certificates.matrix_form import MatrixForm
 from approxjac.stability.certificates.theorem1 import theorem1

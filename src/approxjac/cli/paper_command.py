@@ -40,7 +40,7 @@ def paper(
         inertia: Uniform rods, or point masses at their middles.
         duration: Length of each run, in s.
     """
-    from approxjac import paper as study
+    from approxjac.paper import experiments as study
     from approxjac.paper import verdicts as report
 
     if not figures:

@@ -1,22 +1,24 @@
-"""The paper's simulations: arm, camera, what is believed of both, gains, and what is left open."""
+"""The paper's simulations: what is believed in them, what is left open, and what comes out."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
+from approxjac import law
 from approxjac.cameras import PlanarCamera
 from approxjac.controllers import AdaptiveGravity, Gains, RegressorGravity, SetpointController
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.law import Linear, Sine
 from approxjac.robots import GravityRegressor, Robot, load_robot
-from approxjac.simulation import Plant
+from approxjac.simulation import Computation, Plant, Trajectory, simulate
+from approxjac.stability import LocalStability, local_stability
 from approxjac.tasks import ImageTask
-from approxjac.validation import as_array, as_number
+from approxjac.validation import Array, as_array, as_number
 
 Verdict = Literal["stable", "unstable"]
 Inertia = Literal["rod", "point-mass"]
@@ -29,6 +31,8 @@ CAMERA = PlanarCamera(focal_length=0.05, distance=3.0)
 """The true camera."""
 LEARNING_GAIN, ALPHA = 0.12, 1.0
 """L = 0.12 I and α [1/s] where gravity is learnt."""
+REPORT_TIMES = (5.0, 20.0, 60.0, 120.0)
+"""Times at which error ratios are reported [s]."""
 _ROLLED = PlanarCamera(focal_length=0.05, distance=3.0, roll=math.radians(60.0))
 _ALL_WRONG = PlanarCamera(focal_length=0.1, distance=4.0, roll=math.radians(60.0))
 _WRONG_LENGTHS = (0.75, 1.25, 0.0)
@@ -40,44 +44,38 @@ class Experiment:
 
     figure: int
     title: str
-    camera: PlanarCamera  # believed
-    lengths: tuple[float, float, float]  # believed l̂₁, l̂₂, l̂_o [m]
-    kp: float  # K_p = kp I [N/m]
-    kv: float  # K_v = kv I [N s/m]
-    paper_says: Verdict
     paper_words: str
+    camera: PlanarCamera = CAMERA  # believed
+    lengths: tuple[float, float, float] = LENGTHS  # believed l̂₁, l̂₂, l̂_o [m]
+    kp: float = 5000.0  # K_p = kp I [N/m]
+    kv: float = 5000.0  # K_v = kv I [N s/m]
+    paper_says: Verdict = "stable"
     learn_gravity: bool = False  # θ̂ starts at zero, with `LEARNING_GAIN` and `ALPHA`
 
 
+_STABLE, _ALL = "a stable response", "camera and lengths wrong"
+_WORST = Experiment(7, _ALL, _STABLE, _ALL_WRONG, _WRONG_LENGTHS, kv=30000.0)
 EXPERIMENTS: Mapping[int, Experiment] = {
-    e.figure: e
-    for e in (
-        Experiment(
-            3, "camera roll wrong by 60°, a = 1", _ROLLED, LENGTHS, 5000.0, 5000.0,
-            "unstable", "an unstable response",
-        ),
-        Experiment(
-            4, "a reduced to 0.5 by a larger K_v", _ROLLED, LENGTHS, 5000.0, 10000.0,
-            "stable", "a stable response",
-        ),
-        Experiment(
-            5, "a reduced to 0.5 by a smaller K_p", _ROLLED, LENGTHS, 2500.0, 5000.0,
-            "stable", "a stable response",
-        ),
-        Experiment(
-            6, "lengths of links and object wrong", CAMERA, _WRONG_LENGTHS, 5000.0, 5000.0,
-            "stable", "Effect of Uncertain Kinematics",
-        ),
-        Experiment(
-            7, "camera and lengths wrong", _ALL_WRONG, _WRONG_LENGTHS, 5000.0, 30000.0,
-            "stable", "a stable response",
-        ),
-        Experiment(
-            8, "camera and lengths wrong, gravity learnt", _ALL_WRONG, _WRONG_LENGTHS,
-            5000.0, 30000.0, "stable", "the result of using a regressor", learn_gravity=True,
-        ),
-    )
-}  # fmt: skip
+    3: Experiment(
+        3, "camera roll wrong by 60°, a = 1", "an unstable response", _ROLLED, paper_says="unstable"
+    ),
+    4: Experiment(4, "a reduced to 0.5 by a larger K_v", _STABLE, _ROLLED, kv=10000.0),
+    5: Experiment(5, "a reduced to 0.5 by a smaller K_p", _STABLE, _ROLLED, kp=2500.0),
+    6: Experiment(
+        6,
+        "lengths of links and object wrong",
+        "Effect of Uncertain Kinematics",
+        lengths=_WRONG_LENGTHS,
+    ),
+    7: _WORST,
+    8: replace(
+        _WORST,
+        figure=8,
+        title=f"{_ALL}, gravity learnt",
+        paper_words="the result of using a regressor",
+        learn_gravity=True,
+    ),
+}
 
 
 @dataclass(frozen=True)
@@ -157,3 +155,117 @@ def build(experiment: Experiment, setup: Setup) -> tuple[Plant, SetpointControll
         saturation=Linear() if setup.gamma is None else Sine(setup.gamma),
     )
     return Plant(truth, ImageTask(truth, CAMERA), friction=setup.friction), controller
+
+
+@dataclass(frozen=True, eq=False)
+class Reproduction:
+    """One experiment, run."""
+
+    experiment: Experiment
+    run: Trajectory
+    local: LocalStability  # the exact linearisation at the target
+    theta_hat: Array | None  # at the end, shape (2,); None where gravity is known
+
+    @property
+    def settles(self) -> bool:
+        """Tell if the run's error dies down, or is all but gone.
+
+        The largest error of the last quarter is then below the start and 5 % below that of the
+        quarter before, and the last eighth is below the eighth before.
+        """
+        norm = self.run.error_norm / self.run.error_norm[0]
+        before, last = np.array_split(norm, 4)[2:]
+        early, late = np.array_split(last, 2)
+        falls = last.max() < 0.95 * before.max() and late.max() < early.max()
+        return bool(last.max() < 1e-6 or (falls and last.max() < 1.0))
+
+    @property
+    def evidence_agrees(self) -> bool:
+        """Tell if the linearisation and the run say the same."""
+        return self.local.stable == self.settles
+
+    @property
+    def verdict(self) -> Verdict:
+        """Stable if the linearisation and the run both say so."""
+        return "stable" if self.local.stable and self.settles else "unstable"
+
+    @property
+    def reason(self) -> str:
+        """Evidence for the verdict, in words; says so where linearisation and run differ."""
+        run = f"the run's error {'falls' if self.settles else 'does not fall'}"
+        if self.local.singular:
+            where = "the target is a singular configuration"
+            return f"{where}, where the linearisation decides nothing; {run}"
+        text = f"max Re λ = {self.local.max_real_eigenvalue:+.4f}, {run}"
+        if self.evidence_agrees:
+            return text
+        growth = "" if self.local.stable else " to show the growth"
+        ends = f"the run may be too short{growth}, or end elsewhere than at the target"
+        return f"{text}; they differ: {ends}"
+
+    @property
+    def agrees_with_paper(self) -> bool:
+        """Tell if the verdict is the paper's."""
+        return self.verdict == self.experiment.paper_says
+
+    @property
+    def error_ratios(self) -> dict[float, float]:
+        """‖e(t)‖ / ‖e(0)‖ at the `REPORT_TIMES` that the run reaches."""
+        reached = [t for t in REPORT_TIMES if t <= self.run.t[-1] + 1e-9]
+        return {t: self.run.error_ratio(t) for t in reached}
+
+
+def run_experiment(
+    experiment: Experiment, setup: Setup, progress: Callable[[float], None] | None = None
+) -> Reproduction:
+    """Simulate one experiment as one differential equation and judge it.
+
+    `progress` is called now and then with the time reached [s].
+    """
+    plant, controller = build(experiment, setup)
+    q_target = np.array(setup.target)
+    run = simulate(
+        plant,
+        controller,
+        target=plant.sensor.value(q_target),
+        q0=setup.start,
+        duration=setup.duration,
+        dt=None,
+        # at most 25 ms, whatever the duration: error ratios are read between the records
+        record_every=setup.duration / max(4800, math.ceil(setup.duration / 0.025)),
+        computation=Computation(progress=progress),
+    )
+    theta_hat = controller.learnt(run.state)[-1] if experiment.learn_gravity else None
+    return Reproduction(experiment, run, local_stability(plant, controller, q_target), theta_hat)
+
+
+@dataclass(frozen=True)
+class JacobianBound:
+    """The largest Jacobian error allowed, for Figure 4's controller at the target."""
+
+    lambda_2: float  # λ_min[ĴᵀĴ + B/k_v] of (23)
+    alpha: float  # λ₂^½, which allows the largest p
+    largest_allowed_p: float  # λ₂^½, the largest p that (23) allows for any a and α: (25)
+    allowed_p_at_a_of_figure_4: float  # the largest that (23) allows for any α at its gain ratio a
+    p_of_figure_4: float  # ‖Jᵀ − Ĵᵀ‖ there
+
+    @property
+    def condition_23_met(self) -> bool:
+        """Tell if (23) holds for some α; Theorem 1 asks for (14) and (22) besides."""
+        return self.p_of_figure_4 < self.allowed_p_at_a_of_figure_4
+
+
+def jacobian_bound(setup: Setup) -> JacobianBound:
+    """Evaluate (23) and (25) on the true and believed arm of Figure 4."""
+    experiment, q = EXPERIMENTS[4], np.array(setup.target)
+    plant, controller = build(experiment, setup)
+    J_hat = controller.task.jacobian(q)
+    lambda_2 = law.lambda_2(J_hat, plant.friction / experiment.kv)
+    return JacobianBound(
+        lambda_2,
+        math.sqrt(lambda_2),
+        law.largest_allowed_p(lambda_2),
+        # for a given a the curves cross at α = λ₂/a, and there their minimum is largest
+        law.allowed_p_at_crossing(lambda_2 * experiment.kv / experiment.kp, lambda_2),
+        law.jacobian_error(plant.sensor.jacobian(q), J_hat),
+    )

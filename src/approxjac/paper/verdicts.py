@@ -11,8 +11,16 @@ from approxjac import view
 from approxjac.cameras import PlanarCamera
 from approxjac.errors import MissingPackageError
 from approxjac.formatting import wrapped
-from approxjac.paper.experiments import ALPHA, CAMERA, LEARNING_GAIN, LENGTHS, OBJECT_MASS, Setup
-from approxjac.paper.reproduction import JacobianBound, Reproduction
+from approxjac.paper.experiments import (
+    ALPHA,
+    CAMERA,
+    LEARNING_GAIN,
+    LENGTHS,
+    OBJECT_MASS,
+    JacobianBound,
+    Reproduction,
+    Setup,
+)
 from approxjac.robots import GravityRegressor, Robot
 from approxjac.view.style import formulas
 
@@ -35,24 +43,18 @@ def summary(
         figures["fig1"] = dataclasses.asdict(bound) | met
     learnt = {"L": LEARNING_GAIN, "alpha": ALPHA, "theta_hat_at_start": [0.0, 0.0]}
     for result in results:
-        experiment = result.experiment
-        entry: dict[str, Any] = {
-            "title": experiment.title,
-            "kp": experiment.kp,
-            "kv": experiment.kv,
-            "believed": {"lengths": experiment.lengths, "camera": _camera(experiment.camera)},
-            "gravity": learnt if experiment.learn_gravity else "known",
+        e = result.experiment
+        figures[f"fig{e.figure}"] = {
+            **{name: getattr(e, name) for name in ("title", "kp", "kv")},
+            "believed": {"lengths": e.lengths, "camera": _camera(e.camera)},
+            "gravity": learnt if e.learn_gravity else "known",
             "max_real_eigenvalue": result.local.max_real_eigenvalue,
             "error_ratio": {f"{t:g}": ratio for t, ratio in result.error_ratios.items()},
-            "verdict": result.verdict,
-            "reason": result.reason,
-            "evidence_agrees": result.evidence_agrees,
-            "paper": experiment.paper_says,
+            **{name: getattr(result, name) for name in ("verdict", "reason", "evidence_agrees")},
+            "paper": e.paper_says,
             "agrees_with_paper": result.agrees_with_paper,
+            **({"theta_hat": result.theta_hat.tolist()} if result.theta_hat is not None else {}),
         }
-        if result.theta_hat is not None:
-            entry["theta_hat"] = result.theta_hat.tolist()
-        figures[f"fig{experiment.figure}"] = entry
     truth = {"lengths": LENGTHS, "object_mass": OBJECT_MASS, "camera": _camera(CAMERA)}
     setting = dataclasses.asdict(setup)
     return {"study": "paper", "setup": setting, "truth": truth, "figures": figures}
@@ -88,13 +90,12 @@ def table(results: Sequence[Reproduction], bound: JacobianBound | None) -> str:
             f"{'figure':<46}{'[1/s]':>9} {ratios}  {'verdict':<10}the paper",
         ]
     for result in results:
-        experiment = result.experiment
+        e = result.experiment
         ratios = "".join(f"{r:8.4f}" for r in result.error_ratios.values())
         agrees = "" if result.agrees_with_paper else " (differs)"
-        name = f"{experiment.figure}  {experiment.title}"
         lines.append(
-            f"{name:<46}{result.local.max_real_eigenvalue:>+9.4f} {ratios}  {result.verdict:<10}"
-            f"“{experiment.paper_words}”{agrees}"
+            f"{f'{e.figure}  {e.title}':<46}{result.local.max_real_eigenvalue:>+9.4f} {ratios}  "
+            f"{result.verdict:<10}“{e.paper_words}”{agrees}"
         )
         if not result.agrees_with_paper or not result.evidence_agrees:
             lines += wrapped(result.reason, "   ")

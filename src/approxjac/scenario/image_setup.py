@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
@@ -27,7 +28,7 @@ _MIDDLE = np.array([0.5, 0.0, 0.5])  # of where the arm reaches, in reaches
 _WORKING_DEPTH = 0.35  # of the points of the world before a camera in hand [m]
 _MARGIN = 0.1  # of the image at each edge, where no target is put
 _SAMPLES = 50  # configurations by which it is judged what is usual
-_TRIES = 20000
+_TRIES = 40000
 _STARTS = 20  # tries to find a start to a goal
 _AROUND = 0.5  # how far a camera in hand starts from its goal in each joint [rad]
 _SINGULAR = 1e-6  # σ_min/σ_max of J below which an arm is singular in a configuration
@@ -52,52 +53,40 @@ def image_scene(
             f"coordinates: {truth.nv // 2} for {truth.name}, got {points}",
             given=points,
         )
+    look: Callable[[Array], Scene]  # with a configuration at the goal
+    q0: Array | None = None
     if camera.mount is None:
         scene = _scene_in_world(truth, belief, scenario)
-        return scene, *_start_and_goal(scene, scenario, rng)
-    frame = mount if camera.mount == "tip" else camera.mount
-    scene, q0, q_goal = _carried(
-        truth, scenario, rng, lambda q: _scene_in_hand(truth, belief, frame, q, scenario)
-    )
-    _require_in_view(scene)
-    return scene, q0, q_goal
-
-
-def _start_and_goal(
-    scene: Scene, scenario: Scenario, rng: np.random.Generator
-) -> tuple[Array, Array]:
-    """Return start and goal for a camera in the world."""
-    sensor = scene[0]
-    q0 = _given_start(sensor, scenario)
-    _require_in_view(scene)
-    ratio = _usual_ratio([(sensor, q) for q in seen_configurations(sensor, _SAMPLES)])
-    drawn = (sensor.robot.random_configuration(rng) for _ in range(2 * _TRIES))
-    usable = (q for q in drawn if _is_usable(scene, q, ratio))
-    try:
-        return next(usable) if q0 is None else q0, next(usable)
-    except StopIteration:
-        raise _none_found(sensor) from None
-
-
-def _carried(
-    truth: Robot, scenario: Scenario, rng: np.random.Generator, look: Callable[[Array], Scene]
-) -> tuple[Scene, Array, Array]:
-    """Return scene, start and goal for a camera on the arm: points are before it at the goal."""
-    drawn = [truth.random_configuration(rng) for _ in range(_SAMPLES)]
-    ratio = _usual_ratio([(look(q)[0], q) for q in drawn])
-    for _ in range(_TRIES):
-        q_goal = truth.random_configuration(rng)
+        look, q0 = lambda q: scene, _given_start(scene[0], scenario)
+        _require_in_view(scene)
+        usual = seen_configurations(scene[0], _SAMPLES)
+    else:
+        frame = mount if camera.mount == "tip" else camera.mount
+        look = partial(_scene_in_hand, truth, belief, frame, scenario)
+        usual = [truth.random_configuration(rng) for _ in range(_SAMPLES)]
+    ratio = _usual_ratio([(look(q)[0], q) for q in usual])
+    drawn = (truth.random_configuration(rng) for _ in range(_TRIES))
+    usable = (q for q in drawn if _is_usable(look(q), q, ratio))
+    if camera.mount is None and q0 is None:
+        q0 = next(usable, None)
+    for q_goal in usable:
         scene = look(q_goal)
-        if not _is_usable(scene, q_goal, ratio):
-            continue
-        q0 = _given_start(scene[0], scenario)
+        if camera.mount is not None:
+            around = (rng.uniform(-_AROUND, _AROUND, truth.nv) for _ in range(_STARTS))
+            near = (np.array(pin.integrate(truth.model, q_goal, each)) for each in around)
+            q0 = _given_start(scene[0], scenario)
+            if q0 is None:
+                q0 = next((q for q in near if _is_usable(scene, q, ratio)), None)
         if q0 is not None:
+            _require_in_view(scene)
             return scene, q0, q_goal
-        for _ in range(_STARTS):
-            q0 = pin.integrate(truth.model, q_goal, rng.uniform(-_AROUND, _AROUND, truth.nv))
-            if _is_usable(scene, q0, ratio):
-                return scene, q0, q_goal
-    raise _none_found(scene[0])
+    sensor = look(usual[0])[0]
+    raise InvalidInputError(
+        f"no configuration of {sensor.robot.name} was found in which the camera sees all points "
+        "well within its image, that the motors can hold and where the Jacobian is not near "
+        f"singular: move or turn the camera, or give fewer points; got {sensor!r}",
+        given=sensor,
+    )
 
 
 # -- cameras and points -----------------------------------------------------------------
@@ -123,7 +112,7 @@ def _scene_in_world(truth: Robot, belief: Robot, scenario: Scenario) -> Scene:
 
 
 def _scene_in_hand(
-    truth: Robot, belief: Robot, mount: str, q_goal: Array, scenario: Scenario
+    truth: Robot, belief: Robot, mount: str, scenario: Scenario, q_goal: Array
 ) -> Scene:
     """Return the tasks of a camera on the arm that watches points before it at the goal."""
     given, factor = scenario.true.camera, scenario.believed.camera.depth_factor
@@ -251,12 +240,3 @@ def _require_in_view(scene: Scene) -> None:
                 f"got {task!r}",
                 given=task,
             ) from error
-
-
-def _none_found(sensor: ImageTask) -> InvalidInputError:
-    return InvalidInputError(
-        f"no configuration of {sensor.robot.name} was found in which the camera sees all points "
-        "well within its image, that the motors can hold and where the Jacobian is not near "
-        f"singular: move or turn the camera, or give fewer points; got {sensor!r}",
-        given=sensor,
-    )

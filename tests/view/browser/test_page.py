@@ -12,8 +12,9 @@ from pictures import near, pixels
 from scenarios import camera
 
 import approxjac as aj
-from approxjac import paper, view
+from approxjac import view
 from approxjac.controllers import RegressorGravity
+from approxjac.paper import experiments as paper
 from approxjac.robots import GravityRegressor
 from approxjac.scenario import run_scenario
 from approxjac.simulation.trajectory import Scene
