@@ -61,7 +61,7 @@ def test_a_command_that_breaks_off_leaves_the_files_of_the_one_before(tmp_path, 
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("approxjac.scenario.summary.write_text", full)  # the last file of all
+    monkeypatch.setattr("approxjac.scenario.outcome.write_text", full)  # the last file of all
     assert main([*words, "--seed", "3"]) == 2
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == kept
 

@@ -6,7 +6,7 @@ from typing import Literal, Union, get_args, get_origin
 
 import pytest
 
-from approxjac.cli import main, options, parser
+from approxjac.cli import main, options
 from approxjac.cli.simulate_command import simulate
 from approxjac.scenario import Scenario
 from approxjac.scenario.convert import Words, converted
@@ -129,12 +129,12 @@ def sample(hint):
 
 
 @pytest.mark.parametrize(
-    "option", parser.record_options(Scenario("panda"), {}), ids=lambda option: option.key
+    "option", options.record_options(Scenario("panda"), {}), ids=lambda option: option.key
 )
 def test_every_key_is_an_option_and_a_line_of_a_file(option, tmp_path):
     words = sample(option.hint)
-    typed = parser.Typed()
-    parser.read(
+    typed = options.Typed()
+    options.read(
         typed, "stability", ["panda", *option.names[:1], *words], [option], "NAME", "a name"
     )
     scenario = options.scenario_of("simulate", typed.alone, typed.values)
@@ -166,8 +166,8 @@ def test_every_key_is_an_option_and_a_line_of_a_file(option, tmp_path):
     ],
 )  # fmt: skip
 def test_words_are_values_of_a_key(words, key, value):
-    typed = parser.Typed()
-    parser.read(typed, "simulate", words.split(), options.options_of(simulate), "NAME", "a name")
+    typed = options.Typed()
+    options.read(typed, "simulate", words.split(), options.options_of(simulate), "NAME", "a name")
     scenario = options.scenario_of("simulate", typed.alone, typed.values)
     assert scenario.robot == "two_link"
     assert attrgetter(key)(scenario) == value

@@ -11,7 +11,7 @@ from scenarios import HOME, camera
 
 import approxjac as aj
 from approxjac.scenario import Scenario, build_scenario, run_scenario
-from approxjac.scenario import summary as report
+from approxjac.scenario import outcome as report
 
 WRONG = {"camera": {"roll": 0.3, "focal_factor": 1.3, "depth_factor": 1.5}}
 NEARLY = {"camera": {"roll": 0.05, "depth_factor": 1.1}}

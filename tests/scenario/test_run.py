@@ -13,7 +13,7 @@ import approxjac as aj
 from approxjac.cameras import PlanarCamera
 from approxjac.errors import InvalidInputError
 from approxjac.scenario import Scenario, build_scenario, run_scenario
-from approxjac.scenario import summary as report
+from approxjac.scenario import outcome as report
 from approxjac.scenario.judge import prepare
 from approxjac.tasks import TrackerTask
 from approxjac.tasks.analysis import place_of

@@ -17,9 +17,18 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import approxjac
 from approxjac.cli.export_command import export
-from approxjac.cli.options import COMMON, POSITIONAL, SHORT, options_of, scenario_of
+from approxjac.cli.options import (
+    COMMON,
+    POSITIONAL,
+    SHORT,
+    Option,
+    Typed,
+    explained,
+    options_of,
+    read,
+    scenario_of,
+)
 from approxjac.cli.paper_command import paper
-from approxjac.cli.parser import Option, Typed, explained, read
 from approxjac.cli.robots_command import robots
 from approxjac.cli.simulate_command import simulate
 from approxjac.cli.stability_command import stability

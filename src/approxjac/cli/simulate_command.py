@@ -36,7 +36,7 @@ def simulate(
         out: Folder for the pictures, run.npz, summary.json and scenario.toml.
     """
     from approxjac.scenario import build_scenario, run_scenario
-    from approxjac.scenario import summary as report
+    from approxjac.scenario import outcome as report
 
     for name, value in (("speed", speed), ("port", port)):
         if value is not None and not view:

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from approxjac.cli.bars import ShareBar
-from approxjac.cli.options import make_folder, options_of
-from approxjac.cli.parser import with_options
+from approxjac.cli.options import make_folder, options_of, with_options
 from approxjac.errors import InvalidInputError
 from approxjac.scenario import Scenario
 

@@ -9,32 +9,16 @@ from typing import Any
 
 import numpy as np
 
+from approxjac import controllers, tasks
 from approxjac.cameras import PlanarCamera
 from approxjac.controllers import (
-    AdaptiveCamera,
     AdaptiveGravity,
-    AdaptiveKinematics,
-    AdaptivePlanarCamera,
-    AwayFromStops,
     Controller,
     DifferentiatedVelocity,
-    Gains,
     Gravity,
-    HeldMeasurement,
     Kinematics,
-    KnownKinematics,
     Latency,
     Limits,
-    ModelDynamics,
-    ModelGravity,
-    NoGravity,
-    Posture,
-    PredictedMeasurement,
-    RegressorGravity,
-    SetpointController,
-    TorqueLimited,
-    TrackingController,
-    tuned,
 )
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import joined
@@ -55,16 +39,7 @@ from approxjac.scenario.starts import (
     straight_ahead,
 )
 from approxjac.simulation import Friction, MujocoPlant, Plant, Sensing
-from approxjac.tasks import (
-    CombinedTask,
-    ImageTask,
-    PoseTask,
-    PoseTrackerTask,
-    PositionTask,
-    StackedTask,
-    Task,
-    TrackerTask,
-)
+from approxjac.tasks import CombinedTask, ImageTask, PositionTask, Task
 from approxjac.tasks.analysis import with_error
 from approxjac.validation import Array
 
@@ -99,11 +74,6 @@ class BuiltScenario:
         if not doubt and goal != Goal() and goal.configuration is None:  # or it was there itself
             doubt = doubts(self.plant.sensor, self.target, self.q0, run.duration, "true")
         return doubt
-
-    @property
-    def learning(self) -> Controller | None:
-        """The controller that learns kinematics; None if they are not learnt."""
-        return self.controller if self.scenario.controller.unknown else None
 
 
 def loaded_arm(scenario: Scenario) -> Robot:
@@ -156,11 +126,11 @@ def build_scenario(scenario: Scenario, arm: Robot | None = None) -> BuiltScenari
     kinematics = _kinematics(scenario, task) if chosen.unknown else None
     law = controller = _law(scenario, task, truth, q0, kinematics)
     if limits is not None and chosen.command == "torque":
-        controller = TorqueLimited(law, limits, dt=sampling_time(scenario))
+        controller = controllers.TorqueLimited(law, limits, dt=sampling_time(scenario))
     if kinematics is not None and chosen.law != "tracking":
-        controller = PredictedMeasurement(controller, kinematics)
+        controller = controllers.PredictedMeasurement(controller, kinematics)
     if chosen.unseen is not None:
-        controller = HeldMeasurement(controller, chosen.unseen)
+        controller = controllers.HeldMeasurement(controller, chosen.unseen)
     return BuiltScenario(scenario, plant, controller, law, q0, target, limits, believe)
 
 
@@ -183,17 +153,19 @@ def _tasks(truth: Robot, belief: Robot, scenario: Scenario) -> tuple[Task, Task]
         return ImageTask(truth, PlanarCamera(f, z, roll)), ImageTask(belief, believed)
     task: Task
     if chosen.kind == "pose":
-        task = PoseTask(belief)
+        task = tasks.PoseTask(belief)
     elif chosen.kind == "stacked":
-        task = StackedTask(*(PositionTask(belief, each, chosen.axes) for each in chosen.frames))
+        task = tasks.StackedTask(
+            *(PositionTask(belief, each, chosen.axes) for each in chosen.frames)
+        )
     else:
         task = PositionTask(belief, axes=chosen.axes)
     tracker = scenario.true.tracker
     if tracker == Tracker():
         return task.on(truth), task
     if chosen.kind == "pose":
-        return PoseTrackerTask(truth, tracker.rotation, tracker.offset), task
-    return TrackerTask(truth, tracker.rotation, tracker.offset), task
+        return tasks.PoseTrackerTask(truth, tracker.rotation, tracker.offset), task
+    return tasks.TrackerTask(truth, tracker.rotation, tracker.offset), task
 
 
 def _target(
@@ -276,28 +248,28 @@ def _law(
 ) -> Controller:
     chosen, latency = scenario.controller, latency_of(scenario)
     if chosen.law == "tracking":
-        return TrackingController(
+        return controllers.TrackingController(
             task,
-            kinematics=KnownKinematics(task) if kinematics is None else kinematics,
-            dynamics=None if chosen.gravity == "learnt" else ModelDynamics(task.robot),
+            kinematics=controllers.KnownKinematics(task) if kinematics is None else kinematics,
+            dynamics=None if chosen.gravity == "learnt" else controllers.ModelDynamics(task.robot),
             dt=sampling_time(scenario),
             command=chosen.command,
         )
-    posture: Posture | AwayFromStops | None = None
+    posture: controllers.Posture | controllers.AwayFromStops | None = None
     if chosen.posture_stiffness:
-        posture = Posture(q0, chosen.posture_stiffness)
+        posture = controllers.Posture(q0, chosen.posture_stiffness)
     elif limits_of(scenario, task.robot) is not None and task.robot.nv > task.m:
-        posture = AwayFromStops()
+        posture = controllers.AwayFromStops()
     gains, differentiator = None, chosen.differentiator
     given = {"kp": chosen.kp, "kv": chosen.kv, "damping": chosen.damping}
     if any(given.values()):  # those of the rule stand beside them
-        usual = tuned(task, latency, settling_time=chosen.settling_time).gains
+        usual = controllers.tuned(task, latency, settling_time=chosen.settling_time).gains
         values = {
             name: getattr(usual, name) if value is None else value[0] if len(value) == 1 else value
             for name, value in given.items()
         }
-        gains = Gains(**values)
-    return SetpointController(
+        gains = controllers.Gains(**values)
+    return controllers.SetpointController(
         task,
         gains,
         gravity=_gravity(truth, task.robot, chosen.gravity, chosen.integral_action),
@@ -320,10 +292,10 @@ def _gravity(truth: Robot, belief: Robot, kind: str, integral_action: bool | Non
         theta = regressor.fit(truth)[0]
         if integral_action:
             return AdaptiveGravity(regressor, L=0.0, theta0=theta)
-        return RegressorGravity(regressor, theta)
+        return controllers.RegressorGravity(regressor, theta)
     if integral_action:
         return AdaptiveGravity(belief, L=0.0, theta0=0.0 if kind == "none" else None)
-    return NoGravity(belief) if kind == "none" else ModelGravity(belief)
+    return controllers.NoGravity(belief) if kind == "none" else controllers.ModelGravity(belief)
 
 
 def _kinematics(scenario: Scenario, task: Task) -> Kinematics:
@@ -332,15 +304,15 @@ def _kinematics(scenario: Scenario, task: Task) -> Kinematics:
     rest: dict[str, Any] = {"delay": scenario.sensor.delay, "dt": sampling_time(scenario)}
     if not isinstance(task, ImageTask):
         noise = max(noise, _LEAST_NOISE)
-        return AdaptiveKinematics(task, unknown, noise=noise, angle_noise=noise, **rest)
+        return controllers.AdaptiveKinematics(task, unknown, noise=noise, angle_noise=noise, **rest)
     if isinstance(task.camera, PlanarCamera):
         noise = max(noise, _LEAST_NOISE * task.camera.magnification)
-        return AdaptivePlanarCamera(task, unknown, noise=noise, **rest)
+        return controllers.AdaptivePlanarCamera(task, unknown, noise=noise, **rest)
     if "camera" in unknown:  # with its focal length
         unknown = tuple(dict.fromkeys((*unknown, "focal_length")))
     if task.camera.mount is not None:
         unknown = tuple("points" if kind == "tool" else kind for kind in unknown)
-    return AdaptiveCamera(task, unknown, noise=max(noise, _LEAST_PIXELS), **rest)
+    return controllers.AdaptiveCamera(task, unknown, noise=max(noise, _LEAST_PIXELS), **rest)
 
 
 def latency_of(scenario: Scenario) -> Latency:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from approxjac import stability, view
 from approxjac.cameras import Camera
 from approxjac.controllers import Limits, SetpointController, TorqueLimited
 from approxjac.errors import InvalidInputError
@@ -33,34 +34,14 @@ from approxjac.scenario.refusals import refuse, require_reportable
 from approxjac.scenario.scenario import Scenario
 from approxjac.scenario.starts import configuration_of
 from approxjac.simulation import Plant, Trajectory
-from approxjac.stability import (
-    Execution,
-    JointBox,
-    Region,
-    RegularPart,
-    StabilityMap,
-    StabilityReport,
-    Study,
-    SublevelSet,
-    Suggestion,
-    Tolerance,
-    Tube,
-    Uncertainty,
-)
+from approxjac.stability import Region, StabilityReport, Study, Uncertainty
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.rollouts.rollouts import clopper_pearson
 from approxjac.stability.search.map import PARAMETERS, PLACES, are_drawn, labels, own_values
-from approxjac.stability.search.tolerance import Test
+from approxjac.stability.search.tolerance import Test, Tolerance
 from approxjac.tasks import CombinedTask, FrameKinematics, ImageTask, Task
 from approxjac.tasks.analysis import features, fine_error
 from approxjac.validation import Array
-from approxjac.view import (
-    new_figure,
-    plot_allowed_error,
-    plot_margins,
-    plot_shares,
-    save_figure,
-)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -80,7 +61,7 @@ class StabilityResult:
     study: Study
     report: StabilityReport
     tolerances: dict[Test, Tolerance] = field(default_factory=dict)  # scales of the errors
-    map: StabilityMap | None = None
+    map: stability.StabilityMap | None = None
 
 
 def uncertainty_of(study: Study) -> Uncertainty | None:
@@ -135,7 +116,7 @@ def analyse(
     of it that is done, `found` the report of the tests, long before the rest is known.
     """
     analysis, uncertainty = scenario.stability, uncertainty_of(study)
-    execution = Execution(executor=executor)
+    execution = stability.Execution(executor=executor)
     runs = analysis.runs if isinstance(study.uncertainty, Uncertainty) else 0
     report = study.report(
         analysis.configurations, runs=runs, execution=execution, progress=progress
@@ -200,24 +181,26 @@ def _region(
     if len(given) > 1:
         raise InvalidInputError(f"one region must be given, got {' and '.join(given)}", given=given)
     belief, least = controller.task.robot, analysis.sigma_min
-    region: Region | None = None if least is None else JointBox(belief)
+    region: Region | None = None if least is None else stability.JointBox(belief)
 
     def at(name: str) -> Array:
         joints = getattr(analysis, name)
         return configuration_of(belief, f"stability.{name}", joints, within_limits=False)
 
     if analysis.around is not None:
-        region = JointBox.around(belief, at("around"), analysis.radius)
+        region = stability.JointBox.around(belief, at("around"), analysis.radius)
     elif analysis.run is not None:
-        region = Tube(belief, Trajectory.load(analysis.run).q, analysis.radius)
+        region = stability.Tube(belief, Trajectory.load(analysis.run).q, analysis.radius)
     elif analysis.reach_from is not None:
         if analysis.target is None:
             raise InvalidInputError(
                 "stability.reach_from needs stability.target, got none", given=None
             )
         nominal = truth.plant(truth.believed) if isinstance(truth, Uncertainty) else truth
-        region = SublevelSet(nominal, controller, analysis.target, at("reach_from"))
-    return RegularPart(region, controller.task, least) if region and least is not None else region
+        region = stability.SublevelSet(nominal, controller, analysis.target, at("reach_from"))
+    if region is None or least is None:
+        return region
+    return stability.RegularPart(region, controller.task, least)
 
 
 def _values(name: str, loop: ClosedLoop, uncertainty: Uncertainty, count: int) -> Array:
@@ -299,7 +282,7 @@ def advice(result: StabilityResult) -> list[str]:
     return steps
 
 
-def rows_of_map(found: StabilityMap | None, out: Path) -> list[str]:
+def rows_of_map(found: stability.StabilityMap | None, out: Path) -> list[str]:
     """Return what came of the runs of a map, and where its picture is."""
     if found is None:
         return []
@@ -328,8 +311,8 @@ def draw_allowed_error(result: StabilityResult) -> Figure:
     """Draw Figure 1 of the paper for this arm and its errors."""
     first, controller = result.report.theorem1, result.report.loop.controller
     kp, kv, _ = controller.diagonals
-    figure, (ax,) = new_figure(size=(6.5, 4.8))
-    plot_allowed_error(
+    figure, (ax,) = view.new_figure(size=(6.5, 4.8))
+    view.plot_allowed_error(
         first.lambda_2,
         first.p,
         unit=f"{joined(controller.task.units)}/rad",
@@ -351,14 +334,14 @@ def draw_workspace(result: StabilityResult) -> Figure:
     pairs = {"xz": widths[[0, 2]], "xy": widths[:2]}  # on a line in a plane nothing is to be seen
     planes = [plane for plane, two in pairs.items() if two.min() > 0.01 * two.max()] or ["xz"]
     between = " " if len(planes) > 1 else "\n"
-    figure, axes = new_figure(
+    figure, axes = view.new_figure(
         len(planes),
         size=(5.2 * len(planes), 4.6),
         title=f"{robot.name}: margin of the matrix form in continuous time,{between}"
         "where the believed tip is",
     )
     for ax, plane in zip(axes, planes, strict=True):
-        plot_margins(positions, best.margins, plane, ax, title=f"{plane[0]}-{plane[1]} plane")
+        view.plot_margins(positions, best.margins, plane, ax, title=f"{plane[0]}-{plane[1]} plane")
     return figure
 
 
@@ -372,7 +355,7 @@ def draw_map(result: StabilityResult) -> Figure | None:
         f"{controller.task.robot.name}: share of {found.runs.sum()} runs that converge, each with "
         f"95 % confidence; errors are {uncertainty.describe_box()}"
     )
-    figure, axes = new_figure(3, size=(14.0, 4.6), title=textwrap.fill(title, 130))
+    figure, axes = view.new_figure(3, size=(14.0, 4.6), title=textwrap.fill(title, 130))
     own = own_values(controller)  # the belief besides
     own |= dict(zip(uncertainty.names, uncertainty.believed.tolist(), strict=True))
     first, second = found.names
@@ -383,7 +366,7 @@ def draw_map(result: StabilityResult) -> Figure | None:
         "at most": found.intervals[..., 1],
     }
     for ax, (title, share) in zip(axes, shares.items(), strict=True):
-        plot_shares(
+        view.plot_shares(
             found.x,
             found.y,
             np.where(none, np.nan, share),
@@ -425,10 +408,10 @@ def write(result: StabilityResult, out: Path) -> None:
     """Write the pictures, summary.json and scenario.toml into a folder."""
     drawn = draw_map(result)
     with together(out) as folder:
-        save_figure(draw_allowed_error(result), folder / "figure1")
-        save_figure(draw_workspace(result), folder / "workspace")
+        view.save_figure(draw_allowed_error(result), folder / "figure1")
+        view.save_figure(draw_workspace(result), folder / "workspace")
         if drawn is not None:
-            save_figure(drawn, folder / "map")
+            view.save_figure(drawn, folder / "map")
         result.scenario.save(folder / "scenario.toml")
         write_text(folder / "summary.json", json.dumps(summary(result), indent=2) + "\n")
         for ending in ("png", "svg") if drawn is None else ():
@@ -444,9 +427,8 @@ class SuggestedGains:
     """Gains found for a scenario, or what to relax."""
 
     scenario: Scenario  # with the gains that were found and certified
-    errors: str
-    settling_time: float  # wanted [s]
-    suggestion: Suggestion
+    about: dict[str, str]  # what they are for
+    suggestion: stability.Suggestion
     report: StabilityReport | None = None  # of the scenario as it is; None without gains
 
     @property
@@ -458,15 +440,8 @@ class SuggestedGains:
         return self.report is not None and self.report.certified_by is None
 
     def __str__(self) -> str:
-        control, about = self.scenario.controller, {"errors": self.errors}
-        if self.suggestion.found is None:
-            about["settling time"] = f"{self.settling_time:g} s"
-        else:
-            about["settling time"] = f"{self.settling_time:g} s is wanted"
-            about["tried"] = f"{len(self.suggestion.tried)} gains, gentle ones first"
-        if control.gravity != "exact":
-            about["gravity"] = f"taken as known exactly; in the scenario it is {control.gravity}"
-        lines = [str(self.suggestion), *rows(about, 2)]
+        control = self.scenario.controller
+        lines = [str(self.suggestion), *rows(self.about, 2)]
         if self.report is not None:
             if self.needs_known_gravity:
                 lines += wrapped(f"with gravity {control.gravity}: {self.report.verdict()}")
@@ -500,9 +475,12 @@ def suggested(scenario: Scenario, progress: Callable[[str, float], None]) -> Sug
         configurations=min(scenario.stability.configurations, 200),
         progress=progress,
     )
-    errors, found = uncertainty.describe_box(), suggestion.found
-    if found is None:
-        return SuggestedGains(scenario, errors, settling_time, suggestion)
+    about = {"errors": uncertainty.describe_box(), "wanted": f"to settle in {settling_time:g} s"}
+    if scenario.controller.gravity != "exact":
+        given = scenario.controller.gravity
+        about["gravity"] = f"taken as known exactly; in the scenario it is {given}"
+    if (found := suggestion.found) is None:
+        return SuggestedGains(scenario, about, suggestion)
     diagonals = study.loop().controller.with_gains(found.gains).diagonals
     gains = {name: tuple(getattr(diagonals, name)) for name in _GAINS}
     # a settling time is refused beside given gains
@@ -515,12 +493,12 @@ def suggested(scenario: Scenario, progress: Callable[[str, float], None]) -> Sug
             f"of the gains tried: {report.verdict()}"
         )
         suggestion = replace(suggestion, found=None, relax=(relax,))
-        return SuggestedGains(scenario, errors, settling_time, suggestion)
+        return SuggestedGains(scenario, about, suggestion)
     assert report.sampled is not None
     suggestion = replace(suggestion, found=replace(found, margin=report.sampled.margin))
     if own.controller.gravity != "exact":
         report = _report(own)
-    return SuggestedGains(own, errors, settling_time, suggestion, report)
+    return SuggestedGains(own, about, suggestion, report)
 
 
 def _report(scenario: Scenario) -> StabilityReport:
@@ -534,7 +512,7 @@ def write_gains(result: SuggestedGains, out: Path) -> None:
     found, control = result.suggestion.found, result.scenario.controller
     summary: dict[str, Any] = {
         "found": found is not None,
-        "errors": result.errors,
+        "errors": result.about["errors"],
         "relax": result.suggestion.relax,
         "tried": len(result.suggestion.tried),
     }

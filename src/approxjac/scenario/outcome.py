@@ -1,24 +1,34 @@
-"""`RunResult`: the record of a scenario that was run, and the verdict."""
+"""`RunResult`: the record of a scenario that was run, the verdict, words, pictures and files."""
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from approxjac.formatting import plain
+from approxjac.controllers import KinematicReport
+from approxjac.files import together, write_text
+from approxjac.formatting import numbers_of, plain, rows, shares, wrapped
 from approxjac.interface import LimitStatus, Status
 from approxjac.robots import Dynamics
 from approxjac.scenario.build import BuiltScenario, build_scenario, sampling_time
+from approxjac.scenario.convert import differences, typed_as
+from approxjac.scenario.records import Belief
 from approxjac.scenario.scenario import Scenario
 from approxjac.scenario.starts import too_far
 from approxjac.simulation import Computation, Loop, Trajectory, simulate
-from approxjac.tasks.analysis import FINE, fine_error
+from approxjac.tasks import ImageTask
+from approxjac.tasks.analysis import FINE, fine_error, place_of
 from approxjac.validation import Array
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _RECORDS, _CONTINUOUS_RECORDS = 2000, 2400  # of a run, about
 _AT_LIMIT = 0.01  # a joint this near to its position limit counts as at it [rad or m]
@@ -111,6 +121,13 @@ class RunResult:
         last = errors[-max(1, len(errors) // 4) :]
         rms, of_last = (float(np.sqrt((part**2).mean())) for part in (errors, last))
         return float(errors.max()), rms, of_last
+
+    @cached_property
+    def kinematics(self) -> KinematicReport | None:
+        """What was learnt of the kinematics; None if they are not learnt."""
+        if not self.built.scenario.controller.unknown:
+            return None
+        return self.built.controller.kinematics_learnt(self.run.state[-1])
 
     # -- limits -------------------------------------------------------------------------
 
@@ -245,7 +262,7 @@ class RunResult:
 
     def summary(self) -> dict[str, Any]:
         """Return the contents of summary.json."""
-        run, built, robot = self.run, self.built, self.built.plant.robot
+        run, built, robot, learnt = self.run, self.built, self.built.plant.robot, self.kinematics
         sizes = {"final_error": self.final_error, "start_error": self.errors_at(0)}
         if self.on_path:
             names = ("largest_error", "rms_error", "last_quarter_rms_error")
@@ -270,18 +287,12 @@ class RunResult:
             "q_end": robot.angles(run.q[-1]),
             "controller": repr(built.law),
             "gains": built.law.gain_values,
-            "kinematics": self._kinematics_summary(),
+            "kinematics": learnt
+            and {"chi_squared": learnt.chi_squared} | {r.name: r._asdict() for r in learnt.rows},
             "status_counts": {status.name: n for status, n in run.status_counts().items()},
             "scenario": asdict(built.scenario),
         }
         return {name: plain(value) for name, value in values.items()}
-
-    def _kinematics_summary(self) -> dict[str, Any] | None:
-        """Return the learnt kinematics, number by number; None if they are not learnt."""
-        if self.built.learning is None:
-            return None
-        learnt = self.built.learning.kinematics_learnt(self.run.state[-1])
-        return {"chi_squared": learnt.chi_squared} | {r.name: r._asdict() for r in learnt.rows}
 
     def _limits_summary(self) -> dict[str, Any] | None:
         """Return the effect of limits at the recorded instants; None without limits."""
@@ -327,3 +338,171 @@ def run_scenario(
 
 def _peak(values: Array, limits: Array) -> float:
     return float((np.abs(values) / limits).max()) if np.isfinite(limits).any() else math.nan
+
+
+# -- words, pictures, files -------------------------------------------------------------
+
+
+def write(result: RunResult, out: Path) -> None:
+    """Write run.png, run.svg, run.npz, summary.json and scenario.toml into a folder.
+
+    And kinematics.txt, .png and .svg, where they were learnt.
+    """
+    from approxjac import view
+
+    with together(out) as folder:
+        view.save_figure(draw(result), folder / "run")
+        result.run.save(folder / "run.npz")
+        if result.kinematics is not None:
+            write_text(folder / "kinematics.txt", f"{result.kinematics}\n")
+            figure = _draw_kinematics(result.run, result.kinematics)
+            view.save_figure(figure, folder / "kinematics")
+        result.built.scenario.save(folder / "scenario.toml")
+        write_text(folder / "summary.json", json.dumps(result.summary(), indent=2) + "\n")
+
+
+def text(result: RunResult) -> str:
+    """Return the verdict, and then what the arm did, a line each."""
+    run, built, torque = result.run, result.built, result.peak_torque_ratio
+    law, robot = built.law, built.plant.robot
+    lines = {
+        "robot": f"{robot.name}, {robot.nv} joints, {robot.mass:.3g} kg with the object",
+        "object": held(built.scenario),
+        "believed": believed(built.scenario),
+        "law": law.describe()[0],
+        "q at start": numbers_of(robot.angles(run.q[0])),
+        "q at end": numbers_of(robot.angles(run.q[-1])),
+        "x at start": numbers_of(run.x[0]),
+        "x at end": f"{numbers_of(run.x[-1])} after {run.t[-1]:g} s",
+        "target": numbers_of(run.target),
+        "settled": "not" if math.isnan(result.settling_time) else f"{result.settling_time:.3g} s",
+        "torque": "no limit known"
+        if math.isnan(torque)
+        else f"{'asks for up to' if built.limits is None else 'up to'} "
+        f"{100.0 * torque:.0f} % of the limits"
+        f"{'' if built.plant.adds_gravity is None else ', with the gravity that the robot adds'}",
+        "law's status": shares(run.status_counts()),
+    }
+    if learnt := law.describe_learnt(run.state[-1]):
+        lines["learnt"] = learnt
+    if result.kinematics is not None:
+        is_image = isinstance(built.plant.sensor, ImageTask)
+        lines["kinematics"] = _kinematics(result.kinematics, is_image)
+    if built.limits is not None:
+        lines["limits' status"] = shares(run.limit_status_counts())
+    if run.at_stops:
+        lines["stops"] = f"{run.describe_stops()}; up to {result.joint_limit_excess:.2g} beyond"
+    if not result.on_path and (run.x_d != run.x_d[0]).any():
+        lines["shown"] = "the target was moved while it ran: errors are to the target then"
+    if built.warning:
+        lines["warning"] = built.warning
+    verdict = wrapped(": ".join(filter(None, (result.verdict, result.reason))))
+    return "\n".join([*verdict, *wrapped(_error(result)), "", *rows(lines, 2)])
+
+
+def _error(result: RunResult) -> str:
+    """Return the error from start to end, or of a path, which begins at the arm, all along it."""
+    from approxjac.view.style import display_unit
+
+    unit, factor = display_unit(result.run.task_unit)
+    within = f"{factor * result.tolerance:.3g} {unit}"
+    if not result.on_path:
+        size = f"error {_size(result.errors_at(0))} -> {_size(result.final_error)}"
+        if math.isnan(result.settling_time):
+            return f"{size}, where {within} is wanted"
+        return f"{size}, within {within} from {result.settling_time:.3g} s on"
+    largest, rms, last = (_size({result.run.task_unit: error}) for error in result.strayed)
+    sizes = f"up to {largest} from the path, {rms} RMS, {last} in the last quarter"
+    return f"{sizes}, where {within} is wanted"
+
+
+def held(scenario: Scenario) -> str:
+    """Return the object that the arm truly holds."""
+    given = scenario.true.object
+    if not given.length and not given.mass:
+        return "none"
+    along = f", along {typed_as(given.axis)} of the tip" if given.axis else ""
+    return f"{given.length:g} m long, {given.mass:g} kg{along}"
+
+
+def believed(scenario: Scenario) -> str:
+    """Return what the controller believes that is wrong, by keys of [believed]."""
+    true, belief = scenario.true, scenario.believed
+    right = Belief(true.object, true.shifts, true.rotations)
+    wrong = differences(replace(belief, object=belief.object.like(true.object)), right)
+    parts = [
+        f"{name} {key} {typed_as(value)}"
+        for name, values in wrong.items()
+        for key, value in values.items()
+    ]
+    return ", ".join(parts) or "what is true"
+
+
+def draw(result: RunResult) -> Figure:
+    """Draw error, torque, the path of the tip or through the image, and what limits did."""
+    from approxjac import view
+
+    run, built, sensor = result.run, result.built, result.built.plant.sensor
+    limited = bool((run.limit_status > LimitStatus.FREE).any())  # or there is nothing to see
+    title = f"{run.robot_name}: {result.verdict}"
+    figure, axes = view.new_figure(*((2, 2) if limited else (3, 1)), title=title)
+    view.plot_error(run, axes[0])
+    asked = run if built.plant.adds_gravity is None else replace(run, tau=result.motor_torque)
+    view.plot_torque(asked, axes[1], limits=built.plant.motor_limits)
+    if isinstance(sensor, ImageTask):
+        view.plot_image(run, sensor.camera, axes[2])
+    else:
+        target = None if result.on_path else place_of(sensor, run.target)
+        truth, belief = built.plant.robot, built.law.task.robot
+        view.plot_path(run, truth, plane=_plane(result), ax=axes[2], believed=belief, target=target)
+    if limited:
+        view.plot_slack(run, axes[3])
+    return figure
+
+
+def _plane(result: RunResult) -> str:
+    """Return the world axes that a path spreads along most, or else "xz"."""
+    run = result.run
+    if not result.on_path or run.task_labels[:3] != ("x", "y", "z"):
+        return "xz"
+    chosen = np.argsort(-np.ptp(run.x_d[:, :3], axis=0), kind="stable")[:2]
+    return "".join("xyz"[i] for i in sorted(chosen))
+
+
+def _kinematics(learnt: KinematicReport, is_image: bool) -> str:
+    """Return tool and camera as they were learnt, and whether that explains x."""
+    tool = [row.value for row in learnt.rows if row.name.startswith("tool.")]
+    parts = [f"tool at {numbers_of(np.round(tool, 3))} m"] if tool else []
+    if learnt.angle:
+        which, rows = ("camera", "") if is_image else ("tracker", " (camera.r in kinematics.txt)")
+        parts.append(f"{which} turned by {math.degrees(learnt.angle):.1f} deg{rows}")
+    parts.append(f"chi squared {learnt.chi_squared:.2f} a degree of freedom")
+    if not learnt.is_explained:
+        why = f"; it may be: {learnt.suspects}" if learnt.suspects else ""
+        parts.append(f"which does not explain x{why}")
+    return ", ".join(parts)
+
+
+def _draw_kinematics(run: Trajectory, learnt: KinematicReport) -> Figure:
+    """Draw what was learnt of the tool, and of the tracker's rotation, where they were learnt."""
+    from approxjac import view
+
+    names = [row.name for row in learnt.rows]
+    groups = [[name for name in names if name.startswith(kind)] for kind in ("tool.", "camera.")]
+    groups = [group for group in groups if group] or [names]
+    figure, axes = view.new_figure(len(groups), title="What is learnt of the kinematics")
+    for ax, group in zip(axes, groups, strict=True):
+        view.plot_parameters(run, group, ax, title=group[0].partition(".")[0])
+    return figure
+
+
+def _size(errors: dict[str, float]) -> str:
+    """Return errors to three digits: of lengths in mm below a metre, and not below 1 µm."""
+    from approxjac.view.style import display_unit
+
+    parts = []
+    for unit, value in errors.items():
+        shown, factor = (unit, 1.0) if unit == "m" and value >= 1.0 else display_unit(unit)
+        size = "< 0.001" if factor * value < 1e-3 else f"{factor * value:.3g}"
+        parts.append(f"{size} {shown}")
+    return " and ".join(parts)
