@@ -103,12 +103,12 @@ MUTANTS = [
     ),
     (
         "level with the wrong sign of the share", "stability/certificates/sampled_form.py",
-        "return 0.5 * (1.0 - self.kinetic_share(weights)) * self.speed**2",
-        "return 0.5 * (1.0 + self.kinetic_share(weights)) * self.speed**2", GRAVITY,
+        "return 0.5 * (1.0 - share) * self.speed**2",
+        "return 0.5 * (1.0 + share) * self.speed**2", GRAVITY,
     ),
     (
         "level of all of the kinetic energy", "stability/certificates/sampled_form.py",
-        "return 0.5 * (1.0 - self.kinetic_share(weights)) * self.speed**2",
+        "return 0.5 * (1.0 - share) * self.speed**2",
         "return 0.5 * self.speed**2", GRAVITY,
     ),
     (

@@ -11,7 +11,7 @@ from certify import lyapunov
 import approxjac as aj
 from approxjac.stability.certificates.attraction import slower, travels
 from approxjac.stability.certificates.matrix_form import MatrixForm
-from approxjac.stability.certificates.sampled_form import SampledForm
+from approxjac.stability.certificates.sampled_form import Hold, SampledForm
 from approxjac.stability.errors.region import Region
 from approxjac.stability.loop.closed_loop import SHARED, ClosedLoop
 from approxjac.stability.rollouts.setting import RolloutSetting
@@ -37,8 +37,7 @@ def start(plant, controller, region, test, rng, level):
     while True:
         there = np.array(pin.interpolate(model, end, q, share))
         e = plant.sensor.error(plant.sensor.value(there), target)
-        saturation = controller.saturation
-        if float(test.weights.at_rest(saturation.S(e), saturation.s(e))) <= level:
+        if float(test.weights.at_rest(e, controller.saturation)) <= level:
             return there, target
         share *= 0.8
 
@@ -97,10 +96,10 @@ def rated(loop, test, found, latency, rng):
     """Return what bounds the drift in fresh samples over what does in those that were used."""
     seen, old = loop.draw(RATED, rng, inside=SHARED), test.form
     form = SampledForm(
-        MatrixForm(seen, loop.setting), loop.plants[0].friction, latency, old.speed, old.most_s,
-        loop.gravity_gradients(seen),
+        MatrixForm(seen, loop.setting), loop.plants[0].friction, Hold.of(latency), old.speed,
+        old.most_s, loop.gravity_gradients(seen),
     )  # fmt: skip
-    bounds = travels(slower(form), loop.controller.saturation, found.weights, found.rate)
+    bounds = travels(slower(form), found.weights, found.rate)
     return (bounds / found.travel).max(axis=1)
 
 
@@ -108,9 +107,9 @@ def drifted(controller, plant, region, test, found, latency, rng):
     """Return the largest drift of a joint from a certified start over its bound, if it has one."""
     near = aj.JointBox.around(plant.robot, region.center, found.radius)
     q, end = near.sample(2, rng)
-    target, saturation = plant.sensor.value(end), controller.saturation
+    target = plant.sensor.value(end)
     e = plant.sensor.error(plant.sensor.value(q), target)
-    V = float(found.weights.at_rest(saturation.S(e), saturation.s(e)))
+    V = float(found.weights.at_rest(e, controller.saturation))
     if slower(test.form).level(found.weights) < V:
         return None  # stays by its level
     record = as_it_runs(controller, plant, q, target, latency)

@@ -201,8 +201,8 @@ def lyapunov(loop, seen, setting, weights, piece, kept):
     )
     momentum = np.einsum("kij,kj->ki", seen.M, v)
     Gs = np.einsum("kij,kj->ki", G, seen.s)
-    S = loop.controller.saturation.S(e)
-    return (momentum * (0.5 * v + Gs)).sum(axis=1) + weights.at_rest(S, seen.s)
+    at_rest = weights.at_rest(e, loop.controller.saturation)
+    return (momentum * (0.5 * v + Gs)).sum(axis=1) + at_rest
 
 
 def near_rate(loop, rate):

@@ -227,7 +227,7 @@ def test_no_unstable_target_is_certified(seed):
         np.zeros((1, n, n, n)), J, J, J_hat, np.zeros((1, n, m, n)), np.zeros((1, m)),
         np.zeros((1, m)), np.ones((1, m)),
     )  # fmt: skip
-    form = MatrixForm(samples, Setting(kp, kv, B, 0.5))
+    form = MatrixForm(samples, Setting(kp, kv, B, law.Linear()))
     values = np.linalg.eigvals(law.closed_loop_matrix(M, J[0], J_hat[0], kp, kv, B))
     slowest = np.sort(values.real[np.argsort(np.abs(values))[n - m :]])[-1]
     for family in FAMILIES if slowest >= 0.0 else ():
@@ -253,7 +253,7 @@ def test_a_camera_roll_costs_what_theory_says():
             1, np.random.default_rng(0)
         )
         kp, kv, _ = controller.diagonals
-        setting = Setting(kp, kv, np.zeros(2), 0.5, large_gains=True)
+        setting = Setting(kp, kv, np.zeros(2), law.Linear(), large_gains=True)
         return best_weights(MatrixForm(samples, setting), family).margins.min() > 0.0
 
     for degrees, expected in (

@@ -90,9 +90,7 @@ def test_no_motion_that_begins_below_the_level_is_ever_limited(law, kept, tools,
         plant = tools.plant(kept.loop.corners[k % 4])
         q0 = Q + rng.uniform(-0.05, 0.05, 7)
         e = rng.normal(size=3)
-        e *= 0.999 * np.sqrt(
-            kept.sampled.level / weights.at_rest(law.saturation.S(e), law.saturation.s(e))
-        )
+        e *= 0.999 * np.sqrt(kept.sampled.level / weights.at_rest(e, law.saturation))
         run = aj.simulate(
             plant, limiter, target=plant.sensor.value(q0) - e, q0=q0, duration=0.3, dt=1e-3
         )

@@ -8,6 +8,7 @@ import pytest
 
 import approxjac as aj
 from approxjac.controllers import Latency
+from approxjac.law import Linear
 from approxjac.stability.certificates.certificate import largest, sampled_test
 from approxjac.stability.certificates.matrix_form import MatrixForm, best_weights
 from approxjac.stability.certificates.sampled_form import Hold
@@ -144,7 +145,7 @@ def test_states_below_the_level_are_as_slow_and_near_as_assumed(arm, latency):
         z, e = share * v, (1.0 - share) * s
         kinetic = np.einsum("ni,nij,nj->n", z, at.M, z)
         V = 0.5 * kinetic + np.einsum("ni,nij,njk,nk->n", z, at.M, G, e)
-        V += weights.at_rest(0.5 * e**2, e)
+        V += weights.at_rest(e, Linear())
         scale = test.level / V
         assert (np.sqrt(scale * kinetic) <= test.speed * (1.0 + 1e-9)).all()
         size = np.sqrt(scale) * np.linalg.norm(e, axis=1)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from approxjac.law import Saturation
 from approxjac.stability.certificates.certificate import SampledTest, largest_errors
 from approxjac.stability.certificates.matrix_form import MatrixForm, Weights, best_weights
 from approxjac.stability.certificates.sampled_form import SampledForm
@@ -61,33 +60,30 @@ class Attraction:
 
 def attraction(loop: ClosedLoop, test: SampledTest, rng: np.random.Generator) -> Attraction | None:
     """Return which starts stay; None of what is not certified, or of a region that is no box."""
-    box = loop.region
+    box, saturation, form = loop.region, loop.controller.saturation, slower(test.form)
     if not test.certified or not isinstance(box, JointBox) or not test.level:
         return None
-    saturation = loop.controller.saturation
     travel, rate, weights = np.full(box.robot.nv, np.inf), 0.0, test.weights
-    for _, its_rate, its_weights in _rates(test, saturation)[:_TRIED]:
-        farthest = _UNSEEN * _farthest(loop, test, its_weights, its_rate, rng)
+    for _, its_rate, its_weights in _rates(form, test)[:_TRIED]:
+        farthest = _UNSEEN * _farthest(loop, form, its_weights, its_rate, rng)
         if np.isfinite(farthest).all():
             travel, rate, weights = farthest, its_rate, its_weights
             break
-    most = slower(test.form).level(weights)
-    level = 0.0
+    most = form.level(weights)
     starts = _Starts(loop, box, test.weights, rng)
     spare = box.robot.nv - loop.controller.task.m
 
     def stays(radius: float) -> bool:
         e = starts.errors(radius)
-        S, s = saturation.S(e), saturation.s(e)
-        energy = float(test.weights.at_rest(S, s).max())
+        energy = float(test.weights.at_rest(e, saturation).max())
         if energy > test.level:
             return False
-        its_own = float(weights.at_rest(S, s).max())
+        its_own = float(weights.at_rest(e, saturation).max())
         if its_own <= most and (radius + travel * np.sqrt(its_own) <= box.upper).all():
             return True
         return not spare and energy < starts.lowest(radius)
 
-    low, high = 0.0, float(box.upper.min())
+    low, high, level = 0.0, float(box.upper.min()), 0.0
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if stays(middle) else (low, middle)
@@ -97,62 +93,53 @@ def attraction(loop: ClosedLoop, test: SampledTest, rng: np.random.Generator) ->
     return Attraction(travel, rate, weights, level, low, error)
 
 
-def _rates(test: SampledTest, saturation: Saturation) -> list[tuple[float, float, Weights]]:
+def slower(form: SampledForm) -> SampledForm:
+    """Return a form of the slower motions that are asked whether they stay."""
+    return form.with_speed(_SLOWER * form.speed)
+
+
+def _rates(form: SampledForm, test: SampledTest) -> list[tuple[float, float, Weights]]:
     """Functions that die out with a rate: size of their travel, rate, weights; the least first."""
-    whole = slower(test.form)
-    largest = _largest_ratio(saturation, whole, test.weights)
-    worst, all_found = whole.take(np.argsort(test.margins)[:_WORST]), []
+    largest = _largest_ratio(form, test.weights)
+    worst, all_found = form.take(np.argsort(test.margins)[:_WORST]), []
     for rate in _RATES:
-        if not whole.changed(decay=(rate, largest)).is_possible():
+        if not form.changed(decay=(rate, largest)).is_possible():
             break
         found = best_weights(worst.changed(decay=(rate, largest)), "free").weights
-        if (found.w <= 0.0).any():
-            continue
-        for multiple in _MULTIPLES:
+        for multiple in _MULTIPLES if (found.w > 0.0).all() else ():
             scaled = found._replace(multiplier=multiple * found.multiplier)
-            if np.isinf(travels(worst, saturation, scaled, rate)).any():
+            if np.isinf(travels(worst, scaled, rate)).any():
                 continue
-            size = float(travels(whole, saturation, scaled, rate).max() * np.sqrt(found.w.max()))
+            size = float(travels(form, scaled, rate).max() * np.sqrt(found.w.max()))
             if np.isfinite(size):
                 all_found.append((size, rate, scaled))
     return sorted(all_found, key=lambda each: each[0])
 
 
 def _farthest(
-    loop: ClosedLoop, test: SampledTest, weights: Weights, rate: float, rng: np.random.Generator
+    loop: ClosedLoop, form: SampledForm, weights: Weights, rate: float, rng: np.random.Generator
 ) -> Array:
     """The most that samples travel by a function, with a closer look around those that do."""
-    form, saturation = test.form, loop.controller.saturation
-    samples = form.samples
-    found = travels(slower(form), saturation, weights, rate)
-    most: Array = found.max(axis=0)
-    for _ in range(_LOOKS):
-        k = int((found / most).max(axis=1).argmax())
-        samples = loop.near(samples, k, _NEAR, _CLOSE, rng)
-        near = SampledForm(
-            MatrixForm(samples, form.setting), loop.plants[0].friction, test.latency, form.speed,
-            form.most_s, loop.gravity_gradients(samples), form.turning,
-        )  # fmt: skip
-        found = travels(slower(near), saturation, weights, rate)
+    near, most = form, np.zeros(form.samples.M.shape[-1])
+    for look in range(_LOOKS + 1):
+        found = travels(near, weights, rate)
         if (found <= most).all():
             break
         most = np.maximum(most, found.max(axis=0))
-        if np.isinf(most).any():
-            return np.full(len(most), np.inf)
+        if look == _LOOKS or np.isinf(most).any():
+            break
+        k = int((found / most).max(axis=1).argmax())
+        samples = loop.near(near.samples, k, _NEAR, _CLOSE, rng)
+        near = form.elsewhere(samples, loop.gravity_gradients(samples))
     return most
 
 
-def slower(form: SampledForm) -> SampledForm:
-    """Return a form of the slower motions that are asked whether they stay."""
-    return form.with_speed(_SLOWER * form.speed)
-
-
-def travels(form: SampledForm, saturation: Saturation, weights: Weights, rate: float) -> Array:
+def travels(form: SampledForm, weights: Weights, rate: float) -> Array:
     """Return `Attraction.travel` by each sample, shape (N, n_v); infinite where F − ρP ⊁ 0.
 
     Errors are as large as the function lets them be.
     """
-    decay = rate, _largest_ratio(saturation, form, weights)
+    decay = rate, _largest_ratio(form, weights)
     faster = form.changed(most_s=form.largest_s(weights), decay=decay)
     F = faster.decrease(weights)
     positive = np.linalg.eigvalsh(F)[:, 0] > 0.0
@@ -163,8 +150,9 @@ def travels(form: SampledForm, saturation: Saturation, weights: Weights, rate: f
     return found
 
 
-def _largest_ratio(saturation: Saturation, form: SampledForm, weights: Weights) -> float:
+def _largest_ratio(form: SampledForm, weights: Weights) -> float:
     """Largest S(e)/s(e)² of motions that stay below v̄: ½ where s(e) = e."""
+    saturation = form.setting.saturation
     largest = largest_errors(saturation, weights.w, 0.5 * form.speed**2)
     errors = np.linspace(0.0, 1.0, 200)[1:, np.newaxis] * largest
     s = saturation.s(errors)
@@ -189,17 +177,14 @@ class _Starts:
     ) -> None:
         self._loop, self._box, self._weights, self._rng = loop, box, weights, rng
         n = box.robot.nv
-        # corners are where errors are largest
-        drawn = rng.uniform(-1.0, 1.0, (2, _PAIRS, n))
-        drawn[:, ::2] = np.sign(drawn[:, ::2])
-        drawn[1, ::4] = -drawn[0, ::4]
-        self._pairs = drawn
+        self._pairs = rng.uniform(-1.0, 1.0, (2, _PAIRS, n))
+        self._pairs[:, ::2] = np.sign(self._pairs[:, ::2])  # corners are where errors are largest
+        self._pairs[1, ::4] = -self._pairs[0, ::4]
         self._truths = _robots(loop, _PAIRS, rng)
-        edges = rng.uniform(-1.0, 1.0, (_EDGES, n))
-        edges[np.arange(_EDGES), np.arange(_EDGES) % n] = np.where(
-            rng.random(_EDGES) < 0.5, -1.0, 1.0
-        )
-        self._edges, self._edge_truths = edges, _robots(loop, _EDGES, rng)
+        self._edges = rng.uniform(-1.0, 1.0, (_EDGES, n))
+        sides = np.where(rng.random(_EDGES) < 0.5, -1.0, 1.0)
+        self._edges[np.arange(_EDGES), np.arange(_EDGES) % n] = sides
+        self._edge_truths = _robots(loop, _EDGES, rng)
 
     def errors(self, radius: float) -> Array:
         """Return errors of starts within a radius, shape (N, m)."""
@@ -208,9 +193,8 @@ class _Starts:
 
     def lowest(self, radius: float) -> float:
         """Return the smallest V on the boundary, with any speed, of targets within a radius [J]."""
-        truths, motions = self._edge_truths, self._edges
+        truths, motions, least = self._edge_truths, self._edges, np.inf
         ends = np.resize(self._pairs[1], motions.shape)
-        least = np.inf
         for look in range(1 + _CLOSER):
             values = self._least(truths, self._box.upper * motions, radius * ends)
             k = int(values.argmin())
@@ -232,8 +216,8 @@ class _Starts:
         G = MatrixForm(at, self._loop.setting).cross_weight(self._weights)
         turned = (G @ at.s[..., np.newaxis])[..., 0]
         kinetic = 0.5 * np.einsum("ni,nij,nj->n", turned, at.M, turned)
-        S = self._loop.controller.saturation.S(at.e)
-        return np.asarray(self._weights.at_rest(S, at.s) - kinetic)
+        at_rest = self._weights.at_rest(at.e, self._loop.controller.saturation)
+        return np.asarray(at_rest - kinetic)
 
     def _targets(self, truths: Indices, ends: Array) -> Array:
         if self._loop.target is not None:

@@ -106,13 +106,11 @@ class SampledTest(MatrixTest):
         latency: Of the loop that it speaks of.
         level: c [J]: motions that begin with V ≤ c stay below v̄.
         form: What it rests on; the samples that it was chosen on come first.
-        saturation: Of the loop.
     """
 
     latency: Latency
     level: float
     form: SampledForm
-    saturation: Saturation
 
     @property
     def reason(self) -> str:
@@ -131,13 +129,13 @@ class SampledTest(MatrixTest):
         """Share of the samples away from their targets that may be started from, at rest."""
         e = self.form.samples.e
         e = e[e.any(axis=1)]  # a third is at the target
-        energies = self.weights.at_rest(self.saturation.S(e), self.saturation.s(e))
+        energies = self.weights.at_rest(e, self.form.setting.saturation)
         return float((energies <= self.level).mean()) if len(e) else 1.0
 
     @cached_property
     def certified_error(self) -> Array:
         """Largest error of one task coordinate to start from at rest, others being zero, (m,)."""
-        return largest_errors(self.saturation, self.weights.w, self.level)
+        return largest_errors(self.form.setting.saturation, self.weights.w, self.level)
 
     def below(self, level: float) -> SampledTest:
         """Return this of motions that begin with V ≤ level only, if that is less than its own."""
@@ -247,10 +245,10 @@ def sampled_test(
     v̄ is such that all samples may be started from, or less where that is not certified. `known`,
     and the forms at samples to choose it on and to check it on, are of continuous time.
     """
-    setting, saturation, n = loop.setting, loop.controller.saturation, len(chosen.samples)
+    setting, n = loop.setting, len(chosen.samples)
     form = chosen.join(fresh)
     potential = setting.kp + setting.alpha * setting.kv
-    needed = _SPARE * float((saturation.S(form.samples.e) @ potential).max(initial=0.0))
+    needed = _SPARE * float((setting.saturation.S(form.samples.e) @ potential).max(initial=0.0))
     dg = loop.gravity_gradients(form.samples)
     fastest = math.sqrt(2.0 * needed)
     most_s = fastest / math.sqrt(2.0 * setting.c_bar * float(potential.min()))
@@ -273,10 +271,10 @@ def sampled_test(
             violations = int((margins <= 0.0).sum())
         return SampledTest(
             family, best.weights, best.margins, checked, violations, loop.region.independent,
-            latency, max(0.0, form.level(best.weights)), form, saturation,
+            latency, max(0.0, form.level(best.weights)), form,
         )  # fmt: skip
 
-    whole = SampledForm(form, loop.plants[0].friction, latency, fastest, most_s, dg)
+    whole = SampledForm(form, loop.plants[0].friction, Hold.of(latency), fastest, most_s, dg)
     found = at_speed(whole)
     if not found.certified and fastest > 0.0:  # and it may be that no speed is slow enough
         found = at_speed(whole.with_speed(_SLOWEST * fastest))

@@ -72,12 +72,7 @@ def limit_cost(
     of ĴᵀK_p. A torque that is held or late was such a torque when it was computed. The two parts
     may be of different times, as where x comes in frames.
 
-    Args:
-        loop: The loop without limits.
-        limiter: Around its controller.
-        samples: Where to look.
-        sampled: What is known of the sampled loop.
-        known: G of the V that certifies the loop without limits; None if none does.
+    `known` is G of the V that certifies the loop without limits; None if none does.
     """
     controller, effort = loop.controller, np.asarray(limiter.limits.effort)
     kp, kv, damping = loop.diagonals
@@ -118,15 +113,12 @@ def limit_cost(
     clipped = float((asked > effort).any(axis=1).mean())
     uncounted = 0.0
     if not np.any(loop.plants[0].robot.gravity):
-        uncounted = float((np.abs(_upright(loop, samples)) / effort).max())
+        few = slice(None, None, max(1, len(samples) // _FEW))
+        arms = [loop.plants[t].robot.with_gravity(STANDARD_GRAVITY) for t in samples.truth[few]]
+        pairs = zip(arms, samples.q[few], strict=True)
+        upright = np.array([Dynamics(arm).g(q) for arm, q in pairs])
+        uncounted = float((np.abs(upright) / effort).max())
     return LimitCost(clipped, free, level, holds, protects, limiter.proof, uncounted)
-
-
-def _upright(loop: ClosedLoop, samples: Samples) -> Array:
-    """The torque that would hold the true arm upright at a few samples, (N, n_v)."""
-    few = slice(None, None, max(1, len(samples) // _FEW))
-    arms = [loop.plants[t].robot.with_gravity(STANDARD_GRAVITY) for t in samples.truth[few]]
-    return np.array([Dynamics(arm).g(q) for arm, q in zip(arms, samples.q[few], strict=True)])
 
 
 def _gravity(loop: ClosedLoop, samples: Samples) -> Array:

@@ -59,9 +59,10 @@ class Weights(NamedTuple):
         """Return these weights and a share of others."""
         return Weights(*(mine + share * its for mine, its in zip(self, other, strict=True)))  # type: ignore[arg-type]
 
-    def at_rest(self, S: Array, s: Array) -> Array:
-        """Return V at rest [J], of S(e) and s(e), any leading axes."""
-        return law.potential(S, s, self.w, self.coupling + np.zeros_like(self.A1))
+    def at_rest(self, e: Array, saturation: law.Saturation) -> Array:
+        """Return V at rest [J] with errors e, any leading axes."""
+        coupling = self.coupling + np.zeros_like(self.A1)
+        return law.potential(saturation.S(e), saturation.s(e), self.w, coupling)
 
     def block(self, c_bar: float) -> Array:
         """Return 2c̄ W + Ω, shape (m, m)."""
@@ -75,10 +76,15 @@ class Setting:
     kp: Array  # diagonal of K_p, shape (m,)
     kv: Array  # diagonal of K_v, shape (m,)
     B: Array  # diagonal of all viscous damping, shape (n_v,)
-    c_bar: float  # c̄ of eq. (8)
+    saturation: law.Saturation
     fixed_alpha: float | None = None  # α where gravity is learnt with it by (29) [1/s]
     weight: Array | None = None  # of `law.cross_weight_pinv`, shape (n_v,)
     large_gains: bool = False  # leave out what inertia takes, as in the limit of large gains
+
+    @property
+    def c_bar(self) -> float:
+        """c̄ of eq. (8)."""
+        return self.saturation.c_bar
 
     @property
     def alpha(self) -> float:

@@ -97,7 +97,7 @@ class SampledForm(MatrixForm):
     Args:
         form: That of continuous time, where it is evaluated.
         friction: Diagonal of the arm's own part of B, shape (n_v,).
-        latency: Of the loop.
+        hold: That of the loop.
         speed: v̄ [√J].
         most_s: s̄, at least |s(e)| along these motions; it counts where x comes in frames.
         dg: ∂g/∂q of the gravity torque that the law adds, shape (N, n_v, n_v).
@@ -114,15 +114,15 @@ class SampledForm(MatrixForm):
         self,
         form: MatrixForm,
         friction: Array,
-        latency: Latency,
+        hold: Hold,
         speed: float,
         most_s: float = 0.0,
         dg: Array | None = None,
         turning: Turning | None = None,
     ) -> None:
         self.samples, self.setting, self._of_samples = form.samples, form.setting, form._of_samples
-        self.hold, self.speed, self.most_s = Hold.of(latency), speed, most_s
-        self.decay = 0.0, 0.5
+        self.hold, self.speed, self.most_s = hold, speed, most_s
+        self.decay, self._friction = (0.0, 0.5), friction
         at, D, kp = self.samples, self._of_samples.D, self.setting.kp
         D_c = D - np.diag(friction)
         if self.hold.frames is None:
@@ -160,6 +160,13 @@ class SampledForm(MatrixForm):
         """γ_x, grown with the rate [s]."""
         x = self.hold.frames
         return None if x is None else x * sampled_form.growth(self.decay[0], self.hold.age)
+
+    def elsewhere(self, samples: Samples, dg: Array) -> SampledForm:
+        """Return this at other samples of the same region, with their ∂g/∂q."""
+        form = MatrixForm(samples, self.setting)
+        return SampledForm(
+            form, self._friction, self.hold, self.speed, self.most_s, dg, self.turning
+        )
 
     def changed(self, **values: Any) -> Self:
         """Return this with another `hold`, `speed`, `most_s` or `decay`."""
@@ -272,10 +279,6 @@ class SampledForm(MatrixForm):
         """Return F, shape (N, k, k), of (z, w) and what else there is."""
         return self._form(weights, *self._decrease(weights))
 
-    def kinetic_share(self, weights: Weights) -> float:
-        """σ², (0, 1): V ≥ ½(1 − σ²)|q̇|²_M at these samples."""
-        return float(self._kinetic(weights, self.cross_weight(weights)).max())
-
     def largest_s(self, weights: Weights) -> float:
         """Largest |s(e)| of motions that begin with V ≤ `level`; infinite where V bounds none.
 
@@ -286,4 +289,5 @@ class SampledForm(MatrixForm):
 
     def level(self, weights: Weights) -> float:
         """c [J]: from V ≤ c on, |q̇|_M stays below v̄."""
-        return 0.5 * (1.0 - self.kinetic_share(weights)) * self.speed**2
+        share = float(self._kinetic(weights, self.cross_weight(weights)).max())  # σ² < 1
+        return 0.5 * (1.0 - share) * self.speed**2

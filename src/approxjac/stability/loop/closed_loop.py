@@ -109,8 +109,8 @@ class ClosedLoop:
         """Gains and damping, as the conditions need them."""
         (kp, kv, damping), learning = self.diagonals, self.controller.adaptation
         alpha = None if learning is None else learning.alpha
-        B, c_bar = damping + self.plants[0].friction, self.controller.saturation.c_bar
-        return Setting(kp, kv, B, c_bar, alpha, self.controller.pinv.weight)
+        B, saturation = damping + self.plants[0].friction, self.controller.saturation
+        return Setting(kp, kv, B, saturation, alpha, self.controller.pinv.weight)
 
     def gravity_error(self, configurations: Array) -> float:
         """Return the largest gravity torque that is neither compensated nor learnt [N m or N]."""

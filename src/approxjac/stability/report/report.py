@@ -407,7 +407,7 @@ def _starts(report: StabilityReport) -> dict[str, Any]:
     sampled, stays = report.sampled, report.attraction
     assert sampled is not None
     e, saturation = usual_errors(report), report.loop.controller.saturation
-    energies = sampled.weights.at_rest(saturation.S(e), saturation.s(e))
+    energies = sampled.weights.at_rest(e, saturation)
     units = {*report.loop.plants[0].robot.joint_units}
     return {
         "radius": 0.0 if stays is None else stays.radius,
