@@ -165,7 +165,7 @@ def test_the_same_bits_whatever_carries_them_out(tmp_path, monkeypatch):
     assert digest(rolled(*loop, folder=tmp_path, **options)) == expected
     assert [file.stat().st_mtime_ns for file in kept] == times
     assert len(list(tmp_path.iterdir())) == 9
-    monkeypatch.setattr("approxjac.stability.rollouts.portions._PORTION", 16)
+    monkeypatch.setattr("approxjac.stability.rollouts.rollouts._PORTION", 16)
     assert digest(rolled(*loop, **options)) == expected
     for runs in (9, 1):
         few = rolled(*loop, **options | {"runs": runs})

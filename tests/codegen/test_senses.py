@@ -214,7 +214,7 @@ def test_the_same_bits_whatever_carries_them_out(tmp_path, monkeypatch):
         rolled(*loop, folder=tmp_path, progress=stop, **options)
     assert 0 < len(list(tmp_path.iterdir())) < 9
     assert test_lanes.digest(rolled(*loop, folder=tmp_path, **options)) == expected
-    monkeypatch.setattr("approxjac.stability.rollouts.portions._PORTION", 16)
+    monkeypatch.setattr("approxjac.stability.rollouts.rollouts._PORTION", 16)
     monkeypatch.setattr("approxjac.codegen.lanes._BLOCK", 7)
     assert test_lanes.digest(rolled(*loop, **options)) == expected
 

@@ -160,7 +160,7 @@ def test_the_same_bits_whatever_carries_it_out(plane, tmp_path, monkeypatch):
     assert digest(own(execution=kept_there)) == expected
     assert kept.items() <= {f: f.stat().st_mtime_ns for f in tmp_path.iterdir()}.items()
     assert len(kept) < len([*tmp_path.iterdir()])
-    monkeypatch.setattr("approxjac.stability.rollouts.portions._PORTION", 16)
+    monkeypatch.setattr("approxjac.stability.rollouts.rollouts._PORTION", 16)
     assert digest(own()) == expected
 
 

@@ -6,8 +6,7 @@ from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.local import LocalStability, local_stability
 from approxjac.stability.report.other_laws import NearTargets, OtherLawReport
 from approxjac.stability.report.report import StabilityReport
-from approxjac.stability.rollouts.portions import Execution
-from approxjac.stability.rollouts.rollouts import Rollouts
+from approxjac.stability.rollouts.rollouts import Execution, Rollouts
 from approxjac.stability.rollouts.setting import Rollout, RolloutSetting
 from approxjac.stability.search.map import StabilityMap
 from approxjac.stability.search.suggested_gains import Suggestion

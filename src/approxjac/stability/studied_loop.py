@@ -23,8 +23,7 @@ from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.closed_loop import ClosedLoop, usual_region
 from approxjac.stability.report.other_laws import OtherLawReport, near_targets
 from approxjac.stability.report.report import StabilityReport, report_of
-from approxjac.stability.rollouts.portions import Execution, carried_out
-from approxjac.stability.rollouts.rollouts import Rollouts
+from approxjac.stability.rollouts.rollouts import Execution, Rollouts, carried_out
 from approxjac.stability.rollouts.setting import RolloutSetting
 from approxjac.tasks.analysis import fine_error
 from approxjac.validation import Array, as_integer, as_number, require

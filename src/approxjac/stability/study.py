@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 
-from approxjac.stability.rollouts.portions import Execution
+from approxjac.stability.rollouts.rollouts import Execution
 from approxjac.stability.search.map import StabilityMap, map_of
 from approxjac.stability.search.suggested_gains import Suggestion, suggested_gains
 from approxjac.stability.search.tolerance import TESTS, Test, Tolerance, tolerances

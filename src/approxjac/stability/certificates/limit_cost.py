@@ -126,5 +126,4 @@ def _gravity(loop: ClosedLoop, samples: Samples) -> Array:
     if loop.controller.adaptation is None:
         torque = loop.controller.gravity.torque  # type: ignore[union-attr]
         return np.array([torque(q) for q in samples.q])
-    pairs = zip(samples.truth, samples.q, strict=True)
-    return np.array([loop.dynamics(t).g(q) for t, q in pairs])
+    return loop.terms(samples.truth, samples.q).g

@@ -53,18 +53,25 @@ class Region(ABC):
     def near(self, q: Array, size: float, rng: np.random.Generator) -> Array:
         """Return a configuration of the region about `size` spreads away from one of its own, q."""
         for _ in range(20):
-            motion = size * self.spread * rng.standard_normal(self.robot.nv)
-            moved = np.array(pin.integrate(self.robot.model, q, motion))
+            moved = self._moved(q, size * self.spread * rng.standard_normal(self.robot.nv))
             if self.contains(moved):
                 return moved
         return q
+
+    def _moved(self, q: Array, motion: Array) -> Array:
+        return np.array(pin.integrate(self.robot.model, q, motion))
+
+    def _away(self, q: Array, other: Array) -> Array:
+        """Motion (n_v,) from a configuration to another one, which may be given as angles."""
+        other = other if np.shape(other) == (self.robot.nq,) else self.robot.configuration(other)
+        return np.asarray(pin.difference(self.robot.model, q, other))
 
 
 class JointBox(Region):
     """Configurations between two bounds of every joint.
 
     Args:
-        robot: The robot, true or believed.
+        robot: True or believed.
         lower: Smallest motion from `center`, a number or shape (n_v,) [rad or m]; by default the
             lower joint limits, where `center` must not be given.
         upper: Largest motion from `center`; by default the upper joint limits. Of a range wider
@@ -107,7 +114,7 @@ class JointBox(Region):
             )
         # about its middle: differences of continuous joints go half a turn to either side
         middle = 0.5 * (self.lower + self.upper)
-        self.center = np.array(pin.integrate(robot.model, self.center, middle))
+        self.center = self._moved(self.center, middle)
         self.lower, self.upper = self.lower - middle, self.upper - middle
         self.spread = self.upper - self.lower
 
@@ -125,11 +132,10 @@ class JointBox(Region):
         motions = self.lower + self.spread * rng.random((n, self.robot.nv))
         if self.robot.nq == self.robot.nv:
             return np.asarray(self.center + motions)
-        model, center = self.robot.model, self.center
-        return np.array([pin.integrate(model, center, motion) for motion in motions])
+        return np.array([self._moved(self.center, motion) for motion in motions])
 
     def contains(self, q: Array) -> bool:
-        motion = pin.difference(self.robot.model, self.center, _of_angles(self.robot, q))
+        motion = self._away(self.center, q)
         return bool((self.lower - 1e-12 <= motion).all() and (motion <= self.upper + 1e-12).all())
 
     def __str__(self) -> str:
@@ -142,21 +148,16 @@ class JointBox(Region):
 
     def __repr__(self) -> str:
         bounds = f"{self.robot.name!r}, {short(self.lower)}, {short(self.upper)}"
-        away = np.abs(pin.difference(self.robot.model, self.robot.neutral(), self.center)).max()
-        center = f", center={short(self.robot.angles(self.center))}" if away > 0.0 else ""
+        is_off = self._away(self.robot.neutral(), self.center).any()
+        center = f", center={short(self.robot.angles(self.center))}" if is_off else ""
         return f"JointBox({bounds}{center})"
-
-
-def _of_angles(robot: Robot, q: Array) -> Array:
-    """Return a configuration (nq,) that may be given as angles of the joints."""
-    return q if np.shape(q) == (robot.nq,) else robot.configuration(q)
 
 
 class Tube(Region):
     """Configurations near those of a recorded trajectory.
 
     Args:
-        robot: The robot, true or believed.
+        robot: True or believed.
         configurations: Recorded ones, shape (N, nq), such as `Trajectory.q`.
         radius: How far each joint may be from one of them > 0, a number or shape (n_v,).
 
@@ -186,15 +187,13 @@ class Tube(Region):
             )
 
     def sample(self, n: int, rng: np.random.Generator) -> Array:
-        model = self.robot.model
         known = self.configurations[rng.integers(len(self.configurations), size=n)]
         motions = rng.uniform(-self.spread, self.spread, (n, self.robot.nv))
-        return np.array([pin.integrate(model, q, by) for q, by in zip(known, motions, strict=True)])
+        return np.array(list(map(self._moved, known, motions)))
 
     def contains(self, q: Array) -> bool:
-        q = _of_angles(self.robot, q)
         return any(
-            bool((np.abs(pin.difference(self.robot.model, known, q)) <= self.spread).all())
+            bool((np.abs(self._away(known, q)) <= self.spread).all())
             for known in self.configurations
         )
 
@@ -265,15 +264,14 @@ class SublevelSet(Region):
         size = 10.0 ** rng.uniform(-2.5, -0.5)  # a symmetric step: the walk is uniform
         motion = size * self.spread * rng.standard_normal(self.robot.nv)
         for share in np.linspace(0.0, 1.0, _BETWEEN + 1)[1:]:  # no jumps to another part
-            moved = np.array(pin.integrate(self.robot.model, q, share * motion))
+            moved = self._moved(q, share * motion)
             if not self.contains(moved):
                 return q
         return moved
 
     def _potential(self, q: Array) -> float:
         """V(q, 0)."""
-        sensor = self._plant.sensor
-        e = sensor.error(sensor.value(q), self._target)
+        e = self._plant.sensor.error(self._plant.sensor.value(q), self._target)
         return float(self._controller.diagonals.kp @ self._controller.saturation.S(e))
 
     def __str__(self) -> str:

@@ -46,29 +46,16 @@ class Coordinate(NamedTuple):
     high: float
 
     def scaled(self, factor: float) -> Coordinate:
-        """Shrunk or grown about what is believed.
-
-        Exact for the factors 0 and 1, and never without what is believed, whatever is rounded.
-        """
+        """Shrunk or grown about what is believed, which it always holds; exact for 0 and 1."""
         believed = self.believed
         low, high = (factor * end + (1.0 - factor) * believed for end in (self.low, self.high))
         return self._replace(low=min(low, believed), high=max(high, believed))
-
-    @property
-    def largest_factor(self) -> float:
-        """The factor beyond which this grows to what no lens is: a tenth of the focal length."""
-        if self.name != "camera focal_length" or self.low >= self.believed:
-            return math.inf
-        return max(1.0, (1.0 - _LEAST_FOCAL) * self.believed / (self.believed - self.low))
 
     def ends(self) -> tuple[float, ...]:
         """The ends of the range, or of the pieces that two ends of an angle can stand for.
 
         Between the ends of δ, a rotation is a convex combination of theirs times at most
         1/cos(δ/2): 1.08 for 45°, but without bound towards half a turn.
-
-        Raises:
-            InvalidInputError: An angle with a range beyond a full turn.
         """
         if self.unit != "rad" or self.high - self.low <= _PIECE:
             return tuple(dict.fromkeys((self.low, self.high)))
@@ -84,11 +71,7 @@ class Coordinate(NamedTuple):
 
 
 def _as_range(name: str, given: Any, believed: float, unit: str, of: str = "") -> list[Coordinate]:
-    """Return the coordinate, named `of` + name, whose range was given as (low, high), if any was.
-
-    Raises:
-        InvalidInputError: Not two finite numbers, reversed, or without what is believed in it.
-    """
+    """Return the coordinate, named `of` + name, of a range (low, high), if one was given."""
     if given is None:
         return []
     if is_scalar(given):
@@ -117,12 +100,7 @@ def _as_range(name: str, given: Any, believed: float, unit: str, of: str = "") -
 
 
 def _as_bounds(name: str, given: Any, arm: Robot, unit: str) -> dict[str, tuple[float, ...]]:
-    """Return how far joints of an arm may be off along x, y, z, checked, as a new dictionary.
-
-    Raises:
-        InvalidInputError: No mapping, wrong shapes, not finite or negative.
-        UnknownNameError: No such joint.
-    """
+    """Return how far joints of an arm may be off along x, y, z, checked, as a new dictionary."""
     require(name, given, Mapping, "a mapping from joint names to bounds of shape (3,)")
     bounds = {}
     for joint, bound in given.items():
@@ -153,12 +131,7 @@ def _joint_coordinates(
 
 
 def _camera_coordinates(camera: Camera | None, *ranges: Any) -> list[Coordinate]:
-    """Return the coordinates of a camera's focal length, distance and roll that have a range.
-
-    Raises:
-        InvalidInputError: A range without a camera, or that is none.
-        UnknownNameError: One that the camera's calibration does not have.
-    """
+    """Return the coordinates of a camera's focal length, distance and roll that have a range."""
     found: list[Coordinate] = []
     for name, given in zip(_CALIBRATION, ranges, strict=True):
         if given is None:
@@ -342,7 +315,9 @@ class Uncertainty:
 
     def largest_scale(self, bound: float) -> float:
         """The largest factor ≤ bound: robots can exist, a focal length keeps ≥ 1/10 of its own."""
-        bound = min([bound, *(known.largest_factor for known in self._coordinates)])
+        for name, _, believed, least, _ in self._coordinates:
+            if name == "camera focal_length" and least < believed:
+                bound = min(bound, max(1.0, (1.0 - _LEAST_FOCAL) * believed / (believed - least)))
         low, high, factor = 0.0, bound, bound
         while high - low > 1e-6 * bound:
             try:

@@ -234,8 +234,11 @@ class ClosedLoop:
                 return self._traced.at(self._numbers[truths], configurations, x_d)
             except ValueError:  # of a robot from inside that differs in more than others
                 self._traced = None
-        each = zip(truths.tolist(), configurations, x_d, strict=True)
-        rows = [terms_alone(self.plants[t], self.dynamics(t), task, *at) for t, *at in each]
+        rows = []
+        for t, q, target in zip(truths.tolist(), configurations, x_d, strict=True):
+            plant = self.plants[t]  # dynamics are large: kept at corners only
+            dynamics = plant.dynamics if t < len(self.corners) else Dynamics(plant.robot)
+            rows.append(terms_alone(plant, dynamics, task, q, target))
         return Terms(*map(np.array, zip(*rows, strict=True)))
 
     @cached_property
@@ -274,11 +277,6 @@ class ClosedLoop:
     def gravity_gradients(self, samples: Samples) -> Array:
         """Return ∂g/∂q of the true robots at samples, shape (N, n_v, n_v) [N m/rad or N/m]."""
         return self.terms(samples.truth, samples.q).dg
-
-    def dynamics(self, truth: int) -> Dynamics:
-        """Return those of a true robot. They are large: kept at corners only."""
-        plant = self.plants[truth]
-        return plant.dynamics if truth < len(self.corners) else Dynamics(plant.robot)
 
     def linearised(
         self, truths: Indices, configurations: Array, timing: Timing | None = None

@@ -69,10 +69,7 @@ class UnattainedError(InvalidInputError):
 
 
 class VisiblePart:
-    """The configurations of a region that a sensor sees: all of them, but for cameras.
-
-    The sensor is a task of the true robot, whose index `truth` is told in errors.
-    """
+    """The configurations of a region that the sensor of a true robot sees: all, but for cameras."""
 
     def __init__(self, region: Region, sensor: Task, truth: int = 0) -> None:
         self.region, self.sensor, self.truth = region, sensor, truth
@@ -138,13 +135,7 @@ def least_regular(
     """Return a configuration (nq,) that is wanted by itself and its σ_min(Ĵ), or None.
 
     Newton steps towards σ_min(Ĵ) = 0 from the least regular samples, halved until they stay in
-    the region and lead nearer.
-
-    Args:
-        task: The believed task.
-        parts: The region as each true robot's sensor sees it.
-        samples: To begin at.
-        wanted: Whether a configuration is one, with its σ_min(Ĵ).
+    the region, of which a true robot's sensor sees some parts, and lead nearer.
     """
     sizes = np.linalg.svd(samples.J_hat, compute_uv=False)[:, -1]
     for k in np.argsort(sizes)[:_FROM]:

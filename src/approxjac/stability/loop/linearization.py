@@ -118,9 +118,6 @@ def sampled_matrix(loop: LinearLoop, timing: Timing) -> Array:
     """A of z(k+1) = A z(k) from one frame of x to the next, as `simulate` runs, to first order.
 
     z is that of `law.frame_map`, shape (N, N) of one target, (…, N, N) of many.
-
-    Raises:
-        InvalidInputError: A dt within which an arm that falls gets beyond all numbers.
     """
     if loop.M.ndim == 2:
         return np.asarray(sampled_matrix(loop.stacked(), timing)[0])

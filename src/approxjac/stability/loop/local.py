@@ -352,34 +352,26 @@ class _NumericalLoop:
                 given=controller,
             )
         state = self._resting(state)
-        self._sizes = [n, n, len(state)]
         torque, _ = self._answer(self._q, still, self._x_d, state)
         parts = [still, still, state]
         if timing is not None:
             late = timing.x_late * plant.sensor.m
             filtered = n if timing.velocity_filter is not None else 0
-            self._sizes += [filtered, late, timing.torque_late * n]
             parts += [np.zeros(filtered), np.zeros(late), np.tile(torque, timing.torque_late)]
+        self._ends = np.cumsum(list(map(len, parts)))[:-1]
         self.rest = np.concatenate(parts)
 
     def rate(self, z: Array) -> Array:
         """Return the rate of z, shape as z."""
-        parts = np.split(z, np.cumsum(self._sizes)[:-1])
-        return self._flow(*parts) if self._timing is None else self._sample(z, *parts)
-
-    def _flow(self, moved: Array, v: Array, state: Array) -> Array:
-        q = self._at(moved)
-        torque, rate = self._answer(q, v, self._plant.measure(0.0, q, v).x, state)
-        return np.concatenate([v, self._plant.acceleration(q, v, torque), rate])
-
-    def _sample(
-        self, z: Array, moved: Array, v: Array, state: Array, w: Array, old: Array, waiting: Array
-    ) -> Array:
         timing, plant, sensor = self._timing, self._plant, self._plant.sensor
-        assert timing is not None
-        q, dt = self._at(moved), timing.dt
-        e = sensor.error(plant.measure(0.0, q, v).x, self._x_d)
-        errors = np.concatenate([old, e])
+        moved, v, state, *late = np.split(z, self._ends)
+        q = self._at(moved)
+        x = plant.measure(0.0, q, v).x
+        if timing is None:
+            torque, rate = self._answer(q, v, x, state)
+            return np.concatenate([v, plant.acceleration(q, v, torque), rate])
+        (w, old, waiting), dt = late, timing.dt
+        errors = np.concatenate([old, sensor.error(x, self._x_d)])
         seen = v
         if timing.velocity_filter is not None:
             share = dt / (timing.velocity_filter + dt)
@@ -411,10 +403,7 @@ class _NumericalLoop:
         return np.array(answer.torque), np.asarray((after - state) / dt)
 
     def _resting(self, state: Array) -> Array:
-        """Return a state with which the arm stays at rest at the target, and go there.
-
-        The nearest by Newton's method, where the self-motion may give way.
-        """
+        """Go to the nearest state with which the arm stays at rest at the target, and return it."""
         plant, q, x_d = self._plant, self._q, self._x_d
         still = np.zeros(plant.robot.nv)
         now, later = (self._answer(q, still, x_d, state, t) for t in (0.0, 1.0))
@@ -454,12 +443,7 @@ class _NumericalLoop:
 
 
 def _slopes(function: Callable[[Array], Array], z: Array, smooth: Controller | None) -> Array:
-    """Return ∂f/∂z by central differences of fourth order, shape (k, n).
-
-    Raises:
-        InvalidInputError: Other slopes to one side than to the other, of a controller that is
-            given.
-    """
+    """Return ∂f/∂z by central differences of fourth order, (k, n), of what has to be smooth."""
     here, columns = function(z), []
     for i, unit in enumerate(np.eye(len(z))):
         h = _STEP * max(1.0, abs(z[i]))
@@ -478,12 +462,7 @@ def _slopes(function: Callable[[Array], Array], z: Array, smooth: Controller | N
 def numerical_stability(
     plant: Plant, controller: Controller, q: Array, timing: Timing | None
 ) -> LocalStability:
-    """Linearise the loop of any controller at rest at q (nq,), whose x is its target.
-
-    Raises:
-        InvalidInputError: A controller that does not rest there with any state, whose step depends
-            on the time, or that is not smooth there.
-    """
+    """Linearise the loop of any controller at rest at q (nq,), whose x is its target."""
     loop, n = _NumericalLoop(plant, controller, q, timing), plant.robot.nv
     A = _slopes(loop.rate, loop.rest, controller)
     # ż = A z, or z(k+1) = (I + dt A) z(k)

@@ -55,19 +55,20 @@ class TracedTerms:
         engine: What carries it out; machine code by default, NumPy without llvmlite.
 
     Raises:
-        InvalidInputError: A task that takes no symbols.
-        TypeError: Loops in what is to be differentiated.
-        ValueError: Sensors that differ in more than numbers of cameras.
+        InvalidInputError, TypeError, ValueError: What takes no symbols, has loops to be
+            differentiated, or sensors that differ in more than numbers of cameras.
     """
 
     def __init__(
         self, plants: Sequence[Plant], task: Task, engine: Callable[[Program], Any] | None = None
     ) -> None:
+        self._given = plants, task, engine
         sensor, robot = plants[0].sensor, plants[0].robot
         self._frames = tasks.frames(sensor)
         program = self._program = Program()
         self._arm = Arm(program.given, "truth", robot, self._frames, self._numbers(plants))
         of_sensor = tasks.numbers([plant.sensor for plant in plants])
+        self._has_camera = bool(of_sensor)
         own = tasks.with_numbers(sensor, {k: program.given(k, v) for k, v in of_sensor.items()})
         q, x_d = program.kept("q", robot.nq), program.kept("x_d", task.n_x)
         here, believed = self._arm.at(q), Arm.known(task.robot).at(q)
@@ -95,6 +96,9 @@ class TracedTerms:
         self._engine = engine(program)
         self._require_alike(plants, task)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), self._given  # machine code is of this process
+
     def _require_alike(self, plants: Sequence[Plant], task: Task) -> None:
         """Refuse sensors that are made in another way than that of the first true robot."""
         robot = task.robot
@@ -110,20 +114,19 @@ class TracedTerms:
         return ArmNumbers.stacked([arm_numbers(plant.robot, self._frames) for plant in plants])
 
     def numbers(self, plants: Sequence[Plant]) -> Array:
-        """Return the numbers of true robots, shape (k, n).
-
-        Raises:
-            ValueError: One differs from the others in what they had in common.
-        """
-        of_sensors = tasks.numbers([plant.sensor for plant in plants])
+        """Return the numbers of true robots, (k, n); a ValueError if other ones differ, too."""
+        # to look for cameras takes longer than all the rest
+        of_sensors = tasks.numbers([plant.sensor for plant in plants]) if self._has_camera else {}
         found = self._program.filled(self._arm.named(self._numbers(plants)) | of_sensors)
         return found if found.size else np.zeros((len(plants), 1))
 
     def at(self, numbers: Array, q: Array, x_d: Array) -> Terms:
         """Return the terms of robots with some numbers (N, n), each at a q with a target."""
         columns = np.concatenate([q, x_d], axis=1)
-        portions = [slice(at, at + _PORTION) for at in range(0, len(q), _PORTION)]
-        found = np.concatenate([self._portion(numbers[at], columns[at]) for at in portions])
+        found = np.empty((len(q), self._program.n_rows))
+        for start in range(0, len(q), _PORTION):
+            at = slice(start, start + _PORTION)
+            found[at] = self._portion(numbers[at], columns[at])
         places = {name: self._program.rows[name] for name in Terms._fields}
         return Terms(
             *(

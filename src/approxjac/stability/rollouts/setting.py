@@ -82,23 +82,14 @@ COLUMNS = tuple(field.name for field in fields(Rollout))
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """Begin of a run: truth, start and target.
-
-    Attributes:
-        index: Its number.
-        values: True values of the uncertain coordinates, shape (d,).
-        plant: The true robot.
-        q: Configuration, at rest, shape (nq,).
-        target: x_d at the beginning, shape (n_x,).
-        seed: Of noise and dropouts.
-    """
+    """Begin of a run, as of `Rollout`: truth, start and target."""
 
     index: int
     values: Array
     plant: Plant
     q: Array
     target: Array
-    seed: int
+    seed: int  # of noise and dropouts
 
     def begun(self, controller: Controller, frames: tuple[str, ...] | None = None) -> Begun:
         """Return what lanes keep of it, whose sensor looks at some frames."""

@@ -16,8 +16,7 @@ from approxjac.formatting import percent, rows, wrapped
 from approxjac.stability.errors.region import require_setpoint
 from approxjac.stability.errors.uncertainty import Uncertainty, spoken
 from approxjac.stability.loop.configurations import UnattainedError
-from approxjac.stability.rollouts.portions import Execution, carried_out
-from approxjac.stability.rollouts.rollouts import Rollouts, clopper_pearson
+from approxjac.stability.rollouts.rollouts import Execution, Rollouts, carried_out, clopper_pearson
 from approxjac.stability.rollouts.setting import RolloutSetting, sharing
 from approxjac.stability.studied_loop import StudiedLoop
 from approxjac.tasks import FrameKinematics
@@ -105,98 +104,88 @@ def map_of(
     tell: Callable[[float], None],
 ) -> StabilityMap:
     """Return the map of a study over some parameters; see `Study.map`."""
-    uncertainty = study.errors
     require("over", over, Mapping, "a dict of one or two parameters and their values")
     if len(over) not in (1, 2):
         raise InvalidInputError(
             f"over must have one or two parameters, got {list(over)}", given=over
         )
-    names = tuple(over)
-    drawn = are_drawn(names, uncertainty)
-    values = tuple(_values(name, each) for name, each in over.items())
-    made = _of_what_is_drawn if drawn else _of_parameters
-    counts, points = made(study, names, values, n, execution, tell)
-    converged, runs = counts
+    axes = {name: _values(name, each) for name, each in over.items()}
+    made = _of_what_is_drawn if are_drawn(tuple(axes), study.errors) else _of_parameters
+    converged, runs, points = made(study, axes, n, execution, tell)
     pairs = zip(converged.ravel().tolist(), runs.ravel().tolist(), strict=True)
     intervals = np.array([clopper_pearson(good, total) for good, total in pairs])
+    intervals = intervals.reshape(*runs.shape, 2)
     share = np.where(runs > 0, converged / np.maximum(runs, 1), np.nan)
-    return StabilityMap(names, values, share, intervals.reshape(*runs.shape, 2), runs, points)
+    return StabilityMap(tuple(axes), tuple(axes.values()), share, intervals, runs, points)
 
 
-_Counts = tuple[Any, Mapping[tuple[float, ...], Rollouts]]
+_Counts = tuple[Array, Array, Mapping[tuple[float, ...], Rollouts]]
+"""Converged and all runs, y first, and those at each point."""
 
 
 def _of_parameters(
     study: StudiedLoop,
-    names: tuple[str, ...],
-    values: tuple[Array, ...],
+    axes: Mapping[str, Array],
     n: int,
     execution: Execution,
     tell: Callable[[float], None],
 ) -> _Counts:
-    """Return converged and all runs with other gains, or scales of the errors, and the points.
+    """Count runs with other gains, or scales of the errors.
 
     There are none where grown errors have a camera look elsewhere.
     """
-    axes = [each.tolist() for each in values]
     settings: dict[tuple[float, ...], RolloutSetting] = {}
-    uncertainty = study.errors
-    scales = axes[names.index("error")] if "error" in names else [1.0]
-    errors = {scale: uncertainty.scaled(scale) for scale in scales}
-    for point in itertools.product(*axes):
-        at = dict(zip(names, point, strict=True))
+    scales = axes.get("error", np.ones(1)).tolist()
+    errors = {scale: study.errors.scaled(scale) for scale in scales}
+    grid = list(itertools.product(*(each.tolist() for each in axes.values())))
+    for point in grid:
+        at = dict(zip(axes, point, strict=True))
         scale = at.pop("error", 1.0)
-        own = replace(
-            study,
-            controller=_with_gains(study.controller, at) if at else study.controller,
-            uncertainty=errors[scale],
-        ).setting()
+        law = _with_gains(study.controller, at) if at else study.controller
+        own = replace(study, controller=law, uncertainty=errors[scale]).setting()
         if scale <= 1.0 or _is_seen(own, n):
             settings[point] = own.with_engine(execution.engine, n)
-    together = sharing([*settings.values()])
+    together = sharing([*settings.values()]) if settings else []
     columns = carried_out(together, n, None, execution, tell) if together else []
     points = {
         point: Rollouts(each, setting)
         for (point, setting), each in zip(settings.items(), columns, strict=True)
     }
-    counts = np.zeros((2, *(each.size for each in reversed(values))), dtype=int)
-    for place in np.ndindex(*counts.shape[1:]):
-        point = tuple(each[k] for each, k in zip(axes, reversed(place), strict=True))
-        if point in points:
-            counts[(slice(None), *place)] = points[point].n_converged, points[point].n
-    return counts, points
+    counts = [(points[at].n_converged, points[at].n) if at in points else (0, 0) for at in grid]
+    shape = [each.size for each in axes.values()]
+    converged, runs = (np.reshape(each, shape).T for each in zip(*counts, strict=True))
+    return converged, runs, points
 
 
 def _of_what_is_drawn(
     study: StudiedLoop,
-    names: tuple[str, ...],
-    values: tuple[Array, ...],
+    axes: Mapping[str, Array],
     n: int,
     execution: Execution,
     tell: Callable[[float], None],
 ) -> _Counts:
-    """Return converged and all runs by what was drawn: true values, or the place of the start.
+    """Count runs by what was drawn: true values, or the place of the start.
 
     A run counts at the point that it is nearest to, but not beyond half a step from the ends.
     """
-    uncertainty, shape = study.errors, tuple(each.size for each in values)
+    uncertainty, shape = study.errors, tuple(each.size for each in axes.values())
     many = study.rollouts(
         n * int(np.prod(shape)), execution=execution, progress=lambda _, share: tell(share)
     )
     robot = uncertainty.belief()
     tip = FrameKinematics(robot, robot.tip_or(None))
     cells = []
-    for name, each in zip(names, values, strict=True):
+    for name, each in axes.items():
         if name in PLACES:
             drawn = np.array([tip.position(q)[PLACES.index(name)] for q in many.columns["q0"]])
         else:
             drawn = many.columns["values"][:, uncertainty.names.index(name)]
         cells.append(np.searchsorted(_edges(each), drawn) - 1)
     inside = np.all([(k >= 0) & (k < N) for k, N in zip(cells, shape, strict=True)], axis=0)
-    counts = np.zeros((2, *reversed(shape)), dtype=int)
+    counts = np.zeros((2, *shape), dtype=int)
     for row, counted in zip(counts, (inside & many.columns["converged"], inside), strict=True):
-        np.add.at(row, tuple(k[counted] for k in reversed(cells)), 1)
-    return counts, {}
+        np.add.at(row, tuple(k[counted] for k in cells), 1)
+    return counts[0].T, counts[1].T, {}
 
 
 def _with_gains(controller: Controller, at: Mapping[str, float]) -> SetpointController:
@@ -230,12 +219,7 @@ def _is_seen(setting: RolloutSetting, runs: int) -> bool:
 
 
 def are_drawn(names: Sequence[str], uncertainty: Uncertainty) -> bool:
-    """Return whether a map is over what is drawn, and not over parameters.
-
-    Raises:
-        InvalidInputError: Some of each.
-        UnknownNameError: None of these.
-    """
+    """Return whether a map is over what is drawn, and not over parameters; refuse some of each."""
     known = labels(uncertainty)
     for name in names:
         if name not in known:

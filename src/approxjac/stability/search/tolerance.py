@@ -123,28 +123,25 @@ def tolerances(
 
     def failing(test: Test, scale: float) -> Array | None:
         """The true values with which a test fails at a scale, or None if it passes."""
-        scaled = None if loop is None else loop.scaled(scale)
+        scaled = loop.scaled(scale) if loop is not None and test != "rollouts" else None
         own = replace(study, uncertainty=uncertainty.scaled(scale), region=region)
         try:
-            if scaled is None and test == "local":
+            if scaled is not None:
+                rng = np.random.default_rng(study.seed)
+                return _failing(scaled, test, draws or _CONFIGURATIONS, rng)
+            if test == "local":
                 local = near_targets(own.setting(), own.timing, draws or _CONFIGURATIONS)
                 if local.refused:
                     raise InvalidInputError("; ".join(local.refused), given=study.controller)
                 return None if local.stable else local.values[local.worst]
-            if scaled is None or test == "rollouts":
-                many = own.rollouts(draws or _RUNS, failures=1)
-                return None if many.n_converged == many.n else many.runs[-1].values
-            return _failing(
-                scaled, test, draws or _CONFIGURATIONS, np.random.default_rng(study.seed)
-            )
+            many = own.rollouts(draws or _RUNS, failures=1)
+            return None if many.n_converged == many.n else many.runs[-1].values
         except UnattainedError as error:
             if scale <= 1.0:
                 raise
             # grown errors have put the target out of reach, or have a camera look elsewhere
             untested.add((test, scale))
-            if scaled is None or test == "rollouts":
-                return np.array(error.given)
-            return np.array(scaled.values[error.truth])
+            return np.array(error.given if scaled is None else scaled.values[error.truth])
 
     found: dict[Test, Tolerance] = {}
     for k, test in enumerate(tests):
