@@ -65,14 +65,14 @@ class Kinematics(Immutable, ABC):
     """
 
     task: Task
-    n_state: int
+    n_state: int = 0
     names: tuple[str, ...] = ()  # of what `learnt` returns
     units: tuple[str, ...] = ()
     _kept: tuple[slice, ...] = ()  # parts of a state that hold what was learnt
 
-    @abstractmethod
     def initial_state(self, measurement: Measurement) -> Array:
-        """Return the state before the first step, shape (n_state,)."""
+        """Return the state before the first step, shape (n_state,); by default none."""
+        return np.zeros(self.n_state)
 
     def resumed(self, state: Array, measurement: Measurement) -> Array:
         """Return a state before a first step that knows what another state has learnt.
@@ -116,9 +116,12 @@ class Kinematics(Immutable, ABC):
     def predict(self, state: Array, q: Array, v: Array, target: Target) -> PredictedError:
         """Return the predicted error at q (nq,) and q̇ (n_v,) [rad/s or m/s]."""
 
-    @abstractmethod
     def learnt(self, state: Array) -> Array:
-        """Return what a state, or a series of them (…, n_state), has learnt, shape (…, p)."""
+        """Return what a state, or a series of them (…, n_state), has learnt, shape (…, p).
+
+        In the order of `names`, in `units`; by default nothing.
+        """
+        return state[..., :0]
 
     @property
     def parameters(self) -> Mapping[str, str]:
@@ -177,8 +180,6 @@ class KnownKinematics(Kinematics):
         InvalidInputError: A task whose Jacobian depends on the measured x.
     """
 
-    n_state = 0
-
     def __init__(self, task: Task) -> None:
         self._remember(locals())
         require("task", task, Task, "a task of the believed robot, such as PositionTask(robot)")
@@ -195,32 +196,23 @@ class KnownKinematics(Kinematics):
         self._none = np.zeros(task.m)
         self._none.flags.writeable = False
 
-    def initial_state(self, measurement: Measurement) -> Array:
-        """Return no state, shape (0,)."""
-        return np.zeros(0)
-
     def predict(self, state: Array, q: Array, v: Array, target: Target) -> PredictedError:
         """Return h(q) − x_d and its derivatives."""
         task, (x_d, x_d_dot, x_d_ddot) = self.task, target
         x = task.value(q)
         z, J, drift = task.error(x, x_d), task.jacobian(q), self._none
-        x_d_dot = self._none if x_d_dot is None else self._combined(x_d_dot)
-        x_d_ddot = self._none if x_d_ddot is None else self._combined(x_d_ddot)
+        x_d_dot, x_d_ddot = (
+            self._none if rate is None else np.asarray(self._combination.dot(rate))
+            for rate in (x_d_dot, x_d_ddot)
+        )
         if not self._exact:
             x_dot = task._sensor_jacobian(q).dot(v)
             drift = x_dot - x_d_dot if task._subtracts else self._rate(x, x_dot, x_d, x_d_dot)
             drift = drift + x_d_dot - J.dot(v)
         return PredictedError(z, J, task.jacobian_dot(q, v), x_d_dot, x_d_ddot, drift)
 
-    def learnt(self, state: Array) -> Array:
-        """Return nothing, shape (…, 0)."""
-        return state[..., :0]
-
     def __repr__(self) -> str:
         return f"KnownKinematics({self.task!r})"
-
-    def _combined(self, rate: Array) -> Array:
-        return np.asarray(self._combination.dot(rate))
 
     def _rate(self, x: Array, x_dot: Array, x_d: Array, x_d_dot: Array) -> Array:
         """Return ż of an error that is no difference, such as a rotation vector; shape (m,)."""
@@ -285,7 +277,7 @@ class Estimator(Kinematics):
         self.delay = as_number("delay", delay, unit="s", minimum=0.0, most=LONGEST_DELAY)
         dt = as_number("dt", dt, unit="s", above=0.0)
         self._frames = Frames(task.robot, task.n_x, self.delay, dt)
-        self._gate = Gate(task.robot, n_points, jump)
+        self._gate = Gate(task.robot, n_points, jump, self._reach)
         sizes = {
             "frames": self._frames.size, "gate": self._gate.size, "time": 1,
             "learnt": len(self.names), "integral": m, "averaged": m, "left": m, "noted": 3, **own,
@@ -411,7 +403,7 @@ class Estimator(Kinematics):
             begins = is_new & law.complement(self._has_begun(state))
             law.alter(begins, state, lambda state: self._place(state, frame))
             judged = state[gate]
-            law.alter(is_new, judged, lambda gate: self._gate.judge(gate, own, self._reach))
+            law.alter(is_new, judged, lambda gate: self._gate.judge(gate, own))
             believed, is_anew = is_new & (judged[-2] > 0.0), judged[-1] > 0.0
             is_seen = law.any_of(np.isfinite(own.x))
 
@@ -484,10 +476,7 @@ class Estimator(Kinematics):
     # -- what was learnt -----------------------------------------------------------------
 
     def learnt(self, state: Array) -> Array:
-        """Return what a state, or a series of them (…, n_state), has learnt; shape (…, p).
-
-        In the order of `names`, in `units`.
-        """
+        """Return what a state, or a series of them (…, n_state), has learnt, shape (…, p)."""
         return state[..., self._at["learnt"]]
 
     def report(self, state: Array) -> KinematicReport:
@@ -525,12 +514,6 @@ class Frames:
     A frame is new by `Measurement.t_x`, and was taken then. Where that is None or ahead of
     now, it is new by a change of x, and was taken `delay` ago; 1 s ahead is refused. One taken
     before all that is remembered is passed over, and so are those faster than at 250 Hz.
-
-    Args:
-        robot: The believed robot.
-        n_x: Length of x.
-        delay: Age of x where `Measurement.t_x` is None [s].
-        dt: Sampling time of control [s].
     """
 
     def __init__(self, robot: Robot, n_x: int, delay: float, dt: float) -> None:
@@ -571,10 +554,9 @@ class Frames:
         return law.select(since > 0.0, since, 0.0)
 
     def remember(self, numbers: Array, measurement: Measurement) -> Any:
-        """Write down the configuration at hand, if it is time.
+        """Write down the configuration at hand, if it is time; return whether it was.
 
-        Returns:
-            Whether it was, or time does not pass.
+        Also where time does not pass.
         """
         t, q, *_ = measurement
         since = t - self.last_time(numbers)
@@ -630,9 +612,8 @@ class Frames:
         before, after = times[:-1], times[1:]
         here = np.where((before < t) & (after >= t), 1.0, 0.0)
         gaps = np.maximum(after - before, _ROUND_OFF)
-        since = np.minimum(
-            np.maximum(t - before, 0.0), gaps
-        )  # of the gaps that t is not in, anything
+        # of the gaps that t is not in, anything
+        since = np.minimum(np.maximum(t - before, 0.0), gaps)
         share = here.dot(since / gaps)
         begins, ends = here.dot(rows[:-1]), here.dot(rows[1:])
         robot, is_found = self._robot, before[0] < t
@@ -659,33 +640,26 @@ class Gate:
     last one that was not: configuration, x, and 1 for each entry of x that was seen at it; and
     whether the last one was believed, and the first after the sensor moved, 1 or 0.
 
-    Args:
-        robot: The believed robot.
-        n_x: Length of x.
-        jump: By how much x may change wherever the arm is, so that nobody need ask.
+    reach(q_0, q) is how far each entry of x may move between configurations, (n_x,); by `jump` it
+    may change wherever the arm is, so that nobody need ask.
     """
 
     PASSED_OVER = 8
     """Frames in a row that agree after which the sensor is believed."""
 
-    def __init__(self, robot: Robot, n_x: int, jump: float = 0.0) -> None:
-        self._nq, self._n_x, self._jump = robot.nq, n_x, jump
-        self._width = robot.nq + 2 * n_x
-        self.size = 3 + 2 * self._width
+    def __init__(
+        self, robot: Robot, n_x: int, jump: float, reach: Callable[[Array, Array], Array]
+    ) -> None:
+        self._nq, self._n_x, self._jump, self._reach = robot.nq, n_x, jump, reach
+        self.size = 3 + 2 * (robot.nq + 2 * n_x)
 
-    def judge(self, numbers: Array, frame: Frame, moved: Callable[[Array, Array], Array]) -> None:
-        """Note whether to believe a frame, and whether it is the first after the sensor moved.
-
-        Args:
-            numbers: As before; what is judged is noted.
-            frame: The frame.
-            moved: moved(q_0, q) → how far each entry of x may move between configurations, (n_x,).
-        """
+    def judge(self, numbers: Array, frame: Frame) -> None:
+        """Note whether to believe a frame, and whether it is the first after the sensor moved."""
         last, other = numbers[1:-2].reshape(2, -1)
-        believed, fits = True, self._fits(last, frame, moved)
+        believed, fits = True, self._fits(last, frame)
         if not law.surely(fits):
             jumps = law.complement(fits)
-            agrees = (numbers[0] > 0.0) & self._fits(other, frame, moved)
+            agrees = (numbers[0] > 0.0) & self._fits(other, frame)
             count = law.select(agrees, numbers[0] + 1.0, 1.0)
             believed = fits | (count >= self.PASSED_OVER)
             numbers[0] = law.select(believed, 0.0, count)
@@ -696,7 +670,7 @@ class Gate:
         numbers[-2] = law.select(believed, 1.0, 0.0)
         numbers[-1] = law.select(believed & law.complement(fits), 1.0, 0.0)
 
-    def _fits(self, last: Array, frame: Frame, moved: Callable[[Array, Array], Array]) -> Any:
+    def _fits(self, last: Array, frame: Frame) -> Any:
         """Return whether x is where it may be after the last frame; where none was, it may be."""
         nq, n = self._nq, self._nq + self._n_x
         compared = (last[n:] > 0.0) & np.isfinite(frame.x)
@@ -704,7 +678,7 @@ class Gate:
         is_near = change.max() <= self._jump
         if law.surely(is_near):  # which is usual
             return True
-        return is_near | law.all_of(change <= moved(last[:nq], frame.q))
+        return is_near | law.all_of(change <= self._reach(last[:nq], frame.q))
 
     def _note(self, where: Array, frame: Frame) -> None:
         n, seen = self._nq, np.isfinite(frame.x)

@@ -388,20 +388,10 @@ class _WatchedPoints:
     """r(q) = o(q) + H(q)u in the axes of the camera's mount, with u translations.
 
     Of a camera in the world the points are the robot's: u moves the tool. Of one on the robot they
-    are the world's: u moves all of them, in the axes of the world.
+    are the world's: u moves all of them, in the axes of the world. In u are where the k points are
+    (`is_points`), if `moves`, and the origins of joints, if `origins`.
 
     Owns scratch memory: one instance a thread.
-
-    Args:
-        task: Image of the points, of the believed robot.
-        moves: Whether where the points are is in u.
-        origins: Whether the origins of the joints are.
-
-    Attributes:
-        names: Names of u, such as "tool.x", "points.x" or "panda_joint4.x".
-        u: What is believed of it, shape (n_u,) [m].
-        is_points: Which of u are of the points, shape (n_u,).
-        k: Number of points.
     """
 
     def __init__(self, task: ImageTask, moves: bool, origins: bool) -> None:
@@ -509,13 +499,8 @@ class _ImageEstimator:
 
     Its numbers: key frames (for each point its count, y, o and H), the estimate, the one that is
     tried beside it, how long that has been tried (0: it is not), how many were tried before, χ²,
-    and which key frame is last.
-
-    Args:
-        believed: The estimate before the first frame.
-        sd: Plausible errors of u, p, the rotation and λ; 0 of what is known.
-        noise: Of y, shape (2,).
-        k: Number of points.
+    and which key frame is last. Plausible errors sd are of u, p, the rotation and λ, 0 of what is
+    known; the noise (2,) is of y.
     """
 
     def __init__(self, believed: ImageEstimate, sd: Array, noise: Array, k: int) -> None:
@@ -667,11 +652,8 @@ class _ImageEstimator:
 
     def _cost(self, estimate: ImageEstimate, terms: _Terms) -> float:
         """Return the misfit, and what it costs to be away from what is believed."""
-        away = self._away(estimate)
-        turned = estimate.R - self._believed.R
-        prior = away.dot(self._prior * away) + 0.5 * self._prior[-2] * float(
-            np.vdot(turned, turned)
-        )
+        away, turned = self._away(estimate), (estimate.R - self._believed.R).ravel()
+        prior = away.dot(self._prior * away) + 0.5 * self._prior[-2] * turned.dot(turned)
         return self._misfit(estimate, terms) + 0.5 * float(prior)
 
     def _away(self, estimate: ImageEstimate) -> Array:
@@ -688,13 +670,9 @@ class _ImageEstimator:
         c = self._places(estimate, terms)
         shown = law.rays(c, stretch)
         A = law.ray_jacobian(c, stretch)
-        AR = A @ R
-        n = self._n
-        rows = np.empty((*A.shape[:2], self._size))
-        rows[:, :, :n], rows[:, :, n : n + 3] = AR @ H, -AR
-        for i, G in enumerate(law.generators(3)):  # c moves by φ × c
-            rows[:, :, n + 3 + i] = (A @ c.dot(G.T)[:, :, np.newaxis])[..., 0]
-        rows[:, :, -1] = shown
+        AR, n = A @ R, self._n
+        turns = A @ law.generators(3).dot(c.T).transpose(2, 1, 0)  # c moves by φ × c
+        rows = np.concatenate([AR @ H, -AR, turns, shown[..., np.newaxis]], axis=2)
         rows = rows.reshape(-1, self._size)
         weighted = rows * weights.reshape(-1, 1)
         normal = weighted.T.dot(rows) + np.diag(self._prior)
@@ -756,10 +734,7 @@ class _ImageEstimator:
 
         At the depth that is believed. Where it is believed is the first, and from there the best
         roll, in closed form; of other views, the one whose images are alike but for turn and size.
-
-        Args:
-            terms: What is remembered.
-            rank: How many were tried before.
+        `rank` is how many were tried before.
         """
         weights, y, o, H = terms
         w = weights[:, 0] / weights[:, 0].sum()
