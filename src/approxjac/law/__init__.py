@@ -4,6 +4,11 @@ Symbols are the paper's; misprints are corrected and each departure is named whe
 """
 
 from approxjac.law.adaptation import (
+    V1,
+    V1_fall,
+    correction,
+    forgotten_information,
+    information,
     passive_output,
     swept_within_bounds,
     theta_hat_rate,
@@ -35,13 +40,6 @@ from approxjac.law.conditions import (
     lambda_2,
     largest_allowed_p,
     largest_alpha,
-)
-from approxjac.law.estimation import (
-    V1,
-    V1_fall,
-    correction,
-    forgotten_information,
-    information,
 )
 from approxjac.law.images import image_turn, ray_basis, ray_jacobian, rays
 from approxjac.law.limits import (
