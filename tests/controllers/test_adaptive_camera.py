@@ -170,7 +170,7 @@ def test_what_was_learnt_is_told(room_run, room):
     assert report.is_explained
     assert report.restarts == 0
     assert report.noise == pytest.approx((0.5, 0.5), rel=0.3)
-    assert "px, told 0.5 px" in str(report)
+    assert "px, assumed 0.5 px" in str(report)
     assert report.last_joint == "panda_joint7"
 
 

@@ -6,7 +6,6 @@ from approxjac.controllers.adaptive_dynamics import (
     MotionDynamics,
 )
 from approxjac.controllers.controller import Controller
-from approxjac.controllers.differentiator import DifferentiatedVelocity
 from approxjac.controllers.gains.default_gains import default_gains
 from approxjac.controllers.gains.gains import Gains
 from approxjac.controllers.gains.latency import Latency
@@ -34,7 +33,7 @@ from approxjac.controllers.limits.limits import Limits
 from approxjac.controllers.limits.torque_limited import TorqueLimited
 from approxjac.controllers.posture import AwayFromStops, Posture
 from approxjac.controllers.predicted_measurement import PredictedMeasurement
-from approxjac.controllers.setpoint import SetpointController
+from approxjac.controllers.setpoint import DifferentiatedVelocity, SetpointController
 from approxjac.controllers.tracking import TrackingController, TrackingGains
 from approxjac.controllers.wrapper import ControllerWrapper
 from approxjac.law import PredictedError

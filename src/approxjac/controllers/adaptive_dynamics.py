@@ -91,7 +91,7 @@ class MotionDynamics(Immutable, ABC):
 
         A URDF has no rotors and so has light wrists: a gain of its M̂ alone leaves them soft. What
         is added is what any drive of such an effort has, as far as the period allows on an arm
-        that has none. Nothing where rotor inertias are told.
+        that has none. Nothing where rotor inertias are given.
         """
         F = _DRIVE * known_efforts(self.robot)
         if self.rotor_inertia.any() or not F.any():
@@ -172,7 +172,7 @@ class AdaptiveDynamics(MotionDynamics):
     Args:
         robot: The believed robot.
         rotor_inertia: Believed rotor inertias as the joints feel them, a number or shape (n_v,)
-            [kg m² or kg]. Where they are told, the gain matrix of the law has them.
+            [kg m² or kg]. Where they are given, the gain matrix of the law has them.
         sd: Plausible errors of all parameters in the order of `regressor.names`, shape (p,).
         gain: How fast all of them learn > 0 [1/J], in place of the above.
         fastest: How fast each parameter may learn at usual configurations > 0 [1/s]. In place of
@@ -270,12 +270,12 @@ def plausible_errors(regressor: DynamicsRegressor) -> Array:
 def usual_motions(regressor: DynamicsRegressor) -> list[tuple[Array, Array]]:
     """Return Y_d (n_v, p) and M⁻¹ (n_v, n_v) at usual configurations, speeds and accelerations."""
     robot, rng = regressor.robot, np.random.default_rng(0)
-    dynamics, found = Dynamics(robot), []
+    dynamics, motions = Dynamics(robot), []
     for _ in range(_CONFIGURATIONS):
         q = robot.random_configuration(rng)
         v, a = (size * rng.choice((-1.0, 1.0), robot.nv) for size in (_SPEED, _ACCELERATION))
-        found.append((regressor.Y_d(q, v, v, a), dynamics.M_inv(q)))
-    return found
+        motions.append((regressor.Y_d(q, v, v, a), dynamics.M_inv(q)))
+    return motions
 
 
 def squared_rates(motions: Sequence[tuple[Array, Array]], gamma: Array) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
@@ -11,7 +12,6 @@ import numpy as np
 from approxjac import law
 from approxjac.controllers.arguments import FLOAT64, HUGE, is_lost, overflow, require_arrays
 from approxjac.controllers.controller import Controller, Instant
-from approxjac.controllers.differentiator import DifferentiatedVelocity
 from approxjac.controllers.gains.default_gains import default_gains, slow_rate
 from approxjac.controllers.gains.gains import Gains, require_damping
 from approxjac.controllers.gains.latency import Latency
@@ -29,7 +29,7 @@ from approxjac.controllers.gravity import (
 from approxjac.controllers.posture import AwayFromStops, Posture
 from approxjac.controllers.pseudoinverse import Pseudoinverse, singular_ratio
 from approxjac.controllers.saturation import describe_saturation, require_saturation
-from approxjac.errors import InvalidInputError
+from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import (
     Evaluation,
     LimitStatus,
@@ -40,12 +40,48 @@ from approxjac.interface import (
 from approxjac.law import Linear, Saturation, Tanh
 from approxjac.robots import Dynamics, GravityRegressor, Robot
 from approxjac.tasks import Task, analysis
-from approxjac.validation import Array, Immutable, as_vector, require
+from approxjac.validation import Array, Immutable, as_number, as_vector, require
 
 _OK, _LOST = Status.OK, Status.MEASUREMENT_LOST  # members of an enum are slow to look up
 _ALPHA_SHARE = 0.3  # of the rate of the task's slow pole
 _SATURATED, _SINGULAR = Status.TORQUE_SATURATED, Status.NEAR_SINGULAR
 _FAR, _UNLIMITED = Status.OUT_OF_REACH, LimitStatus.UNLIMITED
+
+
+@dataclass(frozen=True)
+class DifferentiatedVelocity:
+    """Ẋ of the earlier law (5): the measured x, filtered with a time constant T and differentiated.
+
+    Attributes:
+        time_constant: T > 0 [s]. Sampled control needs dt well below it.
+    """
+
+    time_constant: float = 0.02
+
+    def __post_init__(self) -> None:
+        as_number("time_constant", self.time_constant, unit="s", above=0.0)
+
+    def late(self, latency: Latency) -> Latency:
+        """Return a latency with the damping of law (5), which acts as late as x tells Ẋ."""
+        lag = latency.image_age + 0.5 * latency.image_period + self.time_constant
+        return replace(latency, velocity_filter=latency.velocity_filter + lag)
+
+    def require_difference(self, task: Task) -> None:
+        """Refuse a task whose error is another one than x − x_d."""
+        if not task._subtracts:
+            raise InvalidInputError(
+                f"law (5) differentiates x and needs a task whose error is x - x_d, got {task!r}",
+                given=self,
+            )
+
+    def require_finite(self, x: Array) -> None:
+        """Refuse a first x that is lost."""
+        if not np.isfinite(x).all():
+            raise MeasurementError(
+                f"the first x must be finite for law (5), which differentiates it, "
+                f"got {x.tolist()}",
+                given=x,
+            )
 
 
 class SetpointController(Immutable, Controller):

@@ -61,7 +61,7 @@ _WHOLE = 0.999  # of a turn
 _APPROACH = 5.0  # κ of `law.speed_bounds` [1/s]
 _LAG_GAIN = 1.0  # of what learns the lag
 _LONGEST_LAG = 0.1  # [s]
-_SOONEST = 0.1  # that a joint gets to its full speed in, where nothing is told [s]
+_SOONEST = 0.1  # that a joint gets to its full speed in, by default [s]
 
 
 @dataclass(frozen=True)

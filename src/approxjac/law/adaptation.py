@@ -111,48 +111,48 @@ def swept_within_bounds(
         turned = row * L if L.ndim == 1 else dot(row, L)
         return values, (row, turned, _inverse(dot(row, turned)), dot(row, rate))
 
-    def own(found: Array, multipliers: Array) -> tuple[Array, Array]:
+    def own(r: Array, multipliers: Array) -> tuple[Array, Array]:
         """Return the rate and multipliers after a turn of each parameter's own bound."""
         if L.ndim == 1:
-            after = np.maximum(multipliers + (side * found) * own_size, 0.0)
-            return found - (after - multipliers) * own_lead, after
+            after = np.maximum(multipliers + (side * r) * own_size, 0.0)
+            return r - (after - multipliers) * own_lead, after
 
         def one(i: Any, values: tuple[Array]) -> tuple[tuple[Array], tuple[Any]]:
-            was, (found,) = take(multipliers, i), values
-            along = take(side, i) * take(found, i)
+            was, (r,) = take(multipliers, i), values
+            along = take(side, i) * take(r, i)
             after = np.maximum(was + along * take(own_size, i), 0.0)
-            return (found - (after - was) * (take(side, i) * take(own_lead, i)),), (after,)
+            return (r - (after - was) * (take(side, i) * take(own_lead, i)),), (after,)
 
         each = collect if len(rate) > _SOME else collected
-        (found,), (after,) = each(len(rate), one, (found,))
-        return found, after
+        (r,), (after,) = each(len(rate), one, (r,))
+        return r, after
 
     def swept() -> tuple[Array, Any]:
         each = collect if len(g) > _FEW else collected  # which leaves out what is surely 0
         _, (N, NL, size, before) = each(len(g), of_motor, (g,))
 
         def sweep(_: Any, values: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-            found, of_own, of_motors = values
-            found, of_own = own(found, of_own)
+            r, of_own, of_motors = values
+            r, of_own = own(r, of_own)
 
             def one(i: Any, values: tuple[Array]) -> tuple[tuple[Array], tuple[Any]]:
-                was, (found,) = take(of_motors, i), values
-                after = np.maximum(was + dot(take(N, i), found) * take(size, i), 0.0)
-                return (found - (after - was) * take(NL, i),), (after,)
+                was, (r,) = take(of_motors, i), values
+                after = np.maximum(was + dot(take(N, i), r) * take(size, i), 0.0)
+                return (r - (after - was) * take(NL, i),), (after,)
 
-            (found,), (of_motors,) = each(len(g), one, (found,))
-            return found, of_own, of_motors
+            (r,), (of_motors,) = each(len(g), one, (r,))
+            return r, of_own, of_motors
 
         start = rate, 0.0 * rate, 0.0 * g
-        found, *multipliers = repeat(_SWEEPS, sweep, start)
-        _, (beside,) = each(len(g), lambda i, v: (v, (dot(take(N, i), found),)), (g,))
+        r, *multipliers = repeat(_SWEEPS, sweep, start)
+        _, (beside,) = each(len(g), lambda i, v: (v, (dot(take(N, i), r),)), (g,))
         least = _SWEPT * np.abs(np.concatenate([side * rate, before])).max()
-        beside, multiplier = np.concatenate([side * found, beside]), np.concatenate(multipliers)
+        beside, multiplier = np.concatenate([side * r, beside]), np.concatenate(multipliers)
         wrong = ((beside > least) | ((multiplier > 0.0) & (beside < -least))).any()
-        return found, select(wrong, 1.0, 0.0)
+        return r, select(wrong, 1.0, 0.0)
 
-    found, unfinished = choose(outward.any(), swept, lambda: (rate, 0.0))
-    return found, unfinished > 0.0
+    bounded, unfinished = choose(outward.any(), swept, lambda: (rate, 0.0))
+    return bounded, unfinished > 0.0
 
 
 def _inverse(sizes: Any) -> Any:

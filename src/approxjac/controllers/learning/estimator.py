@@ -144,7 +144,7 @@ class Kinematics(Immutable, ABC):
         return state
 
     def _is_state(self, state: Array) -> bool:
-        """Return whether finite numbers (n_state,) can be a state, as far as can be told."""
+        """Return whether finite numbers (n_state,) can be a state, as far as they show."""
         return True
 
     def robot(self, state: Array) -> Robot:
@@ -343,7 +343,7 @@ class Estimator(Kinematics):
     def _covariance(self, state: Array) -> tuple[Array, float]:
         """Return the covariance (p, p) of what is estimated, and χ² a degree of freedom.
 
-        Both by the noise that is told, or χ² by the noise that is seen.
+        By the noise that is given, or χ² by that which is seen.
         """
 
     @abstractmethod
@@ -508,7 +508,7 @@ class Frames:
     """Memory of which x is new, and at which configuration it was taken.
 
     Its numbers: the last x, when it was taken, the last t, by how much its own clock is ahead of
-    that, when it last found a frame, and (t, q) of some hundredths of a second, the last one last.
+    that, when there last was a frame, and (t, q) of some hundredths of a second, the last one last.
     A clock t that stands still from step to step is gone on with by dt.
 
     A frame is new by `Measurement.t_x`, and was taken then. Where that is None or ahead of
@@ -549,8 +549,8 @@ class Frames:
 
     def silence(self, numbers: Array) -> Any:
         """Return for how long there was no frame to learn from [s]."""
-        t, ahead, found = numbers[self._n_x + 1 : self._head].tolist()
-        since = t + ahead - found
+        t, ahead, last = numbers[self._n_x + 1 : self._head].tolist()
+        since = t + ahead - last
         return law.select(since > 0.0, since, 0.0)
 
     def remember(self, numbers: Array, measurement: Measurement) -> Any:
@@ -580,29 +580,29 @@ class Frames:
         n, (t, _, _, x, _) = self._n_x, measurement
         t_x: Any = measurement.t_x
         taken_before, head = numbers[n], numbers[: n + 4]
-        is_told = t_x <= t + _AHEAD
+        knows_time = t_x <= t + _AHEAD
         # a clock that is ahead is wrong, and would say of one frame that it is always new
-        is_old = law.select(is_told, t_x <= taken_before, law.all_of(x == numbers[:n]))
+        is_old = law.select(knows_time, t_x <= taken_before, law.all_of(x == numbers[:n]))
         has_last = taken_before > _LONG_AGO
         if law.surely(is_old & has_last):
             return None, False
-        taken = law.select(is_told, law.select(t_x < t, t_x, t), t - self._delay)
+        taken = law.select(knows_time, law.select(t_x < t, t_x, t), t - self._delay)
         since, seen = taken - taken_before, np.abs(x) < _FARTHEST
         known = np.where(seen, x, 0.0)
         passed = (is_old & has_last) | ((since > 0.0) & (since < _CLOSEST - _ROUND_OFF))
         passed = passed | law.complement(law.any_of(seen))
-        passed = passed | (has_last & law.complement(is_told) & law.all_of(known == numbers[:n]))
+        passed = passed | (has_last & law.complement(knows_time) & law.all_of(known == numbers[:n]))
         if law.surely(passed):
             return None, False
         is_noted = law.complement(passed)
-        q, is_found = self._at(numbers, taken, measurement)
+        q, is_known = self._at(numbers, taken, measurement)
 
         def note(head: Array) -> None:
             head[:n], head[n] = known, taken
-            head[n + 3] = law.select(is_found, t, head[n + 3])
+            head[n + 3] = law.select(is_known, t, head[n + 3])
 
         law.alter(is_noted, head, note)
-        return Frame(np.where(seen, x, math.nan), taken, q), is_noted & is_found
+        return Frame(np.where(seen, x, math.nan), taken, q), is_noted & is_known
 
     def _at(self, numbers: Array, t: Any, measurement: Measurement) -> tuple[Array, Any]:
         """Return the configuration at a time [s], and whether it is not longer ago than known."""
@@ -616,14 +616,14 @@ class Frames:
         since = np.minimum(np.maximum(t - before, 0.0), gaps)
         share = here.dot(since / gaps)
         begins, ends = here.dot(rows[:-1]), here.dot(rows[1:])
-        robot, is_found = self._robot, before[0] < t
-        if is_found is False or is_found is np.False_:
+        robot, is_known = self._robot, before[0] < t
+        if is_known is False or is_known is np.False_:
             return measurement.q, False
         if robot.nq == robot.nv:
-            return begins + share * (ends - begins), is_found
-        begins = np.where(is_found, begins, measurement.q)
-        ends = np.where(is_found, ends, measurement.q)
-        return moved(robot, begins, share * motion_between(robot, begins, ends)), is_found
+            return begins + share * (ends - begins), is_known
+        begins = np.where(is_known, begins, measurement.q)
+        ends = np.where(is_known, ends, measurement.q)
+        return moved(robot, begins, share * motion_between(robot, begins, ends)), is_known
 
     def _ring(self, numbers: Array) -> Array:
         return numbers[self._head :].reshape(self._count, self._width)

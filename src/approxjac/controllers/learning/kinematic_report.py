@@ -69,14 +69,14 @@ class KinematicReport(NamedTuple):
     Attributes:
         rows: A row each number that was learnt.
         covariance: Of them, in the same order, wider where χ² is above 1, or the noise above what
-            was told. It is of noise: not of what key frames, which are means over up to 3 cm, lose
+            was given. It is of noise: not of what key frames, which are means over up to 3 cm, lose
             of how an image bends. In short set-point runs of a camera in the hand, its focal length
             and the distance along its view, hard to tell apart, were off by 4 to 6 of their sd.
         angle: Of the camera's rotation [rad]; 0 where it is known.
         chi_squared: Of residuals averaged over a third of a second, per degree of freedom: 1 if
             the parameters that may be wrong explain x up to white noise.
         axes: Whether tilted axes would explain x better.
-        noise: Standard deviation of x as it was told, and as it is seen from frame to frame
+        noise: Standard deviation of x as it was given, and as it is seen from frame to frame
             [`unit`].
         seconds: Of frames that were learnt from, since the last restart [s].
         restarts: How often learning began anew, as the sensor was moved or the tool slipped.
@@ -129,8 +129,8 @@ class KinematicReport(NamedTuple):
         if self.angle:
             lines.append(f"camera turned by {self.angle:.4f} rad")
         factor, unit = (1e3, "mm") if self.unit == "m" else (1.0, self.unit)
-        told, seen = (factor * noise for noise in self.noise)
-        lines.append(f"noise of x {seen:.2g} {unit}, told {told:.2g} {unit}")
+        given, seen = (factor * noise for noise in self.noise)
+        lines.append(f"noise of x {seen:.2g} {unit}, assumed {given:.2g} {unit}")
         lines.append(f"chi squared a degree of freedom: {self.chi_squared:.2f}")
         if self.seconds == 0.0 or self.silence > _SILENT:
             since = f"for the last {self.silence:.1f} s" if self.seconds else "yet"

@@ -53,9 +53,9 @@ _PATIENCE = 10.0  # frames for it to become better
 class AdaptiveCamera(Estimator):
     """x̂ = π(R̂(r(q; û) − p̂); f̂), learnt from the images of points while the arm moves.
 
-    Learnt are where the points are on the tool, the camera's pose and focal length, and the origins
-    of the joints if told. A camera in the world watches points of the robot; one that the robot
-    carries watches points of the world. Depth is not measured: it is what explains how images move.
+    Learnt are where the points are on the tool, the camera's pose and focal length, and if asked
+    for the origins of the joints. A camera in the world watches points of the robot; one that is
+    carried watches points of the world. Depth is not measured: it is what explains how images move.
 
     What the law controls is how far each point is beside the ray of its target, at its predicted
     depth Ẑ: z = (f₀/Z₀) Ẑ(ρ̂ − ρ_d), with ρ the ray (X/Z, Y/Z) and the believed f₀ over a usual

@@ -38,7 +38,7 @@ class AdaptiveKinematics(Estimator):
     """x̂ = R̂ p(q; θ̂) + b̂, learnt from the measured x while the arm moves.
 
     Learnt are the translations of the tool and of all joint origins, and rotation, offset and
-    scale of a camera or tracker, as told. What the law controls is the *predicted* x̂, a known
+    scale of a camera or tracker, as chosen. What the law controls is the *predicted* x̂, a known
     function of q, turned back into the base frame, so that no estimate of the camera makes Ĵ
     singular.
 
@@ -459,7 +459,7 @@ class _LeastSquares(ABC):
         Args:
             numbers: Shape (size,).
             joints: Their names.
-            scale: Of the noise's variance, as it was told over what it is.
+            scale: Of the noise's variance, as it is given over what it is.
         """
         if len(self.prior) == self._P:
             return TiltedAxes(1.0, 0.0, "", 0.0)

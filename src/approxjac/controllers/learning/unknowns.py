@@ -120,8 +120,8 @@ class Unknowns:
         """Return the axes of a point, and believed rotation and offset along them."""
         _, axes, R, b = points[0]
         if not self.turns:
-            found = {axis for point in points for axis in point.axes}
-            axes = "".join(axis for axis in "xyz" if axis in found)
+            used = {axis for point in points for axis in point.axes}
+            axes = "".join(axis for axis in "xyz" if axis in used)
         elif any(point.axes != axes or axes not in _TURNABLE for point in points):
             raise InvalidInputError(
                 f"a camera that may be turned needs the same axes of every point, one of "
