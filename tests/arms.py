@@ -2,7 +2,7 @@
 
 import pytest
 
-from approxjac.robots.catalog import NAMED
+from approxjac.robots.load import NAMED
 
 # planar; seven joints; six, outwards in another frame; continuous joints; joints that mimic others
 REPRESENTATIVE = ("two_link", "panda", "ur5", "kinova", "tiago_arm")

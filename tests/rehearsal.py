@@ -56,7 +56,6 @@ class Around(aj.controllers.ControllerWrapper):
     _memory = 0
 
     def __init__(self, controller):
-        self._remember(locals())
         self.controller = controller
 
     def initial_state(self, measurement):

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac.robots import GravityRegressor, robot_names
-from approxjac.robots.catalog import NAMED, urdf_path
+from approxjac.robots.load import NAMED, urdf_path
 from approxjac.tasks import best_axes
 from approxjac.tasks.analysis import sees
 

@@ -6,7 +6,6 @@ What a function here refuses is an InvalidInputError, with the name of the argum
 from __future__ import annotations
 
 import copy
-import functools
 import inspect
 import math
 from typing import Any, ClassVar, Self
@@ -236,24 +235,37 @@ class Immutable:
     """An object whose public attributes stay as they were built, and that copies by being built.
 
     What it works out when it is built would not follow a later change. A copy is built anew from
-    the same arguments, and so has scratch memory of its own.
+    the same arguments, as they were then, and so has scratch memory of its own.
     """
 
-    _arguments: dict[str, Any]
     _given: tuple[tuple[Any, ...], dict[str, Any]]
 
-    def _remember(self, arguments: dict[str, Any]) -> None:
-        """Keep the arguments of the constructor, its `locals()` at the beginning."""
-        self._arguments = {
-            # what a user may change afterwards is kept as it was
-            name: copy.copy(value) if isinstance(value, _CHANGEABLE) else value
-            for name, value in arguments.items()
-            if name not in ("self", "__class__")
-        }
+    def __new__(cls, *given: Any, **named: Any) -> Self:
+        """Keep what it is built from, whatever its class takes."""
+        self = super().__new__(cls)
+        kept = {name: _as_it_is(value) for name, value in named.items()}
+        self.__dict__["_given"] = tuple(map(_as_it_is, given)), kept
+        return self
+
+    @property
+    def _arguments(self) -> dict[str, Any]:
+        """The arguments of the constructor by their names."""
+        given, named = self._given
+        signature = inspect.signature(type(self))
+        bound = signature.bind(*given, **named)
+        bound.apply_defaults()
+        arguments = dict(bound.arguments)
+        for name, parameter in signature.parameters.items():
+            if parameter.kind is parameter.VAR_KEYWORD:
+                arguments |= arguments.pop(name)
+        return arguments
 
     def _rebuilt(self, **changes: Any) -> Self:
         """Return an object built from the same arguments but for some."""
-        return type(self)(**{**self._arguments, **changes})
+        return type(self)(**self._arguments | changes)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _built, (type(self), *self._given)
 
     def __setattr__(self, name: str, value: Any) -> None:
         is_given = name in self.__dict__ or isinstance(getattr(type(self), name, None), property)
@@ -265,21 +277,14 @@ class Immutable:
             )
         object.__setattr__(self, name, value)
 
-    def __new__(cls, *given: Any, **named: Any) -> Self:
-        """Keep what it is built from, whatever its class takes."""
-        self = super().__new__(cls)
-        self.__dict__["_given"] = given, named
-        return self
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        if self._arguments.keys() == inspect.signature(type(self)).parameters.keys():
-            return _built, (type(self), self._arguments)
-        given, named = self._given  # to a class of a user's, with arguments of its own
-        return functools.partial(type(self), *given, **named), ()
+def _built(kind: type[Immutable], given: tuple[Any, ...], named: dict[str, Any]) -> Immutable:
+    return kind(*given, **named)
 
 
-def _built(kind: type[Immutable], arguments: dict[str, Any]) -> Immutable:
-    return kind(**arguments)
+def _as_it_is(value: Any) -> Any:
+    """Return an argument that a user cannot change afterwards."""
+    return copy.copy(value) if isinstance(value, _CHANGEABLE) else value
 
 
 class Saved:

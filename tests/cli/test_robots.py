@@ -4,7 +4,7 @@ import pytest
 
 import approxjac as aj
 from approxjac.cli import main
-from approxjac.robots.catalog import NAMED, urdf_path
+from approxjac.robots.load import NAMED, urdf_path
 
 
 def test_robots_lists_every_arm(capsys):

@@ -11,7 +11,8 @@ from numpy.testing import assert_allclose
 import approxjac as aj
 from approxjac.errors import MissingPackageError, UnknownNameError, UrdfError
 from approxjac.robots import Dynamics, robot_names
-from approxjac.robots.catalog import NAMED, share_dir, urdf_path
+from approxjac.robots.load import NAMED, urdf_path
+from approxjac.robots.meshes import share_dir
 from approxjac.tasks.frame_kinematics import FrameKinematics
 
 # whose links are all alike
@@ -302,7 +303,7 @@ def test_relative_names_resolve_from_the_folder_of_the_urdf(tmp_path, monkeypatc
 
 
 def test_without_the_package_of_the_named_robots_only_our_own_load(monkeypatch):
-    monkeypatch.setattr("approxjac.robots.catalog.share_dir", lambda: None)
+    monkeypatch.setattr("approxjac.robots.load.share_dir", lambda: None)
     with pytest.raises(MissingPackageError, match=r"pip install 'approxjac\[robots\]'$"):
         aj.load_robot("panda")
     assert aj.load_robot("two_link").velocity_limits.shape == (2,)

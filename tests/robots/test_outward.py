@@ -5,7 +5,7 @@ import pytest
 
 import approxjac as aj
 from approxjac.robots import robot_names
-from approxjac.robots.catalog import NAMED, urdf_path
+from approxjac.robots.load import NAMED, urdf_path
 from approxjac.tasks import FrameKinematics
 
 AXES = {"panda": "z", "ur5": "z", "two_link": "x", "z1": "x", "talos_arm": "-z", "so100": "-y"}

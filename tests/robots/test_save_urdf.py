@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose
 import approxjac as aj
 from approxjac.errors import UrdfError
 from approxjac.robots import Dynamics
-from approxjac.robots.catalog import NAMED
+from approxjac.robots.load import NAMED
 
 OBJECTS = {
     "rod": {"length": 0.5, "mass": 0.5, "radius": 0.0, "axis": "x"},

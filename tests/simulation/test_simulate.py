@@ -1,5 +1,6 @@
 import copy
 import dataclasses
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
@@ -141,7 +142,7 @@ def test_a_robot_that_adds_its_own_gravity_stands_without_torque(two_link):
     weak = aj.Plant(told, adds_gravity=told, torque_limits=1.0)  # motors carry what it adds, too
     assert np.abs(weak.acceleration(q, nothing, nothing)).max() > 1.0
     assert "adds_gravity" in repr(copy.deepcopy(plant))
-    for what in (plant.require_ideal, plant.require_linear):
+    for what in (plant.require_ideal, partial(plant.require_ideal, late=True)):
         with pytest.raises(InvalidInputError, match="gravity that it adds"):
             what("a test")
     with pytest.raises(InvalidInputError, match="adds_gravity must be of a robot with the joi"):

@@ -4,6 +4,7 @@ import copy
 import math
 import pickle
 from collections import deque
+from functools import partial
 
 import numpy as np
 import pytest
@@ -249,7 +250,7 @@ def test_what_is_for_torques_refuses_a_servo(panda):
     target = plant.sensor.value(START)
     with pytest.raises(aj.InvalidInputError, match="dt must be given for a plant with sensing"):
         aj.simulate(plant, ResolvedRate(plant.sensor, 3.0), target, START, dt=None)
-    for refusing in (plant.require_ideal, plant.require_linear):
+    for refusing in (plant.require_ideal, partial(plant.require_ideal, late=True)):
         with pytest.raises(aj.InvalidInputError, match=r"this is for a plant without .*servo"):
             refusing("this")
     with pytest.raises(aj.InvalidInputError, match="actuator_delay must be 0 where there is"):

@@ -267,7 +267,7 @@ def test_errors_of_a_camera():
     turned = cam.with_error(rotation=(0.0, 0.0, d)).in_camera(r)[:2]
     assert_allclose(turned, np.array([[np.cos(d), np.sin(d)], [-np.sin(d), np.cos(d)]])
                     @ cam.in_camera(r)[:2])  # fmt: skip
-    calibrated = {name: known.value for name, known in cam.calibration.items()}
+    calibrated = {name: known for name, (known, _) in cam.calibration.items()}
     assert calibrated == {"focal_length": 610.0, "distance": 0.0, "roll": 0.0}
     same = cam.recalibrated({"focal_length": 793.0, "distance": 0.4, "roll": 0.5})
     assert_allclose(same.project(r), wrong.project(r))

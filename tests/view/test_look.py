@@ -12,8 +12,7 @@ from numpy.testing import assert_allclose
 
 import approxjac as aj
 from approxjac.errors import MissingPackageError
-from approxjac.robots.catalog import share_dir
-from approxjac.robots.meshes import find_mesh
+from approxjac.robots.meshes import find_mesh, share_dir
 from approxjac.robots.urdf import Urdf
 from approxjac.view.look import robot_look
 from approxjac.view.mesh_drawing import load_mesh, shares, simplify, smooth

@@ -5,20 +5,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import numpy as np
 
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.formatting import short_fields
 from approxjac.validation import Array, Saved, as_array, as_number, plane_rows, shape_of
-
-
-class Calibrated(NamedTuple):
-    """One number of a camera's calibration: its value and its unit."""
-
-    value: float
-    unit: str
 
 
 class Camera(Saved, ABC):
@@ -49,8 +42,8 @@ class Camera(Saved, ABC):
         return x
 
     @property
-    def calibration(self) -> Mapping[str, Calibrated]:
-        """Numbers of the camera's calibration that may be wrong, by name."""
+    def calibration(self) -> Mapping[str, tuple[float, str]]:
+        """Numbers of the camera's calibration that may be wrong, by name, and their units."""
         return {}
 
     def recalibrated(self, values: Mapping[str, float]) -> Camera:
@@ -147,9 +140,9 @@ class PlanarCamera(Camera):
         return self._J.copy()
 
     @property
-    def calibration(self) -> Mapping[str, Calibrated]:
+    def calibration(self) -> Mapping[str, tuple[float, str]]:
         units = {"focal_length": "m", "distance": "m", "roll": "rad"}
-        return {name: Calibrated(getattr(self, name), unit) for name, unit in units.items()}
+        return {name: (getattr(self, name), unit) for name, unit in units.items()}
 
     @property
     def numbers(self) -> dict[str, Array]:

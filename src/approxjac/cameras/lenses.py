@@ -14,21 +14,15 @@ from approxjac.errors import InvalidInputError
 from approxjac.law.products import angle, length, root, sine_and_cosine
 from approxjac.validation import Array
 
-FARTHEST = 100.0
-"""No ray ‖(X/Z, Y/Z)‖ that is bent is longer: it is 89.4° away from the optical axis."""
-HALVINGS = 60
-"""Of an interval that a radius is in."""
-NEWTON_STEPS = 8
-"""From the ray of a lens that is round; of real lenses three will do."""
-LEAST = 1e-9
-"""Largest distance of a ray from where it was asked for, in focal lengths."""
+_FARTHEST = 100.0  # no ray ‖(X/Z, Y/Z)‖ that is bent is longer: it is 89.4° away from the axis
+_HALVINGS = 60  # of an interval that a radius is in
+_NEWTON_STEPS = 8  # from the ray of a lens that is round; of real lenses three will do
+_LEAST = 1e-9  # largest distance of a ray from where it was asked for, in focal lengths
 _SURELY = 1.0 - 1e-6  # of a disc, within which the derivative is regular
 _LARGEST = 1e9  # coefficient
 _TINY = 1e-300
-BEFORE = 1e-9
-"""Least distance of a point of the image before a tilted lens, in focal lengths."""
-COUNTS = (0, 1, 2, 3, 4, 5, 8, 12, 14)
-"""Counts of coefficients that a lens may be given by."""
+_BEFORE = 1e-9  # least distance of a point of the image before a tilted lens, in focal lengths
+_COUNTS = (0, 1, 2, 3, 4, 5, 8, 12, 14)  # of coefficients that a lens may be given by
 
 
 class Lens(ABC):
@@ -62,7 +56,7 @@ class Lens(ABC):
         if self.is_straight:
             return shown
         p = self.undistorted(shown)
-        is_shown = length(self.distorted(p) - shown) <= LEAST * (1.0 + length(shown))
+        is_shown = length(self.distorted(p) - shown) <= _LEAST * (1.0 + length(shown))
         return np.asanyarray(law.select(is_shown, p, np.full(2, np.nan)))
 
 
@@ -83,7 +77,7 @@ class Distortion(Lens):
 
     def __init__(self, coefficients: Sequence[float]) -> None:
         given = list(coefficients)
-        if len(given) not in COUNTS:
+        if len(given) not in _COUNTS:
             raise InvalidInputError(
                 f"distortion must be (k1, k2, k3) or fewer of them, or OpenCV's 4, 5, 8, 12 or 14 "
                 f"coefficients, got {len(given)}: {given}",
@@ -149,16 +143,11 @@ class Distortion(Lens):
             d + 6.0 * p1 * y + 2.0 * p2 * x + of_v * y,
         )
 
-    def shown_at(self, x: float, y: float) -> tuple[float, float]:
-        """Return the image of a ray (x, y)."""
-        u, v = self._flat(x, y)
-        return (u, v) if self._T is None else _moved(self._T, u, v)
-
     def distorted(self, p: Array) -> Array:
         if self.is_straight:
             return p
-        x, y = p.tolist()
-        return np.asanyarray(law.array(self.shown_at(x, y)))
+        u, v = self._flat(*p.tolist())
+        return np.asanyarray(law.array((u, v) if self._T is None else _moved(self._T, u, v)))
 
     def slopes(self, x: float, y: float) -> tuple[float, float, float, float]:
         if self.is_straight:
@@ -185,7 +174,7 @@ class Distortion(Lens):
         if self._T_inverse is not None:
             (h00, h01, h02), (h10, h11, h12), (h20, h21, h22) = self._T_inverse.tolist()
             depth = h20 * u + h21 * v + h22
-            depth = law.select(depth > BEFORE, depth, BEFORE)
+            depth = law.select(depth > _BEFORE, depth, _BEFORE)
             u, v = (h00 * u + h01 * v + h02) / depth, (h10 * u + h11 * v + h12) / depth
         wanted = root(u * u + v * v)
         if isinstance(wanted, float) and wanted == 0.0:
@@ -199,7 +188,7 @@ class Distortion(Lens):
 
         x, y = scale * u, scale * v
         if not self._is_round:
-            x, y = law.repeat(NEWTON_STEPS, nearer, (x, y))
+            x, y = law.repeat(_NEWTON_STEPS, nearer, (x, y))
         return np.asanyarray(law.array([x, y]))
 
     def _newton(self, x: float, y: float, u: float, v: float) -> tuple[float, float]:
@@ -229,9 +218,9 @@ class Distortion(Lens):
             h20, h21, h22 = self._T[2].tolist()
             beside = r * r * (3.0 * p + first) + r**4 * second
             conditions.append(h22 * below - math.hypot(h20, h21) * (r * above + beside * below))
-        scales = FARTHEST ** np.arange(20.0)
+        scales = _FARTHEST ** np.arange(20.0)
         scaled = (np.asarray(each.coef) * scales[: len(each.coef)] for each in conditions)
-        first = FARTHEST * min(1.0, *map(_first_root, scaled))
+        first = _FARTHEST * min(1.0, *map(_first_root, scaled))
         return first if self._is_round else _SURELY * first
 
 
@@ -251,7 +240,7 @@ def inverse(growing: Callable[[float], float], wanted: float, largest: float) ->
             return low, middle, wanted
         return law.select(is_short, middle, low), law.select(is_short, high, middle), wanted
 
-    low, high, _ = law.repeat(HALVINGS, halved, (0.0, largest, wanted))
+    low, high, _ = law.repeat(_HALVINGS, halved, (0.0, largest, wanted))
     return 0.5 * (low + high)
 
 
@@ -300,8 +289,7 @@ def _moved(H: Array, u: float, v: float) -> tuple[float, float]:
     return (h00 * u + h01 * v + h02) / depth, (h10 * u + h11 * v + h12) / depth
 
 
-WIDEST = math.radians(85.0)
-"""No ray is shown that is farther from the optical axis [rad]: at 90° its X/Z is infinite."""
+_WIDEST = math.radians(85.0)  # [rad]; at 90° from the optical axis X/Z is infinite
 
 
 class Fisheye(Lens):
@@ -327,9 +315,9 @@ class Fisheye(Lens):
             )
         self._k = tuple(coefficients) or (0.0,) * 4
         growth = [1.0, *(n * k for n, k in zip((3.0, 5.0, 7.0, 9.0), self._k, strict=True))]
-        slope = np.array(growth) * WIDEST ** (2.0 * np.arange(5))  # of θ_d, in (θ/widest)²
+        slope = np.array(growth) * _WIDEST ** (2.0 * np.arange(5))  # of θ_d, in (θ/widest)²
         turn = min(1.0, _first_root(slope))
-        self.widest = WIDEST * math.sqrt(turn)
+        self.widest = _WIDEST * math.sqrt(turn)
         self.largest_radius, self.shown_radius = math.tan(self.widest), self.bent(self.widest)
 
     def bent(self, theta: float) -> float:

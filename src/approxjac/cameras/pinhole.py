@@ -20,7 +20,7 @@ from approxjac.cameras.calibration import (
     read_calibration,
     view_axes,
 )
-from approxjac.cameras.camera import Calibrated, Camera
+from approxjac.cameras.camera import Camera
 from approxjac.cameras.lenses import Distortion, Fisheye, Lens, shortened
 from approxjac.errors import InvalidInputError
 from approxjac.law.products import length
@@ -29,8 +29,7 @@ from approxjac.validation import Array, as_array, as_number, is_scalar, require,
 _UPRIGHT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 _ON_AN_EDGE = 17  # points of each edge of the image
 _NOWHERE = np.full(2, np.nan)
-WITHIN = 0.999
-"""Of a round image, in which a ray is surely shown."""
+_WITHIN = 0.999  # of a round image, in which a ray is surely shown
 
 
 @dataclass(frozen=True, repr=False)
@@ -278,7 +277,7 @@ class PinholeCamera(Camera):
             return np.asanyarray(inside)
         assert isinstance(self._lens, Fisheye)  # which alone may show a round image
         w = ((inside - self._c) / self._f).tolist()
-        w = shortened(WITHIN * self._lens.shown_radius, *w)
+        w = shortened(_WITHIN * self._lens.shown_radius, *w)
         return np.asanyarray(self._c + self._f * law.array(w))
 
     def ray(self, x: Array) -> Array:
@@ -341,12 +340,12 @@ class PinholeCamera(Camera):
         return replace(self, focal_length=f, position=self._p + moved, rotation=turned)
 
     @property
-    def calibration(self) -> Mapping[str, Calibrated]:
+    def calibration(self) -> Mapping[str, tuple[float, str]]:
         """f_x [px], the distance that the camera stands back [m], and its roll [rad]."""
         return {
-            "focal_length": Calibrated(float(self._f[0]), "px"),
-            "distance": Calibrated(0.0, "m"),
-            "roll": Calibrated(0.0, "rad"),
+            "focal_length": (float(self._f[0]), "px"),
+            "distance": (0.0, "m"),
+            "roll": (0.0, "rad"),
         }
 
     @property

@@ -119,7 +119,6 @@ class ModelDynamics(MotionDynamics):
     def __init__(
         self, robot: Robot, *, rotor_inertia: float | Sequence[float] | Array = 0.0
     ) -> None:
-        self._remember(locals())
         self._build(robot, rotor_inertia)
 
     def initial_state(self) -> Array:
@@ -197,7 +196,6 @@ class AdaptiveDynamics(MotionDynamics):
         gain: float | None = None,
         fastest: float = 120.0,
     ) -> None:
-        self._remember(locals())
         self._build(robot, rotor_inertia)
         self.regressor = DynamicsRegressor(robot)
         self.n_state = self.regressor.p

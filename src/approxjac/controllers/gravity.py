@@ -35,7 +35,6 @@ from approxjac.validation import (
 
 class _RobotGravity(Immutable):
     def __init__(self, robot: Robot) -> None:
-        self._remember(locals())
         require("robot", robot, Robot, "the believed Robot")
         self.robot = robot
 
@@ -89,7 +88,6 @@ class RegressorGravity(Immutable):
     """
 
     def __init__(self, regressor: GravityRegressor, theta: Sequence[float] | Array) -> None:
-        self._remember(locals())
         wanted = "a GravityRegressor of the believed robot"
         require("regressor", regressor, GravityRegressor, wanted)
         self.regressor, self.robot = regressor, regressor.robot
@@ -154,7 +152,6 @@ class AdaptiveGravity(Immutable):
         task_force: float | Sequence[float] | Array | None = None,
         joint_torque: float | Sequence[float] | Array | None = None,
     ) -> None:
-        self._remember(locals())
         wanted = "the believed Robot, or a GravityRegressor of it"
         require("model", model, (Robot, GravityRegressor), wanted)
         regressor = GravityRegressor(model) if isinstance(model, Robot) else model

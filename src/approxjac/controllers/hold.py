@@ -64,7 +64,6 @@ class HeldMeasurement(ControllerWrapper):
     _what = "goes on with the last x that was seen while the arm moves it by less than the bound"
 
     def __init__(self, controller: Controller, unseen: float | Sequence[float] | Array) -> None:
-        self._remember(locals())
         if isinstance(controller, HeldMeasurement):
             raise InvalidInputError(
                 f"controller must be one that is not held yet, got {controller!r}", given=controller

@@ -51,7 +51,6 @@ class PredictedMeasurement(ControllerWrapper):
     _what = "controls the x that kinematics predict, which are learnt"
 
     def __init__(self, controller: Controller, kinematics: Kinematics) -> None:
-        self._remember(locals())
         require("kinematics", kinematics, Kinematics, "AdaptiveKinematics(task)")
         self._require_measured(controller)
         task = kinematics.task

@@ -136,7 +136,6 @@ class SetpointController(Immutable, Controller):
         latency: Latency | None = None,
         settling_time: float | None = None,
     ) -> None:
-        self._remember(locals())
         analysis.require_controllable(task)
         for name, value, kind, wanted in (
             ("gains", gains, Gains, "Gains(kp=..., kv=..., damping=...) or None"),

@@ -146,7 +146,6 @@ class TrackingController(Immutable, Controller):
         command: Literal["torque", "velocity"] = "torque",
         acceleration: float | Sequence[float] | Array | None = None,
     ) -> None:
-        self._remember(locals())
         require_controllable(task)
         robot = task.robot
         self.task = task

@@ -170,8 +170,6 @@ class KinematicRegressor:
         columns = [model.joints[joint].idx_v for joint in joints]
         self._columns = robot.mimic_joints.columns(np.eye(model.nv))[columns]
         self._plain = np.array_equal(self._columns, np.eye(n))
-        self._nq, self._is_vector = robot.nq, robot.nq == robot.nv
-        self._map = None if robot.mimic_joints.A is None else robot.mimic_joints
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), self._given  # a copy has scratch memory of its own
@@ -322,13 +320,7 @@ class KinematicRegressor:
 
     def _all(self, q: Array, theta: Array) -> Array:
         """Return q and θ as the model with translations as joints has them."""
-        q = (
-            as_vector("q", q, self._nq, "rad or m")
-            if self._is_vector
-            else self.robot.configuration(q)
-        )
-        if self._map is not None:
-            q = self._map.q(q)
+        q = self.robot.mimic_joints.q(self.robot.configuration(q))
         if self._own_q is not None:
             q = q.take(self._own_q)
         return np.concatenate([q, theta]).take(self._order_q)

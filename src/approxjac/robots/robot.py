@@ -63,7 +63,6 @@ class Robot(Immutable):
     ) -> None:
         require("urdf", urdf, (str, Urdf), "URDF text")
         gravity = as_array("gravity", gravity, (3,), "m/s^2")
-        self._remember(locals())
         self.tree = urdf if isinstance(urdf, Urdf) else Urdf.parse(urdf, source)
         self.gravity = gravity
         self.urdf_dir = urdf_dir
@@ -162,13 +161,13 @@ class Robot(Immutable):
         One number a joint, shape (n_v,), is taken as well: the angles of continuous joints. An
         InvalidInputError says what else is wrong, such as (cos, sin) pairs off the unit circle.
         """
-        if self.nq != self.nv and shape_of(q) == (self.nv,) and not hasattr(q, "arm_of"):
+        if self.nq == self.nv or hasattr(q, "arm_of"):  # symbols
+            return as_vector(name, q, self.nq, "rad or m")
+        if shape_of(q) == (self.nv,):
             motion = as_array(name, q, (self.nv,), "rad or m")
             return np.array(pin.integrate(self.model, self.neutral(), motion))
         vector = as_vector(name, q, self.nq, "rad or m")
-        if hasattr(q, "arm_of"):  # symbols
-            return vector
-        if self.nq != self.nv and not pin.isNormalized(self.model, vector, 1e-3):
+        if not pin.isNormalized(self.model, vector, 1e-3):
             raise InvalidInputError(
                 f"{name} must have cos^2 + sin^2 = 1 in the pairs of continuous joints of "
                 f"{self.name}, got {vector.tolist()}; neutral() is a valid configuration",
@@ -361,7 +360,8 @@ class Robot(Immutable):
     def with_gravity(self, gravity: Sequence[float] | Array) -> Robot:
         """Return this robot under another gravity in the world frame, shape (3,) [m/s²]."""
         gravity = as_array("gravity", gravity, (3,), "m/s^2")
-        robot = self.like(self, gravity=gravity, _arguments=self._arguments | {"gravity": gravity})
+        given = self._arguments | {"gravity": gravity}
+        robot = self.like(self, gravity=gravity, _given=((), given))
         for model in robot.models:
             model.gravity.linear = gravity
         return robot

@@ -72,7 +72,6 @@ class MujocoPlant(Plant):
         **options: Any,
     ) -> None:
         super().__init__(robot, sensor, friction, **options)
-        self._arguments |= {"floor": floor, "balance_inertia": balance_inertia}
         require("balance_inertia", balance_inertia, bool, "True or False")
         if robot.mimic_joints.G is not None:
             raise InvalidInputError(

@@ -280,7 +280,6 @@ class Plant(Immutable):
         servo: VelocityServo | None = None,
         adds_gravity: Robot | None = None,
     ) -> None:
-        self._remember(locals())
         require("robot", robot, Robot, "the true Robot")
         sensor = PositionTask(robot) if sensor is None else sensor
         _require_own(robot, sensor)
@@ -334,7 +333,7 @@ class Plant(Immutable):
     def _with(self, **changes: Any) -> Self:
         """Return this plant with other arguments, which were checked, without building it."""
         plant = object.__new__(type(self))
-        vars(plant).update(vars(self), **changes, _arguments=self._arguments | changes)
+        vars(plant).update(vars(self), **changes, _given=((), self._arguments | changes))
         return plant
 
     @property
@@ -404,25 +403,22 @@ class Plant(Immutable):
         late = self.sensing is not None or self.actuator_delay > 0.0
         return late or self.servo is not None
 
-    def require_ideal(self, what: str) -> None:
-        """Raise an InvalidInputError if there is more than eq. (1) and joint stops."""
-        unknown = self.torque_limits is not None or self.adds_gravity is not None
-        if self.coulomb.any() or self.needs_sampling or unknown:
-            raise InvalidInputError(
-                f"{what} is for a plant without Coulomb friction, sensing, actuator delay, "
-                f"torque limits, gravity that it adds and servo, got {self!r}",
-                given=self,
-            )
+    def require_ideal(self, what: str, *, late: bool = False) -> None:
+        """Raise an InvalidInputError if there is more than eq. (1) and joint stops.
 
-    def require_linear(self, what: str) -> None:
-        """Raise an InvalidInputError if no linearisation has it; delays, a filter of q̇ it has."""
-        rough = self.sensing is not None and not self.sensing.is_linear
-        rough = rough or self.servo is not None or self.adds_gravity is not None
-        if self.coulomb.any() or rough or self.torque_limits is not None:
+        With `late` there may be delays and a filter of q̇.
+        """
+        sensing, beyond = self.sensing, "sensing and actuator delay"
+        rough = self.needs_sampling
+        if late:
+            beyond = "x_rate, x_lost, x_frozen, noise, rounding and dropouts (delays and "
+            beyond += "velocity_filter may be there)"
+            rough = self.servo is not None or (sensing is not None and not sensing.is_linear)
+        unknown = self.torque_limits is not None or self.adds_gravity is not None
+        if self.coulomb.any() or rough or unknown:
             raise InvalidInputError(
                 f"{what} is for a plant without Coulomb friction, torque limits, gravity that it "
-                f"adds, servo, x_rate, x_lost, x_frozen, noise, rounding and dropouts (delays and "
-                f"velocity_filter may be there), got {self!r}",
+                f"adds, servo, {beyond}, got {self!r}",
                 given=self,
             )
 

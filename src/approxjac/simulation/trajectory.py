@@ -7,7 +7,7 @@ import zipfile
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -312,10 +312,10 @@ class Trajectory:
             for name in ("joint_names", "joint_units", "task_labels", "task_units"):
                 texts[name] = tuple(texts[name])
             unknown = np.full(arrays["learnt"].shape[-1], np.nan)
-            kept = {name: arrays.pop(name) for name in _DERIVED} | {"law": ends.pop("law")}
-            derived = partial(_read, kept | {"learnt_sd": lambda state: unknown})
+            kept: dict[str, Any] = {name: arrays.pop(name) for name in _DERIVED}
+            kept |= {"law": ends.pop("law"), "learnt_sd": lambda state: unknown}
             scene = None if given["scene"] is None else Scene.from_dict(given["scene"])
-            run = cls(**arrays, **texts, **ends, scene=scene, derived=derived)
+            run = cls(**arrays, **texts, **ends, scene=scene, derived=lambda _, name: kept[name])
             run._require_shapes()
             return run
         except FileNotFoundError as error:
@@ -410,11 +410,6 @@ class Trajectory:
         """Describe the effect of limits, "" where there are none."""
         counts = self.limit_status_counts()
         return "" if set(counts) == {LimitStatus.UNLIMITED} else _counted(counts)
-
-
-def _read(found: Mapping[str, Any], run: Trajectory, name: str) -> Any:
-    """Read the values of a file with a run."""
-    return found[name]
 
 
 def _counted(counts: Mapping[Any, int]) -> str:

@@ -41,7 +41,6 @@ class FrameKinematics:
         self.frame = frame
         self._id = robot.frame_id(frame)
         self._model = robot.model
-        self._nq, self._is_vector = robot.nq, robot.nq == robot.nv  # or it has (cos, sin) pairs
         self._many = robot.nv > 1  # of one joint Pinocchio's Jacobian has lost an axis
         # Pinocchio's J̇ is wrong with mimic joints: it is computed with all joints on their own
         self._all = robot.mimic_joints.model
@@ -98,12 +97,7 @@ class FrameKinematics:
         """Return the Jacobian of (velocity, angular velocity), LOCAL_WORLD_ALIGNED, (6, n_v)."""
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
             return np.asanyarray(arm.jacobian(self.frame))
-        q = (
-            as_vector("q", q, self._nq, "rad or m")
-            if self._is_vector
-            else self.robot.configuration(q)
-        )
-        J: Array = self._jacobian_of(q, self._id, _LWA)
+        J: Array = self._jacobian_of(self.robot.configuration(q), self._id, _LWA)
         return J if self._many else J.reshape(6, 1)
 
     def motion(self, q: Array) -> tuple[Array, Array, Array]:
@@ -121,8 +115,7 @@ class FrameKinematics:
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
             return np.asanyarray(arm.jacobian_dot(self.frame, v))
         q, v = self.robot.configuration(q), as_vector("v", v, self.robot.nv)
-        mimic_joints = self.robot.mimic_joints
-        frame = self._id_in_all
+        mimic_joints, frame = self.robot.mimic_joints, self._id_in_all
         pin.computeJointJacobiansTimeVariation(
             self._all, self._all_data, mimic_joints.q(q), mimic_joints.v(v)
         )

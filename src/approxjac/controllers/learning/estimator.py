@@ -181,7 +181,6 @@ class KnownKinematics(Kinematics):
     """
 
     def __init__(self, task: Task) -> None:
-        self._remember(locals())
         require("task", task, Task, "a task of the believed robot, such as PositionTask(robot)")
         if task._uses_x:
             raise InvalidInputError(

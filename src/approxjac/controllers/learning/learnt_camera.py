@@ -104,7 +104,6 @@ class AdaptiveCamera(Estimator):
         delay: float = 0.0,
         dt: float = 1e-3,
     ) -> None:
-        self._remember(locals())
         self._camera = camera = _camera(task)
         where = "tool" if camera.mount is None else "points"
         valid = (where, "origins", "camera", "focal_length")

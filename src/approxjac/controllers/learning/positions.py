@@ -92,7 +92,6 @@ class AdaptiveKinematics(Estimator):
         dt: float = 1e-3,
         angle_noise: float = 5e-3,
     ) -> None:
-        self._remember(locals())
         self.task = task = PositionTask(task) if isinstance(task, Robot) else task
         self.unknown = unknown
         noise = as_number("noise", noise, unit="m", above=0.0)
@@ -345,7 +344,6 @@ class AdaptivePlanarCamera(AdaptiveKinematics):
         delay: float = 0.0,
         dt: float = 1e-3,
     ) -> None:
-        given = locals()
         require("task", task, ImageTask, "an ImageTask of the believed robot")
         camera = task.camera
         if not isinstance(camera, PlanarCamera) or task.frame is None or task.points.any():
@@ -363,7 +361,6 @@ class AdaptivePlanarCamera(AdaptiveKinematics):
         super().__init__(position, unknown, usual, noise / m, delay, dt)
         self._m = m
         vars(self)["task"] = task  # in place of the position
-        self._remember(given)
         c, s = np.cos(camera.roll), np.sin(camera.roll)
         self._seen_R, self._seen_d = np.array([[c, s], [-s, c]]), np.asarray(camera.offset)
 

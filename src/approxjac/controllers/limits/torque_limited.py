@@ -130,7 +130,6 @@ class TorqueLimited(ControllerWrapper):
         approach: float | None = None,
         solver: str | Callable[[QuadraticProgram], Array | None] = "daqp",
     ) -> None:
-        self._remember(locals())
         wanted = (
             "a law such as SetpointController (what holds measurements goes around it: "
             "HeldMeasurement(TorqueLimited(law), ...))"

@@ -468,8 +468,8 @@ class Uncertainty:
         """The camera at some values; the believed one itself where nothing is wrong with it."""
         wrong = {
             name: at[f"camera {name}"]
-            for name, known in camera.calibration.items()
-            if at.get(f"camera {name}", known.value) != known.value
+            for name, (believed, _) in camera.calibration.items()
+            if at.get(f"camera {name}", believed) != believed
         }
         return camera.recalibrated(wrong) if wrong else camera
 

@@ -256,7 +256,7 @@ def _timing(plant: Plant, dt: float | None) -> Timing | None:
         plant.require_ideal("the local test")
         return None
     dt = as_number("dt", dt, unit="s", above=0.0)
-    plant.require_linear("the local test with dt")
+    plant.require_ideal("the local test with dt", late=True)
     sensing = plant.sensing or Sensing()
     x_delay = sensing.x_delay
     late = plant.sensor.m * x_delay / dt + plant.robot.nv * plant.actuator_delay / dt
