@@ -61,12 +61,7 @@ def reason(error: Exception) -> str:
 
 
 def read_text(path: Path, most: int) -> str:
-    """Return a text file of at most `most` bytes, which is UTF-8.
-
-    Raises:
-        OSError: It is longer, or cannot be read.
-        UnicodeDecodeError: It is no UTF-8.
-    """
+    """Return a text file in UTF-8; an OSError says if it has more than `most` bytes."""
     with path.open("rb") as file:
         data = file.read(most + 1)
     if len(data) > most:
@@ -83,12 +78,8 @@ def write_text(path: Path, text: str) -> None:
 def read_arrays(stream: IO[bytes], names: Iterable[str] | None = None) -> dict[str, Any]:
     """Return arrays of a .npz file by their names, all of them if none are given.
 
-    No array is made before it is known that the file holds as much as its header claims.
-
-    Raises:
-        KeyError: An array that is not there.
-        ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error: A damaged file, or one with
-            arrays of more than 4 GB.
+    No array is made before it is known that the file holds as much as its header claims, at most
+    4 GB in all. A damaged file raises what zipfile, zlib and NumPy raise, or a ValueError.
     """
     with zipfile.ZipFile(stream) as archive:
         if names is None:

@@ -47,12 +47,7 @@ class Camera(Saved, ABC):
         return {}
 
     def recalibrated(self, values: Mapping[str, float]) -> Camera:
-        """Return this camera with other values of its calibration.
-
-        Raises:
-            InvalidInputError: A camera without calibration, or numbers that no camera has.
-            UnknownNameError: A name that is not in its calibration.
-        """
+        """Return this camera with other values of its calibration, if it has them."""
         kind = type(self).__name__
         if not self.calibration:
             raise InvalidInputError(

@@ -166,8 +166,8 @@ class PinholeCamera(Camera):
 
         Args:
             K: Camera matrix, shape (3, 3), without skew [px].
-            distortion: OpenCV's coefficients, in its order and in any shape: 4, 5, 8, 12 or 14 of
-                them, or none; of a fisheye lens 4, or none.
+            distortion: OpenCV's coefficients in any shape: 4, 5, 8, 12 or 14 of them, or none; of a
+                fisheye lens 4, or none.
             size: Width and height of the image [px].
             rvec: With tvec, to the camera: r_camera = Rodrigues(rvec) r + tvec, as `cv2.solvePnP`
                 tells of a board with points r in that frame; 3 numbers [rad].
@@ -176,10 +176,6 @@ class PinholeCamera(Camera):
                 `cv2.calibrateHandEye` tells by R_cam2gripper and t_cam2gripper.
             fisheye: The coefficients are those of `cv2.fisheye`.
             **options: Mount and near, as for `PinholeCamera`.
-
-        Raises:
-            InvalidInputError: Wrong shapes, skew, coefficients of another number, or a place given
-                twice or by half.
         """
         given = opencv_parameters(K, distortion, rvec, tvec, camera_pose)
         return cls(size=size, fisheye=fisheye, **given, **options)
@@ -204,10 +200,6 @@ class PinholeCamera(Camera):
             size: Width and height of the image [px]; by default those of the file.
             fisheye: The lens is a fisheye one; by default as the file says, and else it is not.
             **where: Rvec, tvec, camera_pose, mount and near, as for `from_opencv`.
-
-        Raises:
-            InvalidInputError: A file that is missing, too long, no YAML, or without a calibration;
-                and as for `from_opencv`.
         """
         calibration = read_calibration(path, size, fisheye)
         return cls.from_opencv(*calibration[:3], fisheye=calibration.fisheye, **where)
@@ -240,9 +232,6 @@ class PinholeCamera(Camera):
         """Return the image (2,) [px] of a point at r (3,), also beyond the edges of the image.
 
         NaN for a point behind the camera or nearer than `near`, and where the lens folds back.
-
-        Raises:
-            InvalidInputError: Another shape, such as several points.
         """
         if shape_of(r) != (3,):
             as_array("the point r", r, (3,), "m")
@@ -329,9 +318,6 @@ class PinholeCamera(Camera):
             rotation: Rotation vector in this camera's axes, shape (3,) [rad]; (0, 0, δ) rolls the
                 camera clockwise by δ, as it looks, so that what it sees turns the other way.
             focal_factor: Of both focal lengths, > 0.
-
-        Raises:
-            InvalidInputError: Wrong shapes, not finite, or a factor that is not positive.
         """
         moved = self._R @ as_array("shift", shift, (3,), "m")
         turned = self._R @ pin.exp3(np.array(as_array("rotation", rotation, (3,), "rad")))

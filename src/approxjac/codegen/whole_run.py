@@ -20,8 +20,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.interface import LimitStatus
 from approxjac.simulation import Plant
 from approxjac.simulation.loop import SampledLoop
-from approxjac.simulation.record import Record
-from approxjac.simulation.trajectory import Trajectory
+from approxjac.simulation.trajectory import Record, Trajectory
 from approxjac.validation import Array
 
 _KEPT = 8  # loops

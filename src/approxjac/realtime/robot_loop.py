@@ -19,7 +19,7 @@ from approxjac.realtime.start_checks import require_able
 from approxjac.realtime.watches import FaultWatch, SensorWatch
 from approxjac.simulation.loop import Loop, Wanted, first_state, wanted_of, x_of
 from approxjac.simulation.plant import Plant
-from approxjac.simulation.record import Record
+from approxjac.simulation.trajectory import Record
 from approxjac.validation import Array, as_vector
 
 _ROWS = 60_000  # recorded at most

@@ -16,14 +16,11 @@ from approxjac.validation import Array, as_vector, require
 class Dynamics:
     """The terms of M(q) q̈ + C(q, q̇) q̇ + g(q) = τ, eq. (1) without friction.
 
-    Owns scratch memory: one instance a thread. What it returns is yours to keep.
+    Owns scratch memory: one instance a thread. What it returns is yours to keep. A q, v, a or τ of
+    the wrong length or not finite is an InvalidInputError.
 
     Args:
         robot: The robot, true or believed.
-
-    Raises:
-        InvalidInputError: From every method, for a q, v, a or τ of the wrong length or not
-            finite.
     """
 
     def __init__(self, robot: Robot) -> None:

@@ -13,7 +13,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.robots.robot import Robot
 from approxjac.robots.torque_regressors import anywhere, independent_columns
 from approxjac.robots.traced import arm_of
-from approxjac.robots.urdf_edit import direction
+from approxjac.robots.urdf import direction
 from approxjac.validation import Array, as_array, as_vector, require
 
 _RANK_TOLERANCE = 1e-4  # axes in URDFs are rounded, such as 1.5708 for a right angle
@@ -256,14 +256,8 @@ class KinematicRegressor:
         """Return the robot with other translations θ (p,) [m], and its one tool turned.
 
         A tool that is a joint of its own in the URDF, fixed, is moved. Where a moving link is the
-        frame itself, it gets an object without mass, whose end is the new `tip`.
-
-        Args:
-            theta: Translations.
-            turn: Rotation vector of the tool in its own axes, (3,) [rad].
-
-        Raises:
-            InvalidInputError: A θ of the wrong length or not finite.
+        frame itself, it gets an object without mass, whose end is the new `tip`. The turn is a
+        rotation vector of the tool in its own axes, (3,) [rad].
         """
         theta = as_array("theta", theta, (self.p,), "m")
         change = (theta - self.theta).reshape(-1, 3)

@@ -52,9 +52,7 @@ def find_mesh(filename: str, urdf_dir: Path | None) -> Path | None:
 def read_mesh(path: Path) -> Any:
     """Read the triangles of a mesh file with trimesh, without textures.
 
-    Raises:
-        Exception: Each of trimesh's readers raises its own; a ValueError for a file of another
-            kind, or one of more than 200 MB.
+    Each of trimesh's readers raises its own; a ValueError for another kind of file, or over 200 MB.
     """
     trimesh = package_of("view", "trimesh")
     kind, size = path.suffix.lower().removeprefix("."), path.stat().st_size

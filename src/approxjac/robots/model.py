@@ -139,10 +139,9 @@ def own_joints(model: pin.Model) -> dict[str, Any]:
 
 
 def mass_matrix(mimic_joints: MimicJoints, data: pin.Data, q: Array) -> Array:
-    """M(q) by CRBA, which fills the upper triangle only, made symmetric; shape (n_v, n_v).
+    """M(q) by CRBA, made symmetric, of the model and data in which every joint moves by itself.
 
-    Of the model in which every joint moves on its own, whose `data` it takes: of one with mimic
-    joints Pinocchio's CRBA is wrong where what one of them moves has branches.
+    With mimic joints Pinocchio's CRBA is wrong where what one of them moves has branches.
     """
     M = symmetric(pin.crba(mimic_joints.model, data, mimic_joints.q(q), WORLD))
     return M if mimic_joints.G is None else symmetric(mimic_joints.rows(mimic_joints.columns(M)))

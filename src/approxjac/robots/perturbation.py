@@ -11,8 +11,7 @@ import pinocchio as pin
 
 from approxjac.robots.model import require_inertia
 from approxjac.robots.robot import Robot
-from approxjac.robots.urdf import Urdf
-from approxjac.robots.urdf_edit import OBJECT_RADIUS, direction, object_size, rotation_onto
+from approxjac.robots.urdf import OBJECT_RADIUS, Urdf, direction, object_size, rotation_onto
 from approxjac.validation import Array
 
 
@@ -71,17 +70,13 @@ class Perturbation:
         return robot is self._moved
 
     def robot(self, length: float, mass: float, shifts: Array, rotations: Array) -> Robot:
-        """Return a robot.
+        """Return a robot; a UrdfError if its inertia matrix would be singular.
 
         Args:
             length: Of the object, 0 to 10 [m]; without one it is not looked at.
             mass: Of the object, ≥ 0 [kg]; the same.
             shifts: Of the origins of `joints` in the parent links' frames, shape (k, 3) [m].
             rotations: Rotation vectors in the joints' own frames, shape (k, 3) [rad].
-
-        Raises:
-            InvalidInputError: A size that is negative, not finite or too large.
-            UrdfError: The inertia matrix would be singular.
         """
         if self._given[1] is not None:
             object_size(length, mass, OBJECT_RADIUS)

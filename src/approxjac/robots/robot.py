@@ -11,9 +11,19 @@ import pinocchio as pin
 
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.files import write_text
-from approxjac.robots import meshes, urdf_edit
+from approxjac.robots import meshes
 from approxjac.robots.model import MimicJoints, build_model, outward_axis, own_joints
-from approxjac.robots.urdf import Urdf, likely_tips
+from approxjac.robots.urdf import (
+    OBJECT_RADIUS,
+    Urdf,
+    direction,
+    likely_tips,
+    object_size,
+    require_new,
+    with_locked_joints,
+    with_moved_origins,
+    with_object,
+)
 from approxjac.validation import Array, Immutable, as_array, as_number, as_vector, require, shape_of
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)
@@ -35,7 +45,7 @@ class Robot(Immutable):
         source: What to call the URDF in errors.
         name: What to call the robot; its name in the URDF by default.
         outward: Axis of the tip, such as "z", along which the arm leads on; by default the one that
-            the last three joints say. Robots made from this one keep it.
+            the last three joints say.
 
     Attributes:
         tree: The URDF as a tree. Read-only.
@@ -45,8 +55,7 @@ class Robot(Immutable):
         nv: Number of degrees of freedom n_v.
 
     Raises:
-        UrdfError: Malformed, no moving joint, joints of more than one degree of freedom,
-            links without inertia, or mimic joints that cannot be coupled.
+        UrdfError: Malformed, or not usable for torque control, such as links without inertia.
         UnknownNameError: `tip` is not a frame.
     """
 
@@ -139,10 +148,9 @@ class Robot(Immutable):
         return np.array(pin.neutral(self.model))
 
     def usual_range(self) -> tuple[Array, Array]:
-        """Range of each joint that is drawn from, as two motions from zero, shape (n_v,) each.
+        """Range of each joint that is drawn from, as two motions from zero (n_v,) [rad or m].
 
-        The joint limits. Of a range wider than a turn or than 2 m, or without limits, the turn or
-        the 2 m nearest to zero [rad or m].
+        The joint limits; the turn or the 2 m nearest to zero of a wider range, or without limits.
         """
         lower, upper = self.position_limits
         reach = np.where(np.array(self.joint_units) == "m", 1.0, np.pi)
@@ -231,11 +239,7 @@ class Robot(Immutable):
         return np.array(origins[0]) if joints else np.zeros(3), reach
 
     def frame_id(self, frame: str) -> int:
-        """Return Pinocchio's index of a frame.
-
-        Raises:
-            UnknownNameError: No such frame.
-        """
+        """Return Pinocchio's index of a frame, or raise an UnknownNameError."""
         try:
             return self._frames[frame]
         except (KeyError, TypeError):
@@ -266,7 +270,7 @@ class Robot(Immutable):
         self,
         length: float,
         mass: float = 0.0,
-        radius: float = urdf_edit.OBJECT_RADIUS,
+        radius: float = OBJECT_RADIUS,
         parent: str | None = None,
         axis: str | Sequence[float] | None = None,
         name: str = "object",
@@ -290,14 +294,14 @@ class Robot(Immutable):
                 none, or a name that is taken.
             UnknownNameError: No such parent.
         """
-        length, mass, radius = urdf_edit.object_size(length, mass, radius)
+        length, mass, radius = object_size(length, mass, radius)
         parent = self.tip_or(parent)
         if parent not in self.tree.links:
             raise UnknownNameError("link", parent, self.name, self.tree.links)
-        direction = urdf_edit.direction(self.outward_axis(parent) if axis is None else axis)
-        urdf_edit.require_new(name, set(self._frames) | {"universe"}, self.name)
+        along = direction(self.outward_axis(parent) if axis is None else axis)
+        require_new(name, set(self._frames) | {"universe"}, self.name)
         size = {"length": length, "mass": mass, "radius": radius}
-        urdf = urdf_edit.with_object(self.tree, name=name, parent=parent, axis=direction, **size)
+        urdf = with_object(self.tree, name=name, parent=parent, axis=along, **size)
         outward = self.outward_axis(parent)  # the tip is turned as its parent is
         return self._changed(urdf, tip=f"{name}_tip", outward=outward)
 
@@ -313,12 +317,11 @@ class Robot(Immutable):
         shifts: Mapping[str, Sequence[float]] | None = None,
         rotations: Mapping[str, Sequence[float]] | None = None,
     ) -> Robot:
-        """Return this robot with the origins of joints shifted or turned.
+        """Return this robot with the origins of joints, also fixed ones, shifted or turned.
 
         Args:
             shifts: Joint name → shift of its origin in the parent link's frame, shape (3,) [m].
             rotations: Joint name → rotation vector in the joint's own frame, shape (3,) [rad].
-                Fixed joints may be named in both.
 
         Raises:
             UnknownNameError: No such joint.
@@ -335,7 +338,7 @@ class Robot(Immutable):
             shift = as_array(f"shift of {joint}", shifts.get(joint, none), (3,), "m")
             turn = as_array(f"rotation of {joint}", rotations.get(joint, none), (3,), "rad")
             errors[joint] = shift, turn
-        return self._changed(urdf_edit.with_moved_origins(self.tree, errors))
+        return self._changed(with_moved_origins(self.tree, errors))
 
     def with_locked_joints(self, positions: Mapping[str, float]) -> Robot:
         """Return this robot with joints fixed for good, such as those of fingers.
@@ -355,7 +358,7 @@ class Robot(Immutable):
             if joint not in moving:
                 raise UnknownNameError("moving joint", joint, self.name, moving)
             locked[joint] = as_number(f"position of {joint}", position, unit="rad or m")
-        return self._changed(urdf_edit.with_locked_joints(self.tree, locked))
+        return self._changed(with_locked_joints(self.tree, locked))
 
     def with_gravity(self, gravity: Sequence[float] | Array) -> Robot:
         """Return this robot under another gravity in the world frame, shape (3,) [m/s²]."""
@@ -367,17 +370,11 @@ class Robot(Immutable):
         return robot
 
     def save_urdf(self, path: str | Path) -> Path:
-        """Write a URDF that Pinocchio, MuJoCo, MeshCat and yourdfpy open alike.
+        """Write a URDF that Pinocchio, MuJoCo, MeshCat and yourdfpy open alike; return its path.
 
         Mesh files are named by their full path, so the file is meant for this machine. Collision
         meshes in formats that MuJoCo does not read are converted to STL, into a folder beside the
         file. A URDF tells neither gravity nor the tip: `load_robot(path, tip=robot.tip)`.
-
-        Args:
-            path: File to write; its folder must exist.
-
-        Returns:
-            The path.
 
         Raises:
             InvalidInputError: The file cannot be written.

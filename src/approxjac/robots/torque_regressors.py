@@ -259,11 +259,11 @@ class GravityRegressor(_TorqueRegressor):
         return theta, self._error(robot, theta, rng)
 
     def payload(self, change: Array) -> Array:
-        """Return the load on the last link that acts most like a change of θ (p,).
+        """Return the load on the last link that acts most like a change of θ (p,), the smallest.
 
         Returns:
-            Mass [kg] and first moments in the axes of that link's joint [kg m], those of `moments`
-            only; of all loads that do so equally well, the smallest. Shape (1 + moments,).
+            Mass [kg], and those of the first moments in the axes of that link's joint [kg m] that
+            `moments` names.
         """
         weighted = self._held * self._usual[:, np.newaxis]
         load: Array = np.linalg.lstsq(weighted, change * self._usual, rcond=1e-9)[0]
@@ -315,8 +315,8 @@ class Excitation:
         names: Names of the parameters, length p.
         effect: Root mean square of the torque that one unit of a parameter makes, shape (p,)
             [N m per unit].
-        own: What of it no combination of the other parameters can make, shape (p,) [N m per unit].
-            Where it is 0, learning cannot tell the parameter from others on this motion.
+        own: What of it no combination of the other parameters can make: 0 where learning cannot
+            tell the parameter from others.
         threshold: Share of `effect` that `own` has to reach for a parameter to count as excited.
         rank: Number of combinations of parameters that the motion excites.
     """

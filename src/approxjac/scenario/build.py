@@ -26,7 +26,7 @@ from approxjac.interface import TargetPath
 from approxjac.law import Sine
 from approxjac.paths import Circle, Line, Waypoints
 from approxjac.robots import GravityRegressor, Robot, load_robot
-from approxjac.robots.urdf_edit import OBJECT_RADIUS
+from approxjac.robots.urdf import OBJECT_RADIUS
 from approxjac.scenario.image_setup import image_scene
 from approxjac.scenario.records import Goal, Numbers, Object, Sensor, Tracker, Vectors
 from approxjac.scenario.refusals import require_effect

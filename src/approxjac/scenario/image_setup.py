@@ -13,7 +13,7 @@ import pinocchio as pin
 from approxjac.cameras import PinholeCamera
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Dynamics, Robot
-from approxjac.robots.urdf_edit import direction
+from approxjac.robots.urdf import direction
 from approxjac.scenario.scenario import Scenario
 from approxjac.scenario.starts import REGULAR, configuration_of, is_regular
 from approxjac.simulation.plant import holdable

@@ -8,7 +8,7 @@ from operator import attrgetter
 from typing import Any
 
 from approxjac.errors import InvalidInputError
-from approxjac.robots.urdf_edit import as_mass, as_size
+from approxjac.robots.urdf import as_mass, as_size
 from approxjac.scenario.convert import typed_as
 from approxjac.scenario.records import Tracker
 from approxjac.scenario.scenario import Scenario

@@ -211,11 +211,7 @@ class Loop:
         return self.stopped or self.step == self.steps
 
     def aim_at(self, target: Target | TargetPath | Array) -> None:
-        """Move the target, from the next step on.
-
-        Raises:
-            InvalidInputError: Wrong shape, not finite, or not a value that the sensor has.
-        """
+        """Move the target, from the next step on, to a value that the sensor has."""
         path = wanted_of(self.plant.sensor, target, self.t)
         wanted = target_at(path, self.t)
         try:
@@ -230,9 +226,7 @@ class Loop:
         self.target = x_of(wanted)
 
     def exchange(self, controller: Controller) -> None:
-        """Let another controller go on, from the next step on.
-
-        It goes on with the state that there is, such as gravity that was learnt.
+        """Let another controller go on, from the next step on, with the state that there is.
 
         Raises:
             InvalidInputError: A controller of another task, with a state of another length, or

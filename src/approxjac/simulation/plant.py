@@ -361,18 +361,12 @@ class Plant(Immutable):
         return self.robot.model.createData()
 
     def ready_configuration(self) -> Array:
-        """Return a configuration to start from, the same each time, as `simulate` does by default.
+        """Return a configuration (nq,) to start from, as `simulate` does; the same each time.
 
-        Of 300 seeded configurations in the middle 80 % of each joint's range
-        (`Robot.usual_range`), the one farthest from singular, with the largest σ_min of the
-        sensor's Jacobian; among those that the sensor sees, that the motors hold with at most 70 %
-        of their limits, and in which the arm touches nothing.
-
-        Returns:
-            Shape (nq,).
-
-        Raises:
-            InvalidInputError: There is none.
+        Of 300 seeded configurations in the middle 80 % of `Robot.usual_range`, the one with the
+        largest σ_min of the sensor's Jacobian; among those that the sensor sees, that the motors
+        hold with at most 70 % of their limits, and in which the arm touches nothing. An
+        InvalidInputError if there is none.
         """
         robot, sensor, rng = self.robot, self.sensor, np.random.default_rng(0)
         effort = np.minimum(robot.effort_limits, self.motor_limits)

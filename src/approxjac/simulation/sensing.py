@@ -168,7 +168,7 @@ def generator(seed: int, kind: str) -> np.random.Generator:
     """Return the random generator of one of `DRAWN` in the run of a seed.
 
     A run draws m normal numbers for each frame of x that is taken, n_v for each sample of q, and a
-    number from 0 to 1 for each frame that arrives. So they may be drawn in blocks.
+    number from 0 to 1 for each frame that arrives: they may be drawn in blocks.
     """
     i = DRAWN.index(kind)
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i,) if i else ()))

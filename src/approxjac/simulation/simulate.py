@@ -31,8 +31,7 @@ from approxjac.simulation.loop import (
     x_of,
 )
 from approxjac.simulation.plant import INTEGRATORS, Plant
-from approxjac.simulation.record import Record
-from approxjac.simulation.trajectory import Trajectory
+from approxjac.simulation.trajectory import Record, Trajectory
 from approxjac.validation import Array, as_integer, as_number, require
 
 Progress = Callable[[float], None]

@@ -25,15 +25,12 @@ _CROSS = np.array([
 class FrameKinematics:
     """Forward kinematics of one frame.
 
-    Owns scratch memory: one instance a thread. What it returns is yours to keep.
+    Owns scratch memory: one instance a thread. What it returns is yours to keep. A q or v of the
+    wrong length or not finite is an InvalidInputError.
 
     Args:
         robot: The robot, true or believed.
-        frame: Frame name.
-
-    Raises:
-        UnknownNameError: No such frame.
-        InvalidInputError: From every method, for a q or v of the wrong length or not finite.
+        frame: Frame name; an UnknownNameError if there is none.
     """
 
     def __init__(self, robot: Robot, frame: str) -> None:

@@ -73,9 +73,8 @@ def _as_slice(rows: tuple[int, ...]) -> slice | list[int]:
 def best_axes(robot: Robot, frame: str | None = None) -> str:
     """Return world axes along which an arm commands a frame (its `tip` by default).
 
-    "xyz" without the axes along which nothing moves the frame, as of a planar arm; and of an arm
-    with fewer joints as many as joints, those along which it moves fastest, in the mean over seeded
-    configurations.
+    "xyz" without the axes along which nothing moves the frame; of an arm with fewer joints those
+    along which it moves fastest, in the mean over seeded configurations.
     """
     rng, kinematics = np.random.default_rng(0), FrameKinematics(robot, robot.tip_or(frame))
     drawn = [robot.random_configuration(rng) for _ in range(20)]

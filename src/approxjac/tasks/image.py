@@ -149,11 +149,7 @@ class ImageTask(Task):
         return target
 
     def depths(self, q: Array) -> Array:
-        """Return the depths Z of the points in the camera, negative behind it, shape (k,) [m].
-
-        Raises:
-            InvalidInputError: A q that is none, or a camera without depth.
-        """
+        """Return the depths Z of the points in the camera, negative behind it, shape (k,) [m]."""
         require("camera of a task with depths", self.camera, PinholeCamera, "a PinholeCamera")
         return np.array([self._pinhole.in_camera(r)[2] for r in self._kinematics.positions(q)])
 

@@ -127,11 +127,7 @@ class Task(Immutable, Saved, ABC):
 
     @abstractmethod
     def on(self, robot: Robot) -> Task:
-        """Return the same task of another robot, such as the true one.
-
-        Raises:
-            UnknownNameError: That robot has no such frame.
-        """
+        """Return the same task of another robot, such as the true one."""
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:
         """Return d/dt of `jacobian` along q̇, shape (m, n_v).
@@ -156,11 +152,7 @@ class Task(Immutable, Saved, ABC):
         return x + e
 
     def target(self, x_d: object) -> Array:
-        """Return a target as a read-only array of shape (n_x,).
-
-        Raises:
-            InvalidInputError: Wrong shape, not finite, or without an error to it.
-        """
+        """Return a target as a read-only array (n_x,), if it is a value with an error to it."""
         target = as_array("target", x_d, (self.n_x,), joined(self.units))
         if not (np.abs(self.error(target, target)) < 1e-6).all():
             raise InvalidInputError(

@@ -9,7 +9,7 @@ import numpy as np
 
 from approxjac.law.products import length
 from approxjac.robots import Robot
-from approxjac.robots.urdf_edit import direction
+from approxjac.robots.urdf import direction
 from approxjac.tasks import PoseTask, PositionTask, Task
 from approxjac.tasks.frame_kinematics import FrameKinematics
 from approxjac.validation import Array

@@ -16,7 +16,7 @@ import numpy as np
 from approxjac.cameras import Camera
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import Perturbation, Robot
-from approxjac.robots.urdf_edit import as_mass, as_size, direction
+from approxjac.robots.urdf import as_mass, as_size, direction
 from approxjac.simulation import Plant
 from approxjac.tasks import ImageTask, PositionTask, Task, best_axes
 from approxjac.validation import (

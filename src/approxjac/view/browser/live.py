@@ -16,7 +16,7 @@ import numpy as np
 from approxjac.errors import ApproxJacError, InvalidInputError
 from approxjac.robots import Robot
 from approxjac.simulation.loop import Loop
-from approxjac.simulation.record import Record, scene_of
+from approxjac.simulation.trajectory import Record, scene_of
 from approxjac.validation import as_number
 from approxjac.view.browser.commands import LONG, numbers, target_of, with_pixel, with_point
 from approxjac.view.browser.document import asset, document, page_data
