@@ -8,6 +8,8 @@ from __future__ import annotations
 import copy
 import inspect
 import math
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -239,6 +241,7 @@ class Immutable:
     """
 
     _given: tuple[tuple[Any, ...], dict[str, Any]]
+    _changes: Mapping[str, Any] = MappingProxyType({})  # of arguments, without building it anew
 
     def __new__(cls, *given: Any, **named: Any) -> Self:
         """Keep what it is built from, whatever its class takes."""
@@ -258,14 +261,15 @@ class Immutable:
         for name, parameter in signature.parameters.items():
             if parameter.kind is parameter.VAR_KEYWORD:
                 arguments |= arguments.pop(name)
-        return arguments
+        return arguments | self._changes
 
     def _rebuilt(self, **changes: Any) -> Self:
         """Return an object built from the same arguments but for some."""
         return type(self)(**self._arguments | changes)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _built, (type(self), *self._given)
+        given = ((), self._arguments) if self._changes else self._given
+        return _built, (type(self), *given)
 
     def __setattr__(self, name: str, value: Any) -> None:
         is_given = name in self.__dict__ or isinstance(getattr(type(self), name, None), property)

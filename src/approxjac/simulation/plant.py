@@ -333,7 +333,7 @@ class Plant(Immutable):
     def _with(self, **changes: Any) -> Self:
         """Return this plant with other arguments, which were checked, without building it."""
         plant = object.__new__(type(self))
-        vars(plant).update(vars(self), **changes, _given=((), self._arguments | changes))
+        vars(plant).update(vars(self), **changes, _changes={**self._changes, **changes})
         return plant
 
     @property
