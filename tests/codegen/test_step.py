@@ -526,6 +526,21 @@ def test_what_is_ones_own_is_compiled_as_it_is(panda, k, rng):
     assert pickle.loads(pickle.dumps(ours)).ordinary.task.labels == plain.task.labels
 
 
+def test_an_x_without_its_time_is_held_as_in_python(panda, rng):
+    """Then it is new where it differs from the one before."""
+    plain = aj.HeldMeasurement(aj.SetpointController(aj.PositionTask(panda)), 0.05)
+    measurement, target = measured(plain.task, rng, 0.05, BENT)
+    state, statuses = plain.initial_state(measurement), []
+    for k in range(4):
+        moved = measurement._replace(x=measurement.x + 1e-3 * (k // 2))
+        after, expected = plain.step(state, moved, target, 1e-3)
+        found, answer = compiled(plain).step(state, moved, target, 1e-3)
+        assert_allclose(found, after, rtol=0, atol=1e-12)
+        assert answer.status is expected.status
+        state, statuses = after, [*statuses, answer.status.name]
+    assert statuses == ["OK", "MEASUREMENT_HELD"] * 2
+
+
 def test_what_cannot_be_traced_is_named(panda):
     class Clipped(Cubic):
         def s(self, e):

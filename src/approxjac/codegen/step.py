@@ -8,36 +8,31 @@ from typing import Any
 import numpy as np
 
 from approxjac.codegen import traced_law as laws
-from approxjac.codegen import traced_tracking as tracking
 from approxjac.codegen.backends.llvm import LlvmLanes
 from approxjac.codegen.trace.program import Program
-from approxjac.codegen.trace.symbols import Scalar, any_of, select, symbols
-from approxjac.controllers.arguments import FLOAT64, HUGE
+from approxjac.codegen.trace.symbols import Scalar, any_of, select
+from approxjac.controllers.arguments import FLOAT64, HUGE, time_of_x
 from approxjac.controllers.controller import Controller
-from approxjac.controllers.tracking import TrackingController
-from approxjac.controllers.wrapper import ControllerWrapper
-from approxjac.errors import InvalidInputError
 from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
-from approxjac.validation import Array
+from approxjac.validation import Array, require
 
 _ROUND_OFF = 1e-12
 _USUAL = (Status.OK, Status.MEASUREMENT_HELD)
 
 
-def step_program(controller: Controller, *, may_lose: bool, moves: bool = False) -> Program:
+def step_program(controller: Controller, *, may_lose: bool) -> Program:
     """Return the program of one step of a controller.
 
-    What is kept are its arguments "q", "v", "x", "target", "state", "dt", "t" and "t_x", and its
-    answer "torque", "after" (the state after the step), "rate" (the law's own), "e", "gravity",
-    "J_hat", "status" and "limit_status" (numbers of a `Status` and a `LimitStatus`), "slack",
-    "left" (whether all that does not hold) and "usual" (whether it holds, all numbers are small,
-    and the status is that of a usual step); without those that the controller does not answer with.
+    What is kept are its arguments "q", "v", "x", "target", "state", "dt", "t", "t_x" and, of a
+    controller of this library, "target_v" and "target_a"; and its answer "torque", "after" (the
+    state after the step), "rate" (the law's own), "e", "gravity", "J_hat", "reference", "status"
+    and "limit_status" (numbers of a `Status` and a `LimitStatus`), "slack", "left" (whether all
+    that does not hold) and "usual" (whether it holds, all numbers are small, and the status is that
+    of a usual step); without those that the controller does not answer with.
 
     Args:
         controller: The controller.
         may_lose: Whether x may be lost.
-        moves: Whether the target may move: an argument "target_v" more, and "reference" in the
-            answer.
 
     Raises:
         InvalidInputError: It takes no symbols.
@@ -49,18 +44,23 @@ def step_program(controller: Controller, *, may_lose: bool, moves: bool = False)
         "q": robot.nq, "v": robot.nv, "x": task.n_x, "target": task.n_x,
         "state": len(laws.first_state(controller)), "dt": 1, "t": 1, "t_x": 1,
     }  # fmt: skip
-    if moves:
-        sizes["target_v"] = task._measured.m
+    if laws.is_ours(controller):
+        sizes |= dict.fromkeys(("target_v", "target_a"), task._measured.m)
     given = {name: program.kept(name, size) for name, size in sizes.items()}
-    q, v, x, target, state, (dt,), (time,), (t_x,), *v_d = given.values()
-    if controller.dt is not None:
-        dt = controller.dt
-    measurement = Measurement(time, q, v, x, t_x)
-    wanted = Target(target, v_d[0]) if moves else target
-    after, answer, left = laws.stepped(controller, state, measurement, wanted, dt)
-    numbers = [q, v, x, target, state, answer.e, answer.torque, after, *v_d]
-    size = sum(((each * each).sum() for each in numbers), 0.0)
-    usual = any_of([answer.status == each for each in _USUAL]) & (size < HUGE**2)
+    q, v, x, target, state, (dt,), (time,), (t_x,), *rates = given.values()
+    predicts = _predicts(controller)
+    if predicts:  # an x beyond what can be learnt from is lost
+        x = np.where(x * x < HUGE, x, math.nan)
+    after, answer, left = laws.stepped(
+        controller, state, Measurement(time, q, v, x, t_x),
+        Target(target, *rates) if rates else target,
+        dt if controller.dt is None else controller.dt,
+    )  # fmt: skip
+    numbers = [q, v, target, state, answer.torque, after, *rates]
+    numbers += [] if predicts else [x, answer.e]
+    usual = sum(((each * each).sum() for each in numbers), 0.0) < HUGE**2
+    if not predicts:
+        usual = any_of([answer.status == each for each in _USUAL]) & usual
     for joint in list(robot.model.joints)[1:]:
         if joint.nq == 2:  # a (cos, sin) pair off the unit circle is for Python to judge
             cosine, sine = q[joint.idx_q], q[joint.idx_q + 1]
@@ -75,11 +75,15 @@ def step_program(controller: Controller, *, may_lose: bool, moves: bool = False)
         "limit_status": answer.limit_status, "slack": answer.slack,
         "usual": select(usual, 1.0, 0.0),
     }  # fmt: skip
-    found = {name: value for name, value in found.items() if value is not None}
-    for name, value in found.items():
-        program.kept(name, symbols(value).size)
-    program.step(found)
+    program.step({name: value for name, value in found.items() if value is not None})
+    for name, value in program.stepped.items():
+        program.kept(name, len(value))
     return program
+
+
+def _predicts(controller: Controller) -> bool:
+    """Return whether a law controls what it predicts, so that a step without x is usual, too."""
+    return controller.law.kinematics is not None
 
 
 def compiled(controller: Controller) -> Any:
@@ -110,17 +114,9 @@ def compiled(controller: Controller) -> Any:
     """
     if isinstance(controller, _MachineCode):
         return controller
-    if not isinstance(controller, Controller):
-        raise InvalidInputError(
-            f"controller must be a controller, such as SetpointController(task), got "
-            f"{controller!r}",
-            given=controller,
-        )
-    kind: Any = _kind_of(type(controller))
-    if isinstance(controller, TrackingController):
-        kind = _CompiledTracking
-        tracking.require_covered(controller)
-    found: Any = object.__new__(kind)
+    wanted = "a controller, such as SetpointController(task)"
+    require("controller", controller, Controller, wanted)
+    found: Any = object.__new__(_kind_of(type(controller)))
     vars(found).update(vars(controller))
     found._build()
     return found
@@ -160,30 +156,32 @@ class _MachineCode:
         """
         controller = self.ordinary
         usually: Any = super()
-        ordinary: Any = getattr(usually, "evaluate", None)
-        ordinary_step: Any = usually.step
-        program = step_program(controller, may_lose=False, moves=_may_move(controller))
+        ordinary, ordinary_step = usually.evaluate, usually.step
+        predicts, law, task = _predicts(controller), controller.law, controller.task
+        program = step_program(controller, may_lose=predicts)
         buffer = np.zeros((1, program.n_rows, 1))
         flat = buffer[0, :, 0]
         run = LlvmLanes(program, width=1).bound(buffer, np.zeros((1, 1, 1)))
         place = {name: slice(at, at + size) for name, (at, size) in program.rows.items()}
-        nothing = np.zeros(0)
-        q_in, v_in, x_in, target_in, state_in, rate_in = (
-            flat[place[name]] if name in place else nothing
-            for name in ("q", "v", "x", "target", "state", "target_v")
+        takes_rates, asked = "target_v" in place, program.asked()
+        none, first = slice(0, 0), place["torque"].start
+        q_in, v_in, x_in, target_in, state_in, v_d_in, a_d_in = (
+            flat[place.get(name, none)]
+            for name in ("q", "v", "x", "target", "state", "target_v", "target_a")
         )
+        rates_in = flat[place["target_v"].start : first] if takes_rates else v_d_in
         dt_at, t_at, t_x_at = (place[name].start for name in ("dt", "t", "t_x"))
-        first = place["torque"].start
+        asks_t, asks_t_x = "t" in asked, "t_x" in asked
+        knows_nan = controller.kinematics is not None  # for a t_x that is not known
         answered = flat[first:]
-        none = slice(0, 0)
         torque_at, after_at, own_rate_at, e_at, gravity_at, J_at, reference_at = (
             slice(place[name].start - first, place[name].stop - first) if name in place else none
             for name in ("torque", "after", "rate", "e", "gravity", "J_hat", "reference")
         )
         has_rate, has_gravity, has_J = (name in place for name in ("rate", "gravity", "J_hat"))
-        told_at = slice(place["status"].start - first, place["usual"].stop - first)
-        task = controller.task
-        J_shape, shapes = (task.m, task.robot.nv), (
+        verdict_at = slice(place["status"].start - first, place["usual"].stop - first)
+        learnt_at = slice(law.resting, law.resting + getattr(law.kinematics, "n_state", 0))
+        J_shape, m, shapes = (task.m, task.robot.nv), (task._measured.m,), (
             q_in.shape, v_in.shape, x_in.shape, target_in.shape, state_in.shape
         )  # fmt: skip
         no_rate = np.zeros(len(state_in))
@@ -191,56 +189,63 @@ class _MachineCode:
         limit_statuses = {float(each): each for each in LimitStatus}
         statuses = {float(each): each for each in Status}
         float64, array, made = FLOAT64, np.ndarray, tuple.__new__
-        m, may_move = (task._measured.m,), "target_v" in place
-        # nothing but what holds x asks when it was taken, and then has to know it
-        needs_time = isinstance(controller, ControllerWrapper) or not _is_ours(controller)
         own_dt, any_dt = controller.dt, controller.dt is None
+
+        def put(rate: Array | None, where: Array) -> bool:
+            """Write down ẋ_d or ẍ_d; return whether it is a vector, or None."""
+            if rate is None:
+                where[:] = 0.0
+                return True
+            if type(rate) is not array or rate.shape != m or rate.dtype is not float64:
+                return False
+            where[:] = rate
+            return True
 
         def answer(state: Array, measurement: Measurement, target: Target | Array) -> Any:
             """Return what a usual step is answered with, or None."""
             try:
                 t, q, v, x, t_x = measurement
-                x_d, v_d = (target, None) if type(target) is array else target[:2]
-                if (
+                x_d, v_d, a_d = (target, None, None) if type(target) is array else target
+                if not (
                     (q.shape, v.shape, x.shape, x_d.shape, state.shape) == shapes
-                    and q.dtype is v.dtype is x.dtype is float64
-                    and x_d.dtype is state.dtype is float64
+                    and q.dtype is v.dtype is x.dtype is x_d.dtype is state.dtype is float64
                     # what a mask hides is not measured
                     and type(q) is type(v) is type(x) is type(x_d) is type(state) is array
-                    and (
-                        v_d is None
-                        or (
-                            may_move
-                            and type(v_d) is array
-                            and v_d.shape == m
-                            and v_d.dtype is float64
-                        )
-                    )
                 ):
-                    q_in[:], v_in[:], x_in[:], target_in[:] = q, v, x, x_d
-                    if may_move:
-                        rate_in[:] = 0.0 if v_d is None else v_d
-                    if needs_time:
-                        flat[t_at], flat[t_x_at] = t, t_x
-                    if state.size:
-                        state_in[:] = state
-                    run()
-                    found = answered.copy()
-                    status, limit, slack, usual = found[told_at].tolist()
-                    if usual:
-                        rate = None
-                        if has_rate:
-                            rate = found[own_rate_at] if state.size else no_rate
-                        return found, made(Evaluation, (
-                            found[torque_at], rate, statuses[status], found[e_at],
-                            found[J_at].reshape(J_shape) if has_J else None,
-                            found[gravity_at] if has_gravity else None,
-                            limit_statuses[limit], slack,
-                            None if v_d is None else found[reference_at],
-                        ))  # fmt: skip
+                    return None
+                if v_d is None and a_d is None:
+                    rates_in[:] = 0.0
+                elif not (takes_rates and put(v_d, v_d_in) and put(a_d, a_d_in)):
+                    return None
+                if predicts:
+                    law.kinematics.check(state[learnt_at], measurement, own_dt)
+                if asks_t:
+                    flat[t_at] = t
+                if asks_t_x:
+                    t_x = time_of_x(t_x)
+                    if t_x is None and not knows_nan:
+                        return None
+                    flat[t_x_at] = t_x
+                q_in[:], v_in[:], x_in[:], target_in[:] = q, v, x, x_d
+                if state.size:
+                    state_in[:] = state
+                run()
+                found = answered.copy()
+                status, limit, slack, usual = found[verdict_at].tolist()
+                if not usual:
+                    return None
+                rate = None
+                if has_rate:
+                    rate = found[own_rate_at] if state.size else no_rate
+                return found, made(Evaluation, (
+                    found[torque_at], rate, statuses[status], found[e_at],
+                    found[J_at].reshape(J_shape) if has_J else None,
+                    found[gravity_at] if has_gravity else None,
+                    limit_statuses[limit], slack,
+                    None if v_d is None and not predicts else found[reference_at],
+                ))  # fmt: skip
             except (AttributeError, IndexError, TypeError, ValueError):
-                pass
-            return None
+                return None
 
         def evaluate(state: Array, measurement: Measurement, target: Target | Array) -> Any:
             found = answer(state, measurement, target)
@@ -260,23 +265,7 @@ class _MachineCode:
             vars(self)["evaluate"] = evaluate
 
 
-def _is_ours(controller: Controller) -> bool:
-    return type(controller).__module__.startswith("approxjac.")
-
-
-def _may_move(controller: Controller) -> bool:
-    """Return whether ẋ_d of a target is taken, as by controllers of this library."""
-    return _is_ours(controller)
-
-
 @functools.cache
 def _kind_of(kind: type[Controller]) -> type:
     """Return the class of compiled controllers of a kind."""
     return type(f"_Compiled{kind.__name__}", (_MachineCode, kind), {"__module__": __name__})
-
-
-class _CompiledTracking(_MachineCode, TrackingController):
-    """The tracking law with machine code."""
-
-    def _build(self) -> None:
-        vars(self)["step"] = tracking.compiled_step(self.ordinary, super(_MachineCode, self).step)

@@ -143,6 +143,11 @@ def begun(controller: Controller, q: Symbols, v: Symbols, x: Symbols) -> Symbols
     return symbols(traced("controller", own, lambda: on_symbols(own).initial_state(measurement)))
 
 
+def is_ours(controller: Controller) -> bool:
+    """Return whether a controller is one of this library, which takes a `Target`, too."""
+    return type(controller).__module__.startswith("approxjac.")
+
+
 def require_covered(controller: Controller) -> None:
     """Refuse a controller of which no code can be made.
 
