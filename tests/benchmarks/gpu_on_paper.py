@@ -48,10 +48,9 @@ extern "C" __global__ void many(double *kept, const double *fixed, int runs, int
 def kernel(learns):
     """The source of the kernel, and how many of each operation a step has, rare blocks included."""
     law, first, begun, box = lanes.study(learns)
-    loop = Lanes(
-        law, first.plant, begun, box, lanes.DT, 1000, 1e-3, "semi_implicit_euler", NumpyLanes
-    )
-    program, (kept, given) = loop.compiled._program, loop.packed(begun)
+    loop = Lanes(law, first.plant, begun, box, lanes.DT, 1000, 1e-3)
+    loop.compiled = NumpyLanes(loop.program)
+    program, (kept, given) = loop.program, loop.packed(begun)
     rows = {**program.rows, **program.parameters}
 
     def read(name, i):
@@ -59,7 +58,7 @@ def kernel(learns):
             return "(double)k"
         return f"{'state' if name in program.rows else 'given'}[{rows[name][0] + i}]"
 
-    language = c99._LANGUAGE._replace(read=read)
+    language = c99.LANGUAGE._replace(read=read)
     wanted = list(chain(*program.stepped.values()))
     lines, names = Writer(program.graph, language).lines(wanted)
     written = [program.rows[name] for name in program.stepped]

@@ -20,8 +20,7 @@ from mujoco import rollout
 import approxjac as aj
 from approxjac.codegen.backends.llvm import LlvmLanes
 from approxjac.codegen.backends.numpy_source import NumpyLanes, numpy_function
-from approxjac.codegen.lanes import Lanes
-from approxjac.codegen.regions import Box
+from approxjac.codegen.lanes import Box, Lanes
 from approxjac.codegen.trace.program import STEP
 from approxjac.robots import Dynamics
 from approxjac.stability.rollouts.setting import RolloutSetting
@@ -51,10 +50,11 @@ def study(learns, **late):
 def in_lanes(engine, learns=False, integrator="semi_implicit_euler"):
     """A function of a number of steps, and how long it took to be compiled [s]."""
     law, first, begun, box = study(learns)
-    lanes = Lanes(law, first.plant, begun, box, DT, 1000, 1e-3, integrator, engine)
+    lanes = Lanes(law, first.plant, begun, box, DT, 1000, 1e-3, integrator)
     start = time.process_time()
-    compiled = lanes.compiled
+    compiled = engine(lanes.program)
     took = time.process_time() - start
+    lanes.compiled = compiled
     kept, given = lanes.packed(begun)
 
     def run(steps):
@@ -124,8 +124,9 @@ def in_jax():
         return None, None
     jax.config.update("jax_enable_x64", True)
     law, first, begun, box = study(False)
-    lanes = Lanes(law, first.plant, begun, box, DT, 1000, 1e-3, "semi_implicit_euler", NumpyLanes)
-    program = lanes.compiled._program
+    lanes = Lanes(law, first.plant, begun, box, DT, 1000, 1e-3)
+    program = lanes.program
+    lanes.compiled = NumpyLanes(program)
     numbers = [number for name in program.stepped for number in program.stepped[name]]
     function = numpy_function(program.graph, numbers)
     function.__globals__["np"] = jax.numpy

@@ -14,9 +14,8 @@ import approxjac as aj
 from approxjac.codegen import compiled
 from approxjac.codegen.backends.llvm import LlvmLanes
 from approxjac.codegen.backends.numpy_source import NumpyLanes
-from approxjac.codegen.lanes import Lanes
+from approxjac.codegen.lanes import Box, Lanes
 from approxjac.codegen.loop_program import TOLD, require_covered
-from approxjac.codegen.regions import Box
 from approxjac.controllers import DifferentiatedVelocity
 from approxjac.simulation import Sensing, VelocityServo
 from approxjac.stability.rollouts import setting as rollout_setting
@@ -178,10 +177,11 @@ def test_the_same_bits_in_numpy():
     begun, box = [each.begun(controller) for each in starts], whole._box()
     assert isinstance(box, Box)
     engines = (NumpyLanes, LlvmLanes, lambda p: LlvmLanes(p, 2, "+sse2"))
-    expected, *found = (
-        Lanes(controller, starts[0].plant, begun, box, 1e-3, 300, 0.3, engine=each).run(begun, 10)
-        for each in engines
-    )
+    lanes, found = Lanes(controller, starts[0].plant, begun, box, 1e-3, 300, 0.3), []
+    for engine in engines:
+        lanes.compiled = engine(lanes.program)
+        found.append(lanes.run(begun, 10))
+    expected, *found = found
     for told in TOLD:
         for each in found:
             assert_array_equal(each[told], expected[told], err_msg=told)

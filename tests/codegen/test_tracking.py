@@ -13,8 +13,7 @@ from random_trees import random_tree
 import approxjac as aj
 from approxjac.codegen.arm.learnt_arm import LearntBodies
 from approxjac.codegen.arm.rigid_body import Arm
-from approxjac.codegen.lanes import Begun, Lanes
-from approxjac.codegen.regions import Box
+from approxjac.codegen.lanes import Begun, Box, Lanes
 from approxjac.codegen.step import compiled
 from approxjac.codegen.trace.program import Program
 from approxjac.codegen.trace.symbols import inputs

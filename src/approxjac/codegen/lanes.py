@@ -3,26 +3,53 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from approxjac import law
+from approxjac.codegen import traced_law as laws
 from approxjac.codegen.arm import traced_tasks as tasks
 from approxjac.codegen.arm.arm_numbers import ArmNumbers, arm_numbers
+from approxjac.codegen.arm.rigid_body import Arm
 from approxjac.codegen.backends.llvm import LlvmLanes
 from approxjac.codegen.backends.numpy_source import NumpyLanes
-from approxjac.codegen.loop_program import TOLD, LoopProgram, closed_loop
-from approxjac.codegen.regions import Box
+from approxjac.codegen.loop_program import TOLD, ClosedLoop
+from approxjac.codegen.sensors import Senses
 from approxjac.codegen.trace.program import Block, Program
+from approxjac.codegen.trace.symbols import Condition, Number, Scalar, Symbols, select, symbols
 from approxjac.controllers.controller import Controller
+from approxjac.controllers.gains.gains import Diagonals
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.interface import Measurement, Target, TargetPath
+from approxjac.law.factors import Factors
 from approxjac.simulation import Plant
+from approxjac.tasks import Task
 from approxjac.tasks.analysis import image_feature
 from approxjac.validation import Array
 
 _BLOCK = 256  # steps that are drawn at once: some 20 MB of 1024 runs
+_ROUND_OFF = 1e-12  # that `JointBox` leaves at its ends
+
+
+class Box(NamedTuple):
+    """Configurations between bounds, where a task may have to be regular.
+
+    Attributes:
+        center: Shape (nq,).
+        lower: Smallest motion from it, shape (n_v,).
+        upper: Largest motion from it, shape (n_v,); of continuous joints as far as `lower`.
+        task: The task.
+        sigma_min: Smallest singular value that its Jacobian must have.
+    """
+
+    center: Array
+    lower: Array
+    upper: Array
+    task: Task | None = None
+    sigma_min: float = 0.0
 
 
 class Begun(NamedTuple):
@@ -64,18 +91,18 @@ class Begun(NamedTuple):
         long as many steps.
         """
         # only law (5) begins with x, once it is measured, and of images the points' order is seen
-        law = controller.law
-        is_setpoint = isinstance(law, SetpointController)
-        needed = not is_setpoint or law.velocity is not None  # type: ignore[attr-defined]
-        needed = needed or image_feature(law.task) is not None
+        inside = controller.law
+        is_setpoint = isinstance(inside, SetpointController)
+        needed = not is_setpoint or inside.velocity is not None  # type: ignore[attr-defined]
+        needed = needed or image_feature(inside.task) is not None
         x = plant.sensor.value(q) if needed else target
         state = controller.initial_state(Measurement(0.0, q, np.zeros(plant.robot.nv), x))
         frames = tasks.frames(plant.sensor) if frames is None else frames
         numbers = arm_numbers(plant.robot, frames)
         holding = plant.dynamics.g(q) if plant.actuator_delay > 0.0 else np.zeros(plant.robot.nv)
         sensor, gains = tasks.numbers([plant.sensor]), np.zeros(0)
-        if isinstance(law, SetpointController):
-            gains = np.concatenate(law.diagonals)
+        if isinstance(inside, SetpointController):
+            gains = np.concatenate(inside.diagonals)
         return cls(q, target, state, numbers, sensor, seed, holding, gains)
 
 
@@ -91,8 +118,10 @@ class Lanes:
         steps: Number of steps of a run.
         tolerance: Error below which a task counts as done.
         integrator: Of the plant: one of `INTEGRATORS`.
-        engine: What carries the program out.
         path: Where the target of all runs moves, in place of their own; None is at rest.
+
+    Attributes:
+        program: What is done in each step.
     """
 
     def __init__(
@@ -105,53 +134,67 @@ class Lanes:
         steps: int,
         tolerance: float,
         integrator: str = "semi_implicit_euler",
-        engine: Callable[[Program], LlvmLanes | NumpyLanes] = LlvmLanes,
         path: Target | TargetPath | None = None,
     ) -> None:
-        numbers, sensors, targets = _stacked(examples)
-        gains = np.array([each.gains for each in examples])
-        self._loop: LoopProgram = closed_loop(
-            controller, plant, numbers, sensors, targets, gains, region, dt, steps, tolerance,
-            integrator, path,
-        )  # fmt: skip
-        self._steps = steps
-        self._engine = engine
+        self.program = program = Program()
+        self._steps, m = steps, controller.task.m
+        numbers, sensors, others = _stacked(examples)
+        given = {name: program.given(name, each) for name, each in (others | sensors).items()}
+        self._senses = senses = Senses(plant, dt, steps, path)
+        target = senses.target(program) or Target(given["target"])
+        if "gains" in given:
+            own = Diagonals(*np.split(given["gains"], (m, 2 * m)))
+            controller = laws.with_gains(controller, own)
+        loop = ClosedLoop(
+            program, controller, plant, numbers, target, dt, integrator, given, senses
+        )
+        self._truth, told = loop.truth, {name: program.kept(name, 1)[0] for name in TOLD}
+        program.step(loop.after | {
+            TOLD.diverged: select(loop.diverged, 1.0, told[TOLD.diverged]),
+            TOLD.left: select(loop.left, 1.0, told[TOLD.left]),
+        })  # fmt: skip
+        error = np.sqrt((loop.error * loop.error).sum())
+        is_outside = _outside(loop.q, plant, region)
+        program.record({
+            TOLD.last_bad: select(error < tolerance, told[TOLD.last_bad], program.k),
+            TOLD.error: error,
+            TOLD.torque: _larger(told[TOLD.torque], loop.answer.torque / plant.motor_limits),
+            TOLD.speed: _larger(told[TOLD.speed], loop.v / plant.robot.velocity_limits),
+            TOLD.outside: select(is_outside, 1.0, told[TOLD.outside]),
+        })  # fmt: skip
 
     @functools.cached_property
     def compiled(self) -> LlvmLanes | NumpyLanes:
-        """The program, compiled when it first runs."""
-        return self._engine(self._loop.program)
+        """The program, compiled when it first runs; `NumpyLanes` may take its place."""
+        return LlvmLanes(self.program)
 
     def packed(self, starts: Sequence[Begun]) -> tuple[Array, Array]:
         """Return what is kept of some runs before their first step, and what stays, as vectors."""
-        program, width = self._loop.program, self.compiled.width
+        program, width = self.program, self.compiled.width
         kept = np.zeros((len(starts), program.n_rows))
         columns = {name: kept[:, at : at + size] for name, (at, size) in program.rows.items()}
         columns["q"][:] = [start.q for start in starts]
         columns["state"][:] = [start.state for start in starts]
         columns[TOLD.last_bad][:] = -1.0
-        self._loop.senses.begun(program, kept, np.array([start.holding for start in starts]))
-        numbers, sensors, targets = _stacked(starts)
-        named = self._loop.truth.named(numbers) | sensors | {"target": targets}
-        gains = np.array([start.gains for start in starts])
-        if gains.size:
-            named["gains"] = gains
+        self._senses.begun(program, kept, np.array([start.holding for start in starts]))
+        numbers, sensors, others = _stacked(starts)
+        named = self._truth.named(numbers) | sensors | others
         return _packed(kept, width), _packed(program.filled(named), width)
 
     @functools.cached_property
     def _times(self) -> Array:
-        return self._loop.senses.times(self._loop.program)
+        return self._senses.times(self.program)
 
     def run(self, starts: Sequence[Begun], every: int) -> dict[str, Array]:
-        """Return what is told of some runs: the names of `TOLD`, each with an array (N,).
+        """Return the outcome of some runs: the names of `TOLD`, each with an array (N,).
 
         Args:
             starts: How they begin.
             every: Which instants are recorded: each so many steps, and the last.
         """
         kept, parameters = self.packed(starts)
-        program, width = self._loop.program, self.compiled.width
-        draws = self._loop.senses.drawn(program, [start.seed for start in starts], width)
+        program, width = self.program, self.compiled.width
+        draws = self._senses.drawn(program, [start.seed for start in starts], width)
         for first in range(0, self._steps + 1, _BLOCK):
             times = self._times[first : first + _BLOCK]
             block = Block(first, times, draws.block(first, first + len(times)))
@@ -160,13 +203,45 @@ class Lanes:
         return {name: columns[:, program.rows[name][0]] for name in TOLD}
 
 
-def _stacked(starts: Sequence[Begun]) -> tuple[ArmNumbers, dict[str, Array], Array]:
-    """Return numbers of the robots and of the sensors, and targets, each with an axis in front."""
+def _stacked(
+    starts: Sequence[Begun],
+) -> tuple[ArmNumbers, dict[str, Array], dict[str, Array]]:
+    """Return numbers of robots, of sensors, and others by name, each with an axis in front."""
     sensors = {
         name: np.concatenate([start.sensor[name] for start in starts]) for name in starts[0].sensor
     }
-    numbers = ArmNumbers.stacked([start.numbers for start in starts])
-    return numbers, sensors, np.array([start.target for start in starts])
+    others = {"target": np.array([start.target for start in starts])}
+    if starts[0].gains.size:
+        others["gains"] = np.array([start.gains for start in starts])
+    return ArmNumbers.stacked([start.numbers for start in starts]), sensors, others
+
+
+def _outside(q: Symbols, plant: Plant, box: Box) -> Condition:
+    """Return whether a configuration (nq,) is not in a box."""
+    found: list[Condition] = []
+    for joint in list(plant.robot.model.joints)[1:]:
+        if not joint.nv:
+            continue
+        at, low, high = joint.idx_q, box.lower[joint.idx_v], box.upper[joint.idx_v]
+        if joint.nq == 1:
+            motion = q[at] - box.center[at]
+            found += [motion < low - _ROUND_OFF, motion > high + _ROUND_OFF]
+        elif high + _ROUND_OFF < math.pi:
+            cosine, sine = box.center[at : at + 2]
+            found.append(q[at] * cosine + q[at + 1] * sine < math.cos(high + _ROUND_OFF))
+    if box.task is not None and box.sigma_min > 0.0:
+        J = tasks.jacobian(box.task, Arm.known(box.task.robot).at(q))
+        G = J @ J.T if J.shape[0] <= J.shape[1] else J.T @ J
+        pivots = Factors(G - np.multiply(box.sigma_min**2, np.eye(len(G)))).pivots
+        found += [pivot <= 0.0 for pivot in pivots]  # one is, where an eigenvalue is
+    return law.any_of(symbols(found))
+
+
+def _larger(known: Number, shares: Symbols) -> Number:
+    for share in np.abs(shares).tolist():
+        if isinstance(share, Scalar):
+            known = select(share > known, share, known)
+    return known
 
 
 def _packed(columns: Array, width: int) -> Array:

@@ -113,13 +113,13 @@ class Senses:
             x = np.where(symbols(kept["dropped"] > 0.0), np.nan, x)
         return Measured(q, v, x, kept)
 
-    def target(self, program: Program) -> tuple[Symbols, Symbols | None] | None:
-        """Return x_d and its rate, where the target of all runs moves."""
+    def target(self, program: Program) -> Target | None:
+        """Return the target, where that of all runs moves."""
         if not self._targets:
             return None
         moves = any(each.v is not None for each in self._targets)
         v_d = program.timed("target_v", self._sensor.m) if moves else None
-        return program.timed("target", self._sensor.n_x), v_d
+        return Target(program.timed("target", self._sensor.n_x), v_d)
 
     def time_of_x(self, program: Program) -> Number:
         """Return the time at which x was taken [s]."""

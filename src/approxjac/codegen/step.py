@@ -50,7 +50,7 @@ def step_program(controller: Controller, *, may_lose: bool) -> Program:
     q, v, x, target, state, (dt,), (time,), (t_x,), *rates = given.values()
     predicts = _predicts(controller)
     if predicts:  # an x beyond what can be learnt from is lost
-        x = np.where(x * x < HUGE, x, math.nan)
+        x = np.where(x * x < HUGE, x, np.nan)
     after, answer, left = laws.stepped(
         controller, state, Measurement(time, q, v, x, t_x),
         Target(target, *rates) if rates else target,

@@ -27,8 +27,7 @@ from approxjac.stability.loop.configurations import UnattainedError, VisiblePart
 from approxjac.validation import Array
 
 if TYPE_CHECKING:
-    from approxjac.codegen.lanes import Begun, Lanes
-    from approxjac.codegen.regions import Box
+    from approxjac.codegen.lanes import Begun, Box, Lanes
 
 _RECORDS = 500  # of a run: 50 in its last tenth
 _PER_STEP = 6e-5  # s, of a step of a run in Python
@@ -186,7 +185,7 @@ class RolloutSetting:
     def _box(self) -> Box:
         """Return the region as lanes take it, or refuse it."""
         from approxjac.codegen.arm.traced_tasks import require_covered
-        from approxjac.codegen.regions import Box
+        from approxjac.codegen.lanes import Box
 
         part = self.region
         region, task, sigma_min = part, None, 0.0
