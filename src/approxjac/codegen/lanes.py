@@ -16,7 +16,7 @@ from approxjac.codegen.arm.arm_numbers import ArmNumbers, arm_numbers
 from approxjac.codegen.arm.rigid_body import Arm
 from approxjac.codegen.backends.llvm import LlvmLanes
 from approxjac.codegen.backends.numpy_source import NumpyLanes
-from approxjac.codegen.loop_program import TOLD, ClosedLoop
+from approxjac.codegen.loop_program import TOLD, TracedLoop
 from approxjac.codegen.sensors import Senses
 from approxjac.codegen.trace.program import Block, Program
 from approxjac.codegen.trace.symbols import Condition, Number, Scalar, Symbols, select, symbols
@@ -145,7 +145,7 @@ class Lanes:
         if "gains" in given:
             own = Diagonals(*np.split(given["gains"], (m, 2 * m)))
             controller = laws.with_gains(controller, own)
-        loop = ClosedLoop(
+        loop = TracedLoop(
             program, controller, plant, numbers, target, dt, integrator, given, senses
         )
         self._truth, told = loop.truth, {name: program.kept(name, 1)[0] for name in TOLD}

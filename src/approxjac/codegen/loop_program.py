@@ -89,7 +89,7 @@ def recorded_loop(controller: Controller, plant: Plant, dt: float, integrator: s
     program = Program()
     target = Target(program.kept("target", plant.sensor.n_x))
     numbers = ArmNumbers.stacked([arm_numbers(plant.robot, tasks.frames(plant.sensor))])
-    loop = ClosedLoop(program, controller, plant, numbers, target, dt, integrator)
+    loop = TracedLoop(program, controller, plant, numbers, target, dt, integrator)
     answer = loop.answer
     flags = {
         name: (select(condition, 1.0, program.kept(name, 1)[0]))
@@ -108,7 +108,7 @@ def recorded_loop(controller: Controller, plant: Plant, dt: float, integrator: s
     return program
 
 
-class ClosedLoop:
+class TracedLoop:
     """A step of a sampled loop.
 
     Args:
