@@ -65,8 +65,8 @@ MUTANTS = [
     ),
     (
         "fallback in the order of joints", "law/limits.py",
-        "np.maximum(sizes, _LEAST), _places(lacks)",
-        "np.maximum(sizes, _LEAST), np.arange(1.0 * len(lacks))", PERIODS,
+        "soft = place <= i",
+        "soft = np.arange(1.0 * len(lacks)) <= i", PERIODS,
     ),
     (
         "dynamics learn without a prediction", "controllers/tracking.py",

@@ -24,7 +24,7 @@ def test_it_is_the_minimum(kind):
             problem = programs.around(problem, rng)[0]
         elif kind != "ordinary":
             problem = programs.FEASIBLE[kind](problem, rng)
-        z, verdict = interior_minimum(*problem)
+        z, verdict = interior_minimum(problem)
         exact = DAQP.solve(problem)[0]
         assert (problem.lower <= z).all()
         assert (z <= problem.upper).all()
@@ -43,7 +43,7 @@ def test_what_nothing_keeps_is_not_found(kind):
         if kind == "opposed":  # by more than what counts as kept
             problem = problem._replace(row_upper=problem.row_upper - 0.1)
         with np.errstate(all="ignore"):
-            assert interior_minimum(*problem)[1] == 1
+            assert interior_minimum(problem)[1] == 1
 
 
 def test_the_last_row_may_have_a_price():
@@ -55,7 +55,7 @@ def test_the_last_row_may_have_a_price():
         low[-1] = -np.inf
         problem, price = problem._replace(row_lower=low), 10.0 ** rng.uniform(-1.0, 2.0)
         exact, _ = DAQP.solve(problem, price)
-        z, verdict = interior_minimum(*problem, price)
+        z, verdict = interior_minimum(problem, price)
         assert verdict == 0
         np.testing.assert_allclose(z, exact, atol=1e-4 * max(1.0, np.abs(exact).max()))
         paid.append(problem.A[-1] @ z > problem.row_upper[-1] + 1e-6)

@@ -146,10 +146,9 @@ class SetpointController(Immutable, Controller):
             if value is not None:
                 require(name, value, kind, wanted)
         robot = task.robot
-        self.task = task
+        self.task, self.velocity, self.posture, self.latency = task, velocity, posture, latency
         self.gravity: Gravity = ModelGravity(robot) if gravity is None else gravity
         require_gravity(self.gravity, task)
-        self.velocity, self.latency = velocity, latency
         self.tuning = self._tuned(gains, latency, settling_time)
         if gains is None:
             assert self.tuning is not None
@@ -157,7 +156,6 @@ class SetpointController(Immutable, Controller):
             saturation = Tanh(self.tuning.gamma) if saturation is None else saturation
         self.gains = gains
         self.saturation: Saturation = Linear() if saturation is None else saturation
-        self.posture = posture
         self.diagonals = self.gains.diagonals(task.m, robot.nv)
         require_saturation(self.saturation, task)
         require_damping(self.gains, self.diagonals, task, default_gains)
@@ -182,10 +180,9 @@ class SetpointController(Immutable, Controller):
         self.reach, self._subtracts = Reach(task), task._subtracts  # as most do
         self._combination = analysis.combination(task)  # a target moves as what is measured does
         self._continuous = robot.nq != robot.nv
-        self._n_state = self._p + (0 if velocity is None else task.m)
+        self._no_rate = np.zeros(self._p + (0 if velocity is None else task.m))
         # of q, v, x, target and state
-        self._shapes = (robot.nq,), (robot.nv,), (task.n_x,), (task.n_x,), (self._n_state,)
-        self._no_rate = np.zeros(self._n_state)
+        self._shapes = (robot.nq,), (robot.nv,), (task.n_x,), (task.n_x,), self._no_rate.shape
         self._no_rate.flags.writeable = False
 
     def _tuned(
@@ -213,7 +210,7 @@ class SetpointController(Immutable, Controller):
         """
         task, x_d, x = self.task, np.zeros(self.task.n_x), getattr(measurement, "x", None)
         if not hasattr(x, "arm_of"):  # which symbols have
-            q, _, x = require_arrays(self._no_rate, measurement, x_d, task, self._n_state)
+            q, _, x = require_arrays(self._no_rate, measurement, x_d, task, len(self._no_rate))
             analysis.require_as_believed(task, q, x)
             if self.velocity is not None:
                 self.velocity.require_finite(x)
@@ -264,22 +261,11 @@ class SetpointController(Immutable, Controller):
         return np.asarray(-(kp * np.nan_to_num(self.saturation.s(e)) + kv * x_dot).dot(J_hat))
 
     def passive_output(self, answer: Evaluation, v: Array, alpha: float | Array) -> Array:
-        """Return y = q̇ + αĴ⁺s(e), eq. (10), where this controller gave an answer.
-
-        Args:
-            answer: The answer.
-            v: The joint velocity that it was given for, shape (n_v,).
-            alpha: α [1/s].
-
-        Returns:
-            Shape (n_v,) [rad/s or m/s]; q̇ where x was lost.
-        """
+        """Return y = q̇ + αĴ⁺s(e), eq. (10); q̇ where x was lost."""
         e, J_hat = answer.e, answer.J_hat
-        if J_hat is None or (told := law.is_finite(e)) is False:  # s of an infinite e may be finite
+        if J_hat is None or (is_seen := law.is_finite(e)) is False:  # s(∞) may be finite
             return v
-        s = law.array(self.saturation.s(e))
-        if told is not True:
-            s = law.select(told, s, np.zeros(len(e)))
+        s = law.select(is_seen, law.array(self.saturation.s(e)), np.zeros(len(e)))
         return law.passive_output(v, self.pinv.times(J_hat, s)[0], alpha)
 
     def is_proven(self, answer: Evaluation) -> Any:
@@ -337,11 +323,7 @@ class SetpointController(Immutable, Controller):
 
     @functools.cached_property
     def alpha(self) -> float:  # type: ignore[override]
-        """α of the Lyapunov function where none is given [1/s].
-
-        That of the adaptation where gravity is learnt, else 0.3 of the rate of the task's slow
-        pole.
-        """
+        """α of V [1/s]: of the adaptation if any, else 0.3 of the rate of the task's slow pole."""
         if self.adaptation is not None:
             return self.adaptation.alpha
         return _ALPHA_SHARE * slow_rate(self.task, self.diagonals)
@@ -362,13 +344,7 @@ class SetpointController(Immutable, Controller):
         return self._with(gravity=gravity)
 
     def with_task(self, task: Task) -> Self:
-        """Return this controller with another task, such as that of another believed robot.
-
-        Gains, gravity, and what is learnt of it, stay as they are.
-
-        Args:
-            task: A task with the same coordinates, of a robot with the same joints.
-        """
+        """Return this controller with another task; gains, gravity and its learning stay."""
         return self._with(task=task)
 
     def _with(self, **changes: Any) -> Self:
@@ -411,7 +387,7 @@ class SetpointController(Immutable, Controller):
                 e = law.array(self.task.error(x, target))
                 lost = law.complement(law.is_finite(e))
                 return self._answer(q, v, x, e, state, v_d, lost)
-            q, v, x = require_arrays(state, measurement, target, self.task, self._n_state)
+            q, v, x = require_arrays(state, measurement, target, self.task, len(self._no_rate))
         # One number that is not small if anything is not finite. Unlike sums of squares it
         # overflows without a warning, and it is faster.
         size = math.hypot(*q.tolist(), *v.tolist(), *x.tolist(), *target.tolist(), *state.tolist())
@@ -469,7 +445,6 @@ class SetpointController(Immutable, Controller):
         if learning is not None:
             rests, far = learning.rests(torque), self.reach.is_exceeded(q, e)
             stands = lost | rests | far
-
             rate = self._no_rate[: self._p]
             if stands is not True:
                 assert Y is not None
@@ -485,17 +460,20 @@ class SetpointController(Immutable, Controller):
         status = law.select(lost, _LOST, status)
         return Evaluation(torque, rate, status, e, J_hat, g, _UNLIMITED, 0.0, reference)
 
+    @property
+    def _equations(self) -> tuple[str, ...]:
+        return ("(28)", "(29)") if self._p else ("(6)" if self.velocity is None else "(5)",)
+
     def describe(self) -> list[str]:
         """Return law, gains, saturation and gravity in a line, its task, and the rule's reasons."""
-        number = "(28)" if self._p else "(6)" if self.velocity is None else "(5)"
         saturation = describe_saturation(self.saturation, self.task)
         gravity = "learnt" if self._p else describe_gravity(self.gravity, self.task.robot)
-        first = f"set-point law {number}, {self.gains}, {saturation}; gravity {gravity}"
+        first = f"set-point law {self._equations[0]}, {self.gains}, {saturation}; gravity {gravity}"
         return [first, super().describe()[1], *(self.tuning.reasons if self.tuning else ())]
 
     def __repr__(self) -> str:
-        law = "(28), (29)" if self._p else "(6)" if self.velocity is None else "(5)"
-        parts = f"law {law}, {self.task!r}, {self.gains!r}, {self.gravity!r}"
+        numbers = ", ".join(self._equations)
+        parts = f"law {numbers}, {self.task!r}, {self.gains!r}, {self.gravity!r}"
         return f"{type(self).__name__}({parts})"
 
 

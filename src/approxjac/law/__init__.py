@@ -3,274 +3,124 @@
 Symbols are the paper's; misprints are corrected and each departure is named where it is made.
 """
 
-from approxjac.law.adaptation import (
-    V1,
-    V1_fall,
-    correction,
-    forgotten_information,
-    information,
-    passive_output,
-    swept_within_bounds,
-    theta_hat_rate,
-    within_bounds,
-)
-from approxjac.law.branches import (
-    all_finite,
-    all_of,
-    alter,
-    any_of,
-    array,
-    choose,
-    collect,
-    complement,
-    is_finite,
-    leave,
-    repeat,
-    select,
-    surely,
-    take,
-)
-from approxjac.law.conditions import (
-    allowed_p,
-    allowed_p_at_crossing,
-    allowed_p_position,
-    allowed_p_velocity,
-    best_alpha,
-    jacobian_error,
-    lambda_2,
-    largest_allowed_p,
-    largest_alpha,
-)
-from approxjac.law.images import image_turn, ray_basis, ray_jacobian, rays
-from approxjac.law.limits import (
-    AskedTorque,
-    JointRange,
-    LimitStep,
-    Minimum,
-    Rows,
-    TorqueRows,
-    acceleration_bounds,
-    approach_speed,
-    braked,
-    largest,
-    limit_step,
-    limited_torque,
-    rate_bounds,
-    speed_bounds,
-    within,
-)
-from approxjac.law.linearization import (
-    adaptive_closed_loop_matrix,
-    closed_loop_matrix,
-    learning_gain,
-)
-from approxjac.law.lyapunov import V, W, parameter_potential
-from approxjac.law.matrix_form import (
-    cross_weight_damped,
-    cross_weight_pinv,
-    decrease_matrix,
-    dissipation,
-    inertial_block,
-    potential,
-    potential_block,
-    potential_matrix,
-    stiffness_block,
-)
-from approxjac.law.products import length, root
-from approxjac.law.pseudoinverse import (
-    SINGULAR_RATIO,
-    adjugate,
-    damped_gram_solve,
-    gram_damping,
-    is_near_singular,
-    is_surely_regular,
-    may_be_singular,
-    right_pinv,
-    solution,
-)
-from approxjac.law.quadratic import interior_minimum
-from approxjac.law.rotation import (
-    best_rotation,
-    cross_matrix,
-    explained,
-    generators,
-    log_rate,
-    most_explained,
-    nearest_rotation,
-    quaternion,
-    quaternion_between,
-    rodrigues,
-    rotation_between,
-    rotation_exp,
-    rotation_information,
-    rotation_log,
-    rotation_of,
-    rotations_everywhere,
-    tangents,
-    turned,
-)
-from approxjac.law.sampled_loop import LinearLaw, frame_map
-from approxjac.law.saturation import Linear, Saturation, Sine, Tanh
-from approxjac.law.steps import (
-    HoldStep,
-    SetpointStep,
-    SetpointTerms,
-    Singularity,
-    damped_pinv,
-    hold_moved,
-    hold_step,
-    setpoint_step,
-    within_null_space,
-)
-from approxjac.law.torque import (
-    bounded_torque,
-    bounded_torque_bound,
-    estimated_velocity_torque,
-    gravity,
-    learnt_gravity_torque,
-    measured_velocity_torque,
-)
-from approxjac.law.tracking import (
-    PredictedError,
-    ReferenceGains,
-    dynamics_rate,
-    reference,
-    reference_step,
-    saturated,
-    servo_lag_rate,
-    task_velocity,
-    tracking_potential,
-    tracking_torque,
-    within_speeds,
-)
-
-__all__ = [
-    "SINGULAR_RATIO",
-    "V1",
-    "AskedTorque",
-    "HoldStep",
-    "JointRange",
-    "LimitStep",
-    "Linear",
-    "LinearLaw",
-    "Minimum",
-    "PredictedError",
-    "ReferenceGains",
-    "Rows",
-    "Saturation",
-    "SetpointStep",
-    "SetpointTerms",
-    "Sine",
-    "Singularity",
-    "Tanh",
-    "TorqueRows",
-    "V",
-    "V1_fall",
-    "W",
-    "acceleration_bounds",
-    "adaptive_closed_loop_matrix",
-    "adjugate",
-    "all_finite",
-    "all_of",
-    "allowed_p",
-    "allowed_p_at_crossing",
-    "allowed_p_position",
-    "allowed_p_velocity",
-    "alter",
-    "any_of",
-    "approach_speed",
-    "array",
-    "best_alpha",
-    "best_rotation",
-    "bounded_torque",
-    "bounded_torque_bound",
-    "braked",
-    "choose",
-    "closed_loop_matrix",
-    "collect",
-    "complement",
-    "correction",
-    "cross_matrix",
-    "cross_weight_damped",
-    "cross_weight_pinv",
-    "damped_gram_solve",
-    "damped_pinv",
-    "decrease_matrix",
-    "dissipation",
-    "dynamics_rate",
-    "estimated_velocity_torque",
-    "explained",
-    "forgotten_information",
-    "frame_map",
-    "generators",
-    "gram_damping",
-    "gravity",
-    "hold_moved",
-    "hold_step",
-    "image_turn",
-    "inertial_block",
-    "information",
-    "interior_minimum",
-    "is_finite",
-    "is_near_singular",
-    "is_surely_regular",
-    "jacobian_error",
-    "lambda_2",
-    "largest",
-    "largest_allowed_p",
-    "largest_alpha",
-    "learning_gain",
-    "learnt_gravity_torque",
-    "leave",
-    "length",
-    "limit_step",
-    "limited_torque",
-    "log_rate",
-    "may_be_singular",
-    "measured_velocity_torque",
-    "most_explained",
-    "nearest_rotation",
-    "parameter_potential",
-    "passive_output",
-    "potential",
-    "potential_block",
-    "potential_matrix",
-    "quaternion",
-    "quaternion_between",
-    "rate_bounds",
-    "ray_basis",
-    "ray_jacobian",
-    "rays",
-    "reference",
-    "reference_step",
-    "repeat",
-    "right_pinv",
-    "rodrigues",
-    "root",
-    "rotation_between",
-    "rotation_exp",
-    "rotation_information",
-    "rotation_log",
-    "rotation_of",
-    "rotations_everywhere",
-    "saturated",
-    "select",
-    "servo_lag_rate",
-    "setpoint_step",
-    "solution",
-    "speed_bounds",
-    "stiffness_block",
-    "surely",
-    "swept_within_bounds",
-    "take",
-    "tangents",
-    "task_velocity",
-    "theta_hat_rate",
-    "tracking_potential",
-    "tracking_torque",
-    "turned",
-    "within",
-    "within_bounds",
-    "within_null_space",
-    "within_speeds",
-]
+from approxjac.law.adaptation import V1 as V1
+from approxjac.law.adaptation import V1_fall as V1_fall
+from approxjac.law.adaptation import correction as correction
+from approxjac.law.adaptation import forgotten_information as forgotten_information
+from approxjac.law.adaptation import information as information
+from approxjac.law.adaptation import passive_output as passive_output
+from approxjac.law.adaptation import swept_within_bounds as swept_within_bounds
+from approxjac.law.adaptation import theta_hat_rate as theta_hat_rate
+from approxjac.law.adaptation import within_bounds as within_bounds
+from approxjac.law.branches import all_of as all_of
+from approxjac.law.branches import alter as alter
+from approxjac.law.branches import any_of as any_of
+from approxjac.law.branches import array as array
+from approxjac.law.branches import choose as choose
+from approxjac.law.branches import collect as collect
+from approxjac.law.branches import complement as complement
+from approxjac.law.branches import is_finite as is_finite
+from approxjac.law.branches import leave as leave
+from approxjac.law.branches import repeat as repeat
+from approxjac.law.branches import select as select
+from approxjac.law.branches import surely as surely
+from approxjac.law.branches import take as take
+from approxjac.law.conditions import allowed_p as allowed_p
+from approxjac.law.conditions import allowed_p_at_crossing as allowed_p_at_crossing
+from approxjac.law.conditions import allowed_p_position as allowed_p_position
+from approxjac.law.conditions import allowed_p_velocity as allowed_p_velocity
+from approxjac.law.conditions import best_alpha as best_alpha
+from approxjac.law.conditions import jacobian_error as jacobian_error
+from approxjac.law.conditions import lambda_2 as lambda_2
+from approxjac.law.conditions import largest_allowed_p as largest_allowed_p
+from approxjac.law.conditions import largest_alpha as largest_alpha
+from approxjac.law.images import image_turn as image_turn
+from approxjac.law.images import ray_basis as ray_basis
+from approxjac.law.images import ray_jacobian as ray_jacobian
+from approxjac.law.images import rays as rays
+from approxjac.law.limits import AskedTorque as AskedTorque
+from approxjac.law.limits import JointRange as JointRange
+from approxjac.law.limits import Rows as Rows
+from approxjac.law.limits import TorqueRows as TorqueRows
+from approxjac.law.limits import acceleration_bounds as acceleration_bounds
+from approxjac.law.limits import approach_speed as approach_speed
+from approxjac.law.limits import braked as braked
+from approxjac.law.limits import largest as largest
+from approxjac.law.limits import limit_step as limit_step
+from approxjac.law.limits import limited_torque as limited_torque
+from approxjac.law.limits import rate_bounds as rate_bounds
+from approxjac.law.limits import speed_bounds as speed_bounds
+from approxjac.law.limits import within as within
+from approxjac.law.linearization import adaptive_closed_loop_matrix as adaptive_closed_loop_matrix
+from approxjac.law.linearization import closed_loop_matrix as closed_loop_matrix
+from approxjac.law.linearization import learning_gain as learning_gain
+from approxjac.law.lyapunov import V as V
+from approxjac.law.lyapunov import W as W
+from approxjac.law.lyapunov import parameter_potential as parameter_potential
+from approxjac.law.matrix_form import cross_weight_damped as cross_weight_damped
+from approxjac.law.matrix_form import cross_weight_pinv as cross_weight_pinv
+from approxjac.law.matrix_form import decrease_matrix as decrease_matrix
+from approxjac.law.matrix_form import dissipation as dissipation
+from approxjac.law.matrix_form import inertial_block as inertial_block
+from approxjac.law.matrix_form import potential as potential
+from approxjac.law.matrix_form import potential_block as potential_block
+from approxjac.law.matrix_form import potential_matrix as potential_matrix
+from approxjac.law.matrix_form import stiffness_block as stiffness_block
+from approxjac.law.products import length as length
+from approxjac.law.products import root as root
+from approxjac.law.pseudoinverse import SINGULAR_RATIO as SINGULAR_RATIO
+from approxjac.law.pseudoinverse import adjugate as adjugate
+from approxjac.law.pseudoinverse import damped_gram_solve as damped_gram_solve
+from approxjac.law.pseudoinverse import gram_damping as gram_damping
+from approxjac.law.pseudoinverse import is_near_singular as is_near_singular
+from approxjac.law.pseudoinverse import is_surely_regular as is_surely_regular
+from approxjac.law.pseudoinverse import may_be_singular as may_be_singular
+from approxjac.law.pseudoinverse import right_pinv as right_pinv
+from approxjac.law.quadratic import Minimum as Minimum
+from approxjac.law.quadratic import QuadraticProgram as QuadraticProgram
+from approxjac.law.quadratic import interior_minimum as interior_minimum
+from approxjac.law.rotation import best_rotation as best_rotation
+from approxjac.law.rotation import cross_matrix as cross_matrix
+from approxjac.law.rotation import explained as explained
+from approxjac.law.rotation import generators as generators
+from approxjac.law.rotation import log_rate as log_rate
+from approxjac.law.rotation import most_explained as most_explained
+from approxjac.law.rotation import nearest_rotation as nearest_rotation
+from approxjac.law.rotation import quaternion as quaternion
+from approxjac.law.rotation import rotation_between as rotation_between
+from approxjac.law.rotation import rotation_exp as rotation_exp
+from approxjac.law.rotation import rotation_information as rotation_information
+from approxjac.law.rotation import rotation_log as rotation_log
+from approxjac.law.rotation import rotation_of as rotation_of
+from approxjac.law.rotation import rotations_everywhere as rotations_everywhere
+from approxjac.law.rotation import tangents as tangents
+from approxjac.law.rotation import turned as turned
+from approxjac.law.sampled_loop import LinearLaw as LinearLaw
+from approxjac.law.sampled_loop import frame_map as frame_map
+from approxjac.law.saturation import Linear as Linear
+from approxjac.law.saturation import Saturation as Saturation
+from approxjac.law.saturation import Sine as Sine
+from approxjac.law.saturation import Tanh as Tanh
+from approxjac.law.steps import SetpointTerms as SetpointTerms
+from approxjac.law.steps import Singularity as Singularity
+from approxjac.law.steps import damped_pinv as damped_pinv
+from approxjac.law.steps import hold_moved as hold_moved
+from approxjac.law.steps import hold_step as hold_step
+from approxjac.law.steps import setpoint_step as setpoint_step
+from approxjac.law.torque import bounded_torque as bounded_torque
+from approxjac.law.torque import bounded_torque_bound as bounded_torque_bound
+from approxjac.law.torque import estimated_velocity_torque as estimated_velocity_torque
+from approxjac.law.torque import gravity as gravity
+from approxjac.law.torque import learnt_gravity_torque as learnt_gravity_torque
+from approxjac.law.torque import measured_velocity_torque as measured_velocity_torque
+from approxjac.law.tracking import PredictedError as PredictedError
+from approxjac.law.tracking import ReferenceGains as ReferenceGains
+from approxjac.law.tracking import dynamics_rate as dynamics_rate
+from approxjac.law.tracking import reference as reference
+from approxjac.law.tracking import reference_step as reference_step
+from approxjac.law.tracking import saturated as saturated
+from approxjac.law.tracking import servo_lag_rate as servo_lag_rate
+from approxjac.law.tracking import task_velocity as task_velocity
+from approxjac.law.tracking import tracking_potential as tracking_potential
+from approxjac.law.tracking import tracking_torque as tracking_torque
+from approxjac.law.tracking import within_speeds as within_speeds

@@ -16,6 +16,7 @@ import numpy as np
 
 from approxjac.law.branches import choose, complement, repeat, select
 from approxjac.law.products import root
+from approxjac.law.quadratic import Minimum, QuadraticProgram
 from approxjac.validation import Array
 
 _ROUND_OFF = 1e-12
@@ -53,58 +54,35 @@ def limited_torque(
     """
     clipped: Array = np.minimum(np.maximum(torque, lower), upper)
     step, power = y / weight, y.dot(clipped - torque)
-    if type(torque) is np.ndarray:
-        guess = _guessed_torque(torque, y, lower, upper, step, rho, clipped, power)
-        if guess is not None:
-            return guess
+    if type(torque) is np.ndarray:  # where it is quickly found, which saves time only
+        if power <= 0.0:
+            return clipped, 0.0
+        if not math.isfinite(power):  # it overflows
+            return clipped, math.inf
+        # where no joint reaches or leaves a limit on the way, the first guess is exact
+        slope = float((y * step).dot(clipped == torque))
+        multiplier = min(power / slope, rho) if slope > 0.0 else rho
+        guess: Array = np.minimum(np.maximum(torque - multiplier * step, lower), upper)
+        left = float(y.dot(guess - torque))
+        if abs(left) <= _ROUND_OFF * power:
+            return guess, 0.0
+        if left > 0.0 and multiplier == rho:
+            return guess, left
     most = power_zero(power, torque, y, lower, upper, step)
     least = np.minimum(np.maximum(torque - np.minimum(most, rho) * step, lower), upper)
-    left = select(most <= rho, 0.0, y.dot(least - torque))
+    slack = select(most <= rho, 0.0, y.dot(least - torque))
     is_positive, is_finite = power > 0.0, power < np.inf
-    found = select(is_positive & is_finite, least, clipped)
-    return found, select(is_finite, select(is_positive, left, 0.0), math.inf)
-
-
-def _guessed_torque(
-    torque: Array,
-    y: Array,
-    lower: Array,
-    upper: Array,
-    step: Array,
-    rho: float,
-    clipped: Array,
-    power: float,
-) -> tuple[Array, float] | None:
-    """Return what `limited_torque` does where it is quickly found, which saves time only."""
-    if power <= 0.0:
-        return clipped, 0.0
-    if not math.isfinite(power):  # it overflows
-        return clipped, math.inf
-    # where no joint reaches or leaves a limit on the way, the first guess is exact
-    slope = float((y * step).dot(clipped == torque))
-    multiplier = min(power / slope, rho) if slope > 0.0 else rho
-    guess: Array = np.minimum(np.maximum(torque - multiplier * step, lower), upper)
-    left = float(y.dot(guess - torque))
-    if abs(left) <= _ROUND_OFF * power:
-        return guess, 0.0
-    return (guess, left) if left > 0.0 and multiplier == rho else None
+    nearest = select(is_positive & is_finite, least, clipped)
+    return nearest, select(is_finite, select(is_positive, slack, 0.0), math.inf)
 
 
 def power_zero(
     power: float, torque: Array, y: Array, lower: Array, upper: Array, step: Array
 ) -> float:
-    """λ > 0 where the power of `limited_torque`, positive at λ = 0, falls to zero.
+    """λ > 0 where the power of `limited_torque`, positive at λ = 0, falls to zero; `step` is R⁻¹y.
 
     It never rises, and is straight between the breaks: so λ is on the line from the last break that
     has a power above zero to the first one that has not, and infinite where none has not.
-
-    Args:
-        power: yᵀ(τ − τ*) at λ = 0.
-        torque: As in `limited_torque`, and so are y, lower and upper.
-        y: Passive output.
-        lower: Smallest torques.
-        upper: Largest torques.
-        step: R⁻¹y, shape (n_v,).
     """
     per_step = np.where(np.abs(step) < _NONE, _FAR, step)
     ends = np.concatenate([torque - lower, torque - upper]) / np.concatenate([per_step, per_step])
@@ -179,11 +157,8 @@ class JointRange(NamedTuple):
 def speed_bounds(motion: Array, joints: JointRange) -> Array:
     """Return the smallest and the largest speed of each joint, shape (2, n_v); `approach_speed`.
 
-    A joint beyond its range has to come back, no faster than it may move.
-
-    Args:
-        motion: Joint positions, shape (n_v,) [rad or m].
-        joints: Their range.
+    A joint beyond its range has to come back, no faster than it may move. `motion` are positions of
+    the joints, shape (n_v,) [rad or m].
     """
     ends, fastest, approach, knee = joints
     return approach_speed(ends - motion, fastest, approach, knee)
@@ -249,16 +224,6 @@ class TorqueRows(NamedTuple):
         return cls(rows.of(M_inv), rows.low - offset, rows.high - offset, rows, at_rest)
 
 
-Minimum = Callable[..., tuple[Array, Any]]
-"""Solver of min ½zᵀHz + fᵀz subject to lower ≤ z ≤ upper and low ≤ A z ≤ high.
-
-It takes H, f, lower, upper, A, low and high; what it costs to exceed the upper bound of the last
-row, per unit, or None where that is a bound as the others; and whether it is likely that this price
-is paid. It returns z, and 0 where z is the minimum, 1 where nothing keeps the bounds, 2 where it
-failed.
-"""
-
-
 class AskedTorque(NamedTuple):
     """A torque that a law asks for, and its bounds, each of shape (n_v,).
 
@@ -277,24 +242,6 @@ class AskedTorque(NamedTuple):
     is_beyond: Any
 
 
-class LimitStep(NamedTuple):
-    """A torque within limits.
-
-    Attributes:
-        torque: τ, shape (n_v,).
-        f: q̈ by the believed dynamics with it, shape (n_v,), where motion is bounded.
-        slack: σ = yᵀ(τ − τ*), at least 0 [W]; 0 where the proof was not asked for.
-        verdict: 0, or 1 where no torque keeps all bounds, 2 where the solver failed.
-        free: 1 where τ is τ*, else 0.
-    """
-
-    torque: Array
-    f: Array
-    slack: Any
-    verdict: Any
-    free: Any
-
-
 def limit_step(
     asked: AskedTorque,
     output: Callable[[], tuple[Array, Any]] | None,
@@ -305,7 +252,7 @@ def limit_step(
     residual: Array | None,
     brakes: Callable[[Array, TorqueRows | None], Array],
     minimum: Minimum,
-) -> LimitStep:
+) -> tuple[Array, Array, Any, Any, Any]:
     """Bring τ* within bounds of torque and motion, and keep V̇ ≤ −W where they leave room for it.
 
     Minimises ½(τ − τ*)ᵀR(τ − τ*) + ρσ subject to yᵀ(τ − τ*) ≤ σ, σ ≥ 0, to τ within its bounds, and
@@ -322,6 +269,11 @@ def limit_step(
         residual: What is added to the believed q̈, shape (n_v,), where there are rows.
         brakes: Gives what is sent where there is no minimum, of M̂⁻¹ and the rows: `braked`.
         minimum: Solver.
+
+    Returns:
+        τ; q̈ by the believed dynamics with it, where motion is bounded; σ = yᵀ(τ − τ*), at least 0
+        [W], 0 where the proof was not asked for; 0, or 1 where no torque keeps all bounds, 2 where
+        the solver failed; 1 where τ is τ*, else 0.
     """
     wanted, lower, upper, clipped, beyond = asked
 
@@ -353,13 +305,14 @@ def limit_step(
             A, low = np.concatenate([A, row]), np.concatenate([low, _NO_LOWER])
             high = np.concatenate([high, row.dot(wanted) - _MARGIN])
         R = M_inv if weight is None else np.diag(weight)
-        found, verdict = minimum(R, -R.dot(wanted), lower, upper, A, low, high, price, slack > 0.0)
+        problem = QuadraticProgram(R, -R.dot(wanted), lower, upper, A, low, high)
+        found, verdict = minimum(problem, price, slack > 0.0)
         (torque,) = choose(verdict > 0, lambda: (brakes(M_inv, bounds),), lambda: (found,))
         left = 0.0 if y is None else power_above(torque, wanted, y)
         after = f if rows is None else f + M_inv.dot(torque - near)
         return torque, after, left, verdict, 0.0
 
-    return LimitStep(*choose(complement(fits), searched, lambda: (near, f, slack, 0, free)))
+    return choose(complement(fits), searched, lambda: (near, f, slack, 0, free))
 
 
 def braked(
@@ -379,11 +332,11 @@ def braked(
     that do, until there is a torque. Without rows joints come to rest.
 
     Args:
-        M_inv: M̂⁻¹, shape (n_v, n_v).
+        M_inv: M̂⁻¹.
         bounds: Of the rows, if there are any.
-        lower: Smallest torques, shape (n_v,).
-        upper: Largest torques, shape (n_v,).
-        forward: Gives the believed arm's q̈ of a torque.
+        lower: Smallest torques.
+        upper: Largest torques.
+        forward: As for `limit_step`.
         brake: q̈ that brings joints to rest, shape (n_v,).
         hold: What is sent where nothing else is known, shape (n_v,).
         minimum: Solver.
@@ -403,7 +356,10 @@ def braked(
     sizes = np.diag(M_inv)
     if rows.E is not None:
         sizes = np.concatenate([sizes, (rows.E * A[n:]).sum(axis=1)])
-    dearness, place = _DEAR / np.maximum(sizes, _LEAST), _places(lacks)
+    dearness = _DEAR / np.maximum(sizes, _LEAST)
+    # the place of each from the one that lacks most on; the first of two that tie
+    others, before = lacks[:, np.newaxis], np.tri(len(lacks), k=-1, dtype=bool)
+    place = np.where((lacks > others) | ((lacks == others) & before), 1.0, 0.0).sum(axis=1)
 
     def stage(i: Any, before: tuple[Array, Any]) -> tuple[Array, Any]:
         def tried() -> tuple[Array, Any]:
@@ -412,22 +368,12 @@ def braked(
             H = M_inv + (A.T * dear).dot(A)
             f = -change[:n] - A.T.dot(dear * change)
             least, most = np.where(soft, -np.inf, low), np.where(soft, np.inf, high)
-            return minimum(H, f, lower, upper, A, least, most)
+            return minimum(QuadraticProgram(H, f, lower, upper, A, least, most), None, False)
 
         return choose(before[1] > 0, tried, lambda: before)
 
     torque, verdict = repeat(len(wanted), stage, (hold, 1))
-    found: Array = choose(verdict > 0, lambda: (hold,), lambda: (torque,))[0]
-    return found
-
-
-def _places(lacks: Array) -> Array:
-    """Return the place of each number from the largest on, from 0; the first of two that tie."""
-    others = lacks[:, np.newaxis]
-    before = np.tri(len(lacks), k=-1, dtype=bool)
-    earlier = (lacks > others) | ((lacks == others) & before)
-    places: Array = np.where(earlier, 1.0, 0.0).sum(axis=1)
-    return places
+    return choose(verdict > 0, lambda: (hold,), lambda: (torque,))[0]
 
 
 def power_above(torque: Array, wanted: Array, y: Array) -> Any:

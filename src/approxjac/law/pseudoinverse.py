@@ -46,41 +46,27 @@ def damped_gram_solve(
     solve, singular = regular_solver(G, singular_ratio, scale)
 
     def damped() -> tuple[Array, float]:
-        squares, U = np.linalg.eigh(G)
-        least, largest = _ends(squares)
-        damping = gram_damping(least, largest, singular_ratio, scale)
-        # squares below zero by round-off are lifted by the damping that is then at work
-        lifted = np.maximum(squares, 0.0) + damping
-        if scale > 0.0:
-            return dot(U, dot(b, U) / lifted), root(damping)
-        w = dot(U, dot(b, U) / np.where(lifted > 0.0, lifted, 1.0))
-        return select(largest > 0.0, w, np.zeros_like(b)), root(damping)
+        solve, _, damping = damped_solver(G, singular_ratio, scale)
+        return solve(b), root(damping)
 
-    if singular is False:
-        return solve(b), 0.0
     return choose(singular, damped, lambda: (solve(b), 0.0))
 
 
 def damped_solver(
     G: Array, singular_ratio: float = SINGULAR_RATIO, scale: float = 0.0
 ) -> tuple[Callable[[Array], Array], Array, Any]:
-    """Return b ↦ w of `damped_gram_solve`, for several b, by eigenvectors; and λ².
-
-    Returns:
-        The function; eigenvectors of the least and the largest eigenvalue, (2, m); λ², which may be
-        0.
-    """
+    """Return b ↦ w of `damped_gram_solve`; eigenvectors of least and largest eigenvalue; and λ²."""
     squares, U = np.linalg.eigh(G)
     least, largest = _ends(squares)
     damping = gram_damping(least, largest, singular_ratio, scale)
-    lifted = np.maximum(squares, 0.0) + damping
-    inverse = np.where(lifted > 0.0, 1.0 / np.where(lifted > 0.0, lifted, 1.0), 0.0)
-    ends = U.T[[0, -1]]
+    # squares below zero by round-off are lifted by the damping that is then at work
+    lifted, ends = np.maximum(squares, 0.0) + damping, U.T[[0, -1]]
+    is_some, divisor = lifted > 0.0, np.where(lifted > 0.0, lifted, 1.0)
     if U.dtype.hasobject:  # whose order is not known
         for i, row in enumerate(U.T):
             ends[0] = select(squares[i] <= least, row, ends[0])
             ends[1] = select(squares[i] >= largest, row, ends[1])
-    return lambda b: dot(U, dot(b, U) * inverse), ends, damping
+    return lambda b: dot(U, np.where(is_some, dot(b, U) / divisor, 0.0)), ends, damping
 
 
 def regular_solver(
@@ -104,7 +90,7 @@ def regular_solver(
 
 
 def _ends(squares: Array) -> tuple[Any, Any]:
-    """Return the least and the largest eigenvalue, which are sorted where they are numbers."""
+    """Return the least and the largest eigenvalue; only numbers are sorted."""
     if type(squares) is np.ndarray:
         return squares[0], squares[-1]
     return squares.min(), squares.max()
@@ -112,9 +98,6 @@ def _ends(squares: Array) -> tuple[Any, Any]:
 
 def may_be_singular(G: Array, singular_ratio: float, scale: float) -> Any:
     """Return False where σ_min of J is surely above a share of σ_max and the scale, of G = J Jᵀ."""
-    if len(G) <= 3:
-        _, _, bound, trace = adjugate(G.tolist())
-        return complement(is_surely_regular(bound, trace, singular_ratio, scale))
     return regular_solver(G, singular_ratio, scale)[1]
 
 
@@ -144,8 +127,6 @@ def is_near_singular(G: Array, singular_ratio: float = SINGULAR_RATIO, scale: fl
         return (gram_damping(least, largest, singular_ratio, scale),)
 
     may_be = may_be_singular(G, singular_ratio, scale)
-    if may_be is False:
-        return False
     damping: Any = choose(may_be, by_eigenvalues, lambda: (0.0,))[0]
     return bool(damping > 0.0) if isinstance(damping, float) else damping > 0.0
 
@@ -161,12 +142,11 @@ def gram_damping(least: Array, largest: Array, singular_ratio: float, scale: flo
 
 
 def adjugate(G: list[list[float]]) -> tuple[Rows, float, float, float]:
-    """Return the adjugate of a symmetric G of at most three rows, in plain numbers, and its sizes.
+    """Return adjugate, determinant, bound and trace of a symmetric G (1 to 3 rows), in numbers.
 
-    Returns:
-        The adjugate; the determinant; what is at most the smallest eigenvalue times trace² (det ·
-        trace of two rows, whose other eigenvalue is at most the trace, and 4 det of three, of which
-        the product of the other two is at most (trace/2)²); the trace.
+    The bound is at most the smallest eigenvalue times trace²: det · trace of two rows, whose other
+    eigenvalue is at most the trace, and 4 det of three, of which the product of the other two is at
+    most (trace/2)².
     """
     if len(G) == 1:
         g = G[0][0]
@@ -201,12 +181,8 @@ def solution(rows: Rows, determinant: float, b: list[float]) -> tuple[float, ...
 
 
 def is_surely_regular(bound: float, trace: float, singular_ratio: float, scale: float) -> bool:
-    """Test that σ_min of J is surely above the ratio, from the sizes of G = JJᵀ.
-
-    `bound` and `trace` are those of `adjugate`; the largest eigenvalue is at least a third of the
-    trace.
-    """
-    is_large: bool = trace > 3.0 * scale * scale
+    """Return whether σ_min of J is surely above the ratio, from the sizes by `adjugate` of JJᵀ."""
+    is_large: bool = trace > 3.0 * scale * scale  # of which the largest eigenvalue is a third
     return is_large & (bound > singular_ratio**2 * trace * trace * trace)
 
 

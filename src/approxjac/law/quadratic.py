@@ -7,7 +7,8 @@ a primal-dual interior point method", SIAM J. Optimization 2(4), 1992.
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,21 +25,45 @@ _DONE = 1e-12  # gap of what is found
 _EXACT, _STATIONARY = 1e-8, 1e-6  # that bounds and gradient have to be at the end
 
 
-def interior_minimum(
-    H: Array,
-    f: Array,
-    lower: Array,
-    upper: Array,
-    A: Array,
-    low: Array,
-    high: Array,
-    price: Any = None,
-    pays: Any = False,
-) -> tuple[Array, Any]:
+class QuadraticProgram(NamedTuple):
+    """min ½ zᵀHz + fᵀz subject to lower ≤ z ≤ upper and row_lower ≤ A z ≤ row_upper.
+
+    Its arrays are of float64 and contiguous.
+
+    Attributes:
+        H: Symmetric positive definite, shape (n, n).
+        f: Shape (n,).
+        lower: Lower bounds, shape (n,), −inf where there is none.
+        upper: Upper bounds, shape (n,), inf where there is none.
+        A: Rows, shape (k, n); k may be 0.
+        row_lower: Lower bounds of the rows, shape (k,), −inf where there is none.
+        row_upper: Upper bounds of the rows, shape (k,), inf where there is none.
+    """
+
+    H: Array
+    f: Array
+    lower: Array
+    upper: Array
+    A: Array
+    row_lower: Array
+    row_upper: Array
+
+
+Minimum = Callable[[QuadraticProgram, Any, Any], tuple[Array, Any]]
+"""Solver of a `QuadraticProgram`.
+
+It takes the problem; what it costs to exceed the upper bound of the last row, per unit, or None
+where that is a bound as the others; and whether it is likely that this price is paid. It returns z,
+and 0 where z is the minimum, 1 where nothing keeps the bounds, 2 where it failed.
+"""
+
+
+def interior_minimum(problem: QuadraticProgram, price: Any = None) -> tuple[Array, Any]:
     """Return z, which holds its bounds, and 0; or 1 where it was not found. See `Minimum`.
 
     Bounds that are infinite before anything is known of a step cost nothing.
     """
+    H, f, lower, upper, A, low, high = problem
     n = len(f)
     scale = 1.0 / np.sqrt(np.diag(H))
     rows = A * scale

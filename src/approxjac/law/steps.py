@@ -159,23 +159,14 @@ def within_null_space(torque: Array, J_hat: Array, G: Array, ratio: float, scale
 
 
 class HoldStep(NamedTuple):
-    """A held measurement at one step.
+    """A held measurement at one step."""
 
-    Attributes:
-        x: What the controller is given, shape (n_x,); NaN where it is too old.
-        last: The last x that was seen, and when it was taken.
-        moved: p, how far each error has moved since.
-        known: Of each part, 1 if it was ever seen.
-        stands: Of each part, the rows of p and whether they stand still.
-        is_new: Whether any part is.
-    """
-
-    x: Array
-    last: list[Any]
-    moved: list[Any]
-    known: list[Any]
-    stands: list[tuple[slice, Any]]
-    is_new: Any
+    x: Array  # that the controller is given, NaN where it is too old
+    last: list[Any]  # x that was seen, and when it was taken
+    moved: list[Any]  # p, how far each error has moved since
+    known: list[Any]  # of each part, 1 if it was ever seen
+    stands: list[tuple[slice, Any]]  # of each part, the rows of p and whether they stand still
+    is_new: Any  # whether any part is
 
 
 def hold_step(

@@ -6,13 +6,14 @@ import enum
 import math
 import warnings
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from approxjac import law
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.extras import package_of
+from approxjac.law import QuadraticProgram
 from approxjac.validation import Array
 
 _HUGE = 1e100  # below it nothing overflows in a check
@@ -27,39 +28,12 @@ _OPTIMAL = 1  # exit flags of DAQP
 _CONTRADICTORY = -1, -6  # -6: equalities
 
 
-class QuadraticProgram(NamedTuple):
-    """min ½ zᵀHz + fᵀz subject to lower ≤ z ≤ upper and row_lower ≤ A z ≤ row_upper.
-
-    Its arrays are of float64 and contiguous.
-
-    Attributes:
-        H: Symmetric positive definite, shape (n, n).
-        f: Shape (n,).
-        lower: Lower bounds, shape (n,), −inf where there is none.
-        upper: Upper bounds, shape (n,), inf where there is none.
-        A: Rows, shape (k, n); k may be 0.
-        row_lower: Lower bounds of the rows, shape (k,), −inf where there is none.
-        row_upper: Upper bounds of the rows, shape (k,), inf where there is none.
-    """
-
-    H: Array
-    f: Array
-    lower: Array
-    upper: Array
-    A: Array
-    row_lower: Array
-    row_upper: Array
-
-
-class Verdict(enum.Enum):
+class Verdict(enum.IntEnum):
     """Outcome of a problem."""
 
-    SOLVED = "solved"
-    INFEASIBLE = "no z holds all bounds and rows"
-    FAILED = "the problem has no finite numbers, or the solver found no valid answer"
-
-
-_NUMBERS = {each: number for number, each in enumerate(Verdict)}
+    SOLVED = 0
+    INFEASIBLE = 1  # no z holds all bounds and rows
+    FAILED = 2  # the problem has no finite numbers, or the solver gave no valid answer
 
 
 class Solver:
@@ -118,25 +92,13 @@ class Solver:
         return (z, verdict) if kept is None or z is not None else (kept, Verdict.SOLVED)
 
     def minimum(
-        self,
-        H: Array,
-        f: Array,
-        lower: Array,
-        upper: Array,
-        A: Array,
-        low: Array,
-        high: Array,
-        price: float | None = None,
-        pays: bool = False,
+        self, problem: QuadraticProgram, price: Any = None, pays: Any = False
     ) -> tuple[Array, Any]:
-        """Return z, and 0, or 1 where nothing keeps the bounds, 2 where it failed: `law.Minimum`.
-
-        Of symbols by `law.interior_minimum`.
-        """
-        if f.dtype.hasobject:
-            return law.interior_minimum(H, f, lower, upper, A, low, high, price, pays)
-        z, verdict = self.solve(QuadraticProgram(H, f, lower, upper, A, low, high), price, pays)
-        return (f, _NUMBERS[verdict]) if z is None else (z, 0)
+        """Return what `law.Minimum` says; of symbols by `law.interior_minimum`."""
+        if problem.f.dtype.hasobject:
+            return law.interior_minimum(problem, price)
+        z, verdict = self.solve(problem, price, pays)
+        return (problem.f if z is None else z), verdict
 
     def _solved(self, problem: QuadraticProgram) -> tuple[Array | None, Verdict, float]:
         """Return z, or None, and why; and the multiplier of the last row, NaN of a function."""

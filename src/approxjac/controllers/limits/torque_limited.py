@@ -23,7 +23,7 @@ from approxjac.controllers.limits.acceleration_observer import AccelerationObser
 from approxjac.controllers.limits.cross_weight import CrossWeight
 from approxjac.controllers.limits.limit import Limit, LimitTerms, require_rows
 from approxjac.controllers.limits.limits import Limits, sure_deceleration
-from approxjac.controllers.limits.quadratic_program import QuadraticProgram, as_solver
+from approxjac.controllers.limits.quadratic_program import as_solver
 from approxjac.controllers.wrapper import ControllerWrapper
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
@@ -128,7 +128,7 @@ class TorqueLimited(ControllerWrapper):
         dt: float = 1e-3,
         braking: float | None = None,
         approach: float | None = None,
-        solver: str | Callable[[QuadraticProgram], Array | None] = "daqp",
+        solver: str | Callable[[law.QuadraticProgram], Array | None] = "daqp",
     ) -> None:
         wanted = (
             "a law such as SetpointController (what holds measurements goes around it: "
