@@ -77,11 +77,11 @@ MUTANTS = [
         "state.copy(), is_known | waits", "state.copy(), is_known & law.is_finite(x)", PERIODS,
     ),
     (
-        "fast start without time for it", "realtime/easing.py",
+        "fast start without time for it", "realtime/robot_loop.py",
         "            4.0 * float(np.max(np.abs(self._rate) / speed)) * _SHORTEST,\n", "", STARTS,
     ),
     (
-        "eased target jumps in speed", "realtime/easing.py",
+        "eased target jumps in speed", "realtime/robot_loop.py",
         "place = 1.0 - r**3 * (10.0 - 15.0 * r + 6.0 * r * r)", "place = 1.0 - r", STARTS,
     ),
     # -- certificates and their sampled form
@@ -327,19 +327,19 @@ MUTANTS = [
     ),
     # -- easing, brake, stops
     (
-        "target faster than it may be", "realtime/easing.py",
+        "target faster than it may be", "realtime/robot_loop.py",
         "_PEAK = 1.875", "_PEAK = 1.5", STARTS,
     ),
     (
-        "velocity not relative to the path", "realtime/easing.py",
+        "velocity not relative to the path", "realtime/robot_loop.py",
         "self._rate = velocity - goal_v", "self._rate = velocity", STARTS,
     ),
     (
-        "halt twice as far", "realtime/easing.py",
+        "halt twice as far", "realtime/robot_loop.py",
         "self.distance = 0.5 * duration * velocity", "self.distance = duration * velocity", STARTS,
     ),
     (
-        "acceleration of an eased target", "realtime/easing.py",
+        "acceleration of an eased target", "realtime/robot_loop.py",
         "slope_rate2 = -r * (36.0 - 96.0 * r + 60.0 * r * r)",
         "slope_rate2 = -r * (36.0 - 96.0 * r + 30.0 * r * r)", "tests/realtime/test_easing.py",
     ),

@@ -19,7 +19,7 @@ from approxjac.realtime import SimulatedDriver
 from approxjac.realtime.control import RobotRun
 from approxjac.robots.meshes import find_mesh
 from approxjac.stability.rollouts.rollouts import _portion
-from approxjac.view.mesh_drawing import load_mesh
+from approxjac.view.look import load_mesh
 
 ARRAYS = ("t", "q", "v", "x", "x_d", "error", "tau", "state", "status", "slack", "V", "sigma_min")
 

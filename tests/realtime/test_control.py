@@ -17,9 +17,8 @@ from rehearsal import START, Wrapped, driver_of, goal, run, tolerating
 import approxjac as aj
 from approxjac.errors import ControlError, InvalidInputError
 from approxjac.realtime import Fault, RobotRun, SimulatedDriver, control
-from approxjac.realtime.start_checks import require_near
-from approxjac.view.browser.document import _legend
-from approxjac.view.browser.page import page
+from approxjac.realtime.control import require_near
+from approxjac.view.browser.page import _legend, page
 
 
 def test_it_brings_the_tip_there_and_brakes(plant, controller):
@@ -398,12 +397,13 @@ def test_a_page_of_a_robot_speaks_of_beliefs_not_of_truth(plant, controller, tmp
     found = run(driver_of(plant), controller, 0.1)
     again = aj.Trajectory.load(found.save(tmp_path / "run.npz"))
     for one in (found, again):
-        words = [entry[-1] for entry in _legend(one.scene, image=False)]
+        words = [entry[-1] for entry in _legend(one.scene, "believed tip", image=False)]
         assert "the arm as believed" in words
         assert "tip by the belief and its path" in words
         assert not {"the arm as it is", "true tip and its path"} & set(words)
     known = dataclasses.replace(found.scene, knows_truth=True)
-    assert "true tip and its path" in [entry[-1] for entry in _legend(known, image=False)]
+    legend = _legend(known, "believed tip", image=False)
+    assert "true tip and its path" in [entry[-1] for entry in legend]
 
 
 def test_a_run_says_how_far_the_target_went(plant, controller):

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
-from approxjac.realtime.easing import Eased, Halt
+from approxjac.realtime.robot_loop import Eased, Halt
 
 PANDA = aj.load_robot("panda")
 TASK = aj.PositionTask(PANDA)

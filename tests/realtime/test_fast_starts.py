@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 import approxjac as aj
 from approxjac.realtime import Tolerances
 from approxjac.realtime.brake import Brake, HungError, Watchdog
-from approxjac.realtime.easing import Eased, Halt
+from approxjac.realtime.robot_loop import Eased, Halt
 
 SPEED = np.array([0.2, 0.2, 0.1])
 FAST = [np.array([0.0, 0.0, 0.0]), np.array([1.5, 0.0, 0.0]), np.array([-0.3, 0.8, 0.9])]

@@ -14,8 +14,7 @@ import approxjac as aj
 from approxjac.errors import MissingPackageError
 from approxjac.robots.meshes import find_mesh, share_dir
 from approxjac.robots.urdf import Urdf
-from approxjac.view.look import robot_look
-from approxjac.view.mesh_drawing import load_mesh, shares, simplify, smooth
+from approxjac.view.look import load_mesh, robot_look, shares, simplify, smooth
 
 ROBOTS = share_dir() / "example-robot-data/robots"
 FINGER = "panda_description/meshes/visual/finger.dae"

@@ -19,9 +19,6 @@ class HungError(BaseException):
 class Brake:
     """A driver's brake, closed once.
 
-    Args:
-        driver: The robot.
-
     Attributes:
         error: What the driver raised instead of braking, or None.
         closed_at: When it was closed, by `time.perf_counter`; None before [s].
@@ -51,18 +48,10 @@ class Brake:
 
 
 class Watchdog:
-    """A thread that brakes when the loop does not come round in time.
+    """A thread that brakes when the loop does not come round within the `longest` time [s].
 
-    It then interrupts the main thread, if that runs the loop, out of the call that hangs. It cannot
-    run while an extension holds the interpreter's lock.
-
-    Args:
-        brake: What it closes.
-        longest: Time that a round may take [s].
-
-    Attributes:
-        longest: As given.
-        bit: Whether it had to brake.
+    Then it `bit`; and it interrupts the main thread, if that runs the loop, out of the call that
+    hangs. It cannot run while an extension holds the interpreter's lock.
     """
 
     def __init__(self, brake: Brake, longest: float) -> None:
@@ -87,8 +76,7 @@ class Watchdog:
     def __exit__(self, *_: object) -> None:
         self._over.set()
         self._thread.join()  # its alarm would end the process, once nobody waits for it
-        if self._is_main:
-            # None: no handler of Python's
+        if self._is_main:  # None: no handler of Python's
             signal.signal(signal.SIGALRM, self._before or signal.SIG_DFL)
 
     def _watch(self) -> None:

@@ -2,37 +2,46 @@
 
 from __future__ import annotations
 
+import contextlib
+import copy
 import math
+import queue
 import threading
+import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from concurrent.futures import Future
 from dataclasses import dataclass, field, fields, replace
 from types import NoneType
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+import pinocchio as pin
 
 from approxjac.controllers.controller import Controller
-from approxjac.errors import ControlError
-from approxjac.interface import Target, TargetPath
+from approxjac.errors import ControlError, InvalidInputError
+from approxjac.formatting import listed
+from approxjac.interface import Evaluation, LimitStatus, Measurement, Target, TargetPath
 from approxjac.realtime.brake import Brake, HungError, Watchdog
-from approxjac.realtime.driver import Driver
+from approxjac.realtime.driver import Driver, read, two_clocks
 from approxjac.realtime.faults import Fault, Tolerances, task_bounds
-from approxjac.realtime.observer_thread import ObserverThread
-from approxjac.realtime.robot_loop import RobotLoop
+from approxjac.realtime.robot_loop import RobotLoop, require_able
 from approxjac.realtime.scheduling import Scheduling, StopSignals, undisturbed
-from approxjac.realtime.start_checks import (
-    require_able,
-    require_at_rest,
-    require_held,
-    require_near,
-)
-from approxjac.simulation.loop import require_fit, require_start, wanted_of
+from approxjac.robots import Dynamics
+from approxjac.simulation.loop import Loop, require_fit, require_start, wanted_of
 from approxjac.simulation.plant import Plant, VelocityServo
 from approxjac.simulation.simulate import Observer
 from approxjac.simulation.trajectory import Trajectory
+from approxjac.tasks import Task
+from approxjac.tasks.analysis import features
 from approxjac.validation import Array, as_number, require
 
+_PERIOD = 1.0 / 30.0  # s, of observers
+_PATIENCE = 30.0  # s, for which an observer may prepare before the arm moves
+_ANSWER = 1.0  # s, within which the loop carries out what an observer asks for
+_READS = 5
+_AT_REST = 0.05  # rad/s or m/s
+_FAR, _REACHES = 50.0, 20.0  # m and reaches of the arm, beyond both of which no x is in metres
+_HELD = 0.2  # share of the largest torque by which what is believed of gravity may be off
 _WARM = 50  # steps before the first that counts: caches, and whatever is made at first use
 _HANGS = 2.0  # times `max_period`, after which the watchdog brakes
 _SOME = 200  # instants of a run, among which the farthest target is looked for
@@ -167,7 +176,7 @@ def control(
     speeds = task_bounds("speed", speed, task, _SPEED, "/s")
     tolerances = (tolerances or Tolerances()).for_task(task, driver.dt)
     brake, signals = Brake(driver), StopSignals()
-    with ExitStack() as held:
+    with contextlib.ExitStack() as held:
         held.enter_context(signals)  # a signal that comes while this begins is looked at, too
         held.callback(brake.close)  # whatever happens from here on
         first = require_at_rest(driver, task, tolerances.timeout)
@@ -259,3 +268,174 @@ def _run_of(loop: RobotLoop, why: str) -> RobotRun:
         gap=loop.gaps[done].astype(float),
         work=loop.works[done].astype(float),
     )
+
+
+class ObserverThread(Loop):
+    """Copy of a robot's loop for an observer, and the thread in which that is called.
+
+    That is some 30 times a second. What the observer asks of it is done by the loop itself.
+    """
+
+    _knows_truth = False
+
+    def __init__(self, loop: RobotLoop, observer: Observer) -> None:
+        # controllers and plants have scratch memory: one instance a thread
+        plant, controller = copy.deepcopy((loop.plant, loop.controller))
+        super().__init__(plant, controller, loop.path, loop.dt, loop.steps)
+        self._loop, self._observer = loop, observer
+        self._commands: queue.SimpleQueue[tuple[Future[None], Any, Any]] = queue.SimpleQueue()
+        self._ready, self._over = threading.Event(), threading.Event()
+        self._thread = threading.Thread(target=self._show, name="approxjac observer", daemon=True)
+
+    def __enter__(self) -> ObserverThread:
+        self._thread.start()
+        end = time.perf_counter() + _PATIENCE
+        while not self._ready.wait(_PERIOD) and time.perf_counter() < end:
+            self.serve()  # its first call may ask for something, too
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join(_ANSWER)
+
+    def serve(self) -> None:
+        """Carry out what the observer asked for, in the thread of the loop."""
+        while not self._commands.empty():
+            answer, command, argument = self._commands.get()
+            try:
+                command(*argument)
+                answer.set_result(None)
+            except Exception as error:  # the observer's to deal with
+                answer.set_exception(error)
+
+    def aim_at(self, target: Any) -> None:
+        """Have the loop move its target."""
+        self._ask(self._loop.aim_at, target)
+
+    def exchange(self, controller: Any) -> None:
+        """Have the loop go on with another controller."""
+        self._ask(self._loop.exchange, copy.deepcopy(controller))
+        self.controller = controller
+
+    def stop(self) -> None:
+        """Have the loop come to rest."""
+        self._ask(self._loop.stop)
+
+    def _ask(self, command: Any, *argument: Any) -> None:
+        answer: Future[None] = Future()
+        self._commands.put((answer, command, argument))
+        answer.result(_ANSWER)
+
+    def _show(self) -> None:
+        observer: Any = self._observer
+        scope = observer if hasattr(observer, "__exit__") else contextlib.nullcontext()
+        # an error of whoever looks on is no reason to stop an arm
+        with contextlib.suppress(Exception), scope:
+            while True:
+                self.stopped = self._over.is_set()
+                self._look()
+                observer(self)
+                self._ready.set()
+                if self.stopped:
+                    break
+                self._over.wait(_PERIOD)
+        self._ready.set()
+
+    def _look(self) -> None:
+        """See how the loop is now."""
+        loop = self._loop
+        self.path, self.step, self.target = loop.path, loop.step, loop.target
+        self.truth, self.measurement, self.answer = loop.truth, loop.measurement, loop.answer
+        self.state, self.tau = loop.state, loop.tau
+
+
+def require_at_rest(driver: Driver, task: Task, timeout: float) -> Measurement:
+    """Return a first measurement of an arm at rest, within its limits and seen.
+
+    A first frame of x may be lost, or still be under way: for that long it is waited for [s].
+    """
+    robot, last, measured = task.robot, -np.inf, None
+    for count in range(max(_READS, math.ceil(timeout / driver.dt))):
+        measured = read(driver, task)
+        if not measured.t > last:
+            raise InvalidInputError(
+                f"the clock of the driver must go on, got {measured.t!r} s after {last!r} s",
+                given=measured,
+            )
+        last = measured.t
+        if count + 1 >= _READS and np.isfinite(measured.x).all():
+            break
+    assert measured is not None
+    for name, values in (("q", measured.q), ("v", measured.v), ("x", measured.x)):
+        if not np.isfinite(values).all():
+            raise InvalidInputError(
+                f"{name} must be known before the arm moves, got {listed(values)}", given=measured
+            )
+    if message := two_clocks(measured, driver.dt):
+        raise InvalidInputError(f"t_x must be by the clock of t: {message}", given=measured)
+    if (np.abs(measured.v) > _AT_REST).any():
+        raise InvalidInputError(
+            f"the arm must be at rest, below {_AT_REST} rad/s or m/s, got v = {listed(measured.v)}",
+            given=measured,
+        )
+    robot.require_radians("q", measured.q)
+    beyond = np.flatnonzero(robot.beyond_limits(measured.q[None])[0] > 0.0)
+    if beyond.size:
+        low, high = robot.position_limits
+        angles = pin.difference(robot.model, robot.neutral(), measured.q)
+        where = "; ".join(
+            f"{robot.joint_names[j]} at {angles[j]:.4g} {robot.joint_units[j]}, limits "
+            f"{low[j]:.4g} and {high[j]:.4g}"
+            for j in beyond
+        )
+        raise InvalidInputError(f"q must be within the joints' limits, got {where}", given=measured)
+    return measured
+
+
+def require_near(task: Task, x: Array) -> None:
+    """Refuse positions so far from the arm that they are in millimetres, say.
+
+    A tracker may have its origin elsewhere in a hall.
+    """
+    for feature in features(task):
+        if not feature.axes or feature.frame is None:
+            continue
+        origin, reach = task.robot.reach_bound(feature.frame)
+        origin = origin[["xyz".index(axis) for axis in feature.axes]]
+        away = float(np.linalg.norm(feature.place(x) - origin))
+        if away > max(_FAR, _REACHES * reach):
+            raise InvalidInputError(
+                f"x must be in m, got {listed(x)}: the tip would be {away:.3g} m from the base of "
+                f"an arm that reaches {reach:.3g} m; 1 mm is 0.001",
+                given=x,
+            )
+
+
+def require_held(driver: Driver, controller: Controller, q: Array, answer: Evaluation) -> None:
+    """Refuse to begin where the command does not hold the arm, as it is believed to be."""
+    robot = controller.task.robot
+    if answer.limit_status in (LimitStatus.INFEASIBLE, LimitStatus.SOLVER_FAILED):
+        raise InvalidInputError(
+            f"the limits do not hold the arm as it stands: {answer.limit_status.message}",
+            given=answer,
+        )
+    if driver.command != "torque" or answer.gravity is None:
+        return
+    most = np.asarray(driver.limits.for_joints(robot.nv).effort)
+    needed = np.zeros(robot.nv) if driver.adds_gravity else Dynamics(robot).g(q)
+    slack = _HELD * np.where(np.isfinite(most), most, np.abs(needed).max())
+    if (np.abs(answer.gravity - needed) > slack).any():
+        message = "the controller must compensate gravity, such as by AdaptiveGravity(robot)"
+        if driver.adds_gravity:
+            message = "the robot adds its own gravity: " + (
+                "take it off each torque in the driver's send, as FrankaDriver(gravity=arm) does, "
+                "and set adds_gravity = False, for the tracking law compensates all of it"
+                if controller.law.kinematics is not None
+                else "the controller must learn what is left of it, AdaptiveGravity(robot, "
+                "theta0=0.0), or leave it out, NoGravity(robot)"
+            )
+        raise InvalidInputError(
+            f"{message}; it compensates {listed(answer.gravity)}, and the arm takes "
+            f"{listed(needed)} [N m or N]",
+            given=answer,
+        )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import ctypes
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, Literal
 
 import numpy as np
@@ -118,10 +119,8 @@ class FrankaDriver:
                 waits for 1 s at most, while no other thread of Python runs.
         """
         control = self._control
-        try:
+        with self._named("read"):
             state = self._robot.read_once() if control is None else control.readOnce()[0]
-        except self._errors as error:
-            raise self._named("read", error) from error
         self._state = state
         t, q = state.time.to_sec(), np.array(state.q)
         x = self._sensor(t, q)
@@ -138,18 +137,20 @@ class FrankaDriver:
             if self._braked:
                 message = "cannot send: the robot was braked; recover() lets it take commands again"
                 raise DriverError(message, given=command)
-            try:
-                if self._control is None:
-                    self._control = self._started()
-                if self.command == "torque":
+            is_torque = self.command == "torque"
+            with self._named("send"):
+                if self._control is None and is_torque:
+                    self._control = self._robot.start_torque_control()
+                elif self._control is None:
+                    impedance = self._franka.ControllerMode.JointImpedance
+                    self._control = self._robot.start_joint_velocity_control(impedance)
+                if is_torque:
                     if self._gravity is not None:
                         command = command - self._gravity.g(np.array(self._state.q))
                     sent = self._franka.Torques(self._within_rate(command).tolist())
                 else:
                     sent = self._franka.JointVelocities(self._within_jerk(command).tolist())
                 self._control.writeOnce(sent)
-            except self._errors as error:
-                raise self._named("send", error) from error
 
     def brake(self) -> None:
         """End control: the robot stops and holds itself. Nothing is sent until `recover`.
@@ -180,27 +181,25 @@ class FrankaDriver:
         self.brake()
         if self._is_lost:
             self._connect()
-        state = self._asked("read", self._robot.read_once)
+        with self._named("read"):
+            state = self._robot.read_once()
         if state.robot_mode == self._franka.RobotMode.Reflex or state.current_errors:
-            self._asked("recover", self._robot.automatic_error_recovery)
-        self._state = self._asked("read", self._robot.read_once)
+            with self._named("recover"):
+                self._robot.automatic_error_recovery()
+        with self._named("read"):
+            self._state = self._robot.read_once()
         self._braked = False
 
     def _connect(self) -> None:
         """Connect, and tell the robot what it is to know."""
-        self._robot = self._asked("connect", self._franka.Robot, *self._address)
+        with self._named("connect"):
+            self._robot = self._franka.Robot(*self._address)
         self._is_lost = False
         if self._collision:
-            set_them = self._robot.set_collision_behavior
-            self._asked("set the collision thresholds", set_them, *self._collision)
-        self._state = self._asked("read", self._robot.read_once)
-
-    def _started(self) -> Any:
-        """Begin control."""
-        if self.command == "torque":
-            return self._robot.start_torque_control()
-        impedance = self._franka.ControllerMode.JointImpedance
-        return self._robot.start_joint_velocity_control(impedance)
+            with self._named("set the collision thresholds"):
+                self._robot.set_collision_behavior(*self._collision)
+        with self._named("read"):
+            self._state = self._robot.read_once()
 
     def _within_rate(self, torque: Array) -> Array:
         """Return torques within efforts, and their rate of the last that the robot got."""
@@ -223,15 +222,13 @@ class FrankaDriver:
         lower = np.maximum(_JERK / _ACCELERATION * (low - before), -_ACCELERATION)
         return np.asarray(before + _DT * np.maximum(np.minimum(a + change, upper), lower))
 
-    def _asked(self, what: str, function: Callable[..., Any], *given: Any) -> Any:
-        """Call a function of the client, whose errors become ours."""
+    @contextmanager
+    def _named(self, what: str) -> Iterator[None]:
+        """Turn errors of the client into ours."""
         try:
-            return function(*given)
+            yield
         except self._errors as error:
-            raise self._named(what, error) from error
-
-    def _named(self, what: str, error: Exception) -> DriverError:
-        return DriverError(f"cannot {what}: {error}", given=what)
+            raise DriverError(f"cannot {what}: {error}", given=what) from error
 
 
 def _towards(left: Array) -> Array:

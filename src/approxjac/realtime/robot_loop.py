@@ -1,7 +1,8 @@
-"""`RobotLoop`: a controller and a robot, period by period."""
+"""`RobotLoop`: a controller and a robot, period by period, and its targets, eased in."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import time
 from collections import deque
@@ -9,17 +10,19 @@ from typing import Any
 
 import numpy as np
 
+from approxjac.controllers import Latency
 from approxjac.controllers.controller import Controller
+from approxjac.errors import InvalidInputError
+from approxjac.formatting import listed
 from approxjac.interface import LimitStatus, Measurement, Status, Target, TargetPath
 from approxjac.realtime.brake import Brake
-from approxjac.realtime.driver import read, two_clocks
-from approxjac.realtime.easing import Eased, Halt
+from approxjac.realtime.driver import Driver, read, two_clocks
 from approxjac.realtime.faults import Fault, Tolerances
-from approxjac.realtime.start_checks import require_able
 from approxjac.realtime.watches import FaultWatch, SensorWatch
-from approxjac.simulation.loop import Loop, Wanted, first_state, wanted_of, x_of
+from approxjac.simulation.loop import Loop, Wanted, first_state, target_at, wanted_of, x_of
 from approxjac.simulation.plant import Plant
 from approxjac.simulation.trajectory import Record
+from approxjac.tasks import Task
 from approxjac.validation import Array, as_vector
 
 _ROWS = 60_000  # recorded at most
@@ -27,25 +30,19 @@ _TAIL = 1000  # periods before the end of which each is recorded
 _HALT = 0.3  # s, within which the target of a controlled stop comes to rest
 _AT_REST = 0.05  # rad/s or m/s
 _LOST = (Status.MEASUREMENT_LOST, Status.NOT_PREDICTED)
+_PEAK = 1.875  # of a least-jerk motion: its fastest speed by its mean speed
+_SHORTEST = 0.2  # s
+_SLOWER = 1.2  # times the period that gains were chosen for
 
 
 class RobotLoop(Loop):
     """A loop whose measurements come from a robot, with a watch over them.
 
-    Args:
-        brake: That of the robot.
-        plant: What is believed of it.
-        controller: The controller.
-        path: Where the target is.
-        first: The measurement it begins with.
-        steps: Of the whole run.
-        tolerances: What is no fault, with bounds for each coordinate of the task.
-        speeds: How fast targets are eased in, shape (m,) [unit/s].
-        state: Of the controller; its initial one by default.
+    It begins with the measurement `first`, has `steps` in all, and eases targets in with `speeds`
+    (m,) [unit/s]; tolerances have bounds for each coordinate of the task.
 
     Attributes:
-        fault: What is wrong, or None.
-        detail: Of the fault, in words: which joint, and by how much; "" for none.
+        fault: What is wrong, or None; and its `detail` in words: which joint, and by how much.
         learns_sensor: Whether the controller learns where the sensor is.
         halting: Whether it is being brought to rest.
     """
@@ -300,3 +297,109 @@ class RobotLoop(Loop):
         before, after = (self.target if i <= 0 else self._tail[-i][1][5] for i in (k, k - 1))
         share = k - ago
         return (1.0 - share) * error(x, before) + share * error(x, after)
+
+
+def require_able(driver: Driver, controller: Controller) -> None:
+    """Refuse a controller that may command what the robot does not do."""
+    if controller.command != driver.command:
+        raise InvalidInputError(
+            f"command of the controller must be {driver.command!r}, which the driver sends, got "
+            f"{controller.command!r} of {controller!r}",
+            given=controller,
+        )
+    law, nv = controller.law, controller.task.robot.nv
+    tuning = law.tuning
+    if tuning is not None and driver.dt > _SLOWER * tuning.latency.period:
+        # as it was given: the rule's own has the lag of law (5), too
+        latency = dataclasses.replace(law.latency or Latency(), period=driver.dt)
+        raise InvalidInputError(
+            f"latency of the law must be that of the loop: what it chose by itself (gains or "
+            f"learning) is for a period of {tuning.latency.period:g} s, and the driver's dt is "
+            f"{driver.dt:g} s; take its latency with that period, SetpointController(..., "
+            f"latency={latency!r})",
+            given=controller,
+        )
+    if driver.command != "torque":
+        return
+    most = np.asarray(driver.limits.for_joints(nv).effort)
+    kept = controller.limits
+    own = np.full(nv, np.inf) if kept is None else np.asarray(kept.effort)
+    if (own > most * (1.0 + 1e-9)).any():
+        raise InvalidInputError(
+            f"controller must keep the robot's limits of effort, {listed(most)} [N m or N], such "
+            f"as TorqueLimited(controller, driver.limits), got {controller!r}",
+            given=controller,
+        )
+
+
+class Eased:
+    """A target's path, with an offset that goes to zero with least jerk.
+
+    At first it is at x (n_x,), with a velocity in the error coordinates of the task (m,) [unit/s];
+    within its `duration` [s] it joins the path, at rest relative to it, and no faster than a speed
+    (m,). So the target of a loop jumps neither in position nor in velocity.
+    """
+
+    def __init__(
+        self, task: Task, path: Wanted, begin: float, x: Array, velocity: Array, speed: Array
+    ) -> None:
+        self._task, self._path, self._begin = task, path, begin
+        goal, goal_v, _ = _complete(task, target_at(path, begin))
+        self._offset = task.error(x, goal)
+        self._rate = velocity - goal_v
+        self.duration = max(
+            _SHORTEST,
+            _PEAK * float(np.max(np.abs(self._offset) / speed)),
+            4.0 * float(np.max(np.abs(self._rate) / speed)) * _SHORTEST,
+        )
+
+    def at(self, t: float) -> Target:
+        """Return the target at t [s], in the time of the path."""
+        goal = target_at(self._path, t)
+        r = (t - self._begin) / self.duration
+        if r >= 1.0 or not (self._offset.any() or self._rate.any()):
+            return goal if isinstance(goal, Target) else Target(goal)
+        x, v, a = _complete(self._task, goal)
+        # quintics that are 1 and 0 in value and slope at r = 0, and vanish with both at r = 1
+        e, w, T = self._offset, self.duration * self._rate, self.duration
+        place = 1.0 - r**3 * (10.0 - 15.0 * r + 6.0 * r * r)
+        place_rate = -30.0 * r * r * (1.0 - r) ** 2
+        place_rate2 = -60.0 * r * (1.0 - r) * (1.0 - 2.0 * r)
+        slope = r - r**3 * (6.0 - 8.0 * r + 3.0 * r * r)
+        slope_rate = 1.0 - r * r * (18.0 - 32.0 * r + 15.0 * r * r)
+        slope_rate2 = -r * (36.0 - 96.0 * r + 60.0 * r * r)
+        return Target(
+            self._task.displaced(x, place * e + slope * w),
+            v + (place_rate * e + slope_rate * w) / T,
+            a + (place_rate2 * e + slope_rate2 * w) / T**2,
+        )
+
+
+class Halt:
+    """A target that comes to rest from x and a velocity, with steady deceleration.
+
+    It takes a duration [s] and goes a `distance`, shape (m,).
+    """
+
+    def __init__(
+        self, task: Task, begin: float, x: Array, velocity: Array, duration: float
+    ) -> None:
+        self._task, self._begin, self._x, self._v = task, begin, x, velocity
+        self._duration = duration
+        self.distance = 0.5 * duration * velocity
+
+    def at(self, t: float) -> Target:
+        """Return the target at t [s]."""
+        r = min(max((t - self._begin) / self._duration, 0.0), 1.0)
+        way = self._duration * (r - 0.5 * r * r) * self._v
+        a = -self._v / self._duration if r < 1.0 else np.zeros_like(self._v)
+        return Target(self._task.displaced(self._x, way), (1.0 - r) * self._v, a)
+
+
+def _complete(task: Task, target: Target | Array) -> tuple[Array, Array, Array]:
+    """Return x, v and a of a target, 0 where it has no rates."""
+    if not isinstance(target, Target):
+        target = Target(target)
+    still = np.zeros(task.m)
+    v, a = (still if rate is None else rate for rate in (target.v, target.a))
+    return target.x, v, a

@@ -140,12 +140,8 @@ _NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
 class StopSignals:
     """While it is entered, signals that would end the program are noted instead.
 
-    Only the main thread of a program can take signals; elsewhere this does nothing.
-
-    Attributes:
-        name: The first signal that came, such as "SIGTERM"; "" before.
-        count: How many came.
-        looked_at: Whether somebody looks; else a second one interrupts, once.
+    Only the main thread of a program can take signals; elsewhere this does nothing. `name` is that
+    of the first that came, and `looked_at` whether somebody looks; else a second one interrupts.
     """
 
     def __init__(self) -> None:

@@ -38,16 +38,9 @@ _GROWTH, _STEPS, _TIME = 1.4, 5, 0.03  # of speed, over so many times of so many
 class FaultWatch:
     """Hold q, q̇, the clock and commands against each other.
 
-    It sees each period's measurement once. Thresholds come from noise, speed limits and period; no
-    dynamics are believed.
-
-    Args:
-        robot: The believed robot.
-        dt: Period [s].
-        accuracy: Of q and q̇.
-        fastest: Largest joint speeds, shape (n_v,) [rad/s or m/s].
-        late: Time from state to state that is a fault [s].
-        commands_velocity: Whether joint velocities are commanded, not torques.
+    It sees each period's measurement once. Thresholds come from noise, the largest joint speeds
+    `fastest` (n_v,) and the period; no dynamics are believed. From state to state it may take at
+    most `late` [s].
 
     Attributes:
         detail: Of the last fault, in words: which joint, and by how much.
@@ -93,13 +86,9 @@ class FaultWatch:
         self._ahead = deque([-math.inf], maxlen=_REMEMBERED)
 
     def look(self, measurement: Measurement, now: float) -> Fault | None:
-        """Return the fault of this measurement, or None.
+        """Return the fault of a period's measurement, read at `now` by this machine's clock [s].
 
         One without q and q̇ is bridged for some periods; it is the caller who must not use it.
-
-        Args:
-            measurement: Of this period.
-            now: When it was read, by this machine's clock [s].
         """
         t, q, v = measurement.t, measurement.q, measurement.v
         self.detail = ""
@@ -271,13 +260,7 @@ class SensorWatch:
     largest singular value. Of that, (R' − R) d is square to the axis about which the link has
     turned: a tool explains nothing along it. Coordinates of different units are looked at apart.
     Where kinematics are learnt, the sensor may be turned: lengths of motions are compared then.
-
-    Args:
-        task: The controller's task.
-        dt: Period [s].
-        accuracy: Of x and Ĵ.
-        unseen: How far the tip may move while x is lost, shape (m,) [unit of the task].
-        is_learnt: Whether the controller learns where the sensor is.
+    While x is lost, the tip may move by `unseen` (m,) at most.
     """
 
     def __init__(
@@ -313,12 +296,7 @@ class SensorWatch:
         self._q_seen: Array | None = None  # in the last period in which there was an x
 
     def look(self, measurement: Measurement, x_d: Array) -> Fault | None:
-        """Return the fault of x, or None. q and q̇ are taken for right.
-
-        Args:
-            measurement: Of this period.
-            x_d: Where the controller leads x to, shape (n_x,).
-        """
+        """Return the fault of x, led to x_d (n_x,), or None. q and q̇ are taken for right."""
         t, q, v, x, t_x = measurement
         self._path += self._dt * math.hypot(*v.tolist())
         self._past.append((t, q, self._path))

@@ -6,16 +6,19 @@ package_of("study", "matplotlib")  # for its error
 
 from approxjac.view.browser.live import LiveView
 from approxjac.view.browser.page import save_page, show, write_index
-from approxjac.view.image_plots import plot_camera_view, plot_image
-from approxjac.view.parameters_plot import plot_parameters
 from approxjac.view.plots import (
+    plot_allowed_error,
+    plot_camera_view,
     plot_error,
+    plot_image,
+    plot_margins,
+    plot_parameters,
     plot_path,
     plot_run,
+    plot_shares,
     plot_slack,
     plot_torque,
 )
-from approxjac.view.stability_plots import plot_allowed_error, plot_margins, plot_shares
 from approxjac.view.style import COLORS, SERIES, legend_below, new_figure, save_figure, style
 
 __all__ = [

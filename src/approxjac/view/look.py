@@ -10,21 +10,36 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import trimesh
 import yourdfpy
 from lxml import etree
 from lxml.builder import E
 from trimesh import Trimesh, creation
 
+from approxjac.extras import package_of
 from approxjac.robots import Robot
-from approxjac.robots.meshes import find_mesh
+from approxjac.robots.meshes import find_mesh, read_mesh
 from approxjac.validation import Array
-from approxjac.view.mesh_drawing import capsule, load_mesh, shares, simplify, smooth
 from approxjac.view.tree import Joint, robot_joints
 
 _TRIANGLES = 25_000  # of a robot
 _THICK = 0.05  # radius of a capsule, of the way from the first moving joint to the last
 _NEAR = 0.1  # of the radius: joints nearer to their link's origin get no capsule
 _AROUND = 32  # sides of what is round; a multiple of 4, so that it reaches its radius along x, y
+_FEW = 200  # triangles up to which a mesh is left as it is
+
+# Meshes are simplified at this size: fast-simplification's steps towards larger gaps are absolute.
+# The largest is 3 % of it; with its usual 7 instead of 5 there is no end to them, and a mesh in
+# which it gets stuck is torn to pieces.
+_SIZE = 100.0
+_AGGRESSIVE = 5.0
+# It gets stuck in the slivers that CAD writes, unless vertices that are close are welded: those in
+# the same cell of a grid. Wider cells are for what narrower ones do not get small enough, the
+# widest for what has many small parts.
+_CELLS = (0.2, 0.6, 1.8, 5.4)
+_THIN = 1.0  # of narrower cells the two sides of a thin wall stay apart
+
+_SHARP = np.deg2rad(35.0)  # edges sharper than this stay edges when shaded smoothly
 
 
 class Look(NamedTuple):
@@ -62,47 +77,52 @@ def robot_look(robot: Robot, like: tuple[Robot, Look] | None = None) -> Look:
     With another robot and its look as `like`, links that are the same in both take the very same
     shapes, without delay.
     """
-    root = robot.tree.root
-    taken = {} if like is None else _taken(root, *like)
-    seen, missing = _visuals(root, robot.urdf_dir, taken.keys())
-    shapes = taken | _in_place(robot, root, seen.keys() | taken.keys())
-    budget = _TRIANGLES - sum(len(mesh.faces) for drawn in shapes.values() for mesh in drawn)
-    light = _lightened([visual for found in seen.values() for visual in found], budget)
-    for name, visuals in seen.items():
-        placed = [light.get(v.file, v.mesh).copy().apply_transform(v.origin) for v in visuals]
-        shapes[name] = tuple(placed)
-    return Look(shapes, missing, frozenset(seen.keys() | taken.keys()))
-
-
-def _taken(root: Any, other: Robot, look: Look) -> dict[str, tuple[Trimesh, ...]]:
-    """Return the shapes of the links of another robot that are the same in this one."""
-
-    def text(link: Any) -> bytes:
-        return bytes(etree.tostring(link, method="c14n", strip_text=True))
-
-    theirs = {text(link) for link in other.tree.root.iterfind("link")}
-    same = [link.get("name") for link in root.iterfind("link") if text(link) in theirs]
-    return {name: look.shapes[name] for name in same if name in look.found}
-
-
-def _visuals(
-    root: Any, folder: Path | None, known: Set[str]
-) -> tuple[dict[str, list[_Visual]], tuple[str, ...]]:
-    """Read the <visual>s of all links that are not known yet, and say which cannot be shown."""
+    root, taken = robot.tree.root, {} if like is None else _taken(robot, *like)
     load = cache(load_mesh)
     seen: dict[str, list[_Visual]] = {}
     missing: dict[str, None] = {}  # in order, each once
     for link in root.iterfind("link"):
         name = link.get("name")
-        for element in [] if name in known else link.iterfind("visual"):
+        for element in [] if name in taken else link.iterfind("visual"):
             shape = element.find("geometry/*")
             try:
-                seen.setdefault(name, []).append(_visual(element, folder, load))
+                visual = _visual(element, robot.urdf_dir, load)
             except ValueError as error:
                 kind = "visual" if shape is None else shape.tag
                 file = None if shape is None else shape.get("filename")
                 missing[f"{file or f'<{kind}> of link {name!r}'}: {error}"] = None
-    return {name: found for name, found in seen.items() if found}, tuple(missing)
+            else:
+                seen.setdefault(name, []).append(visual)
+    found = seen.keys() | taken.keys()
+    shapes = taken | _in_place(robot, found)
+    # the meshes of all files, each once a scale, become as light as there is room
+    visuals = [visual for of_link in seen.values() for visual in of_link]
+    files = [visual for visual in visuals if visual.file is not None]
+    fixed = [mesh for meshes in shapes.values() for mesh in meshes]
+    fixed += [visual.mesh for visual in visuals if visual.file is None]
+    has, sizes = [len(visual.mesh.faces) for visual in files], [v.mesh.scale for v in files]
+    counts = shares(has, sizes, _TRIANGLES - sum(len(mesh.faces) for mesh in fixed))
+    wanted = {v.file: (v.mesh, count) for v, count in zip(files, counts, strict=True)}
+    light: dict[Any, Trimesh] = {f: smooth(simplify(*given)) for f, given in wanted.items()}
+    for name, of_link in seen.items():
+        placed = [light.get(v.file, v.mesh).copy().apply_transform(v.origin) for v in of_link]
+        shapes[name] = tuple(placed)
+    return Look(shapes, tuple(missing), frozenset(found))
+
+
+def _taken(robot: Robot, other: Robot, look: Look) -> dict[str, tuple[Trimesh, ...]]:
+    """Return the shapes of the links of another robot that are the same in this one."""
+
+    def texts(whole: Robot) -> dict[str, bytes]:
+        links = whole.tree.root.iterfind("link")
+        return {e.get("name"): etree.tostring(e, method="c14n", strip_text=True) for e in links}
+
+    theirs = set(texts(other).values())
+    return {
+        name: look.shapes[name]
+        for name, text in texts(robot).items()
+        if text in theirs and name in look.found
+    }
 
 
 def _visual(element: Any, folder: Path | None, load: Callable[[Path], Trimesh]) -> _Visual:
@@ -155,21 +175,11 @@ def _parsed(element: Any) -> tuple[Array, Any]:
     return origin, shape
 
 
-def _lightened(visuals: Sequence[_Visual], budget: float) -> dict[Any, Trimesh]:
-    """Simplify the meshes of all files, each once a scale, to a number of triangles in all."""
-    files = [visual for visual in visuals if visual.file is not None]
-    budget -= sum(len(visual.mesh.faces) for visual in visuals if visual.file is None)
-    counts = [len(visual.mesh.faces) for visual in files]
-    given = shares(counts, [visual.mesh.scale for visual in files], budget)
-    wanted = {v.file: (v.mesh, count) for v, count in zip(files, given, strict=True)}
-    return {file: smooth(simplify(mesh, count)) for file, (mesh, count) in wanted.items()}
-
-
-def _in_place(robot: Robot, root: Any, seen: Set[str]) -> dict[str, tuple[Trimesh, ...]]:
+def _in_place(robot: Robot, seen: Set[str]) -> dict[str, tuple[Trimesh, ...]]:
     """Return capsules and balls for the links that nothing is seen of."""
     joints = robot_joints(robot)
     radius = _THICK * _arm_length(joints)
-    links = {link.get("name"): link for link in root.iterfind("link")}
+    links = {link.get("name"): link for link in robot.tree.root.iterfind("link")}
     wanted = {name for name, link in links.items() if link.find("visual") is not None}
     solid = {name for name, link in links.items() if link.find("inertial") is not None}
     moved = {joint.child for joint in joints if joint.kind != "fixed"}
@@ -205,3 +215,98 @@ def _arm_length(joints: Sequence[Joint]) -> float:
     moving = [way[joint.child] for joint in joints if joint.kind != "fixed"]
     # 1 m where all joints are at one place: any size is as good as another
     return (max(moving) - min(moving)) or (max(way.values()) - min(moving)) or 1.0
+
+
+def load_mesh(path: Path) -> Trimesh:
+    """Return the triangles of a mesh file as they are written there, equal vertices merged.
+
+    As in Pinocchio and in RViz, the unit and the up axis that a COLLADA file declares are ignored:
+    coordinates are metres in the URDF's frame.
+
+    Raises:
+        ValueError: It cannot be read, or holds no triangles.
+    """
+    try:
+        with np.errstate(all="ignore"):  # of what is not finite
+            loaded = read_mesh(path)
+            # built anew: normals and textures would keep equal vertices apart
+            mesh = _without_flat(Trimesh(loaded.vertices, loaded.faces))
+    except Exception as error:  # each of trimesh's readers raises its own
+        raise ValueError(f"cannot be read: {type(error).__name__}: {error}") from error
+    if not len(mesh.faces):
+        raise ValueError("holds no triangles")
+    if not np.isfinite(mesh.vertices).all():
+        raise ValueError("holds coordinates that are not finite")
+    return mesh
+
+
+def capsule(end: Array, radius: float) -> Trimesh:
+    """Return a cylinder from the origin to `end` (3,) [m] with a half ball at each."""
+    mesh = trimesh.creation.capsule(float(np.linalg.norm(end)), radius, count=[12, 20])
+    mesh.apply_translation(-mesh.bounds.mean(axis=0))  # its place differs between versions
+    mesh.apply_transform(trimesh.geometry.align_vectors([0.0, 0.0, 1.0], end))
+    mesh.apply_translation(0.5 * end)
+    return mesh
+
+
+def shares(counts: Sequence[int], sizes: Sequence[float], budget: float) -> list[int]:
+    """Share a number of triangles among meshes, by size.
+
+    On a curved surface n triangles leave a gap in proportion to size²/(radius n): shared by size,
+    all are off by about the same. No mesh gets more than it has, or less than 200, even where that
+    is too many.
+    """
+    has, weight = np.array(counts, dtype=float), np.array(sizes)
+
+    def given(rate: float) -> Array:
+        return np.asarray(np.minimum(has, np.maximum(_FEW, np.floor(rate * weight))))
+
+    if not len(has) or has.sum() <= budget:
+        return list(counts)
+    low, high = 0.0, float((has / weight).max())
+    for _ in range(60):
+        rate = 0.5 * (low + high)
+        low, high = (rate, high) if given(rate).sum() <= budget else (low, rate)
+    return [int(count) for count in given(low)]
+
+
+def simplify(mesh: Trimesh, count: int) -> Trimesh:
+    """Return a mesh with about `count` triangles in place of more."""
+    reduced = package_of("view", "fast_simplification").simplify
+    if len(mesh.faces) <= count:
+        return mesh
+    unit = mesh.scale / _SIZE
+    start = mesh.vertices / unit
+    for cell in _CELLS:
+        vertices, faces = _weld(start, mesh.faces, cell)
+        if len(faces) > count:  # without its border a tube that is open would lose its wall
+            share = 1.0 - count / len(faces)
+            vertices, faces = reduced(
+                vertices, faces, target_reduction=share, agg=_AGGRESSIVE, preserve_border=True
+            )
+        if len(faces) <= count:
+            break
+    return Trimesh(vertices * unit, faces, process=False)
+
+
+def smooth(mesh: Trimesh) -> Trimesh:
+    """Return a mesh that shows sharp edges as edges, and what is round as round, when shaded."""
+    return trimesh.graph.smooth_shade(mesh, angle=_SHARP, facet_minarea=None)
+
+
+def _weld(vertices: Array, faces: Array, cell: float) -> tuple[Array, Array]:
+    """Make one vertex, their mean, of all in the same cell of a grid; drop what becomes flat."""
+    facing = np.round(Trimesh(vertices, faces, process=False).vertex_normals) + 1.0
+    place = np.round((vertices - vertices.min(axis=0)) / cell)
+    keys = place @ [1 << 6, 1 << 26, 1 << 46] + (cell < _THIN) * (facing @ [1, 4, 16])
+    _, index = np.unique(keys.astype(np.int64), return_inverse=True)
+    number = np.bincount(index)
+    means = [np.bincount(index, vertices[:, axis]) / number for axis in range(3)]
+    welded = _without_flat(Trimesh(np.column_stack(means), index[faces], process=False))
+    return np.array(welded.vertices), np.array(welded.faces, dtype=np.int32)
+
+
+def _without_flat(mesh: Trimesh) -> Trimesh:
+    """Drop triangles that are there twice or have no area."""
+    mesh.update_faces(mesh.unique_faces() & mesh.nondegenerate_faces())
+    return mesh

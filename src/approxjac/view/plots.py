@@ -1,8 +1,9 @@
-"""Plots of a run. Each draws into axes, by default new ones, and returns them to go on from."""
+"""Plots of runs and of stability tests: each draws into axes, by default new ones."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -10,18 +11,28 @@ import pinocchio as pin
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from approxjac.errors import InvalidInputError
+from approxjac import law
+from approxjac.cameras import Camera, PinholeCamera
+from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.interface import LimitStatus
 from approxjac.robots import Robot
 from approxjac.simulation import Trajectory
-from approxjac.tasks import FrameKinematics
+from approxjac.tasks import FrameKinematics, ImageTask
 from approxjac.validation import Array, as_vector, plane_rows, require
-from approxjac.view.learnt import learnt_tips
 from approxjac.view.style import COLORS, SERIES, display_unit, formulas, new_figure, styled
+from approxjac.view.tree import learnt_tips
 
 _STATUS_COLORS = dict(
     zip(LimitStatus, ("#BBBBBB", *(SERIES[i] for i in (2, 3, 5, 1, 6, 4, 0))), strict=True)
 )
+_INSTANTS = 200
+_USUAL = ("tool.", "camera.")
+_SHOWN = 0.1  # share of the run after which values and bands are to be within the axes
+_SEEN = 0.7  # of a first standard deviation: below it half of the variance was resolved
+_PIECES = 20  # of each link: a lens bends what is straight
+_AROUND = 0.06  # of the image, shown around its border
+# of the paths of points: none of them is that of targets or of what is believed
+_POINTS = (COLORS["true"], SERIES[4], SERIES[5], SERIES[6], SERIES[1])
 
 
 def _require_run(run: Trajectory) -> None:
@@ -197,3 +208,338 @@ def skeleton(robot: Robot, frame: str, q: Array) -> Array:
     points = np.array([data.oMf[i].translation for i in reversed(chain)])
     apart = np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-9
     return np.asarray(points[np.append(True, apart)])
+
+
+def plot_parameters(
+    run: Trajectory,
+    names: Sequence[str] | None = None,
+    ax: Axes | None = None,
+    *,
+    truth: Mapping[str, float] | None = None,
+    title: str = "What is learnt",
+) -> Axes:
+    """Draw numbers that are learnt against time, ± two standard deviations where they are known.
+
+    Where there are bands, the axes hold what is drawn after the first tenth of the run: bands
+    begin as wide as beliefs.
+
+    Args:
+        run: A run of a controller that learns.
+        names: Of the numbers, such as "tool.x" or "panda_joint1.m", of `run.parameters`; tool and
+            camera by default where they are learnt, else all.
+        ax: Axes; new ones by default.
+        truth: True numbers by name, drawn dashed.
+        title: Of the axes.
+
+    Raises:
+        InvalidInputError: No run, or one in which nothing was learnt.
+        UnknownNameError: No such number is learnt.
+    """
+    _require_run(run)
+    known = list(run.parameters)
+    if not known:
+        raise InvalidInputError(
+            f"run must be one in which something was learnt, got {run!r}", given=run
+        )
+    usual = [name for name in known if name.startswith(_USUAL)] or known
+    chosen = usual if names is None else list(names)
+    for name in chosen:
+        if name not in known:
+            raise UnknownNameError("number", name, "what is learnt", known)
+    kept = np.unique(np.linspace(0, len(run.t) - 1, _INSTANTS).astype(int))
+    deviations = np.array([run.learnt_sd(k) for k in kept])
+    late = kept >= _SHOWN * kept[-1]
+    within: list[float] = []
+    with styled(ax) as ax:
+        for i, name in enumerate(chosen):
+            j, color = known.index(name), SERIES[i % len(SERIES)]
+            values, sd = run.learnt[kept, j], deviations[:, j]
+            if np.isnan(sd).all():
+                ax.plot(run.t, run.learnt[:, j], color=color, label=name)
+            else:
+                ax.plot(run.t[kept], values, color=color, label=name)
+                low, high = values - 2.0 * sd, values + 2.0 * sd
+                ax.fill_between(run.t[kept], low, high, color=color, alpha=0.15, lw=0)
+                # a band of what is not seen is that of the belief, beside which curves are flat
+                bands = 2.0 * sd * (sd <= _SEEN * sd[0])
+                within += [*(values - bands)[late], *(values + bands)[late]]
+            if truth is not None and name in truth:
+                within.append(truth[name])
+                ax.axhline(truth[name], color=color, linestyle="--", linewidth=0.9)
+        if truth is not None:
+            ax.plot([], [], "--", color=COLORS["neutral"], linewidth=0.9, label="true values")
+        units = dict.fromkeys(run.parameters[name] or "–" for name in chosen)
+        shown = ", ± 2 sd" if np.isfinite(deviations).any() else ""
+        over_time(ax, run, ylabel=f"learnt{shown} [{' or '.join(units)}]", title=title)
+        if np.isfinite(deviations).any() and within:
+            room = 0.05 * (max(within) - min(within)) or 1e-3
+            ax.set_ylim(min(within) - room, max(within) + room)
+    return ax
+
+
+def plot_image(
+    run: Trajectory,
+    camera: Camera,
+    ax: Axes | None = None,
+    *,
+    title: str = "Paths of the points in the image",
+) -> Axes:
+    """Draw the true path of each point through the image, from its start to its target.
+
+    The images that were measured are faint dots. The border of a pinhole camera's image is its
+    field of view; as in all images v points down.
+
+    Args:
+        run: A run whose task is an image.
+        camera: The true camera.
+        ax: Axes to draw into; new ones by default.
+        title: Of the axes.
+
+    Raises:
+        InvalidInputError: A run of another task, or no camera.
+    """
+    require("camera", camera, Camera, "a camera, such as that of the plant's ImageTask")
+    if run.error.shape[1] % 2 or set(run.task_units) != {camera.unit}:
+        raise InvalidInputError(
+            f"run must be that of an image task, with coordinates in {camera.unit}, got "
+            f"{', '.join(run.task_labels)} in {run.task_unit}",
+            given=run,
+        )
+    k = run.error.shape[1] // 2
+    true, measured = (x.reshape(len(run.t), k, -1)[:, :, :2] for x in (run.x, run.x_measured))
+    target, grey = run.target.reshape(k, -1)[:, :2], COLORS["neutral"]
+    with styled(ax, columns=3) as ax:
+        for i in range(k):
+            color = _POINTS[i % len(_POINTS)]
+            label = "path" if k == 1 else f"path {i + 1}"
+            # an image that is held is one image; as pixels, or files would grow with the run
+            new = np.append(True, (np.diff(measured[:, i], axis=0) != 0.0).any(axis=1))
+            ax.plot(*measured[new, i].T, ".", color=color, ms=4, mew=0, alpha=0.5, zorder=1,
+                    rasterized=True)  # fmt: skip
+            ax.plot(*true[:, i].T, color=color, label=label)
+        ax.plot(*true[0].T, "o", color=grey, mfc="white", ms=7, label="start", zorder=4)
+        ax.plot(*target.T, "x", color=COLORS["target"], ms=9, mew=2, label="target", zorder=5)
+        ax.plot(*true[-1].T, "o", color=grey, ms=4, label="end", zorder=6)
+        ax.plot([], [], ".", color=grey, alpha=0.5, label="measured")
+        _frame(ax, camera, title)
+    return ax
+
+
+def plot_camera_view(
+    sensor: ImageTask,
+    q: Sequence[float] | Array,
+    ax: Axes | None = None,
+    *,
+    believed: ImageTask | None = None,
+    target: Sequence[float] | Array | None = None,
+    title: str = "What the camera sees",
+) -> Axes:
+    """Draw what a camera sees of an arm, and what a controller believes it to see.
+
+    A camera in the world sees the arm, drawn as its skeleton, with the points that it watches. One
+    that the arm carries sees the points.
+
+    Args:
+        sensor: Task of the true robot with the true camera.
+        q: Configuration, shape (nq,).
+        ax: Axes to draw into; new ones by default.
+        believed: Task of the believed robot with the believed camera; drawn dashed if given.
+        target: Images of the points at the target, shape (n_x,), drawn as crosses if given.
+        title: Of the axes.
+
+    Raises:
+        InvalidInputError: No image tasks, or a configuration or a target of another shape.
+    """
+    require("sensor", sensor, ImageTask, "an ImageTask of the true robot")
+    q = sensor.robot.configuration(q)
+    with styled(ax, columns=3) as ax:
+        points = _draw(ax, sensor, q, "true", color=COLORS["true"], zorder=4)
+        _number(ax, points, COLORS["true"], (6, 5))
+        if believed is not None:
+            require("believed", believed, ImageTask, "an ImageTask of the believed robot")
+            look = {"linestyle": "--", "zorder": 3}
+            _draw(ax, believed, q, "believed", color=COLORS["believed"], **look)
+        if target is not None:
+            images = sensor.target(target).reshape(len(sensor.points), -1)[:, :2]
+            ax.plot(*images.T, "x", color=COLORS["target"], ms=9, mew=2, label="target", zorder=6)
+            _number(ax, images, COLORS["target"], (-12, -10))
+        _frame(ax, sensor.camera, title)
+    return ax
+
+
+def _draw(ax: Axes, task: ImageTask, q: Array, name: str, **look: Any) -> Array:
+    """Draw an arm, where it is seen from outside, and the points; return their images (k, 2)."""
+    camera = task.camera
+    dots = {key: value for key, value in look.items() if key != "linestyle"}
+    if camera.mount is None and task.frame is not None:
+        corners = skeleton(task.robot, task.frame, q)
+        share = np.linspace(0.0, 1.0, _PIECES, endpoint=False)[:, None]
+        line = np.concatenate([*(a + share * (b - a) for a, b in pairwise(corners)), corners[-1:]])
+        ax.plot(*_images(camera, line), linewidth=2.0, label=f"arm, {name}", **look)
+        ax.plot(*_images(camera, corners), "o", ms=4, **dots)
+    points: Array = task.value(q).reshape(len(task.points), -1)[:, :2]
+    ax.plot(*np.concatenate([points, points[:1]]).T, linewidth=1.0, **look)
+    ax.plot(*points.T, "s", ms=7, mfc="none", mew=1.6, label=f"points, {name}", **dots)
+    return points
+
+
+def _number(ax: Axes, points: Array, color: str, offset: tuple[int, int]) -> None:
+    """Write the number of each of several points beside it."""
+    for i, point in enumerate(points, start=1):
+        if len(points) > 1 and np.isfinite(point).all():
+            look: dict[str, Any] = {"color": color, "fontsize": 8, "annotation_clip": True}
+            ax.annotate(str(i), point, offset, textcoords="offset points", **look)
+
+
+def _images(camera: Camera, points: Array) -> Array:
+    """Return images of points of the world, shape (2, N); NaN for those that have none."""
+    return np.array([camera.project(r) for r in points]).T
+
+
+def _frame(ax: Axes, camera: Camera, title: str) -> None:
+    """Draw the border of an image, and name the axes."""
+    (u, v), unit = camera.labels, camera.unit
+    ax.set_aspect("equal", adjustable="box", anchor="N")
+    if isinstance(camera, PinholeCamera):
+        width, height = camera.size
+        border = np.array([[0, 0, 1, 1, 0], [0, 1, 1, 0, 0]]) * np.array([[width], [height]]) - 0.5
+        ax.plot(*border, color=COLORS["neutral"], linewidth=1.2, zorder=2)
+        around = _AROUND * max(width, height)
+        ax.set_xlim(-around, width + around)
+        ax.set_ylim(height + around, -around)  # v points down
+    ax.set(xlabel=formulas(f"{u} [{unit}]"), ylabel=formulas(f"{v} [{unit}]"), title=title)
+
+
+def plot_allowed_error(
+    lambda2: float,
+    p: float,
+    *,
+    unit: str,
+    p_label: str,
+    own_a: float | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw Figure 1: the p that (23) allows against a, its two curves and their crossing.
+
+    Args:
+        lambda2: λ₂ of (23); α is √λ₂, which allows the largest p.
+        p: ‖Jᵀ − Ĵᵀ‖, drawn dashed.
+        unit: Of p.
+        p_label: Name of p.
+        own_a: The controller's own a = k_p/k_v, marked if given [1/s]; the axis is logarithmic
+            where it is far from the crossing.
+        ax: Axes to draw into; new ones by default.
+    """
+    alpha = float(np.sqrt(lambda2))
+    wide = own_a is not None and alpha > 0.0 and not 0.05 < own_a / alpha < 20.0
+    right = max(4.0 * alpha, 1e-12, (3.0 if wide else 1.3) * (own_a or 0.0))
+    left = min(alpha, own_a or alpha) / 10.0 if wide else 0.0
+    a = np.geomspace(left, right, 600) if wide else np.linspace(left, right, 600)[1:]
+    velocity = law.allowed_p_velocity(a, alpha, lambda2)
+    position = law.allowed_p_position(a, alpha)
+    with styled(ax, (6.5, 4.8)) as ax:
+        allowed = np.minimum(velocity, position)
+        ax.fill_between(a, allowed, color=SERIES[2], alpha=0.15, label="$p$ allowed by (23)")
+        ax.plot(a, velocity, color=SERIES[0], label=r"$2\lambda_2 / (a + \alpha)$")
+        ax.plot(a, position, color=SERIES[1], label=r"$2 a \alpha / (a + \alpha)$")
+        if alpha > 0.0:
+            at = rf"$a = \lambda_2 / \alpha$ = {alpha:.4f}, $p = \sqrt{{\lambda_2}}$ = {alpha:.4f}"
+            label = f"crossing: {at}"
+            ax.plot([alpha], [alpha], "o", color=SERIES[6], ms=5, label=label)
+        ax.axhline(p, color=COLORS["neutral"], linestyle="--", label=f"{p_label}: {p:.4f}")
+        if own_a is not None:
+            a = np.array(own_a)
+            bounds = law.allowed_p_velocity(a, alpha, lambda2), law.allowed_p_position(a, alpha)
+            label = f"the controller's own $a$ = {own_a:.3g} allows $p$ = {min(bounds):.3g} with\n"
+            label += r"this $\alpha$ and large gains (the report: its own $\alpha$ and gains)"
+            ax.axvline(own_a, color=SERIES[3], label=label)
+        ax.set(xlabel="$a = k_p / k_v$ [1/s]", ylabel=f"allowed $p$ [{unit}]", xlim=(left, right))
+        ax.set(ylim=(0.0, 1.25 * max(p, float(velocity.max()))))
+        crossover = rf"$\alpha = \sqrt{{\lambda_2}}$ = {alpha:.4f} 1/s"
+        ax.set_title(f"Figure 1: allowed Jacobian error ({crossover})")
+        if wide:
+            ax.set_xscale("log")
+    return ax
+
+
+def plot_margins(
+    positions: Array,
+    margins: Array,
+    plane: str = "xz",
+    ax: Axes | None = None,
+    *,
+    title: str = "Margin over the workspace",
+) -> Axes:
+    """Draw the margin of each configuration at its tip, the smallest on top, crosses below zero.
+
+    Tips are at `positions`, shape (N, 3) [m], and drawn in a plane of two world axes; margins are
+    of shape (N,).
+    """
+    rows = plane_rows(plane)
+    top = np.argsort(-margins)
+    with styled(ax) as ax:
+        # one that is far below zero would leave all others without colour
+        reach = min(1.0, max(0.05, float(np.abs(margins[np.isfinite(margins)]).max(initial=0.0))))
+        for passes, marker, name in ((True, "o", "holds in"), (False, "x", "fails in")):
+            chosen = top[(margins[top] > 0.0) == passes]
+            if len(chosen) == 0:
+                continue
+            dots = ax.scatter(
+                positions[chosen, rows[0]], positions[chosen, rows[1]], marker=marker,
+                s=9 if passes else 14, linewidths=0.0 if passes else 1.2,
+                c=np.clip(margins[chosen], -reach, reach), cmap="RdYlBu", vmin=-reach, vmax=reach,
+            )  # fmt: skip
+            label = f"{name} {len(chosen)} of {len(margins)} configurations"
+            ax.plot([], [], marker, ms=4, color="0.4", label=label)
+        worst = positions[margins.argmin(), rows]
+        ax.plot(*worst, "s", mfc="none", mec=SERIES[6], ms=9, mew=1.5,
+                label=f"worst: {margins.min():.3g}")  # fmt: skip
+        ax.set_aspect("equal", adjustable="datalim")
+        ax.set(xlabel=f"{plane[0]} [m]", ylabel=f"{plane[1]} [m]", title=title)
+        ax.figure.colorbar(dots, ax=ax, label="margin [–]", shrink=0.8)
+    return ax
+
+
+def plot_shares(
+    x: Array,
+    y: Array,
+    shares: Array,
+    *,
+    labels: tuple[str, str],
+    own: tuple[float, float] | None = None,
+    own_name: str = "as given",
+    ax: Axes | None = None,
+    title: str = "Share of runs that converge",
+) -> Axes:
+    """Draw the share of runs that converge over two parameters, or an end of its interval.
+
+    Args:
+        x: Values of the first parameter, shape (N_x,).
+        y: Values of the second, shape (N_y,).
+        shares: Shape (N_y, N_x), 0 to 1; NaN is left grey.
+        labels: Of the axes.
+        own: Where the controller and its errors are, or what it believes.
+        own_name: What that is called.
+        ax: Axes to draw into; new ones by default.
+        title: Of the axes.
+    """
+    with styled(ax, (5.6, 4.6)) as ax:
+        ax.set_facecolor("0.85")
+        shown = ax.pcolormesh(
+            x, y, np.ma.masked_invalid(shares), cmap="RdYlBu", vmin=0.0, vmax=1.0,
+            shading="nearest", rasterized=True,
+        )  # fmt: skip
+        ax.figure.colorbar(shown, ax=ax, label="share that converges [–]", shrink=0.8)
+        if own is not None:
+            ax.plot(*own, "*", color=SERIES[6], mec="white", ms=14, label=own_name)
+        _scale(ax, x, y)
+        ax.set(xlabel=formulas(labels[0]), ylabel=formulas(labels[1]), title=title)
+        ax.grid(visible=False)
+    return ax
+
+
+def _scale(ax: Axes, x: Array, y: Array) -> None:
+    """Take logarithmic axes where values go over decades."""
+    for values, set_scale in ((x, ax.set_xscale), (y, ax.set_yscale)):
+        if values[0] > 0.0 and values[-1] / values[0] > 20.0:
+            set_scale("log")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -67,11 +67,9 @@ _RC: Mapping[str, Any] = {
 }
 
 
-@contextmanager
-def style() -> Iterator[None]:
+def style() -> AbstractContextManager[None]:
     """Apply the look inside a `with` block, and leave the user's settings alone after it."""
-    with matplotlib.rc_context(dict(_RC)):
-        yield
+    return matplotlib.rc_context(dict(_RC))
 
 
 class StyledFigure(Figure):

@@ -24,7 +24,7 @@ from approxjac import view
 from approxjac.controllers import RegressorGravity
 from approxjac.robots import GravityRegressor
 from approxjac.scenario import build_scenario, run_scenario
-from approxjac.view.browser import server
+from approxjac.view.browser import live as live_module
 
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 LENGTH = 0.2
@@ -399,7 +399,7 @@ def test_the_usual_port_may_be_taken(panda, monkeypatch, capsys):
         usual.bind(("127.0.0.1", 0))
         usual.listen()
         taken = usual.getsockname()[1]
-        monkeypatch.setattr(server, "_PORT", taken)
+        monkeypatch.setattr(live_module, "_PORT", taken)
         live = view.LiveView(speed=np.inf, patience=0.0)
         simulate(panda, live)
         assert port_of(live.url) != taken
@@ -569,7 +569,7 @@ def test_a_flood_of_messages_does_not_hold_up_a_run(panda):
         with ThreadPoolExecutor() as pool:
             flooding = pool.submit(asyncio.run, flood(pages.url))
             time.sleep(1.0)
-            assert len(running.live._server._wishes) <= 32
+            assert len(running.live._server._commands) <= 32
             steps = running._loop.step
             time.sleep(0.5)
             assert running._loop.step > steps + 50  # of 500

@@ -19,8 +19,8 @@ from approxjac.robots import GravityRegressor
 from approxjac.scenario import run_scenario
 from approxjac.simulation.trajectory import Scene
 from approxjac.tasks import FrameKinematics
-from approxjac.view.browser.document import document, page_data
 from approxjac.view.browser.frames import RunFrames
+from approxjac.view.browser.page import document, page_data
 from approxjac.view.browser.stage import Stage
 from approxjac.view.style import COLORS, SERIES
 

@@ -16,9 +16,8 @@ from approxjac.tasks.analysis import image_feature
 from approxjac.tasks.frame_kinematics import PointKinematics
 from approxjac.tasks.task import Feature
 from approxjac.validation import Array
-from approxjac.view.learnt import followed, learnt_tips
 from approxjac.view.style import display_unit
-from approxjac.view.tree import joint_positions
+from approxjac.view.tree import followed, joint_positions, learnt_tips
 
 _AT_LIMIT = 0.01  # a joint that is within so much of its position limit is at it [rad or m]
 _LITTLE = 1e-6  # of a torque: round-off
@@ -105,14 +104,10 @@ class RunFrames:
         feature = self._feature
         if feature is None or not feature.axes:
             return np.full(tip.shape, np.nan)
-        given = x[:, feature.entries][:, : len(feature.axes)]
-        if feature.placed is not None:
-            R, b = feature.placed
-            given = (given - b) @ R
-        found = tip.copy()
-        found[:, ["xyz".index(axis) for axis in feature.axes]] = given
-        found[~np.isfinite(given).all(axis=1)] = np.nan
-        return found
+        given, place = feature.place(x), tip.copy()
+        place[:, ["xyz".index(axis) for axis in feature.axes]] = given
+        place[~np.isfinite(given).all(axis=1)] = np.nan
+        return place
 
     def _at_limit(self, q: Array) -> Array:
         lower, upper = self.scene.truth.position_limits

@@ -1,10 +1,15 @@
-"""`LiveView`: a run in the browser while it goes on."""
+"""`LiveView`: a run in the browser while it goes on, and the server of its page."""
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import json
 import math
+import re
+import secrets
 import signal
+import socket
 import threading
 import time
 from collections.abc import Callable
@@ -13,16 +18,16 @@ from typing import Any
 
 import numpy as np
 
+from approxjac.cameras import PlanarCamera
 from approxjac.errors import ApproxJacError, InvalidInputError
+from approxjac.extras import package_of
 from approxjac.robots import Robot
 from approxjac.simulation.loop import Loop
 from approxjac.simulation.trajectory import Record, scene_of
-from approxjac.validation import as_number
-from approxjac.view.browser.commands import LONG, numbers, target_of, with_pixel, with_point
-from approxjac.view.browser.document import asset, document, page_data
+from approxjac.tasks.analysis import features, image_feature
+from approxjac.validation import Array, as_array, as_number
 from approxjac.view.browser.frames import RunFrames
-from approxjac.view.browser.page import open_browser
-from approxjac.view.browser.server import PageServer
+from approxjac.view.browser.page import asset, document, open_browser, page_data
 from approxjac.view.browser.stage import Stage
 
 _FRAME = 1.0 / 30.0  # between pictures [s]
@@ -30,7 +35,21 @@ _STALL = 0.5  # behind its time, after which a run does not catch up [s]
 _NAP = 0.02  # between looks at what the user wants, while waiting [s]
 _KEPT = 1500  # instants that a page gets when it is opened late
 _SLOWEST = 1e-3  # of real time; slower is a pause
-_WISHES = "target, point, pixel, length, speed, pause, go, stop"
+_COMMANDS = "target, point, pixel, length, speed, pause, go, stop"
+_SHOWN = 80  # characters of what a page sent, in errors
+_LONGEST_ERROR = 300  # characters
+_FAR = 2.0  # from the base on each axis, of what the arm reaches: runs diverge at light years
+_STEP = 10.0  # of what is neither place nor image, such as joints or a quaternion
+
+_HOST = "127.0.0.1"  # nobody else on the network gets to move an arm
+_HOSTS = r"(127\.0\.0\.1|localhost)"
+_PORT = 7007
+_BEHIND = 900  # messages that a page has not taken yet
+_LONGEST = 20_000  # of a message from a page [byte]
+_SPARE = 0.005  # between messages of one page [s]; a mouse sends one in 50 ms
+_KINDS = 32  # of commands that wait; of each kind the latest
+_NO_KEY = "Open the address that the program printed: it ends with a key, which this one lacks."
+_CLOSING = 2.0  # for what was sent to arrive [s]
 
 
 class LiveView:
@@ -49,9 +68,15 @@ class LiveView:
         believed_length: That of the object at first [m].
         patience: How long to wait for the page to be opened before the run starts [s].
 
+    Attributes:
+        url: Address of the page; None before the run has begun.
+
     Raises:
         InvalidInputError: Numbers out of range, or a port that is taken.
     """
+
+    _stage: Stage
+    _server: PageServer
 
     def __init__(
         self,
@@ -67,10 +92,9 @@ class LiveView:
         self._believe = believe
         self._length = as_number("believed_length", believed_length, unit="m", minimum=0.0)
         self._patience = as_number("patience", patience, unit="s", minimum=0.0)
+        self.url: str | None = None
         self._rows: dict[int, dict[str, Any]] = {}  # the last one in each so many steps
         self._every = 1
-        self._stage: Stage | None = None
-        self._server: PageServer | None = None
         self._paused = self._changed = self._interrupted = self._ended = self._closed = False
         self._origin = self._next = 0.0
         self._before: Any = None  # what Ctrl-C did before
@@ -80,7 +104,7 @@ class LiveView:
         if self._closed:
             message = "a LiveView is for one run, and this one has shown its run: make another one"
             raise InvalidInputError(message, given=self)
-        if self._server is None:
+        if self.url is None:
             self._start(loop)
         self._obey(loop)
         if loop.ended or time.perf_counter() >= self._next:
@@ -89,11 +113,6 @@ class LiveView:
         if loop.ended:
             self._ended = True
             self._tell(ended=f"The run has ended at {loop.t:g} s.")
-
-    @property
-    def url(self) -> str | None:
-        """Address of the page, once the run has begun."""
-        return None if self._server is None else self._server.url
 
     def __enter__(self) -> LiveView:
         return self
@@ -106,7 +125,7 @@ class LiveView:
 
         Pages that are open keep what they have been shown.
         """
-        if self._server is not None and not self._closed:
+        if self.url is not None and not self._closed:
             if not self._ended:
                 why = "" if error is None else f" {type(error).__name__}: {error}"
                 self._tell(ended=f"The run was broken off.{why}")
@@ -120,9 +139,10 @@ class LiveView:
     def _start(self, loop: Loop) -> None:
         if self._believe is not None:
             loop.controller.with_task(loop.controller.task)  # or there is no changing the belief
-        self._look(loop)
+        self._look(loop, None)
         self._row(loop)
         self._server = server = PageServer(self._page, self._greeting, self._port)
+        self.url = server.url
         if threading.current_thread() is threading.main_thread():
             self._before = signal.signal(signal.SIGINT, self._interrupt)
         other = "" if server.taken is None else f" (port {server.taken} is taken)"
@@ -142,16 +162,12 @@ class LiveView:
         self._interrupted = True
         signal.signal(signal.SIGINT, self._before)
 
-    def _look(self, loop: Loop) -> Stage:
+    def _look(self, loop: Loop, like: Stage | None) -> None:
         """See anew who takes part."""
-        scene = scene_of(loop.plant, loop.controller)
-        scene = replace(scene, knows_truth=loop._knows_truth)
-        self._frames = RunFrames(scene)
-        self._stage = stage = Stage(scene, self._stage)
-        return stage
+        scene = replace(scene_of(loop.plant, loop.controller), knows_truth=loop._knows_truth)
+        self._frames, self._stage = RunFrames(scene), Stage(scene, like)
 
     def _page(self) -> str:
-        assert self._stage is not None  # it is there before the server
         data = page_data(self._stage, self._run, self._columns, self._run.q, live=True)
         return document(data, asset("live.js"))
 
@@ -166,13 +182,11 @@ class LiveView:
     def _greeting(self) -> str:
         """Return the first message to a page; it may date from before the belief changed."""
         message: dict[str, Any] = {"rows": list(self._rows.values()), "controls": self._controls()}
-        if self._changed and self._stage is not None:
+        if self._changed:
             message["redraw"] = self._stage.data("believed")
         return json.dumps(message)
 
     def _tell(self, **parts: Any) -> None:
-        """Send a message to all pages."""
-        assert self._server is not None  # there is no run without it
         self._server.send(json.dumps(parts))
 
     def _show(self, loop: Loop) -> None:
@@ -219,48 +233,43 @@ class LiveView:
 
     def _obey(self, loop: Loop) -> bool:
         """Do what pages ask for, say what cannot be done; return whether there was anything."""
-        assert self._server is not None  # there is no run without it
         if self._interrupted:
             loop.stop()
-        wishes = self._server.received()
-        for wish, value in wishes:
+        commands = self._server.received()
+        for command, value in commands:
             note = {}
             try:
-                self._do(loop, wish, value)
+                self._do(loop, command, value)
             except ApproxJacError as error:
                 note = {"note": str(error)}
             except Exception as error:  # of the user's `believe`: no reason to lose the run
-                note = {"note": f"{wish}: {type(error).__name__}: {error}"}
+                note = {"note": f"{command}: {type(error).__name__}: {error}"}
             self._tell(controls=self._controls(), **note)
-        return bool(wishes)
+        return bool(commands)
 
-    def _do(self, loop: Loop, wish: str, value: Any) -> None:
-        assert self._stage is not None  # it is there before the server
+    def _do(self, loop: Loop, command: str, value: Any) -> None:
         size = self._stage.size
-        if wish == "target":
-            loop.aim_at(target_of(loop, numbers("target", value), size))
-        elif wish == "point":
-            loop.aim_at(target_of(loop, with_point(loop, numbers("point", value)), size))
-        elif wish == "pixel":
-            loop.aim_at(target_of(loop, with_pixel(loop, numbers("pixel", value)), size))
-        elif wish == "length" and self._believe is not None:
-            given = numbers("length", value).item()
+        if command in ("target", "point", "pixel"):
+            loop.aim_at(_target(loop, command, _numbers(command, value), size))
+        elif command == "length" and self._believe is not None:
+            given = _numbers("length", value).item()
             length = as_number("length", given, unit="m", minimum=0.0, most=round(size, 2))
             task = loop.controller.task.on(self._believe(length))
             loop.exchange(loop.controller.with_task(task))
             self._length, self._changed = length, True
-            self._tell(redraw=self._look(loop).data("believed"))
-        elif wish == "speed":
-            self._speed = _speed(numbers("speed", value).item())
+            self._look(loop, self._stage)
+            self._tell(redraw=self._stage.data("believed"))
+        elif command == "speed":
+            self._speed = _speed(_numbers("speed", value).item())
             self._begin(loop)
-        elif wish in ("pause", "go"):
-            self._paused = wish == "pause"
+        elif command in ("pause", "go"):
+            self._paused = command == "pause"
             self._begin(loop)
-        elif wish == "stop":
+        elif command == "stop":
             loop.stop()
         else:
-            message = repr(wish)[:LONG]
-            raise InvalidInputError(f"commands are: {_WISHES}; got {message}", given=wish)
+            message = f"commands are: {_COMMANDS}; got {repr(command)[:_SHOWN]}"
+            raise InvalidInputError(message, given=command)
 
 
 def _plain(value: Any) -> Any:
@@ -272,3 +281,200 @@ def _plain(value: Any) -> Any:
 
 def _speed(value: float) -> float:
     return math.inf if value == math.inf else as_number("speed", value, minimum=_SLOWEST)
+
+
+def _numbers(name: str, value: Any) -> Array:
+    """Return the numbers that a page sent; a page cannot be trusted."""
+    entries = value if isinstance(value, list) else [value]
+    if all(type(entry) in (int, float) for entry in entries):
+        with contextlib.suppress(OverflowError):
+            return np.array(entries, dtype=float)
+    raise InvalidInputError(f"{name} must be numbers, got {repr(value)[:_SHOWN]}", given=value)
+
+
+def _target(loop: Loop, command: str, given: Array, size: float) -> Array:
+    """Return the target that a page wants, if an arm of this size [m] can be sent to it.
+
+    It is given as a whole, as the place (3,) [m] of what is followed, or as (i, u, v), the image of
+    point i.
+    """
+    sensor = loop.plant.sensor
+    target = given if command == "target" else np.array(loop.target)
+    if command == "point":
+        place = as_array("point", given, (3,), "m")
+        feature = next((feature for feature in features(sensor) if feature.axes), None)
+        if feature is None:
+            message = "the target is no position, which a point could be"
+            raise InvalidInputError(message, given=given)
+        rows = ["xyz".index(axis) for axis in feature.axes]
+        target[feature.entries][: len(rows)] = place[rows]
+    elif command == "pixel":
+        i, u, v = as_array("pixel", given, (3,))
+        feature = image_feature(sensor)
+        if feature is None or i not in range(len(feature.points)):
+            raise InvalidInputError(f"there is no point {i:g} in an image", given=given)
+        target[feature.entries].reshape(len(feature.points), -1)[int(i), :2] = u, v
+    target = sensor.target(target)
+    other = np.ones(len(target), dtype=bool)
+
+    def require_near(way: Array, far: float, words: str) -> None:
+        if not (np.abs(way) <= far).all():
+            message = f"target must be at most {far:.3g} {words}, got {target.tolist()}"
+            raise InvalidInputError(message[:_LONGEST_ERROR], given=target)
+
+    for feature in features(sensor):
+        camera, entries = feature.camera, np.arange(len(target))[feature.entries]
+        if feature.axes:
+            other[entries[: len(feature.axes)]] = False
+            require_near(feature.place(target), _FAR * size, "m from the arm's base")
+        elif camera is not None:
+            points = entries.reshape(len(feature.points), -1)[:, :2]
+            other[points] = False
+            if isinstance(camera, PlanarCamera):  # images of others have a border
+                far, where = _FAR * size * camera.magnification, "from where the base appears"
+                require_near(target[points] - camera.offset, far, f"{camera.unit} {where}")
+    require_near((target - loop.target)[other], _STEP, "from what it was")
+    return target
+
+
+class PageServer:
+    """Serves a page from a thread of its own, to those who know its address.
+
+    The address holds a key, so that no other program or page on this machine finds it. Messages
+    of pages are commands, {"what": value}: of each kind the latest is kept until it is asked for.
+    What makes the page is called whenever a browser asks for it, the greeting once it is there.
+    """
+
+    def __init__(
+        self, page: Callable[[], str], greeting: Callable[[], str], port: int | None
+    ) -> None:
+        self._web = package_of("view", "tornado.web")
+        self._websocket = package_of("view", "tornado.websocket")
+        self._page, self._greeting = page, greeting
+        self._socket = _bound(port)
+        bound = self._socket.getsockname()[1]
+        self.taken = _PORT if port is None and bound != _PORT else None  # by another program
+        self._key = secrets.token_urlsafe(12)
+        self.url = f"http://{_HOST}:{bound}/{self._key}/"
+        self.opened = threading.Event()  # by the first page
+        self._commands: dict[str, tuple[str, Any]] = {}
+        self._lock = threading.Lock()
+        self._pages: set[Any] = set()
+        self._loop = asyncio.new_event_loop()
+        self._closing = asyncio.Event()
+        self._thread = threading.Thread(target=self._serve, name="approxjac page", daemon=True)
+        self._thread.start()
+
+    def send(self, message: str) -> None:
+        """Send a message to all pages, without waiting for them."""
+        if self._thread.is_alive():
+            self._loop.call_soon_threadsafe(self._broadcast, message)
+
+    def received(self) -> list[tuple[str, Any]]:
+        """Return the latest command of each kind, its name and value, since this was asked last."""
+        with self._lock:
+            commands, self._commands = list(self._commands.values()), {}
+        return commands
+
+    def close(self) -> None:
+        """Stop serving, after what was sent has left."""
+        if self._thread.is_alive():
+            self._loop.call_soon_threadsafe(self._closing.set)
+            self._thread.join(_CLOSING)
+
+    def _keep(self, command: str, value: Any) -> None:
+        # points of an image are moved one by one
+        of_a_point = command == "pixel" and isinstance(value, list)
+        kind = f"{command} {value[:1]}" if of_a_point else command
+        with self._lock:
+            self._commands.pop(kind, None)  # the latest are the last
+            self._commands[kind] = command, value
+            while len(self._commands) > _KINDS:
+                del self._commands[next(iter(self._commands))]
+
+    def _serve(self) -> None:
+        with contextlib.closing(self._loop):
+            self._loop.run_until_complete(self._until_closed())
+
+    async def _until_closed(self) -> None:
+        outer = self
+
+        class NoKey(self._web.RequestHandler):  # type: ignore[misc, name-defined]
+            def get(self) -> None:
+                self.set_status(403)
+                self.finish(_NO_KEY)
+
+        class Page(self._web.RequestHandler):  # type: ignore[misc, name-defined]
+            def get(self) -> None:
+                self.set_header("Cache-Control", "no-store")
+                self.finish(outer._page())
+
+        class Socket(self._websocket.WebSocketHandler):  # type: ignore[misc, name-defined]
+            def open(self, *_: str) -> None:
+                self.waiting = 0
+                outer._send(self, outer._greeting())
+                outer._pages.add(self)
+                outer.opened.set()
+
+            async def on_message(self, message: str | bytes) -> None:
+                with contextlib.suppress(ValueError, RecursionError):
+                    given = json.loads(message)
+                    for command, value in given.items() if isinstance(given, dict) else ():
+                        outer._keep(command, value)
+                await asyncio.sleep(_SPARE)  # the next one is read then: none can flood a run
+
+            def on_close(self) -> None:
+                outer._pages.discard(self)
+
+        application = self._web.Application(websocket_max_message_size=_LONGEST)
+        key = re.escape(self._key)
+        # not to pages of other sites that had their name point to this machine
+        served = [("/", NoKey), (f"/{key}/", Page), (f"/{key}/socket", Socket)]
+        application.add_handlers(_HOSTS, served)
+        server = package_of("view", "tornado.httpserver").HTTPServer(application)
+        server.add_socket(self._socket)
+        await self._closing.wait()
+        server.stop()
+        for page in list(self._pages):
+            page.close()
+        await server.close_all_connections()
+
+    def _broadcast(self, message: str) -> None:
+        for page in list(self._pages):
+            self._send(page, message)
+
+    def _send(self, page: Any, message: str) -> None:
+        """Send to one page; leave one that is gone, or that does not keep up."""
+
+        def sent(future: Any) -> None:
+            page.waiting -= 1
+            if future.exception() is not None:
+                self._pages.discard(page)
+
+        try:
+            future = asyncio.ensure_future(page.write_message(message))
+        except self._websocket.WebSocketClosedError:
+            self._pages.discard(page)
+            return
+        page.waiting += 1
+        future.add_done_callback(sent)
+        if page.waiting > _BEHIND:
+            self._pages.discard(page)
+            page.close()
+
+
+def _bound(port: int | None) -> socket.socket:
+    """Return a socket that listens at a port, by default the usual one or else any free one."""
+    if port is not None and not (type(port) is int and 0 < port < 65536):
+        raise InvalidInputError(f"port must be a number from 1 to 65535, got {port!r}", given=port)
+    for wanted in (_PORT, 0) if port is None else (port,):
+        try:
+            listening = socket.create_server((_HOST, wanted))  # one that may be bound again at once
+        except OSError as error:
+            reason = error
+        else:
+            listening.setblocking(False)
+            return listening
+    raise InvalidInputError(
+        f"port must be free, or left out for any that is, got {port}: {reason}", given=port
+    )

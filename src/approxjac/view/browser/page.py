@@ -1,7 +1,9 @@
-"""Runs as pages: writing them, opening them, and an index of those in a folder."""
+"""Runs as pages: one HTML file with all that it needs inside; and an index of those in a folder."""
 
 from __future__ import annotations
 
+import base64
+import json
 import os
 import re
 import sys
@@ -9,21 +11,26 @@ import tempfile
 import webbrowser
 from collections.abc import Mapping, Sequence
 from html import escape
+from importlib import resources
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 import numpy as np
 
+from approxjac.cameras import PinholeCamera
 from approxjac.errors import InvalidInputError
+from approxjac.extras import package_of
 from approxjac.files import reason, write_text
 from approxjac.interface import LimitStatus, Status
 from approxjac.simulation import Trajectory
+from approxjac.simulation.trajectory import Scene
+from approxjac.tasks.analysis import features, image_feature
 from approxjac.validation import Array, require
-from approxjac.view.browser.document import document, filled, page_data
 from approxjac.view.browser.frames import RunFrames
-from approxjac.view.browser.stage import Stage
-from approxjac.view.style import COLORS, display_unit
+from approxjac.view.browser.stage import Stage, grid, link_points, viewpoint
+from approxjac.view.style import COLORS, SERIES, display_unit
+from approxjac.view.tree import held_objects, learnt_regressor
 
 # one set for each kind: as numbers, statuses of two kinds are equal
 _USUAL = {Status.OK, Status.MEASUREMENT_HELD}
@@ -32,6 +39,11 @@ _RATE = 60.0  # frames of a second, at most
 _FRAMES = 1000  # of a run, at most
 _HEAD = 4000  # characters of a page in which its name stands
 _MARK = '<meta name="generator" content="approxjac">'
+_SCRIPTS = ("uPlot.iife.min.js", "scene.js", "plots.js", "image.js", "page.js")
+_BUNDLED = "dist/main.min.js."
+_LICENCES = ("LICENSE", f"{_BUNDLED}LICENSE.txt", f"{_BUNDLED}THIRD_PARTY_LICENSES.json")
+_MARKER = 0.03  # radius of the largest marker, of the arm's size
+_ROOM = 0.35  # to all sides, for targets of a live page that are yet to come, of the arm's size
 
 
 def save_page(run: Trajectory, path: str | Path, title: str | None = None) -> Path:
@@ -74,6 +86,260 @@ def show(run: Trajectory, title: str | None = None) -> Path:
     return path
 
 
+def open_browser(url: str) -> bool:
+    """Open a page in the user's browser; return whether there is one."""
+    # without a screen, `webbrowser` would take a browser for terminals and wait until it is left
+    if sys.platform == "linux" and not {"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys():
+        return False
+    try:
+        return webbrowser.open(url)
+    except webbrowser.Error:
+        return False
+
+
+def page(run: Trajectory, title: str | None = None) -> str:
+    """Return the text of a run's page, as `save_page` writes it."""
+    require("run", run, Trajectory, "a Trajectory, as simulate returns it")
+    if run.scene is None:
+        raise InvalidInputError(
+            "run must have a scene, to know which robots to draw: take one that "
+            "approxjac.simulate returned, or give dataclasses.replace(run, scene=Scene(...))",
+            given=run,
+        )
+    stage, kept = Stage(run.scene), _thinned(run.t, run.q)
+    columns = RunFrames(run.scene).columns(run, kept)
+    data = page_data(stage, run, columns, run.q[kept], title, _facts(run))
+    if run.fault_name:  # in the tab, in an index, and above all else
+        data |= {"title": f"{run.fault_name}: {data['title']}", "alarm": run.ended}
+    return document(data)
+
+
+def _thinned(t: Array, q: Array) -> Any:
+    """Return indices of the instants that the page shows, the first and the last among them.
+
+    Half of them are shared out by time and half by motion, so that paths are round where it is
+    fast.
+    """
+    duration = float(t[-1] - t[0])
+    count = min(len(t), _FRAMES, max(2, round(duration * _RATE) + 1))
+    if count == len(t):
+        return np.arange(len(t))
+    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1)))
+    progress = (t - t[0]) / duration + (way / way[-1] if way[-1] > 0.0 else 0.0)
+    wanted = np.linspace(0.0, progress[-1], count)
+    nearest = np.searchsorted(0.5 * (progress[1:] + progress[:-1]), wanted)
+    return np.unique(np.concatenate([[0], nearest, [len(t) - 1]]))
+
+
+def _facts(run: Trajectory) -> list[tuple[str, str]]:
+    """List the end of the run and its unusual events, each a name and a text."""
+    shown, factors = zip(*map(display_unit, run.task_units), strict=True)
+    facts = [("ended", run.ended)] if run.ended and not run.fault_name else []
+    for unit in dict.fromkeys(shown):
+        scaled = (run.error * factors)[:, [name == unit for name in shown]]
+        norms = np.linalg.norm(scaled, axis=1)
+        first, last = float(norms[0]), float(norms[-1])
+        if (run.x_d != run.x_d[0]).any():  # a path begins where the arm is
+            facts.append(
+                ("error", f"up to {_short(np.nanmax(norms))} {unit}, {_short(last)} at the end")
+            )
+            continue
+        share = f" ({_short(100.0 * last / first)} % is left)" if first > 0.0 else ""
+        facts.append(("error", f"{_short(first)} → {_short(last)} {unit}{share}"))
+    counts = {"not measured": int((~np.isfinite(run.x_measured).all(axis=1)).sum())}
+    for status, count in (*run.status_counts().items(), *run.limit_status_counts().items()):
+        if status not in (_USUAL_LIMITS if isinstance(status, LimitStatus) else _USUAL):
+            name = status.name.lower().replace("_", " ")
+            if isinstance(status, LimitStatus) and status is not LimitStatus.LIMITED:
+                name = f"limited, {name}"  # where it was not, the proof holds as well
+            counts[name] = count
+    for name, count in counts.items():
+        share = 100.0 * count / len(run.t)
+        if count:
+            facts.append((name, f"{f'{share:.2g}' if share < 99.5 else '100'} % of the time"))
+    return facts
+
+
+def _short(value: float) -> str:
+    """Return a number ≥ 0 as people read it: three digits, and no powers of ten."""
+    if 0.0 < value < 1e-3:
+        return "below 0.001"
+    return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
+
+
+# -- what is in a page --------------------------------------------------------------------------
+
+
+def page_data(
+    stage: Stage,
+    run: Trajectory,
+    columns: Mapping[str, Array],
+    q: Array,
+    title: str | None = None,
+    facts: Sequence[tuple[str, str]] = (),
+    *,
+    live: bool = False,
+) -> dict[str, Any]:
+    """Return the contents of a page that shows columns of `RunFrames` and further facts.
+
+    A live page gets instants while it is open, and its targets can be dragged.
+    """
+    scene, truth, known = stage.scene, stage.scene.truth, stage.scene.knows_truth
+    believed = ", and what its controller believes of it" if known and scene.belief else ""
+    ends = [columns[name][[0, -1]] for name in ("tip", "target", "believed_tip")]
+    moving = np.concatenate([*ends, columns["tip"]])
+    seen = [link_points(robot, q, stage.boxes[role]) for role, robot in stage.robots.items()]
+    seen += [f.points for f in features(scene.sensor) if f.camera is not None and f.frame is None]
+    seen.append(moving[np.isfinite(moving).all(axis=1)])
+    if live:
+        around = _ROOM * stage.size * np.concatenate([np.eye(3), -np.eye(3)])
+        seen.append(columns["tip"][-1:] + around)
+    points = np.concatenate(seen)
+    view = viewpoint(truth, moving, points, stage.cameras, _MARKER * stage.size)
+    data = stage.data()
+    data["commands"] += grid(view["normal"], points, stage.ground)
+    tip = "believed tip" if learnt_regressor(scene) is None else "learnt tip"
+    image = _image(scene)
+    held, held_by_belief = held_objects(truth), held_objects(scene.belief or truth)
+    lengths = {
+        name: (held.get(name, 0.0), held_by_belief.get(name, 0.0)) for name in held | held_by_belief
+    }
+    wrong = [
+        (name, f"{length:.3g} m long, believed {belief:.3g} m")
+        for name, (length, belief) in lengths.items()
+        if abs(length - belief) > 1e-6
+    ]
+    return data | {
+        "title": title or truth.name + believed,
+        "facts": [*wrong, *facts],
+        "tip": tip,
+        "legend": _legend(scene, tip, image is not None),
+        "live": live,
+        "colours": COLORS,
+        "size": stage.size,
+        "view": {name: np.round(view[name], 4).tolist() for name in ("direction", "points")},
+        "image": image,
+        "plots": _plots(scene, list(run.task_labels), run.task_units),
+        "jointNames": list(truth.joint_names),
+        # base64 of little-endian float32, which the page reads without parsing
+        "columns": {
+            name: base64.b64encode(np.asarray(column, dtype="<f4").tobytes()).decode()
+            for name, column in columns.items()
+        },
+        "shapes": {name: list(np.shape(column)[1:]) for name, column in columns.items()},
+    }
+
+
+def document(data: Mapping[str, Any], *scripts: str) -> str:
+    """Return the HTML of a page of `page_data`, which runs scripts after its own."""
+    package_of("view", "meshcat")  # for its error
+    viewer = resources.files("meshcat") / "viewer"
+    code = [(viewer / "dist" / "main.min.js").read_text(encoding="utf-8")]
+    code += [*map(asset, _SCRIPTS), *scripts]
+    licences = ["uPlot:\n\n" + asset("uPlot.LICENSE")]  # which ask to be handed on
+    for name in filter(lambda name: (viewer / name).is_file(), _LICENCES):
+        licences.append(f"MeshCat, {name}:\n\n{(viewer / name).read_text(encoding='utf-8')}")
+    # "</script" would end the element that it stands in, and "<!--" change how it is read
+    values = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    ended = [part.replace("</script", "<\\/script") for part in code]
+    alarm = str(data.get("alarm", ""))
+    facts = [f"{name}: {said}" for name, said in data["facts"]]
+    parts = {
+        "title": escape(str(data["title"])),
+        "alarm": escape(alarm),
+        "description": escape("; ".join([alarm] * bool(alarm) + facts)),
+        "css": asset("uPlot.min.css") + asset("page.css"),
+        "data": values,
+        "licences": "\n\n".join(licences).replace("<", "(").replace(">", ")"),
+        "scripts": "\n".join(f"<script>{part}</script>" for part in ended),
+    }
+    return _filled("page.html", parts)
+
+
+def asset(name: str) -> str:
+    """Return the text of a file that pages are made of."""
+    file = resources.files("approxjac.view.browser") / "assets" / name
+    return file.read_text(encoding="utf-8")
+
+
+def _filled(template: str, parts: Mapping[str, str]) -> str:
+    """Return an asset with parts in place of their names, {{name}}."""
+    # all at once: parts are not looked at again
+    return re.sub(r"{{(\w+)}}", lambda name: parts[name[1]], asset(template))
+
+
+def _legend(scene: Scene, tip: str, image: bool) -> list[tuple[str, str, str, str]]:
+    """Return the meaning of colours: what, colour, kind of mark ("" is a dot) and words.
+
+    The page shows those of what occurs in it.
+    """
+    held, believes = bool(held_objects(scene.truth)), scene.belief is not None
+    ghost = "arm and camera as the controller believes them"
+    ghost = ghost if image else "the arm as the controller believes it"
+    known = scene.knows_truth
+    entries = (
+        (True, "arm", "bar", "the arm as it is" if known else "the arm as believed"),
+        (held, "object", "bar", "object that it holds"),
+        (believes, "believed", "bar", ghost),
+        (believes, "believed_tip", "", tip),
+        (True, "true", "", f"{'true tip' if known else 'tip by the belief'} and its path"),
+        (any(feature.axes for feature in features(scene.sensor)),
+         "measured", "", "measured tip" + ", where it differs" * known),
+        (True, "target", "", "target, line of sight" if image else "target"),
+        (scene.task is not None, "force", "dash", "force that the control means to exert"),
+        (np.isfinite(scene.torque_limits).any(),
+         "saturated", "bar", "link whose torque is at its limit"),
+        (np.isfinite(np.array(scene.truth.position_limits)).any(),
+         "at_limit", "bar", "link whose joint is at a position limit"),
+    )  # fmt: skip
+    return [
+        (what, COLORS["believed" if what == "believed_tip" else what], mark, words)
+        for shown, what, mark, words in entries
+        if shown
+    ]
+
+
+def _plots(scene: Scene, labels: list[str], units: Sequence[str]) -> list[dict[str, Any]]:
+    """Return the plots beside the scene; names, units and colours as in `approxjac.view`."""
+    shown = " or ".join(dict.fromkeys(display_unit(unit)[0] for unit in units))
+    known = bool(np.isfinite(scene.torque_limits).any())
+    kinds = {"rad": "N m", "m": "N"}.items()
+    torque = " or ".join(name for unit, name in kinds if unit in scene.truth.joint_units)
+    joints = list(scene.truth.joint_names)
+    first = joints[0].partition("_")[0] + "_"
+    if len(joints) > 1 and all(name.startswith(first) for name in joints):
+        # panda_joint1 is joint1 here, where there is little room
+        joints = [name.removeprefix(first) for name in joints]
+    plots = [
+        ("error", "Task error of each coordinate", f"error [{shown}]", labels, [0.0]),
+        ("torque", "Torque of each joint", "τ / limit" if known else f"τ [{torque}]", joints,
+         [-1.0, 1.0] if known else []),
+        ("V", "Lyapunov function", "V [J]", ["V"], []),
+    ]  # fmt: skip
+    names = ("column", "title", "unit", "labels", "lines")
+    return [dict(zip(names, plot, strict=True)) | {"colours": SERIES} for plot in plots]
+
+
+def _image(scene: Scene) -> dict[str, Any] | None:
+    """Return the image that is plotted: its coordinates, unit, border and points; None if none."""
+    feature = image_feature(scene.sensor)
+    if feature is None or feature.camera is None:
+        return None
+    camera, border = feature.camera, None
+    if isinstance(camera, PinholeCamera):  # whose v points down
+        width, height = camera.size
+        border = [-0.5, -0.5, width - 0.5, height - 0.5]
+    unit, scale = display_unit(camera.unit)
+    return {
+        "labels": list(camera.labels), "unit": unit, "scale": scale, "border": border,
+        "down": border is not None, "points": len(feature.points),
+        "seen": "seen" if scene.knows_truth else "seen, by the belief",
+    }  # fmt: skip
+
+
+# -- an index of pages --------------------------------------------------------------------------
+
+
 def write_index(
     folder: str | Path,
     title: str = "Runs to look at",
@@ -112,99 +378,27 @@ def write_index(
                 f"folder must hold pages that save_page(run, path) wrote, got {folder} without any",
                 given=folder,
             )
-        entries |= {name: _shown(folder, name, said) for name, said in pictures.items()}
+        for name, said in pictures.items():
+            texts = isinstance(name, str) and isinstance(said, str)
+            if not texts or Path(name).name != name or not (folder / name).is_file():
+                raise InvalidInputError(
+                    f"pictures must be titles by the names of files in {folder}, got {name!r}: "
+                    f"{said!r}",
+                    given=name,
+                )
+            picture = f'<img src="{quote(name)}" alt=""><b>{escape(said)}</b>'
+            entries[name] = f"<li><div>{picture}</div></li>"
         listed = "\n".join(entries[name] for name in sorted(entries, key=_natural))
         parts = {"title": escape(title), "entries": listed, "table": _table(table or {})}
         parts |= {"link": COLORS["true"], "text": COLORS["neutral"]}
         index = folder / "index.html"
-        write_text(index, filled("index.html", parts))
+        write_text(index, _filled("index.html", parts))
     except OSError as error:
         raise InvalidInputError(
             f"folder must be one that can be read and written, got {folder}: {reason(error)}",
             given=folder,
         ) from error
     return index
-
-
-def page(run: Trajectory, title: str | None = None) -> str:
-    """Return the text of a run's page, as `save_page` writes it."""
-    require("run", run, Trajectory, "a Trajectory, as simulate returns it")
-    if run.scene is None:
-        raise InvalidInputError(
-            "run must have a scene, to know which robots to draw: take one that "
-            "approxjac.simulate returned, or give dataclasses.replace(run, scene=Scene(...))",
-            given=run,
-        )
-    stage, kept = Stage(run.scene), _thinned(run.t, run.q)
-    columns = RunFrames(run.scene).columns(run, kept)
-    data = page_data(stage, run, columns, run.q[kept], title, _facts(run))
-    if run.fault_name:  # in the tab, in an index, and above all else
-        data |= {"title": f"{run.fault_name}: {data['title']}", "alarm": run.ended}
-    return document(data)
-
-
-def open_browser(url: str) -> bool:
-    """Open a page in the user's browser; return whether there is one."""
-    # without a screen, `webbrowser` would take a browser for terminals and wait until it is left
-    if sys.platform == "linux" and not {"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys():
-        return False
-    try:
-        return webbrowser.open(url)
-    except webbrowser.Error:
-        return False
-
-
-def _thinned(t: Array, q: Array) -> Any:
-    """Return indices of the instants that the page shows, the first and the last among them.
-
-    Half of them are shared out by time and half by motion, so that paths are round where it is
-    fast.
-    """
-    duration = float(t[-1] - t[0])
-    count = min(len(t), _FRAMES, max(2, round(duration * _RATE) + 1))
-    if count == len(t):
-        return np.arange(len(t))
-    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1)))
-    progress = (t - t[0]) / duration + (way / way[-1] if way[-1] > 0.0 else 0.0)
-    wanted = np.linspace(0.0, progress[-1], count)
-    nearest = np.searchsorted(0.5 * (progress[1:] + progress[:-1]), wanted)
-    return np.unique(np.concatenate([[0], nearest, [len(t) - 1]]))
-
-
-def _facts(run: Trajectory) -> list[tuple[str, str]]:
-    """List the end of the run and its unusual events, each a name and a text."""
-    units = [display_unit(unit) for unit in run.task_units]
-    facts = [("ended", run.ended)] if run.ended and not run.fault_name else []
-    for unit in dict.fromkeys(name for name, _ in units):
-        rows = [i for i, (name, _) in enumerate(units) if name == unit]
-        scaled = run.error[:, rows] * [units[i][1] for i in rows]
-        first, last = (float(np.linalg.norm(scaled[k])) for k in (0, -1))
-        if (run.x_d != run.x_d[0]).any():  # a path begins where the arm is
-            largest = float(np.nanmax(np.linalg.norm(scaled, axis=1)))
-            facts.append(("error", f"up to {_short(largest)} {unit}, {_short(last)} at the end"))
-            continue
-        share = f" ({_short(100.0 * last / first)} % is left)" if first > 0.0 else ""
-        facts.append(("error", f"{_short(first)} → {_short(last)} {unit}{share}"))
-    counts = {"not measured": int((~np.isfinite(run.x_measured).all(axis=1)).sum())}
-    for status, count in (*run.status_counts().items(), *run.limit_status_counts().items()):
-        if status not in (_USUAL_LIMITS if isinstance(status, LimitStatus) else _USUAL):
-            name = status.name.lower().replace("_", " ")
-            if isinstance(status, LimitStatus) and status is not LimitStatus.LIMITED:
-                name = f"limited, {name}"  # where it was not, the proof holds as well
-            counts[name] = count
-    shares = {name: 100.0 * count / len(run.t) for name, count in counts.items() if count}
-    return [*facts, *((name, f"{_percent(share)} of the time") for name, share in shares.items())]
-
-
-def _percent(share: float) -> str:
-    return f"{share:.2g} %" if share < 99.5 else "100 %"
-
-
-def _short(value: float) -> str:
-    """Return a number ≥ 0 as people read it: three digits, and no powers of ten."""
-    if 0.0 < value < 1e-3:
-        return "below 0.001"
-    return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
 
 
 def _entry(path: Path, head: str) -> str:
@@ -220,8 +414,6 @@ def _entry(path: Path, head: str) -> str:
 
 def _table(rows: Mapping[str, Sequence[str]]) -> str:
     """Return a table of cells by the files that its rows are about; its heads are by ""."""
-    if not rows:
-        return ""
     heads, lines = rows.get("", ()), []
     for name, row in rows.items():
         if len(row) != len(heads) or not all(isinstance(cell, str) for cell in row):
@@ -235,6 +427,8 @@ def _table(rows: Mapping[str, Sequence[str]]) -> str:
             named = zip(map(escape, heads), cells, strict=True)
             shown = (f'<td data-head="{head}"><span>{cell}</span></td>' for head, cell in named)
             lines.append(f"<tr>{''.join(shown)}</tr>")
+    if not rows:
+        return ""
     top = "".join(f"<th>{escape(head)}</th>" for head in heads)
     return f"<table><thead><tr>{top}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
 
@@ -242,17 +436,6 @@ def _table(rows: Mapping[str, Sequence[str]]) -> str:
 def _indexed(text: str) -> str:
     """Return a text with symbols such as K_v, a letter and an index, as they are written."""
     return re.sub(r"\b(\w)_(\w)\b", r"\1<sub>\2</sub>", text)
-
-
-def _shown(folder: Path, name: str, title: str) -> str:
-    """Return a picture without a page."""
-    texts = isinstance(name, str) and isinstance(title, str)
-    if not texts or Path(name).name != name or not (folder / name).is_file():
-        raise InvalidInputError(
-            f"pictures must be titles by the names of files in {folder}, got {name!r}: {title!r}",
-            given=name,
-        )
-    return f'<li><div><img src="{quote(name)}" alt=""><b>{escape(title)}</b></div></li>'
 
 
 def _natural(name: str) -> list[Any]:

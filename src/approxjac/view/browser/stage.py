@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
@@ -12,17 +12,16 @@ import pinocchio as pin
 
 from approxjac.cameras import PinholeCamera, PlanarCamera
 from approxjac.extras import package_of
+from approxjac.robots import Robot
+from approxjac.robots.model import own_joints
 from approxjac.simulation.trajectory import Scene
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import image_feature
 from approxjac.validation import Array, plane_rows
-from approxjac.view.browser.view_direction import link_points, reach_points
 from approxjac.view.style import COLORS
 from approxjac.view.tree import Tree, held_objects
 
 if TYPE_CHECKING:
-    from trimesh import Trimesh
-
     from approxjac.view.look import Look
 
 _GHOST = 0.38  # opacity of the believed arm
@@ -46,6 +45,10 @@ def _camera_view(task: Task | None, size: float, middle: Array) -> dict[str, Any
     feature = image_feature(task)
     camera = None if feature is None else feature.camera
     near, reach = _NEAR, _BEYOND / _NEAR
+
+    def corners(low: Array, high: Array) -> Array:
+        return np.array([low, (high[0], low[1]), (low[0], high[1])])
+
     if isinstance(camera, PinholeCamera):
         R, apex = camera.placement()
         f, c = np.array(camera.focal_length), np.array(camera.center, dtype=float)
@@ -53,7 +56,7 @@ def _camera_view(task: Task | None, size: float, middle: Array) -> dict[str, Any
         near *= float(np.linalg.norm(middle - apex))
         if camera.mount is not None:
             near, reach = _IN_HAND * size, 0.5 / _IN_HAND
-        rays = np.column_stack([(_three_corners(low, high) - c) / f, np.ones(3)]) @ R.T
+        rays = np.column_stack([(corners(low, high) - c) / f, np.ones(3)]) @ R.T
     elif isinstance(camera, PlanarCamera):
         # it sees without end: its image is as large as the arm, and it stands over the middle of
         # that, at the depth z − f of the equal pinhole camera
@@ -63,7 +66,7 @@ def _camera_view(task: Task | None, size: float, middle: Array) -> dict[str, Any
         low, high = center - half, center + half
         normal = np.cross(*np.eye(3)[rows])
         apex = (camera.distance - camera.focal_length) * normal
-        on_plane = np.linalg.solve(J, (_three_corners(low, high) - center).T)
+        on_plane = np.linalg.solve(J, (corners(low, high) - center).T)
         rays = on_plane.T @ np.eye(3)[rows] - apex
     else:
         return None
@@ -72,10 +75,6 @@ def _camera_view(task: Task | None, size: float, middle: Array) -> dict[str, Any
         "apex": apex, "corner": corner, "right": right - corner, "down": down - corner,
         "low": low, "high": high, "reach": reach, "mount": camera.mount,
     }  # fmt: skip
-
-
-def _three_corners(low: Array, high: Array) -> Array:
-    return np.array([low, (high[0], low[1]), (low[0], high[1])])
 
 
 class Stage:
@@ -114,28 +113,25 @@ class Stage:
         """Return True where the believed arm or camera differs from the true one."""
         if "believed" not in self.robots:
             return False
-        true, believed = (_placed(self._trees[role]) for role in ("true", "believed"))
-        if true.keys() != believed.keys() or any(
-            not np.allclose(true[name], believed[name], atol=1e-9) for name in true
-        ):
-            return True
-        views = [camera for camera in self.cameras if camera["role"] == "believed"]
-        seen = [camera for camera in self.cameras if camera["role"] == "true"]
-        names = ("apex", "corner", "right", "down", "low", "high")
-        return any(
-            not np.allclose(a[name], b[name], atol=1e-9)
-            for a, b in zip(seen, views, strict=False)
-            for name in names
+        true, believed = (
+            {joint.name: np.append(joint.origin, joint.axis) for joint in self._trees[role].joints}
+            for role in ("true", "believed")
         )
+        if true.keys() != believed.keys():
+            return True
+        pairs = [(true[name], believed[name]) for name in true]
+        views = {camera["role"]: camera for camera in self.cameras}
+        if len(views) == 2:
+            names = ("apex", "corner", "right", "down", "low", "high")
+            pairs += [(views["true"][name], views["believed"][name]) for name in names]
+        return any(not np.allclose(one, other, atol=1e-9) for one, other in pairs)
 
     @property
     def ground(self) -> Array:
         """Return the base's origin and corners of what of the true robot is fixed, (n, 3) [m]."""
         drivers, robot = self._trees["true"].drivers, self.robots["true"]
         boxes = {link: box for link, box in self.boxes["true"].items() if drivers[link] < 0}
-        fixed = (
-            link_points(robot, robot.neutral()[np.newaxis], boxes) if boxes else np.zeros((0, 3))
-        )
+        fixed = link_points(robot, robot.neutral()[np.newaxis], boxes)
         return np.concatenate([np.zeros((1, 3)), fixed])
 
     def data(self, *roles: str) -> dict[str, Any]:
@@ -149,7 +145,7 @@ class Stage:
         built: dict[str, Any] = {
             "roles": roles, "missing": list(missing), "links": [], "clones": [], "cameras": [],
             "commands": drawing.commands, "differs": self.differs,
-            "joints": {role: _joints(self._trees[role]) for role in roles},
+            "joints": {role: self._trees[role].listed() for role in roles},
         }  # fmt: skip
         for role in roles:
             self._arm(role, drawing, built)
@@ -176,13 +172,13 @@ class Stage:
             for i, shape in enumerate(shapes):
                 path = (*tree.paths[link], f"shape{i}")
                 if role == "true":
-                    drawing.mesh(path, shape, colour)
+                    drawing.mesh(path, shape.vertices, shape.faces, colour)
                     driver = tree.drivers[link]
                     built["links"].append({"path": path, "driver": driver, "colour": colour})
                 elif i < len(twins) and twins[i] is shape:
                     built["clones"].append({"from": (*true.paths[link], f"shape{i}"), "to": path})
                 else:
-                    drawing.mesh(path, shape, COLORS["believed"], **ghost)
+                    drawing.mesh(path, shape.vertices, shape.faces, COLORS["believed"], **ghost)
 
     def _bones(self, drawing: _Drawing) -> None:
         """Draw a rod along each link that is believed longer, shorter or bent: no mesh tells."""
@@ -249,9 +245,11 @@ class _Drawing:
         material = g.MeshLambertMaterial if lit else g.MeshBasicMaterial
         self._put(path, g.Mesh(shape, material(**look)), colour, placed)
 
-    def mesh(self, path: tuple[str, ...], mesh: Trimesh, colour: str, **look: Any) -> None:
+    def mesh(
+        self, path: tuple[str, ...], vertices: Array, faces: Any, colour: str, **look: Any
+    ) -> None:
         """Put triangles at a node."""
-        triangles = self.geometry.TriangularMeshGeometry(mesh.vertices, mesh.faces.astype(np.int32))
+        triangles = self.geometry.TriangularMeshGeometry(vertices, np.array(faces, dtype=np.int32))
         self.put(path, triangles, colour, **look)
 
     def lines(self, path: tuple[str, ...], ends: Array, colour: str) -> None:
@@ -302,27 +300,7 @@ def _draw_camera(camera: dict[str, Any], drawing: _Drawing) -> None:
     edges = np.stack([apexes, corners, corners, following], axis=1).reshape(16, 3)
     drawing.lines((*path, "edges"), edges, colour)
     glass: dict[str, Any] = {"lit": False, "opacity": 0.10, "depthWrite": False}
-    faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
-    image = drawing.geometry.TriangularMeshGeometry(corners, faces)
-    drawing.put((*path, "image"), image, colour, **glass)
-
-
-def _placed(tree: Tree) -> dict[str, Array]:
-    """Return the placement and motion of each child, by joint, shape (19,)."""
-    return {joint.name: np.append(joint.origin, joint.axis) for joint in tree.joints}
-
-
-def _joints(tree: Tree) -> list[dict[str, Any]]:
-    return [
-        {
-            "path": tree.paths[joint.child],
-            "kind": joint.kind,
-            "origin": joint.origin.T.ravel().tolist(),  # columns first, as three.js has them
-            "axis": joint.axis.tolist(),
-            "column": joint.column,
-        }
-        for joint in tree.joints
-    ]
+    drawing.mesh((*path, "image"), corners, [[0, 1, 2], [0, 2, 3]], colour, **glass)
 
 
 def _boxes(look: Look) -> dict[str, Array]:
@@ -333,3 +311,118 @@ def _boxes(look: Look) -> dict[str, Array]:
         ends = vertices.min(axis=0), np.median(vertices, axis=0), vertices.max(axis=0)
         found[link] = np.array(list(product(*zip(*ends, strict=True))))
     return found
+
+
+_INSTANTS = 40  # of a run, whose configurations must all be in view
+_SIDE = np.deg2rad(28.0)  # past cameras, which would be looked at from behind otherwise
+_ABOVE = np.deg2rad(18.0)
+_PARALLEL = 1e-6
+
+
+def link_points(robot: Robot, q: Array, boxes: Mapping[str, Array]) -> Array:
+    """Return points of links (k, 3), each in its frame, at some of the q (N, nq); (n, 3) [m]."""
+    data, points = robot.model.createData(), [np.zeros((0, 3))]
+    every = max(1, len(q) // _INSTANTS)
+    for row in [*q[::every], *q[-1:]]:
+        pin.framesForwardKinematics(robot.model, data, row)
+        for link, own in boxes.items():
+            placed = data.oMf[robot.frame_id(link)]
+            points.append(own @ placed.rotation.T + placed.translation)
+    return np.concatenate(points)
+
+
+def reach_points(robot: Robot) -> Array:
+    """Return origins of all links in seeded random configurations, shape (n, 3) [m]."""
+    rng, origins = np.random.default_rng(0), dict.fromkeys(robot.frame_names, np.zeros((1, 3)))
+    drawn = [robot.random_configuration(rng) for _ in range(_INSTANTS)]
+    return link_points(robot, np.array(drawn), origins)
+
+
+def viewpoint(
+    robot: Robot,
+    moving: Array,
+    points: Array,
+    cameras: Sequence[Mapping[str, Any]],
+    marker: float,
+) -> dict[str, Any]:
+    """Return from where to look at moving points (n, 3), with others (N, 3) in view [m].
+
+    What moves is drawn with a marker of that radius [m].
+    Cameras in the world, as the `Stage` has them, are to be in view, too. "direction" is a unit
+    vector towards the eye, "normal" that of the plane that the arm moves in, or else up.
+    """
+    cameras = [camera for camera in cameras if camera["mount"] is None]
+    stands = [camera["apex"] for camera in cameras]
+    ends = product(cameras, (0.0, 1.0), (0.0, 1.0))
+    corners = [c["corner"] + a * c["right"] + b * c["down"] for c, a, b in ends]
+    points = np.array([*points, *stands, *corners])
+    normal = _plane_normal(robot)
+    if normal is None:
+        middles = [c["corner"] + 0.5 * (c["right"] + c["down"]) - c["apex"] for c in cameras]
+        direction = _widest(moving, points, stands, middles)
+    elif stands:  # from beside them
+        turn = pin.exp3(np.array([0.0, 0.0, _SIDE]))
+        direction = turn @ (np.cos(_ABOVE) * normal + np.array([0.0, 0.0, np.sin(_ABOVE)]))
+    else:  # a floor plan is looked at from its near side
+        direction = normal + np.array([0.0, -0.8 if abs(normal[2]) > 0.9 else 0.0, 0.0])
+    there = moving[np.isfinite(moving).all(axis=1)]
+    steps = marker * np.concatenate([np.eye(3), -np.eye(3)])
+    points = np.concatenate([points, (there[:, np.newaxis] + steps).reshape(-1, 3)])
+    # those that are the farthest in some of many directions
+    ways = np.random.default_rng(0).normal(size=(300, 3))
+    return {
+        "direction": direction / np.linalg.norm(direction),
+        "points": points[np.unique(np.argmax(points @ ways.T, axis=0))],
+        "normal": normal if normal is not None else np.array([0.0, 0.0, 1.0]),
+    }
+
+
+def _plane_normal(robot: Robot) -> Array | None:
+    """Return the normal of the plane that an arm moves in, (3,); None of those in space."""
+    model, data = robot.model, robot.model.createData()
+    J = pin.computeJointJacobians(model, data, robot.neutral()).T
+    J = J[[joint.idx_v for joint in own_joints(model).values()]]
+    turning = np.linalg.norm(J[:, 3:], axis=1) > 0.5
+    if not turning.any():
+        return None
+    normal = np.asarray(J[turning, 3:][0])
+    if (np.linalg.norm(np.cross(J[turning, 3:], normal), axis=1) > _PARALLEL).any():
+        return None
+    if (np.abs(J[~turning, :3] @ normal) > _PARALLEL).any():
+        return None
+    # from where x points right, and z up; else from above
+    return normal if normal @ np.array([0.1, -1.0, 0.3]) > 0.0 else -normal
+
+
+def _widest(moving: Array, points: Array, stands: Sequence[Array], views: Sequence[Array]) -> Array:
+    """Return the direction from which motion, arm and cameras lie widest apart, shape (3,).
+
+    Of cameras, which stand somewhere and view a direction, each (3,), one sees most from half
+    beside them: neither their image from its edge nor all that they look at behind it. The arm
+    shall not stand before what moves.
+    """
+    moving = moving[np.isfinite(moving).all(axis=1)]
+    around, spread = np.array([points.mean(axis=0), *stands]), float(np.std(points))
+    azimuths = np.deg2rad(range(-165, 195, 15))
+    c, s = np.cos(azimuths), np.sin(azimuths)
+    towards, rights = np.array([c, s, np.tan(_ABOVE) + 0.0 * c]).T, np.array([-s, c, 0.0 * c])
+    width = 1e-3 * np.cos(azimuths + np.pi / 4)  # of two that are equal, that in front of the arm
+    for each, weight in ((moving, 1.0), (points, 0.15), (around, 0.15)):
+        if len(each) > 1:
+            width += weight * np.std(each @ rights, axis=0)
+    for view in views:
+        along = np.abs(view[:2] @ rights[:2]) / np.linalg.norm(view)
+        width -= 0.3 * spread * np.abs(along - 0.75)
+    width -= [spread * _hidden(moving, points, each) for each in towards]
+    return np.asarray(towards[width.argmax()])
+
+
+def _hidden(moving: Array, points: Array, towards: Array) -> float:
+    """Return about which share of what moves is behind the arm, for an eye towards (3,)."""
+    towards = towards / np.linalg.norm(towards)
+    some = moving[:: max(1, len(moving) // 20)]
+    ways = points[:: max(1, len(points) // 2000), np.newaxis] - some
+    depth = ways @ towards
+    aside = np.linalg.norm(ways - depth[..., np.newaxis] * towards, axis=2)
+    near = 0.2 * float(np.std(points))
+    return float(((depth > 2.0 * near) & (aside < near)).any(axis=0).mean())
