@@ -56,7 +56,7 @@ def together(folder: Path) -> Iterator[Path]:
 
 
 def reason(error: Exception) -> str:
-    """Return why a file cannot be read or written, without numbers and names of temporary files."""
+    """Return the reason of an error of files, without numbers and names of temporary files."""
     return (isinstance(error, OSError) and error.strerror) or str(error)
 
 

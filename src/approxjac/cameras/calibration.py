@@ -30,7 +30,7 @@ _NAMES = {  # in small letters
 
 
 class Calibration(NamedTuple):
-    """Calibration as a file tells it: K (3, 3) [px], coefficients, size [px] and kind of lens."""
+    """Calibration of a file: K (3, 3) [px], coefficients, size [px] and kind of lens."""
 
     K: Array
     distortion: Array

@@ -75,9 +75,9 @@ class Camera(Saved, ABC):
 
     def with_numbers(self, numbers: Mapping[str, Any]) -> Self:
         """Return this camera with other `numbers`, such as some that are not known yet."""
-        found = object.__new__(type(self))
-        vars(found).update(vars(self), **numbers)
-        return found
+        other = object.__new__(type(self))
+        vars(other).update(vars(self), **numbers)
+        return other
 
 
 @dataclass(frozen=True, repr=False)

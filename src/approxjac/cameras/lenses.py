@@ -164,7 +164,7 @@ class Distortion(Lens):
         return t00 * a + t01 * c, t00 * b + t01 * d, t10 * a + t11 * c, t10 * b + t11 * d
 
     def radius(self, size: float) -> float:
-        """Return how far from the middle a lens that is round shows a ray of a length."""
+        """Return the distance from the middle at which a round lens shows a ray of a length."""
         return size * self._factors(size * size)[0]
 
     def undistorted(self, shown: Array) -> Array:

@@ -170,10 +170,10 @@ class PinholeCamera(Camera):
                 fisheye lens 4, or none.
             size: Width and height of the image [px].
             rvec: With tvec, to the camera: r_camera = Rodrigues(rvec) r + tvec, as `cv2.solvePnP`
-                tells of a board with points r in that frame; 3 numbers [rad].
+                returns for a board with points r in that frame; 3 numbers [rad].
             tvec: 3 numbers [m].
             camera_pose: From the camera, r = R r_camera + p, shape (4, 4) [m], as
-                `cv2.calibrateHandEye` tells by R_cam2gripper and t_cam2gripper.
+                `cv2.calibrateHandEye` returns as R_cam2gripper and t_cam2gripper.
             fisheye: The coefficients are those of `cv2.fisheye`.
             **options: Mount and near, as for `PinholeCamera`.
         """
@@ -339,9 +339,9 @@ class PinholeCamera(Camera):
         return {"_f": self._f, "_c": self._c, "_R": self._R, "_p": self._p}
 
     def with_numbers(self, numbers: Mapping[str, Any]) -> Self:
-        found = super().with_numbers(numbers)
-        vars(found).update(_R_t=found._R.T)
-        return found
+        other = super().with_numbers(numbers)
+        vars(other).update(_R_t=other._R.T)
+        return other
 
     def _recalibrated(self, values: Mapping[str, float]) -> PinholeCamera:
         back, roll = values.get("distance", 0.0), values.get("roll", 0.0)

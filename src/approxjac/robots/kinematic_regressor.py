@@ -208,8 +208,8 @@ class KinematicRegressor:
     def motion(self, q: Array, v: Array, theta: Array, theta_dot: Array) -> PointMotion:
         """Return positions and derivatives at q (nq,) and q̇ (n_v,), with θ and θ' (p,) [m, m/s]."""
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
-            found: PointMotion = arm.points(self).motion(v, theta, theta_dot)
-            return found
+            symbolic: PointMotion = arm.points(self).motion(v, theta, theta_dot)
+            return symbolic
         speeds = as_vector("v", v, self.robot.nv)
         if not self._plain:
             speeds = self._columns.dot(speeds)
@@ -235,11 +235,11 @@ class KinematicRegressor:
         columns = levers.dot(_CROSS).reshape(*levers.shape, 3) @ across
         return np.asarray(columns.transpose(0, 2, 1, 3).reshape(3 * self.k, -1))
 
-    # -- what can be told apart, and the robot with it -----------------------------------
+    # -- parameters that can be identified, and the robot with them ----------------------
 
     @cached_property
     def rank(self) -> int:
-        """Number of combinations of parameters that positions anywhere tell apart."""
+        """Number of combinations of parameters that positions identify."""
         return len(self._independent[0])
 
     def combinations(self) -> tuple[str, ...]:

@@ -147,10 +147,10 @@ class DynamicsRegressor(_TorqueRegressor):
         return np.concatenate(each).reshape(4, -1)
 
     def motion(self, q: Array, v: Array, v_r: Array, a_r: Array) -> LinkMotion:
-        """Return what the links' part of `Y_d` makes of vectors; the arguments are those of it."""
+        """Return the links' part of `Y_d`, of the same arguments, as products with it."""
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
-            found: LinkMotion = arm.bodies(v, v_r, a_r)
-            return found
+            symbolic: LinkMotion = arm.bodies(v, v_r, a_r)
+            return symbolic
         return LinkMotion(self, q, self.parts(q, v, v_r, a_r)[0])
 
     def Z(self, q: Array) -> Array:
@@ -159,7 +159,7 @@ class DynamicsRegressor(_TorqueRegressor):
 
 
 class GravityRegressor(_TorqueRegressor):
-    """g(q) = Z(q) θ with as few parameters as gravity can tell apart.
+    """g(q) = Z(q) θ with as few parameters as gravity can distinguish.
 
     Of each moving link they are its mass and three first moments (m c_x, m c_y, m c_z). A column
     that depends on columns before it, in link order, is left out and its parameter is added to
@@ -309,14 +309,14 @@ def independent_columns(A: Array, tolerance: float = _RANK_TOLERANCE) -> tuple[l
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Excitation:
-    """Report of which parameters θ of g = Z(q)θ the configurations of a motion tell apart.
+    """Report of which parameters θ of g = Z(q)θ the configurations of a motion distinguish.
 
     Attributes:
         names: Names of the parameters, length p.
         effect: Root mean square of the torque that one unit of a parameter makes, shape (p,)
             [N m per unit].
         own: What of it no combination of the other parameters can make: 0 where learning cannot
-            tell the parameter from others.
+            distinguish the parameter from others.
         threshold: Share of `effect` that `own` has to reach for a parameter to count as excited.
         rank: Number of combinations of parameters that the motion excites.
     """

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def arm_of(robot: Robot, q: Any) -> Any:
-    """Return what has the terms of a robot at a q that is not known yet; None where it is known.
+    """Return the terms of a robot at a q that is not known yet; None where it is known.
 
     It has `frame(name)`, `jacobian(name)`, `drift(name, v)`, `gravity()`, `M()`, `bias(v)` and
     `Z(regressor)`.
@@ -32,16 +32,14 @@ def moved(robot: Robot, q: Array, motion: Array) -> Array:
     """Return the configuration (nq,) that a motion (n_v,) leads to from q."""
     if type(q) is np.ndarray and type(motion) is np.ndarray:
         return np.array(pin.integrate(robot.model, q, motion))
-    found: Array = _symbolic(q, motion).moved(robot, q, motion)
-    return found
+    return np.asanyarray(_symbolic(q, motion).moved(robot, q, motion))
 
 
 def motion_between(robot: Robot, a: Array, b: Array) -> Array:
     """Return the motion (n_v,) that leads from a to b, both (nq,)."""
     if type(a) is np.ndarray and type(b) is np.ndarray:
         return np.asarray(pin.difference(robot.model, a, b))
-    found: Array = _symbolic(a, b).motion_between(robot, a, b)
-    return found
+    return np.asanyarray(_symbolic(a, b).motion_between(robot, a, b))
 
 
 def _symbolic(a: Any, b: Any) -> Any:

@@ -282,7 +282,7 @@ class HeldCommands:
         self._steps, self._number, self._taken = 0, -1, first
 
     def acting(self, command: Array) -> list[Array]:
-        """Return what acts over the next sample, one after the other for h [s] each."""
+        """Return the commands that act over the next sample, one after the other for h [s]."""
         return [self._next(command) for _ in range(self._per_sample)]
 
     def _next(self, command: Array) -> Array:

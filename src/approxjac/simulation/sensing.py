@@ -175,7 +175,7 @@ def generator(seed: int, kind: str) -> np.random.Generator:
 
 
 def encoded(robot: Robot, q: Array, noise: Array | None, quantum: Array) -> Array:
-    """Return what encoders deliver of q (nq,), with noise and steps (n_v,)."""
+    """Return q (nq,) as encoders deliver it, with noise and steps (n_v,)."""
     if noise is not None:
         q = moved(robot, q, noise)
     if quantum.any():
@@ -185,7 +185,7 @@ def encoded(robot: Robot, q: Array, noise: Array | None, quantum: Array) -> Arra
 
 
 def imaged(task: Task, x: Array, noise: Array | None, quantum: Array) -> Array:
-    """Return what a sensor makes of x (n_x,), with noise and steps (m,) of its error."""
+    """Return x (n_x,) as a sensor delivers it, with noise and steps (m,) of its error."""
     if noise is not None:
         x = task.displaced(x, noise)
     if quantum.any():

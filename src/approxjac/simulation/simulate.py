@@ -110,7 +110,7 @@ def simulate(
             A whole number of them fits into duration where dt is None; it is a whole number of dt
             otherwise, and the last instant is recorded too.
         seed: Of the noise and the dropouts of the plant's sensing, ≥ 0.
-        computation: Integrator, tolerances, machine code or Python, and who is told of progress.
+        computation: Integrator, tolerances, machine code or Python, and a report of progress.
         observer: Called with the `Loop`, which says what it may do, at every step of
             sampled control. An observer that is a context manager is entered before the run and
             left after it, however it ends.
@@ -169,13 +169,13 @@ def _onwards(progress: Progress) -> Progress:
     """Return a progress function that gets each time once, also where a run begins anew."""
     reached = -math.inf
 
-    def tell(t: float) -> None:
+    def report(t: float) -> None:
         nonlocal reached
         if t > reached:
             reached = t
             progress(t)
 
-    return tell
+    return report
 
 
 def _require_continuous(plant: Plant, controller: Controller, observer: Observer | None) -> None:

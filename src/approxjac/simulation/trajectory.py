@@ -30,7 +30,7 @@ _TOUCHES = 1e-6  # beyond a position limit; less is rounding [rad or m]
 class Scene:
     """The true and the believed robot of a run, and what each of them takes x for.
 
-    None stands for what a controller does not tell, and for tasks that a file cannot hold.
+    None stands for what a controller does not know, and for tasks that a file cannot hold.
     """
 
     truth: Robot
@@ -163,7 +163,7 @@ class Trajectory:
 
     @cached_property
     def task_torque(self) -> Array:
-        """The part of the law's torque that acts on the task, as its controller tells, (N, n_v).
+        """The part of the law's torque that acts on the task, by its controller, (N, n_v).
 
         −Ĵᵀ(K_p s(e) + K_v Ĵq̇) of a `SetpointController`; NaN where it is not known.
         """
@@ -393,7 +393,7 @@ class Trajectory:
         return error
 
     def describe_stops(self) -> str:
-        """Return which joints were at their stops, and for how long, in words; "" if none was."""
+        """Describe the joints that were at their stops, and for how long; "" if none was."""
         return ", ".join(f"{name} for {time:.3g} s" for name, time in self.at_stops.items())
 
     def __repr__(self) -> str:
@@ -542,7 +542,7 @@ class Record:
         e, J_hat = self._columns[len(_RECORDED) :]
         if name == "sigma_min":
             return _sigma_min(J_hat[: len(run.t)])
-        plant, found = self._plant, []
+        plant, values = self._plant, []
         for start, end, controller in self._spans(len(run.t)):
             error = controller.task.error
             derived = controller.lyapunov if name == "V" else controller.task_torque
@@ -557,8 +557,8 @@ class Record:
                     run.q[k], run.v[k], error(x, x_d), x_d, run.state[k], answer, plant.dynamics,
                     plant.adds_gravity,
                 )  # fmt: skip
-                found.append(derived(at))
-        return np.array(found)
+                values.append(derived(at))
+        return np.array(values)
 
 
 def _errors(sensor: Task, x: Array, x_d: Array) -> Array:
@@ -570,10 +570,10 @@ def _errors(sensor: Task, x: Array, x_d: Array) -> Array:
 
 def _sigma_min(J_hat: Array) -> Array:
     """Return the smallest singular value of each Ĵ, NaN of one that is not known, shape (N,)."""
-    found = np.full(len(J_hat), np.nan)
+    smallest = np.full(len(J_hat), np.nan)
     known = np.isfinite(J_hat).all(axis=(1, 2))
-    found[known] = np.linalg.svd(J_hat[known], compute_uv=False)[:, -1]
-    return found
+    smallest[known] = np.linalg.svd(J_hat[known], compute_uv=False)[:, -1]
+    return smallest
 
 
 def scene_of(plant: Plant, controller: Controller) -> Scene:

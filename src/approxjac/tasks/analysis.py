@@ -16,7 +16,7 @@ from approxjac.validation import Array, require
 FINE = {"m": 1e-3, "rad": 1e-3, "px": 0.5}
 """Errors that count as none, by the unit of a task."""
 _NOISY = 3.0  # times a sensor's noise, within which an error counts as none, too
-_OF_A_BODY = 6  # motions: its points tell no more, however many there are
+_OF_A_BODY = 6  # motions, however many points it has
 _TRIES = 20000  # random configurations to look for ones that a camera sees
 
 
@@ -31,10 +31,10 @@ def jacobian_gradient(task: Task, q: Array) -> Array:
 
 
 def with_error(task: Task, x: Array, x_d: Array, e: Array) -> Array:
-    """Return the value whose error to x_d is e (m,); what no error tells is as in x; (n_x,)."""
-    found = task.displaced(x_d, e)
-    found[task._untold] = x[task._untold]
-    return found
+    """Return the value whose error to x_d is e (m,); entries without an error as in x; (n_x,)."""
+    value = task.displaced(x_d, e)
+    value[task._untold] = x[task._untold]
+    return value
 
 
 def combination(task: Task) -> Array:
@@ -58,7 +58,7 @@ def uncombined(task: Task) -> Array | None:
 
 
 def controllable_coordinates(task: Task) -> int:
-    """Return how many of a task's coordinates the arm can move one by one, at most."""
+    """Return the number of coordinates that the arm can move one by one, at most."""
     most = min(task.m, task.robot.nv)
     return min(most, _OF_A_BODY) if isinstance(task, ImageTask) else most
 
@@ -77,14 +77,14 @@ def require_controllable(task: Task) -> None:
 
 
 def features(task: Task | None) -> tuple[Feature, ...]:
-    """Return what a task follows, part by part; nothing of tasks that are not this library's."""
+    """Return the features that a task follows; none of tasks that are not this library's."""
     return () if task is None else task._features
 
 
 def place_of(task: Task, x: Array) -> Array | None:
-    """Return where in the world a value x (n_x,) is, shape (3,) [m]; None if it does not tell."""
-    told = next((part for part in features(task) if part.axes == "xyz"), None)
-    return None if told is None else told.place(x)
+    """Return the place in the world (3,) [m] of a value x (n_x,); None if it has none."""
+    placed = next((part for part in features(task) if part.axes == "xyz"), None)
+    return None if placed is None else placed.place(x)
 
 
 def image_feature(task: Task | None) -> Feature | None:
@@ -110,7 +110,7 @@ def require_as_believed(task: Task, q: Array, x: Array) -> None:
 
 
 def sees(task: Task, q: Array) -> bool:
-    """Return whether a sensor delivers all of a task's value at q (nq,)."""
+    """Return True if a sensor delivers all of a task's value at q (nq,)."""
     if type(task)._seen is Task._seen:
         return True
     return bool(np.isfinite(task._seen(task.value(q))).all())
@@ -126,23 +126,23 @@ def seen_configurations(task: Task, count: int) -> list[Array]:
     model, neutral, usual = task.robot.model, task.robot.neutral(), task.robot.usual_range()
     motions = (rng.uniform(*usual) for _ in range(max(count, _TRIES)))
     drawn = (np.array(pin.integrate(model, neutral, each)) for each in motions)
-    found = list(islice((q for q in drawn if sees(task, q)), count))
-    if not found:
+    seen = list(islice((q for q in drawn if sees(task, q)), count))
+    if not seen:
         raise InvalidInputError(
             f"task must be one that its own sensor sees somewhere within the joint limits of "
             f"{task.robot.name}, got {task!r}",
             given=task,
         )
-    return found
+    return seen
 
 
 def vanishing(task: Task) -> float:
     """Return σ_max [unit of the task/rad] below which Ĵ vanishes: a tenth of what it usually is."""
-    found: float | None = vars(task).get("_vanishing")  # which no task changes
-    if found is None:
+    threshold: float | None = vars(task).get("_vanishing")  # which no task changes
+    if threshold is None:
         largest = [np.linalg.norm(task.jacobian(q), 2) for q in seen_configurations(task, 20)]
-        found = vars(task)["_vanishing"] = 0.1 * float(np.median(largest))
-    return found
+        threshold = vars(task)["_vanishing"] = 0.1 * float(np.median(largest))
+    return threshold
 
 
 def require_jacobian_of_q(task: Task, what: str) -> None:

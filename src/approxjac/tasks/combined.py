@@ -144,13 +144,13 @@ def _jacobian(task: Task, q: Array, x_d: Array) -> Array:
 
 def _attaining(task: Task, x_d: Array, starts: list[Array]) -> list[Array]:
     """Return configurations whose values are a target, or as near to it as is found from starts."""
-    found = [_nearer(task, x_d, q) for q in starts]
-    least = min(error for _, error in found)
-    return [q for q, error in found if error <= _BEST * least + 1e-6]
+    ends = [_nearer(task, x_d, q) for q in starts]
+    least = min(error for _, error in ends)
+    return [q for q, error in ends if error <= _BEST * least + 1e-6]
 
 
 def _nearer(task: Task, x_d: Array, q: Array) -> tuple[Array, float]:
-    """Return where steps of damped least squares lead to, and the size of the error there."""
+    """Return the configuration that damped least squares lead to, and the error's size there."""
     e = task.error(task.value(q), x_d)
     for _ in range(_STEPS):
         J = task._error_jacobian(e, task.jacobian(q, task.value(q)))

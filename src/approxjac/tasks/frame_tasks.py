@@ -66,8 +66,8 @@ def _as_slice(rows: tuple[int, ...]) -> slice | list[int]:
     """Return rows at equal distances as a slice, which NumPy takes without a copy."""
     step = rows[1] - rows[0] if len(rows) > 1 else 1
     end = rows[-1] + step
-    found = slice(rows[0], end if end >= 0 else None, step)
-    return found if tuple(range(3))[found] == rows else list(rows)
+    evenly = slice(rows[0], end if end >= 0 else None, step)
+    return evenly if tuple(range(3))[evenly] == rows else list(rows)
 
 
 def best_axes(robot: Robot, frame: str | None = None) -> str:

@@ -76,8 +76,8 @@ class ImageTask(Task):
         self.points = _points(((0.0, 0.0, 0.0),) if points is None else points)
         k = len(self.points)
         self.depth = _depth(depth, k)
-        told = self.depth if isinstance(self.depth, str) else "given"
-        measured, self._uses_x = told == "measured", told != "believed"
+        measured = isinstance(self.depth, str) and self.depth == "measured"
+        self._uses_x = not isinstance(self.depth, str) or measured
         if self._uses_x:
             require("camera of a task with depths", camera, PinholeCamera, "a PinholeCamera")
         self._stride = n = 3 if measured else 2  # entries of x for each point
@@ -111,11 +111,11 @@ class ImageTask(Task):
 
     def value(self, q: Array) -> Array:
         places = self._kinematics.positions(q)
-        found = [self.camera.project(r) for r in places]
+        entries = [self.camera.project(r) for r in places]
         if self._stride == 3:
             depths = (self._pinhole.in_camera(r)[2:] for r in places)
-            found = [part for pair in zip(found, depths, strict=True) for part in pair]
-        return np.concatenate(found)
+            entries = [part for pair in zip(entries, depths, strict=True) for part in pair]
+        return np.concatenate(entries)
 
     def _seen(self, x: Array) -> Array:
         points = x.reshape(-1, self._stride)
@@ -191,12 +191,12 @@ class ImageTask(Task):
             x = np.where(np.isfinite(x), x, self.value(q))
         images = x.reshape(-1, self._stride)
         depths = images[:, 2] if self._stride == 3 else np.asarray(self.depth)
-        found, nowhere = [], np.full(3, np.nan)
+        located, nowhere = [], np.full(3, np.nan)
         for image, Z in zip(images, depths.tolist(), strict=True):
             # within the image, as a lever arm grows with the ray
             place = self._pinhole.locate(self._pinhole.nearest(image[:2]), Z)
-            found.append(law.select(Z > 0.0, place, nowhere))
-        return np.vstack(found)
+            located.append(law.select(Z > 0.0, place, nowhere))
+        return np.vstack(located)
 
     @property
     def _pinhole(self) -> PinholeCamera:
@@ -257,8 +257,8 @@ def _roundness(points: Array) -> float:
         return 0.0
     about = points - points.mean(axis=0)
     _, extent, axes = np.linalg.svd(about)
-    found = abs(_turn(about @ axes[:2].T))
-    return found if extent[2] < _FLAT * extent[1] and found > _ROUND else 0.0
+    turn = abs(_turn(about @ axes[:2].T))
+    return turn if extent[2] < _FLAT * extent[1] and turn > _ROUND else 0.0
 
 
 def _depth(depth: object, k: int) -> str | Array:

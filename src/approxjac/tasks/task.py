@@ -84,7 +84,7 @@ class Task(Immutable, Saved, ABC):
     _subtracts: bool  # the error is x − x_d
     _origin: Array  # a value to measure others from
     _overdetermined = False  # it may have more coordinates than there are joints, to be combined
-    _untold: list[int]  # entries of x that no error tells
+    _untold: list[int]  # entries of x that are in no error
     # what is measured at once, such as a point of an image: entries of x, and of the error
     _parts: tuple[tuple[slice, slice], ...]
 
@@ -175,11 +175,11 @@ class Task(Immutable, Saved, ABC):
         return self
 
     def _seen(self, x: Array) -> Array:
-        """Return what a sensor delivers of a value x (n_x,): NaN in parts that it cannot see."""
+        """Return a value x (n_x,) as a sensor delivers it: NaN in parts that it cannot see."""
         return x
 
     def _is_mirrored(self, x: Array, other: Array) -> bool:
-        """Return whether points run round the other way in one value (n_x,) than in another."""
+        """Return True if points run round the other way in one value (n_x,) than in another."""
         return False
 
     def _sensor_jacobian(self, q: Array) -> Array:
