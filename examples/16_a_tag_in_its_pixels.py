@@ -20,7 +20,7 @@ import numpy as np
 import approxjac as aj
 from approxjac import view
 from approxjac.controllers import ModelGravity
-from approxjac.extras import package_of
+from approxjac.errors import package_of
 from approxjac.realtime import SimulatedDriver
 from approxjac.tasks import CombinedTask, FrameKinematics
 

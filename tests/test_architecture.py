@@ -15,38 +15,37 @@ SOURCE = Path(approxjac.__file__).parent
 # Each may import itself and what stands in its set; nothing else of ours.
 ALLOWED = {
     "errors": set(),
-    "extras": {"errors"},
     "files": set(),
     "formatting": set(),
     "validation": {"errors"},
     "interface": {"errors", "formatting", "tasks", "validation"},
     "paths": {"errors", "formatting", "interface", "validation"},
-    "robots": {"errors", "extras", "files", "validation"},
+    "robots": {"errors", "files", "validation"},
     "law": {"errors", "validation"},
     "codegen": {
-        "__init__", "cameras", "controllers", "errors", "extras", "files", "formatting",
+        "__init__", "cameras", "controllers", "errors", "files", "formatting",
         "interface", "law", "robots", "simulation", "tasks", "validation",
     },
     "cameras": {"errors", "files", "formatting", "law", "robots", "validation"},
     "tasks": {"cameras", "errors", "formatting", "law", "robots", "validation"},
     "controllers": {
-        "cameras", "errors", "extras", "formatting", "interface", "law", "robots", "tasks",
+        "cameras", "errors", "formatting", "interface", "law", "robots", "tasks",
         "validation",
     },
     "simulation": {
-        "__init__", "cameras", "controllers", "errors", "extras", "files", "formatting",
+        "__init__", "cameras", "controllers", "errors", "files", "formatting",
         "interface", "law", "robots", "tasks", "validation",
     },
     "realtime": {
-        "controllers", "errors", "extras", "formatting", "interface", "robots", "simulation",
+        "controllers", "errors", "formatting", "interface", "robots", "simulation",
         "tasks", "validation",
     },
     "stability": {
-        "cameras", "codegen", "controllers", "errors", "extras", "files", "formatting",
+        "cameras", "codegen", "controllers", "errors", "files", "formatting",
         "interface", "law", "robots", "simulation", "tasks", "validation",
     },
     "view": {
-        "cameras", "controllers", "errors", "extras", "files", "interface", "law", "robots",
+        "cameras", "controllers", "errors", "files", "interface", "law", "robots",
         "simulation", "tasks", "validation",
     },
     "paper": {

@@ -1,4 +1,4 @@
-"""The errors of approxjac: one root, and each error carries what it was given.
+"""The errors of approxjac: one root, and each error carries what it was given; `package_of`.
 
 Every message says what was expected, what was given and, where that can be listed,
 what would be valid.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copyreg
 import difflib
+import importlib
 from collections.abc import Iterable
 from typing import Any
 
@@ -84,3 +85,26 @@ class MissingPackageError(ApproxJacError, ImportError):
 
 class TrajectoryFileError(ApproxJacError, ValueError):
     """A file that is missing or does not hold a trajectory."""
+
+
+_NEEDED_BY = {
+    "fast": "compiled code",
+    "franka": "FrankaDriver",
+    "mujoco": "MujocoPlant",
+    "qp": "a QP solver other than DAQP",
+    "study": "drawing, judging stability or integrating in continuous time",
+    "view": "showing robots or reading their meshes",
+    "vision": "the search for tags in images",
+}
+
+
+def package_of(extra: str, name: str) -> Any:
+    """Import a package of an extra, or raise a MissingPackageError."""
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise MissingPackageError(
+            f"{_NEEDED_BY[extra]} needs {name.split('.')[0]}, which cannot be imported ({error}): "
+            f"pip install 'approxjac[{extra}]'",
+            given=name,
+        ) from error

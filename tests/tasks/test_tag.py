@@ -11,7 +11,7 @@ import approxjac as aj
 from approxjac.cameras import tag_corners
 from approxjac.controllers import KnownKinematics
 from approxjac.controllers.pseudoinverse import singular_ratio
-from approxjac.extras import package_of
+from approxjac.errors import package_of
 from approxjac.robots import Dynamics
 from approxjac.tasks import CombinedTask
 

@@ -11,8 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from approxjac.controllers import Limits
-from approxjac.errors import DriverError, InvalidInputError
-from approxjac.extras import package_of
+from approxjac.errors import DriverError, InvalidInputError, package_of
 from approxjac.interface import Measurement
 from approxjac.robots import Dynamics, Robot
 from approxjac.validation import Array, as_limits, require

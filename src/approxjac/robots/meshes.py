@@ -10,8 +10,7 @@ import numpy as np
 from lxml import etree
 from lxml.builder import E
 
-from approxjac.errors import UrdfError
-from approxjac.extras import package_of
+from approxjac.errors import UrdfError, package_of
 from approxjac.files import replaced
 from approxjac.robots.urdf import Urdf
 

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
-from approxjac.errors import InvalidInputError, UrdfError
-from approxjac.extras import package_of
+from approxjac.errors import InvalidInputError, UrdfError, package_of
 from approxjac.formatting import short
 from approxjac.robots import Robot
 from approxjac.robots.meshes import impossible_inertias

@@ -14,8 +14,13 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.controllers.controller import Controller
-from approxjac.errors import InvalidInputError, MeasurementError, SimulationError, UnknownNameError
-from approxjac.extras import package_of
+from approxjac.errors import (
+    InvalidInputError,
+    MeasurementError,
+    SimulationError,
+    UnknownNameError,
+    package_of,
+)
 from approxjac.formatting import short_fields
 from approxjac.interface import Target, TargetPath
 from approxjac.simulation.loop import (

@@ -1,6 +1,6 @@
 """Plots of runs, of what cameras see and of stability; runs in the browser."""
 
-from approxjac.extras import package_of
+from approxjac.errors import package_of
 
 package_of("study", "matplotlib")  # for its error
 

@@ -16,7 +16,7 @@ from lxml import etree
 from lxml.builder import E
 from trimesh import Trimesh, creation
 
-from approxjac.extras import package_of
+from approxjac.errors import package_of
 from approxjac.robots import Robot
 from approxjac.robots.meshes import find_mesh, read_mesh
 from approxjac.validation import Array

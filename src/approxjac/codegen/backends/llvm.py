@@ -11,7 +11,7 @@ from itertools import chain, count
 from approxjac.codegen.backends.machine_code import MachineCode
 from approxjac.codegen.trace.program import STEP, Block, Going, Language, Program, Rows, Writer
 from approxjac.codegen.trace.symbols import Number, Passes
-from approxjac.extras import package_of
+from approxjac.errors import package_of
 from approxjac.validation import Array
 
 _TEMPLATES = {

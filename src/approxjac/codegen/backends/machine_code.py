@@ -17,7 +17,7 @@ from collections import OrderedDict
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
-from approxjac.extras import package_of
+from approxjac.errors import package_of
 from approxjac.files import replaced
 
 _MAGIC = b"approxjac machine code 1\n"

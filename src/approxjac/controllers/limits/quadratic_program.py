@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from approxjac import law
-from approxjac.errors import InvalidInputError, UnknownNameError
-from approxjac.extras import package_of
+from approxjac.errors import InvalidInputError, UnknownNameError, package_of
 from approxjac.law import QuadraticProgram
 from approxjac.validation import Array
 

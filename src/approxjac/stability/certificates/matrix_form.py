@@ -18,7 +18,7 @@ from typing import Literal, NamedTuple, Self
 import numpy as np
 
 from approxjac import law
-from approxjac.extras import package_of
+from approxjac.errors import package_of
 from approxjac.stability.loop.samples import Indices, Samples
 from approxjac.validation import Array
 

@@ -17,8 +17,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from approxjac.errors import InvalidInputError
-from approxjac.extras import package_of
+from approxjac.errors import InvalidInputError, package_of
 from approxjac.files import read_arrays, replaced
 from approxjac.formatting import joined, percent, rows
 from approxjac.simulation import Trajectory

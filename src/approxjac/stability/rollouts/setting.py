@@ -16,8 +16,7 @@ import numpy as np
 
 from approxjac.controllers import SetpointController
 from approxjac.controllers.controller import Controller
-from approxjac.errors import InvalidInputError, SimulationError, UnknownNameError
-from approxjac.extras import package_of
+from approxjac.errors import InvalidInputError, SimulationError, UnknownNameError, package_of
 from approxjac.simulation import Computation, Plant, Sensing, Trajectory, simulate
 from approxjac.simulation.loop import Wanted, target_at, x_of
 from approxjac.simulation.simulate import whole

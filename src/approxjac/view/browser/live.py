@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 
 from approxjac.cameras import PlanarCamera
-from approxjac.errors import ApproxJacError, InvalidInputError
-from approxjac.extras import package_of
+from approxjac.errors import ApproxJacError, InvalidInputError, package_of
 from approxjac.robots import Robot
 from approxjac.simulation.loop import Loop
 from approxjac.simulation.trajectory import Record, scene_of

@@ -19,8 +19,7 @@ from urllib.parse import quote
 import numpy as np
 
 from approxjac.cameras import PinholeCamera
-from approxjac.errors import InvalidInputError
-from approxjac.extras import package_of
+from approxjac.errors import InvalidInputError, package_of
 from approxjac.files import reason, write_text
 from approxjac.interface import LimitStatus, Status
 from approxjac.simulation import Trajectory

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.cameras import PinholeCamera, PlanarCamera
-from approxjac.extras import package_of
+from approxjac.errors import package_of
 from approxjac.robots import Robot
 from approxjac.robots.model import own_joints
 from approxjac.simulation.trajectory import Scene
