@@ -112,7 +112,6 @@ class Theorem1:
 
 CONSTANTS = ("p", "b_J", "lambda_m", "lambda_1", "lambda_2", "c0", "c1")
 _BELOW = 0.999  # (14) is strict
-_SMALLEST = ("lambda_1", "lambda_2")
 
 
 def constants(samples: Samples, setting: Setting) -> dict[str, Array]:
@@ -147,18 +146,16 @@ def _norm(A: Array) -> Array:
 
 def badness(name: str, values: Array) -> Array:
     """Return values that are large where a constant is unfavourable."""
-    return -values if name in _SMALLEST else values
+    return -values if name in ("lambda_1", "lambda_2") else values
 
 
 def theorem1(
     samples: Samples, setting: Setting, known: Mapping[str, Array] | None = None
 ) -> Theorem1:
     """Take the constants of Theorem 1 over all samples, of which the first may be known."""
-    if known is None:
-        found = constants(samples, setting)
-    else:
-        rest = constants(samples.take(slice(len(known["p"]), None)), setting)
-        found = {name: np.append(known[name], rest[name]) for name in CONSTANTS}
+    found = constants(samples.take(slice(0 if known is None else len(known["p"]), None)), setting)
+    if known is not None:
+        found = {name: np.append(known[name], found[name]) for name in CONSTANTS}
     worst = {name: int(np.argmax(badness(name, values))) for name, values in found.items()}
     return Theorem1(
         **{name: float(found[name][k]) for name, k in worst.items()}, setting=setting, worst=worst

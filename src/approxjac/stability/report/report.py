@@ -44,6 +44,11 @@ FAMILY_NAMES: dict[Family, str] = {
 OF_WRONG_AXES = "as of wrong joint axes or a tilted base"
 _IF_IT_STAYS = "as long as the arm stays in the region"
 _REASONS = {
+    "gravity": "gravity is off by up to {error:.3g} N m",
+    "unstable": "errors grow at {percent:.3g} % of the targets (exact linearisation)",
+    "rollouts diverged": "{diverged} of {runs} rollouts diverged",
+    "violated": "the Lyapunov function found fails in {violations} of {checked} further "
+    "configurations",
     "rank": "the estimated Jacobian loses rank in the region",
     "damped": "the region holds configurations near singular ones, where learning is damped",
     "motors": "the motors cannot hold the arm everywhere in the region",
@@ -62,6 +67,7 @@ _LIMITS = {
     "there; TorqueLimited(..., cross_weight=report.cross_weight) keeps a certified one",
     "no proof": "the limiter clips, and nothing is proven there",
 }
+_ROUNDED = {"torque_delay": "torques as {} late, not {}", "image_age": "x as {} old, not {}"}
 _TINY = 1e-6
 _DRAWN = 400  # starts that tell what is usual
 _TARGETS = 1000  # that the sampled loop is linearised at
@@ -214,12 +220,6 @@ class StabilityReport:
         return self.sampled.largest_period(), largest(stable, self.latency.period)
 
     @cached_property
-    def largest_delay(self) -> float:
-        """Largest delay of torques that is certified, all else the same [s]; 0 where none is."""
-        assert self.sampled is not None
-        return self.sampled.largest_delay()
-
-    @cached_property
     def attraction(self) -> Attraction | None:
         """Starts that never leave the region; None where nothing is certified, or it is no box."""
         if self.sampled is None or self.reason:
@@ -274,24 +274,21 @@ def report_of(
     rollouts: Rollouts | None = None,
 ) -> StabilityReport:
     """Return the report of a loop; see `Study.report`."""
+    rng, setting = np.random.default_rng(seed), loop.setting
     half = min(configurations // 2, _CHOOSE)
-    rng = np.random.default_rng(seed)
     tell("configurations", 0.0)
     samples = loop.draw(half, rng, inside=SHARED)
     tell("configurations", 0.5)
     fresh = loop.draw(configurations - half, rng, inside=1)
-    setting = loop.setting
     samples, constants = refine_constants(loop, samples, rng)
     form, check = MatrixForm(samples, setting), MatrixForm(fresh, setting)
     found: dict[Family, Best] = {}
-    best: Best | None = None
     for k, family in enumerate(setting.families):
         tell("matrix form", k / len(setting.families))
         form, best = refine_weights(loop, form, family, rng)
         found[family] = best
         if best.margins.min() > 0.0 and not check.violations(best.weights):
             break
-    assert best is not None
     samples = form.samples
     matrix: dict[Family, MatrixTest] = {}
     for family, each in found.items():
@@ -356,24 +353,18 @@ def _verdict(report: StabilityReport) -> Row:
 
 def _why(report: StabilityReport) -> tuple[str, dict[str, Any]]:
     """Why a loop is not certified, and the figures of that."""
-    sampled, rollouts = report.sampled, report.rollouts
-    if report.reason == "gravity":
-        error = report.gravity_error
-        return f"gravity is off by up to {error:.3g} N m", {"error": error}
-    if report.reason == "unstable":
-        share = float((report.spectral_radii >= 1.0).mean())
-        text = f"errors grow at {100.0 * share:.3g} % of the targets (exact linearisation)"
-        return text, {"share": share}
-    if report.reason == "rollouts diverged" and rollouts is not None:
-        counts = {"diverged": rollouts.n_diverged, "runs": rollouts.n}
-        return f"{rollouts.n_diverged} of {rollouts.n} rollouts diverged", counts
-    if report.reason == "violated" and sampled is not None:
-        text = (
-            f"the Lyapunov function found fails in {sampled.violations} of {sampled.checked} "
-            "further configurations"
-        )
-        return text, {"violations": sampled.violations, "checked": sampled.checked}
-    return _REASONS[report.reason], {}
+    reason, sampled, rollouts = report.reason, report.sampled, report.rollouts
+    figures: dict[str, Any] = {}
+    share = float((report.spectral_radii >= 1.0).mean())
+    if reason == "gravity":
+        figures = {"error": report.gravity_error}
+    elif reason == "unstable":
+        figures = {"share": share}
+    elif reason == "rollouts diverged" and rollouts is not None:
+        figures = {"diverged": rollouts.n_diverged, "runs": rollouts.n}
+    elif reason == "violated" and sampled is not None:
+        figures = {"violations": sampled.violations, "checked": sampled.checked}
+    return _REASONS[reason].format(percent=100.0 * share, **figures), figures
 
 
 def _covers(report: StabilityReport, starts: dict[str, Any]) -> Row:
@@ -393,7 +384,7 @@ def _covers(report: StabilityReport, starts: dict[str, Any]) -> Row:
         return Row("verdict", "covers", "continuous", figures, text)
     judged = replace(report, gravity_error=0.0) if report.loop.integral_terms else report
     if judged.contradiction:
-        figures["rounded"] = bool(_rounded(report.latency))
+        figures["rounded"] = bool(_rounded(report.latency)[0])
         rounded = " Some tests round the delays: see beware." if figures["rounded"] else ""
         text = f"This is a problem found in the loop, not just a missing proof.{rounded}"
         return Row("verdict", "covers", "problem", figures, text)
@@ -510,13 +501,9 @@ def _beware(report: StabilityReport) -> Iterator[Row]:
             "nothing below accounts for"
         )
         yield Row("beware", "joint limits", "beyond", {"joints": beyond}, text)
-    if rounded := _rounded(report.latency):
-        names = {"rollouts": "rollouts", "near targets": "the linearisation near targets"}
-        taken = {names[who]: ", ".join(_taken(each)) for who, each in rounded.items()}
-        if len(taken) == 2 and len(set(taken.values())) == 1:
-            taken = {" and ".join(taken): next(iter(taken.values()))}
-        whole = "; ".join(f"{who} take {what}" for who, what in taken.items())
-        yield Row("beware", "timing", "rounded", rounded, f"in whole periods, {whole}")
+    rounded, text = _rounded(report.latency)
+    if rounded:
+        yield Row("beware", "timing", "rounded", rounded, text)
 
 
 def of_gravity(loop: ClosedLoop, error: float) -> Row:
@@ -558,31 +545,30 @@ def _beyond_limits(report: StabilityReport) -> list[str]:
     return [name for name, is_so in zip(robot.joint_names, beyond, strict=True) if is_so]
 
 
-def _rounded(latency: Latency) -> dict[str, dict[str, float]]:
-    """How rollouts and the linearisation round times: by whom, what is taken [s]."""
-    period, given = latency.period, (latency.torque_delay, latency.image_age)
+def _rounded(latency: Latency) -> tuple[dict[str, dict[str, float]], str]:
+    """How rollouts and the linearisation round times: by whom, what is taken [s], and as text."""
     dt, _, age, late = latency.in_samples()
-    whole = [round(each / period) for each in given]
-    found = {}
-    for who, step, counts in (("rollouts", period, whole), ("near targets", dt, (late, age))):
+    period, given = latency.period, (latency.torque_delay, latency.image_age)
+    takers = {
+        "rollouts": ("rollouts", period, [round(time / period) for time in given]),
+        "near targets": ("the linearisation near targets", dt, [late, age]),
+    }
+    figures, texts = {}, dict[str, list[str]]()
+    for who, (name, step, counts) in takers.items():
         taken: dict[str, float] = {}
-        for name, value, n in zip(("torque_delay", "image_age"), given, counts, strict=True):
-            if abs(value - n * step) > _TINY * period:
-                taken |= {name: n * step, f"given_{name}": value}
+        said = []
         if step > period * (1.0 + _TINY):
             taken["period"] = step
+            said.append(f"samples of {_ms(step)}")
+        for what, time, n in zip(_ROUNDED, given, counts, strict=True):
+            if abs(time - n * step) > _TINY * period:
+                taken |= {what: n * step, f"given_{what}": time}
+                said.append(_ROUNDED[what].format(_ms(n * step), _ms(time)))
         if taken:
-            found[who] = taken
-    return found
-
-
-def _taken(times: Mapping[str, float]) -> list[str]:
-    said = [f"samples of {_ms(times['period'])}"] if "period" in times else []
-    for name, what, how in (("torque_delay", "torques", "late"), ("image_age", "x", "old")):
-        if name in times:
-            now, given = times[name], times[f"given_{name}"]
-            said.append(f"{what} as {_ms(now)} {how}, not {_ms(given)}")
-    return said
+            figures[who] = taken
+            texts.setdefault(", ".join(said), []).append(name)
+    taking = (f"{' and '.join(names)} take {said}" for said, names in texts.items())
+    return figures, f"in whole periods, {'; '.join(taking)}"
 
 
 def _sampled(report: StabilityReport, starts: dict[str, Any]) -> Iterator[Row]:
@@ -611,7 +597,7 @@ def _sampled(report: StabilityReport, starts: dict[str, Any]) -> Iterator[Row]:
         figures = {"certified": certified, "stable": stable}
         yield Row("sampled", "longest period", "", figures, text)
         if certified:
-            longest, given = report.largest_delay, report.latency.torque_delay
+            longest, given = sampled.largest_delay(), report.latency.torque_delay
             passes = f"up to {_ms(longest)}" if longest else "at none"
             text = f"the function found passes {passes}, all else the same"
             text += f"; here it is {_ms(given)}" if given else ""
