@@ -490,7 +490,7 @@ def test_commands_of_the_pages_get_as_far_as_the_work(words, tmp_path, monkeypat
     monkeypatch.setattr(judge.Trajectory, "load", lambda path: tube)
     monkeypatch.setattr(judge, "analyse", work)
     monkeypatch.setattr(aj.Study, "gains", work)
-    monkeypatch.setattr("approxjac.scenario.outcome.run_scenario", work)
+    monkeypatch.setattr("approxjac.scenario.run_scenario", work)
     monkeypatch.chdir(tmp_path)
     words = [str(ROOT / word) if (ROOT / word).is_file() else word for word in words]
     with pytest.raises(Works):

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-import textwrap
 from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
 
 from approxjac.errors import InvalidInputError, MissingPackageError
+from approxjac.formatting import wrapped
 from approxjac.robots import Robot, load_robot, robot_names
 from approxjac.robots.load import locked_joints
 from approxjac.robots.urdf import likely_tips
-
-_WIDTH = 100
 
 
 def robots(
@@ -58,7 +56,7 @@ def _table() -> str:
     lines = [_aligned(rows), "", "Effort limits are in N m, those of prismatic joints in N."]
     if missing:
         names = ", ".join(missing)
-        lines += ["", *textwrap.wrap(f"pip install 'approxjac[robots]' brings {names}", _WIDTH)]
+        lines += ["", *wrapped(f"pip install 'approxjac[robots]' brings {names}")]
     return "\n".join(lines)
 
 
@@ -77,7 +75,7 @@ def _details(source: str, tip: str | None, base: str | None, free: Sequence[str]
     leads = robot.tip or f"{unclear}; {likely_tips(robot.tree)}"
     lines = [
         f"{source}: {_kinds(robot)}; nv {robot.nv}, nq {robot.nq}; {robot.mass:.4g} kg",
-        *textwrap.wrap(f"tip: {leads}", _WIDTH, subsequent_indent="  "),
+        *wrapped(f"tip: {leads}", indent=2),
         "",
         _aligned(rows),
     ]
@@ -89,7 +87,7 @@ def _details(source: str, tip: str | None, base: str | None, free: Sequence[str]
     }
     for title, joints in others.items():
         if joints:
-            lines += ["", *textwrap.wrap(f"{title}: {', '.join(joints)}", _WIDTH)]
+            lines += ["", *wrapped(f"{title}: {', '.join(joints)}")]
     return "\n".join(lines)
 
 

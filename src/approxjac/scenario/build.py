@@ -247,6 +247,7 @@ def _law(
     scenario: Scenario, task: Task, truth: Robot, q0: Array, kinematics: Kinematics | None
 ) -> Controller:
     chosen, latency = scenario.controller, latency_of(scenario)
+    constant = chosen.differentiator
     if chosen.law == "tracking":
         return controllers.TrackingController(
             task,
@@ -260,7 +261,7 @@ def _law(
         posture = controllers.Posture(q0, chosen.posture_stiffness)
     elif limits_of(scenario, task.robot) is not None and task.robot.nv > task.m:
         posture = controllers.AwayFromStops()
-    gains, differentiator = None, chosen.differentiator
+    gains: controllers.Gains | None = None
     given = {"kp": chosen.kp, "kv": chosen.kv, "damping": chosen.damping}
     if any(given.values()):  # those of the rule stand beside them
         usual = controllers.tuned(task, latency, settling_time=chosen.settling_time).gains
@@ -274,7 +275,7 @@ def _law(
         gains,
         gravity=_gravity(truth, task.robot, chosen.gravity, chosen.integral_action),
         saturation=None if chosen.gamma is None else Sine(chosen.gamma),
-        velocity=None if differentiator is None else DifferentiatedVelocity(differentiator),
+        velocity=None if constant is None else DifferentiatedVelocity(constant),
         posture=posture,
         latency=latency,
         settling_time=chosen.settling_time,

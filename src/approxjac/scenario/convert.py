@@ -83,11 +83,7 @@ def value_of(hint: Any, value: Any, key: str, where: str = "") -> Any:
 
 
 def converted(hint: Any, value: Any) -> Any:
-    """Return a value as a field of that type has it.
-
-    Raises:
-        TypeError, ValueError, OverflowError: It is of another type.
-    """
+    """Return a value as a field of that type has it; `WRONG_TYPE` if it is of another."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin in _UNIONS:
         # typed words are also a text, and so may be none

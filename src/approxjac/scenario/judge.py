@@ -108,12 +108,12 @@ def analyse(
     study: Study,
     executor: Executor | None = None,
     progress: Progress | None = None,
-    found: Callable[[StabilityReport], None] = lambda report: None,
+    show: Callable[[StabilityReport], None] = lambda report: None,
 ) -> StabilityResult:
     """Return the tests of a study that `prepare` made, the errors that they tolerate, and the map.
 
     The executor shares the rollouts; `progress` gets the name of a part of the work and the share
-    of it that is done, `found` the report of the tests, long before the rest is known.
+    of it that is done, `show` the report of the tests, long before the rest is known.
     """
     analysis, uncertainty = scenario.stability, uncertainty_of(study)
     execution = stability.Execution(executor=executor)
@@ -122,7 +122,7 @@ def analyse(
         analysis.configurations, runs=runs, execution=execution, progress=progress
     )
     assert isinstance(report, StabilityReport)  # the laws of scenarios have certificates
-    found(report)
+    show(report)
     tolerances: dict[Test, Tolerance] = {}
     if uncertainty is not None and report.gravity_is_exact:  # as all tests but rollouts assume
         tolerances = study.tolerance(progress=progress)
@@ -230,18 +230,19 @@ def _values(name: str, loop: ClosedLoop, uncertainty: Uncertainty, count: int) -
 
 
 def consequences(result: StabilityResult, out: Path) -> str:
-    """Return what follows from a report: what to do next, what is tolerated, and of the map."""
-    blocks = [[], [], rows_of_map(result.map, out)]
+    """Return the steps to take after a report, the errors tolerated, and the outcome of the map."""
+    blocks: list[list[str]] = []
     if steps := advice(result):
-        blocks[0] = wrapped(f"next: {'; '.join(steps)}")
+        blocks.append(wrapped(f"next: {'; '.join(steps)}"))
     if result.tolerances:
         how = "in continuous time, by a search on fewer configurations; a report may find less:"
-        blocks[1] = [*wrapped(how), *map(str, result.tolerances.values())]
+        blocks.append([*wrapped(how), *map(str, result.tolerances.values())])
+    blocks.append(rows_of_map(result.map, out))
     return "\n\n".join("\n".join(block) for block in blocks if block)
 
 
 def advice(result: StabilityResult) -> list[str]:
-    """Return what to do next, steps that a person can take; none where the loop is certified."""
+    """Return steps that a person can take next; none where the loop is certified."""
     report, uncertainty = result.report, uncertainty_of(result.study)
     if report.passed:
         return []
@@ -282,24 +283,24 @@ def advice(result: StabilityResult) -> list[str]:
     return steps
 
 
-def rows_of_map(found: stability.StabilityMap | None, out: Path) -> list[str]:
-    """Return what came of the runs of a map, and where its picture is."""
-    if found is None:
+def rows_of_map(grid: stability.StabilityMap | None, out: Path) -> list[str]:
+    """Return how the runs of a map ended, and where its picture is."""
+    if grid is None:
         return []
     where = f"The map is {out / 'map.png'}"
-    share, n, made = found.share.ravel(), found.runs.ravel(), np.flatnonzero(found.runs)
+    share, n, made = grid.share.ravel(), grid.runs.ravel(), np.flatnonzero(grid.runs)
     if not made.size:
         return [where]
     sure, of_all = ", with 95 % confidence {} to {} %", ""
-    if found.names[0] not in PARAMETERS:  # or points share what is drawn
-        of_all = sure.format(*map(percent, clopper_pearson(found.converged, int(n.sum()))))
-    good, over = percent(found.converged / n.sum()), " and ".join(found.names)
+    if grid.names[0] not in PARAMETERS:  # or points share what is drawn
+        of_all = sure.format(*map(percent, clopper_pearson(grid.converged, int(n.sum()))))
+    good, over = percent(grid.converged / n.sum()), " and ".join(grid.names)
     lines = [f"map: {good} % of {n.sum()} runs over {over} converge{of_all}"]
     ends = {"least": made[share[made].argmin()], "most": made[share[made].argmax()]}
     for what, k in ends.items():
-        j, i = np.unravel_index(k, found.runs.shape)
-        at = f"{found.names[0]} {found.x[i]:.3g}, {found.names[1]} {found.y[j]:.3g}"
-        of_these = sure.format(*map(percent, found.intervals[j, i]))
+        j, i = np.unravel_index(k, grid.runs.shape)
+        at = f"{grid.names[0]} {grid.x[i]:.3g}, {grid.names[1]} {grid.y[j]:.3g}"
+        of_these = sure.format(*map(percent, grid.intervals[j, i]))
         lines.append(f"  {what} of all points at {at}: {percent(share[k])} % of {n[k]}{of_these}")
     return [*lines, where]
 
@@ -347,29 +348,28 @@ def draw_workspace(result: StabilityResult) -> Figure:
 
 def draw_map(result: StabilityResult) -> Figure | None:
     """Draw the share of runs that converge, between its interval's ends; None of no map."""
-    found, uncertainty = result.map, uncertainty_of(result.study)
-    if found is None or uncertainty is None:
+    grid, uncertainty = result.map, uncertainty_of(result.study)
+    if grid is None or uncertainty is None:
         return None
     controller = result.report.loop.controller
     title = (
-        f"{controller.task.robot.name}: share of {found.runs.sum()} runs that converge, each with "
+        f"{controller.task.robot.name}: share of {grid.runs.sum()} runs that converge, each with "
         f"95 % confidence; errors are {uncertainty.describe_box()}"
     )
     figure, axes = view.new_figure(3, size=(14.0, 4.6), title=textwrap.fill(title, 130))
     own = own_values(controller)  # the belief besides
     own |= dict(zip(uncertainty.names, uncertainty.believed.tolist(), strict=True))
-    first, second = found.names
-    none = np.isnan(found.share)
+    first, second = grid.names
     shares = {
-        "at least": found.intervals[..., 0],
-        "of the runs": found.share,
-        "at most": found.intervals[..., 1],
+        "at least": grid.intervals[..., 0],
+        "of the runs": grid.share,
+        "at most": grid.intervals[..., 1],
     }
     for ax, (title, share) in zip(axes, shares.items(), strict=True):
         view.plot_shares(
-            found.x,
-            found.y,
-            np.where(none, np.nan, share),
+            grid.x,
+            grid.y,
+            np.where(grid.runs > 0, share, np.nan),
             labels=(labels(uncertainty)[first], labels(uncertainty)[second]),
             own=(own[first], own[second]) if first in own and second in own else None,
             own_name="as given" if first in PARAMETERS else "as believed",
@@ -382,9 +382,9 @@ def draw_map(result: StabilityResult) -> Figure | None:
 
 
 def summary(result: StabilityResult) -> dict[str, Any]:
-    """Return what goes into summary.json."""
-    map_ = result.map
-    found = {
+    """Return the contents of summary.json."""
+    grid = result.map
+    contents = {
         **result.report.summary(),
         "tolerance": {
             test: {
@@ -398,10 +398,10 @@ def summary(result: StabilityResult) -> dict[str, Any]:
         },
         "advice": advice(result),
         "gains": result.report.loop.controller.diagonals._asdict(),
-        "map": map_ and {name: getattr(map_, name) for name in _OF_MAP},
+        "map": grid and {name: getattr(grid, name) for name in _OF_MAP},
         "scenario": asdict(result.scenario),
     }
-    return {name: plain(value) for name, value in found.items()}
+    return {name: plain(value) for name, value in contents.items()}
 
 
 def write(result: StabilityResult, out: Path) -> None:

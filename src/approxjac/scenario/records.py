@@ -36,8 +36,7 @@ class Object:
     Attributes:
         length: Length of the object, from the arm's tip to its own, m.
         mass: Mass of the object, kg.
-        axis: Direction of the object in the tip's axes, such as z, -x, or a vector (as 0,1,1);
-            outward by default.
+        axis: Direction in the tip's axes, such as z, -x or 0,1,1; outward by default.
         radius: Of the cylinder, m; 0.01 by default, or that of the true object.
     """
 
@@ -225,14 +224,11 @@ class ControllerChoice:
         differentiator: Time constant of Ẋ from the differentiated x, s: law (5), or law (6).
         gravity: Compensated as learnt (law (28)), as it truly is, as believed, or not at all; or
             the residual is learnt, of a robot that adds the believed arm's by itself (Franka, UR).
-        integral_action: Learn a constant task force and joint torques; by default if gravity is
-            learnt.
-        settling_time: Time to settle that is wanted, s; by default as fast as inertia, motors and
-            latency allow.
-        kp: Gain K_p of position, one number or one a task coordinate; by the rule for all defaults
-            if not given.
-        kv: Gain K_v of velocity, one number or one a task coordinate; by the rule if not given.
-        damping: Added joint damping, one number or one a joint; by the rule if not given.
+        integral_action: Learn a task force and joint torques; by default if gravity is learnt.
+        settling_time: Time to settle, s; by default as short as arm, motors and latency allow.
+        kp: Gain K_p, one number or one a task coordinate; by the rule of default gains.
+        kv: Gain K_v, one number or one a task coordinate; by the rule of default gains.
+        damping: Added joint damping, one number or one a joint; by the rule of default gains.
         gamma: Saturation of the error by γ sin(e/γ), in the unit of the task; by default the tanh
             of the rule, or none with gains that are given.
         posture_stiffness: Draws the self-motion back to the start, N m/rad; 0 does not.
@@ -342,8 +338,7 @@ class Run:
     """From where, where to, and for how long.
 
     Attributes:
-        start: Joint positions at the start, rad or m, or "random" by the seed; far from singular
-            by default.
+        start: Joint positions, rad or m, or "random" by the seed; far from singular by default.
         target: Value or path of the task; by default random by the seed, where no joint stop bars
             the straight way from the start unless that is random, too.
         duration: Length of the run, s.

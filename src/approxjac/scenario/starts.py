@@ -11,7 +11,6 @@ from approxjac.errors import InvalidInputError
 from approxjac.interface import TargetPath
 from approxjac.robots import Dynamics, Robot
 from approxjac.simulation.plant import holdable
-from approxjac.stability.loop.configurations import inverse_kinematics
 from approxjac.tasks import PoseTask, PositionTask, Task
 from approxjac.validation import Array, as_array
 
@@ -52,6 +51,8 @@ def straight_ahead(sensor: Task, q0: Array, draw: Callable[[], Array], tries: in
 
     No joint stop bars that way, along which a set-point law goes; of `tries`, else the last one.
     """
+    from approxjac.stability.loop.configurations import inverse_kinematics  # not for a help
+
     for _ in range(tries):
         q = draw()
         if inverse_kinematics(sensor, sensor.value(q), q0, within_limits=True) is not None:
@@ -113,6 +114,8 @@ def doubts(
     Beyond doubt where it is too far. Otherwise by inverse kinematics from the start and from 20
     seeded configurations, which may miss one that there is; not of paths and images.
     """
+    from approxjac.stability.loop.configurations import inverse_kinematics  # not for a help
+
     if not isinstance(target, np.ndarray):
         target = np.array([target.at(t).x for t in np.linspace(0.0, duration, _INSTANTS)])
     far = too_far(task, np.atleast_2d(target))
