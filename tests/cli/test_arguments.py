@@ -133,9 +133,8 @@ def sample(hint):
 )
 def test_every_key_is_an_option_and_a_line_of_a_file(option, tmp_path):
     words = sample(option.hint)
-    typed = options.Typed()
-    options.read(
-        typed, "stability", ["panda", *option.names[:1], *words], [option], "NAME", "a name"
+    typed = options.read(
+        "stability", ["panda", *option.names[:1], *words], [option], "NAME", "a name"
     )
     scenario = options.scenario_of("simulate", typed.alone, typed.values)
     assert scenario != Scenario("panda")
@@ -166,8 +165,8 @@ def test_every_key_is_an_option_and_a_line_of_a_file(option, tmp_path):
     ],
 )  # fmt: skip
 def test_words_are_values_of_a_key(words, key, value):
-    typed = options.Typed()
-    options.read(typed, "simulate", words.split(), options.options_of(simulate), "NAME", "a name")
+    known = options.options_of(simulate)
+    typed = options.read("simulate", words.split(), known, "NAME", "a name")
     scenario = options.scenario_of("simulate", typed.alone, typed.values)
     assert scenario.robot == "two_link"
     assert attrgetter(key)(scenario) == value

@@ -87,13 +87,13 @@ def _run(arguments: list[str]) -> int:
         known = [*_COMMANDS, "--help", "--version", "--completion"]
         raise UnknownNameError(kind, chosen, "approxjac", known)
     command = _COMMANDS[chosen]
-    options, typed = options_of(command), Typed()
+    options = options_of(command)
     if asked := {"-h", "--help", "--help-all"} & set(words):
         common = () if "--help-all" in asked else COMMON.get(chosen, ())
         print(_help_of(command, options, common))
         return 0
+    typed = read(chosen, words, options, *POSITIONAL.get(chosen, ("", "")))
     try:
-        read(typed, chosen, words, options, *POSITIONAL.get(chosen, ("", "")))
         return _called(command, typed)
     except ApproxJacError as error:
         return _complain(explained(error, options, typed))

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass, field, fields, is_dataclass
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any, NamedTuple, get_type_hints
 
 from approxjac.errors import ApproxJacError, InvalidInputError, UnknownNameError
 from approxjac.files import reason
@@ -165,30 +165,25 @@ def record_options(record: Any, short: Mapping[str, str], key: str = "") -> list
 # -- what was typed -----------------------------------------------------------------------
 
 
-@dataclass
-class Typed:
-    """What was typed after a command."""
+class Typed(NamedTuple):
+    """The words after a command."""
 
-    alone: str = ""  # the word without an option: the robot, or the run
-    values: dict[str, Any] = field(default_factory=dict)  # key → words; True of a mere option
-    names: dict[str, str] = field(default_factory=dict)  # key → option as it was typed
+    alone: str  # without an option: the robot, or the run
+    values: dict[str, Any]  # key → words; True of a mere option
+    names: dict[str, str]  # key → option as it was typed
 
 
 def read(
-    typed: Typed,
-    command: str,
-    words: Sequence[str],
-    options: Sequence[Option],
-    positional: str,
-    meaning: str,
-) -> None:
-    """Read the words after a command, and keep in `typed` also what comes before an error.
+    command: str, words: Sequence[str], options: Sequence[Option], positional: str, meaning: str
+) -> Typed:
+    """Read the words after a command.
 
     `positional` is the one word without an option, "" of a command that takes none, in brackets
     where it may be left out; `meaning` is what it is.
     """
     named = {name: option for option in options for name in option.names}
     rest, alone = list(words), list[str]()
+    values, names = dict[str, Any](), dict[str, str]()
     while rest:
         word = rest.pop(0)
         if not _is_option(word):
@@ -202,11 +197,11 @@ def read(
             usual = [each.names[0] for each in options]  # too many to list where none is near
             near = usual if difflib.get_close_matches(name, usual, cutoff=0.5) else []
             raise UnknownNameError("option", name, f"{command} --help-all", near)
-        typed.names |= dict.fromkeys(option.means or [option.key], name)
+        names |= dict.fromkeys(option.means or [option.key], name)
         if option.hint is bool:
             if equals:
                 raise InvalidInputError(f"{name} takes no value, got {value}", given=value)
-            typed.values |= option.means or dict[str, Any]({option.key: True})
+            values |= option.means or {option.key: True}
             continue
         before_next = next((k for k, each in enumerate(rest) if _is_option(each)), len(rest))
         given = [value] if equals else rest[:before_next]
@@ -217,16 +212,17 @@ def read(
             try:
                 value_of(option.hint, Words(given), option.key)
             except InvalidInputError as error:
-                text = f"{error} ({aside[:1].lower()}{aside[1:]})"
+                text = str(error).replace(option.key, name, 1)
+                text = f"{text} ({aside[:1].lower()}{aside[1:]})"
                 raise InvalidInputError(text, given=given) from None
-        typed.values[option.key] = Words(given[:count])
+        values[option.key] = Words(given[:count])
         del rest[: 0 if equals else count]
     if len(alone) > bool(positional):
         taken = meaning or "options alone"
         raise InvalidInputError(f"{command} takes {taken}; got {' '.join(alone)}", given=alone)
     if positional[:1] not in ("", "[") and not alone:
         raise InvalidInputError(f"{command} needs {meaning}; got none", given=alone)
-    typed.alone = "".join(alone)
+    return Typed("".join(alone), values, names)
 
 
 def with_options(options: Sequence[Option], text: str) -> str:
