@@ -14,7 +14,7 @@ import pytest
 
 import approxjac as aj
 from approxjac.cli import main
-from approxjac.cli.bars import ShareBar
+from approxjac.cli.bars import long_work
 from approxjac.scenario import Scenario, build_scenario, judge
 from approxjac.stability import Suggestion, Tolerance
 from approxjac.stability.search.suggested_gains import Candidate
@@ -443,9 +443,9 @@ def test_without_gains_no_scenario_is_written(tmp_path, monkeypatch, capsys):
 
 
 def test_what_takes_long_is_told_once_where_no_bar_is_shown(capsys):
-    with ShareBar({"map": "making the map"}) as bar:
-        for what, share in (("local", 0.0), ("map", 0.0), ("map", 0.5), ("local", 0.0)):
-            bar.tell(what, share)
+    tell = long_work({"map": "making the map"})
+    for what, share in (("local", 0.0), ("map", 0.0), ("map", 0.5), ("local", 0.0)):
+        tell(what, share)
     assert capsys.readouterr().err == "approxjac: making the map\n"
 
 

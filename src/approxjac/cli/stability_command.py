@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from approxjac.cli.bars import ShareBar
+from approxjac.cli.bars import long_work
 from approxjac.cli.options import make_folder, options_of, with_options
 from approxjac.errors import InvalidInputError
 from approxjac.scenario import Scenario
@@ -50,9 +50,14 @@ def stability(
     study = judge.prepare(scenario)
     make_folder(out)
     pool = ProcessPoolExecutor(jobs) if jobs > 1 else nullcontext()
-    with pool as executor, ShareBar(_LONG) as bar:
+    with pool as executor:
+        progress = long_work(_LONG)
         result = judge.analyse(
-            scenario, study, executor, bar.tell, lambda report: bar.bar.write(f"{report}\n")
+            scenario,
+            study,
+            executor,
+            progress,
+            lambda report: print(report, end="\n\n", flush=True),
         )
     judge.write(result, out)
     if follows := with_options(options_of(stability), judge.consequences(result, out)):
@@ -66,8 +71,7 @@ def _suggest(scenario: Scenario, out: Path) -> int:
     from approxjac.scenario import judge
 
     make_folder(out)
-    with ShareBar(_LONG) as bar:
-        result = judge.suggested(scenario, bar.tell)
+    result = judge.suggested(scenario, long_work(_LONG))
     judge.write_gains(result, out)
     print(with_options(options_of(stability), str(result)))
     if result.report is None:

@@ -39,6 +39,7 @@ from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.rollouts.rollouts import clopper_pearson
 from approxjac.stability.search.map import PARAMETERS, PLACES, are_drawn, labels, own_values
 from approxjac.stability.search.tolerance import Test, Tolerance
+from approxjac.stability.studied_loop import Progress
 from approxjac.tasks import CombinedTask, FrameKinematics, ImageTask, Task
 from approxjac.tasks.analysis import features, fine_error
 from approxjac.validation import Array
@@ -46,7 +47,6 @@ from approxjac.validation import Array
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Progress = Callable[[str, float], None]
 _DRAWN = 200  # configurations that tell how far the tip gets
 _SETTLING_TIME = 1.0  # that gains are wanted for [s]
 _GAINS = ("kp", "kv", "damping")
@@ -107,13 +107,12 @@ def analyse(
     scenario: Scenario,
     study: Study,
     executor: Executor | None = None,
-    progress: Progress | None = None,
+    progress: Progress = None,
     show: Callable[[StabilityReport], None] = lambda report: None,
 ) -> StabilityResult:
     """Return the tests of a study that `prepare` made, the errors that they tolerate, and the map.
 
-    The executor shares the rollouts; `progress` gets the name of a part of the work and the share
-    of it that is done, `show` the report of the tests, long before the rest is known.
+    The executor shares the rollouts; `show` gets the report long before the rest is known.
     """
     analysis, uncertainty = scenario.stability, uncertainty_of(study)
     execution = stability.Execution(executor=executor)
@@ -450,7 +449,7 @@ class SuggestedGains:
         return "\n".join(lines)
 
 
-def suggested(scenario: Scenario, progress: Callable[[str, float], None]) -> SuggestedGains:
+def suggested(scenario: Scenario, progress: Progress) -> SuggestedGains:
     """Return gains of law (6) that a whole report certifies for a scenario's errors.
 
     Raises:

@@ -225,11 +225,13 @@ def telling(progress: Progress) -> Iterator[Callable[[str, float], None]]:
         return
     from tqdm import tqdm
 
-    with tqdm(total=1.0, bar_format="{desc}{percentage:3.0f} %|{bar}| {elapsed}") as bar:
+    times = "{desc}{percentage:3.0f} %|{bar}| {elapsed} so far, {remaining} to go"
+    with tqdm(total=1.0, bar_format=times) as bar:
 
         def tell(what: str, share: float) -> None:
-            bar.set_description(what)
-            bar.n = share
-            bar.refresh()
+            if bar.desc != f"{what}: ":  # whose time counts from here
+                bar.reset()
+            bar.set_description(what, refresh=False)
+            bar.update(share - bar.n)
 
         yield tell
