@@ -481,10 +481,9 @@ class VelocityCommand:
     """The velocity nearest to q̇_r + L̂w that joints may be commanded, with a lag L̂ that is learnt.
 
     w = ∂q̇_r/∂t + Dq̇_r with D = ∂q̇_r/∂q is q̈_r = w + Dσ of joints that move as they should: it has
-    no noise of q̇, which would be in q̈_r and in σ alike and make L̂ grow. A servo with
-    L q̈ + q̇ = q̇_cmd and σ = q̇ − q̇_r has Lσ̇ = −(I + LD)σ + (L̂ − L)w, so with L̂' = −γ wᵀσ the
-    function V₃ = ½L‖σ‖² + (L̂ − L)²/2γ has V̇₃ = −σᵀ(I + LD)σ. With D near −αĴ⁺Ĵ that is negative
-    for a lag below 1/α. A delay counts as lag, for which nothing is proven.
+    no noise of q̇, which would be in q̈_r and in σ alike and make L̂ grow. V₃ of
+    `law.servo_lag_rate` falls with D near −αĴ⁺Ĵ for a lag below 1/α. A delay counts as lag, for
+    which nothing is proven.
 
     Speed is brought within its limits along q̇_r as a whole (`law.within_speeds`, before); joints
     near their position limits are slowed down each on its own, and each command differs from the

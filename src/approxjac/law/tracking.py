@@ -202,7 +202,8 @@ def dynamics_rate(gamma: Array, Y_d_sigma: Array) -> Array:
 def servo_lag_rate(gamma: float, acceleration: Array, sigma: Array) -> Any:
     """dL̂/dt = −γ wᵀσ, of a servo with L q̈ + q̇ = q̇_cmd that is sent q̇_r + L̂w.
 
-    With q̈_r = w + Dσ, V₃ = ½L‖σ‖² + (L̂ − L)²/2γ has V̇₃ = −σᵀ(I + LD)σ.
+    With q̈_r = w + Dσ, Lσ̇ = −(I + LD)σ + (L̂ − L)w, and V₃ = ½L‖σ‖² + (L̂ − L)²/2γ has
+    V̇₃ = −σᵀ(I + LD)σ.
     """
     return -gamma * dot(acceleration, sigma)
 

@@ -173,8 +173,10 @@ class AdaptiveCamera(Estimator):
             np.zeros(y.shape) if rate is None else rate.reshape(-1, 2) / self._f
             for rate in (v_d, a_d)
         )
-        for i, ray in enumerate(y if self._lens is not None and v_d is not None else ()):
-            D = self._slopes(ray)  # w = d(y), so Dy' = w' and Dy″ = w″ − D'y'
+        if self._lens is None or v_d is None:
+            return y, y_dot, y_ddot
+        for i, ray in enumerate(y):  # w = d(y), so Dy' = w' and Dy″ = w″ − D'y'
+            D = self._slopes(ray)
             y_dot[i] = rate = np.linalg.solve(D, y_dot[i])
             h = _DIFFERENCE / max(math.hypot(*rate.tolist()), 1e-12)
             bent = self._slopes(ray + h * rate) - self._slopes(ray - h * rate)
@@ -308,14 +310,9 @@ class AdaptiveCamera(Estimator):
         Z_dot = (A[:, 2].dot(v) + drift_c[:, 2])[:, np.newaxis]
         scale = s[:, 0]
         drift = (N @ drift_c[:, :, np.newaxis])[..., 0] - scale * Z * rho_dot
-        return PredictedError(
-            (N @ c[:, :, np.newaxis]).ravel(),
-            J,
-            J_dot,
-            (scale * Z * led).ravel(),
-            (scale * (Z_dot * led + Z * led_dot)).ravel(),
-            drift.ravel(),
-        )
+        x_d_dot, x_d_ddot = scale * Z * led, scale * (Z_dot * led + Z * led_dot)
+        z = (N @ c[:, :, np.newaxis]).ravel()
+        return PredictedError(z, J, J_dot, x_d_dot.ravel(), x_d_ddot.ravel(), drift.ravel())
 
     # -- what was learnt -----------------------------------------------------------------
 

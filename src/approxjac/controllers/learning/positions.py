@@ -319,20 +319,13 @@ class AdaptivePlanarCamera(AdaptiveKinematics):
 
     Args:
         task: An `ImageTask` of the believed robot with a `PlanarCamera`, for one frame's origin.
-        unknown: As of `AdaptiveKinematics`; "camera" is roll and offset.
-        sd: As of `AdaptiveKinematics`, in the arm's plane. By default "tool" and "origins" are as
-            wrong as magnification and lengths may be: 0.5 m.
+        unknown: As of `AdaptiveKinematics`, as are errors and what is not listed here; "camera" is
+            roll and offset, and "camera.turn" from the believed camera to the learnt one.
+        sd: In the arm's plane. By default "tool" and "origins" are as wrong as magnification and
+            lengths may be: 0.5 m.
         noise: Standard deviation of x [m on the sensor].
         delay: Age of x where `Measurement.t_x` is None [s].
         dt: Sampling time of control [s].
-
-    Attributes:
-        names: Names of what is learnt, such as "joint2.x", "offset.x" and "camera.turn", from the
-            believed camera to the learnt one.
-
-    Raises:
-        InvalidInputError: Another task, or as `AdaptiveKinematics`.
-        UnknownNameError: As `AdaptiveKinematics`.
     """
 
     def __init__(
@@ -519,21 +512,15 @@ class _KnownRotation(_LeastSquares):
 class _UnknownRotation(_LeastSquares):
     """x = R(o + Hu + c), with R any rotation: exact least squares over all frames at once.
 
-    In the base frame Rᵀx = o + Hu + c, and as R changes no lengths, the sums over frames that the
-    least squares need do not depend on R. So all frames are remembered, exactly, in sums N, a, B
-    and E of fixed size: for a rotation A = Rᵀ, with w = vec A,
+    Theorem B. In the base frame Rᵀx = o + Hu + c, and as R changes no lengths, the sums over frames
+    that the least squares need do not depend on R. So all frames are remembered, exactly, in sums
+    N, a, B and E of fixed size: for a rotation A = Rᵀ, with w = vec A,
 
         Θ(A) = N⁻¹(a + Bw), and A maximises ½(a + Bw)ᵀN⁻¹(a + Bw) + Eᵀw
 
     over rotations only, 3 numbers (1 in the plane) instead of all, and looked for everywhere.
     Forgetting is towards the prior about what is estimated now, which leaves the estimate where it
-    is.
-
-    As in Theorem A no excitation is needed. Where x is exact, V = J(true) − J(estimate) ≥ 0 of the
-    sum of squares J (which is V₁ where the rotation is known) falls with each frame by at least
-    ½‖ε‖²/noise², ε what is left of x: J(true) does not grow, and the least J grows by that much.
-    So ε is square summable, for any motion. With forgetting this holds where the sum of squares is
-    as convex as the prior.
+    is; Theorem B then holds where the sum of squares is as convex as the prior.
     """
 
     def __init__(self, unknowns: Unknowns, noise: float) -> None:

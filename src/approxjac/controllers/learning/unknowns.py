@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +33,7 @@ _USUAL_SD: Mapping[str, float] = {
 _NOISY = 0.3  # of the arm's reach, or of a metre, above which noise is in millimetres
 _AXES = np.eye(3)
 _AXES.flags.writeable = False
-_TURNABLE = ("xyz", "xy", "yx", "xz", "zx", "yz", "zy")
+_TURNABLE = dict.fromkeys(("xyz", "xy", "yx", "xz", "zx", "yz", "zy"))
 
 
 class Unknowns:
@@ -49,14 +49,17 @@ class Unknowns:
         used = {*kinds, *(("offset",) if "camera" in kinds else ())}
         used |= {"orientation"} if isinstance(task, PoseTask) and "tool" in kinds else set()
         sds = chosen_deviations(sd, _USUAL_SD, used)
-        points = _points(task)
+        points, trackers = _points(task)
         self.turns, self.has_scale = "camera" in kinds, "scale" in kinds
-        axes, self.R, b = self._axes(task, points)
-        self.d = len(axes)
-        frames = list(dict.fromkeys(point.frame for point in points))
+        axes = self._axes(task, points)
+        self.d = d = len(axes)
+        self.R, b = np.eye(d), np.zeros(d)
+        if trackers:
+            self.R, b = law.rotation_exp(trackers[0].rotation), trackers[0].offset
+        frames = list(dict.fromkeys(frame for frame, _ in points))
         self.regressor = regressor = KinematicRegressor(task.robot, frames)
         self.n_tilts = 0 if isinstance(task, PoseTask) else 2 * len(regressor.turning)
-        entries = [(frames.index(point.frame), axis) for point in points for axis in point.axes]
+        entries = [(frames.index(frame), axis) for frame, each in points for axis in each]
         reaches = [task.robot.reach_bound(frame)[1] for frame in frames]
         self.largest_noise = _NOISY * max(1.0, *reaches)  # that could be meant
         rows = [3 * frame + "xyz".index(axis) for frame, axis in entries]
@@ -116,21 +119,18 @@ class Unknowns:
         self.believed = self.in_order(self.Theta, self.R)
         self.sd = np.sqrt(self.merged(np.diag(np.square(deviations)), self.Theta).diagonal())
 
-    def _axes(self, task: Task, points: list[_Point]) -> tuple[str, Array, Array]:
-        """Return the axes of a point, and believed rotation and offset along them."""
-        _, axes, R, b = points[0]
+    def _axes(self, task: Task, points: list[tuple[str, str]]) -> str:
+        """Return the axes of a point."""
+        each = {axes for _, axes in points}
         if not self.turns:
-            used = {axis for point in points for axis in point.axes}
-            axes = "".join(axis for axis in "xyz" if axis in used)
-        elif any(point.axes != axes or axes not in _TURNABLE for point in points):
+            return "".join(axis for axis in "xyz" if axis in "".join(each))
+        if len(each) > 1 or not each <= _TURNABLE.keys():
             raise InvalidInputError(
                 f"a camera that may be turned needs the same axes of every point, one of "
                 f"{', '.join(_TURNABLE)}, got {task!r}",
                 given=task,
             )
-        if len(axes) != len(b):  # points with other axes than the first: no tracker's
-            R, b = np.eye(len(axes)), np.zeros(len(axes))
-        return axes, R, b
+        return points[0][1]
 
     def _require_known_lengths(self, task: Task, kinds: tuple[str, ...]) -> None:
         if isinstance(task, PoseTask):
@@ -265,38 +265,24 @@ class Unknowns:
         return np.asarray(M.dot(P).dot(M.T))
 
 
-class _Point(NamedTuple):
-    frame: str
-    axes: str
-    R: Array  # of the base in the sensor's axes
-    b: Array
-
-
-def _points(task: Task) -> list[_Point]:
-    """Return the positions that a task is made of."""
-    points: list[_Point] = []
-    parts = task.tasks if isinstance(task, StackedTask) else (task,)
+def _points(task: Task) -> tuple[list[tuple[str, str]], list[TrackerTask | PoseTrackerTask]]:
+    """Return frames and axes of the positions that a task is made of, and its trackers."""
+    parts: tuple[Any, ...] = task.tasks if isinstance(task, StackedTask) else (task,)
     for each in parts:
-        if isinstance(each, TrackerTask) or (isinstance(each, PoseTrackerTask) and each is task):
-            R = law.rotation_exp(each.rotation)
-            points.append(_Point(each.frame, "xyz", R, each.offset))
-        elif isinstance(each, PositionTask) or (isinstance(each, PoseTask) and each is task):
-            axes = getattr(each, "axes", "xyz")
-            points.append(_Point(each.frame, axes, np.eye(len(axes)), np.zeros(len(axes))))
-        else:
+        is_pose = isinstance(each, PoseTask) and each is task
+        if not (is_pose or isinstance(each, PositionTask | TrackerTask)):
             raise InvalidInputError(
                 "task must be a PositionTask, a TrackerTask, a StackedTask of them, a PoseTask or "
                 f"a Robot, got {task!r}",
                 given=task,
             )
-    first = points[0]
-    one = all(np.array_equal(p.R, first.R) and np.array_equal(p.b, first.b) for p in points)
-    kinds = {type(each) for each in parts}
-    if TrackerTask in kinds and not (one and len(kinds) == 1):
+    trackers = [each for each in parts if isinstance(each, TrackerTask | PoseTrackerTask)]
+    seen = {(*each.rotation.tolist(), *each.offset.tolist()) for each in trackers}
+    if trackers and (len(seen) > 1 or len(trackers) < len(parts)):
         raise InvalidInputError(
             f"task must be of one tracker, with one rotation and offset, got {task!r}", given=task
         )
-    return points
+    return [(each.frame, getattr(each, "axes", "xyz")) for each in parts], trackers
 
 
 def _unit(name: str) -> str:
