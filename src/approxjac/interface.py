@@ -7,10 +7,7 @@ one way and a torque goes the other; neither side ever sees the other's model.
 from __future__ import annotations
 
 import enum
-import math
 from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
-
-import numpy as np
 
 from approxjac.formatting import listed
 from approxjac.validation import Array
@@ -184,13 +181,3 @@ class Evaluation(NamedTuple):
         if self.limit_status is not LimitStatus.UNLIMITED:
             said += f", {self.limit_status}, slack={self.slack:.4g} W"
         return f"Evaluation({said}, torque={listed(self.torque)}, e={listed(self.e)})"
-
-    @property
-    def sigma_min(self) -> float:
-        """Smallest singular value of Ĵ [unit of the task/rad], NaN without one.
-
-        Computed when asked for: it costs as much as the rest of a control step.
-        """
-        if self.J_hat is None:
-            return math.nan
-        return float(np.linalg.svd(self.J_hat, compute_uv=False)[-1])

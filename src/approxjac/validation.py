@@ -261,7 +261,7 @@ class Immutable:
         for name, parameter in signature.parameters.items():
             if parameter.kind is parameter.VAR_KEYWORD:
                 arguments |= arguments.pop(name)
-        return arguments | self._changes
+        return {**arguments, **self._changes}
 
     def _rebuilt(self, **changes: Any) -> Self:
         """Return an object built from the same arguments but for some."""

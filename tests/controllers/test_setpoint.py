@@ -125,7 +125,7 @@ def test_adaptation_is_eq_29(panda, rng):
         y = measurement.v + 0.7 * np.linalg.pinv(J_hat) @ (measurement.x - TARGET)
         dense = np.diag(np.full(12, L)) if np.ndim(L) == 0 else np.diag(L) if np.ndim(L) == 1 else L
         assert_allclose(answer.state_rate, -dense @ regressor.Z(measurement.q).T @ y)
-        assert_allclose(answer.sigma_min, np.linalg.svd(J_hat, compute_uv=False)[-1])
+        assert_allclose(answer.J_hat, J_hat)
         assert_allclose(controller.learnt(np.arange(12.0)), np.arange(12.0))
 
 
@@ -140,7 +140,7 @@ def test_a_singular_pose_is_reported_and_the_rate_stays_bounded(two_link):
     for bend in (0.1, 0.03, 0.01, 1e-4, 0.0, -1e-4, -0.01):
         measurement = aj.Measurement(0.0, np.array([0.3, bend]), np.zeros(2), np.array([1.0, 1.0]))
         answer = controller.evaluate(np.zeros(2), measurement, np.zeros(2))
-        near = answer.sigma_min < 0.02 * 3.0
+        near = np.linalg.norm(answer.J_hat, -2) < 0.02 * 3.0
         assert (answer.status is aj.Status.NEAR_SINGULAR) == near
         rates.append(answer.state_rate)
     assert np.abs(rates).max() < 1e3
@@ -148,7 +148,7 @@ def test_a_singular_pose_is_reported_and_the_rate_stays_bounded(two_link):
 
 
 @pytest.mark.parametrize("bend", [0.5, 0.05, 0.02, 0.0])
-def test_the_smallest_singular_value_is_always_reported(two_link, bend):
+def test_a_jacobian_near_a_singular_one_is_reported(two_link, bend):
     task = aj.PositionTask(two_link, axes="xz")
     controller = aj.SetpointController(task, aj.Gains(100.0, 50.0))
     q = np.array([0.3, bend])
@@ -156,7 +156,6 @@ def test_the_smallest_singular_value_is_always_reported(two_link, bend):
         np.zeros(0), aj.Measurement(0.0, q, np.zeros(2), np.zeros(2)), np.ones(2)
     )
     values = np.linalg.svd(task.jacobian(q), compute_uv=False)
-    assert_allclose(answer.sigma_min, values[-1], atol=1e-7)
     assert (answer.status is aj.Status.NEAR_SINGULAR) == (values[-1] < 0.02 * values[0])
 
 

@@ -58,10 +58,6 @@ class Camera(Saved, ABC):
                 raise UnknownNameError(
                     "value", name, f"the calibration of {kind}", self.calibration
                 )
-        return self._recalibrated(values)
-
-    def _recalibrated(self, values: Mapping[str, float]) -> Camera:
-        """Return this camera with values that its calibration has."""
         return self
 
     @property
@@ -143,5 +139,6 @@ class PlanarCamera(Camera):
     def numbers(self) -> dict[str, Array]:
         return {"_J": self._J, "_d": self._d}
 
-    def _recalibrated(self, values: Mapping[str, float]) -> PlanarCamera:
+    def recalibrated(self, values: Mapping[str, float]) -> PlanarCamera:
+        super().recalibrated(values)
         return replace(self, **values)  # type: ignore[arg-type]  # none of them is a text

@@ -208,7 +208,9 @@ class Distortion(Lens):
         if self.is_straight:
             return math.inf
         r = Polynomial([0.0, 1.0])
-        above, below = (_even(each) for each in (self._above, self._below))
+        above, below = (
+            Polynomial([1.0, 0.0, a, 0.0, b, 0.0, c]) for a, b, c in (self._above, self._below)
+        )
         s1, s2, s3, s4 = self._s
         p, first, second = math.hypot(*self._p), math.hypot(s1, s3), math.hypot(s2, s4)
         taken = r * (6.0 * p + 2.0 * first) + r**3 * (4.0 * second)
@@ -219,7 +221,8 @@ class Distortion(Lens):
             beside = r * r * (3.0 * p + first) + r**4 * second
             conditions.append(h22 * below - math.hypot(h20, h21) * (r * above + beside * below))
         scales = _FARTHEST ** np.arange(20.0)
-        scaled = (np.asarray(each.coef) * scales[: len(each.coef)] for each in conditions)
+        given = [np.asarray(each.coef, dtype=np.float64) for each in conditions]
+        scaled = (each * scales[: len(each)] for each in given)
         first = _FARTHEST * min(1.0, *map(_first_root, scaled))
         return first if self._is_round else _SURELY * first
 
@@ -250,12 +253,6 @@ def shortened(radius: float, x: float, y: float) -> tuple[float, float]:
     size = law.select(size > _TINY, size, _TINY)
     back = law.select(size > radius, radius / size, 1.0)
     return back * x, back * y
-
-
-def _even(coefficients: Sequence[float]) -> Polynomial:
-    """Return 1 + aρ + bρ² + cρ³ in r, with ρ = r²."""
-    a, b, c = coefficients
-    return Polynomial([1.0, 0.0, a, 0.0, b, 0.0, c])
 
 
 def _first_root(coefficients: Array) -> float:

@@ -343,7 +343,8 @@ class PinholeCamera(Camera):
         vars(other).update(_R_t=other._R.T)
         return other
 
-    def _recalibrated(self, values: Mapping[str, float]) -> PinholeCamera:
+    def recalibrated(self, values: Mapping[str, float]) -> PinholeCamera:
+        super().recalibrated(values)
         back, roll = values.get("distance", 0.0), values.get("roll", 0.0)
         f = as_number("focal_length", values.get("focal_length", self._f[0]), unit="px", above=0.0)
         return self.with_error(

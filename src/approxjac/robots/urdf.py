@@ -412,15 +412,6 @@ def rotation_onto(axis: Array) -> Array:
     return np.asarray(np.eye(3) + K + K @ K / (1.0 + z))
 
 
-def object_moments(length: float, mass: float, radius: float) -> tuple[float, float]:
-    """Return moments of inertia of a uniform cylinder, across its axis and along it [kg m²].
-
-    Of a thin rod (radius 0) along it that of the cylinder it is drawn as: MuJoCo refuses 0.
-    """
-    across = mass * (3.0 * radius**2 + length**2) / 12.0
-    return across, 0.5 * mass * _drawn_radius(length, radius) ** 2
-
-
 def with_object(
     urdf: Urdf, *, name: str, parent: str, axis: Array, length: float, radius: float, mass: float
 ) -> Urdf:
@@ -432,7 +423,9 @@ def with_object(
     middle = pin.SE3(rotation_onto(axis), 0.5 * length * axis)
     link = E.link(name=name)
     if mass > 0.0:
-        across, along = map(str, object_moments(length, mass, radius))
+        # of a thin rod (radius 0) along it that of the cylinder it is drawn as: MuJoCo refuses 0
+        across = str(mass * (3.0 * radius**2 + length**2) / 12.0)
+        along = str(0.5 * mass * _drawn_radius(length, radius) ** 2)
         inertia = E.inertia(ixx=across, ixy="0.0", ixz="0.0", iyy=across, iyz="0.0", izz=along)
         link.append(E.inertial(_origin(middle), E.mass(value=str(mass)), inertia))
     if length > 0.0:

@@ -158,7 +158,8 @@ def simulate(
         loop = SampledLoop(
             plant, controller, wanted, start, dt, steps, computation.integrator, seed
         )
-        ran, why = None, "an observer looks at each step" if observer is not None else ""
+        ran: Trajectory | None = None
+        why = "an observer looks at each step" if observer is not None else ""
         if engine != "python" and observer is None:
             progress = None if progress is None else _onwards(progress)
             ran, why = importlib.import_module(_MACHINE_CODE).whole_run(

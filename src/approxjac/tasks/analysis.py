@@ -6,7 +6,6 @@ from collections.abc import Iterable
 from itertools import islice
 
 import numpy as np
-import pinocchio as pin
 
 from approxjac.errors import InvalidInputError
 from approxjac.tasks.image import ImageTask
@@ -122,10 +121,7 @@ def seen_configurations(task: Task, count: int) -> list[Array]:
     They are `count`, or fewer where they are rare.
     """
     rng = np.random.default_rng(0)
-    # as random_configuration, whose range is the same for all of them
-    model, neutral, usual = task.robot.model, task.robot.neutral(), task.robot.usual_range()
-    motions = (rng.uniform(*usual) for _ in range(max(count, _TRIES)))
-    drawn = (np.array(pin.integrate(model, neutral, each)) for each in motions)
+    drawn = (task.robot.random_configuration(rng) for _ in range(max(count, _TRIES)))
     seen = list(islice((q for q in drawn if sees(task, q)), count))
     if not seen:
         raise InvalidInputError(

@@ -158,7 +158,7 @@ class _Tracked(Task):
         self._features = (Feature(slice(0, self.n_x), self.frame, "xyz", placed=placed),)
 
     def on(self, robot: Robot) -> Self:
-        return type(self)(robot, self.rotation, self.offset, self.frame)  # type: ignore[call-arg]
+        return type(self)(robot, self.rotation, self.offset, self.frame)  # type: ignore[arg-type]
 
     def __repr__(self) -> str:
         rotation, offset = self.rotation.tolist(), self.offset.tolist()
