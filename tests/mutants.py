@@ -99,7 +99,7 @@ MUTANTS = [
     ),
     (
         "gravity of the held torque dropped", "stability/certificates/certificate.py",
-        "dg = loop.gravity_gradients(form.samples)", "dg = None", GRAVITY,
+        "dg = form.samples.dg", "dg = None", GRAVITY,
     ),
     (
         "level with the wrong sign of the share", "stability/certificates/sampled_form.py",

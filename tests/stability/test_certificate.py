@@ -223,9 +223,10 @@ def test_no_unstable_target_is_certified(seed):
     from approxjac.stability.loop.samples import Samples
 
     samples = Samples(
-        np.zeros(1, dtype=int), np.zeros((1, n)), np.zeros((1, m)), M[None],
-        np.zeros((1, n, n, n)), J, J, J_hat, np.zeros((1, n, m, n)), np.zeros((1, m)),
-        np.zeros((1, m)), np.ones((1, m)),
+        x=np.zeros((1, m)), e=np.zeros((1, m)), J=J, J_hat=J_hat, dJ_hat=np.zeros((1, n, m, n)),
+        M=M[None], dM=np.zeros((1, n, n, n)), g=np.zeros((1, n)), dg=np.zeros((1, n, n)),
+        truth=np.zeros(1, dtype=int), q=np.zeros((1, n)), x_d=np.zeros((1, m)), J_e=J,
+        s=np.zeros((1, m)), slope=np.ones((1, m)),
     )  # fmt: skip
     form = MatrixForm(samples, Setting(kp, kv, B, law.Linear()))
     values = np.linalg.eigvals(law.closed_loop_matrix(M, J[0], J_hat[0], kp, kv, B))

@@ -7,11 +7,11 @@ from random_trees import random_tree
 
 import approxjac as aj
 from approxjac.codegen.backends.numpy_source import NumpyLanes
-from approxjac.robots import Dynamics, GravityRegressor
+from approxjac.robots import GravityRegressor
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.loop.linearization import OF_TARGETS, Targets, Timing, linear_loop
 from approxjac.stability.loop.local import local_test
-from approxjac.stability.loop.terms import TracedTerms, terms_alone
+from approxjac.stability.loop.samples import TracedTerms, terms_alone
 from approxjac.tasks import CombinedTask, NonsingularTask, PoseTrackerTask, TrackerTask
 from approxjac.tasks.analysis import jacobian_gradient
 from approxjac.tasks.frame_kinematics import FrameKinematics
@@ -45,8 +45,8 @@ def require_same_terms(arm, frame, rng):
     plant = aj.Plant(arm, task)
     traced = TracedTerms([plant], task, engine=NumpyLanes)
     found = traced.at(traced.numbers([plant] * 10), q, x_d)
-    each = [terms_alone(plant, Dynamics(arm), task, *at) for at in zip(q, x_d, strict=True)]
-    require_same(found._asdict(), dict(zip(found._fields, zip(*each, strict=True), strict=True)))
+    each = [vars(terms_alone(plant, plant.dynamics, task, *at)) for at in zip(q, x_d, strict=True)]
+    require_same(vars(found), {name: [row[name] for row in each] for name in each[0]})
 
 
 class Distance(aj.Task):

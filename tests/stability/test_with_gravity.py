@@ -188,7 +188,7 @@ def test_the_rate_of_the_torque_has_that_of_the_weight(name):
     """
     arm, rng = heavy(name), np.random.default_rng(6)
     samples = arm.report.samples.take(np.arange(6))
-    dg = arm.report.loop.gravity_gradients(samples)
+    dg = samples.dg
     n, kp = arm.bare.nv, np.full(arm.task.m, arm.kp)
     J_hat = samples.J_hat
     D = J_hat.mT @ (arm.kv * J_hat) + arm.damping * np.eye(n)

@@ -130,7 +130,7 @@ def _farthest(
             break
         k = int((found / most).max(axis=1).argmax())
         samples = loop.near(near.samples, k, _NEAR, _CLOSE, rng)
-        near = form.elsewhere(samples, loop.gravity_gradients(samples))
+        near = form.elsewhere(samples, samples.dg)
     return most
 
 

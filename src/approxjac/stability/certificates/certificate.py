@@ -249,7 +249,7 @@ def sampled_test(
     form = chosen.join(fresh)
     potential = setting.kp + setting.alpha * setting.kv
     needed = _SPARE * float((setting.saturation.S(form.samples.e) @ potential).max(initial=0.0))
-    dg = loop.gravity_gradients(form.samples)
+    dg = form.samples.dg
     fastest = math.sqrt(2.0 * needed)
     most_s = fastest / math.sqrt(2.0 * setting.c_bar * float(potential.min()))
 

@@ -74,18 +74,14 @@ def _as_range(name: str, given: Any, believed: float, unit: str, of: str = "") -
     """Return the coordinate, named `of` + name, of a range (low, high), if one was given."""
     if given is None:
         return []
+    wanted = f"{name} must be (smallest, largest) [{unit}]"
     if is_scalar(given):
-        raise InvalidInputError(
-            f"{name} must be (smallest, largest) [{unit}], such as (0.0, {given!r}), got {given!r}",
-            given=given,
-        )
+        message = f"{wanted}, such as (0.0, {given!r}), got {given!r}"
+        raise InvalidInputError(message, given=given)
     low, high = as_array(name, given, (2,), unit).tolist()
     if low > high:
-        raise InvalidInputError(
-            f"{name} must be (smallest, largest) [{unit}], got {(low, high)}; "
-            f"{(high, low)} is such a range",
-            given=given,
-        )
+        message = f"{wanted}, got {(low, high)}; {(high, low)} is such a range"
+        raise InvalidInputError(message, given=given)
     if not low <= believed <= high:
         remedy = ""
         if name.startswith("object_"):
@@ -100,7 +96,7 @@ def _as_range(name: str, given: Any, believed: float, unit: str, of: str = "") -
 
 
 def _as_bounds(name: str, given: Any, arm: Robot, unit: str) -> dict[str, tuple[float, ...]]:
-    """Return how far joints of an arm may be off along x, y, z, checked, as a new dictionary."""
+    """Return the bounds of joint errors along x, y, z, checked, as a new dictionary."""
     require(name, given, Mapping, "a mapping from joint names to bounds of shape (3,)")
     bounds = {}
     for joint, bound in given.items():
@@ -115,19 +111,6 @@ def _as_bounds(name: str, given: Any, arm: Robot, unit: str) -> dict[str, tuple[
             )
         bounds[joint] = tuple(array.tolist())
     return bounds
-
-
-def _joint_coordinates(
-    joints: Sequence[str], shifts: Mapping[str, Any], rotations: Mapping[str, Any]
-) -> list[Coordinate]:
-    """Return the coordinates of joints whose origins may be off; bounds of 0 make none."""
-    kinds = (("shift", "m", shifts), ("rotation", "rad", rotations))
-    return [
-        Coordinate(f"{joint} {kind} {axis}", unit, 0.0, -bound, bound)
-        for joint, (kind, unit, bounds) in itertools.product(joints, kinds)
-        for axis, bound in zip("xyz", bounds.get(joint, (0.0,) * 3), strict=True)
-        if bound > 0.0
-    ]
 
 
 def _camera_coordinates(camera: Camera | None, *ranges: Any) -> list[Coordinate]:
@@ -258,10 +241,16 @@ class Uncertainty:
             self._set(name, _as_bounds(name, getattr(self, name), self.arm, unit))
         if not is_scalar(self.friction):
             self._set("friction", tuple(self.friction))  # type: ignore[arg-type]
+        kinds = ("shift", "m", self.joint_shifts), ("rotation", "rad", self.joint_rotations)
         given = [
             *_as_range("object_length", self.object_length, self.believed_length, "m"),
             *_as_range("object_mass", self.object_mass, self.believed_mass, "kg"),
-            *_joint_coordinates(self._joints, self.joint_shifts, self.joint_rotations),
+            *(
+                Coordinate(f"{joint} {kind} {axis}", unit, 0.0, -bound, bound)
+                for joint, (kind, unit, bounds) in itertools.product(self._joints, kinds)
+                for axis, bound in zip("xyz", bounds.get(joint, (0.0,) * 3), strict=True)
+                if bound > 0.0
+            ),
             *_camera_coordinates(self.camera, self.focal_length, self.distance, self.roll),
         ]
         self._set("_coordinates", tuple(known.scaled(self.factor) for known in given))

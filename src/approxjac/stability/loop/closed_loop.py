@@ -23,8 +23,9 @@ from approxjac.stability.loop.configurations import (
     least_regular,
 )
 from approxjac.stability.loop.linearization import Targets, Timing, linear_loops
-from approxjac.stability.loop.samples import Indices, Samples
-from approxjac.stability.loop.terms import (
+from approxjac.stability.loop.samples import (
+    Indices,
+    Samples,
     Terms,
     TracedTerms,
     error_jacobians,
@@ -127,7 +128,7 @@ class ClosedLoop:
 
     @property
     def integral_terms(self) -> list[str]:
-        """Return what is learnt that can take up gravity that no parameters explain."""
+        """Parts of what is learnt that can take up gravity that no parameters explain."""
         learning, parts = self.controller.adaptation, ("task force", "joint torques")
         sizes = (0, 0) if learning is None else learning.sizes[1:]
         return [part for part, size in zip(parts, sizes, strict=True) if size]
@@ -238,8 +239,8 @@ class ClosedLoop:
         for t, q, target in zip(truths.tolist(), configurations, x_d, strict=True):
             plant = self.plants[t]  # dynamics are large: kept at corners only
             dynamics = plant.dynamics if t < len(self.corners) else Dynamics(plant.robot)
-            rows.append(terms_alone(plant, dynamics, task, q, target))
-        return Terms(*map(np.array, zip(*rows, strict=True)))
+            rows.append(vars(terms_alone(plant, dynamics, task, q, target)))
+        return Terms(**{name: np.array([row[name] for row in rows]) for name in rows[0]})
 
     @cached_property
     def _traced(self) -> TracedTerms | None:
@@ -271,39 +272,32 @@ class ClosedLoop:
         J_e = error_jacobians(self.plants[0].sensor, at.e, at.J)
         s, slope = saturation.s(at.e), saturation.ds(at.e)
         return Samples(
-            truths, configurations, x_d, at.M, at.dM, at.J, J_e, at.J_hat, at.dJ_hat, at.e, s, slope
+            **vars(at), truth=truths, q=configurations, x_d=x_d, J_e=J_e, s=s, slope=slope
         )
-
-    def gravity_gradients(self, samples: Samples) -> Array:
-        """Return ∂g/∂q of the true robots at samples, shape (N, n_v, n_v) [N m/rad or N/m]."""
-        return self.terms(samples.truth, samples.q).dg
 
     def linearised(
         self, truths: Indices, configurations: Array, timing: Timing | None = None
     ) -> Targets:
         """Linearise at true robots (N,) with configurations (N, nq), taken as targets."""
-        at = self.terms(truths, configurations)
+        return self._targets(configurations, self.terms(truths, configurations), timing)
+
+    def _targets(self, configurations: Array, at: Terms, timing: Timing | None) -> Targets:
+        plant = self.plants[0]
         # sampled, gravity and its compensation do not quite cancel
         G = np.zeros_like(at.dg) if timing is None else at.dg
-        return self._targets(configurations, at, G, timing)
-
-    def _targets(
-        self, configurations: Array, at: Terms | Samples, G: Array, timing: Timing | None
-    ) -> Targets:
-        plant = self.plants[0]
         parts = linear_loops(
             self.controller, plant.friction, configurations, at.M, G, at.J, at.J_hat
         )
         return Targets(parts, float(np.linalg.norm(plant.robot.gravity)), timing)
 
     def spectral_radii(self, samples: Samples, latency: Latency) -> Array:
-        """Return by what errors near targets grow at most from frame to frame of x, shape (N,).
+        """Return the spectral radii of the loop, from frame to frame of x, shape (N,).
 
         In the exact linearisation of the sampled, late loop at each sample taken as a target,
         gravity that is held included; below 1 where it is stable.
         """
-        G, timing = self.gravity_gradients(samples), Timing.of(latency)
-        return self._targets(samples.q, samples, G, timing).spectral_radii(self.diagonals)
+        targets = self._targets(samples.q, samples, Timing.of(latency))
+        return targets.spectral_radii(self.diagonals)
 
     def attained(self, rng: np.random.Generator) -> list[list[Array]]:
         """Return configurations of the region that attain the target, for each true robot.
@@ -347,19 +341,15 @@ class ClosedLoop:
         truths = np.arange(-(-at_corners // k) * k) % k
         if at_corners < n:
             others = np.arange(max(n - len(truths), n // 4)) // inside
-            self._draw_inside(int(others[-1]) + 1, rng)
+            assert isinstance(self.truth, Uncertainty)
+            values = np.array([self.truth.sample(rng) for _ in range(int(others[-1]) + 1)])
+            plants = [*map(self.truth.plant, values)]
+            parts = [VisiblePart(self.region, p.sensor, first + k) for k, p in enumerate(plants)]
+            self.values = np.concatenate([self.values, values])
+            self.plants, self.parts = [*self.plants, *plants], [*self.parts, *parts]
             # no part of the samples, such as every second one, is to be of corners only
             truths = rng.permutation(np.append(truths, first + others))
         return truths, self.seen(truths, self.region.sample(len(truths), rng), rng)
-
-    def _draw_inside(self, n: int, rng: np.random.Generator) -> None:
-        """Add n true robots from inside of the errors."""
-        assert isinstance(self.truth, Uncertainty)
-        values = np.array([self.truth.sample(rng) for _ in range(n)])
-        plants, first = [*map(self.truth.plant, values)], len(self.plants)
-        parts = [VisiblePart(self.region, p.sensor, first + k) for k, p in enumerate(plants)]
-        self.values = np.concatenate([self.values, values])
-        self.plants, self.parts = [*self.plants, *plants], [*self.parts, *parts]
 
     def seen(self, truths: Indices, drawn: Array, rng: np.random.Generator) -> Array:
         """Configurations of the region, with others for those that their true robot misses."""
@@ -370,5 +360,5 @@ class ClosedLoop:
 
 
 def usual_region(task: Task) -> RegularPart:
-    """Return where to look where nothing is said: the joint limits, but not near-singular ones."""
+    """Return the default region: the joint limits without near-singular configurations."""
     return RegularPart(JointBox(task.robot), task, _REGULAR * vanishing(task))

@@ -249,7 +249,7 @@ class Targets:
         return values, singular
 
     def spectral_radii(self, gains: Diagonals) -> Array:
-        """Return by what errors are multiplied from frame to frame at most, shape (N,).
+        """Return the spectral radii of the maps from frame to frame, shape (N,).
 
         Below 1 where the sampled loop is stable; 1 where a target is singular, and decides nothing.
         """

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -330,116 +331,126 @@ _MOST_NUMBERS = 400  # of a state
 _SUBSTEPS = 4  # of the plant in a sample, so that its motion counts as exact
 
 
-class _NumericalLoop:
-    """A loop at rest, and how fast it leaves from near there.
+def numerical_stability(
+    plant: Plant, controller: Controller, q: Array, timing: Timing | None
+) -> LocalStability:
+    """Linearise the loop of any controller at rest at q (nq,), whose x is its target.
 
-    Its coordinates are the motion ξ from q, q̇, the state of the controller, the filter of q̇, the
+    The coordinates z are the motion from q, q̇, the state of the controller, the filter of q̇, the
     errors of late x, and late torques, the oldest first. In samples the rate of z is that of its
     mean over one of them, (z(k+1) − z(k))/dt.
     """
+    model, sensor, n = plant.robot.model, plant.sensor, plant.robot.nv
+    still = np.zeros(n)
+    state = controller.initial_state(plant.measure(0.0, q, still))
+    if len(state) > _MOST_NUMBERS:
+        raise InvalidInputError(
+            f"controller must have a state of at most {_MOST_NUMBERS} numbers to be linearised "
+            f"by differences, got {len(state)} of {controller!r}; rollouts judge any",
+            given=controller,
+        )
+    answer = partial(_answer, controller, None if timing is None else timing.dt)
+    q, state = _resting(plant, controller, answer, q, state)
+    x_d = sensor.value(q)
+    torque, _ = answer(x_d, q, still, x_d, state)
+    parts = [still, still, state]
+    if timing is not None:
+        filtered = n if timing.velocity_filter is not None else 0
+        parts += [np.zeros(filtered), np.zeros(timing.x_late * sensor.m)]
+        parts.append(np.tile(torque, timing.torque_late))
+    ends = np.cumsum(list(map(len, parts)))[:-1]
 
-    def __init__(
-        self, plant: Plant, controller: Controller, q: Array, timing: Timing | None
-    ) -> None:
-        self._plant, self._controller, self._q, self._timing = plant, controller, q, timing
-        self._x_d = plant.sensor.value(q)
-        still, n = np.zeros(plant.robot.nv), plant.robot.nv
-        state = controller.initial_state(plant.measure(0.0, q, still))
-        if len(state) > _MOST_NUMBERS:
-            raise InvalidInputError(
-                f"controller must have a state of at most {_MOST_NUMBERS} numbers to be linearised "
-                f"by differences, got {len(state)} of {controller!r}; rollouts judge any",
-                given=controller,
-            )
-        state = self._resting(state)
-        torque, _ = self._answer(self._q, still, self._x_d, state)
-        parts = [still, still, state]
-        if timing is not None:
-            late = timing.x_late * plant.sensor.m
-            filtered = n if timing.velocity_filter is not None else 0
-            parts += [np.zeros(filtered), np.zeros(late), np.tile(torque, timing.torque_late)]
-        self._ends = np.cumsum(list(map(len, parts)))[:-1]
-        self.rest = np.concatenate(parts)
-
-    def rate(self, z: Array) -> Array:
-        """Return the rate of z, shape as z."""
-        timing, plant, sensor = self._timing, self._plant, self._plant.sensor
-        moved, v, state, *late = np.split(z, self._ends)
-        q = self._at(moved)
-        x = plant.measure(0.0, q, v).x
+    def rate(z: Array) -> Array:
+        moved, v, state, *late = np.split(z, ends)
+        at = np.asarray(pin.integrate(model, q, moved))
+        x = plant.measure(0.0, at, v).x
         if timing is None:
-            torque, rate = self._answer(q, v, x, state)
-            return np.concatenate([v, plant.acceleration(q, v, torque), rate])
-        (w, old, waiting), dt = late, timing.dt
-        errors = np.concatenate([old, sensor.error(x, self._x_d)])
-        seen = v
+            torque, state_rate = answer(x_d, at, v, x, state)
+            return np.concatenate([v, plant.acceleration(at, v, torque), state_rate])
+        (w, old, waiting), dt, seen = late, timing.dt, v
+        errors = np.concatenate([old, sensor.error(x, x_d)])
         if timing.velocity_filter is not None:
             share = dt / (timing.velocity_filter + dt)
             seen = share / dt * moved + w
             w = (1.0 - share) * seen - share / dt * moved
-        x = sensor.displaced(self._x_d, errors[: sensor.m])
-        torque, rate = self._answer(q, seen, x, state)
+        x = sensor.displaced(x_d, errors[: sensor.m])
+        torque, state_rate = answer(x_d, at, seen, x, state)
         torques = np.concatenate([waiting, torque])
-        tau = torques[: len(v)]
         for _ in range(_SUBSTEPS):
-            q, v = plant.advance(q, v, tau, dt / _SUBSTEPS, rk4)
-        moved = np.asarray(pin.difference(plant.robot.model, self._q, q))
-        rest = [state + dt * rate, w, errors[sensor.m :], torques[len(v) :]]
+            at, v = plant.advance(at, v, torques[:n], dt / _SUBSTEPS, rk4)
+        moved = np.asarray(pin.difference(model, q, at))
+        rest = [state + dt * state_rate, w, errors[sensor.m :], torques[n:]]
         return np.asarray((np.concatenate([moved, v, *rest]) - z) / dt)
 
-    def _at(self, moved: Array) -> Array:
-        return np.asarray(pin.integrate(self._plant.robot.model, self._q, moved))
+    A = _slopes(rate, np.concatenate(parts), controller)
+    # ż = A z, or z(k+1) = (I + dt A) z(k)
+    _, sizes, rows = np.linalg.svd(A)
+    at_rest = sizes <= _NULL
+    along, across = rows[at_rest].T, rows[~at_rest].T
+    moving = int((np.linalg.svd(along[:n], compute_uv=False) > _IN_Q).sum()) if at_rest.any() else 0
+    values = np.linalg.eigvals(across.T @ A @ across).astype(np.complex128)
+    singular = moving > n - sensor.m or np.abs(values).min() <= _ZERO * np.abs(values).max()
+    if timing is not None:  # λ = ln(μ)/dt; −∞ for a mode that is over after one sample
+        with np.errstate(divide="ignore"):
+            values = np.asarray(np.log(1.0 + timing.dt * values) / timing.dt, np.complex128)
+    return _stability(values, moving, int(at_rest.sum()) - moving, bool(singular), timing)
 
-    def _answer(
-        self, q: Array, v: Array, x: Array, state: Array, t: float = 0.0
-    ) -> tuple[Array, Array]:
-        """Return the controller's torque and the rate of its state, in samples its mean rate."""
-        measurement = Measurement(t, q, v, x, t)
-        if self._timing is None:
-            answer = self._controller.evaluate(state, measurement, self._x_d)
-            return np.array(answer.torque), np.asarray(answer.state_rate)
-        dt = self._timing.dt
-        after, answer = self._controller.step(state, measurement, self._x_d, dt)
-        return np.array(answer.torque), np.asarray((after - state) / dt)
 
-    def _resting(self, state: Array) -> Array:
-        """Go to the nearest state with which the arm stays at rest at the target, and return it."""
-        plant, q, x_d = self._plant, self._q, self._x_d
-        still = np.zeros(plant.robot.nv)
-        now, later = (self._answer(q, still, x_d, state, t) for t in (0.0, 1.0))
-        if not all(map(np.array_equal, now, later)):
-            raise InvalidInputError(
-                f"controller must be one whose step does not depend on the time, to be linearised, "
-                f"got {self._controller!r}; rollouts judge any",
-                given=self._controller,
-            )
+def _answer(
+    controller: Controller,
+    dt: float | None,
+    x_d: Array,
+    q: Array,
+    v: Array,
+    x: Array,
+    state: Array,
+    t: float = 0.0,
+) -> tuple[Array, Array]:
+    """Return a controller's torque and the rate of its state, in samples its mean rate."""
+    measurement = Measurement(t, q, v, x, t)
+    if dt is None:
+        answer = controller.evaluate(state, measurement, x_d)
+        return np.array(answer.torque), np.asarray(answer.state_rate)
+    after, answer = controller.step(state, measurement, x_d, dt)
+    return np.array(answer.torque), np.asarray((after - state) / dt)
 
-        def left(z: Array) -> Array:
-            at = self._at(z[:n])
-            x = plant.sensor.value(at)
-            torque, rate = self._answer(at, still, x, z[n:])
-            off = torque - plant.dynamics.g(at)
-            return np.concatenate([off, rate, plant.sensor.error(x, x_d)])
 
-        z, n = np.concatenate([still, state]), len(still)
-        size = max(1.0, float(np.abs(plant.dynamics.g(q)).max()))
-        for _ in range(_ROUNDS):
-            residual = left(z)
-            if np.abs(residual).max() <= 1e-3 * _AT_REST * size:
-                break
-            z = z - np.linalg.lstsq(_slopes(left, z, None), residual, rcond=1e-9)[0]
+def _resting(
+    plant: Plant, controller: Controller, answer: Callable[..., Any], q: Array, state: Array
+) -> tuple[Array, Array]:
+    """Return where the arm stays at rest at its target and with which state, by Newton's method."""
+    x_d, n, still = plant.sensor.value(q), plant.robot.nv, np.zeros(plant.robot.nv)
+    now, later = (answer(x_d, q, still, x_d, state, t) for t in (0.0, 1.0))
+    if not all(map(np.array_equal, now, later)):
+        raise InvalidInputError(
+            f"controller must be one whose step does not depend on the time, to be linearised, "
+            f"got {controller!r}; rollouts judge any",
+            given=controller,
+        )
+
+    def left(z: Array) -> Array:
+        at = np.asarray(pin.integrate(plant.robot.model, q, z[:n]))
+        x = plant.sensor.value(at)
+        torque, rate = answer(x_d, at, still, x, z[n:])
+        return np.concatenate([torque - plant.dynamics.g(at), rate, plant.sensor.error(x, x_d)])
+
+    z = np.concatenate([still, state])
+    size = max(1.0, float(np.abs(plant.dynamics.g(q)).max()))
+    for _ in range(_ROUNDS):
         residual = left(z)
-        if not (np.abs(residual).max() <= _AT_REST * size and np.abs(z[:n]).max() <= _FARTHEST):
-            best = f" with the best of its states, {z[n:].tolist()}" if len(state) else ""
-            raise InvalidInputError(
-                f"controller must hold the arm at rest at the target for it to be an equilibrium, "
-                f"got {self._controller!r}, whose torque is off by "
-                f"{np.abs(left(np.concatenate([still, z[n:]]))[:n]).max():.3g} N m there{best}",
-                given=self._controller,
-            )
-        self._q = self._at(z[:n])
-        self._x_d = plant.sensor.value(self._q)
-        return np.asarray(z[n:])
+        if np.abs(residual).max() <= 1e-3 * _AT_REST * size:
+            break
+        z = z - np.linalg.lstsq(_slopes(left, z, None), residual, rcond=1e-9)[0]
+    residual = left(z)
+    if not (np.abs(residual).max() <= _AT_REST * size and np.abs(z[:n]).max() <= _FARTHEST):
+        best = f" with the best of its states, {z[n:].tolist()}" if len(state) else ""
+        off = np.abs(left(np.concatenate([still, z[n:]]))[:n]).max()
+        raise InvalidInputError(
+            "controller must hold the arm at rest at the target for it to be an equilibrium, "
+            f"got {controller!r}, whose torque is off by {off:.3g} N m there{best}",
+            given=controller,
+        )
+    return np.asarray(pin.integrate(plant.robot.model, q, z[:n])), np.asarray(z[n:])
 
 
 def _slopes(function: Callable[[Array], Array], z: Array, smooth: Controller | None) -> Array:
@@ -457,23 +468,3 @@ def _slopes(function: Callable[[Array], Array], z: Array, smooth: Controller | N
                 given=smooth,
             )
     return np.array(columns).T
-
-
-def numerical_stability(
-    plant: Plant, controller: Controller, q: Array, timing: Timing | None
-) -> LocalStability:
-    """Linearise the loop of any controller at rest at q (nq,), whose x is its target."""
-    loop, n = _NumericalLoop(plant, controller, q, timing), plant.robot.nv
-    A = _slopes(loop.rate, loop.rest, controller)
-    # ż = A z, or z(k+1) = (I + dt A) z(k)
-    _, sizes, rows = np.linalg.svd(A)
-    at_rest = sizes <= _NULL
-    along, across = rows[at_rest].T, rows[~at_rest].T
-    moving = int((np.linalg.svd(along[:n], compute_uv=False) > _IN_Q).sum()) if at_rest.any() else 0
-    values = np.linalg.eigvals(across.T @ A @ across).astype(np.complex128)
-    singular = moving > n - plant.sensor.m
-    singular = singular or np.abs(values).min() <= _ZERO * np.abs(values).max()
-    if timing is not None:  # λ = ln(μ)/dt; −∞ for a mode that is over after one sample
-        with np.errstate(divide="ignore"):
-            values = np.asarray(np.log(1.0 + timing.dt * values) / timing.dt, np.complex128)
-    return _stability(values, moving, int(at_rest.sum()) - moving, bool(singular), timing)

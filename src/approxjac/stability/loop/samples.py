@@ -1,31 +1,65 @@
-"""`Samples` that the conditions are evaluated on: true robots, configurations and targets."""
+"""`Samples` that the conditions are evaluated on: terms at many configurations, traced."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+import functools
+import importlib.util
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from approxjac.codegen.arm import traced_tasks as tasks
+from approxjac.codegen.arm.arm_numbers import ArmNumbers, arm_numbers
+from approxjac.codegen.arm.rigid_body import Arm
+from approxjac.codegen.backends.llvm import LlvmLanes
+from approxjac.codegen.backends.numpy_source import NumpyLanes
+from approxjac.codegen.trace.derivatives import rates
+from approxjac.codegen.trace.program import Program
+from approxjac.codegen.trace.symbols import Symbols, symbols
+from approxjac.errors import InvalidInputError
+from approxjac.robots import Dynamics
+from approxjac.robots.model import own_joints
+from approxjac.simulation import Plant
+from approxjac.stability.errors.uncertainty import Uncertainty
+from approxjac.tasks import Task
+from approxjac.tasks.analysis import jacobian_gradient
 from approxjac.validation import Array
+
+_MOST_JOINTS = 12  # traced: code for ∂M/∂q grows with their third power
+_SHOWN = 3  # true robots from inside that show which numbers differ, besides the corners
+_PORTION = 1024  # configurations at once
+_ALIKE = 1e-8  # relative difference of terms, which round-off does not make
+
 
 Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Samples:
+class Terms:
+    """Terms of true robots and of the belief at N configurations, with targets x_d."""
+
+    x: Array  # of the sensor, shape (N, n_x)
+    e: Array  # shape (N, m)
+    J: Array  # of the sensor, without what a controller is to assume in it, shape (N, m, n_v)
+    J_hat: Array  # Ĵ, shape (N, m, n_v)
+    dJ_hat: Array  # ∂Ĵ/∂q_k, shape (N, n_v, m, n_v), k first; of no task that uses x
+    M: Array  # inertia matrix of the true robot, shape (N, n_v, n_v)
+    dM: Array  # ∂M/∂q_k, shape (N, n_v, n_v, n_v), k first
+    g: Array  # its gravity torque, shape (N, n_v)
+    dg: Array  # ∂g/∂q, symmetric, shape (N, n_v, n_v)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Samples(Terms):
     """All that the conditions need of N combinations of true robot, configuration and target."""
 
     truth: Indices  # of the true robot, shape (N,)
     q: Array  # configuration, shape (N, nq)
     x_d: Array  # target, shape (N, n_x)
-    M: Array  # inertia matrix of the true robot, shape (N, n_v, n_v)
-    dM: Array  # ∂M/∂q_k, shape (N, n_v, n_v, n_v), k first
-    J: Array  # true task Jacobian, shape (N, m, n_v)
     J_e: Array  # true ∂e/∂q, which is J where e = x − x_d, shape (N, m, n_v)
-    J_hat: Array  # Ĵ, shape (N, m, n_v)
-    dJ_hat: Array  # ∂Ĵ/∂q_k, shape (N, n_v, m, n_v), k first
-    e: Array  # shape (N, m)
     s: Array  # s(e), shape (N, m)
     slope: Array  # s'(e), shape (N, m)
 
@@ -37,11 +71,145 @@ class Samples:
 
     def take(self, which: Indices | slice) -> Samples:
         """Return the samples of some indices."""
-        return Samples(*(getattr(self, f.name)[which] for f in fields(self)))
+        return Samples(**{name: each[which] for name, each in vars(self).items()})
 
     def join(self, *others: Samples) -> Samples:
         """Return these samples and others after them."""
-        if not others:
-            return self
-        each = (self, *others)
-        return Samples(*(np.concatenate([getattr(s, f.name) for s in each]) for f in fields(self)))
+        each = [vars(samples) for samples in (self, *others)]
+        return Samples(**{name: np.concatenate([own[name] for own in each]) for name in each[0]})
+
+
+class TracedTerms:
+    """Terms as one function for all true robots, which differ in numbers only.
+
+    Args:
+        plants: True robots and their sensors, which differ in all that will ever differ.
+        task: The believed task.
+        engine: What carries it out; machine code by default, NumPy without llvmlite.
+
+    Raises:
+        InvalidInputError, TypeError, ValueError: What takes no symbols, has loops to be
+            differentiated, or sensors that differ in more than numbers of cameras.
+    """
+
+    def __init__(
+        self, plants: Sequence[Plant], task: Task, engine: Callable[[Program], Any] | None = None
+    ) -> None:
+        self._given = plants, task, engine
+        sensor, robot = plants[0].sensor, plants[0].robot
+        self._frames = tasks.frames(sensor)
+        program = self._program = Program()
+        self._arm = Arm(program.given, "truth", robot, self._frames, self._numbers(plants))
+        of_sensor = tasks.numbers([plant.sensor for plant in plants])
+        self._has_camera = bool(of_sensor)
+        own = tasks.with_numbers(sensor, {k: program.given(k, v) for k, v in of_sensor.items()})
+        q, x_d = program.kept("q", robot.nq), program.kept("x_d", task.n_x)
+        here, believed = self._arm.at(q), Arm.known(task.robot).at(q)
+        x = tasks.value(own, here)
+        with self._arm.standing_in(program.graph):
+            J = symbols(tasks.traced("task", sensor, lambda: own._sensor_jacobian(q)))
+        J_hat, M, g = tasks.jacobian(task, believed, x), here.M(), here.gravity()
+        ways = []
+        for joint in own_joints(robot.model).values():
+            first, *second = q[joint.idx_q : joint.idx_q + joint.nq]  # cos and sin of a pair
+            ways.append([(first, -second[0]), (second[0], first)] if second else [(first, 1.0)])
+
+        def gradient(of: Symbols) -> Symbols:
+            return np.stack([rates(of, way) for way in ways])
+
+        dJ_hat = np.zeros((robot.nv, *J_hat.shape)) if task._uses_x else gradient(J_hat)
+        found = Terms(x, tasks.error(own, x, x_d), J, J_hat, dJ_hat, M, gradient(M), g, gradient(g))
+        self._shapes = {name: np.shape(each) for name, each in vars(found).items()}
+        for name, shape in self._shapes.items():
+            program.kept(name, int(np.prod(shape)))
+        program.step(vars(found))
+        if engine is None:
+            has_llvm = importlib.util.find_spec("llvmlite") is not None
+            engine = functools.partial(LlvmLanes, effort=0) if has_llvm else NumpyLanes
+        self._engine = engine(program)
+        self._require_alike(plants, task)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), self._given  # machine code is of this process
+
+    def _require_alike(self, plants: Sequence[Plant], task: Task) -> None:
+        """Refuse sensors that are made in another way than that of the first true robot."""
+        robot = task.robot
+        drawn = [robot.random_configuration(np.random.default_rng(k)) for k in range(len(plants))]
+        x_d = np.repeat(task._origin[np.newaxis], len(plants), axis=0)
+        found = self.at(self.numbers(plants), np.array(drawn), x_d)
+        for plant, q, x, J in zip(plants, drawn, found.x, found.J, strict=True):
+            for one, other in ((x, plant.sensor.value(q)), (J, plant.sensor._sensor_jacobian(q))):
+                if not np.allclose(one, other, _ALIKE, _ALIKE, equal_nan=True):
+                    raise ValueError(f"{plant.sensor!r} is not like {plants[0].sensor!r}")
+
+    def _numbers(self, plants: Sequence[Plant]) -> ArmNumbers:
+        return ArmNumbers.stacked([arm_numbers(plant.robot, self._frames) for plant in plants])
+
+    def numbers(self, plants: Sequence[Plant]) -> Array:
+        """Return the numbers of true robots, (k, n); a ValueError if other ones differ, too."""
+        # to look for cameras takes longer than all the rest
+        of_sensors = tasks.numbers([plant.sensor for plant in plants]) if self._has_camera else {}
+        found = self._program.filled(self._arm.named(self._numbers(plants)) | of_sensors)
+        return found if found.size else np.zeros((len(plants), 1))
+
+    def at(self, numbers: Array, q: Array, x_d: Array) -> Terms:
+        """Return the terms of robots with some numbers (N, n), each at a q with a target."""
+        columns = np.concatenate([q, x_d], axis=1)
+        found = np.empty((len(q), self._program.n_rows))
+        for start in range(0, len(q), _PORTION):
+            at = slice(start, start + _PORTION)
+            found[at] = self._portion(numbers[at], columns[at])
+        places = {name: self._program.rows[name] for name in self._shapes}
+        return Terms(
+            *(
+                found[:, at : at + size].reshape(-1, *self._shapes[name])
+                for name, (at, size) in places.items()
+            )
+        )
+
+    def _portion(self, numbers: Array, columns: Array) -> Array:
+        width, (N, given) = self._engine.width, columns.shape
+        groups = -(-N // width)
+        rows = np.minimum(np.arange(groups * width), N - 1).reshape(groups, width)
+        kept = np.zeros((groups, self._program.n_rows, width))
+        kept[:, :given] = columns[rows].swapaxes(1, 2)
+        parameters = np.ascontiguousarray(numbers[rows].swapaxes(1, 2))
+        self._engine.run(kept, parameters, 0, 1)
+        return kept.swapaxes(1, 2).reshape(groups * width, -1)[:N]
+
+
+@functools.lru_cache(maxsize=8)
+def traced_terms(truth: Plant | Uncertainty, task: Task) -> TracedTerms | None:
+    """Return the terms of true robots as one function; None where they are not to be traced."""
+    if task.robot.nv > _MOST_JOINTS:
+        return None
+    plants = [truth] if isinstance(truth, Plant) else []
+    if isinstance(truth, Uncertainty):
+        if not truth.makes_the_robots:
+            return None
+        rng = np.random.default_rng(0)
+        inside = [truth.sample(rng) for _ in range(_SHOWN)]
+        plants = [*map(truth.plant, [*truth.corners(), *inside])]
+    try:
+        return TracedTerms(plants, task)
+    except (InvalidInputError, TypeError, ValueError):
+        return None
+
+
+def terms_alone(plant: Plant, dynamics: Dynamics, task: Task, q: Array, x_d: Array) -> Terms:
+    """Return the terms of one true robot at one configuration, each without the axis N."""
+    sensor, shape = plant.sensor, (task.robot.nv, task.m, task.robot.nv)
+    x = sensor.value(q)
+    dJ_hat = np.zeros(shape) if task._uses_x else jacobian_gradient(task, q)
+    return Terms(
+        x, sensor.error(x, x_d), sensor._sensor_jacobian(q), task.jacobian(q, x), dJ_hat,
+        dynamics.M(q), dynamics.M_gradient(q), dynamics.g(q), dynamics.g_gradient(q),
+    )  # fmt: skip
+
+
+def error_jacobians(task: Task, e: Array, J: Array) -> Array:
+    """Return ∂e/∂q where errors are e (N, m) and the Jacobians J; shape (N, m, n_v)."""
+    if task._subtracts:
+        return J
+    return np.array([task._error_jacobian(*each) for each in zip(e, J, strict=True)])

@@ -136,7 +136,7 @@ class Rollouts:
         worst, setting = self.worst, self.setting
         unit = joined(setting.controller.task.units)
         ended = "diverged" if worst.diverged else f"ended {worst.final_error:.3g} {unit} off"
-        told = {
+        texts = {
             "share": f"{percent(self.share)} %, with 95 % confidence {percent(low)} to "
             f"{percent(high)} %",
             "converged": f"within {setting.accuracy:g} {unit} throughout the last tenth of "
@@ -146,14 +146,14 @@ class Rollouts:
             f"{setting.uncertainty.describe(worst.values)}",
         }
         if self.n_beyond_torque:
-            told["torques"] = (
+            texts["torques"] = (
                 f"{'at least ' if self.n_diverged else ''}{self.n_beyond_torque} of {self.n} runs "
                 "beyond motors, which are not limited here: up to "
                 f"{np.nanmax(self.columns['peak_torque']):.3g} times their limits"
             )
         if setting.reason:  # slow, and nobody asked for it
-            told["engine"] = f"in Python, as {setting.reason}"
-        return "\n".join([f"converged: {self.n_converged} of {self.n} runs", *rows(told, 2)])
+            texts["engine"] = f"in Python, as {setting.reason}"
+        return "\n".join([f"converged: {self.n_converged} of {self.n} runs", *rows(texts, 2)])
 
 
 def clopper_pearson(successes: int, runs: int, confidence: float = 0.95) -> tuple[float, float]:
@@ -222,8 +222,15 @@ def carried_out(
         pieces += [(k, range(runs)[at : at + size]) for at in range(0, runs, size)]
     part = partial(_portion, None if folder is None else Path(folder), executor is not None)
     if folder is not None or isinstance(executor, ProcessPoolExecutor):  # others may pickle more
-        for setting in settings:
-            _require_picklable(setting)
+        try:
+            pickle.dumps(settings)
+        except (pickle.PicklingError, AttributeError, TypeError) as error:
+            raise InvalidInputError(
+                "controller, uncertainty and region must be picklable to go to other processes or "
+                "to be known again in a folder (functools.partial(PositionTask, axes='xz') is, a "
+                f"lambda is not): {error}",
+                given=settings[0],
+            ) from error
     futures = [executor.submit(part, settings[k], indices) for k, indices in pieces if executor]
     found: list[list[dict[str, Array]]] = [[] for _ in settings]
     left = [math.inf if failures is None else failures] * len(settings)
@@ -244,18 +251,6 @@ def carried_out(
         for future in futures:
             future.cancel()
     return [{name: np.concatenate([p[name] for p in each]) for name in COLUMNS} for each in found]
-
-
-def _require_picklable(setting: RolloutSetting) -> None:
-    try:
-        pickle.dumps(setting)
-    except (pickle.PicklingError, AttributeError, TypeError) as error:
-        raise InvalidInputError(
-            "controller, uncertainty and region must be picklable to go to other processes or to "
-            "be known again in a folder (functools.partial(PositionTask, axes='xz') is, a lambda "
-            f"is not): {error}",
-            given=setting,
-        ) from error
 
 
 def _portion(

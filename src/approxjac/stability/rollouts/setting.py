@@ -90,7 +90,7 @@ class Start:
     seed: int  # of noise and dropouts
 
     def begun(self, controller: Controller, frames: tuple[str, ...] | None = None) -> Begun:
-        """Return what lanes keep of it, whose sensor looks at some frames."""
+        """Return the numbers that lanes keep of it, whose sensor looks at some frames."""
         from approxjac.codegen.lanes import Begun
 
         return Begun.of(controller, self.plant, self.q, self.target, self.seed, frames)
@@ -208,16 +208,11 @@ class RolloutSetting:
         """Number of steps from one recorded instant to the next."""
         return max(1, round(self.duration / self.dt / _RECORDS))
 
-    def plant(self, values: Array) -> Plant:
-        """Return the true robot at values (d,), with its sensors and motors."""
-        plant = self.uncertainty.plant(values)
-        return plant._sensed(self.sensing, self.actuator_delay)
-
     def start(self, index: int) -> Start:
-        """Return how a run begins, drawn from a generator of its own."""
+        """Draw the begin of a run, from a generator of its own."""
         rng = np.random.default_rng([self.seed, index])
         values = self.uncertainty.sample(rng)
-        plant = self.plant(values)
+        plant = self.uncertainty.plant(values)._sensed(self.sensing, self.actuator_delay)
         seen = VisiblePart(self.region, plant.sensor)
         try:
             q0 = plant.robot.configuration(self.region.sample(1, rng)[0], "q0")
@@ -227,8 +222,8 @@ class RolloutSetting:
             else:
                 target = x_of(target_at(self.target, 0.0))
         except UnattainedError as error:
-            told = f"{error}, with {self.uncertainty.describe(values)}"
-            raise UnattainedError(told, given=values, truth=index) from error
+            message = f"{error}, with {self.uncertainty.describe(values)}"
+            raise UnattainedError(message, given=values, truth=index) from error
         return Start(index, values, plant, q0, target, int(rng.integers(2**63)))
 
     def simulated(self, start: Start) -> Trajectory:

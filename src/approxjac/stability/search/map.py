@@ -69,7 +69,7 @@ class StabilityMap:
 
     @property
     def converged(self) -> int:
-        """How many of all runs converged."""
+        """Number of runs that converged."""
         return round(float(np.nansum(self.share * self.runs)))
 
     def __repr__(self) -> str:
@@ -80,12 +80,12 @@ class StabilityMap:
         n, width = self.runs, np.ptp(self.intervals, axis=-1)
         over = " and ".join(spoken(name) for name in self.names)
         points = " by ".join(map(str, reversed(n.shape)))
-        told = {
+        texts = {
             "points": f"{points}, {n.sum()} runs in all",
             "sure": f"95 % intervals of points are at most {100 * width.max():.2g} % wide",
         }
         if len(self.names) == 1:
-            told |= {
+            texts |= {
                 f"at {x:.4g}": f"{percent(share)} % of {runs}, with 95 % confidence "
                 f"{percent(low)} to {percent(high)} %"
                 for x, share, runs, (low, high) in zip(
@@ -93,7 +93,7 @@ class StabilityMap:
                 )
             }
         good = 100 * self.converged / max(1, n.sum())
-        return "\n".join([*wrapped(f"converged: {good:.1f} % over {over}"), *rows(told, 2)])
+        return "\n".join([*wrapped(f"converged: {good:.1f} % over {over}"), *rows(texts, 2)])
 
 
 def map_of(

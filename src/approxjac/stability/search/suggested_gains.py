@@ -93,12 +93,12 @@ class Suggestion:
                 [*lines, *(line for each in self.relax for line in wrapped(each, "- "))]
             )
         share = f"at the start at most {100 * self.found.torque_ratio:.2g} % of the limits"
-        told = {
+        texts = {
             "gains": str(self.found.gains),
             "torque": share if self.found.torque_ratio else "no limits known",
             "settles": f"in {self.found.settling_time:.3g} s {SETTLES}",
         }
-        return "\n".join([*wrapped(self.heading), *rows(told, 2)])
+        return "\n".join([*wrapped(self.heading), *rows(texts, 2)])
 
 
 def suggested_gains(

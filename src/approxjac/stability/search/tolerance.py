@@ -74,18 +74,18 @@ class Tolerance:
         what = _WORDS[self.test]
         if self.scale == 0.0:
             return "\n".join(wrapped(f"tolerated by {what}: no errors"))
-        told = {"errors": self.uncertainty.describe_box()}
+        texts = {"errors": self.uncertainty.describe_box()}
         at = f"at {self.fails_at:.3g} times, with {self.worst_text}"
         if not self.is_tested:
-            told["not tested"] = (
+            texts["not tested"] = (
                 f"{at}: the target is attained outside the region only, or not seen; a larger "
                 "region would tell"
             )
         elif np.isfinite(self.fails_at):
-            told["fails"] = at
+            texts["fails"] = at
         else:
             box += ", the most that was tried"
-        return "\n".join([*wrapped(f"tolerated by {what}: {box}"), *rows(told, 2)])
+        return "\n".join([*wrapped(f"tolerated by {what}: {box}"), *rows(texts, 2)])
 
 
 def tolerances(
