@@ -124,9 +124,8 @@ def test_w_of_eq_13_term_by_term(numbers, rng):
     inertia, inertia_dot = rng.normal(size=(2, NV, NV))
     inertia = inertia + inertia.T
     s_dot, coriolis = rng.normal(size=M), rng.normal(size=NV)
-    W = law.W(
-        v, s, s_dot, J, J_hat, pinv, pinv_dot, inertia, inertia_dot, coriolis, B, kp, kv, alpha
-    )
+    moving = inertia, inertia_dot, coriolis
+    W = law.W(v, (s, s_dot), J, J_hat, (pinv, pinv_dot), moving, B, kp, kv, alpha)
     Kp, Kv = np.diag(kp), np.diag(kv)
     expected = (
         v @ (J_hat.T @ Kv @ J_hat + np.diag(B)) @ v
@@ -144,10 +143,8 @@ def test_w_of_eq_13_without_alpha_is_damping_less_the_mismatch(rng):
     v, s = rng.normal(size=NV), rng.normal(size=M)
     kp, kv, B = rng.uniform(1, 2, M), rng.uniform(1, 2, M), rng.uniform(0, 1, NV)
     zeros = np.zeros((NV, M))
-    W = law.W(
-        v, s, np.zeros(M), J, J_hat, zeros, zeros, np.eye(NV), np.zeros((NV, NV)), np.zeros(NV),
-        B, kp, kv, 0.0,
-    )  # fmt: skip
+    inertia = np.eye(NV), np.zeros((NV, NV)), np.zeros(NV)
+    W = law.W(v, (s, np.zeros(M)), J, J_hat, (zeros, zeros), inertia, B, kp, kv, 0.0)
     expected = v @ (J_hat.T @ np.diag(kv) @ J_hat + np.diag(B)) @ v - v @ (J - J_hat).T @ (kp * s)
     assert_allclose(W, expected)
 

@@ -186,15 +186,15 @@ class AdaptiveGravity(Immutable):
                 f"bounds must be a smallest and a largest theta, got {bounds!r}", given=bounds
             ) from error
         lower, upper = (as_entries("bounds", bound, self.regressor.p) for bound in (lower, upper))
-        holds_theta0 = ((lower <= self.theta0) & (self.theta0 <= upper)).all()
-        for holds, wanted in (
-            ((lower < upper).all(), "be a smallest and a larger theta"),
-            (holds_theta0, f"hold theta0 = {self.theta0.tolist()}"),
-        ):
-            if not holds:
-                raise InvalidInputError(
-                    f"bounds must {wanted}, got {lower.tolist()} to {upper.tolist()}", given=bounds
-                )
+        wanted = ""
+        if not (lower < upper).all():
+            wanted = "be a smallest and a larger theta"
+        elif not ((lower <= self.theta0) & (self.theta0 <= upper)).all():
+            wanted = f"hold theta0 = {self.theta0.tolist()}"
+        if wanted:
+            raise InvalidInputError(
+                f"bounds must {wanted}, got {lower.tolist()} to {upper.tolist()}", given=bounds
+            )
         return lower, upper
 
     @property
@@ -224,13 +224,10 @@ class AdaptiveGravity(Immutable):
         if L is None:
             assert chosen is not None
             L = chosen.gravity
-        sizes = (p, len(parts[0]), len(parts[1]))
-        if L.ndim == 1:
-            L = np.concatenate([L, *parts])
-        else:
-            block = np.diag(np.concatenate([np.zeros(p), *parts]))
-            block[:p, :p] = L
-            L = block
+        sizes, own = (p, len(parts[0]), len(parts[1])), L
+        L = np.concatenate([np.zeros(p), *parts])
+        L = L if own.ndim == 1 else np.diag(L)
+        L[(slice(p),) * own.ndim] = own
         theta0 = np.concatenate([self.theta0, np.zeros(sum(sizes[1:]))])
         bounds = None
         if self.bounds is not None or (chosen is not None and self.L is None):
@@ -241,18 +238,8 @@ class AdaptiveGravity(Immutable):
             if self.bounds is not None:
                 for side, given in zip(bounds, self.bounds, strict=True):
                     side[:p] = given
-        weight = None if chosen is None else chosen.pinv_weight
-        return Adaptation(
-            self.regressor,
-            sizes,
-            L,
-            alpha,
-            theta0,
-            bounds,
-            self.torque_limits,
-            self.torque_limits,
-            weight,
-        )
+        weight, limits = None if chosen is None else chosen.pinv_weight, self.torque_limits
+        return Adaptation(self.regressor, sizes, L, alpha, theta0, bounds, limits, limits, weight)
 
 
 class Adaptation(NamedTuple):
@@ -295,14 +282,14 @@ class Adaptation(NamedTuple):
         """Return names and units of θ̂: of gravity, the force on the task and joint torques."""
         _, forces, torques = self.sizes
         kinds = {"m": "N", "rad": "N m"}
-        found = dict(zip(self.regressor.names, self.regressor.units, strict=True))
+        parameters = dict(zip(self.regressor.names, self.regressor.units, strict=True))
         if forces:
             pairs = zip(task.labels, task.units, strict=True)
-            found |= {f"force along {at}": kinds.get(u, f"J/{u}") for at, u in pairs}
+            parameters |= {f"force along {at}": kinds.get(u, f"J/{u}") for at, u in pairs}
         if torques:
             joints = zip(self.robot.joint_names, self.robot.joint_units, strict=True)
-            found |= {f"torque of {at}": kinds[u] for at, u in joints}
-        return found
+            parameters |= {f"torque of {at}": kinds[u] for at, u in joints}
+        return parameters
 
     def Y(self, q: Array, J_hat: Array) -> Array:
         """Return Y = [Z, Ĵᵀ, I], without what is not learnt, shape (n_v, P)."""
@@ -331,23 +318,21 @@ class Adaptation(NamedTuple):
         of_gravity, force, torques = np.split(change, np.cumsum(self.sizes)[:-1])
         mass, *moments = self.regressor.payload(of_gravity)
         at = numbers_of(np.round(moments, 4))
-        told = [f"a load on the last link of {mass:+.3g} kg, its first moment {at} kg m"]
+        parts = [f"a load on the last link of {mass:+.3g} kg, its first moment {at} kg m"]
+        others = [*self.parameters(task).items()][self.regressor.p :]
         if len(force):
-            units = {"m": "N", "rad": "N m"}
-            parts = zip(force, task.units, task.labels, strict=True)
-            along = [f"{d:+.3g} {units.get(u, f'J/{u}')} along {at}" for d, u, at in parts]
-            told.append(f"a constant force of {', '.join(along)}")
+            pairs = zip(force, others, strict=False)
+            along = [f"{d:+.3g} {unit} {name.removeprefix('force ')}" for d, (name, unit) in pairs]
+            parts.append(f"a constant force of {', '.join(along)}")
         if len(torques):
             i = int(np.abs(torques).argmax())
-            unit = "N" if self.robot.joint_units[i] == "m" else "N m"
-            at = self.robot.joint_names[i]
-            told.append(f"constant torques of up to {torques[i]:+.3g} {unit} ({at})")
-        return f"to compensate, beside the believed arm's weight: {'; '.join(told)}"
+            name, unit = others[len(force) + i]
+            at = name.removeprefix("torque of ")
+            parts.append(f"constant torques of up to {torques[i]:+.3g} {unit} ({at})")
+        return f"to compensate, beside the believed arm's weight: {'; '.join(parts)}"
 
     def bounded(self, rate: Array, theta_hat: Array, Y: Array, g: Array) -> tuple[Array, Any]:
-        """Return dθ̂/dt (P,) with what would lead out of bounds taken back, for g = Yθ̂ (n_v,).
-
-        And whether that was not found, of symbols.
+        """Return dθ̂/dt (P,) within bounds, for g = Yθ̂ (n_v,), and whether that was not found.
 
         Beside the bounds of each parameter there are those of the motors: where |Yθ̂| is beyond
         them, it grows no further. V̇ ≤ −W stays where the true arm can be held at q.

@@ -44,15 +44,11 @@ def V(
 
 def W(
     v: Array,
-    s: Array,
-    s_dot: Array,
+    saturated: tuple[Array, Array],
     J: Array,
     J_hat: Array,
-    J_hat_pinv: Array,
-    J_hat_pinv_dot: Array,
-    M: Array,
-    M_dot: Array,
-    coriolis: Array,
+    pinv: tuple[Array, Array],
+    inertia: tuple[Array, Array, Array],
     B: Array,
     kp: Array,
     kv: Array,
@@ -63,14 +59,15 @@ def W(
     Implements Eq. (13). Departures: the last term is −s(e)ᵀ(d/dt Ĵ⁺)ᵀM q̇ (the paper's dot is
     missing), and (B − ½Ṁ + S)q̇ is evaluated as B q̇ + C(q, q̇)q̇ − Ṁ q̇.
 
-    The arguments are those of `V`; ds/dt = s'(e) J q̇, shape (m,); the true ∂e/∂q for J, which is
-    the task Jacobian where e = x − x_d, and Ĵ, shape (m, n_v); d/dt Ĵ⁺, shape (n_v, m); dM/dt,
-    shape (n_v, n_v); C(q, q̇)q̇, shape (n_v,); and B, the diagonal of all viscous damping, natural
-    and added, shape (n_v,).
+    The arguments are those of `V` and: s(e) with ds/dt = s'(e) J q̇, shape (m,); the true ∂e/∂q for
+    J, which is the task Jacobian where e = x − x_d, and Ĵ, shape (m, n_v); Ĵ⁺ with d/dt Ĵ⁺, shape
+    (n_v, m); M with dM/dt, shape (n_v, n_v), and C(q, q̇)q̇, shape (n_v,); and B, the diagonal of
+    all viscous damping, natural and added, shape (n_v,).
 
     Returns:
         W [W].
     """
+    (s, s_dot), (J_hat_pinv, J_hat_pinv_dot), (M, M_dot, coriolis) = saturated, pinv, inertia
     Jhv = J_hat @ v
     delta_v = J @ v - Jhv
     Mv = M @ v

@@ -184,24 +184,15 @@ class _Arm:
         own = np.median(np.diagonal(self.postures.M, axis1=1, axis2=2), axis=0)
         joint_torque = 0.25 * gains.damping**2 / own
         joint_torque = joint_torque * min(1.0, 0.5 * share / largest(np.diag(joint_torque)))
-        return Learning(
-            float(slow) if alpha is None else alpha,
-            0.5 * (L + L.T),
-            task_force,
-            joint_torque,
-            self._largest(),
-            _pinv_weight(gains.damping) if slow * latency.of_position < _QUICK else None,
-        )
-
-    def _largest(self) -> Array:
-        """Return how large each parameter is whose torque alone is what a motor has, RMS."""
-        assert self.Z is not None
-        Y = np.concatenate([self.Z, np.swapaxes(self.postures.J_hat, 1, 2)], axis=2)
-        usual = np.sqrt((Y**2).mean(axis=0))
-        effort = self.robot.effort_limits
+        # of each parameter, the size whose torque alone is what a motor has, RMS
+        usual = np.sqrt((np.concatenate([Z, np.swapaxes(J, 1, 2)], axis=2) ** 2).mean(axis=0))
+        effort, weight = self.robot.effort_limits, None
         with np.errstate(divide="ignore"):
-            known = (effort[:, None] / usual).min(axis=0)
-        return np.concatenate([known, effort])
+            most = np.concatenate([(effort[:, None] / usual).min(axis=0), effort])
+        if slow * latency.of_position < _QUICK and (gains.damping > 0.0).all():
+            weight = gains.damping / np.exp(np.log(gains.damping).mean())  # so Ĵ keeps its size
+        alpha = float(slow) if alpha is None else alpha
+        return Learning(alpha, 0.5 * (L + L.T), task_force, joint_torque, most, weight)
 
     def cases(self, gains: Diagonals, learning: Learning | None) -> law.LinearLaw:
         """Return the linearised loop at some postures, of arms that differ from the believed."""
@@ -387,10 +378,3 @@ def _rates(
     step = math.floor(math.log(first / _RATES[-1]) / math.log(_SLOWER)) + 1
     slower = [_RATES[-1] * _SLOWER**k for k in range(step, step + _STEPS)]
     return [first, *slower], of_rate, why
-
-
-def _pinv_weight(damping: Array) -> Array | None:
-    """Return B_c over its geometric mean (n_v,), so that Ĵ keeps its size; None without damping."""
-    if not (damping > 0.0).all():
-        return None
-    return np.asarray(damping / np.exp(np.log(damping).mean()))

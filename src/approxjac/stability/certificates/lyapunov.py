@@ -107,5 +107,6 @@ def lyapunov(
         V += law.parameter_potential(theta - controller.learnt(state), learning.L)
     s_dot = controller.saturation.ds(e) * (J_e @ v)
     M_dot, C, B = dynamics.M_dot(q, v), dynamics.coriolis(q, v), plant.friction + damping
-    W = law.W(v, s, s_dot, J_e, J_hat, J_hat_pinv, J_hat_pinv_dot, M, M_dot, C, B, kp, kv, alpha)
+    pinv, inertia = (J_hat_pinv, J_hat_pinv_dot), (M, M_dot, C)
+    W = law.W(v, (s, s_dot), J_e, J_hat, pinv, inertia, B, kp, kv, alpha)
     return LyapunovValue(V, W)
