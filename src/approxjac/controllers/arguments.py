@@ -117,7 +117,7 @@ def time_of_x(t_x: Any) -> float | None:
     return as_number("t_x of a measurement", t_x, unit="s")
 
 
-def told_ahead(t: float, t_x: float | None, most: float) -> str:
+def from_another_clock(t: float, t_x: float | None, most: float) -> str:
     """Return in words that x was taken more than `most` [s] after t, as by another clock, or ""."""
     if t_x is None or not t_x - t > most:
         return ""

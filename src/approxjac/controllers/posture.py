@@ -97,21 +97,13 @@ class AwayFromStops:
         """
         robot = task.robot
         _require_redundant(self, task)
-        push = self._push(task, gains, rate)
-        if robot.nq == robot.nv:
-            return push
-        neutral = robot.neutral()
-        return lambda q: push(motion_between(robot, neutral, q))
-
-    def _push(self, task: Task, gains: Diagonals, rate: float) -> Torque:
-        """Return the same function of how far joints are from the neutral q, shape (n_v,)."""
-        lower, upper = task.robot.position_limits
+        lower, upper = robot.position_limits
         width = np.minimum(self.share * (upper - lower), _WIDEST)
         lower, upper, stiffness = lower + width, upper - width, rate * gains.damping
+        stops, neutral = np.isfinite(width), None if robot.nq == robot.nv else robot.neutral()
 
-        stops = np.isfinite(width)
-
-        def torque(motion: Array) -> Array:
+        def torque(q: Array) -> Array:
+            motion = q if neutral is None else motion_between(robot, neutral, q)
             beyond = np.minimum(np.maximum(motion, lower), upper) - motion
             return np.where(stops, stiffness * beyond, 0.0)
 

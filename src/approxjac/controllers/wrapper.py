@@ -59,19 +59,12 @@ class ControllerWrapper(Immutable, Controller):
         return [*self.controller.describe(), self._what or f"within {type(self).__name__}"]
 
     def learnt(self, state: Array) -> Array:
-        """Return what the controller inside has learnt, shape (…, p)."""
         return self.controller.learnt(state)
 
     def with_task(self, task: Task) -> Self:
-        """Return this around the controller with another task, such as of another believed robot.
-
-        Args:
-            task: A task with the same coordinates, of a robot with the same joints.
-        """
         return self._rebuilt(controller=self.controller.with_task(task))
 
     def with_limits(self, limits: Limits) -> Self:
-        """Return this around the controller with other limits than those that it keeps."""
         return self._rebuilt(controller=self.controller.with_limits(limits))
 
     def with_limiter(self, motors: Array) -> Controller:
@@ -87,34 +80,26 @@ class ControllerWrapper(Immutable, Controller):
         )
 
     def describe_learnt(self, state: Array) -> str:
-        """Return in words what the controller inside has learnt beside kinematics."""
         return self.controller.describe_learnt(self._split(state)[0])
 
     def learnt_sd(self, state: Array) -> Array:
-        """Return the standard deviations of what the controller inside has learnt, shape (p,)."""
         return self.controller.learnt_sd(self._split(state)[0])
 
     def lyapunov(self, at: Instant) -> float:
-        """Return V of the controller inside [J]."""
         return self.controller.lyapunov(at._replace(state=self._split(at.state)[0]))
 
     def task_torque(self, at: Instant) -> Array:
-        """Return the part of the inner controller's torque that acts on the task, (n_v,)."""
         return self.controller.task_torque(at._replace(state=self._split(at.state)[0]))
 
     def resumed(self, state: Array, measurement: Measurement) -> Array:
-        """Return a state before a first step that knows what another state has learnt."""
-        inner, _ = self._split(as_vector("state", state, len(self.initial_state(measurement))))
-        return self._begun(self.controller.resumed(inner, measurement), measurement)
+        fresh = self.initial_state(measurement)
+        inner = self.controller.resumed(
+            self._split(as_vector("state", state, len(fresh)))[0], measurement
+        )
+        return np.concatenate([inner, fresh[len(inner) :]])
 
     def kinematics_of(self, state: Array) -> tuple[Kinematics, Array]:
-        """Return the kinematics that the controller inside learns, and their part of a state."""
         return self.controller.kinematics_of(self._split(state)[0])
-
-    def _begun(self, state: Array, measurement: Measurement) -> Array:
-        """Return a first state of the controller inside with the memory before the first step."""
-        fresh = self.initial_state(measurement)
-        return np.concatenate([state, fresh[len(state) :]])
 
     @staticmethod
     def _require_measured(controller: Controller) -> None:

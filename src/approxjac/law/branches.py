@@ -22,12 +22,8 @@ Values = TypeVar("Values", bound=tuple[Any, ...])
 def select(condition: Any, a: Any, b: Any) -> Any:
     """Return a where a condition holds, b elsewhere: numbers, or arrays of the same shape.
 
-    Both are computed already, which `choose` is for where they cost something.
-
-    Args:
-        condition: A truth value of Python or NumPy, or one that is not known yet.
-        a: What is returned where it holds.
-        b: What is returned elsewhere.
+    Both are computed already, which `choose` is for where they cost something. The condition is a
+    truth value of Python or NumPy, or one that is not known yet.
     """
     if condition is True:
         return a
@@ -68,11 +64,11 @@ def leave(condition: Any) -> None:
 
 def array(values: Any) -> Any:
     """Return numbers, some of which may not be known yet, as an array."""
-    found = values if isinstance(values, np.ndarray) else np.array(values)
-    if not found.dtype.hasobject:
-        return found
-    unknown = next((each for each in found.flat if hasattr(each, "array")), None)
-    return found if unknown is None else unknown.array(found)
+    numbers = values if isinstance(values, np.ndarray) else np.array(values)
+    if not numbers.dtype.hasobject:
+        return numbers
+    unknown = next((each for each in numbers.flat if hasattr(each, "array")), None)
+    return numbers if unknown is None else unknown.array(numbers)
 
 
 def any_of(conditions: Any) -> Any:
@@ -108,12 +104,7 @@ def alter(condition: Any, values: Array, change: Callable[[Array], None]) -> Non
 def choose(condition: Any, then: Callable[[], Values], otherwise: Callable[[], Values]) -> Values:
     """Return then() where a condition holds, otherwise() elsewhere.
 
-    Both return tuples of as many numbers and arrays, of the same shapes.
-
-    Args:
-        condition: A truth value of Python or NumPy, or one that is not known yet.
-        then: What is computed where it holds; mostly it does not.
-        otherwise: What is computed elsewhere.
+    Both return tuples of as many numbers and arrays, of the same shapes. Mostly it does not hold.
     """
     if isinstance(condition, bool | np.bool_):
         return then() if condition else otherwise()
@@ -127,10 +118,7 @@ def repeat(count: int, body: Callable[[Any, Values], Values], start: Values) -> 
     Where numbers are not known yet, it is a loop of the code that is made, and `body` is called
     once, with an i that is not known either: an array is asked for its entry i by `take`.
 
-    Args:
-        count: How often.
-        body: Of i, from 0, and the values before; returns the values after, of the same shapes.
-        start: Numbers and arrays.
+    The values are numbers and arrays, whose shapes stay; i counts from 0.
     """
     if any(hasattr(value, "looped") for value in start):
         return collect(count, lambda i, values: (body(i, values), ()), start)[0]
@@ -143,13 +131,9 @@ def repeat(count: int, body: Callable[[Any, Values], Values], start: Values) -> 
 def collect(
     count: int, body: Callable[[Any, Values], tuple[Values, tuple[Any, ...]]], start: Values
 ) -> tuple[Values, tuple[Array, ...]]:
-    """Return what `repeat` does, and what each pass collects, stacked.
+    """Return what `repeat` does, and what each pass collects, stacked; count is at least 1.
 
-    Args:
-        count: How often, ≥ 1.
-        body: Of i, from 0, and the values before; returns the values after, of the same shapes, and
-            a tuple of what is collected, of the same shapes in each pass.
-        start: Numbers and arrays.
+    `body` returns the values after, and a tuple of what is collected, of the same shapes each pass.
     """
     for value in start:
         looped = getattr(value, "looped", None)

@@ -63,26 +63,6 @@ class SetpointTerms(NamedTuple):
     v_d: Array | None = None
 
 
-class SetpointStep(NamedTuple):
-    """Answer of a set-point law.
-
-    Attributes:
-        torque: τ, shape (n_v,).
-        g: Gravity torque in it, shape (n_v,).
-        is_singular: Whether Ĵ is near singular.
-        v: q̇, less Ĵ⁺ẋ_d of a target that moves, shape (n_v,).
-        pinv_s: Ĵ⁺s(e), shape (n_v,), where something is learnt.
-        reference: Ĵ⁺ẋ_d of a target that moves, shape (n_v,).
-    """
-
-    torque: Array
-    g: Array
-    is_singular: Any
-    v: Array
-    pinv_s: Array | None
-    reference: Array | None
-
-
 def setpoint_step(
     kp: Array,
     kv: Array,
@@ -91,7 +71,7 @@ def setpoint_step(
     v: Array,
     theta_hat: Array,
     singularity: Singularity,
-) -> SetpointStep:
+) -> tuple[Array, Array, Any, Array, Array | None, Array | None]:
     """Return what the laws (5), (6) and (28) answer, with a posture and on a path.
 
     Args:
@@ -102,6 +82,10 @@ def setpoint_step(
         v: q̇, shape (n_v,).
         theta_hat: θ̂, shape (P,).
         singularity: What counts as near singular.
+
+    Returns:
+        τ; the gravity torque in it; whether Ĵ is near singular; q̇, less Ĵ⁺ẋ_d of a target that
+        moves; Ĵ⁺s(e) where something is learnt; that Ĵ⁺ẋ_d. Each of shape (n_v,).
     """
     J_hat, s, g, Y, pull, x_dot, v_d = terms
     ratio, scale, _ = singularity
@@ -123,7 +107,7 @@ def setpoint_step(
         torque = estimated_velocity_torque(J_hat, kp, kv, s, v, damping, bias)
     else:
         torque = measured_velocity_torque(J_hat, kp, kv, s, relative, v, damping, bias)
-    return SetpointStep(torque, g, is_singular, v, pinv_s, reference)
+    return torque, g, is_singular, v, pinv_s, reference
 
 
 def damped_pinv(J_hat: Array, s: Array, singularity: Singularity) -> tuple[Array, Any]:

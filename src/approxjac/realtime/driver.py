@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.controllers import Limits
-from approxjac.controllers.arguments import told_ahead
+from approxjac.controllers.arguments import from_another_clock
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement
 from approxjac.tasks import Task
@@ -79,4 +79,4 @@ def read(driver: Driver, task: Task) -> Measurement:
 
 def two_clocks(measurement: Measurement, dt: float) -> str:
     """Return in words that x was taken after t, which no one clock can tell, or ""."""
-    return told_ahead(measurement.t, measurement.t_x, dt + _AHEAD)
+    return from_another_clock(measurement.t, measurement.t_x, dt + _AHEAD)

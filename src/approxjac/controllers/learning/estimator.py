@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from approxjac import law
-from approxjac.controllers.arguments import LONGEST_DELAY, time_of_x, told_ahead
+from approxjac.controllers.arguments import LONGEST_DELAY, from_another_clock, time_of_x
 from approxjac.controllers.learning.kinematic_report import (
     KinematicReport,
     LearntNumber,
@@ -385,7 +385,7 @@ class Estimator(Kinematics):
         t, t_x = _time(measurement), time_of_x(measurement.t_x)
         if t_x is not None and t_x > t:
             ahead = self._frames.by_own_clock(state[self._at["frames"]].copy(), measurement, dt).t
-            if message := told_ahead(ahead, t_x, _OTHER):
+            if message := from_another_clock(ahead, t_x, _OTHER):
                 raise InvalidInputError(
                     f"t_x must be by the clock of t: {message}", given=measurement
                 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ _STILL = 1e-9  # speed that has no direction [m/s]
 _CLEAR = 1e-3  # that is kept from a wall besides its margin, for what periods are off [m]
 
 
+@dataclass(eq=False, repr=False)
 class LimitTerms:
     """What a limit makes its rows of, at one step: the believed arm as it is and moves.
 
@@ -27,30 +29,21 @@ class LimitTerms:
         robot: The believed robot.
         q: Configuration, shape (nq,).
         v: Joint velocity q̇, shape (n_v,).
+        frames: Gives kinematics by the name of their frame.
         approach: κ, the share of a distance to a limit that may be gone in a second [1/s].
         braking: r, the rate at which speeds are led to their bounds [1/s].
         deceleration: How fast motors surely brake each joint alone, shape (n_v,), finite.
         jerk: How fast accelerations of joints change, shape (n_v,); None is without end.
-
-    Args:
-        frames: Gives kinematics by the name of their frame.
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        q: Array,
-        v: Array,
-        frames: Callable[[str], FrameKinematics],
-        approach: float,
-        braking: float,
-        deceleration: Array,
-        jerk: Array | None = None,
-    ) -> None:
-        self.robot, self.q, self.v = robot, q, v
-        self.approach, self.braking = approach, braking
-        self.deceleration, self.jerk = deceleration, jerk
-        self._frames = frames
+    robot: Robot
+    q: Array
+    v: Array
+    frames: Callable[[str], FrameKinematics]
+    approach: float
+    braking: float
+    deceleration: Array
+    jerk: Array | None = None
 
     def position(self, frame: str | None = None) -> Array:
         """Return the position of a frame in the world, shape (3,) [m]; None is the tip."""
@@ -105,7 +98,7 @@ class LimitTerms:
         return None if self.jerk is None else np.abs(J).dot(self.jerk)
 
     def _of(self, frame: str | None) -> FrameKinematics:
-        return self._frames(self.robot.tip_or(None) if frame is None else frame)
+        return self.frames(self.robot.tip_or(None) if frame is None else frame)
 
 
 class Limit(ABC):
