@@ -8,7 +8,7 @@ from approxjac.codegen.backends.numpy_source import numpy_function
 from approxjac.codegen.trace.program import Program
 from approxjac.codegen.trace.symbols import inputs
 from approxjac.robots import Dynamics
-from approxjac.tasks.frame_kinematics import FrameKinematics
+from approxjac.tasks.frame_tasks import FrameKinematics
 
 
 def traced(robots, frames, regressor=None):

@@ -19,7 +19,7 @@ from approxjac.codegen.trace.program import Program
 from approxjac.codegen.trace.symbols import inputs
 from approxjac.controllers import KnownKinematics, ModelDynamics
 from approxjac.robots import KinematicRegressor
-from approxjac.robots.torque_regressors import DynamicsRegressor
+from approxjac.robots.dynamics import DynamicsRegressor
 from approxjac.tasks import PoseTask, TrackerTask
 
 DT = 1e-3

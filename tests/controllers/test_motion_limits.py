@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import approxjac as aj
 from approxjac.controllers import CartesianSpeed, Limit, LimitTerms, Wall
 from approxjac.robots import Dynamics
-from approxjac.tasks.frame_kinematics import FrameKinematics
+from approxjac.tasks.frame_tasks import FrameKinematics
 
 TOOL = 0.06  # that the belief lacks [m]
 STARTS = {

@@ -23,7 +23,7 @@ from approxjac.controllers.adaptive_dynamics import (
     usual_motions,
 )
 from approxjac.robots import Dynamics, Robot
-from approxjac.robots.torque_regressors import DynamicsRegressor
+from approxjac.robots.dynamics import DynamicsRegressor
 from approxjac.simulation import VelocityServo
 from approxjac.tasks import CombinedTask, NonsingularTask
 

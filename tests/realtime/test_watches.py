@@ -12,7 +12,7 @@ from pinocchio import exp3
 import approxjac as aj
 from approxjac.realtime import Accuracy, Fault
 from approxjac.realtime.watches import FaultWatch, SensorWatch
-from approxjac.tasks.frame_kinematics import FrameKinematics
+from approxjac.tasks.frame_tasks import FrameKinematics
 
 DT = 1e-3
 PANDA = aj.load_robot("panda")

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 import approxjac as aj
 from approxjac.robots import Dynamics
-from approxjac.robots.torque_regressors import COULOMB_SPEED, DynamicsRegressor
+from approxjac.robots.dynamics import COULOMB_SPEED, DynamicsRegressor
 
 
 @pytest.fixture(params=among("two_link", "panda", "kinova", "tiago_arm"))

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 import approxjac as aj
 from approxjac.robots import KinematicRegressor
-from approxjac.tasks.frame_kinematics import FrameKinematics, PointKinematics
+from approxjac.tasks.frame_tasks import FrameKinematics, PointKinematics
 
 INERTIA = '<inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/>'
 LINK = f'<link name="{{0}}"><inertial><mass value="1"/>{INERTIA}</inertial></link>'

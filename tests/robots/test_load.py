@@ -13,7 +13,7 @@ from approxjac.errors import MissingPackageError, UnknownNameError, UrdfError
 from approxjac.robots import Dynamics, robot_names
 from approxjac.robots.load import NAMED, urdf_path
 from approxjac.robots.meshes import share_dir
-from approxjac.tasks.frame_kinematics import FrameKinematics
+from approxjac.tasks.frame_tasks import FrameKinematics
 
 # whose links are all alike
 pytestmark = pytest.mark.filterwarnings("ignore::approxjac.errors.ImplausibleRobotWarning")

@@ -14,7 +14,7 @@ from approxjac.stability.loop.local import local_test
 from approxjac.stability.loop.samples import TracedTerms, terms_alone
 from approxjac.tasks import CombinedTask, NonsingularTask, PoseTrackerTask, TrackerTask
 from approxjac.tasks.analysis import jacobian_gradient
-from approxjac.tasks.frame_kinematics import FrameKinematics
+from approxjac.tasks.frame_tasks import FrameKinematics
 
 Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.0])
 CAMERA = aj.PinholeCamera.looking_at((0.4, 0.0, 0.4), (2.0, -1.0, 1.0), 600.0, (640, 480))

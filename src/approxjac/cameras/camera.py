@@ -1,17 +1,40 @@
-"""`Camera`, and the paper's planar one."""
+"""`Camera`: the paper's planar one, and the one with perspective in OpenCV's conventions."""
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import NoneType
 from typing import Any, Self
 
 import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
 
+from approxjac import law
+from approxjac.cameras.calibration import (
+    as_rotation,
+    opencv_parameters,
+    read_calibration,
+    view_axes,
+)
+from approxjac.cameras.lenses import Distortion, Fisheye, Lens, shortened
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.formatting import short_fields
-from approxjac.validation import Array, Saved, as_array, as_number, plane_rows, shape_of
+from approxjac.law.products import length
+from approxjac.validation import (
+    Array,
+    Saved,
+    as_array,
+    as_number,
+    is_scalar,
+    plane_rows,
+    require,
+    shape_of,
+)
 
 
 class Camera(Saved, ABC):
@@ -142,3 +165,379 @@ class PlanarCamera(Camera):
     def recalibrated(self, values: Mapping[str, float]) -> PlanarCamera:
         super().recalibrated(values)
         return replace(self, **values)  # type: ignore[arg-type]  # none of them is a text
+
+
+_UPRIGHT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+_ON_AN_EDGE = 17  # points of each edge of the image
+_NOWHERE = np.full(2, np.nan)
+_WITHIN = 0.999  # of a round image, in which a ray is surely shown
+
+
+@dataclass(frozen=True, repr=False)
+class PinholeCamera(Camera):
+    """A camera with perspective: u = f_x x″ + c_x, v = f_y y″ + c_y, in pixels.
+
+    (x″, y″) is the ray (X/Z, Y/Z) through a point (X, Y, Z) in the camera's own axes, bent by its
+    lens: OpenCV's pinhole model with all its coefficients, or its fisheye model. All as in OpenCV:
+    the camera's x axis points right in the image, y down, z along the view; (0, 0) is the middle of
+    the upper left pixel. `from_opencv` and `from_file` take a calibration as it is.
+
+    Rays beyond where the lens's polynomial folds back, or beyond 85° of a fisheye lens, have no
+    image (NaN), and pixels that no ray is shown at are not seen. For a Jacobian a point outside is
+    taken at the nearest ray within the image and at a depth of at least `near`: a believed camera
+    may have it there, or behind it, while the true one sees it.
+
+    Attributes:
+        focal_length: f_x = f_y, or (f_x, f_y), > 0 [px].
+        size: Width and height of the image [px].
+        position: Of the camera's centre, shape (3,) [m].
+        rotation: Its axes (right, down, forward) as columns, shape (3, 3).
+        center: (c_x, c_y), where the optical axis meets the image; its middle by default [px].
+        distortion: (k₁, k₂, k₃), or fewer of them; or OpenCV's 4, 5, 8, 12 or 14 coefficients (k₁,
+            k₂, p₁, p₂, k₃, k₄, k₅, k₆, s₁, s₂, s₃, s₄, τ_x, τ_y); of a fisheye lens (k₁, k₂, k₃,
+            k₄), or none.
+        fisheye: The lens is OpenCV's fisheye lens ("equidistant" in ROS).
+        mount: Frame of the robot that position and rotation are given in and that the camera
+            moves with; None is the world.
+        near: Smallest depth Z at which anything is seen, > 0 [m].
+
+    Raises:
+        InvalidInputError: Numbers out of range or of the wrong shape, a rotation that is none, or
+            a distortion with which the image folds back within its size.
+    """
+
+    focal_length: float | Sequence[float]
+    size: Sequence[int]
+    position: Sequence[float] | Array = (0.0, 0.0, 0.0)
+    rotation: Sequence[Sequence[float]] | Array = _UPRIGHT
+    center: Sequence[float] | None = None
+    distortion: Sequence[float] = ()
+    mount: str | None = None
+    near: float = 0.05
+    fisheye: bool = False
+    labels = ("u", "v")
+    unit = "px"
+    _kind = "PinholeCamera"
+    _f: Array = field(init=False, compare=False)
+    _c: Array = field(init=False, compare=False)
+    _R: Array = field(init=False, compare=False)
+    _p: Array = field(init=False, compare=False)
+    _R_t: Array = field(init=False, compare=False)  # in the order that a step needs
+    _edges: list[tuple[float, float]] = field(init=False, compare=False)  # of rays
+    _sees_all: bool = field(init=False, compare=False)  # each pixel has a ray
+    _lens: Lens = field(init=False, compare=False)
+
+    def __post_init__(self) -> None:
+        focal = (self.focal_length,) * 2 if is_scalar(self.focal_length) else self.focal_length
+        f = as_array("focal_length", focal, (2,), "px")
+        if not (f > 0.0).all():
+            raise InvalidInputError(
+                f"focal_length must be > 0 [px], got {self.focal_length!r}", given=self.focal_length
+            )
+        size = as_array("size", self.size, (2,), "px")
+        if not (size >= 1.0).all() or (size != np.round(size)).any():
+            raise InvalidInputError(
+                f"size must be the width and height of the image, whole numbers >= 1 [px], "
+                f"got {self.size!r}",
+                given=self.size,
+            )
+        middle = 0.5 * (size - 1.0)
+        c = middle if self.center is None else as_array("center", self.center, (2,), "px")
+        p = as_array("position", self.position, (3,), "m")
+        R = as_rotation(self.rotation)
+        k: tuple[float, ...] = ()
+        if shape_of(self.distortion) != (0,):
+            k = tuple(as_array("distortion", self.distortion, ("k",)).tolist())
+        require("fisheye", self.fisheye, bool, "True or False")
+        lens = Fisheye(k) if self.fisheye else Distortion(k)
+        as_number("near", self.near, unit="m", above=0.0)
+        require("mount", self.mount, (str, NoneType), "the name of a frame, or None for the world")
+        own = vars(self)  # frozen once it is built
+        own.update(focal_length=tuple(f.tolist()), size=(int(size[0]), int(size[1])))
+        own.update(position=tuple(p.tolist()), rotation=tuple(map(tuple, R.tolist())))
+        own.update(center=tuple(c.tolist()), distortion=k)
+        own.update(_f=f, _c=c, _p=p, _R=R, _R_t=R.T.copy(), _lens=lens)
+        rays = np.array([lens.ray(x) for x in (self._border() - c) / f])
+        own["_sees_all"] = bool(np.isfinite(rays).all())
+        if not self._sees_all:
+            self._require_fisheye(np.isnan(rays).any(axis=1))
+            rays = np.array([self.ray(self.nearest(x)) for x in self._border()])
+        own["_edges"] = list(zip(rays.min(axis=0).tolist(), rays.max(axis=0).tolist(), strict=True))
+
+    @classmethod
+    def looking_at(
+        cls,
+        target: Sequence[float] | Array,
+        position: Sequence[float] | Array,
+        focal_length: float | Sequence[float],
+        size: Sequence[int],
+        *,
+        up: Sequence[float] | Array = (0.0, 0.0, 1.0),
+        **options: Any,
+    ) -> PinholeCamera:
+        """Return a camera whose optical axis goes through a point, as `standing_at` puts it.
+
+        Args:
+            target: The point, shape (3,) [m].
+            position: Of the camera, shape (3,) [m].
+            focal_length: f_x = f_y, or (f_x, f_y) [px].
+            size: Width and height of the image [px].
+            up: Direction that is up in the image, shape (3,).
+            **options: Center, distortion, fisheye, mount and near, as for `PinholeCamera`.
+        """
+        return cls(focal_length, size, **options).standing_at(position, looking_at=target, up=up)
+
+    @classmethod
+    def from_opencv(
+        cls,
+        K: Any,
+        distortion: Any,
+        size: Sequence[int],
+        *,
+        rvec: Any = None,
+        tvec: Any = None,
+        camera_pose: Any = None,
+        fisheye: bool = False,
+        **options: Any,
+    ) -> PinholeCamera:
+        """Return the camera of a calibration by OpenCV.
+
+        Its pose in what it is fixed to, the world or the `mount` that carries it, is given by rvec
+        and tvec or by camera_pose; by default it is in that frame's origin and axes.
+
+        Args:
+            K: Camera matrix, shape (3, 3), without skew [px].
+            distortion: OpenCV's coefficients in any shape: 4, 5, 8, 12 or 14 of them, or none; of a
+                fisheye lens 4, or none.
+            size: Width and height of the image [px].
+            rvec: With tvec, to the camera: r_camera = Rodrigues(rvec) r + tvec, as `cv2.solvePnP`
+                returns for a board with points r in that frame; 3 numbers [rad].
+            tvec: 3 numbers [m].
+            camera_pose: From the camera, r = R r_camera + p, shape (4, 4) [m], as
+                `cv2.calibrateHandEye` returns as R_cam2gripper and t_cam2gripper.
+            fisheye: The coefficients are those of `cv2.fisheye`.
+            **options: Mount and near, as for `PinholeCamera`.
+        """
+        given = opencv_parameters(K, distortion, rvec, tvec, camera_pose)
+        return cls(size=size, fisheye=fisheye, **given, **options)
+
+    @classmethod
+    def from_file(
+        cls,
+        path: str | Path,
+        *,
+        size: Sequence[int] | None = None,
+        fisheye: bool | None = None,
+        **where: Any,
+    ) -> PinholeCamera:
+        """Return the camera of a YAML file of OpenCV's FileStorage, or of ROS's camera_info.
+
+        It has a camera_matrix (or K), distortion_coefficients (or D), the width and height of the
+        image, and may name its model: ROS's distortion_model (plumb_bob, rational_polynomial,
+        equidistant), or fisheye_model of OpenCV's sample program.
+
+        Args:
+            path: Of the file, at most 0.5 MB.
+            size: Width and height of the image [px]; by default those of the file.
+            fisheye: The lens is a fisheye one; by default as the file says, and else it is not.
+            **where: Rvec, tvec, camera_pose, mount and near, as for `from_opencv`.
+        """
+        calibration = read_calibration(path, size, fisheye)
+        return cls.from_opencv(*calibration[:3], fisheye=calibration.fisheye, **where)
+
+    def standing_at(
+        self,
+        position: Sequence[float] | Array,
+        looking_at: Sequence[float] | Array,
+        *,
+        up: Sequence[float] | Array = (0.0, 0.0, 1.0),
+    ) -> PinholeCamera:
+        """Return this camera elsewhere, with its optical axis through a point.
+
+        Args:
+            position: Of the camera, shape (3,) [m].
+            looking_at: The point, shape (3,) [m], not straight up or down.
+            up: Direction that is up in the image, shape (3,).
+        """
+        return replace(self, position=position, rotation=view_axes(position, looking_at, up))
+
+    def placement(self) -> tuple[Array, Array]:
+        """Return rotation (3, 3) and position (3,) [m] in the frame that it is fixed to."""
+        return self._R.copy(), self._p.copy()
+
+    def in_camera(self, r: Array) -> Array:
+        """Return a point r (3,) in the camera's own axes, (3,); its third entry is the depth Z."""
+        return np.asanyarray(self._R_t @ (r - self._p))
+
+    def project(self, r: Array) -> Array:
+        """Return the image (2,) [px] of a point at r (3,), also beyond the edges of the image.
+
+        NaN for a point behind the camera or nearer than `near`, and where the lens folds back.
+        """
+        if shape_of(r) != (3,):
+            as_array("the point r", r, (3,), "m")
+        X, Y, Z = self.in_camera(r).tolist()
+        is_seen = (self.near <= Z) & (math.inf > Z)
+        if is_seen is False:
+            return _NOWHERE.copy()
+        x, y = X / Z, Y / Z
+        if self._lens.largest_radius < math.inf:
+            is_seen = is_seen & (x * x + y * y < self._lens.largest_radius**2)
+        image = self.shown(law.array([x, y]))
+        return np.asanyarray(law.select(is_seen, image, _NOWHERE.copy()))
+
+    def shown(self, p: Array) -> Array:
+        """Return the image (2,) [px] of a ray (X/Z, Y/Z); shape (2,)."""
+        return np.asanyarray(self._f * self._lens.distorted(p) + self._c)
+
+    def seen(self, x: Array) -> Array:
+        (u, v), (width, height) = x.tolist(), self.size
+        inside = (u >= -0.5) & (u <= width - 0.5) & (v >= -0.5) & (v <= height - 0.5)
+        if not self._sees_all:
+            assert isinstance(self._lens, Fisheye)  # which alone may show a round image
+            w = (x - self._c) / self._f
+            inside = inside & (length(w) <= self._lens.shown_radius)
+        return np.asanyarray(law.select(inside, x, _NOWHERE.copy()))
+
+    def nearest(self, x: Array) -> Array:
+        """Return the image coordinates that can be seen and are nearest to x (2,); (2,)."""
+        (u, v), (width, height) = x.tolist(), self.size
+        inside = law.array([_between(u, -0.5, width - 0.5), _between(v, -0.5, height - 0.5)])
+        if self._sees_all:
+            return np.asanyarray(inside)
+        assert isinstance(self._lens, Fisheye)  # which alone may show a round image
+        w = ((inside - self._c) / self._f).tolist()
+        w = shortened(_WITHIN * self._lens.shown_radius, *w)
+        return np.asanyarray(self._c + self._f * law.array(w))
+
+    def ray(self, x: Array) -> Array:
+        """Return the ray (X/Z, Y/Z) whose image is x (2,) [px], shape (2,); NaN where none is."""
+        return self._lens.ray((x - self._c) / self._f)
+
+    def locate(self, x: Array, depth: float) -> Array:
+        """Return the position (3,) of the point at a depth Z [m] whose image is x (2,) [px]."""
+        X, Y = self.ray(x).tolist()
+        return np.asanyarray(self._R @ law.array([depth * X, depth * Y, depth]) + self._p)
+
+    def interaction(self, r: Array) -> Array:
+        """Return the image Jacobian J_I = ∂X/∂r, shape (2, 3) [px/m].
+
+        With [−I, [r_c]ₓ] behind it, r_c the point and both in the camera's axes, it is the
+        interaction matrix (2, 6) of the camera's own velocity in the literature.
+        """
+        x, y, Z = self._within(self.in_camera(r))
+        a, b, c, d = self._lens.slopes(x, y)
+        f_u, f_v = (self._f / Z).tolist()
+        J = law.array([
+            [f_u * a, f_u * b, -f_u * (a * x + b * y)],
+            [f_v * c, f_v * d, -f_v * (c * x + d * y)],
+        ])  # fmt: skip  # in the camera's own axes
+        return np.asanyarray(J @ self._R_t)
+
+    def _within(self, own: Array) -> tuple[float, float, float]:
+        """Return ray (x, y) and depth of a point in the camera's axes, moved into its view."""
+        X, Y, Z = own.tolist()
+        Z = law.select(self.near < Z, Z, self.near)
+        along, across = self._edges
+        x, y = _between(X / Z, *along), _between(Y / Z, *across)
+        if not self._lens.is_straight:
+            x, y = shortened(self._lens.largest_radius, x, y)
+        return x, y, Z
+
+    def with_error(
+        self,
+        *,
+        shift: Sequence[float] | Array = (0.0, 0.0, 0.0),
+        rotation: Sequence[float] | Array = (0.0, 0.0, 0.0),
+        focal_factor: float = 1.0,
+    ) -> PinholeCamera:
+        """Return this camera moved and with another focal length: of a true one, a wrong belief.
+
+        Args:
+            shift: From here, along this camera's axes (right, down, forward), shape (3,) [m]. A
+                shift of (0, 0, −d) makes all depths larger by d.
+            rotation: Rotation vector in this camera's axes, shape (3,) [rad]; (0, 0, δ) rolls the
+                camera clockwise by δ, as it looks, so that what it sees turns the other way.
+            focal_factor: Of both focal lengths, > 0.
+        """
+        moved = self._R @ as_array("shift", shift, (3,), "m")
+        turned = self._R @ pin.exp3(np.array(as_array("rotation", rotation, (3,), "rad")))
+        factor = as_number("focal_factor", focal_factor, above=0.0)
+        f = tuple((self._f * factor).tolist())
+        return replace(self, focal_length=f, position=self._p + moved, rotation=turned)
+
+    @property
+    def calibration(self) -> Mapping[str, tuple[float, str]]:
+        """f_x [px], the distance that the camera stands back [m], and its roll [rad]."""
+        return {
+            "focal_length": (float(self._f[0]), "px"),
+            "distance": (0.0, "m"),
+            "roll": (0.0, "rad"),
+        }
+
+    @property
+    def numbers(self) -> dict[str, Array]:
+        return {"_f": self._f, "_c": self._c, "_R": self._R, "_p": self._p}
+
+    def with_numbers(self, numbers: Mapping[str, Any]) -> Self:
+        other = super().with_numbers(numbers)
+        vars(other).update(_R_t=other._R.T)
+        return other
+
+    def recalibrated(self, values: Mapping[str, float]) -> PinholeCamera:
+        super().recalibrated(values)
+        back, roll = values.get("distance", 0.0), values.get("roll", 0.0)
+        f = as_number("focal_length", values.get("focal_length", self._f[0]), unit="px", above=0.0)
+        return self.with_error(
+            shift=(0.0, 0.0, -back), rotation=(0.0, 0.0, roll), focal_factor=f / self._f[0]
+        )
+
+    def __repr__(self) -> str:
+        shown = [f"{self.size[0]} x {self.size[1]} px", f"f = {_short(self.focal_length)} px"]
+        shown += [f"position={_short(self.position)}", f"view={_short(self._R[:, 2].tolist())}"]
+        if any(self.distortion):
+            shown.append(f"distortion={_short(self.distortion)}")
+        if self.fisheye:
+            shown.append("fisheye")
+        if self.mount is not None:
+            shown.append(f"mount={self.mount!r}")
+        return f"PinholeCamera({', '.join(shown)})"
+
+    def _border(self) -> Array:
+        """Return points of the edges [px], among them those whose rays reach farthest; (n, 2)."""
+        count = 2 if self._lens.is_straight else _ON_AN_EDGE
+        (left, right), (top, bottom) = ends = [(-0.5, n - 0.5) for n in self.size]
+        along = [
+            np.append(np.linspace(*end, count), np.clip(c, *end))
+            for end, c in zip(ends, self._c, strict=True)
+        ]
+        return np.array(
+            [(u, v) for u in along[0] for v in (top, bottom)]
+            + [(u, v) for u in (left, right) for v in along[1]]
+        )
+
+    def _require_fisheye(self, is_lost: NDArray[np.bool_]) -> None:
+        """Refuse a lens without a ray for each pixel, unless it may show a round image."""
+        if self.fisheye:
+            return
+        lost = self._border()[is_lost]
+        nearest = np.argmin(np.linalg.norm((lost - self._c) / self._f, axis=1))
+        raise InvalidInputError(
+            f"distortion must not fold the image back within its size: no ray is shown at "
+            f"{lost[nearest].tolist()} px, as no ray longer than "
+            f"{self._lens.largest_radius:.3g} is. Calibrate with views that reach into the "
+            f"corners, or with fewer coefficients; got {self.distortion}",
+            given=self.distortion,
+        )
+
+
+def _between(value: float, low: float, high: float) -> float:
+    """Return a number, or the nearest one between two others."""
+    value = law.select(value > low, value, low)
+    within: float = law.select(value < high, value, high)
+    return within
+
+
+def _short(values: Any) -> str:
+    """Return numbers to four digits, in brackets."""
+    return f"({', '.join(f'{value:.4g}' for value in np.ravel(values))})"

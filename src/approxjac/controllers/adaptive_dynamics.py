@@ -14,7 +14,7 @@ import pinocchio as pin
 from approxjac import law
 from approxjac.controllers.gains.sample_configurations import usual_inertias
 from approxjac.robots import Dynamics, Robot
-from approxjac.robots.torque_regressors import DynamicsRegressor
+from approxjac.robots.dynamics import DynamicsRegressor
 from approxjac.robots.traced import arm_of
 from approxjac.validation import Array, Immutable, as_diagonal, as_number, require
 

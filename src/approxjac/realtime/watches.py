@@ -14,7 +14,7 @@ from approxjac.interface import Measurement
 from approxjac.realtime.faults import Accuracy, Fault
 from approxjac.robots import Robot
 from approxjac.tasks import Task
-from approxjac.tasks.frame_kinematics import FrameKinematics
+from approxjac.tasks.frame_tasks import FrameKinematics
 from approxjac.validation import Array
 
 _SIGMAS = 6.0  # beyond which noise is none

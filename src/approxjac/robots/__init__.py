@@ -1,16 +1,16 @@
 """Robots: arms from URDF files, objects attached to them, errors applied to them."""
 
-from approxjac.robots.dynamics import Dynamics
-from approxjac.robots.kinematic_regressor import KinematicRegressor
-from approxjac.robots.load import load_robot, robot_names
-from approxjac.robots.perturbation import Perturbation
-from approxjac.robots.robot import Robot
-from approxjac.robots.torque_regressors import (
+from approxjac.robots.dynamics import (
+    Dynamics,
     DynamicsRegressor,
     Excitation,
     GravityRegressor,
     excitation,
 )
+from approxjac.robots.kinematic_regressor import KinematicRegressor
+from approxjac.robots.load import load_robot, robot_names
+from approxjac.robots.perturbation import Perturbation
+from approxjac.robots.robot import Robot
 
 __all__ = [
     "Dynamics",

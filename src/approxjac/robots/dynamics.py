@@ -1,16 +1,18 @@
-"""M, C and g of a robot, through Pinocchio's CRBA and RNEA."""
+"""M, C and g of a robot, and what moves it as a matrix times its inertial parameters."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
+from approxjac.errors import InvalidInputError
 from approxjac.robots.model import WORLD, mass_matrix, symmetric
 from approxjac.robots.robot import Robot
 from approxjac.robots.traced import arm_of
-from approxjac.validation import Array, as_vector, require
+from approxjac.validation import Array, as_array, as_number, as_vector, axis_rows, require, shape_of
 
 
 class Dynamics:
@@ -124,3 +126,366 @@ class Dynamics:
 
     def _v(self, v: Array, name: str = "v") -> Array:
         return as_vector(name, v, self.robot.nv)
+
+
+COULOMB_SPEED = 0.05
+"""Speed within which Coulomb friction passes from −τ_c to τ_c [rad/s or m/s]."""
+
+_RANK_TOLERANCE = 1e-9
+_HALF = np.array(0.5)  # an array, which NumPy multiplies with in a third of the time of a number
+_OF_A_LINK = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+_OF_A_JOINT = ("rotor", "viscous", "coulomb", "constant")
+
+
+class _TorqueRegressor:
+    """Pinocchio's regressor of a torque, with ten dynamic parameters of each moving link."""
+
+    names: tuple[str, ...]
+
+    def __init__(self, robot: Robot) -> None:
+        require("robot", robot, Robot, "a Robot")
+        self.robot, self._mimic_joints = robot, robot.mimic_joints
+        self._model = robot.mimic_joints.model  # Pinocchio has no regressor with mimic joints
+        self._data = self._model.createData()
+        self._zero = np.zeros(self._model.nv)
+        self._many = self._model.nv > 1  # of one joint Pinocchio's regressor has lost an axis
+        self._movers = list(self._model.names)[1:]
+        inertias = list(self._model.inertias)[1:]
+        self._dynamic = np.concatenate([each.toDynamicParameters() for each in inertias])
+        self._last = len(self._movers) - 1  # the moving link that holds the tip
+        if robot.tip is not None:
+            frame = self._model.getFrameId(robot.tip, pin.FrameType.BODY)
+            self._last = int(self._model.frames[frame].parentJoint or self._last + 1) - 1
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.robot,)  # a copy has scratch memory of its own
+
+    @property
+    def p(self) -> int:
+        """Number of parameters."""
+        return len(self.names)
+
+    def _torques(self, model: pin.Model, q: Array, v: Array, a: Array) -> Array:
+        """Return the columns of links at q (nq,), and velocities and accelerations of all."""
+        q_all = self._mimic_joints.q(q)
+        Y: Array = pin.computeJointTorqueRegressor(model, self._data, q_all, v, a)
+        return self._mimic_joints.rows(Y if self._many else Y[np.newaxis])
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.robot.name!r}: {self.p} parameters)"
+
+
+class LinkMotion:
+    """The columns Y of links in M(q)q̈_r + C(q, q̇)q̇_r + g(q) = Y a, as products with them."""
+
+    def __init__(self, regressor: DynamicsRegressor, q: Array, Y: Array) -> None:
+        self._regressor, self._q, self._Y = regressor, q, Y
+
+    def powers(self, sigma: Array) -> Array:
+        """Return Yᵀσ of σ (n_v,), shape (p,)."""
+        return np.asarray(sigma.dot(self._Y))
+
+    def torque(self, a: Array) -> Array:
+        """Return Y a of parameters (p,), shape (n_v,) [N m or N]."""
+        return np.asarray(self._Y.dot(a))
+
+    def gravity(self, a: Array) -> Array:
+        """Return g(q) of parameters (p,), shape (n_v,) [N m or N]."""
+        return np.asarray(self._regressor.Z(self._q).dot(a))
+
+
+class DynamicsRegressor(_TorqueRegressor):
+    """M(q)q̈_r + C(q, q̇)q̇_r + g(q) + joint torques = Y_d(q, q̇, q̇_r, q̈_r) a.
+
+    Of each moving link a has ten inertial parameters about the joint's frame, as
+    `pin.Inertia.toDynamicParameters` has them: m, the first moments and the inertia. Of each joint
+    it has rotor inertia, viscous friction, Coulomb friction and a constant torque, with columns
+    q̈_r, q̇_r, tanh(q̇_r/v_c) and 1: friction of the *reference* velocity. It never falls with speed,
+    so what the true one has more opposes σ = q̇ − q̇_r.
+
+    C is the Christoffel form, so that Ṁ − 2C is skew-symmetric, by polarisation: C(q, q̇)q̇_r =
+    c(q, ½(q̇ + q̇_r)) − c(q, ½(q̇ − q̇_r)) with c(q, v) = C(q, v)v. All parameters are kept, although
+    they depend on each other: a law that learns them leaves what makes no torque as it was.
+
+    Owns scratch memory: one instance a thread.
+
+    Args:
+        robot: The (believed) robot.
+
+    Attributes:
+        names: Names of the parameters, such as "joint1.mx" [kg m] or "joint1.rotor" [kg m²].
+        units: Their units.
+        a: Their values for `robot` itself, whose joints have none, shape (p,).
+        links: Number of the parameters of links, which come first.
+        last_link: Those of the link that holds the tip.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        super().__init__(robot)
+        self._weightless = pin.Model(self._model)
+        self._weightless.gravity.linear = np.zeros(3)
+        self._one = np.ones(robot.nv)
+        self.links = len(self._dynamic)
+        self.last_link = slice(10 * self._last, 10 * self._last + 10)
+        names = [f"{mover}.{label}" for mover in self._movers for label in _OF_A_LINK]
+        # all of one kind at once, so that its columns are a diagonal
+        names += [f"{joint}.{label}" for label in _OF_A_JOINT for joint in robot.joint_names]
+        self.names = tuple(names)
+        turning = [unit == "rad" for unit in robot.joint_units]
+        of_joints = (("kg m²", "kg"), ("N m s/rad", "N s/m"), ("N m", "N"), ("N m", "N"))
+        self.units = ("kg", *3 * ("kg m",), *6 * ("kg m²",)) * len(self._movers) + tuple(
+            angular if turns else linear for angular, linear in of_joints for turns in turning
+        )
+        self.a = np.concatenate([self._dynamic, np.zeros(len(_OF_A_JOINT) * robot.nv)])
+        self.a.flags.writeable = False
+
+    def Y_d(self, q: Array, v: Array, v_r: Array, a_r: Array) -> Array:
+        """Y_d (n_v, p) of q (nq,), q̇, q̇_r [rad/s or m/s] and q̈_r [rad/s² or m/s²]; not checked."""
+        links, joints = self.parts(q, v, v_r, a_r)
+        return np.concatenate([links, *(np.diag(each) for each in joints)], axis=1)
+
+    def parts(self, q: Array, v: Array, v_r: Array, a_r: Array) -> tuple[Array, Array]:
+        """Return Y_d as its columns of links (n_v, 10 links), and the diagonals of the others.
+
+        The arguments are those of `Y_d`; the diagonals are (4, n_v).
+        """
+        mimic = self._mimic_joints
+        middle, apart = mimic.v(_HALF * (v + v_r)), mimic.v(_HALF * (v - v_r))
+        links = self._torques(self._model, q, middle, mimic.v(a_r))
+        links = links - self._torques(self._weightless, q, apart, self._zero)
+        return links, self.of_joints(v_r, a_r)
+
+    def of_joints(self, v_r: Array, a_r: Array) -> Array:
+        """Return the diagonals of the columns of joints, shape (4, n_v)."""
+        each = a_r, v_r, np.tanh(v_r / COULOMB_SPEED), self._one
+        return np.concatenate(each).reshape(4, -1)
+
+    def motion(self, q: Array, v: Array, v_r: Array, a_r: Array) -> LinkMotion:
+        """Return the links' part of `Y_d`, of the same arguments, as products with it."""
+        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
+            symbolic: LinkMotion = arm.bodies(v, v_r, a_r)
+            return symbolic
+        return LinkMotion(self, q, self.parts(q, v, v_r, a_r)[0])
+
+    def Z(self, q: Array) -> Array:
+        """Gravity's part of the links' columns, Y_d(q, 0, 0, 0), shape (n_v, 10 links)."""
+        return self._torques(self._model, q, self._zero, self._zero)
+
+
+class GravityRegressor(_TorqueRegressor):
+    """g(q) = Z(q) θ with as few parameters as gravity can distinguish.
+
+    Of each moving link they are its mass and three first moments (m c_x, m c_y, m c_z). A column
+    that depends on columns before it, in link order, is left out and its parameter is added to
+    theirs (an outer link's mass acts like a first moment of its parent). The span of Z does not
+    change when the translations of joint origins are wrong, so gravity can be learnt exactly with
+    wrong lengths; wrong axis directions break that.
+
+    Owns scratch memory: one instance a thread.
+
+    Args:
+        robot: The (believed) robot.
+        moments: Axes of the link frames along which centres of mass may lie. "xyz" assumes
+            nothing. "x" is the paper's arm, whose rods lie along x: it gives exactly the
+            paper's θ₁ and θ₂, where "xyz" gives two more that are zero there.
+
+    Attributes:
+        names: Names of the parameters, such as "joint1.mx" [kg m] or "joint1.m" [kg].
+        units: Their units.
+        theta: Their values for `robot` itself, shape (p,).
+        columns: Their places among the ten dynamic parameters of each joint, shape (p,).
+
+    Raises:
+        InvalidInputError: No or doubled axes, centres of mass of `robot` that `moments` does not
+            cover, or gravity exerts no torque on this robot.
+        UnknownNameError: An axis that is not x, y or z.
+    """
+
+    def __init__(self, robot: Robot, moments: str = "xyz") -> None:
+        super().__init__(robot)
+        self._moments = moments
+        axes = axis_rows("moments", moments)
+        # of each link's ten dynamic parameters, the first four are m, m c_x, m c_y, m c_z
+        offsets = [0, *(1 + axis for axis in sorted(axes))]
+        candidates = np.array([10 * i + k for i in range(self._model.nv) for k in offsets])
+        rng = np.random.default_rng(0)
+        stacked = np.vstack([self._full(q)[:, candidates] for q in anywhere(robot, rng)])
+        kept, grouping = independent_columns(stacked)
+        if not kept:
+            raise InvalidInputError(
+                f"gravity exerts no torque on {robot.name}: there is nothing to learn "
+                f"(gravity is {robot.gravity.tolist()} m/s^2)",
+                given=robot,
+            )
+        self.columns = candidates[kept]
+        self._held = grouping[:, candidates // 10 == self._last]
+        self._usual = np.sqrt(np.mean(stacked[:, kept] ** 2, axis=0))
+        self.names = tuple(f"{self._movers[c // 10]}.{_OF_A_LINK[c % 10]}" for c in self.columns)
+        self.units = tuple("kg m" if c % 10 else "kg" for c in self.columns)
+        self.theta = grouping @ self._dynamic[candidates]
+        self.theta.flags.writeable = False
+        error = self._error(robot, self.theta, rng)
+        if error > 1e-9:
+            raise InvalidInputError(
+                f"moments must cover the centres of mass of {robot.name}, got {moments!r}: gravity "
+                f"would be wrong by {100 * error:.2g} %; 'xyz' covers every robot",
+                given=moments,
+            )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.robot, self._moments)  # a copy has scratch memory of its own
+
+    def Z(self, q: Array) -> Array:
+        """Gravity regressor Z(q), shape (n_v, p) [m²/s² for first moments, with g inside]."""
+        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
+            return np.asanyarray(arm.Z(self))
+        return self._full(self.robot.configuration(q)).take(self.columns, 1)
+
+    def fit(self, robot: Robot, *, seed: int = 0) -> tuple[Array, float]:
+        """Return the θ with which this Z(q) reproduces the gravity of a robot with these joints.
+
+        Of all θ that do so equally well, the one nearest to this robot's own; `seed` is that of the
+        random configurations.
+
+        Returns:
+            θ, shape (p,), and the residual: the largest error of Z θ relative to the largest
+            gravity torque, over random configurations that the fit did not use.
+
+        Raises:
+            InvalidInputError: Other joints, or another gravity.
+        """
+        require("robot", robot, Robot, "a Robot")
+        if robot.joint_names != self.robot.joint_names:
+            raise InvalidInputError(
+                f"robot must have the joints of {self.robot.name} "
+                f"({', '.join(self.robot.joint_names)}), got {robot!r}",
+                given=robot,
+            )
+        if not np.array_equal(robot.gravity, self.robot.gravity):
+            raise InvalidInputError(
+                f"robot must be under the gravity {self.robot.gravity.tolist()} of the regressor "
+                f"[m/s^2], got {robot.gravity.tolist()}",
+                given=robot,
+            )
+        rng = np.random.default_rng(seed)
+        Z, g = self._samples(robot, rng)
+        theta: Array = self.theta + np.linalg.lstsq(Z, g - Z @ self.theta, rcond=1e-12)[0]
+        return theta, self._error(robot, theta, rng)
+
+    def payload(self, change: Array) -> Array:
+        """Return the load on the last link that acts most like a change of θ (p,), the smallest.
+
+        Returns:
+            Mass [kg], and those of the first moments in the axes of that link's joint [kg m] that
+            `moments` names.
+        """
+        weighted = self._held * self._usual[:, np.newaxis]
+        load: Array = np.linalg.lstsq(weighted, change * self._usual, rcond=1e-9)[0]
+        return load
+
+    def _samples(self, robot: Robot, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Return Z of this robot and g of another, stacked over random configurations."""
+        dynamics, configurations = Dynamics(robot), anywhere(robot, rng)
+        Z = np.vstack([self.Z(q) for q in configurations])
+        return Z, np.concatenate([dynamics.g(q) for q in configurations])
+
+    def _error(self, robot: Robot, theta: Array, rng: np.random.Generator) -> float:
+        """Return the largest error of Z θ over new configurations, relative to the largest g."""
+        Z, g = self._samples(robot, rng)
+        return float(np.abs(Z @ theta - g).max() / max(np.abs(g).max(), 1e-300))
+
+    def _full(self, q: Array) -> Array:
+        """Return all columns at rest; an alias of scratch memory."""
+        return self._torques(self._model, q, self._zero, self._zero)
+
+    def __repr__(self) -> str:
+        return f"GravityRegressor({self.robot.name!r}: {self.p} parameters {', '.join(self.names)})"
+
+
+def anywhere(robot: Robot, rng: np.random.Generator) -> list[Array]:
+    """Return 60 configurations over full turns (and ±1 m): limits must not hide a column."""
+    reach = np.where(np.array(robot.joint_units) == "m", 1.0, np.pi)
+    motions = rng.uniform(-reach, reach, (60, robot.nv))
+    return [np.array(pin.integrate(robot.model, robot.neutral(), motion)) for motion in motions]
+
+
+def independent_columns(A: Array, tolerance: float = _RANK_TOLERANCE) -> tuple[list[int], Array]:
+    """Return the columns of A that do not depend on those before, and G with A = A[:, kept] G."""
+    scale = np.linalg.norm(A, axis=0)
+    some = np.nonzero(scale > tolerance * scale.max(initial=0.0))[0]
+    # on the diagonal is what of a column no combination of those before it makes
+    alone = np.abs(np.diag(np.linalg.qr(A[:, some] / scale[some], mode="r")))
+    kept: list[int] = some[alone > tolerance].tolist()
+    grouping: Array = np.linalg.lstsq(A[:, kept], A, rcond=None)[0].astype(np.float64)
+    grouping[np.abs(grouping) < 1e-12] = 0.0
+    return kept, grouping
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Excitation:
+    """Report of which parameters θ of g = Z(q)θ the configurations of a motion distinguish.
+
+    Attributes:
+        names: Names of the parameters, length p.
+        effect: Root mean square of the torque that one unit of a parameter makes, shape (p,)
+            [N m per unit].
+        own: What of it no combination of the other parameters can make: 0 where learning cannot
+            distinguish the parameter from others.
+        threshold: Share of `effect` that `own` has to reach for a parameter to count as excited.
+        rank: Number of combinations of parameters that the motion excites.
+    """
+
+    names: tuple[str, ...]
+    effect: Array
+    own: Array
+    threshold: float
+    rank: int
+
+    @property
+    def excited(self) -> tuple[str, ...]:
+        """Parameters that the motion determines by themselves."""
+        large = (self.effect > 0.0) & (self.own >= self.threshold * self.effect)
+        return tuple(name for name, is_large in zip(self.names, large, strict=True) if is_large)
+
+    def __repr__(self) -> str:
+        width, excited = max(len(name) for name in self.names), self.excited
+        lines = [
+            f"  {name:{width}}  {effect:9.3g}  {own:9.3g}  {'yes' if name in excited else 'no'}"
+            for name, effect, own in zip(self.names, self.effect, self.own, strict=True)
+        ]
+        lines[:0] = [
+            f"Excitation: {self.rank} of {len(self.names)} combinations",
+            f"  {'':{width}}  {'effect':>9}  {'own':>9}  excited   [N m per unit]",
+        ]
+        return "\n".join(lines)
+
+
+def excitation(regressor: GravityRegressor, q: Array, threshold: float = 0.05) -> Excitation:
+    """Report which gravity parameters a motion excites, such as `run.q`.
+
+    Learnt gravity (29) needs no excitation to bring the task to its target; θ̂ reaches θ only
+    along what is excited.
+
+    Args:
+        regressor: The regressor.
+        q: Configurations of the motion, shape (N, nq) [rad or m].
+        threshold: Share of a parameter's effect that must be its own, from 0 to 1.
+    """
+    require("regressor", regressor, GravityRegressor, "a GravityRegressor")
+    robot = regressor.robot
+    size = robot.nv if shape_of(q)[1:] == (robot.nv,) else robot.nq  # or angles of the joints
+    q = as_array("q", q, ("N", size), "rad or m")
+    threshold = as_number("threshold", threshold, above=0.0)
+    if threshold > 1.0:
+        raise InvalidInputError(f"threshold must be at most 1, got {threshold:g}", given=threshold)
+    Z = np.vstack([regressor.Z(each) for each in q]) / np.sqrt(len(q))
+    effect = np.linalg.norm(Z, axis=0)
+    effect[effect < 1e-12 * effect.max()] = 0.0  # round-off
+    A = np.divide(Z, effect, out=np.zeros_like(Z), where=effect > 0.0)
+    A_plus = np.linalg.pinv(A, rcond=1e-6)
+    # 1/(A⁺A⁺ᵀ)ₖₖ is the squared distance of column k to the span of the others; a parameter with a
+    # share in the null space has none
+    alone = 1.0 - np.einsum("ij,ji->i", A_plus, A) < 1e-6
+    own = np.divide(effect, np.linalg.norm(A_plus, axis=1), out=np.zeros_like(effect), where=alone)
+    rank = int(np.linalg.matrix_rank(A, tol=threshold))
+    return Excitation(regressor.names, effect, own, threshold, rank)

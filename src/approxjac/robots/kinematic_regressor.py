@@ -10,8 +10,8 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.errors import InvalidInputError
+from approxjac.robots.dynamics import anywhere, independent_columns
 from approxjac.robots.robot import Robot
-from approxjac.robots.torque_regressors import anywhere, independent_columns
 from approxjac.robots.traced import arm_of
 from approxjac.robots.urdf import direction
 from approxjac.validation import Array, as_array, as_vector, require

@@ -1,8 +1,7 @@
 """Tasks: what is measured and brought to a target, with its Jacobian."""
 
-from approxjac.tasks.combined import CombinedTask
-from approxjac.tasks.frame_kinematics import FrameKinematics
 from approxjac.tasks.frame_tasks import (
+    FrameKinematics,
     PoseTask,
     PoseTrackerTask,
     PositionTask,
@@ -10,9 +9,9 @@ from approxjac.tasks.frame_tasks import (
     best_axes,
 )
 from approxjac.tasks.image import ImageTask
-from approxjac.tasks.nonsingular import NonsingularTask
 from approxjac.tasks.stacked import StackedTask
 from approxjac.tasks.task import Task
+from approxjac.tasks.wrapped import CombinedTask, NonsingularTask
 
 __all__ = [
     "CombinedTask",

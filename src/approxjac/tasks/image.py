@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 
 from approxjac import law
-from approxjac.cameras.camera import Camera
-from approxjac.cameras.pinhole import PinholeCamera
+from approxjac.cameras.camera import Camera, PinholeCamera
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import listed, short
 from approxjac.robots import Robot
-from approxjac.tasks.frame_kinematics import PointKinematics
+from approxjac.tasks.frame_tasks import PointKinematics
 from approxjac.tasks.task import Feature, Task
 from approxjac.validation import Array, as_array, as_diagonal, require
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -189,47 +189,3 @@ class Task(Immutable, Saved, ABC):
     def _error_jacobian(self, e: Array, J: Array) -> Array:
         """Return ∂e/∂q where the error is e (m,) and the Jacobian is J; shape (m, n_v)."""
         return J
-
-
-class WrappedTask(Task):
-    """A task made from another one, whose values, errors, targets and sensor it keeps."""
-
-    def __init__(
-        self, task: Task, labels: Sequence[str] | None = None, units: Sequence[str] | None = None
-    ) -> None:
-        super().__init__(task.robot, labels or task.labels, units or task.units, task.n_x)
-        self.task = task
-        self._uses_x, self._subtracts = task._uses_x, task._subtracts
-        self._origin, self._untold = task._origin, task._untold
-        self._parts, self._features = task._parts, task._features
-
-    def value(self, q: Array) -> Array:
-        return self.task.value(q)
-
-    def error(self, x: Array, x_d: Array) -> Array:
-        return self.task.error(x, x_d)
-
-    def displaced(self, x: Array, e: Array) -> Array:
-        return self.task.displaced(x, e)
-
-    def target(self, x_d: object) -> Array:
-        return self.task.target(x_d)
-
-    @property
-    def _measured(self) -> Task:
-        return self.task._measured
-
-    def _seen(self, x: Array) -> Array:
-        return self.task._seen(x)
-
-    def _is_mirrored(self, x: Array, other: Array) -> bool:
-        return self.task._is_mirrored(x, other)
-
-    def _sensor_jacobian(self, q: Array) -> Array:
-        return self.task._sensor_jacobian(q)
-
-    def _error_jacobian(self, e: Array, J: Array) -> Array:
-        return self.task._error_jacobian(e, J)
-
-    def _saved(self) -> dict[str, Any] | None:
-        return self.task._saved()  # what the law changes is no affair of a picture

@@ -11,7 +11,7 @@ from approxjac.law.products import length
 from approxjac.robots import Robot
 from approxjac.robots.urdf import direction
 from approxjac.tasks import PoseTask, PositionTask, Task
-from approxjac.tasks.frame_kinematics import FrameKinematics
+from approxjac.tasks.frame_tasks import FrameKinematics
 from approxjac.validation import Array
 
 

@@ -23,7 +23,7 @@ from approxjac.tasks import (
     Task,
     TrackerTask,
 )
-from approxjac.tasks.frame_kinematics import FrameKinematics
+from approxjac.tasks.frame_tasks import FrameKinematics
 from approxjac.validation import Array
 
 KINDS = ("tool", "origins", "camera", "offset", "scale")

@@ -12,7 +12,7 @@ import numpy as np
 from approxjac import law
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Robot
-from approxjac.tasks.frame_kinematics import FrameKinematics
+from approxjac.tasks.frame_tasks import FrameKinematics
 from approxjac.validation import Array, as_array, as_number, require
 
 _FAR = 1e100  # a speed that stands for infinity

@@ -28,7 +28,7 @@ from approxjac.controllers.wrapper import ControllerWrapper
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
 from approxjac.robots.traced import motion_between
-from approxjac.tasks.frame_kinematics import FrameKinematics
+from approxjac.tasks.frame_tasks import FrameKinematics
 from approxjac.validation import Array, as_diagonal, as_number, require
 
 Weight = Literal["joint inertia", "inertia", "identity"]

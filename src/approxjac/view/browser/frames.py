@@ -13,7 +13,7 @@ from approxjac.simulation import Trajectory
 from approxjac.simulation.trajectory import Scene
 from approxjac.tasks import FrameKinematics, Task
 from approxjac.tasks.analysis import image_feature
-from approxjac.tasks.frame_kinematics import PointKinematics
+from approxjac.tasks.frame_tasks import PointKinematics
 from approxjac.tasks.task import Feature
 from approxjac.validation import Array
 from approxjac.view.style import display_unit
