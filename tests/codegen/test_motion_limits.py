@@ -12,7 +12,7 @@ import approxjac as aj
 from approxjac.codegen.backends.c99 import sampled_step
 from approxjac.codegen.step import compiled
 from approxjac.controllers import CartesianSpeed, Limit, Wall
-from approxjac.simulation.loop import SampledLoop
+from approxjac.simulation.simulate import SampledLoop
 
 
 class HighElbow(Limit):

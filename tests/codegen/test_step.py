@@ -24,7 +24,7 @@ from approxjac.controllers import (
 from approxjac.errors import InvalidInputError, MeasurementError, MissingPackageError
 from approxjac.law import Sine, Tanh, theta_hat_rate
 from approxjac.robots import GravityRegressor
-from approxjac.simulation.loop import SampledLoop
+from approxjac.simulation.simulate import SampledLoop
 from approxjac.tasks import CombinedTask, NonsingularTask
 
 STATUSES = tuple(aj.Status)

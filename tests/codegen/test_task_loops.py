@@ -11,7 +11,7 @@ import approxjac as aj
 from approxjac.cameras import PlanarCamera
 from approxjac.codegen import compiled
 from approxjac.controllers import DifferentiatedVelocity
-from approxjac.simulation.loop import SampledLoop
+from approxjac.simulation.simulate import SampledLoop
 from approxjac.tasks import NonsingularTask
 
 SHORT = {"runs": 5, "duration": 0.3, "dt": 2e-3, "accuracy": 0.05}

@@ -12,7 +12,6 @@ from approxjac.codegen.trace.program import Program
 from approxjac.codegen.trace.symbols import Number, Symbols, select, symbols
 from approxjac.interface import Target, TargetPath
 from approxjac.simulation import Plant, Sensing
-from approxjac.simulation.loop import target_at
 from approxjac.simulation.sensing import (
     SensorFrames,
     encoded,
@@ -21,6 +20,7 @@ from approxjac.simulation.sensing import (
     imaged,
     lost_entries,
 )
+from approxjac.simulation.simulate import target_at
 from approxjac.validation import Array
 
 _IMAGE, _TORQUE = "image", "late_torque"

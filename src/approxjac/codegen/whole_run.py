@@ -19,7 +19,7 @@ from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError
 from approxjac.interface import LimitStatus
 from approxjac.simulation import Plant
-from approxjac.simulation.loop import SampledLoop
+from approxjac.simulation.simulate import SampledLoop
 from approxjac.simulation.trajectory import Record, Trajectory
 from approxjac.validation import Array
 

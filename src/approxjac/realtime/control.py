@@ -27,9 +27,8 @@ from approxjac.realtime.faults import Fault, Tolerances, task_bounds
 from approxjac.realtime.robot_loop import RobotLoop, require_able
 from approxjac.realtime.scheduling import Scheduling, StopSignals, undisturbed
 from approxjac.robots import Dynamics
-from approxjac.simulation.loop import Loop, require_fit, require_start, wanted_of
 from approxjac.simulation.plant import Plant, VelocityServo
-from approxjac.simulation.simulate import Observer
+from approxjac.simulation.simulate import Loop, Observer, require_fit, require_start, wanted_of
 from approxjac.simulation.trajectory import Trajectory
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import features

@@ -19,8 +19,8 @@ from approxjac.realtime.brake import Brake
 from approxjac.realtime.driver import Driver, read, two_clocks
 from approxjac.realtime.faults import Fault, Tolerances
 from approxjac.realtime.watches import FaultWatch, SensorWatch
-from approxjac.simulation.loop import Loop, Wanted, first_state, target_at, wanted_of, x_of
 from approxjac.simulation.plant import Plant
+from approxjac.simulation.simulate import Loop, Wanted, first_state, target_at, wanted_of, x_of
 from approxjac.simulation.trajectory import Record
 from approxjac.tasks import Task
 from approxjac.validation import Array, as_vector

@@ -13,9 +13,9 @@ from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement
 from approxjac.realtime.scheduling import Pace
 from approxjac.robots import Dynamics, Robot
-from approxjac.simulation.loop import HeldCommands
 from approxjac.simulation.plant import INTEGRATORS, Plant
 from approxjac.simulation.sensing import SensorReadings
+from approxjac.simulation.simulate import HeldCommands
 from approxjac.validation import Array, as_integer, as_number, require
 
 _LONGEST = 1e5  # s, of one run

@@ -1,10 +1,9 @@
 """Simulation: plants that are the truth, integrators, runs and their records."""
 
-from approxjac.simulation.loop import InitialState, Loop
 from approxjac.simulation.mujoco_plant import MujocoPlant
 from approxjac.simulation.plant import Friction, Plant, VelocityServo
 from approxjac.simulation.sensing import Sensing
-from approxjac.simulation.simulate import Computation, simulate
+from approxjac.simulation.simulate import Computation, InitialState, Loop, simulate
 from approxjac.simulation.trajectory import Trajectory
 
 __all__ = [

@@ -17,7 +17,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.interface import Target, TargetPath
 from approxjac.robots import Robot
 from approxjac.simulation import Plant, Sensing
-from approxjac.simulation.loop import require_fit, wanted_of
+from approxjac.simulation.simulate import require_fit, wanted_of
 from approxjac.stability.errors.region import Region, uncovered
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.closed_loop import ClosedLoop, usual_region

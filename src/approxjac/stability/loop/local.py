@@ -17,8 +17,8 @@ from approxjac.controllers.gravity import Adaptation
 from approxjac.errors import InvalidInputError
 from approxjac.interface import LimitStatus, Measurement
 from approxjac.simulation import Plant, Sensing
-from approxjac.simulation.loop import require_fit
 from approxjac.simulation.plant import rk4
+from approxjac.simulation.simulate import require_fit
 from approxjac.stability.errors.region import require_law, require_seen
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.loop.linearization import (

@@ -18,8 +18,7 @@ from approxjac.controllers import SetpointController
 from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError, SimulationError, UnknownNameError, package_of
 from approxjac.simulation import Computation, Plant, Sensing, Trajectory, simulate
-from approxjac.simulation.loop import Wanted, target_at, x_of
-from approxjac.simulation.simulate import whole
+from approxjac.simulation.simulate import Wanted, target_at, whole, x_of
 from approxjac.stability.errors.region import JointBox, Region, RegularPart
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.configurations import UnattainedError, VisiblePart

@@ -21,7 +21,7 @@ import numpy as np
 from approxjac.cameras import PlanarCamera
 from approxjac.errors import ApproxJacError, InvalidInputError, package_of
 from approxjac.robots import Robot
-from approxjac.simulation.loop import Loop
+from approxjac.simulation.simulate import Loop
 from approxjac.simulation.trajectory import Record, scene_of
 from approxjac.tasks.analysis import features, image_feature
 from approxjac.validation import Array, as_array, as_number
