@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 from approxjac import law
 from approxjac.codegen.backends.llvm import LlvmLanes
 from approxjac.codegen.backends.numpy_source import NumpyLanes, numpy_function
-from approxjac.codegen.trace.linear import eigensystem
 from approxjac.codegen.trace.program import Block, Program
-from approxjac.codegen.trace.symbols import Graph, any_of, inputs, select, symbols
+from approxjac.codegen.trace.symbols import Graph, any_of, eigensystem, inputs, select, symbols
 from approxjac.law.factors import Factors
 
 

@@ -11,8 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from random_trees import random_tree
 
 import approxjac as aj
-from approxjac.codegen.arm.learnt_arm import LearntBodies
-from approxjac.codegen.arm.rigid_body import Arm
+from approxjac.codegen.arm.rigid_body import Arm, LearntBodies
 from approxjac.codegen.lanes import Begun, Box, Lanes
 from approxjac.codegen.step import compiled
 from approxjac.codegen.trace.program import Program

@@ -21,6 +21,7 @@ import numpy as np
 from approxjac import law
 from approxjac.law import products
 from approxjac.law.branches import collected
+from approxjac.law.factors import Factors
 
 Number = Any
 """A `Scalar`, or a float: mypy cannot tell which are folded to a float."""
@@ -447,9 +448,7 @@ class Scalar:
         differs = [
             i
             for i, (a, b) in enumerate(zip(changed.tolist(), found.tolist(), strict=True))
-            if not (
-                a.place == b.place if isinstance(a, Scalar) and isinstance(b, Scalar) else a is b
-            )
+            if not _is_same(a, b)
         ]
         found[differs] = self.graph.rare(self, changed[differs].tolist(), found[differs].tolist())
         return found
@@ -688,7 +687,6 @@ _FUNCTIONS: dict[np.ufunc, np.ufunc] = {
     np.copysign: np.frompyfunc(lambda a, b: select(b < 0.0, -abs(a), abs(a)), 2, 1),
     np.isnan: _of_one(np.isnan, lambda a: ~(a == a)),
     np.sign: _of_one(np.sign, lambda a: select(a > 0.0, 1.0, select(a < 0.0, -1.0, 0.0))),
-    np.copysign: np.frompyfunc(lambda a, b: select(b < 0.0, -abs(a), abs(a)), 2, 1),
     np.logical_and: np.frompyfunc(lambda a, b: a & b, 2, 1),
     np.logical_or: np.frompyfunc(lambda a, b: a | b, 2, 1),
     np.logical_not: np.frompyfunc(lambda a: law.complement(a), 1, 1),
@@ -696,6 +694,8 @@ _FUNCTIONS: dict[np.ufunc, np.ufunc] = {
     np.bitwise_or: np.frompyfunc(lambda a, b: a | b, 2, 1),
     np.invert: np.frompyfunc(lambda a: ~a if isinstance(a, Scalar) else not a, 1, 1),
 }
+_SWEEPS = {1: 0, 2: 1, 3: 5}
+_MANY_SWEEPS = 7  # beyond three rows
 _LARGE, _FEW = 1500, 4  # entries of a matrix whose product is a loop; of a row that is not in it
 _choices = np.frompyfunc(select, 3, 1)
 
@@ -771,23 +771,99 @@ def _clip(x: Any, low: Any = None, high: Any = None) -> Any:
     return x if high is None else np.minimum(x, high)
 
 
-def _eigh(A: Any) -> Any:
-    from approxjac.codegen.trace.linear import eigensystem
-
-    return eigensystem(symbols(A))
+# -- small symmetric matrices, without a branch
 
 
-def _solve(A: Any, b: Any) -> Any:
-    from approxjac.codegen.trace.linear import solved
+def _solve(A: Any, b: Any) -> Symbols:
+    """Return A⁻¹b of a symmetric A (n, n), or of any of at most three rows."""
+    A, b = symbols(A), symbols(b)
+    n, rows = len(A), A.tolist()
+    if all(_is_same(rows[i][j], rows[j][i]) for i in range(n) for j in range(i)):
+        return Factors(A).solve(b)
+    if n > 3:
+        raise TypeError("no solution with a matrix that is not known yet, nor symmetric, n > 3")
+    return symbols(_inverse(rows)) @ b
 
-    return solved(symbols(A), symbols(b))
+
+def _is_same(a: Number, b: Number) -> bool:
+    """Return whether two numbers are surely the same."""
+    if isinstance(a, Scalar) and isinstance(b, Scalar):
+        return a.place == b.place
+    return not isinstance(a, Scalar) and not isinstance(b, Scalar) and bool(a == b)
+
+
+def _inverse(rows: list[list[Number]]) -> list[list[Number]]:
+    """Return the inverse of a matrix of at most three rows, by its cofactors."""
+    n = len(rows)
+    if n == 1:
+        return [[1.0 / rows[0][0]]]
+
+    def cofactor(i: int, j: int) -> Number:
+        if n == 2:
+            return rows[1 - i][1 - j] * (1.0 if i == j else -1.0)
+        (a, b), (c, d) = ((i + 1) % 3, (i + 2) % 3), ((j + 1) % 3, (j + 2) % 3)
+        return rows[a][c] * rows[b][d] - rows[a][d] * rows[b][c]
+
+    cofactors = [[cofactor(i, j) for j in range(n)] for i in range(n)]
+    determinant: Number = sum((rows[0][j] * cofactors[0][j] for j in range(n)), 0.0)
+    return [[cofactors[j][i] / determinant for j in range(n)] for i in range(n)]
+
+
+def eigensystem(A: Any) -> tuple[Symbols, Symbols]:
+    """Return eigenvalues (n,), in no order, and -vectors (n, n) of a symmetric A (n, n).
+
+    By Jacobi's rotations.
+    """
+    n, a = len(A), symbols(A).tolist()
+    if not any(isinstance(each, Scalar) for row in a for each in row):
+        squares, U = np.linalg.eigh(a)
+        return symbols(squares.tolist()), symbols(U.tolist())
+    upper = np.triu_indices(n)
+
+    def sweep(_: object, values: tuple[Symbols, Symbols]) -> tuple[Symbols, Symbols]:
+        whole = symbols(np.zeros((n, n)))
+        whole[upper] = whole.T[upper] = values[0]
+        a, vectors = whole.tolist(), values[1].tolist()
+        for p in range(n):
+            for q in range(p + 1, n):
+                _rotate(a, vectors, p, q)
+        return symbols(a)[upper], symbols(vectors)
+
+    start = symbols(a)[upper], symbols(np.eye(n))
+    found, vectors = law.repeat(_SWEEPS.get(n, _MANY_SWEEPS), sweep, start)
+    diagonal = symbols(np.zeros((n, n)))
+    diagonal[upper] = found
+    return diagonal.diagonal(), vectors
+
+
+def _rotate(a: list[list[Number]], vectors: list[list[Number]], p: int, q: int) -> None:
+    """Make a[p][q] zero."""
+    off = a[p][q]
+    if not isinstance(off, Scalar) and off == 0.0:
+        return
+    ratio = (a[q][q] - a[p][p]) / (off + off)
+    size = abs(ratio)
+    tangent: Number = 1.0 / (size + products.root(size * size + 1.0))
+    tangent = select(ratio < 0.0, -tangent, tangent)
+    tangent = select(off == 0.0, 0.0, tangent)
+    cosine = 1.0 / products.root(tangent * tangent + 1.0)
+    sine = tangent * cosine
+    a[p][p], a[q][q] = a[p][p] - tangent * off, a[q][q] + tangent * off
+    a[p][q] = a[q][p] = 0.0
+    for row in vectors:
+        row[p], row[q] = cosine * row[p] - sine * row[q], sine * row[p] + cosine * row[q]
+    for r in range(len(a)):
+        if r not in (p, q):
+            left, right = a[r][p], a[r][q]
+            a[r][p] = a[p][r] = cosine * left - sine * right
+            a[r][q] = a[q][r] = sine * left + cosine * right
 
 
 _OF_ARRAYS: dict[Any, Callable[..., Any]] = {
     np.linalg.norm: _norm,
     np.clip: _clip,
-    np.linalg.eigh: _eigh,
-    np.linalg.eigvalsh: lambda A: _eigh(A)[0],
+    np.linalg.eigh: eigensystem,
+    np.linalg.eigvalsh: lambda A: eigensystem(A)[0],
     np.linalg.solve: _solve,
     np.linalg.inv: lambda A: _solve(A, np.eye(len(A))),
 }
