@@ -31,7 +31,6 @@ from approxjac.interface import Measurement, Target
 from approxjac.law.factors import Factors
 from approxjac.simulation import Plant
 from approxjac.simulation.plant import INTEGRATORS
-from approxjac.validation import Array
 
 _GUESSES = 3
 _FINITE = 1e200  # sum of squares, beyond which a run has diverged
@@ -222,7 +221,7 @@ class TracedLoop:
         assert stops is not None
         free = self.v + dt * self._here.forward(self.v, torque - plant.friction_torque(self.v))
         M_inv = self._here.factors.solve(symbols(np.eye(nv)))
-        depth, side, limited = self._depth()
+        depth, side = stops.depth(self.q)
         outward = side * free
         slowed = dt * side[:, np.newaxis] * M_inv * side
         per_speed = stops.stiffness * dt + stops.damping
@@ -232,13 +231,13 @@ class TracedLoop:
         def guess(_: Any, values: tuple[Any, ...]) -> tuple[Any, ...]:
             # left is what is left of b without its own push
             push, left, touches, presses, _ = values
-            touches = touches | (limited & (depth + dt * (outward - slowed @ push) > 0.0))
+            touches = touches | (depth + dt * (outward - slowed @ push) > 0.0)
             presses = touches & np.where(presses, push > 0.0, left > 0.0)
             A = np.where(presses[:, np.newaxis] & presses, slowed, 0.0)
             A = A + np.diag(np.where(presses, 1.0 / per_speed, 1.0))
             push = np.where(presses, Factors(A).solve(np.where(presses, b, 0.0)), 0.0)
             left = b - slowed @ push
-            newly = limited & ~touches & (depth + dt * (outward - slowed @ push) > 0.0)
+            newly = ~touches & (depth + dt * (outward - slowed @ push) > 0.0)
             wrong = any_of(newly | (presses & (push < 0.0)) | (touches & ~presses & (left > 0.0)))
             return push, left, touches, presses, wrong
 
@@ -246,23 +245,6 @@ class TracedLoop:
         push, *_, wrong = law.repeat(_GUESSES, guess, start)
         v_end = free - dt * (M_inv @ (side * push))
         return moved(plant.robot, self.q, dt * v_end), v_end, select(wrong, 1.0, 0.0)
-
-    def _depth(self) -> tuple[Symbols, Symbols, Array]:
-        """Return what `JointStops.depth` does, and of which joints: 0 and 1 of others."""
-        robot, q = self._plant.robot, self.q
-        depth, side = symbols(np.zeros(robot.nv)), symbols(np.ones(robot.nv))
-        limited = np.zeros(robot.nv, dtype=bool)
-        for i, (name, low, high) in enumerate(
-            zip(robot.joint_names, *robot.position_limits, strict=True)
-        ):
-            joint = robot.model.joints[robot.model.getJointId(name)]
-            if joint.nq == 2 or not (math.isfinite(low) or math.isfinite(high)):
-                continue
-            above, below = q[joint.idx_q] - high, low - q[joint.idx_q]
-            depth[i] = select(above > below, above, below)
-            side[i] = select(above > below, 1.0, -1.0)
-            limited[i] = True
-        return depth, side, limited
 
 
 def _begun(

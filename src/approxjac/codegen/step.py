@@ -37,15 +37,11 @@ def step_program(controller: Controller, *, may_lose: bool) -> Program:
     Raises:
         InvalidInputError: It takes no symbols.
     """
-    task, robot = controller.task, controller.task.robot
     program = Program()
     program.graph.is_finite = not may_lose
-    sizes = {
-        "q": robot.nq, "v": robot.nv, "x": task.n_x, "target": task.n_x,
-        "state": len(laws.first_state(controller)), "dt": 1, "t": 1, "t_x": 1,
-    }  # fmt: skip
+    sizes = laws.argument_sizes(controller) | {"t": 1, "t_x": 1}
     if laws.is_ours(controller):
-        sizes |= dict.fromkeys(("target_v", "target_a"), task._measured.m)
+        sizes |= dict.fromkeys(("target_v", "target_a"), controller.task._measured.m)
     given = {name: program.kept(name, size) for name, size in sizes.items()}
     q, v, x, target, state, (dt,), (time,), (t_x,), *rates = given.values()
     predicts = _predicts(controller)
@@ -61,7 +57,7 @@ def step_program(controller: Controller, *, may_lose: bool) -> Program:
     usual = sum(((each * each).sum() for each in numbers), 0.0) < HUGE**2
     if not predicts:
         usual = any_of([answer.status == each for each in _USUAL]) & usual
-    for joint in list(robot.model.joints)[1:]:
+    for joint in list(controller.task.robot.model.joints)[1:]:
         if joint.nq == 2:  # a (cos, sin) pair off the unit circle is for Python to judge
             cosine, sine = q[joint.idx_q], q[joint.idx_q + 1]
             usual = usual & (abs(cosine * cosine + sine * sine - 1.0) < _ROUND_OFF)

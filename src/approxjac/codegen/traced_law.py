@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from approxjac.codegen.arm.traced_tasks import traced
-from approxjac.codegen.trace.program import Program
-from approxjac.codegen.trace.symbols import Condition, Symbols, inputs, symbols
+from approxjac.codegen.trace.symbols import Condition, Graph, Symbols, inputs, symbols
 from approxjac.controllers.controller import Controller
 from approxjac.controllers.gains.gains import Diagonals
 from approxjac.controllers.limits.torque_limited import TorqueLimited
@@ -143,6 +142,15 @@ def begun(controller: Controller, q: Symbols, v: Symbols, x: Symbols) -> Symbols
     return symbols(traced("controller", own, lambda: on_symbols(own).initial_state(measurement)))
 
 
+def argument_sizes(controller: Controller) -> dict[str, int]:
+    """Return the sizes of a step's arguments, but for time, by name."""
+    task, robot = controller.task, controller.task.robot
+    return {
+        "q": robot.nq, "v": robot.nv, "x": task.n_x, "target": task.n_x,
+        "state": len(first_state(controller)), "dt": 1,
+    }  # fmt: skip
+
+
 def is_ours(controller: Controller) -> bool:
     """Return whether a controller is one of this library, which takes a `Target`, too."""
     return type(controller).__module__.startswith("approxjac.")
@@ -154,13 +162,7 @@ def require_covered(controller: Controller) -> None:
     Raises:
         InvalidInputError: It takes no symbols.
     """
-    program = Program()
-    graph, task, robot = program.graph, controller.task, controller.task.robot
-    q, v, x, x_d, t = (
-        inputs(graph, name, size)
-        for name, size in (
-            ("q", robot.nq), ("v", robot.nv), ("x", task.n_x), ("target", task.n_x), ("t", 2)
-        )
-    )  # fmt: skip
-    state = inputs(graph, "state", len(first_state(controller)))
-    stepped(controller, state, Measurement(t[0], q, v, x, t[1]), x_d, controller.dt or 1e-3)
+    graph = Graph()
+    given = [inputs(graph, name, size) for name, size in argument_sizes(controller).items()]
+    (q, v, x, target, state, _), (t, t_x) = given, inputs(graph, "t", 2)
+    stepped(controller, state, Measurement(t, q, v, x, t_x), target, controller.dt or 1e-3)

@@ -16,6 +16,7 @@ from approxjac.formatting import short, short_fields
 from approxjac.interface import Measurement
 from approxjac.robots import Dynamics, Robot
 from approxjac.robots.model import WORLD
+from approxjac.robots.traced import motion_between
 from approxjac.simulation.sensing import Sensing, SensorReadings
 from approxjac.tasks import PositionTask, Task
 from approxjac.tasks.analysis import sees
@@ -169,7 +170,7 @@ class JointStops:
 
     def depth(self, q: Array) -> tuple[Array, Array]:
         """Return δ, −∞ without limits, and the side of the nearer limit, +1 or −1: (n_v,) each."""
-        motion = pin.difference(self._robot.model, self._robot.neutral(), q)
+        motion = motion_between(self._robot, self._robot.neutral(), q)
         low, high = self._limits
         above, below = motion - high, low - motion
         return np.maximum(above, below), np.where(above > below, 1.0, -1.0)

@@ -199,12 +199,8 @@ def sampled_step(controller: Controller) -> SampledStep:
     """
     task, robot = controller.task, controller.task.robot
     graph = Graph()
-    sizes = {
-        "q": robot.nq, "v": robot.nv, "x": task.n_x, "target": task.n_x,
-        "state": len(laws.first_state(controller)), "dt": 1,
-    }  # fmt: skip
-    given = {name: inputs(graph, name, size) for name, size in sizes.items()}
-    q, v, x, target, state, (dt,) = given.values()
+    sizes = laws.argument_sizes(controller)
+    q, v, x, target, state, (dt,) = (inputs(graph, name, size) for name, size in sizes.items())
     # nothing tells when x was taken: an x that differs is new
     measurement = Measurement(_NO_TIME, q, v, x)
     after, answer, left = laws.stepped(

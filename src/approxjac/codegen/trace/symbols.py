@@ -308,6 +308,15 @@ def _leaves_arrays(method: Callable[[Scalar, Any], Any]) -> Callable[[Scalar, An
     return arithmetic
 
 
+def _comparison(operation: str, swaps: bool = False) -> Any:
+    """Return the method of a comparison, or of that with its arguments the other way round."""
+
+    def compared(self: Scalar, other: Any) -> Scalar:
+        return self.graph.apply(operation, *((other, self) if swaps else (self, other)))
+
+    return _leaves_arrays(compared)
+
+
 class Scalar:
     """A number, or a truth value, of a graph."""
 
@@ -384,29 +393,15 @@ class Scalar:
             product = product * self
         return product
 
-    @_leaves_arrays
-    def __lt__(self, other: Number) -> Scalar:
-        return self.graph.apply("less", self, other)
-
-    @_leaves_arrays
-    def __gt__(self, other: Number) -> Scalar:
-        return self.graph.apply("less", other, self)
-
-    @_leaves_arrays
-    def __le__(self, other: Number) -> Scalar:
-        return self.graph.apply("less_equal", self, other)
-
-    @_leaves_arrays
-    def __ge__(self, other: Number) -> Scalar:
-        return self.graph.apply("less_equal", other, self)
-
-    @_leaves_arrays
-    def __eq__(self, other: object) -> Scalar:
-        return self.graph.apply("equal", self, other)
+    __lt__ = _comparison("less")
+    __gt__ = _comparison("less", swaps=True)
+    __le__ = _comparison("less_equal")
+    __ge__ = _comparison("less_equal", swaps=True)
+    __eq__ = _comparison("equal")
 
     @_leaves_arrays
     def __ne__(self, other: object) -> Scalar:
-        return ~self.graph.apply("equal", self, other)
+        return ~(self == other)
 
     __hash__ = None  # type: ignore[assignment]
 
