@@ -12,8 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac.codegen.backends.numpy_source import NumpyLanes
-from approxjac.codegen.lanes import Box, Lanes
-from approxjac.codegen.loop_program import TOLD
+from approxjac.codegen.lanes import OUTCOME, Box, Lanes
 from approxjac.codegen.step import compiled
 from approxjac.controllers import CartesianSpeed, HeldMeasurement
 from approxjac.errors import MissingPackageError, UnknownNameError
@@ -128,9 +127,9 @@ def test_the_same_bits_in_numpy(name):
     found = [lanes.run(starts, 10)]
     lanes.compiled = NumpyLanes(lanes.program)
     found.append(lanes.run(starts, 10))
-    for told in TOLD:
-        assert_array_equal(found[0][told], found[1][told], err_msg=told)
-    assert found[0][TOLD.outside].any()
+    for name in OUTCOME:
+        assert_array_equal(found[0][name], found[1][name], err_msg=name)
+    assert found[0]["outside"].any()
 
 
 def digest(runs):
@@ -194,8 +193,8 @@ def test_what_lanes_leave_is_run_in_python(monkeypatch):
 
     def leaving(lanes, starts, *options):
         told = run(lanes, starts, *options)
-        told[TOLD.left][3] = 1.0
-        told[TOLD.error][3] = 99.0
+        told["left"][3] = 1.0
+        told["error"][3] = 99.0
         return told
 
     monkeypatch.setattr(Lanes, "run", leaving)

@@ -14,8 +14,8 @@ import approxjac as aj
 from approxjac.codegen import compiled
 from approxjac.codegen.backends.llvm import LlvmLanes
 from approxjac.codegen.backends.numpy_source import NumpyLanes
-from approxjac.codegen.lanes import Box, Lanes
-from approxjac.codegen.loop_program import TOLD, require_covered
+from approxjac.codegen.lanes import OUTCOME, Box, Lanes
+from approxjac.codegen.loop_program import require_covered
 from approxjac.controllers import DifferentiatedVelocity
 from approxjac.simulation import Sensing, VelocityServo
 from approxjac.stability.rollouts import setting as rollout_setting
@@ -182,10 +182,10 @@ def test_the_same_bits_in_numpy():
         lanes.compiled = engine(lanes.program)
         found.append(lanes.run(begun, 10))
     expected, *found = found
-    for told in TOLD:
+    for name in OUTCOME:
         for each in found:
-            assert_array_equal(each[told], expected[told], err_msg=told)
-    assert np.isfinite(expected[TOLD.error]).all()
+            assert_array_equal(each[name], expected[name], err_msg=name)
+    assert np.isfinite(expected["error"]).all()
 
 
 MANY = test_lanes.study("two_link", "xz"), {"runs": 70, "duration": 0.2, "dt": 2e-3} | ALL

@@ -16,7 +16,7 @@ from approxjac.codegen.arm.arm_numbers import ArmNumbers, arm_numbers
 from approxjac.codegen.arm.rigid_body import Arm
 from approxjac.codegen.backends.llvm import LlvmLanes
 from approxjac.codegen.backends.numpy_source import NumpyLanes
-from approxjac.codegen.loop_program import TOLD, TracedLoop
+from approxjac.codegen.loop_program import TracedLoop
 from approxjac.codegen.sensors import Senses
 from approxjac.codegen.trace.program import Block, Program
 from approxjac.codegen.trace.symbols import Condition, Number, Scalar, Symbols, select, symbols
@@ -32,6 +32,14 @@ from approxjac.validation import Array
 
 _BLOCK = 256  # steps that are drawn at once: some 20 MB of 1024 runs
 _ROUND_OFF = 1e-12  # that `JointBox` leaves at its ends
+OUTCOME = "last_bad", "error", "torque", "speed", "outside", "diverged", "left"
+"""Names of a run's outcome, a number each.
+
+The last step at which the error was not below the tolerance, or −1; ‖e‖ at the end; the largest
+shares of a motor's limit and of a limit of speed; whether a configuration was outside the region,
+all these of steps that are recorded; whether numbers became too large; and whether the run is left
+to Python, as it came to what is not covered.
+"""
 
 
 class Box(NamedTuple):
@@ -148,19 +156,19 @@ class Lanes:
         loop = TracedLoop(
             program, controller, plant, numbers, target, dt, integrator, given, senses
         )
-        self._truth, told = loop.truth, {name: program.kept(name, 1)[0] for name in TOLD}
+        self._truth, before = loop.truth, {name: program.kept(name, 1)[0] for name in OUTCOME}
         program.step(loop.after | {
-            TOLD.diverged: select(loop.diverged, 1.0, told[TOLD.diverged]),
-            TOLD.left: select(loop.left, 1.0, told[TOLD.left]),
+            "diverged": select(loop.diverged, 1.0, before["diverged"]),
+            "left": select(loop.left, 1.0, before["left"]),
         })  # fmt: skip
         error = np.sqrt((loop.error * loop.error).sum())
         is_outside = _outside(loop.q, plant, region)
         program.record({
-            TOLD.last_bad: select(error < tolerance, told[TOLD.last_bad], program.k),
-            TOLD.error: error,
-            TOLD.torque: _larger(told[TOLD.torque], loop.answer.torque / plant.motor_limits),
-            TOLD.speed: _larger(told[TOLD.speed], loop.v / plant.robot.velocity_limits),
-            TOLD.outside: select(is_outside, 1.0, told[TOLD.outside]),
+            "last_bad": select(error < tolerance, before["last_bad"], program.k),
+            "error": error,
+            "torque": _larger(before["torque"], loop.answer.torque / plant.motor_limits),
+            "speed": _larger(before["speed"], loop.v / plant.robot.velocity_limits),
+            "outside": select(is_outside, 1.0, before["outside"]),
         })  # fmt: skip
 
     @functools.cached_property
@@ -175,7 +183,7 @@ class Lanes:
         columns = {name: kept[:, at : at + size] for name, (at, size) in program.rows.items()}
         columns["q"][:] = [start.q for start in starts]
         columns["state"][:] = [start.state for start in starts]
-        columns[TOLD.last_bad][:] = -1.0
+        columns["last_bad"][:] = -1.0
         self._senses.begun(program, kept, np.array([start.holding for start in starts]))
         numbers, sensors, others = _stacked(starts)
         named = self._truth.named(numbers) | sensors | others
@@ -186,7 +194,7 @@ class Lanes:
         return self._senses.times(self.program)
 
     def run(self, starts: Sequence[Begun], every: int) -> dict[str, Array]:
-        """Return the outcome of some runs: the names of `TOLD`, each with an array (N,).
+        """Return the outcome of some runs: the names of `OUTCOME`, each with an array (N,).
 
         Args:
             starts: How they begin.
@@ -200,7 +208,7 @@ class Lanes:
             block = Block(first, times, draws.block(first, first + len(times)))
             self.compiled.run(kept, parameters, self._steps, every, block)
         columns = kept.swapaxes(1, 2).reshape(-1, kept.shape[1])[: len(starts)]
-        return {name: columns[:, program.rows[name][0]] for name in TOLD}
+        return {name: columns[:, program.rows[name][0]] for name in OUTCOME}
 
 
 def _stacked(

@@ -1,17 +1,17 @@
-"""The sampled closed loop on symbols: plant, law, and what is told of each run."""
+"""The sampled closed loop on symbols: plant and law."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from approxjac import law
 from approxjac.codegen import traced_law as laws
 from approxjac.codegen.arm import traced_tasks as tasks
-from approxjac.codegen.arm.arm_numbers import ArmNumbers, arm_numbers
+from approxjac.codegen.arm.arm_numbers import ArmNumbers
 from approxjac.codegen.arm.rigid_body import Arm, moved
 from approxjac.codegen.sensors import Measured, Senses
 from approxjac.codegen.trace.program import Program
@@ -36,31 +36,6 @@ _GUESSES = 3
 _FINITE = 1e200  # sum of squares, beyond which a run has diverged
 
 
-class Told(NamedTuple):
-    """Names of what is told of each run, a number each; all but the last two of what is recorded.
-
-    Attributes:
-        last_bad: Number of the step at which the error was last not below the tolerance, or −1.
-        error: ‖e‖ at the end.
-        torque: Largest share of a motor's limit.
-        speed: Largest share of a limit of speed.
-        outside: Whether a configuration was outside the region.
-        diverged: Whether numbers became too large.
-        left: Whether the run is left to Python, as it came to what is not covered.
-    """
-
-    last_bad: str = "last_bad"
-    error: str = "error"
-    torque: str = "torque"
-    speed: str = "speed"
-    outside: str = "outside"
-    diverged: str = "diverged"
-    left: str = "left"
-
-
-TOLD = Told()
-
-
 def require_covered(controller: Controller, plant: Plant) -> None:
     """Refuse a closed loop of which no code can be made.
 
@@ -77,34 +52,6 @@ def require_covered(controller: Controller, plant: Plant) -> None:
             f"make code of it, got {plant!r}",
             given=plant,
         )
-
-
-def recorded_loop(controller: Controller, plant: Plant, dt: float, integrator: str) -> Program:
-    """Return the program of one run that is recorded.
-
-    Of a plant with ideal sensors. Its target is kept as "target"; "x", "torque", "e", "J_hat",
-    "status", "limit_status", "slack" and "rate", that of the state, are of each step.
-    """
-    program = Program()
-    target = Target(program.kept("target", plant.sensor.n_x))
-    numbers = ArmNumbers.stacked([arm_numbers(plant.robot, tasks.frames(plant.sensor))])
-    loop = TracedLoop(program, controller, plant, numbers, target, dt, integrator)
-    answer = loop.answer
-    flags = {
-        name: (select(condition, 1.0, program.kept(name, 1)[0]))
-        for name, condition in ((TOLD.diverged, loop.diverged), (TOLD.left, loop.left))
-    }
-    found = {
-        "x": loop.x, "torque": answer.torque, "e": answer.e, "J_hat": answer.J_hat,
-        "status": answer.status, "limit_status": answer.limit_status, "slack": answer.slack,
-        "rate": answer.state_rate,
-    }  # fmt: skip
-    unknown = {"J_hat": np.zeros((plant.sensor.m, plant.robot.nv)), "rate": np.zeros(0)}
-    found |= {name: unknown[name] for name in unknown if found[name] is None}
-    for name, value in found.items():
-        program.kept(name, symbols(value).size)
-    program.step(loop.after | flags | found)
-    return program
 
 
 class TracedLoop:

@@ -12,12 +12,16 @@ from collections.abc import Callable
 
 import numpy as np
 
+from approxjac.codegen.arm import traced_tasks as tasks
+from approxjac.codegen.arm.arm_numbers import ArmNumbers, arm_numbers
 from approxjac.codegen.backends.llvm import LlvmLanes
-from approxjac.codegen.loop_program import TOLD, recorded_loop, require_covered
+from approxjac.codegen.loop_program import TracedLoop, require_covered
+from approxjac.codegen.trace.program import Program
+from approxjac.codegen.trace.symbols import select, symbols
 from approxjac.codegen.traced_law import solves
 from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError
-from approxjac.interface import LimitStatus
+from approxjac.interface import LimitStatus, Target
 from approxjac.simulation import Plant
 from approxjac.simulation.simulate import SampledLoop
 from approxjac.simulation.trajectory import Record, Trajectory
@@ -98,11 +102,33 @@ def _is_own(law: Controller) -> bool:
     )
 
 
+def _recorded(controller: Controller, plant: Plant, dt: float, integrator: str) -> Program:
+    """Return the program of a run with ideal sensors, which keeps what is recorded of a step."""
+    program = Program()
+    target = Target(program.kept("target", plant.sensor.n_x))
+    numbers = ArmNumbers.stacked([arm_numbers(plant.robot, tasks.frames(plant.sensor))])
+    loop = TracedLoop(program, controller, plant, numbers, target, dt, integrator)
+    answer, unknown = loop.answer, np.zeros((plant.sensor.m, plant.robot.nv))
+    flags = {
+        name: (select(condition, 1.0, program.kept(name, 1)[0]))
+        for name, condition in (("diverged", loop.diverged), ("left", loop.left))
+    }
+    found = {
+        "x": loop.x, "torque": answer.torque, "e": answer.e,
+        "J_hat": unknown if answer.J_hat is None else answer.J_hat, "status": answer.status,
+        "limit_status": answer.limit_status, "slack": answer.slack,
+    }  # fmt: skip
+    for name, value in found.items():
+        program.kept(name, symbols(value).size)
+    program.step(loop.after | flags | found)
+    return program
+
+
 class _Loop:
     """A compiled loop."""
 
     def __init__(self, law: Controller, plant: Plant, dt: float, integrator: str) -> None:
-        program = recorded_loop(law, plant, dt, integrator)
+        program = _recorded(law, plant, dt, integrator)
         self._lanes, self._rows = LlvmLanes(program, width=1), program.n_rows
         self._place = {name: slice(at, at + size) for name, (at, size) in program.rows.items()}
         self._n_before = self._place["state"].stop  # rows of what is known before a step
@@ -133,7 +159,7 @@ class _Loop:
             row[n_before:] = answered
             if following - k > 1:
                 lanes.run(buffer, nothing, following - k - 2, 1)
-            if flat[place[TOLD.left]].any() or flat[place[TOLD.diverged]].any():
+            if flat[place["left"]].any() or flat[place["diverged"]].any():
                 return None
             if progress is not None:
                 progress(k * loop.dt)
