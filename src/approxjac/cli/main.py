@@ -55,7 +55,7 @@ def main(arguments: list[str] | None = None) -> int:
     arguments = sys.argv[1:] if arguments is None else arguments
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # a terminal that cannot show λ shows "?"
-    warnings.showwarning = lambda message, *_, **__: _complain(message)  # without its place
+    warnings.showwarning = _warned
     try:
         return _flushed(_run(arguments or ["--help"]))
     except KeyboardInterrupt:
@@ -114,9 +114,14 @@ def _called(command: Callable[..., int], typed: Typed) -> int:
 
 
 def _complain(message: object) -> int:
-    """Print a warning or what is wrong, and return the exit code of bad input."""
+    """Print what is wrong, and return the exit code of bad input."""
     print(f"approxjac: {message}", file=sys.stderr)
     return 2
+
+
+def _warned(message: Warning | str, *_: object, **__: object) -> None:
+    """Print a warning without the place in the code that Python puts before it."""
+    _complain(message)
 
 
 def _flushed(code: int) -> int:

@@ -201,7 +201,7 @@ def read(
         if option.hint is bool:
             if equals:
                 raise InvalidInputError(f"{name} takes no value, got {value}", given=value)
-            values |= option.means or {option.key: True}
+            values |= option.means or dict[str, Any]({option.key: True})
             continue
         before_next = next((k for k, each in enumerate(rest) if _is_option(each)), len(rest))
         given = [value] if equals else rest[:before_next]

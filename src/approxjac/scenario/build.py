@@ -213,8 +213,8 @@ def _target(
 
 def _plant(truth: Robot, sensor: Task, motors: Array, scenario: Scenario, belief: Robot) -> Plant:
     true = scenario.true
-    friction = Friction(true.friction, true.coulomb)
-    options: dict[str, Any] = {"sensing": sensing_of(scenario.sensor)}
+    options: dict[str, Any] = {"friction": Friction(true.friction, true.coulomb)}
+    options["sensing"] = sensing_of(scenario.sensor)
     if scenario.controller.command == "velocity":
         options["servo"] = true.servo
     else:
@@ -224,8 +224,8 @@ def _plant(truth: Robot, sensor: Task, motors: Array, scenario: Scenario, belief
         options["adds_gravity"] = belief
     if true.engine == "mujoco":
         options |= {"floor": true.floor, "balance_inertia": true.inertias == "balanced"}
-        return MujocoPlant(truth, sensor, friction, **options)
-    return Plant(truth, sensor, friction, **options)
+        return MujocoPlant(truth, sensor, **options)
+    return Plant(truth, sensor, **options)
 
 
 def sensing_of(given: Sensor) -> Sensing | None:
