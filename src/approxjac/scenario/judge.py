@@ -18,7 +18,7 @@ from approxjac.cameras import Camera
 from approxjac.controllers import Limits, SetpointController, TorqueLimited
 from approxjac.errors import InvalidInputError
 from approxjac.files import together, write_text
-from approxjac.formatting import joined, numbers, percent, plain, rows, wrapped
+from approxjac.formatting import joined, numbers, plain, rows, wrapped
 from approxjac.robots import Robot
 from approxjac.scenario.build import (
     BuiltScenario,
@@ -36,7 +36,6 @@ from approxjac.scenario.starts import configuration_of
 from approxjac.simulation import Plant, Trajectory
 from approxjac.stability import Region, StabilityReport, Study, Uncertainty
 from approxjac.stability.loop.closed_loop import ClosedLoop
-from approxjac.stability.rollouts.rollouts import clopper_pearson
 from approxjac.stability.search.map import PARAMETERS, PLACES, are_drawn, labels, own_values
 from approxjac.stability.search.tolerance import Test, Tolerance
 from approxjac.stability.studied_loop import Progress
@@ -236,7 +235,8 @@ def consequences(result: StabilityResult, out: Path) -> str:
     if result.tolerances:
         how = "in continuous time, by a search on fewer configurations; a report may find less:"
         blocks.append([*wrapped(how), *map(str, result.tolerances.values())])
-    blocks.append(rows_of_map(result.map, out))
+    if result.map is not None:
+        blocks.append([str(result.map), f"The map is {out / 'map.png'}"])
     return "\n\n".join("\n".join(block) for block in blocks if block)
 
 
@@ -280,28 +280,6 @@ def advice(result: StabilityResult) -> list[str]:
         steps.append("a shorter period, shorter delays or less damping of light joints")
     steps.append("a smaller stability.radius around a configuration (stability.around)")
     return steps
-
-
-def rows_of_map(grid: stability.StabilityMap | None, out: Path) -> list[str]:
-    """Return how the runs of a map ended, and where its picture is."""
-    if grid is None:
-        return []
-    where = f"The map is {out / 'map.png'}"
-    share, n, made = grid.share.ravel(), grid.runs.ravel(), np.flatnonzero(grid.runs)
-    if not made.size:
-        return [where]
-    sure, of_all = ", with 95 % confidence {} to {} %", ""
-    if grid.names[0] not in PARAMETERS:  # or points share what is drawn
-        of_all = sure.format(*map(percent, clopper_pearson(grid.converged, int(n.sum()))))
-    good, over = percent(grid.converged / n.sum()), " and ".join(grid.names)
-    lines = [f"map: {good} % of {n.sum()} runs over {over} converge{of_all}"]
-    ends = {"least": made[share[made].argmin()], "most": made[share[made].argmax()]}
-    for what, k in ends.items():
-        j, i = np.unravel_index(k, grid.runs.shape)
-        at = f"{grid.names[0]} {grid.x[i]:.3g}, {grid.names[1]} {grid.y[j]:.3g}"
-        of_these = sure.format(*map(percent, grid.intervals[j, i]))
-        lines.append(f"  {what} of all points at {at}: {percent(share[k])} % of {n[k]}{of_these}")
-    return [*lines, where]
 
 
 # -- pictures and files -----------------------------------------------------------------

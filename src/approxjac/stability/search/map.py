@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -78,22 +78,34 @@ class StabilityMap:
 
     def __str__(self) -> str:
         n, width = self.runs, np.ptp(self.intervals, axis=-1)
-        over = " and ".join(spoken(name) for name in self.names)
         points = " by ".join(map(str, reversed(n.shape)))
         texts = {
             "points": f"{points}, {n.sum()} runs in all",
             "sure": f"95 % intervals of points are at most {100 * width.max():.2g} % wide",
         }
         if len(self.names) == 1:
-            texts |= {
-                f"at {x:.4g}": f"{percent(share)} % of {runs}, with 95 % confidence "
-                f"{percent(low)} to {percent(high)} %"
-                for x, share, runs, (low, high) in zip(
-                    self.x, self.share, n, self.intervals, strict=True
-                )
-            }
-        good = 100 * self.converged / max(1, n.sum())
-        return "\n".join([*wrapped(f"converged: {good:.1f} % over {over}"), *rows(texts, 2)])
+            texts |= {f"at {x:.4g}": self._outcome(k) for k, x in enumerate(self.x)}
+        elif (made := np.flatnonzero(n)).size:
+            share = self.share.ravel()[made]
+            for what, k in (("least", made[share.argmin()]), ("most", made[share.argmax()])):
+                j, i = np.unravel_index(k, n.shape)
+                at = f"at {self.names[0]} {self.x[i]:.3g}, {self.names[1]} {self.y[j]:.3g}"
+                texts[what] = f"{at}: {self._outcome(k)}"
+        good, total, over = self.converged, int(n.sum()), " and ".join(map(spoken, self.names))
+        if self.names[0] not in PARAMETERS:  # or points share what is drawn
+            texts["in all"] = _surely(good / max(1, total), total, clopper_pearson(good, total))
+        heading = f"converged: {100 * good / max(1, total):.1f} % over {over}"
+        return "\n".join([*wrapped(heading), *rows(texts, 2)])
+
+    def _outcome(self, k: int) -> str:
+        """Return how the runs of point k ended."""
+        interval = self.intervals.reshape(-1, 2)[k]
+        return _surely(self.share.ravel()[k], self.runs.ravel()[k], interval)
+
+
+def _surely(share: float, runs: int, interval: Iterable[float]) -> str:
+    low, high = map(percent, interval)
+    return f"{percent(share)} % of {runs}, with 95 % confidence {low} to {high} %"
 
 
 def map_of(
