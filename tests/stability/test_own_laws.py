@@ -258,7 +258,7 @@ def test_a_report_of_ones_own_law_says_which_tests_apply():
     assert (runs.figures["converged"], runs.figures["runs"]) == (20, 20)
     assert report.passed
     assert str(report).startswith("nothing is proven of this law; no test that applies speaks")
-    decays = [each.decay_rate for each in report.local.found]
+    decays = [each.decay_rate for each in report.local.linearised]
     assert report.local.worst == np.argmin(decays)
     assert report.summary()["decay_rates"] == decays
     # each is what `local_stability` says of that robot, late as the study says
@@ -266,7 +266,7 @@ def test_a_report_of_ones_own_law_says_which_tests_apply():
     given = study.uncertainty.plant(report.local.values[k])
     plant = aj.Plant(given.robot, given.sensor, actuator_delay=2e-3)
     alone = aj.local_stability(plant, study.controller, report.local.q[k], 2e-3)
-    assert_allclose(alone.eigenvalues, report.local.found[k].eigenvalues)
+    assert_allclose(alone.eigenvalues, report.local.linearised[k].eigenvalues)
 
 
 def test_a_report_finds_what_speaks_against_a_law():

@@ -179,7 +179,7 @@ class StudiedLoop:
         return ClosedLoop(law, self.uncertainty, self.region, self.target)  # type: ignore[arg-type]
 
     def setting(self) -> RolloutSetting:
-        """Return what all rollouts share, in Python.
+        """Return the setting of all rollouts, in Python.
 
         Raises:
             InvalidInputError: What rollouts refuse.
@@ -218,7 +218,7 @@ class StudiedLoop:
 
 @contextmanager
 def telling(progress: Progress) -> Iterator[Callable[[str, float], None]]:
-    """Return what is called with the name of a part of the work and the share that is done."""
+    """Yield a function of the name of a part of the work and the share that is done."""
     require("progress", progress, _PROGRESS, "a function of what is done and its share, or True")
     if progress is not True:
         yield progress or (lambda what, share: None)

@@ -37,8 +37,8 @@ class Attraction:
     no motion, as on the boundary of the box V is larger whatever the speed.
 
     Attributes:
-        travel: Shape (n_v,) [rad/√J or m/√J]; infinite where no rate was found.
-        rate: ρ of that rate [1/s]; 0 where none was found.
+        travel: Shape (n_v,) [rad/√J or m/√J]; infinite without a rate.
+        rate: ρ of that rate [1/s]; 0 where there is none.
         weights: Of the V that has it.
         level: Smallest V on the boundary, and at most `SampledTest.level` [J]; 0 with joints to
             spare. Of the loop without torque limits.
@@ -59,7 +59,7 @@ class Attraction:
 
 
 def attraction(loop: ClosedLoop, test: SampledTest, rng: np.random.Generator) -> Attraction | None:
-    """Return which starts stay; None of what is not certified, or of a region that is no box."""
+    """Return starts that stay; None of what is not certified, or of a region that is no box."""
     box, saturation, form = loop.region, loop.controller.saturation, slower(test.form)
     if not test.certified or not isinstance(box, JointBox) or not test.level:
         return None
@@ -101,19 +101,19 @@ def slower(form: SampledForm) -> SampledForm:
 def _rates(form: SampledForm, test: SampledTest) -> list[tuple[float, float, Weights]]:
     """Functions that die out with a rate: size of their travel, rate, weights; the least first."""
     largest = _largest_ratio(form, test.weights)
-    worst, all_found = form.take(np.argsort(test.margins)[:_WORST]), []
+    worst, functions = form.take(np.argsort(test.margins)[:_WORST]), []
     for rate in _RATES:
         if not form.changed(decay=(rate, largest)).is_possible():
             break
-        found = best_weights(worst.changed(decay=(rate, largest)), "free").weights
-        for multiple in _MULTIPLES if (found.w > 0.0).all() else ():
-            scaled = found._replace(multiplier=multiple * found.multiplier)
+        best = best_weights(worst.changed(decay=(rate, largest)), "free").weights
+        for multiple in _MULTIPLES if (best.w > 0.0).all() else ():
+            scaled = best._replace(multiplier=multiple * best.multiplier)
             if np.isinf(travels(worst, scaled, rate)).any():
                 continue
-            size = float(travels(form, scaled, rate).max() * np.sqrt(found.w.max()))
+            size = float(travels(form, scaled, rate).max() * np.sqrt(best.w.max()))
             if np.isfinite(size):
-                all_found.append((size, rate, scaled))
-    return sorted(all_found, key=lambda each: each[0])
+                functions.append((size, rate, scaled))
+    return sorted(functions, key=lambda each: each[0])
 
 
 def _farthest(
@@ -122,13 +122,13 @@ def _farthest(
     """The most that samples travel by a function, with a closer look around those that do."""
     near, most = form, np.zeros(form.samples.M.shape[-1])
     for look in range(_LOOKS + 1):
-        found = travels(near, weights, rate)
-        if (found <= most).all():
+        bounds = travels(near, weights, rate)
+        if (bounds <= most).all():
             break
-        most = np.maximum(most, found.max(axis=0))
+        most = np.maximum(most, bounds.max(axis=0))
         if look == _LOOKS or np.isinf(most).any():
             break
-        k = int((found / most).max(axis=1).argmax())
+        k = int((bounds / most).max(axis=1).argmax())
         samples = loop.near(near.samples, k, _NEAR, _CLOSE, rng)
         near = form.elsewhere(samples, samples.dg)
     return most
@@ -144,10 +144,10 @@ def travels(form: SampledForm, weights: Weights, rate: float) -> Array:
     F = faster.decrease(weights)
     positive = np.linalg.eigvalsh(F)[:, 0] > 0.0
     n = form.samples.M.shape[-1]
-    found = np.full((len(F), n), np.inf)
+    bounds = np.full((len(F), n), np.inf)
     inverse = np.diagonal(np.linalg.inv(F[positive]), axis1=1, axis2=2)[:, :n]
-    found[positive] = np.sqrt(inverse / (2.0 * rate))
-    return found
+    bounds[positive] = np.sqrt(inverse / (2.0 * rate))
+    return bounds
 
 
 def _largest_ratio(form: SampledForm, weights: Weights) -> float:
@@ -163,10 +163,10 @@ def _largest_ratio(form: SampledForm, weights: Weights) -> float:
 def _robots(loop: ClosedLoop, n: int, rng: np.random.Generator) -> Indices:
     """Return true robots in any order, half of them corners where there are others; shape (n,)."""
     corners, others = len(loop.corners), len(loop.plants) - len(loop.corners)
-    found = np.arange(n) % corners
+    robots = np.arange(n) % corners
     if others:
-        found[: n // 2] = corners + np.arange(n // 2) % others
-    return rng.permutation(found)
+        robots[: n // 2] = corners + np.arange(n // 2) % others
+    return rng.permutation(robots)
 
 
 class _Starts:

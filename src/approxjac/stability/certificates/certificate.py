@@ -82,7 +82,7 @@ class MatrixTest:
 
     @property
     def certified(self) -> bool:
-        """Return whether the function passed in every sample it was chosen or checked on."""
+        """True if the function passed in every sample it was chosen or checked on."""
         return self.margin > 0.0 and self.violations == 0
 
     @property
@@ -150,7 +150,7 @@ class SampledTest(MatrixTest):
         return largest(lambda delay: self._passes(torque_delay=delay), self.latency.period)
 
     def _passes(self, **other: float) -> bool:
-        """Return whether some multiplier certifies other times in the worst samples."""
+        """True if some multiplier certifies other times in the worst samples."""
         hold = Hold.of(replace(self.latency, **other))
         form = self.form.take(np.argsort(self.margins)[:_WORST]).changed(hold=hold)
         return form.is_possible() and bool(form.best_multiplier(self.weights).margins.min() > 0.0)
@@ -169,13 +169,13 @@ def refine_constants(
             k = _first_largest(bad)
             known, k = (samples, k) if k < len(samples) else (more[k - len(samples)], 0)
             nearby = loop.near(known, k, _NEAR, _CLOSER, rng)
-            found = constants(nearby, setting)
-            its_bad = badness(name, found[name])
+            its_values = constants(nearby, setting)
+            its_bad = badness(name, its_values[name])
             if its_bad.max() <= bad.max() + _SAME * abs(bad.max()):
                 break
             worst = np.array([_first_largest(its_bad)])
             more.append(nearby.take(worst))
-            values = {key: np.append(values[key], found[key][worst]) for key in values}
+            values = {key: np.append(values[key], its_values[key][worst]) for key in values}
     return samples.join(*more), values
 
 
@@ -208,12 +208,12 @@ def refine_weights(
 
 def smallest_family(form: MatrixForm, families: Sequence[Family]) -> tuple[Best, Family]:
     """Return the function of the first family that is positive everywhere, or the best of all."""
-    found: list[tuple[Best, Family]] = []
+    tried: list[tuple[Best, Family]] = []
     for family in families:
-        found.append((best_weights(form, family), family))
-        if found[-1][0].margins.min() > 0.0:
+        tried.append((best_weights(form, family), family))
+        if tried[-1][0].margins.min() > 0.0:
             break
-    return max(found, key=lambda each: float(each[0].margins.min()))
+    return max(tried, key=lambda each: float(each[0].margins.min()))
 
 
 def margin(test: str, samples: Samples, setting: Setting) -> float:
@@ -275,16 +275,16 @@ def sampled_test(
         )  # fmt: skip
 
     whole = SampledForm(form, loop.plants[0].friction, Hold.of(latency), fastest, most_s, dg)
-    found = at_speed(whole)
-    if not found.certified and fastest > 0.0:  # and it may be that no speed is slow enough
-        found = at_speed(whole.with_speed(_SLOWEST * fastest))
-        slower = _SLOWER if found.certified else ()
+    test = at_speed(whole)
+    if not test.certified and fastest > 0.0:  # and it may be that no speed is slow enough
+        test = at_speed(whole.with_speed(_SLOWEST * fastest))
+        slower = _SLOWER if test.certified else ()
         tries = (at_speed(whole.with_speed(k * fastest)) for k in slower)
-        found = next((each for each in tries if each.certified), found)
-    if found.margin <= 0.0 and found.form.is_possible():
-        margins = found.form.take(slice(n, None)).margins(found.weights)
-        found = replace(found, violations=int((margins <= 0.0).sum()))
-    return found
+        test = next((each for each in tries if each.certified), test)
+    if test.margin <= 0.0 and test.form.is_possible():
+        margins = test.form.take(slice(n, None)).margins(test.weights)
+        test = replace(test, violations=int((margins <= 0.0).sum()))
+    return test
 
 
 def largest_errors(saturation: Saturation, w: Array, level: float) -> Array:

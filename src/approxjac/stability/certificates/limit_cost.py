@@ -48,7 +48,7 @@ class LimitCost:
 
     @property
     def verdict(self) -> str:
-        """Return in a few words what is proven where torques are limited."""
+        """The proof where torques are limited, in a few words."""
         if not self.holds:
             return "cannot hold"
         if not self.proof:
@@ -63,7 +63,7 @@ def limit_cost(
     sampled: SampledTest | None,
     known: CrossWeight | None,
 ) -> LimitCost:
-    """Return what the limits of effort of a limiter cost its loop.
+    """Return the cost of a limiter's limits of effort.
 
     With P of V ≥ ½zᵀPz, σ² and v̄ of `SampledForm.level`, V ≥ ½(1 − σ²)|q̇|²_M and
     V ≥ ½(1 − σ²)sᵀUs with U = 2c̄W + Ω, each by completing the square of the other. So V ≤ c

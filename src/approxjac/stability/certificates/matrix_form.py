@@ -2,7 +2,7 @@
 
 Solved by cutting planes: with a dozen unknowns and thousands of small matrices, an eigenvalue
 decomposition of all of them and a linear program of the few directions that matter (HiGHS, through
-SciPy) take less than a conic solver takes to read the problem. What is found is the best to within
+SciPy) take less than a conic solver takes to read the problem. The answer is the best to within
 `_PRECISION`; round-off alone may lead to another one within it.
 """
 
@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import copy
 import itertools
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, Self
@@ -115,10 +114,10 @@ class FamilyNumbers(NamedTuple):
 
     def weights(self, y: Array) -> Weights:
         """Return the Lyapunov function of some unknowns."""
-        found = self.fixed
+        total = self.fixed
         for k, part in zip(y, self.basis, strict=True):
-            found = found.plus(k, part)
-        return found
+            total = total.plus(k, part)
+        return total
 
 
 def family_numbers(family: Family, setting: Setting) -> FamilyNumbers:
@@ -181,18 +180,16 @@ class MatrixForm:
 
     def take(self, which: Indices | slice) -> Self:
         """Return the matrices of some of the samples."""
-        return self._with(self.samples.take(which), lambda values: values[which])
-
-    def join(self, other: MatrixForm) -> Self:
-        """Return the matrices of these samples and of others after them."""
-        each = iter(other._of_samples)
-        joined = self.samples.join(other.samples)
-        return self._with(joined, lambda values: np.concatenate([values, next(each)]))
-
-    def _with(self, samples: Samples, changed: Callable[[Array], Array]) -> Self:
         other = copy.copy(self)
-        other.samples = samples
-        other._of_samples = _OfSamples(*map(changed, self._of_samples))
+        other.samples = self.samples.take(which)
+        other._of_samples = _OfSamples(*(values[which] for values in self._of_samples))
+        return other
+
+    def join(self, more: MatrixForm) -> Self:
+        """Return the matrices of these samples and of others after them."""
+        other, pairs = copy.copy(self), zip(self._of_samples, more._of_samples, strict=True)
+        other.samples = self.samples.join(more.samples)
+        other._of_samples = _OfSamples(*map(np.concatenate, pairs))
         return other
 
     def pencils(self, weights: Weights) -> tuple[Array, Array]:
@@ -215,15 +212,15 @@ class MatrixForm:
         return X, Y
 
     def _form(self, weights: Weights, Q: Array, G: Array) -> Array:
-        """What has to be positive along motions: Q, or a larger form."""
+        """Return the form that has to be positive along motions: Q, or a larger one."""
         return Q
 
     def unknowns(self, family: Family) -> FamilyNumbers:
-        """Return what is sought in a family."""
+        """Return the unknowns of a family."""
         return family_numbers(family, self.setting)
 
     def metric(self, Y: Array) -> Array:
-        """Return what eigenvectors are sought in: Y, filled up where it is zero."""
+        """Return Y, filled up where it is zero, for eigenvectors to be sought in."""
         return Y
 
     def margins(self, weights: Weights) -> Array:
@@ -249,7 +246,7 @@ class MatrixForm:
         return np.asarray(np.minimum(margins, 1.0 - np.sqrt(self._kinetic(weights, G))))
 
     def _is_bounded(self, weights: Weights) -> bool:
-        """Return whether V at rest is positive: 2c̄W + Ω is."""
+        """True if V at rest is positive: 2c̄W + Ω is."""
         return bool(np.linalg.eigvalsh(weights.block(self.setting.c_bar))[0] > 0.0)
 
     def _kinetic(self, weights: Weights, G: Array) -> Array:
@@ -259,7 +256,7 @@ class MatrixForm:
         return np.asarray(np.maximum(np.linalg.eigvalsh(square)[:, -1], 0.0))
 
     def violations(self, weights: Weights) -> int:
-        """Return in how many samples the margin is not positive."""
+        """Return the number of samples whose margin is not positive."""
         with suppress(np.linalg.LinAlgError):  # faster than eigenvalues where there are none
             block = weights.block(self.setting.c_bar)
             np.linalg.cholesky(block)
@@ -305,8 +302,8 @@ class _OfSamples(NamedTuple):
 def best_weights(form: MatrixForm, family: Family, known: Best | None = None) -> Best:
     """Choose the Lyapunov function of a family whose least margin is largest.
 
-    The worst samples are gathered until no other one is worse. `known` is what was found without
-    the last ones of the samples, to go on from.
+    The worst samples are gathered until no other one is worse. `known` is the best without the
+    last ones of the samples, to go on from.
     """
     return best_of(form, form.unknowns(family), known)
 
@@ -391,7 +388,7 @@ def _cutting_planes(
         return _Look(float(values.min()) if is_positive else -np.inf, metric, whitened, values)
 
     best, here = start, look(start)
-    if here is None:  # found where some of these samples were not known yet
+    if here is None:  # the start is of fewer samples
         best, here = unknowns.start, look(unknowns.start)
     assert here is not None
     best_margin, mu = here.margin, max(here.margin, -1.0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -20,7 +19,7 @@ from approxjac.stability.certificates.matrix_form import (
     Weights,
     best_of,
 )
-from approxjac.stability.loop.samples import Samples
+from approxjac.stability.loop.samples import Indices, Samples
 from approxjac.validation import Array
 
 _HALF = 0.5  # λ where nothing but one damped mass is held, as long as it may be
@@ -181,7 +180,7 @@ class SampledForm(MatrixForm):
 
     def _turning(self, D_c: Array, dg: Array | None) -> Turning:
         """The largest of all samples, a portion after the other, as caches are small."""
-        found, of, (kp, kv) = Turning(), self._of_samples, (self.setting.kp, self.setting.kv)
+        turning, of, (kp, kv) = Turning(), self._of_samples, (self.setting.kp, self.setting.kv)
         for k in range(0, len(D_c), _PORTION):
             rows = slice(k, k + _PORTION)
             at, D, root, each = self.samples.take(rows), of.D[rows], of.root[rows], {}
@@ -198,16 +197,17 @@ class SampledForm(MatrixForm):
                 if self.hold.frames is not None:
                     each["stiffness"] = sampled_form.stiffness_turn(D, at.dJ_hat, kp)
             most = {name: float(values.max()) for name, values in each.items()}
-            found = Turning(*map(max, found, Turning(**most)))
-        return found
+            turning = Turning(*map(max, turning, Turning(**most)))
+        return turning
 
-    def _with(self, samples: Samples, changed: Callable[[Array], Array]) -> Self:
-        other = super()._with(samples, changed)
-        other._rate = self._rate.changed(changed)
+    def take(self, which: Indices | slice) -> Self:
+        """Return the matrices of some of the samples."""
+        other = super().take(which)
+        other._rate = self._rate.changed(lambda values: values[which])
         return other
 
     def is_possible(self) -> bool:
-        """Return whether some multiplier may do: the hold is not beyond what this can certify."""
+        """True if some multiplier may do: the hold is not beyond what this can certify."""
         return self._gain * (1.0 + self._b) * self._fastest**2 < 1.0
 
     @property
@@ -254,16 +254,16 @@ class SampledForm(MatrixForm):
     def metric(self, Y: Array) -> Array:
         """Return Y, filled up where it is zero."""
         (m, n), whole = self.samples.J_e.shape[-2:], Y.shape[-1]
-        k, found = n + m, Y.copy()
-        found[0, :, k : k + n, k : k + n] = self._size * np.linalg.inv(self._of_samples.D)
+        k, filled = n + m, Y.copy()
+        filled[0, :, k : k + n, k : k + n] = self._size * np.linalg.inv(self._of_samples.D)
         if self.hold.frames is not None:
             frames = range(k + n, whole)
-            found[0, :, frames, frames] = (_HALF * self.setting.kp / self.hold.frames)[
+            filled[0, :, frames, frames] = (_HALF * self.setting.kp / self.hold.frames)[
                 :, np.newaxis
             ]
         rest = range(k, whole)
-        found[1, :, rest, rest] = 1.0
-        return found
+        filled[1, :, rest, rest] = 1.0
+        return filled
 
     def margins(self, weights: Weights) -> Array:
         """Return the margin of each sample with F in place of Q, shape (N,)."""

@@ -75,7 +75,7 @@ class Theorem1:
 
     @property
     def is_too_fast(self) -> bool:
-        """Return whether learning has a larger α than (14) allows."""
+        """True if learning has a larger α than (14) allows."""
         return self.setting.fixed_alpha is not None and self.alpha >= self.alpha_max
 
     @property
@@ -93,7 +93,7 @@ class Theorem1:
 
     @property
     def holds(self) -> bool:
-        """Return whether (14) and (22) hold for some α."""
+        """True if (14) and (22) hold for some α."""
         return self.margin > 0.0
 
     @property
@@ -115,7 +115,7 @@ _BELOW = 0.999  # (14) is strict
 
 
 def constants(samples: Samples, setting: Setting) -> dict[str, Array]:
-    """Return what each constant would be for each sample alone, shape (N,), by name."""
+    """Return each constant as it is for each sample alone, shape (N,), by name."""
     J, J_hat, kv, B = samples.J, samples.J_hat, setting.kv, setting.B
     D = law.dissipation(J_hat, kv, B)
     G, dG = law.cross_weight_pinv(J_hat, samples.dJ_hat, setting.weight)
@@ -153,10 +153,10 @@ def theorem1(
     samples: Samples, setting: Setting, known: Mapping[str, Array] | None = None
 ) -> Theorem1:
     """Take the constants of Theorem 1 over all samples, of which the first may be known."""
-    found = constants(samples.take(slice(0 if known is None else len(known["p"]), None)), setting)
+    each = constants(samples.take(slice(0 if known is None else len(known["p"]), None)), setting)
     if known is not None:
-        found = {name: np.append(known[name], found[name]) for name in CONSTANTS}
-    worst = {name: int(np.argmax(badness(name, values))) for name, values in found.items()}
+        each = {name: np.append(known[name], each[name]) for name in CONSTANTS}
+    worst = {name: int(np.argmax(badness(name, values))) for name, values in each.items()}
     return Theorem1(
-        **{name: float(found[name][k]) for name, k in worst.items()}, setting=setting, worst=worst
+        **{name: float(each[name][k]) for name, k in worst.items()}, setting=setting, worst=worst
     )

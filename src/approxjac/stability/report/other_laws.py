@@ -1,4 +1,4 @@
-"""`OtherLawReport`: what can be told of a controller that no certificate is for."""
+"""`OtherLawReport`: the tests of a controller that no certificate is for."""
 
 from __future__ import annotations
 
@@ -30,26 +30,30 @@ class NearTargets:
     """The loop linearised at targets of a region, with true robots drawn from the errors.
 
     Attributes:
-        found: The linearisations, k of them.
+        linearised: The loop at each of k targets.
         q: Configurations that attain the targets, shape (k, nq).
         values: True values of the uncertain coordinates, shape (k, d).
         refused: How many others were left out, by the reason.
     """
 
-    found: tuple[LocalStability, ...]
+    linearised: tuple[LocalStability, ...]
     q: Array
     values: Array
     refused: dict[str, int]
 
     @property
     def stable(self) -> bool:
-        """Return whether all are stable, and none was left out."""
-        return bool(self.found) and not self.refused and all(each.stable for each in self.found)
+        """True if all are stable, and none was left out."""
+        return (
+            bool(self.linearised)
+            and not self.refused
+            and all(each.stable for each in self.linearised)
+        )
 
     @property
     def worst(self) -> int:
         """Index of the target with the slowest decay."""
-        return int(np.argmin([each.decay_rate for each in self.found]))
+        return int(np.argmin([each.decay_rate for each in self.linearised]))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -76,7 +80,7 @@ class OtherLawReport:
 
     @property
     def passed(self) -> bool:
-        """Return whether all tests that apply pass: no proof, but nothing speaks against it."""
+        """True if all tests that apply pass: no proof, but nothing speaks against it."""
         verdicts = {row.verdict for row in self.rows[1:]}
         return not verdicts & {"not stable", "fail"} and bool(verdicts & {"stable", "pass"})
 
@@ -90,21 +94,21 @@ class OtherLawReport:
     def _near(self) -> Row:
         local, verdict = self.local, "not applicable"
         figures: dict[str, Any] = {"refused": local.refused}
-        said = [f"{n} left out: {why}" for why, n in local.refused.items()]
-        if local.found:
+        texts = [f"{n} left out: {why}" for why, n in local.refused.items()]
+        if local.linearised:
             verdict = "stable" if local.stable else "not stable"
-            share = float(np.mean([each.stable for each in local.found]))
-            decay = local.found[local.worst].decay_rate
-            ratio = min(each.damping_ratio for each in local.found)
+            share = float(np.mean([each.stable for each in local.linearised]))
+            decay = local.linearised[local.worst].decay_rate
+            ratio = min(each.damping_ratio for each in local.linearised)
             truth = self.uncertainty.describe(local.values[local.worst])
-            figures |= {"targets": len(local.found), "share": share, "decay": decay}
+            figures |= {"targets": len(local.linearised), "share": share, "decay": decay}
             figures |= {"damping_ratio": ratio, "worst_truth": truth}
-            said.insert(
+            texts.insert(
                 0,
-                f"stable at {percent(share)} % of {len(local.found)} targets, slowest decay "
+                f"stable at {percent(share)} % of {len(local.linearised)} targets, slowest decay "
                 f"{decay:.3g} 1/s, damping ratio at least {ratio:.2g}; the slowest with {truth}",
             )
-        return Row("other law", "near targets", verdict, figures, "; ".join(said))
+        return Row("other law", "near targets", verdict, figures, "; ".join(texts))
 
     def _simulated(self) -> Row:
         many = self.rollouts
@@ -120,7 +124,7 @@ class OtherLawReport:
         return Row("other law", "rollouts", passes, figures, text)
 
     def verdict(self) -> str:
-        """Return in a line what was found."""
+        """Return the outcome in a line."""
         if self.passed:
             return "nothing is proven of this law; no test that applies speaks against it"
         return "nothing is proven of this law, and a test speaks against it: see below"
@@ -138,10 +142,10 @@ class OtherLawReport:
         return "\n".join([*wrapped(self.verdict()), *rows(table, 2), *rows(about, 2)])
 
     def summary(self) -> dict[str, Any]:
-        """Return what goes into summary.json."""
-        decay_rates = [each.decay_rate for each in self.local.found]
-        found = {"passed": self.passed, "seed": self.seed, "decay_rates": plain(decay_rates)}
-        return found | as_json(self.rows)
+        """Return the part of summary.json."""
+        decay_rates = [each.decay_rate for each in self.local.linearised]
+        about = {"passed": self.passed, "seed": self.seed, "decay_rates": plain(decay_rates)}
+        return about | as_json(self.rows)
 
 
 def near_targets(
@@ -159,7 +163,7 @@ def near_targets(
         x_delay=latency.image_age + 0.5 * latency.image_period,
         velocity_filter=latency.velocity_filter or None,
     )
-    found, where, values, refused = [], [], [], Counter[str]()
+    linearised, where, values, refused = [], [], [], Counter[str]()
     count = min(count, _MOST_TARGETS)
     for k in range(count):
         tell(k / count)
@@ -176,13 +180,13 @@ def near_targets(
             refused["no configuration near the start attains the target"] += 1
             continue
         try:
-            found.append(local_stability(plant, setting.controller, q, setting.dt))
+            linearised.append(local_stability(plant, setting.controller, q, setting.dt))
         except InvalidInputError as error:
             refused[str(error).split(", got ")[0]] += 1
-            if k == 0 and not found:  # of the law, not of the target
+            if k == 0 and not linearised:  # of the law, not of the target
                 break
             continue
         where.append(q)
         values.append(start.values)
-    shape = len(found), setting.uncertainty.d
-    return NearTargets(tuple(found), np.array(where), np.array(values).reshape(shape), refused)
+    shape = len(linearised), setting.uncertainty.d
+    return NearTargets(tuple(linearised), np.array(where), np.array(values).reshape(shape), refused)

@@ -123,12 +123,12 @@ class StabilityReport:
 
     @property
     def gravity_is_exact(self) -> bool:
-        """Return whether gravity is compensated, or can be learnt, to within 1e-5 N m."""
+        """True if gravity is compensated, or can be learnt, to within 1e-5 N m."""
         return self.gravity_error <= EXACT_GRAVITY
 
     @property
     def is_as_assumed(self) -> bool:
-        """Return whether gravity, the rank of Ĵ and Ĵ⁺ are as every certificate assumes."""
+        """True if gravity, the rank of Ĵ and Ĵ⁺ are as every certificate assumes."""
         return self.gravity_is_exact and self.singular_q is None and self.damped_q is None
 
     @property
@@ -138,7 +138,7 @@ class StabilityReport:
 
     @property
     def passed(self) -> bool:
-        """Return whether it is certified as far as there are certificates.
+        """True if it is certified as far as there are certificates.
 
         Where gravity is learnt there is none of the sampled loop: the one in continuous time has
         to do, with nothing that contradicts it.
@@ -169,7 +169,7 @@ class StabilityReport:
 
     @property
     def reason(self) -> str:
-        """Return what keeps the sampled loop from being certified; empty where it is certified.
+        """The reason why the sampled loop is not certified; empty where it is.
 
         A contradiction; "violated", "too slow" or "none" of the Lyapunov functions found; or
         "learnt" or "learnt, none" where gravity is learnt, which has certificates in continuous
@@ -184,9 +184,9 @@ class StabilityReport:
 
     @property
     def contradiction(self) -> str:
-        """Return what no certificate can stand beside; empty where there is nothing."""
+        """A finding that no certificate can stand beside; empty where there is none."""
         rollouts = self.rollouts
-        found = {
+        reasons = {
             "gravity": not self.gravity_is_exact,
             "rank": self.singular_q is not None,
             "damped": self.damped_q is not None,
@@ -195,10 +195,10 @@ class StabilityReport:
             "unstable in continuous time": not self.local.stable,
             "rollouts diverged": rollouts is not None and rollouts.n_diverged > 0,
         }
-        return next((reason for reason, is_so in found.items() if is_so), "")
+        return next((reason for reason, is_so in reasons.items() if is_so), "")
 
     def describe_truth(self, index: int) -> str:
-        """Return in words which true robot the index of a sample's `truth` means."""
+        """Describe the true robot of the index of a sample's `truth`."""
         truth = self.loop.truth
         if isinstance(truth, Uncertainty) and truth.d > 0:
             return truth.describe(self.loop.values[index])
@@ -228,21 +228,21 @@ class StabilityReport:
 
     @property
     def has_starts_that_stay(self) -> bool:
-        """Return whether there are starts from which the region is proven not to be left."""
+        """True if there are starts from which the region is proven not to be left."""
         return self.attraction is not None and bool(self.attraction.radius)
 
     @cached_property
     def rows(self) -> list[Row]:
         """The findings: of which part of the report, what was tested, its verdict and figures."""
         starts = {} if self.reason else _starts(self)
-        found = [_verdict(self), _covers(self, starts), *_about(self), *_beware(self)]
-        found += _sampled(self, starts)
-        found += [] if self.limits is None else of_limits(self.limits)
-        found += _continuous(self)
-        return found if self.rollouts is None else [*found, *of_rollouts(self.rollouts)]
+        rows = [_verdict(self), _covers(self, starts), *_about(self), *_beware(self)]
+        rows += _sampled(self, starts)
+        rows += [] if self.limits is None else of_limits(self.limits)
+        rows += _continuous(self)
+        return rows if self.rollouts is None else [*rows, *of_rollouts(self.rollouts)]
 
     def verdict(self) -> str:
-        """Return in one line whether the sampled loop is certified, and why not."""
+        """Return the verdict on the sampled loop in one line."""
         return _verdict(self).text
 
     def __repr__(self) -> str:
@@ -253,15 +253,15 @@ class StabilityReport:
         return as_text(self.rows)
 
     def summary(self) -> dict[str, Any]:
-        """Return what goes into summary.json: the rows by part and name, and what is certified."""
-        found = {
+        """Return the part of summary.json: the rows by part and name, and what is certified."""
+        certified = {
             "robot": self.loop.controller.task.robot.name,
             "seed": self.seed,
             "certified_by": self.certified_by,
             "certified_in_continuous_time": self.certified_in_continuous_time,
             "reason": self.reason,
         }
-        return found | as_json(self.rows)
+        return certified | as_json(self.rows)
 
 
 def report_of(
@@ -282,17 +282,17 @@ def report_of(
     fresh = loop.draw(configurations - half, rng, inside=1)
     samples, constants = refine_constants(loop, samples, rng)
     form, check = MatrixForm(samples, setting), MatrixForm(fresh, setting)
-    found: dict[Family, Best] = {}
+    bests: dict[Family, Best] = {}
     for k, family in enumerate(setting.families):
         tell("matrix form", k / len(setting.families))
         form, best = refine_weights(loop, form, family, rng)
-        found[family] = best
+        bests[family] = best
         if best.margins.min() > 0.0 and not check.violations(best.weights):
             break
     samples = form.samples
     matrix: dict[Family, MatrixTest] = {}
-    for family, each in found.items():
-        last = on_more(form, family, each)  # a later family may have found worse ones
+    for family, each in bests.items():
+        last = on_more(form, family, each)  # a later family may have bests worse ones
         matrix[family] = MatrixTest(
             family, last.weights, last.margins, len(fresh), check.violations(last.weights),
             loop.region.independent,
@@ -328,7 +328,7 @@ def report_of(
 
 
 def _verdict(report: StabilityReport) -> Row:
-    """Whether the sampled loop is certified, and why not."""
+    """The verdict on the sampled loop."""
     period, late = report.latency.period, report.latency.of_position > report.latency.period
     figures: dict[str, Any] = {"period": period, "late": late}
     rate = 1.0 / period
@@ -368,7 +368,7 @@ def _why(report: StabilityReport) -> tuple[str, dict[str, Any]]:
 
 
 def _covers(report: StabilityReport, starts: dict[str, Any]) -> Row:
-    """What follows from the verdict, in a sentence or two."""
+    """The consequence of the verdict, in a sentence or two."""
     runs, figures, left = report.rollouts, dict[str, Any](), ""
     if runs is not None:
         figures = {"left": runs.n_left, "runs": runs.n}
@@ -427,7 +427,7 @@ def covered_starts(starts: Mapping[str, Any]) -> str:
 
 
 def _within(starts: Mapping[str, Any]) -> str:
-    """What must be near the region's middle: the start, and a target that is not fixed."""
+    """The start, and a target that is not fixed, near the region's middle."""
     both = "start and target" if starts["any_target"] else "start"
     return f"{both} within {starts['radius']:.2g} {starts['joint_unit']}"
 
@@ -475,7 +475,7 @@ def _about(report: StabilityReport) -> Iterator[Row]:
 
 
 def _beware(report: StabilityReport) -> Iterator[Row]:
-    """What is not as certificates assume, or as one may think."""
+    """Departures from what certificates assume, or one may think."""
     angles = report.loop.plants[0].robot.angles
     left_out = "a bound on sigma_min leaves {} out (RegularPart)"
     if not report.gravity_is_exact:
@@ -556,18 +556,18 @@ def _rounded(latency: Latency) -> tuple[dict[str, dict[str, float]], str]:
     figures, texts = {}, dict[str, list[str]]()
     for who, (name, step, counts) in takers.items():
         taken: dict[str, float] = {}
-        said = []
+        rounded = []
         if step > period * (1.0 + _TINY):
             taken["period"] = step
-            said.append(f"samples of {_ms(step)}")
+            rounded.append(f"samples of {_ms(step)}")
         for what, time, n in zip(_ROUNDED, given, counts, strict=True):
             if abs(time - n * step) > _TINY * period:
                 taken |= {what: n * step, f"given_{what}": time}
-                said.append(_ROUNDED[what].format(_ms(n * step), _ms(time)))
+                rounded.append(_ROUNDED[what].format(_ms(n * step), _ms(time)))
         if taken:
             figures[who] = taken
-            texts.setdefault(", ".join(said), []).append(name)
-    taking = (f"{' and '.join(names)} take {said}" for said, names in texts.items())
+            texts.setdefault(", ".join(rounded), []).append(name)
+    taking = (f"{' and '.join(names)} take {rounded}" for rounded, names in texts.items())
     return figures, f"in whole periods, {'; '.join(taking)}"
 
 
@@ -629,13 +629,13 @@ def _margin(test: MatrixTest) -> str:
     """The margin of a test, and how far it is to be trusted."""
     if not math.isfinite(test.margin):
         return "the period and delays are too long for any function of this kind"
-    said, most = f"margin {test.margin:.3g}", test.violating_at_most
+    text, most = f"margin {test.margin:.3g}", test.violating_at_most
     if test.margin <= 0.0:
-        return f"{said}; positive in {100.0 * test.share:.3g} % of the configurations"
-    said += f"; {test.violations} of {test.checked} further configurations violate it"
+        return f"{text}; positive in {100.0 * test.share:.3g} % of the configurations"
+    text += f"; {test.violations} of {test.checked} further configurations violate it"
     if test.certified and math.isfinite(most):
-        said += f", so at most {100.0 * most:.2g} % of all do (95 % confidence)"
-    return said
+        text += f", so at most {100.0 * most:.2g} % of all do (95 % confidence)"
+    return text
 
 
 def _covered(report: StabilityReport, sampled: SampledTest) -> Row:
@@ -742,28 +742,28 @@ def of_limits(cost: LimitCost) -> list[Row]:
     return [*rows, acting, Row("limits", "not checked", "", {"uncounted": cost.uncounted}, text)]
 
 
-def of_rollouts(found: Rollouts) -> list[Row]:
+def of_rollouts(many: Rollouts) -> list[Row]:
     """Return rows about simulated runs."""
-    (low, high), worst, setting, n = found.interval, found.worst, found.setting, found.n
+    (low, high), worst, setting, n = many.interval, many.worst, many.setting, many.n
     unit = joined(setting.controller.task.units)
     converged = {
-        "runs": n, "converged": found.n_converged, "low": low, "high": high, "unit": unit,
+        "runs": n, "converged": many.n_converged, "low": low, "high": high, "unit": unit,
         "accuracy": setting.accuracy, "duration": setting.duration,
     }  # fmt: skip
     text = (
         f"within {setting.accuracy:g} {unit} throughout the last tenth of {setting.duration:g} s; "
         f"{percent(low)} to {percent(high)} % of all do (95 % confidence)"
     )
-    diverged, left = {"diverged": found.n_diverged}, {"left": found.n_left}
+    diverged, left = {"diverged": many.n_diverged}, {"left": many.n_left}
     rows = [
-        Row("rollouts", "converged", f"{found.n_converged} of {n}", converged, text),
-        Row("rollouts", "diverged", f"{found.n_diverged} of {n}", diverged),
-        Row("rollouts", "left the region", f"{found.n_left} of {n}", left, "without diverging"),
+        Row("rollouts", "converged", f"{many.n_converged} of {n}", converged, text),
+        Row("rollouts", "diverged", f"{many.n_diverged} of {n}", diverged),
+        Row("rollouts", "left the region", f"{many.n_left} of {n}", left, "without diverging"),
     ]
-    if found.n_beyond_torque:
-        most = float(np.nanmax(found.columns["peak_torque"]))
-        peaks = {"beyond": found.n_beyond_torque, "most": most, "unknown": found.n_diverged}
-        count = f"{'at least ' if found.n_diverged else ''}{found.n_beyond_torque} of {n}"
+    if many.n_beyond_torque:
+        most = float(np.nanmax(many.columns["peak_torque"]))
+        peaks = {"beyond": many.n_beyond_torque, "most": most, "unknown": many.n_diverged}
+        count = f"{'at least ' if many.n_diverged else ''}{many.n_beyond_torque} of {n}"
         text = f"beyond motors, which are not limited here: up to {most:.3g} times their limits"
         rows.append(Row("rollouts", "torques", count, peaks, text))
     values = setting.uncertainty.describe(worst.values)

@@ -53,9 +53,9 @@ def as_text(rows: Sequence[Row]) -> str:
 
 def as_json(rows: Iterable[Row]) -> dict[str, Any]:
     """Return rows as JSON has them: part → name → verdict and figures."""
-    found: dict[str, Any] = {}
+    parts: dict[str, Any] = {}
     for row in rows:
         verdict = {"verdict": row.verdict} if row.verdict else {}
         figures = {name: plain(value) for name, value in row.figures.items()}
-        found.setdefault(row.part, {})[row.name] = verdict | figures
-    return found
+        parts.setdefault(row.part, {})[row.name] = verdict | figures
+    return parts
