@@ -304,7 +304,7 @@ def test_without_llvmlite(monkeypatch):
     found = aj.Study(*loop, duration=0.01).rollouts(1)
     assert found.setting.reason == "llvmlite is not installed"
     told = " ".join(str(found).split())
-    assert told.endswith("engine in Python, as llvmlite is not installed")
+    assert told.endswith("engine in Python as llvmlite is not installed")
 
     with pytest.warns(UserWarning, match=r"20000 runs .* 10 min .*approxjac\[fast\]"):
         aj.Study(*loop, duration=0.5).setting().with_engine(None, 20_000)

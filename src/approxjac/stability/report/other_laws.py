@@ -17,9 +17,9 @@ from approxjac.simulation import Plant, Sensing
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.configurations import inverse_kinematics
 from approxjac.stability.loop.local import LocalStability, local_stability
-from approxjac.stability.report.rows import Row, as_json
 from approxjac.stability.rollouts.rollouts import Rollouts
 from approxjac.stability.rollouts.setting import RolloutSetting
+from approxjac.stability.rows import Row, as_json
 from approxjac.validation import Array
 
 _MOST_TARGETS = 200
@@ -114,14 +114,10 @@ class OtherLawReport:
         many = self.rollouts
         if many is None:
             return Row("other law", "rollouts", "not run", {}, "report(runs=100) runs them")
-        low, high = many.interval
-        figures = {"converged": many.n_converged, "runs": many.n, "low": low, "high": high}
-        text = (
-            f"{many.n_converged} of {many.n} converged, {percent(low)} to {percent(high)} % of all "
-            "by the interval"
-        )
+        converged = many.rows[0]
         passes = "pass" if many.n_converged == many.n else "fail"
-        return Row("other law", "rollouts", passes, figures, text)
+        text = f"{converged.verdict} {converged.text}"
+        return Row("other law", "rollouts", passes, converged.figures, text)
 
     def verdict(self) -> str:
         """Return the outcome in a line."""

@@ -31,8 +31,8 @@ from approxjac.stability.loop.closed_loop import EXACT_GRAVITY, SHARED, ClosedLo
 from approxjac.stability.loop.linearization import Timing
 from approxjac.stability.loop.local import LocalTest, local_test
 from approxjac.stability.loop.samples import Samples
-from approxjac.stability.report.rows import Row, as_json, as_text
 from approxjac.stability.rollouts.rollouts import Rollouts
+from approxjac.stability.rows import Row, as_json, as_text
 from approxjac.validation import Array
 
 FAMILY_NAMES: dict[Family, str] = {
@@ -239,7 +239,7 @@ class StabilityReport:
         rows += _sampled(self, starts)
         rows += [] if self.limits is None else of_limits(self.limits)
         rows += _continuous(self)
-        return rows if self.rollouts is None else [*rows, *of_rollouts(self.rollouts)]
+        return rows if self.rollouts is None else [*rows, *self.rollouts.rows]
 
     def verdict(self) -> str:
         """Return the verdict on the sampled loop in one line."""
@@ -740,39 +740,6 @@ def of_limits(cost: LimitCost) -> list[Row]:
             f"takes up to {100.0 * cost.uncounted:.2g} % of a motor's torque"
         )
     return [*rows, acting, Row("limits", "not checked", "", {"uncounted": cost.uncounted}, text)]
-
-
-def of_rollouts(many: Rollouts) -> list[Row]:
-    """Return rows about simulated runs."""
-    (low, high), worst, setting, n = many.interval, many.worst, many.setting, many.n
-    unit = joined(setting.controller.task.units)
-    converged = {
-        "runs": n, "converged": many.n_converged, "low": low, "high": high, "unit": unit,
-        "accuracy": setting.accuracy, "duration": setting.duration,
-    }  # fmt: skip
-    text = (
-        f"within {setting.accuracy:g} {unit} throughout the last tenth of {setting.duration:g} s; "
-        f"{percent(low)} to {percent(high)} % of all do (95 % confidence)"
-    )
-    diverged, left = {"diverged": many.n_diverged}, {"left": many.n_left}
-    rows = [
-        Row("rollouts", "converged", f"{many.n_converged} of {n}", converged, text),
-        Row("rollouts", "diverged", f"{many.n_diverged} of {n}", diverged),
-        Row("rollouts", "left the region", f"{many.n_left} of {n}", left, "without diverging"),
-    ]
-    if many.n_beyond_torque:
-        most = float(np.nanmax(many.columns["peak_torque"]))
-        peaks = {"beyond": many.n_beyond_torque, "most": most, "unknown": many.n_diverged}
-        count = f"{'at least ' if many.n_diverged else ''}{many.n_beyond_torque} of {n}"
-        text = f"beyond motors, which are not limited here: up to {most:.3g} times their limits"
-        rows.append(Row("rollouts", "torques", count, peaks, text))
-    values = setting.uncertainty.describe(worst.values)
-    ended = "diverged" if worst.diverged else f"ended {worst.final_error:.3g} {unit} off"
-    figures = {
-        "diverged": worst.diverged, "error": worst.final_error, "unit": unit, "values": values,
-    }  # fmt: skip
-    worst_row = Row("rollouts", "worst", f"run {worst.index}", figures, f"{ended}, with {values}")
-    return [*rows, worst_row]
 
 
 def _numbers(q: Array, digits: int) -> str:

@@ -19,9 +19,10 @@ import numpy as np
 
 from approxjac.errors import InvalidInputError, package_of
 from approxjac.files import read_arrays, replaced
-from approxjac.formatting import joined, percent, rows
+from approxjac.formatting import joined, percent
 from approxjac.simulation import Trajectory
 from approxjac.stability.rollouts.setting import COLUMNS, Rollout, RolloutSetting
+from approxjac.stability.rows import Row, as_lines
 from approxjac.validation import Array, as_integer, require
 
 _BEYOND = 1.0 + 1e-6  # of a limit: a torque at it, and round-off, is not beyond
@@ -131,29 +132,45 @@ class Rollouts:
     def __repr__(self) -> str:
         return f"Rollouts({self.n_converged} of {self.n} converged)"
 
-    def __str__(self) -> str:
-        low, high = self.interval
-        worst, setting = self.worst, self.setting
+    @cached_property
+    def rows(self) -> list[Row]:
+        """The findings: what became of the runs, its verdict and figures."""
+        (low, high), worst, setting, n = self.interval, self.worst, self.setting, self.n
         unit = joined(setting.controller.task.units)
-        ended = "diverged" if worst.diverged else f"ended {worst.final_error:.3g} {unit} off"
-        texts = {
-            "share": f"{percent(self.share)} %, with 95 % confidence {percent(low)} to "
-            f"{percent(high)} %",
-            "converged": f"within {setting.accuracy:g} {unit} throughout the last tenth of "
-            f"{setting.duration:g} s",
-            "others": f"{self.n_diverged} diverged, {self.n_left} more left the region",
-            "worst": f"run {worst.index} {ended}, with "
-            f"{setting.uncertainty.describe(worst.values)}",
-        }
+        converged = {
+            "runs": n, "converged": self.n_converged, "low": low, "high": high, "unit": unit,
+            "accuracy": setting.accuracy, "duration": setting.duration,
+        }  # fmt: skip
+        text = (
+            f"within {setting.accuracy:g} {unit} throughout the last tenth of "
+            f"{setting.duration:g} s; {percent(low)} to {percent(high)} % of all do (95 % "
+            "confidence)"
+        )
+        diverged, left = {"diverged": self.n_diverged}, {"left": self.n_left}
+        rows = [
+            Row("rollouts", "converged", f"{self.n_converged} of {n}", converged, text),
+            Row("rollouts", "diverged", f"{self.n_diverged} of {n}", diverged),
+            Row("rollouts", "left the region", f"{self.n_left} of {n}", left, "without diverging"),
+        ]
         if self.n_beyond_torque:
-            texts["torques"] = (
-                f"{'at least ' if self.n_diverged else ''}{self.n_beyond_torque} of {self.n} runs "
-                "beyond motors, which are not limited here: up to "
-                f"{np.nanmax(self.columns['peak_torque']):.3g} times their limits"
-            )
-        if setting.reason:  # slow, and nobody asked for it
-            texts["engine"] = f"in Python, as {setting.reason}"
-        return "\n".join([f"converged: {self.n_converged} of {self.n} runs", *rows(texts, 2)])
+            most = float(np.nanmax(self.columns["peak_torque"]))
+            peaks = {"beyond": self.n_beyond_torque, "most": most, "unknown": self.n_diverged}
+            count = f"{'at least ' if self.n_diverged else ''}{self.n_beyond_torque} of {n}"
+            text = f"beyond motors, which are not limited here: up to {most:.3g} times their limits"
+            rows.append(Row("rollouts", "torques", count, peaks, text))
+        values = setting.uncertainty.describe(worst.values)
+        ended = "diverged" if worst.diverged else f"ended {worst.final_error:.3g} {unit} off"
+        figures = {
+            "diverged": worst.diverged, "error": worst.final_error, "unit": unit, "values": values,
+        }  # fmt: skip
+        text = f"{ended}, with {values}"
+        return [*rows, Row("rollouts", "worst", f"run {worst.index}", figures, text)]
+
+    def __str__(self) -> str:
+        rows, reason = self.rows, self.setting.reason
+        if reason:  # slow, and nobody asked for it
+            rows = [*rows, Row("rollouts", "engine", "in Python", {}, f"as {reason}")]
+        return "\n".join([f"converged: {rows[0].verdict} runs", *as_lines(rows)])
 
 
 def clopper_pearson(successes: int, runs: int, confidence: float = 0.95) -> tuple[float, float]:

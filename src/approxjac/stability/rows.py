@@ -41,14 +41,19 @@ def as_text(rows: Sequence[Row]) -> str:
     """Return all of a report: the verdict, what it means and is about, and the figures."""
     lines = [line for row in rows if row.part == "verdict" for line in wrapped(row.text)]
     for part, title in _PARTS.items():
-        block = [row for row in rows if row.part == part]
-        if block:
-            lines += ["", *wrapped(title)]
-        first, second = (max((len(row[k]) for row in block), default=0) for k in (1, 2))
-        for row in block:
-            start = f"  {row.name:<{first}}  " + (f"{row.verdict:<{second}}  " if second else "")
-            lines += wrapped(row.text, start)
+        if block := [row for row in rows if row.part == part]:
+            lines += ["", *wrapped(title), *as_lines(block)]
     return "\n".join(lines)
+
+
+def as_lines(rows: Sequence[Row]) -> list[str]:
+    """Return names, verdicts and texts of rows below each other, wrapped."""
+    first, second = (max(len(row[k]) for row in rows) for k in (1, 2))
+    lines = []
+    for row in rows:
+        start = f"  {row.name:<{first}}  " + (f"{row.verdict:<{second}}  " if second else "")
+        lines += wrapped(row.text, start)
+    return lines
 
 
 def as_json(rows: Iterable[Row]) -> dict[str, Any]:
