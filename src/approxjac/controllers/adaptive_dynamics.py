@@ -37,18 +37,22 @@ class MotionDynamics(Immutable, ABC):
 
     Immutable, but it owns scratch memory: one instance a thread.
 
-    Attributes:
+    Args:
         robot: The believed robot.
+        rotor_inertia: Rotor inertias as the joints feel them, a number or shape (n_v,) [kg m² or
+            kg].
+
+    Attributes:
         n_state: Length of the state, p where p parameters are learnt.
         parameters: Their names and units.
     """
 
-    robot: Robot
-    rotor_inertia: Array
     n_state = 0
     parameters: Mapping[str, str] = MappingProxyType({})
 
-    def _build(self, robot: Robot, rotor_inertia: float | Sequence[float] | Array) -> None:
+    def __init__(
+        self, robot: Robot, *, rotor_inertia: float | Sequence[float] | Array = 0.0
+    ) -> None:
         require("robot", robot, Robot, "a Robot")
         self.robot = robot
         self.rotor_inertia = as_diagonal(
@@ -60,9 +64,9 @@ class MotionDynamics(Immutable, ABC):
         self._weightless.gravity.linear = np.zeros(3)
         self._still = np.zeros(robot.nv)
 
-    @abstractmethod
     def initial_state(self) -> Array:
-        """Return â and d̂ before the first step, shape (n_state,)."""
+        """Return what is believed before the first step, shape (n_state,); by default nothing."""
+        return np.zeros(self.n_state)
 
     @abstractmethod
     def step(
@@ -109,21 +113,7 @@ class ModelDynamics(MotionDynamics):
     """The believed model as it is; nothing is learnt.
 
     For a robot that compensates its own weight it is that of `robot.with_gravity((0, 0, 0))`.
-
-    Args:
-        robot: The believed robot.
-        rotor_inertia: Rotor inertias as the joints feel them, a number or shape (n_v,) [kg m² or
-            kg].
     """
-
-    def __init__(
-        self, robot: Robot, *, rotor_inertia: float | Sequence[float] | Array = 0.0
-    ) -> None:
-        self._build(robot, rotor_inertia)
-
-    def initial_state(self) -> Array:
-        """Return no state, shape (0,)."""
-        return np.zeros(0)
 
     def step(
         self, state: Array, q: Array, v: Array, v_r: Array, a_r: Array, learns: Any, dt: float
@@ -132,11 +122,9 @@ class ModelDynamics(MotionDynamics):
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
             motion = arm.reference_torque(v, v_r, a_r) + self.rotor_inertia * a_r
             return state, motion, arm.gravity()
-        middle = pin.rnea(self._model, self._data, q, 0.5 * (v + v_r), a_r) + (
-            self.rotor_inertia * a_r
-        )
+        middle = pin.rnea(self._model, self._data, q, 0.5 * (v + v_r), a_r)
         apart = pin.rnea(self._weightless, self._data, q, 0.5 * (v - v_r), self._still)
-        return state, middle - apart, self.gravity(state, q)
+        return state, middle + self.rotor_inertia * a_r - apart, self.gravity(state, q)
 
     def gravity(self, state: Array, q: Array) -> Array:
         """Return ĝ(q) of the model."""
@@ -170,8 +158,7 @@ class AdaptiveDynamics(MotionDynamics):
 
     Args:
         robot: The believed robot.
-        rotor_inertia: Believed rotor inertias as the joints feel them, a number or shape (n_v,)
-            [kg m² or kg]. Where they are given, the gain matrix of the law has them.
+        rotor_inertia: As of `MotionDynamics`. Where they are given, the law's gain matrix has them.
         sd: Plausible errors of all parameters in the order of `regressor.names`, shape (p,).
         gain: How fast all of them learn > 0 [1/J], in place of the above.
         fastest: How fast each parameter may learn at usual configurations > 0 [1/s]. In place of
@@ -196,7 +183,7 @@ class AdaptiveDynamics(MotionDynamics):
         gain: float | None = None,
         fastest: float = 120.0,
     ) -> None:
-        self._build(robot, rotor_inertia)
+        super().__init__(robot, rotor_inertia=rotor_inertia)
         self.regressor = DynamicsRegressor(robot)
         self.n_state = self.regressor.p
         self.parameters = dict(zip(self.regressor.names, self.regressor.units, strict=True))
@@ -285,18 +272,14 @@ def squared_rates(motions: Sequence[tuple[Array, Array]], gamma: Array) -> Array
     return np.asarray(np.maximum(np.max(rates, axis=0), 1e-9))
 
 
-def squared_rate_of_arm(
-    motions: Sequence[tuple[Array, Array]], gamma: Array, parameters: slice
-) -> float:
-    """Return how fast some parameters make all joints swing, squared [1/s²].
+def squared_rate_of_arm(motions: Sequence[tuple[Array, Array]], gamma: Array, k: slice) -> float:
+    """Return how fast the parameters k make all joints swing, squared [1/s²].
 
     tr(Y_d Γ Y_dᵀ)/tr M, the mean of joints by their inertia, so that wrists hardly count; the
     median of usual motions.
     """
     rates = [
-        np.vdot(Y_d[:, parameters] ** 2, np.tile(gamma[parameters], (len(Y_d), 1)))
-        / np.trace(np.linalg.inv(M_inv))
-        for Y_d, M_inv in motions
+        (Y_d[:, k] ** 2 * gamma[k]).sum() / np.trace(np.linalg.inv(M_inv)) for Y_d, M_inv in motions
     ]
     return max(float(np.median(rates)), 1e-9)
 
