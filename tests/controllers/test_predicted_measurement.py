@@ -54,6 +54,7 @@ def test_with_known_kinematics_it_is_the_law_itself(panda, rng, axes):
             found.torque, wanted.torque, rtol=0, atol=1e-12 * np.abs(wanted.torque).max()
         )
         assert_allclose(found_state, after, atol=1e-12)
+        assert_allclose(predicted.learnt(found_state), law.learnt(after), atol=1e-12)
         assert_allclose(found.e, wanted.e, atol=1e-15)
 
 

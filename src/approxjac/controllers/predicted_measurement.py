@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Mapping
 from typing import Self
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from approxjac import law
 from approxjac.controllers.arguments import overflow, require_arrays, require_finite, with_rates
-from approxjac.controllers.controller import Controller, Instant
+from approxjac.controllers.controller import Controller
 from approxjac.controllers.learning.estimator import Kinematics
 from approxjac.controllers.wrapper import ControllerWrapper
 from approxjac.errors import InvalidInputError
@@ -69,24 +70,18 @@ class PredictedMeasurement(ControllerWrapper):
                 given=kinematics,
             )
         self.controller = controller.with_task(_WithJacobian(task))
-        self._kinematics = kinematics
-        self._task = task
-        self._memory = kinematics.n_state
+        self._kinematics, self._memory = kinematics, kinematics.n_state
 
-    @property
-    def kinematics(self) -> Kinematics:  # type: ignore[override]
-        """What predicts."""
-        return self._kinematics
-
-    @property
-    def task(self) -> Task:  # type: ignore[override]
-        """The task of the believed robot."""
-        return self._task
+    kinematics: Kinematics = property(operator.attrgetter("_kinematics"))  # type: ignore[assignment]
+    task: Task = property(operator.attrgetter("_kinematics.task"))  # type: ignore[assignment]
+    # V and the torque of the law are of what is predicted
+    lyapunov = Controller.lyapunov
+    task_torque = Controller.task_torque
 
     def learnt(self, state: Array) -> Array:
         """Return what the law and then the kinematics have learnt, shape (…, p)."""
-        n = self.kinematics.n_state
-        parts = [self.controller.learnt(state[..., :-n]), self.kinematics.learnt(state[..., -n:])]
+        n = state.shape[-1] - self._memory
+        parts = [self.controller.learnt(state[..., :n]), self.kinematics.learnt(state[..., n:])]
         return np.concatenate(parts, axis=-1)
 
     @property
@@ -99,14 +94,6 @@ class PredictedMeasurement(ControllerWrapper):
         inner, known = self._split(state)
         return np.concatenate([self.controller.learnt_sd(inner), self.kinematics.sd_of(known)])
 
-    def lyapunov(self, at: Instant) -> float:
-        """Return NaN: the V of the law is of what is predicted."""
-        return math.nan
-
-    def task_torque(self, at: Instant) -> Array:
-        """Return NaN: the torque acts on what is predicted."""
-        return np.full(len(at.v), np.nan)
-
     def with_task(self, task: Task) -> Self:
         """Refuse another task: kinematics that have learnt are of the one that they were built for.
 
@@ -114,16 +101,16 @@ class PredictedMeasurement(ControllerWrapper):
             InvalidInputError: Always.
         """
         raise InvalidInputError(
-            f"task must be {self._task!r}, which the kinematics are of; build a new controller for "
+            f"task must be {self.task!r}, which the kinematics are of; build a new controller for "
             f"{task!r}",
             given=task,
         )
 
     def initial_state(self, measurement: Measurement) -> Array:
         """Return the state before the first step."""
-        require_arrays(np.zeros(0), measurement, self._task._origin, self._task, 0)
+        require_arrays(np.zeros(0), measurement, self.task._origin, self.task, 0)
         known = self.kinematics.initial_state(measurement)
-        target = Target(self._task._origin)
+        target = Target(self.task._origin)
         seen, _ = self._predicted(known, measurement, target)
         return np.concatenate([self.controller.initial_state(seen), known])
 
@@ -132,7 +119,7 @@ class PredictedMeasurement(ControllerWrapper):
         fresh = self.initial_state(measurement)
         inner, known = self._split(as_vector("state", state, len(fresh)))
         known = self.kinematics.resumed(known, measurement)
-        seen, _ = self._predicted(known, measurement, Target(self._task._origin))
+        seen, _ = self._predicted(known, measurement, Target(self.task._origin))
         fresh = self.controller.initial_state(seen)
         p = self.controller.learnt(inner).shape[-1]
         fresh[:p] = inner[:p]
@@ -149,45 +136,34 @@ class PredictedMeasurement(ControllerWrapper):
             MeasurementError: As the controller.
             InvalidInputError: As the controller.
         """
-        inner, known = self._split(state)
-        target, is_traced = (
-            target if isinstance(target, Target) else Target(target),
-            hasattr(state, "arm_of"),
-        )
+        target = target if isinstance(target, Target) else Target(target)
+        (inner, known), task, is_traced = self._split(state), self.task, hasattr(state, "arm_of")
         if not is_traced:
-            x_d = self._task.target(target.x)
-            q, v, _ = require_arrays(state, measurement, x_d, self._task, len(state))
+            x_d = task.target(target.x)
+            q, v, _ = require_arrays(state, measurement, x_d, task, len(state))
             if not math.isfinite(math.hypot(*q.tolist(), *v.tolist())):
-                require_finite(q, v, x_d, state, self._task)
-            target = with_rates(target._replace(x=x_d), self._task.m)
+                require_finite(q, v, x_d, state, task)
+            target = with_rates(target._replace(x=x_d), task.m)
             self.kinematics.check(known, measurement, dt)
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # an overflow is a named error
-                after, answer = self._stepped(inner, known, measurement, target, dt)
+                now = self.kinematics.status(known, measurement)
+                e = law.array(task.error(measurement.x, target.x))
+                seen, origin = self._predicted(known, measurement, target)
+                z = seen.x[: task.m]
+                # nothing is predicted before x was seen once
+                z = law.select(now == _LOST, np.full(len(z), math.nan), z)
+                seen = seen._replace(x=np.concatenate([z, seen.x[len(z) :]]))
+                after, answer = self.controller.step(inner, seen, origin, dt)
                 known = known.copy()
                 self.kinematics.correct(known, measurement, dt)
         except (ArithmeticError, np.linalg.LinAlgError):
             raise overflow(measurement) from None
         if not (is_traced or math.isfinite(math.hypot(*known.tolist()))):
             raise overflow(measurement)
-        return np.concatenate([after, known]), answer
-
-    def _stepped(
-        self, inner: Array, known: Array, measurement: Measurement, target: Target, dt: float
-    ) -> tuple[Array, Evaluation]:
-        """Return the controller's state after a step, and its answer to what is predicted."""
-        now = self.kinematics.status(known, measurement)
-        e = law.array(self._task.error(measurement.x, target.x))
-        seen, origin = self._predicted(known, measurement, target)
-        z = seen.x[: self._task.m]
-        # nothing is predicted before x was seen once
-        z = law.select(now == _LOST, np.full(len(z), math.nan), z)
-        seen = seen._replace(x=np.concatenate([z, seen.x[len(z) :]]))
-        after, answer = self.controller.step(inner, seen, origin, dt)
         is_predicted = (now == _PREDICTED) | law.complement(law.is_finite(e))
-        is_predicted = is_predicted & (answer.status == _OK)
-        status = law.select(is_predicted, _PREDICTED, answer.status)
-        return after, answer._replace(e=e, status=status)
+        status = law.select(is_predicted & (answer.status == _OK), _PREDICTED, answer.status)
+        return np.concatenate([after, known]), answer._replace(e=e, status=status)
 
     def kinematics_of(self, state: Array) -> tuple[Kinematics, Array]:
         """Return the kinematics, and their part of a state."""
