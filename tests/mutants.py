@@ -213,15 +213,15 @@ MUTANTS = [
         "q_dd - M_inv.dot(near)", "q_dd + M_inv.dot(near)", PERIODS,
     ),
     (
-        "weight that is compensated counts twice", "controllers/limits/acceleration_observer.py",
+        "weight that is compensated counts twice", "controllers/limits/torque_limited.py",
         "torque if self.has_weight else torque - gravity", "torque", PERIODS,
     ),
     (
-        "residual of a period too much", "controllers/limits/acceleration_observer.py",
+        "residual of a period too much", "controllers/limits/torque_limited.py",
         "self._half = 0.5 * dt", "self._half = 0.0", "tests/controllers/test_prediction.py",
     ),
     (
-        "residual dropped", "controllers/limits/acceleration_observer.py",
+        "residual dropped", "controllers/limits/torque_limited.py",
         "self._share * r + self._rate * apart, r)", "r, r)", PERIODS,
     ),
     (
@@ -408,11 +408,11 @@ MUTANTS = [
         "task_force = 0.5 * gains.kp", "task_force = 1.0 * gains.kp", FIGURES,
     ),
     (
-        "quieting dropped", "controllers/gains/default_gains.py",
+        "quieting dropped", "controllers/gains/tuning.py",
         "_DAMPING_SHARE = 0.03", "_DAMPING_SHARE = 0.01", FIGURES,
     ),
     (
-        "damping as fast as the bandwidth", "controllers/gains/default_gains.py",
+        "damping as fast as the bandwidth", "controllers/gains/tuning.py",
         "fastest = 0.5 * as_number", "fastest = 1.0 * as_number", FIGURES,
     ),
     # -- a second round
@@ -538,7 +538,7 @@ MUTANTS = [
         "decides = max(candidates, key=candidates.__getitem__)", FIGURES,
     ),
     (
-        "lag of x without the age of frames", "controllers/gains/latency.py",
+        "lag of x without the age of frames", "controllers/gains/gains.py",
         "+ self.image_age + 0.5 * self.image_period", "+ 0.5 * self.image_period", FIGURES,
     ),
     (

@@ -3,8 +3,8 @@
 import numpy as np
 
 import approxjac as aj
-from approxjac.controllers.gains.default_gains import slow_rate
 from approxjac.controllers.gains.sample_configurations import usual_postures
+from approxjac.controllers.gains.tuning import slow_rate
 
 SPEED, FASTEST = 3.0, 10.0  # of learning, in rates of the task's slow pole
 

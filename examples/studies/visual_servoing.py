@@ -20,7 +20,7 @@ from velocity_servo import VelocityServo
 
 import approxjac as aj
 from approxjac import view
-from approxjac.controllers.gains.default_gains import position_gains
+from approxjac.controllers.gains.tuning import position_gains
 from approxjac.scenario import Scenario, build_scenario, run_scenario
 from approxjac.tasks.analysis import sees
 

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac.controllers import NoGravity
-from approxjac.controllers.limits.acceleration_observer import AccelerationObserver
+from approxjac.controllers.limits.torque_limited import AccelerationObserver
 
 DT, RATE = 1e-3, 100.0
 Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])

@@ -10,7 +10,7 @@ from velocity_servo import VelocityServo
 from visual_servoing import LAWS, ONE_POINT, Case, Outcome
 
 import approxjac as aj
-from approxjac.controllers.gains.default_gains import position_gains
+from approxjac.controllers.gains.tuning import position_gains
 
 pytestmark = pytest.mark.study
 CASE = Case(ONE_POINT, "law 6", 0.5, "exact", 0)

@@ -1,83 +1,43 @@
 """Controllers: the laws of the paper put together with a believed robot."""
 
-from approxjac.controllers.adaptive_dynamics import (
-    AdaptiveDynamics,
-    ModelDynamics,
-    MotionDynamics,
-)
-from approxjac.controllers.controller import Controller
-from approxjac.controllers.gains.default_gains import default_gains
-from approxjac.controllers.gains.gains import Gains
-from approxjac.controllers.gains.latency import Latency
-from approxjac.controllers.gains.tuning import Learning, Tuning, tuned
-from approxjac.controllers.gravity import (
-    Adaptation,
-    AdaptiveGravity,
-    Gravity,
-    ModelGravity,
-    NoGravity,
-    RegressorGravity,
-)
-from approxjac.controllers.hold import HeldMeasurement
-from approxjac.controllers.learning.estimator import Kinematics, KnownKinematics
-from approxjac.controllers.learning.kinematic_report import (
-    KinematicReport,
-    LearntNumber,
-    TiltedAxes,
-)
-from approxjac.controllers.learning.learnt_camera import AdaptiveCamera
-from approxjac.controllers.learning.positions import AdaptiveKinematics, AdaptivePlanarCamera
-from approxjac.controllers.limits.cross_weight import CrossWeight
-from approxjac.controllers.limits.limit import CartesianSpeed, Limit, LimitTerms, Wall
-from approxjac.controllers.limits.limits import Limits
-from approxjac.controllers.limits.torque_limited import TorqueLimited
-from approxjac.controllers.posture import AwayFromStops, Posture
-from approxjac.controllers.predicted_measurement import PredictedMeasurement
-from approxjac.controllers.setpoint import DifferentiatedVelocity, SetpointController
-from approxjac.controllers.tracking import TrackingController, TrackingGains
-from approxjac.controllers.wrapper import ControllerWrapper
-from approxjac.law import PredictedError
-
-__all__ = [
-    "Adaptation",
-    "AdaptiveCamera",
-    "AdaptiveDynamics",
-    "AdaptiveGravity",
-    "AdaptiveKinematics",
-    "AdaptivePlanarCamera",
-    "AwayFromStops",
-    "CartesianSpeed",
-    "Controller",
-    "ControllerWrapper",
-    "CrossWeight",
-    "DifferentiatedVelocity",
-    "Gains",
-    "Gravity",
-    "HeldMeasurement",
-    "KinematicReport",
-    "Kinematics",
-    "KnownKinematics",
-    "Latency",
-    "Learning",
-    "LearntNumber",
-    "Limit",
-    "LimitTerms",
-    "Limits",
-    "ModelDynamics",
-    "ModelGravity",
-    "MotionDynamics",
-    "NoGravity",
-    "Posture",
-    "PredictedError",
-    "PredictedMeasurement",
-    "RegressorGravity",
-    "SetpointController",
-    "TiltedAxes",
-    "TorqueLimited",
-    "TrackingController",
-    "TrackingGains",
-    "Tuning",
-    "Wall",
-    "default_gains",
-    "tuned",
-]
+from approxjac.controllers.adaptive_dynamics import AdaptiveDynamics as AdaptiveDynamics
+from approxjac.controllers.adaptive_dynamics import ModelDynamics as ModelDynamics
+from approxjac.controllers.adaptive_dynamics import MotionDynamics as MotionDynamics
+from approxjac.controllers.controller import Controller as Controller
+from approxjac.controllers.gains.gains import Gains as Gains
+from approxjac.controllers.gains.gains import Latency as Latency
+from approxjac.controllers.gains.tuning import Learning as Learning
+from approxjac.controllers.gains.tuning import Tuning as Tuning
+from approxjac.controllers.gains.tuning import default_gains as default_gains
+from approxjac.controllers.gains.tuning import tuned as tuned
+from approxjac.controllers.gravity import Adaptation as Adaptation
+from approxjac.controllers.gravity import AdaptiveGravity as AdaptiveGravity
+from approxjac.controllers.gravity import Gravity as Gravity
+from approxjac.controllers.gravity import ModelGravity as ModelGravity
+from approxjac.controllers.gravity import NoGravity as NoGravity
+from approxjac.controllers.gravity import RegressorGravity as RegressorGravity
+from approxjac.controllers.hold import HeldMeasurement as HeldMeasurement
+from approxjac.controllers.learning.estimator import Kinematics as Kinematics
+from approxjac.controllers.learning.estimator import KnownKinematics as KnownKinematics
+from approxjac.controllers.learning.kinematic_report import KinematicReport as KinematicReport
+from approxjac.controllers.learning.kinematic_report import LearntNumber as LearntNumber
+from approxjac.controllers.learning.kinematic_report import TiltedAxes as TiltedAxes
+from approxjac.controllers.learning.learnt_camera import AdaptiveCamera as AdaptiveCamera
+from approxjac.controllers.learning.positions import AdaptiveKinematics as AdaptiveKinematics
+from approxjac.controllers.learning.positions import AdaptivePlanarCamera as AdaptivePlanarCamera
+from approxjac.controllers.limits.cross_weight import CrossWeight as CrossWeight
+from approxjac.controllers.limits.limit import CartesianSpeed as CartesianSpeed
+from approxjac.controllers.limits.limit import Limit as Limit
+from approxjac.controllers.limits.limit import LimitTerms as LimitTerms
+from approxjac.controllers.limits.limit import Wall as Wall
+from approxjac.controllers.limits.limits import Limits as Limits
+from approxjac.controllers.limits.torque_limited import TorqueLimited as TorqueLimited
+from approxjac.controllers.posture import AwayFromStops as AwayFromStops
+from approxjac.controllers.posture import Posture as Posture
+from approxjac.controllers.predicted_measurement import PredictedMeasurement as PredictedMeasurement
+from approxjac.controllers.setpoint import DifferentiatedVelocity as DifferentiatedVelocity
+from approxjac.controllers.setpoint import SetpointController as SetpointController
+from approxjac.controllers.tracking import TrackingController as TrackingController
+from approxjac.controllers.tracking import TrackingGains as TrackingGains
+from approxjac.controllers.wrapper import ControllerWrapper as ControllerWrapper
+from approxjac.law import PredictedError as PredictedError

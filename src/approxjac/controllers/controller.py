@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 
-from approxjac.controllers.gains.latency import Latency
+from approxjac.controllers.gains.gains import Latency
 from approxjac.controllers.gains.tuning import Tuning
 from approxjac.controllers.learning.estimator import Kinematics
 from approxjac.controllers.learning.kinematic_report import KinematicReport

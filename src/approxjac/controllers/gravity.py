@@ -11,9 +11,8 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac import law
-from approxjac.controllers.gains.default_gains import slow_rate
 from approxjac.controllers.gains.gains import Diagonals
-from approxjac.controllers.gains.tuning import Learning
+from approxjac.controllers.gains.tuning import Learning, slow_rate
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import listed, numbers_of, short
 from approxjac.robots import GravityRegressor, Robot

@@ -12,12 +12,10 @@ import numpy as np
 from approxjac import law
 from approxjac.controllers.arguments import FLOAT64, HUGE, is_lost, overflow, require_arrays
 from approxjac.controllers.controller import Controller, Instant
-from approxjac.controllers.gains.default_gains import default_gains, slow_rate
-from approxjac.controllers.gains.gains import Gains, require_damping
-from approxjac.controllers.gains.latency import Latency
+from approxjac.controllers.gains.gains import Gains, Latency, require_damping
 from approxjac.controllers.gains.reach import Reach
 from approxjac.controllers.gains.sample_configurations import quickest
-from approxjac.controllers.gains.tuning import Tuning, tuned
+from approxjac.controllers.gains.tuning import Tuning, default_gains, slow_rate, tuned
 from approxjac.controllers.gravity import (
     Adaptation,
     AdaptiveGravity,

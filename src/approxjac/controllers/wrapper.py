@@ -11,7 +11,7 @@ import numpy as np
 
 from approxjac.controllers.arguments import FLOAT64
 from approxjac.controllers.controller import Controller, Instant
-from approxjac.controllers.gains.latency import Latency
+from approxjac.controllers.gains.gains import Latency
 from approxjac.controllers.gains.tuning import Tuning
 from approxjac.controllers.learning.estimator import Kinematics
 from approxjac.controllers.limits.limits import Limits

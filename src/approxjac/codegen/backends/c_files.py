@@ -15,7 +15,7 @@ from approxjac.codegen.backends import c_templates as templates
 from approxjac.codegen.backends.c99 import SampledStep, constant, sampled_step
 from approxjac.codegen.trace.symbols import LARGEST_ANGLE
 from approxjac.controllers.controller import Controller
-from approxjac.controllers.gains.latency import Latency
+from approxjac.controllers.gains.gains import Latency
 from approxjac.controllers.gravity import Adaptation
 from approxjac.controllers.hold import HeldMeasurement
 from approxjac.controllers.limits.torque_limited import TorqueLimited

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from approxjac.controllers.gains.latency import Latency
+from approxjac.controllers.gains.gains import Latency
 from approxjac.law import Saturation
 from approxjac.stability.certificates.matrix_form import (
     FAMILIES,

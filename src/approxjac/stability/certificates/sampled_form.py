@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from approxjac import law
-from approxjac.controllers.gains.latency import Latency
+from approxjac.controllers.gains.gains import Latency
 from approxjac.law import sampled_form
 from approxjac.stability.certificates.matrix_form import (
     Best,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from approxjac.controllers import Gains, NoGravity, SetpointController
-from approxjac.controllers.gains.default_gains import default_gains, position_gains
+from approxjac.controllers.gains.tuning import default_gains, position_gains
 from approxjac.errors import UnknownNameError
 from approxjac.formatting import rows, short_fields, wrapped
 from approxjac.stability.certificates.certificate import margin
