@@ -11,7 +11,7 @@ from scenarios import reach
 import approxjac as aj
 from approxjac.controllers import DifferentiatedVelocity, Latency, tuned
 from approxjac.controllers.gains.sample_configurations import usual_postures
-from approxjac.controllers.gains.tuning import Learning, _Arm
+from approxjac.controllers.gains.tuning import Learning, _Arm, slow_rate
 from approxjac.robots import Dynamics, GravityRegressor
 from approxjac.scenario import build_scenario
 from approxjac.scenario.build import latency_of
@@ -172,7 +172,7 @@ def test_the_check_refuses_what_diverges_and_passes_what_the_rule_chose(name, la
     task, chosen = learning_of(name, latency)
     arm = _Arm(task, GravityRegressor(task.robot))
     gains = aj.default_gains(task, 0.5).diagonals(task.m, task.robot.nv)
-    alpha = arm.motion(gains)[2]
+    alpha = slow_rate(arm.task, gains)
     fast = Learning(
         alpha, 3.0 * np.diag(before(arm, gains, alpha)), 0.5 * gains.kp,
         np.zeros(task.robot.nv), np.zeros(0), None,

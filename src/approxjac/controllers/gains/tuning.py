@@ -20,9 +20,7 @@ from approxjac.tasks import Task
 from approxjac.tasks.analysis import FINE, require_controllable
 from approxjac.validation import Array, as_number
 
-SETTLED = 4.0
-"""Time constants until 2 % are left."""
-
+_SETTLED = 4.0  # time constants until 2 % are left
 _DAMPING_SHARE = 0.03
 _NO_TIME = 1e-50  # settling times below it have gains that overflow [s]
 _RATES = (1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0)  # [1/s]
@@ -80,11 +78,11 @@ def default_gains(task: Task, settling_time: float = 1.0, bandwidth: float = 100
             configuration.
     """
     require_controllable(task)
-    rate = SETTLED / as_number("settling_time", settling_time, unit="s", above=_NO_TIME)
+    rate = _SETTLED / as_number("settling_time", settling_time, unit="s", above=_NO_TIME)
     fastest = 0.5 * as_number("bandwidth", bandwidth, unit="1/s", above=0.0)
     postures = usual_postures(task)
     J = postures.J_hat
-    mobility = J @ postures.M_inv @ np.swapaxes(J, 1, 2)
+    mobility = J @ postures.M_inv @ J.mT
     inertia = np.median(1.0 / np.diagonal(mobility, axis1=1, axis2=2), axis=0)
     kv = 4.0 * rate * postures.by_unit(inertia)
     largest = np.linalg.norm(J * np.sqrt(kv)[:, None], 2, axis=(1, 2)) ** 2
@@ -103,7 +101,7 @@ def default_gains(task: Task, settling_time: float = 1.0, bandwidth: float = 100
 
 def position_gains(task: Task, kv: Array, damping: Array, settling_time: float) -> Array:
     """Return K_p of `default_gains` for a K_v (m,) and a B_c (n_v,) of one's own, shape (m,)."""
-    return SETTLED / settling_time * (kv + usual_postures(task).felt_damping(damping))
+    return _SETTLED / settling_time * (kv + usual_postures(task).felt_damping(damping))
 
 
 def slow_rate(task: Task, gains: Diagonals) -> float:
@@ -184,16 +182,15 @@ class _Arm:
         task = self.task.on(with_unknown_tool(self.robot))
         return np.array([task.jacobian(q) for q in self.postures.q[:_CHECKED]])
 
-    def motion(self, gains: Diagonals) -> tuple[Array, Array, Array]:
-        """Return D = ĴᵀK_vĴ + B_c and ĴᵀK_p at each posture, and α."""
+    def motion(self, gains: Diagonals) -> tuple[Array, Array]:
+        """Return D = ĴᵀK_vĴ + B_c and ĴᵀK_p at each posture."""
         J, (kp, kv, damping) = self.postures.J_hat, gains
-        D = np.swapaxes(J, 1, 2) * kv @ J + np.diag(damping)
-        alpha = (kp / (kv + self.postures.felt_damping(damping))).min()
-        return D, np.swapaxes(J, 1, 2) * kp, alpha
+        D = J.mT * kv @ J + np.diag(damping)
+        return D, J.mT * kp
 
     def saturation(self, gains: Diagonals, latency: Latency) -> tuple[Array, list[str]]:
         """Return γ (m,), which keeps torques and speeds within their limits, and what decided."""
-        D, force, rate = self.motion(gains)
+        (D, force), rate = self.motion(gains), slow_rate(self.task, gains)
         effort, fastest = self.robot.effort_limits, self.robot.velocity_limits
         speed = np.linalg.solve(D, force)
         holdable = (np.abs(self.g) <= _HOLDABLE * effort).all(axis=1)
@@ -230,56 +227,56 @@ class _Arm:
     ) -> Learning:
         """Return learning that is a share π of the fastest."""
         assert self.Z is not None
-        D, _, slow = self.motion(gains)
+        (D, _), slow = self.motion(gains), slow_rate(self.task, gains)
         J, Z = self.postures.J_hat, self.Z
         # W = D⁻¹ M D⁻¹: learning at a rate P and motion make an oscillator, damped where WP is
         # small. Its root turns products into symmetric matrices.
         root = np.linalg.solve(D, np.linalg.cholesky(self.postures.M))
 
         def largest(P: Array) -> float:
-            values = np.linalg.eigvalsh(np.swapaxes(root, 1, 2) @ P @ root)[:, -1]
+            values = np.linalg.eigvalsh(root.mT @ P @ root)[:, -1]
             return float(np.quantile(values, 0.95))
 
         most = 0.6 * max(share, 0.35)
         task_force = 0.5 * gains.kp
-        task_force = task_force * min(1.0, most / largest(np.swapaxes(J, 1, 2) * task_force @ J))
-        felt = np.swapaxes(root, 1, 2) @ Z
-        C = np.mean(np.swapaxes(felt, 1, 2) @ felt, axis=0)
+        task_force = task_force * min(1.0, most / largest(J.mT * task_force @ J))
+        felt = root.mT @ Z
+        C = np.mean(felt.mT @ felt, axis=0)
         diagonal = np.diag(C)
         S = 1.0 / np.sqrt(np.maximum(diagonal, 1e-8 * diagonal.max()))
         metric = S[:, None] * C * S + _RIDGE * np.eye(len(S))
         L = S[:, None] * np.linalg.inv(metric) * S
-        L *= 0.5 * share / largest(Z @ L @ np.swapaxes(Z, 1, 2))
+        L *= 0.5 * share / largest(Z @ L @ Z.mT)
         own = np.median(np.diagonal(self.postures.M, axis1=1, axis2=2), axis=0)
         joint_torque = 0.25 * gains.damping**2 / own
         joint_torque = joint_torque * min(1.0, 0.5 * share / largest(np.diag(joint_torque)))
         # of each parameter, the size whose torque alone is what a motor has, RMS
-        usual = np.sqrt((np.concatenate([Z, np.swapaxes(J, 1, 2)], axis=2) ** 2).mean(axis=0))
+        usual = np.sqrt((np.concatenate([Z, J.mT], axis=2) ** 2).mean(axis=0))
         effort, weight = self.robot.effort_limits, None
         with np.errstate(divide="ignore"):
             most = np.concatenate([(effort[:, None] / usual).min(axis=0), effort])
         if slow * latency.of_position < _QUICK and (gains.damping > 0.0).all():
             weight = gains.damping / np.exp(np.log(gains.damping).mean())  # so Ĵ keeps its size
-        alpha = float(slow) if alpha is None else alpha
+        alpha = slow if alpha is None else alpha
         return Learning(alpha, 0.5 * (L + L.T), task_force, joint_torque, most, weight)
 
     def cases(self, gains: Diagonals, learning: Learning | None) -> law.LinearLaw:
         """Return the linearised loop at some postures, of arms that differ from the believed."""
         J_hat = self.postures.J_hat[:_CHECKED]
         M_inv = self.postures.M_inv[:_CHECKED]
-        D, force, _ = self.motion(gains)
+        D, force = self.motion(gains)
         D, force = D[:_CHECKED], force[:_CHECKED]
-        J_hat_T = np.swapaxes(J_hat, 1, 2)
+        J_hat_T = J_hat.mT
         rate: Array = np.zeros_like(D)
         pull: Array = np.zeros_like(J_hat_T)
         if learning is not None:
             assert self.Z is not None
             Z = self.Z[:_CHECKED]
-            rate = rate + Z @ learning.gravity @ np.swapaxes(Z, 1, 2)
+            rate = rate + Z @ learning.gravity @ Z.mT
             rate = rate + J_hat_T * learning.task_force @ J_hat + np.diag(learning.joint_torque)
             root = 1.0 if learning.pinv_weight is None else np.sqrt(learning.pinv_weight)
-            pinv = np.swapaxes(np.linalg.pinv(J_hat / root), 1, 2) / root
-            pull = pull + learning.alpha * np.swapaxes(pinv, 1, 2)
+            pinv = np.linalg.pinv(J_hat / root).mT / root
+            pull = pull + learning.alpha * pinv.mT
         truths = [
             (M_inv / heavier, J)
             for J, heavy in ((J_hat, 1.0), (self.with_tool, _HEAVIER))
@@ -338,7 +335,7 @@ class _Arm:
         if max(np.abs(multipliers).max(), np.abs(of_larger).max()) > 1.0 + _ROUND_OFF:
             return False
         lag = latency.of_position
-        wanted = _DAMPED + _LATE * float(self.motion(gains)[2]) * lag
+        wanted = _DAMPED + _LATE * slow_rate(self.task, gains) * lag
         ratio = self.damping_ratio(gains, multipliers, samples * dt, lag)
         return ratio >= min(wanted, _NEARLY * attainable)
 
@@ -351,7 +348,7 @@ class _Arm:
             return math.inf
         dead = multipliers == 0.0  # what is left of a delay
         poles = np.log(np.where(dead, 1e-300, multipliers).astype(complex)) / dt
-        size, rate = np.abs(poles), float(self.motion(gains)[2])
+        size, rate = np.abs(poles), slow_rate(self.task, gains)
         slow = (size > _STILL * rate) & (size < 2.3 / lag)
         ratios = np.where(slow, -poles.real / np.maximum(size, 1e-300), 1.0)
         return float(np.quantile(ratios.min(axis=1), 0.1))
@@ -406,7 +403,7 @@ def tuned(
             break
     gamma, limited_by = arm.saturation(diagonals, latency)
     if rate < rates[0]:
-        why += f"; slower by the check, {SETTLED / rate:.3g} s"
+        why += f"; slower by the check, {_SETTLED / rate:.3g} s"
     if not stable:
         why += "; no gains passed the check: x is too late, or Ĵ too far off"
     reasons = [why, f"gamma {short(gamma)} by {' and '.join(dict.fromkeys(limited_by))}"]
@@ -421,27 +418,27 @@ def _rates(
     """Return rates to try, each slower than the one before, the gains of a rate, and why."""
     m, nv = arm.task.m, arm.robot.nv
     if gains is not None:
-        rate = float(arm.motion(gains.diagonals(m, nv))[2])
-        return [rate], lambda _: gains, f"settling time {SETTLED / rate:.3g} s by given gains"
+        rate = slow_rate(arm.task, gains.diagonals(m, nv))
+        return [rate], lambda _: gains, f"settling time {_SETTLED / rate:.3g} s by given gains"
 
     @functools.cache
     def of_rate(rate: float) -> Gains:
-        return default_gains(arm.task, SETTLED / rate, 1.0 / latency.of_velocity)
+        return default_gains(arm.task, _SETTLED / rate, 1.0 / latency.of_velocity)
 
     def time(rate: float) -> float:
         diagonals = of_rate(rate).diagonals(m, nv)
         gamma, _ = arm.saturation(diagonals, latency)
-        return arm.time(gamma, rate, float(arm.motion(diagonals)[2]))
+        return arm.time(gamma, rate, slow_rate(arm.task, diagonals))
 
     if settling_time is None:
         most = _LAG / latency.of_position
         allowed = [rate for rate in _RATES if rate <= most] or [most]
         first = min(allowed, key=time)
-        why = f"settling time {SETTLED / first:.3g} s: a usual reach takes {time(first):.3g} s"
+        why = f"settling time {_SETTLED / first:.3g} s: a usual reach takes {time(first):.3g} s"
         if first == allowed[-1] != _RATES[-1]:
             why += f", as x is {1e3 * latency.of_position:.3g} ms late"
     else:
-        first = SETTLED / as_number("settling_time", settling_time, unit="s", above=0.0)
+        first = _SETTLED / as_number("settling_time", settling_time, unit="s", above=0.0)
         why = f"settling time {settling_time:g} s as asked"
     # the same steps whatever is first, so that what is later is never faster
     step = math.floor(math.log(first / _RATES[-1]) / math.log(_SLOWER)) + 1

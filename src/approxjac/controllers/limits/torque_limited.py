@@ -73,7 +73,6 @@ class AccelerationObserver:
     def __init__(self, controller: Controller, dt: float, rate: float) -> None:
         robot = controller.task.robot
         self.dynamics, self.has_weight = controller.believed_dynamics()
-        self.size = 1 + 2 * robot.nv
         self._n = robot.nv
         self._dt, self._rate, self._share = dt, np.array(rate), np.array(1.0 - rate * dt)
         self._half = 0.5 * dt
