@@ -10,10 +10,13 @@ import threading
 import uuid
 import warnings
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from approxjac.codegen.arm import traced_tasks as tasks
+from approxjac.codegen.lanes import Begun, Box, Lanes
+from approxjac.codegen.loop_program import require_covered
 from approxjac.controllers import SetpointController
 from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError, SimulationError, UnknownNameError, package_of
@@ -23,9 +26,6 @@ from approxjac.stability.errors.region import JointBox, Region, RegularPart
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.configurations import UnattainedError, VisiblePart
 from approxjac.validation import Array
-
-if TYPE_CHECKING:
-    from approxjac.codegen.lanes import Begun, Box, Lanes
 
 _RECORDS = 500  # of a run: 50 in its last tenth
 _PER_STEP = 6e-5  # s, of a step of a run in Python
@@ -90,8 +90,6 @@ class Start:
 
     def begun(self, controller: Controller, frames: tuple[str, ...] | None = None) -> Begun:
         """Return the numbers that lanes keep of it, whose sensor looks at some frames."""
-        from approxjac.codegen.lanes import Begun
-
         return Begun.of(controller, self.plant, self.q, self.target, self.seed, frames)
 
 
@@ -112,7 +110,6 @@ class RolloutSetting:
         actuator_delay: Time from a torque to its effect [s].
         engine: "lanes" or "python".
         reason: Why it is not lanes; empty where it is, or where Python was asked for.
-        examples: Number of runs that show what differs.
         key: What the compiled loop is known by.
         alike: Controllers and errors of settings with the same compiled loop, which differ in all
             that differs between them.
@@ -130,7 +127,6 @@ class RolloutSetting:
     actuator_delay: float = 0.0
     engine: str = "python"
     reason: str = ""
-    examples: int = 0
     key: str = ""
     alike: tuple[tuple[Controller, Uncertainty], ...] = ()
 
@@ -141,8 +137,6 @@ class RolloutSetting:
         if engine == "python":
             return self
         try:
-            from approxjac.codegen.loop_program import require_covered
-
             if not self.uncertainty.makes_the_robots:
                 raise InvalidInputError(
                     "uncertainty must be one whose plant and robot are those of Uncertainty for "
@@ -160,36 +154,29 @@ class RolloutSetting:
         if engine is not None:
             package_of("fast", "llvmlite")
         elif importlib.util.find_spec("llvmlite") is None:
-            self._warn(runs)
+            seconds = _PER_STEP * self.steps * runs
+            if seconds > _LONG:
+                warnings.warn(
+                    f"{runs} runs of {self.duration:g} s take Python about {seconds / 60.0:.0f} "
+                    f"min of one core, and machine code some {max(seconds / 300.0, 1.0):.0f} s: "
+                    "pip install 'approxjac[fast]'",
+                    stacklevel=3,
+                )
             return replace(self, reason="llvmlite is not installed")
-        setting = replace(self, engine="lanes", examples=min(max(runs, 2), _EXAMPLES))
+        setting = replace(self, engine="lanes")
         try:
             key = hashlib.sha256(pickle.dumps(setting)).hexdigest()
         except (pickle.PicklingError, AttributeError, TypeError):
             key = uuid.uuid4().hex  # for the threads of this process
         return replace(setting, key=key)
 
-    def _warn(self, runs: int) -> None:
-        """Say what runs will take without llvmlite, where that is long."""
-        seconds = _PER_STEP * self.steps * runs
-        if seconds > _LONG:
-            warnings.warn(
-                f"{runs} runs of {self.duration:g} s take Python about {seconds / 60.0:.0f} min of "
-                f"one core, and machine code some {max(seconds / 300.0, 1.0):.0f} s: "
-                "pip install 'approxjac[fast]'",
-                stacklevel=4,
-            )
-
     def _box(self) -> Box:
         """Return the region as lanes take it, or refuse it."""
-        from approxjac.codegen.arm.traced_tasks import require_covered
-        from approxjac.codegen.lanes import Box
-
         part = self.region
         region, task, sigma_min = part, None, 0.0
         if type(part) is RegularPart:
             region, task, sigma_min = part.region, part.task, part.sigma_min
-            require_covered(task)
+            tasks.require_covered(task)
         if type(region) is not JointBox:
             raise InvalidInputError(
                 f"region must be a JointBox, or the RegularPart of one, for lanes, got {region!r}",
@@ -240,7 +227,7 @@ class RolloutSetting:
         try:
             record = self.simulated(start)
         except SimulationError:
-            return Rollout(*begins, math.inf, *[math.nan] * 3, False, True, False)
+            return Rollout(*begins, math.inf, math.nan, math.nan, math.nan, False, True, False)
         settling, converged = _judged(record.t, record.error_norm, self.accuracy)
         final = float(record.error_norm[-1])
         robot = start.plant.robot
@@ -264,8 +251,6 @@ class RolloutSetting:
 
     def _of_lanes(self, indices: range) -> dict[str, Array]:
         """Return runs in lanes, as columns; those that lanes leave are runs in Python."""
-        from approxjac.codegen.arm import traced_tasks as tasks
-
         lanes, starts, begun = _lanes_of(self), [], []
         moving = replace(self, uncertainty=self.uncertainty.moving())
         frames = tasks.frames(self.uncertainty.nominal.sensor)
@@ -325,9 +310,6 @@ _compiling = threading.Lock()
 
 def _lanes_of(setting: RolloutSetting) -> Lanes:
     """Return the compiled loop of a setting, compiled once in each process."""
-    from approxjac.codegen.arm import traced_tasks as tasks
-    from approxjac.codegen.lanes import Lanes
-
     with _compiling:
         if setting.key not in _lanes:
             while len(_lanes) >= _COMPILED:
@@ -335,7 +317,7 @@ def _lanes_of(setting: RolloutSetting) -> Lanes:
             examples = []
             for law, errors in setting.alike or ((setting.controller, setting.uncertainty),):
                 one = replace(setting, controller=law, uncertainty=errors)
-                starts = [one.start(index) for index in range(setting.examples)]
+                starts = [one.start(index) for index in range(_EXAMPLES)]
                 frames = tasks.frames(errors.nominal.sensor)
                 examples += [each.begun(law, frames) for each in starts]
             _lanes[setting.key] = Lanes(

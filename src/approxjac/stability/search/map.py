@@ -131,7 +131,7 @@ def map_of(
     return StabilityMap(tuple(axes), tuple(axes.values()), share, intervals, runs, points)
 
 
-_Counts = tuple[Array, Array, Mapping[tuple[float, ...], Rollouts]]
+_Counts = tuple[Any, Any, Mapping[tuple[float, ...], Rollouts]]
 """Converged and all runs, y first, and those at each point."""
 
 

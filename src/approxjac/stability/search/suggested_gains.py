@@ -218,7 +218,9 @@ def _relaxations(
     known = sorted((c for c, test, _, time in met if test and time), key=lambda c: c.torque_ratio)
     if found := first_that_passes(known):
         lines.append(f"with {found.torque_ratio:.3g} times the torque limits: {found}")
-    known = sorted((c for c, test, torque, _ in met if test and torque), key=_time)
+    known = sorted(
+        (c for c, test, torque, _ in met if test and torque), key=lambda c: c.settling_time
+    )
     if found := first_that_passes(known):
         lines.append(f"with a settling time of {found.settling_time:.3g} s: {found}")
     if lines:
@@ -230,7 +232,3 @@ def _relaxations(
         f"{len(gentle)} start within the torque limits, {len(in_time & gentle)} do both, and none "
         "of all these passes with the errors",
     )
-
-
-def _time(candidate: Candidate) -> float:
-    return candidate.settling_time
