@@ -157,11 +157,9 @@ def control(
     """
     require("driver", driver, Driver, "a Driver, with read, send and brake")
     # the robot as it is believed to be, which takes what the controller commands
-    robot, servo = controller.task.robot, None
-    if controller.command == "velocity":
-        servo = VelocityServo()
+    task, robot = controller.task._measured, controller.task.robot
+    servo = VelocityServo() if controller.command == "velocity" else None
     adds = robot if driver.adds_gravity and servo is None else None
-    task = controller.task._measured
     plant = Plant(robot, task, adds_gravity=adds, servo=servo)
     require_fit(plant, controller, driver.dt)
     require_able(driver, controller)

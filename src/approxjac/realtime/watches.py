@@ -67,7 +67,8 @@ class FaultWatch:
         self._v_jump = np.sqrt(2.0) * self._v_noise + _SUDDEN * known * (dt / 1e-3)
         self._v_stop = np.maximum(0.5 * np.sqrt(2.0) * self._v_noise, _STOPPED * dt)
         # motion of q, ∫q̇, way, each since the beginning; and q̇
-        self._past = deque([(np.zeros((3, n)), np.zeros(n))], maxlen=_WINDOWS[-1] + 1)
+        nothing = np.zeros((3, n)), np.zeros(n)
+        self._past: deque[tuple[Array, Array]] = deque([nothing], maxlen=_WINDOWS[-1] + 1)
         self._unknown = self._still = 0
         self._repeats = np.zeros(n)
         self._halted = np.zeros(n, dtype=bool)

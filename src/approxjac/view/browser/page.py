@@ -153,9 +153,9 @@ def _facts(run: Trajectory) -> list[tuple[str, str]]:
                 name = f"limited, {name}"  # where it was not, the proof holds as well
             counts[name] = count
     for name, count in counts.items():
-        share = 100.0 * count / len(run.t)
+        part = 100.0 * count / len(run.t)
         if count:
-            facts.append((name, f"{f'{share:.2g}' if share < 99.5 else '100'} % of the time"))
+            facts.append((name, f"{f'{part:.2g}' if part < 99.5 else '100'} % of the time"))
     return facts
 
 
@@ -199,14 +199,11 @@ def page_data(
     data["commands"] += grid(view["normal"], points, stage.ground)
     tip = "believed tip" if learnt_regressor(scene) is None else "learnt tip"
     image = _image(scene)
-    held, held_by_belief = held_objects(truth), held_objects(scene.belief or truth)
-    lengths = {
-        name: (held.get(name, 0.0), held_by_belief.get(name, 0.0)) for name in held | held_by_belief
-    }
+    held, thought = held_objects(truth), held_objects(scene.belief or truth)
     wrong = [
-        (name, f"{length:.3g} m long, believed {belief:.3g} m")
-        for name, (length, belief) in lengths.items()
-        if abs(length - belief) > 1e-6
+        (name, f"{held.get(name, 0.0):.3g} m long, believed {thought.get(name, 0.0):.3g} m")
+        for name in held | thought
+        if abs(held.get(name, 0.0) - thought.get(name, 0.0)) > 1e-6
     ]
     return data | {
         "title": title or truth.name + believed,
@@ -324,14 +321,14 @@ def _image(scene: Scene) -> dict[str, Any] | None:
     feature = image_feature(scene.sensor)
     if feature is None or feature.camera is None:
         return None
-    camera, border = feature.camera, None
+    camera, border = feature.camera, []
     if isinstance(camera, PinholeCamera):  # whose v points down
         width, height = camera.size
         border = [-0.5, -0.5, width - 0.5, height - 0.5]
     unit, scale = display_unit(camera.unit)
     return {
-        "labels": list(camera.labels), "unit": unit, "scale": scale, "border": border,
-        "down": border is not None, "points": len(feature.points),
+        "labels": list(camera.labels), "unit": unit, "scale": scale, "border": border or None,
+        "down": bool(border), "points": len(feature.points),
         "seen": "seen" if scene.knows_truth else "seen, by the belief",
     }  # fmt: skip
 

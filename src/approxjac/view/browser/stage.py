@@ -321,7 +321,8 @@ _PARALLEL = 1e-6
 
 def link_points(robot: Robot, q: Array, boxes: Mapping[str, Array]) -> Array:
     """Return points of links (k, 3), each in its frame, at some of the q (N, nq); (n, 3) [m]."""
-    data, points = robot.model.createData(), [np.zeros((0, 3))]
+    data = robot.model.createData()
+    points: list[Array] = [np.zeros((0, 3))]
     every = max(1, len(q) // _INSTANTS)
     for row in [*q[::every], *q[-1:]]:
         pin.framesForwardKinematics(robot.model, data, row)
