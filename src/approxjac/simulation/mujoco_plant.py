@@ -14,7 +14,7 @@ from approxjac.errors import InvalidInputError, UrdfError, package_of
 from approxjac.formatting import short
 from approxjac.robots import Robot
 from approxjac.robots.meshes import impossible_inertias
-from approxjac.simulation.plant import Plant
+from approxjac.simulation.plant import Friction, Plant
 from approxjac.tasks import Task
 from approxjac.validation import Array, as_number, require
 
@@ -64,7 +64,7 @@ class MujocoPlant(Plant):
         self,
         robot: Robot,
         sensor: Task | None = None,
-        friction: float | Sequence[float] | Array = 0.0,
+        friction: float | Sequence[float] | Array | Friction = 0.0,
         *,
         floor: float | None = None,
         balance_inertia: bool = False,
