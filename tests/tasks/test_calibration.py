@@ -180,10 +180,10 @@ def test_bad_files_are_refused(file, content, text):
     ids=["open", "deep", "maps", "itself", "digits", "billion laughs", "merges", "code", "long"],
 )
 def test_hostile_files_are_refused_soon(file, content):
-    path, start = file(content), time.perf_counter()
+    path, start = file(content), time.process_time()
     with pytest.raises(aj.InvalidInputError):
         aj.PinholeCamera.from_file(path)
-    assert time.perf_counter() - start < 5.0
+    assert time.process_time() - start < 5.0
 
 
 def test_damaged_files_are_refused_or_read(tmp_path, rng):

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -27,15 +27,6 @@ _NAMES = {  # in small letters
     "model": ("distortion_model",),
     "fisheye": ("fisheye_model",),
 }
-
-
-class Calibration(NamedTuple):
-    """Calibration of a file: K (3, 3) [px], coefficients, size [px] and kind of lens."""
-
-    K: Array
-    distortion: Array
-    size: Sequence[int]
-    fisheye: bool
 
 
 def opencv_parameters(
@@ -76,8 +67,8 @@ def opencv_parameters(
 
 def read_calibration(
     path: str | Path, size: Sequence[int] | None, fisheye: bool | None
-) -> Calibration:
-    """Read a calibration file; arguments fill in what it lacks."""
+) -> dict[str, Any]:
+    """Return arguments of `PinholeCamera.from_opencv` of a file; ours fill in what it lacks."""
     keys = {str(name).lower(): value for name, value in _read(Path(path)).items()}
     values = {
         name: next((keys[each] for each in names if each in keys), None)
@@ -104,7 +95,8 @@ def read_calibration(
             )
         size = [round(_number(path, name, values[name])) for name in ("width", "height")]
     distortion = _numbers(path, "distortion_coefficients", values["distortion"])
-    return Calibration(K.reshape(3, 3), distortion, size, _is_fisheye(path, values, fisheye))
+    fisheye = _is_fisheye(path, values, fisheye)
+    return {"K": K.reshape(3, 3), "distortion": distortion, "size": size, "fisheye": fisheye}
 
 
 def _is_fisheye(path: str | Path, values: Mapping[str, Any], fisheye: bool | None) -> bool:

@@ -342,8 +342,7 @@ class PinholeCamera(Camera):
             fisheye: The lens is a fisheye one; by default as the file says, and else it is not.
             **where: Rvec, tvec, camera_pose, mount and near, as for `from_opencv`.
         """
-        calibration = read_calibration(path, size, fisheye)
-        return cls.from_opencv(*calibration[:3], fisheye=calibration.fisheye, **where)
+        return cls.from_opencv(**read_calibration(path, size, fisheye), **where)
 
     def standing_at(
         self,
