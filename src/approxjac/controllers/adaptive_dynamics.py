@@ -65,7 +65,7 @@ class MotionDynamics(Immutable, ABC):
         self._still = np.zeros(robot.nv)
 
     def initial_state(self) -> Array:
-        """Return what is believed before the first step, shape (n_state,); by default nothing."""
+        """Return the state before the first step, shape (n_state,); by default none."""
         return np.zeros(self.n_state)
 
     @abstractmethod
@@ -208,13 +208,13 @@ class AdaptiveDynamics(MotionDynamics):
         self._prior, self._low, self._high = prior, low, high
 
     def initial_state(self) -> Array:
-        """Return what is believed: the model's links, rotors, no friction; shape (p,)."""
+        """Return the believed parameters: the model's links, rotors, no friction; shape (p,)."""
         return self._prior.copy()
 
     def step(
         self, state: Array, q: Array, v: Array, v_r: Array, a_r: Array, learns: Any, dt: float
     ) -> tuple[Array, Array, Array]:
-        """Return what is learnt dt [s] later, and Y_d â and Zâ with it; see `MotionDynamics`."""
+        """Return â dt [s] later, and Y_d â and Zâ with it; see `MotionDynamics`."""
         links, k, sigma = self.regressor.motion(q, v, v_r, a_r), self.regressor.links, v - v_r
         joints = self.regressor.of_joints(v_r, a_r)
         Y_d_sigma = np.concatenate([links.powers(sigma), (joints * sigma).ravel()])
@@ -233,7 +233,7 @@ class AdaptiveDynamics(MotionDynamics):
 
 
 def plausible_errors(regressor: DynamicsRegressor) -> Array:
-    """Return how far each parameter of a robot may plausibly be wrong, shape (p,).
+    """Return plausible errors of the parameters of a robot, shape (p,).
 
     For a Panda 0.5 kg, 0.1 kg m and 0.02 kg m² of a link, 1, 0.2 and 0.06 of the last one;
     0.1 to 0.2 kg m² of a rotor, and 1 to 2 N m, or as much at 1 rad/s, of joint torques.
@@ -264,7 +264,7 @@ def usual_motions(regressor: DynamicsRegressor) -> list[tuple[Array, Array]]:
 
 
 def squared_rates(motions: Sequence[tuple[Array, Array]], gamma: Array) -> Array:
-    """Return how fast each parameter alone makes σ swing, squared, shape (p,) [1/s²].
+    """Return the squared rates at which each parameter alone makes σ swing, (p,) [1/s²].
 
     With Mσ̇ = −Y_d ã and ã' = ΓY_dᵀσ that is γᵢ Y_dᵢᵀM⁻¹Y_dᵢ: the largest of usual motions.
     """
@@ -273,7 +273,7 @@ def squared_rates(motions: Sequence[tuple[Array, Array]], gamma: Array) -> Array
 
 
 def squared_rate_of_arm(motions: Sequence[tuple[Array, Array]], gamma: Array, k: slice) -> float:
-    """Return how fast the parameters k make all joints swing, squared [1/s²].
+    """Return the squared rate at which the parameters k make all joints swing [1/s²].
 
     tr(Y_d Γ Y_dᵀ)/tr M, the mean of joints by their inertia, so that wrists hardly count; the
     median of usual motions.

@@ -79,7 +79,7 @@ class PredictedMeasurement(ControllerWrapper):
     task_torque = Controller.task_torque
 
     def learnt(self, state: Array) -> Array:
-        """Return what the law and then the kinematics have learnt, shape (…, p)."""
+        """Return the learnt numbers of the law and then of the kinematics, shape (…, p)."""
         n = state.shape[-1] - self._memory
         parts = [self.controller.learnt(state[..., :n]), self.kinematics.learnt(state[..., n:])]
         return np.concatenate(parts, axis=-1)

@@ -271,7 +271,7 @@ class TrackingController(Immutable, Controller):
     def evolve(
         self, state: Array, measurement: Measurement, target: Target
     ) -> tuple[Array, Evaluation]:
-        """Return what `step` does of arguments that are checked, or are symbols."""
+        """Do as `step`, with arguments that are checked, or are symbols."""
         _, q, v, x, _ = measurement
         p, end, dt = self._n_dynamics, self._end, self.dt
         known = state[p:end]
@@ -326,7 +326,7 @@ class TrackingController(Immutable, Controller):
         return target, measurement
 
     def learnt(self, state: Array) -> Array:
-        """Return what a state has learnt: of the dynamics, then of the kinematics, (…, p)."""
+        """Return the learnt numbers of dynamics and kinematics, shape (…, p)."""
         known = self.kinematics.learnt(state[..., self._n_dynamics : self._end])
         return np.concatenate([state[..., : self._n_dynamics], known], axis=-1)
 

@@ -82,7 +82,7 @@ def swept_within_bounds(
     g: Array,
     motors: Array,
 ) -> tuple[Array, Any]:
-    """Return what `within_bounds` does, by sweeps without a branch, and whether they did not end.
+    """Do as `within_bounds`, by sweeps without a branch; say, too, whether they did not end.
 
     C. Hildreth's method ("A quadratic programming procedure", Naval Research Logistics 4(1), 1957)
     takes the multiplier of one bound after the other. A few sweeps mostly end.

@@ -105,7 +105,7 @@ class Kinematics(Immutable, ABC):
         """Make a state that of `step`, in place; by default nothing is learnt."""
 
     def status(self, state: Array, measurement: Measurement) -> Status:
-        """Return what may be done by a state, if any, of kinematics that learn from x.
+        """Return whether a state (if there is one) is good to be controlled by.
 
         `MEASUREMENT_LOST` before x was ever seen, so that what is predicted is as believed;
         `PREDICTED` where x is too old to be learnt from, for a second; else `OK`.
@@ -117,9 +117,9 @@ class Kinematics(Immutable, ABC):
         """Return the predicted error at q (nq,) and q̇ (n_v,) [rad/s or m/s]."""
 
     def learnt(self, state: Array) -> Array:
-        """Return what a state, or a series of them (…, n_state), has learnt, shape (…, p).
+        """Return the learnt numbers of a state, or of a series of them (…, n_state), (…, p).
 
-        In the order of `names`, in `units`; by default nothing.
+        In the order of `names`, in `units`; by default there are none.
         """
         return state[..., :0]
 
@@ -160,7 +160,7 @@ class Kinematics(Immutable, ABC):
         )
 
     def report(self, state: Array) -> KinematicReport:
-        """Return what a state has learnt: values, standard deviations, and what was not seen.
+        """Return the learnt numbers of a state, with standard deviations and what was not seen.
 
         Raises:
             InvalidInputError: Kinematics that learn nothing, or a state of others.
@@ -301,7 +301,7 @@ class Estimator(Kinematics):
         return measurement
 
     def _points(self, x: Array) -> Array:
-        """Return what is learnt from of an x, NaN where it is lost."""
+        """Return the entries of an x that are learnt from, NaN where they are lost."""
         return x
 
     @abstractmethod
@@ -318,7 +318,7 @@ class Estimator(Kinematics):
 
     @abstractmethod
     def _reach(self, q_0: Array, q: Array) -> Array:
-        """Return how far each of `_points` may move between configurations."""
+        """Return the largest motion of each of `_points` between configurations."""
 
     @abstractmethod
     def _correct(self, state: Array, frame: Frame, since: Any, is_anew: Any) -> None:
@@ -463,7 +463,7 @@ class Estimator(Kinematics):
         return rate
 
     def status(self, state: Array, measurement: Measurement) -> Status:
-        """Return what may be done by a state; see `Kinematics`."""
+        """Return whether a state is good to be controlled by; see `Kinematics`."""
         silence = self._frames.silence(state[self._at["frames"]])
         is_old: Any = measurement.t_x is not None and silence > _STALE
         if hasattr(measurement.t_x, "graph"):  # NaN where it is not known
@@ -475,11 +475,11 @@ class Estimator(Kinematics):
     # -- what was learnt -----------------------------------------------------------------
 
     def learnt(self, state: Array) -> Array:
-        """Return what a state, or a series of them (…, n_state), has learnt, shape (…, p)."""
+        """Return the learnt numbers of a state, or of a series of them (…, n_state), (…, p)."""
         return state[..., self._at["learnt"]]
 
     def report(self, state: Array) -> KinematicReport:
-        """Return what a state has learnt: values, standard deviations, and what was not seen."""
+        """Return the learnt numbers of a state, with standard deviations and what was not seen."""
         at, state = self._at, self._required(state)
         learnt, (P, chi) = self.learnt(state), self._covariance(state)
         seconds, restarts, variance = state[at["noted"]].tolist()

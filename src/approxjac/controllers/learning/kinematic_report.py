@@ -104,7 +104,7 @@ class KinematicReport(NamedTuple):
 
     @property
     def suspects(self) -> str:
-        """Return what may be wrong with an image not explained, the likeliest first; or ""."""
+        """Return likely causes of an image that is not explained, the likeliest first; or ""."""
         if self.unit != "px":
             return ""
         kinds = (("tool", "points"), ("camera",), ("focal_length",))

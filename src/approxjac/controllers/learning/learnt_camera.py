@@ -215,7 +215,7 @@ class AdaptiveCamera(Estimator):
         state[at["stretch"]] = stretch
 
     def _in_order(self, estimate: ImageEstimate) -> Array:
-        """Return what is learnt in the order of `names`."""
+        """Return the learnt numbers in the order of `names`."""
         turn = law.rotation_log(self._first.R.dot(estimate.R.T))
         f = self._f[0] * math.exp(estimate.stretch)
         return np.concatenate([estimate.u, estimate.p, turn, [f]])[self._is_learnt]
@@ -525,7 +525,7 @@ class _ImageEstimator:
         return self.about(self.estimate(numbers))
 
     def estimate(self, numbers: Array) -> ImageEstimate:
-        """Return what is estimated."""
+        """Return the estimate."""
         return self._unpacked(numbers[self._m : self._m + self._e])
 
     def has_begun(self, numbers: Array) -> bool:
@@ -653,7 +653,7 @@ class _ImageEstimator:
         return self._misfit(estimate, terms) + 0.5 * float(prior)
 
     def _away(self, estimate: ImageEstimate) -> Array:
-        """Return how far an estimate is from what is believed, but for the rotation."""
+        """Return the distance of an estimate from the believed one, but for the rotation."""
         u, _, p, stretch = self._believed
         return np.concatenate(
             [estimate.u - u, estimate.p - p, np.zeros(3), [estimate.stretch - stretch]]

@@ -444,7 +444,7 @@ class _LeastSquares(ABC):
         """Return by how much tilts of axes lower the sum of squares, which, and covariance."""
 
     def tilted_axes(self, numbers: Array, joints: Sequence[str], scale: float) -> TiltedAxes:
-        """Return what tilts of the axes of joints, two each, would explain beyond what is learnt.
+        """Judge whether tilts of the axes of joints, two each, would explain more.
 
         Args:
             numbers: Shape (size,).

@@ -162,7 +162,7 @@ class Unknowns:
         return motion._replace(p=motion.p + self.constant) if self._has_constant else motion
 
     def points(self, x: Array) -> Array:
-        """Return what is linear in Θ of a measured x (n_x,): x, or position and axes of a pose.
+        """Return the part of a measured x that is linear in Θ: x, or position and axes of a pose.
 
         NaN where it is lost. One that may be turned tells nothing where it is seen in part.
         """
@@ -203,7 +203,7 @@ class Unknowns:
         return self.regressor.tilts(q, self.translations(u))[self.rows]
 
     def reach(self, q_0: Array, q: Array) -> Array:
-        """Return how far each of `points` may move from one configuration to another [m].
+        """Return the largest motion of each of `points` between two configurations [m].
 
         Half as far again as the believed arm, and four standard deviations of what may be wrong.
         """
@@ -221,7 +221,7 @@ class Unknowns:
     # -- what was learnt -------------------------------------------------------------------
 
     def in_order(self, Theta: Array, R: Array) -> Array:
-        """Return what is learnt in the order of `names`."""
+        """Return the learnt numbers in the order of `names`."""
         u, c = Theta[: self.n_u - self.n_t], Theta[self.n_u :]
         if self.has_scale:
             u = np.append(u[:-1] / u[-1], u[-1:])
@@ -238,7 +238,7 @@ class Unknowns:
         return law.rotation_exp(learnt[start : start + 3])
 
     def left(self, x: Array, predicted: Array) -> Array:
-        """Return what is left of x, of a pose as position and rotation vector, (m,) [m]."""
+        """Return the residual of x, of a pose as position and rotation vector, (m,) [m]."""
         if self.orientation is None:
             return x - predicted
         turn = self.orientation.left(x[3:], predicted[3:])
@@ -326,7 +326,7 @@ class Orientation:
         return np.concatenate([np.concatenate(row, axis=1) for row in rows])
 
     def reach(self, q_0: Array, q: Array) -> Any:
-        """Return how far one of these points moves from one configuration to another [m]."""
+        """Return the motion of one of these points between two configurations [m]."""
         moved = self.frame_rotation(q) - self.frame_rotation(q_0)
         return law.length(moved.ravel()) * (self._l / math.sqrt(2.0))
 
