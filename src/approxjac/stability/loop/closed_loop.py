@@ -28,7 +28,6 @@ from approxjac.stability.loop.samples import (
     Samples,
     Terms,
     TracedTerms,
-    error_jacobians,
     terms_alone,
     traced_terms,
 )
@@ -115,16 +114,16 @@ class ClosedLoop:
 
     def gravity_error(self, configurations: Array) -> float:
         """Return the largest gravity torque that is neither compensated nor learnt [N m or N]."""
-        learning, worst = self.controller.adaptation, 0.0
-        for plant in self.plants[: len(self.corners) + _WEIGHED]:
-            g = np.array([plant.dynamics.g(q) for q in configurations])
-            if learning is None:
-                torque = self.controller.gravity.torque  # type: ignore[union-attr]
-                error = g - np.array([np.array(torque(q)) for q in configurations])
-            else:
-                error = learning.regressor.fit(plant.robot)[1] * g
-            worst = max(worst, float(np.abs(error).max()))
-        return worst
+        learning, plants = self.controller.adaptation, self.plants[: len(self.corners) + _WEIGHED]
+        k, N = len(plants), len(configurations)
+        g = self.terms(np.repeat(np.arange(k), N), np.tile(configurations, (k, 1))).g
+        if learning is None:
+            torque = self.controller.gravity.torque  # type: ignore[union-attr]
+            error = g - np.tile([np.array(torque(q)) for q in configurations], (k, 1))
+        else:
+            left = [learning.regressor.fit(plant.robot)[1] for plant in plants]
+            error = np.repeat(left, N)[:, None] * g
+        return float(np.abs(error).max())
 
     @property
     def integral_terms(self) -> list[str]:
@@ -269,7 +268,9 @@ class ClosedLoop:
                 "sigma_min) leaves them out",
                 given=configurations,
             )
-        J_e = error_jacobians(self.plants[0].sensor, at.e, at.J)
+        J_e, sensor = at.J, self.plants[0].sensor
+        if not sensor._subtracts:
+            J_e = np.array([sensor._error_jacobian(*each) for each in zip(at.e, at.J, strict=True)])
         s, slope = saturation.s(at.e), saturation.ds(at.e)
         return Samples(
             **vars(at), truth=truths, q=configurations, x_d=x_d, J_e=J_e, s=s, slope=slope

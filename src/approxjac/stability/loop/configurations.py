@@ -12,7 +12,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.stability.errors.region import Region
 from approxjac.stability.loop.samples import Samples
 from approxjac.tasks import Task
-from approxjac.tasks.analysis import sees
+from approxjac.tasks.analysis import jacobian_gradient, sees
 from approxjac.validation import Array
 
 _STEPS = 200
@@ -162,5 +162,4 @@ def _sigma_min(task: Task, q: Array) -> tuple[float, Array]:
     """Return σ_min(Ĵ) and ∂σ_min/∂q = uᵀ(∂Ĵ/∂q_k)v, shape (n_v,)."""
     U, values, rows = np.linalg.svd(task.jacobian(q))
     u, v = U[:, -1], rows[len(values) - 1]
-    gradient = np.array([u @ task.jacobian_dot(q, unit) @ v for unit in np.eye(task.robot.nv)])
-    return float(values[-1]), gradient
+    return float(values[-1]), np.asarray(u @ jacobian_gradient(task, q) @ v)

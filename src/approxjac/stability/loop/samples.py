@@ -206,10 +206,3 @@ def terms_alone(plant: Plant, dynamics: Dynamics, task: Task, q: Array, x_d: Arr
         x, sensor.error(x, x_d), sensor._sensor_jacobian(q), task.jacobian(q, x), dJ_hat,
         dynamics.M(q), dynamics.M_gradient(q), dynamics.g(q), dynamics.g_gradient(q),
     )  # fmt: skip
-
-
-def error_jacobians(task: Task, e: Array, J: Array) -> Array:
-    """Return ∂e/∂q where errors are e (N, m) and the Jacobians J; shape (N, m, n_v)."""
-    if task._subtracts:
-        return J
-    return np.array([task._error_jacobian(*each) for each in zip(e, J, strict=True)])
