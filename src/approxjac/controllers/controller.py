@@ -223,10 +223,7 @@ class Controller(ABC):
         return ""
 
     def learnt_sd(self, state: Array) -> Array:
-        """Return the standard deviations of what a state has learnt, shape (p,).
-
-        By default NaN: not known.
-        """
+        """Return the standard deviations of what a state has learnt, (p,); NaN is not known."""
         return np.full(len(self.learnt(state)), np.nan)
 
     def resumed(self, state: Array, measurement: Measurement) -> Array:
@@ -238,7 +235,8 @@ class Controller(ABC):
             InvalidInputError: A state of another controller, a measurement of the wrong shapes, or
                 a controller that learns no kinematics.
         """
-        raise self._learns_no_kinematics()
+        self.kinematics_of(state)
+        return state
 
     def kinematics_of(self, state: Array) -> tuple[Kinematics, Array]:
         """Return the kinematics that this learns, and their part of a state.
@@ -246,7 +244,11 @@ class Controller(ABC):
         Raises:
             InvalidInputError: A controller that learns no kinematics, or a state of another one.
         """
-        raise self._learns_no_kinematics()
+        raise InvalidInputError(
+            "controller must learn kinematics, such as a TrackingController or a "
+            f"PredictedMeasurement, got {self!r}",
+            given=self,
+        )
 
     def kinematics_learnt(self, state: Array) -> KinematicReport:
         """Return what a state has learnt of the kinematics; raises as `kinematics_of`."""
@@ -262,13 +264,6 @@ class Controller(ABC):
         kinematics, known = self.kinematics_of(state)
         return kinematics.robot(known)
 
-    def _learns_no_kinematics(self) -> InvalidInputError:
-        return InvalidInputError(
-            "controller must learn kinematics, such as a TrackingController or a "
-            f"PredictedMeasurement, got {self!r}",
-            given=self,
-        )
-
     # -- what is true of a run ------------------------------------------------------------------
 
     def lyapunov(self, at: Instant) -> float:
@@ -276,10 +271,7 @@ class Controller(ABC):
         return math.nan
 
     def task_torque(self, at: Instant) -> Array:
-        """Return the part of the torque that acts on the task, shape (n_v,) [N m or N].
-
-        By default NaN: not known.
-        """
+        """Return the part of the torque that acts on the task, (n_v,); NaN is not known."""
         return np.full(len(at.v), np.nan)
 
     # -- what limits of torques need to know ----------------------------------------------------
@@ -325,28 +317,20 @@ class Controller(ABC):
         return np.zeros(self.resting)
 
     def with_limiter(self, motors: Array) -> Controller:
-        """Return this law as it is inside of a limiter, which decides when it rests.
-
-        Args:
-            motors: Largest torques that the limiter sends, shape (n_v,).
-        """
+        """Return this law inside of a limiter, which rests it and sends at most `motors` (n_v,)."""
         return self
 
     def resolved_alpha(self, alpha: float | None) -> float:
         """Return α of y [1/s], or refuse one that does not fit; None asks for the usual one."""
-        return (
-            self.alpha if alpha is None else as_number("cross_weight", alpha, unit="1/s", above=0.0)
-        )
+        given = self.alpha if alpha is None else alpha
+        return as_number("cross_weight", given, unit="1/s", above=0.0)
 
     def damping_rate(self, inertias: Array) -> float:
         """Return how fast this law damps joints [1/s], given usual inertias (k, n_v, n_v)."""
         return 0.0
 
     def gravity_torque(self, state: Array, q: Array) -> Array:
-        """Return the gravity torque that this law compensates, shape (n_v,) [N m or N].
-
-        By default that of the believed robot.
-        """
+        """Return the gravity torque compensated, (n_v,) [N m or N]; by default the robot's."""
         return self._own_dynamics.g(q)
 
     def believed_dynamics(self) -> tuple[Dynamics, bool]:

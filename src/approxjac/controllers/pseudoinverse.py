@@ -40,35 +40,26 @@ class Pseudoinverse:
     Attributes:
         weight: As of `law.cross_weight_pinv`, shape (n_v,); None is I.
         singularity: What counts as near singular.
-        scale: That of `law.damped_gram_solve`, at which Ĵ vanishes.
-        ratio: σ_min/σ_max below which Ĵ is near singular, as in `law.damped_gram_solve`.
     """
 
-    def __init__(
-        self, weight: Array | None, scale: float, ratio: float = law.SINGULAR_RATIO
-    ) -> None:
-        self.weight, self.scale, self.ratio = weight, scale, ratio
+    def __init__(self, weight: Array | None, scale: float, ratio: float) -> None:
+        self.weight = weight
         inverse_root = None if weight is None else 1.0 / np.sqrt(weight)
         self.singularity = law.Singularity(ratio, scale, inverse_root)
 
-    def times(self, J_hat: Array, s: Array, whole: Array | None = None) -> tuple[Array, float]:
-        """Return Ĵ⁺s (n_v,), and its damping λ, 0 away from singular configurations.
-
-        Of a Ĵ without the columns of some joints, `whole` is the one with them, whose size says
-        what is near singular.
-        """
+    def times(self, J_hat: Array, s: Array, whole: Array | None = None) -> Array:
+        """Return Ĵ⁺s (n_v,), of a Ĵ that may lack columns of a whole one, whose size counts."""
         singularity = self.singularity
         if whole is not None:
             scale = float(np.linalg.norm(self._weighted(whole), 2))
             singularity = singularity._replace(scale=scale)
-        return law.damped_pinv(J_hat, s, singularity)
+        return law.damped_pinv(J_hat, s, singularity)[0]
 
     def is_damped(self, J_hat: Array) -> NDArray[np.bool_]:
         """Return whether Ĵ⁺ is damped, of Ĵ (…, m, n_v), shape (…)."""
-        values = np.linalg.svd(self._weighted(J_hat), compute_uv=False)
-        squares = np.asarray(values**2, dtype=np.float64)
-        least, largest = squares[..., -1], squares[..., 0]
-        return law.gram_damping(least, largest, self.ratio, self.scale) > 0.0
+        squares = np.linalg.svd(self._weighted(J_hat), compute_uv=False) ** 2
+        ratio, scale, _ = self.singularity
+        return law.gram_damping(squares[..., -1], squares[..., 0], ratio, scale) > 0.0
 
     def _weighted(self, J_hat: Array) -> Array:
         inverse_root = self.singularity.inverse_root
@@ -76,4 +67,4 @@ class Pseudoinverse:
 
     def matrix(self, J_hat: Array) -> Array:
         """Return Ĵ⁺ of a Ĵ (m, n_v), shape (n_v, m)."""
-        return np.array([self.times(J_hat, unit)[0] for unit in np.eye(len(J_hat))]).T
+        return np.array([self.times(J_hat, unit) for unit in np.eye(len(J_hat))]).T

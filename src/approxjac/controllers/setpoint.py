@@ -12,10 +12,10 @@ import numpy as np
 from approxjac import law
 from approxjac.controllers.arguments import FLOAT64, HUGE, is_lost, overflow, require_arrays
 from approxjac.controllers.controller import Controller, Instant
-from approxjac.controllers.gains.gains import Gains, Latency, require_damping
+from approxjac.controllers.gains.gains import Gains, Latency
 from approxjac.controllers.gains.reach import Reach
 from approxjac.controllers.gains.sample_configurations import quickest
-from approxjac.controllers.gains.tuning import Tuning, default_gains, slow_rate, tuned
+from approxjac.controllers.gains.tuning import Tuning, require_damping, slow_rate, tuned
 from approxjac.controllers.gravity import (
     Adaptation,
     AdaptiveGravity,
@@ -156,7 +156,7 @@ class SetpointController(Immutable, Controller):
         self.saturation: Saturation = Linear() if saturation is None else saturation
         self.diagonals = self.gains.diagonals(task.m, robot.nv)
         require_saturation(self.saturation, task)
-        require_damping(self.gains, self.diagonals, task, default_gains)
+        require_damping(self.gains, self.diagonals, task)
         if velocity is not None:
             velocity.require_difference(task)
         learning = self.gravity
@@ -264,7 +264,7 @@ class SetpointController(Immutable, Controller):
         if J_hat is None or (is_seen := law.is_finite(e)) is False:  # s(∞) may be finite
             return v
         s = law.select(is_seen, law.array(self.saturation.s(e)), np.zeros(len(e)))
-        return law.passive_output(v, self.pinv.times(J_hat, s)[0], alpha)
+        return law.passive_output(v, self.pinv.times(J_hat, s), alpha)
 
     def is_proven(self, answer: Evaluation) -> Any:
         """Return whether V̇ is known where this law gave an answer: with x, and with Ĵ⁺."""
@@ -283,7 +283,7 @@ class SetpointController(Immutable, Controller):
         if answer.reference is not None:  # q̇ − (ĴP)⁺ẋ_d takes the place of q̇
             v_d, scale = J_hat.dot(answer.reference), float(np.linalg.norm(J_hat, 2))
             v = v - law.damped_gram_solve(J_free @ J_free.T, v_d, scale=scale)[0] @ J_free
-        y = law.passive_output(v, self.pinv.times(J_free, s, J_hat)[0], learning.alpha)
+        y = law.passive_output(v, self.pinv.times(J_free, s, J_hat), learning.alpha)
         Y = learning.Y(q, J_hat)
         rate = law.theta_hat_rate(learning.L, Y, y)
         return learning.bounded(rate, state[: self._p], Y, g)[0]

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-
-from approxjac.errors import InvalidInputError
-from approxjac.formatting import listed, numbers, short_fields
-from approxjac.tasks import Task
+from approxjac.formatting import numbers, short_fields
 from approxjac.validation import Array, as_diagonal, as_number, is_scalar, shape_of
 
 
@@ -65,28 +61,6 @@ class Diagonals(NamedTuple):
     kp: Array
     kv: Array
     damping: Array
-
-
-def require_damping(
-    gains: Gains, diagonals: Diagonals, task: Task, enough: Callable[[Task], Gains]
-) -> None:
-    """Refuse no added damping on an arm with more joints than task coordinates, say what does.
-
-    Args:
-        gains: The gains.
-        diagonals: Their diagonals.
-        task: The task.
-        enough: Returns gains of the task that do, such as `default_gains`.
-    """
-    robot, m = task.robot, task.m
-    if robot.nv > m and not (diagonals.damping > 0.0).all():
-        would_do = f"damping={listed(np.round(enough(task).damping, 2))} would do"
-        raise InvalidInputError(
-            f"damping must be > 0 [N m s/rad] for {robot.name}: it has {robot.nv} joints for {m} "
-            f"task coordinates, and nothing else damps its self-motion; got "
-            f"{diagonals.damping.tolist()}; {would_do}",
-            given=gains,
-        )
 
 
 @dataclass(frozen=True, repr=False)

@@ -14,7 +14,8 @@ from approxjac import law
 from approxjac.controllers.gains.gains import Diagonals, Gains, Latency
 from approxjac.controllers.gains.reach import with_unknown_tool
 from approxjac.controllers.gains.sample_configurations import usual_postures
-from approxjac.formatting import short
+from approxjac.errors import InvalidInputError
+from approxjac.formatting import listed, short
 from approxjac.robots import Dynamics, GravityRegressor
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import FINE, require_controllable
@@ -97,6 +98,19 @@ def default_gains(task: Task, settling_time: float = 1.0, bandwidth: float = 100
     most = fastest / np.diagonal(postures.M_inv, axis1=1, axis2=2).max(axis=0)
     damping = np.minimum(rate * own + quieting, most)
     return Gains(kp=rate * (kv + postures.felt_damping(damping)), kv=kv, damping=damping)
+
+
+def require_damping(gains: Gains, diagonals: Diagonals, task: Task) -> None:
+    """Refuse no added damping on an arm with more joints than task coordinates, say what does."""
+    robot, m = task.robot, task.m
+    if robot.nv > m and not (diagonals.damping > 0.0).all():
+        would_do = f"damping={listed(np.round(default_gains(task).damping, 2))} would do"
+        raise InvalidInputError(
+            f"damping must be > 0 [N m s/rad] for {robot.name}: it has {robot.nv} joints for {m} "
+            f"task coordinates, and nothing else damps its self-motion; got "
+            f"{diagonals.damping.tolist()}; {would_do}",
+            given=gains,
+        )
 
 
 def position_gains(task: Task, kv: Array, damping: Array, settling_time: float) -> Array:

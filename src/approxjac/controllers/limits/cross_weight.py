@@ -57,7 +57,7 @@ class CrossWeight:
         if answer.status is not Status.OK or J_hat is None or not math.isfinite(e.dot(e)):
             return v
         s = controller.saturation.s(e)
-        y = v + controller.pinv.times(J_hat, self.A1.dot(s))[0]
+        y = v + controller.pinv.times(J_hat, self.A1.dot(s))
         if self.A2.any():
             kv = controller.diagonals.kv
             D = law.dissipation(J_hat, kv, self.damping)
