@@ -128,11 +128,11 @@ class Sine(_Bounded):
         u: Array = e / self._gamma
         if u.ndim == 1 and not u.dtype.hasobject and math.hypot(*u.tolist()) < _QUARTER:
             return self._gamma * np.sin(u)  # near the target, where nothing saturates
-        return sine(u, self._gamma)
+        return self._gamma * np.sin(_within(u))
 
     def S(self, e: Array) -> Array:
         """S(e) ≥ 0."""
-        u = angle(e / self._gamma)
+        u = _within(e / self._gamma)
         beyond = np.abs(e / self._gamma) - np.abs(u)  # inside exactly 0, however large γ is
         # 1 − cos u = 2 sin²(u/2), which keeps its digits near zero
         return np.asarray(self._gamma**2 * (2.0 * np.sin(0.5 * u) ** 2 + beyond))
@@ -140,7 +140,7 @@ class Sine(_Bounded):
     def ds(self, e: Array) -> Array:
         """s'(e), between 0 and 1."""
         inside = np.abs(e) < 0.5 * np.pi * self._gamma
-        return np.where(inside, np.cos(angle(e / self._gamma)), 0.0)
+        return np.where(inside, np.cos(_within(e / self._gamma)), 0.0)
 
     def d_bar(self, e_max: float) -> float:
         """d̄ = u / sin u up to saturation, u beyond, with u = e_max / γ."""
@@ -162,7 +162,7 @@ class Tanh(_Bounded):
 
     def s(self, e: Array) -> Array:
         """s(e), between −γ and γ."""
-        return tanh(e / self._gamma, self._gamma)
+        return self._gamma * np.tanh(e / self._gamma)
 
     def S(self, e: Array) -> Array:
         """S(e) ≥ 0."""
@@ -182,17 +182,7 @@ class Tanh(_Bounded):
         return float(u / np.tanh(u)) if u > 0 else 1.0
 
 
-def sine(u: Array, gamma: Array) -> Array:
-    """γ sin u up to u = π/2, ±γ beyond, with u = e/γ. Implements Eq. (8), the paper's example."""
-    return gamma * np.sin(angle(u))
-
-
-def tanh(u: Array, gamma: Array) -> Array:
-    """γ tanh u with u = e/γ."""
-    return gamma * np.tanh(u)
-
-
-def angle(u: Array) -> Array:
+def _within(u: Array) -> Array:
     """The angle u, kept between −π/2 and π/2."""
     clipped: Array = np.minimum(np.maximum(u, _BOTTOM), _TOP)
     return clipped  # np.clip costs five times as much

@@ -109,38 +109,38 @@ class Solver:
         if False in (low <= high).tolist():  # of NaN, too
             crossed = (low > high).any()
             return None, Verdict.INFEASIBLE if crossed else Verdict.FAILED, math.nan
-        multiplier = math.nan
         if self._function is None:
-            found, multiplier = self._minimum(problem, low, high)
+            z, verdict, multiplier = self._minimum(problem, low, high)
         else:
-            found = self._answer(problem, low, high)
-        if not isinstance(found, Verdict):
-            found = _admitted(found, problem, low, high)
-        if isinstance(found, Verdict):
-            return None, found, math.nan
-        return found, Verdict.SOLVED, multiplier
+            (z, verdict), multiplier = self._answer(problem, low, high), math.nan
+        z = None if z is None else _admitted(z, problem, low, high)
+        if z is None:
+            return None, Verdict.FAILED if verdict is Verdict.SOLVED else verdict, math.nan
+        return z, verdict, multiplier
 
     def _minimum(
         self, problem: QuadraticProgram, low: Array, high: Array
-    ) -> tuple[Array | Verdict, float]:
-        """Return z of DAQP, and the last multiplier; low and high are of z, then of A z."""
+    ) -> tuple[Array | None, Verdict, float]:
+        """Return what `_solved` does, by DAQP; low and high are of z, then of A z."""
         H, f, A = problem.H, problem.f, problem.A
         # what the first tolerance refuses may be the round-off of large bounds
         for tolerance in (_FIRST_TOLERANCE, _TOLERANCE):
-            z, _, flag, told = self._daqp(
+            z, _, flag, more = self._daqp(
                 H, f, A, high, low, primal_tol=tolerance, **_DAQP_SETTINGS
             )
             if flag == _OPTIMAL:
-                return z, float(told["lam"][-1])
-        return (Verdict.INFEASIBLE if flag in _CONTRADICTORY else Verdict.FAILED), math.nan
+                return z, Verdict.SOLVED, float(more["lam"][-1])
+        return None, Verdict.INFEASIBLE if flag in _CONTRADICTORY else Verdict.FAILED, math.nan
 
-    def _answer(self, problem: QuadraticProgram, low: Array, high: Array) -> Array | Verdict:
-        """Return z of the function, if it is an array of numbers of that shape."""
+    def _answer(
+        self, problem: QuadraticProgram, low: Array, high: Array
+    ) -> tuple[Array | None, Verdict]:
+        """Return z of the function, if it is an array of numbers of that shape, and why not."""
         try:
             answer = self._function(QuadraticProgram(*map(np.copy, problem)))  # type: ignore[misc]
             if answer is None:
-                exact, _ = self._minimum(problem, low, high)
-                return exact if isinstance(exact, Verdict) else Verdict.FAILED
+                exact, verdict, _ = self._minimum(problem, low, high)
+                return None, verdict if exact is None else Verdict.FAILED
             z: Array = np.asarray(answer)
         except Exception:  # a control loop gets a verdict instead
             if not self._has_raised:
@@ -150,16 +150,16 @@ class Solver:
                 logging.getLogger(__name__).warning(
                     "QP solver %s raised, which is told once", self.name, exc_info=True
                 )
-            return Verdict.FAILED
+            return None, Verdict.FAILED
         is_numbers = z.dtype.kind in "iuf" and z.shape == problem.f.shape
-        return z if is_numbers and (np.abs(z) < _HUGE).all() else Verdict.FAILED
+        return (z if is_numbers and (np.abs(z) < _HUGE).all() else None), Verdict.SOLVED
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Solver, (self.name, self._function)
 
 
-def _admitted(z: Array, problem: QuadraticProgram, low: Array, high: Array) -> Array | Verdict:
-    """Return z brought inside its bounds; FAILED if it is too far out or a row does not hold."""
+def _admitted(z: Array, problem: QuadraticProgram, low: Array, high: Array) -> Array | None:
+    """Return z brought inside its bounds; None if it is too far out or a row does not hold."""
     n, A = len(z), problem.A
     y = np.concatenate([z, A.dot(z)])
     held = np.minimum(np.maximum(y, low), high)
@@ -171,7 +171,7 @@ def _admitted(z: Array, problem: QuadraticProgram, low: Array, high: Array) -> A
     moved = np.concatenate([inside - z, np.clip(rows, low[n:], high[n:]) - rows])
     sizes = np.concatenate([size, np.abs(A).dot(size)])
     within = (np.abs(moved) <= _TOLERANCE * np.maximum(1.0, sizes)).all()
-    return inside if within and farthest < math.inf else Verdict.FAILED
+    return inside if within and farthest < math.inf else None
 
 
 _OSQP = {
