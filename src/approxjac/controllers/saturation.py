@@ -67,7 +67,6 @@ def _value(saturation: Saturation, name: str, e: Array) -> Array:
 
 
 def _require_law(f: Saturation, m: int) -> None:
-    """Require the properties (1)–(3) of the paper, and slope 1 at 0."""
     at_zero = {name: _value(f, name, np.zeros(m)) for name in ("s", "S", "ds")}
     # the scale of each coordinate: up to there s is within half of e
     far = _DECADES * np.ones(m)
@@ -86,7 +85,7 @@ def _require_law(f: Saturation, m: int) -> None:
 
 
 def _require_pairs(f: Saturation, e: Array) -> None:
-    """Require slopes and eq. (8) at pairs of errors close to each other, shape (2, N, m)."""
+    """Require slopes and eq. (8) at pairs (2, N, m) of errors close to each other."""
     m = e.shape[2]
     s, S, ds = (_value(f, name, e.reshape(-1, m)).reshape(e.shape) for name in ("s", "S", "ds"))
 

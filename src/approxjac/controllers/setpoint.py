@@ -13,9 +13,14 @@ from approxjac import law
 from approxjac.controllers.arguments import FLOAT64, HUGE, is_lost, overflow, require_arrays
 from approxjac.controllers.controller import Controller, Instant
 from approxjac.controllers.gains.gains import Gains, Latency
-from approxjac.controllers.gains.reach import Reach
 from approxjac.controllers.gains.sample_configurations import quickest
-from approxjac.controllers.gains.tuning import Tuning, require_damping, slow_rate, tuned
+from approxjac.controllers.gains.tuning import (
+    UNKNOWN_TOOL,
+    Tuning,
+    require_damping,
+    slow_rate,
+    tuned,
+)
 from approxjac.controllers.gravity import (
     Adaptation,
     AdaptiveGravity,
@@ -37,7 +42,7 @@ from approxjac.interface import (
 )
 from approxjac.law import Linear, Saturation, Tanh
 from approxjac.robots import Dynamics, GravityRegressor, Robot
-from approxjac.tasks import Task, analysis
+from approxjac.tasks import PoseTask, PositionTask, Task, analysis
 from approxjac.validation import Array, Immutable, as_number, as_vector, require
 
 _OK, _LOST = Status.OK, Status.MEASUREMENT_LOST  # members of an enum are slow to look up
@@ -80,6 +85,38 @@ class DifferentiatedVelocity:
                 f"got {x.tolist()}",
                 given=x,
             )
+
+
+class Reach:
+    """Bound on the reach of the believed arm; infinite for other tasks than positions and poses.
+
+    Attributes:
+        origin: Where the arm begins [unit of the task].
+        most: How far it reaches from there.
+
+    Args:
+        task: The task of the believed robot.
+    """
+
+    def __init__(self, task: Task) -> None:
+        self._task, self.origin, self.most = task, np.zeros(1), math.inf
+        if isinstance(task, PositionTask | PoseTask):
+            origin, self.most = task.robot.reach_bound(task.frame)
+            self.origin = origin[["xyz".index(axis) for axis in task.labels[:3]]]
+
+    def is_exceeded(self, q: Array, e: Array) -> Any:
+        """Return whether a target is too far away for the arm, and an unmodelled tool.
+
+        It is e (m,) away from where the believed arm is at q: who measures x may stand anywhere.
+        """
+        k = len(self.origin)
+        if self.most == math.inf:
+            return False
+        is_far = law.length(e[:k]) > UNKNOWN_TOOL * self.most
+        if is_far is False:
+            return False
+        there = self._task.value(q)[:k] - e[:k] - self.origin
+        return is_far & (law.length(there) > (1.0 + UNKNOWN_TOOL) * self.most)
 
 
 class SetpointController(Immutable, Controller):

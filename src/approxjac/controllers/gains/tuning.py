@@ -12,14 +12,18 @@ import numpy as np
 
 from approxjac import law
 from approxjac.controllers.gains.gains import Diagonals, Gains, Latency
-from approxjac.controllers.gains.reach import with_unknown_tool
 from approxjac.controllers.gains.sample_configurations import usual_postures
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import listed, short
-from approxjac.robots import Dynamics, GravityRegressor
+from approxjac.robots import Dynamics, GravityRegressor, Robot
+from approxjac.robots.urdf import direction
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import FINE, require_controllable
+from approxjac.tasks.frame_tasks import FrameKinematics
 from approxjac.validation import Array, as_number
+
+UNKNOWN_TOOL = 0.18
+"""Length of an unmodelled tool, as a share of the arm's reach."""
 
 _SETTLED = 4.0  # time constants until 2 % are left
 _DAMPING_SHARE = 0.03
@@ -122,6 +126,21 @@ def slow_rate(task: Task, gains: Diagonals) -> float:
     """Return the rate of the slow pole, min k_p / (k_v + K_b), K_b as in `default_gains` [1/s]."""
     felt = usual_postures(task).felt_damping(gains.damping)
     return float((gains.kp / (gains.kv + felt)).min())
+
+
+def with_unknown_tool(robot: Robot) -> Robot:
+    """Return a robot whose tip is farther out, by the length of an unmodelled tool."""
+    if robot.tip is None:
+        return robot
+    joint = next(each for each in robot.tree.joints.values() if each.child == robot.tip)
+    neutral = robot.neutral()
+    of_parent, of_tip = (
+        FrameKinematics(robot, frame).placement(neutral)[0] for frame in (joint.parent, robot.tip)
+    )
+    _, reach = robot.reach_bound(robot.tip)
+    longer = UNKNOWN_TOOL * reach if math.isfinite(reach) else 0.0
+    shift = longer * of_parent.T @ of_tip @ np.asarray(direction(robot.outward_axis()))
+    return robot.with_kinematic_error({joint.name: shift.tolist()})
 
 
 class Learning(NamedTuple):
@@ -266,7 +285,8 @@ class _Arm:
         joint_torque = joint_torque * min(1.0, 0.5 * share / largest(np.diag(joint_torque)))
         # of each parameter, the size whose torque alone is what a motor has, RMS
         usual = np.sqrt((np.concatenate([Z, J.mT], axis=2) ** 2).mean(axis=0))
-        effort, weight = self.robot.effort_limits, None
+        effort = self.robot.effort_limits
+        weight: Array | None = None
         with np.errstate(divide="ignore"):
             most = np.concatenate([(effort[:, None] / usual).min(axis=0), effort])
         if slow * latency.of_position < _QUICK and (gains.damping > 0.0).all():
