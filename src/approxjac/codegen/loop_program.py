@@ -13,7 +13,7 @@ from approxjac.codegen import traced_law as laws
 from approxjac.codegen.arm import traced_tasks as tasks
 from approxjac.codegen.arm.arm_numbers import ArmNumbers
 from approxjac.codegen.arm.rigid_body import Arm, moved
-from approxjac.codegen.sensors import Measured, Senses
+from approxjac.codegen.sensors import Senses
 from approxjac.codegen.trace.program import Program
 from approxjac.codegen.trace.symbols import (
     LARGEST_ANGLE,
@@ -101,23 +101,21 @@ class TracedLoop:
         value = tasks.value(plant.sensor, self._here, sensor)
         self.x = x = tasks.seen(plant.sensor, value)
         self.error = tasks.error(plant.sensor, value, target.x)
-        measured, may_lose = Measured(q, v, x, {}), tasks.may_lose(plant.sensor)
+        may_lose = tasks.may_lose(plant.sensor)
         self.left: Condition = False
-        kept: dict[str, Any] = {}
         if senses is None:
             count = program.kept("count", 1)[0]
-            time, kept = count * dt, {"count": count + 1.0}
-            t_x = time
+            measurement, kept = Measurement(count * dt, q, v, x, count * dt), {"count": count + 1.0}
         else:
-            measured, may_lose = senses.measured(program, q, v, x), may_lose or senses.may_lose
-            time, t_x = program.k * dt, senses.time_of_x(program)
-            state, self.left = _begun(program, controller, state, measured)
+            truth = Measurement(program.k * dt, q, v, x)
+            measurement, kept = senses.measured(program, truth)
+            state, self.left = _begun(program, controller, state, measurement)
+            may_lose = may_lose or senses.may_lose
         program.graph.is_finite = not may_lose
-        measurement = Measurement(time, measured.q, measured.v, measured.x, t_x)
         wanted = target.x if target.v is None else target
         after, self.answer, unfinished = laws.stepped(controller, state, measurement, wanted, dt)
         program.graph.is_finite = False
-        acting, kept = self.answer.torque, measured.kept | kept
+        acting = self.answer.torque
         if senses is not None:
             acting, late = senses.acting(program, acting)
             kept |= late
@@ -195,12 +193,12 @@ class TracedLoop:
 
 
 def _begun(
-    program: Program, controller: Controller, state: Symbols, measured: Measured
+    program: Program, controller: Controller, state: Symbols, measurement: Measurement
 ) -> tuple[Symbols, Condition]:
     """Return a state that begins with the first x, where it does, and whether that is lost."""
     if controller.kinematics is not controller.law.kinematics:
         return state, False
-    first = laws.begun(controller.law, measured.q, measured.v, measured.x)
+    first = laws.begun(controller.law, *measurement[1:4])
     at = [i for i, each in enumerate(first.tolist()) if isinstance(each, Scalar)]
     if not at:
         return state, False

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from approxjac.codegen.arm.rigid_body import difference
 from approxjac.codegen.trace.program import Program
-from approxjac.codegen.trace.symbols import Number, Symbols, select, symbols
-from approxjac.interface import Target, TargetPath
+from approxjac.codegen.trace.symbols import Symbols, select, symbols
+from approxjac.interface import Measurement, Target, TargetPath
 from approxjac.simulation import Plant, Sensing
 from approxjac.simulation.sensing import (
     SensorFrames,
@@ -24,22 +24,6 @@ from approxjac.simulation.simulate import target_at
 from approxjac.validation import Array
 
 _IMAGE, _TORQUE = "image", "late_torque"
-
-
-class Measured(NamedTuple):
-    """Measurement that a controller is told.
-
-    Attributes:
-        q: Shape (nq,).
-        v: Shape (n_v,).
-        x: Shape (n_x,); NaN where it is lost.
-        kept: What the sensors keep of this step, by name.
-    """
-
-    q: Symbols
-    v: Symbols
-    x: Symbols
-    kept: dict[str, Any]
 
 
 class Senses:
@@ -82,8 +66,9 @@ class Senses:
         self._is_now = self._is_taken & (self._kept_at == self._read_at)
         self._places = int(self._kept_at.max()) + 1
 
-    def measured(self, program: Program, q: Symbols, v: Symbols, x: Symbols) -> Measured:
-        """Return what is measured where q, v and x are so, x as the sensor delivers it."""
+    def measured(self, program: Program, truth: Measurement) -> tuple[Measurement, dict[str, Any]]:
+        """Return what is measured of the truth, x as the sensor delivers it, and what is kept."""
+        t, q, v, x, _ = truth
         sensing, robot = self._sensing, self._sensor.robot
         sensor = self._sensor
         kept: dict[str, Any] = {}
@@ -111,7 +96,7 @@ class Senses:
             is_new = program.timed("new", 1)[0] > 0.0
             kept["dropped"] = select(is_new, select(drops, 1.0, 0.0), before)
             x = np.where(symbols(kept["dropped"] > 0.0), np.nan, x)
-        return Measured(q, v, x, kept)
+        return Measurement(t, q, v, x, program.timed("t_x", 1)[0]), kept
 
     def target(self, program: Program) -> Target | None:
         """Return the target, where that of all runs moves."""
@@ -120,10 +105,6 @@ class Senses:
         moves = any(each.v is not None for each in self._targets)
         v_d = program.timed("target_v", self._sensor.m) if moves else None
         return Target(program.timed("target", self._sensor.n_x), v_d)
-
-    def time_of_x(self, program: Program) -> Number:
-        """Return the time at which x was taken [s]."""
-        return program.timed("t_x", 1)[0]
 
     def acting(self, program: Program, torque: Symbols) -> tuple[Symbols, dict[str, Any]]:
         """Return the torque that acts when one is asked for, and what is kept of the latter."""

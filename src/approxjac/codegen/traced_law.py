@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -72,15 +73,9 @@ def stepped(
 
 def on_symbols(controller: Controller) -> Any:
     """Return a controller whose step takes symbols, as far as ours is concerned."""
-    controller = getattr(controller, "ordinary", controller)  # of one that is compiled
     if isinstance(controller, TorqueLimited):
         _require_limiter(controller)
-    inside = {
-        name: on_symbols(part)
-        for name, part in vars(controller).items()
-        if isinstance(part, Controller)
-    }
-    return _copy(controller, inside) if inside else controller
+    return _with_parts(controller, on_symbols)
 
 
 def _require_limiter(limiter: TorqueLimited) -> None:
@@ -98,31 +93,24 @@ def _require_limiter(limiter: TorqueLimited) -> None:
         )
 
 
-def solves(controller: Any) -> bool:
-    """Return whether a controller, or one inside of it, is a limiter that needs a solver."""
-    while controller is not None:
-        if isinstance(controller, TorqueLimited):
-            return controller.needs_solver
-        controller = getattr(controller, "controller", None)
-    return False
-
-
 def with_gains(controller: Controller, diagonals: Diagonals) -> Controller:
     """Return a controller whose law has gains that are not known yet."""
+    own = {"diagonals": diagonals} if isinstance(controller, SetpointController) else {}
+    return _with_parts(controller, lambda part: with_gains(part, diagonals), **own)
+
+
+def _with_parts(
+    controller: Controller, changed: Callable[[Controller], Controller], **own: Any
+) -> Controller:
+    """Return a controller, without machine code, with other ones inside of it."""
     controller = getattr(controller, "ordinary", controller)
-    changed: dict[str, Any] = {
-        name: with_gains(part, diagonals)
-        for name, part in vars(controller).items()
-        if isinstance(part, Controller)
-    }
-    if isinstance(controller, SetpointController):
-        changed["diagonals"] = diagonals
-    return _copy(controller, changed) if changed else controller
-
-
-def _copy(controller: Controller, changed: dict[str, Any]) -> Controller:
+    for name, part in vars(controller).items():
+        if isinstance(part, Controller):
+            own[name] = changed(part)
+    if not own:
+        return controller
     found: Controller = object.__new__(type(controller))
-    vars(found).update(vars(controller), **changed)
+    vars(found).update(vars(controller), **own)
     return found
 
 

@@ -12,13 +12,13 @@ from collections.abc import Callable
 
 import numpy as np
 
+from approxjac.codegen import traced_law as laws
 from approxjac.codegen.arm import traced_tasks as tasks
 from approxjac.codegen.arm.arm_numbers import ArmNumbers, arm_numbers
 from approxjac.codegen.backends.llvm import LlvmLanes
 from approxjac.codegen.loop_program import TracedLoop, require_covered
 from approxjac.codegen.trace.program import Program
 from approxjac.codegen.trace.symbols import select, symbols
-from approxjac.codegen.traced_law import solves
 from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError
 from approxjac.interface import LimitStatus, Target
@@ -67,13 +67,14 @@ def _loop_of(loop: SampledLoop, must: bool) -> _Loop | None:
         InvalidInputError: Code cannot be made of it.
     """
     plant, law = loop.plant, getattr(loop.controller, "ordinary", loop.controller)
-    enough = _SOLVER_STEPS if solves(law) else _STEPS
+    enough = _SOLVER_STEPS if law.needs_solver else _STEPS
+    is_ours = all(map(laws.is_ours, (law, getattr(law, "controller", law), law.law)))
     if loop.steps < enough and not (must or law is not loop.controller):
         return None
     for holds, which in (
         (not isinstance(loop.path, np.ndarray), "a target that moves"),
         (plant.needs_sampling, "sensing, delays or a servo"),
-        (not must and _is_own(law), 'a law of your own, unless engine="compiled" is asked for'),
+        (not must and not is_ours, 'a law of your own, unless engine="compiled" is asked for'),
         (not must and importlib.util.find_spec("llvmlite") is None, _NOT_INSTALLED),
     ):
         if holds:
@@ -92,14 +93,6 @@ def _loop_of(loop: SampledLoop, must: bool) -> _Loop | None:
             _loops[key] = _Loop(law, plant, loop.dt, loop.integrator)
         _loops.move_to_end(key)
         return _loops[key]
-
-
-def _is_own(law: Controller) -> bool:
-    """Return True for a user's class: code of it is made when asked for, not by default."""
-    inside = getattr(law, "controller", law)
-    return any(
-        not type(each).__module__.startswith("approxjac.") for each in (law, inside, law.law)
-    )
 
 
 def _recorded(controller: Controller, plant: Plant, dt: float, integrator: str) -> Program:

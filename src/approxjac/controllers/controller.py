@@ -78,6 +78,7 @@ class Controller(ABC):
         kinematics: What predicts the error that it controls, known or learnt; None where it
             controls the measured one.
         alpha: α of `passive_output` [1/s] where none is given.
+        needs_solver: Whether its limits may need a solver, which takes its time.
 
     Args:
         task: The task of the believed robot.
@@ -92,6 +93,7 @@ class Controller(ABC):
     parameters: Mapping[str, str] = MappingProxyType({})
     kinematics: Kinematics | None = None
     alpha: float = 1.0
+    needs_solver: bool = False
 
     def __init__(self, task: Task) -> None:
         self.task = task

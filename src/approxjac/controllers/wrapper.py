@@ -53,6 +53,7 @@ class ControllerWrapper(Immutable, Controller):
     kinematics: Kinematics | None = _inner("kinematics")
     gain_values: dict[str, Any] = _inner("gain_values")
     law: Controller = _inner("law")
+    needs_solver: bool = _inner("needs_solver")
 
     def describe(self) -> list[str]:
         """Return what the controller inside is, and then what is done to it."""

@@ -12,28 +12,18 @@ import numpy as np
 from approxjac import law
 from approxjac.codegen import traced_law as laws
 from approxjac.codegen.backends.numpy_source import numpy_function
-from approxjac.codegen.trace.program import Going, Language, Rows, Writer
+from approxjac.codegen.trace.program import INFIX, Going, Language, Rows, Writer
 from approxjac.codegen.trace.symbols import Graph, Number, Passes, Scalar, inputs, symbols
 from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement
 from approxjac.validation import Array
 
-_TEMPLATES = {
-    "add": "{0} + {1}",
-    "subtract": "{0} - {1}",
-    "multiply": "{0} * {1}",
-    "divide": "{0} / {1}",
-    "negative": "-{0}",
+_TEMPLATES = INFIX | {
     "absolute": "fabs({0})",
     "sqrt": "sqrt({0})",
     "floor": "floor({0})",
     "power": "power_of_two({0})",
-    "less": "{0} < {1}",
-    "less_equal": "{0} <= {1}",
-    "equal": "{0} == {1}",
-    "and": "{0} & {1}",
-    "or": "{0} | {1}",
     "not": "!{0}",
     "select": "{0} ? {1} : {2}",
 }

@@ -8,25 +8,24 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.codegen.trace.program import STEP, Block, Going, Language, Program, Rows, Writer
+from approxjac.codegen.trace.program import (
+    INFIX,
+    STEP,
+    Block,
+    Going,
+    Language,
+    Program,
+    Rows,
+    Writer,
+)
 from approxjac.codegen.trace.symbols import Graph, Number, Passes
 from approxjac.validation import Array
 
-_TEMPLATES = {
-    "add": "{0} + {1}",
-    "subtract": "{0} - {1}",
-    "multiply": "{0} * {1}",
-    "divide": "{0} / {1}",
-    "negative": "-{0}",
+_TEMPLATES = INFIX | {
     "absolute": "np.abs({0})",
     "sqrt": "np.sqrt({0})",
     "floor": "np.floor({0})",
     "power": "(({0}).view(np.int64) << 52).view(np.float64)",
-    "less": "{0} < {1}",
-    "less_equal": "{0} <= {1}",
-    "equal": "{0} == {1}",
-    "and": "{0} & {1}",
-    "or": "{0} | {1}",
     "not": "~{0}",
     "select": "np.where({0}, {1}, {2})",
 }

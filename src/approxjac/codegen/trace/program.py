@@ -179,6 +179,21 @@ Rows = list[tuple[int, str]]
 """Of each number that is collected its place, and what it is."""
 
 
+INFIX = {
+    "add": "{0} + {1}",
+    "subtract": "{0} - {1}",
+    "multiply": "{0} * {1}",
+    "divide": "{0} / {1}",
+    "negative": "-{0}",
+    "less": "{0} < {1}",
+    "less_equal": "{0} <= {1}",
+    "equal": "{0} == {1}",
+    "and": "{0} & {1}",
+    "or": "{0} | {1}",
+}
+"""Operations as C and Python write them."""
+
+
 class Language(NamedTuple):
     """Language that code is written in.
 

@@ -286,7 +286,7 @@ class TorqueLimited(ControllerWrapper):
         return self._solver.name
 
     @property
-    def needs_solver(self) -> bool:
+    def needs_solver(self) -> bool:  # type: ignore[override]
         """Whether a solver may be called: without one the minimum is known in closed form."""
         return self._looks_ahead or self._diagonal is None
 
