@@ -53,7 +53,7 @@ class RobotRun(Trajectory):
 
     What nobody can know stands for what is: x is what was measured last, the scene has the believed
     robot twice, and V is that of the believed arm. The error is that of x to the target when x was
-    taken, as `Measurement.t_x` tells; without it to the target of the same instant.
+    taken, at `Measurement.t_x`; without that to the target of the same instant.
 
     Attributes:
         stop_distance: How far x went from the call for a controlled stop until the brake, NaN

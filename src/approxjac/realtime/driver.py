@@ -78,5 +78,5 @@ def read(driver: Driver, task: Task) -> Measurement:
 
 
 def two_clocks(measurement: Measurement, dt: float) -> str:
-    """Return in words that x was taken after t, which no one clock can tell, or ""."""
+    """Return in words that x was taken after t, which no one clock can show, or ""."""
     return from_another_clock(measurement.t, measurement.t_x, dt + _AHEAD)

@@ -32,12 +32,12 @@ class Fault(enum.Enum):
     ENCODER_FROZEN = "q of a joint that moved stands still from one period to the next"
     COMMAND_UNANSWERED = "a joint does not move under a command that must move it"
     SENSOR_JUMPED = (
-        "x jumped further than the tip can move; Accuracy(x=..., x_period=...) tells of more noise "
+        "x jumped further than the tip can move; Accuracy(x=..., x_period=...) allows more noise "
         "or a longer period"
     )
     SENSOR_DISAGREES = (
         "x does not move as the joints do: its axes, its unit, or an encoder; Accuracy(x=..., "
-        "x_period=...) tells of more noise or a longer period"
+        "x_period=...) allows more noise or a longer period"
     )
     SENSOR_FROZEN = "the joints move, and x does not"
     CLOCK_STOOD_STILL = "the robot's clock stands still: its state is an old one"

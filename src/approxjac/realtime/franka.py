@@ -190,7 +190,7 @@ class FrankaDriver:
         self._braked = False
 
     def _connect(self) -> None:
-        """Connect, and tell the robot what it is to know."""
+        """Connect, and set its collision thresholds."""
         with self._named("connect"):
             self._robot = self._franka.Robot(*self._address)
         self._is_lost = False

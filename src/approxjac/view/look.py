@@ -200,11 +200,11 @@ def _in_place(robot: Robot, seen: Set[str]) -> dict[str, tuple[Trimesh, ...]]:
 
 def _carriers(joints: Sequence[Joint], links: Set[str | None]) -> set[str | None]:
     """Return links, and those that carry them."""
-    found = set(links)
+    carriers = set(links)
     for joint in reversed(joints):
-        if joint.child in found:
-            found.add(joint.parent)
-    return found
+        if joint.child in carriers:
+            carriers.add(joint.parent)
+    return carriers
 
 
 def _arm_length(joints: Sequence[Joint]) -> float:

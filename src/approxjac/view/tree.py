@@ -32,7 +32,7 @@ def robot_joints(robot: Robot) -> tuple[Joint, ...]:
     model = robot.mimic_joints.model  # in which mimic joints move
     data, frames = model.createData(), list(model.frames)
     pin.computeJointJacobians(model, data, pin.neutral(model))
-    found = []
+    joints = []
     for link in frames:
         joint = frames[link.parentFrame]
         parent = frames[joint.parentFrame]
@@ -46,8 +46,8 @@ def robot_joints(robot: Robot) -> tuple[Joint, ...]:
             kind, axis = ("revolute", turn) if np.linalg.norm(turn) > 0.5 else ("prismatic", move)
             origin = model.jointPlacements[index]
         placed = (parent.placement.inverse() * origin).homogeneous
-        found.append(Joint(joint.name, parent.name, link.name, kind, placed, axis, column))
-    return tuple(found)
+        joints.append(Joint(joint.name, parent.name, link.name, kind, placed, axis, column))
+    return tuple(joints)
 
 
 def held_objects(robot: Robot) -> dict[str, float]:

@@ -100,7 +100,7 @@ class RunFrames:
         return tip, force
 
     def _position(self, x: Array, tip: Array) -> Array:
-        """Return positions that x (N, n_x) tells, shape (N, 3); on other axes those of the tip."""
+        """Return positions that x (N, n_x) gives, (N, 3); on other axes those of the tip."""
         feature = self._feature
         if feature is None or not feature.axes:
             return np.full(tip.shape, np.nan)
@@ -111,33 +111,33 @@ class RunFrames:
 
     def _at_limit(self, q: Array) -> Array:
         lower, upper = self.scene.truth.position_limits
-        found = np.zeros((len(q), self.scene.truth.nv))
+        limited = np.zeros((len(q), self.scene.truth.nv))
         i, k = self._limited
-        found[:, k] = (q[:, i] <= lower[k] + _AT_LIMIT) | (q[:, i] >= upper[k] - _AT_LIMIT)
-        return found
+        limited[:, k] = (q[:, i] <= lower[k] + _AT_LIMIT) | (q[:, i] >= upper[k] - _AT_LIMIT)
+        return limited
 
     def _images(self, q: Array, x_measured: Array, x_d: Array) -> dict[str, Array]:
         image, believed = image_feature(self.scene.sensor), image_feature(self.scene.task)
         if image is None:
             return {}
-        found = {
+        images = {
             "pixels": _pixels(image, _values(self.scene.sensor, q)),
             "measured_pixels": _pixels(image, x_measured),
             "target_pixels": _pixels(image, x_d),
         }
-        found["believed_pixels"] = np.full_like(found["pixels"], np.nan)
+        images["believed_pixels"] = np.full_like(images["pixels"], np.nan)
         if believed is not None and len(believed.points) == len(image.points):
-            found["believed_pixels"] = _pixels(believed, _values(self.scene.task, q))
-        return found
+            images["believed_pixels"] = _pixels(believed, _values(self.scene.task, q))
+        return images
 
 
 def _peaks(tau: Array, kept: Any) -> Array:
     """Return each joint's largest |τ| since the instant kept before, with its sign, (n, n_v)."""
-    found = tau[kept]
+    peaks = tau[kept]
     for i, (first, last) in enumerate(pairwise(kept), start=1):
         part = tau[first + 1 : last + 1]
-        found[i] = part[np.abs(part).argmax(axis=0), np.arange(tau.shape[1])]
-    return np.asarray(found)
+        peaks[i] = part[np.abs(part).argmax(axis=0), np.arange(tau.shape[1])]
+    return np.asarray(peaks)
 
 
 def _followed(robot: Robot, feature: Feature | None) -> PointKinematics:

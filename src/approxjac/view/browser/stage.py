@@ -181,7 +181,7 @@ class Stage:
                     drawing.mesh(path, shape.vertices, shape.faces, COLORS["believed"], **ghost)
 
     def _bones(self, drawing: _Drawing) -> None:
-        """Draw a rod along each link that is believed longer, shorter or bent: no mesh tells."""
+        """Draw a rod along each link believed of another length or bent: no mesh shows it."""
         tree = self._trees["believed"]
         origins = {joint.name: joint.origin for joint in self._trees["true"].joints}
         # an object is as long as it is believed to be
@@ -305,12 +305,12 @@ def _draw_camera(camera: dict[str, Any], drawing: _Drawing) -> None:
 
 def _boxes(look: Look) -> dict[str, Array]:
     """Return the box around each link's shapes: corners, middles of edges and faces, (27, 3)."""
-    found = {}
+    boxes = {}
     for link, shapes in look.shapes.items():
         vertices = np.concatenate([shape.vertices for shape in shapes])
         ends = vertices.min(axis=0), np.median(vertices, axis=0), vertices.max(axis=0)
-        found[link] = np.array(list(product(*zip(*ends, strict=True))))
-    return found
+        boxes[link] = np.array(list(product(*zip(*ends, strict=True))))
+    return boxes
 
 
 _INSTANTS = 40  # of a run, whose configurations must all be in view

@@ -5,8 +5,8 @@
   const shown = window.approxjac;
   const box = document.getElementById("live");
   const socket = new WebSocket(`ws://${location.host}${location.pathname}socket`);
-  const send = (wish) => {
-    if (socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(wish));
+  const send = (command) => {
+    if (socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(command));
   };
 
   // A mouse moves faster than anybody needs to know: at most one message in 50 ms, the last one
