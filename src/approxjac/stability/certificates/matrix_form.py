@@ -106,49 +106,12 @@ class FamilyNumbers(NamedTuple):
     start: Array  # y to begin with, and the least that are sought, shape (d,)
     least: Array
 
-    def with_positive(self, more: list[Weights]) -> FamilyNumbers:
-        """Return these and others that are not negative, each 1 to begin with."""
-        start = np.append(self.start, np.ones(len(more)))
-        least = np.append(self.least, np.zeros(len(more)))
-        return FamilyNumbers(self.fixed, [*self.basis, *more], start, least)
-
     def weights(self, y: Array) -> Weights:
         """Return the Lyapunov function of some unknowns."""
         total = self.fixed
         for k, part in zip(y, self.basis, strict=True):
             total = total.plus(k, part)
         return total
-
-
-def family_numbers(family: Family, setting: Setting) -> FamilyNumbers:
-    """Return the unknowns of a family."""
-    m = len(setting.kp)
-    one, zero, none = np.eye(m), np.zeros((m, m)), np.zeros(m)
-    alpha, kp, kv = setting.alpha, setting.kp, setting.kv
-    potentials = [Weights(zero, zero, row) for row in np.diag(kp + alpha * kv)]
-    fixed, start = Weights(zero, zero, none), [1.0]
-    cross = [Weights(alpha * one, zero, none)]
-    if family == "paper":
-        fixed = Weights(zero, zero, kp)
-        cross, potentials = [Weights(alpha * one, zero, alpha * kv)], []
-    elif family != "free":  # any A₁ and A₂, from αĴ⁺ on
-        entries = [(i, j) for i in range(m) for j in range(m) if i == j or m <= _FULL]
-        units = [alpha * np.outer(one[i], one[j]) for i, j in entries]
-        cross = [Weights(unit, zero, none) for unit in units]
-        cross += [Weights(zero, unit, none) for unit in units]
-        start = [float(i == j) for i, j in entries] + [0.0] * len(units)
-    couplings = []
-    if family == "full":  # of the size of the potentials that it couples
-        sizes = np.sqrt(kp + alpha * kv)
-        for i, j in itertools.combinations(range(m), 2):
-            pair = np.outer(one[i], one[j]) * sizes[i] * sizes[j]
-            couplings.append(Weights(zero, zero, none, coupling=pair + pair.T))
-    if setting.fixed_alpha is not None:
-        fixed, cross, start = fixed.plus(1.0, cross[0]), [], []
-    begun = np.array([*start, *np.ones(len(potentials)), *np.zeros(len(couplings))])
-    return FamilyNumbers(
-        fixed, [*cross, *potentials, *couplings], begun, np.full(len(begun), -_BOX)
-    )
 
 
 class Best(NamedTuple):
@@ -217,7 +180,33 @@ class MatrixForm:
 
     def unknowns(self, family: Family) -> FamilyNumbers:
         """Return the unknowns of a family."""
-        return family_numbers(family, self.setting)
+        setting, m = self.setting, len(self.setting.kp)
+        one, zero, none = np.eye(m), np.zeros((m, m)), np.zeros(m)
+        alpha, kp, kv = setting.alpha, setting.kp, setting.kv
+        potentials = [Weights(zero, zero, row) for row in np.diag(kp + alpha * kv)]
+        fixed, start = Weights(zero, zero, none), [1.0]
+        cross = [Weights(alpha * one, zero, none)]
+        if family == "paper":
+            fixed = Weights(zero, zero, kp)
+            cross, potentials = [Weights(alpha * one, zero, alpha * kv)], []
+        elif family != "free":  # any A₁ and A₂, from αĴ⁺ on
+            entries = [(i, j) for i in range(m) for j in range(m) if i == j or m <= _FULL]
+            units = [alpha * np.outer(one[i], one[j]) for i, j in entries]
+            cross = [Weights(unit, zero, none) for unit in units]
+            cross += [Weights(zero, unit, none) for unit in units]
+            start = [float(i == j) for i, j in entries] + [0.0] * len(units)
+        couplings = []
+        if family == "full":  # of the size of the potentials that it couples
+            sizes = np.sqrt(kp + alpha * kv)
+            for i, j in itertools.combinations(range(m), 2):
+                pair = np.outer(one[i], one[j]) * sizes[i] * sizes[j]
+                couplings.append(Weights(zero, zero, none, coupling=pair + pair.T))
+        if setting.fixed_alpha is not None:
+            fixed, cross, start = fixed.plus(1.0, cross[0]), [], []
+        begun = np.array([*start, *np.ones(len(potentials)), *np.zeros(len(couplings))])
+        return FamilyNumbers(
+            fixed, [*cross, *potentials, *couplings], begun, np.full(len(begun), -_BOX)
+        )
 
     def metric(self, Y: Array) -> Array:
         """Return Y, filled up where it is zero, for eigenvectors to be sought in."""

@@ -224,7 +224,9 @@ class SampledForm(MatrixForm):
                 Weights(zero, zero, none, 0.0, row)
                 for row in np.diag(_HALF * self.setting.kp / self.hold.frames)
             ]
-        return numbers.with_positive(more)
+        start = np.append(numbers.start, np.ones(len(more)))
+        least = np.append(numbers.least, np.zeros(len(more)))  # none of these is negative
+        return FamilyNumbers(numbers.fixed, [*numbers.basis, *more], start, least)
 
     def best_multiplier(self, weights: Weights) -> Best:
         """Choose the multiplier, and X, of a function that is known."""

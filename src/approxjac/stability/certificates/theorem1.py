@@ -40,8 +40,7 @@ class Theorem1:
     worst: Mapping[str, int]
 
     def __repr__(self) -> str:
-        verdict = "holds" if self.holds else "does not hold"
-        return f"Theorem1({verdict}: p = {self.p:.4g}, allowed {max(self.allowed_p, 0.0):.4g})"
+        return f"Theorem1({self})"
 
     def __str__(self) -> str:
         sign = "<" if self.holds else ">="

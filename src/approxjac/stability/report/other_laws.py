@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy as np
 from approxjac.controllers import Controller, Latency
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import percent, plain, rows, wrapped
-from approxjac.simulation import Plant, Sensing
+from approxjac.simulation import Sensing
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.configurations import inverse_kinematics
 from approxjac.stability.loop.local import LocalStability, local_stability
@@ -44,11 +44,9 @@ class NearTargets:
     @property
     def stable(self) -> bool:
         """True if all are stable, and none was left out."""
-        return (
-            bool(self.linearised)
-            and not self.refused
-            and all(each.stable for each in self.linearised)
-        )
+        if self.refused or not self.linearised:
+            return False
+        return all(each.stable for each in self.linearised)
 
     @property
     def worst(self) -> int:
@@ -159,27 +157,23 @@ def near_targets(
         x_delay=latency.image_age + 0.5 * latency.image_period,
         velocity_filter=latency.velocity_filter or None,
     )
+    setting = replace(setting, sensing=late, actuator_delay=latency.torque_delay)
     linearised, where, values, refused = [], [], [], Counter[str]()
     count = min(count, _MOST_TARGETS)
     for k in range(count):
         tell(k / count)
         start = setting.start(k)
-        given = setting.uncertainty.plant(start.values)
-        plant = Plant(
-            given.robot, given.sensor, sensing=late, actuator_delay=latency.torque_delay,
-            friction=given.friction,
-        )  # fmt: skip
         q: Array | None = start.q
         if setting.target is not None:
-            q = inverse_kinematics(plant.sensor, start.target, start.q)
+            q = inverse_kinematics(start.plant.sensor, start.target, start.q)
         if q is None:
             refused["no configuration near the start attains the target"] += 1
             continue
         try:
-            linearised.append(local_stability(plant, setting.controller, q, setting.dt))
+            linearised.append(local_stability(start.plant, setting.controller, q, setting.dt))
         except InvalidInputError as error:
             refused[str(error).split(", got ")[0]] += 1
-            if k == 0 and not linearised:  # of the law, not of the target
+            if k == 0:  # of the law, not of the target
                 break
             continue
         where.append(q)

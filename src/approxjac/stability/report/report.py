@@ -41,7 +41,6 @@ FAMILY_NAMES: dict[Family, str] = {
     "wide": "widened",
     "full": "coupled",
 }
-OF_WRONG_AXES = "as of wrong joint axes or a tilted base"
 _IF_IT_STAYS = "as long as the arm stays in the region"
 _REASONS = {
     "gravity": "gravity is off by up to {error:.3g} N m",
@@ -226,11 +225,6 @@ class StabilityReport:
             return None
         return attraction(self.loop, self.sampled, np.random.default_rng(self.seed))
 
-    @property
-    def has_starts_that_stay(self) -> bool:
-        """True if there are starts from which the region is proven not to be left."""
-        return self.attraction is not None and bool(self.attraction.radius)
-
     @cached_property
     def rows(self) -> list[Row]:
         """The findings: of which part of the report, what was tested, its verdict and figures."""
@@ -343,7 +337,7 @@ def _verdict(report: StabilityReport) -> Row:
         if learns:
             text += f"; with learnt gravity there is no certificate {runs}"
             return Row("verdict", "certified", verdict, figures, text)
-        figures["stays"] = report.has_starts_that_stay
+        figures["stays"] = report.attraction is not None and report.attraction.radius > 0.0
         text += f", {runs}" if figures["stays"] else f", {runs}, {_IF_IT_STAYS}"
         return Row("verdict", "certified", verdict, figures, text)
     why, its_figures = _why(report)
@@ -374,7 +368,7 @@ def _covers(report: StabilityReport, starts: dict[str, Any]) -> Row:
         figures = {"left": runs.n_left, "runs": runs.n}
         left = f" It left the region in {runs.n_left} of {runs.n} rollouts."
     if starts:
-        text = f"{covered_starts(starts)}{left} Checked on samples of the region, not proven "
+        text = f"{_covered_starts(starts)}{left} Checked on samples of the region, not proven "
         return Row("verdict", "covers", "certified", figures | starts, f"{text}between them.")
     if report.passed:
         text = (
@@ -411,8 +405,7 @@ def _starts(report: StabilityReport) -> dict[str, Any]:
     }
 
 
-def covered_starts(starts: Mapping[str, Any]) -> str:
-    """Return for which starts a certificate holds, from the figures of the row "covers"."""
+def _covered_starts(starts: Mapping[str, Any]) -> str:
     share, unit = starts["share"], starts["unit"]
     of_these = "all" if share == 1.0 else f"{percent(share)} %" if share else "none"
     goes = f"the error goes to zero {_IF_IT_STAYS}" if share else "is anything proven"
@@ -515,7 +508,10 @@ def of_gravity(loop: ClosedLoop, error: float) -> Row:
         "robot without gravity, NoGravity)"
     )
     if learns:
-        text = f"no learnt gravity parameters explain up to {error:.3g} N m of it, {OF_WRONG_AXES}"
+        text = (
+            f"no learnt gravity parameters explain up to {error:.3g} N m of it, as of wrong joint "
+            "axes or a tilted base"
+        )
         if by:  # at rest θ̂ stands still: Ĵ y = α s(e) = 0 with d, and y = 0 with w
             text += (
                 f"; the learnt {' and '.join(by)} can take it up, and then the error is 0 where "
