@@ -138,9 +138,9 @@ def test_repr_has_one_line_for_each_parameter(panda):
         (([[np.nan] * 7],), r"q must be finite \[rad or m\], got \[\[nan"),
         (([[1.0, 2.0], [3.0]],), r"q must be numbers of shape \(N, 7\) \[rad or m\], got \[\[1"),
         (("far",), r"q must be numbers of shape \(N, 7\)"),
-        ((BENT[None], 0.0), "threshold must be a finite number > 0, got 0.0"),
-        ((BENT[None], np.nan), "threshold must be a finite number > 0, got nan"),
-        ((BENT[None], 1.1), "threshold must be at most 1, got 1.1"),
+        ((BENT[None], 0.0), "threshold must be a finite number > 0 and <= 1, got 0.0"),
+        ((BENT[None], np.nan), "threshold must be a finite number > 0 and <= 1, got nan"),
+        ((BENT[None], 1.1), "threshold must be a finite number > 0 and <= 1, got 1.1"),
     ],
 )
 def test_bad_arguments_are_refused(panda, arguments, text):

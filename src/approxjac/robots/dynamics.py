@@ -475,9 +475,7 @@ def excitation(regressor: GravityRegressor, q: Array, threshold: float = 0.05) -
     robot = regressor.robot
     size = robot.nv if shape_of(q)[1:] == (robot.nv,) else robot.nq  # or angles of the joints
     q = as_array("q", q, ("N", size), "rad or m")
-    threshold = as_number("threshold", threshold, above=0.0)
-    if threshold > 1.0:
-        raise InvalidInputError(f"threshold must be at most 1, got {threshold:g}", given=threshold)
+    threshold = as_number("threshold", threshold, above=0.0, most=1.0)
     Z = np.vstack([regressor.Z(each) for each in q]) / np.sqrt(len(q))
     effect = np.linalg.norm(Z, axis=0)
     effect[effect < 1e-12 * effect.max()] = 0.0  # round-off

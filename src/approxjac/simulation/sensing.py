@@ -73,11 +73,7 @@ class Sensing:
             value = getattr(self, name)
             as_diagonal(name, value, math.prod(shape_of(value)), positive=False)
         as_number("x_delay", self.x_delay, unit="s", minimum=0.0)
-        if as_number("x_dropout", self.x_dropout, minimum=0.0) > 1.0:
-            raise InvalidInputError(
-                f"x_dropout must be a probability from 0 to 1, got {self.x_dropout!r}",
-                given=self.x_dropout,
-            )
+        as_number("x_dropout", self.x_dropout, minimum=0.0, most=1.0)
         if self.velocity_filter is not None:
             as_number("velocity_filter", self.velocity_filter, unit="s", minimum=0.0)
         if self.x_rate is not None:

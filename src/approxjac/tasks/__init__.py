@@ -9,9 +9,8 @@ from approxjac.tasks.frame_tasks import (
     best_axes,
 )
 from approxjac.tasks.image import ImageTask
-from approxjac.tasks.stacked import StackedTask
 from approxjac.tasks.task import Task
-from approxjac.tasks.wrapped import CombinedTask, NonsingularTask
+from approxjac.tasks.wrapped import CombinedTask, NonsingularTask, StackedTask
 
 __all__ = [
     "CombinedTask",
