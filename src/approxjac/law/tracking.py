@@ -51,12 +51,8 @@ class PredictedError(NamedTuple):
 class ReferenceGains(NamedTuple):
     """How fast a reference leads an error to zero.
 
-    Attributes:
-        alpha: As for `task_velocity`.
-        k: As for `task_velocity`.
-        fastest: Speeds of joints, as for `within_speeds`.
-        singular_ratio: As for `damped_gram_solve`.
-        scale: As for `damped_gram_solve`.
+    α and k of `task_velocity`, the fastest speeds of joints of `within_speeds`, and the singular
+    ratio and scale of `damped_gram_solve`.
     """
 
     alpha: float | Array

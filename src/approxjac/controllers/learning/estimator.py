@@ -351,7 +351,7 @@ class Estimator(Kinematics):
 
     def _axes(self, state: Array) -> TiltedAxes:
         """Return whether tilted axes would explain x better."""
-        return TiltedAxes(1.0, 0.0, "", 0.0)
+        return TiltedAxes()
 
     # -- the steps ---------------------------------------------------------------------------
 
@@ -578,19 +578,17 @@ class Frames:
         """
         n, (t, _, _, x, _) = self._n_x, measurement
         t_x: Any = measurement.t_x
-        taken_before, head = numbers[n], numbers[: n + 4]
-        knows_time = t_x <= t + _AHEAD
+        taken_before, head, seen = numbers[n], numbers[: n + 4], np.abs(x) < _FARTHEST
+        known, knows_time = np.where(seen, x, 0.0), t_x <= t + _AHEAD
         # a clock that is ahead is wrong, and would say of one frame that it is always new
-        is_old = law.select(knows_time, t_x <= taken_before, law.all_of(x == numbers[:n]))
-        has_last = taken_before > _LONG_AGO
-        if law.surely(is_old & has_last):
+        is_old = law.select(knows_time, t_x <= taken_before, law.all_of(known == numbers[:n]))
+        is_old = is_old & (taken_before > _LONG_AGO)
+        if law.surely(is_old):
             return None, False
         taken = law.select(knows_time, law.select(t_x < t, t_x, t), t - self._delay)
-        since, seen = taken - taken_before, np.abs(x) < _FARTHEST
-        known = np.where(seen, x, 0.0)
-        passed = (is_old & has_last) | ((since > 0.0) & (since < _CLOSEST - _ROUND_OFF))
+        since = taken - taken_before
+        passed = is_old | ((since > 0.0) & (since < _CLOSEST - _ROUND_OFF))
         passed = passed | law.complement(law.any_of(seen))
-        passed = passed | (has_last & law.complement(knows_time) & law.all_of(known == numbers[:n]))
         if law.surely(passed):
             return None, False
         is_noted = law.complement(passed)

@@ -50,10 +50,10 @@ class TiltedAxes(NamedTuple):
         angle: Its tilt that would do so, together with others [rad].
     """
 
-    chi_squared: float
-    freedom: float
-    joint: str
-    angle: float
+    chi_squared: float = 1.0
+    freedom: float = 0.0
+    joint: str = ""
+    angle: float = 0.0
 
     @property
     def are_tilted(self) -> bool:

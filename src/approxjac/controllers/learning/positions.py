@@ -452,7 +452,7 @@ class _LeastSquares(ABC):
             scale: Of the noise's variance, as it is given over what it is.
         """
         if len(self.prior) == self._P:
-            return TiltedAxes(1.0, 0.0, "", 0.0)
+            return TiltedAxes()
         fall, tilts, covariance = self._tilts(numbers)
         variances = covariance.diagonal()
         freedom = float((1.0 - variances / _SD_TILT**2).sum())  # of `fall`, if none is tilted
