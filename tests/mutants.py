@@ -137,7 +137,7 @@ MUTANTS = [
         "        loop.alpha * loop.J_hat_pinv,", "        -loop.alpha * loop.J_hat_pinv,", GRAVITY,
     ),
     (
-        "learning of the wrong sign in the loop", "law/sampled_loop.py",
+        "learning of the wrong sign in the loop", "law/linearization.py",
         "learnt - dt * loop.learning @", "learnt + dt * loop.learning @", GRAVITY,
     ),
     # -- certified starts
@@ -514,7 +514,7 @@ MUTANTS = [
         GRAVITY,
     ),
     (
-        "filter of velocities too slow", "law/sampled_loop.py",
+        "filter of velocities too slow", "law/linearization.py",
         "a = dt / (velocity_filter + dt)", "a = dt / velocity_filter",
         "tests/law/test_sampled_loop.py",
     ),

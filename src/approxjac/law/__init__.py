@@ -51,8 +51,10 @@ from approxjac.law.limits import limited_torque as limited_torque
 from approxjac.law.limits import rate_bounds as rate_bounds
 from approxjac.law.limits import speed_bounds as speed_bounds
 from approxjac.law.limits import within as within
+from approxjac.law.linearization import LinearLaw as LinearLaw
 from approxjac.law.linearization import adaptive_closed_loop_matrix as adaptive_closed_loop_matrix
 from approxjac.law.linearization import closed_loop_matrix as closed_loop_matrix
+from approxjac.law.linearization import frame_map as frame_map
 from approxjac.law.linearization import learning_gain as learning_gain
 from approxjac.law.lyapunov import V as V
 from approxjac.law.lyapunov import W as W
@@ -95,8 +97,6 @@ from approxjac.law.rotation import rotation_of as rotation_of
 from approxjac.law.rotation import rotations_everywhere as rotations_everywhere
 from approxjac.law.rotation import tangents as tangents
 from approxjac.law.rotation import turned as turned
-from approxjac.law.sampled_loop import LinearLaw as LinearLaw
-from approxjac.law.sampled_loop import frame_map as frame_map
 from approxjac.law.saturation import Linear as Linear
 from approxjac.law.saturation import Saturation as Saturation
 from approxjac.law.saturation import Sine as Sine

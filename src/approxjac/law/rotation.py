@@ -299,7 +299,7 @@ def most_explained(M: Array, h: Array, rotations: Array) -> Array:
 
     first = rotations[0]
     start = explained(M, h, first), first.astype(object)
-    return repeat(len(rotations), better, start)[1]
+    return np.asanyarray(repeat(len(rotations), better, start)[1])
 
 
 def best_rotation(M: Array, h: Array, A: Array) -> Array:
