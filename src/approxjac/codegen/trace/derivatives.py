@@ -31,7 +31,7 @@ def rates(of: Symbols, seeds: Sequence[tuple[Scalar, Number]]) -> Symbols:
         TypeError: What is computed in a loop.
     """
     numbers = np.ravel(of).tolist()
-    found: dict[int, Any] = {each.place: rate for each, rate in seeds}
+    rate_of: dict[int, Any] = {each.place: rate for each, rate in seeds}
     graph = next(each.graph for each, _ in seeds)
 
     def known(place: int) -> Number:
@@ -40,11 +40,13 @@ def rates(of: Symbols, seeds: Sequence[tuple[Scalar, Number]]) -> Symbols:
 
     for place in graph.needed(numbers):
         operation, arguments, _ = graph.nodes[place]
-        if operation in _STEPS or not any(each in found for each in arguments):
+        if operation in _STEPS or not any(each in rate_of for each in arguments):
             continue
         if operation not in _RULES:
             raise TypeError(f"no derivative of a loop, such as {operation!r}")
-        own = [found.get(each, 0.0) for each in arguments]
-        found[place] = _RULES[operation](known(place), [*map(known, arguments)], own)
-    of_each = [found.get(each.place, 0.0) if isinstance(each, Scalar) else 0.0 for each in numbers]
+        own = [rate_of.get(each, 0.0) for each in arguments]
+        rate_of[place] = _RULES[operation](known(place), [*map(known, arguments)], own)
+    of_each = [
+        rate_of.get(each.place, 0.0) if isinstance(each, Scalar) else 0.0 for each in numbers
+    ]
     return symbols(of_each).reshape(np.shape(of))

@@ -115,7 +115,7 @@ def _as_bounds(name: str, given: Any, arm: Robot, unit: str) -> dict[str, tuple[
 
 def _camera_coordinates(camera: Camera | None, *ranges: Any) -> list[Coordinate]:
     """Return the coordinates of a camera's focal length, distance and roll that have a range."""
-    found: list[Coordinate] = []
+    coordinates: list[Coordinate] = []
     for name, given in zip(_CALIBRATION, ranges, strict=True):
         if given is None:
             continue
@@ -128,8 +128,8 @@ def _camera_coordinates(camera: Camera | None, *ranges: Any) -> list[Coordinate]
         if name not in camera.calibration:
             where = f"the calibration of {type(camera).__name__}"
             raise UnknownNameError("range", name, where, camera.calibration)
-        found += _as_range(name, given, *camera.calibration[name], of="camera ")
-    return found
+        coordinates += _as_range(name, given, *camera.calibration[name], of="camera ")
+    return coordinates
 
 
 def _in_words(name: str, value: float, unit: str) -> str:

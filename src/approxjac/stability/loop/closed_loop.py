@@ -210,7 +210,7 @@ class ClosedLoop:
         if self.target is None:
             return self._drawn(n, rng)
         known = self.attained(rng)
-        truths = np.repeat(np.arange(len(known)), [len(found) for found in known])
+        truths = np.repeat(np.arange(len(known)), [len(each) for each in known])
         return truths, np.concatenate(known)
 
     def near(

@@ -131,17 +131,17 @@ def sampled_matrix(loop: LinearLoop, timing: Timing) -> Array:
         loop.alpha * loop.J_hat_pinv,
     )
     with np.errstate(over="ignore", invalid="ignore"):
-        found = law.frame_map(
+        A = law.frame_map(
             parts, dt, timing.samples, timing.x_late, timing.torque_late, timing.velocity_filter,
             loop.friction, loop.G,
         )  # fmt: skip
-    if not np.isfinite(found).all():
+    if not np.isfinite(A).all():
         raise InvalidInputError(
             f"dt must be a sampling time of control, such as 0.001 [s], got {dt:g}: the motion "
             "within one sample overflows",
             given=dt,
         )
-    return found
+    return A
 
 
 def equilibria(loop: LinearLoop, unseen: Array, timing: Timing | None = None) -> Array:
@@ -228,16 +228,16 @@ class Targets:
         The λ have shape (N, k) [1/s], with NaN where a target has fewer of them than others.
         """
         loop, timing = self.loop._replace(**gains._asdict()), self.timing
-        found, singular = [], self._singular.copy()
+        spectra, singular = [], self._singular.copy()
         for which, along, across in self._groups:
             own = loop.take(which)
             A = continuous_matrix(own) if timing is None else sampled_matrix(own, timing)
             at_rest = 0.0 if timing is None else 1.0
             residual = np.abs(A @ along - at_rest * along).max(axis=(1, 2), initial=0.0)
             singular[which] |= residual > 1e-9 * np.abs(A).max(axis=(1, 2))
-            found.append(np.linalg.eigvals(across.mT @ A @ across).astype(np.complex128))
-        values = np.full((len(singular), max(each.shape[1] for each in found)), np.nan, complex)
-        for (which, _, _), each in zip(self._groups, found, strict=True):
+            spectra.append(np.linalg.eigvals(across.mT @ A @ across).astype(np.complex128))
+        values = np.full((len(singular), max(each.shape[1] for each in spectra)), np.nan, complex)
+        for (which, _, _), each in zip(self._groups, spectra, strict=True):
             values[which, : each.shape[1]] = each
         if timing is not None:  # λ = ln(μ)/t; −∞ for a mode that is over after one frame
             sizes, angles = np.abs(values), np.angle(values)

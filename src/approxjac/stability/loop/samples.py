@@ -118,11 +118,11 @@ class TracedTerms:
             return np.stack([rates(of, way) for way in ways])
 
         dJ_hat = np.zeros((robot.nv, *J_hat.shape)) if task._uses_x else gradient(J_hat)
-        found = Terms(x, tasks.error(own, x, x_d), J, J_hat, dJ_hat, M, gradient(M), g, gradient(g))
-        self._shapes = {name: np.shape(each) for name, each in vars(found).items()}
+        terms = Terms(x, tasks.error(own, x, x_d), J, J_hat, dJ_hat, M, gradient(M), g, gradient(g))
+        self._shapes = {name: np.shape(each) for name, each in vars(terms).items()}
         for name, shape in self._shapes.items():
             program.kept(name, int(np.prod(shape)))
-        program.step(vars(found))
+        program.step(vars(terms))
         if engine is None:
             has_llvm = importlib.util.find_spec("llvmlite") is not None
             engine = functools.partial(LlvmLanes, effort=0) if has_llvm else NumpyLanes
@@ -137,8 +137,8 @@ class TracedTerms:
         robot = task.robot
         drawn = [robot.random_configuration(np.random.default_rng(k)) for k in range(len(plants))]
         x_d = np.repeat(task._origin[np.newaxis], len(plants), axis=0)
-        found = self.at(self.numbers(plants), np.array(drawn), x_d)
-        for plant, q, x, J in zip(plants, drawn, found.x, found.J, strict=True):
+        terms = self.at(self.numbers(plants), np.array(drawn), x_d)
+        for plant, q, x, J in zip(plants, drawn, terms.x, terms.J, strict=True):
             for one, other in ((x, plant.sensor.value(q)), (J, plant.sensor._sensor_jacobian(q))):
                 if not np.allclose(one, other, _ALIKE, _ALIKE, equal_nan=True):
                     raise ValueError(f"{plant.sensor!r} is not like {plants[0].sensor!r}")
@@ -150,20 +150,20 @@ class TracedTerms:
         """Return the numbers of true robots, (k, n); a ValueError if other ones differ, too."""
         # to look for cameras takes longer than all the rest
         of_sensors = tasks.numbers([plant.sensor for plant in plants]) if self._has_camera else {}
-        found = self._program.filled(self._arm.named(self._numbers(plants)) | of_sensors)
-        return found if found.size else np.zeros((len(plants), 1))
+        numbers = self._program.filled(self._arm.named(self._numbers(plants)) | of_sensors)
+        return numbers if numbers.size else np.zeros((len(plants), 1))
 
     def at(self, numbers: Array, q: Array, x_d: Array) -> Terms:
         """Return the terms of robots with some numbers (N, n), each at a q with a target."""
         columns = np.concatenate([q, x_d], axis=1)
-        found = np.empty((len(q), self._program.n_rows))
+        rows = np.empty((len(q), self._program.n_rows))
         for start in range(0, len(q), _PORTION):
             at = slice(start, start + _PORTION)
-            found[at] = self._portion(numbers[at], columns[at])
+            rows[at] = self._portion(numbers[at], columns[at])
         places = {name: self._program.rows[name] for name in self._shapes}
         return Terms(
             *(
-                found[:, at : at + size].reshape(-1, *self._shapes[name])
+                rows[:, at : at + size].reshape(-1, *self._shapes[name])
                 for name, (at, size) in places.items()
             )
         )

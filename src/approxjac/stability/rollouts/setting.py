@@ -263,8 +263,8 @@ class RolloutSetting:
         settled = (last_bad < self.steps) & ~diverged
         after = np.where(last_bad < 0.0, 0.0, (last_bad // self.every + 1) * self.every)
         after = np.minimum(after, self.steps)  # the last instant is recorded, too
-        found: dict[str, Any] = dict(zip(COLUMNS, map(np.array, zip(*starts, strict=True))))  # noqa: B905
-        found |= {
+        columns: dict[str, Any] = dict(zip(COLUMNS, map(np.array, zip(*starts, strict=True))))  # noqa: B905
+        columns |= {
             "final_error": np.where(diverged | np.isnan(last["error"]), math.inf, last["error"]),
             "settling_time": np.where(settled, after * self.dt, math.nan),
             "peak_torque": np.where(diverged, math.nan, last["torque"]),
@@ -275,8 +275,8 @@ class RolloutSetting:
         }
         for k in np.flatnonzero(last["left"]):
             for name, value in vars(self._of_python(self.start(indices[k]))).items():
-                found[name][k] = value
-        return found
+                columns[name][k] = value
+        return columns
 
 
 def sharing(settings: list[RolloutSetting]) -> list[RolloutSetting]:

@@ -143,7 +143,7 @@ def tolerances(
             untested.add((test, scale))
             return np.array(error.given if scaled is None else scaled.values[error.truth])
 
-    found: dict[Test, Tolerance] = {}
+    tolerated: dict[Test, Tolerance] = {}
     for k, test in enumerate(tests):
         passes, worst = 0.0, failing(test, 0.0)
         fails, scale = np.inf if worst is None else 0.0, min(1.0, largest)
@@ -159,8 +159,10 @@ def tolerances(
             scale = min(2.0 * passes, largest) if np.isinf(fails) else 0.5 * (passes + fails)
         worst = uncertainty.believed if worst is None else worst
         is_tested = (test, fails) not in untested
-        found[test] = Tolerance(test, passes, fails, worst, uncertainty.scaled(passes), is_tested)
-    return found
+        tolerated[test] = Tolerance(
+            test, passes, fails, worst, uncertainty.scaled(passes), is_tested
+        )
+    return tolerated
 
 
 def _failing(
