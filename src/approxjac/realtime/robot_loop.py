@@ -48,6 +48,7 @@ class RobotLoop(Loop):
     """
 
     _wanted: Target
+    _eased: Eased | Halt
     _knows_truth = False
 
     def __init__(
@@ -164,7 +165,7 @@ class RobotLoop(Loop):
     def _ease(self, x: Array, velocity: Array) -> None:
         """Have the target begin at x (n_x,) with a velocity (m,) and join its path."""
         task, now = self.controller.task._measured, self.step * self.dt
-        self._eased: Eased | Halt = Eased(task, self.path, now, x, velocity, self._speeds)
+        self._eased = Eased(task, self.path, now, x, velocity, self._speeds)
 
     def record(self) -> tuple[Record, Array]:
         """Return the record, with each of the last periods, and its errors (N, m).
