@@ -121,8 +121,8 @@ def map_of(
         raise InvalidInputError(
             f"over must have one or two parameters, got {list(over)}", given=over
         )
+    made = _of_what_is_drawn if are_drawn(tuple(over), study.errors) else _of_parameters
     axes = {name: _values(name, each) for name, each in over.items()}
-    made = _of_what_is_drawn if are_drawn(tuple(axes), study.errors) else _of_parameters
     converged, runs, points = made(study, axes, n, execution, tell)
     pairs = zip(converged.ravel().tolist(), runs.ravel().tolist(), strict=True)
     intervals = np.array([clopper_pearson(good, total) for good, total in pairs])
