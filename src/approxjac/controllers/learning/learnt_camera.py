@@ -345,7 +345,7 @@ class AdaptiveCamera(Estimator):
         scale = np.array([-1.0 if unit == "rad" else 1.0 for unit in self.units])
         if self.units[-1] == "px":
             scale[-1] = learnt[-1]
-        return covariance * scale * scale[:, np.newaxis]
+        return np.asarray(covariance * scale * scale[:, np.newaxis])
 
 
 def _camera(task: Any) -> PinholeCamera:
