@@ -98,8 +98,8 @@ MUTANTS = [
         "along = along + dg", "along = along - dg", GRAVITY,
     ),
     (
-        "gravity of the held torque dropped", "stability/certificates/certificate.py",
-        "dg = form.samples.dg", "dg = None", GRAVITY,
+        "gravity of the held torque dropped", "stability/certificates/sampled_form.py",
+        "at.s, at.slope, kp, at.dg", "at.s, at.slope, kp", GRAVITY,
     ),
     (
         "level with the wrong sign of the share", "stability/certificates/sampled_form.py",
@@ -152,7 +152,7 @@ MUTANTS = [
     ),
     (
         "boundary with the energy of the motion added", "stability/certificates/attraction.py",
-        "at.s) - kinetic)", "at.s) + kinetic)", GRAVITY,
+        "at_rest - kinetic", "at_rest + kinetic", GRAVITY,
     ),
     (
         "boundary above the level of the form", "stability/certificates/attraction.py",
@@ -175,8 +175,8 @@ MUTANTS = [
     ),
     (
         "believed weight for the true one", "stability/certificates/limit_cost.py",
-        "return np.array([loop.dynamics(t).g(q) for t, q in pairs])",
-        "return np.array([Dynamics(loop.controller.task.robot).g(q) for t, q in pairs])", GRAVITY,
+        "g = samples.g",
+        "g = np.array([Dynamics(controller.task.robot).g(q) for q in samples.q])", GRAVITY,
     ),
     (
         "asked for with the wrong side", "stability/certificates/limit_cost.py",
@@ -423,8 +423,8 @@ MUTANTS = [
     ),
     (
         "gravity that is off to one side", "stability/loop/closed_loop.py",
-        "worst = max(worst, float(np.abs(error).max()))",
-        "worst = max(worst, float(error.max()))", GRAVITY,
+        "return float(np.abs(error).max())",
+        "return float(error.max())", GRAVITY,
     ),
     (
         "held at some sample", "stability/certificates/limit_cost.py",

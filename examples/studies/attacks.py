@@ -97,7 +97,7 @@ def rated(loop, test, found, latency, rng):
     seen, old = loop.draw(RATED, rng, inside=SHARED), test.form
     form = SampledForm(
         MatrixForm(seen, loop.setting), loop.plants[0].friction, Hold.of(latency), old.speed,
-        old.most_s, seen.dg,
+        old.most_s,
     )  # fmt: skip
     bounds = travels(slower(form), found.weights, found.rate)
     return (bounds / found.travel).max(axis=1)

@@ -129,8 +129,7 @@ def _farthest(
         if look == _LOOKS or np.isinf(most).any():
             break
         k = int((bounds / most).max(axis=1).argmax())
-        samples = loop.near(near.samples, k, _NEAR, _CLOSE, rng)
-        near = form.elsewhere(samples, samples.dg)
+        near = form.elsewhere(loop.near(near.samples, k, _NEAR, _CLOSE, rng))
     return most
 
 

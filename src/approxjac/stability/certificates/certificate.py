@@ -249,7 +249,6 @@ def sampled_test(
     form = chosen.join(fresh)
     potential = setting.kp + setting.alpha * setting.kv
     needed = _SPARE * float((setting.saturation.S(form.samples.e) @ potential).max(initial=0.0))
-    dg = form.samples.dg
     fastest = math.sqrt(2.0 * needed)
     most_s = fastest / math.sqrt(2.0 * setting.c_bar * float(potential.min()))
 
@@ -274,7 +273,7 @@ def sampled_test(
             latency, max(0.0, form.level(best.weights)), form,
         )  # fmt: skip
 
-    whole = SampledForm(form, loop.plants[0].friction, Hold.of(latency), fastest, most_s, dg)
+    whole = SampledForm(form, loop.plants[0].friction, Hold.of(latency), fastest, most_s)
     test = at_speed(whole)
     if not test.certified and fastest > 0.0:  # and it may be that no speed is slow enough
         test = at_speed(whole.with_speed(_SLOWEST * fastest))

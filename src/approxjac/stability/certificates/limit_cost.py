@@ -13,7 +13,6 @@ from approxjac.robots.robot import STANDARD_GRAVITY
 from approxjac.stability.certificates.certificate import SampledTest
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.loop.samples import Samples
-from approxjac.validation import Array
 
 _FEW = 100  # samples that a weight that is not counted is looked up at
 _FAR = 1e9  # an error at which a saturation that is bounded has its bound
@@ -81,7 +80,9 @@ def limit_cost(
         one = np.eye(controller.task.m)
         own = CrossWeight(limiter.alpha * one, 0.0 * one, loop.setting.B)
     protects = limiter.proof and known is not None and own.is_like(known)
-    g = _gravity(loop, samples)
+    g = samples.g
+    if controller.adaptation is None:  # what the law adds
+        g = np.array([controller.gravity.torque(q) for q in samples.q])  # type: ignore[union-attr]
     room = effort - np.abs(g)
     pull = samples.J_hat.mT * kp
     asked = np.abs(g - (pull @ samples.s[..., np.newaxis])[..., 0])
@@ -119,11 +120,3 @@ def limit_cost(
         upright = np.array([Dynamics(arm).g(q) for arm, q in pairs])
         uncounted = float((np.abs(upright) / effort).max())
     return LimitCost(clipped, free, level, holds, protects, limiter.proof, uncounted)
-
-
-def _gravity(loop: ClosedLoop, samples: Samples) -> Array:
-    """The torque that holds the arm at samples, (N, n_v): what the law adds, or is to learn."""
-    if loop.controller.adaptation is None:
-        torque = loop.controller.gravity.torque  # type: ignore[union-attr]
-        return np.array([torque(q) for q in samples.q])
-    return samples.g

@@ -99,7 +99,6 @@ class SampledForm(MatrixForm):
         hold: That of the loop.
         speed: v̄ [√J].
         most_s: s̄, at least |s(e)| along these motions; it counts where x comes in frames.
-        dg: ∂g/∂q of the gravity torque that the law adds, shape (N, n_v, n_v).
         turning: Of these samples and of others; of these by default.
 
     Attributes:
@@ -116,7 +115,6 @@ class SampledForm(MatrixForm):
         hold: Hold,
         speed: float,
         most_s: float = 0.0,
-        dg: Array | None = None,
         turning: Turning | None = None,
     ) -> None:
         self.samples, self.setting, self._of_samples = form.samples, form.setting, form._of_samples
@@ -126,11 +124,11 @@ class SampledForm(MatrixForm):
         D_c = D - np.diag(friction)
         if self.hold.frames is None:
             self._rate = sampled_form.torque_rate(
-                at.M, D, D_c, at.J_hat, at.dJ_hat, at.J_e, at.s, at.slope, kp, dg
+                at.M, D, D_c, at.J_hat, at.dJ_hat, at.J_e, at.s, at.slope, kp, at.dg
             )
         else:
-            self._rate = sampled_form.damping_rate_of_torque(at.M, D, D_c, at.J_hat, kp, dg)
-        self.turning = self._turning(D_c, dg) if turning is None else turning
+            self._rate = sampled_form.damping_rate_of_torque(at.M, D, D_c, at.J_hat, kp, at.dg)
+        self.turning = self._turning(D_c) if turning is None else turning
         # of L⁻¹UL, D = LLᵀ: the rate at which the torque's error answers itself [1/s]
         turned = self._of_samples.root @ self._rate.U @ np.linalg.inv(self._of_samples.root)
         self._fastest = float(np.linalg.svd(turned, compute_uv=False)[:, 0].max())
@@ -160,12 +158,10 @@ class SampledForm(MatrixForm):
         x = self.hold.frames
         return None if x is None else x * sampled_form.growth(self.decay[0], self.hold.age)
 
-    def elsewhere(self, samples: Samples, dg: Array) -> SampledForm:
-        """Return this at other samples of the same region, with their ∂g/∂q."""
-        form = MatrixForm(samples, self.setting)
-        return SampledForm(
-            form, self._friction, self.hold, self.speed, self.most_s, dg, self.turning
-        )
+    def elsewhere(self, samples: Samples) -> SampledForm:
+        """Return this at other samples of the same region."""
+        form, friction = MatrixForm(samples, self.setting), self._friction
+        return SampledForm(form, friction, self.hold, self.speed, self.most_s, self.turning)
 
     def changed(self, **values: Any) -> Self:
         """Return this with another `hold`, `speed`, `most_s` or `decay`."""
@@ -178,14 +174,14 @@ class SampledForm(MatrixForm):
         """Return this with another v̄ > 0, and s̄ in proportion."""
         return self.changed(speed=speed, most_s=self.most_s * speed / self.speed)
 
-    def _turning(self, D_c: Array, dg: Array | None) -> Turning:
+    def _turning(self, D_c: Array) -> Turning:
         """The largest of all samples, a portion after the other, as caches are small."""
         turning, of, (kp, kv) = Turning(), self._of_samples, (self.setting.kp, self.setting.kv)
         for k in range(0, len(D_c), _PORTION):
             rows = slice(k, k + _PORTION)
             at, D, root, each = self.samples.take(rows), of.D[rows], of.root[rows], {}
-            if self.hold.lag and dg is not None:
-                each["gravity"] = np.linalg.norm(root @ dg[rows] @ root.mT, 2, axis=(-2, -1))
+            if self.hold.lag:
+                each["gravity"] = np.linalg.norm(root @ at.dg @ root.mT, 2, axis=(-2, -1))
             if self.speed:
                 turned = at.M, D, at.J_hat, at.dJ_hat, kv
                 each["damping"] = sampled_form.damping_turn(*turned)
