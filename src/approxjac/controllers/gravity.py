@@ -299,11 +299,6 @@ class Adaptation(NamedTuple):
         parts = [Z, J_hat.T] if forces else [Z]
         return np.concatenate([*parts, np.eye(torques)] if torques else parts, axis=1)
 
-    def fit(self, robot: Robot) -> tuple[Array, float]:
-        """Return θ = (θ_g, 0, 0) of a true robot (P,), and what is left of gravity: its share."""
-        theta, left = self.regressor.fit(robot)
-        return self.whole(theta), left
-
     def whole(self, theta: Array) -> Array:
         """Return θ = (θ_g, 0, 0), shape (P,), of θ_g (p,): constant forces are not there."""
         return np.pad(theta, (0, sum(self.sizes[1:])))

@@ -203,9 +203,8 @@ class SetpointController(Immutable, Controller):
         self.adaptation = learning if isinstance(learning, Adaptation) else None
         self.parameters = {} if self.adaptation is None else self.adaptation.parameters(task)
         self._p = len(self.parameters)
-        self._scale = analysis.vanishing(task)
         weight = None if self.adaptation is None else self.adaptation.pinv_weight
-        self.pinv = Pseudoinverse(weight, self._scale, singular_ratio(task))
+        self.pinv = Pseudoinverse(weight, analysis.vanishing(task), singular_ratio(task))
         # as arrays, which NumPy takes in two thirds of the time of numbers
         self._alpha = np.array(0.0 if self.adaptation is None else self.adaptation.alpha)
         self._lag = np.array(1.0 if velocity is None else velocity.time_constant)
