@@ -194,6 +194,7 @@ class Targets:
 
     def __init__(self, loop: LinearLoop, gravity: float, timing: Timing | None = None) -> None:
         self.loop, self.timing = loop, timing
+        self.dead_time = 0.0 if timing is None else timing.dead_time
         across = loop.J @ np.linalg.solve(loop.M, loop.J_hat.mT)
         sizes = np.linalg.svd(across, compute_uv=False)
         self._singular = sizes[:, -1] <= _SINGULAR * sizes[:, 0]
@@ -216,11 +217,6 @@ class Targets:
                 )
             basis = within @ np.linalg.qr(within.mT @ still, mode="complete")[0]
             self._groups.append(_Group(which, basis[..., :count], basis[..., count:]))
-
-    @property
-    def dead_time(self) -> float:
-        """Time until the sampled loop has answered a motion [s]; 0 for the continuous loop."""
-        return 0.0 if self.timing is None else self.timing.dead_time
 
     def eigenvalues(self, gains: Diagonals) -> tuple[NDArray[np.complex128], NDArray[np.bool_]]:
         """Return the λ with some gains, and which targets are singular, shape (N,).

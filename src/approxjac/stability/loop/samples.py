@@ -136,7 +136,7 @@ class TracedTerms:
         """Refuse sensors that are made in another way than that of the first true robot."""
         robot = task.robot
         drawn = [robot.random_configuration(np.random.default_rng(k)) for k in range(len(plants))]
-        x_d = np.repeat(task._origin[np.newaxis], len(plants), axis=0)
+        x_d = np.tile(task._origin, (len(plants), 1))
         terms = self.at(self.numbers(plants), np.array(drawn), x_d)
         for plant, q, x, J in zip(plants, drawn, terms.x, terms.J, strict=True):
             for one, other in ((x, plant.sensor.value(q)), (J, plant.sensor._sensor_jacobian(q))):
@@ -160,13 +160,11 @@ class TracedTerms:
         for start in range(0, len(q), _PORTION):
             at = slice(start, start + _PORTION)
             rows[at] = self._portion(numbers[at], columns[at])
-        places = {name: self._program.rows[name] for name in self._shapes}
-        return Terms(
-            *(
-                rows[:, at : at + size].reshape(-1, *self._shapes[name])
-                for name, (at, size) in places.items()
-            )
-        )
+        parts = {}
+        for name, shape in self._shapes.items():
+            first, size = self._program.rows[name]
+            parts[name] = rows[:, first : first + size].reshape(-1, *shape)
+        return Terms(**parts)
 
     def _portion(self, numbers: Array, columns: Array) -> Array:
         width, (N, given) = self._engine.width, columns.shape

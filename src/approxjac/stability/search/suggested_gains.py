@@ -88,10 +88,8 @@ class Suggestion:
 
     def __str__(self) -> str:
         if self.found is None:
-            lines = wrapped(self.heading)
-            return "\n".join(
-                [*lines, *(line for each in self.relax for line in wrapped(each, "- "))]
-            )
+            lines = [wrapped(self.heading), *(wrapped(each, "- ") for each in self.relax)]
+            return "\n".join(itertools.chain(*lines))
         share = f"at the start at most {100 * self.found.torque_ratio:.2g} % of the limits"
         texts = {
             "gains": str(self.found.gains),
