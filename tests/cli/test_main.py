@@ -12,7 +12,6 @@ import pytest
 
 import approxjac as aj
 from approxjac.cli import main, options
-from approxjac.cli.bars import time_bar
 
 
 def run(*arguments):
@@ -143,7 +142,7 @@ def test_a_reader_that_has_seen_enough_is_no_error():
 
 
 def test_a_bar_says_what_it_does_how_long_it_took_and_how_long_it_will():
-    with time_bar(10.0, "simulation", disable=False) as bar:
+    with options.time_bar(10.0, "simulation", disable=False) as bar:
         bar.update(5.0)
         shown = str(bar)
     assert shown.startswith("simulation: 5.0 of 10 s, 50 %|")

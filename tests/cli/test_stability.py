@@ -14,7 +14,7 @@ import pytest
 
 import approxjac as aj
 from approxjac.cli import main
-from approxjac.cli.bars import long_work
+from approxjac.cli.stability_command import long_work
 from approxjac.scenario import Scenario, build_scenario, judge
 from approxjac.stability import Suggestion, Tolerance
 from approxjac.stability.search.suggested_gains import Candidate

@@ -71,7 +71,6 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _run(arguments: list[str]) -> int:
-    """Run a command, or show its help."""
     chosen, words = arguments[0], arguments[1:]
     if arguments == ["--version"]:
         print(f"approxjac {approxjac.__version__}")
@@ -137,7 +136,6 @@ def _flushed(code: int) -> int:
 
 
 def _help_of_commands() -> str:
-    """Return the list of commands, a line each."""
     lines = ["usage: approxjac COMMAND [options]", ""]
     lines += [
         *wrapped("Torque control of any URDF arm whose kinematics are not exactly known."),

@@ -13,13 +13,16 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass, field, fields, is_dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, get_type_hints
+from typing import TYPE_CHECKING, Any, NamedTuple, get_type_hints
 
 from approxjac.errors import ApproxJacError, InvalidInputError, UnknownNameError
 from approxjac.files import reason
 from approxjac.scenario import Scenario
 from approxjac.scenario.convert import WRONG_TYPE, Words, converted, hints, value_of
 from approxjac.scenario.records import Analysis, Goal
+
+if TYPE_CHECKING:
+    from tqdm import tqdm
 
 
 @dataclass(frozen=True)
@@ -306,3 +309,12 @@ def make_folder(out: Path) -> None:
         raise InvalidInputError(
             f"--out must be a folder that can be made, got {out}: {reason(error)}", given=out
         ) from error
+
+
+def time_bar(total: float, what: str, disable: bool | None = None) -> tqdm[Any]:
+    """Return a bar of a simulated time [s]; by default none where the output is no terminal."""
+    from tqdm import tqdm
+
+    times = "{percentage:.0f} %|{bar}| {elapsed} so far, {remaining} to go"
+    shown = "{desc}{n:.1f} of {total:g} s, " + times
+    return tqdm(total=total, desc=f"{what}: ", disable=disable, bar_format=shown)

@@ -7,8 +7,7 @@ import math
 from pathlib import Path
 from typing import Literal
 
-from approxjac.cli.bars import time_bar
-from approxjac.cli.options import make_folder
+from approxjac.cli.options import make_folder, time_bar
 from approxjac.errors import InvalidInputError
 from approxjac.files import together, write_text
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from approxjac.cli.bars import time_bar
-from approxjac.cli.options import make_folder, require_folder_of
+from approxjac.cli.options import make_folder, require_folder_of, time_bar
 from approxjac.errors import InvalidInputError
 from approxjac.scenario import Scenario
 

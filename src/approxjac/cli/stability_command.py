@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from approxjac.cli.bars import long_work
 from approxjac.cli.options import make_folder, options_of, with_options
 from approxjac.errors import InvalidInputError
 from approxjac.scenario import Scenario
@@ -67,7 +68,6 @@ def stability(
 
 
 def _suggest(scenario: Scenario, out: Path) -> int:
-    """Find gains, and tell of them."""
     from approxjac.scenario import judge
 
     make_folder(out)
@@ -85,3 +85,16 @@ def _suggest(scenario: Scenario, out: Path) -> int:
     if result.needs_known_gravity:
         print(f"As if gravity were known: {its} --gravity exact")
     return 0 if result.report.passed else 1
+
+
+def long_work(texts: Mapping[str, str]) -> Callable[[str, float], None] | bool:
+    """Return how to show progress: by bars, or where none are shown by the text of each part."""
+    if sys.stderr.isatty():
+        return True
+    left = dict(texts)
+
+    def tell(what: str, share: float) -> None:
+        if what in left:
+            print(f"approxjac: {left.pop(what)}", file=sys.stderr, flush=True)
+
+    return tell

@@ -283,7 +283,6 @@ def _law(
 
 
 def _gravity(truth: Robot, belief: Robot, kind: str, integral_action: bool | None) -> Gravity:
-    """Return the gravity of a controller by its kind."""
     if kind in ("learnt", "learn_residual"):
         nothing = 0.0 if integral_action is False else None
         theta0 = 0.0 if kind == "learn_residual" else None
