@@ -108,7 +108,7 @@ class Rollouts:
 
     @property
     def n_beyond_torque(self) -> int:
-        """Number of runs beyond the limit of a motor, not kept here, without those that diverged."""
+        """Number of runs that asked a motor for more than its limit, of those not diverged."""
         return int((self.columns["peak_torque"] > _BEYOND).sum())
 
     @property
