@@ -400,7 +400,7 @@ class Scalar:
     __eq__ = _comparison("equal")
 
     @_leaves_arrays
-    def __ne__(self, other: object) -> Scalar:
+    def __ne__(self, other: object) -> Any:
         return ~(self == other)
 
     __hash__ = None  # type: ignore[assignment]
