@@ -100,17 +100,15 @@ class Begun(NamedTuple):
         """
         # only law (5) begins with x, once it is measured, and of images the points' order is seen
         inside = controller.law
-        is_setpoint = isinstance(inside, SetpointController)
-        needed = not is_setpoint or inside.velocity is not None  # type: ignore[attr-defined]
+        needed = not isinstance(inside, SetpointController) or inside.velocity is not None
         needed = needed or image_feature(inside.task) is not None
         x = plant.sensor.value(q) if needed else target
         state = controller.initial_state(Measurement(0.0, q, np.zeros(plant.robot.nv), x))
         frames = tasks.frames(plant.sensor) if frames is None else frames
         numbers = arm_numbers(plant.robot, frames)
         holding = plant.dynamics.g(q) if plant.actuator_delay > 0.0 else np.zeros(plant.robot.nv)
-        sensor, gains = tasks.numbers([plant.sensor]), np.zeros(0)
-        if isinstance(inside, SetpointController):
-            gains = np.concatenate(inside.diagonals)
+        sensor = tasks.numbers([plant.sensor])
+        gains = np.concatenate(inside.diagonals or [np.zeros(0)])
         return cls(q, target, state, numbers, sensor, seed, holding, gains)
 
 

@@ -12,7 +12,6 @@ from approxjac.codegen.trace.symbols import Condition, Graph, Symbols, inputs, s
 from approxjac.controllers.controller import Controller
 from approxjac.controllers.gains.gains import Diagonals
 from approxjac.controllers.limits.torque_limited import TorqueLimited
-from approxjac.controllers.setpoint import SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Evaluation, Measurement, Target
 from approxjac.validation import Array
@@ -95,7 +94,7 @@ def _require_limiter(limiter: TorqueLimited) -> None:
 
 def with_gains(controller: Controller, diagonals: Diagonals) -> Controller:
     """Return a controller whose law has gains that are not known yet."""
-    own = {"diagonals": diagonals} if isinstance(controller, SetpointController) else {}
+    own = {} if controller.diagonals is None else {"diagonals": diagonals}
     return _with_parts(controller, lambda part: with_gains(part, diagonals), **own)
 
 

@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 
-from approxjac.controllers.gains.gains import Latency
+from approxjac.controllers.gains.gains import Diagonals, Latency
 from approxjac.controllers.gains.tuning import Tuning
 from approxjac.controllers.learning.estimator import Kinematics
 from approxjac.controllers.learning.kinematic_report import KinematicReport
@@ -78,6 +78,7 @@ class Controller(ABC):
         kinematics: What predicts the error that it controls, known or learnt; None where it
             controls the measured one.
         alpha: α of `passive_output` [1/s] where none is given.
+        diagonals: Gains of its task and joints, if it has such.
         needs_solver: Whether its limits may need a solver, which takes its time.
 
     Args:
@@ -93,6 +94,7 @@ class Controller(ABC):
     parameters: Mapping[str, str] = MappingProxyType({})
     kinematics: Kinematics | None = None
     alpha: float = 1.0
+    diagonals: Diagonals | None = None
     needs_solver: bool = False
 
     def __init__(self, task: Task) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from approxjac import law
 from approxjac.controllers.arguments import FLOAT64, HUGE, is_lost, overflow, require_arrays
 from approxjac.controllers.controller import Controller, Instant
-from approxjac.controllers.gains.gains import Gains, Latency
+from approxjac.controllers.gains.gains import Diagonals, Gains, Latency
 from approxjac.controllers.gains.sample_configurations import quickest
 from approxjac.controllers.gains.tuning import (
     UNKNOWN_TOOL,
@@ -191,7 +191,7 @@ class SetpointController(Immutable, Controller):
             saturation = Tanh(self.tuning.gamma) if saturation is None else saturation
         self.gains = gains
         self.saturation: Saturation = Linear() if saturation is None else saturation
-        self.diagonals = self.gains.diagonals(task.m, robot.nv)
+        self.diagonals: Diagonals = self.gains.diagonals(task.m, robot.nv)
         require_saturation(self.saturation, task)
         require_damping(self.gains, self.diagonals, task)
         if velocity is not None:

@@ -321,7 +321,9 @@ class Configured:
         tau = _zeros(self._n)
         for j, body in enumerate(self._outwards):
             g = self._numbers.gravity @ self._placements[j][0]
-            tau[j] = -body.m * g[2] if self.structure.slides[j] else _cross_z(g, body.h)
+            tau[j] = (
+                -body.m * g[2] if self.structure.slides[j] else g[0] * body.h[1] - g[1] * body.h[0]
+            )
         return self.arm.robot.mimic_joints.rows(tau)
 
     def bias(self, v: Symbols) -> Symbols:
@@ -709,7 +711,3 @@ def difference(robot: Robot, a: Symbols, b: Symbols) -> Symbols:
 
 def _zeros(*shape: int) -> Symbols:
     return symbols(np.zeros(shape))
-
-
-def _cross_z(a: Symbols, b: Symbols) -> Number:
-    return a[0] * b[1] - a[1] * b[0]
