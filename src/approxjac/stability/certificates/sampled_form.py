@@ -211,15 +211,17 @@ class SampledForm(MatrixForm):
         """Natural size of λ: ½ at the largest γ that may do, and as 1/γ below it."""
         return _HALF / min(1.0, math.sqrt(self._gain) * self._fastest)
 
+    @property
+    def _sizes(self) -> Array:
+        """Natural sizes of X: as many as coordinates of x where it comes in frames, or none."""
+        frames = self.hold.frames
+        return np.zeros(0) if frames is None else _HALF * self.setting.kp / frames
+
     def _with_multipliers(self, numbers: FamilyNumbers) -> FamilyNumbers:
         m = len(self.setting.kp)
         zero, none = np.zeros((m, m)), np.zeros(m)
         more = [Weights(zero, zero, none, self._size)]
-        if self.hold.frames is not None:
-            more += [
-                Weights(zero, zero, none, 0.0, row)
-                for row in np.diag(_HALF * self.setting.kp / self.hold.frames)
-            ]
+        more += [Weights(zero, zero, none, 0.0, row) for row in np.diag(self._sizes)]
         start = np.append(numbers.start, np.ones(len(more)))
         least = np.append(numbers.least, np.zeros(len(more)))  # none of these is negative
         return FamilyNumbers(numbers.fixed, [*numbers.basis, *more], start, least)
@@ -254,11 +256,8 @@ class SampledForm(MatrixForm):
         (m, n), whole = self.samples.J_e.shape[-2:], Y.shape[-1]
         k, filled = n + m, Y.copy()
         filled[0, :, k : k + n, k : k + n] = self._size * np.linalg.inv(self._of_samples.D)
-        if self.hold.frames is not None:
-            frames = range(k + n, whole)
-            filled[0, :, frames, frames] = (_HALF * self.setting.kp / self.hold.frames)[
-                :, np.newaxis
-            ]
+        frames = range(k + n, whole)
+        filled[0, :, frames, frames] = self._sizes[:, np.newaxis]
         rest = range(k, whole)
         filled[1, :, rest, rest] = 1.0
         return filled
