@@ -26,6 +26,7 @@ def traced(robots, frames, regressor=None):
     for frame in frames:
         R, p = here.frame(frame)
         terms |= {f"R {frame}": R, f"p {frame}": p, f"J {frame}": here.jacobian(frame)}
+        terms |= {f"J_dot {frame}": here.jacobian_dot(frame, v)}
     if regressor is not None:
         terms["Z"] = here.Z(regressor)
     return program, terms
@@ -65,6 +66,7 @@ def expected(robot, frames, regressor, q, v, tau):
             model, data, q, robot.frame_id(frame), pin.LOCAL_WORLD_ALIGNED
         ).reshape(6, -1)
         terms |= {f"R {frame}": R, f"p {frame}": p, f"J {frame}": J}
+        terms |= {f"J_dot {frame}": kinematics.jacobian_dot(q, v)}
     if regressor is not None:
         terms["Z"] = regressor.Z(q)
     return terms

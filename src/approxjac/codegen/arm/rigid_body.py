@@ -256,33 +256,23 @@ class Configured:
         """Return the rate of `jacobian` along q̇ (n_v,), shape (6, n_v)."""
         _, carrier = self._frame(name)
         speeds, p = self.arm.robot.mimic_joints.v(v), self.frame(name)[1]
-        path = self.path(carrier)[::-1]
-        J_dot, spin, spins = _zeros(6, self._n), _NOTHING, {}
-        for j in path:
-            z = self.axis(j)
-            spins[j] = spin
-            spin = spin if self.structure.slides[j] else spin + z * speeds[j]
-        # velocities of a joint's origin and of the frame's, from the base outwards
-        begins = {j: self._placements[j][1] for j in path}
-
-        def moved(of: Symbols, joints: list[int]) -> Symbols:
-            rate = _NOTHING
-            for i in joints:
-                z = self.axis(i)
-                arm = z if self.structure.slides[i] else cross(z, of - begins[i])
-                rate = rate + arm * speeds[i]
-            return rate
-
-        p_dot = moved(p, path)
-        for place, j in enumerate(path):
-            z = self.axis(j)
-            z_dot = cross(spins[j], z)
+        J_dot, axes = _zeros(6, self._n), {}
+        spin, rate, origin = _NOTHING, _NOTHING, _NOTHING  # of the link before, at its origin
+        for j in reversed(self.path(carrier)):
+            z, begins = self.axis(j), self._placements[j][1]
+            rate, origin = rate + cross(spin, begins - origin), begins
+            axes[j] = z, cross(spin, z), begins, rate
+            if self.structure.slides[j]:
+                rate = rate + z * speeds[j]
+            else:
+                spin = spin + z * speeds[j]
+        p_dot = rate + cross(spin, p - origin)
+        for j, (z, z_dot, begins, begins_dot) in axes.items():
             if self.structure.slides[j]:
                 J_dot[:3, j] = z_dot
-                continue
-            away_dot = p_dot - moved(begins[j], path[:place])
-            J_dot[:3, j] = cross(z_dot, p - begins[j]) + cross(z, away_dot)
-            J_dot[3:, j] = z_dot
+            else:
+                J_dot[:3, j] = cross(z_dot, p - begins) + cross(z, p_dot - begins_dot)
+                J_dot[3:, j] = z_dot
         return self.arm.robot.mimic_joints.columns(J_dot)
 
     def axis(self, joint: int) -> Symbols:
