@@ -417,7 +417,7 @@ def test_a_function_that_raises_fails_and_is_told_of_once(caplog):
     for _ in range(3):
         assert solver.solve(simple()) == (None, Verdict.FAILED)
     assert [record.message for record in caplog.records] == [
-        "QP solver broken raised, which is told once"
+        "QP solver broken raised, which is logged once"
     ]
     assert "no such luck" in caplog.text
 

@@ -1,4 +1,4 @@
-"""Checks of what a law is given in a step, and of what kinematics are told to learn."""
+"""Checks of the arguments of a step, and of options of kinematics that learn."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def with_rates(target: Target, m: int) -> Target:
 def is_lost(
     q: Array, v: Array, x: Array, target: Array, state: Array, e: Array, task: Task
 ) -> bool:
-    """Return whether x is lost, or refuse anything else that is not finite."""
+    """Return True if x is lost, or refuse anything else that is not finite."""
     require_finite(q, v, target, state, task)
     if np.isfinite(e).all():
         return False
@@ -156,7 +156,7 @@ def require_dt(dt: float, sampling_time: float) -> None:
 
 
 def chosen_kinds(unknown: Any, valid: Sequence[str]) -> tuple[str, ...]:
-    """Return what may be wrong in words, one or more of those that are valid, or refuse."""
+    """Return the kinds of what may be wrong, one or more of those that are valid, or refuse."""
     try:
         kinds = (unknown,) if isinstance(unknown, str) else tuple(unknown)
     except TypeError:
@@ -194,5 +194,5 @@ def chosen_deviations(
 
 
 def is_rotation(R: Array) -> bool:
-    """Return whether R (d, d) is a rotation."""
+    """Return True if R (d, d) is a rotation."""
     return bool(np.abs(R.dot(R.T) - np.eye(len(R))).max() < _NEARLY)

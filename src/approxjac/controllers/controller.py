@@ -27,7 +27,7 @@ _HUGE = 1e300  # below it no finite rate makes a state overflow within a second
 
 
 class Instant(NamedTuple):
-    """One instant of a run as it truly was, which a controller is told of afterwards.
+    """One instant of a run as it truly was, for a controller to look at afterwards.
 
     Attributes:
         q: Joint configuration, shape (nq,).
@@ -108,7 +108,7 @@ class Controller(ABC):
         return "\n".join([*wrapped(first), *(line for o in others for line in wrapped(o, "  "))])
 
     def describe(self) -> list[str]:
-        """Return what it is in plain words: in a line, then its task, then what else to know."""
+        """Describe it in plain words: in a line, then its task, then what else to know."""
         return [spaced(type(self).__name__), f"{self.task.describe()} of {self.task.robot.name}"]
 
     @property
@@ -175,7 +175,7 @@ class Controller(ABC):
 
     @property
     def is_continuous(self) -> bool:
-        """Return whether the state has a rate, so that `evaluate` may be integrated."""
+        """True if the state has a rate, so that `evaluate` may be integrated."""
         return type(self).evaluate is not Controller.evaluate
 
     @property
@@ -219,7 +219,7 @@ class Controller(ABC):
     # -- what is learnt -------------------------------------------------------------------------
 
     def learnt(self, state: Array) -> Array:
-        """Return what a state, or a series of them (…, n_state), has learnt, shape (…, p)."""
+        """Return the learnt numbers of a state, or of a series (…, n_state), shape (…, p)."""
         return state[..., :0]
 
     def describe_learnt(self, state: Array) -> str:
@@ -255,7 +255,7 @@ class Controller(ABC):
         )
 
     def kinematics_learnt(self, state: Array) -> KinematicReport:
-        """Return what a state has learnt of the kinematics; raises as `kinematics_of`."""
+        """Report the kinematics that a state has learnt; raises as `kinematics_of`."""
         kinematics, known = self.kinematics_of(state)
         return kinematics.report(known)
 
@@ -297,12 +297,12 @@ class Controller(ABC):
         return v
 
     def is_proven(self, answer: Evaluation) -> Any:
-        """Return whether V̇ is known where this law gave an answer; by default nowhere."""
+        """Return True where V̇ is known for an answer of this law; by default nowhere."""
         return False
 
     @property
     def resting(self) -> int:
-        """Return how many of the state's first numbers rest where the proof is given up."""
+        """Count of the state's first numbers, which rest where the proof is given up."""
         return 0
 
     def rate_without(
@@ -330,7 +330,7 @@ class Controller(ABC):
         return as_number("cross_weight", given, unit="1/s", above=0.0)
 
     def damping_rate(self, inertias: Array) -> float:
-        """Return how fast this law damps joints [1/s], given usual inertias (k, n_v, n_v)."""
+        """Return the rate at which this damps joints [1/s], given usual inertias (k, n_v, n_v)."""
         return 0.0
 
     def gravity_torque(self, state: Array, q: Array) -> Array:

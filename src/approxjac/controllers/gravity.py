@@ -304,7 +304,7 @@ class Adaptation(NamedTuple):
         return np.pad(theta, (0, sum(self.sizes[1:])))
 
     def words(self, theta_hat: Array, task: Task) -> str:
-        """Return what a θ̂ (P,) says: a load on the last link, a force on the task, joint torques.
+        """Describe a θ̂ (P,): a load on the last link, a force on the task, joint torques.
 
         The load is the one that acts most like what was learnt of gravity.
         """
@@ -342,7 +342,7 @@ class Adaptation(NamedTuple):
         return law.within_bounds(rate, theta_hat, *self.bounds, self.L, outward), False
 
     def rests(self, torque: Array) -> Any:
-        """Return whether any torque (n_v,) is beyond its limit, where θ̂ stands still."""
+        """Return True if any torque (n_v,) is beyond its limit, where θ̂ stands still."""
         return _is_beyond(torque, self.torque_limits)
 
 

@@ -56,7 +56,7 @@ class Pseudoinverse:
         return law.damped_pinv(J_hat, s, singularity)[0]
 
     def is_damped(self, J_hat: Array) -> NDArray[np.bool_]:
-        """Return whether Ĵ⁺ is damped, of Ĵ (…, m, n_v), shape (…)."""
+        """Return True where Ĵ⁺ is damped, of Ĵ (…, m, n_v), shape (…)."""
         squares = np.linalg.svd(self._weighted(J_hat), compute_uv=False) ** 2
         ratio, scale, _ = self.singularity
         return law.gram_damping(squares[..., -1], squares[..., 0], ratio, scale) > 0.0

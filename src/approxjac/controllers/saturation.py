@@ -89,12 +89,12 @@ def _require_pairs(f: Saturation, e: Array) -> None:
     m = e.shape[2]
     s, S, ds = (_value(f, name, e.reshape(-1, m)).reshape(e.shape) for name in ("s", "S", "ds"))
 
-    def hold(holds: Array, rule: str, found: Array | None = None) -> None:
+    def hold(holds: Array, rule: str, value: Array | None = None) -> None:
         """Say where a rule, one truth value for each pair, does not hold."""
         if not holds.all():
             k, i = np.unravel_index(np.argmin(holds), holds.shape)
             raise _Fault(
-                f"{rule}{'' if found is None else f', here {found[k, i]:.6g}'}, got "
+                f"{rule}{'' if value is None else f', here {value[k, i]:.6g}'}, got "
                 f"s(e) = {s[0, k, i]:.6g}, S(e) = {S[0, k, i]:.6g} and "
                 f"ds(e) = {ds[0, k, i]:.6g} at e = {e[0, k, i]:.6g}"
             )

@@ -222,7 +222,7 @@ class SetpointController(Immutable, Controller):
     def _tuned(
         self, gains: Gains | None, latency: Latency | None, settling_time: float | None
     ) -> Tuning | None:
-        """Return what the rule chooses of gains, saturation and learning; None of nothing."""
+        """Return the gains, saturation and learning that the rule chooses, if it chooses any."""
         gravity, alpha, regressor = self.gravity, None, None
         if isinstance(gravity, AdaptiveGravity) and gravity.wants_rule:
             alpha, regressor = gravity.alpha, gravity.regressor
@@ -303,7 +303,7 @@ class SetpointController(Immutable, Controller):
         return law.passive_output(v, self.pinv.times(J_hat, s), alpha)
 
     def is_proven(self, answer: Evaluation) -> Any:
-        """Return whether V̇ is known where this law gave an answer: with x, and with Ĵ⁺."""
+        """Return True where V̇ is known: with x, and with Ĵ⁺."""
         return answer.status == _OK
 
     def rate_without(
@@ -326,7 +326,7 @@ class SetpointController(Immutable, Controller):
 
     @property
     def resting(self) -> int:
-        """Return how many of the state's first numbers rest where limits give the proof up."""
+        """Count of the state's first numbers, which rest where limits give the proof up."""
         return self._p
 
     def with_limiter(self, motors: Array) -> SetpointController:
@@ -347,7 +347,7 @@ class SetpointController(Immutable, Controller):
         return alpha
 
     def damping_rate(self, inertias: Array) -> float:
-        """Return how fast B_c damps joints [1/s]."""
+        """Return the rate at which B_c damps joints [1/s]."""
         return quickest(inertias, self.diagonals.damping)
 
     def believed_dynamics(self) -> tuple[Dynamics, bool]:

@@ -56,7 +56,7 @@ class ControllerWrapper(Immutable, Controller):
     needs_solver: bool = _inner("needs_solver")
 
     def describe(self) -> list[str]:
-        """Return what the controller inside is, and then what is done to it."""
+        """Describe the controller inside, and then what is done to it."""
         return [*self.controller.describe(), self._what or f"within {type(self).__name__}"]
 
     def learnt(self, state: Array) -> Array:

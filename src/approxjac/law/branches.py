@@ -35,12 +35,12 @@ def select(condition: Any, a: Any, b: Any) -> Any:
 
 
 def complement(condition: Any) -> Any:
-    """Return whether a condition does not hold."""
+    """Return the opposite of a condition."""
     return not condition if isinstance(condition, bool | np.bool_) else ~condition
 
 
 def is_finite(x: Any) -> Any:
-    """Return whether all entries of a vector are finite."""
+    """Return True if all entries of a vector are finite."""
     if not x.dtype.hasobject:
         return math.isfinite(math.hypot(*x.tolist()))  # which overflows without a warning
     square = (x * x).sum()
@@ -48,7 +48,7 @@ def is_finite(x: Any) -> Any:
 
 
 def all_finite(numbers: list[Any]) -> Any:
-    """Return whether all of some numbers are finite."""
+    """Return True if all of some numbers are finite."""
     try:
         return math.isfinite(math.hypot(*numbers))
     except TypeError:  # they are symbols
@@ -72,21 +72,21 @@ def array(values: Any) -> Any:
 
 
 def any_of(conditions: Any) -> Any:
-    """Return whether any of some conditions (…) holds."""
+    """Return True if any of some conditions (…) holds."""
     if not conditions.dtype.hasobject:
         return bool(conditions.any())
     return functools.reduce(operator.or_, conditions.ravel().tolist(), False)
 
 
 def all_of(conditions: Any) -> Any:
-    """Return whether all of some conditions (…) hold."""
+    """Return True if all of some conditions (…) hold."""
     if not conditions.dtype.hasobject:
         return bool(conditions.all())
     return functools.reduce(operator.and_, conditions.ravel().tolist(), True)
 
 
 def surely(condition: Any) -> bool:
-    """Return whether a condition is known to hold, so that nothing else need be computed."""
+    """Return True if a condition is known to hold, so that nothing else need be computed."""
     return isinstance(condition, bool | np.bool_) and bool(condition)
 
 
@@ -131,7 +131,7 @@ def repeat(count: int, body: Callable[[Any, Values], Values], start: Values) -> 
 def collect(
     count: int, body: Callable[[Any, Values], tuple[Values, tuple[Any, ...]]], start: Values
 ) -> tuple[Values, tuple[Array, ...]]:
-    """Return what `repeat` does, and what each pass collects, stacked; count is at least 1.
+    """Repeat as `repeat` does, and stack what each pass collects; count is at least 1.
 
     `body` returns the values after, and a tuple of what is collected, of the same shapes each pass.
     """
@@ -145,7 +145,7 @@ def collect(
 def collected(
     count: int, body: Callable[[Any, Values], tuple[Values, tuple[Any, ...]]], start: Values
 ) -> tuple[Values, tuple[Array, ...]]:
-    """Return what `collect` does, pass after pass."""
+    """Collect as `collect` does, pass after pass."""
     values, rows = start, []
     for i in range(count):
         values, row = body(i, values)

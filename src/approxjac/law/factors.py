@@ -44,7 +44,7 @@ class Factors:
         for i in reversed(range(n)):
             for k in range(i + 1, n):
                 z[i] = z[i] - self._L[k][i] * z[k]
-        found: Array = array(z)
-        if found.dtype.hasobject or self._kind is np.ndarray:
-            return found
-        return found.astype(object).view(self._kind)  # constants among symbols
+        solved: Array = array(z)
+        if solved.dtype.hasobject or self._kind is np.ndarray:
+            return solved
+        return solved.astype(object).view(self._kind)  # constants among symbols

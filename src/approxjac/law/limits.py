@@ -204,7 +204,7 @@ class Rows(NamedTuple):
     E: Array | None = None
 
     def of(self, q_dd: Array) -> Array:
-        """Return what is bounded, of q̈ (n_v,) or of matrices (n_v, n_v)."""
+        """Return the bounded numbers of q̈ (n_v,) or of matrices (n_v, n_v)."""
         return q_dd if self.E is None else np.concatenate([q_dd, self.E.dot(q_dd)])
 
 
@@ -306,8 +306,8 @@ def limit_step(
             high = np.concatenate([high, row.dot(wanted) - _MARGIN])
         R = M_inv if weight is None else np.diag(weight)
         problem = QuadraticProgram(R, -R.dot(wanted), lower, upper, A, low, high)
-        found, verdict = minimum(problem, price, slack > 0.0)
-        (torque,) = choose(verdict > 0, lambda: (brakes(M_inv, bounds),), lambda: (found,))
+        best, verdict = minimum(problem, price, slack > 0.0)
+        (torque,) = choose(verdict > 0, lambda: (brakes(M_inv, bounds),), lambda: (best,))
         left = 0.0 if y is None else power_above(torque, wanted, y)
         after = f if rows is None else f + M_inv.dot(torque - near)
         return torque, after, left, verdict, 0.0
@@ -384,7 +384,7 @@ def power_above(torque: Array, wanted: Array, y: Array) -> Any:
 
 
 def within(low: list[Any], values: list[Any], high: list[Any]) -> Any:
-    """Return whether all values are within their bounds."""
+    """Return True if all values are within their bounds."""
     try:
         return all(map(operator.le, low, values)) and all(map(operator.le, values, high))
     except TypeError:  # symbols

@@ -120,7 +120,7 @@ def damping_rate(
 
 
 def is_near_singular(G: Array, singular_ratio: float = SINGULAR_RATIO, scale: float = 0.0) -> Any:
-    """Return whether σ_min of J is below `singular_ratio` · max(σ_max, `scale`), from G = J Jᵀ."""
+    """Return True if σ_min of J is below `singular_ratio` · max(σ_max, `scale`), from G = J Jᵀ."""
 
     def by_eigenvalues() -> tuple[Array]:
         least, largest = _ends(np.asanyarray(np.linalg.eigvalsh(G)))
@@ -181,7 +181,7 @@ def solution(rows: Rows, determinant: float, b: list[float]) -> tuple[float, ...
 
 
 def is_surely_regular(bound: float, trace: float, singular_ratio: float, scale: float) -> bool:
-    """Return whether σ_min of J is surely above the ratio, from the sizes by `adjugate` of JJᵀ."""
+    """Return True if σ_min of J is surely above the ratio, from the sizes by `adjugate` of JJᵀ."""
     is_large: bool = trace > 3.0 * scale * scale  # of which the largest eigenvalue is a third
     return is_large & (bound > singular_ratio**2 * trace * trace * trace)
 

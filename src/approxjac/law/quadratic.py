@@ -21,7 +21,7 @@ PASSES = 20
 _NONE = 1e-300
 _INACTIVE = 1e6  # times the largest violation: a bound that is further away counts as that far
 _BACK = 0.995  # share of the way to where a slack or a multiplier vanishes
-_DONE = 1e-12  # gap of what is found
+_DONE = 1e-12  # gap of a minimum
 _EXACT, _STATIONARY = 1e-8, 1e-6  # that bounds and gradient have to be at the end
 
 
@@ -59,7 +59,7 @@ and 0 where z is the minimum, 1 where nothing keeps the bounds, 2 where it faile
 
 
 def interior_minimum(problem: QuadraticProgram, price: Any = None) -> tuple[Array, Any]:
-    """Return z, which holds its bounds, and 0; or 1 where it was not found. See `Minimum`.
+    """Return z, which holds its bounds, and 0; or 1 where there is none. See `Minimum`.
 
     Bounds that are infinite before anything is known of a step cost nothing.
     """
@@ -125,14 +125,14 @@ def interior_minimum(problem: QuadraticProgram, price: Any = None) -> tuple[Arra
     s = np.maximum(room, 1.0)
     x, s, z = repeat(PASSES, one, (np.zeros(len(at)), s, 1.0 / s))
     stationary, apart, gap = residuals(x, s, z)
-    found = (apart.dot(apart) < _EXACT**2) & (gap < _EXACT)
-    found = found & (stationary.dot(stationary) < _STATIONARY**2)
+    is_minimum = (apart.dot(apart) < _EXACT**2) & (gap < _EXACT)
+    is_minimum = is_minimum & (stationary.dot(stationary) < _STATIONARY**2)
     best = (free + unit * x[:n]) * scale
-    return np.minimum(np.maximum(best, lower), upper), select(found, 0.0, 1.0)
+    return np.minimum(np.maximum(best, lower), upper), select(is_minimum, 0.0, 1.0)
 
 
 def _length(values: Array, change: Array) -> Any:
-    """Return how far a change may be gone until a value vanishes, at most 1."""
+    """Return the share of a change until a value vanishes, at most 1."""
     shrinks = change < 0.0
     return np.where(shrinks, values / np.where(shrinks, -change, 1.0), 1.0).min()
 

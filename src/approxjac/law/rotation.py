@@ -99,7 +99,7 @@ def rotation_log(R: Array) -> Array:
 
 
 def _plane_turn(R: Array) -> tuple[Any, Any]:
-    """Return what sine and cosine of the turn nearest to a matrix (2, 2) are in proportion to."""
+    """Return sine and cosine, times a number, of the turn nearest to a matrix (2, 2)."""
     (a, b), (c, d) = R.tolist()
     return c - b, a + d
 

@@ -28,7 +28,7 @@ _LEAST = 1e-300
 
 
 class Singularity(NamedTuple):
-    """What counts as near singular.
+    """Bounds below which Ĵ is near singular.
 
     Attributes:
         ratio: σ_min/σ_max below which Ĵ does.
@@ -72,7 +72,7 @@ def setpoint_step(
     theta_hat: Array,
     singularity: Singularity,
 ) -> tuple[Array, Array, Any, Array, Array | None, Array | None]:
-    """Return what the laws (5), (6) and (28) answer, with a posture and on a path.
+    """Answer as the laws (5), (6) and (28) do, with a posture and on a path.
 
     Args:
         kp: Diagonal of K_p, shape (m,).
@@ -138,8 +138,7 @@ def within_null_space(torque: Array, J_hat: Array, G: Array, ratio: float, scale
         projected = dot(dot(U, dot(b, U) * inverse), J_hat)
         return (squares.min() / threshold * (torque - projected),)
 
-    found: Array = choose(damped > 0.0, faded, lambda: (torque - dot(w, J_hat),))[0]
-    return found
+    return choose(damped > 0.0, faded, lambda: (torque - dot(w, J_hat),))[0]
 
 
 class HoldStep(NamedTuple):
@@ -175,7 +174,7 @@ def hold_step(
     """
     kept, n = memory.tolist(), len(x)
     last, t_last, p, seen = kept[:n], kept[n], kept[n + 1 : -len(parts)], kept[-len(parts) :]
-    measured, told, was_seen = x.tolist(), errors.tolist(), [each > 0.0 for each in seen]
+    measured, apart, was_seen = x.tolist(), errors.tolist(), [each > 0.0 for each in seen]
     later = knows_time & ((t_x > t_last) | complement(_any(was_seen)))
     used, moved, known, stands = list[Any](), list[Any](), list[Any](), list[tuple[slice, Any]]()
     remembered, any_new = list[Any](), False
@@ -186,7 +185,7 @@ def hold_step(
             differs = complement(_all([a == b for a, b in zip(here, before, strict=True)]))
             new = select(knows_time, later, differs)
         never = complement(ever)
-        is_new = all_finite(here + told[rows]) & (never | new)
+        is_new = all_finite(here + apart[rows]) & (never | new)
         is_far = _any([abs(far) > end for far, end in zip(own, most[rows], strict=True)])
         is_old = complement(is_new) & (never | is_far)
         now = _each(is_new, here, before)

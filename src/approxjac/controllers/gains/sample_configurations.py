@@ -16,7 +16,7 @@ from approxjac.validation import Array
 _CONFIGURATIONS = 100
 _SINGULAR = 1e-9  # σ_min/σ_max that counts as no rank
 _REGULAR = 0.05  # configurations with σ_min below this share of σ_max are left out
-_FEW = 0.1  # as a share of them, of which nothing usual can be told
+_FEW = 0.1  # as a share of them, which is too few to know what is usual
 _NO_DAMPING = 1e-9  # instead of none, which would divide by zero
 
 
@@ -38,7 +38,7 @@ class Postures(NamedTuple):
     groups: tuple[np.ndarray[Any, np.dtype[np.bool_]], ...]
 
     def felt_damping(self, damping: Array) -> Array:
-        """Return what B_c (n_v,) adds to the damping along a task coordinate, 1 / (Ĵ B_c⁻¹ Ĵᵀ)ᵢᵢ.
+        """Return the damping of B_c (n_v,) along task coordinates, 1 / (Ĵ B_c⁻¹ Ĵᵀ)ᵢᵢ.
 
         The median over postures, and the mean over coordinates of one unit; shape (m,).
         """

@@ -350,7 +350,7 @@ class _Arm:
         counted: Flags,
         attainable: float,
     ) -> bool:
-        """Return whether the sampled, delayed linearisation is stable with a margin, and damped."""
+        """Return True if the sampled, delayed linearisation is stable with a margin, and damped."""
         loop = law.LinearLaw(*(part[counted] for part in self.cases(gains, learning)))
         dt, samples, age, late = latency.in_samples()
         timing = (dt, samples, age, late, latency.velocity_filter or None)

@@ -40,7 +40,7 @@ class CrossWeight:
         return f"CrossWeight({wide}, {len(self.A1)} task coordinates)"
 
     def is_like(self, other: CrossWeight) -> bool:
-        """Return whether this is the same G as another one, but for round-off."""
+        """Return True if this is the same G as another one, but for round-off."""
         size = max(float(np.abs(self.A1).max()), float(np.abs(self.A2).max()))
         pairs = (self.A1, other.A1), (self.A2, other.A2)
         return all(

@@ -23,7 +23,7 @@ _CLEAR = 1e-3  # that is kept from a wall besides its margin, for what periods a
 
 @dataclass(eq=False, repr=False)
 class LimitTerms:
-    """What a limit makes its rows of, at one step: the believed arm as it is and moves.
+    """The believed arm as it is and moves at one step, of which a limit makes its rows.
 
     Attributes:
         robot: The believed robot.

@@ -98,7 +98,7 @@ class Limits:
 
 
 def sure_deceleration(robot: Robot, effort: Array) -> Array:
-    """Return how fast motors can surely brake each joint, shape (n_v,) [rad/s² or m/s²].
+    """Return the deceleration that motors surely give each joint, shape (n_v,) [rad/s² or m/s²].
 
     Half of what is left of the efforts after gravity, in all but one of twenty configurations
     within the joint limits: while one joint brakes, every motor that this asks for a torque has to
@@ -110,13 +110,13 @@ def sure_deceleration(robot: Robot, effort: Array) -> Array:
         effort: Largest abs(τ), shape (n_v,).
     """
     dynamics, rng = Dynamics(robot), np.random.default_rng(0)
-    found = []
+    rates = []
     for _ in range(_CONFIGURATIONS):
         q = robot.random_configuration(rng)
         left = np.maximum(effort - np.abs(dynamics.g(q)), _LEAST_LEFT * effort)
         inertia = np.maximum(np.abs(dynamics.M(q)), _NO_INERTIA)
-        found.append((left[:, np.newaxis] / inertia).min(axis=0))
-    return np.asarray(_SHARE * np.quantile(found, _RARE, axis=0, method="lower"))
+        rates.append((left[:, np.newaxis] / inertia).min(axis=0))
+    return np.asarray(_SHARE * np.quantile(rates, _RARE, axis=0, method="lower"))
 
 
 def _range(position: object) -> tuple[Array, Array]:

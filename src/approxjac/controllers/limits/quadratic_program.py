@@ -93,7 +93,7 @@ class Solver:
     def minimum(
         self, problem: QuadraticProgram, price: Any = None, pays: Any = False
     ) -> tuple[Array, Any]:
-        """Return what `law.Minimum` says; of symbols by `law.interior_minimum`."""
+        """Solve as `law.Minimum` does; symbols by `law.interior_minimum`."""
         if problem.f.dtype.hasobject:
             return law.interior_minimum(problem, price)
         z, verdict = self.solve(problem, price, pays)
@@ -121,7 +121,7 @@ class Solver:
     def _minimum(
         self, problem: QuadraticProgram, low: Array, high: Array
     ) -> tuple[Array | None, Verdict, float]:
-        """Return what `_solved` does, by DAQP; low and high are of z, then of A z."""
+        """Solve by DAQP, as `_solved`; low and high are of z, then of A z."""
         H, f, A = problem.H, problem.f, problem.A
         # what the first tolerance refuses may be the round-off of large bounds
         for tolerance in (_FIRST_TOLERANCE, _TOLERANCE):
@@ -148,7 +148,7 @@ class Solver:
                 import logging
 
                 logging.getLogger(__name__).warning(
-                    "QP solver %s raised, which is told once", self.name, exc_info=True
+                    "QP solver %s raised, which is logged once", self.name, exc_info=True
                 )
             return None, Verdict.FAILED
         is_numbers = z.dtype.kind in "iuf" and z.shape == problem.f.shape

@@ -420,7 +420,7 @@ class TorqueLimited(ControllerWrapper):
         return after
 
     def _locked(self, measurement: Measurement, torque: Array) -> Array:
-        """Return which joints are at a limit, shape (n_v,)."""
+        """Return True for joints at a limit, shape (n_v,)."""
         motion, (low, high) = self._positions(measurement.q), np.asarray(self.limits.position)
         locked = (motion < low + _AT_LIMIT) | (motion > high - _AT_LIMIT)
         locked |= np.abs(measurement.v) > _NEARLY * np.asarray(self.limits.velocity)
@@ -445,7 +445,7 @@ class TorqueLimited(ControllerWrapper):
         )
 
     def is_exceeded(self, measurement: Measurement) -> Any:
-        """Return whether a joint is beyond its limits of speed or position."""
+        """Return True if a joint is beyond its limits of speed or position."""
         place = self._positions(measurement.q).tolist() + measurement.v.tolist()
         return law.complement(law.within(self._beyond[0], place, self._beyond[1]))
 
