@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -57,8 +59,8 @@ class Pseudoinverse:
 
     def is_damped(self, J_hat: Array) -> NDArray[np.bool_]:
         """Return True where Ĵ⁺ is damped, of Ĵ (…, m, n_v), shape (…)."""
-        squares = np.linalg.svd(self._weighted(J_hat), compute_uv=False) ** 2
-        ratio, scale, _ = self.singularity
+        sizes: Any = np.linalg.svd(self._weighted(J_hat), compute_uv=False)
+        squares, (ratio, scale, _) = sizes**2, self.singularity
         return law.gram_damping(squares[..., -1], squares[..., 0], ratio, scale) > 0.0
 
     def _weighted(self, J_hat: Array) -> Array:

@@ -314,13 +314,12 @@ def best_rotation(M: Array, h: Array, A: Array) -> Array:
         A: Where to start, (d, d).
     """
     d = len(A)
-    G = generators(d)
 
     def step(_: Any, values: tuple[Array, Any, Any]) -> tuple[Array, Any, Any]:
         A, value, is_done = values
         if surely(is_done):
             return values
-        slope, curvature = _derivatives(M, h, A, G)
+        slope, curvature = _derivatives(M, h, A)
         turn, is_concave = _newton_step(slope, curvature)
         new = rotation_exp(turn).dot(A)
         is_small = is_concave & (length(turn) < _CONVERGED)
@@ -341,7 +340,7 @@ def best_rotation(M: Array, h: Array, A: Array) -> Array:
 
 def rotation_information(M: Array, h: Array, A: Array) -> Array:
     """Return the negative second derivative of `explained` along δ of A ← exp([δ]ₓ)A."""
-    return _derivatives(M, h, A, generators(len(A)))[1]
+    return _derivatives(M, h, A)[1]
 
 
 def tangents(A: Array) -> Array:
@@ -349,12 +348,11 @@ def tangents(A: Array) -> Array:
     return np.asanyarray((generators(len(A)) @ A).reshape(-1, A.size).T)
 
 
-def _derivatives(M: Array, h: Array, A: Array, G: Array) -> tuple[Array, Array]:
+def _derivatives(M: Array, h: Array, A: Array) -> tuple[Array, Array]:
     """Return the gradient and the negative Hessian of `explained` along δ."""
-    d = len(A)
-    moved = (G @ A).reshape(len(G), -1)  # (g, d²)
-    rise = M.dot(A.ravel()) + h
-    bent = _PRODUCTS[d].dot(rise.reshape(d, d).dot(A.T).ravel()).reshape(len(G), -1)
+    moved, rise = tangents(A).T, M.dot(A.ravel()) + h
+    bent = _PRODUCTS[len(A)].dot(rise.reshape(A.shape).dot(A.T).ravel())
+    bent = bent.reshape(len(moved), -1)
     return moved.dot(rise), -(moved.dot(M).dot(moved.T) + bent)
 
 

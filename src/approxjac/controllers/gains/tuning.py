@@ -288,11 +288,11 @@ class _Arm:
         effort = self.robot.effort_limits
         weight: Array | None = None
         with np.errstate(divide="ignore"):
-            most = np.concatenate([(effort[:, None] / usual).min(axis=0), effort])
+            largest_of = np.concatenate([(effort[:, None] / usual).min(axis=0), effort])
         if slow * latency.of_position < _QUICK and (gains.damping > 0.0).all():
             weight = gains.damping / np.exp(np.log(gains.damping).mean())  # so Ĵ keeps its size
         alpha = slow if alpha is None else alpha
-        return Learning(alpha, 0.5 * (L + L.T), task_force, joint_torque, most, weight)
+        return Learning(alpha, 0.5 * (L + L.T), task_force, joint_torque, largest_of, weight)
 
     def cases(self, gains: Diagonals, learning: Learning | None) -> law.LinearLaw:
         """Return the linearised loop at some postures, of arms that differ from the believed."""
