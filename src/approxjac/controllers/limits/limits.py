@@ -46,6 +46,7 @@ class Limits:
     position: tuple[Sequence[float] | Array, Sequence[float] | Array] | None = None
     velocity: float | Sequence[float] | Array | None = None
     acceleration: float | Sequence[float] | Array | None = None
+    __repr__ = short_fields
 
     def __post_init__(self) -> None:
         for name, unit in _UNITS.items():
@@ -56,9 +57,6 @@ class Limits:
                 object.__setattr__(self, name, limits if size else float(limits[0]))
         if self.position is not None:
             object.__setattr__(self, "position", _range(self.position))
-
-    def __repr__(self) -> str:
-        return short_fields(self)
 
     @classmethod
     def of(cls, robot: Robot, scale: float = 1.0) -> Limits:
@@ -82,11 +80,11 @@ class Limits:
         Raises:
             InvalidInputError: Limits of another number of joints.
         """
-        filled = {
-            name: as_limits(name, np.inf if value is None else value, nv, unit="one a joint")
-            for name in _UNITS
-            for value in [getattr(self, name)]
-        }
+        filled = {}
+        for name in _UNITS:
+            value = getattr(self, name)
+            given = np.inf if value is None else value
+            filled[name] = as_limits(name, given, nv, unit="one a joint")
         lower, upper = (-np.inf, np.inf) if self.position is None else self.position
         if self.position is not None and len(lower) != nv:  # type: ignore[arg-type]
             raise InvalidInputError(
