@@ -3,7 +3,7 @@
 import numpy as np
 
 import approxjac as aj
-from approxjac.controllers.gains.sample_configurations import usual_postures
+from approxjac.controllers.gains.sample_configurations import sample_configurations
 from approxjac.controllers.gains.tuning import slow_rate
 
 SPEED, FASTEST = 3.0, 10.0  # of learning, in rates of the task's slow pole
@@ -30,7 +30,7 @@ def adaptation_before(task, gains):
     """
     diagonals = gains.diagonals(task.m, task.robot.nv)
     slow, regressor = slow_rate(task, diagonals), aj.robots.GravityRegressor(task.robot)
-    configurations, J, M, *_ = usual_postures(task)
+    configurations, J, M, *_ = sample_configurations(task)
     Z = np.array([*map(regressor.Z, configurations)])
     D = 1.0 / np.mean((Z * Z).sum(axis=1), axis=0)
     A = np.linalg.solve(J @ np.swapaxes(J, 1, 2), J) @ Z

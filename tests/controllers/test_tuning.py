@@ -10,7 +10,7 @@ from scenarios import reach
 
 import approxjac as aj
 from approxjac.controllers import DifferentiatedVelocity, Latency, tuned
-from approxjac.controllers.gains.sample_configurations import usual_postures
+from approxjac.controllers.gains.sample_configurations import sample_configurations
 from approxjac.controllers.gains.tuning import Learning, _Arm, slow_rate
 from approxjac.robots import Dynamics, GravityRegressor
 from approxjac.scenario import build_scenario
@@ -76,7 +76,7 @@ def test_learning_is_as_fast_as_inertia_allows(name):
     share, learning = chosen.share, chosen.learning
     regressor = GravityRegressor(robot)
     fastest = []
-    for q in usual_postures(task).q:
+    for q in sample_configurations(task).q:
         g, J = dynamics.g(q), task.jacobian(q)
         D = J.T * kv @ J + np.diag(damping)
         M = np.array([dynamics.inverse(q, rest, unit) - g for unit in np.eye(robot.nv)]).T

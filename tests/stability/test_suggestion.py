@@ -8,7 +8,7 @@ import pytest
 
 import approxjac as aj
 from approxjac.controllers import tuned
-from approxjac.controllers.gains.sample_configurations import usual_postures
+from approxjac.controllers.gains.sample_configurations import sample_configurations
 from approxjac.stability.certificates.certificate import largest
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.search import suggested_gains
@@ -50,7 +50,7 @@ def longest_period(tools, box, gains):
 def test_tuned_damping_has_the_shape_of_the_inertia_by_itself(tools, box):
     """r Mᵢᵢ and a floor: so it stands periods four times as long as equal damping does."""
     task = tools.believed_task()
-    own = np.median(np.diagonal(usual_postures(task).M, axis1=1, axis2=2), axis=0)
+    own = np.median(np.diagonal(sample_configurations(task).M, axis1=1, axis2=2), axis=0)
     damping = tuned(task).gains.diagonals(task.m, 7).damping
     floor = damping - tuned(task).rate * own
     np.testing.assert_allclose(floor, floor[0], rtol=1e-9)

@@ -1,4 +1,4 @@
-"""Seeded postures of the believed arm that default gains and learning are chosen from."""
+"""Seeded configurations of the believed arm that default gains and learning are chosen from."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ _FEW = 0.1  # as a share of them, which is too few to know what is usual
 _NO_DAMPING = 1e-9  # instead of none, which would divide by zero
 
 
-class Postures(NamedTuple):
-    """Postures in which a task is seen and not near singular, and what the arm is like there.
+class SampleConfigurations(NamedTuple):
+    """Configurations in which a task is seen and not near singular, and the arm there.
 
     Attributes:
         q: Shape (k, nq).
@@ -40,7 +40,7 @@ class Postures(NamedTuple):
     def felt_damping(self, damping: Array) -> Array:
         """Return the damping of B_c (n_v,) along task coordinates, 1 / (Ĵ B_c⁻¹ Ĵᵀ)ᵢᵢ.
 
-        The median over postures, and the mean over coordinates of one unit; shape (m,).
+        The median over configurations, and the mean over coordinates of one unit; shape (m,).
         """
         mobility = self.J_hat**2 @ (1.0 / np.maximum(damping, _NO_DAMPING))
         return self.by_unit(np.median(1.0 / mobility, axis=0))
@@ -54,8 +54,8 @@ class Postures(NamedTuple):
 
 
 @functools.lru_cache(maxsize=8)
-def usual_postures(task: Task) -> Postures:
-    """Return seeded postures within the joint limits, the same each time.
+def sample_configurations(task: Task) -> SampleConfigurations:
+    """Return seeded configurations within the joint limits, the same each time.
 
     Raises:
         InvalidInputError: The task is singular in all of them.
@@ -80,7 +80,7 @@ def usual_postures(task: Task) -> Postures:
     M = np.array([*map(Dynamics(task.robot).M, q)])
     units = np.array(task.units)
     groups = tuple(units == unit for unit in dict.fromkeys(task.units))
-    return Postures(q, J_hat, M, np.linalg.inv(M), groups)
+    return SampleConfigurations(q, J_hat, M, np.linalg.inv(M), groups)
 
 
 def usual_inertias(robot: Robot) -> Array:
@@ -95,8 +95,7 @@ def light_inertias(inertias: Array) -> Array:
     Damping of D times it acts no faster than n_v D: tr(M⁻¹D) bounds its largest eigenvalue.
     """
     mobilities = np.linalg.inv(inertias)
-    light: Array = 1.0 / np.diagonal(mobilities, axis1=1, axis2=2).max(axis=0)
-    return light
+    return np.asarray(1.0 / np.diagonal(mobilities, axis1=1, axis2=2).max(axis=0))
 
 
 def quickest(inertias: Array, damping: Array) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 
 from approxjac import law
 from approxjac.controllers.gains.gains import Diagonals, Gains, Latency
-from approxjac.controllers.gains.sample_configurations import usual_postures
+from approxjac.controllers.gains.sample_configurations import sample_configurations
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import listed, short
 from approxjac.robots import Dynamics, GravityRegressor, Robot
@@ -85,7 +85,7 @@ def default_gains(task: Task, settling_time: float = 1.0, bandwidth: float = 100
     require_controllable(task)
     rate = _SETTLED / as_number("settling_time", settling_time, unit="s", above=_NO_TIME)
     fastest = 0.5 * as_number("bandwidth", bandwidth, unit="1/s", above=0.0)
-    postures = usual_postures(task)
+    postures = sample_configurations(task)
     J = postures.J_hat
     mobility = J @ postures.M_inv @ J.mT
     inertia = np.median(1.0 / np.diagonal(mobility, axis1=1, axis2=2), axis=0)
@@ -119,12 +119,12 @@ def require_damping(gains: Gains, diagonals: Diagonals, task: Task) -> None:
 
 def position_gains(task: Task, kv: Array, damping: Array, settling_time: float) -> Array:
     """Return K_p of `default_gains` for a K_v (m,) and a B_c (n_v,) of one's own, shape (m,)."""
-    return _SETTLED / settling_time * (kv + usual_postures(task).felt_damping(damping))
+    return _SETTLED / settling_time * (kv + sample_configurations(task).felt_damping(damping))
 
 
 def slow_rate(task: Task, gains: Diagonals) -> float:
     """Return the rate of the slow pole, min k_p / (k_v + K_b), K_b as in `default_gains` [1/s]."""
-    felt = usual_postures(task).felt_damping(gains.damping)
+    felt = sample_configurations(task).felt_damping(gains.damping)
     return float((gains.kp / (gains.kv + felt)).min())
 
 
@@ -193,12 +193,12 @@ class Tuning:
 
 
 class _Arm:
-    """The believed arm at its usual postures, with what the rule needs of it."""
+    """The believed arm at its sample configurations."""
 
     def __init__(self, task: Task, regressor: GravityRegressor | None) -> None:
         robot = task.robot
         self.task, self.robot = task, robot
-        self.postures = usual_postures(task)
+        self.postures = sample_configurations(task)
         q = self.postures.q
         self.g = np.array([*map(Dynamics(robot).g, q)])
         self.Z = None if regressor is None else np.array([*map(regressor.Z, q)])
