@@ -201,7 +201,7 @@ def sampled_step(controller: Controller) -> SampledStep:
     outputs = {
         "torque": answer.torque, "after": after, "e": answer.e, "gravity": answer.gravity,
         "J_hat": answer.J_hat, "status": answer.status, "limit_status": answer.limit_status,
-        "slack": answer.slack,
+        "slack": np.where(np.isnan(symbols([answer.slack])), 0.0, answer.slack),
     }  # fmt: skip
     zeros = {"gravity": np.zeros(robot.nv), "J_hat": np.zeros((task.m, robot.nv))}
     flat = {
