@@ -38,7 +38,7 @@ def test_of_a_robot_that_compensates_itself_no_weight_is_predicted(panda):
 def test_periods_show_what_the_believed_arm_lacks(panda):
     """A constant lack of q̈ is found as a filter of the rate does, 1 − (1 − rate dt)ᵏ."""
     prediction = AccelerationObserver(law_of(panda, aj.AdaptiveGravity(panda)), DT, RATE)
-    lack, v, memory = np.linspace(-3.0, 3.0, 7), np.zeros(7), prediction.nothing()
+    lack, v, memory = np.linspace(-3.0, 3.0, 7), np.zeros(7), prediction.nothing
     for k in range(60):
         measurement = measured(Q, v, k * DT)
         residual = prediction.residual(memory, measurement)
@@ -63,5 +63,5 @@ def test_a_clock_that_jumps_shows_nothing(panda, t):
 def test_what_overflows_is_forgotten(panda):
     prediction = AccelerationObserver(law_of(panda), DT, RATE)
     memory = prediction.expecting(measured(Q, np.zeros(7)), np.full(7, np.inf), np.zeros(7))
-    assert_array_equal(memory, prediction.nothing())
+    assert_array_equal(memory, prediction.nothing)
     assert np.isfinite(memory).all()

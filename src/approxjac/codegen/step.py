@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from typing import Any
 
 import numpy as np
@@ -183,6 +184,7 @@ class _MachineCode:
         no_rate = np.zeros(len(state_in))
         no_rate.flags.writeable = False
         limit_statuses = {float(each): each for each in LimitStatus}
+        limited = float(LimitStatus.LIMITED)
         statuses = {float(each): each for each in Status}
         float64, array, made = FLOAT64, np.ndarray, tuple.__new__
         own_dt, any_dt = controller.dt, controller.dt is None
@@ -237,7 +239,7 @@ class _MachineCode:
                     found[torque_at], rate, statuses[status], found[e_at],
                     found[J_at].reshape(J_shape) if has_J else None,
                     found[gravity_at] if has_gravity else None,
-                    limit_statuses[limit], slack,
+                    limit_statuses[limit], math.nan if limit == limited else slack,
                     None if v_d is None and not predicts else found[reference_at],
                 ))  # fmt: skip
             except (AttributeError, IndexError, TypeError, ValueError):

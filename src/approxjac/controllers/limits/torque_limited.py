@@ -77,11 +77,7 @@ class AccelerationObserver:
         self._dt, self._rate, self._share = dt, np.array(rate), np.array(1.0 - rate * dt)
         self._half = 0.5 * dt
         self._period = np.array(dt)
-        self._nothing = np.concatenate([[_NEVER], np.zeros(2 * robot.nv)])
-
-    def nothing(self) -> Array:
-        """Return the memory before the first period."""
-        return self._nothing.copy()
+        self.nothing = np.concatenate([[_NEVER], np.zeros(2 * robot.nv)])  # before the first period
 
     def timed(self, memory: Array, measurement: Measurement) -> Measurement:
         """Return a measurement that comes when it is expected where nothing tells the time."""
@@ -107,7 +103,7 @@ class AccelerationObserver:
         expected = measurement.v + self._period * f
         memory = np.concatenate([[measurement.t + self._dt], expected, residual])
         # what is absurd must not make the next period's prediction overflow
-        kept: Array = law.select(np.abs(memory).max() < HUGE, memory, self._nothing)
+        kept: Array = law.select(np.abs(memory).max() < HUGE, memory, self.nothing)
         return kept
 
 
@@ -262,7 +258,7 @@ class TorqueLimited(ControllerWrapper):
         # whether a torque within its limits may be limited, too
         bounds_motion = bool(np.isfinite([low, high, fastest, most]).any())
         self._looks_ahead = bounds_motion or bool(self.motion_limits)
-        self._kept = self._prediction.nothing() if self._looks_ahead else np.zeros(0)
+        self._kept = self._prediction.nothing if self._looks_ahead else np.zeros(0)
         self._memory = len(self._kept) + (robot.nv if self._has_rate else 0)
 
     @property
@@ -386,7 +382,8 @@ class TorqueLimited(ControllerWrapper):
         free: Any = _FREE
         if rows is not None:
             free = law.select(self.is_exceeded(measurement), LimitStatus.EXCEEDED, _FREE)
-        slack = law.select(is_free > 0.0, 0.0, law.select(is_proven, slack, math.nan))
+        unknown = 0.0 if hasattr(measurement.q, "arm_of") else math.nan  # C answers with numbers
+        slack = law.select(is_free > 0.0, 0.0, law.select(is_proven, slack, unknown))
         return torque, law.select(is_free > 0.0, free, status), slack, memory
 
     def _rested(
