@@ -236,4 +236,4 @@ def test_what_branches_on_a_value_is_named(panda):
     for task in (Folded(panda, (0.0, 1.0, 0.0)), aj.StackedTask(Folded(panda, (0.0, 1.0, 0.0)))):
         wanted = r"^task must take symbols .*which Folded.value does not: TypeError: no branch"
         with pytest.raises(InvalidInputError, match=wanted):
-            tasks.require_covered(task)
+            tasks.frames(task)

@@ -44,7 +44,7 @@ def require_covered(controller: Controller, plant: Plant) -> None:
             those covered.
     """
     laws.require_covered(controller)
-    tasks.require_covered(plant.sensor)
+    tasks.frames(plant.sensor)
     more = (plant.servo, plant.torque_limits, plant.adds_gravity)
     if type(plant) is not Plant or any(part is not None for part in more):
         raise InvalidInputError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -17,28 +17,14 @@ from approxjac.interface import Evaluation, Measurement, Target
 from approxjac.validation import Array
 
 
-class TracedStep(NamedTuple):
-    """Outcome of one step of a controller on symbols.
-
-    Attributes:
-        after: State after the step, shape (n_state,).
-        answer: Its answer; statuses are numbers.
-        left: Whether that does not hold, and is left to Python.
-    """
-
-    after: Symbols
-    answer: Evaluation
-    left: Condition
-
-
 def stepped(
     controller: Controller,
     state: Symbols,
     measurement: Measurement,
     target: Target | Array,
     dt: Any,
-) -> TracedStep:
-    """Return what `Controller.step` does.
+) -> tuple[Symbols, Evaluation, Condition]:
+    """Return what `Controller.step` does, and whether that is left to Python.
 
     Args:
         controller: Any controller.
@@ -67,7 +53,7 @@ def stepped(
         value = named[name][()]
         named[name] = float(value) if isinstance(value, int | float) else value
     graph = next(each.graph for each in measurement.q.tolist() if hasattr(each, "graph"))
-    return TracedStep(after, Evaluation(**named), graph.left)
+    return after, Evaluation(**named), graph.left
 
 
 def on_symbols(controller: Controller) -> Any:

@@ -146,8 +146,3 @@ def error(task: Task, x: Symbols, x_d: Symbols) -> Symbols:
 def _graph(q: Symbols) -> Graph:
     graph: Graph = next(each.graph for each in q.tolist() if hasattr(each, "graph"))
     return graph
-
-
-def require_covered(task: Task) -> None:
-    """Refuse a task that takes no symbols."""
-    frames(task)

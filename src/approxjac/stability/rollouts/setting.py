@@ -176,7 +176,7 @@ class RolloutSetting:
         region, task, sigma_min = part, None, 0.0
         if type(part) is RegularPart:
             region, task, sigma_min = part.region, part.task, part.sigma_min
-            tasks.require_covered(task)
+            tasks.frames(task)  # or refuse it
         if type(region) is not JointBox:
             raise InvalidInputError(
                 f"region must be a JointBox, or the RegularPart of one, for lanes, got {region!r}",
