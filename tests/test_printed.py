@@ -29,7 +29,7 @@ def results():
         "gains": (gains, "K_p 100, K_v 50, joint damping 1"),
         "law": (law, "set-point law (6), K_p 100, "),
         "limited": (aj.TorqueLimited(law, aj.Limits(effort=50.0)), "set-point law (6), "),
-        "tracking": (aj.TrackingController(task), "tracking law T, "),
+        "tracking": (aj.TrackingController(task), "tracking law, "),
         "run": (aj.simulate(plant, law, target, [0.5, 1.2], 0.2, dt=1e-3), "error 0.1"),
         "report": (study.report(20), "certified: "),
         "rollouts": (study.rollouts(2), "converged: "),

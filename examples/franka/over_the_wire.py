@@ -54,7 +54,7 @@ def circle(robot, seed=0):
     """Follow a circle of 10 cm in 4 s, twice, with kinematics and dynamics that learn."""
     driver = FrankaDriver(
         robot.address, Camera(robot.truth), gravity=robot.arm, realtime=False
-    )  # law T compensates all of gravity
+    )  # the tracking law compensates all of gravity
     task = aj.PositionTask(robot.arm.with_object(0.0))
     kinematics = AdaptiveKinematics(task, unknown=("tool", "origins"), noise=1e-4)
     dynamics = AdaptiveDynamics(task.robot, rotor_inertia=ROTORS)

@@ -29,9 +29,9 @@ from approxjac.controllers import (
 )
 
 LAWS = {
-    "law T, learnt": "TrackingController with AdaptiveKinematics",
+    "tracking law, learnt": "TrackingController with AdaptiveKinematics",
     "set-point law, learnt": "SetpointController on x̂, with ẋ_d",
-    "law T, exact model": "TrackingController that knows everything",
+    "tracking law, exact model": "TrackingController that knows everything",
     "set-point law, ẋ_d": "SetpointController with the believed Jacobian, ẋ_d fed forward",
     "set-point law": "the same as if the target stood still",
     "operational space": "Khatib's loop with integral action and the believed model",

@@ -167,7 +167,7 @@ def plant_of(case, setup):
 
 
 def law_of(case, belief):
-    """Return law T with what it learns."""
+    """Return the tracking law with what it learns."""
     task, dt = aj.PositionTask(belief), PERIOD if case.kind == "velocity" else DT
     kinematics = aj.AdaptiveKinematics(task, noise=NOISE, delay=DELAY, dt=dt)
     command = "velocity" if case.kind == "velocity" else "torque"

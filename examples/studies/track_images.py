@@ -48,10 +48,10 @@ WHERE = ("room", "hand", *PLANE)
 PLANE_WINDOWS = ((2.0, 3.0), (4.0, 5.0), (9.0, 10.0))
 PLANE_MOST = {"circle": {5.0: 1e-2}, "target": {5.0: 1e-2, 10.0: 1e-4}}  # [m]
 LAWS = {
-    "law T, learnt": "TrackingController with AdaptiveCamera",
+    "tracking law, learnt": "TrackingController with AdaptiveCamera",
     "set-point law, learnt": "SetpointController on x̂, with ẋ_d",
-    "law T, believed": "TrackingController that takes the believed camera for true",
-    "law T, exact model": "TrackingController that knows everything",
+    "tracking law, believed": "TrackingController that takes the believed camera for true",
+    "tracking law, exact model": "TrackingController that knows everything",
 }
 LEARNT, ON_X, BELIEVED, EXACT = LAWS
 

@@ -1,4 +1,4 @@
-"""Time of one control step of law T, as a ratio to the set-point law's in the same run.
+"""Time of one control step of tracking law, as a ratio to the set-point law's in the same run.
 
 Both learn: `TrackingController` kinematics and dynamics, `SetpointController` gravity. Control runs
 at 1 kHz with frames at 60 Hz, so most steps have no new frame; of both kinds the median is told.
@@ -44,12 +44,14 @@ def laws(robot):
     learnt = aj.TrackingController(task, kinematics=aj.AdaptiveKinematics(task))
     return {
         "set-point, learnt gravity": aj.SetpointController(task, gravity=aj.AdaptiveGravity(robot)),
-        "law T, learnt": learnt,
-        "law T, learnt, compiled": compiled(learnt),
-        "law T, the camera's axes known": aj.TrackingController(task),
-        "law T, kinematics known": aj.TrackingController(task, kinematics=KnownKinematics(task)),
-        "law T, learnt, `TorqueLimited`": aj.TorqueLimited(learnt, aj.Limits.of(robot)),
-        "– with law T compiled": aj.TorqueLimited(compiled(learnt), aj.Limits.of(robot)),
+        "tracking law, learnt": learnt,
+        "tracking law, learnt, compiled": compiled(learnt),
+        "tracking law, the camera's axes known": aj.TrackingController(task),
+        "tracking law, kinematics known": aj.TrackingController(
+            task, kinematics=KnownKinematics(task)
+        ),
+        "tracking law, learnt, `TorqueLimited`": aj.TorqueLimited(learnt, aj.Limits.of(robot)),
+        "– with it compiled": aj.TorqueLimited(compiled(learnt), aj.Limits.of(robot)),
         "– its kinematics alone": learnt.kinematics,
     }
 

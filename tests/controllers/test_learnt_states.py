@@ -46,7 +46,7 @@ def wrong(state):
     }
 
 
-@pytest.mark.parametrize("kind", ["law T", "within limits", "set-point law"])
+@pytest.mark.parametrize("kind", ["tracking law", "within limits", "set-point law"])
 def test_a_state_of_another_controller_is_refused(task, kind):
     if kind == "set-point law":
         controller = PredictedMeasurement(aj.SetpointController(task), AdaptiveKinematics(task))

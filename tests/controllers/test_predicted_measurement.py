@@ -102,10 +102,10 @@ def test_what_does_not_fit_is_refused(panda, two_link):
         PredictedMeasurement(law, KnownKinematics(task)).with_task(task)
 
 
-@pytest.mark.parametrize("law", ["set-point law", "law T"])
+@pytest.mark.parametrize("law", ["set-point law", "tracking law"])
 def test_what_makes_no_sense_has_an_error_with_a_name(panda, law):
     controller = controller_of(panda)
-    if law == "law T":
+    if law == "tracking law":
         controller = aj.TrackingController(controller.task, kinematics=controller.kinematics)
     x = controller.task.value(HOME)
     good = aj.Measurement(0.0, HOME, np.zeros(7), x, 0.0)
@@ -126,12 +126,12 @@ def test_what_makes_no_sense_has_an_error_with_a_name(panda, law):
             controller.resumed(other, good)
 
 
-@pytest.mark.parametrize("law", ["set-point law", "law T"])
+@pytest.mark.parametrize("law", ["set-point law", "tracking law"])
 def test_the_next_run_begins_with_what_was_learnt(panda, law):
     """A tracker turned by 100° is learnt once; the next target is reached straight away."""
     plant = tracker_far_off(panda)
     controller = controller_of(panda)
-    if law == "law T":
+    if law == "tracking law":
         controller = aj.TrackingController(controller.task, kinematics=controller.kinematics)
     before = run(plant, controller, 2.5)
     state = controller.resumed(before.state[-1], plant.measure(0.0, HOME, np.zeros(7)))

@@ -1,4 +1,4 @@
-"""`TrackingController`: law T on the believed arm's own kinematics."""
+"""`TrackingController`: the tracking law on the believed arm's own kinematics."""
 
 import copy
 

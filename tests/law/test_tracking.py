@@ -1,4 +1,4 @@
-"""Law T's equations: each against the derivative of what it is the derivative of."""
+"""The tracking law's equations: each against the derivative of what it is the derivative of."""
 
 import numpy as np
 import pytest

@@ -480,7 +480,7 @@ PARTS = ("tool", "origins", "camera")
         {"unknown": PARTS},
         {"law": "tracking", "unknown": PARTS, "command": "velocity"},
     ],
-    ids=["law T", "set-point law", "velocities"],
+    ids=["tracking law", "set-point law", "velocities"],
 )
 def test_kinematics_that_are_learnt_follow_a_circle(tmp_path, controller):
     """A tool and a tracker turned by 97° that nobody told of; and what was learnt is written."""

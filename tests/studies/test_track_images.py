@@ -28,7 +28,7 @@ def test_what_falls_short_is_said():
             Outcome(Case("room", 60.0, "target", LEARNT), reason="diverged"),
         ]
     )
-    assert found[0] == "room, 60°, circle, law T, learnt, 0: 1.5 px, 1 wanted"
-    assert found[1] == "room, 60°, target, law T, learnt, 0: diverged"
+    assert found[0] == "room, 60°, circle, tracking law, learnt, 0: 1.5 px, 1 wanted"
+    assert found[1] == "room, 60°, target, tracking law, learnt, 0: diverged"
     assert len(found) == 4
     assert len(study.cases([0])) > 25

@@ -403,7 +403,7 @@ class TrackingController(Immutable, Controller):
         """Return the law and what it learns in a line, its task, and where it is drawn to."""
         kinds = [spaced(type(part).__name__) for part in (self.kinematics, self.dynamics)]
         parts = " and ".join(kinds).replace("adaptive", "learnt").replace("model", "known")
-        first = f"tracking law T, alpha {self.alpha:.4g}, kappa {self.kappa:.4g}; {parts}"
+        first = f"tracking law, alpha {self.alpha:.4g}, kappa {self.kappa:.4g}; {parts}"
         drawn = self._rest.words()
         return [first, super().describe()[1], *([drawn] if drawn else [])]
 
