@@ -571,8 +571,10 @@ def test_a_flood_of_messages_does_not_hold_up_a_run(panda):
             time.sleep(1.0)
             assert len(running.live._server._commands) <= 32
             steps = running._loop.step
-            time.sleep(0.5)
-            assert running._loop.step > steps + 50  # of 500
+            latest = time.perf_counter() + 10.0  # on a busy machine; on a quiet one it is 0.05 s
+            while running._loop.step <= steps + 50 and time.perf_counter() < latest:
+                time.sleep(0.01)
+            assert running._loop.step > steps + 50
             began = time.perf_counter()
             pages.tell('{"speed": 2.0}', until="controls")
             assert time.perf_counter() - began < 3.0
