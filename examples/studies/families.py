@@ -6,7 +6,6 @@ targets of a box around it, of the boxes in which all targets that are looked at
 python examples/studies/families.py --out results/families
 """
 
-import copy
 import sys
 from typing import NamedTuple
 
@@ -82,17 +81,19 @@ class AtRest(MatrixForm):
 
     def unknowns(self, family):
         """Return those of a family, and K."""
-        found = copy.copy(super().unknowns(family))
+        found = super().unknowns(family)
         n, size = len(self.setting.B), 1.0 / np.trace(self.samples.M[0])
         none, zero = found.basis[0].plus(-1.0, found.basis[0]), np.zeros((n, n))
         units = [np.outer(a, b) + np.outer(b, a) for a in np.eye(n) for b in np.eye(n)]
         units = [units[i * n + j] for i in range(n) for j in range(i, n)]
-        found.fixed = Wider(found.fixed, zero)
-        found.basis = [Wider(each, zero) for each in found.basis]
-        found.basis += [Wider(none, size * unit) for unit in units]
-        found.start = np.append(found.start, np.zeros(len(units)))
-        found.least = np.append(found.least, np.full(len(units), found.least.min()))
-        return found
+        basis = [Wider(each, zero) for each in found.basis]
+        basis += [Wider(none, size * unit) for unit in units]
+        return found._replace(
+            fixed=Wider(found.fixed, zero),
+            basis=basis,
+            start=np.append(found.start, np.zeros(len(units))),
+            least=np.append(found.least, np.full(len(units), found.least.min())),
+        )
 
 
 class Outcome(NamedTuple):

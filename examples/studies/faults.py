@@ -221,7 +221,6 @@ class Raising(aj.controllers.ControllerWrapper):
     _memory = 0
 
     def __init__(self, controller, at):
-        self._remember(locals())
         self.controller, self.at = controller, at
 
     def initial_state(self, measurement):

@@ -38,7 +38,6 @@ class Stepped(aj.controllers.ControllerWrapper):
     _memory = 0
 
     def __init__(self, controller):
-        self._remember(locals())
         self.controller, self.took = controller, []
 
     def initial_state(self, measurement):

@@ -92,7 +92,6 @@ class WithoutTime(ControllerWrapper):
     """A controller that is not told when x was taken."""
 
     def __init__(self, controller):
-        self._remember(locals())
         self.controller, self._memory = controller, 0
 
     def initial_state(self, measurement):
