@@ -254,15 +254,23 @@ def judged(robot, run):
     return [error[np.searchsorted(run.t, t) :].max() for t in (2.0, 5.0)]
 
 
-def undelayed(lead, tries=5):
+def undelayed(lead, monkeypatch):
     """Lead a robot, and again where a busy machine delays commands: its reflex sees a jump."""
-    for last in range(tries):
+    in_time, send = [], FrankaDriver.send
+
+    def noted(driver, command):
+        in_time.append(driver._state.control_command_success_rate)  # of the last 100
+        send(driver, command)
+
+    monkeypatch.setattr(FrankaDriver, "send", noted)
+    for _ in range(5):
         with SimulatedFranka() as robot:
             try:
                 return judged(robot, lead(robot))
             except ControlError as error:
-                if last == tries - 1 or "acceleration_discontinuity" not in str(error):
+                if "acceleration_discontinuity" not in str(error) or min(in_time[-50:]) > 0.9:
                     raise
+    pytest.skip(f"the machine is too busy: {min(in_time[-50:]):.0%} of the commands came in time")
 
 
 @pytest.mark.wire
@@ -299,8 +307,8 @@ def test_it_arrives_by_velocities(robot):
 
 @pytest.mark.wire
 @needs_robot
-def test_it_follows_a_circle_by_velocities_and_a_camera():
-    learning, learnt = undelayed(over_the_wire.circle_by_velocities)
+def test_it_follows_a_circle_by_velocities_and_a_camera(monkeypatch):
+    learning, learnt = undelayed(over_the_wire.circle_by_velocities, monkeypatch)
     assert learning < 4e-3
     assert learnt < 2e-3  # as by torques; the camera alone has 1 mm of noise
 
