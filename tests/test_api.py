@@ -118,7 +118,7 @@ PROGRAM = """
     report = aj.Study(controller, arm).report()
     reveal_type(run)
     reveal_type(report)
-    reveal_type(aj.stability.Tube(arm, run.q))
+    reveal_type(aj.JointBox(arm))
     reveal_type(aj.view.plot_run)
     reveal_type(aj.Study.rollouts)
     aj.Gains(kp="400", kv=80.0)
@@ -143,7 +143,7 @@ def test_type_checkers_know_the_names(tmp_path):
     types = re.findall(r'Revealed type is "([^"]*)"', process.stdout)
     assert types[0] == "approxjac.simulation.trajectory.Trajectory"
     assert types[1].startswith("approxjac.stability.report.report.StabilityReport")
-    assert types[2] == "approxjac.stability.errors.region.Tube"
+    assert types[2] == "approxjac.stability.errors.region.JointBox"
     assert types[3].startswith("def (run: approxjac.simulation.trajectory.Trajectory)")
     assert types[4].startswith("def (self: approxjac.stability.studied_loop.StudiedLoop, n:")
     errors = re.findall(r"error: (.*)", process.stdout)

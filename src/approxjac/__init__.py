@@ -4,7 +4,7 @@ The plant owns the true robot, the controller the believed one; only measurement
 pass between them. Import as `import approxjac as aj`.
 
 What one builds and calls is here by name. What functions return, and what is built rarely, is in
-the module that makes it: `aj.stability.Tube`, `aj.cameras.Camera`, `aj.view.plot_run`.
+the module that makes it: `aj.stability.RegularPart`, `aj.cameras.Camera`, `aj.view.plot_run`.
 """
 
 import importlib

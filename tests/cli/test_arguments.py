@@ -76,7 +76,6 @@ simulate late.toml --sensor.delay 30 | --sensor.delay | got 30 | shorter than th
 stability panda --object-length 0.3 | --object-length must be 2 numbers | got 0.3
 stability panda --object-length 0.3 0.1 | --object-length | 0.3 | 0.1 | (smallest, largest) [m]
 stability panda --object-length 0 0.1 --around 0 0 | --around | 2 | 7 | [rad or m]
-stability panda --object-length 0 0.1 --reach-from 0 0 0 0 0 0 0 | --reach-from | needs --target
 stability panda --object-length 0 0.1 --map error qq | --map | 'qq' | error, kv, object_length
 stability panda --learn-kinematics | --learn-kinematics | left out of a report | tool origins camera
 stability panda --roll 0 1 | --roll | got 0 1 with position | task.kind image

@@ -8,7 +8,6 @@ from approxjac.controllers import Posture
 from approxjac.realtime import SimulatedDriver
 from approxjac.realtime.driver import read
 from approxjac.robots import Dynamics, GravityRegressor, excitation
-from approxjac.stability import SublevelSet, Tube
 
 ARM = aj.load_robot("kinova")  # six joints, of which three are continuous: nq is 9
 ANGLES = np.array([0.3, 2.9, 1.3, 4.2, 1.4, 0.3])
@@ -42,11 +41,6 @@ def driven(q):
     return read(driver, TASK)
 
 
-def tube(q):
-    region = Tube(ARM, [q], 0.1)
-    return np.array([*region.configurations[0], region.contains(q)])
-
-
 def box(q):
     region = aj.JointBox.around(ARM, q, 0.1)
     return np.array([*region.center, region.contains(q), not region.contains(q + 0.0)])
@@ -74,9 +68,7 @@ TAKEN = {
     "driver": driven,
     "posture": posture,
     "box": box,
-    "tube": tube,
     "local": lambda q: aj.local_stability(PLANT, LAW, q).eigenvalues,
-    "region": lambda q: SublevelSet(PLANT, LAW, TARGET, q).start,
     "tracking": lambda q: aj.TrackingController(aj.PositionTask(ARM, axes="xz"), posture=q)._rest.q,
 }
 

@@ -12,20 +12,15 @@ Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.0])
 
 def regions(panda):
     task = aj.PositionTask(panda)
-    plant = aj.Plant(panda.with_object(0.2), aj.PositionTask(panda.with_object(0.2)))
-    controller = aj.SetpointController(aj.PositionTask(panda.with_object(0.0)))
     box = aj.JointBox.around(panda, Q, 0.3)
-    target = plant.sensor.value(Q) + [0.05, 0.0, 0.05]
     return {
         "limits": aj.JointBox(panda),
         "box": box,
-        "tube": aj.stability.Tube(panda, np.linspace(Q, Q + 0.5, 20), 0.1),
         "regular": aj.stability.RegularPart(aj.JointBox(panda), task, 0.2),
-        "sublevel": aj.stability.SublevelSet(plant, controller, target, Q),
     }
 
 
-@pytest.mark.parametrize("name", ["limits", "box", "tube", "regular", "sublevel"])
+@pytest.mark.parametrize("name", ["limits", "box", "regular"])
 def test_what_is_drawn_is_contained_and_so_is_what_is_near(panda, name):
     region = regions(panda)[name]
     drawn = region.sample(60, np.random.default_rng(1))
@@ -66,31 +61,6 @@ def test_continuous_joints_are_counted_from_the_centre():
     assert all(box.contains(each) for each in drawn)
 
 
-def test_sublevel_set_is_where_v_lets_the_arm_go(two_link):
-    """All its postures have V ≤ V(start), and motions that start there stay in it."""
-    plant = aj.Plant(two_link, aj.PositionTask(two_link, axes="xz"))
-    controller = aj.SetpointController(
-        aj.PositionTask(two_link, axes="xz"),
-        aj.Gains(100.0, 60.0),
-        gravity=aj.controllers.ModelGravity(two_link),
-    )
-    start, target_posture = np.array([0.65, 1.15]), np.array([0.8, 1.0])
-    target = plant.sensor.value(target_posture)
-    region = aj.stability.SublevelSet(plant, controller, target, start)
-    assert region.contains(start)
-    assert region.contains(target_posture)
-    level = 100.0 * 0.5 * np.sum((plant.sensor.value(start) - target) ** 2)
-    assert_allclose(region.level, level)
-    drawn = region.sample(100, np.random.default_rng(0))
-    values = [50.0 * np.sum((plant.sensor.value(q) - target) ** 2) for q in drawn]
-    assert max(values) <= level
-    assert max(values) > 0.8 * level  # it is filled up to its rim
-    # the other elbow posture of the target belongs to another part, which is not connected
-    assert np.sin(drawn[:, 1]).min() > 0.0
-    run = aj.simulate(plant, controller, target, start, 5.0, dt=4e-3, record_every=0.04)
-    assert all(region.contains(q) for q in run.q)
-
-
 def test_empty_regions_are_refused(panda):
     task = aj.PositionTask(panda)
     with pytest.raises(
@@ -101,18 +71,6 @@ def test_empty_regions_are_refused(panda):
         aj.InvalidInputError, match=r"the region is empty: 0 of .* drawn of all .* have it, got 9"
     ):
         aj.stability.RegularPart(aj.JointBox(panda), task, 9.0).sample(5, np.random.default_rng(0))
-    with pytest.raises(aj.InvalidInputError, match="radius must be > 0 in every joint, or the reg"):
-        aj.stability.Tube(panda, np.array([Q]), 0.0)
-    with pytest.raises(
-        aj.InvalidInputError, match=r"configurations must be of shape \(N, 7\) with N > 0"
-    ):
-        aj.stability.Tube(panda, np.zeros((0, 7)))
-    plant = aj.Plant(panda, task)
-    controller = aj.SetpointController(task)
-    with pytest.raises(
-        aj.InvalidInputError, match=r"q0 must be in JointBox.*or the region is empty"
-    ):
-        aj.stability.SublevelSet(plant, controller, task.value(Q), Q + 3.0)
 
 
 def test_bounds_come_together(panda):

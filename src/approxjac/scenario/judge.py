@@ -33,7 +33,7 @@ from approxjac.scenario.records import Analysis
 from approxjac.scenario.refusals import refuse, require_reportable
 from approxjac.scenario.scenario import Scenario
 from approxjac.scenario.starts import configuration_of
-from approxjac.simulation import Plant, Trajectory
+from approxjac.simulation import Plant
 from approxjac.stability import Region, StabilityReport, Study, Uncertainty
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.search.map import PARAMETERS, PLACES, are_drawn, labels, own_values
@@ -87,7 +87,7 @@ def prepare(scenario: Scenario) -> Study:
         # a report looks at efforts alone
         law if limits is None else TorqueLimited(law, Limits(effort=limits.effort)),
         truth,
-        _region(law, truth, analysis),
+        _region(law, analysis),
         target=analysis.target,
         latency=timing,
         sensing=sensing_of(scenario.sensor),
@@ -170,32 +170,13 @@ def _image_task(like: ImageTask, C: Array | None, robot: Robot, camera: Camera) 
     return task if C is None else CombinedTask(task, C)
 
 
-def _region(
-    controller: SetpointController, truth: Uncertainty | Plant, analysis: Analysis
-) -> Region | None:
+def _region(controller: SetpointController, analysis: Analysis) -> Region | None:
     """Return where to look, or None for the usual region."""
-    names = ("around", "run", "reach_from")
-    given = [name for name in names if getattr(analysis, name) is not None]
-    if len(given) > 1:
-        raise InvalidInputError(f"one region must be given, got {' and '.join(given)}", given=given)
     belief, least = controller.task.robot, analysis.sigma_min
     region: Region | None = None if least is None else stability.JointBox(belief)
-
-    def at(name: str) -> Array:
-        joints = getattr(analysis, name)
-        return configuration_of(belief, f"stability.{name}", joints, within_limits=False)
-
     if analysis.around is not None:
-        region = stability.JointBox.around(belief, at("around"), analysis.radius)
-    elif analysis.run is not None:
-        region = stability.Tube(belief, Trajectory.load(analysis.run).q, analysis.radius)
-    elif analysis.reach_from is not None:
-        if analysis.target is None:
-            raise InvalidInputError(
-                "stability.reach_from needs stability.target, got none", given=None
-            )
-        nominal = truth.plant(truth.believed) if isinstance(truth, Uncertainty) else truth
-        region = stability.SublevelSet(nominal, controller, analysis.target, at("reach_from"))
+        q = configuration_of(belief, "stability.around", analysis.around, within_limits=False)
+        region = stability.JointBox.around(belief, q, analysis.radius)
     if region is None or least is None:
         return region
     return stability.RegularPart(region, controller.task, least)

@@ -368,9 +368,7 @@ class Analysis:
         distance: Smallest and largest true distance of a planar camera, or error of it, m.
         roll: Smallest and largest true roll of the camera, of a pinhole one its error, rad.
         around: Joint positions, one a joint, rad or m: the region is within the radius of them.
-        radius: Of the region: of each joint, around such positions or a run's, rad or m.
-        run: File run.npz of approxjac simulate: the region is near its configurations.
-        reach_from: Joint positions of a start: look where V lets the arm get to the target.
+        radius: Of the region: of each joint, around such positions, rad or m.
         sigma_min: Leave out configurations where σ_min of the believed Jacobian is smaller, m/rad.
         target: The one target; by default all targets within the region.
         configurations: How many configurations are drawn.
@@ -390,8 +388,6 @@ class Analysis:
     roll: Interval | None = None
     around: Numbers | None = None
     radius: float = above(0.3)
-    run: str | None = None
-    reach_from: Numbers | None = None
     sigma_min: float | None = at_least(None)
     target: Numbers | None = None
     configurations: int = at_least(2000, 20)

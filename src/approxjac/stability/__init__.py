@@ -1,7 +1,7 @@
 """Stability before you run: the paper's conditions for any arm, and sharper tests."""
 
 from approxjac.stability.certificates.lyapunov import LyapunovValue, lyapunov
-from approxjac.stability.errors.region import JointBox, Region, RegularPart, SublevelSet, Tube
+from approxjac.stability.errors.region import JointBox, Region, RegularPart
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.local import LocalStability, local_stability
 from approxjac.stability.report.other_laws import NearTargets, OtherLawReport
@@ -28,10 +28,8 @@ __all__ = [
     "StabilityMap",
     "StabilityReport",
     "Study",
-    "SublevelSet",
     "Suggestion",
     "Tolerance",
-    "Tube",
     "Uncertainty",
     "local_stability",
     "lyapunov",

@@ -51,7 +51,6 @@ class MatrixTest:
         margins: Its margin in each sample that it was chosen on, shape (N,).
         checked: Number of further samples, drawn independently, that it was checked in.
         violations: Number of these in which its margin is not positive.
-        independent: Whether configurations were drawn independently of each other.
     """
 
     family: Family
@@ -59,7 +58,6 @@ class MatrixTest:
     margins: Array
     checked: int
     violations: int
-    independent: bool
 
     def __repr__(self) -> str:
         verdict = "certified" if self.certified else "not certified"
@@ -89,11 +87,8 @@ class MatrixTest:
     def violating_at_most(self) -> float:
         """Share of the combinations drawn (configuration, target, true robot) that may violate.
 
-        An exact upper bound, at 95 % confidence for all families together; NaN where
-        configurations are not drawn independently.
+        An exact upper bound, at 95 % confidence for all families together.
         """
-        if not self.independent:
-            return math.nan
         # of a two-sided interval the upper end is missed half as often
         return clopper_pearson(self.violations, self.checked, 1.0 - 2.0 * _MISSED)[1]
 
@@ -269,8 +264,8 @@ def sampled_test(
             margins = form.take(slice(n, None)).margins(best.weights)
             violations = int((margins <= 0.0).sum())
         return SampledTest(
-            family, best.weights, best.margins, checked, violations, loop.region.independent,
-            latency, max(0.0, form.level(best.weights)), form,
+            family, best.weights, best.margins, checked, violations, latency,
+            max(0.0, form.level(best.weights)), form,
         )  # fmt: skip
 
     whole = SampledForm(form, loop.plants[0].friction, Hold.of(latency), fastest, most_s)

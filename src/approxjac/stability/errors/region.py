@@ -14,15 +14,11 @@ from approxjac.controllers import Controller, SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import numbers, short
 from approxjac.robots import Robot
-from approxjac.simulation import Plant
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import sees
 from approxjac.validation import Array, as_entries, as_number, require
 
 _TRIES = 1000
-_THINNING = 25
-_BURN_IN = 100  # steps until a walk has left its start
-_BETWEEN = 4  # configurations along a step that have to be in the set
 
 
 class Region(ABC):
@@ -31,12 +27,10 @@ class Region(ABC):
     Attributes:
         robot: A robot with the joints of the configurations.
         spread: Typical width along each joint, shape (n_v,) [rad or m].
-        independent: Whether configurations are drawn independently of each other, uniformly.
     """
 
     robot: Robot
     spread: Array
-    independent: bool = True
 
     @abstractmethod
     def sample(self, n: int, rng: np.random.Generator) -> Array:
@@ -153,134 +147,6 @@ class JointBox(Region):
         return f"JointBox({bounds}{center})"
 
 
-class Tube(Region):
-    """Configurations near those of a recorded trajectory.
-
-    Args:
-        robot: True or believed.
-        configurations: Recorded ones, shape (N, nq), such as `Trajectory.q`.
-        radius: How far each joint may be from one of them > 0, a number or shape (n_v,).
-
-    Raises:
-        InvalidInputError: Wrong shapes, no configuration, or a radius that is not positive.
-    """
-
-    def __init__(
-        self, robot: Robot, configurations: Array, radius: float | Sequence[float] | Array = 0.05
-    ) -> None:
-        require("robot", robot, Robot, "a Robot")
-        self.robot = robot
-        if np.ndim(configurations) != 2 or len(configurations) == 0:
-            raise InvalidInputError(
-                f"configurations must be of shape (N, {robot.nq}) with N > 0, got shape "
-                f"{np.shape(configurations)}",
-                given=configurations,
-            )
-        self.configurations = np.array(
-            [robot.configuration(q, "each configuration") for q in configurations]
-        )
-        self.spread = as_entries("radius", radius, robot.nv)
-        if not (self.spread > 0.0).all():
-            raise InvalidInputError(
-                f"radius must be > 0 in every joint, or the region is empty, got {radius!r}",
-                given=radius,
-            )
-
-    def sample(self, n: int, rng: np.random.Generator) -> Array:
-        known = self.configurations[rng.integers(len(self.configurations), size=n)]
-        motions = rng.uniform(-self.spread, self.spread, (n, self.robot.nv))
-        return np.array(list(map(self._moved, known, motions)))
-
-    def contains(self, q: Array) -> bool:
-        return any(
-            bool((np.abs(self._away(known, q)) <= self.spread).all())
-            for known in self.configurations
-        )
-
-    def __str__(self) -> str:
-        within = f"within {numbers(self.spread)} of one of {len(self.configurations)} known ones"
-        return f"configurations whose joints are {within}"
-
-    def __repr__(self) -> str:
-        return f"Tube({self.robot.name!r}, {len(self.configurations)} configurations)"
-
-
-class SublevelSet(Region):
-    """Configurations that the potential lets the arm reach from a start.
-
-    {q : V(q, 0) ≤ V(q₀, 0)} within the joint limits, with V of eq. (12) for α → 0, which is its
-    potential Σ k_p S(e). It is the part connected with the start, drawn from by a random walk, so
-    that its configurations are not independent. A motion of this plant that starts at rest in q₀
-    and along which this V falls stays in it, as long as a camera sees it; another true robot may
-    leave it.
-
-    Args:
-        plant: The true robot.
-        controller: The controller, for its gains and Ĵ.
-        target: x_d, shape (n_x,).
-        q0: Start, shape (nq,).
-
-    Raises:
-        InvalidInputError: A start outside the limits or not seen by the sensor, or wrong shapes.
-    """
-
-    independent = False
-
-    def __init__(
-        self,
-        plant: Plant,
-        controller: SetpointController,
-        target: Sequence[float] | Array,
-        q0: Sequence[float] | Array,
-    ) -> None:
-        require("plant", plant, Plant, "a Plant")
-        require_setpoint(controller)
-        plant.require_task(controller.task)
-        self.robot = plant.robot
-        self.within = JointBox(plant.robot)
-        self._plant, self._controller = plant, controller
-        self._target = plant.sensor.target(target)
-        self.start = plant.robot.configuration(q0, "q0")
-        if not self.within.contains(self.start):
-            raise InvalidInputError(
-                f"q0 must be in {self.within!r}, or the region is empty, got {self.start.tolist()}",
-                given=q0,
-            )
-        require_seen("q0", self.start, plant.sensor)
-        self.level = self._potential(self.start)
-        self.spread = self.within.spread
-
-    def sample(self, n: int, rng: np.random.Generator) -> Array:
-        walk = [self.start]
-        for _ in range(_BURN_IN + n * _THINNING):
-            walk.append(self._step(walk[-1], rng))
-        return np.array(walk[_BURN_IN + _THINNING :: _THINNING])
-
-    def contains(self, q: Array) -> bool:
-        seen = self.within.contains(q) and sees(self._plant.sensor, q)
-        return seen and self._potential(q) <= self.level
-
-    def _step(self, q: Array, rng: np.random.Generator) -> Array:
-        size = 10.0 ** rng.uniform(-2.5, -0.5)  # a symmetric step: the walk is uniform
-        motion = size * self.spread * rng.standard_normal(self.robot.nv)
-        for share in np.linspace(0.0, 1.0, _BETWEEN + 1)[1:]:  # no jumps to another part
-            moved = self._moved(q, share * motion)
-            if not self.contains(moved):
-                return q
-        return moved
-
-    def _potential(self, q: Array) -> float:
-        """V(q, 0)."""
-        e = self._plant.sensor.error(self._plant.sensor.value(q), self._target)
-        return float(self._controller.diagonals.kp @ self._controller.saturation.S(e))
-
-    def __str__(self) -> str:
-        return f"what V lets the arm get to from {numbers(self.start)} (V <= {self.level:.4g} J)"
-
-    def __repr__(self) -> str:
-        return f"SublevelSet({self.robot.name!r}, V <= {self.level:.4g} J)"
-
-
 class RegularPart(Region):
     """The configurations of a region where the believed task is not near singular.
 
@@ -297,7 +163,6 @@ class RegularPart(Region):
         require("region", region, Region, "a Region, such as JointBox(robot)")
         require("task", task, Task, "a task of the believed robot, such as PositionTask(robot)")
         self.robot, self.spread = region.robot, region.spread
-        self.independent = region.independent
         self.region, self.task = region, task
         self.sigma_min = as_number("sigma_min", sigma_min, minimum=0.0)
 

@@ -288,9 +288,8 @@ def report_of(
     for family, each in bests.items():
         last = on_more(form, family, each)  # a later family may have bests worse ones
         matrix[family] = MatrixTest(
-            family, last.weights, last.margins, len(fresh), check.violations(last.weights),
-            loop.region.independent,
-        )  # fmt: skip
+            family, last.weights, last.margins, len(fresh), check.violations(last.weights)
+        )
     sampled = None
     if loop.controller.adaptation is None:
         tell("sampled form", 0.0)
@@ -629,7 +628,7 @@ def _margin(test: MatrixTest) -> str:
     if test.margin <= 0.0:
         return f"{text}; positive in {100.0 * test.share:.3g} % of the configurations"
     text += f"; {test.violations} of {test.checked} further configurations violate it"
-    if test.certified and math.isfinite(most):
+    if test.certified:
         text += f", so at most {100.0 * most:.2g} % of all do (95 % confidence)"
     return text
 
