@@ -1,7 +1,8 @@
 """Lead a Franka FR3 through its makers' client: a simulated one, over the protocol of the real one.
 
 The tip of a 20 cm tool, of which neither the controller nor the robot knows, goes to a target 12 cm
-away, and along a circle. Needs `pip install 'approxjac[franka]'` and what `make_environment` makes.
+away, and along a circle. Needs `pip install 'approxjac[fast,franka]'` and what `make_environment`
+makes.
 
     python examples/franka/over_the_wire.py --runs 20
 """
@@ -14,6 +15,7 @@ import numpy as np
 from simulated_franka import Camera, SimulatedFranka, missing
 
 import approxjac as aj
+from approxjac.codegen import compiled
 from approxjac.controllers import AdaptiveDynamics, AdaptiveKinematics, Latency
 from approxjac.realtime import FrankaDriver, Scheduling, Tolerances
 
@@ -27,6 +29,11 @@ STIFF = 0.4  # s, for stiffer gains than by default: friction hides less of the 
 ROTORS = 0.1  # inertia of the drives as the joints feel them [kg m²]
 
 
+def lead(driver, controller, target):
+    """Control a robot by machine code, which leaves time for the rest of a period."""
+    return aj.control(driver, compiled(controller), target, DURATION, **ALONE)
+
+
 def reach(robot, seed=0):
     """Bring the tip of a tool that nobody knows to a point."""
     driver = FrankaDriver(robot.address, Camera(robot.truth), realtime=False)
@@ -34,7 +41,7 @@ def reach(robot, seed=0):
     rest = aj.AdaptiveGravity(belief, theta0=0.0)  # of gravity, which the robot adds
     law = aj.SetpointController(aj.PositionTask(belief), gravity=rest, settling_time=STIFF)
     controller = aj.TorqueLimited(law, driver.limits)
-    return aj.control(driver, controller, away(driver.read().x, seed), DURATION, **ALONE)
+    return lead(driver, controller, away(driver.read().x, seed))
 
 
 def reach_by_camera(robot, seed=0):
@@ -45,9 +52,7 @@ def reach_by_camera(robot, seed=0):
     lags = Latency(torque_delay=1e-3, image_period=1.0 / LATE["rate"], image_age=LATE["late"])
     law = aj.SetpointController(aj.PositionTask(belief), gravity=rest, latency=lags)
     controller = aj.TorqueLimited(law, driver.limits)
-    return aj.control(
-        driver, controller, away(tip(robot, driver.read().q), seed), DURATION, **ALONE
-    )
+    return lead(driver, controller, away(tip(robot, driver.read().q), seed))
 
 
 def circle(robot, seed=0):
@@ -60,7 +65,7 @@ def circle(robot, seed=0):
     dynamics = AdaptiveDynamics(task.robot, rotor_inertia=ROTORS)
     law = aj.TrackingController(task, kinematics=kinematics, dynamics=dynamics)
     controller = aj.TorqueLimited(law, driver.limits)
-    return aj.control(driver, controller, around(driver.read().x, seed), DURATION, **ALONE)
+    return lead(driver, controller, around(driver.read().x, seed))
 
 
 def circle_by_velocities(robot, seed=0):
@@ -70,9 +75,7 @@ def circle_by_velocities(robot, seed=0):
     task = aj.PositionTask(robot.arm.with_object(0.0))
     kinematics = AdaptiveKinematics(task, unknown=("tool", "origins"), noise=LATE["noise"])
     controller = aj.TrackingController(task, kinematics=kinematics, command="velocity")
-    return aj.control(
-        driver, controller, around(tip(robot, driver.read().q), seed), DURATION, **ALONE
-    )
+    return lead(driver, controller, around(tip(robot, driver.read().q), seed))
 
 
 def reach_by_velocities(robot, seed=0):
@@ -81,7 +84,7 @@ def reach_by_velocities(robot, seed=0):
     task = aj.PositionTask(robot.arm.with_object(0.0))
     kinematics = AdaptiveKinematics(task, unknown=("tool", "origins"), noise=1e-4)
     controller = aj.TrackingController(task, kinematics=kinematics, command="velocity")
-    return aj.control(driver, controller, away(driver.read().x, seed), DURATION, **ALONE)
+    return lead(driver, controller, away(driver.read().x, seed))
 
 
 KINDS = reach, reach_by_camera, circle, reach_by_velocities, circle_by_velocities

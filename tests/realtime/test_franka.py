@@ -17,6 +17,7 @@ from over_the_wire import errors
 from simulated_franka import Camera, SimulatedFranka, missing
 
 import approxjac as aj
+from approxjac.codegen import compiled
 from approxjac.errors import ControlError, DriverError, InvalidInputError, MissingPackageError
 from approxjac.realtime import FrankaDriver
 
@@ -246,7 +247,7 @@ def hold(robot, driver):
         driver.send(weight[1] - weight[0])
 
 
-def judged(robot, run):
+def errors_of(robot, run):
     """The largest errors of the true tip after 2 s and after 5 s."""
     assert run.fault is None
     assert run.ended.startswith("its time was over")
@@ -254,74 +255,87 @@ def judged(robot, run):
     return [error[np.searchsorted(run.t, t) :].max() for t in (2.0, 5.0)]
 
 
-def undelayed(lead, monkeypatch):
-    """Lead a robot, and again where a busy machine delays commands: its reflex sees a jump."""
-    in_time, send = [], FrankaDriver.send
+@pytest.fixture
+def undelayed(monkeypatch):
+    """Lead a robot, again where a busy machine held this process up until the robot gave up.
+
+    Its reflexes to commands that come late are not ours to judge. Ours are those where it counts
+    the commands as in time, or where this thread itself worked until they were late.
+    """
+    in_time, work, send = [], [0.0], FrankaDriver.send
 
     def noted(driver, command):
         in_time.append(driver._state.control_command_success_rate)  # of the last 100
+        work.append(time.thread_time())
         send(driver, command)
 
+    def by_the_machine(error):
+        late = "communication_constraints" in str(error) or min(in_time[-50:]) < 0.9
+        return late and np.diff(work[-50:]).max() < 5e-3  # it bears 20 ms of silence
+
+    def led(lead):
+        for _ in range(5):
+            with SimulatedFranka() as robot:
+                try:
+                    return robot, lead(robot)
+                except ControlError as error:
+                    if "reflex" not in str(error) or not by_the_machine(error):
+                        raise
+        pytest.skip(f"a busy machine: {min(in_time[-50:]):.0%} of the commands came in time")
+
     monkeypatch.setattr(FrankaDriver, "send", noted)
-    for _ in range(5):
-        with SimulatedFranka() as robot:
-            try:
-                return judged(robot, lead(robot))
-            except ControlError as error:
-                if "acceleration_discontinuity" not in str(error) or min(in_time[-50:]) > 0.9:
-                    raise
-    pytest.skip(f"the machine is too busy: {min(in_time[-50:]):.0%} of the commands came in time")
+    return led
 
 
 @pytest.mark.wire
 @needs_robot
-def test_the_tip_of_an_unknown_tool_arrives_in_spite_of_friction(robot):
-    run = over_the_wire.reach(robot)
-    soon, late = judged(robot, run)
+def test_the_tip_of_an_unknown_tool_arrives_in_spite_of_friction(undelayed):
+    robot, run = undelayed(over_the_wire.reach)
+    soon, late = errors_of(robot, run)
     assert soon < 1e-3
     assert late < 1e-4
     # the arm moves as its time stamps say
-    moved, told = np.diff(run.q, axis=0), run.v[1:] * np.diff(run.t)[:, None]
-    assert np.abs(moved).sum() == pytest.approx(np.abs(told).sum(), rel=2e-3)
+    moved, by_speed = np.diff(run.q, axis=0), run.v[1:] * np.diff(run.t)[:, None]
+    assert np.abs(moved).sum() == pytest.approx(np.abs(by_speed).sum(), rel=2e-3)
 
 
 @pytest.mark.wire
 @needs_robot
-def test_it_arrives_by_a_camera(robot):
-    assert judged(robot, over_the_wire.reach_by_camera(robot))[0] < 1.5e-3
+def test_it_arrives_by_a_camera(undelayed):
+    assert errors_of(*undelayed(over_the_wire.reach_by_camera))[0] < 1.5e-3
 
 
 @pytest.mark.wire
 @needs_robot
-def test_it_follows_a_circle_by_torques(robot):
-    assert judged(robot, over_the_wire.circle(robot))[1] < 2e-3  # 0.9 to 1.5 mm were measured
+def test_it_follows_a_circle_by_torques(undelayed):
+    later = errors_of(*undelayed(over_the_wire.circle))[1]
+    assert later < 2e-3  # 0.9 to 1.5 mm were measured
 
 
 @pytest.mark.wire
 @needs_robot
-def test_it_arrives_by_velocities(robot):
-    soon, late = judged(robot, over_the_wire.reach_by_velocities(robot))
+def test_it_arrives_by_velocities(undelayed):
+    soon, late = errors_of(*undelayed(over_the_wire.reach_by_velocities))
     assert soon < 1e-3
     assert late < 1e-4
 
 
 @pytest.mark.wire
 @needs_robot
-def test_it_follows_a_circle_by_velocities_and_a_camera(monkeypatch):
-    learning, learnt = undelayed(over_the_wire.circle_by_velocities, monkeypatch)
+def test_it_follows_a_circle_by_velocities_and_a_camera(undelayed):
+    learning, learnt = errors_of(*undelayed(over_the_wire.circle_by_velocities))
     assert learning < 4e-3
     assert learnt < 2e-3  # as by torques; the camera alone has 1 mm of noise
 
 
-@pytest.mark.wire
-@needs_robot
-def test_it_goes_on_after_a_reflex_when_told_to(robot):
+def led_after_a_reflex(robot):
+    """Be silent until the robot gives up, recover it and lead it on."""
     driver = FrankaDriver(robot.address, Camera(robot.truth), realtime=False)
     belief = robot.arm.with_object(0.0)
     law = aj.SetpointController(
         aj.PositionTask(belief), gravity=aj.AdaptiveGravity(belief, theta0=0.0)
     )
-    controller = aj.TorqueLimited(law, driver.limits)
+    controller = compiled(aj.TorqueLimited(law, driver.limits))
     driver.read()
     driver.send(STILL)
     time.sleep(0.1)  # so much silence the robot does not bear
@@ -331,13 +345,15 @@ def test_it_goes_on_after_a_reflex_when_told_to(robot):
     with pytest.raises(DriverError, match=r"recover\(\)"):
         driver.send(STILL)
     driver.recover()
-    run = aj.control(
-        driver,
-        controller,
-        over_the_wire.away(driver.read().x),
-        3.0,
-        tolerances=aj.realtime.Tolerances(max_period=0.5),
-    )
+    target = over_the_wire.away(driver.read().x)
+    tolerances = aj.realtime.Tolerances(max_period=0.5)
+    return aj.control(driver, controller, target, 3.0, tolerances=tolerances)
+
+
+@pytest.mark.wire
+@needs_robot
+def test_it_goes_on_after_a_reflex_when_told_to(undelayed):
+    _, run = undelayed(led_after_a_reflex)
     assert run.fault is None
     assert run.error_norm[-1] < 1e-3
 
