@@ -34,8 +34,8 @@ def test_over_parameters_each_point_is_what_rollouts_say(plane):
     law, errors, region = plane
     own = study(*plane, **SHORT)
     drawn = own.map({"a": (1.0, 4.0, 8.0), "error": (0.0, 1.0)}, 6)
-    assert drawn.share.shape == drawn.runs.shape == (2, 3)
-    assert (drawn.runs == 6).all()
+    assert drawn.share.shape == (2, 3)
+    assert [each.n for each in drawn.points.values()] == 6 * [6]
     _, kv, damping = law.diagonals
     other = law.with_gains(aj.Gains(4.0 * kv, kv, damping))
     runs = study(other, errors, region, **SHORT).rollouts(6)
@@ -44,8 +44,8 @@ def test_over_parameters_each_point_is_what_rollouts_say(plane):
     assert drawn.points[4.0, 1.0].setting.engine == "lanes"
     for name, column in runs.columns.items():
         assert_allclose(drawn.points[4.0, 1.0].columns[name], column, rtol=1e-9, atol=1e-12)
-    assert "3 by 2 points, 36 runs" in repr(drawn)
-    assert "3 by 2, 36 runs in all" in str(drawn)
+    assert "6 points" in repr(drawn)
+    assert "the least and most of 6 points" in str(drawn)
     swapped = own.map({"error": (0.0, 1.0), "a": (1.0, 4.0, 8.0)}, 6)
     assert_array_equal(swapped.share, drawn.share.T)
 
@@ -53,41 +53,13 @@ def test_over_parameters_each_point_is_what_rollouts_say(plane):
 def test_over_one_parameter_it_has_a_line_for_each_value(plane):
     """Points begin alike: they differ by what was changed, and not by what was drawn."""
     drawn = study(*plane, **SHORT).map({"error": SCALES}, 8)
-    assert drawn.share.shape == drawn.runs.shape == (2,)
+    assert drawn.share.shape == (2,)
     one, other = (drawn.points[scale,].columns for scale in SCALES)
     for name in ("q0", "index"):
         assert_array_equal(one[name], other[name])
     assert_allclose(2.0 * one["values"], other["values"], rtol=1e-12)
-    (line,) = (line for line in str(drawn).splitlines() if "at 0.5" in line)
-    assert f" of {drawn.runs[0]}, with 95 % confidence " in line
-
-
-def test_over_errors_and_places_each_run_counts_where_it_was_drawn(plane):
-    law = plane[0]
-    turn, seen = "joint1 rotation y", []
-    y = np.linspace(-2.0, 2.0, 5)
-    own = study(*plane, **SHORT)
-    drawn = own.map(
-        {"object_length": (0.1, 0.3), turn: y}, 6, progress=lambda what, share: seen.append(share)
-    )
-    many = own.rollouts(60)
-    assert 40 < drawn.runs.sum() <= 60  # none beyond half a step from the ends
-    length, angle = many.columns["values"].T
-    here = (length < 0.2) & (np.abs(angle - 1.0) < 0.5)
-    assert drawn.runs[3, 0] == here.sum() > 0
-    assert drawn.share[3, 0] == many.columns["converged"][here].mean()
-    assert drawn.share[2].mean() > drawn.share[0].mean() == 0.0  # beyond a right angle
-    assert seen == sorted(seen)
-    assert seen[-1] == 1.0
-
-    tips = np.array([law.task.value(q) for q in many.columns["q0"]])
-    places = own.map({"x": (0.5, 1.5), "z": (-4.0, 0.5, 1.5)}, 10)
-    here = (np.abs(tips[:, 0] - 1.5) < 0.5) & (np.abs(tips[:, 1]) < 1.0)
-    assert places.runs[1, 1] == here.sum() > 0
-    assert places.share[1, 1] == many.columns["converged"][here].mean()
-    assert places.runs[0].sum() == 0
-    assert np.isnan(places.share[0]).all()
-    assert_array_equal(places.intervals[0], [[0.0, 1.0]] * 2)
+    (line,) = (line for line in str(drawn).splitlines() if "error 0.5" in line)
+    assert " of 8, with 95 % confidence " in line
 
 
 @pytest.mark.parametrize(
@@ -98,8 +70,7 @@ def test_over_errors_and_places_each_run_counts_where_it_was_drawn(plane):
         ({"error": (-1.0, 1.0)}, "values of error must be at least two growing numbers >= 0"),
         ({"error": (1.0, 1.0)}, "values of error must be at least two growing numbers"),
         ({"error": (1.0,)}, "values of error must be at least two growing numbers"),
-        ({"object_length": (0.1, 1.0), "a": (0.1, 1.0)}, "names must all be of what is drawn"),
-        ({"object_length": (0.1, 1.0), "roll": (0.1, 1.0)}, "parameter 'roll' not in the map"),
+        ({"object_length": (0.1, 1.0)}, "parameter 'object_length' not in the map"),
         ({}, "over must have one or two parameters"),
         (("a", "kv"), "over must be a dict of one or two parameters"),
     ],
@@ -120,7 +91,7 @@ def test_grown_errors_may_have_a_camera_look_elsewhere():
     law = aj.SetpointController(errors.believed_task(), aj.Gains(2e-4, 4e-4, 1.0))
     region = aj.JointBox.around(arm, [0.5, 1.2], 0.05)
     drawn = study(law, errors, region, **SHORT).map({"error": (0.5, 4.0), "kv": (0.5, 1.0)}, 8)
-    assert (drawn.runs == [[8, 0], [8, 0]]).all()
+    assert list(drawn.points) == [(0.5, 0.5), (0.5, 1.0)]
     assert np.isnan(drawn.share[:, 1]).all()
     with pytest.raises(aj.InvalidInputError, match="must hold configurations that the true sensor"):
         study(law, errors.scaled(4.0), region, **SHORT).map({"error": (0.5, 1.0)}, 8)

@@ -69,7 +69,7 @@ def test_suggested_gains_follow_the_latency(tools, box):
     assert np.sum(found.found.gains.damping) < np.sum(early.found.gains.damping)
     loop = ClosedLoop(law_of(tools, found.found.gains), tools, box)
     assert loop.spectral_radii(loop.draw(60, np.random.default_rng(7)), late).max() < 1.0
-    assert str(found).startswith("gains: found, passing with slowest decay ")
+    assert str(found).startswith("gains: found, passing with slowest decay [1/s] ")
 
 
 def test_gains_that_a_report_refuses_are_not_suggested(tools, box, monkeypatch):
@@ -89,4 +89,4 @@ def test_gains_that_a_report_refuses_are_not_suggested(tools, box, monkeypatch):
     assert found.found.margin == 0.2
     passed_over = next(each for each in found.tried if each.gains is refused[0])
     assert passed_over.margin == 0.0
-    assert str(found).startswith("gains: found, certified with margin 0.2\n  gains    K_p ")
+    assert str(found).startswith("gains: found, passing with margin 0.2\n  K_p ")

@@ -18,7 +18,7 @@ from approxjac.cameras import Camera
 from approxjac.controllers import Limits, SetpointController, TorqueLimited
 from approxjac.errors import InvalidInputError
 from approxjac.files import together, write_text
-from approxjac.formatting import joined, numbers, plain, rows, wrapped
+from approxjac.formatting import joined, numbers, plain, wrapped
 from approxjac.robots import Robot
 from approxjac.scenario.build import (
     BuiltScenario,
@@ -36,7 +36,7 @@ from approxjac.scenario.starts import configuration_of
 from approxjac.simulation import Plant
 from approxjac.stability import Region, StabilityReport, Study, Uncertainty
 from approxjac.stability.loop.closed_loop import ClosedLoop
-from approxjac.stability.search.map import PARAMETERS, PLACES, are_drawn, labels, own_values
+from approxjac.stability.search.map import PARAMETERS, own_values, require_parameters
 from approxjac.stability.search.tolerance import Test, Tolerance
 from approxjac.stability.studied_loop import Progress
 from approxjac.tasks import CombinedTask, FrameKinematics, ImageTask, Task
@@ -46,10 +46,9 @@ from approxjac.validation import Array
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_DRAWN = 200  # configurations that tell how far the tip gets
 _SETTLING_TIME = 1.0  # that gains are wanted for [s]
 _GAINS = ("kp", "kv", "damping")
-_OF_MAP = ("names", "x", "y", "share", "intervals", "runs")  # in summary.json
+_OF_MAP = ("names", "x", "y", "share", "intervals")  # in summary.json
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,11 +94,8 @@ def prepare(scenario: Scenario) -> Study:
         accuracy=run.tolerance or fine_error(law.task.units, scenario.sensor.noise),
         seed=run.seed,
     )
-    study = replace(study, region=study.loop().region)  # refuses what does not fit
-    uncertainty = uncertainty_of(study)
-    if uncertainty is not None:
-        are_drawn(analysis.map, uncertainty)  # refuses some of each
-    return study
+    require_parameters(analysis.map)
+    return replace(study, region=study.loop().region)  # refuses what does not fit
 
 
 def analyse(
@@ -184,18 +180,6 @@ def _region(controller: SetpointController, analysis: Analysis) -> Region | None
 
 def _values(name: str, loop: ClosedLoop, uncertainty: Uncertainty, count: int) -> Array:
     """Return the values of a parameter of the map."""
-    if name in PLACES or name in uncertainty.names:
-        if name in PLACES:
-            robot = uncertainty.belief()
-            tip = FrameKinematics(robot, robot.tip_or(None))
-            drawn = loop.region.sample(_DRAWN, np.random.default_rng(0))
-            places = np.array([tip.position(q)[PLACES.index(name)] for q in drawn])
-            low, high = places.min(), places.max()
-        else:
-            at = uncertainty.names.index(name)
-            low, high = uncertainty.low[at], uncertainty.high[at]
-        # what is drawn is shared out into cells, and these are their middles
-        return np.asarray(low + (high - low) * ((np.arange(count) + 0.5) / count))
     shares, own = np.linspace(0.0, 1.0, count), own_values(loop.controller)[name]
     values = own * 10.0 ** (2.0 * shares - 1.0)
     if name == "error":
@@ -209,58 +193,35 @@ def _values(name: str, loop: ClosedLoop, uncertainty: Uncertainty, count: int) -
 
 
 def consequences(result: StabilityResult, out: Path) -> str:
-    """Return the steps to take after a report, the errors tolerated, and the outcome of the map."""
+    """Return the step to take after a report, the errors tolerated, and the outcome of the map."""
     blocks: list[list[str]] = []
-    if steps := advice(result):
-        blocks.append(wrapped(f"next: {'; '.join(steps)}"))
+    if step := advice(result):
+        blocks.append(wrapped(f"next: {step}"))
     if result.tolerances:
         how = "in continuous time, by a search on fewer configurations; a report may find less:"
         blocks.append([*wrapped(how), *map(str, result.tolerances.values())])
     if result.map is not None:
         blocks.append([str(result.map), f"The map is {out / 'map.png'}"])
-    return "\n\n".join("\n".join(block) for block in blocks if block)
+    return "\n\n".join("\n".join(block) for block in blocks)
 
 
-def advice(result: StabilityResult) -> list[str]:
-    """Return steps that a person can take next; none where the loop is certified."""
+def advice(result: StabilityResult) -> str:
+    """Return what a person can try next; nothing where the loop is certified."""
     report, uncertainty = result.report, uncertainty_of(result.study)
     if report.passed:
-        return []
-    if not report.gravity_is_exact:
-        return ["controller.gravity exact, which tells of all else"]
+        return ""
+    if not report.gravity_is_exact or report.loop.controller.adaptation is not None:
+        return "controller.gravity exact, which tells what is certified if gravity is known"
     if report.singular_q is not None:
-        return [
-            "stability.sigma_min, which leaves out configurations where the estimated Jacobian "
-            "loses rank, and the arm may stand still away from its target"
-        ]
-    steps = []
-    if uncertainty is not None:
-        learns = report.loop.controller.adaptation is not None
-        steps.append(
-            "controller.gravity exact, which tells what is certified as if gravity were known"
-            if learns  # of which gains that are found would say nothing
-            else "suggest_gains, in place of controller.kp, controller.kv and controller.damping"
-        )
-        least, most = uncertainty.low, uncertainty.high
-        if (abs(least + most - 2.0 * uncertainty.believed) > 0.2 * (most - least)).any():
-            middle = dict(zip(uncertainty.names, 0.5 * (least + most), strict=True))
-            options = [
-                f"believed.object.{what} {middle[f'object_{what}']:.3g}"
-                for what in ("length", "mass")
-                if f"object_{what}" in middle
-            ]
-            such = f", such as {' '.join(options)}" if options else ""
-            steps.append(f"a belief in the middle of each range{such}")
-        scale = result.tolerances["matrix"].scale
-        if 0.0 < scale < 1.0:  # of which a report may find a little less
-            smaller = uncertainty.scaled(0.8 * scale).describe_box()
-            steps.append(f"smaller errors, such as {smaller}")
-    if not report.local.stable:
-        steps.append("smaller errors, another region or a smaller a = k_p/k_v")
-    elif (report.spectral_radii >= 1.0).any():
-        steps.append("a shorter period, shorter delays or less damping of light joints")
-    steps.append("a smaller stability.radius around a configuration (stability.around)")
-    return steps
+        return "stability.sigma_min, which leaves out where the estimated Jacobian loses rank"
+    region = "a smaller stability.radius around a configuration (stability.around)"
+    if uncertainty is None:
+        return region
+    scale = result.tolerances["matrix"].scale
+    smaller = ""
+    if 0.0 < scale < 1.0:  # of which a report may find a little less
+        smaller = f", such as {uncertainty.scaled(0.8 * scale).describe_box()}"
+    return f"suggest_gains for other gains, smaller errors{smaller}, or {region}"
 
 
 # -- pictures and files -----------------------------------------------------------------
@@ -311,31 +272,26 @@ def draw_map(result: StabilityResult) -> Figure | None:
         return None
     controller = result.report.loop.controller
     title = (
-        f"{controller.task.robot.name}: share of {grid.runs.sum()} runs that converge, each with "
-        f"95 % confidence; errors are {uncertainty.describe_box()}"
+        f"{controller.task.robot.name}: share of {result.scenario.stability.map_runs} runs a point "
+        f"that converge, with 95 % confidence; errors are {uncertainty.describe_box()}"
     )
     figure, axes = view.new_figure(3, size=(14.0, 4.6), title=textwrap.fill(title, 130))
-    own = own_values(controller)  # the belief besides
-    own |= dict(zip(uncertainty.names, uncertainty.believed.tolist(), strict=True))
+    own = own_values(controller)
     first, second = grid.names
-    shares = {
-        "at least": grid.intervals[..., 0],
-        "of the runs": grid.share,
-        "at most": grid.intervals[..., 1],
-    }
+    low, high = np.moveaxis(
+        np.where(np.isnan(grid.share)[..., None], np.nan, grid.intervals), -1, 0
+    )
+    shares = {"at least": low, "of the runs": grid.share, "at most": high}
     for ax, (title, share) in zip(axes, shares.items(), strict=True):
         view.plot_shares(
             grid.x,
             grid.y,
-            np.where(grid.runs > 0, share, np.nan),
-            labels=(labels(uncertainty)[first], labels(uncertainty)[second]),
-            own=(own[first], own[second]) if first in own and second in own else None,
-            own_name="as given" if first in PARAMETERS else "as believed",
+            share,
+            labels=(PARAMETERS[first], PARAMETERS[second]),
+            own=(own[first], own[second]),
             ax=ax,
             title=title,
         )
-        if first in PLACES and second in PLACES:
-            ax.set_aspect("equal", adjustable="datalim")
     return figure
 
 
@@ -382,11 +338,12 @@ def write(result: StabilityResult, out: Path) -> None:
 
 @dataclass(frozen=True, eq=False)
 class SuggestedGains:
-    """Gains found for a scenario, or what to relax."""
+    """Gains found for a scenario."""
 
     scenario: Scenario  # with the gains that were found and certified
-    about: dict[str, str]  # what they are for
+    errors: str  # that they are for
     suggestion: stability.Suggestion
+    refused: str = ""  # what a report of all configurations says, if it refuses the gains
     report: StabilityReport | None = None  # of the scenario as it is; None without gains
 
     @property
@@ -399,7 +356,9 @@ class SuggestedGains:
 
     def __str__(self) -> str:
         control = self.scenario.controller
-        lines = [str(self.suggestion), *rows(self.about, 2)]
+        lines = [str(self.suggestion), *wrapped(f"for {self.errors}, with known gravity", "  ")]
+        if self.refused:
+            lines += wrapped(f"a report refuses what was found: {self.refused}", "  ")
         if self.report is not None:
             if self.needs_known_gravity:
                 lines += wrapped(f"with gravity {control.gravity}: {self.report.verdict()}")
@@ -426,19 +385,15 @@ def suggested(scenario: Scenario, progress: Progress) -> SuggestedGains:
     # a report of known gravity leaves it out, but motors have to hold the arm
     heavy = replace(uncertainty, arm=uncertainty.arm.with_gravity(loaded_arm(scenario).gravity))
     limits = limits_of(scenario, study.controller.task.robot)
-    settling_time = scenario.controller.settling_time or _SETTLING_TIME
     suggestion = replace(study, uncertainty=heavy).gains(
-        settling_time,
+        scenario.controller.settling_time or _SETTLING_TIME,
         torque_limits=None if limits is None else limits.effort,
         configurations=min(scenario.stability.configurations, 200),
         progress=progress,
     )
-    about = {"errors": uncertainty.describe_box(), "wanted": f"to settle in {settling_time:g} s"}
-    if scenario.controller.gravity != "exact":
-        given = scenario.controller.gravity
-        about["gravity"] = f"taken as known exactly; in the scenario it is {given}"
-    if (found := suggestion.found) is None:
-        return SuggestedGains(scenario, about, suggestion)
+    found, errors = suggestion.found, uncertainty.describe_box()
+    if found is None:
+        return SuggestedGains(scenario, errors, suggestion)
     diagonals = study.loop().controller.with_gains(found.gains).diagonals
     gains = {name: tuple(getattr(diagonals, name)) for name in _GAINS}
     # a settling time is refused beside given gains
@@ -446,17 +401,13 @@ def suggested(scenario: Scenario, progress: Progress) -> SuggestedGains:
     # the search is of fewer configurations, and of law (6) with known gravity and no limits
     report = _report(own.with_values({"controller": {"gravity": "exact"}}))
     if not report.passed:
-        relax = (
-            "a smaller stability.radius or smaller errors, as a report of all configurations says "
-            f"of the gains tried: {report.verdict()}"
-        )
-        suggestion = replace(suggestion, found=None, relax=(relax,))
-        return SuggestedGains(scenario, about, suggestion)
+        suggestion = replace(suggestion, found=None)
+        return SuggestedGains(scenario, errors, suggestion, report.verdict())
     assert report.sampled is not None
     suggestion = replace(suggestion, found=replace(found, margin=report.sampled.margin))
     if own.controller.gravity != "exact":
         report = _report(own)
-    return SuggestedGains(own, about, suggestion, report)
+    return SuggestedGains(own, errors, suggestion, report=report)
 
 
 def _report(scenario: Scenario) -> StabilityReport:
@@ -468,12 +419,7 @@ def _report(scenario: Scenario) -> StabilityReport:
 def write_gains(result: SuggestedGains, out: Path) -> None:
     """Write summary.json, and scenario.toml if gains were found, into a folder."""
     found, control = result.suggestion.found, result.scenario.controller
-    summary: dict[str, Any] = {
-        "found": found is not None,
-        "errors": result.about["errors"],
-        "relax": result.suggestion.relax,
-        "tried": len(result.suggestion.tried),
-    }
+    summary: dict[str, Any] = {"found": found is not None, "errors": result.errors}
     if found is not None and result.report is not None:
         summary |= {name: getattr(control, name) for name in _GAINS}
         summary |= {"margin": found.margin, "torque_ratio": found.torque_ratio}

@@ -373,8 +373,7 @@ class Analysis:
         target: The one target; by default all targets within the region.
         configurations: How many configurations are drawn.
         runs: How many rollouts are made, with the sensors, delays, duration and tolerance of a run.
-        map: Two parameters of the stability map, of error, a, kv and damping; or two of the errors,
-            or of x, y and z of the believed tip at the start.
+        map: Two parameters of the stability map, of error, a, kv and damping.
         map_points: Values of each parameter of the map; 0 draws no map.
         map_runs: Rollouts at each point of the map.
     """

@@ -4,7 +4,7 @@ from approxjac.stability.certificates.lyapunov import LyapunovValue, lyapunov
 from approxjac.stability.errors.region import JointBox, Region, RegularPart
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.local import LocalStability, local_stability
-from approxjac.stability.report.other_laws import NearTargets, OtherLawReport
+from approxjac.stability.report.other_laws import OtherLawReport
 from approxjac.stability.report.report import StabilityReport
 from approxjac.stability.rollouts.rollouts import Execution, Rollouts
 from approxjac.stability.rollouts.setting import Rollout, RolloutSetting
@@ -18,7 +18,6 @@ __all__ = [
     "JointBox",
     "LocalStability",
     "LyapunovValue",
-    "NearTargets",
     "OtherLawReport",
     "Region",
     "RegularPart",

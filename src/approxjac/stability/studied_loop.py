@@ -108,8 +108,8 @@ class StudiedLoop:
             many = self.rollouts(runs, execution=execution, progress=tell) if runs else None
             if loop is None:
                 setting = self.setting()
-                local = near_targets(setting, timing, count, partial(tell, "near targets"))
-                return OtherLawReport(controller, self.errors, timing, reason, local, many, seed)
+                near = near_targets(setting, timing, count, partial(tell, "near targets"))
+                return OtherLawReport(setting, timing, reason, *near, many)
             limiter: Any = controller if controller.limited_law is not None else None
             return report_of(loop, timing, count, seed, tell, limiter, many)
 

@@ -90,22 +90,19 @@ class Study(StudiedLoop):
         execution: Execution | None = None,
         progress: Progress = None,
     ) -> StabilityMap:
-        """Carry out rollouts over a grid of one or two parameters, or of what they draw.
+        """Carry out rollouts over a grid of one or two parameters.
 
-        Over parameters ("error", "a", "kv" and "damping", see `PARAMETERS`) each point has the same
-        n runs, but for what was changed. Over the errors (`uncertainty.names`) and the place of the
-        believed tip at the start ("x", "y", "z" [m]) there are n runs a point in all: each counts
-        at the point that it is nearest to.
+        Each point has the same n runs, but for what was changed.
 
         Args:
-            over: Name → values: numbers that grow, > 0 of gains, ≥ 0 of "error".
-            n: Runs at each point, or on average.
+            over: "error", "a", "kv" or "damping" (see `PARAMETERS`) → values: numbers that grow,
+                > 0 of gains, ≥ 0 of "error".
+            n: Runs at each point.
             execution: How and where they are carried out.
             progress: Called with "map" and the share that is done; True shows a bar.
 
         Raises:
-            InvalidInputError: Values that are no growing numbers, one of gains and one of what is
-                drawn, or what rollouts refuse.
+            InvalidInputError: Values that are no growing numbers, or what rollouts refuse.
             UnknownNameError: No such parameter.
         """
         n, execution = as_integer("n", n, 1), Execution() if execution is None else execution

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from approxjac.controllers import Controller, Latency
+from approxjac.controllers import Latency
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import percent, plain, rows, wrapped
 from approxjac.simulation import Sensing
-from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.configurations import inverse_kinematics
-from approxjac.stability.loop.local import LocalStability, local_stability
+from approxjac.stability.loop.local import LocalTest, local_stability
 from approxjac.stability.rollouts.rollouts import Rollouts
 from approxjac.stability.rollouts.setting import RolloutSetting
 from approxjac.stability.rows import Row, as_json
@@ -26,55 +25,24 @@ _MOST_TARGETS = 200
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class NearTargets:
-    """The loop linearised at targets of a region, with true robots drawn from the errors.
-
-    Attributes:
-        linearised: The loop at each of k targets.
-        q: Configurations that attain the targets, shape (k, nq).
-        values: True values of the uncertain coordinates, shape (k, d).
-        refused: How many others were left out, by the reason.
-    """
-
-    linearised: tuple[LocalStability, ...]
-    q: Array
-    values: Array
-    refused: dict[str, int]
-
-    @property
-    def stable(self) -> bool:
-        """True if all are stable, and none was left out."""
-        if self.refused or not self.linearised:
-            return False
-        return all(each.stable for each in self.linearised)
-
-    @property
-    def worst(self) -> int:
-        """Index of the target with the slowest decay."""
-        return int(np.argmin([each.decay_rate for each in self.linearised]))
-
-
-@dataclass(frozen=True, eq=False, repr=False)
 class OtherLawReport:
     """Findings about a controller that no certificate is for: nothing is proven of it.
 
     Attributes:
-        controller: The controller.
-        uncertainty: The errors.
+        setting: The controller, the errors, and what is drawn of them.
         latency: When the loop measures and acts.
         reason: Why no certificate covers it.
         local: The loop as it is sampled, late, to first order at targets of the region.
+        refused: How many other targets were left out, by the reason.
         rollouts: Or None if they were not asked for.
-        seed: Of all drawing.
     """
 
-    controller: Controller
-    uncertainty: Uncertainty
+    setting: RolloutSetting
     latency: Latency
     reason: str
-    local: NearTargets
+    local: LocalTest
+    refused: Mapping[str, int]
     rollouts: Rollouts | None
-    seed: int
 
     @property
     def passed(self) -> bool:
@@ -90,21 +58,20 @@ class OtherLawReport:
         return [certificates, self._near(), self._simulated()]
 
     def _near(self) -> Row:
-        local, verdict = self.local, "not applicable"
-        figures: dict[str, Any] = {"refused": local.refused}
-        texts = [f"{n} left out: {why}" for why, n in local.refused.items()]
-        if local.linearised:
-            verdict = "stable" if local.stable else "not stable"
-            share = float(np.mean([each.stable for each in local.linearised]))
-            decay = local.linearised[local.worst].decay_rate
-            ratio = min(each.damping_ratio for each in local.linearised)
-            truth = self.uncertainty.describe(local.values[local.worst])
-            figures |= {"targets": len(local.linearised), "share": share, "decay": decay}
+        local, verdict, n = self.local, "not applicable", len(self.local.q)
+        figures: dict[str, Any] = {"refused": self.refused}
+        texts = [f"{n} left out: {why}" for why, n in self.refused.items()]
+        if n:
+            verdict = "stable" if local.stable and not self.refused else "not stable"
+            decay, ratio = local.decay_rates.min(), local.damping_ratios.min()
+            worst = self.setting.start(local.truth[local.worst]).values
+            truth = self.setting.uncertainty.describe(worst)
+            figures |= {"targets": n, "share": local.share, "decay": decay}
             figures |= {"damping_ratio": ratio, "worst_truth": truth}
             texts.insert(
                 0,
-                f"stable at {percent(share)} % of {len(local.linearised)} targets, slowest decay "
-                f"{decay:.3g} 1/s, damping ratio at least {ratio:.2g}; the slowest with {truth}",
+                f"stable at {percent(local.share)} % of {n} targets, slowest decay {decay:.3g} "
+                f"1/s, damping ratio at least {ratio:.2g}; the slowest with {truth}",
             )
         return Row("other law", "near targets", verdict, figures, "; ".join(texts))
 
@@ -124,22 +91,21 @@ class OtherLawReport:
         return "nothing is proven of this law, and a test speaks against it: see below"
 
     def __repr__(self) -> str:
-        return f"OtherLawReport({self.controller!r}: {self.verdict()})"
+        return f"OtherLawReport({self.setting.controller!r}: {self.verdict()})"
 
     def __str__(self) -> str:
         table = {row.name: f"{row.verdict}: {row.text}" for row in self.rows}
         about = {
-            "law": "; ".join(self.controller.describe()[:2]),
-            "errors": self.uncertainty.describe_box(),
+            "law": "; ".join(self.setting.controller.describe()[:2]),
+            "errors": self.setting.uncertainty.describe_box(),
             "timing": repr(self.latency),
         }
         return "\n".join([*wrapped(self.verdict()), *rows(table, 2), *rows(about, 2)])
 
     def summary(self) -> dict[str, Any]:
         """Return the part of summary.json."""
-        decay_rates = [each.decay_rate for each in self.local.linearised]
-        about = {"passed": self.passed, "seed": self.seed, "decay_rates": plain(decay_rates)}
-        return about | as_json(self.rows)
+        about = {"passed": self.passed, "seed": self.setting.seed}
+        return about | {"decay_rates": plain(self.local.decay_rates)} | as_json(self.rows)
 
 
 def near_targets(
@@ -147,18 +113,19 @@ def near_targets(
     latency: Latency,
     count: int,
     tell: Callable[[float], None] = lambda share: None,
-) -> NearTargets:
+) -> tuple[LocalTest, Mapping[str, int]]:
     """Linearise a sampled loop at the targets of the first rollouts of a setting, 200 at most.
 
     A start that is drawn is the target, unless there is one. Frames of x count as a delay of half
-    the time between them.
+    the time between them. `LocalTest.truth` are the indices of the rollouts; with it comes how many
+    were left out, by the reason.
     """
     late = Sensing(
         x_delay=latency.image_age + 0.5 * latency.image_period,
         velocity_filter=latency.velocity_filter or None,
     )
     setting = replace(setting, sensing=late, actuator_delay=latency.torque_delay)
-    linearised, where, values, refused = [], [], [], Counter[str]()
+    found, where, indices, refused = [], [], [], Counter[str]()
     count = min(count, _MOST_TARGETS)
     for k in range(count):
         tell(k / count)
@@ -170,13 +137,14 @@ def near_targets(
             refused["no configuration near the start attains the target"] += 1
             continue
         try:
-            linearised.append(local_stability(start.plant, setting.controller, q, setting.dt))
+            local = local_stability(start.plant, setting.controller, q, setting.dt)
         except InvalidInputError as error:
             refused[str(error).split(", got ")[0]] += 1
             if k == 0:  # of the law, not of the target
                 break
             continue
+        found.append((0.0 if local.singular else local.decay_rate, local.damping_ratio))
         where.append(q)
-        values.append(start.values)
-    shape = len(linearised), setting.uncertainty.d
-    return NearTargets(tuple(linearised), np.array(where), np.array(values).reshape(shape), refused)
+        indices.append(k)
+    rates, ratios = np.array(found).reshape(-1, 2).T
+    return LocalTest(rates, ratios, np.array(where), np.array(indices, dtype=int)), refused

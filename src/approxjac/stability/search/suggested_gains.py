@@ -1,4 +1,4 @@
-"""`Suggestion`: gains that pass a test for a set of errors, or what to relax."""
+"""`Suggestion`: gains that pass a test for a set of errors."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ import numpy as np
 from approxjac.controllers import Gains, NoGravity, SetpointController
 from approxjac.controllers.gains.tuning import default_gains, position_gains
 from approxjac.errors import UnknownNameError
-from approxjac.formatting import rows, short_fields, wrapped
+from approxjac.formatting import short_fields, wrapped
 from approxjac.stability.certificates.certificate import margin
 from approxjac.stability.loop.closed_loop import SHARED
 from approxjac.stability.loop.linearization import Timing
 from approxjac.stability.loop.local import local_test
-from approxjac.stability.search.tolerance import TESTS, Test, tolerances
+from approxjac.stability.search.tolerance import TESTS, Test
 from approxjac.stability.studied_loop import StudiedLoop
 from approxjac.validation import Array, as_limits, as_number
 
@@ -26,11 +26,6 @@ _STIFFNESS = (1.0, 0.5, 2.0, 4.0)  # of K_v, times the default
 _DAMPING = (1.0, 2.0, 4.0, 8.0, 16.0)  # of B_c, times the default
 _TARGETS = 40  # configurations that the settling time is taken over
 _SETTLED = 4.0  # time constants until 2 % are left
-_LOOKED = 100  # configurations that show the unstable ones among dampings
-_CONFIRMED = 5  # gains that a report is asked about to relax a demand
-_SEVERAL = "at least two of"
-SETTLES = "to 2 % of a small error, linearised near the target, at worst; far reaches take longer"
-_SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)  # of the largest scale
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -61,42 +56,33 @@ class Suggestion:
     Attributes:
         test: The test that had to pass, and the sampled loop besides.
         found: The gentlest gains that meet all demands; None if none do.
-        relax: What to relax if none do, in words, one line a demand; empty otherwise.
         tried: All candidates that were tried.
+        settling_time: The time that was demanded [s].
     """
 
     test: Test
     found: Candidate | None
-    relax: tuple[str, ...]
     tried: tuple[Candidate, ...]
-
-    @property
-    def heading(self) -> str:
-        """The first line, whether gains were found and what is to be done if not."""
-        if self.found is None:
-            what = "relax" if self.relax[0].startswith(_SEVERAL) else "one of these would do"
-            return f"gains: none found that meet all demands; {what}"
-        left = f"margin {self.found.margin:.2g}"
-        if self.test == "local":
-            left = f"slowest decay {self.found.margin:.2g}/s"
-        passes = "certified" if self.test == "matrix" else "passing"
-        return f"gains: found, {passes} with {left}"
+    settling_time: float
 
     def __repr__(self) -> str:
         found = "nothing" if self.found is None else repr(self.found.gains)
         return f"Suggestion({self.test!r}: {found})"
 
     def __str__(self) -> str:
-        if self.found is None:
-            lines = [wrapped(self.heading), *(wrapped(each, "- ") for each in self.relax)]
-            return "\n".join(itertools.chain(*lines))
-        share = f"at the start at most {100 * self.found.torque_ratio:.2g} % of the limits"
-        texts = {
-            "gains": str(self.found.gains),
-            "torque": share if self.found.torque_ratio else "no limits known",
-            "settles": f"in {self.found.settling_time:.3g} s {SETTLES}",
-        }
-        return "\n".join([*wrapped(self.heading), *rows(texts, 2)])
+        if self.found is not None:
+            margin = "slowest decay [1/s]" if self.test == "local" else "margin"
+            heading = f"gains: found, passing with {margin} {self.found.margin:.2g}"
+            return "\n".join([*wrapped(heading), *wrapped(str(self.found), "  ")])
+        met = np.array([each.met(self.settling_time) for each in self.tried])
+        tests, torques, times = met.sum(axis=0)
+        text = (
+            f"gains: none found that meet all demands: of {len(met)} tried {tests} pass the test, "
+            f"{torques} start within the torque limits, {times} settle within "
+            f"{self.settling_time:g} s, and {(met[:, 1] & met[:, 2]).sum()} do the last two; try "
+            "smaller errors, larger limits or a longer time"
+        )
+        return "\n".join(wrapped(text))
 
 
 def suggested_gains(
@@ -166,67 +152,11 @@ def suggested_gains(
         if all(tried[-1].met(settling_time)):
             tried[-1] = confirmed(tried[-1])
             if all(tried[-1].met(settling_time)):
-                return Suggestion(test, tried[-1], (), tuple(tried))
-
-    def tolerated(gains: Gains) -> float:
-        own = replace(known, controller=first.with_gains(gains))
-        scale = tolerances(own, (test,), largest=1.0, draws=configurations)[test].scale
-        for share in _SHARES if scale > 0.0 else ():
-            part = replace(own, uncertainty=weightless.scaled(share * scale))
-            if test == "local":
-                smaller = part.loop()
-                few = smaller.draw(_LOOKED, np.random.default_rng(seed))
-                passes = bool((smaller.spectral_radii(few, latency) < 1.0).all())
-            else:
-                passes = part.report(configurations).passed
-            if passes:
-                return share * scale
-        return 0.0
-
-    relax = _relaxations(tried, settling_time, tolerated, confirmed)
-    return Suggestion(test, None, relax, tuple(tried))
+                return Suggestion(test, tried[-1], tuple(tried), settling_time)
+    return Suggestion(test, None, tuple(tried), settling_time)
 
 
 def _strength(factors: tuple[float, float, float]) -> tuple[float, float]:
     """Gentle gains first: by how far they are from the default ones together."""
     rate, stiffness, damping = factors
     return rate * max(stiffness, 1.0 / stiffness) * damping**0.5, rate
-
-
-def _relaxations(
-    tried: list[Candidate],
-    settling_time: float,
-    tolerated: Callable[[Gains], float],
-    confirmed: Callable[[Candidate], Candidate],
-) -> tuple[str, ...]:
-    """For each demand what it would have to be if the two others are kept."""
-    met = [(candidate, *candidate.met(settling_time)) for candidate in tried]
-
-    def first_that_passes(known: list[Candidate]) -> Candidate | None:
-        for candidate in known[:_CONFIRMED]:
-            if (found := confirmed(candidate)).margin > 0.0:
-                return found
-        return None
-
-    lines = list[str]()
-    if known := [c for c, _, torque, time in met if torque and time]:
-        best = max(known, key=lambda c: c.margin)
-        if share := tolerated(best.gains):
-            lines.append(f"with {share:.2g} of the errors: {best}")
-    known = sorted((c for c, test, _, time in met if test and time), key=lambda c: c.torque_ratio)
-    if found := first_that_passes(known):
-        lines.append(f"with {found.torque_ratio:.3g} times the torque limits: {found}")
-    known = sorted(
-        (c for c, test, torque, _ in met if test and torque), key=lambda c: c.settling_time
-    )
-    if found := first_that_passes(known):
-        lines.append(f"with a settling time of {found.settling_time:.3g} s: {found}")
-    if lines:
-        return tuple(lines)
-    in_time, gentle = ({c for c, *each in met if each[k]} for k in (2, 1))
-    return (
-        f"{_SEVERAL} the errors, the settling time and the torque limits, as one alone is not "
-        f"enough: of {len(tried)} gains tried {len(in_time)} settle within {settling_time:g} s, "
-        f"{len(gentle)} start within the torque limits, {len(in_time & gentle)} do both, and none "
-        "of all these passes with the errors",
-    )

@@ -130,10 +130,11 @@ def tolerances(
                 rng = np.random.default_rng(study.seed)
                 return _failing(scaled, test, draws or _CONFIGURATIONS, rng)
             if test == "local":
-                local = near_targets(own.setting(), own.timing, draws or _CONFIGURATIONS)
-                if local.refused:
-                    raise InvalidInputError("; ".join(local.refused), given=study.controller)
-                return None if local.stable else local.values[local.worst]
+                setting = own.setting()
+                local, refused = near_targets(setting, own.timing, draws or _CONFIGURATIONS)
+                if refused:
+                    raise InvalidInputError("; ".join(refused), given=study.controller)
+                return None if local.stable else setting.start(local.truth[local.worst]).values
             many = own.rollouts(draws or _RUNS, failures=1)
             return None if many.n_converged == many.n else many.runs[-1].values
         except UnattainedError as error:
