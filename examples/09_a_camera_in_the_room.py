@@ -67,14 +67,9 @@ last = run.error[run.t > 11.0]
 print(run)
 print(f"RMS of each coordinate over the last second: {np.sqrt((last**2).mean(axis=0)).round(2)} px")
 
-figure, axes = view.new_figure(
-    2, 2, size=(11.5, 10.5), title="Two points of an unknown tool, in an uncalibrated camera"
-)
+figure, axes = view.new_figure(2, title="Two points of an unknown tool, in an uncalibrated camera")
 view.plot_image(run, camera, axes[0], title="Paths of the points in the true camera's image")
 view.plot_error(run, axes[1])
-for ax, q, when in ((axes[2], start, "start"), (axes[3], run.q[-1], "end")):
-    title = f"What the camera sees, and what is believed: {when}"
-    view.plot_camera_view(sensor, q, ax, believed=task.task, target=target, title=title)
 print(*view.save_figure(figure, out / "camera_in_the_room"), sep="\n")
 title = "Two points of an unknown tool, seen by a camera that nobody calibrated"
 print(view.save_page(run, out / "camera_in_the_room.html", title))

@@ -134,16 +134,6 @@ def variant(told, file):
     return file.stem.removeprefix(told.pictures[0].stem).replace("_", " ").strip()
 
 
-def index(stories, out):
-    """Write an index of all pages: those that examples wrote know only their own."""
-    table = {"": ("example", "what it shows")}
-    for told in stories:
-        for file in told.pages:
-            which = variant(told, file)
-            table[file.name] = (f"{told.title}, {which}" if which else told.title, told.summary)
-    write_index(out, "Runs of the examples", table=table)
-
-
 def card(told):
     """What the gallery shows of an example, as Markdown of docs/gallery.md."""
     shown = told.robot or told.pictures[0]
@@ -240,7 +230,7 @@ def make(app):
     folder = Path(results, "examples") if results else None
     stories = [left(path, folder, out) if folder else run(path, out) for path in examples()]
     write(docs, with_robots(stories, out))
-    index(stories, out)
+    write_index(out, "Runs of the examples")  # those that examples wrote know only their own
     gather(out, docs / "_generated" / "site" / "runs" / "examples")
 
 

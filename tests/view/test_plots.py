@@ -1,6 +1,4 @@
 import dataclasses
-import re
-import zlib
 
 import numpy as np
 import pytest
@@ -95,37 +93,6 @@ def test_symbols_with_an_index_are_formulas():
     assert formulas("K_v too small, x_s [mm]") == "$K_{v}$ too small, $x_{s}$ [mm]"
     for text in ("panda_joint1", "object_tip", "$x_d$", "x"):
         assert formulas(text) == text
-
-
-def test_curves_are_round_in_print(tmp_path):
-    figure, (ax,) = view.new_figure()
-    t = np.linspace(0.0, 10.0, 10_001)
-    ax.plot(t, np.sin(t))
-    *_, path = view.save_figure(figure, tmp_path / "sine", columns=1)
-    streams = re.findall(rb"stream\r?\n(.*?)endstream", path.read_bytes(), re.DOTALL)
-    drawn = [zlib.decompress(each) for each in streams if each.startswith(b"x")]
-    assert max(each.count(b" l\n") for each in drawn) > 120  # 61 are enough for a screen
-
-
-@pytest.mark.parametrize(("columns", "inches"), [(1, 3.5), (2, 7.16)])
-def test_a_figure_for_print_is_as_wide_as_columns_and_has_its_fonts(run, tmp_path, columns, inches):
-    figure, axes = view.plot_run(run)
-    before = figure.get_size_inches(), axes[0].xaxis.label.get_fontsize()
-    *_, path = view.save_figure(figure, tmp_path / "run.pdf", columns=columns)
-    assert path.name == "run.pdf"
-    text = path.read_bytes()
-    width = re.search(rb"/MediaBox \[ 0 0 ([0-9.]+) ", text)
-    assert float(width[1]) / 72.0 == pytest.approx(inches, abs=1e-3)
-    assert b"/FontFile2" in text  # TrueType, embedded
-    assert b"/Type3" not in text
-    assert b"CreationDate" not in text
-    assert_allclose(figure.get_size_inches(), before[0])
-    assert axes[0].xaxis.label.get_fontsize() == before[1]
-    again = view.save_figure(view.plot_run(run)[0], tmp_path / "again", columns=columns)[-1]
-    assert again.read_bytes() == text
-    for wrong in (0, 3, True, "1"):
-        with pytest.raises(aj.InvalidInputError, match="columns must be 1 or 2, got"):
-            view.save_figure(figure, tmp_path / "run", columns=wrong)
 
 
 def test_bad_paths_are_refused(run):

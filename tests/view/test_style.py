@@ -71,9 +71,6 @@ def plots(run, image_run, arm, seen):
             learnt, ax=ax, truth={"a": 1.0, "b": 2.0}
         ),
         "plot_image": lambda ax: view.plot_image(image_run, seen.camera, ax),
-        "plot_camera_view": lambda ax: view.plot_camera_view(
-            seen, HOME, ax, believed=seen, target=image_run.target
-        ),
         "plot_allowed_error": lambda ax: view.plot_allowed_error(
             0.04, 0.3, unit="m/rad", p_label="p of the errors", own_a=0.3, ax=ax
         ),
@@ -88,7 +85,7 @@ def plots(run, image_run, arm, seen):
 
 NAMES = (
     "plot_error", "plot_torque", "plot_torque, limits", "plot_slack", "plot_path",
-    "plot_parameters", "plot_image", "plot_camera_view", "plot_allowed_error",
+    "plot_parameters", "plot_image", "plot_allowed_error",
     "plot_margins", "plot_shares", "plot_parameters, bands",
 )  # fmt: skip
 

@@ -82,5 +82,5 @@ def paper(
     print(report.table(results, bound))
     print(f"\nPictures, runs and summary.json are in {out}")
     if experiments:
-        print(report.write_pages(results, bound, out))
+        print(report.write_pages(results, out))
     return 0 if all(result.agrees_with_paper for result in results) else 1

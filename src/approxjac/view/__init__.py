@@ -8,7 +8,6 @@ from approxjac.view.browser.live import LiveView
 from approxjac.view.browser.page import save_page, show, write_index
 from approxjac.view.plots import (
     plot_allowed_error,
-    plot_camera_view,
     plot_error,
     plot_image,
     plot_margins,
@@ -28,7 +27,6 @@ __all__ = [
     "legend_below",
     "new_figure",
     "plot_allowed_error",
-    "plot_camera_view",
     "plot_error",
     "plot_image",
     "plot_margins",

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from itertools import pairwise
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -17,7 +15,7 @@ from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.interface import LimitStatus
 from approxjac.robots import Robot
 from approxjac.simulation import Trajectory
-from approxjac.tasks import FrameKinematics, ImageTask
+from approxjac.tasks import FrameKinematics
 from approxjac.validation import Array, as_vector, plane_rows, require
 from approxjac.view.style import COLORS, SERIES, display_unit, formulas, new_figure, styled
 from approxjac.view.tree import learnt_tips
@@ -29,7 +27,6 @@ _INSTANTS = 200
 _USUAL = ("tool.", "camera.")
 _SHOWN = 0.1  # share of the run after which values and bands are to be within the axes
 _SEEN = 0.7  # of a first standard deviation: below it half of the variance was resolved
-_PIECES = 20  # of each link: a lens bends what is straight
 _AROUND = 0.06  # of the image, shown around its border
 # of the paths of points: none of them is that of targets or of what is believed
 _POINTS = (COLORS["true"], SERIES[4], SERIES[5], SERIES[6], SERIES[1])
@@ -44,14 +41,11 @@ def plot_error(
 ) -> Axes:
     """Draw each coordinate of the task error against time."""
     _require_run(run)
+    units, factors = zip(*map(display_unit, run.task_units), strict=True)
     with styled(ax) as ax:
-        units = [display_unit(unit) for unit in run.task_units]
         ax.axhline(0.0, color=COLORS["neutral"], linewidth=0.8)
-        for i, (label, (_, factor)) in enumerate(zip(run.task_labels, units, strict=True)):
-            color = SERIES[i % len(SERIES)]
-            ax.plot(run.t, factor * run.error[:, i], color=color, label=formulas(label))
-        shown = " or ".join(dict.fromkeys(unit for unit, _ in units))
-        over_time(ax, run, ylabel=f"$x - x_d$ [{shown}]", title=title)
+        _over_time(ax, run, np.array(factors) * run.error, map(formulas, run.task_labels))
+        ax.set(ylabel=f"$x - x_d$ [{' or '.join(dict.fromkeys(units))}]", title=title)
     return ax
 
 
@@ -68,19 +62,26 @@ def plot_torque(
     drawn as a share of its limit.
     """
     _require_run(run)
+    tau, label = run.tau, rf"$\tau$ [{run.units['tau']}]"
     with styled(ax) as ax:
-        tau, known = run.tau, False
         if limits is not None and np.isfinite(limits).any():
             # no line where none is known
-            tau, known = tau / np.where(np.isfinite(limits), limits, np.nan), True
-        for i, joint in enumerate(run.joint_names):
-            ax.plot(run.t, tau[:, i], color=SERIES[i % len(SERIES)], label=joint)
-        if known:
+            tau = tau / np.where(np.isfinite(limits), limits, np.nan)
+            label = r"$\tau$ / limit [–]"
             for side, name in ((1.0, "limit"), (-1.0, None)):
                 ax.axhline(side, color=COLORS["neutral"], linewidth=1.0, linestyle="--", label=name)
-        label = r"$\tau$ / limit [–]" if known else rf"$\tau$ [{run.units['tau']}]"
-        over_time(ax, run, ylabel=label, title=title)
+        _over_time(ax, run, tau, run.joint_names)
+        ax.set(ylabel=label, title=title)
     return ax
+
+
+def _over_time(ax: Axes, run: Trajectory, values: Array, labels: Iterable[str | None]) -> None:
+    """Draw columns of values (N, n) against time, from the first instant to the last."""
+    for i, label in enumerate(labels):
+        ax.plot(run.t, values[:, i], color=SERIES[i % len(SERIES)], label=label)
+    ax.set_xlabel("time [s]")
+    if run.t[-1] > run.t[0]:
+        ax.set_xlim(run.t[0], run.t[-1])
 
 
 def plot_slack(run: Trajectory, ax: Axes | None = None) -> Axes:
@@ -90,7 +91,7 @@ def plot_slack(run: Trajectory, ax: Axes | None = None) -> Axes:
     """
     _require_run(run)
     with styled(ax) as ax:
-        ax.plot(run.t, run.slack, color=SERIES[0])
+        _over_time(ax, run, run.slack[:, np.newaxis], [None])
         largest = np.nanmax(run.slack) if np.isfinite(run.slack).any() else 0.0
         ax.set_ylim(0.0, 1.2 * float(largest) or 1.0)
         # a status holds from its instant to the next one
@@ -103,8 +104,8 @@ def plot_slack(run: Trajectory, ax: Axes | None = None) -> Axes:
                 spans, (0.88, 0.1), transform=ax.get_xaxis_transform(),
                 facecolors=_STATUS_COLORS[status], label=status.name,
             )  # fmt: skip
-        over_time(ax, run, ylabel=rf"$\sigma$ [{run.units['slack']}]")
-        ax.set_title(r"Slack $\sigma$ that limits add to $\dot{V}$, and status")
+        title = r"Slack $\sigma$ that limits add to $\dot{V}$, and status"
+        ax.set(ylabel=rf"$\sigma$ [{run.units['slack']}]", title=title)
     return ax
 
 
@@ -152,7 +153,7 @@ def plot_path(
     with styled(ax) as ax:
         ax.plot(*tips.T, color=COLORS["true"], linewidth=1.0, label=f"path of {frame}")
         for q, alpha, label in ((run.q[0], 0.35, "start"), (run.q[-1], 1.0, "end")):
-            corners = skeleton(robot, frame, q)[:, rows]
+            corners = _skeleton(robot, frame, q)[:, rows]
             ax.plot(*corners.T, "o-", color=COLORS["true"], alpha=alpha, ms=4, label=label)
         if seen is not None:
             learnt = None if run.scene is None else learnt_tips(run.scene, run.q, run.learnt)
@@ -164,7 +165,7 @@ def plot_path(
                 ax.plot(*seen.T, "--", color=COLORS["believed"], label="as it is learnt", zorder=5)
             ax.plot(*seen[-1], "o", color=COLORS["believed"], ms=4, zorder=5)
         if q_target is not None:
-            points = skeleton(robot, frame, robot.configuration(q_target, "q_target"))[:, rows]
+            points = _skeleton(robot, frame, robot.configuration(q_target, "q_target"))[:, rows]
             ax.plot(*points.T, "--", color=COLORS["target"], lw=1.0, label="arm at the target")
             target = points[-1] if target is None else target
         if target is not None:
@@ -184,20 +185,13 @@ def plot_run(run: Trajectory) -> tuple[Figure, list[Axes]]:
     return figure, axes
 
 
-def over_time(ax: Axes, run: Trajectory, **settings: Any) -> None:
-    """Name the axes of a plot over time, from the first instant to the last."""
-    ax.set(xlabel="time [s]", **settings)
-    if run.t[-1] > run.t[0]:
-        ax.set_xlim(run.t[0], run.t[-1])
-
-
 def _tips(run: Trajectory, robot: Robot, frame: str) -> Array:
     """Return world positions of a frame in all configurations of a run, shape (N, 3)."""
     kinematics = FrameKinematics(robot, frame)
     return np.array([kinematics.position(q) for q in run.q])
 
 
-def skeleton(robot: Robot, frame: str, q: Array) -> Array:
+def _skeleton(robot: Robot, frame: str, q: Array) -> Array:
     """Return world positions of all joints and fixed frames from base to frame, shape (N, 3)."""
     model = robot.model
     data = model.createData()
@@ -236,6 +230,7 @@ def plot_parameters(
         UnknownNameError: No such number is learnt.
     """
     _require_run(run)
+    truth = truth or {}
     known = list(run.parameters)
     if not known:
         raise InvalidInputError(
@@ -246,34 +241,31 @@ def plot_parameters(
     for name in chosen:
         if name not in known:
             raise UnknownNameError("number", name, "what is learnt", known)
+    columns = [known.index(name) for name in chosen]
     kept = np.unique(np.linspace(0, len(run.t) - 1, _INSTANTS).astype(int))
-    deviations = np.array([run.learnt_sd(k) for k in kept])
-    late = kept >= _SHOWN * kept[-1]
-    within: list[float] = []
+    bands = 2.0 * np.array([run.learnt_sd(k) for k in kept])[:, columns]
+    values, has_bands = run.learnt[:, columns], bool(np.isfinite(bands).any())
     with styled(ax) as ax:
+        _over_time(ax, run, values, chosen)
+        low, high = values[kept] - bands, values[kept] + bands
         for i, name in enumerate(chosen):
-            j, color = known.index(name), SERIES[i % len(SERIES)]
-            values, sd = run.learnt[kept, j], deviations[:, j]
-            if np.isnan(sd).all():
-                ax.plot(run.t, run.learnt[:, j], color=color, label=name)
-            else:
-                ax.plot(run.t[kept], values, color=color, label=name)
-                low, high = values - 2.0 * sd, values + 2.0 * sd
-                ax.fill_between(run.t[kept], low, high, color=color, alpha=0.15, lw=0)
-                # a band of what is not seen is that of the belief, beside which curves are flat
-                bands = 2.0 * sd * (sd <= _SEEN * sd[0])
-                within += [*(values - bands)[late], *(values + bands)[late]]
-            if truth is not None and name in truth:
-                within.append(truth[name])
+            color = SERIES[i % len(SERIES)]
+            if has_bands:
+                ax.fill_between(run.t[kept], low[:, i], high[:, i], color=color, alpha=0.15, lw=0)
+            if name in truth:
                 ax.axhline(truth[name], color=color, linestyle="--", linewidth=0.9)
-        if truth is not None:
+        if truth:
             ax.plot([], [], "--", color=COLORS["neutral"], linewidth=0.9, label="true values")
-        units = dict.fromkeys(run.parameters[name] or "–" for name in chosen)
-        shown = ", ± 2 sd" if np.isfinite(deviations).any() else ""
-        over_time(ax, run, ylabel=f"learnt{shown} [{' or '.join(units)}]", title=title)
-        if np.isfinite(deviations).any() and within:
-            room = 0.05 * (max(within) - min(within)) or 1e-3
-            ax.set_ylim(min(within) - room, max(within) + room)
+        units = " or ".join(dict.fromkeys(run.parameters[name] or "–" for name in chosen))
+        ax.set(ylabel=f"learnt{', ± 2 sd' if has_bands else ''} [{units}]", title=title)
+        if has_bands:
+            # a band of what is not seen is that of the belief, beside which curves are flat
+            seen = np.where(bands < _SEEN * bands[0], bands, 0.0)
+            late = kept[kept >= _SHOWN * kept[-1]]
+            ends = np.stack([values[kept] - seen, values[kept] + seen])[:, -len(late) :]
+            shown = [*ends.ravel(), *(truth[name] for name in chosen if name in truth)]
+            room = 0.05 * (max(shown) - min(shown)) or 1e-3
+            ax.set_ylim(min(shown) - room, max(shown) + room)
     return ax
 
 
@@ -321,93 +313,17 @@ def plot_image(
         ax.plot(*target.T, "x", color=COLORS["target"], ms=9, mew=2, label="target", zorder=5)
         ax.plot(*true[-1].T, "o", color=grey, ms=4, label="end", zorder=6)
         ax.plot([], [], ".", color=grey, alpha=0.5, label="measured")
-        _frame(ax, camera, title)
+        ax.set_aspect("equal", adjustable="box", anchor="N")
+        if isinstance(camera, PinholeCamera):
+            low, high = np.array([-0.5, -0.5]), np.array(camera.size) - 0.5
+            border = np.array([low, (high[0], low[1]), high, (low[0], high[1]), low])
+            ax.plot(*border.T, color=grey, linewidth=1.2, zorder=2)
+            around = _AROUND * max(camera.size)
+            ax.set(xlim=(low[0] - around, high[0] + around))
+            ax.set(ylim=(high[1] + around, low[1] - around))  # v points down
+        u, v = (formulas(f"{name} [{camera.unit}]") for name in camera.labels)
+        ax.set(xlabel=u, ylabel=v, title=title)
     return ax
-
-
-def plot_camera_view(
-    sensor: ImageTask,
-    q: Sequence[float] | Array,
-    ax: Axes | None = None,
-    *,
-    believed: ImageTask | None = None,
-    target: Sequence[float] | Array | None = None,
-    title: str = "What the camera sees",
-) -> Axes:
-    """Draw what a camera sees of an arm, and what a controller believes it to see.
-
-    A camera in the world sees the arm, drawn as its skeleton, with the points that it watches. One
-    that the arm carries sees the points.
-
-    Args:
-        sensor: Task of the true robot with the true camera.
-        q: Configuration, shape (nq,).
-        ax: Axes to draw into; new ones by default.
-        believed: Task of the believed robot with the believed camera; drawn dashed if given.
-        target: Images of the points at the target, shape (n_x,), drawn as crosses if given.
-        title: Of the axes.
-
-    Raises:
-        InvalidInputError: No image tasks, or a configuration or a target of another shape.
-    """
-    require("sensor", sensor, ImageTask, "an ImageTask of the true robot")
-    q = sensor.robot.configuration(q)
-    with styled(ax, columns=3) as ax:
-        points = _draw(ax, sensor, q, "true", color=COLORS["true"], zorder=4)
-        _number(ax, points, COLORS["true"], (6, 5))
-        if believed is not None:
-            require("believed", believed, ImageTask, "an ImageTask of the believed robot")
-            look = {"linestyle": "--", "zorder": 3}
-            _draw(ax, believed, q, "believed", color=COLORS["believed"], **look)
-        if target is not None:
-            images = sensor.target(target).reshape(len(sensor.points), -1)[:, :2]
-            ax.plot(*images.T, "x", color=COLORS["target"], ms=9, mew=2, label="target", zorder=6)
-            _number(ax, images, COLORS["target"], (-12, -10))
-        _frame(ax, sensor.camera, title)
-    return ax
-
-
-def _draw(ax: Axes, task: ImageTask, q: Array, name: str, **look: Any) -> Array:
-    """Draw an arm, where it is seen from outside, and the points; return their images (k, 2)."""
-    camera = task.camera
-    dots = {key: value for key, value in look.items() if key != "linestyle"}
-    if camera.mount is None and task.frame is not None:
-        corners = skeleton(task.robot, task.frame, q)
-        share = np.linspace(0.0, 1.0, _PIECES, endpoint=False)[:, None]
-        line = np.concatenate([*(a + share * (b - a) for a, b in pairwise(corners)), corners[-1:]])
-        ax.plot(*_images(camera, line), linewidth=2.0, label=f"arm, {name}", **look)
-        ax.plot(*_images(camera, corners), "o", ms=4, **dots)
-    points: Array = task.value(q).reshape(len(task.points), -1)[:, :2]
-    ax.plot(*np.concatenate([points, points[:1]]).T, linewidth=1.0, **look)
-    ax.plot(*points.T, "s", ms=7, mfc="none", mew=1.6, label=f"points, {name}", **dots)
-    return points
-
-
-def _number(ax: Axes, points: Array, color: str, offset: tuple[int, int]) -> None:
-    """Write the number of each of several points beside it."""
-    for i, point in enumerate(points, start=1):
-        if len(points) > 1 and np.isfinite(point).all():
-            look: dict[str, Any] = {"color": color, "fontsize": 8, "annotation_clip": True}
-            ax.annotate(str(i), point, offset, textcoords="offset points", **look)
-
-
-def _images(camera: Camera, points: Array) -> Array:
-    """Return images of points of the world, shape (2, N); NaN for those that have none."""
-    return np.array([camera.project(r) for r in points]).T
-
-
-def _frame(ax: Axes, camera: Camera, title: str) -> None:
-    """Draw the border of an image, and name the axes."""
-    (u, v), unit = camera.labels, camera.unit
-    ax.set_aspect("equal", adjustable="box", anchor="N")
-    if isinstance(camera, PinholeCamera):
-        width, height = camera.size
-        border = np.array([[0, 0, 1, 1, 0], [0, 1, 1, 0, 0]]) * np.array([[width], [height]]) - 0.5
-        ax.plot(*border, color=COLORS["neutral"], linewidth=1.2, zorder=2)
-        around = _AROUND * max(width, height)
-        ax.set_xlim(-around, width + around)
-        ax.set_ylim(height + around, -around)  # v points down
-    ax.set(xlabel=formulas(f"{u} [{unit}]"), ylabel=formulas(f"{v} [{unit}]"), title=title)
 
 
 def plot_allowed_error(
@@ -426,15 +342,12 @@ def plot_allowed_error(
         p: ‖Jᵀ − Ĵᵀ‖, drawn dashed.
         unit: Of p.
         p_label: Name of p.
-        own_a: The controller's own a = k_p/k_v, marked if given [1/s]; the axis is logarithmic
-            where it is far from the crossing.
+        own_a: The controller's own a = k_p/k_v [1/s], marked on a logarithmic axis if given.
         ax: Axes to draw into; new ones by default.
     """
     alpha = float(np.sqrt(lambda2))
-    wide = own_a is not None and alpha > 0.0 and not 0.05 < own_a / alpha < 20.0
-    right = max(4.0 * alpha, 1e-12, (3.0 if wide else 1.3) * (own_a or 0.0))
-    left = min(alpha, own_a or alpha) / 10.0 if wide else 0.0
-    a = np.geomspace(left, right, 600) if wide else np.linspace(left, right, 600)[1:]
+    marked = [each for each in (alpha, own_a) if each] or [1e-12]
+    a = np.union1d(np.geomspace(0.05 * min(marked), 4.0 * max(marked), 600), marked)
     velocity = law.allowed_p_velocity(a, alpha, lambda2)
     position = law.allowed_p_position(a, alpha)
     with styled(ax, (6.5, 4.8)) as ax:
@@ -444,21 +357,18 @@ def plot_allowed_error(
         ax.plot(a, position, color=SERIES[1], label=r"$2 a \alpha / (a + \alpha)$")
         if alpha > 0.0:
             at = rf"$a = \lambda_2 / \alpha$ = {alpha:.4f}, $p = \sqrt{{\lambda_2}}$ = {alpha:.4f}"
-            label = f"crossing: {at}"
-            ax.plot([alpha], [alpha], "o", color=SERIES[6], ms=5, label=label)
+            ax.plot([alpha], [alpha], "o", color=SERIES[6], ms=5, label=f"crossing: {at}")
         ax.axhline(p, color=COLORS["neutral"], linestyle="--", label=f"{p_label}: {p:.4f}")
         if own_a is not None:
-            a = np.array(own_a)
-            bounds = law.allowed_p_velocity(a, alpha, lambda2), law.allowed_p_position(a, alpha)
-            label = f"the controller's own $a$ = {own_a:.3g} allows $p$ = {min(bounds):.3g} with\n"
+            own = np.interp(own_a, a, allowed)
+            label = f"the controller's own $a$ = {own_a:.3g} allows $p$ = {own:.3g} with\n"
             label += r"this $\alpha$ and large gains (the report: its own $\alpha$ and gains)"
             ax.axvline(own_a, color=SERIES[3], label=label)
-        ax.set(xlabel="$a = k_p / k_v$ [1/s]", ylabel=f"allowed $p$ [{unit}]", xlim=(left, right))
+            ax.set_xscale("log")
+        ax.set(xlabel="$a = k_p / k_v$ [1/s]", ylabel=f"allowed $p$ [{unit}]", xlim=(a[0], a[-1]))
         ax.set(ylim=(0.0, 1.25 * max(p, float(velocity.max()))))
         crossover = rf"$\alpha = \sqrt{{\lambda_2}}$ = {alpha:.4f} 1/s"
         ax.set_title(f"Figure 1: allowed Jacobian error ({crossover})")
-        if wide:
-            ax.set_xscale("log")
     return ax
 
 
@@ -532,14 +442,9 @@ def plot_shares(
         ax.figure.colorbar(shown, ax=ax, label="share that converges [–]", shrink=0.8)
         if own is not None:
             ax.plot(*own, "*", color=SERIES[6], mec="white", ms=14, label=own_name)
-        _scale(ax, x, y)
+        for values, set_scale in ((x, ax.set_xscale), (y, ax.set_yscale)):
+            if values[0] > 0.0 and values[-1] / values[0] > 20.0:
+                set_scale("log")
         ax.set(xlabel=formulas(labels[0]), ylabel=formulas(labels[1]), title=title)
         ax.grid(visible=False)
     return ax
-
-
-def _scale(ax: Axes, x: Array, y: Array) -> None:
-    """Take logarithmic axes where values go over decades."""
-    for values, set_scale in ((x, ax.set_xscale), (y, ax.set_yscale)):
-        if values[0] > 0.0 and values[-1] / values[0] > 20.0:
-            set_scale("log")

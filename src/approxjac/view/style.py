@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,6 @@ import numpy as np
 from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.text import Text
 from matplotlib.transforms import offset_copy
 
 from approxjac.errors import InvalidInputError
@@ -40,12 +39,8 @@ COLORS: Mapping[str, str] = {
 """Colours by their meaning, in figures and pages. Lines that mean none of this take `SERIES`."""
 
 _DPI = 130
-_COLUMNS: Mapping[int, float] = {1: 3.5, 2: 7.16}  # widths of one and two columns of IEEE's [inch]
-_CURVED = 0.02  # how far a curve may be off in print [pt]: corners show there
-_SMALLEST = 7.0  # letters in print [pt], where plots have so much room
 _LEGEND = 36.0  # below the axes, under their ticks and their label [pt]
 _LEGEND_WIDTH = 270.0  # of a plot of usual size [pt]; a letter takes 4.4 of them, a line 34
-_DETAIL = "path.simplify_threshold"
 _RC: Mapping[str, Any] = {
     "axes.axisbelow": True,
     "axes.grid": True,
@@ -61,7 +56,7 @@ _RC: Mapping[str, Any] = {
     "grid.linewidth": 0.6,
     "lines.linewidth": 1.4,
     "mathtext.fontset": "dejavusans",  # as the text around it
-    _DETAIL: 0.3,  # pixels, hardly seen; half the file where torques are rough
+    "path.simplify_threshold": 0.3,  # pixels, hardly seen; half the file where torques are rough
     "pdf.fonttype": 42,  # TrueType, embedded: publishers refuse bitmaps of letters
     "svg.hashsalt": "approxjac",  # the same SVG from the same run
 }
@@ -75,14 +70,10 @@ def style() -> AbstractContextManager[None]:
 class StyledFigure(Figure):
     """A figure that keeps the look wherever it is drawn; pyplot does not know it."""
 
-    in_print = False
-
     def draw(self, renderer: Any) -> None:
         """Draw it in the look: ticks are made only now, from the settings of this moment."""
         layout = self.get_layout_engine()
         with style():
-            if self.in_print:
-                matplotlib.rcParams[_DETAIL] = _CURVED  # `style` puts it back
             # one pass takes the room beside an image of fixed shape for room under its legend
             if layout is not None and any(ax.get_aspect() != "auto" for ax in self.axes):
                 layout.execute(self)
@@ -137,7 +128,9 @@ def legend_below(ax: Axes, columns: int | None = None) -> None:
     Entries are in `columns`, by default as many as fit under a plot of usual width.
     """
     if columns is None:
-        columns = _fitting(ax.get_legend_handles_labels()[1], _LEGEND_WIDTH)
+        labels = ax.get_legend_handles_labels()[1]
+        longest = max(map(len, labels), default=1)
+        columns = max(1, min(len(labels), int(_LEGEND_WIDTH / (4.4 * longest + 34.0))))
     # by a distance that does not change as the layout makes room for the legend
     below = offset_copy(ax.transAxes, ax.get_figure(root=True), y=-_LEGEND, units="points")
     ax.legend(
@@ -151,69 +144,21 @@ def formulas(text: str) -> str:
     return re.sub(r"(?<![\w$\\])([^\W\d_])_(\w{1,2})\b", r"$\1_{\2}$", text)
 
 
-def save_figure(figure: Figure, stem: str | Path, *, columns: int | None = None) -> list[Path]:
+def save_figure(figure: Figure, stem: str | Path) -> list[Path]:
     """Write a figure as `stem`.png and `stem`.svg, without dates inside; return the paths.
 
-    Args:
-        figure: The figure.
-        stem: Name of the files without ending.
-        columns: 1 or 2 writes `stem`.pdf as well, for print: as wide as one or two columns of a
-            paper (3.5 or 7.16 inch, IEEE's), with smaller letters and its fonts embedded.
-
     Raises:
-        InvalidInputError: The files cannot be written, or another number of columns.
+        InvalidInputError: The files cannot be written.
     """
-    if columns is not None and (isinstance(columns, bool) or columns not in _COLUMNS):
-        raise InvalidInputError(f"columns must be 1 or 2, got {columns!r}", given=columns)
     stem = Path(stem)
-    stem = stem.with_suffix("") if stem.suffix in (".png", ".svg", ".pdf") else stem
-    endings = (".png", ".svg") if columns is None else (".png", ".svg", ".pdf")
-    paths = [stem.with_name(stem.name + ending) for ending in endings]
+    stem = stem.with_suffix("") if stem.suffix in (".png", ".svg") else stem
+    paths = [stem.with_name(stem.name + ending) for ending in (".png", ".svg")]
     try:
-        with style():
-            with replaced(paths[0]) as png:
-                figure.savefig(png, dpi=_DPI)
-            with replaced(paths[1]) as svg:  # dpi: of what is pixels
-                figure.savefig(svg, dpi=_DPI, metadata={"Date": None})
-            if columns is not None:
-                with replaced(paths[2]) as pdf, _in_print(figure, _COLUMNS[columns]):
-                    figure.savefig(pdf, dpi=300, metadata={"CreationDate": None})
+        with style(), replaced(paths[0]) as png, replaced(paths[1]) as svg:
+            figure.savefig(png, dpi=_DPI)
+            figure.savefig(svg, dpi=_DPI, metadata={"Date": None})  # dpi: of what is pixels
     except OSError as error:
         raise InvalidInputError(
             f"stem must name files that can be written, got {stem}: {reason(error)}", given=stem
         ) from error
     return paths
-
-
-@contextmanager
-def _in_print(figure: Figure, width: float) -> Iterator[None]:
-    """Make a figure so wide [inch] inside a `with` block, and its letters smaller."""
-    before = tuple(figure.get_size_inches())
-    letters = max(min(width / before[0], 1.0), _SMALLEST / _RC["font.size"])
-    legends = {ax: ax.get_legend() for ax in figure.axes if ax.get_legend() is not None}
-    figure.draw_without_rendering()  # ticks are made when drawing
-    try:
-        for ax in legends:
-            spec = ax.get_subplotspec()
-            plots = 1 if spec is None else spec.get_gridspec().ncols
-            labels = ax.get_legend_handles_labels()[1]
-            legend_below(ax, _fitting(labels, (72.0 * width / plots - 12.0) / letters))
-        texts = [(text, text.get_fontsize()) for text in figure.findobj(Text)]
-        for text, size in texts:
-            text.set_fontsize(letters * size)
-        figure.set_size_inches(width, letters * before[1])
-        vars(figure)["in_print"] = True
-        yield
-    finally:
-        vars(figure)["in_print"] = False
-        figure.set_size_inches(before)
-        for text, size in texts:
-            text.set_fontsize(size)
-        for ax, legend in legends.items():
-            ax.legend_ = legend
-
-
-def _fitting(labels: Sequence[str], width: float) -> int:
-    """Return the number of a legend's columns that fit into a width [pt]."""
-    longest = max((len(label) for label in labels), default=1)
-    return max(1, min(len(labels), int(width / (4.4 * longest + 34.0))))

@@ -11,7 +11,6 @@ from approxjac import view
 
 PAGE = """<!doctype html><head><meta name="generator" content="approxjac">
 <meta name="description" content="error: 3 &lt; 4"><title>{}</title></head>"""
-LONG = "4. Seven joints keep their posture, of a Panda and then of an xArm7"
 
 
 def test_it_links_the_pages_of_runs_in_their_order(tmp_path):
@@ -33,25 +32,18 @@ def test_it_links_the_pages_of_runs_in_their_order(tmp_path):
 
 def test_pictures_without_a_page_stand_among_the_pages(tmp_path, open_page):
     for name in ("fig3.html", "fig10.html"):
-        (tmp_path / name).write_text(PAGE.format(name), encoding="utf-8")
-    for name in ("fig4 #1.png", "fig5.png"):
+        (tmp_path / name).write_text(PAGE.format(f"K_v of {name}"), encoding="utf-8")
+    for name in ("fig4 #1.png", "fig10.png"):
         Image.new("RGB", (40, 30)).save(tmp_path / name)
-    page = open_page(view.write_index(tmp_path, pictures={"fig4 #1.png": "A < b"}))
-    assert page.locator("li b").all_inner_texts() == ["fig3.html", "A < b", "fig10.html"]
+    page = open_page(view.write_index(tmp_path))
+    assert page.locator("li b").all_inner_texts() == [
+        "Kv of fig3.html",
+        "fig4 #1",
+        "Kv of fig10.html",
+    ]
     assert page.locator("a").count() == 2
-    assert page.locator("img").evaluate_all("all => all.map((i) => i.naturalWidth)") == [40]
-
-
-def test_pictures_that_are_not_there_are_refused(tmp_path):
-    (tmp_path / "fig3.html").write_text(PAGE.format("Run"), encoding="utf-8")
-    with pytest.raises(aj.InvalidInputError, match=r"titles by the names of files .* 'a\.png'"):
-        view.write_index(tmp_path, pictures={"a.png": "A"})
-    (tmp_path / "b.png").touch()
-    for name, title in ((tmp_path / "b.png", "B"), ("b.png", None), (str(tmp_path / "b.png"), "B")):
-        with pytest.raises(aj.InvalidInputError, match="titles by the names of files"):
-            view.write_index(tmp_path, pictures={name: title})
-    with pytest.raises(aj.InvalidInputError, match="pictures must be titles by file names"):
-        view.write_index(tmp_path, pictures=["a.png"])
+    widths = page.locator("img").evaluate_all("all => all.map((i) => i.naturalWidth)")
+    assert widths == [40, 40]
 
 
 def test_links_with_odd_names_open(tmp_path, open_page):
@@ -66,18 +58,3 @@ def test_a_folder_without_pages_is_refused(tmp_path):
         view.write_index(tmp_path)
     with pytest.raises(aj.InvalidInputError, match="folder must"):
         view.write_index(tmp_path / "nowhere")
-
-
-def test_a_table_opens_the_index(tmp_path, open_page):
-    (tmp_path / "fig3.html").write_text(PAGE.format("Figure 3: K_v < 1"), encoding="utf-8")
-    rows = {"": ["figure", "verdict"], "fig3.html": [LONG, "K_v too <small>"]}
-    index = view.write_index(tmp_path, table=rows)
-    assert "<td" in index.read_text(encoding="utf-8").partition("<li>")[0]
-    page = open_page(index, (400, 800))
-    assert page.locator("td").all_inner_texts() == [LONG, "Kv too <small>"]
-    assert page.evaluate("document.documentElement.scrollWidth") == 400
-    page.locator("td a").click()
-    assert page.url.endswith("fig3.html")
-    for wrong in ({"fig3.html": ["3"]}, {"": ["a"], "fig3.html": ["3", "4"]}, {"": [1]}):
-        with pytest.raises(aj.InvalidInputError, match="table must have its heads by"):
-            view.write_index(tmp_path, table=wrong)

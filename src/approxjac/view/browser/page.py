@@ -336,56 +336,35 @@ def _image(scene: Scene) -> dict[str, Any] | None:
 # -- an index of pages --------------------------------------------------------------------------
 
 
-def write_index(
-    folder: str | Path,
-    title: str = "Runs to look at",
-    pictures: Mapping[str, str] | None = None,
-    table: Mapping[str, Sequence[str]] | None = None,
-) -> Path:
+def write_index(folder: str | Path, title: str = "Runs to look at") -> Path:
     """Write index.html, a link to every run page in a folder by their names; return its path.
 
-    A picture of the same name beside a page (run.png beside run.html) is shown with its link.
+    A picture of the same name beside a page (run.png beside run.html) is shown with its link, and
+    other PNGs among the pages.
 
     Args:
         folder: With pages that `save_page` wrote.
         title: Of the index.
-        pictures: Titles of pictures in the folder that have no page, by the names of their files;
-            none by default. They are shown among the pages.
-        table: A table that opens the index, none by default: its heads by "", and its rows by the
-            names of the files that their first cells link to.
 
     Raises:
-        InvalidInputError: A folder without such pages, or that cannot be written to, or a picture
-            that is not in it, or rows of a table that are not as long as its heads.
+        InvalidInputError: A folder without such pages, or that cannot be written to.
     """
     require("folder", folder, (str, Path), "a folder")
     folder = Path(folder)
-    pictures = {} if pictures is None else pictures
-    require("pictures", pictures, Mapping, 'titles by file names, such as {"map.png": "Map"}')
     try:
-        entries = {}
-        for path in folder.glob("*.html"):
-            with path.open(encoding="utf-8", errors="replace") as file:
-                head = file.read(_HEAD)
-            if _MARK in head:
-                entries[path.name] = _entry(path, head)
+        heads = {path: path.read_text("utf-8", "replace")[:_HEAD] for path in folder.glob("*.html")}
+        entries = {path: _entry(path, head) for path, head in heads.items() if _MARK in head}
         if not entries:
             raise InvalidInputError(
                 f"folder must hold pages that save_page(run, path) wrote, got {folder} without any",
                 given=folder,
             )
-        for name, said in pictures.items():
-            texts = isinstance(name, str) and isinstance(said, str)
-            if not texts or Path(name).name != name or not (folder / name).is_file():
-                raise InvalidInputError(
-                    f"pictures must be titles by the names of files in {folder}, got {name!r}: "
-                    f"{said!r}",
-                    given=name,
-                )
-            picture = f'<img src="{quote(name)}" alt=""><b>{escape(said)}</b>'
-            entries[name] = f"<li><div>{picture}</div></li>"
-        listed = "\n".join(entries[name] for name in sorted(entries, key=_natural))
-        parts = {"title": escape(title), "entries": listed, "table": _table(table or {})}
+        for path in folder.glob("*.png"):
+            if path.with_suffix(".html") not in entries:
+                picture = f'<img src="{quote(path.name)}" alt=""><b>{escape(path.stem)}</b>'
+                entries[path] = f"<li><div>{picture}</div></li>"
+        listed = [entries[path] for path in sorted(entries, key=_natural)]
+        parts = {"title": escape(title), "entries": "\n".join(listed)}
         parts |= {"link": COLORS["true"], "text": COLORS["neutral"]}
         index = folder / "index.html"
         write_text(index, _filled("index.html", parts))
@@ -404,36 +383,12 @@ def _entry(path: Path, head: str) -> str:
     image = path.with_suffix(".png")
     picture = f'<img src="{quote(image.name)}" alt="">' if image.is_file() else ""
     named = title[1] if title else escape(path.stem)
+    named = re.sub(r"\b(\w)_(\w)\b", r"\1<sub>\2</sub>", named)  # K_v, say
     line = f"<p>{text[1]}</p>" if text else ""
-    return f'<li><a href="{quote(path.name)}">{picture}<b>{_indexed(named)}</b>{line}</a></li>'
+    return f'<li><a href="{quote(path.name)}">{picture}<b>{named}</b>{line}</a></li>'
 
 
-def _table(rows: Mapping[str, Sequence[str]]) -> str:
-    """Return a table of cells by the files that its rows are about; its heads are by ""."""
-    heads, lines = rows.get("", ()), []
-    for name, row in rows.items():
-        if len(row) != len(heads) or not all(isinstance(cell, str) for cell in row):
-            raise InvalidInputError(
-                f'table must have its heads by "", and rows of so many texts, got {name!r}: {row}',
-                given=row,
-            )
-        cells = [_indexed(escape(cell)) for cell in row]
-        if name:
-            cells[0] = f'<a href="{quote(name)}">{cells[0]}</a>'
-            named = zip(map(escape, heads), cells, strict=True)
-            shown = (f'<td data-head="{head}"><span>{cell}</span></td>' for head, cell in named)
-            lines.append(f"<tr>{''.join(shown)}</tr>")
-    if not rows:
-        return ""
-    top = "".join(f"<th>{escape(head)}</th>" for head in heads)
-    return f"<table><thead><tr>{top}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
-
-
-def _indexed(text: str) -> str:
-    """Return a text with symbols such as K_v, a letter and an index, as they are written."""
-    return re.sub(r"\b(\w)_(\w)\b", r"\1<sub>\2</sub>", text)
-
-
-def _natural(name: str) -> list[Any]:
+def _natural(path: Path) -> list[Any]:
     """Return a key that sorts fig10 after fig9."""
-    return [int(part) if k % 2 else part for k, part in enumerate(re.split(r"(\d+)", name))]
+    parts = enumerate(re.split(r"(\d+)", path.name))
+    return [int(part) if k % 2 else part for k, part in parts]
