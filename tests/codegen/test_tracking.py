@@ -146,7 +146,6 @@ def law_of(kind):
     return {
         "camera turned": (aj.PositionTask(panda), ("tool", "origins", "camera")),
         "tool": (aj.PositionTask(panda), ("tool",)),
-        "scale": (aj.PositionTask(panda), ("tool", "scale", "offset")),
         "camera known": (tracked, ("tool", "origins")),
         "five rows": (points, ("tool", "origins", "offset")),
         "continuous joints": (kinova, ("tool", "origins", "camera")),
@@ -157,7 +156,7 @@ def law_of(kind):
 
 SOME = ("continuous joints", "in the plane")
 KINDS = (
-    "camera turned", "tool", "scale", "camera known", "five rows", "continuous joints",
+    "camera turned", "tool", "camera known", "five rows", "continuous joints",
     "in the plane", "mimic joints",
 )  # fmt: skip
 

@@ -230,7 +230,7 @@ def test_estimates_move_as_is_said(turned_run, sensor):
         t = 9.01 + 1e-3 * k
         after = kinematics.step(after, aj.Measurement(t, run.q, np.zeros(7), x, 8.99), 1e-3)
     Theta, R = kinematics._estimator.estimate(after[at["sums"]])
-    n = kinematics._unknowns.n_u
+    n = kinematics._n_u
     T = kinematics._orientation.of(Theta[n - 9 : n])
     goal = rotation_exp(after[at["integral"]][3:] / kinematics._orientation.length)
     goal = goal @ R @ kinematics._orientation.frame_rotation(run.q) @ T
@@ -262,8 +262,7 @@ def test_rotations_are_told(turned_run):
     assert report.is_explained
     assert report.noise[1] == pytest.approx(1e-3, rel=0.2)
     assert "tool.rz" in str(report)
-    believed = kinematics._unknowns
-    assert_allclose(believed.sd[kinematics.names.index("tool.rx")], 1.0)
+    assert_allclose(kinematics._sd[kinematics.names.index("tool.rx")], 1.0)
 
 
 @pytest.mark.parametrize("tip", ["object_tip", "panda_hand", "panda_link7"])

@@ -11,7 +11,6 @@ from approxjac.cameras import PlanarCamera
 from approxjac.controllers import (
     AdaptiveCamera,
     AdaptiveKinematics,
-    AdaptivePlanarCamera,
     HeldMeasurement,
     Limits,
     PredictedMeasurement,
@@ -75,7 +74,7 @@ def test_kinematics_refuse_what_is_no_state_of_theirs(task, two_link):
         AdaptiveKinematics(task),
         AdaptiveKinematics(task, unknown=("tool", "offset")),
         AdaptiveCamera(image),
-        AdaptivePlanarCamera(planar),
+        AdaptiveKinematics(planar),
     ):
         of = kinematics.task
         q = HOME[: of.robot.nv]

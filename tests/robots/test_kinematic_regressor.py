@@ -129,21 +129,6 @@ def test_points_of_a_frame(kinds, rng):
     assert regressor.p == KinematicRegressor(kinds, "tip").p
 
 
-def test_tilts_are_those_of_the_robot_with_turned_joints(arm, rng):
-    """Across the axes; the directions are an orthonormal pair."""
-    regressor, h = KinematicRegressor(arm), 1e-6
-    q = arm.random_configuration(rng)
-    found = regressor.tilts(q, regressor.theta)
-    here = regressor.position(q, regressor.theta)
-    for i, joint in enumerate(regressor.turning):
-        axis = np.array(arm.tree.joints[joint].axis)
-        across = np.linalg.svd(axis[np.newaxis])[2][1:]
-        for k, e in enumerate(across):
-            tilted = FrameKinematics(arm.with_kinematic_error({}, {joint: list(h * e)}), arm.tip)
-            expected = (tilted.position(q) - here) / h
-            assert_allclose(found[:, 2 * i + k], expected, atol=1e-5)
-
-
 @pytest.mark.parametrize(
     ("name", "rank", "p"),
     [("panda", 17, 24), ("xarm7", 17, 24), ("ur5", 15, 21), ("kinova", 15, 21)],

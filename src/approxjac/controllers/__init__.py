@@ -21,10 +21,8 @@ from approxjac.controllers.learning.estimator import Kinematics as Kinematics
 from approxjac.controllers.learning.estimator import KnownKinematics as KnownKinematics
 from approxjac.controllers.learning.kinematic_report import KinematicReport as KinematicReport
 from approxjac.controllers.learning.kinematic_report import LearntNumber as LearntNumber
-from approxjac.controllers.learning.kinematic_report import TiltedAxes as TiltedAxes
 from approxjac.controllers.learning.learnt_camera import AdaptiveCamera as AdaptiveCamera
 from approxjac.controllers.learning.positions import AdaptiveKinematics as AdaptiveKinematics
-from approxjac.controllers.learning.positions import AdaptivePlanarCamera as AdaptivePlanarCamera
 from approxjac.controllers.limits.cross_weight import CrossWeight as CrossWeight
 from approxjac.controllers.limits.limit import CartesianSpeed as CartesianSpeed
 from approxjac.controllers.limits.limit import Limit as Limit

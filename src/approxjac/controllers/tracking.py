@@ -29,7 +29,7 @@ from approxjac.controllers.arguments import (
 from approxjac.controllers.controller import Controller
 from approxjac.controllers.learning.estimator import Kinematics
 from approxjac.controllers.learning.learnt_camera import AdaptiveCamera
-from approxjac.controllers.learning.positions import AdaptiveKinematics, AdaptivePlanarCamera
+from approxjac.controllers.learning.positions import AdaptiveKinematics
 from approxjac.controllers.limits.limits import Limits, sure_deceleration
 from approxjac.controllers.pseudoinverse import singular_ratio
 from approxjac.errors import InvalidInputError
@@ -529,7 +529,7 @@ def _usual_kinematics(task: Task, dt: float) -> Kinematics:
         return AdaptiveKinematics(task, unknown=("tool", "origins"), dt=dt)
     if isinstance(task, ImageTask):
         planar = isinstance(task.camera, PlanarCamera)
-        return AdaptivePlanarCamera(task, dt=dt) if planar else AdaptiveCamera(task, dt=dt)
+        return AdaptiveKinematics(task, dt=dt) if planar else AdaptiveCamera(task, dt=dt)
     raise InvalidInputError(
         f"kinematics must be given for {task!r}: what is learnt by itself are positions, poses "
         "and images; KnownKinematics(task) takes the believed arm for true",

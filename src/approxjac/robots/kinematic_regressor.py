@@ -13,17 +13,10 @@ from approxjac.errors import InvalidInputError
 from approxjac.robots.dynamics import anywhere, independent_columns
 from approxjac.robots.robot import Robot
 from approxjac.robots.traced import arm_of
-from approxjac.robots.urdf import direction
 from approxjac.validation import Array, as_array, as_vector, require
 
 _RANK_TOLERANCE = 1e-4  # axes in URDFs are rounded, such as 1.5708 for a right angle
 _COEFFICIENT = 1e-3  # below which a parameter has no part in a combination
-# a @ _CROSS is −[a]ₓ, row by row
-_CROSS = np.array([
-    [0, 0, 0, 0, 0, 1, 0, -1, 0],
-    [0, 0, -1, 0, 0, 0, 1, 0, 0],
-    [0, 1, 0, -1, 0, 0, 0, 0, 0],
-], dtype=float)  # fmt: skip
 _IN_WORLD = pin.LOCAL_WORLD_ALIGNED
 _JACOBIAN_DOT = pin.getFrameJacobianTimeVariation
 
@@ -66,9 +59,6 @@ class KinematicRegressor:
         names: Names of the parameters, such as "panda_joint4.x" [m] or "tool.x"; with several
             frames the name of the frame in place of "tool".
         theta: Their values for `robot` itself, shape (p,) [m].
-        turning: Names of the joints that turn.
-        across: Two directions across the axis of each of these, in the axes of the link that
-            carries it, shape (t, 3, 2).
         points: Frame of each point, and where it is in that frame's axes, shape (3,) [m].
         has_offset: Whether `offset` is ever anything but 0.
 
@@ -114,17 +104,9 @@ class KinematicRegressor:
         slides = np.array(
             [model.joints[joint].shortname().startswith("JointModelP") for joint in joints]
         )
-        axes = np.array([direction(list(robot.tree.joints[name].axis)) for name in self.movers])
         self.points = tuple((int(f), point) for f, point in zip(of_frame, known, strict=True))
         rotations = [placed[f].placement.rotation for f in of_frame]
         own = [R @ point for R, point in zip(rotations, known, strict=True)]
-        # two directions across the axis of each joint that turns, on the link that carries it
-        self._turning = np.flatnonzero(~slides)
-        self.turning = tuple(self.movers[i] for i in self._turning)
-        carried = [model.jointPlacements[joints[i]].rotation for i in self._turning]
-        across = [np.linalg.svd(axes[i][np.newaxis])[2][1:].T for i in self._turning]
-        each = [R @ e for R, e in zip(carried, across, strict=True)]
-        self.across = np.array(each).reshape(-1, 3, 2)
         origins = [model.jointPlacements[joint].translation for joint in joints]
         self.theta = np.concatenate([*origins, *(each.placement.translation for each in placed)])
         self.theta.flags.writeable = False
@@ -161,9 +143,6 @@ class KinematicRegressor:
         # from (q, θ) and (q̇, θ') to numbers of that model
         self._order_v = np.argsort(places)
         self._order_q = np.argsort([each.idx_q + i for each in added for i in range(each.nq)])
-        self._turning_links = [links[joints[i]] for i in self._turning]
-        on = np.array([[joint in paths[f] for joint in joints] for f in of_frame], dtype=float)
-        self._moves = on[:, self._turning, np.newaxis]
         own_q = [model.joints[joint] for joint in joints]
         own_q = [each.idx_q + i for each in own_q for i in range(each.nq)]
         self._own_q = None if own_q == list(range(model.nq)) else np.array(own_q)
@@ -219,21 +198,6 @@ class KinematicRegressor:
         J, J_dot = self._jacobians(pin.getFrameJacobian), self._jacobians(_JACOBIAN_DOT)
         drift = J.take(self._of_theta, 1).dot(theta_dot)
         return PointMotion(p, self._along_joints(J), self._along_joints(J_dot), drift)
-
-    def tilts(self, q: Array, theta: Array) -> Array:
-        """Return ∂p/∂(tilts of the axes of joints that turn), shape (3k, 2 t) [m/rad].
-
-        Two for each of the t joints in `turning`, about directions across its axis.
-        """
-        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
-            return np.asanyarray(arm.points(self).tilts(theta, self.across))
-        points = self.position(q, theta).reshape(-1, 1, 3)
-        # where a joint begins, in the axes of the link that carries it
-        begins = [self._data.oMi[self._freed.parents[link]] for link in self._turning_links]
-        levers = self._moves * (points - [each.translation for each in begins])
-        across = np.array([each.rotation for each in begins]) @ self.across
-        columns = levers.dot(_CROSS).reshape(*levers.shape, 3) @ across
-        return np.asarray(columns.transpose(0, 2, 1, 3).reshape(3 * self.k, -1))
 
     # -- parameters that can be identified, and the robot with them ----------------------
 

@@ -307,7 +307,7 @@ def _kinematics(scenario: Scenario, task: Task) -> Kinematics:
         return controllers.AdaptiveKinematics(task, unknown, noise=noise, angle_noise=noise, **rest)
     if isinstance(task.camera, PlanarCamera):
         noise = max(noise, _LEAST_NOISE * task.camera.magnification)
-        return controllers.AdaptivePlanarCamera(task, unknown, noise=noise, **rest)
+        return controllers.AdaptiveKinematics(task, unknown, noise=noise, **rest)
     if "camera" in unknown:  # with its focal length
         unknown = tuple(dict.fromkeys((*unknown, "focal_length")))
     if task.camera.mount is not None:

@@ -500,7 +500,6 @@ class LearntPoints:
     def __init__(self, arm: Configured, regressor: KinematicRegressor) -> None:
         self._arm, self._regressor = arm, regressor
         names = list(arm.arm.robot.mimic_joints.model.names)[1:]
-        self._of_joint = {name: i for i, name in enumerate(regressor.movers)}
         self._movers, self._n_all = [names.index(name) for name in regressor.movers], len(names)
         places = [arm.arm.require_frame(name) for name in regressor.frames]
         self._carriers = [arm.arm.structure.carriers[place] for place in places]
@@ -520,47 +519,11 @@ class LearntPoints:
             rows.append(np.concatenate(blocks, axis=1))
         return np.concatenate(rows)
 
-    def tilts(self, theta: Symbols, across: Array) -> Symbols:
-        """Return ∂p/∂(tilts of axes), shape (3k, 2 t)."""
-        arm, regressor = self._arm, self._regressor
-        origins, points = self._placed(theta)
-        J = symbols(np.zeros((3 * regressor.k, 2 * len(across))))
-        for t, name in enumerate(regressor.turning):
-            joint = self._movers[self._of_joint[name]]
-            ways = arm.axes(arm.structure.parents[joint]) @ across[t]
-            for k, (frame, _) in enumerate(regressor.points):
-                if joint in arm.path(self._carriers[frame]):
-                    for i in range(2):
-                        J[3 * k : 3 * k + 3, 2 * t + i] = cross(
-                            ways[:, i], points[k] - origins[joint]
-                        )
-        return J
-
-    def _placed(self, theta: Symbols) -> tuple[dict[int, Symbols], list[Symbols]]:
-        """Return the origins of joints and the points in the world, each (3,) [m]."""
-        arm, own = self._arm, symbols(theta).reshape(-1, 3)
-        slid: dict[int, Symbols] = {-1: _NOTHING}  # where what a joint carries begins
-        origins: dict[int, Symbols] = {}
-        for i, j in enumerate(self._movers):
-            parent = arm.structure.parents[j]
-            origins[j] = slid[parent] + arm.axes(parent) @ own[i]
-            slid[j] = origins[j]
-            if arm.structure.slides[j]:
-                slid[j] = origins[j] + arm.axis(j) * arm.q_all[arm.structure.places[j]]
-        points = []
-        for frame, point in self._regressor.points:
-            carrier = self._carriers[frame]
-            p = slid[carrier] + arm.axes(carrier) @ own[len(self._movers) + frame]
-            if point.any():
-                p = p + arm.frame(self._regressor.frames[frame])[0] @ point
-            points.append(p)
-        return origins, points
-
     def motion(self, v: Symbols | None, theta: Symbols, theta_dot: Symbols | None) -> PointMotion:
         """Return positions and derivatives with q̇ (n_v,), θ and θ' (p,); None is at rest."""
         arm, regressor, structure = self._arm, self._regressor, self._arm.structure
         mimic = arm.arm.robot.mimic_joints
-        origins, points = self._placed(theta)
+        placed = symbols(theta).reshape(-1, 3)
         speeds = symbols(np.zeros(self._n_all)) if v is None else mimic.v(v)
         rates = symbols(np.zeros(regressor.p)) if theta_dot is None else symbols(theta_dot)
         own = rates.reshape(-1, 3)
@@ -568,12 +531,14 @@ class LearntPoints:
         slides: dict[int, Symbols] = {-1: _NOTHING}  # velocity of where what it carries begins
         moves: dict[int, Symbols] = {}
         axes: dict[int, tuple[Symbols, Symbols]] = {}
+        origins: dict[int, Symbols] = {}
         ends: dict[int, Symbols] = {-1: _NOTHING}
         drifts: dict[int, Symbols] = {-1: _NOTHING}
         for i, j in enumerate(self._movers):
             parent = structure.parents[j]
             z, spin, rate = arm.axis(j), spins[parent], arm.axes(parent) @ own[i]
             z_dot = cross(spin, z)
+            origins[j] = ends[parent] + arm.axes(parent) @ placed[i]
             moves[j] = slides[parent] + cross(spin, origins[j] - ends[parent]) + rate
             drifts[j] = drifts[parent] + rate
             axes[j], spins[j], slides[j], ends[j] = (z, z_dot), spin, moves[j], origins[j]
@@ -584,8 +549,11 @@ class LearntPoints:
             else:
                 spins[j] = spin + z * speeds[j]
         found = []
-        for k, (frame, _) in enumerate(regressor.points):
-            carrier, p = self._carriers[frame], points[k]
+        for frame, point in regressor.points:
+            carrier = self._carriers[frame]
+            p = ends[carrier] + arm.axes(carrier) @ placed[len(self._movers) + frame]
+            if point.any():
+                p = p + arm.frame(regressor.frames[frame])[0] @ point
             rate = arm.axes(carrier) @ own[len(self._movers) + frame]
             p_dot = slides[carrier] + cross(spins[carrier], p - ends[carrier]) + rate
             J, J_dot = symbols(np.zeros((2, 3, self._n_all)))

@@ -11,11 +11,7 @@ import numpy as np
 
 from approxjac import law
 from approxjac.controllers.arguments import LONGEST_DELAY, from_another_clock, time_of_x
-from approxjac.controllers.learning.kinematic_report import (
-    KinematicReport,
-    LearntNumber,
-    TiltedAxes,
-)
+from approxjac.controllers.learning.kinematic_report import KinematicReport, LearntNumber
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import Measurement, Status, Target
 from approxjac.law import PredictedError
@@ -345,13 +341,9 @@ class Estimator(Kinematics):
         By the noise that is given, or χ² by that which is seen.
         """
 
-    @abstractmethod
     def _in_units(self, covariance: Array, learnt: Array) -> Array:
         """Return the covariance of what is estimated as that of what `learnt` returns."""
-
-    def _axes(self, state: Array) -> TiltedAxes:
-        """Return whether tilted axes would explain x better."""
-        return TiltedAxes()
+        return covariance
 
     # -- the steps ---------------------------------------------------------------------------
 
@@ -491,7 +483,7 @@ class Estimator(Kinematics):
         rows = tuple(LearntNumber(name, unit, *row) for name, unit, row in each)
         turn = [r.value for r in rows if r.unit == "rad" and r.name.startswith("camera.")]
         return KinematicReport(
-            rows, P, math.hypot(*turn), chi, self._axes(state), (self.noise, math.sqrt(variance)),
+            rows, P, math.hypot(*turn), chi, (self.noise, math.sqrt(variance)),
             seconds, int(restarts), self._noise_unit,
             self._frames.silence(state[at["frames"]]), self.regressor.movers[-1],
         )  # fmt: skip
@@ -501,6 +493,49 @@ def _time(measurement: Measurement) -> float:
     """Return the time of a measurement [s], or refuse it: what is learnt has to be known when."""
     name, most = "t of a measurement", _FOREVER
     return as_number(name, measurement.t, unit="s", minimum=-most, most=most)
+
+
+class Translations:
+    """p(q) = o(q) + H(q)u, with u those translations of a regressor that are learnt."""
+
+    def __init__(
+        self, regressor: KinematicRegressor, n_tools: int, tool: bool, origins: bool
+    ) -> None:
+        is_tool = np.arange(regressor.p) >= regressor.p - 3 * n_tools
+        self._chosen = np.flatnonzero(np.where(is_tool, tool, origins))
+        self._regressor, self.is_tool = regressor, is_tool[self._chosen]
+        self.names = [regressor.names[i] for i in self._chosen]
+        self.u = regressor.theta[self._chosen]
+        self._S = np.eye(regressor.p)[:, self._chosen]
+        self._known = regressor.theta - self._S.dot(self.u)
+
+    def at(self, q: Array) -> tuple[Array, Array]:
+        """Return H(q), shape (3k, n_u), and o(q), shape (3k,)."""
+        Y = self._regressor.Y(q)
+        known = Y.dot(self._known)
+        if self._regressor.has_offset:
+            known = known + self._regressor.offset(q)
+        return Y[:, self._chosen], known
+
+    def theta(self, u: Array) -> Array:
+        """Return all translations of the regressor, those that are known as well; (p,) [m]."""
+        return np.asanyarray(self._known + self.rates(u))
+
+    def rates(self, u_dot: Array) -> Array:
+        """Return the rates of `theta`, shape (p,) [m/s]."""
+        return u_dot if len(u_dot) == len(self._S) else np.asanyarray(self._S.dot(u_dot))
+
+
+def motion_of_points(
+    before: tuple[Array, Array], after: tuple[Array, Array], u: Array, sd: Array
+) -> tuple[Array, Array]:
+    """Return how far points move where u (n_u,) is right, and the sd of it; (k,) [m]."""
+    (H_0, o_0), (H, o) = before, after
+    k, n = o.size // 3, len(u)
+    H = (H - H_0).reshape(k, 3, n)
+    moved = (o - o_0).reshape(-1, 3) + H.dot(u)
+    unsure = (H * sd).reshape(k, 3 * n)
+    return np.sqrt((moved**2).sum(axis=1)), np.sqrt((unsure**2).sum(axis=1))
 
 
 class Frames:

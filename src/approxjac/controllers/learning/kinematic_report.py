@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 from approxjac.validation import Array
 
 _NOT_SEEN = 0.5  # share of the prior variance below which nothing was learnt of a number
-_BEYOND = 3.5  # standard deviations of χ²
 _SILENT = 1.0  # without a frame to learn from [s]
 _UNEXPLAINED = 1.5  # χ² a degree of freedom
 _NO_JOINTS = {"tool", "points", "camera", "focal_length", "offset", "scale"}  # others have origins
@@ -39,30 +37,6 @@ class LearntNumber(NamedTuple):
         return self.share >= _NOT_SEEN
 
 
-class TiltedAxes(NamedTuple):
-    """Tilts of joint axes, and how much of what is not explained they would explain.
-
-    Attributes:
-        chi_squared: What tilts of all axes would explain, per degree of freedom: 1 if none is
-            tilted and there is white noise only.
-        freedom: Degrees of freedom.
-        joint: Whose tilt would explain most.
-        angle: Its tilt that would do so, together with others [rad].
-    """
-
-    chi_squared: float = 1.0
-    freedom: float = 0.0
-    joint: str = ""
-    angle: float = 0.0
-
-    @property
-    def are_tilted(self) -> bool:
-        """Return whether axes are tilted, with 3.5 standard deviations of what noise explains."""
-        if self.freedom < 1.0:
-            return False
-        return self.chi_squared > 1.0 + _BEYOND * math.sqrt(2.0 / self.freedom)
-
-
 class KinematicReport(NamedTuple):
     """Report of the kinematics as they were learnt.
 
@@ -75,7 +49,6 @@ class KinematicReport(NamedTuple):
         angle: Of the camera's rotation [rad]; 0 where it is known.
         chi_squared: Of residuals averaged over a third of a second, per degree of freedom: 1 if
             the parameters that may be wrong explain x up to white noise.
-        axes: Whether tilted axes would explain x better.
         noise: Standard deviation of x as it was given, and as it is seen from frame to frame
             [`unit`].
         seconds: Of frames that were learnt from, since the last restart [s].
@@ -89,7 +62,6 @@ class KinematicReport(NamedTuple):
     covariance: Array
     angle: float
     chi_squared: float
-    axes: TiltedAxes
     noise: tuple[float, float]
     seconds: float
     restarts: int
@@ -100,7 +72,7 @@ class KinematicReport(NamedTuple):
     @property
     def is_explained(self) -> bool:
         """Return whether the parameters that may be wrong explain x, of which they were learnt."""
-        return self.seconds > 0.0 and self.chi_squared <= _UNEXPLAINED and not self.axes.are_tilted
+        return self.seconds > 0.0 and self.chi_squared <= _UNEXPLAINED
 
     @property
     def suspects(self) -> str:
@@ -138,11 +110,4 @@ class KinematicReport(NamedTuple):
         if self.seconds and not self.is_explained:
             rest = f"; it may be: {self.suspects}" if self.suspects else ""
             lines.append(f"the parameters that may be wrong do not explain x{rest}")
-        if self.axes.are_tilted:
-            degrees = math.degrees(self.axes.angle)
-            lines.append(
-                f"axes are tilted: chi squared {self.axes.chi_squared:.1f} for each of "
-                f"{self.axes.freedom:.0f} degrees of freedom, most of it by {self.axes.joint} "
-                f"({degrees:.1f} deg)"
-            )
         return "\n".join(lines)

@@ -363,7 +363,7 @@ def _camera(task: Any) -> PinholeCamera:
     camera = task.camera
     if not isinstance(camera, PinholeCamera):
         raise InvalidInputError(
-            f"task must have a PinholeCamera, got {task!r}; AdaptivePlanarCamera is for one that "
+            f"task must have a PinholeCamera, got {task!r}; AdaptiveKinematics is for one that "
             "looks straight at the plane of an arm",
             given=task,
         )

@@ -3,44 +3,62 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from approxjac import law
 from approxjac.cameras import PlanarCamera
-from approxjac.controllers.arguments import chosen_kinds, is_rotation
-from approxjac.controllers.learning.estimator import JUMP, WINDOW, Estimator, Frame
-from approxjac.controllers.learning.kinematic_report import TiltedAxes
-from approxjac.controllers.learning.unknowns import KINDS, Unknowns
+from approxjac.controllers.arguments import chosen_deviations, chosen_kinds, is_rotation
+from approxjac.controllers.learning.estimator import (
+    JUMP,
+    WINDOW,
+    Estimator,
+    Frame,
+    Translations,
+    motion_of_points,
+)
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement, Target
 from approxjac.law import PredictedError
-from approxjac.robots import Robot
-from approxjac.tasks import ImageTask, PositionTask, Task
-from approxjac.validation import Array, as_number, require
+from approxjac.robots import KinematicRegressor, Robot
+from approxjac.tasks import (
+    ImageTask,
+    PoseTask,
+    PoseTrackerTask,
+    PositionTask,
+    StackedTask,
+    Task,
+    TrackerTask,
+)
+from approxjac.tasks.frame_tasks import FrameKinematics
+from approxjac.validation import Array, as_number
 
+_KINDS = ("tool", "origins", "camera", "offset")
+_USUAL_SD: Mapping[str, float] = {
+    "tool": 0.2, "orientation": 1.0, "origins": 0.02, "camera": 1.0, "offset": 0.2,
+}  # fmt: skip
+_USUAL_IN_IMAGE = {"tool": 0.5, "origins": 0.5}  # as wrong as the magnification
+_NOISE = 2e-3  # usual one [m]
+_NOISY = 0.3  # of the arm's reach, or of a metre, above which noise is in millimetres
 _FORGETTING = 1.0 / 30.0  # λ [1/s]
 _MEMORY = 15.0  # of χ² [s]
 _CHANGED = 3e-3, 9.0  # averaged residual [m], and in its sd: another sensor or tool
 _WORST = 4.0  # χ² above which no more is passed over
 _BELIEVED = 5.0  # of frames after which what was learnt is a belief when learning begins anew [s]
-_SMALLEST_SCALE = 0.1
 _NO_TIME = 1e-12  # of an average's share
 _ODDS = 2.0  # of another rotation against the one at hand, as a logarithm, before it is taken
-_SD_TILT = 0.1  # of an axis that may be tilted [rad]
 _SAME = 0.8  # of tr(AᵀA'): about 45°, nearer than which rotations are one to Newton's method
 
 
 class AdaptiveKinematics(Estimator):
     """x̂ = R̂ p(q; θ̂) + b̂, learnt from the measured x while the arm moves.
 
-    Learnt are the translations of the tool and of all joint origins, and rotation, offset and
-    scale of a camera or tracker, as chosen. What the law controls is the *predicted* x̂, a known
-    function of q, turned back into the base frame, so that no estimate of the camera makes Ĵ
-    singular.
+    Learnt are the translations of the tool and of all joint origins, and rotation and offset of a
+    camera or tracker, as chosen. What the law controls is the *predicted* x̂, a known function of
+    q, turned back into the base frame, so that no estimate of the camera makes Ĵ singular.
 
     With a rotation that is known it is recursive least squares with forgetting towards the prior
     (Theorem A): x̂ → x for any motion whatever, without excitation. With one that is not, it is the
@@ -51,19 +69,22 @@ class AdaptiveKinematics(Estimator):
     outside the loop. A sensor that jumps is passed over. One that was moved is learnt anew, and so
     is a tool that slipped: what was learnt before is a belief then.
 
-    Of a pose R̂_x = R̂ R_f(q) T̂ is learnt, too, the tool's rotation T̂ with that of the tracker.
+    Of a pose R̂_x = R̂ R_f(q) T̂ is learnt, too, the tool's rotation T̂ with that of the tracker. In
+    a `PlanarCamera` x is m times as large; images tell a wrong magnification m from lengths that
+    are wrong by its factor by nothing, so it is learnt as these.
 
     Args:
         task: A `PositionTask` or `TrackerTask` of the believed robot, or a `StackedTask` of them;
-            a `PoseTask` or `PoseTrackerTask`; or the robot, for the position of its tip. A camera
-            that may be turned needs two axes or three, the same of every point. Two turn in their
-            plane.
+            a `PoseTask` or `PoseTrackerTask`; an `ImageTask` of a frame's origin in a
+            `PlanarCamera`; or the robot, for the position of its tip. A camera that may be turned
+            needs two axes or three, the same of every point. Two turn in their plane.
         unknown: What may be wrong: "tool" and "origins" are translations, of a pose "tool" is its
-            orientation, too; "camera" is rotation and offset, "offset" the offset alone; "scale"
-            only of positions and where the origins are known.
+            orientation, too; "camera" is rotation and offset, "offset" the offset alone.
         sd: Plausible errors: "tool", "origins" and "offset" [m], "orientation" of the tool and
-            "camera" [rad], "scale"; by default 0.2, 0.02, 0.2, 1.0, 1.0 and 0.2.
-        noise: Standard deviation of x [m].
+            "camera" [rad]; by default 0.2, 0.02, 0.2, 1.0 and 1.0, in a `PlanarCamera` 0.5 of
+            "tool" and "origins". All lengths are in the arm's plane there.
+        noise: Standard deviation of x [m], in a `PlanarCamera` on its sensor; by default 2 mm,
+            there 0.2 mm times the magnification.
         delay: Age of x where `Measurement.t_x` is None [s]. No frame that is older than 0.25 s, or
             than twice the delay, is learnt from.
         dt: Sampling time of control [s].
@@ -71,14 +92,13 @@ class AdaptiveKinematics(Estimator):
 
     Attributes:
         regressor: p(q) of the points, linear in the translations.
-        names: Names of what is learnt, such as "panda_joint4.x", "tool.x", "scale", "offset.y",
-            "camera.rz", or "camera.turn" from the first axis to the second; of a pose "tool.rx",
-            in the axes of the believed tool.
+        names: Names of what is learnt, such as "panda_joint4.x", "tool.x", "offset.y", "camera.rz",
+            or "camera.turn" from the first axis to the second; of a pose "tool.rx", in the axes of
+            the believed tool.
 
     Raises:
-        InvalidInputError: Another task, nothing unknown or something else than that, a scale
-            beside unknown origins or joints that slide, an sd of what is not unknown, or numbers
-            that make no sense, such as milliseconds.
+        InvalidInputError: Another task, nothing unknown or something else than that, an sd of what
+            is not unknown, or numbers that make no sense, such as milliseconds.
         UnknownNameError: An sd of something else.
     """
 
@@ -87,53 +107,162 @@ class AdaptiveKinematics(Estimator):
         task: Task | Robot,
         unknown: Sequence[str] = ("tool", "origins", "camera"),
         sd: Mapping[str, float] | None = None,
-        noise: float = 2e-3,
+        noise: float | None = None,
         delay: float = 0.0,
         dt: float = 1e-3,
         angle_noise: float = 5e-3,
     ) -> None:
         self.task = task = PositionTask(task) if isinstance(task, Robot) else task
-        self.unknown = unknown
-        noise = as_number("noise", noise, unit="m", above=0.0)
+        self.unknown = kinds = chosen_kinds(unknown, _KINDS)
+        is_pose, self._turns = isinstance(task, PoseTask), "camera" in kinds
+        used = {*kinds, *(("offset",) if self._turns else ())}
+        used |= {"orientation"} if is_pose and "tool" in kinds else set()
+        in_image = isinstance(task, ImageTask)
+        sds = chosen_deviations(sd, {**_USUAL_SD, **(_USUAL_IN_IMAGE if in_image else {})}, used)
+        points, sensor = _seen(task)
+        axes = _axes(task, points, self._turns or sensor is not None)
+        self._d = d = len(axes)
+        self._size, R, b = sensor or (1.0, np.eye(d), np.zeros(d))
+        self._R, self._is_turned = R, self._turns or not np.array_equal(R, np.eye(d))
+
+        frames = list(dict.fromkeys(frame for frame, _ in points))
+        largest = _NOISY * max(1.0, *(task.robot.reach_bound(frame)[1] for frame in frames))
+        usual = 0.1 * _NOISE * self._size if in_image else _NOISE
+        noise = usual if noise is None else noise
+        most = largest * self._size
+        self.noise = as_number("noise", noise, unit="m", above=0.0, most=most) / self._size
         angle_noise = as_number("angle_noise", angle_noise, unit="rad", above=0.0, most=1.0)
-        self._unknowns = unknowns = Unknowns(task, unknown, sd, noise / angle_noise)
-        self.noise = as_number("noise", noise, unit="m", above=0.0, most=unknowns.largest_noise)
-        self.regressor, self._orientation = unknowns.regressor, unknowns.orientation
-        self.names, self.units = unknowns.names, unknowns.units
-        self._believed, self._sd = unknowns.believed, unknowns.sd
-        kind = _UnknownRotation if unknowns.turns else _KnownRotation
-        self._estimator: _LeastSquares = kind(unknowns, noise)
-        self._turns, self._d = unknowns.turns, unknowns.d
-        self._is_turned, self._n_p = unknowns.is_turned, len(unknowns.constant)
-        turns, is_pose = unknowns.turns, unknowns.orientation is not None
-        n, n_p, spin = unknowns.n_u, self._n_p, len(law.generators(self._d)) if turns else 0
+
+        # u: p = o(q) + H(q)u, and of a pose the nine numbers of the tool's rotation
+        self.regressor = KinematicRegressor(task.robot, frames)
+        tool, origins = "tool" in kinds, "origins" in kinds
+        self._moved = moved = Translations(self.regressor, len(frames), tool, origins)
+        entries = [(frames.index(frame), axis) for frame, each in points for axis in each]
+        rows = [3 * frame + "xyz".index(axis) for frame, axis in entries]
+        in_order = rows == list(range(3 * self.regressor.k))
+        self._rows: slice | Array = slice(None) if in_order else np.array(rows)
+        self._n_p, self._n_theta = len(rows), len(moved.u)
+        names, Theta = list(moved.names), [moved.u]
+        self._sd_u = np.where(moved.is_tool, sds["tool"], sds["origins"])
+        deviations = [self._sd_u]
+        self._orientation, self._learns_T = None, is_pose and tool
+        if is_pose:
+            self._orientation = Orientation(task.robot, frames[0], self.noise / angle_noise)
+        if self._learns_T:
+            names += [f"tool.r{axis}" for axis in "xyz"]
+            Theta.append(np.eye(3).ravel())
+            # √2, as one turn changes two of three numbers of an axis
+            deviations.append(np.full(9, math.sqrt(2.0) * sds["orientation"]))
+        self._n_u = self._n_theta + (9 if self._learns_T else 0)
+
+        # c = Rᵀb: the offset, learnt or known
+        c, each = R.T.dot(b), np.eye(d)[[axes.index(axis) for _, axis in entries]]
+        self._offsets, self._constant = np.zeros((len(rows), 0)), each.dot(c)
+        if self._turns or "offset" in kinds:
+            self._offsets, self._constant = each, np.zeros(len(rows))
+            names += [f"offset.{axis}" for axis in axes]
+            Theta.append(c)
+            deviations.append(np.full(d, sds["offset"]))
+        kind = _UnknownRotation if self._turns else _KnownRotation
+        self._Theta, sd_Theta = np.concatenate(Theta), np.concatenate(deviations)
+        self._estimator = kind(self._Theta, R, sd_Theta, sds["camera"], self._n_u, self.noise)
+        spin = len(law.generators(d)) if self._turns else 0
+        if self._turns:
+            names += [f"camera.r{axis}" for axis in axes] if d == 3 else ["camera.turn"]
+        self.names = tuple(names)
+        angles = ("rx", "ry", "rz", "turn")
+        self.units = tuple("rad" if name.endswith(angles) else "m" for name in names)
+        self._believed = self._in_order(self._Theta, R)
+        prior = np.diag(np.append(sd_Theta, np.full(spin, sds["camera"])) ** 2)
+        self._sd = np.sqrt(self._merged(prior, self._Theta).diagonal())
+        n, n_p, n_T = self._n_u, self._n_p, 9 if is_pose else 0
         sizes = {
             "sums": self._estimator.size, "chi": 2, "placed": task.n_x,
-            "R": self._d**2 if turns else 0, "R_spin": spin,
-            "T": 9 if is_pose else 0, "T_spin": 3 if is_pose else 0,
+            "R": d * d if self._turns else 0, "R_spin": spin, "T": n_T, "T_spin": n_T // 3,
             "u": n, "b": n_p, "u_dot": n, "b_dot": n_p,
         }  # fmt: skip
-        n_points = len(unknowns.points(np.zeros(task.n_x)))
-        self._lay_out(sizes, delay, dt, n_points, JUMP * noise)
+        self._lay_out(sizes, delay, dt, len(self._points(np.zeros(task.n_x))), JUMP * self.noise)
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({self.task!r}, unknown={self.unknown})"
+        return f"AdaptiveKinematics({self.task!r}, unknown={self.unknown})"
+
+    # -- what is measured, linear in Θ = (u, c): x = R(o(q) + H(q)Θ) -------------------------
+
+    def _own(self, measurement: Measurement) -> Measurement:
+        if self._size == 1.0:
+            return measurement
+        return measurement._replace(x=measurement.x / self._size)
+
+    def _points(self, x: Array) -> Array:
+        # of a pose position and axes; what may be turned tells nothing where it is seen in part
+        if self._orientation is not None:
+            x = np.concatenate([x[:3], self._orientation.points(x[3:])])
+        if self._is_turned:
+            lost = np.isnan(x.reshape(-1, self._d).sum(axis=1))
+            x = np.where(np.repeat(lost, self._d), math.nan, x)
+        return x
+
+    def _positions(self, q: Array) -> tuple[Array, Array]:
+        """Return H(q) of positions, (n_p, n_u), and o(q), in the base's axes without the offset."""
+        H, known = self._moved.at(q)
+        H, known = H[self._rows], known[self._rows] + self._constant
+        return np.concatenate([H, np.zeros((3, 9))], axis=1) if self._learns_T else H, known
+
+    def _regression(self, q: Array) -> tuple[Array, Array]:
+        """Return H(q) and o(q) of all that is linear, in the base's axes."""
+        H, known = self._positions(q)
+        H = np.concatenate([H, self._offsets], axis=1)
+        if self._orientation is None:
+            return H, known
+        axes, at, n = self._orientation.regressor(q), self._n_theta, H.shape[1]
+        parts, known_axes = [np.zeros((9, n))], axes.dot(np.eye(3).ravel())
+        if self._learns_T:
+            parts = [np.zeros((9, at)), axes, np.zeros((9, n - at - 9))]
+            known_axes = np.zeros(9)
+        H = np.concatenate([H, np.concatenate(parts, axis=1)])
+        return H, np.concatenate([known, known_axes])
+
+    def _reach(self, q_0: Array, q: Array) -> Array:
+        # half as far again as the believed arm, and four standard deviations of what may be wrong
+        before, after = self._moved.at(q_0), self._moved.at(q)
+        known, unsure = motion_of_points(before, after, self._moved.u, self._sd_u)
+        reach = np.repeat(1.5 * known + 4.0 * unsure, 3)[self._rows]
+        if self._orientation is not None:
+            turned = self._orientation.reach(q_0, q)
+            reach = np.concatenate([reach, np.repeat(1.5 * turned, 9)])
+        return np.asanyarray(reach + JUMP * self.noise)
+
+    def _in_order(self, Theta: Array, R: Array) -> Array:
+        """Return the learnt numbers in the order of `names`."""
+        n, c = self._n_theta, Theta[self._n_u :]
+        parts = [Theta[:n]]
+        if self._learns_T:
+            parts.append(law.rotation_log(Orientation.of(Theta[n : self._n_u])))
+        parts.append(R.dot(c) if len(c) else c)
+        if self._turns:
+            parts.append(law.rotation_log(R))
+        return np.concatenate(parts)
+
+    def _merged(self, P: Array, Theta: Array) -> Array:
+        """Return a covariance of what is estimated as that of `names`: nine numbers are a turn."""
+        if not self._learns_T:
+            return P
+        start, end = self._n_theta, self._n_u
+        M = np.eye(len(P))
+        M[start : start + 3, start:end] = Orientation.turn_of(Theta[start:end])
+        M = np.delete(M, slice(start + 3, end), axis=0)
+        return np.asarray(M.dot(P).dot(M.T))
 
     # -- learning ------------------------------------------------------------------------
 
-    def _points(self, x: Array) -> Array:
-        return self._unknowns.points(x)
-
     def _begin(self, state: Array) -> None:
-        at, unknowns = self._at, self._unknowns
+        at, n = self._at, self._n_u
         state[at["sums"]] = self._estimator.initial()
-        state[at["learnt"]] = unknowns.believed
+        state[at["learnt"]], state[at["u"]] = self._believed, self._Theta[:n]
         state[at["chi"]] = 1.0, 0.0
-        state[at["u"]] = unknowns.Theta[: unknowns.n_u]
         if self._turns:
-            state[at["R"]] = unknowns.R.ravel()
-        offset = unknowns.offsets.dot(unknowns.Theta[unknowns.n_u :])
-        state[at["b"]] = self._turned(unknowns.R, offset)
+            state[at["R"]] = self._R.ravel()
+        state[at["b"]] = self._turned(self._R, self._offsets.dot(self._Theta[n:]))
         if self._orientation is not None:
             state[at["T"]] = np.eye(3).ravel()
 
@@ -148,16 +277,13 @@ class AdaptiveKinematics(Estimator):
             T, is_seen = self._orientation.first(q, x[3:], R)
             first[3:] = first[3:] & is_seen
             state[at["T"]] = np.where(law.all_of(first[3:]), T.ravel(), state[at["T"]])
-        H, known = self._unknowns.at(q)
+        H, known = self._positions(q)
         x_hat = self._turned(R, known + H.dot(state[at["u"]]))
         state[at["b"]] = np.where(first[:n_p], x[:n_p] - x_hat, state[at["b"]])
         state[at["placed"]] = np.where(first, 1.0, state[at["placed"]])
 
-    def _reach(self, q_0: Array, q: Array) -> Array:
-        return self._unknowns.reach(q_0, q) + JUMP * self.noise
-
     def _correct(self, state: Array, frame: Frame, since: Any, is_anew: Any) -> None:
-        at, unknowns, x = self._at, self._unknowns, frame.x
+        at, x = self._at, frame.x
         averaged, chi = state[at["averaged"]], state[at["chi"]]
         kept = -np.expm1(-since / WINDOW)
         # as it was said, or as seen from frame to frame
@@ -167,17 +293,19 @@ class AdaptiveKinematics(Estimator):
         unexplained = np.sqrt(np.minimum(np.maximum(chi[0], 1.0), _WORST))
         changed = unexplained * np.maximum(_CHANGED[0], _CHANGED[1] * usual)
         law.alter(is_anew | (np.abs(averaged).max() > changed), state, self._renew)
-        H, known = unknowns.regression(frame.q)
-        H_T = np.concatenate([H, unknowns.tilts(frame.q, state[at["u"]])], axis=1)
-        seen, z, o = np.isfinite(x), x, known
-        if not law.surely(law.all_of(seen)):  # what is lost has no part in the sums
-            z, o = np.where(seen, x, 0.0), np.where(seen, known, 0.0)
-            H_T = np.where(seen[:, np.newaxis], H_T, 0.0)
+        H, known = self._regression(frame.q)
+        # what is lost has no part in the sums
+        seen = np.isfinite(x)
+        z, o = np.where(seen, x, 0.0), np.where(seen, known, 0.0)
+        H_seen = np.where(seen[:, np.newaxis], H, 0.0)
         share = -np.expm1(-_FORGETTING * since)
-        state[at["sums"]] = sums = self._estimator.learn(state[at["sums"]], H_T, o, z, share)
+        state[at["sums"]] = sums = self._estimator.learn(state[at["sums"]], H_seen, o, z, share)
         Theta, R = self._estimator.estimate(sums)
-        state[at["learnt"]] = unknowns.in_order(Theta, R)
-        left = unknowns.left(x, self._turned(R, known + H.dot(Theta)))
+        state[at["learnt"]] = self._in_order(Theta, R)
+        predicted = self._turned(R, known + H.dot(Theta))
+        left = x[: self._n_p] - predicted[: self._n_p]
+        if self._orientation is not None:
+            left = np.concatenate([left, self._orientation.left(x[3:], predicted[3:])])
         self._account(state, left, since)
         seen = np.isfinite(left)
         square = (np.where(seen, averaged, 0.0) ** 2).sum() / np.where(seen, 1.0, 0.0).sum()
@@ -204,21 +332,19 @@ class AdaptiveKinematics(Estimator):
 
     def _aim(self, state: Array, q: Array, dt: float) -> None:
         # u and R follow, and the offset such that x̂ at q does; of a pose so does T
-        at, n = self._at, self._unknowns.n_u
+        at, n, n_p = self._at, self._n_u, self._n_p
         Theta, R = self._estimator.estimate(state[at["sums"]])
         u, smooth_u = Theta[:n], state[at["u"]]
-        if self._unknowns.has_scale:
-            u[-1] = np.maximum(u[-1], _SMALLEST_SCALE)
-        H, known = self._unknowns.at(q)
+        H, known = self._positions(q)
         smooth_p, smooth_R = known + H.dot(smooth_u), self._rotation(state)
-        p = known + H.dot(u) + self._unknowns.offsets.dot(Theta[n:])
-        integral, n_p = state[at["integral"]], self._n_p
+        p = known + H.dot(u) + self._offsets.dot(Theta[n:])
+        integral = state[at["integral"]]
         away = self._turned(R, p) + integral[:n_p]
         away = away - (self._turned(smooth_R, smooth_p) + state[at["b"]])
         turn = law.rotation_log(R.dot(smooth_R.T)) if self._turns else np.zeros(3)
         turns = [turn] if self._turns else []
         if self._orientation is not None:
-            T, T_goal = state[at["T"]].reshape(3, 3), self._unknowns.tool(state[at["learnt"]])
+            T, T_goal = state[at["T"]].reshape(3, 3), self._tool(state)
             smooth, goal = (smooth_R, T), (R, T_goal)
             apart, back = self._orientation.apart(q, smooth, goal, integral[n_p:])
             turns.append(apart)
@@ -234,9 +360,12 @@ class AdaptiveKinematics(Estimator):
 
     def _rotation(self, state: Array) -> Array:
         """Return the smoothed rotation of the base's axes in the sensor's, (d, d)."""
-        if not self._turns:
-            return self._unknowns.R
-        return state[self._at["R"]].reshape(self._d, self._d)
+        return state[self._at["R"]].reshape(self._d, self._d) if self._turns else self._R
+
+    def _tool(self, state: Array) -> Array:
+        """Return the learnt rotation of the tool from what is believed, (3, 3)."""
+        n = self._n_theta
+        return law.rotation_exp(self.learnt(state)[n : n + 3]) if self._learns_T else np.eye(3)
 
     def _turned(self, R: Array, p: Array) -> Array:
         """Return R p of each point, shape (m,)."""
@@ -247,26 +376,31 @@ class AdaptiveKinematics(Estimator):
     def predict(self, state: Array, q: Array, v: Array, target: Target) -> PredictedError:
         """Return the predicted error, in the base's axes, at q (nq,) and q̇ (n_v,).
 
-        z = R̂ᵀ(x̂ − x_d), with the smoothed estimates, and all that its derivatives need.
+        z = R̂ᵀ(x̂ − x_d), with the smoothed estimates, and all that its derivatives need. In a
+        `PlanarCamera` it has the size that it has on the sensor [m].
         """
+        if self._size != 1.0:
+            x_d, *rates = target
+            rates = [None if each is None else each / self._size for each in rates]
+            located = Target(x_d / self._size, *rates)
+            return PredictedError(*(self._size * e for e in self._predict(state, q, v, located)))
         if self._orientation is None:
-            return self._positions(state, q, v, target)
+            return self._predict(state, q, v, target)
         at, T = self._at, state[self._at["T"]].reshape(3, 3)
-        x_d, v_d, a_d = target
-        rates = [(None, None) if rate is None else (rate[:3], rate[3:]) for rate in (v_d, a_d)]
-        (v_p, v_r), (a_p, a_r) = rates
+        parts = [(None, None) if each is None else (each[:3], each[3:]) for each in target]
+        place, turn = (Target(*each) for each in zip(*parts, strict=True))
         R, spin = self._rotation(state), state[at["R_spin"]] if self._turns else np.zeros(3)
-        positions = self._positions(state, q, v, Target(x_d[:3], v_p, a_p))
-        turns = self._orientation.predict(
-            q, v, Target(x_d[3:], v_r, a_r), T, state[at["T_spin"]], R, spin
-        )
+        positions = self._predict(state, q, v, place)
+        turns = self._orientation.predict(q, v, turn, T, state[at["T_spin"]], R, spin)
         return PredictedError(*map(np.concatenate, zip(positions, turns, strict=True)))
 
-    def _positions(self, state: Array, q: Array, v: Array, target: Target) -> PredictedError:
+    def _predict(self, state: Array, q: Array, v: Array, target: Target) -> PredictedError:
         """Return the predicted error of positions x̂ = R̂p + b̂, in the base's axes."""
-        at, unknowns = self._at, self._unknowns
-        theta, theta_dot = unknowns.translations(state[at["u"]]), unknowns.rates(state[at["u_dot"]])
-        p, J, J_dot, drift = unknowns.seen(self.regressor.motion(q, v, theta, theta_dot))
+        at, n, moved = self._at, self._n_theta, self._moved
+        theta, theta_dot = moved.theta(state[at["u"]][:n]), moved.rates(state[at["u_dot"]][:n])
+        motion = self.regressor.motion(q, v, theta, theta_dot)
+        p, J, J_dot, drift = (part[self._rows] for part in motion)
+        p = p + self._constant
         x_d, x_d_dot, x_d_ddot = target
         x_d_dot = np.zeros(len(p)) if x_d_dot is None else x_d_dot
         x_d_ddot = np.zeros(len(p)) if x_d_ddot is None else x_d_ddot
@@ -278,7 +412,7 @@ class AdaptiveKinematics(Estimator):
                 half = len(vectors) // 2
                 vectors[half:] += vectors[:half].dot(law.cross_matrix(spin))
             back = vectors.dot(self._rotation(state))
-            away, x_d_dot, b_dot, x_d_ddot = back if len(back) == 4 else back.reshape(4, -1)
+            away, x_d_dot, b_dot, x_d_ddot = back.reshape(4, -1)
         return PredictedError(p + away, J, J_dot, x_d_dot, x_d_ddot, drift + b_dot)
 
     # -- what was learnt -----------------------------------------------------------------
@@ -290,226 +424,138 @@ class AdaptiveKinematics(Estimator):
     def _covariance(self, state: Array) -> tuple[Array, float]:
         sums = state[self._at["sums"]]
         Theta, _ = self._estimator.estimate(sums)
-        covariance = self._unknowns.merged(self._estimator.covariance(sums), Theta)
+        covariance = self._merged(self._estimator.covariance(sums), Theta)
         return covariance, float(state[self._at["chi"]][0])
-
-    def _in_units(self, covariance: Array, learnt: Array) -> Array:
-        return self._unknowns.unscaled(covariance, learnt)
-
-    def _axes(self, state: Array) -> TiltedAxes:
-        noise = max(self.noise, math.sqrt(state[self._at["noted"]][2]))
-        sums, joints = state[self._at["sums"]], self.regressor.turning
-        return self._estimator.tilted_axes(sums, joints, (self.noise / noise) ** 2)
 
     def robot(self, state: Array) -> Robot:
         """Return the believed robot with what a state has learnt of its tool and origins."""
-        theta, learnt = self.regressor.theta.copy(), self.learnt(self._required(state))
-        n = len(self._unknowns.of_theta)
-        theta[self._unknowns.of_theta] = learnt[:n]
-        turn = learnt[n : n + 3] if self._unknowns.n_t else None
-        return self.regressor.robot_with(theta, turn)
+        learnt, n = self.learnt(self._required(state)), self._n_theta
+        turn = learnt[n : n + 3] if self._learns_T else None
+        return self.regressor.robot_with(self._moved.theta(learnt[:n]), turn)
 
 
-class AdaptivePlanarCamera(AdaptiveKinematics):
-    """x̂ = m R̂ p(q; θ̂) + d̂, learnt from the image in a `PlanarCamera` while the arm moves.
+def _seen(task: Any) -> tuple[list[tuple[str, str]], tuple[float, Array, Array] | None]:
+    """Return frames and axes of the positions in x; and size, R and b of a sensor, if it has any.
 
-    It is `AdaptiveKinematics` of the position in the arm's plane, with x as the believed camera
-    would locate it. A wrong magnification m is learnt as lengths that are wrong by its factor:
-    images tell the two from each other by nothing.
+    x = size (R p + b).
+    """
+    if isinstance(task, ImageTask) and isinstance(task.camera, PlanarCamera):
+        camera, m = task.camera, task.camera.magnification
+        c, s = math.cos(camera.roll), math.sin(camera.roll)
+        if task.frame is not None and not task.points.any():
+            R = np.array([[c, s], [-s, c]])
+            return [(task.frame, camera.plane)], (m, R, np.asarray(camera.offset) / m)
+    parts: tuple[Any, ...] = task.tasks if isinstance(task, StackedTask) else (task,)
+    for each in parts:
+        is_pose = isinstance(each, PoseTask) and each is task
+        if not (is_pose or isinstance(each, PositionTask | TrackerTask)):
+            raise InvalidInputError(
+                "task must be a PositionTask, a TrackerTask, a StackedTask of them, a PoseTask, an "
+                "ImageTask of a frame's origin in a PlanarCamera (AdaptiveCamera is for a "
+                f"PinholeCamera) or a Robot, got {task!r}",
+                given=task,
+            )
+    trackers = [each for each in parts if isinstance(each, TrackerTask | PoseTrackerTask)]
+    points = [(each.frame, getattr(each, "axes", "xyz")) for each in parts]
+    if not trackers:
+        return points, None
+    if len({(*each.rotation, *each.offset) for each in trackers}) > 1 or len(trackers) < len(parts):
+        raise InvalidInputError(
+            f"task must be of one tracker, with one rotation and offset, got {task!r}", given=task
+        )
+    return points, (1.0, law.rotation_exp(trackers[0].rotation), trackers[0].offset)
 
-    Args:
-        task: An `ImageTask` of the believed robot with a `PlanarCamera`, for one frame's origin.
-        unknown: As of `AdaptiveKinematics`, as are errors and what is not listed here; "camera" is
-            roll and offset, and "camera.turn" from the believed camera to the learnt one.
-        sd: In the arm's plane. By default "tool" and "origins" are as wrong as magnification and
-            lengths may be: 0.5 m.
-        noise: Standard deviation of x [m on the sensor].
-        delay: Age of x where `Measurement.t_x` is None [s].
-        dt: Sampling time of control [s].
+
+def _axes(task: Task, points: list[tuple[str, str]], turns: bool) -> str:
+    """Return the axes of a point."""
+    each = {axes for _, axes in points}
+    if not turns:
+        return "".join(axis for axis in "xyz" if axis in "".join(each))
+    axes = points[0][1]
+    if len(each) > 1 or not (axes == "xyz" or len(axes) == 2):
+        raise InvalidInputError(
+            "a camera that may be turned needs the same axes of every point, xyz or two of them, "
+            f"got {task!r}",
+            given=task,
+        )
+    return axes
+
+
+class _KnownRotation:
+    """x = R(o + HΘ) with R known: recursive least squares with forgetting towards the prior.
+
+    Theorem A. Its numbers: Λ, as its upper triangle, and Θ̂ = (u, c).
     """
 
     def __init__(
-        self,
-        task: ImageTask,
-        unknown: Sequence[str] = ("tool", "origins", "camera"),
-        sd: Mapping[str, float] | None = None,
-        noise: float = 2e-5,
-        delay: float = 0.0,
-        dt: float = 1e-3,
+        self, Theta: Array, R: Array, sd: Array, sd_R: float, n_u: int, noise: float
     ) -> None:
-        require("task", task, ImageTask, "an ImageTask of the believed robot")
-        camera = task.camera
-        if not isinstance(camera, PlanarCamera) or task.frame is None or task.points.any():
-            raise InvalidInputError(
-                f"task must be an ImageTask of a frame's origin in a PlanarCamera, got {task!r}; "
-                "AdaptiveCamera is for a PinholeCamera",
-                given=task,
-            )
-        noise = as_number("noise", noise, unit="m", above=0.0)
-        m = camera.magnification
-        kinds = chosen_kinds(unknown, KINDS)
-        usual = {kind: 0.5 for kind in kinds if kind in ("tool", "origins")}
-        position = PositionTask(task.robot, task.frame, axes=camera.plane)
-        usual = usual if sd is None else sd  # type: ignore[assignment]
-        super().__init__(position, unknown, usual, noise / m, delay, dt)
-        self._m = m
-        vars(self)["task"] = task  # in place of the position
-        c, s = np.cos(camera.roll), np.sin(camera.roll)
-        self._seen_R, self._seen_d = np.array([[c, s], [-s, c]]), np.asarray(camera.offset)
-
-    def predict(self, state: Array, q: Array, v: Array, target: Target) -> PredictedError:
-        """Return the predicted error at q (nq,) and q̇ (n_v,), turned into the base's axes.
-
-        In the size that it has on the sensor of the believed camera [m].
-        """
-        x_d, *rates = target
-        rates = [None if rate is None else rate.dot(self._seen_R) / self._m for rate in rates]
-        located = Target((x_d - self._seen_d).dot(self._seen_R) / self._m, *rates)
-        return PredictedError(*(self._m * each for each in super().predict(state, q, v, located)))
-
-    def _own(self, measurement: Measurement) -> Measurement:
-        """Return a measurement with x in the arm's plane, as the believed camera has it."""
-        x = (measurement.x - self._seen_d).dot(self._seen_R) / self._m
-        return measurement._replace(x=x)
-
-
-class _LeastSquares(ABC):
-    """Least squares of x = R(o + HΘ), of which a state has the sums: `size` numbers.
-
-    Matrices (P, P) of these are kept as their upper triangles, as a state is copied and recorded.
-    """
-
-    size: int
-
-    def __init__(self, unknowns: Unknowns, noise: float) -> None:
-        self._first, self._R, self._d = unknowns.Theta, unknowns.R, unknowns.d
-        self._n_u, self._P = unknowns.n_u, len(unknowns.Theta)
-        tilts = np.full(unknowns.n_tilts, _SD_TILT)  # which are looked for and not learnt
-        self.prior = np.diag(np.append(unknowns.sd_Theta, tilts) ** -2.0)
-        self._weight = noise**-2.0
-        n = len(self.prior)
+        self._first, self._R, self._d, self._n_u = Theta, R, len(R), n_u
+        self._P = n = len(Theta)
+        self.prior, self._sd_R, self._weight = np.diag(sd**-2.0), sd_R, noise**-2.0
+        self._is_turned = not np.array_equal(R, np.eye(self._d))
         rows, columns = np.triu_indices(n)
         self._upper, self._n = rows * n + columns, len(rows)
         self._where = np.zeros((n, n), dtype=int)
-        self._where[rows, columns] = self._where[columns, rows] = np.arange(len(rows))
+        self._where[rows, columns] = self._where[columns, rows] = np.arange(self._n)
+        self.size = len(self.initial())
 
     def _pack(self, matrix: Array) -> Array:
         return np.asanyarray(matrix.ravel()[self._upper])
 
-    def _unpack(self, numbers: Array) -> Array:
+    def information(self, numbers: Array) -> Array:
+        """Return Λ, shape (P, P)."""
         return np.asanyarray(numbers[self._where])
 
     def initial(self) -> Array:
         """Return the numbers before the first frame, shape (size,)."""
         return self._about(self._first, self._R.T)
 
-    def are_numbers(self, numbers: Array) -> bool:
-        """Return whether they can be those of such an estimator."""
-        # forgetting goes towards the prior, so nothing is ever known less well
-        diagonal = self._unpack(numbers).diagonal()
-        return bool((diagonal > 0.99 * self.prior.diagonal()).all())
-
     def renewed(self, numbers: Array) -> Array:
         """Return numbers that know what was learnt only as a belief, as vague as the first."""
         Theta, R = self.estimate(numbers)
         return self._about(Theta, R.T)
 
-    @abstractmethod
+    def are_numbers(self, numbers: Array) -> bool:
+        """Return whether they can be those of such an estimator."""
+        # forgetting goes towards the prior, so nothing is ever known less well
+        diagonal = self.information(numbers).diagonal()
+        return bool((diagonal > 0.99 * self.prior.diagonal()).all())
+
     def learn(self, numbers: Array, H: Array, o: Array, x: Array, share: Any) -> Array:
         """Return the numbers after a frame.
 
         Args:
             numbers: As before, shape (size,).
-            H: Regressor in the base's axes, 0 in rows that are lost, (m, P), and of tilts, (m, t):
-                shape (m, P + t).
+            H: Regressor in the base's axes, 0 in rows that are lost, (m, P).
             o: What of them is known, shape (m,).
             x: What is measured, shape (m,).
             share: λT, to be forgotten.
         """
-
-    @abstractmethod
-    def estimate(self, numbers: Array) -> tuple[Array, Array]:
-        """Return Θ̂ in the base's axes, (P,), and R̂ of the base's axes in the sensor's, (d, d)."""
-
-    @abstractmethod
-    def covariance(self, numbers: Array) -> Array:
-        """Return the covariance of (u, b), and of φ with R ← exp([φ]ₓ)R where R is learnt."""
-
-    @abstractmethod
-    def _about(self, Theta: Array, A: Array) -> Array:
-        """Return the numbers of the prior alone, about these estimates, with A = Rᵀ."""
-
-    @abstractmethod
-    def _tilts(self, numbers: Array) -> tuple[float, Array, Array]:
-        """Return by how much tilts of axes lower the sum of squares, which, and covariance."""
-
-    def tilted_axes(self, numbers: Array, joints: Sequence[str], scale: float) -> TiltedAxes:
-        """Judge whether tilts of the axes of joints, two each, would explain more.
-
-        Args:
-            numbers: Shape (size,).
-            joints: Their names.
-            scale: Of the noise's variance, as it is given over what it is.
-        """
-        if len(self.prior) == self._P:
-            return TiltedAxes()
-        fall, tilts, covariance = self._tilts(numbers)
-        variances = covariance.diagonal()
-        freedom = float((1.0 - variances / _SD_TILT**2).sum())  # of `fall`, if none is tilted
-        pairs = np.array([tilts, tilts / np.sqrt(variances)]).reshape(2, -1, 2)
-        joint = int(np.linalg.norm(pairs[1], axis=1).argmax())
-        angle = float(np.linalg.norm(pairs[0, joint]))
-        return TiltedAxes(fall / max(freedom, 1e-9) * scale, freedom, joints[joint], angle)
-
-
-class _KnownRotation(_LeastSquares):
-    """Rᵀx = o + HΘ with R known: recursive least squares with forgetting towards the prior.
-
-    Theorem A. Its numbers: Λ, Θ̂.
-    """
-
-    def __init__(self, unknowns: Unknowns, noise: float) -> None:
-        super().__init__(unknowns, noise)
-        self._is_turned = not np.array_equal(self._R, np.eye(self._d))
-        self.size = self._n + len(self.prior)
-
-    def learn(self, numbers: Array, H: Array, o: Array, x: Array, share: Any) -> Array:
         if self._is_turned:
             x = x.reshape(-1, self._d).dot(self._R).ravel()
-        P, n, x = self._P, self._n, x - o
-        N = law.forgotten_information(self._unpack(numbers), self.prior, share)
-        N, T, H = law.information(N, H, self._weight), H[:, P:], H[:, :P]
-        Theta, pull = numbers[n : n + P], numbers[n + P :]
-        Theta = Theta + law.correction(N[:P, :P], H, self._weight, x - H.dot(Theta))
-        pull = (1.0 - share) * pull + self._weight * x.dot(T)
-        return np.concatenate([self._pack(N), Theta, pull])
+        N = law.forgotten_information(self.information(numbers), self.prior, share)
+        N, Theta = law.information(N, H, self._weight), numbers[self._n :]
+        Theta = Theta + law.correction(N, H, self._weight, x - o - H.dot(Theta))
+        return np.concatenate([self._pack(N), Theta])
 
     def estimate(self, numbers: Array) -> tuple[Array, Array]:
-        return numbers[self._n : self._n + self._P].copy(), self._R
-
-    def information(self, numbers: Array) -> Array:
-        """Return Λ, shape (P, P)."""
-        return self._unpack(numbers)[: self._P, : self._P]
+        """Return Θ̂ in the base's axes, (P,), and R̂ of the base's axes in the sensor's, (d, d)."""
+        return numbers[self._n :].copy(), self._R
 
     def covariance(self, numbers: Array) -> Array:
-        n = self._n_u
-        covariance = np.asarray(np.linalg.inv(self.information(numbers)), dtype=np.float64)
-        if self._is_turned and n < self._P:
-            covariance[n:] = self._R.dot(covariance[n:])
-            covariance[:, n:] = covariance[:, n:].dot(self._R.T)
-        return covariance
-
-    def _tilts(self, numbers: Array) -> tuple[float, Array, Array]:
-        n, P, N = self._n, self._P, self._unpack(numbers)
-        pull = numbers[n + P :] - N[P:, :P].dot(numbers[n : n + P])
-        left = np.linalg.inv(N[P:, P:] - N[P:, :P].dot(np.linalg.solve(N[:P, :P], N[:P, P:])))
-        return float(pull.dot(left).dot(pull)), left.dot(pull), left
+        """Return the covariance of (u, b), and of φ with R ← exp([φ]ₓ)R where R is learnt."""
+        covariance, T = np.linalg.inv(self.information(numbers)), np.eye(self._P)
+        if self._n_u < self._P:
+            T[self._n_u :, self._n_u :] = self._R
+        return np.asarray(T.dot(covariance).dot(T.T))
 
     def _about(self, Theta: Array, A: Array) -> Array:
-        return np.concatenate([self._pack(self.prior), Theta, np.zeros(len(self.prior) - self._P)])
+        """Return the numbers of the prior alone, about these estimates, with A = Rᵀ."""
+        return np.concatenate([self._pack(self.prior), Theta])
 
 
-class _UnknownRotation(_LeastSquares):
+class _UnknownRotation(_KnownRotation):
     """x = R(o + Hu + c), with R any rotation: exact least squares over all frames at once.
 
     Theorem B. In the base frame Rᵀx = o + Hu + c, and as R changes no lengths, the sums over frames
@@ -523,39 +569,36 @@ class _UnknownRotation(_LeastSquares):
     is; Theorem B then holds where the sum of squares is as convex as the prior.
     """
 
-    def __init__(self, unknowns: Unknowns, noise: float) -> None:
-        super().__init__(unknowns, noise)
-        self._sd_R = unknowns.sd_R
-        Q, dd = len(self.prior), self._d**2
-        sizes = [self._n, Q, Q * dd, dd, self._P, dd]
-        self.size = sum(sizes)
-        ends = np.cumsum(sizes).tolist()
-        self._parts = [slice(end - size, end) for size, end in zip(sizes, ends, strict=True)]
+    def __init__(
+        self, Theta: Array, R: Array, sd: Array, sd_R: float, n_u: int, noise: float
+    ) -> None:
+        super().__init__(Theta, R, sd, sd_R, n_u, noise)
+        P, dd = self._P, self._d**2
+        self._parts = list(pairwise(np.cumsum([self._n, P, P * dd, dd, P, dd]).tolist()))
         self._everywhere = law.rotations_everywhere(self._d).reshape(-1, dd)
 
     def _split(self, numbers: Array) -> tuple[Array, Array, Array, Array, Array, Array]:
         """Return N, a, B, E, and the estimates Θ and A."""
-        N, a, B, E, Theta, A = (numbers[part] for part in self._parts)
-        return N, a, B.reshape(len(a), -1), E, Theta, A.reshape(self._d, self._d)
+        a, B, E, Theta, A = (numbers[start:end] for start, end in self._parts)
+        B, A = B.reshape(self._P, -1), A.reshape(self._d, self._d)
+        return self.information(numbers), a, B, E, Theta, A
 
     def learn(self, numbers: Array, H: Array, o: Array, x: Array, share: Any) -> Array:
-        d, P, W = self._d, self._P, self._weight
+        d, W = self._d, self._weight
         *_, Theta, A = self._split(numbers)
         numbers = numbers + share * (self._about(Theta, A) - numbers)
         N, a, B, E, _, A = self._split(numbers)
         HW = W * H.T
-        N = self._unpack(N) + HW.dot(H)
-        if N.dtype.hasobject:  # symbols are symmetric only where they are the same
-            N = self._unpack(self._pack(N))
+        upper = self._pack(N + HW.dot(H))
         a = a - HW.dot(o)
         seen = x.reshape(-1, d)
         each = HW.reshape(len(a), -1, d).transpose(0, 2, 1).dot(seen)  # Σ Hᵀ x
         B = B + each.reshape(len(a), -1)
         E = E + (W * o.reshape(-1, d).T.dot(seen)).ravel()
-        solved, M, h = _reduced(N[:P, :P], a[:P], B[:P], E)
+        solved, M, h = _reduced(self.information(upper), a, B, E)
         w = self._rotation(M, h, A).ravel()
         Theta = solved[:, 0] + solved[:, 1:].dot(w)
-        return np.concatenate([self._pack(N), a, B.ravel(), E, Theta, w])
+        return np.concatenate([upper, a, B.ravel(), E, Theta, w])
 
     def estimate(self, numbers: Array) -> tuple[Array, Array]:
         *_, Theta, A = self._split(numbers)
@@ -563,44 +606,20 @@ class _UnknownRotation(_LeastSquares):
 
     def covariance(self, numbers: Array) -> Array:
         # that of the least squares: rotation first, all else given the rotation
-        d, P = self._d, self._P
-        *_, Theta, A = self._split(numbers)
-        G, joint = law.generators(d), self._joint(numbers, A, P)[0]
-        # b = Rc with R = Aᵀ ← R exp(−[δ]ₓ), and φ = −Rδ (−δ in the plane)
-        c, R = Theta[self._n_u :], A.T
-        T = np.eye(P + len(G))
-        T[self._n_u : P, self._n_u : P] = R
-        T[self._n_u : P, P:] = -R.dot((G @ c).T)
-        T[P:, P:] = -R if d == 3 else -1.0
-        return np.asarray(T.dot(joint).dot(T.T))
-
-    def _tilts(self, numbers: Array) -> tuple[float, Array, Array]:
-        # with all else and the rotation best for them
-        P, Q = self._P, len(self.prior)
-        *sums, _, A = self._split(numbers)
-        _, without, _ = self._joint(numbers, A, P)
-        _, M, h = _reduced(self._unpack(sums[0]), *sums[1:])
-        covariance, value, Theta = self._joint(numbers, law.best_rotation(M, h, A), Q)
-        return 2.0 * (value - without), Theta[P:], covariance[P:Q, P:Q]
-
-    def _joint(self, numbers: Array, A: Array, n: int) -> tuple[Array, float, Array]:
-        """Return the covariance of the first n numbers and δ of A ← exp([δ]ₓ)A, and what is best.
-
-        Returns:
-            The covariance (n + 1 or 3) squared; the fall of the sum of squares from where all is 0,
-            halved; the numbers, (n,).
-        """
-        N, a, B, E, *_ = self._split(numbers)
-        N, a = self._unpack(N)[:n, :n], a[:n]
-        solved, M, h = _reduced(N, a, B[:n], E)
+        N, a, B, E, Theta, A = self._split(numbers)
+        solved, M, h = _reduced(N, a, B, E)
         known, axes = np.linalg.eigh(law.rotation_information(M, h, A))
-        # nothing is known less well than before
+        # of δ, with A ← exp([δ]ₓ)A; nothing is known less well than before
         of_delta = (axes / np.maximum(known, self._sd_R**-2.0)).dot(axes.T)
         moved = np.concatenate([solved[:, 1:].dot(law.tangents(A)), np.eye(len(of_delta))])
-        covariance = moved.dot(of_delta).dot(moved.T)
-        covariance[:n, :n] += np.linalg.inv(N)
-        value = law.explained(M, h, A.ravel()) + 0.5 * float(a.dot(solved[:, 0]))
-        return covariance, value, solved[:, 0] + solved[:, 1:].dot(A.ravel())
+        joint, n, P = moved.dot(of_delta).dot(moved.T), self._n_u, self._P
+        joint[:P, :P] += np.linalg.inv(N)
+        # b = Rc with R = Aᵀ ← R exp(−[δ]ₓ), and φ = −Rδ (−δ in the plane)
+        c, R, T = Theta[n:], A.T, np.eye(len(joint))
+        T[n:P, n:P] = R
+        T[n:P, P:] = -R.dot((law.generators(self._d) @ c).T)
+        T[P:, P:] = -R if self._d == 3 else -1.0
+        return np.asarray(T.dot(joint).dot(T.T))
 
     def _rotation(self, M: Array, h: Array, A: Array) -> Array:
         """Return the best rotation near A, or one elsewhere that is better beyond doubt."""
@@ -617,13 +636,13 @@ class _UnknownRotation(_LeastSquares):
         return best
 
     def _about(self, Theta: Array, A: Array) -> Array:
-        d, n, P, Q = self._d, self._n_u, self._P, len(self.prior)
-        b = A.T.dot(Theta[n:])
-        a = [self.prior.diagonal()[:n] * Theta[:n], np.zeros(Q - n)]
+        d, n = self._d, self._n_u
+        b, of_u = A.T.dot(Theta[n:]), self.prior.diagonal()[:n]
+        a = np.append(of_u * Theta[:n], np.zeros(d))
         B = np.eye(d)[:, :, np.newaxis] * (b * self.prior[n, n])
-        of_B = [np.zeros(n * d * d), B.ravel(), np.zeros((Q - P) * d * d)]
         E = (0.5 / self._sd_R**2) * A.ravel()
-        return np.concatenate([self._pack(self.prior), *a, *of_B, E, Theta, A.ravel()])
+        parts = [self._pack(self.prior), a, np.zeros(n * d * d), B.ravel(), E, Theta, A.ravel()]
+        return np.concatenate(parts)
 
 
 def _reduced(N: Array, a: Array, B: Array, E: Array) -> tuple[Array, Array, Array]:
@@ -631,3 +650,108 @@ def _reduced(N: Array, a: Array, B: Array, E: Array) -> tuple[Array, Array, Arra
     solved = np.linalg.solve(N, np.concatenate([a[:, np.newaxis], B], axis=1))
     M = B.T.dot(solved[:, 1:])
     return solved, 0.5 * (M + M.T), B.T.dot(solved[:, 0]) + E
+
+
+class Orientation:
+    """R_x = R R_f(q) T: R_f is that of the believed frame, T the tool's in it, R that of a tracker.
+
+    To the estimators the three axes of x are points ℓ R_x e_k, linear in the nine numbers of T: R
+    is one for them and the position, and what the sums over frames have to hold does not change.
+    T is the rotation nearest to the nine: with R known, the average of R_fᵀRᵀR_x and the prior.
+    Of a rotation vector φ, Σ‖ℓ[φ]ₓ e_k‖² = 2ℓ²‖φ‖²; so with ℓ = L/√2, and L the noise of
+    positions over that of angles, what a radian counts as [m], both weigh as their noise says.
+
+    Owns scratch memory: one instance a thread.
+    """
+
+    def __init__(self, robot: Robot, frame: str, length: float) -> None:
+        self.length = length
+        self._l = length / math.sqrt(2.0)
+        self._frame = FrameKinematics(robot, frame)
+
+    def frame_rotation(self, q: Array) -> Array:
+        """Return R_f, shape (3, 3)."""
+        return self._frame.placement(q)[0]
+
+    # -- for the estimators ---------------------------------------------------------------
+
+    def points(self, quaternion: Array) -> Array:
+        """Return ℓ R_x e_k, one after the other, shape (9,), NaN where there is no rotation."""
+        R, is_some = law.rotation_of(quaternion)
+        return np.where(is_some, self._l * R.T.ravel(), math.nan)
+
+    def regressor(self, q: Array) -> Array:
+        """Return H of these points in the base frame, Hvec(Tᵀ), shape (9, 9)."""
+        R, none = self._l * self.frame_rotation(q), np.zeros((3, 3))
+        rows = [[R, none, none], [none, R, none], [none, none, R]]
+        return np.concatenate([np.concatenate(row, axis=1) for row in rows])
+
+    def reach(self, q_0: Array, q: Array) -> Any:
+        """Return the motion of one of these points between two configurations [m]."""
+        moved = self.frame_rotation(q) - self.frame_rotation(q_0)
+        return law.length(moved.ravel()) * (self._l / math.sqrt(2.0))
+
+    def left(self, points: Array, predicted: Array) -> Array:
+        """Return the rotation vector from predicted points to measured ones, in L, (3,) [m]."""
+        is_seen = np.isfinite(points[0])
+        R = np.where(is_seen, points, 0.0).reshape(3, 3).T / self._l
+        nearest = law.nearest_rotation(predicted.reshape(3, 3))
+        return np.where(is_seen, self.length * law.rotation_log(R.dot(nearest)), math.nan)
+
+    @staticmethod
+    def of(numbers: Array) -> Array:
+        """Return T of the nine numbers vec(Tᵀ), shape (3, 3)."""
+        return law.nearest_rotation(numbers.reshape(3, 3).T)
+
+    @staticmethod
+    def turn_of(numbers: Array) -> Array:
+        """Return the rotation vector that small changes of the nine turn T by, a map (3, 9)."""
+        tangents = law.tangents(Orientation.of(numbers)).reshape(3, 3, 3)
+        return 0.5 * tangents.transpose(1, 0, 2).reshape(9, 3).T
+
+    # -- for the law ----------------------------------------------------------------------
+
+    def first(self, q: Array, quaternion: Array, R: Array) -> tuple[Array, Any]:
+        """Return the T with which the first x is as predicted, (3, 3), and whether it is seen."""
+        R_x, is_seen = law.rotation_of(quaternion)
+        return self.frame_rotation(q).T.dot(R.T).dot(R_x), is_seen
+
+    def apart(
+        self, q: Array, before: tuple[Array, Array], goal: tuple[Array, Array], integral: Array
+    ) -> tuple[Array, Array]:
+        """Return the rotation vector from one orientation to another, and to make it the tool's.
+
+        Both are of R and T; `integral` turns the goal further, in L [m]. The vector (3,) is in the
+        sensor's axes, and the rotation (3, 3) from these to those in which T turns.
+        """
+        R_f = self.frame_rotation(q)
+        (R, T), (R_goal, T_goal) = before, goal
+        now = R.dot(R_f)
+        wanted = law.rotation_exp(integral / self.length).dot(R_goal.dot(R_f).dot(T_goal))
+        return law.rotation_log(wanted.dot(now.dot(T).T)), now.T
+
+    def predict(
+        self, q: Array, v: Array, target: Target, T: Array, T_spin: Array, R: Array, spin: Array
+    ) -> PredictedError:
+        """Return z = log(R_f T (RᵀR_d)ᵀ) and its derivatives, in the base's axes.
+
+        The target is the quaternion of R_d (4,), ω_d and its rate (3,) in the sensor's axes;
+        T' = [T_spin]ₓT and R' = [spin]ₓR.
+        """
+        x_d, x_d_dot, x_d_ddot = target
+        R_d, is_some = law.rotation_of(x_d)
+        J, R_f, _ = self._frame.motion(q)
+        J = J[3:].copy()
+        drift = R_f.dot(T_spin)
+        D = R.T.dot(law.select(is_some, R_d, np.eye(3)))
+        E = R_f.dot(T).dot(D.T)
+        x_d_dot = np.zeros(3) if x_d_dot is None else x_d_dot
+        x_d_ddot = np.zeros(3) if x_d_ddot is None else x_d_ddot
+        x_d_ddot = R.T.dot(x_d_ddot - law.cross_matrix(spin).dot(x_d_dot))
+        x_d_dot = R.T.dot(x_d_dot)
+        speed, of_target = J.dot(v), x_d_dot - R.T.dot(spin)
+        # of E' = [ω]ₓE, ω = speed + drift − E of_target; ż is no ω, but for small z
+        z_dot = law.log_rate(E, speed + drift - E.dot(of_target))
+        drift = z_dot - speed + x_d_dot
+        J_dot = self._frame.jacobian_dot(q, v)[3:]
+        return PredictedError(law.rotation_log(E), J, J_dot, x_d_dot, x_d_ddot, drift)
