@@ -15,7 +15,6 @@ from approxjac.scenario.convert import Words, converted
 CASES = """
 simulat panda | command 'simulat' | simulate
 --bogus | option '--bogus' | export, paper, robots, simulate, stability, view
---completion fish | 'fish' | bash, zsh
 simulate | simulate needs the name of an arm | got none | .urdf
 simulate panda ur5 | the name of an arm | got panda ur5
 simulate pando | robot 'pando' | did you mean 'panda'
@@ -42,8 +41,9 @@ simulate panda --controller.unknown | --controller.unknown must be words | got n
 simulate panda --out | --out must be a path | got nothing
 simulate panda --damping -1 | --damping | got -1.0 | >= 0
 simulate panda --gravity lernt | --gravity | got lernt | learnt, exact, believed, none
-simulate panda --gravity rest | --gravity | got rest | is now learn_residual
-simulate panda --controller.integral learnt | --controller.integral | --controller.integral-action
+simulate panda --gravity rest | --gravity | got rest | learn_residual
+simulate panda --controller.integral learnt | '--controller.integral' | integral-action
+simulate --seed 1 panda | simulate needs the name of an arm | got none before options
 simulate panda --controller.integral-action yes | integral-action | got yes | true or false
 simulate panda --start 0 0 | --start | 2 | 7 | [rad or m]
 simulate panda --start 0 -30 0 -120 0 90 45 | --start must be in radians | panda_joint4
@@ -56,7 +56,6 @@ simulate panda --seed 1.5 | --seed must be a whole number | got 1.5
 simulate panda --limits -1 | --limits | got -1.0 | > 0
 simulate panda --object-axis q | --object-axis | 'q' | -x, -y, -z, x, y, z
 simulate panda --object-axis 1,2 | --object-axis | '1,2' | x, y, z
-simulate panda --path circle 1 | --path is now --circle RADIUS, --line OFFSET or --waypoints POINTS
 simulate panda --circle | --circle must be a number | got nothing | radius of the circle, m
 simulate panda --circle -1 | --circle | got -1.0 | > 0
 simulate panda --believed.shifts panda_joint9 0 0 1 | --believed.shifts | 'panda_joint9' | joint7
@@ -67,7 +66,7 @@ simulate panda --true.floor 0 | --true.floor | got 0.0 | true.engine mujoco
 simulate panda --task.kind image --task.points 9 | --task.points | got 9 | 1, 2 or 3
 simulate panda --sensor.rate 1e6 | --sensor.rate | got 1e+06 | at most that of control, 1000 [Hz]
 simulate panda --learn-kinematics --gravity exact | --gravity | got exact | learnt or believed
-simulate panda --no-limits --controller.torque-rate 9 | --controller.torque-rate | got 9.0 | "urdf"
+simulate panda --limits none --controller.torque-rate 9 | torque-rate | got 9.0 | "urdf"
 simulate panda --save nowhere/s.toml | --save | got nowhere/s.toml | a folder that there is
 simulate panda --out file | --out | got file | a folder that can be made
 simulate zero.toml | controller.kp | got 0.0 in zero.toml | > 0
@@ -76,7 +75,7 @@ simulate late.toml --sensor.delay 30 | --sensor.delay | got 30 | shorter than th
 stability panda --object-length 0.3 | --object-length must be 2 numbers | got 0.3
 stability panda --object-length 0.3 0.1 | --object-length | 0.3 | 0.1 | (smallest, largest) [m]
 stability panda --object-length 0 0.1 --around 0 0 | --around | 2 | 7 | [rad or m]
-stability panda --object-length 0 0.1 --map error qq | --map | 'qq' | error, kv, object_length
+stability panda --object-length 0 0.1 --map error qq | 'qq' | a, damping, error, kv
 stability panda --learn-kinematics | --learn-kinematics | left out of a report | tool origins camera
 stability panda --roll 0 1 | --roll | got 0 1 with position | task.kind image
 stability panda --jobs 0 | --jobs | got 0 | >= 1
@@ -132,10 +131,8 @@ def sample(hint):
 )
 def test_every_key_is_an_option_and_a_line_of_a_file(option, tmp_path):
     words = sample(option.hint)
-    typed = options.read(
-        "stability", ["panda", *option.names[:1], *words], [option], "NAME", "a name"
-    )
-    scenario = options.scenario_of("simulate", typed.alone, typed.values)
+    typed, _ = options.read("stability", [*option.names[:1], *words], [option])
+    scenario = options.scenario_of("simulate", "panda", typed)
     assert scenario != Scenario("panda")
     assert attrgetter(option.key)(scenario) == converted(option.hint, Words(words))
     assert Scenario.load(scenario.save(tmp_path / "s.toml")) == scenario
@@ -144,28 +141,27 @@ def test_every_key_is_an_option_and_a_line_of_a_file(option, tmp_path):
 @pytest.mark.parametrize(
     ("words", "key", "value"),
     [
-        ("--object-length 2e-1 two_link", "true.object.length", 0.2),
-        ("two_link --true.object.length=.2", "true.object.length", 0.2),
-        ("--start -1e-1 .5 two_link", "run.start", (-0.1, 0.5)),
-        ("two_link --start=-0.1,0.5", "run.start", (-0.1, 0.5)),
-        ("--object-axis -x two_link", "true.object.axis", "-x"),
-        ("two_link --object-axis 0,-1,1", "true.object.axis", (0.0, -1.0, 1.0)),
-        ("--object-axis 0 -1 1 two_link", "true.object.axis", (0.0, -1.0, 1.0)),
-        ("--seed 7 two_link", "run.seed", 7),
-        ("two_link --settling_time 3", "controller.settling_time", 3.0),
-        ("two_link --settling-time None", "controller.settling_time", None),
-        ("--controller.integral-action false two_link", "controller.integral_action", False),
-        ("--no-limits two_link", "controller.limits", "none"),
-        ("two_link --limits 0.5", "controller.limits", 0.5),
-        ("--learn-kinematics two_link", "controller.unknown", ("tool", "origins", "camera")),
-        ("--task.frames a b --seed 1 two_link", "task.frames", ("a", "b")),
-        ("two_link --true.shifts j 0 1e-2 -1 k 0 0 1", "true.shifts",
+        ("--object-length 2e-1", "true.object.length", 0.2),
+        ("--true.object.length=.2", "true.object.length", 0.2),
+        ("--start -1e-1 .5", "run.start", (-0.1, 0.5)),
+        ("--start=-0.1,0.5", "run.start", (-0.1, 0.5)),
+        ("--object-axis -x", "true.object.axis", "-x"),
+        ("--object-axis 0,-1,1", "true.object.axis", (0.0, -1.0, 1.0)),
+        ("--object-axis 0 -1 1", "true.object.axis", (0.0, -1.0, 1.0)),
+        ("--seed 7", "run.seed", 7),
+        ("--settling_time 3", "controller.settling_time", 3.0),
+        ("--settling-time None", "controller.settling_time", None),
+        ("--controller.integral-action false", "controller.integral_action", False),
+        ("--limits none", "controller.limits", "none"),
+        ("--limits 0.5", "controller.limits", 0.5),
+        ("--learn-kinematics", "controller.unknown", ("tool", "origins", "camera")),
+        ("--task.frames a b --seed 1", "task.frames", ("a", "b")),
+        ("--true.shifts j 0 1e-2 -1 k 0 0 1", "true.shifts",
          {"j": (0.0, 0.01, -1.0), "k": (0.0, 0.0, 1.0)}),
     ],
 )  # fmt: skip
 def test_words_are_values_of_a_key(words, key, value):
     known = options.options_of(simulate)
-    typed = options.read("simulate", words.split(), known, "NAME", "a name")
-    scenario = options.scenario_of("simulate", typed.alone, typed.values)
-    assert scenario.robot == "two_link"
+    typed, _ = options.read("simulate", words.split(), known)
+    scenario = options.scenario_of("simulate", "two_link", typed)
     assert attrgetter(key)(scenario) == value

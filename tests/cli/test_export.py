@@ -28,14 +28,14 @@ def test_a_file_and_options_say_the_same(tmp_path):
     scenario = Scenario("ur5", controller={"limits": "none", "gravity": "exact"})
     scenario.save(tmp_path / "s.toml")
     assert export(tmp_path / "a", str(tmp_path / "s.toml")) == 0
-    assert export(tmp_path / "b", "ur5", "--no-limits", "--gravity", "exact") == 0
+    assert export(tmp_path / "b", "ur5", "--limits", "none", "--gravity", "exact") == 0
     made, wanted = ((tmp_path / each / "controller.c").read_bytes() for each in "ab")
     assert made == wanted
     assert b"limits   none" in made
 
 
 def test_what_a_robot_adds_by_itself_is_left_to_it(tmp_path):
-    options = ("two_link", "--no-limits", "--loop.dt", "0.002", "--gravity")
+    options = ("two_link", "--limits", "none", "--loop.dt", "0.002", "--gravity")
     headers = []
     for gravity in ("learn_residual", "learnt"):
         export(tmp_path / gravity, *options, gravity)
@@ -50,6 +50,6 @@ def test_what_a_robot_adds_by_itself_is_left_to_it(tmp_path):
 
 
 def test_what_is_not_covered_is_refused_with_the_reason(tmp_path, capsys):
-    assert export(tmp_path / "none", "panda", "--learn-kinematics", "--no-limits") == 2
+    assert export(tmp_path / "none", "panda", "--learn-kinematics", "--limits", "none") == 2
     assert capsys.readouterr().err.startswith("approxjac: controller must take symbols")
     assert not (tmp_path / "none").exists()

@@ -1,4 +1,4 @@
-"""The command line as a whole: help, completion, exit codes, output."""
+"""The command line as a whole: help, exit codes, output."""
 
 import fcntl
 import os
@@ -57,7 +57,7 @@ def test_the_list_of_commands_has_a_line_each_and_their_own_help_has_all(capsys)
 
 @pytest.mark.parametrize("command", ["simulate", "stability"])
 def test_every_length_and_time_in_the_help_has_its_unit(command, capsys):
-    text = " ".join(help_of(capsys, command).split("Common options")[1].split())
+    text = " ".join(help_of(capsys, command).split("\nOptions\n")[1].split())
     for name in ("--object-length", "--believed-length"):
         assert " m." in text.split(name, 1)[1].split(" --")[0], name
     assert ", s; by default" in text.split("--settling-time", 1)[1].split(" --")[0]
@@ -67,14 +67,12 @@ def test_every_length_and_time_in_the_help_has_its_unit(command, capsys):
 def test_the_help_is_short_and_leads_to_all_options(command, capsys):
     common = help_of(capsys, command).splitlines()
     every = help_of(capsys, command, asked="--help-all").splitlines()
-    assert len(common) < 70
+    assert len(common) < 100
     assert max(map(len, [*common, *every])) <= 100
     assert f"approxjac {command} --help-all" in " ".join(common)
     assert "[true.object]" in every
     assert any(line.startswith("  --believed-mass N") for line in common)
     assert "  --sensor.noise N" in {line[:18] for line in every}
-    shown = [line for line in common if line.startswith("  --")]
-    assert len(shown) == len(options.COMMON[command])  # each of these is an option
     text = "\n".join([*common, *every])
     assert not any(mark in text for mark in ("`", "**", "None", "tuple", "str |"))
 
@@ -84,20 +82,6 @@ def test_a_command_that_does_not_exist_is_one_line_with_what_was_meant(capsys):
     assert capsys.readouterr().err == (
         "approxjac: command 'simulat' not in approxjac; did you mean 'simulate'?\n"
     )
-
-
-def test_the_shell_completes_commands_and_options(tmp_path):
-    script = tmp_path / "approxjac.bash"
-    script.write_text(run("--completion", "bash").stdout, encoding="utf-8")
-    subprocess.run(["bash", "-n", str(script)], check=True)
-    ask = (
-        f"source {script}; COMP_WORDS=(approxjac simulate --object-l); COMP_CWORD=2; "
-        '_approxjac; echo "${COMPREPLY[@]}"; '
-        'COMP_WORDS=(approxjac stab); COMP_CWORD=1; _approxjac; echo "${COMPREPLY[@]}"'
-    )
-    answer = subprocess.run(["bash", "-c", ask], capture_output=True, text=True, check=True)
-    assert answer.stdout.split() == ["--object-length", "stability"]
-    assert "bashcompinit" in run("--completion", "zsh").stdout
 
 
 def test_the_command_line_imports_nothing_slow():

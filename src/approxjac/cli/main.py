@@ -18,11 +18,9 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 import approxjac
 from approxjac.cli.export_command import export
 from approxjac.cli.options import (
-    COMMON,
     POSITIONAL,
     SHORT,
     Option,
-    Typed,
     explained,
     options_of,
     read,
@@ -33,21 +31,13 @@ from approxjac.cli.robots_command import robots
 from approxjac.cli.simulate_command import simulate
 from approxjac.cli.stability_command import stability
 from approxjac.cli.view_command import view
-from approxjac.errors import ApproxJacError, UnknownNameError
+from approxjac.errors import ApproxJacError, InvalidInputError, UnknownNameError
 from approxjac.formatting import width, wrapped
 from approxjac.scenario.convert import typed_as, value_of
 
 _COMMANDS = {each.__name__: each for each in (paper, robots, simulate, stability, export, view)}
 _INDENT = 26
 _NAMES = {float: "N", int: "N", str: "NAME", Path: "PATH"}
-_COMPLETION = """_approxjac() {{
-  local words='{commands}'
-  [ "$COMP_CWORD" -gt 1 ] && case ${{COMP_WORDS[1]}} in
-{cases}
-  esac
-  COMPREPLY=($(compgen -W "$words" -- "${{COMP_WORDS[COMP_CWORD]}}"))
-}}
-complete -o default -F _approxjac approxjac"""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -78,38 +68,41 @@ def _run(arguments: list[str]) -> int:
     if chosen in ("-h", "--help"):
         print(_help_of_commands())
         return 0
-    if chosen == "--completion":
-        print(_completion(words[0] if words else "bash"))
-        return 0
     if chosen not in _COMMANDS:
         kind = "option" if chosen.startswith("-") else "command"
-        known = [*_COMMANDS, "--help", "--version", "--completion"]
-        raise UnknownNameError(kind, chosen, "approxjac", known)
+        raise UnknownNameError(kind, chosen, "approxjac", [*_COMMANDS, "--help", "--version"])
     command = _COMMANDS[chosen]
     options = options_of(command)
     if asked := {"-h", "--help", "--help-all"} & set(words):
-        common = () if "--help-all" in asked else COMMON.get(chosen, ())
-        print(_help_of(command, options, common))
+        print(_help_of(command, options, "--help-all" in asked))
         return 0
-    typed = read(chosen, words, options, *POSITIONAL.get(chosen, ("", "")))
+    count = next((k for k, word in enumerate(words) if word.startswith("--")), len(words))
+    name, meaning = POSITIONAL.get(chosen, ("", ""))
+    if count > bool(name):
+        taken = meaning or "options alone"
+        given = " ".join(words[:count])
+        raise InvalidInputError(f"{chosen} takes {taken}; got {given}", given=given)
+    if name[:1] not in ("", "[") and not count:
+        raise InvalidInputError(f"{chosen} needs {meaning}; got none before options", given="")
+    source = "".join(words[:count])
+    values, names = read(chosen, words[count:], options)
     try:
-        return _called(command, typed)
+        return _called(command, source, values)
     except ApproxJacError as error:
-        return _complain(explained(error, options, typed))
+        return _complain(explained(error, options, source, values, names))
 
 
-def _called(command: Callable[..., int], typed: Typed) -> int:
+def _called(command: Callable[..., int], source: str, values: dict[str, Any]) -> int:
     """Call a command with what was typed, and with its scenario where it takes one."""
-    kinds = get_type_hints(command)
-    values = dict(typed.values)
+    kinds, values = get_type_hints(command), dict(values)
     own = {
         name: value_of(kinds[name], values.pop(name), name)
         for name in inspect.signature(command).parameters
         if name in values
     }
     if command.__name__ in SHORT:
-        return command(scenario_of(command.__name__, typed.alone, values), **own)
-    return command(typed.alone, **own) if typed.alone else command(**own)
+        return command(scenario_of(command.__name__, source, values), **own)
+    return command(source, **own) if source else command(**own)
 
 
 def _complain(message: object) -> int:
@@ -150,39 +143,24 @@ def _help_of_commands() -> str:
     return "\n".join([*lines, "", *wrapped(text)])
 
 
-def _completion(shell: str) -> str:
-    """Return a script with which a shell completes commands, and the options of each."""
-    if shell not in ("bash", "zsh"):
-        raise UnknownNameError("shell", shell, "--completion", ("bash", "zsh"))
-    cases = []
-    for name, command in _COMMANDS.items():
-        words = " ".join(word for option in options_of(command) for word in option.names)
-        cases.append(f"    {name}) words='{words}' ;;")
-    script = _COMPLETION.format(commands=" ".join(_COMMANDS), cases="\n".join(cases))
-    zsh = "autoload -U +X compinit bashcompinit && compinit && bashcompinit\n"
-    return zsh + script if shell == "zsh" else script
-
-
-def _help_of(command: Callable[..., int], options: Sequence[Option], common: Sequence[str]) -> str:
-    """Return the help of a command with its common options and a hint at all, or all by group."""
+def _help_of(command: Callable[..., int], options: Sequence[Option], every: bool) -> str:
+    """Return the help of a command with its short options and a hint at all, or all by group."""
     word, meaning = POSITIONAL.get(command.__name__, ("", ""))
     lines = [" ".join(filter(None, ["usage: approxjac", command.__name__, word, "[options]"]))]
     for paragraph in _paragraphs(command):  # an example stays what can be copied
         lines += ["", *([paragraph] if paragraph.startswith("Example: ") else wrapped(paragraph))]
     if word:
         lines += ["", *_entry(word, f"{meaning[0].upper()}{meaning[1:]}.", _INDENT)]
+    common = [each for each in options if "." not in each.names[0]]
     groups: dict[str, list[str]] = {}
-    for option in options:
-        name, group = ", ".join(option.names), option.key.rpartition(".")[0]
-        title = f"[{group}]" if group else "Options"
-        if common:
-            name, title = option.names[0], "Common options"
-        if not common or set(option.names) & set(common):
-            entry = _entry(f"{name} {_values(option.hint)}".rstrip(), _text(option), _INDENT)
-            groups.setdefault(title, []).extend(entry)
+    for option in options if every else common:
+        group = option.key.rpartition(".")[0] if every else ""
+        name = ", ".join(option.names) if every else option.names[0]
+        entry = _entry(f"{name} {_values(option.hint)}".rstrip(), _text(option), _INDENT)
+        groups.setdefault(f"[{group}]" if group else "Options", []).extend(entry)
     for title, entries in groups.items():
         lines += ["", title, *entries]
-    if common:
+    if len(common) < len(options) and not every:
         text = (
             f"All {len(options)} options: approxjac {command.__name__} --help-all. Each is a key "
             "of a scenario file: --sensor.noise 0.001 is noise = 0.001 below [sensor]."

@@ -1,7 +1,6 @@
 """The options of a command, made from a scenario's records, and what was typed of them.
 
-argparse takes -1e-3 and -x for options, and lets a list swallow the robot after it; so words are
-read here: an option takes the longest run of words that its type makes a value of.
+A word that begins with -- is an option, and all words up to the next are its value.
 """
 
 from __future__ import annotations
@@ -10,15 +9,14 @@ import difflib
 import inspect
 import re
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import KW_ONLY, dataclass, field, fields, is_dataclass
+from dataclasses import KW_ONLY, dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, get_type_hints
+from typing import TYPE_CHECKING, Any, get_type_hints
 
 from approxjac.errors import ApproxJacError, InvalidInputError, UnknownNameError
 from approxjac.files import reason
 from approxjac.scenario import Scenario
-from approxjac.scenario.convert import WRONG_TYPE, Words, converted, hints, value_of
+from approxjac.scenario.convert import WRONG_TYPE, Words, converted, hints, wanted
 from approxjac.scenario.records import Analysis, Goal
 
 if TYPE_CHECKING:
@@ -34,7 +32,7 @@ class Option:
     hint: Any  # type of its value
     help: str
     default: Any = None
-    means: Mapping[str, Words] = field(default_factory=dict)  # of one that stands for others
+    means: str = ""  # options that it stands for
 
 
 # A report is about errors that are given as ranges, and takes gravity as compensated exactly.
@@ -45,7 +43,7 @@ _USUAL = {
         {"true": {"object": {"length": 0.0, "mass": 0.0}}, "controller": {"gravity": "exact"}}
     ),
 }
-_SHORT = {
+_OF_LAW = {
     "--object-length": "true.object.length",
     "--object-mass": "true.object.mass",
     "--object-axis": "true.object.axis",
@@ -57,6 +55,8 @@ _SHORT = {
     "--kv": "controller.kv",
     "--damping": "controller.damping",
     "--limits": "controller.limits",
+}
+_OF_RUN = {
     "--start": "run.start",
     "--target": "run.target.at",
     "--target-offset": "run.target.offset",
@@ -70,27 +70,11 @@ _OF_STUDY = {
     f"--{each.name.replace('_', '-')}": f"stability.{each.name}" for each in fields(Analysis)
 }
 SHORT: Mapping[str, Mapping[str, str]] = {
-    "simulate": _SHORT, "stability": _SHORT | _OF_STUDY, "export": _SHORT,
-}  # fmt: skip
+    "simulate": _OF_LAW | _OF_RUN,
+    "stability": _OF_LAW | {"--duration": "run.duration", "--seed": "run.seed"} | _OF_STUDY,
+    "export": _OF_LAW,
+}
 """Command → short option → the key that it stands for; a report's errors are ranges."""
-COMMON: Mapping[str, Sequence[str]] = {
-    "simulate": (
-        "--object-length", "--object-mass", "--object-axis", "--believed-length", "--believed-mass",
-        "--gravity", "--settling-time", "--limits", "--start", "--target", "--target-offset",
-        "--circle", "--learn-kinematics", "--duration", "--seed", "--task.kind", "--view", "--out",
-    ),
-    "stability": (
-        "--object-length", "--object-mass", "--joint-shifts", "--joint-rotations",
-        "--believed-length", "--believed-mass", "--around", "--radius", "--target", "--gravity",
-        "--settling-time", "--kp", "--kv", "--damping", "--loop.dt", "--runs", "--map-points",
-        "--suggest-gains", "--jobs", "--out",
-    ),
-    "export": (
-        "--object-length", "--believed-length", "--believed-mass", "--gravity", "--settling-time",
-        "--kp", "--kv", "--damping", "--limits", "--effort-only", "--folder",
-    ),
-}  # fmt: skip
-"""Command → the options that its help shows."""
 _ROBOT = (
     "NAME|FILE",
     "the name of an arm (approxjac robots lists them), a .urdf file, or a .toml file with a "
@@ -101,23 +85,13 @@ POSITIONAL: Mapping[str, tuple[str, str]] = {
     "robots": ("[NAME|FILE]", "the name or the .urdf file of one robot"),
     "view": ("RUN", "the run.npz that simulate, paper or Trajectory.save wrote, or its folder"),
 }
-"""Command → the word that has no option, in brackets where it may be left out, and what it is."""
-_RENAMED = {"--path": "--circle RADIUS, --line OFFSET or --waypoints POINTS"}
-_STANDING_FOR_OTHERS = [
-    Option(
-        ("--no-limits",), "no_limits", bool, "Keep no limits, as --limits none.",
-        means={"controller.limits": Words(["none"])},
-    ),
-    Option(
-        ("--learn-kinematics",), "learn_kinematics", bool,
-        "Learn tool, joint origins and camera with the tracking law, as --controller.law tracking "
-        "--controller.unknown tool origins camera.",
-        means={
-            "controller.law": Words(["tracking"]),
-            "controller.unknown": Words(["tool", "origins", "camera"]),
-        },
-    ),
-]  # fmt: skip
+"""Command → the word before its options, in brackets where it may be left out, and what it is."""
+_LEARN = Option(
+    ("--learn-kinematics",), "learn_kinematics", bool,
+    "Learn tool, joint origins and camera with the tracking law, as --controller.law tracking "
+    "--controller.unknown tool origins camera.",
+    means="--controller.law tracking --controller.unknown tool origins camera",
+)  # fmt: skip
 
 
 def options_of(command: Callable[..., int]) -> list[Option]:
@@ -126,7 +100,7 @@ def options_of(command: Callable[..., int]) -> list[Option]:
     if name not in SHORT:
         return own_options(command)
     of_scenario = record_options(_USUAL[name], SHORT[name])
-    return [*of_scenario, *own_options(command), *_STANDING_FOR_OTHERS]
+    return [*of_scenario, *own_options(command), _LEARN]
 
 
 def documented(record: Any) -> dict[str, str]:
@@ -168,111 +142,78 @@ def record_options(record: Any, short: Mapping[str, str], key: str = "") -> list
 # -- what was typed -----------------------------------------------------------------------
 
 
-class Typed(NamedTuple):
-    """The words after a command."""
-
-    alone: str  # without an option: the robot, or the run
-    values: dict[str, Any]  # key → words; True of a mere option
-    names: dict[str, str]  # key → option as it was typed
-
-
 def read(
-    command: str, words: Sequence[str], options: Sequence[Option], positional: str, meaning: str
-) -> Typed:
-    """Read the words after a command.
-
-    `positional` is the one word without an option, "" of a command that takes none, in brackets
-    where it may be left out; `meaning` is what it is.
-    """
+    command: str, words: Sequence[str], options: Sequence[Option]
+) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return key → words, True of a mere option, and key → option as it was typed."""
     named = {name: option for option in options for name in option.names}
-    rest, alone = list(words), list[str]()
-    values, names = dict[str, Any](), dict[str, str]()
+    rest, values, names = list(words), dict[str, Any](), dict[str, str]()
     while rest:
-        word = rest.pop(0)
-        if not _is_option(word):
-            alone.append(word)
-            continue
-        name, equals, value = word.partition("=")
+        name, equals, value = rest.pop(0).partition("=")
+        given = Words([value] if equals else [])
+        while rest and not equals and not rest[0].startswith("--"):
+            given = Words((*given, rest.pop(0)))
         option = named.get(f"--{name[2:].replace('_', '-')}")
-        if name in _RENAMED:
-            raise InvalidInputError(f"{name} is now {_RENAMED[name]}", given=name)
         if option is None:
             usual = [each.names[0] for each in options]  # too many to list where none is near
             near = usual if difflib.get_close_matches(name, usual, cutoff=0.5) else []
             raise UnknownNameError("option", name, f"{command} --help-all", near)
-        names |= dict.fromkeys(option.means or [option.key], name)
         if option.hint is bool:
-            if equals:
-                raise InvalidInputError(f"{name} takes no value, got {value}", given=value)
-            values |= option.means or dict[str, Any]({option.key: True})
+            if given:
+                raise InvalidInputError(
+                    f"{name} takes no value, got {' '.join(given)}", given=given
+                )
+            meant, _ = read(command, option.means.split(), options)
+            meant = meant or {option.key: True}
+            values |= meant
+            names |= dict.fromkeys(meant, name)
             continue
-        before_next = next((k for k, each in enumerate(rest) if _is_option(each)), len(rest))
-        given = [value] if equals else rest[:before_next]
-        count = _fitting(option.hint, given)
-        left = len(given) - count
-        if not count or (left and (equals or alone or left > 1 or not positional)):
+        try:
+            converted(option.hint, given)
+        except WRONG_TYPE:
             aside = option.help.partition(". ")[0].partition("; ")[0].rstrip(".")
-            try:
-                value_of(option.hint, Words(given), option.key)
-            except InvalidInputError as error:
-                text = str(error).replace(option.key, name, 1)
-                text = f"{text} ({aside[:1].lower()}{aside[1:]})"
-                raise InvalidInputError(text, given=given) from None
-        values[option.key] = Words(given[:count])
-        del rest[: 0 if equals else count]
-    if len(alone) > bool(positional):
-        taken = meaning or "options alone"
-        raise InvalidInputError(f"{command} takes {taken}; got {' '.join(alone)}", given=alone)
-    if positional[:1] not in ("", "[") and not alone:
-        raise InvalidInputError(f"{command} needs {meaning}; got none", given=alone)
-    return Typed("".join(alone), values, names)
+            raise InvalidInputError(
+                f"{name} must be {wanted(option.hint)}, got {' '.join(given) or 'nothing'} "
+                f"({aside[:1].lower()}{aside[1:]})",
+                given=given,
+            ) from None
+        values[option.key], names[option.key] = given, name
+    return values, names
 
 
-def with_options(options: Sequence[Option], text: str) -> str:
+def with_options(names: Mapping[str, str], text: str) -> str:
     """Return a text with options in place of the keys that it names."""
-    for option in sorted(options, key=lambda option: -len(option.key)):
-        if "." in option.key or "_" in option.key:
-            text = re.sub(rf"(?<![\w.-]){re.escape(option.key)}(?![\w.])", option.names[0], text)
+    for key in sorted(names, key=len, reverse=True):
+        if "." in key or "_" in key:
+            text = re.sub(rf"(?<![\w.-]){re.escape(key)}(?![\w.])", names[key], text)
     return text
 
 
-def explained(error: ApproxJacError, options: Sequence[Option], typed: Typed) -> str:
-    """Return an error's message with the user's own option in place of the key it begins with.
+def explained(
+    error: ApproxJacError,
+    options: Sequence[Option],
+    source: str,
+    values: Mapping[str, Any],
+    names: Mapping[str, str],
+) -> str:
+    """Return an error's message with the user's own options in place of keys.
 
-    A key that was not typed stays as it is in a file, if there is one.
+    Keys that were not typed stay as they are in a file, if there is one.
     """
-    message, from_file = str(error), typed.alone.endswith(".toml")
+    usual = {} if source.endswith(".toml") else {each.key: each.names[0] for each in options}
+    message = with_options(usual | names, str(error))
     key, _, rest = message.partition(" ")
-    known = [
-        each
-        for each in options
-        if key in (each.key, each.key.rpartition(".")[2]) or f"--{key}" in each.names
+    own = [
+        name
+        for dotted, name in names.items()
+        if key == dotted.rpartition(".")[2] or name == f"--{key}"
     ]
-    typed_ones = [each for each in known if each.key in typed.names]
-    known = typed_ones or [each for each in known if each.key == key]
-    if len(known) == 1:
-        (option,) = known
-        usual = option.key if from_file and "." in option.key else option.names[0]
-        rest = rest if from_file else with_options(options, rest)
-        return f"{typed.names.get(option.key, usual)} {rest}"
-    if isinstance(error, UnknownNameError) and not message.startswith("-"):
-        words = {key: value for key, value in typed.values.items() if isinstance(value, Words)}
-        given = [typed.names[key] for key, value in words.items() if error.given in value]
-        return f"{given[0]}: {message}" if len(given) == 1 else message
-    return message
-
-
-def _is_option(word: str) -> bool:
-    return word.startswith("--") and len(word) > 2
-
-
-def _fitting(hint: Any, words: Sequence[str]) -> int:
-    """Return how many of the first words make a value; 0 where none do."""
-    for count in range(len(words), 0, -1):
-        with suppress(*WRONG_TYPE):
-            converted(hint, Words(words[:count]))
-            return count
-    return 0
+    if len(own) == 1:
+        return f"{own[0]} {rest}"
+    if isinstance(error, UnknownNameError):
+        typed = {key: words for key, words in values.items() if isinstance(words, Words)}
+        own = [names[key] for key, words in typed.items() if error.given in words]
+    return f"{own[0]}: {message}" if len(own) == 1 else message
 
 
 def scenario_of(command: str, source: str, values: Mapping[str, Words]) -> Scenario:

@@ -61,7 +61,8 @@ def stability(
             lambda report: print(report, end="\n\n", flush=True),
         )
     judge.write(result, out)
-    if follows := with_options(options_of(stability), judge.consequences(result, out)):
+    names = {each.key: each.names[0] for each in options_of(stability)}
+    if follows := with_options(names, judge.consequences(result, out)):
         print(follows, end="\n\n")
     print(f"Pictures and summary.json are in {out}")
     return 0 if result.report.passed else 1
@@ -73,7 +74,7 @@ def _suggest(scenario: Scenario, out: Path) -> int:
     make_folder(out)
     result = judge.suggested(scenario, long_work(_LONG))
     judge.write_gains(result, out)
-    print(with_options(options_of(stability), str(result)))
+    print(with_options({each.key: each.names[0] for each in options_of(stability)}, str(result)))
     if result.report is None:
         print(f"\nsummary.json is in {out}; without gains no scenario.toml is written")
         if (out / "scenario.toml").exists():

@@ -15,7 +15,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 import numpy as np
 
 from approxjac.errors import InvalidInputError, UnknownNameError
-from approxjac.scenario.records import RENAMED, Goal
+from approxjac.scenario.records import Goal
 from approxjac.validation import as_number
 
 Table = Mapping[str, Any]
@@ -54,8 +54,6 @@ def checked(kind: type, base: Any, values: Table, where: str = "", key: str = ""
     for name, value in values.items():
         dotted, inner = f"{key}.{name}" if key else name, getattr(base, name, None)
         if name not in known:
-            if dotted in RENAMED:
-                raise InvalidInputError(f"{dotted} is now {RENAMED[dotted]}", given=value)
             table = " ".join(filter(None, (where, f"[{key}]" if key else ""))) or "a scenario"
             raise UnknownNameError("key", name, table, known)
         if is_dataclass(inner):
@@ -75,11 +73,8 @@ def value_of(hint: Any, value: Any, key: str, where: str = "") -> Any:
     """Return a value as a field of that type has it, or refuse it by its key."""
     with suppress(*WRONG_TYPE):
         return converted(hint, value)
-    typed = isinstance(value, Words)
-    given = (" ".join(value) or "nothing") if typed else repr(value)
-    now = RENAMED.get(f"{key} = {given if typed else value}")
-    message = f"{key} must be {wanted(hint)}, got {given}{_in(where)}"
-    raise InvalidInputError(message + (f", which is now {now}" if now else ""), given=value)
+    given = (" ".join(value) or "nothing") if isinstance(value, Words) else repr(value)
+    raise InvalidInputError(f"{key} must be {wanted(hint)}, got {given}{_in(where)}", given=value)
 
 
 def converted(hint: Any, value: Any) -> Any:

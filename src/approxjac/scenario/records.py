@@ -12,12 +12,6 @@ Vector = tuple[float, float, float]
 Interval = tuple[float, float]
 Vectors = dict[str, Vector]  # joint name → vector
 
-RENAMED = {
-    "controller.integral": "controller.integral_action, true or false",
-    "controller.gravity = rest": "learn_residual",
-}
-"""Keys, or values of keys, of earlier versions, and what they are now."""
-
 
 def above(default: Any, bound: float = 0.0) -> Any:
     """Return a field whose numbers are above a bound."""
