@@ -58,7 +58,7 @@ def test_a_file_says_the_same_as_options(reach, tmp_path, capsys):
 @pytest.mark.parametrize("target", ["--target", "--run.target.at"])
 def test_options_take_the_place_of_what_the_file_says(reach, tmp_path, target):
     words = [target, "0.4", "0.1", "0.5", "--duration=0.1", "--object-axis=-x"]
-    assert main(["simulate", *words, str(reach), "--out", str(tmp_path)]) == 1
+    assert main(["simulate", str(reach), *words, "--out", str(tmp_path)]) == 1
     found = outcome(tmp_path)
     assert found["target"] == [0.4, 0.1, 0.5]
     assert found["verdict"] == "not converged"
@@ -68,11 +68,10 @@ def test_options_take_the_place_of_what_the_file_says(reach, tmp_path, target):
 
 
 @pytest.mark.parametrize(("word", "axis"), [("-1,0,1", [-1.0, 0.0, 1.0]), ("y", "y")])
-def test_an_axis_is_one_word_before_the_robot_or_after_it(tmp_path, word, axis):
-    options = [f"--object-axis={word}", "--duration=0.01", "--out", str(tmp_path)]
-    for words in (["panda", *options], [*options[1:], options[0], "panda"]):
-        assert main(["simulate", *words]) in (0, 1)
-        assert outcome(tmp_path)["scenario"]["true"]["object"]["axis"] == axis
+def test_an_axis_is_one_word(tmp_path, word, axis):
+    words = ["panda", f"--object-axis={word}", "--duration=0.01", "--out", str(tmp_path)]
+    assert main(["simulate", *words]) in (0, 1)
+    assert outcome(tmp_path)["scenario"]["true"]["object"]["axis"] == axis
 
 
 def test_a_path_that_was_followed_is_no_failure(tmp_path, capsys):

@@ -194,7 +194,7 @@ def explained(
     options: Sequence[Option],
     source: str,
     values: Mapping[str, Any],
-    names: Mapping[str, str],
+    names: dict[str, str],
 ) -> str:
     """Return an error's message with the user's own options in place of keys.
 
