@@ -22,7 +22,7 @@ COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"]
 SANITIZED = ["-g1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 EXACT = "-ffp-contract=off"
-NAMES = "controller.h", "controller.c", "main.c", "selftest.c", "CMakeLists.txt"
+NAMES = "controller.h", "controller.c", "selftest.c", "CMakeLists.txt"
 CAMERA = aj.PinholeCamera.looking_at((0.4, 0.0, 0.4), (2.0, -1.0, 1.0), 600.0, (640, 480))
 INPUTS = "state", "q", "v", "x", "target"
 needs_compiler = pytest.mark.skipif(not COMPILERS, reason="no gcc and no clang here")
@@ -335,9 +335,6 @@ def test_the_self_test_passes_and_sanitizers_find_nothing(case, compiler, tmp_pa
         [tmp_path / "selftest"], capture_output=True, text=True, check=True
     ).stdout
     assert output == "50 of 50 steps to the bit; largest difference of a torque 0\n"
-    compiled(tmp_path, "-O0", "main.c", "-o", "example", compiler=compiler)
-    output = subprocess.run([tmp_path / "example"], capture_output=True, text=True, check=True)
-    assert len(output.stdout.splitlines()) == 4
 
 
 @needs_compiler
@@ -468,8 +465,8 @@ def test_the_header_says_what_it_was_made_from(tmp_path):
             f"panda_joint{i} [rad]" for i in (1, 2, 3)
         ),
         "PositionTask('panda', 'panda_hand_tcp', 'xyz'), x in m", "(28), (29)",
-        f"{law.diagonals.kp[0]:.6g}", f"{law.saturation.gamma[0]:.6g}", "learnt: 12 parameters",
-        "AwayFromStops(share=0.12)", "torques 34.8",
+        f"K_p {law.diagonals.kp[0]:.4g}", f"{law.saturation.gamma[0]:.4g}", "12 parameters",
+        "AwayFromStops(share=0.12)", "Limits(effort=[34.8",
         "joint positions [rad]", "time for which the torque is held [s]",
         "/* the law was evaluated as written */\n    PANDA_OK = 0",
         "PANDA_LIMITS_PROOF_GIVEN_UP = 4",

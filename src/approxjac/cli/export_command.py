@@ -12,7 +12,7 @@ def export(
     effort_only: bool = False,
     folder: Path = Path("results/export"),
 ) -> int:
-    """Write the controller of a scenario as plain C99, with an example and a self-test.
+    """Write the controller of a scenario as plain C99, with a self-test.
 
     Example: approxjac export panda --believed-length 0.1 --effort-only --folder controller
 
@@ -22,7 +22,7 @@ def export(
         scenario: The scenario; what is true of it has no part in the controller.
         effort_only: Keep the limits of torques, and leave those of speeds and positions out: they
             are the robot's own to keep then, and the code is a tenth as long.
-        folder: Folder for controller.h, controller.c, main.c, selftest.c and CMakeLists.txt.
+        folder: Folder for controller.h, controller.c, selftest.c and CMakeLists.txt.
     """
     from approxjac.codegen import export_c
     from approxjac.controllers import Limits

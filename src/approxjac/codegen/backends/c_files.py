@@ -16,10 +16,6 @@ from approxjac.codegen.backends.c99 import SampledStep, constant, sampled_step
 from approxjac.codegen.trace.symbols import LARGEST_ANGLE
 from approxjac.controllers.controller import Controller
 from approxjac.controllers.gains.gains import Latency
-from approxjac.controllers.gravity import Adaptation
-from approxjac.controllers.hold import HeldMeasurement
-from approxjac.controllers.limits.torque_limited import TorqueLimited
-from approxjac.controllers.setpoint import SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.files import reason, together, write_text
 from approxjac.formatting import joined
@@ -29,7 +25,7 @@ from approxjac.validation import Array, require
 
 _LINE = 96
 
-_RECORDED, _SHOWN = 50, 4  # steps of the self-test, and of the example
+_RECORDED = 50  # steps of the self-test
 _LOST = 10  # x is, every so many steps
 _OFF_CIRCLE = 1e-3  # what Robot.configuration takes, too
 
@@ -37,9 +33,9 @@ _OFF_CIRCLE = 1e-3  # what Robot.configuration takes, too
 def export_c(controller: Controller, folder: str | PathLike[str]) -> Path:
     """Write a controller as plain C99: no allocation, no library but libm, re-entrant.
 
-    The folder gets controller.h and controller.c, an example main.c, a selftest.c with recorded
-    steps, and a CMakeLists.txt. The header says what to call, in which units, and what the
-    controller was made from.
+    The folder gets controller.h and controller.c, a selftest.c that calls them with recorded steps,
+    and a CMakeLists.txt. The header says what to call, in which units, and what the controller was
+    made from.
 
     A step in C is a step in Python, to rounding, and the same bits wherever the compiler contracts
     and reorders nothing. But targets are at rest; what Python raises an error for has a status
@@ -62,12 +58,11 @@ def export_c(controller: Controller, folder: str | PathLike[str]) -> Path:
     require("folder", folder, (str, PathLike), "a folder")
     step = sampled_step(controller)
     named = words(controller, step)
-    dt = _period(controller)
+    dt = controller.dt or (controller.latency or Latency()).period
     records = _recorded(step, dt)
     filled = {
         "controller.h": _filled(templates.HEADER, named),
         "controller.c": _filled(templates.SOURCE, named | _source(step)),
-        "main.c": _filled(templates.EXAMPLE, named | _example(records) | {"dt": repr(float(dt))}),
         "selftest.c": _filled(
             templates.SELFTEST, named | {"records": _rows(records), "dt": constant(dt)}
         ),
@@ -84,13 +79,6 @@ def export_c(controller: Controller, folder: str | PathLike[str]) -> Path:
         for name, text in filled.items():
             write_text(unfinished / name, text)
     return path
-
-
-def _period(controller: Controller) -> float:
-    """Return the period that a controller was made for [s]; 1 ms where it does not say."""
-    if isinstance(controller, TorqueLimited):
-        return controller._dt
-    return controller.dt or (controller.latency or Latency()).period
 
 
 def _filled(text: str, named: dict[str, str]) -> str:
@@ -191,17 +179,6 @@ def _rows(records: list[Record]) -> str:
     return ",\n".join(rows)
 
 
-def _example(records: list[Record]) -> dict[str, str]:
-    """Return the arrays of the example, in plain decimals."""
-    return {
-        name: ",\n".join(
-            f"    {{{', '.join(f'{value:.6g}' for value in record[name].tolist())}}}"
-            for record in records[:_SHOWN]
-        )
-        for name in ("q", "v", "x", "target")
-    }
-
-
 # -- words of a controller about itself ------------------------------------------------------------
 
 
@@ -246,80 +223,17 @@ def _made_from(controller: Controller, step: SampledStep) -> Iterator[tuple[str,
     """Return what a controller was made from: name, text."""
     import approxjac
 
-    law, task, robot = controller.law, controller.task, controller.task.robot
+    task, robot = controller.task, controller.task.robot
+    first, _, *others = controller.describe()
     yield "made by", f"approxjac {approxjac.__version__}"
     yield "robot", f"{robot.name}, as it is believed, {robot.mass:.6g} kg"
     named = zip(robot.joint_names, robot.joint_units, strict=True)
     yield "joints", ", ".join(f"{name} [{unit}]" for name, unit in named)
     yield "task", f"{task!r}, x in {_units_of_x(task)}"
-    if isinstance(law, SetpointController):
-        yield from _of_law(law)
-    else:
-        yield "law", repr(law)
-    inside = controller
-    if isinstance(controller, HeldMeasurement):
-        inside = controller.controller
-        unseen = _numbers(controller.unseen)
-        yield "held", f"the last x that was seen, until it has moved by {unseen}"
-    if isinstance(inside, TorqueLimited):
-        how = "so that V' <= -W stays where it can" if inside.proof else "clipped"
-        yield "limits", f"{'; '.join(_limits(inside))}; {how}"
-    else:
-        yield "limits", "none"
-
-
-def _limits(controller: TorqueLimited) -> Iterator[str]:
-    """Return the limits that a controller keeps, in words."""
-    limits = controller.limits
-    for words, value in (
-        ("torques {} [N m or N]", limits.effort),
-        ("their rates {} [N m/s or N/s]", limits.rate),
-        ("speeds {} [rad/s or m/s]", limits.velocity),
-        ("accelerations {} [rad/s^2 or m/s^2]", limits.acceleration),
-        ("positions from {} [rad or m]", limits.position and limits.position[0]),
-        ("to {} [rad or m]", limits.position and limits.position[1]),
-    ):
-        if np.isfinite(np.asarray(value, dtype=float)).any():
-            yield words.format(_numbers(np.asarray(value)))
-    yield from map(repr, controller.motion_limits)
-
-
-def _of_law(law: SetpointController) -> Iterator[tuple[str, str]]:
-    """Return gains, saturation, gravity and so on."""
-    kp, kv, damping = law.diagonals
-    number = "(6)" if law.velocity is None else "(5)"
-    if law.adaptation is not None:
-        number = "(28), (29)" if law.velocity is None else "(5), (29)"
-    yield "law", number
-    yield "K_p", f"{_numbers(kp)} [J per unit of e squared]"
-    yield "K_v", f"{_numbers(kv)} [J s per unit of e squared]"
-    yield "B_c", f"{_numbers(damping)} [N m s/rad or N s/m]"
-    gamma = getattr(law.saturation, "gamma", None)
-    of = "" if gamma is None else f", gamma = {_numbers(np.asarray(gamma))}"
-    yield "s(e)", f"{type(law.saturation).__name__}{of}"
-    learning = law.adaptation
-    if learning is None:
-        yield "gravity", repr(law.gravity)
-    else:
-        p, forces, torques = learning.sizes
-        yield (
-            "gravity",
-            f"learnt: {p} parameters of {learning.robot.name}, {forces} task forces, {torques} "
-            f"joint torques, alpha = {learning.alpha:.6g} [1/s]{_of_rest(learning)}",
-        )
-    if law.velocity is not None:
-        yield "velocity", f"x, filtered with {law.velocity.time_constant:g} s and differentiated"
-    yield "posture", "none" if law.posture is None else repr(law.posture)
-
-
-def _of_rest(learning: Adaptation) -> str:
-    if learning.theta0.any():
-        return ""
-    return "; from 0: all of it is learnt, or the rest where the robot adds its own"
-
-
-def _numbers(values: Array) -> str:
-    return ", ".join(f"{value:.6g}" for value in np.ravel(values))
+    yield "law", "; ".join([first, *others])
+    yield "as made", repr(controller)
+    yield "posture", repr(getattr(controller.law, "posture", None))
+    yield "limits", repr(controller.limits) if controller.limits else "none"
 
 
 def _comment(parts: Iterator[tuple[str, str]]) -> str:

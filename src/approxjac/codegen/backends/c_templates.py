@@ -202,49 +202,6 @@ static double power_of_two(double shifted)
 }
 """
 
-EXAMPLE = """\
-/* main.c: a few recorded steps of the controller, and the torques that it asks for. */
-#include "controller.h"
-
-#include <stdio.h>
-
-static const double q[][$nq] = {
-$q
-};
-static const double v[][$nv] = {
-$v
-};
-static const double x[][$n_x] = {
-$x
-};
-static const double target[][$n_x] = {
-$target
-};
-
-int main(void)
-{
-    ${prefix}_state state;
-    ${prefix}_answer answer;
-    int i, k;
-    if (!${prefix}_init(&state, x[0])) {
-        return 1;
-    }
-    for (k = 0; k < (int)(sizeof q / sizeof q[0]); ++k) {
-        ${prefix}_status status =
-            ${prefix}_step(&state, q[k], v[k], x[k], target[k], $dt, &answer);
-        printf("status %d, limits %d, torque", (int)status, (int)answer.limit_status);
-        for (i = 0; i < ${PREFIX}_N_V; ++i) {
-            printf(" %.6g", answer.torque[i]);
-        }
-        printf("\\n");
-        if (status < 0) {
-            return 1;  /* on a robot: stop it */
-        }
-    }
-    return 0;
-}
-"""
-
 SELFTEST = """\
 /* selftest.c: recorded steps, to the bit, and what is refused.
  *
@@ -314,7 +271,7 @@ int main(void)
 """
 
 CMAKE = """\
-# A controller as a library, an example and a self-test:
+# A controller as a library, and a self-test:
 #   cmake -B build -DCMAKE_BUILD_TYPE=Release && cmake --build build && ctest --test-dir build
 cmake_minimum_required(VERSION 3.10)
 project(${prefix}_controller C)
@@ -334,9 +291,6 @@ endif()
 if(UNIX)
   target_link_libraries(${prefix}_controller PUBLIC m)
 endif()
-
-add_executable(${prefix}_example main.c)
-target_link_libraries(${prefix}_example PRIVATE ${prefix}_controller)
 
 add_executable(${prefix}_selftest selftest.c)
 set_target_properties(${prefix}_selftest PROPERTIES C_STANDARD 99 C_STANDARD_REQUIRED ON)
