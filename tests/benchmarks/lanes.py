@@ -18,10 +18,11 @@ import turns
 from mujoco import rollout
 
 import approxjac as aj
+from approxjac.codegen.backends import numpy_lanes
 from approxjac.codegen.backends.llvm import LlvmLanes
-from approxjac.codegen.backends.numpy_source import NumpyLanes, numpy_function
+from approxjac.codegen.backends.numpy_lanes import NumpyLanes, numpy_function
 from approxjac.codegen.lanes import Box, Lanes
-from approxjac.codegen.trace.program import STEP
+from approxjac.codegen.trace.program import RECORDED, STEP, Block
 from approxjac.robots import Dynamics
 from approxjac.stability.rollouts.setting import RolloutSetting
 
@@ -58,7 +59,8 @@ def in_lanes(engine, learns=False, integrator="semi_implicit_euler"):
     kept, given = lanes.packed(begun)
 
     def run(steps):
-        compiled.run(kept.copy(), given, steps - 1, 10)
+        times = (np.arange(steps)[:, np.newaxis] % 10 == 0).astype(float)  # recorded ones
+        compiled.run(kept.copy(), given, Block(0, times, np.zeros((len(kept), steps, 0, 1))))
         return steps * LANES
 
     return run, took
@@ -128,8 +130,11 @@ def in_jax():
     program = lanes.program
     lanes.compiled = NumpyLanes(program)
     numbers = [number for name in program.stepped for number in program.stepped[name]]
+    ours = numpy_lanes._OPERATIONS
+    own = {name: getattr(jax.numpy, ours[name].__name__) for name in {*ours} - {"power"}}
+    own["power"] = lambda a: (a.view(jax.numpy.int64) << 52).view(jax.numpy.float64)
+    ours |= own
     function = numpy_function(program.graph, numbers)
-    function.__globals__["np"] = jax.numpy
     kept, given = (np.moveaxis(a, 1, 0).reshape(a.shape[1], -1) for a in lanes.packed(begun))
     places = [program.rows[name] for name in program.stepped]
     rows = np.concatenate([np.arange(at, at + size) for at, size in places])
@@ -137,7 +142,7 @@ def in_jax():
 
     def step(k, state):
         values = {name: state[at : at + size] for name, (at, size) in program.rows.items()}
-        computed = function(**values, **fixed, **{STEP: [k.astype(float)]})
+        computed = function(**values, **fixed, **{STEP: [k.astype(float)], RECORDED: [0.0]})
         computed = [jax.numpy.broadcast_to(row, state.shape[1:]) for row in computed]
         return state.at[rows].set(jax.numpy.stack(computed))
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from approxjac import law
 from approxjac.codegen.backends.llvm import LlvmLanes
-from approxjac.codegen.backends.numpy_source import NumpyLanes, numpy_function
+from approxjac.codegen.backends.numpy_lanes import NumpyLanes, numpy_function
 from approxjac.codegen.trace.program import Block, Program
 from approxjac.codegen.trace.symbols import Graph, any_of, eigensystem, inputs, select, symbols
 from approxjac.law.factors import Factors
@@ -155,7 +155,7 @@ def program():
     fast = any_of(np.abs(v_end) > 0.6)
     second = p.graph.rare(fast, (first * np.sqrt(np.abs(v_end))).tolist(), v_end.tolist())
     p.step({"q": first, "v": second, "late": v})
-    p.record({"n": n + np.abs(v).max() + 1e-3 * p.k})
+    p.record({"n": n[0] + np.abs(v).max() + 1e-3 * p.k})
     return p
 
 
@@ -164,6 +164,7 @@ def kept_after(lanes, program, blocks=(0, 301), last=300):
     k = np.arange(last + 1.0)
     # v of three steps ago: written to another place than the one that is read
     known = {"late.from": k % 5, "late.to": (k + 3) % 5, "wave": np.sin(k)}
+    known["recorded"] = (k % 7 == 0) | (k == last)
     times = np.zeros((last + 1, program.n_times))
     for name, (at, size) in program.times.items():
         times[:, at : at + size] = known[name][:, np.newaxis]
@@ -183,7 +184,7 @@ def kept_after(lanes, program, blocks=(0, 301), last=300):
     for first, end in itertools.pairwise(blocks):
         own = draws[first:end].reshape(end - first, program.n_draws, -1, lanes.width)
         block = Block(first, times[first:end], np.array(np.moveaxis(own, 2, 0), order="C"))
-        lanes.run(kept, packed(given), last, 7, block)
+        lanes.run(kept, packed(given), block)
     return kept.swapaxes(1, 2).reshape(16, -1)
 
 

@@ -11,7 +11,7 @@ from many_runs import rolled
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
-from approxjac.codegen.backends.numpy_source import NumpyLanes
+from approxjac.codegen.backends.numpy_lanes import NumpyLanes
 from approxjac.codegen.lanes import OUTCOME, Box, Lanes
 from approxjac.codegen.step import compiled
 from approxjac.controllers import CartesianSpeed, HeldMeasurement

@@ -41,7 +41,7 @@ def program(number=2.0):
 
 def outcome(of):
     kept = np.array([[[0.1], [0.2], [0.3]]])
-    LlvmLanes(of, 1).run(kept, np.zeros((1, 1, 1)), 0, 1)
+    LlvmLanes(of, 1).run(kept, np.zeros((1, 1, 1)))
     return kept.ravel().tolist()
 
 

@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import approxjac as aj
 from approxjac.codegen import compiled
 from approxjac.codegen.backends.llvm import LlvmLanes
-from approxjac.codegen.backends.numpy_source import NumpyLanes
+from approxjac.codegen.backends.numpy_lanes import NumpyLanes
 from approxjac.codegen.lanes import OUTCOME, Box, Lanes
 from approxjac.codegen.loop_program import require_covered
 from approxjac.controllers import DifferentiatedVelocity

@@ -13,7 +13,7 @@ from own_parts import Cubic, of_ones_own
 
 import approxjac as aj
 from approxjac.cameras import PlanarCamera
-from approxjac.codegen.backends.numpy_source import NumpyLanes
+from approxjac.codegen.backends.numpy_lanes import NumpyLanes
 from approxjac.codegen.step import compiled, step_program
 from approxjac.controllers import (
     AwayFromStops,
@@ -591,7 +591,7 @@ def test_a_program_that_may_lose_x_knows_it(panda):
     for name, each in (("q", BENT), ("v", measurement.v), ("target", target), ("state", state)):
         buffer[:, place[name], 0] = each
     buffer[:, place["x"], 0] = [x, lost, x, np.full(6, np.nan)]
-    NumpyLanes(program).run(buffer, np.zeros((4, 1, 1)), 0, 1)
+    NumpyLanes(program).run(buffer, np.zeros((4, 1, 1)))
     for k, given in enumerate([x, lost, x, np.full(6, np.nan)]):
         expected = plain.evaluate(state, measurement._replace(x=given), target)
         torque, rate, (status,) = (

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from random_trees import random_tree
 
 import approxjac as aj
-from approxjac.codegen.backends.numpy_source import NumpyLanes
+from approxjac.codegen.backends.numpy_lanes import NumpyLanes
 from approxjac.robots import GravityRegressor
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.loop.linearization import OF_TARGETS, Targets, Timing, linear_loop

@@ -15,7 +15,7 @@ from approxjac.codegen.arm import traced_tasks as tasks
 from approxjac.codegen.arm.arm_numbers import ArmNumbers, arm_numbers
 from approxjac.codegen.arm.rigid_body import Arm
 from approxjac.codegen.backends.llvm import LlvmLanes
-from approxjac.codegen.backends.numpy_source import NumpyLanes
+from approxjac.codegen.backends.numpy_lanes import NumpyLanes
 from approxjac.codegen.loop_program import TracedLoop
 from approxjac.codegen.sensors import Senses
 from approxjac.codegen.trace.program import Block, Program
@@ -187,10 +187,6 @@ class Lanes:
         named = self._truth.named(numbers) | sensors | others
         return _packed(kept, width), _packed(program.filled(named), width)
 
-    @functools.cached_property
-    def _times(self) -> Array:
-        return self._senses.times(self.program)
-
     def run(self, starts: Sequence[Begun], every: int) -> dict[str, Array]:
         """Return the outcome of some runs: the names of `OUTCOME`, each with an array (N,).
 
@@ -201,10 +197,11 @@ class Lanes:
         kept, parameters = self.packed(starts)
         program, width = self.program, self.compiled.width
         draws = self._senses.drawn(program, [start.seed for start in starts], width)
-        for first in range(0, self._steps + 1, _BLOCK):
-            times = self._times[first : first + _BLOCK]
-            block = Block(first, times, draws.block(first, first + len(times)))
-            self.compiled.run(kept, parameters, self._steps, every, block)
+        times = self._senses.times(program, every)
+        for first in range(0, len(times), _BLOCK):
+            now = times[first : first + _BLOCK]
+            block = Block(first, now, draws.block(first, first + len(now)))
+            self.compiled.run(kept, parameters, block)
         columns = kept.swapaxes(1, 2).reshape(-1, kept.shape[1])[: len(starts)]
         return {name: columns[:, program.rows[name][0]] for name in OUTCOME}
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from approxjac.codegen.arm.rigid_body import difference
-from approxjac.codegen.trace.program import Program
+from approxjac.codegen.trace.program import RECORDED, Program
 from approxjac.codegen.trace.symbols import Symbols, select, symbols
 from approxjac.interface import Measurement, Target, TargetPath
 from approxjac.simulation import Plant, Sensing
@@ -118,8 +118,11 @@ class Senses:
             at, size = program.histories[_TORQUE]
             kept[:, at : at + size * self.late] = np.tile(holding, self.late)
 
-    def times(self, program: Program) -> Array:
-        """Return what is the same in all runs of the steps of a program, shape (steps, times)."""
+    def times(self, program: Program, every: int) -> Array:
+        """Return what is the same in all runs of the steps of a program, shape (steps, times).
+
+        Each so many steps, and the last, are recorded.
+        """
         nobody = self._places
         known: dict[str, Any] = {
             f"{_IMAGE}.from": self._read_at,
@@ -127,6 +130,7 @@ class Senses:
             "now": self._is_now,
             "new": self._is_new,
             "t_x": self._t_x,
+            RECORDED: (self._k % every == 0) | (self._k == self._k[-1]),
         }
         if self.late:
             known |= dict.fromkeys((f"{_TORQUE}.from", f"{_TORQUE}.to"), self._k % self.late)

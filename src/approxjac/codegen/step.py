@@ -73,8 +73,6 @@ def step_program(controller: Controller, *, may_lose: bool) -> Program:
         "usual": select(usual, 1.0, 0.0),
     }  # fmt: skip
     program.step({name: value for name, value in found.items() if value is not None})
-    for name, value in program.stepped.items():
-        program.kept(name, len(value))
     return program
 
 

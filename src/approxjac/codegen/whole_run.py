@@ -17,8 +17,8 @@ from approxjac.codegen.arm import traced_tasks as tasks
 from approxjac.codegen.arm.arm_numbers import ArmNumbers, arm_numbers
 from approxjac.codegen.backends.llvm import LlvmLanes
 from approxjac.codegen.loop_program import TracedLoop, require_covered
-from approxjac.codegen.trace.program import Program
-from approxjac.codegen.trace.symbols import select, symbols
+from approxjac.codegen.trace.program import Block, Program
+from approxjac.codegen.trace.symbols import select
 from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError
 from approxjac.interface import LimitStatus, Target
@@ -111,8 +111,6 @@ def _recorded(controller: Controller, plant: Plant, dt: float, integrator: str) 
         "J_hat": unknown if answer.J_hat is None else answer.J_hat, "status": answer.status,
         "limit_status": answer.limit_status, "slack": answer.slack,
     }  # fmt: skip
-    for name, value in found.items():
-        program.kept(name, symbols(value).size)
     program.step(loop.after | flags | found)
     return program
 
@@ -151,7 +149,7 @@ class _Loop:
             first()
             row[n_before:] = answered
             if following - k > 1:
-                lanes.run(buffer, nothing, following - k - 2, 1)
+                lanes.run(buffer, nothing, Block.plain(following - k - 1))
             if flat[place["left"]].any() or flat[place["diverged"]].any():
                 return None
             if progress is not None:

@@ -11,15 +11,25 @@ import numpy as np
 
 from approxjac import law
 from approxjac.codegen import traced_law as laws
-from approxjac.codegen.backends.numpy_source import numpy_function
-from approxjac.codegen.trace.program import INFIX, Going, Language, Rows, Writer
+from approxjac.codegen.backends.numpy_lanes import numpy_function
+from approxjac.codegen.trace.program import Going, Language, Rows, Writer
 from approxjac.codegen.trace.symbols import Graph, Number, Passes, Scalar, inputs, symbols
 from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement
 from approxjac.validation import Array
 
-_TEMPLATES = INFIX | {
+_TEMPLATES = {
+    "add": "{0} + {1}",
+    "subtract": "{0} - {1}",
+    "multiply": "{0} * {1}",
+    "divide": "{0} / {1}",
+    "negative": "-{0}",
+    "less": "{0} < {1}",
+    "less_equal": "{0} <= {1}",
+    "equal": "{0} == {1}",
+    "and": "{0} & {1}",
+    "or": "{0} | {1}",
     "absolute": "fabs({0})",
     "sqrt": "sqrt({0})",
     "floor": "floor({0})",

@@ -5,12 +5,12 @@ from __future__ import annotations
 import ctypes
 import re
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from itertools import chain, count
 
 from approxjac.codegen.backends.machine_code import MachineCode
 from approxjac.codegen.trace.program import STEP, Block, Going, Language, Program, Rows, Writer
-from approxjac.codegen.trace.symbols import Number, Passes
+from approxjac.codegen.trace.symbols import Passes
 from approxjac.errors import package_of
 from approxjac.validation import Array
 
@@ -46,7 +46,7 @@ define internal D @power(D %a) alwaysinline {
 _RUN = """
 define void @run(
   ptr %kept, ptr %given, ptr %times, ptr %draws,
-  i64 %groups, i64 %first, i64 %until, i64 %last, i64 %every
+  i64 %groups, i64 %first, i64 %until
 ) {{
 entry:
 {allocated}
@@ -72,13 +72,6 @@ step:
   %number_1 = insertelement D undef, double %number_0, i64 0
   %number = shufflevector D %number_1, D undef, ZERO
 {step}
-  %left = urem i64 %k, %every
-  %is_due = icmp eq i64 %left, 0
-  %is_last = icmp eq i64 %k, %last
-  %is_recorded = or i1 %is_due, %is_last
-  br i1 %is_recorded, label %record, label %step_end
-record:
-{record}
   br label %step_end
 step_end:
 {stores}
@@ -125,21 +118,19 @@ class LlvmLanes:
             features += ",-prefer-256-bit"
         self._code = MachineCode.of(_source(program, self.width), features, effort)
         pointer, number = ctypes.c_void_p, ctypes.c_int64
-        kind = ctypes.CFUNCTYPE(None, *[pointer] * 4, *[number] * 5)
+        kind = ctypes.CFUNCTYPE(None, *[pointer] * 4, *[number] * 3)
         self._run = kind(self._code.address)
 
-    def run(
-        self, kept: Array, parameters: Array, last: int, every: int, block: Block | None = None
-    ) -> None:
+    def run(self, kept: Array, parameters: Array, block: Block | None = None) -> None:
         """Take steps, in place: see `NumpyLanes.run`. Other threads go on meanwhile."""
-        first, times, draws = block or Block.until(last)
+        first, times, draws = block or Block.plain()
         if len(kept):
             arrays = (each.ctypes.data for each in (kept, parameters, times, draws))
-            self._run(*arrays, len(kept), first, first + len(times), last, every)
+            self._run(*arrays, len(kept), first, first + len(times))
 
     def bound(self, kept: Array, parameters: Array) -> Callable[[], None]:
         """Return a function that takes one step of these arrays, in place."""
-        run, arguments = self._run, (kept.ctypes.data, parameters.ctypes.data, 0, 0, 1, 0, 1, 0, 1)
+        run, arguments = self._run, (kept.ctypes.data, parameters.ctypes.data, 0, 0, 1, 0, 1)
 
         def step(_: object = (self, kept, parameters)) -> None:  # which have to stay
             run(*arguments)
@@ -305,28 +296,20 @@ def _source(program: Program, width: int) -> str:
         taken=taken,
         number=number,
     )
-    writer = Writer(program.graph, language)
-
-    def computed(values: Mapping[str, list[Number]]) -> tuple[list[str], list[str]]:
-        """Return the lines that compute some numbers, and those that keep them."""
-        lines, names = writer.lines([each for numbers in values.values() for each in numbers])
-        places = [(name, i) for name, numbers in values.items() for i in range(len(numbers))]
-        stores = [
-            f"  store D {value}, ptr {place(*at, 'to')}, align 8"
-            for at, value in zip(places, names, strict=True)
-        ]
-        return lines, stores
-
-    step, stores = computed(program.stepped)
-    record = list(chain(*computed(program.recorded)))
+    flat = chain(*program.stepped.values())
+    lines, names = Writer(program.graph, language).lines([*flat])
+    places = [(name, i) for name, numbers in program.stepped.items() for i in range(len(numbers))]
+    stores = [
+        f"  store D {value}, ptr {place(*at, 'to')}, align 8"
+        for at, value in zip(places, names, strict=True)
+    ]
     run = _RUN.format(
         rows=program.n_rows,
         parameters=max(program.n_parameters, 1),
         n_times=program.n_times,
         n_draws=program.n_draws,
         allocated="\n".join(allocated),
-        step="\n".join(pointers + step),
-        record="\n".join(record),
+        step="\n".join(pointers + lines),
         stores="\n".join(stores),
     )
     return _filled("\n".join([*constants.values(), _DECLARED + run]), width)

@@ -21,8 +21,8 @@ from approxjac.codegen.trace.symbols import (
 from approxjac.validation import Array
 
 _DUST = 1e-14  # of the largest number, which round-off may leave of one that does not differ
-STEP = "k"
-"""Name of the input that is the number of the step."""
+STEP, RECORDED = "k", "recorded"
+"""Names of what is the number of the step, and of the time that says whether it is recorded."""
 
 
 class Block(NamedTuple):
@@ -39,9 +39,9 @@ class Block(NamedTuple):
     draws: Array
 
     @classmethod
-    def until(cls, last: int) -> Block:
-        """Return the steps from 0 to a last one, of which nothing is to be known."""
-        return cls(0, np.zeros((last + 1, 0)), np.zeros((0, last + 1, 0, 1)))
+    def plain(cls, steps: int = 1) -> Block:
+        """Return some steps from 0 on, of which nothing is to be known."""
+        return cls(0, np.zeros((steps, 0)), np.zeros((0, steps, 0, 1)))
 
 
 class Program:
@@ -58,7 +58,6 @@ class Program:
         times: Name → place and number of what is the same in all runs, step by step.
         draws: Name → place and number of what is drawn for each run, step by step.
         stepped: What follows at a step: names and their numbers.
-        recorded: What else is kept of steps that are recorded.
     """
 
     def __init__(self) -> None:
@@ -69,7 +68,6 @@ class Program:
         self.times: dict[str, tuple[int, int]] = {}
         self.draws: dict[str, tuple[int, int]] = {}
         self.stepped: dict[str, list[Number]] = {}
-        self.recorded: dict[str, list[Number]] = {}
         self._given: dict[str, tuple[Any, Array]] = {}  # which differ, and the others
         self.n_rows = self.n_parameters = self.n_times = self.n_draws = 0
 
@@ -157,41 +155,29 @@ class Program:
         """The number of the step, from 0."""
         return self.graph.input(STEP, 1)[0]
 
-    def step(self, values: Kept) -> None:
-        """Say what is kept after a step."""
-        self.stepped = _flat(values)
+    def step(self, values: Mapping[str, Any]) -> None:
+        """Say what is kept after a step; what was not kept before it is an answer."""
+        for name, value in values.items():
+            numbers = symbols(value).ravel().tolist()
+            if name not in self.rows and name not in self.histories:
+                self.kept(name, len(numbers))
+            self.stepped[name] = numbers
 
-    def record(self, values: Kept) -> None:
-        """Say what else is kept of a step that is recorded, of what is known before it."""
-        self.recorded = _flat(values)
+    def record(self, values: Mapping[str, Number]) -> None:
+        """Say which numbers follow a step that is recorded, of what is known before it.
 
-
-Kept = Mapping[str, Any]
-
-
-def _flat(values: Kept) -> dict[str, list[Number]]:
-    return {name: symbols(value).ravel().tolist() for name, value in values.items()}
+        A time, `RECORDED`, says which steps are: 1.0 of those. Of others they stay as they are.
+        """
+        is_due = self.timed(RECORDED, 1)[0] > 0.0
+        before = [self.graph.input(name, 1)[0] for name in values]
+        after = self.graph.rare(is_due, [*values.values()], before)
+        self.step(dict(zip(values, after, strict=True)))
 
 
 Going = list[tuple[int, str, str]]
 """Of each number that goes from pass to pass its place, its start, and what follows it."""
 Rows = list[tuple[int, str]]
 """Of each number that is collected its place, and what it is."""
-
-
-INFIX = {
-    "add": "{0} + {1}",
-    "subtract": "{0} - {1}",
-    "multiply": "{0} * {1}",
-    "divide": "{0} / {1}",
-    "negative": "-{0}",
-    "less": "{0} < {1}",
-    "less_equal": "{0} <= {1}",
-    "equal": "{0} == {1}",
-    "and": "{0} & {1}",
-    "or": "{0} | {1}",
-}
-"""Operations as C and Python write them."""
 
 
 class Language(NamedTuple):
@@ -229,15 +215,15 @@ class Language(NamedTuple):
     number: Callable[[str, str], list[str]]
 
 
-class _Region:
+class Region:
     """Lines that run under the same conditions: all, those of a rare block, those of a loop."""
 
-    def __init__(self, parent: _Region | None = None, loop: int | None = None) -> None:
+    def __init__(self, parent: Region | None = None, loop: int | None = None) -> None:
         self.parent, self.loop = parent, loop
         self.depth: int = 0 if parent is None else parent.depth + 1
         self.places: list[int] = []
 
-    def shared(self, other: _Region | None) -> _Region:
+    def shared(self, other: Region | None) -> Region:
         """Return the innermost one that both are in."""
         a, b = self, self if other is None else other
         while a is not b:
@@ -247,7 +233,7 @@ class _Region:
             a = a.parent
         return a
 
-    def before_loops(self, needed: frozenset[int]) -> _Region:
+    def before_loops(self, needed: frozenset[int]) -> Region:
         """Return where to compute what needs some loops: before all others that this is in."""
         found = region = self
         while region.parent is not None and region.loop not in needed:
@@ -257,32 +243,37 @@ class _Region:
         return found
 
 
-class _Schedule:
+class Schedule:
     """Where each of some operations is computed: as seldom as possible, and then as late.
 
     Attributes:
+        places: All that is computed, in order.
+        parts: What of each loop is needed, as `Graph.reached` has it.
         whole: What is computed in any case.
         inside: Place of a loop, or number of a rare block → its region.
+        indices: Number of a loop → the place of its passes' number, where that is computed with.
     """
 
-    def __init__(
-        self, graph: Graph, places: list[int], parts: dict[int, set[int]], wanted: list[int]
-    ) -> None:
+    def __init__(self, graph: Graph, wanted: list[int]) -> None:
         self._nodes = nodes = graph.nodes
-        self.whole = _Region()
-        self.inside: dict[tuple[str, int], _Region] = {}
-        needs = self._needs(places, parts)
-        here = set(places)
-        users: dict[int, _Region] = {}
-        blocks: dict[int, tuple[list[int], _Region]] = {}  # their results, and who needs them
+        self.places, self.parts = places, parts = graph.reached(wanted)
+        self.whole = Region()
+        self.inside: dict[tuple[str, int], Region] = {}
+        self.indices: dict[int, set[int]] = {}
+        for place in places:
+            for each in nodes[place].arguments:
+                if nodes[each].operation == "index" and nodes[place].operation != "take":
+                    self.indices.setdefault(nodes[each].value, set()).add(each)
+        needs = self._needs()
+        users: dict[int, Region] = {}
+        blocks: dict[int, tuple[list[int], Region]] = {}  # their results, and who needs them
         first = {}
         for place in reversed(places):
             if nodes[place].operation == "rare":
                 first[nodes[place].value] = place
 
-        def use(place: int, region: _Region) -> None:
-            if place in here:
-                users[place] = region.shared(users.get(place))
+        def use(place: int, region: Region) -> None:
+            users[place] = region.shared(users.get(place))
 
         for place in wanted:
             use(place, self.whole)
@@ -297,7 +288,7 @@ class _Schedule:
                 if place != first[value]:
                     continue
                 region = region.before_loops(frozenset().union(*(needs[each] for each in results)))
-                inside = self.inside["rare", value] = _Region(region)
+                inside = self.inside["rare", value] = Region(region)
                 region.places += results
                 for each in results:
                     condition, a, b = nodes[each].arguments
@@ -306,7 +297,7 @@ class _Schedule:
                     use(b, region)
             elif operation == "loop":
                 region.places.append(place)
-                inside = self.inside["loop", place] = _Region(region, value.number)
+                inside = self.inside["loop", place] = Region(region, value.number)
                 for part in parts[place]:
                     use(arguments[value.n + part], inside)
                     if part < value.n:
@@ -315,129 +306,88 @@ class _Schedule:
                 region.places.append(place)
                 for each in arguments:
                     use(each, region)
+        for region in (self.whole, *self.inside.values()):
+            region.places.sort()
 
-    def _needs(self, places: list[int], parts: dict[int, set[int]]) -> dict[int, frozenset[int]]:
+    def _needs(self) -> dict[int, frozenset[int]]:
         """Return for each operation the loops whose passes it differs between."""
         needs: dict[int, frozenset[int]] = {}
-        nothing: frozenset[int] = frozenset()
-        for place in places:
+        for place in self.places:
             operation, arguments, value = self._nodes[place]
             if operation in ("state", "index"):
                 needs[place] = frozenset([value])
                 continue
             if operation == "loop":
-                own = parts[place]
-                arguments = (
-                    *(arguments[part] for part in own if part < value.n),
-                    *(arguments[value.n + part] for part in own),
-                )
-            found = nothing.union(*(needs.get(each, nothing) for each in arguments))
+                own = self.parts[place]
+                starts = [arguments[part] for part in own if part < value.n]
+                arguments = (*starts, *(arguments[value.n + part] for part in own))
+            found: frozenset[int] = frozenset().union(*(needs[each] for each in arguments))
             needs[place] = found - {value.number} if operation == "loop" else found
         return needs
 
 
 class Writer:
-    """Writes the operations of a graph in a language, each once.
-
-    But what was written in a block is not known beyond it: `lines` that need it later have it
-    again, under another name.
-    """
+    """Writes the operations of a graph in a language, each once."""
 
     def __init__(self, graph: Graph, language: Language) -> None:
         self._graph, self._language = graph, language
         self._names: dict[int, str] = {}
-        self._labels: dict[int, str] = {}  # of tables and loops that are known
-        self._parts: dict[int, set[int]] = {}  # of these loops
+        self._labels: dict[int, str] = {}  # of tables and loops
         self._running: dict[int, str] = {}  # number of a loop → its label
-        self._numbers: set[int] = set()  # of passes, that are computed with
-        self._calls, self._again = 0, ""
 
     def lines(self, wanted: Sequence[Number]) -> tuple[list[str], list[str]]:
         """Return the lines that compute some numbers, and what they are called there."""
         graph = self._graph
-        self._again = f"_{self._calls}" if self._calls else ""
-        self._calls += 1
         roots = [graph.place(number) for number in wanted]
-        tables = {place for place in self._labels if graph.nodes[place].operation == "table"}
-        known = self._names.keys() | tables
-        places, parts = graph.reached(roots, known, self._parts)
-        places = [each for each in places if graph.nodes[each].operation != "loop" or each in parts]
-        schedule = _Schedule(graph, places, parts, [each for each in roots if each not in known])
-        self._numbers = {
-            each
-            for place in places
-            if graph.nodes[place].operation != "take"
-            for each in graph.nodes[place].arguments
-            if graph.nodes[each].operation == "index"
-        }
-        before = self._names.copy(), self._labels.copy()
-        lines = self._region(schedule, schedule.whole, parts)
-        names = [self._name(place) for place in roots]
-        whole = set(schedule.whole.places)
-        for mine, old in zip((self._names, self._labels), before, strict=True):
-            for place in [each for each in mine if each not in old and each not in whole]:
-                del mine[place]
-        self._parts |= {place: own for place, own in parts.items() if place in whole}
-        return lines, names
+        self._schedule = schedule = Schedule(graph, roots)
+        lines = self._region(schedule.whole)
+        return lines, [self._name(place) for place in roots]
 
-    def _region(
-        self, schedule: _Schedule, region: _Region, parts: dict[int, set[int]]
-    ) -> list[str]:
+    def _region(self, region: Region) -> list[str]:
         nodes, language, lines = self._graph.nodes, self._language, []
-        written = set()
-        for place in sorted(region.places):
+        blocks: dict[int, list[int]] = {}
+        for place in region.places:
+            if nodes[place].operation == "rare":
+                blocks.setdefault(nodes[place].value, []).append(place)
+        for place in region.places:
             operation, arguments, value = nodes[place]
             if operation == "rare":
-                if value in written:
-                    continue
-                written.add(value)
-                results = [
-                    each
-                    for each in sorted(region.places)
-                    if nodes[each].operation == "rare" and nodes[each].value == value
-                ]
-                body = self._region(schedule, schedule.inside["rare", value], parts)
-                names = [f"{language.variable}{each}{self._again}" for each in results]
-                told = [
-                    (
-                        name,
-                        self._name(nodes[each].arguments[1]),
-                        self._name(nodes[each].arguments[2]),
-                    )
-                    for name, each in zip(names, results, strict=True)
-                ]
-                label, condition = f"{value}{self._again}", self._name(arguments[0])
-                self._names |= dict(zip(results, names, strict=True))
-                lines += language.rare(label, condition, body, told)
+                if results := blocks.pop(value, None):
+                    lines += self._rare(results)
             elif operation == "loop":
-                lines += self._loop(place, parts[place], schedule, parts)
+                lines += self._loop(place)
             elif operation == "table":
-                self._labels[place] = label = f"t{place}{self._again}"
+                self._labels[place] = label = f"t{place}"
                 constant = all(nodes[each].operation == "constant" for each in arguments)
                 lines += language.table(label, list(map(self._name, arguments)), constant)
             elif operation != "constant":
                 lines += self._line(place)
         return lines
 
-    def _loop(
-        self, place: int, own: set[int], schedule: _Schedule, parts: dict[int, set[int]]
-    ) -> list[str]:
+    def _rare(self, results: list[int]) -> list[str]:
+        _, (condition, *_), block = self._graph.nodes[results[0]]
+        body, choices = self._region(self._schedule.inside["rare", block]), []
+        for place in results:
+            _, then, otherwise = self._graph.nodes[place].arguments
+            name = f"{self._language.variable}{place}"
+            choices.append((name, self._name(then), self._name(otherwise)))
+        self._names |= {place: name for place, (name, *_) in zip(results, choices, strict=True)}
+        return self._language.rare(str(block), self._name(condition), body, choices)
+
+    def _loop(self, place: int) -> list[str]:
         _, arguments, loop = self._graph.nodes[place]
-        self._labels[place] = label = f"{loop.number}{self._again}"
-        self._running[loop.number] = label
+        self._labels[place] = self._running[loop.number] = label = str(loop.number)
         lines: list[str] = []
-        for index in self._numbers:
-            if self._graph.nodes[index].value == loop.number:
-                self._names[index] = name = f"{self._language.variable}{index}{self._again}"
-                lines += self._language.number(name, f"i{label}")
-        lines += self._region(schedule, schedule.inside["loop", place], parts)
-        after = {part: self._name(arguments[loop.n + part]) for part in sorted(own)}
-        kept = [
-            (part, self._name(arguments[part]), name)
-            for part, name in after.items()
-            if part < loop.n
+        for index in self._schedule.indices.get(loop.number, ()):
+            self._names[index] = name = f"{self._language.variable}{index}"
+            lines += self._language.number(name, f"i{label}")
+        lines += self._region(self._schedule.inside["loop", place])
+        after = [
+            (part, self._name(arguments[loop.n + part]))
+            for part in sorted(self._schedule.parts[place])
         ]
-        rows = [(part - loop.n, name) for part, name in after.items() if part >= loop.n]
+        kept = [(part, self._name(arguments[part]), name) for part, name in after if part < loop.n]
+        rows = [(part - loop.n, name) for part, name in after if part >= loop.n]
         return self._language.loop(label, loop, lines, kept, rows)
 
     def _array(self, memory: int, at: int) -> tuple[str, int]:
@@ -452,15 +402,12 @@ class Writer:
 
     def _name(self, place: int) -> str:
         operation, _, value = self._graph.nodes[place]
-        if operation == "constant":
-            assert isinstance(value, float)
-            return self._language.constant(value)
-        return self._names[place]
+        return self._language.constant(value) if operation == "constant" else self._names[place]
 
     def _line(self, place: int) -> list[str]:
         operation, arguments, value = self._graph.nodes[place]
         language = self._language
-        self._names[place] = name = f"{language.variable}{place}{self._again}"
+        self._names[place] = name = f"{language.variable}{place}"
         if operation == "input":
             text = language.read(*value)
         elif operation == "cell":

@@ -12,8 +12,7 @@ from __future__ import annotations
 
 import functools
 import math
-import operator
-from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,8 +32,9 @@ class Node(NamedTuple):
     """One operation.
 
     Attributes:
-        operation: One of `OPERATIONS`, "input", "constant" or "rare"; or of `MEMORY`, "index",
-            "cell" or "take", which are of loops.
+        operation: Arithmetic, as backends' templates have it, "input", "constant" or "rare"; or of
+            loops, an array ("table" of numbers, "state" before a pass, "loop" after the last, where
+            what was collected follows in its order), "index", "cell" or "take".
         arguments: Places of its arguments in the graph.
         value: The constant; the name and the place of an input; the number of a rare block; a
             `Passes`; the number of the loop that an index, or a state, is of; which cell; how far
@@ -64,50 +64,11 @@ class Passes(NamedTuple):
     m: int
 
 
-def _select(condition: bool, a: float, b: float) -> float:
-    return a if condition else b
-
-
-def _power(shifted: float) -> float:
-    """2**k of k + POWER_SHIFT."""
-    return math.ldexp(1.0, int(shifted - POWER_SHIFT))
-
-
-def _divide(a: float, b: float) -> float:
-    if b == 0.0:
-        return math.nan if a == 0.0 or math.isnan(a) else math.copysign(math.inf, a * b)
-    return a / b
-
-
 POWER_SHIFT = 1023.0 + 1.5 * 2.0**52
 """Added to an integer k, the last 12 bits of the sum are those of 2**k's exponent."""
 
-OPERATIONS: dict[str, Callable[..., float | bool]] = {
-    "add": operator.add,
-    "subtract": operator.sub,
-    "multiply": operator.mul,
-    "divide": _divide,
-    "negative": operator.neg,
-    "absolute": abs,
-    "sqrt": lambda a: math.sqrt(a) if a >= 0.0 else math.nan,
-    "floor": lambda a: float(math.floor(a)) if math.isfinite(a) else a,
-    "power": _power,
-    "less": operator.lt,
-    "less_equal": operator.le,
-    "equal": operator.eq,
-    "and": operator.and_,
-    "or": operator.or_,
-    "not": operator.not_,
-    "select": _select,
-}
 CONDITIONS = frozenset({"less", "less_equal", "equal", "and", "or", "not"})
 """Operations whose result is true or false."""
-
-MEMORY = frozenset({"table", "state", "loop"})
-"""Operations whose result is an array: of numbers, of a loop's before a pass, and after the last.
-
-After a loop, what was collected follows in the order in which it was.
-"""
 
 _COMMUTES = frozenset({"add", "multiply", "equal", "and", "or"})
 
@@ -235,20 +196,13 @@ class Graph:
 
     def needed(self, numbers: Sequence[Number]) -> list[int]:
         """Return the places of all that some numbers depend on, in order."""
-        return self.reached(map(self.place, numbers), (), {})[0]
+        return self.reached(map(self.place, numbers))[0]
 
-    def reached(
-        self, wanted: Iterable[int], known: Container[int], loops: Mapping[int, set[int]]
-    ) -> tuple[list[int], dict[int, set[int]]]:
+    def reached(self, wanted: Iterable[int]) -> tuple[list[int], dict[int, set[int]]]:
         """Return the places of all that some depend on, in order, and what is needed of each loop.
 
         Of a loop, only what is needed of it is computed: its numbers, and columns of what it
         collects, counted from n.
-
-        Args:
-            wanted: Places.
-            known: Places of numbers that are known, and need nothing.
-            loops: Place of a loop that is known → what of it is.
         """
         found: set[int] = set()
         parts: dict[int, set[int]] = {}
@@ -256,11 +210,8 @@ class Graph:
 
         def need(place: int, some: Iterable[int]) -> None:
             loop, arguments = self.nodes[place].value, self.nodes[place].arguments
-            before = loops.get(place, set())
             own = parts.setdefault(place, set())
-            if not own and before >= set(some):
-                return
-            for part in {*some, *before} - own:
+            for part in set(some) - own:
                 own.add(part)
                 waiting.append(arguments[loop.n + part])
                 waiting.extend(arguments[part : part + 1] if part < loop.n else ())
@@ -268,7 +219,7 @@ class Graph:
 
         while waiting:
             place = waiting.pop()
-            if place in found or place in known:
+            if place in found:
                 continue
             found.add(place)
             operation, arguments, value = self.nodes[place]
@@ -286,7 +237,7 @@ class Graph:
                 need(at, some)
             elif operation != "loop":
                 waiting += arguments
-        return sorted(found), {place: own for place, own in parts.items() if own}
+        return sorted(found), parts
 
     def _scalar(self, node: Node) -> Scalar:
         # 0.0 and −0.0 are equal, and not the same

@@ -15,7 +15,7 @@ from approxjac.codegen.arm import traced_tasks as tasks
 from approxjac.codegen.arm.arm_numbers import ArmNumbers, arm_numbers
 from approxjac.codegen.arm.rigid_body import Arm
 from approxjac.codegen.backends.llvm import LlvmLanes
-from approxjac.codegen.backends.numpy_source import NumpyLanes
+from approxjac.codegen.backends.numpy_lanes import NumpyLanes
 from approxjac.codegen.trace.derivatives import rates
 from approxjac.codegen.trace.program import Program
 from approxjac.codegen.trace.symbols import Symbols, symbols
@@ -120,8 +120,6 @@ class TracedTerms:
         dJ_hat = np.zeros((robot.nv, *J_hat.shape)) if task._uses_x else gradient(J_hat)
         terms = Terms(x, tasks.error(own, x, x_d), J, J_hat, dJ_hat, M, gradient(M), g, gradient(g))
         self._shapes = {name: np.shape(each) for name, each in vars(terms).items()}
-        for name, shape in self._shapes.items():
-            program.kept(name, int(np.prod(shape)))
         program.step(vars(terms))
         if engine is None:
             has_llvm = importlib.util.find_spec("llvmlite") is not None
@@ -173,7 +171,7 @@ class TracedTerms:
         kept = np.zeros((groups, self._program.n_rows, width))
         kept[:, :given] = columns[rows].swapaxes(1, 2)
         parameters = np.ascontiguousarray(numbers[rows].swapaxes(1, 2))
-        self._engine.run(kept, parameters, 0, 1)
+        self._engine.run(kept, parameters)
         return kept.swapaxes(1, 2).reshape(groups * width, -1)[:N]
 
 
