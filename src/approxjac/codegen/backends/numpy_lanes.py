@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.codegen.trace.program import STEP, Block, Program, Region, Schedule
+from approxjac.codegen.trace.program import STEP, Block, Program, Schedule, Scope
 from approxjac.codegen.trace.symbols import Graph, Number
 from approxjac.validation import Array
 
@@ -58,8 +58,8 @@ class _Run:
             if graph.nodes[place].operation == "constant"
         }
 
-    def carry_out(self, region: Region) -> None:
-        """Compute what is in a region."""
+    def carry_out(self, region: Scope) -> None:
+        """Compute what is in a scope."""
         values, known = self.values, set()
         for place in region.places:
             operation, arguments, value = self._nodes[place]

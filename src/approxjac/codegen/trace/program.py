@@ -215,15 +215,15 @@ class Language(NamedTuple):
     number: Callable[[str, str], list[str]]
 
 
-class Region:
+class Scope:
     """Lines that run under the same conditions: all, those of a rare block, those of a loop."""
 
-    def __init__(self, parent: Region | None = None, loop: int | None = None) -> None:
+    def __init__(self, parent: Scope | None = None, loop: int | None = None) -> None:
         self.parent, self.loop = parent, loop
         self.depth: int = 0 if parent is None else parent.depth + 1
         self.places: list[int] = []
 
-    def shared(self, other: Region | None) -> Region:
+    def shared(self, other: Scope | None) -> Scope:
         """Return the innermost one that both are in."""
         a, b = self, self if other is None else other
         while a is not b:
@@ -233,7 +233,7 @@ class Region:
             a = a.parent
         return a
 
-    def before_loops(self, needed: frozenset[int]) -> Region:
+    def before_loops(self, needed: frozenset[int]) -> Scope:
         """Return where to compute what needs some loops: before all others that this is in."""
         found = region = self
         while region.parent is not None and region.loop not in needed:
@@ -250,29 +250,29 @@ class Schedule:
         places: All that is computed, in order.
         parts: What of each loop is needed, as `Graph.reached` has it.
         whole: What is computed in any case.
-        inside: Place of a loop, or number of a rare block → its region.
+        inside: Place of a loop, or number of a rare block → its scope.
         indices: Number of a loop → the place of its passes' number, where that is computed with.
     """
 
     def __init__(self, graph: Graph, wanted: list[int]) -> None:
         self._nodes = nodes = graph.nodes
         self.places, self.parts = places, parts = graph.reached(wanted)
-        self.whole = Region()
-        self.inside: dict[tuple[str, int], Region] = {}
+        self.whole = Scope()
+        self.inside: dict[tuple[str, int], Scope] = {}
         self.indices: dict[int, set[int]] = {}
         for place in places:
             for each in nodes[place].arguments:
                 if nodes[each].operation == "index" and nodes[place].operation != "take":
                     self.indices.setdefault(nodes[each].value, set()).add(each)
         needs = self._needs()
-        users: dict[int, Region] = {}
-        blocks: dict[int, tuple[list[int], Region]] = {}  # their results, and who needs them
+        users: dict[int, Scope] = {}
+        blocks: dict[int, tuple[list[int], Scope]] = {}  # their results, and who needs them
         first = {}
         for place in reversed(places):
             if nodes[place].operation == "rare":
                 first[nodes[place].value] = place
 
-        def use(place: int, region: Region) -> None:
+        def use(place: int, region: Scope) -> None:
             users[place] = region.shared(users.get(place))
 
         for place in wanted:
@@ -288,7 +288,7 @@ class Schedule:
                 if place != first[value]:
                     continue
                 region = region.before_loops(frozenset().union(*(needs[each] for each in results)))
-                inside = self.inside["rare", value] = Region(region)
+                inside = self.inside["rare", value] = Scope(region)
                 region.places += results
                 for each in results:
                     condition, a, b = nodes[each].arguments
@@ -297,7 +297,7 @@ class Schedule:
                     use(b, region)
             elif operation == "loop":
                 region.places.append(place)
-                inside = self.inside["loop", place] = Region(region, value.number)
+                inside = self.inside["loop", place] = Scope(region, value.number)
                 for part in parts[place]:
                     use(arguments[value.n + part], inside)
                     if part < value.n:
@@ -343,7 +343,7 @@ class Writer:
         lines = self._region(schedule.whole)
         return lines, [self._name(place) for place in roots]
 
-    def _region(self, region: Region) -> list[str]:
+    def _region(self, region: Scope) -> list[str]:
         nodes, language, lines = self._graph.nodes, self._language, []
         blocks: dict[int, list[int]] = {}
         for place in region.places:
