@@ -476,11 +476,6 @@ MUTANTS = [
         "np.minimum(np.minimum(speed, braked), fastest)", "np.minimum(speed, braked)", PERIODS,
     ),
     (
-        "another V near singular poses", "controllers/limits/cross_weight.py",
-        "y = y + np.linalg.solve(D,", "y = y - np.linalg.solve(D,",
-        "tests/controllers/test_cross_weight.py",
-    ),
-    (
         "motion since the frame before", "law/steps.py",
         "moved += _each(is_new, [0.0] * len(own), own)", "moved += own", PERIODS,
     ),

@@ -91,7 +91,6 @@ _NEEDED_BY = {
     "fast": "compiled code",
     "franka": "FrankaDriver",
     "mujoco": "MujocoPlant",
-    "qp": "a QP solver other than DAQP",
     "study": "drawing, judging stability or integrating in continuous time",
     "view": "showing robots or reading their meshes",
     "vision": "the search for tags in images",

@@ -16,9 +16,7 @@ def test_it_writes_the_controller_of_the_scenario(tmp_path, capsys):
     assert "set-point law (28)" in said
     assert "controller.h says how to call it" in said
     built = build_scenario(Scenario("panda", believed={"object": {"length": 0.1}}))
-    expected = aj.TorqueLimited(
-        built.law, aj.Limits(effort=built.limits.effort), dt=1e-3, weight=built.controller.weight
-    )
+    expected = aj.TorqueLimited(built.law, aj.Limits(effort=built.limits.effort), dt=1e-3)
     aj.export_c(expected, tmp_path / "expected")
     for name in ("controller.h", "controller.c"):
         made, wanted = ((tmp_path / each / name).read_bytes() for each in ("made", "expected"))

@@ -549,7 +549,7 @@ def test_what_cannot_be_traced_is_named(panda):
     task = aj.PositionTask(panda)
     law = aj.SetpointController(task)
     for controller, text in (
-        (aj.TorqueLimited(law, solver="osqp"), "solver must be 'daqp' to make code of a limiter"),
+        (aj.TorqueLimited(law, solver=min), "solver must be None to make code of a limiter"),
         (
             aj.SetpointController(task, saturation=Clipped()),
             "controller must take symbols to make code of it, with choices by numpy.where or "

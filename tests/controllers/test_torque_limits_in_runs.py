@@ -198,30 +198,6 @@ def test_a_target_far_out_of_reach_makes_no_torque_chatter(name, tool):
     assert np.linalg.norm(run.v[-1]) < 2.5
 
 
-@pytest.mark.parametrize("name", ["panda", "kinova"])
-def test_the_fallback_brings_an_arm_to_rest(name):
-    robot = aj.load_robot(name)
-    plant = aj.Plant(robot, sensor=aj.PositionTask(robot))
-    limits = aj.Limits(effort=robot.effort_limits)
-    limited = aj.TorqueLimited(law_of(robot), limits, weight="inertia", solver=lambda problem: None)
-    q0 = robot.random_configuration(np.random.default_rng(1))
-    v0 = 0.3 * np.random.default_rng(0).normal(size=robot.nv)
-    x_d = plant.sensor.value(q0) + 100.0  # so that every step is limited
-    run = aj.simulate(
-        plant,
-        limited,
-        x_d,
-        aj.simulation.InitialState(q0, v0=v0),
-        1.0,
-        dt=DT,
-        computation=aj.simulation.Computation("semi_implicit_euler"),
-    )
-    assert (run.limit_status == aj.LimitStatus.SOLVER_FAILED).all()
-    speed = np.linalg.norm(run.v, axis=1)
-    assert speed[-1] < 0.6 * speed[0]
-    assert alternating(run.tau, robot.effort_limits) == 0
-
-
 def test_a_run_needs_the_limiters_own_dt(panda):
     limited = aj.TorqueLimited(law_of(panda))
     plant = aj.Plant(panda, sensor=aj.PositionTask(panda))

@@ -488,10 +488,6 @@ def test_wrappers_take_it_or_say_why_not(panda_law):
     with pytest.raises(aj.InvalidInputError, match="around this one, such as a TorqueLimited"):
         panda_law.resumed(state, seen)
     assert_allclose(limited.resumed(state, seen), state)
-    with pytest.raises(
-        aj.InvalidInputError, match="cross_weight must be None for a TrackingController"
-    ):
-        aj.TorqueLimited(panda_law, cross_weight=1.0)
     velocity = known(panda_law.task, command="velocity")
     with pytest.raises(aj.InvalidInputError, match=r'must command torques .*"velocity"'):
         aj.TorqueLimited(velocity)

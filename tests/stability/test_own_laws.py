@@ -311,7 +311,6 @@ def test_what_a_controller_does_not_tell_has_a_default_or_a_named_error(panda):
         aj.simulate(aj.Plant(panda), law, task.value(panda.neutral()), duration=0.01)
     for use in (
         lambda: law.with_task(task),
-        lambda: law.with_limits(aj.Limits(effort=1.0)),
         lambda: law.kinematics_learnt(np.zeros(0)),
         lambda: law.learnt_robot(np.zeros(0)),
         lambda: law.resumed(np.zeros(0), here),

@@ -382,14 +382,12 @@ def test_motors_hold_the_arm_only_where_they_have_more_than_its_weight(arm):
 def test_below_the_level_no_torque_is_beyond_the_efforts(arm):
     """Against the exact largest torque over V ≤ c, gravity and motion together, at every sample."""
     effort = 1.2 * np.abs([weight_of(arm, q) for q in arm.report.samples.q]).max(axis=0) + 3.0
-    limiter = limited(arm, effort, cross_weight=arm.report.cross_weight)
+    limiter = limited(arm, effort)
     report = arm.report_of(limiter)
     level = report.limits.level
-    assert report.limits.protects
     assert 0.0 < level == report.sampled.level < arm.report.sampled.level
     assert (largest_torques(arm, report, level) <= effort * (1.0 + 1e-9)).all()
-    clipping = limited(arm, effort, cross_weight=arm.report.cross_weight, proof=False)
-    clipped = arm.report_of(clipping).limits
+    clipped = arm.report_of(limited(arm, effort, proof=False)).limits
     assert clipped.level == level
     assert not clipped.protects
     assert not clipped.proof
@@ -438,23 +436,18 @@ def test_learnt_gravity_has_room_where_the_true_weight_leaves_it(arm):
     assert found.limits.protects  # y of learning is that of V
     assert found.passed
     assert found.attraction is None
-    assert_allclose(found.cross_weight.A1, 0.5 * np.eye(arm.task.m))
-    assert not found.cross_weight.A2.any()
+    assert_allclose(found.certifying.A1, 0.5 * np.eye(arm.task.m))
+    assert not found.certifying.A2.any()
 
 
 @pytest.mark.parametrize("gravity", ["known", "learnt"])
 def test_limited_steps_keep_V_falling_as_they_say(arm, gravity):
-    """yᵀ(τ − τ*) ≤ 0 with y of the certified V where the proof is kept, else it is the slack."""
+    """yᵀ(τ − τ*) ≤ 0 with y of (10) where the proof is kept, else it is the slack."""
     learns, rng = gravity == "learnt", np.random.default_rng(5)
     law = arm.learning if learns else arm.known
     report = arm.learnt_report if learns else arm.report
-    weights = max(report.matrix.values(), key=lambda each: (each.certified, each.margin)).weights
-    if not learns:
-        weights = report.sampled.weights
     g = np.abs([weight_of(arm, q) for q in report.samples.q]).max(axis=0)
-    limiter = aj.TorqueLimited(
-        law, aj.Limits(effort=1.1 * g + 1.0), cross_weight=report.cross_weight
-    )
+    limiter = aj.TorqueLimited(law, aj.Limits(effort=1.1 * g + 1.0))
     theta, kept = arm.theta if learns else np.zeros(0), 0
     for k in range(0, len(report.samples), 2):
         q, x_d = report.samples.q[k], report.samples.x_d[k]
@@ -465,7 +458,7 @@ def test_limited_steps_keep_V_falling_as_they_say(arm, gravity):
         after, answer = limiter.step(theta.copy(), measurement, x_d, 1e-3)
         wanted = law.evaluate(theta.copy(), measurement, x_d)
         e = measurement.x - x_d
-        y = v + arm.cross_weight(weights, q) @ e
+        y = v + limiter.alpha * np.linalg.pinv(arm.task.jacobian(q)) @ e
         power = y @ (answer.torque - wanted.torque)
         assert (np.abs(answer.torque) <= 1.1 * g + 1.0 + 1e-12).all()
         if answer.limit_status is aj.LimitStatus.PROOF_KEPT:

@@ -25,14 +25,10 @@ def export(
         folder: Folder for controller.h, controller.c, selftest.c and CMakeLists.txt.
     """
     from approxjac.codegen import export_c
-    from approxjac.controllers import Limits
     from approxjac.scenario import build_scenario
 
-    built = build_scenario(scenario)
-    controller, limits = built.controller, built.limits
-    if effort_only and controller.limits is not None and limits is not None:
-        controller = controller.with_limits(Limits(effort=limits.effort))
-    path = export_c(controller, folder)  # it refuses others
+    built = build_scenario(scenario, effort_only=effort_only)
+    path = export_c(built.controller, folder)  # it refuses others
     print(built.law)
     print(f"\nThe controller is in {path}; {path / 'controller.h'} says how to call it")
     print(f"Try it: cmake -B {path / 'build'} {path} && cmake --build {path / 'build'}")

@@ -64,16 +64,10 @@ def on_symbols(controller: Controller) -> Any:
 
 
 def _require_limiter(limiter: TorqueLimited) -> None:
-    """Refuse a limiter with a cross_weight, or with another solver than DAQP where it needs one."""
-    if limiter.cross_weight is not None:
+    """Refuse a limiter with a solver of the user's own, where it needs one."""
+    if limiter.needs_solver and limiter.solver is not None:
         raise InvalidInputError(
-            f"cross_weight must be None to make code of a limiter, got {limiter.cross_weight!r}",
-            given=limiter.cross_weight,
-        )
-    if limiter.needs_solver and limiter.solver != "daqp":
-        raise InvalidInputError(
-            f"solver must be 'daqp' to make code of a limiter that needs one, got "
-            f"{limiter.solver!r}",
+            f"solver must be None to make code of a limiter that needs one, got {limiter.solver!r}",
             given=limiter.solver,
         )
 

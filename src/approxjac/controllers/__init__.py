@@ -23,7 +23,6 @@ from approxjac.controllers.learning.kinematic_report import KinematicReport as K
 from approxjac.controllers.learning.kinematic_report import LearntNumber as LearntNumber
 from approxjac.controllers.learning.learnt_camera import AdaptiveCamera as AdaptiveCamera
 from approxjac.controllers.learning.positions import AdaptiveKinematics as AdaptiveKinematics
-from approxjac.controllers.limits.cross_weight import CrossWeight as CrossWeight
 from approxjac.controllers.limits.limit import CartesianSpeed as CartesianSpeed
 from approxjac.controllers.limits.limit import Limit as Limit
 from approxjac.controllers.limits.limit import LimitTerms as LimitTerms

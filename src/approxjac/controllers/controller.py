@@ -77,7 +77,7 @@ class Controller(ABC):
         parameters: Names and units of the numbers that `learnt` returns, in their order.
         kinematics: What predicts the error that it controls, known or learnt; None where it
             controls the measured one.
-        alpha: α of `passive_output` [1/s] where none is given.
+        alpha: α of `passive_output` [1/s].
         diagonals: Gains of its task and joints, if it has such.
         needs_solver: Whether its limits may need a solver, which takes its time.
 
@@ -206,16 +206,6 @@ class Controller(ABC):
         """The law whose torque this brings within limits; None of what limits none itself."""
         return None
 
-    def with_limits(self, limits: Limits) -> Self:
-        """Return this controller with other limits than those that it keeps.
-
-        Raises:
-            InvalidInputError: A controller that keeps none.
-        """
-        raise InvalidInputError(
-            f"controller must be one that keeps limits, got {self!r}", given=self
-        )
-
     # -- what is learnt -------------------------------------------------------------------------
 
     def learnt(self, state: Array) -> Array:
@@ -323,11 +313,6 @@ class Controller(ABC):
     def with_limiter(self, motors: Array) -> Controller:
         """Return this law inside of a limiter, which rests it and sends at most `motors` (n_v,)."""
         return self
-
-    def resolved_alpha(self, alpha: float | None) -> float:
-        """Return α of y [1/s], or refuse one that does not fit; None asks for the usual one."""
-        given = self.alpha if alpha is None else alpha
-        return as_number("cross_weight", given, unit="1/s", above=0.0)
 
     def damping_rate(self, inertias: Array) -> float:
         """Return the rate at which this damps joints [1/s], given usual inertias (k, n_v, n_v)."""

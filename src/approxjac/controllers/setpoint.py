@@ -336,16 +336,6 @@ class SetpointController(Immutable, Controller):
         always = np.full(self.task.robot.nv, np.inf)
         return self.with_gravity(self.adaptation._replace(torque_limits=always, motors=motors))
 
-    def resolved_alpha(self, alpha: float | None) -> float:
-        """Return α of y [1/s]; where gravity is learnt, it is that of the adaptation."""
-        alpha = super().resolved_alpha(alpha)
-        if self.adaptation is not None and alpha != self.alpha:
-            raise InvalidInputError(
-                f"cross_weight must be that of the adaptation, {self.alpha:g} [1/s], got {alpha:g}",
-                given=alpha,
-            )
-        return alpha
-
     def damping_rate(self, inertias: Array) -> float:
         """Return the rate at which B_c damps joints [1/s]."""
         return quickest(inertias, self.diagonals.damping)

@@ -378,15 +378,6 @@ class TrackingController(Immutable, Controller):
         """Return whether V̇₂ is known: always, as the kinematics do not enter."""
         return True
 
-    def resolved_alpha(self, alpha: float | None) -> float:
-        """Return α of y, which is in σ."""
-        if alpha is not None:
-            raise InvalidInputError(
-                f"cross_weight must be None for a TrackingController, whose y is σ, got {alpha!r}",
-                given=alpha,
-            )
-        return self.alpha
-
     def damping_rate(self, inertias: Array) -> float:
         """Return κ [1/s]."""
         return self.kappa

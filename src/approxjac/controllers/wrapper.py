@@ -65,9 +65,6 @@ class ControllerWrapper(Immutable, Controller):
     def with_task(self, task: Task) -> Self:
         return self._rebuilt(controller=self.controller.with_task(task))
 
-    def with_limits(self, limits: Limits) -> Self:
-        return self._rebuilt(controller=self.controller.with_limits(limits))
-
     def with_limiter(self, motors: Array) -> Controller:
         """Refuse limits around this: they go inside.
 

@@ -25,7 +25,6 @@ _MARGIN = 1e-6  # what a solver may be off
 _DEAR = 10.0  # how much dearer it is that a row is not kept than that joints brake otherwise
 _FAR = 1e100  # a λ that stands for infinity where a limit or 1/y is infinite
 _LEAST = 1e-300
-_NO_ROWS = np.zeros(0), np.zeros(0), np.zeros(0)
 _NO_LOWER = np.array([-np.inf])
 _NONE = 1e-100  # a joint that moves less reaches no limit before that
 
@@ -245,24 +244,24 @@ class AskedTorque(NamedTuple):
 def limit_step(
     asked: AskedTorque,
     output: Callable[[], tuple[Array, Any]] | None,
-    weight: Array | None,
+    weight: Array,
     forward: Callable[[Array], Array],
     M_inverse: Callable[[], Array],
     rows: Rows | None,
     residual: Array | None,
-    brakes: Callable[[Array, TorqueRows | None], Array],
+    brakes: Callable[[Array, TorqueRows], Array],
     minimum: Minimum,
 ) -> tuple[Array, Array, Any, Any, Any]:
     """Bring τ* within bounds of torque and motion, and keep V̇ ≤ −W where they leave room for it.
 
     Minimises ½(τ − τ*)ᵀR(τ − τ*) + ρσ subject to yᵀ(τ − τ*) ≤ σ, σ ≥ 0, to τ within its bounds, and
-    to q̈ within those of the rows, with q̈ = M̂⁻¹τ + q̈₀ as the believed arm predicts it. Where R is
-    diagonal and the closed form keeps the rows, no solver is asked.
+    to q̈ within those of the rows, with q̈ = M̂⁻¹τ + q̈₀ as the believed arm predicts it. Where the
+    closed form keeps the rows, no solver is asked.
 
     Args:
         asked: τ* and its bounds.
         output: Gives y, shape (n_v,), and ρ; None is without the proof.
-        weight: Diagonal of R, shape (n_v,); None is R = M̂⁻¹.
+        weight: Diagonal of R, shape (n_v,).
         forward: Gives the believed arm's q̈ of a torque.
         M_inverse: Gives M̂⁻¹, shape (n_v, n_v).
         rows: Bounds of motion, if there are any.
@@ -278,7 +277,7 @@ def limit_step(
     wanted, lower, upper, clipped, beyond = asked
 
     def nearest() -> tuple[Array, Any]:
-        if output is None or weight is None:
+        if output is None:
             return clipped, 0.0
         y, rho = output()
         return limited_torque(wanted, y, lower, upper, weight, rho)
@@ -290,37 +289,33 @@ def limit_step(
         q_dd = f + residual
         fits = within(rows.low.tolist(), rows.of(q_dd).tolist(), rows.high.tolist())
     free = select(beyond, 0.0, 1.0)
-    if weight is None:
-        fits = fits & complement(beyond)
 
     def searched() -> tuple[Array, Array, Any, Any, Any]:
         M_inv = M_inverse()
-        bounds = None if rows is None else TorqueRows.of(rows, M_inv, q_dd - M_inv.dot(near))
-        A, low, high = _NO_ROWS if bounds is None else bounds[:3]
-        A, y, price = A.reshape(-1, len(wanted)), None, None
+        assert rows is not None
+        bounds = TorqueRows.of(rows, M_inv, q_dd - M_inv.dot(near))
+        (A, low, high), y, price = bounds[:3], None, None
         if output is not None:  # yᵀ(τ − τ*) ≤ 0; of length one, solvers do better
             y, rho = output()
             size = np.maximum(root(y.dot(y)), _LEAST)
             price, row = rho * size, (y / size)[np.newaxis]
             A, low = np.concatenate([A, row]), np.concatenate([low, _NO_LOWER])
             high = np.concatenate([high, row.dot(wanted) - _MARGIN])
-        R = M_inv if weight is None else np.diag(weight)
+        R = np.diag(weight)
         problem = QuadraticProgram(R, -R.dot(wanted), lower, upper, A, low, high)
         best, verdict = minimum(problem, price, slack > 0.0)
         (torque,) = choose(verdict > 0, lambda: (brakes(M_inv, bounds),), lambda: (best,))
         left = 0.0 if y is None else power_above(torque, wanted, y)
-        after = f if rows is None else f + M_inv.dot(torque - near)
-        return torque, after, left, verdict, 0.0
+        return torque, f + M_inv.dot(torque - near), left, verdict, 0.0
 
     return choose(complement(fits), searched, lambda: (near, f, slack, 0, free))
 
 
 def braked(
     M_inv: Array,
-    bounds: TorqueRows | None,
+    bounds: TorqueRows,
     lower: Array,
     upper: Array,
-    forward: Callable[[Array], Array],
     brake: Array,
     hold: Array,
     minimum: Minimum,
@@ -329,26 +324,21 @@ def braked(
 
     Rows that cannot be kept come as near to their bounds as can be, for which the joints give way
     within the others: first the row that lacks most counts as one that cannot be kept, then the two
-    that do, until there is a torque. Without rows joints come to rest.
+    that do, until there is a torque.
 
     Args:
         M_inv: M̂⁻¹.
-        bounds: Of the rows, if there are any.
+        bounds: Of the rows.
         lower: Smallest torques.
         upper: Largest torques.
-        forward: As for `limit_step`.
         brake: q̈ that brings joints to rest, shape (n_v,).
         hold: What is sent where nothing else is known, shape (n_v,).
         minimum: Solver.
     """
-    n, start = len(lower), brake
-    if bounds is None:
-        free = np.full(n, np.inf)
-        at_rest = forward(np.zeros_like(hold))
-        bounds = TorqueRows.of(Rows(-free, free), M_inv, at_rest)
-    elif bounds.rows.E is None:
-        start = np.zeros(n)
     A, low, high, rows, at_rest = bounds
+    n, start = len(lower), brake
+    if rows.E is None:
+        start = np.zeros(n)
     # the least square of q̈ − wanted, weighted by M̂ and by what is dear besides
     wanted = np.concatenate([start, np.zeros(len(rows.low) - n)])
     wanted = np.minimum(np.maximum(wanted, rows.low), rows.high)

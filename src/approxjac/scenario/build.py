@@ -81,12 +81,15 @@ def loaded_arm(scenario: Scenario) -> Robot:
     return load_robot(scenario.robot, tip=scenario.tip, base=scenario.base, free=scenario.free)
 
 
-def build_scenario(scenario: Scenario, arm: Robot | None = None) -> BuiltScenario:
+def build_scenario(
+    scenario: Scenario, arm: Robot | None = None, effort_only: bool = False
+) -> BuiltScenario:
     """Return the plant, the controller, the target and the start that a scenario describes.
 
     Args:
         scenario: The scenario.
         arm: Its arm without an object, where that is loaded already.
+        effort_only: Leave limits of speed and position to the robot.
 
     Raises:
         ApproxJacError: Values that do not fit the robot, or each other.
@@ -102,6 +105,8 @@ def build_scenario(scenario: Scenario, arm: Robot | None = None) -> BuiltScenari
 
     belief = believe(believed.object.length)
     limits = limits_of(scenario, belief)
+    if effort_only and limits is not None:
+        limits = Limits(effort=limits.effort).for_joints(belief.nv)
     motors = truth.effort_limits if limits is None else np.asarray(limits.effort)
     rng = np.random.default_rng(scenario.run.seed)
     task: Task

@@ -89,15 +89,6 @@ def usual_inertias(robot: Robot) -> Array:
     return np.array([M(robot.random_configuration(rng)) for _ in range(_CONFIGURATIONS)])
 
 
-def light_inertias(inertias: Array) -> Array:
-    """Return the least inertia of each joint, 1 / max (M⁻¹)ᵢᵢ, as the others give way; (n_v,).
-
-    Damping of D times it acts no faster than n_v D: tr(M⁻¹D) bounds its largest eigenvalue.
-    """
-    mobilities = np.linalg.inv(inertias)
-    return np.asarray(1.0 / np.diagonal(mobilities, axis1=1, axis2=2).max(axis=0))
-
-
 def quickest(inertias: Array, damping: Array) -> float:
     """Return the largest eigenvalue of M⁻¹D over configurations, D diagonal of shape (n_v,)."""
     root = np.sqrt(damping)

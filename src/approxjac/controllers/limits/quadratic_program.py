@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import enum
+import logging
 import math
-import warnings
 from collections.abc import Callable
 from typing import Any
 
+import daqp
 import numpy as np
 
 from approxjac import law
-from approxjac.errors import InvalidInputError, UnknownNameError, package_of
 from approxjac.law import QuadraticProgram
 from approxjac.validation import Array
 
@@ -41,21 +41,13 @@ class Solver:
     Problems are checked before and answers after, so what comes out holds the bounds or is none.
 
     Args:
-        name: Name of the solver.
         function: Takes a problem (its arrays are copies) and returns z of shape (n,), or None
             where it finds none; whether that problem is infeasible is decided by DAQP. None is
             DAQP itself.
     """
 
-    def __init__(
-        self, name: str, function: Callable[[QuadraticProgram], Any] | None = None
-    ) -> None:
-        import daqp
-
-        self.name = name
-        self._function = function
-        self._daqp = daqp.solve
-        self._has_raised = False
+    def __init__(self, function: Callable[[QuadraticProgram], Any] | None = None) -> None:
+        self._function, self._has_raised = function, False
 
     def solve(
         self, problem: QuadraticProgram, price: float | None = None, pays: bool = False
@@ -125,7 +117,7 @@ class Solver:
         H, f, A = problem.H, problem.f, problem.A
         # what the first tolerance refuses may be the round-off of large bounds
         for tolerance in (_FIRST_TOLERANCE, _TOLERANCE):
-            z, _, flag, more = self._daqp(
+            z, _, flag, more = daqp.solve(
                 H, f, A, high, low, primal_tol=tolerance, **_DAQP_SETTINGS
             )
             if flag == _OPTIMAL:
@@ -145,17 +137,12 @@ class Solver:
         except Exception:  # a control loop gets a verdict instead
             if not self._has_raised:
                 self._has_raised = True
-                import logging
-
                 logging.getLogger(__name__).warning(
-                    "QP solver %s raised, which is logged once", self.name, exc_info=True
+                    "%r raised, which is logged once", self._function, exc_info=True
                 )
             return None, Verdict.FAILED
         is_numbers = z.dtype.kind in "iuf" and z.shape == problem.f.shape
         return (z if is_numbers and (np.abs(z) < _HUGE).all() else None), Verdict.SOLVED
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Solver, (self.name, self._function)
 
 
 def _admitted(z: Array, problem: QuadraticProgram, low: Array, high: Array) -> Array | None:
@@ -172,62 +159,3 @@ def _admitted(z: Array, problem: QuadraticProgram, low: Array, high: Array) -> A
     sizes = np.concatenate([size, np.abs(A).dot(size)])
     within = (np.abs(moved) <= _TOLERANCE * np.maximum(1.0, sizes)).all()
     return inside if within and farthest < math.inf else None
-
-
-_OSQP = {
-    "eps_abs": 1e-9,
-    "eps_rel": 1e-9,
-    "eps_prim_inf": 1e-6,
-    "max_iter": 100_000,
-    "check_dualgap": 0,  # an absolute gap of 1e-9 is below round-off where f is large
-    "raise_error": False,
-}
-
-
-def as_solver(solver: str | Callable[[QuadraticProgram], Any]) -> Solver:
-    """Return the solver of a name, or one that calls a function of the user's own.
-
-    "daqp" is an exact active-set method. "osqp" is a first-order method, eighty times as slow
-    here; its tolerances are absolute, so H should have entries above 1e-3.
-
-    Args:
-        solver: A name, or a function as `Solver` takes it.
-
-    Raises:
-        InvalidInputError: No name and no function.
-        UnknownNameError: No solver of that name.
-    """
-    if not isinstance(solver, str):
-        if not callable(solver):
-            raise InvalidInputError(
-                f"solver must be the name of a QP solver such as 'daqp', or a function of a "
-                f"QuadraticProgram, got {solver!r}",
-                given=solver,
-            )
-        return Solver(getattr(solver, "__name__", type(solver).__name__), solver)
-    if solver not in ("daqp", "osqp"):
-        raise UnknownNameError("QP solver", solver, "the solvers", ("daqp", "osqp"))
-    if solver == "daqp":
-        return Solver(solver)
-    one = np.ones(1)  # solved once, so that nothing is loaded in a control step
-    _by_osqp(QuadraticProgram(np.eye(1), one, -one, one, np.eye(1), -one, one))
-    return Solver(solver, _by_osqp)
-
-
-def _by_osqp(problem: QuadraticProgram) -> Array | None:
-    """Return the answer of OSQP, None where it finds nothing."""
-    qpsolvers = package_of("qp", "qpsolvers")
-    csc_matrix = package_of("qp", "scipy.sparse").csc_matrix
-    H, f, lower, upper, A, row_lower, row_upper = problem
-    below, above = np.isfinite(row_lower), np.isfinite(row_upper)
-    G = h = None
-    if below.any() or above.any():
-        G = csc_matrix(np.concatenate([A[above], -A[below]]))
-        h = np.concatenate([row_upper[above], -row_lower[below]])
-    stated = qpsolvers.Problem(csc_matrix(H), f, G, h, lb=lower, ub=upper)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # they tell that there is no solution
-        solution = qpsolvers.solve_problem(stated, solver="osqp", **_OSQP)
-    if solution.extras["info"].status == "interrupted":
-        raise KeyboardInterrupt  # while it solves, OSQP keeps Python from seeing it
-    return np.asarray(solution.x) if solution.found else None

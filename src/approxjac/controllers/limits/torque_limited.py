@@ -7,31 +7,24 @@ import math
 import operator
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, Literal, Self
+from typing import Any
 
 import numpy as np
 
 from approxjac import law
 from approxjac.controllers.arguments import HUGE, require_dt
 from approxjac.controllers.controller import Controller
-from approxjac.controllers.gains.sample_configurations import (
-    light_inertias,
-    quickest,
-    usual_inertias,
-)
-from approxjac.controllers.limits.cross_weight import CrossWeight
+from approxjac.controllers.gains.sample_configurations import quickest, usual_inertias
 from approxjac.controllers.limits.limit import Limit, LimitTerms, require_rows
 from approxjac.controllers.limits.limits import Limits, sure_deceleration
-from approxjac.controllers.limits.quadratic_program import as_solver
+from approxjac.controllers.limits.quadratic_program import Solver
 from approxjac.controllers.wrapper import ControllerWrapper
-from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.errors import InvalidInputError
 from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
 from approxjac.robots.traced import motion_between
 from approxjac.tasks.frame_tasks import FrameKinematics
-from approxjac.validation import Array, as_diagonal, as_number, require
+from approxjac.validation import Array, as_number, require
 
-Weight = Literal["joint inertia", "inertia", "identity"]
-_WEIGHTS = ("joint inertia", "inertia", "identity")
 _FREE, _LIMITED = LimitStatus.FREE, LimitStatus.LIMITED  # members of an enum are slow to look up
 _INFEASIBLE, _FAILED = LimitStatus.INFEASIBLE, LimitStatus.SOLVER_FAILED
 _KEPT, _GIVEN_UP = LimitStatus.PROOF_KEPT, LimitStatus.PROOF_GIVEN_UP
@@ -120,10 +113,10 @@ class TorqueLimited(ControllerWrapper):
     damping added along y, λR⁻¹ with λ ≤ ρ, so ρ is chosen such that this damping is not faster
     than `braking` at usual configurations.
 
-    Where R is diagonal and no limit of speed or position is near, the minimum is known in closed
-    form and no solver is called. Where no torque keeps all limits, and where the solver fails,
-    joints are braked as hard as motors can, those first that need it most. On a path q̇ − Ĵ⁺ẋ_d
-    takes the place of q̇ in y.
+    R is diagonal, 1 / max (M̂⁻¹)ᵢᵢ over usual configurations. While no limit of speed or position
+    is near, the minimum is known in closed form and no solver is called. Where no torque keeps all
+    limits, and where the solver fails, joints are braked as hard as motors can, those first that
+    need it most. On a path q̇ − Ĵ⁺ẋ_d takes the place of q̇ in y.
 
     Learning by eq. (29) goes on where the torque is free, or limited such that V̇ ≤ −W holds: the
     parameters are part of that V, and it needs them to move. Where the proof is given up, joints
@@ -141,8 +134,9 @@ class TorqueLimited(ControllerWrapper):
     Immutable, but it owns scratch memory: one instance a thread.
 
     Attributes:
-        alpha: α of y [1/s].
-        cross_weight: G of the V that is kept falling; None where it is αĴ⁺.
+        alpha: α of y [1/s]: that of the adaptation where gravity is learnt, and else 0.3 of the
+            rate of the task's slow pole. With a small α it is q̇ that counts, and the proof can be
+            kept more often.
         limits: Limits of joints and motors, with an entry for each joint.
         motion_limits: Limits of motion besides those of joints.
 
@@ -151,27 +145,18 @@ class TorqueLimited(ControllerWrapper):
         limits: Limits to keep: `Limits` of joints and motors, a `Limit` of motion such as `Wall`,
             or a list of them. Where there are no `Limits` among them, those of the believed
             robot's URDF are kept.
-        weight: R: "joint inertia", diagonal, the largest (M̂⁻¹)ᵢᵢ over usual configurations;
-            "inertia", M̂(q)⁻¹, so that accelerations change least; "identity"; or a diagonal, shape
-            (n_v,).
         proof: Whether yᵀ(τ − τ*) ≤ σ is asked for.
-        cross_weight: G of y = q̇ + G(q)s(e), such as `StabilityReport.cross_weight`: then it is the
-            report's own V that the limits let fall. Or α of αĴ⁺ [1/s]; by default that of the
-            adaptation where gravity is learnt, and else 0.3 of the rate of the task's slow pole:
-            with a small α it is q̇ that counts, and the proof can be kept more often.
         dt: Sampling time [s].
         braking: How fast damping may be, and the correction of `AccelerationObserver` [1/s],
             at most 1/dt. By default 0.3 over the lag of q̇ where the law knows its latency. Else as
             fast as the law's own joint damping, which the loop stands, but from 0.1/dt to 0.3/dt;
             with a limit of the rate 0.1/dt.
         approach: κ of `speed_bounds` [1/s], at most `braking`; a tenth of it by default.
-        solver: "daqp", "osqp", or a function that takes a `QuadraticProgram` and returns its
-            minimum.
+        solver: A function that takes a `QuadraticProgram` and returns its minimum; DAQP by
+            default, which is exact.
 
     Raises:
-        InvalidInputError: Numbers out of range, limits of another number of joints, or a
-            cross_weight of another law, or with another α than that of the adaptation.
-        UnknownNameError: No such weight or solver.
+        InvalidInputError: Numbers out of range, or limits of another number of joints.
     """
 
     _what = "its torque is kept within limits"
@@ -181,13 +166,11 @@ class TorqueLimited(ControllerWrapper):
         controller: Controller,
         limits: Limits | Limit | Sequence[Limits | Limit] | None = None,
         *,
-        weight: Weight | Sequence[float] | Array = "joint inertia",
         proof: bool = True,
-        cross_weight: CrossWeight | float | None = None,
         dt: float = 1e-3,
         braking: float | None = None,
         approach: float | None = None,
-        solver: str | Callable[[law.QuadraticProgram], Array | None] = "daqp",
+        solver: Callable[[law.QuadraticProgram], Any] | None = None,
     ) -> None:
         wanted = (
             "a law such as SetpointController (what holds measurements goes around it: "
@@ -218,23 +201,19 @@ class TorqueLimited(ControllerWrapper):
             )
         require("proof", proof, bool, "True or False")
         self.proof = proof
-        if isinstance(cross_weight, CrossWeight):
-            self.cross_weight: CrossWeight | None = cross_weight.required_of(controller)
-            self.alpha = controller.resolved_alpha(None)
-        else:
-            self.cross_weight = None
-            self.alpha = controller.resolved_alpha(cross_weight)
+        self.alpha = controller.alpha
         inertias = usual_inertias(robot)
         usual = self._usual_braking(inertias)
         self.braking = _rate("braking", usual if braking is None else braking, 1.0 / self._dt)
         usual = 0.1 * self.braking
         self.approach = _rate("approach", usual if approach is None else approach, self.braking)
-        self._solver, self._brakes = as_solver(solver), as_solver("daqp")
-        self._diagonal = self._resolved_weight(weight, inertias)
-        self.weight = weight if isinstance(weight, str) else self._diagonal
-        self._rho = self.braking
-        if self._diagonal is not None:
-            self._rho = self.braking / quickest(inertias, 1.0 / self._diagonal)
+        if not (solver is None or callable(solver)):
+            wanted = "a function of a QuadraticProgram, or None for DAQP"
+            raise InvalidInputError(f"solver must be {wanted}, got {solver!r}", given=solver)
+        self.solver, self._solver, self._brakes = solver, Solver(solver), Solver()
+        lightest = 1.0 / np.diagonal(np.linalg.inv(inertias), axis1=1, axis2=2).max(axis=0)
+        self._weight = 1.0 / lightest  # R
+        self._rho = self.braking / quickest(inertias, 1.0 / self._weight)
         own = np.median([np.diag(M) for M in inertias], axis=0)
         self._jerk = self._rate / own if self._has_rate else None
         self._neutral = None if robot.nq == robot.nv else robot.neutral()
@@ -277,23 +256,19 @@ class TorqueLimited(ControllerWrapper):
         return self.controller
 
     @property
-    def solver(self) -> str:
-        """Name of the solver."""
-        return self._solver.name
-
-    @property
     def needs_solver(self) -> bool:  # type: ignore[override]
         """Whether a solver may be called: without one the minimum is known in closed form."""
-        return self._looks_ahead or self._diagonal is None
-
-    def with_limits(self, limits: Limits) -> Self:
-        """Return this with other limits."""
-        return self._rebuilt(limits=limits)
+        return self._looks_ahead
 
     def initial_state(self, measurement: Measurement) -> Array:
         """Return the state before the first step; errors are those of the controller."""
-        before = np.full(self._memory - len(self._kept), _UNSET)
-        return np.concatenate([self._law.initial_state(measurement), self._kept, before])
+        state, before = self._law.initial_state(measurement), np.zeros(0)
+        if self._has_rate:
+            before = np.full(len(self._rate), _UNSET)
+            if type(measurement.q) is np.ndarray:  # C begins before it is known
+                g = np.asarray(self._law.gravity_torque(state, measurement.q))
+                before = np.where(np.isfinite(g), g, before)
+        return np.concatenate([state, self._kept, before])
 
     def step(
         self, state: Array, measurement: Measurement, target: Target | Array, dt: float
@@ -356,11 +331,11 @@ class TorqueLimited(ControllerWrapper):
         M_inv = partial(self._prediction.dynamics.M_inv, measurement.q)
         output = partial(self._passive_output, answer, measurement.v) if self.proof else None
 
-        def brakes(M_inv: Array, bounds: law.TorqueRows | None) -> Array:
+        def brakes(M_inv: Array, bounds: law.TorqueRows) -> Array:
             lower, upper = asked.lower, asked.upper
             hold = np.minimum(np.maximum(gravity, lower), upper)
             rest, solver = -self._braking * measurement.v, self._brakes.minimum
-            return law.braked(M_inv, bounds, lower, upper, forward, rest, hold, solver)
+            return law.braked(M_inv, bounds, lower, upper, rest, hold, solver)
 
         residual = rows = None
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows has a status
@@ -369,7 +344,7 @@ class TorqueLimited(ControllerWrapper):
                 residual = self._prediction.residual(memory, measurement)
                 rows = self.rows(measurement)
             torque, f, slack, verdict, is_free = law.limit_step(
-                asked, output, self._diagonal, forward, M_inv, rows, residual, brakes,
+                asked, output, self._weight, forward, M_inv, rows, residual, brakes,
                 self._solver.minimum,
             )  # fmt: skip
             if residual is not None:
@@ -462,10 +437,7 @@ class TorqueLimited(ControllerWrapper):
         move, ρ is reduced, or the pull would drive them into their limits of speed for as long as
         the error lasts.
         """
-        if self.cross_weight is None:
-            y = self._law.passive_output(answer, v, self._alpha)
-        else:
-            y = self.cross_weight.passive_output(self._law, answer, v)
+        y = self._law.passive_output(answer, v, self._alpha)
         if answer.reference is not None:
             y = y - answer.reference
         if self._per_speed is None:
@@ -480,24 +452,9 @@ class TorqueLimited(ControllerWrapper):
         own = 0.0 if self._has_rate else self.controller.damping_rate(inertias)
         return min(max(_UNKNOWN / self._dt, own), _KNOWN / self._dt)
 
-    def _resolved_weight(self, weight: Any, inertias: Array) -> Array | None:
-        """Return the diagonal of R, or None where it is no diagonal."""
-        nv = self.task.robot.nv
-        if not isinstance(weight, str):
-            return as_diagonal("weight", weight, nv)
-        if weight not in _WEIGHTS:
-            raise UnknownNameError("weight", weight, "the weights", _WEIGHTS)
-        if weight == "joint inertia":
-            return 1.0 / light_inertias(inertias)
-        return np.ones(nv) if weight == "identity" else None
-
     def __repr__(self) -> str:
-        weight = self.weight if isinstance(self.weight, str) else "a diagonal"
-        return (
-            f"TorqueLimited({self.controller!r}, weight={weight}, proof={self.proof}, "
-            f"dt={self._dt:g}, braking={self.braking:g}, solver={self.solver}"
-            + (")" if self.cross_weight is None else f", cross_weight={self.cross_weight!r})")
-        )
+        numbers = f"dt={self._dt:g}, braking={self.braking:g}"
+        return f"TorqueLimited({self.controller!r}, proof={self.proof}, {numbers})"
 
 
 def _rate(name: str, value: float, most: float) -> float:

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from approxjac import law
-from approxjac.controllers import CrossWeight, TorqueLimited
+from approxjac.controllers import TorqueLimited
 from approxjac.robots import Dynamics
 from approxjac.robots.robot import STANDARD_GRAVITY
 from approxjac.stability.certificates.certificate import SampledTest
+from approxjac.stability.certificates.matrix_form import Weights
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.loop.samples import Samples
 
@@ -60,7 +61,7 @@ def limit_cost(
     limiter: TorqueLimited,
     samples: Samples,
     sampled: SampledTest | None,
-    known: CrossWeight | None,
+    known: Weights | None,
 ) -> LimitCost:
     """Return the cost of a limiter's limits of effort.
 
@@ -71,15 +72,13 @@ def limit_cost(
     of ĴᵀK_p. A torque that is held or late was such a torque when it was computed. The two parts
     may be of different times, as where x comes in frames.
 
-    `known` is G of the V that certifies the loop without limits; None if none does.
+    `known` is the V that certifies the loop without limits; None if none does.
     """
     controller, effort = loop.controller, np.asarray(limiter.limits.effort)
     kp, kv, damping = loop.diagonals
-    own = limiter.cross_weight
-    if own is None:
-        one = np.eye(controller.task.m)
-        own = CrossWeight(limiter.alpha * one, 0.0 * one, loop.setting.B)
-    protects = limiter.proof and known is not None and own.is_like(known)
+    protects = limiter.proof and known is not None and not known.A2.any()
+    if protects and known is not None:
+        protects = np.allclose(known.A1, limiter.alpha * np.eye(len(kp)), rtol=1e-9)
     g = samples.g
     if controller.adaptation is None:  # what the law adds
         g = np.array([controller.gravity.torque(q) for q in samples.q])  # type: ignore[union-attr]

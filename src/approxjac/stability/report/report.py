@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from approxjac.controllers import CrossWeight, Latency, TorqueLimited
+from approxjac.controllers import Latency, TorqueLimited
 from approxjac.formatting import joined, numbers_of, percent
 from approxjac.stability.certificates.attraction import Attraction, attraction
 from approxjac.stability.certificates.certificate import (
@@ -23,7 +23,7 @@ from approxjac.stability.certificates.certificate import (
     sampled_test,
 )
 from approxjac.stability.certificates.limit_cost import LimitCost, limit_cost
-from approxjac.stability.certificates.matrix_form import Best, Family, MatrixForm, on_more
+from approxjac.stability.certificates.matrix_form import Best, Family, MatrixForm, Weights, on_more
 from approxjac.stability.certificates.theorem1 import Theorem1, theorem1
 from approxjac.stability.errors.region import JointBox
 from approxjac.stability.errors.uncertainty import Uncertainty
@@ -63,7 +63,7 @@ _LIMITS = {
     "V falls": "in steps of status PROOF_KEPT, in continuous time; of the sampled loop nothing is "
     "proven there",
     "another V": "the limiter keeps another Lyapunov function V falling, so nothing here is proven "
-    "there; TorqueLimited(..., cross_weight=report.cross_weight) keeps a certified one",
+    "there",
     "no proof": "the limiter clips, and nothing is proven there",
 }
 _ROUNDED = {"torque_delay": "torques as {} late, not {}", "image_age": "x as {} old, not {}"}
@@ -157,14 +157,14 @@ class StabilityReport:
         return "matrix" if any(test.certified for test in self.matrix.values()) else None
 
     @property
-    def cross_weight(self) -> CrossWeight | None:
-        """G of the V that certifies, which `TorqueLimited` can keep falling; None if none does."""
+    def certifying(self) -> Weights | None:
+        """The V that certifies; None if none does."""
         if not self.passed:
             return None
         test: MatrixTest | None = self.sampled
         if test is None:  # gravity is learnt
             test = max(self.matrix.values(), key=lambda test: (test.certified, test.margin))
-        return CrossWeight(test.weights.A1, test.weights.A2, self.loop.setting.B)
+        return test.weights
 
     @property
     def reason(self) -> str:
@@ -311,7 +311,7 @@ def report_of(
     )  # fmt: skip
     if limiter is None:
         return report
-    cost = limit_cost(loop, limiter, everywhere, sampled, report.cross_weight)
+    cost = limit_cost(loop, limiter, everywhere, sampled, report.certifying)
     if sampled is not None and sampled.certified:
         sampled = sampled.below(cost.level)
     return replace(report, sampled=sampled, limits=cost)
