@@ -8,7 +8,6 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-import daqp
 import numpy as np
 
 from approxjac import law
@@ -114,6 +113,8 @@ class Solver:
         self, problem: QuadraticProgram, low: Array, high: Array
     ) -> tuple[Array | None, Verdict, float]:
         """Solve by DAQP, as `_solved`; low and high are of z, then of A z."""
+        import daqp
+
         H, f, A = problem.H, problem.f, problem.A
         # what the first tolerance refuses may be the round-off of large bounds
         for tolerance in (_FIRST_TOLERANCE, _TOLERANCE):
