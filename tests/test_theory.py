@@ -17,16 +17,16 @@ def loop(panda):
     truth, belief = panda.with_object(0.2, 0.5, axis="x"), panda.with_object(0.0)
     q = np.array([0.3, -0.3, -0.2, -1.7, 0.2, 1.4, 0.8])
     return LinearLoop(
-        M=Dynamics(truth).M(q),
-        G=np.zeros((7, 7)),
-        J=aj.PositionTask(truth).jacobian(q),
-        J_hat=aj.PositionTask(belief).jacobian(q),
-        J_hat_pinv=np.zeros((7, 3)),
+        M=Dynamics(truth).M(q)[None],
+        G=np.zeros((1, 7, 7)),
+        J=aj.PositionTask(truth).jacobian(q)[None],
+        J_hat=aj.PositionTask(belief).jacobian(q)[None],
+        J_hat_pinv=np.zeros((1, 7, 3)),
         kp=np.array([400.0, 300.0, 200.0]),
         kv=np.array([80.0, 60.0, 90.0]),
         friction=np.zeros(7),
         damping=np.linspace(1.0, 3.0, 7),
-        Z=np.zeros((7, 0)),
+        Z=np.zeros((1, 7, 0)),
         L=np.zeros(0),
         alpha=0.0,
     )
@@ -34,19 +34,21 @@ def loop(panda):
 
 def damping_rates(loop):
     """Eigenvalues of M⁻¹(ĴᵀK_vĴ + B_c), rising."""
-    D = (loop.J_hat.T * loop.kv) @ loop.J_hat + np.diag(loop.damping)
-    return np.sort(np.linalg.eigvals(np.linalg.solve(loop.M, D)).real)
+    (M,), (J_hat,) = loop.M, loop.J_hat
+    D = (J_hat.T * loop.kv) @ J_hat + np.diag(loop.damping)
+    return np.sort(np.linalg.eigvals(np.linalg.solve(M, D)).real)
 
 
 def test_without_added_damping_an_arm_with_joints_to_spare_drifts_for_ever(loop):
     """δq = t v, q̇ = v solves the linearised loop for Jv = Ĵv = 0."""
-    v = np.linalg.svd(loop.J)[2][-1]
+    (M,), (J,) = loop.M, loop.J
+    v = np.linalg.svd(J)[2][-1]
     at_rest, drifting = np.concatenate([v, 0.0 * v]), np.concatenate([0.0 * v, v])
-    A = law.closed_loop_matrix(loop.M, loop.J, loop.J, loop.kp, loop.kv, np.zeros(7))
+    A = law.closed_loop_matrix(M, J, J, loop.kp, loop.kv, np.zeros(7))
     assert_allclose(A @ drifting, at_rest, atol=1e-9)
     assert_allclose(A @ at_rest, 0.0, atol=1e-9)
-    damped = law.closed_loop_matrix(loop.M, loop.J, loop.J, loop.kp, loop.kv, loop.damping)
-    assert v @ loop.M @ (damped @ drifting)[7:] < -0.9  # it is braked
+    damped = law.closed_loop_matrix(M, J, J, loop.kp, loop.kv, loop.damping)
+    assert v @ M @ (damped @ drifting)[7:] < -0.9  # it is braked
 
 
 @pytest.mark.parametrize("which", range(7))

@@ -8,7 +8,7 @@ import pytest
 
 import approxjac as aj
 from approxjac.robots import GravityRegressor
-from approxjac.stability.loop.linearization import Targets, Timing, linear_loop
+from approxjac.stability.loop.linearization import Timing, linear_loop, spectrum
 
 AROUND = {"panda": [0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7], "ur5": [0.0, -1.2, 1.4, -1.0, -1.5, 0.0]}
 
@@ -38,9 +38,8 @@ class Late:
 
     def radius(self):
         """The spectral radius that is told."""
-        parts = linear_loop(self.plant, self.law, self.q).stacked()
-        targets = Targets(parts, 9.81, Timing.of(self.latency))
-        return float(targets.spectral_radii(self.law.diagonals)[0])
+        parts = linear_loop(self.plant, self.law, self.q)
+        return float(spectrum(parts, 9.81, Timing.of(self.latency)).spectral_radii[0])
 
     def after(self, z):
         """The state one period later: δq, q̇, what is learnt, and the torques that are under way."""
@@ -85,7 +84,7 @@ class Late:
         """The multipliers that are told: with held gravity, or as if it did not change."""
         timing, parts = Timing.of(self.latency), linear_loop(self.plant, self.law, self.q)
         parts = parts if gravity else parts._replace(G=0.0 * parts.G)
-        (values,), _ = Targets(parts.stacked(), 9.81, timing).eigenvalues(self.law.diagonals)
+        (values,) = spectrum(parts, 9.81, timing).values
         return np.exp(timing.frame * values)
 
     def rate(self):

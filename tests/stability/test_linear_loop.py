@@ -81,7 +81,7 @@ def flow_by_differences(plant, controller, q_target, theta):
 @pytest.mark.parametrize("name", ["two_link", "ur5", "panda", "kinova", "mimic"])
 def test_the_continuous_matrix_is_that_of_the_flow(name, learns, rng):
     plant, controller, q, theta = loop_of(name, rng, learns)
-    A = continuous_matrix(linear_loop(plant, controller, q))
+    (A,) = continuous_matrix(linear_loop(plant, controller, q))
     expected = flow_by_differences(plant, controller, q, theta)
     assert A.shape == expected.shape
     for row, wanted in zip(A, expected, strict=True):
@@ -115,8 +115,8 @@ def first_state(loop, timing, dq):
         w = -dq / (timing.velocity_filter + DT)
     return np.concatenate(
         [
-            dq, np.zeros(2 * len(dq)), w, np.tile(loop.G @ dq, timing.torque_late),
-            np.tile(loop.J @ dq, timing.x_late),
+            dq, np.zeros(2 * len(dq)), w, np.tile(loop.G[0] @ dq, timing.torque_late),
+            np.tile(loop.J[0] @ dq, timing.x_late),
         ]
     )  # fmt: skip
 
@@ -137,7 +137,7 @@ def test_the_sampled_matrix_tells_every_sample_of_a_run(name, options, learns, r
         plant, controller, plant.sensor.value(q_target), pin.integrate(model, q_target, dq),
         samples * DT, dt=DT,
     )  # fmt: skip
-    A = sampled_matrix(loop, timing)
+    (A,) = sampled_matrix(loop, timing)
     z = first_state(loop, timing, dq)
     told = [z]
     for _ in range(samples):
@@ -146,7 +146,7 @@ def test_the_sampled_matrix_tells_every_sample_of_a_run(name, options, learns, r
     for part, actual in (
         (told[:, :n], np.array([pin.difference(model, q_target, q) for q in run.q])),
         (told[:, n : 2 * n], run.v),
-        (told[:, 2 * n : 3 * n], (run.state - theta) @ loop.Z.T),
+        (told[:, 2 * n : 3 * n], (run.state - theta) @ loop.Z[0].T),
     ):
         scale = np.abs(actual).max(initial=0.0)
         assert_allclose(part, actual, atol=1e-3 * scale)
@@ -157,9 +157,9 @@ def test_the_sampled_matrix_tells_every_sample_of_a_run(name, options, learns, r
 def test_equilibria_stay_where_they_are(options, rng):
     plant, controller, q, _ = loop_of("panda", rng, True, **options)
     loop, timing = linear_loop(plant, controller, q), timing_of(plant)
-    unseen = np.linalg.svd(loop.Z)[2][6:].T  # the first of the Panda's joints is vertical
+    unseen = np.linalg.svd(loop.Z)[2][:, 6:].mT  # the first of the Panda's joints is vertical
     still = equilibria(loop, unseen, timing)
-    assert still.shape[1] == 4 == np.linalg.matrix_rank(still)
+    assert still.shape[2] == 4 == np.linalg.matrix_rank(still[0])
     A = sampled_matrix(loop, timing)
     assert_allclose(A @ still, still, atol=1e-11 * np.abs(A).max())
     assert_allclose(continuous_matrix(loop) @ equilibria(loop, unseen), 0.0, atol=1e-10)
@@ -179,8 +179,8 @@ def test_gravity_acts_all_the_time_and_its_compensation_does_not(two_link):
 def test_a_short_dt_is_the_continuous_loop(panda, rng):
     plant, controller, q, _ = loop_of("panda", rng, True)
     loop = linear_loop(plant, controller, q)
-    n = len(loop.M)
-    torques = block_diag(np.eye(2 * n), loop.Z)  # of what is learnt
+    n = loop.M.shape[1]
+    torques = block_diag(np.eye(2 * n), loop.Z[0])  # of what is learnt
     flow = torques @ continuous_matrix(loop)
     errors = [
         np.abs((sampled_matrix(loop, Timing(dt)) @ torques - torques) / dt - flow).max()

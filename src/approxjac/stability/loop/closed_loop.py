@@ -22,7 +22,7 @@ from approxjac.stability.loop.configurations import (
     inverse_kinematics,
     least_regular,
 )
-from approxjac.stability.loop.linearization import Targets, Timing, linear_loops
+from approxjac.stability.loop.linearization import Spectrum, Timing, linear_loops, spectrum
 from approxjac.stability.loop.samples import (
     Indices,
     Samples,
@@ -278,18 +278,15 @@ class ClosedLoop:
 
     def linearised(
         self, truths: Indices, configurations: Array, timing: Timing | None = None
-    ) -> Targets:
+    ) -> Spectrum:
         """Linearise at true robots (N,) with configurations (N, nq), taken as targets."""
-        return self._targets(configurations, self.terms(truths, configurations), timing)
+        return self._spectrum(configurations, self.terms(truths, configurations), timing)
 
-    def _targets(self, configurations: Array, at: Terms, timing: Timing | None) -> Targets:
-        plant = self.plants[0]
-        # sampled, gravity and its compensation do not quite cancel
-        G = np.zeros_like(at.dg) if timing is None else at.dg
-        parts = linear_loops(
-            self.controller, plant.friction, configurations, at.M, G, at.J, at.J_hat
-        )
-        return Targets(parts, float(np.linalg.norm(plant.robot.gravity)), timing)
+    def _spectrum(self, configurations: Array, at: Terms, timing: Timing | None) -> Spectrum:
+        plant, law = self.plants[0], self.controller
+        parts = linear_loops(law, plant.friction, configurations, at.M, at.dg, at.J, at.J_hat)
+        parts = parts._replace(**self.diagonals._asdict())
+        return spectrum(parts, float(np.linalg.norm(plant.robot.gravity)), timing)
 
     def spectral_radii(self, samples: Samples, latency: Latency) -> Array:
         """Return the spectral radii of the loop, from frame to frame of x, shape (N,).
@@ -297,8 +294,7 @@ class ClosedLoop:
         In the exact linearisation of the sampled, late loop at each sample taken as a target,
         gravity that is held included; below 1 where it is stable.
         """
-        targets = self._targets(samples.q, samples, Timing.of(latency))
-        return targets.spectral_radii(self.diagonals)
+        return self._spectrum(samples.q, samples, Timing.of(latency)).spectral_radii
 
     def attained(self, rng: np.random.Generator) -> list[list[Array]]:
         """Return configurations of the region that attain the target, for each true robot.

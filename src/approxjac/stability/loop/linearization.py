@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from approxjac import law
 from approxjac.controllers import Latency, SetpointController
-from approxjac.controllers.gains.gains import Diagonals
 from approxjac.errors import InvalidInputError
 from approxjac.simulation import Plant
 from approxjac.stability.loop.samples import Indices
@@ -20,7 +19,7 @@ from approxjac.validation import Array
 class LinearLoop(NamedTuple):
     """Parts of the linearised laws (6) and (28), (29), as of `law.adaptive_closed_loop_matrix`.
 
-    Those of many targets have an axis N in front, but for what targets have in common.
+    They are of N targets, with that axis in front of all that targets do not have in common.
     """
 
     M: Array
@@ -36,17 +35,10 @@ class LinearLoop(NamedTuple):
     L: Array
     alpha: float
 
-    def take(self, which: Any) -> LinearLoop:
-        """Return the parts of some of many targets, or of one of them."""
-        return self._replace(**{name: getattr(self, name)[which] for name in OF_TARGETS})
-
-    def stacked(self) -> LinearLoop:
-        """Return the parts of one target as those of many."""
-        return self.take(np.newaxis)
-
-
-OF_TARGETS = ("M", "G", "J", "J_hat", "J_hat_pinv", "Z")
-"""Parts of a `LinearLoop` that each target has of its own."""
+    def take(self, which: Indices) -> LinearLoop:
+        """Return the parts of some of the targets."""
+        own = ("M", "G", "J", "J_hat", "J_hat_pinv", "Z")
+        return self._replace(**{name: getattr(self, name)[which] for name in own})
 
 
 class Timing(NamedTuple):
@@ -76,16 +68,17 @@ class Timing(NamedTuple):
 
 
 def linear_loop(plant: Plant, controller: SetpointController, q: Array) -> LinearLoop:
-    """Return the parts of the loop of a plant and a controller at a configuration (nq,).
+    """Return the parts of the loop of a plant and a controller at one configuration (nq,).
 
     Where Ĵ uses the measured x it is taken at that of the target: its change with x is multiplied
     by e and q̇, which are zero there.
     """
-    J_hat = np.array(controller.task.jacobian(q, plant.sensor.value(q)))
-    M, G = plant.dynamics.M(q), plant.dynamics.g_gradient(q)
-    J = np.array(plant.sensor._sensor_jacobian(q))
-    terms = [each[np.newaxis] for each in (q, M, G, J, J_hat)]
-    return linear_loops(controller, plant.friction, *terms).take(0)
+    sensor, dynamics = plant.sensor, plant.dynamics
+    terms = (
+        q, dynamics.M(q), dynamics.g_gradient(q), sensor._sensor_jacobian(q),
+        controller.task.jacobian(q, sensor.value(q)),
+    )  # fmt: skip
+    return linear_loops(controller, plant.friction, *(np.array([each]) for each in terms))
 
 
 def linear_loops(
@@ -97,7 +90,7 @@ def linear_loops(
     J: Array,
     J_hat: Array,
 ) -> LinearLoop:
-    """Return the parts of `linear_loop` at many configurations, all with an axis N in front."""
+    """Return the parts of `linear_loop` at N configurations."""
     (N, m, n), learning = J.shape, controller.adaptation
     Z, L, alpha, J_hat_pinv = np.zeros((N, n, 0)), np.zeros(0), 0.0, np.zeros((N, n, m))
     if learning is not None:
@@ -108,7 +101,7 @@ def linear_loops(
 
 
 def continuous_matrix(loop: LinearLoop) -> Array:
-    """A of ż = A z with z = (δq, q̇, δθ̂), shape (…, 2 n_v + p, 2 n_v + p)."""
+    """A of ż = A z with z = (δq, q̇, δθ̂), shape (N, 2 n_v + p, 2 n_v + p)."""
     M, _, J, J_hat, J_hat_pinv, kp, kv, friction, damping, Z, L, alpha = loop
     B = friction + damping
     return law.adaptive_closed_loop_matrix(M, J, J_hat, J_hat_pinv, kp, kv, B, Z, L, alpha)
@@ -117,10 +110,8 @@ def continuous_matrix(loop: LinearLoop) -> Array:
 def sampled_matrix(loop: LinearLoop, timing: Timing) -> Array:
     """A of z(k+1) = A z(k) from one frame of x to the next, as `simulate` runs, to first order.
 
-    z is that of `law.frame_map`, shape (N, N) of one target, (…, N, N) of many.
+    z is that of `law.frame_map`, and A of shape (N, k, k).
     """
-    if loop.M.ndim == 2:
-        return np.asarray(sampled_matrix(loop.stacked(), timing)[0])
     dt, kv, learnt = timing.dt, loop.kv, loop.Z @ law.learning_gain(loop.L, loop.Z)
     parts = law.LinearLaw(
         np.asarray(np.linalg.inv(loop.M)),
@@ -148,20 +139,20 @@ def equilibria(loop: LinearLoop, unseen: Array, timing: Timing | None = None) ->
     """Directions in which the equilibria with e = 0 continue, as columns of the state z.
 
     Self-motion, along which the held torque follows gravity, and of the continuous loop changes of
-    θ̂ that no joint feels at the target, of which `unseen` is a basis, shape (…, p, p − rank Z).
+    θ̂ that no joint feels at the target, of which `unseen` is a basis, shape (N, p, p − rank Z).
     """
-    (m, n), p = loop.J.shape[-2:], loop.Z.shape[-1]
-    self_motion = np.linalg.svd(loop.J)[2][..., m:, :].mT
+    (N, m, n), p = loop.J.shape, loop.Z.shape[-1]
+    self_motion = np.linalg.svd(loop.J)[2][:, m:].mT
     if timing is None:
-        free = np.zeros((*loop.J.shape[:-2], 2 * n + p, n - m + unseen.shape[-1]))
-        free[..., :n, : n - m], free[..., 2 * n :, n - m :] = self_motion, unseen
+        free = np.zeros((N, 2 * n + p, n - m + unseen.shape[-1]))
+        free[:, :n, : n - m], free[:, 2 * n :, n - m :] = self_motion, unseen
         return free
-    moved = [self_motion, np.zeros((*self_motion.shape[:-2], 2 * n, n - m))]
+    moved = [self_motion, np.zeros((N, 2 * n, n - m))]
     if timing.velocity_filter is not None:  # standing still, (a/dt) δq + w = 0
         moved.append(-self_motion / (timing.velocity_filter + timing.dt))
     moved += [loop.G @ self_motion] * timing.torque_late
     frames = -(-timing.x_late // timing.samples)
-    return np.concatenate([*moved, np.zeros((*self_motion.shape[:-2], frames * m, n - m))], axis=-2)
+    return np.concatenate([*moved, np.zeros((N, frames * m, n - m))], axis=1)
 
 
 def damping_ratios(values: NDArray[np.complex128], dead_time: float) -> Array:
@@ -181,89 +172,75 @@ _SINGULAR = 1e-10  # relative smallest singular value that counts as zero
 _ZERO = 1e-11  # size of an eigenvalue relative to the largest that counts as zero
 
 
-class Targets:
-    """Targets that a closed loop is linearised at. What no gains change is worked out once.
+class Spectrum(NamedTuple):
+    """Eigenvalues of a closed loop at N targets, those of the equilibria left out."""
 
-    Gravity is taken as exact, or learnt.
+    values: NDArray[np.complex128]  # λ, (N, k) [1/s]; NaN where a target has fewer than others
+    singular: NDArray[np.bool_]  # whether more of them are zero, which decides nothing, (N,)
+    unseen: Indices  # p − rank Z, (N,)
+    timing: Timing | None
+
+    @property
+    def decay_rates(self) -> Array:
+        """−max Re λ, shape (N,) [1/s]; 0 where a target is singular."""
+        return np.where(self.singular, 0.0, -np.nanmax(self.values.real, axis=1))
+
+    @property
+    def damping_ratios(self) -> Array:
+        """Those of `LocalTest`, shape (N,)."""
+        return damping_ratios(self.values, 0.0 if self.timing is None else self.timing.dead_time)
+
+    @property
+    def spectral_radii(self) -> Array:
+        """Spectral radii of the maps from frame to frame, shape (N,).
+
+        Below 1 where the sampled loop is stable; at least 1 where a target is singular.
+        """
+        assert self.timing is not None
+        radii = np.exp(self.timing.frame * np.nanmax(self.values.real, axis=1))
+        return np.asarray(np.where(self.singular, np.maximum(radii, 1.0), radii))
+
+
+def spectrum(loop: LinearLoop, gravity: float, timing: Timing | None = None) -> Spectrum:
+    """Return the eigenvalues at targets of a loop whose gravity is exact, or learnt.
 
     Args:
         loop: The parts at N targets.
         gravity: Its acceleration [m/s²].
         timing: Of the loop as it is sampled; None is the continuous loop.
     """
-
-    def __init__(self, loop: LinearLoop, gravity: float, timing: Timing | None = None) -> None:
-        self.loop, self.timing = loop, timing
-        self.dead_time = 0.0 if timing is None else timing.dead_time
-        across = loop.J @ np.linalg.solve(loop.M, loop.J_hat.mT)
-        sizes = np.linalg.svd(across, compute_uv=False)
-        self._singular = sizes[:, -1] <= _SINGULAR * sizes[:, 0]
-        columns, values, rows = np.linalg.svd(loop.Z)
-        # the columns of first moments are g times a sine: where all are 1e-16, none counts
-        ranks = (values > _SINGULAR * values.max(axis=-1, initial=gravity)[:, None]).sum(axis=-1)
-        self.unseen = loop.Z.shape[-1] - ranks
-        self._groups: list[_Group] = []
-        for rank in np.unique(ranks):  # those of different ranks have spaces of different sizes
-            which = np.flatnonzero(ranks == rank)
-            still = equilibria(loop.take(which), rows[which, rank:].mT, timing)
-            N, size, count = still.shape
-            within = np.broadcast_to(np.eye(size), (N, size, size))
-            if timing is not None:  # no learnt torques but those that joints feel
-                n = loop.M.shape[-1]
-                learnt = np.zeros((N, size, rank))
-                learnt[:, 2 * n : 3 * n] = columns[which][..., :rank]
-                within = np.concatenate(
-                    [within[..., : 2 * n], learnt, within[..., 3 * n :]], axis=2
-                )
-            basis = within @ np.linalg.qr(within.mT @ still, mode="complete")[0]
-            self._groups.append(_Group(which, basis[..., :count], basis[..., count:]))
-
-    def eigenvalues(self, gains: Diagonals) -> tuple[NDArray[np.complex128], NDArray[np.bool_]]:
-        """Return the λ with some gains, and which targets are singular, shape (N,).
-
-        The λ have shape (N, k) [1/s], with NaN where a target has fewer of them than others.
-        """
-        loop, timing = self.loop._replace(**gains._asdict()), self.timing
-        spectra, singular = [], self._singular.copy()
-        for which, along, across in self._groups:
-            own = loop.take(which)
-            A = continuous_matrix(own) if timing is None else sampled_matrix(own, timing)
-            at_rest = 0.0 if timing is None else 1.0
-            residual = np.abs(A @ along - at_rest * along).max(axis=(1, 2), initial=0.0)
-            singular[which] |= residual > 1e-9 * np.abs(A).max(axis=(1, 2))
-            spectra.append(np.linalg.eigvals(across.mT @ A @ across).astype(np.complex128))
-        values = np.full((len(singular), max(each.shape[1] for each in spectra)), np.nan, complex)
-        for (which, _, _), each in zip(self._groups, spectra, strict=True):
-            values[which, : each.shape[1]] = each
-        if timing is not None:  # λ = ln(μ)/t; −∞ for a mode that is over after one frame
-            sizes, angles = np.abs(values), np.angle(values)
-            with np.errstate(divide="ignore"):
-                values.real, values.imag = np.log(sizes) / timing.frame, angles / timing.frame
-        sizes, finite = np.abs(values), np.isfinite(values)
-        smallest = np.min(sizes, axis=1, initial=np.inf, where=finite)
-        singular |= smallest <= _ZERO * np.max(sizes, axis=1, initial=0.0, where=finite)
-        return values, singular
-
-    def spectral_radii(self, gains: Diagonals) -> Array:
-        """Return the spectral radii of the maps from frame to frame, shape (N,).
-
-        Below 1 where the sampled loop is stable; 1 where a target is singular, and decides nothing.
-        """
-        values, singular = self.eigenvalues(gains)
-        frame = 1.0 if self.timing is None else self.timing.frame
-        radii = np.exp(frame * np.nanmax(values.real, axis=1))
-        return np.asarray(np.where(singular, np.maximum(radii, 1.0), radii))
-
-    def rates(self, gains: Diagonals) -> tuple[Array, Array]:
-        """Return decay rates and damping ratios with some gains, as of `LocalTest`."""
-        values, singular = self.eigenvalues(gains)
-        decay = np.where(singular, 0.0, -np.nanmax(values.real, axis=1))
-        return decay, damping_ratios(values, self.dead_time)
-
-
-class _Group(NamedTuple):
-    """Targets whose equilibria have the same dimension."""
-
-    which: Indices
-    along: Array  # orthonormal basis of the equilibria
-    across: Array  # and of what is orthogonal to them
+    sizes = np.linalg.svd(loop.J @ np.linalg.solve(loop.M, loop.J_hat.mT), compute_uv=False)
+    singular = sizes[:, -1] <= _SINGULAR * sizes[:, 0]
+    columns, values, rows = np.linalg.svd(loop.Z)
+    # the columns of first moments are g times a sine: where all are 1e-16, none counts
+    ranks = (values > _SINGULAR * values.max(axis=-1, initial=gravity)[:, None]).sum(axis=-1)
+    spectra = []
+    for rank in np.unique(ranks):  # those of different ranks have spaces of different sizes
+        which = np.flatnonzero(ranks == rank)
+        own = loop.take(which)
+        A = continuous_matrix(own) if timing is None else sampled_matrix(own, timing)
+        still = equilibria(own, rows[which, rank:].mT, timing)
+        N, size, count = still.shape
+        within = np.broadcast_to(np.eye(size), (N, size, size))
+        if timing is not None:  # no learnt torques but those that joints feel
+            n = loop.M.shape[-1]
+            learnt = np.zeros((N, size, rank))
+            learnt[:, 2 * n : 3 * n] = columns[which][..., :rank]
+            within = np.concatenate([within[..., : 2 * n], learnt, within[..., 3 * n :]], axis=2)
+        basis = within @ np.linalg.qr(within.mT @ still, mode="complete")[0]
+        along, across = basis[..., :count], basis[..., count:]
+        at_rest = 0.0 if timing is None else 1.0
+        residual = np.abs(A @ along - at_rest * along).max(axis=(1, 2), initial=0.0)
+        singular[which] |= residual > 1e-9 * np.abs(A).max(axis=(1, 2))
+        spectra.append((which, np.linalg.eigvals(across.mT @ A @ across)))
+    values = np.full((len(ranks), max(each.shape[1] for _, each in spectra)), np.nan, complex)
+    for which, each in spectra:
+        values[which, : each.shape[1]] = each
+    if timing is not None:  # λ = ln(μ)/t; −∞ for a mode that is over after one frame
+        sizes, angles = np.abs(values), np.angle(values)
+        with np.errstate(divide="ignore"):
+            values.real, values.imag = np.log(sizes) / timing.frame, angles / timing.frame
+    sizes, finite = np.abs(values), np.isfinite(values)
+    smallest = np.min(sizes, axis=1, initial=np.inf, where=finite)
+    singular |= smallest <= _ZERO * np.max(sizes, axis=1, initial=0.0, where=finite)
+    return Spectrum(values, singular, loop.Z.shape[-1] - ranks, timing)

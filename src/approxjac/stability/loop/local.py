@@ -21,12 +21,7 @@ from approxjac.simulation.plant import rk4
 from approxjac.simulation.simulate import require_fit
 from approxjac.stability.errors.region import require_law, require_seen
 from approxjac.stability.loop.closed_loop import ClosedLoop
-from approxjac.stability.loop.linearization import (
-    Targets,
-    Timing,
-    damping_ratios,
-    linear_loop,
-)
+from approxjac.stability.loop.linearization import Timing, damping_ratios, linear_loop, spectrum
 from approxjac.stability.loop.samples import Indices
 from approxjac.validation import Array, as_number, require
 
@@ -155,10 +150,9 @@ def local_stability(
         return _by_differences(plant, controller, q, timing)
     _require_gravity(plant, law, q)
     gravity = float(np.linalg.norm(plant.robot.gravity))
-    targets = Targets(linear_loop(plant, law, q).stacked(), gravity, timing)
-    (values,), (singular,) = targets.eigenvalues(law.diagonals)
+    (values,), (singular,), (unseen,), _ = spectrum(linear_loop(plant, law, q), gravity, timing)
     self_motion = plant.robot.nv - plant.sensor.m
-    return _stability(values, self_motion, int(targets.unseen[0]), bool(singular), timing)
+    return _stability(values, self_motion, int(unseen), bool(singular), timing)
 
 
 def _stability(
@@ -247,8 +241,8 @@ def local_test(
     They are true robots (N,) with configurations (N, nq), of which the first thousand are taken.
     """
     truths, configurations = truths[:_MOST_TARGETS], configurations[:_MOST_TARGETS]
-    targets = loop.linearised(truths, configurations, timing)
-    return LocalTest(*targets.rates(loop.diagonals), configurations, truths)
+    found = loop.linearised(truths, configurations, timing)
+    return LocalTest(found.decay_rates, found.damping_ratios, configurations, truths)
 
 
 def _timing(plant: Plant, dt: float | None) -> Timing | None:
