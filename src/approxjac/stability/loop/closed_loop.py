@@ -114,16 +114,10 @@ class ClosedLoop:
 
     def gravity_error(self, configurations: Array) -> float:
         """Return the largest gravity torque that is neither compensated nor learnt [N m or N]."""
-        learning, plants = self.controller.adaptation, self.plants[: len(self.corners) + _WEIGHED]
+        plants = self.plants[: len(self.corners) + _WEIGHED]
         k, N = len(plants), len(configurations)
         g = self.terms(np.repeat(np.arange(k), N), np.tile(configurations, (k, 1))).g
-        if learning is None:
-            torque = self.controller.gravity.torque  # type: ignore[union-attr]
-            error = g - np.tile([np.array(torque(q)) for q in configurations], (k, 1))
-        else:
-            left = [learning.regressor.fit(plant.robot)[1] for plant in plants]
-            error = np.repeat(left, N)[:, None] * g
-        return float(np.abs(error).max())
+        return gravity_error(self.controller, plants, configurations, g.reshape(k, N, -1))
 
     @property
     def integral_terms(self) -> list[str]:
@@ -359,3 +353,14 @@ class ClosedLoop:
 def usual_region(task: Task) -> RegularPart:
     """Return the default region: the joint limits without near-singular configurations."""
     return RegularPart(JointBox(task.robot), task, _REGULAR * vanishing(task))
+
+
+def gravity_error(
+    law: SetpointController, plants: Sequence[Plant], q: Sequence[Array] | Array, g: Array
+) -> float:
+    """Return the largest of true g (k, N, n_v) at q (N, nq) not compensated or learnt."""
+    if law.adaptation is None:
+        torque = law.gravity.torque  # type: ignore[union-attr]
+        return float(np.abs(g - np.array([np.array(torque(at)) for at in q])).max())
+    left = [law.adaptation.regressor.fit(plant.robot)[1] for plant in plants]
+    return float((np.array(left)[:, None, None] * np.abs(g)).max())

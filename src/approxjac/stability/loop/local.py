@@ -13,14 +13,13 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from approxjac.controllers import Controller, SetpointController
-from approxjac.controllers.gravity import Adaptation
 from approxjac.errors import InvalidInputError
 from approxjac.interface import LimitStatus, Measurement
 from approxjac.simulation import Plant, Sensing
 from approxjac.simulation.plant import rk4
 from approxjac.simulation.simulate import require_fit
 from approxjac.stability.errors.region import require_law, require_seen
-from approxjac.stability.loop.closed_loop import ClosedLoop
+from approxjac.stability.loop.closed_loop import ClosedLoop, gravity_error
 from approxjac.stability.loop.linearization import Timing, damping_ratios, linear_loop, spectrum
 from approxjac.stability.loop.samples import Indices
 from approxjac.validation import Array, as_number, require
@@ -269,46 +268,31 @@ def _timing(plant: Plant, dt: float | None) -> Timing | None:
 
 def _require_gravity(plant: Plant, controller: SetpointController, q: Array) -> None:
     """Refuse gravity that is not exact around the target, or cannot be learnt to be so."""
-    model = plant.robot.model
+    model, learning = plant.robot.model, controller.adaptation
     nearby = [q, *(pin.integrate(model, q, _NEAR * unit) for unit in np.eye(plant.robot.nv))]
-    wanted = np.array([plant.dynamics.g(at) for at in nearby])
-    learning = controller.adaptation
-    expected = "exact" if learning is None else "learnable"
-    if learning is None:
-        given = np.array([controller.gravity.torque(at) for at in nearby])  # type: ignore[union-attr]
-    else:
-        given = _learnt(learning, nearby, wanted)
-    error = float(np.abs(given - wanted).max())
+    wanted = np.array([[plant.dynamics.g(at) for at in nearby]])
+    error = gravity_error(controller, [plant], nearby, wanted)
     if error > _EXACT * max(1.0, float(np.abs(wanted).max())):
         raise InvalidInputError(
-            f"the controller's gravity must be {expected} near the target for it to be an "
-            f"equilibrium, got an error of {error:.3g} N m with "
+            f"the controller's gravity must be {'exact' if learning is None else 'learnable'} near "
+            f"the target for it to be an equilibrium, got an error of {error:.3g} N m with "
             f"{type(controller.gravity).__name__}",
             given=controller,
         )
-
-
-def _learnt(learning: Adaptation, nearby: list[Array], wanted: Array) -> Array:
-    """Z θ̂ at configurations, shape (k, n_v), with the θ̂ nearest to the believed that fits best."""
-    if (np.abs(wanted[0]) >= learning.torque_limits).any():
-        raise InvalidInputError(
-            "gravity at the target must be within torque_limits of AdaptiveGravity, or θ̂ stands "
-            f"still: it is {wanted[0].tolist()}, got {learning.torque_limits.tolist()}",
-            given=learning.torque_limits,
-        )
-    regressor = learning.regressor
-    Z = np.array([regressor.Z(at) for at in nearby])
-    rows, believed = Z.reshape(-1, regressor.p), regressor.theta
-    theta = believed + np.linalg.lstsq(rows, wanted.ravel() - rows @ believed, rcond=1e-12)[0]
+    if learning is None:
+        return
+    theta, limits = learning.regressor.fit(plant.robot)[0], learning.torque_limits
+    held = [("torque_limits", wanted[0, 0], -limits, limits)]
     if learning.bounds is not None:
-        lower, upper = (bound[: regressor.p] for bound in learning.bounds)
-        if not ((lower < theta) & (theta < upper)).all():
+        lower, upper = learning.bounds
+        held.append(("bounds", theta, lower[: len(theta)], upper[: len(theta)]))
+    for name, value, low, high in held:
+        if not ((low < value) & (value < high)).all():
             raise InvalidInputError(
-                f"the bounds of AdaptiveGravity must hold theta = {theta.tolist()}, which gives "
-                f"the true gravity, got {lower.tolist()} to {upper.tolist()}",
-                given=learning.bounds,
+                f"{name} of AdaptiveGravity must hold {value.tolist()} of the true gravity at the "
+                f"target, or θ̂ stands still, got {low.tolist()} to {high.tolist()}",
+                given=learning,
             )
-    return np.asarray(Z @ theta)
 
 
 # -- any controller, by finite differences ---------------------------------------------------------
