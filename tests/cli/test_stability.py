@@ -252,7 +252,7 @@ def test_regions():
     [
         (["--kp", "0"], "--kp must be a finite number > 0"),
         (["--object-length", "0.3", "0.1"], "--object-length must be (smallest, largest)"),
-        (["--object-mass", "-1", "1"], "--object-mass must be >= 0"),
+        (["--object-mass", "-1", "1"], "--object-mass must be a finite number >= 0"),
         (["--sigma-min", "50"], "the region is empty"),
         (["--target", "9", "9", "9"], "target must be within reach of every true robot"),
         (["--around", "0", "0"], "--around must be 7 numbers"),

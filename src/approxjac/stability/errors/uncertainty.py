@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import inspect
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -33,7 +32,6 @@ _NONE = 1e-4  # of the width of a range: an end that is nearer to 0 is written a
 _PIECE = 0.25 * math.pi  # longest range of an angle that its two ends stand for [rad]
 _LEAST_FOCAL = 0.1  # of the believed one
 _TURN = 2.0 * math.pi * (1.0 + 1e-9)
-_CALIBRATION = ("focal_length", "distance", "roll")  # of a camera
 
 
 class Coordinate(NamedTuple):
@@ -83,13 +81,9 @@ def _as_range(name: str, given: Any, believed: float, unit: str, of: str = "") -
         message = f"{wanted}, got {(low, high)}; {(high, low)} is such a range"
         raise InvalidInputError(message, given=given)
     if not low <= believed <= high:
-        remedy = ""
-        if name.startswith("object_"):
-            own = name.replace("object", "believed")
-            remedy = f"; or believe the middle, {own} {0.5 * (low + high):g}"
         raise InvalidInputError(
             f"{name} must contain what is believed, {believed:g} [{unit}], got {(low, high)}; "
-            f"{(min(low, believed), max(high, believed))} does{remedy}",
+            f"{(min(low, believed), max(high, believed))} does, or believe another value in it",
             given=given,
         )
     return [Coordinate(of + name, unit, float(believed), low, high)]
@@ -113,23 +107,20 @@ def _as_bounds(name: str, given: Any, arm: Robot, unit: str) -> dict[str, tuple[
     return bounds
 
 
-def _camera_coordinates(camera: Camera | None, *ranges: Any) -> list[Coordinate]:
-    """Return the coordinates of a camera's focal length, distance and roll that have a range."""
-    coordinates: list[Coordinate] = []
-    for name, given in zip(_CALIBRATION, ranges, strict=True):
-        if given is None:
-            continue
-        if camera is None:
-            raise InvalidInputError(
-                f"{name} is that of a camera, got {given!r} without one: give the believed "
-                "camera as camera, such as PlanarCamera(f, z)",
-                given=given,
-            )
-        if name not in camera.calibration:
-            where = f"the calibration of {type(camera).__name__}"
-            raise UnknownNameError("range", name, where, camera.calibration)
-        coordinates += _as_range(name, given, *camera.calibration[name], of="camera ")
-    return coordinates
+def _camera_range(camera: Camera | None, name: str, given: Any) -> list[Coordinate]:
+    """Return the coordinate of a camera's calibration, if a range of it was given."""
+    if given is None:
+        return []
+    if camera is None:
+        raise InvalidInputError(
+            f"{name} is that of a camera, got {given!r} without one: give the believed "
+            "camera as camera, such as PlanarCamera(f, z)",
+            given=given,
+        )
+    if name not in camera.calibration:
+        where = f"the calibration of {type(camera).__name__}"
+        raise UnknownNameError("range", name, where, camera.calibration)
+    return _as_range(name, given, *camera.calibration[name], of="camera ")
 
 
 def _in_words(name: str, value: float, unit: str) -> str:
@@ -152,27 +143,25 @@ class Uncertainty:
     and x, y, z within a joint. The truth is any point of the box (errors are independent), the
     values (d,) of these coordinates; so is the belief. Everything else is certain.
 
-    An object is held if any length or mass of one is given; then the belief holds it too, with
-    the length and the mass that are believed.
+    An object is held if any length or mass of one is given; then the belief holds it too.
 
     Attributes:
         arm: The believed arm, without the object.
-        task: Makes the task of a robot, such as `functools.partial(PositionTask, axes="xz")`;
-            `PositionTask` by default. With a camera it makes that of a robot and a camera, such
-            as `functools.partial(ImageTask, points=...)`; `ImageTask` by default. (A function
-            that is to go to other processes must not be a lambda.)
+        task: Makes the task of a robot, or with a camera that of both, such as
+            `functools.partial(PositionTask, axes="xz")`; `PositionTask` or `ImageTask` by default.
+            (A function that is to go to other processes must not be a lambda.)
         object_length: Smallest and largest true length of the object [m].
         object_mass: Smallest and largest true mass of the object [kg].
         believed_length: Length of the object that is believed, ≥ 0 [m].
         believed_mass: Mass of the object that is believed, ≥ 0 [kg].
-        object_axis: Axis of the tip's frame that the object points along; by default the one that
-            leads on from the arm, as of `Robot.with_object`.
+        object_axis: Axis of the tip's frame that the object points along; by default as of
+            `Robot.with_object`.
         joint_shifts: Joint name → how far its true origin may be from the believed one to either
             side along each axis of the parent link, shape (3,) [m]; an axis with 0 is certain.
         joint_rotations: Joint name → the same for the rotation vector in the joint's own frame,
             shape (3,) [rad].
-        camera: The believed camera, if the task is an image. What may be wrong with it is its
-            `calibration`: the next three ranges are of that, in its units.
+        camera: The believed camera, if the task is an image. The next three ranges are of its
+            `calibration`, in its units.
         focal_length: Smallest and largest true focal length: of a `PlanarCamera` [m], f_x of a
             `PinholeCamera` [px] (f_y along with it).
         distance: Smallest and largest true distance of a `PlanarCamera` [m]; of a
@@ -186,9 +175,8 @@ class Uncertainty:
 
     Raises:
         InvalidInputError: Ranges that are reversed, not finite, do not hold what is believed, or
-            are of an angle beyond a full turn; robots or cameras anywhere in the box that cannot
-            exist; ranges of a camera without a camera; a task that is none of a robot (and a
-            camera).
+            are of an angle beyond a full turn; objects or cameras in the box that cannot exist;
+            ranges of a camera without a camera; a task that is none of a robot (and a camera).
         UnknownNameError: No such joint; a range that the camera's calibration does not have.
 
     Example:
@@ -216,21 +204,10 @@ class Uncertainty:
     _coordinates: tuple[Coordinate, ...] = field(init=False)
     _moved: Plant | None = field(init=False, default=None)
 
-    def __init_subclass__(cls) -> None:
-        made = ("names", "units", "d", "believed", "low", "high")
-        if own := [name for name in made if name in vars(cls)]:  # its box would be another one
-            raise InvalidInputError(
-                f"a class derived from Uncertainty must leave {', '.join(made)} to the ranges that "
-                "it is given, as its corners and its scaling are made of them, got "
-                f"{cls.__name__} with {', '.join(own)} of its own; give joint_shifts and "
-                "joint_rotations that hold your errors (which are then independent), or judge one "
-                "true robot at a time with Study(controller, robot) or simulate(Plant(robot), ...)",
-                given=cls,
-            )
-
     def __post_init__(self) -> None:
         require("arm", self.arm, Robot, "the believed Robot, without the object")
-        self._require_task()
+        if self.camera is not None:
+            require("camera", self.camera, Camera, "a camera, such as PlanarCamera(f, z), or None")
         as_size("believed_length", self.believed_length)
         as_mass("believed_mass", self.believed_mass)
         as_number("factor", self.factor, minimum=0.0)
@@ -245,17 +222,37 @@ class Uncertainty:
         given = [
             *_as_range("object_length", self.object_length, self.believed_length, "m"),
             *_as_range("object_mass", self.object_mass, self.believed_mass, "kg"),
-            *(
-                Coordinate(f"{joint} {kind} {axis}", unit, 0.0, -bound, bound)
-                for joint, (kind, unit, bounds) in itertools.product(self._joints, kinds)
-                for axis, bound in zip("xyz", bounds.get(joint, (0.0,) * 3), strict=True)
-                if bound > 0.0
-            ),
-            *_camera_coordinates(self.camera, self.focal_length, self.distance, self.roll),
         ]
+        for joint, (kind, unit, bounds) in itertools.product(self._joints, kinds):
+            for axis, bound in zip("xyz", bounds.get(joint, (0.0,) * 3), strict=True):
+                if bound > 0.0:
+                    given.append(Coordinate(f"{joint} {kind} {axis}", unit, 0.0, -bound, bound))
+        for name in ("focal_length", "distance", "roll"):
+            given += _camera_range(self.camera, name, getattr(self, name))
         self._set("_coordinates", tuple(known.scaled(self.factor) for known in given))
-        self._require_physical()
+        for known in self._coordinates:
+            known.ends()  # refuses an angle beyond a full turn
+            if known.name.startswith("object_"):
+                for end in known[-2:]:
+                    (as_mass if known.unit == "kg" else as_size)(known.name, end)
         self.plant(self.believed)  # refuses a task, an axis or friction that fit no such robot
+        if self.camera is not None:
+            self._require_cameras(self.camera)
+
+    def _require_cameras(self, camera: Camera) -> None:
+        """Refuse a box that holds cameras that cannot exist: the first of them is a corner."""
+        unsure = [known for known in self._coordinates if known.name.startswith("camera ")]
+        names, units = ([getattr(known, of) for known in unsure] for of in ("name", "unit"))
+        for corner in itertools.product(*(known[-2:] for known in unsure)):
+            try:
+                self._true_camera(camera, dict(zip(names, corner, strict=True)))
+            except InvalidInputError as error:
+                grown = "" if self.factor == 1.0 else f" with the factor {self.factor:.4g}"
+                raise InvalidInputError(
+                    "a camera must exist everywhere in the set, got "
+                    f"{', '.join(map(_in_words, names, corner, units))}{grown}: {error}",
+                    given=corner,
+                ) from error
 
     # -- the box ------------------------------------------------------------------------
 
@@ -409,9 +406,8 @@ class Uncertainty:
 
     def describe(self, values: Sequence[float] | Array) -> str:
         """Return values (d,) in words, such as "object length 0.3 m, camera roll 0.349 rad"."""
-        return (
-            ", ".join(map(_in_words, self.names, self._checked(values), self.units)) or "no error"
-        )
+        words = map(_in_words, self.names, self._checked(values), self.units)
+        return ", ".join(words) or "no error"
 
     def describe_box(self) -> str:
         """Return the ranges in words, such as "object length 0 to 0.3 m"."""
@@ -470,7 +466,15 @@ class Uncertainty:
         return self.task or ImageTask
 
     def _task_of(self, robot: Robot, camera: Camera | None) -> Task:
-        task = self._make_task(robot) if camera is None else self._make_task(robot, camera)
+        given = [robot] if camera is None else [robot, camera]
+        try:
+            task = self._make_task(*given)
+        except TypeError as error:
+            of = "" if camera is None else " and a camera, such as ImageTask"
+            raise InvalidInputError(
+                f"task must be a function of a robot{of}, got {self.task!r}: {error}",
+                given=self.task,
+            ) from error
         require("what task makes of a robot", task, Task, "a task, such as PositionTask(robot)")
         return task
 
@@ -479,55 +483,5 @@ class Uncertainty:
     def _set(self, name: str, value: Any) -> None:
         object.__setattr__(self, name, value)  # frozen once it is built
 
-    def _require_task(self) -> None:
-        of: list[Any] = [self.arm]
-        wanted = "from a robot to its task, such as PositionTask"
-        if self.camera is not None:
-            require("camera", self.camera, Camera, "a camera, such as PlanarCamera(f, z), or None")
-            of, wanted = [*of, self.camera], "of a robot and a camera, such as ImageTask"
-        try:
-            if self.task is not None:
-                inspect.signature(self.task).bind(*of)
-        except ValueError:
-            pass  # builtins do not tell
-        except TypeError:
-            raise InvalidInputError(
-                f"task must be a function {wanted}, got {self.task!r}", given=self.task
-            ) from None
-
-    def _require_physical(self) -> None:
-        """Refuse a box that holds robots or cameras that cannot exist."""
-        grown = "" if self.factor == 1.0 else f" with the factor {self.factor:.4g}"
-        for known in self._coordinates:
-            known.ends()  # refuses an angle beyond a full turn
-            if not known.name.startswith("object_"):
-                continue
-            if known.low < 0.0:
-                raise InvalidInputError(
-                    f"{known.name} must be >= 0 in the whole set [{known.unit}], "
-                    f"got {known.low:.4g} to {known.high:.4g}{grown}",
-                    given=(known.low, known.high),
-                )
-            (as_mass if known.unit == "kg" else as_size)(known.name, known.high)
-        if self.camera is None:
-            return
-        # a camera knows itself what it cannot be, and is that in a corner first
-        unsure = [known for known in self._coordinates if known.name.startswith("camera ")]
-        names, units = ([getattr(known, of) for known in unsure] for of in ("name", "unit"))
-        for corner in itertools.product(*((known.low, known.high) for known in unsure)):
-            try:
-                self._true_camera(self.camera, dict(zip(names, corner, strict=True)))
-            except InvalidInputError as error:
-                raise InvalidInputError(
-                    "a camera must exist everywhere in the set, got "
-                    f"{', '.join(map(_in_words, names, corner, units))}{grown}: {error}",
-                    given=corner,
-                ) from error
-
     def __repr__(self) -> str:
-        shown = [
-            f"{known.name} {known.low:.4g} to {known.high:.4g} {known.unit} "
-            f"(believed {known.believed:.4g})"
-            for known in self._coordinates
-        ]
-        return f"Uncertainty({self.arm.name!r}: {', '.join(shown) or 'no error'})"
+        return f"Uncertainty({self.arm.name!r}: {self.describe_box()})"
