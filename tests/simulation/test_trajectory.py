@@ -250,7 +250,7 @@ def test_a_file_keeps_the_law_in_words(panda, tmp_path):
         arrays = dict(file)
     texts = json.loads(str(arrays.pop("texts")))
     np.savez(path, texts=np.array(json.dumps(texts | {"law": 3})), **arrays)
-    with pytest.raises(TrajectoryFileError, match="its law is no text"):
+    with pytest.raises(TrajectoryFileError, match="its law are no texts"):
         aj.Trajectory.load(path)
 
 

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field, fields, replace
 from types import NoneType
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -68,8 +68,6 @@ class RobotRun(Trajectory):
     stop_bound: float = field(kw_only=True)
     gap: Array = field(kw_only=True)
     work: Array = field(kw_only=True)
-    _more_arrays: ClassVar[tuple[str, ...]] = ("gap", "work")
-    _more_texts: ClassVar[tuple[str, ...]] = ("stop_distance", "stop_bound")
 
     @property
     def fault(self) -> Fault | None:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -24,6 +24,28 @@ from approxjac.tasks import StackedTask, Task
 from approxjac.validation import Array, Saved, as_number, require
 
 _TOUCHES = 1e-6  # beyond a position limit; less is rounding [rad or m]
+_NUMBERS = (np.dtype(np.float64), np.dtype(np.int64))
+_TORQUE = {"rad": "N m", "m": "N"}
+_COLUMNS = {  # the axis of each array beside time, "" without one, and its unit, for each joint
+    "t": ("", "s"),
+    "q": ("nq", "{joint}"),
+    "v": ("n_v", "{joint}/s"),
+    "x": ("n_x", "{task}"),
+    "x_measured": ("n_x", "{task}"),
+    "x_d": ("n_x", "{task}"),
+    "error": ("m", "{task}"),
+    "tau": ("n_v", "{torque}"),
+    "state": ("n_state", ""),
+    "learnt": ("p", ""),
+    "status": ("", ""),
+    "limit_status": ("", ""),
+    "slack": ("", "W"),
+    "task_torque": ("n_v", "{torque}"),
+    "V": ("", "J"),
+    "V_dot": ("", "W"),
+    "sigma_min": ("", "{task}/{joint}"),
+}
+_DERIVED = ("task_torque", "V", "sigma_min")  # of them, and V_dot of V
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +82,8 @@ class Scene:
         truth = _restored_robot(kept["truth"])
         belief = None if kept["belief"] is None else _restored_robot(kept["belief"])
         limits = np.array([np.inf if x is None else float(x) for x in kept["torque_limits"]])
-        if len(limits) != truth.nv or (belief is not None and belief.nv != truth.nv):
-            raise ValueError("its robots and torque limits have different numbers of joints")
+        if len(limits) != truth.nv:
+            raise ValueError("its robot and torque limits have different numbers of joints")
         sensor, task = _restored_task(kept["sensor"], truth), _restored_task(kept["task"], belief)
         return cls(truth, belief, sensor, task, limits, kept["parameters"], kept["knows_truth"])
 
@@ -146,11 +168,9 @@ class Trajectory:
     ended: str = field(default="", kw_only=True)
     fault_name: str = field(default="", kw_only=True)
     engine: str = field(default="", kw_only=True)
-    _more_arrays: ClassVar[tuple[str, ...]] = ()  # of what derives from it, in its files too
-    _more_texts: ClassVar[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
-        for name in (*_OWN, *self._more_arrays):
+        for name in _COLUMNS.keys() - {*_DERIVED, "V_dot"}:
             array = getattr(self, name)
             # another float would go through some plots only, and a mask would be lost on the way
             if type(array) is not np.ndarray or array.dtype not in _NUMBERS:
@@ -219,14 +239,12 @@ class Trajectory:
     @property
     def units(self) -> Mapping[str, str]:
         """Unit of each array; those of different kinds of joints are joined by "or"."""
-        kinds = [unit for unit in ("rad", "m") if unit in self.joint_units]
-        task, torque = self.task_unit, joined({"rad": "N m", "m": "N"}[kind] for kind in kinds)
+        kinds = [{"joint": joint, "torque": _TORQUE[joint]} for joint in _TORQUE]
+        kinds = [kind for kind in kinds if kind["joint"] in self.joint_units]
         return {
-            "t": "s", "x": task, "x_d": task, "error": task, "tau": torque, "task_torque": torque,
-            "V": "J", "V_dot": "W", "slack": "W", "q": joined(kinds),
-            "v": joined(f"{kind}/s" for kind in kinds),
-            "sigma_min": joined(f"{task}/{kind}" for kind in kinds),
-        }  # fmt: skip
+            name: joined(unit.format(task=self.task_unit, **kind) for kind in kinds)
+            for name, (_, unit) in _COLUMNS.items()
+        }
 
     @property
     def error_norm(self) -> Array:
@@ -276,10 +294,12 @@ class Trajectory:
             TrajectoryFileError: The file cannot be written.
         """
         path = _npz(path)
-        arrays = {name: getattr(self, name) for name in (*_ARRAYS, *self._more_arrays)}
-        texts = {name: getattr(self, name) for name in (*_TEXTS, *_ENDS, *self._more_texts)}
-        texts["law"] = self.law
-        texts["scene"] = None if self.scene is None else self.scene.to_dict()
+        kept = {f.name: getattr(self, f.name) for f in fields(self)} | {"law": self.law}
+        kept |= {name: getattr(self, name) for name in _DERIVED}
+        kept["scene"] = self.scene and self.scene.to_dict()
+        del kept["derived"]
+        arrays = {name: each for name, each in kept.items() if isinstance(each, np.ndarray)}
+        texts = {name: each for name, each in kept.items() if name not in arrays}
         try:
             # an open file, because numpy would add a second ending to .NPZ
             with replaced(path) as unfinished, unfinished.open("wb") as file:
@@ -300,21 +320,16 @@ class Trajectory:
         path = _npz(path)
         try:
             with path.open("rb") as stream:
-                arrays = read_arrays(stream, ("texts", *_ARRAYS, *cls._more_arrays))
-            given = json.loads(str(arrays.pop("texts")))
-            ends = {name: given[name] for name in (*_ENDS, "law")}
-            for name, text in ends.items():
-                if not isinstance(text, str):
-                    raise ValueError(f"its {name} is no text")
-            texts = {name: given[name] for name in (*_TEXTS, *cls._more_texts)}
-            for name in ("joint_names", "joint_units", "task_labels", "task_units"):
-                texts[name] = tuple(texts[name])
-            unknown = np.full(arrays["learnt"].shape[-1], np.nan)
-            kept: dict[str, Any] = {name: arrays.pop(name) for name in _DERIVED}
-            kept |= {"law": ends.pop("law"), "learnt_sd": lambda state: unknown}
-            scene = None if given["scene"] is None else Scene.from_dict(given["scene"])
-            run = cls(**arrays, **texts, **ends, scene=scene, derived=lambda _, name: kept[name])
-            run._require_shapes()
+                kept = read_arrays(stream)
+            for name, text in json.loads(str(kept.pop("texts"))).items():
+                kept[name] = tuple(text) if isinstance(text, list) else text
+            derived = {name: kept.pop(name) for name in (*_DERIVED, "law")}
+            unknown = np.full(kept["learnt"].shape[-1], np.nan)
+            derived["learnt_sd"] = lambda state: unknown
+            kept["scene"] = kept["scene"] and Scene.from_dict(kept["scene"])
+            own = {f.name: kept[f.name] for f in fields(cls) if f.name in kept}
+            run = cls(**own, derived=lambda _, name: derived[name])
+            run._require_fit(derived["law"])
             return run
         except FileNotFoundError as error:
             folder = Path(path).with_suffix("")
@@ -329,37 +344,34 @@ class Trajectory:
                 f"{path} is not a trajectory written by Trajectory.save: {why}", given=path
             ) from error
 
-    def _require_shapes(self) -> None:
-        """Raise a ValueError if arrays do not fit together."""
-        n, joints, m = len(self.t), len(self.joint_names), len(self.task_labels)
-        shapes: dict[str, tuple[int, ...]] = {"error": (n, m)}
-        shapes |= dict.fromkeys(("v", "tau", "task_torque"), (n, joints))
-        shapes |= dict.fromkeys(("t", "V", "status", "limit_status", "slack", "sigma_min"), (n,))
-        # of these the second length is not known here, but they must have one
-        of_any_length = ("q", "x_d", "state", "learnt")
-        shapes |= {name: (n, getattr(self, name).shape[-1]) for name in of_any_length}
-        shapes |= dict.fromkeys(("x", "x_measured"), shapes["x_d"])
-        for name, shape in shapes.items():
-            array = getattr(self, name)
+    def _require_fit(self, law: object) -> None:
+        """Raise a ValueError if what a file kept does not fit together."""
+        names, units = self.joint_names + self.task_labels, self.joint_units + self.task_units
+        texts = (*names, *units, self.robot_name, self.ended, self.fault_name, self.engine, law)
+        lengths = {"n_v": len(self.joint_names), "m": len(self.task_labels)}
+        bodies = []
+        if self.scene is not None:
+            bodies = [self.scene.truth, self.scene.belief or self.scene.truth]
+            lengths |= {"nq": bodies[0].nq, "p": len(self.scene.parameters)}
+        for name, (axis, _) in _COLUMNS.items():
+            array, shape = getattr(self, name), self.t.shape
+            if axis:
+                shape += (lengths.setdefault(axis, np.shape(array)[-1]),)
             if array.shape != shape or array.dtype not in _NUMBERS:
                 raise ValueError(f"{name} must be numbers of shape {shape}, got {array.shape}")
-        known = set(np.unique(self.status)) <= set(Status)
-        known &= set(np.unique(self.limit_status)) <= set(LimitStatus)
-        if n == 0 or not known:
-            raise ValueError("it is empty or has an unknown status")
-        if not (np.isfinite(self.t).all() and (np.diff(self.t) > 0.0).all()):
-            raise ValueError("its times do not increase")
-        names = (*self.joint_names, *self.joint_units, *self.task_labels, *self.task_units)
-        texts = all(isinstance(name, str) for name in (*names, self.robot_name))
-        if not texts or (len(self.joint_units), len(self.task_units)) != (joints, m):
-            raise ValueError("its names and units do not fit its arrays")
-        if unknown := set(self.joint_units) - {"rad", "m"}:
-            raise ValueError(f"joints have the unit {sorted(unknown)[0]!r}, not rad or m")
-        scene = self.scene
-        if scene is not None and (scene.truth.nv, scene.truth.nq) != (joints, self.q.shape[1]):
-            raise ValueError("its scene has another number of joints")
-        if scene is not None and len(scene.parameters) != self.learnt.shape[1]:
-            raise ValueError("its scene names other numbers than were learnt")
+        for fits, why in (
+            (all(isinstance(text, str) for text in texts), "its names or its law are no texts"),
+            (len(self.joint_units) == lengths["n_v"], "its joints and their units differ"),
+            (len(self.task_units) == lengths["m"], "its coordinates and their units differ"),
+            (set(self.joint_units) <= set(_TORQUE), "joints have other units than rad or m"),
+            (all(body.nv == lengths["n_v"] for body in bodies), "its scene has other joints"),
+            (set(np.unique(self.status)) <= set(Status), "it has an unknown status"),
+            (set(np.unique(self.limit_status)) <= set(LimitStatus), "it has an unknown status"),
+            (len(self.t) and np.isfinite(self.t).all(), "it is empty, or has no times"),
+            ((np.diff(self.t) > 0.0).all(), "its times do not increase"),
+        ):
+            if not fits:
+                raise ValueError(why)
 
     def __str__(self) -> str:
         """Return the error first, then the largest torque, and what was wrong meanwhile."""
@@ -368,13 +380,13 @@ class Trajectory:
     def _figures(self) -> dict[str, str]:
         """Return names and figures to print below the error."""
         k = int(np.abs(self.tau).max(axis=0).argmax())
-        unit = {"rad": "N m", "m": "N"}[self.joint_units[k]]
+        unit = _TORQUE[self.joint_units[k]]
         figures = {
             "run": f"{self.robot_name}, {self.t[-1]:g} s, {len(self.t)} samples",
             "torque": f"at most {np.abs(self.tau[:, k]).max():.3g} {unit} ({self.joint_names[k]})",
             "law's status": shares(self.status_counts()),
         }
-        if self._limits():
+        if (self.limit_status != LimitStatus.UNLIMITED).any():
             figures["limits' status"] = shares(self.limit_status_counts())
         if self.at_stops:
             figures["stops"] = self.describe_stops()
@@ -397,21 +409,11 @@ class Trajectory:
         return ", ".join(f"{name} for {time:.3g} s" for name, time in self.at_stops.items())
 
     def __repr__(self) -> str:
-        norm, limits = self.error_norm, self._limits()
-        counts = _counted(self.status_counts()) + (f"; limits {limits}" if limits else "")
+        norm = self.error_norm
         return (
-            f"Trajectory({self.robot_name!r}, {self.t[-1]:g} s, {len(self.t)} samples; "
-            f"|e| {norm[0]:.3g} -> {norm[-1]:.3g} {self.task_unit}; {counts})"
+            f"{type(self).__name__}({self.robot_name!r}, {self.t[-1]:g} s, {len(self.t)} samples; "
+            f"|e| {norm[0]:.3g} -> {norm[-1]:.3g} {self.task_unit})"
         )
-
-    def _limits(self) -> str:
-        """Describe the effect of limits, "" where there are none."""
-        counts = self.limit_status_counts()
-        return "" if set(counts) == {LimitStatus.UNLIMITED} else _counted(counts)
-
-
-def _counted(counts: Mapping[Any, int]) -> str:
-    return ", ".join(f"{status.name} {n}" for status, n in counts.items())
 
 
 def _npz(path: str | Path) -> Path:
@@ -423,13 +425,6 @@ def _npz(path: str | Path) -> Path:
     return path if path.suffix.lower() == ".npz" else path.with_name(path.name + ".npz")
 
 
-_TEXTS = ("robot_name", "joint_names", "joint_units", "task_labels", "task_units")
-_ENDS = ("ended", "fault_name", "engine")  # of some runs
-_NUMBERS = (np.dtype(np.float64), np.dtype(np.int64))
-_DERIVED = ("task_torque", "V", "sigma_min")
-_OTHERS = (*_TEXTS, *_ENDS, "scene", "derived")
-_OWN = tuple(f.name for f in fields(Trajectory) if f.name not in _OTHERS)
-_ARRAYS = (*_OWN, *_DERIVED)
 _RECORDED = (
     "t", "q", "v", "x", "x_measured", "x_d", "tau", "state", "status", "limit_status", "slack",
 )  # fmt: skip  # and then e and Ĵ, of which the rest is derived
