@@ -606,7 +606,7 @@ ENTRANCES = {
     _run_with: (
         "robot", "sensor", "friction", "sensing", "actuator_delay", "torque_limits", "servo",
     ),
-    _servoed: ("lag", "delay", "period", "quantum"),
+    _servoed: ("lag", "delay", "period"),
     _sensed: (
         "x_noise", "x_quantum", "x_delay", "x_dropout", "q_noise", "q_quantum", "velocity_filter",
     ),

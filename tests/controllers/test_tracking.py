@@ -432,8 +432,9 @@ def test_the_lag_of_a_servo_is_learnt(lag, delay):
 def test_noise_of_the_velocity_is_no_lag():
     """Encoders of 12 bits, whose differences are noisy, delay q̇ by their filter and no more."""
     robot, q0, dt = aj.load_robot("ur5"), STARTS["ur5"], 8e-3
-    task, sensing = aj.PositionTask(robot), aj.Sensing(velocity_filter=0.01)
-    plant = aj.Plant(robot, servo=VelocityServo(quantum=2.0 * np.pi / 4096), sensing=sensing)
+    task = aj.PositionTask(robot)
+    sensing = aj.Sensing(velocity_filter=0.01, q_quantum=2.0 * np.pi / 4096)
+    plant = aj.Plant(robot, servo=VelocityServo(), sensing=sensing)
     controller = known(task, command="velocity", dt=dt)
     run = aj.simulate(plant, controller, circle(task, q0), q0, 6.0, dt=dt)
     assert controller.learnt(run.state[-1]) == pytest.approx([0.052], abs=6e-3)

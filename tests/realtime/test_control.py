@@ -456,7 +456,8 @@ def test_what_may_not_begin_is_refused_and_sends_nothing(plant, controller, pand
         def read(self):
             return changed.get(what, lambda m: m)(super().read())
 
-    driver = driver_of(plant, Changed, adds_gravity=panda if "adds" in what else None)
+    adds = panda if "adds" in what else None
+    driver = driver_of(aj.Plant(plant.robot, plant.sensor, adds_gravity=adds), Changed)
     if what == "limits":
         controller = controller.controller
     elif what == "falls":
@@ -526,7 +527,7 @@ def test_a_robot_that_adds_gravity_is_led_by_what_is_left(plant, panda):
     gravity = aj.AdaptiveGravity(belief, theta0=0.0)
     law = aj.SetpointController(aj.PositionTask(belief), gravity=gravity)
     limited = aj.TorqueLimited(law, aj.Limits.of(belief))
-    driver = driver_of(plant, adds_gravity=panda)
+    driver = driver_of(aj.Plant(plant.robot, plant.sensor, adds_gravity=panda))
     found = run(driver, limited, 4.0)
     assert found.error_norm[-1] < 1e-3
     e = found.error[0]  # as it is believed, nothing is left to learn

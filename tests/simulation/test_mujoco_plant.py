@@ -2,7 +2,6 @@
 
 import copy
 import pickle
-import re
 import sys
 
 import mujoco
@@ -14,7 +13,6 @@ import approxjac as aj
 from approxjac.controllers import RegressorGravity
 from approxjac.errors import MissingPackageError, UrdfError
 from approxjac.robots import Dynamics, GravityRegressor
-from approxjac.scenario import build_scenario
 
 Q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 ARM = aj.load_robot("panda")
@@ -332,7 +330,7 @@ def test_an_arm_without_a_floor_touches_nothing(rng):
 def test_repr(above_floor):
     text = repr(above_floor)
     assert text.startswith("MujocoPlant('panda', PositionTask('panda'")
-    assert text.endswith(", floor=0.0)")
+    assert text.endswith(", floor=0)")
 
 
 @pytest.mark.parametrize(
@@ -395,47 +393,10 @@ def with_inertia(iz):
     )
 
 
-def test_inertias_that_no_body_has_are_told_with_the_remedy():
-    arm = with_inertia(0.5)
-    told = r"bob \[0\.1, 0\.1, 0\.5\]; correct .* MujocoPlant\(\.\.\., balance_inertia=True\)"
-    with pytest.raises(UrdfError, match=told):
-        aj.MujocoPlant(arm)
-    balanced = aj.MujocoPlant(arm, balance_inertia=True)
-    mean = (0.1 + 0.1 + 0.5) / 3
-    assert balanced.mujoco_model.body("bob").inertia == pytest.approx(mean)
-    assert "balance_inertia=True" in repr(balanced)
-    q, still = arm.configuration([0.0]), np.zeros(1)
-    moment = 2.0 * 9.81 * 0.5  # about an inertia that is another one now
-    expected = moment / (2.0 * 0.5**2 + mean)
-    assert balanced.acceleration(q, still, still) == pytest.approx(expected)
-
-
-def test_inertias_that_a_body_has_stay_as_they_are():
-    arm = with_inertia(0.15)
-    inertias = [
-        aj.MujocoPlant(arm, balance_inertia=balance).mujoco_model.body("bob").inertia
-        for balance in (False, True)
-    ]
-    assert_array_equal(*inertias)
-    with pytest.raises(aj.InvalidInputError, match="balance_inertia must be True or False"):
-        aj.MujocoPlant(arm, balance_inertia="yes")
-
-
-def test_a_scenario_asks_for_it(tmp_path):
-    path = tmp_path / "arm.urdf"
-    arm = aj.load_robot("two_link")
-    path.write_text(re.sub(r'ixx="[^"]*"', 'ixx="9"', arm.urdf, count=1))
-    toml = tmp_path / "scenario.toml"
-
-    def built(true):
-        toml.write_text(f'robot = "{path}"\n[true]\n{true}\n')
-        return build_scenario(aj.Scenario.load(toml))
-
-    with pytest.raises(UrdfError, match='inertias = "balanced" under'):
-        built('engine = "mujoco"')
-    with pytest.raises(aj.InvalidInputError, match=r"needs true\.engine mujoco"):
-        built('inertias = "balanced"')
-    assert built('engine = "mujoco"\ninertias = "balanced"').plant.balance_inertia
+def test_inertias_that_no_body_has_are_refused_by_name():
+    with pytest.raises(UrdfError, match=r"cannot open the URDF of pendulum: .*bob.* that a body"):
+        aj.MujocoPlant(with_inertia(0.5))
+    assert aj.MujocoPlant(with_inertia(0.15)).mujoco_model.body("bob").inertia[0] == 0.15
 
 
 # -- copies -------------------------------------------------------------------------------
@@ -445,7 +406,7 @@ def test_a_scenario_asks_for_it(tmp_path):
     "copied", [copy.copy, copy.deepcopy, lambda plant: pickle.loads(pickle.dumps(plant))]
 )
 def test_copies_move_alike_and_share_no_scratch_memory(copied):
-    plant = aj.MujocoPlant(TRUTH, SENSOR, 0.3, floor=0.1, balance_inertia=True)
+    plant = aj.MujocoPlant(TRUTH, SENSOR, 0.3, floor=0.1)
     v, tau = np.ones(7), np.arange(7.0)
     expected = plant.acceleration(Q0, v, tau)
     other = copied(plant)

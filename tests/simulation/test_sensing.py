@@ -905,7 +905,7 @@ def test_frames_are_not_linear(panda, position, frames):
     assert aj.Sensing(x_delay=0.01).is_linear
     assert not aj.Sensing(x_delay=0.01, **frames).is_linear
     plant = aj.Plant(panda, position, sensing=aj.Sensing(**frames))
-    with pytest.raises(aj.InvalidInputError, match="x_rate, x_lost, x_frozen, noise, rounding and"):
+    with pytest.raises(aj.InvalidInputError, match="errors or delays of sensing"):
         aj.local_stability(plant, aj.SetpointController(position), START, dt=1e-3)
 
 
@@ -949,7 +949,7 @@ def test_a_run_goes_on_where_the_sensor_sees_nothing(panda, dt, tmp_path):
     assert np.abs(run.v[-1]).max() < 1e-3
     for array in (run.x, run.error, run.tau, run.error_norm):
         assert np.isfinite(array).all()
-    assert "MEASUREMENT_LOST" in repr(run)
+    assert "measurement lost" in str(run)
     loaded = aj.Trajectory.load(run.save(tmp_path / "run"))
     assert all(same(run, loaded, name) for name in FIELDS)
     assert len(view.plot_run(run)[1]) == 2

@@ -139,22 +139,6 @@ def test_the_torque_is_clipped_at_the_limits_of_the_motors(panda, kind):
         assert np.abs(run.v - ideal[:, None]).max() > 0.1  # which the motors cannot
 
 
-# -- measured positions -----------------------------------------------------------------
-
-
-def test_positions_are_measured_in_quanta(panda):
-    quantum = 2.0 * np.pi / 4096
-    plant = aj.Plant(panda, servo=VelocityServo(quantum=quantum))
-    run, told = driven(plant, constant(0.1, 7), START)
-    measured = np.array([each.q for each in told.told[1:]])  # the first is only looked at
-    assert_allclose(measured / quantum, np.round(measured / quantum), atol=1e-9)
-    assert 0.4 * quantum < np.abs(measured - run.q).max() <= 0.5 * quantum + 1e-12
-    assert plant.sensing == aj.Plant(panda, sensing=plant.sensing).sensing
-    noisy = aj.Plant(panda, sensing=aj.Sensing(x_noise=1e-3), servo=VelocityServo(quantum=quantum))
-    assert (noisy.sensing.x_noise, noisy.sensing.q_quantum) == (1e-3, quantum)
-    assert aj.Plant(panda, servo=VelocityServo()).sensing is None
-
-
 # -- stops, and another engine ----------------------------------------------------------
 
 
@@ -206,10 +190,11 @@ def test_the_floor_holds_an_arm_that_is_told_to_go_on(panda):
 def test_a_resolved_rate_controller_reaches_its_target(name):
     arm = aj.load_robot(name)
     truth, belief = arm.with_object(length=0.05, mass=0.1), arm.with_object(length=0.0)
-    servo = VelocityServo(quantum=2.0 * np.pi / 4096)
+    sensing = aj.Sensing(q_quantum=2.0 * np.pi / 4096)
     runs = []
     for kind in PLANTS:
-        plant = kind(truth, servo=servo, friction=Friction(0.05, 0.02))
+        friction = Friction(0.05, 0.02)
+        plant = kind(truth, None, friction, servo=VelocityServo(), sensing=sensing)
         q0 = plant.ready_configuration()
         target = plant.sensor.value(q0) + [0.03, -0.03, -0.02]
         law = ResolvedRate(aj.PositionTask(belief), 3.0)
@@ -288,8 +273,8 @@ def test_without_a_servo_a_run_is_the_plain_loop_bit_by_bit(panda, integrator):
 
 
 def test_a_plant_with_a_servo_copies_and_prints_itself(panda):
-    plant = aj.Plant(panda, servo=VelocityServo(lag=0.05, quantum=1e-3))
-    assert repr(plant).endswith("VelocityServo(lag=0.05, quantum=0.001))")
+    plant = aj.Plant(panda, servo=VelocityServo(lag=0.05))
+    assert repr(plant).endswith("servo=VelocityServo(lag=0.05))")
     for other in (copy.deepcopy(plant), pickle.loads(pickle.dumps(plant))):
-        assert (other.servo, other.sensing.q_quantum) == (plant.servo, 1e-3)
+        assert other.servo == plant.servo
     assert repr(VelocityServo()) == "VelocityServo()"

@@ -29,7 +29,7 @@ _IMAGE, _TORQUE = "image", "late_torque"
 class Senses:
     """Sensors and motors of all runs of a plant: noise, rounding, lateness, dropouts.
 
-    As `SensorReadings` and `HeldCommands` have them. Time decides which frame arrives, so that is
+    As `SensorReadings` and `MovingArm` have them. Time decides which frame arrives, so that is
     the same in all runs; what is random is drawn beforehand, from the generators of each run.
 
     Args:

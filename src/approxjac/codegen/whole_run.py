@@ -36,7 +36,7 @@ _lock = threading.Lock()
 
 
 def whole_run(
-    loop: SampledLoop, stride: int, progress: Callable[[float], None] | None, *, must: bool
+    loop: SampledLoop, stride: int, progress: Callable[[float], None], *, must: bool
 ) -> tuple[Trajectory | None, str]:
     """Return a run that machine code carried out; or None, and why it did not.
 
@@ -126,7 +126,7 @@ class _Loop:
         self._shape = plant.sensor.m, plant.robot.nv
 
     def run(
-        self, loop: SampledLoop, stride: int, progress: Callable[[float], None] | None
+        self, loop: SampledLoop, stride: int, progress: Callable[[float], None]
     ) -> list[Array] | None:
         """Return the columns of a run, or None of one that is not covered."""
         place, steps, lanes = self._place, loop.steps, self._lanes
@@ -152,8 +152,7 @@ class _Loop:
                 lanes.run(buffer, nothing, Block.plain(following - k - 1))
             if flat[place["left"]].any() or flat[place["diverged"]].any():
                 return None
-            if progress is not None:
-                progress(k * loop.dt)
+            progress(k * loop.dt)
         n = len(at)
         q, v, x, x_d, tau, state, e = (
             table[:, place[name]] for name in ("q", "v", "x", "target", "torque", "state", "e")

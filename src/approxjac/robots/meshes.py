@@ -119,28 +119,12 @@ def for_other_tools(urdf: Urdf, urdf_dir: Path | None, path: Path) -> None:
         root.insert(0, E.mujoco(compiler))
 
 
-def impossible_inertias(urdf: Urdf) -> dict[str, list[float]]:
-    """Return the links that move with inertias that no body has → principal moments [kg m²]."""
-    inertias = {}
-    for inertia in urdf.root.iterfind("link/inertial/inertia"):
-        link = inertia.getparent().getparent().get("name")
-        if link in urdf.moved_links and not _possible(inertia):
-            inertias[link] = _principal(inertia)
-    return inertias
-
-
 def _possible(inertia: Any) -> bool:
     """Tell whether principal moments are possible: none negative, none above the others' sum."""
-    small, middle, large = _principal(inertia)
+    xx, xy, xz, yy, yz, zz = (float(inertia.get(name)) for name in _MOMENTS)
+    small, middle, large = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     slack = 1e-9 * abs(large)
     return bool(small >= -slack and small + middle >= large - slack)
-
-
-def _principal(inertia: Any) -> list[float]:
-    """Return the principal moments of an <inertia> [kg m²], the smallest first."""
-    xx, xy, xz, yy, yz, zz = (float(inertia.get(name)) for name in _MOMENTS)
-    moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    return [float(moment) for moment in moments]
 
 
 def _to_stl(mesh: Path, stl: Path) -> Path:

@@ -228,8 +228,7 @@ def _plant(truth: Robot, sensor: Task, motors: Array, scenario: Scenario, belief
     if scenario.controller.gravity == "learn_residual":
         options["adds_gravity"] = belief
     if true.engine == "mujoco":
-        options |= {"floor": true.floor, "balance_inertia": true.inertias == "balanced"}
-        return MujocoPlant(truth, sensor, **options)
+        return MujocoPlant(truth, sensor, floor=true.floor, **options)
     return Plant(truth, sensor, **options)
 
 

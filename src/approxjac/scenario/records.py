@@ -119,8 +119,6 @@ class Truth:
         servo: Of a robot that takes joint velocities.
         engine: Simulates the robot.
         floor: Height of a floor, m, for the engine mujoco.
-        inertias: For the engine mujoco, which refuses those that no body has: "urdf" leaves them as
-            they are, "balanced" has it put the mean of a link's principal moments in their place.
     """
 
     object: Object = Object(length=0.2, mass=0.5)
@@ -133,7 +131,6 @@ class Truth:
     servo: VelocityServo = VelocityServo()
     engine: Literal["pinocchio", "mujoco"] = "pinocchio"
     floor: float | None = None
-    inertias: Literal["urdf", "balanced"] = "urdf"
 
 
 @dataclass(frozen=True)

@@ -70,7 +70,6 @@ def _rules(scenario: Scenario) -> Iterator[Rule]:
     tracked = task.kind in ("position", "pose")
     yield from [
         ("true.floor", true.engine != "mujoco", "needs true.engine mujoco", true.engine),
-        ("true.inertias", true.engine != "mujoco", "needs true.engine mujoco", true.engine),
         ("task.axes", task.kind in ("pose", "image"), "are those of a position", task.kind),
         ("task.frames", task.kind != "stacked", "are those of a stacked task", task.kind),
         ("task.points", not pinhole, "are those of a pinhole camera's image", task.kind),

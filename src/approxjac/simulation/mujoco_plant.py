@@ -11,17 +11,13 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.errors import InvalidInputError, UrdfError, package_of
-from approxjac.formatting import short
 from approxjac.robots import Robot
-from approxjac.robots.meshes import impossible_inertias
 from approxjac.simulation.plant import Friction, Plant
 from approxjac.tasks import Task
-from approxjac.validation import Array, as_number, require
+from approxjac.validation import Array, as_number
 
 if TYPE_CHECKING:
     import mujoco
-
-_FEW = 5  # links that are named
 
 
 class MujocoPlant(Plant):
@@ -43,9 +39,6 @@ class MujocoPlant(Plant):
         sensor, friction: As for `Plant`.
         floor: Height z of a horizontal floor in the world frame [m]; None for no floor. What is
             fixed to the base may be below it.
-        balance_inertia: Whether a link with an inertia that no body has gets the mean of its
-            principal moments in each, which is not quite what `Plant` has; it is refused by
-            default.
         **options: The others of `Plant`.
 
     Attributes:
@@ -67,11 +60,9 @@ class MujocoPlant(Plant):
         friction: float | Sequence[float] | Array | Friction = 0.0,
         *,
         floor: float | None = None,
-        balance_inertia: bool = False,
         **options: Any,
     ) -> None:
         super().__init__(robot, sensor, friction, **options)
-        require("balance_inertia", balance_inertia, bool, "True or False")
         if robot.mimic_joints.G is not None:
             raise InvalidInputError(
                 f"robot must have no mimic joints that move, which MuJoCo couples by a soft "
@@ -79,10 +70,7 @@ class MujocoPlant(Plant):
                 given=robot,
             )
         self.floor = None if floor is None else as_number("floor", floor, unit="m")
-        self.balance_inertia = balance_inertia
-        if not balance_inertia:
-            _require_possible(robot)
-        self.mujoco_model = _mujoco_model(robot, self.floor, self.joint_limits, balance_inertia)
+        self.mujoco_model = _mujoco_model(robot, self.floor, self.joint_limits)
         import mujoco
 
         self._mujoco, self._mujoco_data = mujoco, mujoco.MjData(self.mujoco_model)
@@ -107,54 +95,33 @@ class MujocoPlant(Plant):
         self._mujoco.mj_collision(self.mujoco_model, data)
         return not data.ncon
 
-    def _shown(self) -> list[str]:
-        balanced = ["balance_inertia=True"] if self.balance_inertia else []
-        return [*super()._shown(), f"floor={self.floor}", *balanced]
 
-
-def _require_possible(robot: Robot) -> None:
-    """Refuse links that MuJoCo refuses, and say which."""
-    wrong = impossible_inertias(robot.tree)
-    if wrong:
-        named = [f"{link} {short(moments)}" for link, moments in list(wrong.items())[:_FEW]]
-        more = f" and {len(wrong) - _FEW} more" if len(wrong) > _FEW else ""
-        raise UrdfError(
-            f"MuJoCo refuses links of {robot.name} with inertias that no body has, a principal "
-            f"moment larger than the other two together [kg m^2]: {', '.join(named)}{more}; "
-            "correct them in the URDF, or let MuJoCo put their mean in place: "
-            'MujocoPlant(..., balance_inertia=True), or inertias = "balanced" under [true] of a '
-            "scenario",
-            given=robot,
-        )
-
-
-def _mujoco_model(
-    robot: Robot, floor: float | None, joint_limits: bool, balance: bool
-) -> mujoco.MjModel:
+def _mujoco_model(robot: Robot, floor: float | None, joint_limits: bool) -> mujoco.MjModel:
     """Return MuJoCo's model of a robot above a floor, from the URDF that `save_urdf` writes."""
     mujoco = package_of("mujoco", "mujoco")
     with tempfile.TemporaryDirectory() as folder:
         path = robot.save_urdf(Path(folder) / "robot.urdf")
         try:
             spec = mujoco.MjSpec.from_file(str(path))
-            _same_physics(spec, robot, balance)
+            _same_physics(spec, robot)
             _constraints(spec, robot, floor, joint_limits)
             return spec.compile()
         except (ValueError, mujoco.FatalError) as error:
             reason = " ".join(str(error).split())  # MuJoCo's own is of several lines
             raise UrdfError(
                 f"MuJoCo cannot open the URDF of {robot.name}: {reason}; it needs every collision "
-                "mesh that the URDF names, and inertias that a body can have",
+                "mesh that the URDF names, and inertias that a body can have: no principal moment "
+                "larger than the other two together",
                 given=robot,
             ) from error
 
 
-def _same_physics(spec: mujoco.MjSpec, robot: Robot, balance: bool) -> None:
+def _same_physics(spec: mujoco.MjSpec, robot: Robot) -> None:
     """Leave to a MuJoCo model what `Plant` has, and nothing that it has not."""
     import mujoco
 
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
-    spec.compiler.balanceinertia = balance
+    spec.compiler.balanceinertia = False
     spec.compiler.boundmass = spec.compiler.boundinertia = 0.0
     spec.compiler.settotalmass = -1.0  # which is MuJoCo's way to say: as it is
     spec.option.gravity = robot.gravity

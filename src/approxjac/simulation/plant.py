@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
+from inspect import signature
 from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
@@ -17,7 +18,7 @@ from approxjac.interface import Measurement
 from approxjac.robots import Dynamics, Robot
 from approxjac.robots.model import WORLD
 from approxjac.robots.traced import motion_between
-from approxjac.simulation.sensing import Sensing, SensorReadings
+from approxjac.simulation.sensing import Sensing, lost_entries
 from approxjac.tasks import PositionTask, Task
 from approxjac.tasks.analysis import sees
 from approxjac.validation import (
@@ -98,7 +99,6 @@ class VelocityServo:
         lag: Time constant, ≥ 1 ms [s].
         delay: Time from a command that is taken to its effect [s].
         period: Time between commands that are taken [s]; others are not seen.
-        quantum: Steps in which positions are measured, as `Sensing.q_quantum` [rad or m].
 
     Raises:
         InvalidInputError: A number that is negative, not finite or too small.
@@ -107,27 +107,12 @@ class VelocityServo:
     lag: float = 0.03
     delay: float = 0.008
     period: float = 0.008
-    quantum: float = 0.0
     __repr__ = short_fields
 
     def __post_init__(self) -> None:
         as_number("lag", self.lag, unit="s", minimum=_SHORTEST)
         as_number("delay", self.delay, unit="s", minimum=0.0)
         as_number("period", self.period, unit="s", above=0.0)
-        as_number("quantum", self.quantum, unit="rad or m", minimum=0.0)
-
-    def sensed(self, sensing: Sensing | None) -> Sensing | None:
-        """Return sensing with the servo's quanta of positions, unless it has its own."""
-        if self.quantum == 0.0:
-            return sensing
-        sensing = Sensing() if sensing is None else sensing
-        if np.any(sensing.q_quantum):
-            raise InvalidInputError(
-                f"quantum of the servo must be 0 where the sensing has a q_quantum of its own, "
-                f"got {self.quantum:g} beside {sensing!r}",
-                given=self,
-            )
-        return replace(sensing, q_quantum=self.quantum)
 
 
 class JointStops:
@@ -288,7 +273,8 @@ class Plant(Immutable):
             require("servo", servo, VelocityServo, "simulation.VelocityServo(...) or None")
         if sensing is not None:
             require("sensing", sensing, Sensing, "Sensing(...) or None")
-            SensorReadings(sensing, sensor, dt=1.0, seed=0)  # refuses wrong lengths
+            sensing.sizes(sensor)  # refuses wrong lengths, and parts that are not there
+            lost_entries(sensing, sensor)
         nv = robot.nv
         self.robot = robot
         self.sensor = sensor
@@ -297,7 +283,7 @@ class Plant(Immutable):
         self.coulomb = as_diagonal("coulomb", coulomb, nv, unit="N m", positive=False)
         self.coulomb_velocity = as_number("coulomb_velocity", width, above=0.0)
         self.servo = servo
-        self.sensing = sensing if servo is None else servo.sensed(sensing)
+        self.sensing = sensing
         self.actuator_delay = as_number("actuator_delay", actuator_delay, unit="s", minimum=0.0)
         if servo is not None and self.actuator_delay > 0.0:
             raise InvalidInputError(
@@ -403,17 +389,15 @@ class Plant(Immutable):
 
         With `late` there may be delays and a filter of q̇.
         """
-        sensing, beyond = self.sensing, "sensing and actuator delay"
-        rough = self.needs_sampling
+        sensing, rough = self.sensing, self.needs_sampling
         if late:
-            beyond = "x_rate, x_lost, x_frozen, noise, rounding and dropouts (delays and "
-            beyond += "velocity_filter may be there)"
             rough = self.servo is not None or (sensing is not None and not sensing.is_linear)
-        unknown = self.torque_limits is not None or self.adds_gravity is not None
-        if self.coulomb.any() or rough or unknown:
+        more = self.torque_limits is not None or self.adds_gravity is not None
+        if self.coulomb.any() or rough or more:
+            but = ", but for delays and velocity_filter" if late else ""
             raise InvalidInputError(
                 f"{what} is for a plant without Coulomb friction, torque limits, gravity that it "
-                f"adds, servo, {beyond}, got {self!r}",
+                f"adds, servo, errors or delays of sensing and of actuators{but}, got {self!r}",
                 given=self,
             )
 
@@ -536,28 +520,13 @@ class Plant(Immutable):
         return Measurement(t, q, v, self.sensor._seen(self.sensor.value(q)), t)
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({', '.join(self._shown())})"
-
-    def _shown(self) -> list[str]:
-        """Return the robot, the sensor, and what differs from an ideal plant."""
         shown = [repr(self.robot.name), repr(self.sensor)]
-        if self.friction.any():
-            shown.append(f"friction={short(self.friction)}")
-        if self.coulomb.any():
-            shown.append(f"coulomb={short(self.coulomb)}")
-        if self.sensing is not None:
-            shown.append(repr(self.sensing))
-        if self.actuator_delay > 0.0:
-            shown.append(f"actuator_delay={self.actuator_delay:g}")
-        if self.torque_limits is not None:
-            shown.append(f"torque_limits={short(self.torque_limits)}")
-        if not self.joint_limits:
-            shown.append("joint_limits=False")
-        if self.servo is not None:
-            shown.append(repr(self.servo))
-        if self.adds_gravity is not None:
-            shown.append(f"adds_gravity={self.adds_gravity.name!r}")
-        return shown
+        usual = {**signature(Plant).parameters, **signature(type(self)).parameters}
+        for name, value in self._arguments.items():
+            if name not in ("robot", "sensor") and repr(value) != repr(usual[name].default):
+                are_numbers = isinstance(value, float | list | np.ndarray)
+                shown.append(f"{name}={short(value) if are_numbers else repr(value)}")
+        return f"{type(self).__name__}({', '.join(shown)})"
 
 
 def _require_own(robot: Robot, sensor: Task) -> None:

@@ -22,7 +22,7 @@ from approxjac.errors import (
     UnknownNameError,
     package_of,
 )
-from approxjac.formatting import joined, short_fields
+from approxjac.formatting import short_fields
 from approxjac.interface import Evaluation, Measurement, Target, TargetPath
 from approxjac.simulation.plant import INTEGRATORS, Plant
 from approxjac.simulation.sensing import SensorReadings
@@ -33,6 +33,7 @@ from approxjac.validation import Array, as_array, as_integer, as_number, require
 
 _STEP = 1e-3  # of the arm under a servo, at most [s]
 _TINY = 1e-6  # of a step: more than round-off, less than anyone means
+_FOREVER = 1e15  # steps
 Wanted = Target | TargetPath | Array
 """A target that has been checked: an array at rest, a `Target`, or a path."""
 
@@ -80,6 +81,12 @@ def diverged(t: float, duration: float, error: Exception) -> SimulationError:
     )
 
 
+def _stopped(t: float, duration: float, why: str) -> SimulationError:
+    return SimulationError(
+        f"the integration stopped at t = {t:g} of {duration:g} s: {why}", given=t
+    )
+
+
 def first_state(
     plant: Plant,
     controller: Controller,
@@ -103,10 +110,7 @@ def first_state(
         )
     after, answer = stepped
     require("the controller's answer", answer, Evaluation, "an Evaluation")
-    unit = "N m or N" if plant.servo is None else "rad/s or m/s"
-    as_array(f"the controller's {plant.command}", answer.torque, (plant.robot.nv,), unit)
     require("the controller's state", after, np.ndarray, "an array")
-    as_array("the controller's state", after, state.shape)
     learnt = controller.learnt(state)
     require("learnt of the controller", learnt, np.ndarray, "an array")
     if len(learnt) != len(controller.parameters):
@@ -115,12 +119,13 @@ def first_state(
             f"returns, got {controller.parameters!r}",
             given=controller,
         )
+    checked = {plant.command: (answer.torque, (plant.robot.nv,)), "state": (after, state.shape)}
     if controller.is_continuous:
-        as_array("the controller's state_rate", answer.state_rate, state.shape)
+        checked["state_rate"] = answer.state_rate, state.shape
     if np.isfinite(measurement.x).all():  # a lost x has no error
-        as_array(
-            "the controller's e", answer.e, (controller.task.m,), joined(controller.task.units)
-        )
+        checked["e"] = answer.e, (controller.task.m,)
+    for name, (value, shape) in checked.items():
+        as_array(f"the controller's {name}", value, shape)
     return state
 
 
@@ -273,28 +278,51 @@ class Loop:
         self.tau = self.answer.torque
 
 
-class HeldCommands:
-    """Commands of one run: torques, late; or velocities, taken at the servo's period and late.
+class MovingArm:
+    """A plant in motion: measured at each sample, and moved by commands that are held.
+
+    Torques act late; velocities are taken at the servo's period, and late. Until the first command
+    acts the arm is held.
 
     Attributes:
-        h: Time for which each command that acts is held [s]: dt, or at most 1 ms with a servo.
+        q: Configuration, shape (nq,).
+        v: Velocity, shape (n_v,).
+        dt: Sampling time [s].
+        samples: How many went by.
     """
 
-    def __init__(self, plant: Plant, q: Array, dt: float, samples: int) -> None:
+    def __init__(
+        self, plant: Plant, q: Array, v: Array, dt: float, integrator: str, seed: int
+    ) -> None:
+        self.plant, self.q, self.v, self.samples = plant, q, v, 0
+        self.dt, self._integrate = dt, INTEGRATORS[integrator]
+        self._readings = None
+        if plant.sensing is not None:
+            self._readings = SensorReadings(plant.sensing, plant.sensor, dt, seed)
         if plant.servo is None:
-            first, delay = plant.holding_torque(q), plant.actuator_delay
+            self._first, delay = plant.holding_torque(q), plant.actuator_delay
             self._per_sample, self._taken_per_step = 1, 1.0
         else:
-            first, delay = np.zeros(plant.robot.nv), plant.servo.delay
+            self._first, delay = np.zeros(plant.robot.nv), plant.servo.delay
             self._per_sample = max(1, math.ceil(dt / _STEP - _TINY))
             self._taken_per_step = min(dt / self._per_sample / plant.servo.period, 1.0)
-        self.h = dt / self._per_sample
-        late = round(min(delay / self.h, float(samples * self._per_sample)))
-        self._waiting = deque([first] * late)
-        self._steps, self._number, self._taken = 0, -1, first
+        self._h = dt / self._per_sample  # for which a command that acts is held
+        self._late = round(min(delay / self._h, _FOREVER))
+        self._waiting: deque[Array] = deque()
+        self._steps, self._number, self._taken = 0, -1, self._first
 
-    def acting(self, command: Array) -> list[Array]:
-        """Return the commands that act over the next sample, one after the other for h [s]."""
+    @property
+    def t(self) -> float:
+        """Time [s]."""
+        return self.samples * self.dt
+
+    def sense(self) -> tuple[Measurement, Measurement]:
+        """Return the measurement of ideal sensors, and that of its own."""
+        truth = self.plant.measure(self.t, self.q, self.v)
+        return truth, truth if self._readings is None else self._readings.read(truth)
+
+    def take(self, command: Array) -> list[Array]:
+        """Return the commands that act over the next sample, one after the other."""
         return [self._next(command) for _ in range(self._per_sample)]
 
     def _next(self, command: Array) -> Array:
@@ -304,7 +332,13 @@ class HeldCommands:
             self._number, self._taken = number, command
         self._steps += 1
         self._waiting.append(self._taken)
-        return self._waiting.popleft()
+        return self._waiting.popleft() if len(self._waiting) > self._late else self._first
+
+    def move(self, acting: list[Array]) -> None:
+        """Move for a sample under the commands that act."""
+        self.samples += 1
+        for command in acting:
+            self.q, self.v = self.plant.advance(self.q, self.v, command, self._h, self._integrate)
 
 
 class SampledLoop(Loop):
@@ -326,38 +360,28 @@ class SampledLoop(Loop):
     ) -> None:
         super().__init__(plant, controller, path, dt, steps)
         self.integrator = integrator
-        self._integrate = INTEGRATORS[integrator]
-        self._readings = None
-        if plant.sensing is not None:
-            self._readings = SensorReadings(plant.sensing, plant.sensor, dt, seed)
         q, v, state = start.checked(plant)
+        self._arm = MovingArm(plant, q, v, dt, integrator, seed)
         self._aim()
-        self._sense(q, v)
+        self.truth, self.measurement = self._arm.sense()
         self.state = first_state(plant, controller, self._wanted, self.measurement, dt, state)
-        self._commands = HeldCommands(plant, q, dt, steps)
         self._control()
 
     def advance(self) -> None:
         """Hold the command for dt, measure, and control; a SimulationError if the loop diverged."""
         self.state = self._after
-        q, v, h = self.truth.q, self.truth.v, self._commands.h
-        for command in self._acting:
-            q, v = self.plant.advance(q, v, command, h, self._integrate)
+        self._arm.move(self._acting)
         self.step += 1
         self._aim()
         try:
-            self._sense(q, v)
+            self.truth, self.measurement = self._arm.sense()
             self._control()
         except (InvalidInputError, MeasurementError) as error:
             raise diverged(self.step * self.dt, self.steps * self.dt, error) from error
 
-    def _sense(self, q: Array, v: Array) -> None:
-        self.truth = self.plant.measure(self.step * self.dt, q, v)
-        self.measurement = self.truth if self._readings is None else self._readings.read(self.truth)
-
     def _control(self) -> None:
         super()._control()
-        self._acting = self._commands.acting(self.answer.torque)
+        self._acting = self._arm.take(self.answer.torque)
         if self.plant.servo is not None:
             self.tau = self.plant.applied(self.truth.q, self.truth.v, self._acting[0])
 
@@ -365,7 +389,7 @@ class SampledLoop(Loop):
 Progress = Callable[[float], None]
 Observer = Callable[[Loop], None]
 _FUNCTION: Any = (Callable, NoneType)
-_STALL_STEPS = 1000
+_REPORTED, _STALL = 200, 5000  # evaluations
 _MACHINE_CODE = "approxjac.codegen.whole_run"  # which builds on this, and so is loaded by its name
 
 
@@ -461,7 +485,7 @@ def simulate(
     as_integer("seed", seed, 0)
     require("computation", computation, Computation, "a Computation(..., engine=...)")
     require("observer", observer, _FUNCTION, "a function of a Loop")
-    engine, progress = computation.engine, computation.progress
+    engine, progress = computation.engine, _onwards(computation.progress)
     reason = "" if observer is None else "an observer"
     reason = "dt=None" if dt is None else reason
     if engine == "compiled" and reason:
@@ -484,7 +508,6 @@ def simulate(
         ran: Trajectory | None = None
         why = "an observer looks at each step" if observer is not None else ""
         if engine != "python" and observer is None:
-            progress = None if progress is None else _onwards(progress)
             ran, why = importlib.import_module(_MACHINE_CODE).whole_run(
                 loop, stride, progress, must=engine == "compiled"
             )
@@ -494,13 +517,13 @@ def simulate(
         return replace(run, engine=f"Python: {why}" if why else "Python")
 
 
-def _onwards(progress: Progress) -> Progress:
+def _onwards(progress: Progress | None) -> Progress:
     """Return a progress function that gets each time once, also where a run begins anew."""
     reached = -math.inf
 
     def report(t: float) -> None:
         nonlocal reached
-        if t > reached:
+        if progress is not None and t > reached:
             reached = t
             progress(t)
 
@@ -545,50 +568,41 @@ def _continuous(
     computation: Computation,
 ) -> Trajectory:
     """Integrate (q, v, controller state) together, and record on a grid."""
-    LSODA = package_of("study", "scipy.integrate").LSODA
+    solve_ivp = package_of("study", "scipy.integrate").solve_ivp
     model, n = plant.robot.model, plant.robot.nv
     q0, v0, given = start.checked(plant)
+    evaluations, checked, progress = 0, 0.0, _onwards(computation.progress)
     # the motion since the start, ξ with ξ̇ = q̇, is a coordinate of continuous joints, too
 
     def flow(t: float, z: Array) -> Array:
+        nonlocal evaluations, checked
+        evaluations += 1
+        if evaluations % _STALL == 0:  # LSODA creeps towards a pole for ever
+            if t - checked <= 1e-9 * duration:
+                raise _stopped(t, duration, "the steps have become vanishingly small")
+            checked = t
+        if evaluations % _REPORTED == 0:
+            progress(t)
         v = z[n : 2 * n]
-        measurement = plant.measure(t, pin.integrate(model, q0, z[:n]), v)
-        answer = controller.evaluate(z[2 * n :], measurement, target_at(wanted, t))
+        try:
+            measurement = plant.measure(t, pin.integrate(model, q0, z[:n]), v)
+            answer = controller.evaluate(z[2 * n :], measurement, target_at(wanted, t))
+        except (InvalidInputError, MeasurementError) as error:
+            raise diverged(t, duration, error) from error
         return np.concatenate(
             [v, plant.acceleration(measurement.q, v, answer.torque), answer.state_rate]
         )
 
     times, truth = np.linspace(0.0, duration, count + 1), plant.measure(0.0, q0, v0)
     state = first_state(plant, controller, target_at(wanted, 0.0), truth, 1.0, given)
-    records = np.empty((count + 1, 2 * n + len(state)))
-    records[0] = np.concatenate([np.zeros(n), v0, state])
+    start_of = np.concatenate([np.zeros(n), v0, state])
     rtol, atol = computation.rtol, computation.atol
-    solver = LSODA(flow, 0.0, records[0], duration, rtol=rtol, atol=atol)
-    done, steps, checked = 1, 0, 0.0
-    while solver.status == "running":
-        try:
-            message = solver.step()
-        except (InvalidInputError, MeasurementError) as error:
-            raise diverged(solver.t, duration, error) from error
-        steps += 1
-        if steps % _STALL_STEPS == 0:  # LSODA creeps towards a pole for ever and calls it running
-            if solver.t - checked <= 1e-9 * duration:
-                message = "the steps have become vanishingly small"
-            checked = solver.t
-        if not np.isfinite(solver.y).all():
-            message = "the state is no longer finite"
-        if message is not None:
-            raise SimulationError(
-                f"the integration stopped at t = {solver.t:g} of {duration:g} s: {message}",
-                given=solver.y.copy(),
-            )
-        reached = int(np.searchsorted(times, solver.t, side="right"))
-        if reached > done:
-            records[done:reached] = solver.dense_output()(times[done:reached]).T
-            done = reached
-            if computation.progress is not None:
-                computation.progress(solver.t)
-    records[-1] = solver.y
+    solved = solve_ivp(flow, (0.0, duration), start_of, "LSODA", times, rtol=rtol, atol=atol)
+    if not solved.success or not np.isfinite(solved.y).all():
+        reached = solved.t[-1] if len(solved.t) else 0.0
+        raise _stopped(reached, duration, solved.message)
+    progress(duration)
+    records = [start_of, *solved.y.T[1:]]
     kept = Record(plant, len(times))
     for t, z in zip(times, records, strict=True):
         truth = plant.measure(t, pin.integrate(model, q0, z[:n]), z[n : 2 * n])
@@ -599,7 +613,7 @@ def _continuous(
 
 
 def _sampled(
-    loop: SampledLoop, stride: int, observer: Observer | None, progress: Progress | None
+    loop: SampledLoop, stride: int, observer: Observer | None, progress: Progress
 ) -> Trajectory:
     """Run a sampled loop to its end, and record every so many steps."""
     record = Record(loop.plant, loop.steps // stride + 2, loop.dt)
@@ -613,8 +627,7 @@ def _sampled(
             wanted = loop.step % stride == 0 or loop.ended
             if wanted:
                 record.add(*instant)
-                if progress is not None:
-                    progress(loop.t)
+                progress(loop.t)
             if observer is not None:
                 observer(loop)
             if loop.ended:
