@@ -119,7 +119,10 @@ def first_state(
             f"returns, got {controller.parameters!r}",
             given=controller,
         )
-    checked = {plant.command: (answer.torque, (plant.robot.nv,)), "state": (after, state.shape)}
+    checked: dict[str, tuple[Any, tuple[int, ...]]] = {
+        plant.command: (answer.torque, (plant.robot.nv,)),
+        "state": (after, state.shape),
+    }
     if controller.is_continuous:
         checked["state_rate"] = answer.state_rate, state.shape
     if np.isfinite(measurement.x).all():  # a lost x has no error

@@ -298,7 +298,9 @@ class Trajectory:
         kept |= {name: getattr(self, name) for name in _DERIVED}
         kept["scene"] = self.scene and self.scene.to_dict()
         del kept["derived"]
-        arrays = {name: each for name, each in kept.items() if isinstance(each, np.ndarray)}
+        arrays: dict[str, Any] = {
+            name: each for name, each in kept.items() if isinstance(each, np.ndarray)
+        }
         texts = {name: each for name, each in kept.items() if name not in arrays}
         try:
             # an open file, because numpy would add a second ending to .NPZ
