@@ -14,7 +14,8 @@ import approxjac as aj
 from approxjac.errors import MissingPackageError
 from approxjac.robots.meshes import find_mesh, share_dir
 from approxjac.robots.urdf import Urdf
-from approxjac.view.look import load_mesh, robot_look, shares, simplify, smooth
+from approxjac.view import look as look_module
+from approxjac.view.look import load_mesh, robot_look, simplify, smooth
 
 ROBOTS = share_dir() / "example-robot-data/robots"
 FINGER = "panda_description/meshes/visual/finger.dae"
@@ -112,7 +113,7 @@ def test_arms_are_light(arm, look):
     for shape in shapes:
         check(shape)
     many_parts = 1.3 if arm.name == "talos_arm" else 1.0
-    assert sum(len(shape.faces) for shape in shapes) <= many_parts * 25_000
+    assert max(len(shape.faces) for shape in shapes) <= many_parts * 2500
 
 
 def test_the_panda_keeps_its_form(panda):
@@ -217,8 +218,8 @@ def test_a_broken_mesh_is_named(ending, content, tmp_path):
 def assert_tip_is_reached(look):
     (capsule,) = look.shapes["arm"]
     along = capsule.vertices @ [0.0, 0.6, 0.8]
-    assert_allclose([along.min(), along.max()], [-0.05, 1.05], atol=1e-9)  # 5 % of 1 m
-    assert_allclose(np.ptp(capsule.vertices[:, 0]), 0.1, atol=0.002)
+    assert_allclose([along.min(), along.max()], [-0.03, 1.03], atol=1e-9)  # 3 % of 1 m
+    assert_allclose(np.ptp(capsule.vertices[:, 0]), 0.06, atol=0.002)
 
 
 @pytest.mark.parametrize(
@@ -284,7 +285,7 @@ def test_the_last_link_is_a_ball_where_its_mesh_is_gone(two_link):
     tip.append(etree.fromstring(visual('<mesh filename="no.stl"/>')))
     look = robot_look(aj.Robot(etree.tostring(root, encoding="unicode")))
     (ball,) = look.shapes["object_tip"]
-    assert_allclose(np.linalg.norm(ball.vertices, axis=1), 0.05)  # 5 % from joint1 to joint2
+    assert_allclose(np.linalg.norm(ball.vertices, axis=1), 0.075)  # 3 % of the way to it
 
 
 @pytest.mark.parametrize(
@@ -339,15 +340,6 @@ def test_sharp_edges_are_kept_and_others_shared():
     assert len(smooth(ball).vertices) == len(ball.vertices)
 
 
-def test_shares_are_by_size_and_leave_small_meshes_alone():
-    assert shares([10_000, 10_000, 100], [2.0, 1.0, 1.0], 3100) == [2000, 1000, 100]
-    assert shares([10_000, 500, 100], [1.0, 1.0, 1.0], 3100) == [2500, 500, 100]
-    assert shares([300, 300], [1.0, 2.0], 1000) == [300, 300]
-    assert shares([300, 300], [1.0, 2.0], 10) == [200, 200]
-    assert shares([], [], 10) == shares([], [], -10) == []
-    assert shares([300], [1.0], -10) == [200]
-
-
 def test_what_is_small_is_not_touched():
     box = look_of(visual('<box size="1 1 1"/>')).shapes["arm"][0]
     assert simplify(box, 200) is box
@@ -355,27 +347,6 @@ def test_what_is_small_is_not_touched():
 
 def test_without_the_package_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "fast_simplification", None)
+    look_module._light_mesh.cache_clear()
     with pytest.raises(MissingPackageError, match=r"pip install 'approxjac\[view\]'$"):
         look_of(visual(f'<mesh filename="package://{FINGER}"/>'), urdf_dir=ROBOTS)
-
-
-def test_links_that_are_the_same_share_their_shapes():
-    arm = aj.load_robot("two_link")
-    truth, belief = arm.with_object(0.2, axis="x"), arm.with_object(0.05, axis="x")
-    shorter = belief.with_kinematic_error({"joint2": (0.0, 0.02, 0.0)})
-    look = robot_look(truth)
-    other = robot_look(shorter, like=(truth, look))
-    assert other.shapes.keys() == look.shapes.keys()
-    for link in look.shapes.keys() - {"object"}:
-        assert other.shapes[link] is look.shapes[link]
-    assert np.ptp(other.shapes["object"][0].vertices[:, 0]) == pytest.approx(0.05)
-
-
-def test_capsules_of_a_link_follow_its_joints_whatever_the_other_looks_like():
-    arm = aj.Robot(urdf())
-    longer = arm.with_kinematic_error({"tip": (0.0, 0.0, 0.5)})
-    alone, compared = robot_look(longer), robot_look(longer, like=(arm, robot_look(arm)))
-    assert compared.shapes.keys() == alone.shapes.keys()
-    for link, shapes in alone.shapes.items():
-        for a, b in zip(shapes, compared.shapes[link], strict=True):
-            assert_allclose(a.vertices, b.vertices)

@@ -138,7 +138,7 @@ class LiveView:
     def _start(self, loop: Loop) -> None:
         if self._believe is not None:
             loop.controller.with_task(loop.controller.task)  # or there is no changing the belief
-        self._look(loop, None)
+        self._look(loop)
         self._row(loop)
         self._server = server = PageServer(self._page, self._greeting, self._port)
         self.url = server.url
@@ -161,10 +161,10 @@ class LiveView:
         self._interrupted = True
         signal.signal(signal.SIGINT, self._before)
 
-    def _look(self, loop: Loop, like: Stage | None) -> None:
+    def _look(self, loop: Loop) -> None:
         """See anew who takes part."""
         scene = replace(scene_of(loop.plant, loop.controller), knows_truth=loop._knows_truth)
-        self._frames, self._stage = RunFrames(scene), Stage(scene, like)
+        self._frames, self._stage = RunFrames(scene), Stage(scene)
 
     def _page(self) -> str:
         data = page_data(self._stage, self._run, self._columns, self._run.q, live=True)
@@ -256,7 +256,7 @@ class LiveView:
             task = loop.controller.task.on(self._believe(length))
             loop.exchange(loop.controller.with_task(task))
             self._length, self._changed = length, True
-            self._look(loop, self._stage)
+            self._look(loop)
             self._tell(redraw=self._stage.data("believed"))
         elif command == "speed":
             self._speed = _speed(_numbers("speed", value).item())

@@ -41,7 +41,6 @@ _MARK = '<meta name="generator" content="approxjac">'
 _SCRIPTS = ("uPlot.iife.min.js", "scene.js", "plots.js", "image.js", "page.js")
 _BUNDLED = "dist/main.min.js."
 _LICENCES = ("LICENSE", f"{_BUNDLED}LICENSE.txt", f"{_BUNDLED}THIRD_PARTY_LICENSES.json")
-_MARKER = 0.03  # radius of the largest marker, of the arm's size
 _ROOM = 0.35  # to all sides, for targets of a live page that are yet to come, of the arm's size
 
 
@@ -187,16 +186,16 @@ def page_data(
     believed = ", and what its controller believes of it" if known and scene.belief else ""
     ends = [columns[name][[0, -1]] for name in ("tip", "target", "believed_tip")]
     moving = np.concatenate([*ends, columns["tip"]])
+    moving = moving[np.isfinite(moving).all(axis=1)]
     seen = [link_points(robot, q, stage.boxes[role]) for role, robot in stage.robots.items()]
     seen += [f.points for f in features(scene.sensor) if f.camera is not None and f.frame is None]
-    seen.append(moving[np.isfinite(moving).all(axis=1)])
+    seen += [moving, stage.camera_points]
     if live:
         around = _ROOM * stage.size * np.concatenate([np.eye(3), -np.eye(3)])
         seen.append(columns["tip"][-1:] + around)
     points = np.concatenate(seen)
-    view = viewpoint(truth, moving, points, stage.cameras, _MARKER * stage.size)
     data = stage.data()
-    data["commands"] += grid(view["normal"], points, stage.ground)
+    data["commands"] += grid(points, stage.floor)
     tip = "believed tip" if learnt_regressor(scene) is None else "learnt tip"
     image = _image(scene)
     held, thought = held_objects(truth), held_objects(scene.belief or truth)
@@ -213,7 +212,7 @@ def page_data(
         "live": live,
         "colours": COLORS,
         "size": stage.size,
-        "view": {name: np.round(view[name], 4).tolist() for name in ("direction", "points")},
+        "view": viewpoint(moving, points),
         "image": image,
         "plots": _plots(scene, list(run.task_labels), run.task_units),
         "jointNames": list(truth.joint_names),

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
+from matplotlib.ticker import MaxNLocator
 
 from approxjac.cameras import PinholeCamera, PlanarCamera
 from approxjac.errors import package_of
 from approxjac.robots import Robot
-from approxjac.robots.model import own_joints
 from approxjac.simulation.trajectory import Scene
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import image_feature
@@ -22,10 +22,14 @@ from approxjac.view.style import COLORS
 from approxjac.view.tree import Tree, held_objects
 
 if TYPE_CHECKING:
+    from trimesh import Trimesh
+
     from approxjac.view.look import Look
 
 _GHOST = 0.38  # opacity of the believed arm
 _GRID, _GRID_LINES = "#DDE1E6", 24
+_INSTANTS = 40  # of a run, whose configurations must all be in view
+_FRONT, _ASIDE = np.array([0.1, -1.0, 0.3]), np.array([0.3, -0.3, 0.35])
 _NEAR = 0.18  # to the image as it is drawn, of the way to what the camera looks at
 _IN_HAND = 0.12  # the same of a camera on the arm, of the arm's size
 _BEYOND = 1.3  # to the end of lines of sight, of the way to what the camera looks at
@@ -35,12 +39,12 @@ _THROUGH: Mapping[str, Any] = {
 }  # fmt: skip
 
 
-def _camera_view(task: Task | None, size: float, middle: Array) -> dict[str, Any] | None:
+def _camera_view(task: Task | None, size: float) -> dict[str, Any] | None:
     """Return the drawing of a task's camera in the axes of its mount, or None.
 
     The image coordinates X are at `corner` + a `right` + b `down` with (a, b) = (X − low)/(high −
     low), without lens distortion. `reach` is how far lines of sight go, in distances of the image.
-    The arm has a size, and its middle (3,) in the world [m].
+    The arm has a size [m].
     """
     feature = image_feature(task)
     camera = None if feature is None else feature.camera
@@ -53,7 +57,7 @@ def _camera_view(task: Task | None, size: float, middle: Array) -> dict[str, Any
         R, apex = camera.placement()
         f, c = np.array(camera.focal_length), np.array(camera.center, dtype=float)
         low, high = np.array([-0.5, -0.5]), np.array(camera.size) - 0.5
-        near *= float(np.linalg.norm(middle - apex))
+        near *= max(size, float(np.linalg.norm(apex)))
         if camera.mount is not None:
             near, reach = _IN_HAND * size, 0.5 / _IN_HAND
         rays = np.column_stack([(corners(low, high) - c) / f, np.ones(3)]) @ R.T
@@ -80,30 +84,36 @@ def _camera_view(task: Task | None, size: float, middle: Array) -> dict[str, Any
 class Stage:
     """Everything of a scene that is drawn once and then only moved.
 
-    With the stage of a scene with the same true robot as `like`, its look is taken over. Robots are
-    known by their role, "true" and, if there is one, "believed".
+    Robots are known by their role, "true" and, if there is one, "believed".
     """
 
-    def __init__(self, scene: Scene, like: Stage | None = None) -> None:
+    def __init__(self, scene: Scene) -> None:
         _Drawing()  # for its error
         from approxjac.view.look import robot_look  # loads trimesh and yourdfpy
 
         self.scene = scene
         self.robots = {"true": scene.truth}
-        true = robot_look(scene.truth) if like is None else like._looks["true"]
-        self._looks: dict[str, Look] = {"true": true}
         if scene.belief is not None:
             self.robots["believed"] = scene.belief
-            self._looks["believed"] = robot_look(scene.belief, like=(scene.truth, true))
+        self._looks: dict[str, Look] = {
+            role: robot_look(each) for role, each in self.robots.items()
+        }
         self._trees = {role: Tree(robot, role) for role, robot in self.robots.items()}
-        self.boxes = {role: _boxes(look) for role, look in self._looks.items()}  # around links
-        around = reach_points(scene.truth)
-        middle = 0.5 * (around.min(axis=0) + around.max(axis=0))
+        self.boxes = {  # around links
+            role: {link: _box(shapes) for link, shapes in look.shapes.items()}
+            for role, look in self._looks.items()
+        }
+        rng, origins = (
+            np.random.default_rng(0),
+            dict.fromkeys(scene.truth.frame_names, np.zeros((1, 3))),
+        )
+        q = np.array([scene.truth.random_configuration(rng) for _ in range(_INSTANTS)])
+        around = link_points(scene.truth, q, origins)
         self.size = float(np.linalg.norm(around, axis=1).max())  # the farthest that a link gets
         self._tasks = {"true": scene.sensor, "believed": scene.task}
         self.cameras = []  # as they are drawn, with the path of the node that carries each
         for role in self.robots:
-            camera = _camera_view(self._tasks[role], self.size, middle)
+            camera = _camera_view(self._tasks[role], self.size)
             if camera is not None:
                 node = self._node(role, camera["mount"])
                 self.cameras.append(camera | {"role": role, "node": node})
@@ -127,12 +137,19 @@ class Stage:
         return any(not np.allclose(one, other, atol=1e-9) for one, other in pairs)
 
     @property
-    def ground(self) -> Array:
-        """Return the base's origin and corners of what of the true robot is fixed, (n, 3) [m]."""
+    def floor(self) -> float:
+        """Return the height of the base's origin, or of the lowest that is fixed to it [m]."""
         drivers, robot = self._trees["true"].drivers, self.robots["true"]
         boxes = {link: box for link, box in self.boxes["true"].items() if drivers[link] < 0}
         fixed = link_points(robot, robot.neutral()[np.newaxis], boxes)
-        return np.concatenate([np.zeros((1, 3)), fixed])
+        return float(fixed[:, 2].min(initial=0.0))
+
+    @property
+    def camera_points(self) -> Array:
+        """Return where cameras in the world stand, and corners of their images, (n, 3) [m]."""
+        views = [camera for camera in self.cameras if camera["mount"] is None]
+        corners = [np.vstack([camera["apex"], _image_corners(camera)]) for camera in views]
+        return np.concatenate([np.zeros((0, 3)), *corners])
 
     def data(self, *roles: str) -> dict[str, Any]:
         """Return the scene as page.js builds it, by default of both roles.
@@ -175,7 +192,7 @@ class Stage:
                     drawing.mesh(path, shape.vertices, shape.faces, colour)
                     driver = tree.drivers[link]
                     built["links"].append({"path": path, "driver": driver, "colour": colour})
-                elif i < len(twins) and twins[i] is shape:
+                elif i < len(twins) and np.array_equal(twins[i].vertices, shape.vertices):
                     built["clones"].append({"from": (*true.paths[link], f"shape{i}"), "to": path})
                 else:
                     drawing.mesh(path, shape.vertices, shape.faces, COLORS["believed"], **ghost)
@@ -270,32 +287,26 @@ class _Drawing:
         self.commands.append(base64.b64encode(self._pack(command)).decode())
 
 
-def grid(normal: Array, points: Array, ground: Array) -> list[str]:
-    """Return commands of a thin grid across normal (3,), as wide as points (n, 3) [m].
-
-    It goes through the base, or under what of the robot is fixed, at the lowest of ground (k, 3).
-    """
-    u = np.cross(normal, [0.0, 0.0, 1.0])
-    u = u / np.linalg.norm(u) if np.linalg.norm(u) > 1e-6 else np.array([1.0, 0.0, 0.0])
-    v = np.cross(normal, u)
-    half = 1.1 * float(max(np.abs(points @ u).max(), np.abs(points @ v).max()))
-    choices = np.sort(np.outer(10.0 ** np.arange(-3, 4), [1.0, 2.0, 5.0]).ravel())
-    step = float(choices[np.searchsorted(choices, 2.0 * half / _GRID_LINES)])
-    count = int(np.ceil(half / step))
-    ticks = step * np.arange(-count, count + 1)
-    ends = [(a, s * ticks[-1]) for a in ticks for s in (-1.0, 1.0)]
-    across = [a * u + b * v for a, b in ends] + [a * v + b * u for a, b in ends]
+def grid(points: Array, floor: float) -> list[str]:
+    """Return commands of a thin grid at the height of the floor, as wide as points (n, 3) [m]."""
+    half = 1.1 * float(np.abs(points[:, :2]).max())
+    ticks = np.array(MaxNLocator(_GRID_LINES).tick_values(-half, half))
+    along = np.stack(np.meshgrid(ticks, ticks[[0, -1]], indexing="ij"), axis=-1)
+    ends = np.concatenate([along, along[..., ::-1]]).reshape(-1, 2)
     drawing = _Drawing()
-    level = min(0.0, float((ground @ normal).min())) if abs(normal[2]) > 0.9 else 0.0
-    drawing.lines(("grid",), np.array(across) + level * normal, _GRID)
+    drawing.lines(("grid",), np.column_stack([ends, np.full(len(ends), floor)]), _GRID)
     return drawing.commands
+
+
+def _image_corners(camera: dict[str, Any]) -> Array:
+    corner, right, down = camera["corner"], camera["right"], camera["down"]
+    return np.array([corner, corner + right, corner + right + down, corner + down])
 
 
 def _draw_camera(camera: dict[str, Any], drawing: _Drawing) -> None:
     """Draw a camera's pyramid and its image plane under the node that carries it."""
     colour, path = COLORS[camera["role"]], (*camera["node"], f"camera_{camera['role']}")
-    corner, right, down = camera["corner"], camera["right"], camera["down"]
-    corners = np.array([corner, corner + right, corner + right + down, corner + down])
+    corners = _image_corners(camera)
     apexes, following = np.tile(camera["apex"], (4, 1)), np.roll(corners, -1, axis=0)
     edges = np.stack([apexes, corners, corners, following], axis=1).reshape(16, 3)
     drawing.lines((*path, "edges"), edges, colour)
@@ -303,20 +314,10 @@ def _draw_camera(camera: dict[str, Any], drawing: _Drawing) -> None:
     drawing.mesh((*path, "image"), corners, [[0, 1, 2], [0, 2, 3]], colour, **glass)
 
 
-def _boxes(look: Look) -> dict[str, Array]:
-    """Return the box around each link's shapes: corners, middles of edges and faces, (27, 3)."""
-    boxes = {}
-    for link, shapes in look.shapes.items():
-        vertices = np.concatenate([shape.vertices for shape in shapes])
-        ends = vertices.min(axis=0), np.median(vertices, axis=0), vertices.max(axis=0)
-        boxes[link] = np.array(list(product(*zip(*ends, strict=True))))
-    return boxes
-
-
-_INSTANTS = 40  # of a run, whose configurations must all be in view
-_SIDE = np.deg2rad(28.0)  # past cameras, which would be looked at from behind otherwise
-_ABOVE = np.deg2rad(18.0)
-_PARALLEL = 1e-6
+def _box(shapes: Sequence[Trimesh]) -> Array:
+    """Return the corners of the box around shapes, (8, 3) [m]."""
+    bounds = np.concatenate([shape.bounds for shape in shapes])
+    return np.array(list(product(*zip(bounds.min(axis=0), bounds.max(axis=0), strict=True))))
 
 
 def link_points(robot: Robot, q: Array, boxes: Mapping[str, Array]) -> Array:
@@ -332,98 +333,21 @@ def link_points(robot: Robot, q: Array, boxes: Mapping[str, Array]) -> Array:
     return np.concatenate(points)
 
 
-def reach_points(robot: Robot) -> Array:
-    """Return origins of all links in seeded random configurations, shape (n, 3) [m]."""
-    rng, origins = np.random.default_rng(0), dict.fromkeys(robot.frame_names, np.zeros((1, 3)))
-    drawn = [robot.random_configuration(rng) for _ in range(_INSTANTS)]
-    return link_points(robot, np.array(drawn), origins)
-
-
-def viewpoint(
-    robot: Robot,
-    moving: Array,
-    points: Array,
-    cameras: Sequence[Mapping[str, Any]],
-    marker: float,
-) -> dict[str, Any]:
+def viewpoint(moving: Array, points: Array) -> dict[str, Any]:
     """Return from where to look at moving points (n, 3), with others (N, 3) in view [m].
 
-    What moves is drawn with a marker of that radius [m].
-    Cameras in the world, as the `Stage` has them, are to be in view, too. "direction" is a unit
-    vector towards the eye, "normal" that of the plane that the arm moves in, or else up.
+    "direction" is a vector towards the eye, along which what moves, and with less weight all that
+    is in view, spreads least; it is turned a little, so that what is flat is not seen from the very
+    front. "points" are those of all that are the farthest in some of many directions.
     """
-    cameras = [camera for camera in cameras if camera["mount"] is None]
-    stands = [camera["apex"] for camera in cameras]
-    ends = product(cameras, (0.0, 1.0), (0.0, 1.0))
-    corners = [c["corner"] + a * c["right"] + b * c["down"] for c, a, b in ends]
-    points = np.array([*points, *stands, *corners])
-    normal = _plane_normal(robot)
-    if normal is None:
-        middles = [c["corner"] + 0.5 * (c["right"] + c["down"]) - c["apex"] for c in cameras]
-        direction = _widest(moving, points, stands, middles)
-    elif stands:  # from beside them
-        turn = pin.exp3(np.array([0.0, 0.0, _SIDE]))
-        direction = turn @ (np.cos(_ABOVE) * normal + np.array([0.0, 0.0, np.sin(_ABOVE)]))
-    else:  # a floor plan is looked at from its near side
-        direction = normal + np.array([0.0, -0.8 if abs(normal[2]) > 0.9 else 0.0, 0.0])
-    there = moving[np.isfinite(moving).all(axis=1)]
-    steps = marker * np.concatenate([np.eye(3), -np.eye(3)])
-    points = np.concatenate([points, (there[:, np.newaxis] + steps).reshape(-1, 3)])
-    # those that are the farthest in some of many directions
+    spread = np.cov(moving.T) + 0.15 * np.cov(points.T)
+    direction = np.linalg.eigh(spread)[1][:, 0]
+    # what moves is not to be behind the arm; and rather from the front than from behind
+    towards = moving.mean(axis=0) - points.mean(axis=0) + 0.1 * np.std(points) * _FRONT
+    direction = direction * np.copysign(1.0, direction @ towards) + _ASIDE
+    direction[2] = max(direction[2], _ASIDE[2])
     ways = np.random.default_rng(0).normal(size=(300, 3))
     return {
-        "direction": direction / np.linalg.norm(direction),
-        "points": points[np.unique(np.argmax(points @ ways.T, axis=0))],
-        "normal": normal if normal is not None else np.array([0.0, 0.0, 1.0]),
+        "direction": np.round(direction, 4).tolist(),
+        "points": np.round(points[np.unique(np.argmax(points @ ways.T, axis=0))], 4).tolist(),
     }
-
-
-def _plane_normal(robot: Robot) -> Array | None:
-    """Return the normal of the plane that an arm moves in, (3,); None of those in space."""
-    model, data = robot.model, robot.model.createData()
-    J = pin.computeJointJacobians(model, data, robot.neutral()).T
-    J = J[[joint.idx_v for joint in own_joints(model).values()]]
-    turning = np.linalg.norm(J[:, 3:], axis=1) > 0.5
-    if not turning.any():
-        return None
-    normal = np.asarray(J[turning, 3:][0])
-    if (np.linalg.norm(np.cross(J[turning, 3:], normal), axis=1) > _PARALLEL).any():
-        return None
-    if (np.abs(J[~turning, :3] @ normal) > _PARALLEL).any():
-        return None
-    # from where x points right, and z up; else from above
-    return normal if normal @ np.array([0.1, -1.0, 0.3]) > 0.0 else -normal
-
-
-def _widest(moving: Array, points: Array, stands: Sequence[Array], views: Sequence[Array]) -> Array:
-    """Return the direction from which motion, arm and cameras lie widest apart, shape (3,).
-
-    Of cameras, which stand somewhere and view a direction, each (3,), one sees most from half
-    beside them: neither their image from its edge nor all that they look at behind it. The arm
-    shall not stand before what moves.
-    """
-    moving = moving[np.isfinite(moving).all(axis=1)]
-    around, spread = np.array([points.mean(axis=0), *stands]), float(np.std(points))
-    azimuths = np.deg2rad(range(-165, 195, 15))
-    c, s = np.cos(azimuths), np.sin(azimuths)
-    towards, rights = np.array([c, s, np.tan(_ABOVE) + 0.0 * c]).T, np.array([-s, c, 0.0 * c])
-    width = 1e-3 * np.cos(azimuths + np.pi / 4)  # of two that are equal, that in front of the arm
-    for each, weight in ((moving, 1.0), (points, 0.15), (around, 0.15)):
-        if len(each) > 1:
-            width += weight * np.std(each @ rights, axis=0)
-    for view in views:
-        along = np.abs(view[:2] @ rights[:2]) / np.linalg.norm(view)
-        width -= 0.3 * spread * np.abs(along - 0.75)
-    width -= [spread * _hidden(moving, points, each) for each in towards]
-    return np.asarray(towards[width.argmax()])
-
-
-def _hidden(moving: Array, points: Array, towards: Array) -> float:
-    """Return about which share of what moves is behind the arm, for an eye towards (3,)."""
-    towards = towards / np.linalg.norm(towards)
-    some = moving[:: max(1, len(moving) // 20)]
-    ways = points[:: max(1, len(points) // 2000), np.newaxis] - some
-    depth = ways @ towards
-    aside = np.linalg.norm(ways - depth[..., np.newaxis] * towards, axis=2)
-    near = 0.2 * float(np.std(points))
-    return float(((depth > 2.0 * near) & (aside < near)).any(axis=0).mean())
