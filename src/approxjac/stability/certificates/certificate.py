@@ -120,14 +120,6 @@ class SampledTest(MatrixTest):
         return self.form.speed
 
     @cached_property
-    def covered(self) -> float:
-        """Share of the samples away from their targets that may be started from, at rest."""
-        e = self.form.samples.e
-        e = e[e.any(axis=1)]  # a third is at the target
-        energies = self.weights.at_rest(e, self.form.setting.saturation)
-        return float((energies <= self.level).mean()) if len(e) else 1.0
-
-    @cached_property
     def certified_error(self) -> Array:
         """Largest error of one task coordinate to start from at rest, others being zero, (m,)."""
         return largest_errors(self.form.setting.saturation, self.weights.w, self.level)

@@ -9,7 +9,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from approxjac.controllers import Latency, TorqueLimited
 from approxjac.formatting import joined, numbers_of, percent
@@ -25,7 +24,6 @@ from approxjac.stability.certificates.certificate import (
 from approxjac.stability.certificates.limit_cost import LimitCost, limit_cost
 from approxjac.stability.certificates.matrix_form import Best, Family, MatrixForm, Weights, on_more
 from approxjac.stability.certificates.theorem1 import Theorem1, theorem1
-from approxjac.stability.errors.region import JointBox
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.closed_loop import EXACT_GRAVITY, SHARED, ClosedLoop
 from approxjac.stability.loop.linearization import Timing
@@ -54,7 +52,6 @@ _REASONS = {
     "unstable in continuous time": "errors grow at some targets in continuous time",
     "too slow": "no Lyapunov function was found for this period and these delays",
     "none": "no Lyapunov function was found, not even in continuous time",
-    "learnt": "with learnt gravity there are certificates in continuous time only",
     "learnt, none": "with learnt gravity there are certificates in continuous time only, and none "
     "was found",
 }
@@ -66,7 +63,6 @@ _LIMITS = {
     "there",
     "no proof": "the limiter clips, and nothing is proven there",
 }
-_ROUNDED = {"torque_delay": "torques as {} late, not {}", "image_age": "x as {} old, not {}"}
 _TINY = 1e-6
 _DRAWN = 400  # starts that tell what is usual
 _TARGETS = 1000  # that the sampled loop is linearised at
@@ -228,9 +224,7 @@ class StabilityReport:
     @cached_property
     def rows(self) -> list[Row]:
         """The findings: of which part of the report, what was tested, its verdict and figures."""
-        starts = {} if self.reason else _starts(self)
-        rows = [_verdict(self), _covers(self, starts), *_about(self), *_beware(self)]
-        rows += _sampled(self, starts)
+        rows = [_verdict(self), _covers(self), *_about(self), *_beware(self), *_sampled(self)]
         rows += [] if self.limits is None else of_limits(self.limits)
         rows += _continuous(self)
         return rows if self.rollouts is None else [*rows, *self.rollouts.rows]
@@ -322,53 +316,44 @@ def report_of(
 
 def _verdict(report: StabilityReport) -> Row:
     """The verdict on the sampled loop."""
-    period, late = report.latency.period, report.latency.of_position > report.latency.period
-    figures: dict[str, Any] = {"period": period, "late": late}
+    period, sampled, rollouts = report.latency.period, report.sampled, report.rollouts
+    late = report.latency.of_position > period
     rate = 1.0 / period
     runs = "sampled at " + (f"{1e-3 * rate:.3g} kHz" if rate >= 1e3 else f"{rate:.3g} Hz")
     runs += " with its delays" if late else ""
+    figures: dict[str, Any] = {"period": period, "late": late}
     if report.passed:
-        learns = report.sampled is None
-        tests = report.matrix.values() if report.sampled is None else [report.sampled]
+        tests = report.matrix.values() if sampled is None else [sampled]
         figures["margin"] = max(test.margin for test in tests)
-        verdict = "in continuous time only" if learns else "yes"
-        text = f"certified: {verdict}, margin {figures['margin']:.2g}"
-        if learns:
-            text += f"; with learnt gravity there is no certificate {runs}"
+        if sampled is None:
+            verdict = "in continuous time only"
+            text = f"with learnt gravity there is no certificate {runs}"
+            text = f"certified: {verdict}, margin {figures['margin']:.2g}; {text}"
             return Row("verdict", "certified", verdict, figures, text)
         figures["stays"] = report.attraction is not None and report.attraction.radius > 0.0
-        text += f", {runs}" if figures["stays"] else f", {runs}, {_IF_IT_STAYS}"
-        return Row("verdict", "certified", verdict, figures, text)
-    why, its_figures = _why(report)
-    figures |= {"reason": report.reason} | its_figures
+        text = f"certified: yes, margin {figures['margin']:.2g}, {runs}"
+        text += "" if figures["stays"] else f", {_IF_IT_STAYS}"
+        return Row("verdict", "certified", "yes", figures, text)
+    figures |= {"reason": report.reason, "error": report.gravity_error}
+    figures["percent"] = 100.0 * float((report.spectral_radii >= 1.0).mean())
+    if rollouts is not None:
+        figures |= {"diverged": rollouts.n_diverged, "runs": rollouts.n}
+    if sampled is not None:
+        figures |= {"violations": sampled.violations, "checked": sampled.checked}
+    why = _REASONS[report.reason].format(**figures)
     return Row("verdict", "certified", "no", figures, f"certified: no, {runs}: {why}")
 
 
-def _why(report: StabilityReport) -> tuple[str, dict[str, Any]]:
-    """Why a loop is not certified, and the figures of that."""
-    reason, sampled, rollouts = report.reason, report.sampled, report.rollouts
-    figures: dict[str, Any] = {}
-    share = float((report.spectral_radii >= 1.0).mean())
-    if reason == "gravity":
-        figures = {"error": report.gravity_error}
-    elif reason == "unstable":
-        figures = {"share": share}
-    elif reason == "rollouts diverged" and rollouts is not None:
-        figures = {"diverged": rollouts.n_diverged, "runs": rollouts.n}
-    elif reason == "violated" and sampled is not None:
-        figures = {"violations": sampled.violations, "checked": sampled.checked}
-    return _REASONS[reason].format(percent=100.0 * share, **figures), figures
-
-
-def _covers(report: StabilityReport, starts: dict[str, Any]) -> Row:
+def _covers(report: StabilityReport) -> Row:
     """The consequence of the verdict, in a sentence or two."""
     runs, figures, left = report.rollouts, dict[str, Any](), ""
     if runs is not None:
         figures = {"left": runs.n_left, "runs": runs.n}
         left = f" It left the region in {runs.n_left} of {runs.n} rollouts."
-    if starts:
-        text = f"{_covered_starts(starts)}{left} Checked on samples of the region, not proven "
-        return Row("verdict", "covers", "certified", figures | starts, f"{text}between them.")
+    if report.passed and report.sampled is not None:
+        text = _covered_starts(report, report.sampled, figures)
+        text += f"{left} Checked on samples of the region, not proven between them."
+        return Row("verdict", "covers", "certified", figures, text)
     if report.passed:
         text = (
             f"In continuous time the error would go to zero {_IF_IT_STAYS}.{left} Of the sampled "
@@ -377,51 +362,35 @@ def _covers(report: StabilityReport, starts: dict[str, Any]) -> Row:
         return Row("verdict", "covers", "continuous", figures, text)
     judged = replace(report, gravity_error=0.0) if report.loop.integral_terms else report
     if judged.contradiction:
-        figures["rounded"] = bool(_rounded(report.latency)[0])
-        rounded = " Some tests round the delays: see beware." if figures["rounded"] else ""
-        text = f"This is a problem found in the loop, not just a missing proof.{rounded}"
+        text = "This is a problem found in the loop, not just a missing proof."
         return Row("verdict", "covers", "problem", figures, text)
-    where = "near targets" if runs is None else "near targets and rollouts"
-    text = f"No proof was found. The loop may still be stable: see {where}."
+    text = "No proof was found. The loop may still be stable: see near targets and rollouts."
     return Row("verdict", "covers", "unknown", figures, text)
 
 
-def _starts(report: StabilityReport) -> dict[str, Any]:
-    """For which starts a certificate holds, and how far the usual ones are away."""
-    sampled, stays = report.sampled, report.attraction
-    assert sampled is not None
-    e, saturation = usual_errors(report), report.loop.controller.saturation
-    energies = sampled.weights.at_rest(e, saturation)
-    units = {*report.loop.plants[0].robot.joint_units}
-    return {
-        "radius": 0.0 if stays is None else stays.radius,
-        "error": 0.0 if stays is None else stays.error,
-        "any_target": report.loop.target is None,
-        "share": float((energies <= sampled.level).mean()),
-        "usual": float(np.median(np.linalg.norm(e, axis=1))),
-        "unit": joined(report.loop.controller.task.units),
-        "joint_unit": "rad" if units == {"rad"} else "rad or m",
-    }
-
-
-def _covered_starts(starts: Mapping[str, Any]) -> str:
-    share, unit = starts["share"], starts["unit"]
-    of_these = "all" if share == 1.0 else f"{percent(share)} %" if share else "none"
-    goes = f"the error goes to zero {_IF_IT_STAYS}" if share else "is anything proven"
+def _covered_starts(report: StabilityReport, sampled: SampledTest, figures: dict[str, Any]) -> str:
+    """Say for which starts a certificate holds, and how far the usual ones are away."""
+    stays, e = report.attraction, usual_errors(report)
+    energies = sampled.weights.at_rest(e, report.loop.controller.saturation)
+    share, usual = float((energies <= sampled.level).mean()), np.median(np.linalg.norm(e, axis=1))
+    unit = joined(report.loop.controller.task.units)
+    figures |= {"share": share, "usual": float(usual), "radius": 0.0, "unit": unit}
+    figures["certified_error"] = sampled.certified_error
     begins = "From no start is it proven that the arm stays in the region"
-    if starts["radius"]:
+    if stays is not None:
+        names = ("radius", "error", "travel", "rate", "level")
+        figures |= {name: getattr(stays, name) for name in names} | stays.weights._asdict()
+    if stays is not None and stays.radius:
+        both = "start and target" if report.loop.target is None else "start"
+        joints = joined(report.loop.plants[0].robot.joint_units)
         begins = (
-            f"Covers starts at rest up to {starts['error']:.2g} {unit} from their target "
-            f"({_within(starts)} of the region's middle)"
+            f"Covers starts at rest up to {stays.error:.2g} {unit} from their target ({both} "
+            f"within {stays.radius:.2g} {joints} of the region's middle)"
         )
-    away = f"{starts['usual']:.2g} {unit} from their target in the median"
+    goes = f"the error goes to zero {_IF_IT_STAYS}" if share else "is anything proven"
+    of_these = f"{percent(share)} %" if share else "none"
+    away = f"{usual:.2g} {unit} from their target in the median"
     return f"{begins}. From {of_these} of the usual starts ({away}) {goes}."
-
-
-def _within(starts: Mapping[str, Any]) -> str:
-    """The start, and a target that is not fixed, near the region's middle."""
-    both = "start and target" if starts["any_target"] else "start"
-    return f"{both} within {starts['radius']:.2g} {starts['joint_unit']}"
 
 
 def usual_errors(report: StabilityReport) -> Array:
@@ -437,18 +406,19 @@ def usual_errors(report: StabilityReport) -> Array:
 def _about(report: StabilityReport) -> Iterator[Row]:
     loop, latency, paper = report.loop, report.latency, report.matrix["paper"]
     law, learns = loop.controller.describe()[0], loop.controller.adaptation is not None
-    names = ("period", "torque_delay", "velocity_filter", "image_period", "image_age")
-    late = [f"torques {_ms(latency.torque_delay)} late"] if latency.torque_delay else []
-    if latency.velocity_filter:
-        late.append(f"joint velocities filtered over {_ms(latency.velocity_filter)}")
-    if latency.image_period or latency.image_age:
-        every = f"every {_ms(latency.image_period)}, " if latency.image_period else ""
-        late.append(f"x {every}{_ms(latency.image_age)} old on arrival")
-    timing = ", ".join([f"a period of {_ms(latency.period)}", *(late or ["no delays"])])
+    times = {
+        "period": "a period of {}",
+        "torque_delay": "torques {} late",
+        "velocity_filter": "joint velocities filtered over {}",
+        "image_period": "x every {}",
+        "image_age": "x {} old on arrival",
+    }
+    given = {name: getattr(latency, name) for name in times}
+    timing = ", ".join(times[name].format(_ms(time)) for name, time in given.items() if time)
     truth, region = loop.truth, str(loop.region)
     errors = truth.describe_box() if isinstance(truth, Uncertainty) else "one true robot"
     yield Row("about", "law", "", {"law": law}, law)
-    yield Row("about", "timing", "", {name: getattr(latency, name) for name in names}, timing)
+    yield Row("about", "timing", "", given, timing)
     yield Row("about", "errors", "", {"errors": errors}, errors)
     yield Row("about", "region", "", {"region": region}, region)
     assumed = (
@@ -462,111 +432,56 @@ def _about(report: StabilityReport) -> Iterator[Row]:
         f"check them, seed {report.seed}; nothing is proven between them"
     )
     yield Row("about", "drawn", "", drawn, text)
-    text = "share of the designed damping left in the worst configuration: above 0 passes"
-    yield Row("about", "margin", "", {}, text)
 
 
 def _beware(report: StabilityReport) -> Iterator[Row]:
     """Departures from what certificates assume, or one may think."""
-    angles = report.loop.plants[0].robot.angles
-    left_out = "a bound on sigma_min leaves {} out (RegularPart)"
+    robot, latency = report.loop.plants[0].robot, report.latency
     if not report.gravity_is_exact:
         yield of_gravity(report.loop, report.gravity_error)
-    if report.singular_q is not None:
-        q = angles(report.singular_q)
-        text = (
-            "the estimated Jacobian loses rank in the region, where the arm may stand still away "
-            f"from its target: at q = {_numbers(q, 3)}; nothing below holds there; "
-            f"{left_out.format('such configurations')}"
-        )
-        yield Row("beware", "rank", "lost", {"q": q}, text)
-    if report.damped_q is not None:
-        q = angles(report.damped_q)
-        text = (
-            "learning uses a damped pseudo-inverse near singular configurations, such as q = "
-            f"{_numbers(q, 3)}, which nothing below covers; {left_out.format('them')}"
-        )
-        yield Row("beware", "learning", "damped", {"q": q}, text)
-    if beyond := _beyond_limits(report):
-        text = (
-            f"the region goes beyond those of {', '.join(beyond)}: the arm would stop there, which "
-            "nothing below accounts for"
-        )
+    for name, verdict, at, what in (
+        ("rank", "lost", report.singular_q, "the estimated Jacobian loses rank in the region, "
+         "where the arm may stand still away from its target:"),
+        ("learning", "damped", report.damped_q, "learning uses a damped pseudo-inverse near "
+         "singular configurations, such as"),
+    ):  # fmt: skip
+        if at is not None:
+            q = robot.angles(at)
+            text = f"{what} q = {_numbers(q, 3)}; a bound on sigma_min leaves it out (RegularPart)"
+            yield Row("beware", name, verdict, {"q": q}, text)
+    excess = robot.beyond_limits(report.samples.q).max(axis=0)
+    if beyond := [n for n, far in zip(robot.joint_names, excess, strict=True) if far > _TINY]:
+        text = f"the region goes beyond those of {', '.join(beyond)}, where the arm would stop"
         yield Row("beware", "joint limits", "beyond", {"joints": beyond}, text)
-    rounded, text = _rounded(report.latency)
-    if rounded:
-        yield Row("beware", "timing", "rounded", rounded, text)
+    dt, _, age, late = latency.in_samples()
+    taken = {"period": dt, "torque_delay": late * dt, "image_age": age * dt}
+    off = [abs(time - getattr(latency, name)) for name, time in taken.items()]
+    if max(off) > _TINY * latency.period:
+        text = (
+            f"near targets the loop is taken in samples of {_ms(dt)}, torques {_ms(late * dt)} "
+            f"late, x {_ms(age * dt)} old; rollouts round delays to whole periods"
+        )
+        yield Row("beware", "timing", "rounded", taken, text)
 
 
 def of_gravity(loop: ClosedLoop, error: float) -> Row:
     """Return the row about a gravity torque that is neither compensated nor learnt [N m]."""
     learns, by = loop.controller.adaptation is not None, loop.integral_terms
+    figures = {"error": error, "learns": learns, "by": by}
     text = (
         f"off by up to {error:.3g} N m: the error does not go to 0 but to where K_p makes up for "
-        "it, unless gravity is learnt (AdaptiveGravity); if it is known exactly, leave it out (a "
-        "robot without gravity, NoGravity)"
+        "it, unless gravity is learnt (AdaptiveGravity) or known and left out (NoGravity)"
     )
-    if learns:
+    if learns:  # at rest θ̂ stands still: Ĵ y = α s(e) = 0 with a task force, y = 0 with torques
+        takes = f"the learnt {' and '.join(by)} can" if by else "a learnt task force could"
         text = (
             f"no learnt gravity parameters explain up to {error:.3g} N m of it, as of wrong joint "
-            "axes or a tilted base"
+            f"axes or a tilted base; {takes} take it up, but nothing is proven"
         )
-        if by:  # at rest θ̂ stands still: Ĵ y = α s(e) = 0 with d, and y = 0 with w
-            text += (
-                f"; the learnt {' and '.join(by)} can take it up, and then the error is 0 where "
-                "the arm comes to rest, but nothing is proven"
-            )
-        else:
-            text += (
-                ": the error need not go to 0, unless a task force or joint torques are learnt, "
-                "too (task_force, joint_torque)"
-            )
-    figures = {"error": error, "learns": learns, "by": by}
     return Row("beware", "gravity", "not exact", figures, text)
 
 
-def _beyond_limits(report: StabilityReport) -> list[str]:
-    """Names of joints that the region lets go beyond their limits."""
-    region, robot = report.loop.region, report.loop.plants[0].robot
-    zero = robot.neutral()
-    if isinstance(region, JointBox):
-        middle = pin.difference(robot.model, zero, region.center)
-        low, high = middle + region.lower, middle + region.upper
-    else:
-        motions = np.array([pin.difference(robot.model, zero, q) for q in report.samples.q])
-        low, high = motions.min(axis=0), motions.max(axis=0)
-    least, most = robot.position_limits
-    beyond = (low < least - _TINY) | (high > most + _TINY)
-    return [name for name, is_so in zip(robot.joint_names, beyond, strict=True) if is_so]
-
-
-def _rounded(latency: Latency) -> tuple[dict[str, dict[str, float]], str]:
-    """How rollouts and the linearisation round times: by whom, what is taken [s], and as text."""
-    dt, _, age, late = latency.in_samples()
-    period, given = latency.period, (latency.torque_delay, latency.image_age)
-    takers = {
-        "rollouts": ("rollouts", period, [round(time / period) for time in given]),
-        "near targets": ("the linearisation near targets", dt, [late, age]),
-    }
-    figures, texts = {}, dict[str, list[str]]()
-    for who, (name, step, counts) in takers.items():
-        taken: dict[str, float] = {}
-        rounded = []
-        if step > period * (1.0 + _TINY):
-            taken["period"] = step
-            rounded.append(f"samples of {_ms(step)}")
-        for what, time, n in zip(_ROUNDED, given, counts, strict=True):
-            if abs(time - n * step) > _TINY * period:
-                taken |= {what: n * step, f"given_{what}": time}
-                rounded.append(_ROUNDED[what].format(_ms(n * step), _ms(time)))
-        if taken:
-            figures[who] = taken
-            texts.setdefault(", ".join(rounded), []).append(name)
-    taking = (f"{' and '.join(names)} take {rounded}" for rounded, names in texts.items())
-    return figures, f"in whole periods, {'; '.join(taking)}"
-
-
-def _sampled(report: StabilityReport, starts: dict[str, Any]) -> Iterator[Row]:
+def _sampled(report: StabilityReport) -> Iterator[Row]:
     """Rows about the loop that is sampled and late."""
     sampled, radii, frame = report.sampled, report.spectral_radii, Timing.of(report.latency).frame
     if sampled is not None:
@@ -579,23 +494,16 @@ def _sampled(report: StabilityReport, starts: dict[str, Any]) -> Iterator[Row]:
         names = ("family", "speed", "level")
         figures = _figures(report, sampled) | {name: getattr(sampled, name) for name in names}
         yield Row("sampled", "matrix form", verdict, figures, text)
-        if starts:
-            yield _covered(report, sampled)
-            yield _staying(report, starts)
         certified, stable = report.largest_period
-        text = "stable near targets " + (f"up to {_ms(stable)}" if stable else "at no period tried")
-        if certified:
-            passes = f"the function found passes up to {_ms(certified)}, all else the same"
-            text = f"{passes} (margin 0 there); {text}"
-        else:
-            text += "; the function found passes at none"
+        text = (
+            f"the function passes up to {_ms(certified)}, all else the same; near targets it is "
+            f"stable up to {_ms(stable)}"
+        )
         figures = {"certified": certified, "stable": stable}
         yield Row("sampled", "longest period", "", figures, text)
         if certified:
             longest, given = sampled.largest_delay(), report.latency.torque_delay
-            passes = f"up to {_ms(longest)}" if longest else "at none"
-            text = f"the function found passes {passes}, all else the same"
-            text += f"; here it is {_ms(given)}" if given else ""
+            text = f"the function passes up to {_ms(longest)}, all else the same"
             figures = {"certified": longest, "given": given}
             yield Row("sampled", "longest delay of torques", "", figures, text)
     worst, unstable = float(radii.max()), int((radii >= 1.0).sum())
@@ -631,34 +539,6 @@ def _margin(test: MatrixTest) -> str:
     if test.certified:
         text += f", so at most {100.0 * most:.2g} % of all do (95 % confidence)"
     return text
-
-
-def _covered(report: StabilityReport, sampled: SampledTest) -> Row:
-    units, errors = report.loop.controller.task.units, sampled.certified_error
-    each = ", ".join(f"{r:.2g} {unit}" for r, unit in zip(errors, units, strict=True))
-    if len(set(units)) == 1:
-        each = f"{', '.join(f'{r:.2g}' for r in errors)} {units[0]}"
-    text = (
-        f"at rest, with an error of up to {each} in one coordinate, none in the others; "
-        f"{100.0 * sampled.covered:.3g} % of the starts drawn, about half near their targets"
-    )
-    figures = {"certified_error": errors, "units": units, "covered": sampled.covered}
-    return Row("sampled", "starts", "", figures, text)
-
-
-def _staying(report: StabilityReport, starts: dict[str, Any]) -> Row:
-    stays, figures = report.attraction, dict(starts)
-    if stays is not None:
-        figures |= {name: getattr(stays, name) for name in ("travel", "rate", "level")}
-        figures |= stays.weights._asdict()
-    if not starts["radius"]:
-        text = "from no start is it proven that the arm stays in the region"
-        return Row("sampled", "staying", "assumed", figures, text)
-    text = (
-        f"holds from rest, {_within(starts)} of the region's middle in every joint (errors of up "
-        f"to {starts['error']:.2g} {starts['unit']}); assumed elsewhere"
-    )
-    return Row("sampled", "staying", "in part", figures, text)
 
 
 def _near(
@@ -731,8 +611,7 @@ def of_limits(cost: LimitCost) -> list[Row]:
     text = "limits of speed, position and rate"
     if cost.uncounted:
         text += (
-            ", and the arm's weight, as it is given without gravity: with its base upright that "
-            f"takes up to {100.0 * cost.uncounted:.2g} % of a motor's torque"
+            f", and the weight of an arm taken without gravity: up to {percent(cost.uncounted)} %"
         )
     return [*rows, acting, Row("limits", "not checked", "", {"uncounted": cost.uncounted}, text)]
 
