@@ -4,26 +4,32 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from approxjac import law
 from approxjac.cameras import PinholeCamera
 from approxjac.controllers.arguments import chosen_deviations, chosen_kinds, is_rotation
-from approxjac.controllers.learning.estimator import JUMP, Estimator, Frame
+from approxjac.controllers.learning.estimator import (
+    JUMP,
+    Estimator,
+    Frame,
+    Translations,
+    motion_of_points,
+)
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement, Target
 from approxjac.law import PredictedError
 from approxjac.robots import KinematicRegressor, Robot
 from approxjac.robots.kinematic_regressor import PointMotion
-from approxjac.tasks import CombinedTask, ImageTask
+from approxjac.tasks import ImageTask
 from approxjac.tasks.analysis import (
     controllable_coordinates,
     require_controllable,
     seen_configurations,
 )
-from approxjac.validation import Array, as_number, require
+from approxjac.validation import Array, as_number
 
 _CHANGED = 10.0  # averaged residual, in standard deviations of x: another camera or tool
 _SETTLED = 1.0  # after which what is learnt explains x, if χ² is below the next number [s]
@@ -34,7 +40,6 @@ _USUAL_SD: Mapping[str, float] = {
     "tool": 0.2, "points": 0.2, "origins": 0.02, "position": 0.5, "rotation": 1.0,
     "focal_length": 0.3,
 }  # fmt: skip
-_THREE = "; of a tag take three corners, ImageTask(robot, camera, points=points[:3])"
 _KEYS = 40  # key frames
 _MOST = 200.0  # frames that one of them counts for at most
 _NEW = (0.03, 0.15)  # of o [m] and H, from a key frame on
@@ -104,7 +109,9 @@ class AdaptiveCamera(Estimator):
         delay: float = 0.0,
         dt: float = 1e-3,
     ) -> None:
-        self._camera = camera = _camera(task)
+        _require_image(task)
+        self._camera: PinholeCamera = task.camera  # type: ignore[assignment]
+        camera = self._camera
         where = "tool" if camera.mount is None else "points"
         valid = (where, "origins", "camera", "focal_length")
         usual = (where, *valid[2:])
@@ -114,16 +121,16 @@ class AdaptiveCamera(Estimator):
         sds = chosen_deviations(sd, _USUAL_SD, used)
         self.task, self.noise = task, as_number("noise", noise, unit="px", above=0.0)
         self._points_of = points = _WatchedPoints(task, where in kinds, "origins" in kinds)
-        self.regressor, self._k, n = points.regressor, points.k, len(points.u)
-        R, p = np.asarray(camera.rotation).T, np.asarray(camera.position)
-        self._first = ImageEstimate(points.u, R, p, 0.0)
-        sd_u = np.where(points.is_points, sds[where], sds["origins"])
-        self._sd_u, pose = sd_u, [moves * sds["position"]] * 3 + [moves * sds["rotation"]] * 3
-        all_sd = np.concatenate([sd_u, pose, [zooms * sds["focal_length"]]])
+        self.regressor, self._k, n = points.regressor, len(task.points), len(points.u)
+        self._R, self._p = np.asarray(camera.rotation).T, np.asarray(camera.position)
+        self._first = np.concatenate([points.u, self._R.ravel(), self._p, [0.0]])
+        self._sd_u = np.where(points.is_points, sds[where], sds["origins"])
+        pose = [moves * sds["position"]] * 3 + [moves * sds["rotation"]] * 3
+        all_sd = np.concatenate([self._sd_u, pose, [zooms * sds["focal_length"]]])
         # pixels as rays: center, distortion and focal length those that are believed
         self._f, self._center = np.asarray(camera.focal_length), np.asarray(camera.center)
         self._lens = None if camera._lens.is_straight else camera._lens
-        self._estimator = _ImageEstimator(self._first, all_sd, self.noise / self._f, self._k)
+        self._estimator = _KeyFrames(self._first, all_sd, self.noise / self._f, self._k)
         self._is_learnt = all_sd > 0.0
         self._sd, self._believed = all_sd[self._is_learnt], self._in_order(self._first)
         of_pose = [f"camera.{each}" for each in ("x", "y", "z", "rx", "ry", "rz")] if moves else []
@@ -194,10 +201,9 @@ class AdaptiveCamera(Estimator):
         self._follow(state)
 
     def _has_begun(self, state: Array) -> Any:
-        return self._estimator.has_begun(state[self._at["keys"]])
+        return bool(state[self._at["keys"]][-2] > 0.0)  # χ² is, from the first frame on
 
     def _place(self, state: Array, frame: Frame) -> None:
-        """Let the camera, and what is controlled, begin where it sees a first frame, in place."""
         y = self._rays(frame.x)
         if np.isfinite(y).all(axis=1).any():
             keys = state[self._at["keys"]]
@@ -209,22 +215,21 @@ class AdaptiveCamera(Estimator):
     def _follow(self, state: Array) -> None:
         """Let what is controlled be what is estimated, in place."""
         at = self._at
-        u, R, p, stretch = estimate = self._estimator.estimate(state[at["keys"]])
+        estimate = self._estimator.estimate(state[at["keys"]])
+        u, R, p, stretch = _parts(estimate)
         state[at["learnt"]] = self._in_order(estimate)
         state[at["u"]], state[at["R"]], state[at["t"]] = u, R.ravel(), -R.dot(p)
         state[at["stretch"]] = stretch
 
-    def _in_order(self, estimate: ImageEstimate) -> Array:
+    def _in_order(self, estimate: Array) -> Array:
         """Return the learnt numbers in the order of `names`."""
-        turn = law.rotation_log(self._first.R.dot(estimate.R.T))
-        f = self._f[0] * math.exp(estimate.stretch)
-        return np.concatenate([estimate.u, estimate.p, turn, [f]])[self._is_learnt]
+        u, R, p, stretch = _parts(estimate)
+        f = self._f[0] * math.exp(stretch)
+        return np.concatenate([u, p, law.rotation_log(self._R.dot(R.T)), [f]])[self._is_learnt]
 
     def _reach(self, q_0: Array, q: Array) -> Array:
-        (H_0, o_0), (H, o) = self._points_of.at(q_0), self._points_of.at(q)
-        u = self._first.u
-        known = np.linalg.norm(o + H.dot(u) - o_0 - H_0.dot(u), axis=1)
-        unsure = np.sqrt((((H - H_0) * self._sd_u) ** 2).sum(axis=(1, 2)))
+        points = self._points_of
+        known, unsure = motion_of_points(points.at(q_0), points.at(q), points.u, self._sd_u)
         rays = (_MOVES * known + 4.0 * unsure) * _MOVES / self._usual_depth
         return np.asarray(np.repeat(rays, 2) + JUMP * self.noise / self._f.min())
 
@@ -241,14 +246,15 @@ class AdaptiveCamera(Estimator):
             explained[0] = 0.0
             self._forget(state)
         state[at["keys"]] = keys = estimator.learn(keys, H, o, y)
-        u, R, p, stretch = estimate = estimator.estimate(keys)
+        estimate = estimator.estimate(keys)
+        u, R, p, stretch = _parts(estimate)
         state[at["learnt"]] = self._in_order(estimate)
         c = (o + H.dot(u) - p).dot(R.T)
         seen &= c[:, 2] > self._camera.near  # others have no image, as far as is known
         left = np.full_like(y, np.nan)
         left[seen] = y[seen] - law.rays(c[seen], math.exp(stretch))
         self._account(state, left.ravel(), since)
-        if noted[0] > _SETTLED and estimator.chi_squared(keys) < _EXPLAINED:
+        if noted[0] > _SETTLED and keys[-2] < _EXPLAINED:
             explained[0] = 1.0
 
     # -- the smoothed estimates ----------------------------------------------------------
@@ -256,7 +262,7 @@ class AdaptiveCamera(Estimator):
     def _aim(self, state: Array, q: Array, dt: float) -> None:
         # all follow, and the camera such that the points at q do
         at = self._at
-        u, R, p, stretch = self._estimator.estimate(state[at["keys"]])
+        u, R, p, stretch = _parts(self._estimator.estimate(state[at["keys"]]))
         smooth_u, smooth_R, smooth_stretch = self._smooth(state)
         H, o = self._points_of.at(q)
         r, smooth_r = o + H.dot(u), o + H.dot(smooth_u)
@@ -317,28 +323,27 @@ class AdaptiveCamera(Estimator):
     # -- what was learnt -----------------------------------------------------------------
 
     def _is_state(self, state: Array) -> bool:
-        return is_rotation(self._estimator.estimate(state[self._at["keys"]]).R)
+        return is_rotation(_parts(self._estimator.estimate(state[self._at["keys"]]))[1])
 
     def camera(self, state: Array) -> PinholeCamera:
         """Return the camera as a state has learnt it."""
-        state, believed = self._required(state), self._first
-        _, R, p, stretch = self._estimator.estimate(state[self._at["keys"]])
+        _, R, p, stretch = _parts(self._estimator.estimate(self._required(state)[self._at["keys"]]))
         return self._camera.with_error(
-            shift=believed.R.dot(p - believed.p),
-            rotation=law.rotation_log(believed.R.dot(R.T)),
+            shift=self._R.dot(p - self._p),
+            rotation=law.rotation_log(self._R.dot(R.T)),
             focal_factor=math.exp(stretch),
         )
 
     def robot(self, state: Array) -> Robot:
         """Return the believed robot with the translations that a state has learnt."""
-        u, *_ = self._estimator.estimate(self._required(state)[self._at["keys"]])
-        return self.regressor.robot_with(self._points_of.theta(u))
+        estimate = self._estimator.estimate(self._required(state)[self._at["keys"]])
+        return self.regressor.robot_with(self._points_of.theta(_parts(estimate)[0]))
 
     def _covariance(self, state: Array) -> tuple[Array, float]:
         keys, is_learnt = state[self._at["keys"]], self._is_learnt
         beyond = max(1.0, state[self._at["noted"]][2] / self.noise**2)
         covariance = self._estimator.covariance(keys)[np.ix_(is_learnt, is_learnt)]
-        return covariance, self._estimator.chi_squared(keys) / float(beyond)
+        return covariance, float(keys[-2] / beyond)
 
     def _in_units(self, covariance: Array, learnt: Array) -> Array:
         # rotations in the learnt camera's own axes; of the focal length its logarithm is learnt
@@ -348,36 +353,21 @@ class AdaptiveCamera(Estimator):
         return np.asarray(covariance * scale * scale[:, np.newaxis])
 
 
-def _camera(task: Any) -> PinholeCamera:
-    """Return the camera of a task that can be learnt."""
-    wanted = "an ImageTask of the believed robot"
-    if isinstance(task, CombinedTask):
-        wanted += f" without a combination of coordinates{_THREE}"
-    require("task", task, ImageTask, wanted)
-    if task.m > controllable_coordinates(task) == 6:
-        raise InvalidInputError(
-            f"task must have at most 6 coordinates, got {task!r} with {task.m}{_THREE}",
-            given=task,
-        )
-    require_controllable(task)
-    camera = task.camera
-    if not isinstance(camera, PinholeCamera):
-        raise InvalidInputError(
-            f"task must have a PinholeCamera, got {task!r}; AdaptiveKinematics is for one that "
-            "looks straight at the plane of an arm",
-            given=task,
-        )
-    if task._uses_x:
-        raise InvalidInputError(
-            f"task must have depth='believed', as depth is learnt, got {task!r}", given=task
-        )
-    if camera.mount is not None and task.frame is not None:
-        raise InvalidInputError(
-            f"task of a camera that is carried must watch points of the world, frame=None, "
-            f"got {task!r}",
-            given=task,
-        )
-    return camera
+def _require_image(task: Any) -> None:
+    """Refuse a task whose camera cannot be learnt."""
+    camera: Any = getattr(task, "camera", None)
+    is_image = isinstance(task, ImageTask) and isinstance(camera, PinholeCamera)
+    if is_image and not task.m > controllable_coordinates(task) == 6:
+        require_controllable(task)
+        if not task._uses_x and (camera.mount is None or task.frame is None):
+            return
+    raise InvalidInputError(
+        "task must be an ImageTask of the believed robot with a PinholeCamera (AdaptiveKinematics "
+        "is for a PlanarCamera), depth='believed', at most 6 coordinates, all of them (of a tag "
+        "take three corners, ImageTask(robot, camera, points=points[:3])), and where the camera is "
+        f"carried with points of the world, frame=None; got {task!r}",
+        given=task,
+    )
 
 
 class _WatchedPoints:
@@ -391,47 +381,36 @@ class _WatchedPoints:
     """
 
     def __init__(self, task: ImageTask, moves: bool, origins: bool) -> None:
-        mount, self.k = task.camera.mount, len(task.points)
+        mount, self._k = task.camera.mount, len(task.points)
         self._is_carried = mount is not None
         if mount is None:
             self.regressor = KinematicRegressor(task.robot, task.frame, task.points)
         else:  # its origin, and the ends of its axes
             self.regressor = KinematicRegressor(task.robot, mount, np.eye(4, 3, -1))
-        self._world = task.points if self._is_carried else np.zeros((self.k, 3))
-        regressor = self.regressor
-        p, theta = regressor.p, regressor.theta.copy()
-        is_tool = np.arange(p) >= p - 3
-        learnt = np.where(is_tool, moves and not self._is_carried, origins)
-        self.of_theta = np.flatnonzero(learnt)
-        self.names = [regressor.names[i] for i in self.of_theta]
-        u, own = theta[self.of_theta].tolist(), is_tool[self.of_theta].tolist()
-        theta[self.of_theta] = 0.0
-        self._theta, self._S = theta, np.eye(p)[:, self.of_theta]
-        self._n_theta = len(u)
-        self._moves_world = moves and self._is_carried
+        self._moved = moved = Translations(self.regressor, 1, moves and mount is None, origins)
+        self._world, self._moves_world = task.points, moves and self._is_carried
+        self._n = len(moved.u)
+        self.names, self.u, self.is_points = moved.names, moved.u, moved.is_tool
         if self._moves_world:
-            self.names += [f"points.{axis}" for axis in "xyz"]
-            u, own = [*u, 0.0, 0.0, 0.0], [*own, True, True, True]
-        self.u, self.is_points = np.array(u), np.array(own, dtype=bool)
+            self.names = [*self.names, *(f"points.{axis}" for axis in "xyz")]
+            self.u = np.append(self.u, np.zeros(3))
+            self.is_points = np.append(self.is_points, np.ones(3, dtype=bool))
 
     def at(self, q: Array) -> tuple[Array, Array]:
         """Return H(q), shape (k, 3, n_u), and o(q), shape (k, 3)."""
-        Y = self.regressor.Y(q)
-        known = Y.dot(self._theta)
-        if self.regressor.has_offset:
-            known = known + self.regressor.offset(q)
+        H, known = self._moved.at(q)
+        known = known.reshape(-1, 3)
         if not self._is_carried:
-            return Y.dot(self._S).reshape(self.k, 3, -1), known.reshape(-1, 3)
-        known = known.reshape(4, 3)
+            return H.reshape(self._k, 3, self._n), known
         A = known[1:] - known[0]  # rows are the mount's axes
-        H = -A.dot(Y[:3].dot(self._S))
+        H = -A.dot(H[:3])
         if self._moves_world:
             H = np.concatenate([H, A], axis=1)
-        return np.broadcast_to(H, (self.k, *H.shape)), (self._world - known[0]).dot(A.T)
+        return np.broadcast_to(H, (self._k, *H.shape)), (self._world - known[0]).dot(A.T)
 
     def theta(self, u: Array) -> Array:
         """Return all translations of `regressor`, those that are known as well; shape (p,) [m]."""
-        return np.asarray(self._theta + self._S.dot(u[: self._n_theta]))
+        return self._moved.theta(u[: self._n])
 
     def motion(self, q: Array, v: Array, u: Array, u_dot: Array) -> PointMotion:
         """Return points and derivatives at q (nq,) and q̇ (n_v,), with u and u' (n_u,).
@@ -439,8 +418,8 @@ class _WatchedPoints:
         In the axes of the mount: r and what u' moves it by are (k, 3), ∂r/∂q and its rate
         (k, 3, n_v).
         """
-        n = self._n_theta
-        theta, theta_dot = self.theta(u), self._S.dot(u_dot[:n])
+        n = self._n
+        theta, theta_dot = self.theta(u), self._moved.rates(u_dot[:n])
         p, J, J_dot, drift = self.regressor.motion(q, v, theta, theta_dot)
         J, J_dot = (each.reshape(-1, 3, J.shape[1]) for each in (J, J_dot))
         p, drift = p.reshape(-1, 3), drift.reshape(-1, 3)
@@ -459,31 +438,21 @@ class _WatchedPoints:
             w.dot(A.T),
             each - A.dot(J[0]),
             each_dot - a_dot.dot(J[0]) - A.dot(J_dot[0]),
-            np.tile(A.dot(moved), (self.k, 1)),
+            np.tile(A.dot(moved), (self._k, 1)),
         )
 
 
-class ImageEstimate(NamedTuple):
-    """Estimate of the unknowns in y = e^λ π(R(o + Hu − p)).
-
-    Attributes:
-        u: Translations, shape (n_u,) [m].
-        R: Rotation of the mount's axes in the camera's, (3, 3).
-        p: Position of the camera in the axes of its mount, shape (3,) [m].
-        stretch: λ, the logarithm of the focal length over the believed one.
-    """
-
-    u: Array
-    R: Array
-    p: Array
-    stretch: float
+def _parts(estimate: Array) -> tuple[Array, Array, Array, float]:
+    """Return u, R, p and λ of an estimate."""
+    u, R, p = np.split(estimate[:-1], [-12, -3])
+    return u, R.reshape(3, 3), p, float(estimate[-1])
 
 
 _Terms = tuple[Array, Array, Array, Array]
 
 
-class _ImageEstimator:
-    """Least squares over key frames, linearised anew with each frame.
+class _KeyFrames:
+    """Least squares of y = e^λ π(R(o + Hu − p)) over key frames, linearised anew with each frame.
 
     A key frame is the mean of y and of r = o + Hu over a short way, which is as linear in u as one
     frame is. As rays are no linear function, what is remembered are 40 of them. Each new frame
@@ -493,20 +462,21 @@ class _ImageEstimator:
     the points: the turn of the image that explains it best from there, in closed form, is tried
     beside the estimate for some frames, and taken if it is better beyond doubt.
 
-    Its numbers: key frames (for each point its count, y, o and H), the estimate, the one that is
-    tried beside it, how long that has been tried (0: it is not), how many were tried before, χ²,
-    and which key frame is last. Plausible errors sd are of u, p, the rotation and λ, 0 of what is
-    known; the noise (2,) is of y.
+    An estimate has the translations u, the rotation R of the mount's axes in the camera's, the
+    camera's position p in its mount's axes, and the logarithm λ of the focal length over the
+    believed one. The numbers: key frames (for each point its count, y, o and H), the estimate, the
+    one that is tried beside it, how long that has been tried (0: it is not), how many were tried
+    before, χ² (0 before the first frame), and which key frame is last. Plausible errors sd are of
+    u, p, the rotation and λ, 0 of what is known; the noise (2,) is of y.
     """
 
-    def __init__(self, believed: ImageEstimate, sd: Array, noise: Array, k: int) -> None:
-        self._believed, self._k, self._n = believed, k, len(believed.u)
-        n = self._n
+    def __init__(self, believed: Array, sd: Array, noise: Array, k: int) -> None:
+        self._first, self._k, self._e, self._n = believed, k, len(believed), len(believed) - 13
         self._free, self._size = np.flatnonzero(sd > 0.0), len(sd)
         self._prior = np.where(sd > 0.0, sd, np.inf) ** -2.0
         self._weight = noise**-2.0
-        self._shape = _KEYS, k, 6 + 3 * n
-        self._m, self._e = _KEYS * k * (6 + 3 * n), n + 13
+        self._shape = _KEYS, k, 6 + 3 * self._n
+        self._m = math.prod(self._shape)
         self.size = self._m + 2 * self._e + 4
         everywhere = law.rotations_everywhere(3)  # of which those with the same view are one
         _, first = np.unique(np.round(everywhere[:, 2], 6), axis=0, return_index=True)
@@ -514,27 +484,19 @@ class _ImageEstimator:
 
     # -- numbers -------------------------------------------------------------------------
 
-    def about(self, estimate: ImageEstimate) -> Array:
+    def about(self, estimate: Array) -> Array:
         """Return the numbers (size,) before the first frame, with an estimate."""
         numbers = np.zeros(self.size)
-        numbers[self._m : self._m + self._e] = self._packed(estimate)
+        numbers[self._m : self._m + self._e] = estimate
         return numbers
 
     def renewed(self, numbers: Array) -> Array:
         """Return numbers that have forgotten all frames, but not the estimate."""
         return self.about(self.estimate(numbers))
 
-    def estimate(self, numbers: Array) -> ImageEstimate:
+    def estimate(self, numbers: Array) -> Array:
         """Return the estimate."""
-        return self._unpacked(numbers[self._m : self._m + self._e])
-
-    def has_begun(self, numbers: Array) -> bool:
-        """Return whether there was a frame: χ² is above 0 from the first one on."""
-        return bool(numbers[-2] > 0.0)
-
-    def chi_squared(self, numbers: Array) -> float:
-        """Return χ² of all key frames a degree of freedom."""
-        return float(numbers[-2])
+        return numbers[self._m : self._m + self._e].copy()
 
     def learn(self, numbers: Array, H: Array, o: Array, y: Array) -> Array:
         """Return the numbers after a frame.
@@ -548,76 +510,51 @@ class _ImageEstimator:
         numbers = numbers.copy()
         self._remember(numbers, H, o, y)
         terms = self._terms(numbers)
-        m, e = self._m, self._e
-        first = not self.has_begun(numbers)
-        best = self.estimate(numbers)
-        if first or not math.isfinite(self._misfit(best, terms)):
-            best = self._placed(best, terms)
-        best, cost = self._improved(best, terms, 8 if first else 1)
-        chi = self._chi_squared(best, terms)
-        tried = numbers[m + 2 * e]
-        if chi > _DOUBT and not first and self._prior[-2] > 0.0:
-            if tried:
-                other = self._unpacked(numbers[m + e : m + 2 * e])
-            else:
-                other = self._another(terms, int(numbers[-3]))
-            other, cost_other = self._improved(other, terms, 2)
+        best, other = numbers[self._m : -4].reshape(2, -1)
+        noted = numbers[-4:]
+        tried, rank, is_first = noted[0], noted[1], noted[2] == 0.0
+        if is_first or not math.isfinite(self._misfit(best, terms)):
+            best[:] = self._placed(best, terms)
+        best[:], cost = self._improved(best, terms, 8 if is_first else 1)
+        if self._chi_squared(best, terms) > _DOUBT and not is_first and self._prior[-2] > 0.0:
+            if not tried:
+                other[:] = self._another(terms, int(rank))
+            other[:], cost_other = self._improved(other, terms, 2)
+            noted[0] = tried + 1.0
             if cost_other < min(_BETTER * cost, cost - _ODDS):
-                best, tried, numbers[-3] = other, 0.0, 0.0
-                chi = self._chi_squared(best, terms)
-            else:
-                tried += 1.0
-                if tried > _PATIENCE:
-                    tried, numbers[-3] = 0.0, numbers[-3] + 1.0
-                numbers[m + e : m + 2 * e] = self._packed(other)
+                best[:], noted[:2] = other, 0.0
+            elif tried >= _PATIENCE:
+                noted[:2] = 0.0, rank + 1.0
         else:
-            tried = 0.0
-        numbers[m : m + e] = self._packed(best)
-        numbers[m + 2 * e], numbers[-2] = tried, min(max(chi, 1e-12), _LARGEST_CHI)
+            noted[0] = 0.0
+        noted[2] = min(max(self._chi_squared(best, terms), 1e-12), _LARGEST_CHI)
         return numbers
 
     def covariance(self, numbers: Array) -> Array:
         """Return the covariance of (u, p, φ, λ), φ of R ← exp([φ]ₓ)R; 0 of what is known."""
-        covariance, free = np.zeros((self._size, self._size)), self._free
+        covariance, free = np.zeros((self._size, self._size)), np.ix_(self._free, self._free)
         A, _ = self._normal(self.estimate(numbers), self._terms(numbers))
-        covariance[np.ix_(free, free)] = np.linalg.inv(A[np.ix_(free, free)])
+        covariance[free] = np.linalg.inv(A[free])
         return covariance
-
-    def _packed(self, estimate: ImageEstimate) -> Array:
-        u, R, p, stretch = estimate
-        return np.concatenate([u, R.ravel(), p, [stretch]])
-
-    def _unpacked(self, numbers: Array) -> ImageEstimate:
-        n = self._n
-        R, p = numbers[n : n + 9].reshape(3, 3), numbers[n + 9 : n + 12]
-        return ImageEstimate(numbers[:n].copy(), R.copy(), p.copy(), float(numbers[n + 12]))
 
     # -- key frames ----------------------------------------------------------------------
 
     def _remember(self, numbers: Array, H: Array, o: Array, y: Array) -> None:
         """Add a frame to the last key frame, or begin another one, in place."""
-        keys = numbers[: self._m].reshape(self._shape)
-        if not 0.0 <= numbers[-1] < _KEYS:
-            raise InvalidInputError(
-                f"state must be one of this controller's, got key frame {numbers[-1]:g}",
-                given=numbers,
-            )
-        last = int(numbers[-1])
-        key = keys[last]
+        keys, last = numbers[: self._m].reshape(self._shape), int(numbers[-1]) % _KEYS
+        key, H = keys[last], H.reshape(self._k, -1)
         has = key[:, 0] > 0.0
         if has.any():
             away = np.abs(key[has, 3:6] - o[has]).max() / _NEW[0]
-            away += np.linalg.norm(key[has, 6:] - H.reshape(self._k, -1)[has]) / _NEW[1]
+            away += np.linalg.norm(key[has, 6:] - H[has]) / _NEW[1]
             if away > 1.0:
-                last = (last + 1) % _KEYS
-                numbers[-1] = last
+                numbers[-1] = last = (last + 1) % _KEYS
                 key = keys[last]
                 key[:] = 0.0
         seen = np.isfinite(y).all(axis=1)
         count = np.minimum(key[:, 0] + seen, _MOST)
         share = np.where(seen, 1.0 / np.maximum(count, 1.0), 0.0)[:, np.newaxis]
-        now = np.concatenate([np.nan_to_num(y), o, H.reshape(self._k, -1)], axis=1)
-        key[:, 1:] += share * (now - key[:, 1:])
+        key[:, 1:] += share * (np.concatenate([np.nan_to_num(y), o, H], axis=1) - key[:, 1:])
         key[:, 0] = count
 
     def _terms(self, numbers: Array) -> _Terms:
@@ -627,60 +564,53 @@ class _ImageEstimator:
         weights = rows[:, :1] * self._weight
         return weights, rows[:, 1:3], rows[:, 3:6], rows[:, 6:].reshape(len(rows), 3, self._n)
 
-    def _chi_squared(self, estimate: ImageEstimate, terms: _Terms) -> float:
+    def _chi_squared(self, estimate: Array, terms: _Terms) -> float:
         rows = 2.0 * len(terms[0])
         return 2.0 * self._misfit(estimate, terms) / max(rows - len(self._free), 0.5 * rows)
 
     # -- least squares -------------------------------------------------------------------
 
-    def _places(self, estimate: ImageEstimate, terms: _Terms) -> Array:
+    def _places(self, estimate: Array, terms: _Terms) -> Array:
         """Return the points in the camera's axes, shape (N, 3)."""
-        u, R, p, _ = estimate
+        u, R, p, _ = _parts(estimate)
         return np.asarray((terms[2] + terms[3].dot(u) - p).dot(R.T))
 
-    def _misfit(self, estimate: ImageEstimate, terms: _Terms) -> float:
+    def _misfit(self, estimate: Array, terms: _Terms) -> float:
         """Return half the weighted sum of squares of what is left of y; inf behind the camera."""
         c = self._places(estimate, terms)
         if not (c[:, 2] > _NEAREST).all():
             return math.inf
-        left = terms[1] - law.rays(c, math.exp(estimate.stretch))
+        left = terms[1] - law.rays(c, math.exp(estimate[-1]))
         return 0.5 * float((terms[0] * left * left).sum())
 
-    def _cost(self, estimate: ImageEstimate, terms: _Terms) -> float:
+    def _away(self, estimate: Array) -> tuple[Array, Array]:
+        """Return how far u, p and λ are from what is believed, 0 of the rotation; R − R₀ (9,)."""
+        away = estimate - self._first
+        n = self._n
+        return np.concatenate([away[:n], away[n + 9 : -1], np.zeros(3), away[-1:]]), away[n : n + 9]
+
+    def _cost(self, estimate: Array, terms: _Terms) -> float:
         """Return the misfit, and what it costs to be away from what is believed."""
-        away, turned = self._away(estimate), (estimate.R - self._believed.R).ravel()
+        away, turned = self._away(estimate)
         prior = away.dot(self._prior * away) + 0.5 * self._prior[-2] * turned.dot(turned)
         return self._misfit(estimate, terms) + 0.5 * float(prior)
 
-    def _away(self, estimate: ImageEstimate) -> Array:
-        """Return the distance of an estimate from the believed one, but for the rotation."""
-        u, _, p, stretch = self._believed
-        return np.concatenate(
-            [estimate.u - u, estimate.p - p, np.zeros(3), [estimate.stretch - stretch]]
-        )
-
-    def _normal(self, estimate: ImageEstimate, terms: _Terms) -> tuple[Array, Array]:
+    def _normal(self, estimate: Array, terms: _Terms) -> tuple[Array, Array]:
         """Return the normal matrix (P, P) and the descent (P,) of the cost."""
-        weights, y, _, H = terms
-        R, stretch = estimate.R, math.exp(estimate.stretch)
+        (weights, y, _, H), n = terms, self._n
+        (_, R, *_), stretch = _parts(estimate), math.exp(estimate[-1])
         c = self._places(estimate, terms)
-        shown = law.rays(c, stretch)
-        A = law.ray_jacobian(c, stretch)
-        AR, n = A @ R, self._n
-        turns = A @ law.generators(3).dot(c.T).transpose(2, 1, 0)  # c moves by φ × c
+        shown, A = law.rays(c, stretch), law.ray_jacobian(c, stretch)
+        AR, G = A @ R, law.generators(3)
+        turns = A @ G.dot(c.T).transpose(2, 1, 0)  # c moves by φ × c
         rows = np.concatenate([AR @ H, -AR, turns, shown[..., np.newaxis]], axis=2)
         rows = rows.reshape(-1, self._size)
-        weighted = rows * weights.reshape(-1, 1)
-        normal = weighted.T.dot(rows) + np.diag(self._prior)
-        descent = (y - shown).ravel().dot(weighted) - self._prior * self._away(estimate)
-        tangents = (law.generators(3) @ R).reshape(3, -1)
-        turned = (R - self._believed.R).ravel()
-        descent[n + 3 : n + 6] -= 0.5 * self._prior[-2] * tangents.dot(turned)
-        return normal, descent
+        weighted, (away, turned) = rows * weights.reshape(-1, 1), self._away(estimate)
+        descent = (y - shown).ravel().dot(weighted) - self._prior * away
+        descent[n + 3 : n + 6] -= 0.5 * self._prior[-2] * (G @ R).reshape(3, -1).dot(turned)
+        return weighted.T.dot(rows) + np.diag(self._prior), descent
 
-    def _improved(
-        self, estimate: ImageEstimate, terms: _Terms, steps: int
-    ) -> tuple[ImageEstimate, float]:
+    def _improved(self, estimate: Array, terms: _Terms, steps: int) -> tuple[Array, float]:
         """Return an estimate after some steps of Levenberg and Marquardt, and its cost."""
         cost, free = self._cost(estimate, terms), self._free
         for _ in range(steps if math.isfinite(cost) else 0):  # nothing leads out from behind it
@@ -690,7 +620,7 @@ class _ImageEstimator:
                 step = np.zeros(self._size)
                 damped = normal + np.diag(damping * self._prior[free])
                 step[free] = np.linalg.solve(damped, descent)
-                new = self._moved(estimate, step)
+                new = self._stepped(estimate, step)
                 lower = self._cost(new, terms)
                 if lower < cost:
                     estimate, cost = new, lower
@@ -699,33 +629,30 @@ class _ImageEstimator:
                 break
         return estimate, cost
 
-    def _moved(self, estimate: ImageEstimate, step: Array) -> ImageEstimate:
-        u, R, p, stretch = estimate
-        n = self._n
-        turn = step[n + 3 : n + 6]
-        largest = max(1.0, math.hypot(*turn.tolist()) / _TURN)
-        step = step / largest
+    def _stepped(self, estimate: Array, step: Array) -> Array:
+        (u, R, p, stretch), n = _parts(estimate), self._n
+        step = step / max(1.0, math.hypot(*step[n + 3 : n + 6].tolist()) / _TURN)
         R = law.rotation_exp(step[n + 3 : n + 6]).dot(R)
-        return ImageEstimate(u + step[:n], R, p + step[n : n + 3], stretch + float(step[-1]))
+        return np.concatenate([u + step[:n], R.ravel(), p + step[n : n + 3], [stretch + step[-1]]])
 
     # -- where to start ------------------------------------------------------------------
 
-    def _placed(self, estimate: ImageEstimate, terms: _Terms) -> ImageEstimate:
+    def _placed(self, estimate: Array, terms: _Terms) -> Array:
         """Return an estimate whose camera is moved such that it sees the points, about as it does.
 
         Where they are believed behind it, it is moved back; then sideways.
         """
         if self._prior[self._n] == 0.0:  # where it is is known
             return estimate
-        u, R, p, stretch = estimate
-        weights = terms[0][:, 0] / terms[0][:, 0].sum()
+        weights, placed = terms[0][:, 0] / terms[0][:, 0].sum(), estimate.copy()
         c = self._places(estimate, terms)
         back = 0.0 if c[:, 2].min() > _NEAREST else _PLACED - float(c[:, 2].min())
         c[:, 2] += back
-        beside = weights.dot(c[:, 2:] * terms[1] * math.exp(-stretch) - c[:, :2])
-        return ImageEstimate(u, R, p - np.append(beside, back).dot(R), stretch)
+        beside = weights.dot(c[:, 2:] * terms[1] * math.exp(-estimate[-1]) - c[:, :2])
+        placed[-4:-1] -= np.append(beside, back).dot(_parts(estimate)[1])
+        return placed
 
-    def _another(self, terms: _Terms, rank: int) -> ImageEstimate:
+    def _another(self, terms: _Terms, rank: int) -> Array:
         """Return another estimate to begin with: a camera elsewhere about the points, and rolled.
 
         At the depth that is believed. Where it is believed is the first, and from there the best
@@ -734,17 +661,18 @@ class _ImageEstimator:
         """
         weights, y, o, H = terms
         w = weights[:, 0] / weights[:, 0].sum()
-        u, _, p, stretch = believed = self._placed(self._believed, terms)
+        placed = self._placed(self._first, terms)
+        u, R, p, stretch = _parts(placed)
         r = o + H.dot(u)
-        depth = max(float(w.dot((r - p).dot(believed.R[2]))), _PLACED)
-        views = np.eye(3)[np.newaxis] if rank % 2 == 0 else self._views
-        R = believed.R @ views
+        depth = max(float(w.dot((r - p).dot(R[2]))), _PLACED)
+        R = R @ (np.eye(3)[np.newaxis] if rank % 2 == 0 else self._views)
         center = depth * np.append(math.exp(-stretch) * w.dot(y), 1.0)
         c = (r - w.dot(r)) @ R.transpose(0, 2, 1) + center
         c[..., 2] = np.maximum(c[..., 2], _NEAREST)
         turns, left = law.image_turn(c[..., :2] / c[..., 2:], y, weights[:, 0])
         best = np.argsort(left)[(rank // 2) % min(_VIEWS, len(left))]
         rolled = law.rotation_exp(np.array([0.0, 0.0, turns[best]])).dot(R[best])
+        placed[self._n : -4] = rolled.ravel()
         if self._prior[self._n] > 0.0:
-            p = w.dot(r) - center.dot(rolled)
-        return believed._replace(R=rolled, p=p)
+            placed[-4:-1] = w.dot(r) - center.dot(rolled)
+        return placed
