@@ -458,7 +458,6 @@ class Alone(Controller):
         (aj.SetpointController, 0.1),
         (aj.TorqueLimited, 0.1),
         (aj.PositionTask(PANDA), 0.1),
-        (aj.HeldMeasurement(LAW, 0.1), 0.1),
         *((LAW, unseen) for unseen in (0.0, (1.0, -1.0, 1.0), (1.0, 1.0), np.nan, None)),
     ],
 )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,7 +10,7 @@ from approxjac import law
 from approxjac.controllers.arguments import require_array, time_of_x
 from approxjac.controllers.controller import Controller
 from approxjac.controllers.wrapper import ControllerWrapper
-from approxjac.errors import InvalidInputError, MeasurementError
+from approxjac.errors import InvalidInputError
 from approxjac.formatting import joined
 from approxjac.interface import Evaluation, Measurement, Status, Target
 from approxjac.tasks.analysis import uncombined
@@ -64,10 +63,6 @@ class HeldMeasurement(ControllerWrapper):
     _what = "goes on with the last x that was seen while the arm moves it by less than the bound"
 
     def __init__(self, controller: Controller, unseen: float | Sequence[float] | Array) -> None:
-        if isinstance(controller, HeldMeasurement):
-            raise InvalidInputError(
-                f"controller must be one that is not held yet, got {controller!r}", given=controller
-            )
         self._require_measured(controller)
         task = controller.task
         self.controller = controller
@@ -77,18 +72,15 @@ class HeldMeasurement(ControllerWrapper):
         self._parts, self._most = task._parts, self.unseen.tolist()
         self._origin = task._origin
         self._uncombined = uncombined(task)
-        self._moved = slice(task.n_x + 1, task.n_x + 1 + m)  # p within the memory
-        self._memory = self._moved.stop + len(self._parts)
+        self._memory = task.n_x + 1 + m + len(self._parts)
 
     def initial_state(self, measurement: Measurement) -> Array:
         """Return the state before the first step: nothing has been seen yet.
 
-        Raises:
-            InvalidInputError: As the controller.
-            MeasurementError: As the controller, such as law (5) where the first x is lost.
+        Raises as the controller, such as law (5) where the first x is lost.
         """
-        unseen = np.zeros(self._memory - len(self._origin))
-        return np.concatenate([self.controller.initial_state(measurement), self._origin, unseen])
+        memory = np.append(self._origin, np.zeros(self._memory - len(self._origin)))
+        return np.concatenate([self.controller.initial_state(measurement), memory])
 
     def step(
         self, state: Array, measurement: Measurement, target: Target | Array, dt: float
@@ -104,8 +96,8 @@ class HeldMeasurement(ControllerWrapper):
                 that answers without Ĵ.
         """
         inner, memory = self._split(state)
-        t_x, is_traced = getattr(measurement, "t_x", None), hasattr(state, "arm_of")
-        if not is_traced:
+        t_x = getattr(measurement, "t_x", None)
+        if not hasattr(state, "arm_of"):
             require("measurement", measurement, Measurement, "Measurement(t, q, v, x)")
             require_array("x", measurement.x, len(self._origin), self.controller.task)
             t_x = time_of_x(t_x)
@@ -125,15 +117,9 @@ class HeldMeasurement(ControllerWrapper):
             rate = answer.J_hat.dot(measurement.v)
             motion = dt * (rate if self._uncombined is None else self._uncombined.dot(rate))
             memory = law.hold_moved(held, motion)
-        if not (is_traced or math.isfinite(math.hypot(*memory.tolist()))):
-            raise MeasurementError(
-                f"the state overflows: x = {x.tolist()} and v = {measurement.v.tolist()} are "
-                "beyond what can be kept",
-                given=measurement,
-            )
         is_held = law.complement(held.is_new) & (answer.status == _OK)
         status = law.select(is_held, _HELD, answer.status)
-        return np.concatenate([after, memory]), answer._replace(status=status)
+        return self._joined(after, memory, measurement), answer._replace(status=status)
 
     def __repr__(self) -> str:
         return f"HeldMeasurement({self.controller!r}, unseen={self.unseen.tolist()})"

@@ -57,16 +57,10 @@ class PredictedMeasurement(ControllerWrapper):
         task = kinematics.task
         frames, own = ([each.frame for each in features(t)] for t in (controller.task, task))
         alike = (controller.task.labels, controller.task.units) == (task.labels, task.units)
-        if not alike or frames != own:
+        if not alike or frames != own or controller.task.robot != task.robot:
             raise InvalidInputError(
-                f"kinematics must be of the controller's task {controller.task!r}, got "
-                f"{kinematics!r}",
-                given=kinematics,
-            )
-        if controller.task.robot != task.robot:
-            raise InvalidInputError(
-                f"kinematics must be of the controller's robot, got {kinematics!r}, whose robot "
-                "has another URDF or gravity",
+                f"kinematics must be of the controller's task {controller.task!r} and its robot, "
+                f"with its URDF and gravity, got {kinematics!r}",
                 given=kinematics,
             )
         self.controller = controller.with_task(_WithJacobian(task))
@@ -95,11 +89,7 @@ class PredictedMeasurement(ControllerWrapper):
         return np.concatenate([self.controller.learnt_sd(inner), self.kinematics.sd_of(known)])
 
     def with_task(self, task: Task) -> Self:
-        """Refuse another task: kinematics that have learnt are of the one that they were built for.
-
-        Raises:
-            InvalidInputError: Always.
-        """
+        """Refuse another task than that of the kinematics; raises InvalidInputError."""
         raise InvalidInputError(
             f"task must be {self.task!r}, which the kinematics are of; build a new controller for "
             f"{task!r}",
@@ -109,21 +99,20 @@ class PredictedMeasurement(ControllerWrapper):
     def initial_state(self, measurement: Measurement) -> Array:
         """Return the state before the first step."""
         require_arrays(np.zeros(0), measurement, self.task._origin, self.task, 0)
-        known = self.kinematics.initial_state(measurement)
-        target = Target(self.task._origin)
-        seen, _ = self._predicted(known, measurement, target)
-        return np.concatenate([self.controller.initial_state(seen), known])
+        return self._started(self.kinematics.initial_state(measurement), measurement)
 
     def resumed(self, state: Array, measurement: Measurement) -> Array:
         """Return a state before a first step that knows what another state has learnt."""
         fresh = self.initial_state(measurement)
         inner, known = self._split(as_vector("state", state, len(fresh)))
-        known = self.kinematics.resumed(known, measurement)
-        seen, _ = self._predicted(known, measurement, Target(self.task._origin))
-        fresh = self.controller.initial_state(seen)
+        fresh = self._started(self.kinematics.resumed(known, measurement), measurement)
         p = self.controller.learnt(inner).shape[-1]
         fresh[:p] = inner[:p]
-        return np.concatenate([fresh, known])
+        return fresh
+
+    def _started(self, known: Array, measurement: Measurement) -> Array:
+        seen, _ = self._predicted(known, measurement, Target(self.task._origin))
+        return np.concatenate([self.controller.initial_state(seen), known])
 
     def step(
         self, state: Array, measurement: Measurement, target: Target | Array, dt: float
@@ -132,13 +121,11 @@ class PredictedMeasurement(ControllerWrapper):
 
         The answer's e is that of the measured x, NaN where that is lost.
 
-        Raises:
-            MeasurementError: As the controller.
-            InvalidInputError: As the controller.
+        Raises as the controller.
         """
         target = target if isinstance(target, Target) else Target(target)
-        (inner, known), task, is_traced = self._split(state), self.task, hasattr(state, "arm_of")
-        if not is_traced:
+        (inner, known), task = self._split(state), self.task
+        if not hasattr(state, "arm_of"):
             x_d = task.target(target.x)
             q, v, _ = require_arrays(state, measurement, x_d, task, len(state))
             if not math.isfinite(math.hypot(*q.tolist(), *v.tolist())):
@@ -159,11 +146,9 @@ class PredictedMeasurement(ControllerWrapper):
                 self.kinematics.correct(known, measurement, dt)
         except (ArithmeticError, np.linalg.LinAlgError):
             raise overflow(measurement) from None
-        if not (is_traced or math.isfinite(math.hypot(*known.tolist()))):
-            raise overflow(measurement)
         is_predicted = (now == _PREDICTED) | law.complement(law.is_finite(e))
         status = law.select(is_predicted & (answer.status == _OK), _PREDICTED, answer.status)
-        return np.concatenate([after, known]), answer._replace(e=e, status=status)
+        return self._joined(after, known, measurement), answer._replace(e=e, status=status)
 
     def kinematics_of(self, state: Array) -> tuple[Kinematics, Array]:
         """Return the kinematics, and their part of a state."""

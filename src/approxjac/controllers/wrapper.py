@@ -9,7 +9,7 @@ from typing import Any, Literal, Self
 
 import numpy as np
 
-from approxjac.controllers.arguments import FLOAT64
+from approxjac.controllers.arguments import FLOAT64, overflow
 from approxjac.controllers.controller import Controller, Instant
 from approxjac.controllers.gains.gains import Latency
 from approxjac.controllers.gains.tuning import Tuning
@@ -110,6 +110,13 @@ class ControllerWrapper(Immutable, Controller):
                 "predicts x by kinematics of its own",
                 given=controller,
             )
+
+    @staticmethod
+    def _joined(inner: Array, memory: Array, measurement: Measurement) -> Array:
+        """Return a state of these parts, or refuse a memory that a measurement made overflow."""
+        if not hasattr(memory, "arm_of") and not math.isfinite(math.hypot(*memory.tolist())):
+            raise overflow(measurement)
+        return np.concatenate([inner, memory])
 
     def _split(self, state: Array) -> tuple[Array, Array]:
         """Return the state of the controller inside, and the memory.

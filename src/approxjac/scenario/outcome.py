@@ -478,8 +478,7 @@ def _kinematics(learnt: KinematicReport, is_image: bool) -> str:
         parts.append(f"{which} turned by {math.degrees(learnt.angle):.1f} deg{rows}")
     parts.append(f"chi squared {learnt.chi_squared:.2f} a degree of freedom")
     if not learnt.is_explained:
-        why = f"; it may be: {learnt.suspects}" if learnt.suspects else ""
-        parts.append(f"which does not explain x{why}")
+        parts.append("which does not explain x")
     return ", ".join(parts)
 
 

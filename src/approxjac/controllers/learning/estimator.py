@@ -12,7 +12,7 @@ import numpy as np
 from approxjac import law
 from approxjac.controllers.arguments import LONGEST_DELAY, from_another_clock, time_of_x
 from approxjac.controllers.learning.kinematic_report import KinematicReport, LearntNumber
-from approxjac.errors import InvalidInputError, MeasurementError
+from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement, Status, Target
 from approxjac.law import PredictedError
 from approxjac.robots import KinematicRegressor, Robot
@@ -255,23 +255,17 @@ class Estimator(Kinematics):
     _noise_unit = "m"
     _pixels: Array | float = 1.0  # units of the noise in one of `_points`
 
-    def _lay_out(
-        self, own: Mapping[str, int], delay: float, dt: float, n_points: int, jump: float = 0.0
-    ) -> None:
-        """Say what a state holds, one part after the other, and what of it was learnt.
+    def _lay_out(self, own: Mapping[str, int], delay: float, dt: float, n_points: int) -> None:
+        """Say what a state holds, one part after the other: frames, gate, and by name its own.
 
-        Args:
-            own: Lengths of parts by name. What is smoothed has a rate: of each name one in "_dot",
-                in the same order without a gap, and of rotations one in "_spin".
-            delay: As `delay`.
-            dt: Sampling time of control [s].
-            n_points: Length of `_points`.
-            jump: By how much these may change wherever the arm is.
+        What is smoothed has a rate: of each name one in "_dot", in the same order without a gap,
+        and of rotations one in "_spin". `n_points` is the length of `_points`.
         """
         task, m = self.task, self.task.m
         self.delay = as_number("delay", delay, unit="s", minimum=0.0, most=LONGEST_DELAY)
         dt = as_number("dt", dt, unit="s", above=0.0)
         self._frames = Frames(task.robot, task.n_x, self.delay, dt)
+        jump = JUMP * self.noise / float(np.min(self._pixels))
         self._gate = Gate(task.robot, n_points, jump, self._reach)
         sizes = {
             "frames": self._frames.size, "gate": self._gate.size, "time": 1,
@@ -314,17 +308,14 @@ class Estimator(Kinematics):
 
     @abstractmethod
     def _reach(self, q_0: Array, q: Array) -> Array:
-        """Return the largest motion of each of `_points` between configurations."""
+        """Return the largest motion of each of `_points` between configurations, without noise."""
 
     @abstractmethod
     def _correct(self, state: Array, frame: Frame, since: Any, is_anew: Any) -> None:
         """Learn from a frame, in place, and let `_account` have what it does not explain.
 
-        Args:
-            state: The state.
-            frame: With `_points` of its x, of which something is seen.
-            since: Time that it counts for [s].
-            is_anew: Whether it is the first one after the sensor was moved.
+        It has `_points` of x, of which something is seen, counts for the time `since` [s], and is
+        the first one after the sensor was moved where it `is_anew`.
         """
 
     @abstractmethod
@@ -336,10 +327,7 @@ class Estimator(Kinematics):
 
     @abstractmethod
     def _covariance(self, state: Array) -> tuple[Array, float]:
-        """Return the covariance (p, p) of what is estimated, and χ² a degree of freedom.
-
-        By the noise that is given, or χ² by that which is seen.
-        """
+        """Return the covariance (p, p) by the noise that is given, and χ² by what is seen."""
 
     def _in_units(self, covariance: Array, learnt: Array) -> Array:
         """Return the covariance of what is estimated as that of what `learnt` returns."""
@@ -355,12 +343,7 @@ class Estimator(Kinematics):
         measurement, at = self._own(measurement), self._at
         if not hasattr(measurement.q, "arm_of"):  # or it is of symbols
             _time(measurement)
-            if not np.isfinite(measurement.q).all():
-                raise MeasurementError(
-                    f"q must be finite, got {measurement.q.tolist()}: frames are learnt from with "
-                    "the configuration of their time",
-                    given=measurement,
-                )
+            as_vector("q of a measurement", measurement.q, self.task.robot.nq)
         state, frames = np.zeros_like(measurement.q, shape=self.n_state), at["frames"]
         self._frames.begin(state[frames], measurement.t, measurement.q)
         state[at["time"]] = self._frames.last_time(state[frames])
@@ -441,13 +424,7 @@ class Estimator(Kinematics):
 
     @staticmethod
     def _eased(dt: float, away: Any, *turns: Array) -> Any:
-        """Return the rate β at which the smoothed estimates follow, or one that is slow enough.
-
-        Args:
-            dt: Sampling time [s].
-            away: By how much x̂ is to move [m].
-            turns: Rotation vectors by which something is to turn.
-        """
+        """Return the rate β of what is smoothed, or a slower one if x̂ is `away` [m], or turned."""
         rate = _EASED_SPEED / np.maximum(away, 1e-9)
         rate = np.minimum(rate, min(_SMOOTHING, 0.5 / dt))
         for turn in turns:
@@ -649,10 +626,6 @@ class Frames:
         share = here.dot(since / gaps)
         begins, ends = here.dot(rows[:-1]), here.dot(rows[1:])
         robot, is_known = self._robot, before[0] < t
-        if is_known is False or is_known is np.False_:
-            return measurement.q, False
-        if robot.nq == robot.nv:
-            return begins + share * (ends - begins), is_known
         begins = np.where(is_known, begins, measurement.q)
         ends = np.where(is_known, ends, measurement.q)
         return moved(robot, begins, share * motion_between(robot, begins, ends)), is_known
@@ -672,8 +645,8 @@ class Gate:
     last one that was not: configuration, x, and 1 for each entry of x that was seen at it; and
     whether the last one was believed, and the first after the sensor moved, 1 or 0.
 
-    reach(q_0, q) is how far each entry of x may move between configurations, (n_x,); by `jump` it
-    may change wherever the arm is, so that nobody need ask.
+    reach(q_0, q) is how far each entry of x may move between configurations, (n_x,), and by `jump`
+    farther.
     """
 
     PASSED_OVER = 8
@@ -688,19 +661,16 @@ class Gate:
     def judge(self, numbers: Array, frame: Frame) -> None:
         """Note whether to believe a frame, and whether it is the first after the sensor moved."""
         last, other = numbers[1:-2].reshape(2, -1)
-        believed, fits = True, self._fits(last, frame)
-        if not law.surely(fits):
-            jumps = law.complement(fits)
-            agrees = (numbers[0] > 0.0) & self._fits(other, frame)
-            count = law.select(agrees, numbers[0] + 1.0, 1.0)
-            believed = fits | (count >= self.PASSED_OVER)
-            numbers[0] = law.select(believed, 0.0, count)
-            law.alter(jumps, other, lambda other: self._note(other, frame))
-        else:
-            numbers[0] = 0.0
+        fits = self._fits(last, frame)
+        jumps = law.complement(fits)
+        agrees = (numbers[0] > 0.0) & self._fits(other, frame)
+        count = law.select(agrees, numbers[0] + 1.0, 1.0)
+        believed = fits | (count >= self.PASSED_OVER)
+        numbers[0] = law.select(believed, 0.0, count)
+        law.alter(jumps, other, lambda other: self._note(other, frame))
         law.alter(believed, last, lambda last: self._note(last, frame))
         numbers[-2] = law.select(believed, 1.0, 0.0)
-        numbers[-1] = law.select(believed & law.complement(fits), 1.0, 0.0)
+        numbers[-1] = law.select(believed & jumps, 1.0, 0.0)
 
     def _fits(self, last: Array, frame: Frame) -> Any:
         """Return whether x is where it may be after the last frame; where none was, it may be."""
@@ -710,7 +680,7 @@ class Gate:
         is_near = change.max() <= self._jump
         if law.surely(is_near):  # which is usual
             return True
-        return is_near | law.all_of(change <= self._reach(last[:nq], frame.q))
+        return is_near | law.all_of(change <= self._reach(last[:nq], frame.q) + self._jump)
 
     def _note(self, where: Array, frame: Frame) -> None:
         n, seen = self._nq, np.isfinite(frame.x)

@@ -9,7 +9,6 @@ from approxjac.validation import Array
 _NOT_SEEN = 0.5  # share of the prior variance below which nothing was learnt of a number
 _SILENT = 1.0  # without a frame to learn from [s]
 _UNEXPLAINED = 1.5  # χ² a degree of freedom
-_NO_JOINTS = {"tool", "points", "camera", "focal_length", "offset", "scale"}  # others have origins
 
 
 class LearntNumber(NamedTuple):
@@ -17,7 +16,7 @@ class LearntNumber(NamedTuple):
 
     Attributes:
         name: Such as "tool.x" or "camera.rz".
-        unit: "m", "rad" or "".
+        unit: "m", "rad" or "px".
         believed: Value before the first frame.
         value: Value by now.
         sd: Its standard deviation.
@@ -43,9 +42,8 @@ class KinematicReport(NamedTuple):
     Attributes:
         rows: A row each number that was learnt.
         covariance: Of them, in the same order, wider where χ² is above 1, or the noise above what
-            was given. It is of noise: not of what key frames, which are means over up to 3 cm, lose
-            of how an image bends. In short set-point runs of a camera in the hand, its focal length
-            and the distance along its view, hard to tell apart, were off by 4 to 6 of their sd.
+            was given. In short set-point runs of a camera in the hand its focal length and distance
+            were off by 4 to 6 of their sd.
         angle: Of the camera's rotation [rad]; 0 where it is known.
         chi_squared: Of residuals averaged over a third of a second, per degree of freedom: 1 if
             the parameters that may be wrong explain x up to white noise.
@@ -74,19 +72,6 @@ class KinematicReport(NamedTuple):
         """Return whether the parameters that may be wrong explain x, of which they were learnt."""
         return self.seconds > 0.0 and self.chi_squared <= _UNEXPLAINED
 
-    @property
-    def suspects(self) -> str:
-        """Return likely causes of an image that is not explained, the likeliest first; or ""."""
-        if self.unit != "px":
-            return ""
-        kinds = (("tool", "points"), ("camera",), ("focal_length",))
-        learnt = {row.name.split(".")[0] for row in self.rows}
-        known = [" or ".join(kind) for kind in kinds if learnt.isdisjoint(kind)]
-        if learnt <= _NO_JOINTS:
-            known.append("origins")
-        taken = f"{', '.join(known)} (taken for known); " if known else ""
-        return f"{taken}a camera's center and distortion, which are not learnt; late images"
-
     def __str__(self) -> str:
         width = max(len(row.name) for row in self.rows)
         head = f"{'':{width}}  {'believed':>10} {'learnt':>10} {'sd':>9} {'seen':>6}"
@@ -108,6 +93,8 @@ class KinematicReport(NamedTuple):
             since = f"for the last {self.silence:.1f} s" if self.seconds else "yet"
             lines.append(f"no frame to learn from {since}: x is lost, or too old to tell q at it")
         if self.seconds and not self.is_explained:
-            rest = f"; it may be: {self.suspects}" if self.suspects else ""
-            lines.append(f"the parameters that may be wrong do not explain x{rest}")
+            lines.append(
+                "the parameters that may be wrong do not explain x: others are (of a camera"
+            )
+            lines.append("also center and lens), or x is late")
         return "\n".join(lines)

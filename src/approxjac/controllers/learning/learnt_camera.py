@@ -12,7 +12,6 @@ from approxjac import law
 from approxjac.cameras import PinholeCamera
 from approxjac.controllers.arguments import chosen_deviations, chosen_kinds, is_rotation
 from approxjac.controllers.learning.estimator import (
-    JUMP,
     Estimator,
     Frame,
     Translations,
@@ -230,8 +229,7 @@ class AdaptiveCamera(Estimator):
     def _reach(self, q_0: Array, q: Array) -> Array:
         points = self._points_of
         known, unsure = motion_of_points(points.at(q_0), points.at(q), points.u, self._sd_u)
-        rays = (_MOVES * known + 4.0 * unsure) * _MOVES / self._usual_depth
-        return np.asarray(np.repeat(rays, 2) + JUMP * self.noise / self._f.min())
+        return np.repeat((_MOVES * known + 4.0 * unsure) * _MOVES / self._usual_depth, 2)
 
     def _correct(self, state: Array, frame: Frame, since: Any, is_anew: Any) -> None:
         at, estimator, y = self._at, self._estimator, self._rays(frame.x)

@@ -13,7 +13,6 @@ from approxjac import law
 from approxjac.cameras import PlanarCamera
 from approxjac.controllers.arguments import chosen_deviations, chosen_kinds, is_rotation
 from approxjac.controllers.learning.estimator import (
-    JUMP,
     WINDOW,
     Estimator,
     Frame,
@@ -181,7 +180,7 @@ class AdaptiveKinematics(Estimator):
             "R": d * d if self._turns else 0, "R_spin": spin, "T": n_T, "T_spin": n_T // 3,
             "u": n, "b": n_p, "u_dot": n, "b_dot": n_p,
         }  # fmt: skip
-        self._lay_out(sizes, delay, dt, len(self._points(np.zeros(task.n_x))), JUMP * self.noise)
+        self._lay_out(sizes, delay, dt, len(self._points(np.zeros(task.n_x))))
 
     def __repr__(self) -> str:
         return f"AdaptiveKinematics({self.task!r}, unknown={self.unknown})"
@@ -230,7 +229,7 @@ class AdaptiveKinematics(Estimator):
         if self._orientation is not None:
             turned = self._orientation.reach(q_0, q)
             reach = np.concatenate([reach, np.repeat(1.5 * turned, 9)])
-        return np.asanyarray(reach + JUMP * self.noise)
+        return np.asanyarray(reach)
 
     def _in_order(self, Theta: Array, R: Array) -> Array:
         """Return the learnt numbers in the order of `names`."""
