@@ -3,8 +3,7 @@
 You will see: position and orientation reach their targets, six coordinates for seven joints. The
 pose is measured with noise, 10 ms late, and a tenth of the samples is lost; q̇ comes from filtered
 differences of encoder readings, not from a tachometer; torques act 1 ms late; the joints have
-friction that the controller does not know. Last, it prints how much of gravity this motion could
-teach.
+friction that the controller does not know.
 
 You will learn: how to make a simulated plant as bad as your robot, and how gains allow for that.
 
@@ -18,7 +17,6 @@ import numpy as np
 
 import approxjac as aj
 from approxjac import view
-from approxjac.robots import excitation
 
 arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
 arguments.add_argument("--out", type=Path, default=Path("results/examples"))
@@ -59,7 +57,6 @@ print(
     f"{1e3 * np.linalg.norm(position[-1]):.2g} mm, orientation "
     f"{np.degrees(np.linalg.norm(turn[0])):.0f} -> {np.degrees(np.linalg.norm(turn[-1])):.2g} deg"
 )
-print(excitation(controller.adaptation.regressor, run.q[::100]))
 
 figure, (left, middle, right) = view.new_figure(3, title="A Panda turns an unknown 15 cm tool")
 for i, label in enumerate("xyz"):

@@ -7,7 +7,7 @@ import approxjac as aj
 from approxjac.controllers import Posture
 from approxjac.realtime import SimulatedDriver
 from approxjac.realtime.driver import read
-from approxjac.robots import Dynamics, GravityRegressor, excitation
+from approxjac.robots import Dynamics, GravityRegressor
 
 ARM = aj.load_robot("kinova")  # six joints, of which three are continuous: nq is 9
 ANGLES = np.array([0.3, 2.9, 1.3, 4.2, 1.4, 0.3])
@@ -62,7 +62,6 @@ TAKEN = {
     "dynamics": lambda q: Dynamics(ARM).M(q),
     "gravity": lambda q: Dynamics(ARM).g(q),
     "regressor": lambda q: GravityRegressor(ARM).Z(q),
-    "excitation": lambda q: excitation(GravityRegressor(ARM), [q, q]).effect,
     "plant": lambda q: PLANT.acceleration(q, np.ones(6), np.ones(6)),
     "simulate": simulated,
     "driver": driven,

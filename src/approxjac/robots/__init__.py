@@ -1,12 +1,6 @@
 """Robots: arms from URDF files, objects attached to them, errors applied to them."""
 
-from approxjac.robots.dynamics import (
-    Dynamics,
-    DynamicsRegressor,
-    Excitation,
-    GravityRegressor,
-    excitation,
-)
+from approxjac.robots.dynamics import Dynamics, DynamicsRegressor, GravityRegressor
 from approxjac.robots.kinematic_regressor import KinematicRegressor
 from approxjac.robots.load import load_robot, robot_names
 from approxjac.robots.perturbation import Perturbation
@@ -15,12 +9,10 @@ from approxjac.robots.robot import Robot
 __all__ = [
     "Dynamics",
     "DynamicsRegressor",
-    "Excitation",
     "GravityRegressor",
     "KinematicRegressor",
     "Perturbation",
     "Robot",
-    "excitation",
     "load_robot",
     "robot_names",
 ]

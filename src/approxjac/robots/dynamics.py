@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from approxjac.errors import InvalidInputError
-from approxjac.robots.model import WORLD, mass_matrix, symmetric
-from approxjac.robots.robot import Robot
+from approxjac.robots.robot import WORLD, Robot, mass_matrix, symmetric
 from approxjac.robots.traced import arm_of
-from approxjac.validation import Array, as_array, as_number, as_vector, axis_rows, require, shape_of
+from approxjac.validation import Array, as_vector, axis_rows, require
 
 
 class Dynamics:
@@ -171,6 +169,9 @@ class _TorqueRegressor:
         Y: Array = pin.computeJointTorqueRegressor(model, self._data, q_all, v, a)
         return self._mimic_joints.rows(Y if self._many else Y[np.newaxis])
 
+    def _at_rest(self, q: Array) -> Array:
+        return self._torques(self._model, q, self._zero, self._zero)
+
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.robot.name!r}: {self.p} parameters)"
 
@@ -241,22 +242,18 @@ class DynamicsRegressor(_TorqueRegressor):
 
     def Y_d(self, q: Array, v: Array, v_r: Array, a_r: Array) -> Array:
         """Y_d (n_v, p) of q (nq,), q̇, q̇_r [rad/s or m/s] and q̈_r [rad/s² or m/s²]; not checked."""
-        links, joints = self.parts(q, v, v_r, a_r)
-        return np.concatenate([links, *(np.diag(each) for each in joints)], axis=1)
+        links = self._links(q, v, v_r, a_r)
+        joints = map(np.diag, self.of_joints(v_r, a_r))
+        return np.concatenate([links, *joints], axis=1)
 
-    def parts(self, q: Array, v: Array, v_r: Array, a_r: Array) -> tuple[Array, Array]:
-        """Return Y_d as its columns of links (n_v, 10 links), and the diagonals of the others.
-
-        The arguments are those of `Y_d`; the diagonals are (4, n_v).
-        """
+    def _links(self, q: Array, v: Array, v_r: Array, a_r: Array) -> Array:
         mimic = self._mimic_joints
         middle, apart = mimic.v(_HALF * (v + v_r)), mimic.v(_HALF * (v - v_r))
         links = self._torques(self._model, q, middle, mimic.v(a_r))
-        links = links - self._torques(self._weightless, q, apart, self._zero)
-        return links, self.of_joints(v_r, a_r)
+        return links - self._torques(self._weightless, q, apart, self._zero)
 
     def of_joints(self, v_r: Array, a_r: Array) -> Array:
-        """Return the diagonals of the columns of joints, shape (4, n_v)."""
+        """Return the columns of joints, of each kind the diagonal; shape (4, n_v)."""
         each = a_r, v_r, np.tanh(v_r / COULOMB_SPEED), self._one
         return np.concatenate(each).reshape(4, -1)
 
@@ -265,11 +262,11 @@ class DynamicsRegressor(_TorqueRegressor):
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
             symbolic: LinkMotion = arm.bodies(v, v_r, a_r)
             return symbolic
-        return LinkMotion(self, q, self.parts(q, v, v_r, a_r)[0])
+        return LinkMotion(self, q, self._links(q, v, v_r, a_r))
 
     def Z(self, q: Array) -> Array:
         """Gravity's part of the links' columns, Y_d(q, 0, 0, 0), shape (n_v, 10 links)."""
-        return self._torques(self._model, q, self._zero, self._zero)
+        return self._at_rest(q)
 
 
 class GravityRegressor(_TorqueRegressor):
@@ -309,7 +306,7 @@ class GravityRegressor(_TorqueRegressor):
         offsets = [0, *(1 + axis for axis in sorted(axes))]
         candidates = np.array([10 * i + k for i in range(self._model.nv) for k in offsets])
         rng = np.random.default_rng(0)
-        stacked = np.vstack([self._full(q)[:, candidates] for q in anywhere(robot, rng)])
+        stacked = np.vstack([self._at_rest(q)[:, candidates] for q in anywhere(robot, rng)])
         kept, grouping = independent_columns(stacked)
         if not kept:
             raise InvalidInputError(
@@ -339,7 +336,7 @@ class GravityRegressor(_TorqueRegressor):
         """Gravity regressor Z(q), shape (n_v, p) [m²/s² for first moments, with g inside]."""
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
             return np.asanyarray(arm.Z(self))
-        return self._full(self.robot.configuration(q)).take(self.columns, 1)
+        return self._at_rest(self.robot.configuration(q)).take(self.columns, 1)
 
     def fit(self, robot: Robot, *, seed: int = 0) -> tuple[Array, float]:
         """Return the θ with which this Z(q) reproduces the gravity of a robot with these joints.
@@ -394,10 +391,6 @@ class GravityRegressor(_TorqueRegressor):
         Z, g = self._samples(robot, rng)
         return float(np.abs(Z @ theta - g).max() / max(np.abs(g).max(), 1e-300))
 
-    def _full(self, q: Array) -> Array:
-        """Return all columns at rest; an alias of scratch memory."""
-        return self._torques(self._model, q, self._zero, self._zero)
-
     def __repr__(self) -> str:
         return f"GravityRegressor({self.robot.name!r}: {self.p} parameters {', '.join(self.names)})"
 
@@ -409,81 +402,13 @@ def anywhere(robot: Robot, rng: np.random.Generator) -> list[Array]:
     return [np.array(pin.integrate(robot.model, robot.neutral(), motion)) for motion in motions]
 
 
-def independent_columns(A: Array, tolerance: float = _RANK_TOLERANCE) -> tuple[list[int], Array]:
+def independent_columns(A: Array) -> tuple[list[int], Array]:
     """Return the columns of A that do not depend on those before, and G with A = A[:, kept] G."""
     scale = np.linalg.norm(A, axis=0)
-    some = np.nonzero(scale > tolerance * scale.max(initial=0.0))[0]
+    some = np.nonzero(scale > _RANK_TOLERANCE * scale.max(initial=0.0))[0]
     # on the diagonal is what of a column no combination of those before it makes
     alone = np.abs(np.diag(np.linalg.qr(A[:, some] / scale[some], mode="r")))
-    kept: list[int] = some[alone > tolerance].tolist()
+    kept: list[int] = some[alone > _RANK_TOLERANCE].tolist()
     grouping: Array = np.linalg.lstsq(A[:, kept], A, rcond=None)[0].astype(np.float64)
     grouping[np.abs(grouping) < 1e-12] = 0.0
     return kept, grouping
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Excitation:
-    """Report of which parameters θ of g = Z(q)θ the configurations of a motion distinguish.
-
-    Attributes:
-        names: Names of the parameters, length p.
-        effect: Root mean square of the torque that one unit of a parameter makes, shape (p,)
-            [N m per unit].
-        own: What of it no combination of the other parameters can make: 0 where learning cannot
-            distinguish the parameter from others.
-        threshold: Share of `effect` that `own` has to reach for a parameter to count as excited.
-        rank: Number of combinations of parameters that the motion excites.
-    """
-
-    names: tuple[str, ...]
-    effect: Array
-    own: Array
-    threshold: float
-    rank: int
-
-    @property
-    def excited(self) -> tuple[str, ...]:
-        """Parameters that the motion determines by themselves."""
-        large = (self.effect > 0.0) & (self.own >= self.threshold * self.effect)
-        return tuple(name for name, is_large in zip(self.names, large, strict=True) if is_large)
-
-    def __repr__(self) -> str:
-        width, excited = max(len(name) for name in self.names), self.excited
-        lines = [
-            f"  {name:{width}}  {effect:9.3g}  {own:9.3g}  {'yes' if name in excited else 'no'}"
-            for name, effect, own in zip(self.names, self.effect, self.own, strict=True)
-        ]
-        lines[:0] = [
-            f"Excitation: {self.rank} of {len(self.names)} combinations",
-            f"  {'':{width}}  {'effect':>9}  {'own':>9}  excited   [N m per unit]",
-        ]
-        return "\n".join(lines)
-
-
-def excitation(regressor: GravityRegressor, q: Array, threshold: float = 0.05) -> Excitation:
-    """Report which gravity parameters a motion excites, such as `run.q`.
-
-    Learnt gravity (29) needs no excitation to bring the task to its target; θ̂ reaches θ only
-    along what is excited.
-
-    Args:
-        regressor: The regressor.
-        q: Configurations of the motion, shape (N, nq) [rad or m].
-        threshold: Share of a parameter's effect that must be its own, from 0 to 1.
-    """
-    require("regressor", regressor, GravityRegressor, "a GravityRegressor")
-    robot = regressor.robot
-    size = robot.nv if shape_of(q)[1:] == (robot.nv,) else robot.nq  # or angles of the joints
-    q = as_array("q", q, ("N", size), "rad or m")
-    threshold = as_number("threshold", threshold, above=0.0, most=1.0)
-    Z = np.vstack([regressor.Z(each) for each in q]) / np.sqrt(len(q))
-    effect = np.linalg.norm(Z, axis=0)
-    effect[effect < 1e-12 * effect.max()] = 0.0  # round-off
-    A = np.divide(Z, effect, out=np.zeros_like(Z), where=effect > 0.0)
-    A_plus = np.linalg.pinv(A, rcond=1e-6)
-    # 1/(A⁺A⁺ᵀ)ₖₖ is the squared distance of column k to the span of the others; a parameter with a
-    # share in the null space has none
-    alone = 1.0 - np.einsum("ij,ji->i", A_plus, A) < 1e-6
-    own = np.divide(effect, np.linalg.norm(A_plus, axis=1), out=np.zeros_like(effect), where=alone)
-    rank = int(np.linalg.matrix_rank(A, tol=threshold))
-    return Excitation(regressor.names, effect, own, threshold, rank)

@@ -10,13 +10,10 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.errors import InvalidInputError
-from approxjac.robots.dynamics import anywhere, independent_columns
 from approxjac.robots.robot import Robot
 from approxjac.robots.traced import arm_of
 from approxjac.validation import Array, as_array, as_vector, require
 
-_RANK_TOLERANCE = 1e-4  # axes in URDFs are rounded, such as 1.5708 for a right angle
-_COEFFICIENT = 1e-3  # below which a parameter has no part in a combination
 _IN_WORLD = pin.LOCAL_WORLD_ALIGNED
 _JACOBIAN_DOT = pin.getFrameJacobianTimeVariation
 
@@ -162,8 +159,6 @@ class KinematicRegressor:
         """Number of parameters."""
         return len(self.theta)
 
-    # -- positions ----------------------------------------------------------------------
-
     def Y(self, q: Array) -> Array:
         """Return Y(q), shape (3k, p)."""
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
@@ -199,22 +194,6 @@ class KinematicRegressor:
         drift = J.take(self._of_theta, 1).dot(theta_dot)
         return PointMotion(p, self._along_joints(J), self._along_joints(J_dot), drift)
 
-    # -- parameters that can be identified, and the robot with them ----------------------
-
-    @cached_property
-    def rank(self) -> int:
-        """Number of combinations of parameters that positions identify."""
-        return len(self._independent[0])
-
-    def combinations(self) -> tuple[str, ...]:
-        """Return sums of unknowns that positions cannot separate: "joint4.y + joint5.y"."""
-        groups = []
-        for row in self._independent[1]:
-            together = np.flatnonzero(np.abs(row) > _COEFFICIENT).tolist()
-            if len(together) > 1:
-                parts = [(row[j], self.names[j]) for j in together]
-                groups.append(_combination_text(parts))
-        return tuple(groups)
 
     def robot_with(self, theta: Array, turn: Array | None = None) -> Robot:
         """Return the robot with other translations θ (p,) [m], and its one tool turned.
@@ -266,8 +245,6 @@ class KinematicRegressor:
         kind = self.robot.model.frames[self.robot.frame_id(frame)].type
         return int(self._model.getFrameId(frame, kind))
 
-    # -- forward kinematics --------------------------------------------------------------
-
     @cached_property
     def _data(self) -> pin.Data:
         return self._freed.createData()
@@ -298,20 +275,3 @@ class KinematicRegressor:
         """Return the columns of the robot's own joints, (3k, n_v)."""
         J = J.take(self._of_joints, 1)
         return J if self._plain else np.asarray(J.dot(self._columns))
-
-    @cached_property
-    def _independent(self) -> tuple[list[int], Array]:
-        """Return the columns of Y that do not depend on those before; G with Y = Y[:, kept] G."""
-        drawn = anywhere(self.robot, np.random.default_rng(0))
-        return independent_columns(np.vstack([self.Y(q) for q in drawn]), _RANK_TOLERANCE)
-
-
-def _combination_text(parts: Sequence[tuple[float, str]]) -> str:
-    """Return a sum of parameters with coefficients, such as "a.x + 0.5 b.x - c.y"."""
-    text = ""
-    for coefficient, name in parts:
-        size = f"{abs(coefficient):.3g}"
-        sign = "-" if coefficient < 0.0 else "+"
-        sign = f" {sign} " if text else sign.removeprefix("+")
-        text += sign + (name if size == "1" else f"{size} {name}")
-    return text

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from approxjac.robots.model import require_inertia
-from approxjac.robots.robot import Robot
+from approxjac.robots.robot import Robot, require_inertia
 from approxjac.robots.urdf import OBJECT_RADIUS, Urdf, direction, object_size, rotation_onto
 from approxjac.validation import Array
 

@@ -16,7 +16,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.formatting import short, short_fields
 from approxjac.interface import Measurement
 from approxjac.robots import Dynamics, Robot
-from approxjac.robots.model import WORLD
+from approxjac.robots.robot import WORLD
 from approxjac.robots.traced import motion_between
 from approxjac.simulation.sensing import Sensing, lost_entries
 from approxjac.tasks import PositionTask, Task

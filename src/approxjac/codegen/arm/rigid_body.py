@@ -26,7 +26,7 @@ from approxjac.law import products
 from approxjac.law.factors import Factors
 from approxjac.robots import GravityRegressor, KinematicRegressor, Robot
 from approxjac.robots.kinematic_regressor import PointMotion
-from approxjac.robots.model import own_joints
+from approxjac.robots.robot import own_joints
 from approxjac.validation import Array
 
 Given = Callable[[str, Array], Symbols]

@@ -21,7 +21,7 @@ from approxjac.codegen.trace.program import Program
 from approxjac.codegen.trace.symbols import Symbols, symbols
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Dynamics
-from approxjac.robots.model import own_joints
+from approxjac.robots.robot import own_joints
 from approxjac.simulation import Plant
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.tasks import Task

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from approxjac.robots import Robot
-from approxjac.robots.model import own_joints
+from approxjac.robots.robot import own_joints
 from approxjac.simulation import Trajectory
 from approxjac.simulation.trajectory import Scene
 from approxjac.tasks import FrameKinematics, Task
