@@ -175,7 +175,7 @@ def test_links_that_are_all_alike_are_placeholders():
     with pytest.warns(aj.errors.ImplausibleRobotWarning) as caught:
         aj.load_robot(text)
     (warning,) = caught
-    assert "6 of 6 links, l1 first, have the same mass of 2 kg" in str(warning.message)
+    assert "6 of 6 joints, j0 first, has the same mass of 2 kg" in str(warning.message)
     assert warning.filename == __file__
 
 
@@ -187,7 +187,7 @@ def test_efforts_that_no_such_arm_needs_are_placeholders():
 
 def test_grams_are_no_kilograms():
     """An arm that reaches 1.5 m, of aluminium through and through, would weigh some 5 t."""
-    with pytest.warns(aj.errors.ImplausibleRobotWarning, match="link l1 has 7000 kg, of an arm"):
+    with pytest.warns(aj.errors.ImplausibleRobotWarning, match="joint j0 has 7000 kg, of an arm"):
         aj.load_robot(chain(6, mass=lambda i: 6900.0 + 100.0 * i))
 
 

@@ -228,10 +228,16 @@ def test_a_run_with_a_free_finger():
         ((J1, J2, third(follows=mimic("jx")), J4), "mimics 'jx', which must be a joint that mov"),
         ((J1.replace("revolute", "fixed"), J2, third(), J4), "mimics 'j1', which must be a joint"),
         ((J1, J2, third(follows=mimic("j3")), J4), "mimics 'j3', which must be a joint t"),
-        ((J1.replace("revolute", "continuous"), J2, third(), J4), "neither may be continuous; make"),
+        (
+            (J1.replace("revolute", "continuous"), J2, third(), J4),
+            "neither may be continuous; make",
+        ),
         ((J1, J2, third("continuous"), J4), "neither may be continuous; make it fixed, or take"),
         ((J1, J2, third(follows=mimic("j4")), J4), "and comes before it in Pinocchio's order"),
-        ((J1, J2, third(follows="<mimic/>"), J4), "joint 'j3' has a <mimic> without joint=..."),
+        (
+            (J1, J2, third(follows="<mimic/>"), J4),
+            "<mimic joint=...> of joint 'j3' must be a name",
+        ),
         (
             (J1, J2, third(follows=mimic("j1", "two")), J4),
             "<mimic multiplier=...> of joint 'j3' must be a finite number, got 'two'",

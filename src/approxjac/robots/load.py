@@ -21,7 +21,14 @@ from approxjac.errors import (
 )
 from approxjac.robots.meshes import share_dir
 from approxjac.robots.robot import STANDARD_GRAVITY, Robot
-from approxjac.robots.urdf import MOST_TEXT, Urdf, leader_of, likely_tips, with_locked_joints
+from approxjac.robots.urdf import (
+    MOMENTS,
+    MOST_TEXT,
+    Urdf,
+    leader_of,
+    likely_tips,
+    with_locked_joints,
+)
 from approxjac.validation import Array
 
 
@@ -257,58 +264,34 @@ def _link(urdf: Urdf, frame: str) -> str:
 # delivers 0.2 to 14 times the torque of its weight at its reach.
 _HEAVY = 2000.0  # [kg/m³]
 _STRONG = 30.0
-_ALIKE = 4  # links with the same mass and inertia
-_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+_ALIKE = 4  # parts with the same mass and inertia: exporters write one where none is known
 _G = 9.81
 
 
 def implausible(robot: Robot) -> list[str]:
     """List masses and effort limits that are not plausible, a sentence each."""
-    return [*_alike(robot), *_heavy_and_strong(robot)]
-
-
-def _alike(robot: Robot) -> list[str]:
-    """Say which links have the same inertia: exporters write one for all where none is known."""
-    # of links on joints that move: there are parts that an arm has several of
-    moved = {joint.child for joint in robot.tree.joints.values() if joint.type != "fixed"}
-    masses = {}
-    for link in robot.tree.root.iterfind("link"):
-        inertial = link.find("inertial")
-        if link.get("name") in moved and inertial is not None:
-            moments = tuple(float(inertial.find("inertia").get(name)) for name in _MOMENTS)
-            masses[link.get("name")] = float(inertial.find("mass").get("value")), moments
-    if not masses:
-        return []
-    shared, count = Counter(masses.values()).most_common(1)[0]
-    if count < _ALIKE or 2 * count <= len(masses):
-        return []
-    first = next(name for name, mass in masses.items() if mass == shared)
-    return [
-        f"{count} of {len(masses)} links, {first} first, have the same mass of {shared[0]:g} kg "
-        "and the same inertia"
-    ]
-
-
-def _heavy_and_strong(robot: Robot) -> list[str]:
-    """Say which links are too heavy for the arm's size, and which motors too strong for it."""
-    if robot.tip is None:
-        return []
-    reach = robot.reach_bound(robot.tip)[1]
+    names, inertias = list(robot.model.names)[1:], list(robot.model.inertias)[1:]
+    masses = [(each.mass, *each.inertia.ravel().tolist()) for each in inertias]
+    findings, ((shared, count),) = [], Counter(masses).most_common(1)
+    if count >= _ALIKE and 2 * count > len(masses):
+        findings.append(
+            f"what moves with {count} of {len(masses)} joints, {names[masses.index(shared)]} "
+            f"first, has the same mass of {shared[0]:g} kg and the same inertia"
+        )
+    reach = np.inf if robot.tip is None else robot.reach_bound(robot.tip)[1]
     if not 0.0 < reach < np.inf:
-        return []
-    findings = []
-    for link in robot.tree.root.iterfind("link/inertial/mass"):
-        name, mass = link.getparent().getparent().get("name"), float(link.get("value"))
-        if name in robot.tree.moved_links and mass > _HEAVY * reach**3:
-            findings.append(f"link {name} has {mass:g} kg, of an arm that reaches {reach:.3g} m")
-    if findings:
         return findings
-    for name, effort, unit in zip(
-        robot.joint_names, robot.effort_limits, robot.joint_units, strict=True
-    ):
-        weight = robot.mass * _G * (reach if unit == "rad" else 1.0)
-        if np.isfinite(effort) and effort > _STRONG * weight > 0.0:
-            force = "N m" if unit == "rad" else "N"
+    for name, (mass, *_) in zip(names, masses, strict=True):
+        if mass > _HEAVY * reach**3:
+            findings.append(
+                f"what moves with joint {name} has {mass:g} kg, of an arm that reaches {reach:.3g} m"
+            )
+    efforts = zip(robot.joint_names, robot.effort_limits, robot.joint_units, strict=True)
+    for name, effort, unit in efforts:
+        weight, force = robot.mass * _G, "N"
+        if unit == "rad":
+            weight, force = weight * reach, "N m"
+        if np.isfinite(effort) and effort > _STRONG * weight:
             findings.append(
                 f"joint {name} has an effort limit of {effort:g} {force}, where at most "
                 f"{weight:.2g} {force} hold the arm's {robot.mass:.3g} kg"

@@ -12,13 +12,12 @@ from lxml.builder import E
 
 from approxjac.errors import UrdfError, package_of
 from approxjac.files import replaced
-from approxjac.robots.urdf import Urdf
+from approxjac.robots.urdf import MOMENTS, Urdf
 
 _MUJOCO_READS = (".stl", ".obj", ".msh")
 _MOST = 200_000_000  # bytes of a mesh file
 _READ = ("stl", "obj", "dae", "ply", "off")  # no archives, whose size nobody knows
 _MOST_COPIES = 100_000  # of nodes in a COLLADA file
-_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 def share_dir() -> Path | None:
@@ -113,7 +112,7 @@ def for_other_tools(urdf: Urdf, urdf_dir: Path | None, path: Path) -> None:
     # MuJoCo refuses inertias that no body can have also where they act on nothing
     for inertia in root.iterfind("link/inertial/inertia"):
         if not _possible(inertia) and inertia.getparent().getparent().get("name") not in moves:
-            inertia.attrib.update(dict.fromkeys(_MOMENTS, "0"))
+            inertia.attrib.update(dict.fromkeys(MOMENTS, "0"))
     if root.find("mujoco") is None:
         compiler = E.compiler(fusestatic="false", strippath="false", inertiafromgeom="false")
         root.insert(0, E.mujoco(compiler))

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.robots.robot import Robot, require_inertia
-from approxjac.robots.urdf import OBJECT_RADIUS, Urdf, direction, object_size, rotation_onto
+from approxjac.robots.urdf import OBJECT_RADIUS, Urdf, as_size, direction, rotation_onto
 from approxjac.validation import Array
 
 
@@ -78,7 +78,8 @@ class Perturbation:
             rotations: Rotation vectors in the joints' own frames, shape (k, 3) [rad].
         """
         if self._given[1] is not None:
-            object_size(length, mass, OBJECT_RADIUS)
+            as_size("length", length)
+            as_size("mass", mass, "kg")
         values = (length, mass, shifts, rotations)
         robot = self._moved or PerturbedRobot.like(self.base, _outward=self._outward)
         robot._made_by = self, values

@@ -17,10 +17,10 @@ from approxjac.robots import meshes
 from approxjac.robots.urdf import (
     OBJECT_RADIUS,
     Urdf,
+    as_size,
     direction,
     leader_of,
     likely_tips,
-    object_size,
     require_new,
     with_locked_joints,
     with_moved_origins,
@@ -330,7 +330,8 @@ class Robot(Immutable):
                 none, or a name that is taken.
             UnknownNameError: No such parent.
         """
-        length, mass, radius = object_size(length, mass, radius)
+        length, mass = as_size("length", length), as_size("mass", mass, "kg")
+        radius = as_size("radius", radius)
         parent = self.tip_or(parent)
         if parent not in self.tree.links:
             raise UnknownNameError("link", parent, self.name, self.tree.links)

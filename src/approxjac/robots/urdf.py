@@ -6,6 +6,7 @@ import copy
 import functools
 import math
 import re
+import reprlib
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence, Set
 from typing import Any, NamedTuple
@@ -18,6 +19,7 @@ from lxml.builder import E
 from approxjac.errors import InvalidInputError, UnknownNameError, UrdfError
 from approxjac.validation import Array, as_array, as_number
 
+MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 MOST_TEXT = 16_000_000  # characters
 _MOST_LINKS = 2000  # in a chain of 5000 Pinocchio's parser runs out of stack
@@ -199,17 +201,25 @@ def _joint(element: Any) -> UrdfJoint:
 
 # -- what is checked --------------------------------------------------------------------
 
-_NUMBERS = (  # of what element, which attributes, how many numbers in each, must they be there
-    ("origin", ("xyz", "rpy"), 3, False),
-    ("axis", ("xyz",), 3, True),
-    ("inertial/origin", ("xyz", "rpy"), 3, False),
-    ("inertial/mass", ("value",), 1, True),
-    ("inertial/inertia", ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1, True),
-    ("limit", ("lower", "upper", "effort", "velocity"), 1, False),
-    ("mimic", ("multiplier", "offset"), 1, False),
+_ELEMENTS = {"joint": ("parent", "child"), "inertial": ("mass", "inertia")}  # what holds what
+_LIMITED = "a finite number, 0 if none is known"
+_ATTRIBUTES = (  # of what element, which attributes, what they must be, must they be there
+    ("parent", ("link",), "a name", True),
+    ("child", ("link",), "a name", True),
+    ("origin", ("xyz", "rpy"), "3 finite numbers", False),
+    ("axis", ("xyz",), "3 finite numbers", True),
+    ("inertial/origin", ("xyz", "rpy"), "3 finite numbers", False),
+    ("inertial/mass", ("value",), "a finite number", True),
+    ("inertial/inertia", MOMENTS, "a finite number", True),
+    ("limit", ("lower", "upper"), "a finite number", False),
+    ("limit", ("effort", "velocity"), _LIMITED, True),
+    ("mimic", ("joint",), "a name", True),
+    ("mimic", ("multiplier", "offset"), "a finite number", False),
 )
 # "++" goes back to no digit, and so takes no quadratic time
 _NUMBER = re.compile(r"[+-]?(\d++\.?\d*+|\.\d++)([eE][+-]?\d++)?", re.ASCII)
+_SHORTENED = reprlib.Repr()
+_SHORTENED.maxstring = 60
 
 
 def _floats(text: str | None) -> list[float]:
@@ -223,56 +233,62 @@ def _floats(text: str | None) -> list[float]:
     return numbers if all(map(math.isfinite, numbers)) else []
 
 
-def _quoted(given: str | None) -> str:
-    """Shorten a value for an error message."""
-    return repr(given) if given is None or len(given) <= 60 else f"{given[:60]!r}..."
-
-
 def _faults(root: Any) -> Iterator[str]:
     """Say what is wrong with a URDF; Pinocchio's parser would only say that it is."""
     if not root.get("name"):
         yield "<robot> has no name"
     for tag in ("link", "joint"):
-        count = len(root.findall(tag))
-        if count > _MOST_LINKS:
-            yield f"it has {count} {tag}s; there may be at most {_MOST_LINKS}"
-    for owner in root.iterchildren("link", "joint"):
-        yield from _attribute_faults(owner)  # without which the rest cannot be looked at
+        owners = root.findall(tag)
+        if len(owners) > _MOST_LINKS:
+            yield f"it has {len(owners)} {tag}s; there may be at most {_MOST_LINKS}"
+        for owner in owners:
+            yield from _attribute_faults(owner)  # without which the rest cannot be looked at
     joints = [_joint(element) for element in root.iterfind("joint")]
     links = [link.get("name") for link in root.iterfind("link")]
-    for kind, names in (("link", links), ("joint", [joint.name for joint in joints])):
+    for what, names in (
+        ("links are called", links),
+        ("joints are called", [joint.name for joint in joints]),
+        ("joints have the child", [joint.child for joint in joints]),
+    ):
         for name, count in Counter(names).items():
             if count > 1:
-                yield f"two {kind}s are called {name!r}"
+                yield f"two {what} {name!r}"
     known = set(links)
     for joint in joints:
         yield from _joint_faults(joint, known)
-    yield from _tree_faults(joints, known)
+    roots = sorted(known - {joint.child for joint in joints})
+    if len(roots) != 1:
+        yield f"there must be one link without a parent, got {', '.join(roots) or 'none'}"
+    carried: dict[str, list[str]] = {}
+    for joint in joints:
+        carried.setdefault(joint.parent, []).append(joint.child)
+    level = roots
+    while level:  # every link has one parent at most, so it is visited once
+        known.difference_update(level)
+        level = [child for link in level for child in carried.get(link, [])]
+    if known:
+        yield f"these links are not connected to {roots[0]!r}: {', '.join(sorted(known))}"
 
 
 def _attribute_faults(owner: Any) -> Iterator[str]:
-    """Say which attributes of a <link> or <joint> are missing or no numbers."""
+    """Say what of a <link> or <joint> is missing, or no number."""
     name = owner.get("name")
     if not name:
         yield f"a <{owner.tag}> has no name"
-    if owner.tag == "joint":
-        for tag in ("parent", "child"):
-            if owner.find(tag) is None or not owner.find(tag).get("link"):
-                yield f"joint {name!r} has no <{tag} link=...>"
-        if owner.find("mimic") is not None and not owner.find("mimic").get("joint"):
-            yield f"joint {name!r} has a <mimic> without joint=..."
-    inertial = owner.find("inertial")
-    if inertial is not None and None in (inertial.find("mass"), inertial.find("inertia")):
-        yield f"<inertial> of link {name!r} needs <mass> and <inertia>"
-    for path, attributes, count, required in _NUMBERS:
+    for element in (owner, *owner.iterfind("inertial")):
+        for tag in _ELEMENTS.get(element.tag, ()):
+            if element.find(tag) is None:
+                yield f"<{element.tag}> of {owner.tag} {name!r} has no <{tag}>"
+    for path, attributes, wanted, required in _ATTRIBUTES:
+        count = 3 if wanted == "3 finite numbers" else 1
         for element in owner.iterfind(path):
             for attribute in attributes:
                 given = element.get(attribute)
-                if (given is not None or required) and len(_floats(given)) != count:
-                    wanted = "a finite number" if count == 1 else f"{count} finite numbers"
+                is_right = given if wanted == "a name" else len(_floats(given)) == count
+                if (given is not None or required) and not is_right:
                     yield (
                         f"<{element.tag} {attribute}=...> of {owner.tag} {name!r} "
-                        f"must be {wanted}, got {_quoted(given)}"
+                        f"must be {wanted}, got {_SHORTENED.repr(given)}"
                     )
 
 
@@ -283,45 +299,17 @@ def _joint_faults(joint: UrdfJoint, links: set[str]) -> Iterator[str]:
         if link not in links:
             yield f"joint {name!r} refers to link {link!r}, which does not exist"
     if kind not in _TYPES:
-        yield (
-            "The <joint> tag misses a 'type' attribute or value is not part of allowed values "
-            f"[{', '.join(_TYPES)}], got {kind!r} of joint {name!r}"
-        )
-    if kind not in ("revolute", "continuous", "prismatic"):
-        return
-    if not np.linalg.norm(joint.axis) > 0.0:
+        yield f"type of joint {name!r} must be one of {', '.join(_TYPES)}, got {kind!r}"
+    if kind in ("revolute", "continuous", "prismatic") and not np.linalg.norm(joint.axis) > 0.0:
         yield f"the axis of joint {name!r} is zero"
-    if kind != "continuous" and joint.limits[0] > joint.limits[1]:
-        yield f"the limits of joint {name!r} are reversed"
-    limit = joint.element.find("limit")
-    if limit is None and kind != "continuous":
-        yield (
-            f"joint {name!r} is {kind} and has no <limit>; with effort, velocity, lower and upper "
-            "all 0, no limit is known"
-        )
-    if limit is not None and None in (limit.get("effort"), limit.get("velocity")):
-        yield f"the <limit> of joint {name!r} needs effort and velocity; 0 means that none is known"
-
-
-def _tree_faults(joints: list[UrdfJoint], links: set[str]) -> Iterator[str]:
-    """Say which links have two parents or none, and which are in loops."""
-    parents = Counter(joint.child for joint in joints)
-    for link, count in parents.items():
-        if count > 1:
-            yield f"link {link!r} is the child of {count} joints"
-    roots = sorted(links - set(parents))
-    if len(roots) != 1:
-        yield f"there must be one link without a parent, got {', '.join(roots) or 'none'}"
-    carried: dict[str, list[str]] = {}
-    for joint in joints:
-        carried.setdefault(joint.parent, []).append(joint.child)
-    reached, level = set(roots), roots
-    while level:  # every link has one parent at most, so it is visited once
-        level = [child for link in level for child in carried.get(link, [])]
-        reached.update(level)
-    if reached != links:
-        loose = ", ".join(sorted(links - reached))
-        yield f"these links are not connected to {roots[0]!r}: {loose}"
+    if kind in ("revolute", "prismatic"):
+        if joint.limits[0] > joint.limits[1]:
+            yield f"the limits of joint {name!r} are reversed"
+        if joint.element.find("limit") is None:
+            yield (
+                f"joint {name!r} is {kind} and has no <limit>; with effort, velocity, lower and "
+                "upper all 0, no limit is known"
+            )
 
 
 _USUAL = ("tool0", "tcp", "_ee_link", "end_effector", "eef", "tool", "flange", "gripper", "hand")
@@ -356,7 +344,7 @@ def direction(axis: str | Sequence[float]) -> Array:
         if letter not in ("x", "y", "z"):
             raise UnknownNameError("axis", axis, "the axes", ["x", "y", "z", "-x", "-y", "-z"])
         sign = -1.0 if axis.startswith("-") else 1.0
-        return np.array([sign * (name == letter) for name in "xyz"])
+        return np.asarray(sign * np.eye(3)["xyz".index(letter)])
     vector = as_array("axis", axis, (3,))
     if not vector.any():
         raise InvalidInputError(f"axis must not be zero, got {vector.tolist()}", given=axis)
@@ -364,23 +352,10 @@ def direction(axis: str | Sequence[float]) -> Array:
     return np.asarray(vector / np.linalg.norm(vector))
 
 
-def object_size(length: float, mass: float, radius: float) -> tuple[float, float, float]:
-    """Return length [m], mass [kg] and radius [m] of an object as numbers."""
-    return as_size("length", length), as_mass("mass", mass), as_size("radius", radius)
-
-
-def as_size(name: str, value: Any) -> float:
-    """Return the length or radius of an object as a number [m]."""
-    return _at_most(_LONGEST, name, value, "m", "200 mm are 0.2")
-
-
-def as_mass(name: str, value: Any) -> float:
-    """Return the mass of an object as a number [kg]."""
-    return _at_most(_HEAVIEST, name, value, "kg", "500 g are 0.5")
-
-
-def _at_most(most: float, name: str, value: Any, unit: str, such: str) -> float:
+def as_size(name: str, value: Any, unit: str = "m") -> float:
+    """Return a length or radius of an object [m], or its mass [kg], as a number."""
     number = as_number(name, value, unit=unit, minimum=0.0)
+    most, such = (_LONGEST, "200 mm are 0.2") if unit == "m" else (_HEAVIEST, "500 g are 0.5")
     if number > most:
         raise InvalidInputError(
             f"{name} must be at most {most:g} [{unit}], got {number:g}; {such}", given=value
@@ -397,8 +372,7 @@ def require_new(name: str, taken: Collection[str], robot: str) -> None:
     for new in (name, f"{name}_tip", f"{name}_joint", f"{name}_tip_joint"):
         if new in taken:
             raise InvalidInputError(
-                f"name must be new to the robot, got {name!r}: {robot} already has a frame "
-                f"{new!r}, perhaps as it holds an object already; give another name",
+                f"name must be new to the robot, got {name!r}: {robot} already has a frame {new!r}",
                 given=name,
             )
 

@@ -8,7 +8,7 @@ from operator import attrgetter
 from typing import Any
 
 from approxjac.errors import InvalidInputError
-from approxjac.robots.urdf import as_mass, as_size
+from approxjac.robots.urdf import as_size
 from approxjac.scenario.convert import typed_as
 from approxjac.scenario.records import Tracker
 from approxjac.scenario.scenario import Scenario
@@ -36,7 +36,7 @@ def require_effect(scenario: Scenario) -> None:
     for kind, held in (("true", scenario.true.object), ("believed", scenario.believed.object)):
         for name, size in (("length", held.length), ("radius", held.radius)):
             as_size(f"{kind}.object.{name}", size or 0.0)
-        as_mass(f"{kind}.object.mass", held.mass or 0.0)
+        as_size(f"{kind}.object.mass", held.mass or 0.0, "kg")
     for value, message in _faults(scenario):
         raise InvalidInputError(message, given=value)
 

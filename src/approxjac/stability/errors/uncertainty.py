@@ -15,7 +15,7 @@ import numpy as np
 from approxjac.cameras import Camera
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import Perturbation, Robot
-from approxjac.robots.urdf import as_mass, as_size, direction
+from approxjac.robots.urdf import as_size, direction
 from approxjac.simulation import Plant
 from approxjac.tasks import ImageTask, PositionTask, Task, best_axes
 from approxjac.validation import (
@@ -209,7 +209,7 @@ class Uncertainty:
         if self.camera is not None:
             require("camera", self.camera, Camera, "a camera, such as PlanarCamera(f, z), or None")
         as_size("believed_length", self.believed_length)
-        as_mass("believed_mass", self.believed_mass)
+        as_size("believed_mass", self.believed_mass, "kg")
         as_number("factor", self.factor, minimum=0.0)
         if self.object_axis is not None:
             direction(self.object_axis)
@@ -234,7 +234,7 @@ class Uncertainty:
             known.ends()  # refuses an angle beyond a full turn
             if known.name.startswith("object_"):
                 for end in known[-2:]:
-                    (as_mass if known.unit == "kg" else as_size)(known.name, end)
+                    as_size(known.name, end, known.unit)
         self.plant(self.believed)  # refuses a task, an axis or friction that fit no such robot
         if self.camera is not None:
             self._require_cameras(self.camera)
