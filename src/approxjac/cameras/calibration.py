@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,17 +16,11 @@ from approxjac.files import read_text, reason
 from approxjac.validation import Array, as_array, as_number
 
 _LONGEST = 500_000  # file [bytes]
-_MODELS = {  # of ROS
+_MODELS = {  # of ROS: is it a fisheye lens?
     "plumb_bob": False, "rational_polynomial": False, "equidistant": True, "fisheye": True,
 }  # fmt: skip
-_NAMES = {  # in small letters
-    "K": ("camera_matrix", "k"),
-    "distortion": ("distortion_coefficients", "dist_coeffs", "d"),
-    "width": ("image_width", "width"),
-    "height": ("image_height", "height"),
-    "model": ("distortion_model",),
-    "fisheye": ("fisheye_model",),
-}
+_FILES = "as a calibration of OpenCV's or a camera_info of ROS's has"
+_NO_SIZE = "or the size be given, size=(width, height) [px]"
 
 
 def opencv_parameters(
@@ -47,21 +41,21 @@ def opencv_parameters(
         )
     place: dict[str, Any] = {"focal_length": (k[0, 0], k[1, 1]), "center": (k[0, 2], k[1, 2])}
     place["distortion"] = coefficients
-    if (rvec is None) != (tvec is None) or not (rvec is None or camera_pose is None):
-        places = {"rvec": rvec, "tvec": tvec, "camera_pose": camera_pose}
-        given = [name for name, each in places.items() if each is not None]
+    places = {"rvec": rvec, "tvec": tvec, "camera_pose": camera_pose}
+    given = [name for name, each in places.items() if each is not None]
+    if given == ["rvec", "tvec"]:
+        R = pin.exp3(np.array(as_array("rvec", np.ravel(rvec), (3,), "rad")))
+        t = as_array("tvec", np.ravel(tvec), (3,), "m")
+        place.update(position=-R.T @ t, rotation=R.T)
+    elif given == ["camera_pose"]:
+        R, position = as_pose("camera_pose", camera_pose)
+        place.update(position=position, rotation=R)
+    elif given:
         raise InvalidInputError(
             f"where a camera stands must be given by rvec and tvec, or by camera_pose, got "
             f"{' and '.join(given)}",
             given=given,
         )
-    if rvec is not None:
-        R = pin.exp3(np.array(as_array("rvec", np.ravel(rvec), (3,), "rad")))
-        t = as_array("tvec", np.ravel(tvec), (3,), "m")
-        place.update(position=-R.T @ t, rotation=R.T)
-    if camera_pose is not None:
-        R, position = as_pose("camera_pose", camera_pose)
-        place.update(position=position, rotation=R)
     return place
 
 
@@ -69,56 +63,60 @@ def read_calibration(
     path: str | Path, size: Sequence[int] | None, fisheye: bool | None
 ) -> dict[str, Any]:
     """Return arguments of `PinholeCamera.from_opencv` of a file; ours fill in what it lacks."""
-    keys = {str(name).lower(): value for name, value in _read(Path(path)).items()}
-    values = {
-        name: next((keys[each] for each in names if each in keys), None)
-        for name, names in _NAMES.items()
-    }
-    for name in ("K", "distortion"):
-        if values[name] is None:
+    content = {str(name).lower(): value for name, value in _read(Path(path)).items()}
+
+    def numbers(*names: str, count: int | None = None, otherwise: str = _FILES) -> Array:
+        """Return the numbers that a file has under one of these names."""
+        name = next((each for each in names if each in content), None)
+        if name is None:
             raise InvalidInputError(
-                f"{path} must have {' or '.join(_NAMES[name])}, as a calibration of OpenCV's or a "
-                f"camera_info of ROS's has, got {', '.join(list(keys)[:20]) or 'nothing'}",
+                f"{path} must have {' or '.join(names)}, {otherwise}, got "
+                f"{', '.join(list(content)[:20]) or 'nothing'}",
                 given=path,
             )
-    K = _numbers(path, "camera_matrix", values["K"])
-    if K.size != 9:
-        raise InvalidInputError(
-            f"camera_matrix of {path} must be 9 numbers, got {K.size}", given=path
-        )
-    if size is None:
-        if values["width"] is None or values["height"] is None:
-            raise InvalidInputError(
-                f"{path} must have image_width and image_height, or give them as "
-                "size=(width, height) [px]",
-                given=path,
-            )
-        size = [round(_number(path, name, values[name])) for name in ("width", "height")]
-    distortion = _numbers(path, "distortion_coefficients", values["distortion"])
-    fisheye = _is_fisheye(path, values, fisheye)
-    return {"K": K.reshape(3, 3), "distortion": distortion, "size": size, "fisheye": fisheye}
+        value: Any = content[name]
+        data: Any = value.get("data") if isinstance(value, dict) else value
+        rows: list[Any] = data if isinstance(data, list) else [data]
+        try:
+            each = [float(x) for row in rows for x in (row if isinstance(row, list) else [row])]
+        except (TypeError, ValueError):
+            each = [math.nan]
+        if not all(map(math.isfinite, each)) or count not in (None, len(each)):
+            wanted = "finite numbers" if count is None else f"finite numbers, {count} of them"
+            raise InvalidInputError(f"{name} of {path} must be {wanted}", given=path)
+        return np.array(each)
 
-
-def _is_fisheye(path: str | Path, values: Mapping[str, Any], fisheye: bool | None) -> bool:
-    """Return True for a fisheye lens, by the argument and by the file."""
     says = None
-    if values["model"] is not None:
-        model = str(values["model"]).lower()
+    if "distortion_model" in content:
+        model = str(content["distortion_model"]).lower()
         if model not in _MODELS:
             raise InvalidInputError(
                 f"distortion_model of {path} must be one of {', '.join(_MODELS)}, got "
                 f"{model[:40]!r}",
-                given=values["model"],
+                given=model,
             )
         says = _MODELS[model]
-    elif values["fisheye"] is not None:
-        says = _number(path, "fisheye_model", values["fisheye"]) != 0.0
-    if fisheye is not None and says is not None and fisheye != says:
+    elif "fisheye_model" in content:
+        says = bool(numbers("fisheye_model", count=1)[0])
+    if None not in (fisheye, says) and fisheye != says:
         raise InvalidInputError(
             f"fisheye must be {says} or left out, as {path} says so, got {fisheye!r}",
             given=fisheye,
         )
-    return bool(fisheye if says is None else says)
+    K = numbers("camera_matrix", "k", count=9)
+    distortion = numbers("distortion_coefficients", "dist_coeffs", "d")
+    if size is None:
+        width, height = (
+            numbers(f"image_{side}", side, count=1, otherwise=_NO_SIZE)[0]
+            for side in ("width", "height")
+        )
+        size = (width, height)
+    return {
+        "K": K.reshape(3, 3),
+        "distortion": distortion,
+        "size": size,
+        "fisheye": bool(fisheye if says is None else says),
+    }
 
 
 def _read(path: Path) -> dict[Any, Any]:
@@ -131,57 +129,20 @@ def _read(path: Path) -> dict[Any, Any]:
         # texts only, whatever their tags are, such as !!opencv-matrix: nothing is executed, and no
         # number or alias can be made to take long
         content = yaml.load(text, Loader=yaml.BaseLoader)
+        if isinstance(content, dict):
+            return content
+        problem, at = "no camera_matrix and distortion_coefficients", ""
     except OSError as error:
         raise InvalidInputError(
             f"{path} must be a calibration file that can be read, got {reason(error)}", given=path
         ) from error
     except (UnicodeDecodeError, yaml.YAMLError, RecursionError, ValueError) as error:
-        line = getattr(error, "problem_mark", None)
-        at = "" if line is None else f" at line {line.line + 2}"
+        mark = getattr(error, "problem_mark", None)
+        at = "" if mark is None else f" at line {mark.line + 2}"
         problem = getattr(error, "problem", None) or type(error).__name__
-        raise InvalidInputError(
-            f"{path} must be YAML of OpenCV's FileStorage or of ROS, got {problem}{at}", given=path
-        ) from error
-    if not isinstance(content, dict):
-        raise InvalidInputError(
-            f"{path} must be YAML with camera_matrix and distortion_coefficients, got a "
-            f"{'list' if isinstance(content, list) else 'text'}",
-            given=path,
-        )
-    return content
-
-
-def _numbers(
-    path: str | Path,
-    name: str,
-    value: Any,
-    wanted: str = "a matrix of finite numbers, with data: [...]",
-) -> Array:
-    """Return the numbers of a matrix as a file holds it: a mapping with data, or a list."""
-    data = value.get("data") if isinstance(value, dict) else value
-    rows = data if isinstance(data, list) else [data]
-    entries = [each for row in rows for each in (row if isinstance(row, list) else [row])]
-    try:
-        numbers = np.array([float(each) if isinstance(each, str) else math.nan for each in entries])
-    except (TypeError, ValueError):
-        numbers = np.array([math.nan])
-    if not np.isfinite(numbers).all():
-        raise InvalidInputError(f"{name} of {path} must be {wanted}", given=path)
-    if isinstance(value, dict) and "rows" in value and "cols" in value:
-        shape = [_number(path, f"{each} of {name}", value[each]) for each in ("rows", "cols")]
-        if shape[0] * shape[1] != len(numbers):
-            raise InvalidInputError(
-                f"{name} of {path} must have rows x cols = {shape[0]:g} x {shape[1]:g} numbers, "
-                f"got {len(numbers)}",
-                given=path,
-            )
-    return numbers
-
-
-def _number(path: str | Path, name: str, value: object) -> float:
-    """Return a number >= 0 as a file holds it."""
-    (number,) = _numbers(path, name, [value], "a number")
-    return as_number(name, float(number), minimum=0.0)
+    raise InvalidInputError(
+        f"{path} must be YAML of OpenCV's FileStorage or of ROS, got {problem}{at}", given=path
+    )
 
 
 _AXES = "the camera's axes (right, down, forward)"

@@ -21,7 +21,7 @@ from approxjac.cameras.calibration import (
     read_calibration,
     view_axes,
 )
-from approxjac.cameras.lenses import Distortion, Fisheye, Lens, shortened
+from approxjac.cameras.lenses import Fisheye, Lens, shortened
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.formatting import short_fields
 from approxjac.law.products import length
@@ -249,7 +249,7 @@ class PinholeCamera(Camera):
         if shape_of(self.distortion) != (0,):
             k = tuple(as_array("distortion", self.distortion, ("k",)).tolist())
         require("fisheye", self.fisheye, bool, "True or False")
-        lens = Fisheye(k) if self.fisheye else Distortion(k)
+        lens = (Fisheye if self.fisheye else Lens)(k)
         as_number("near", self.near, unit="m", above=0.0)
         require("mount", self.mount, (str, NoneType), "the name of a frame, or None for the world")
         own = vars(self)  # frozen once it is built
@@ -393,7 +393,6 @@ class PinholeCamera(Camera):
         (u, v), (width, height) = x.tolist(), self.size
         inside = (u >= -0.5) & (u <= width - 0.5) & (v >= -0.5) & (v <= height - 0.5)
         if not self._sees_all:
-            assert isinstance(self._lens, Fisheye)  # which alone may show a round image
             w = (x - self._c) / self._f
             inside = inside & (length(w) <= self._lens.shown_radius)
         return np.asanyarray(law.select(inside, x, _NOWHERE.copy()))
@@ -404,7 +403,6 @@ class PinholeCamera(Camera):
         inside = law.array([_between(u, -0.5, width - 0.5), _between(v, -0.5, height - 0.5)])
         if self._sees_all:
             return np.asanyarray(inside)
-        assert isinstance(self._lens, Fisheye)  # which alone may show a round image
         w = ((inside - self._c) / self._f).tolist()
         w = shortened(_WITHIN * self._lens.shown_radius, *w)
         return np.asanyarray(self._c + self._f * law.array(w))

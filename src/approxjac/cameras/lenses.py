@@ -1,12 +1,12 @@
-"""Distortion of a lens, as OpenCV's pinhole model has it; `Lens` is what cameras need of one."""
+"""Lenses: where they show a ray, by OpenCV's pinhole model and by its fisheye model."""
 
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 
 import numpy as np
+import pinocchio as pin
 from numpy.polynomial import Polynomial
 
 from approxjac import law
@@ -25,45 +25,10 @@ _BEFORE = 1e-9  # least distance of a point of the image before a tilted lens, i
 _COUNTS = (0, 1, 2, 3, 4, 5, 8, 12, 14)  # of coefficients that a lens may be given by
 
 
-class Lens(ABC):
-    """A lens: where it shows a ray p = (X/Z, Y/Z), in focal lengths from the optical axis.
-
-    Rays up to `largest_radius` and images belong to one another one by one; rays beyond have no
-    image here, so that none is shown where another one is.
-
-    Attributes:
-        largest_radius: Of rays that are shown.
-        is_straight: It shows each ray where it is.
-    """
-
-    largest_radius: float
-    is_straight: bool
-
-    @abstractmethod
-    def distorted(self, p: Array) -> Array:
-        """Return the image of a ray p (2,), shape (2,)."""
-
-    @abstractmethod
-    def slopes(self, x: float, y: float) -> tuple[float, float, float, float]:
-        """Return ∂(distorted)/∂p at p = (x, y), row by row."""
-
-    @abstractmethod
-    def undistorted(self, shown: Array) -> Array:
-        """Return the ray (2,) shown at `shown` (2,); one of those shown where there is none."""
-
-    def ray(self, shown: Array) -> Array:
-        """Return the ray (2,) that is shown at `shown` (2,); NaN where none is."""
-        if self.is_straight:
-            return shown
-        p = self.undistorted(shown)
-        is_shown = length(self.distorted(p) - shown) <= _LEAST * (1.0 + length(shown))
-        return np.asanyarray(law.select(is_shown, p, np.full(2, np.nan)))
-
-
-class Distortion(Lens):
+class Lens:
     """OpenCV's distortion of a pinhole camera, with up to 14 coefficients.
 
-    With ρ = ‖p‖², a ray p = (x, y) is shown at
+    With ρ = ‖p‖², a ray p = (x, y) = (X/Z, Y/Z) is shown, in focal lengths from the middle, at
 
         p (1 + k₁ρ + k₂ρ² + k₃ρ³)/(1 + k₄ρ + k₅ρ² + k₆ρ³)
           + (2p₁xy + p₂(ρ + 2x²), p₁(ρ + 2y²) + 2p₂xy) + (s₁ρ + s₂ρ², s₃ρ + s₄ρ²),
@@ -72,8 +37,15 @@ class Distortion(Lens):
 
     The map is one to one on a disc of rays where its derivative has a positive definite symmetric
     part; `largest_radius` is that of such a disc, by bounds on the derivative (exact where the
-    distortion is radial).
+    distortion is radial). Rays beyond have no image here, so that none is shown where another is.
+
+    Attributes:
+        largest_radius: Of rays that are shown.
+        shown_radius: Of the image of these, if it may be round, in focal lengths.
+        is_straight: It shows each ray where it is.
     """
+
+    shown_radius = math.inf
 
     def __init__(self, coefficients: Sequence[float]) -> None:
         given = list(coefficients)
@@ -92,7 +64,7 @@ class Distortion(Lens):
             k1, k2, k3 = (*given, 0.0, 0.0, 0.0)[:3]
             given = [k1, k2, 0.0, 0.0, k3]
         k1, k2, p1, p2, k3, k4, k5, k6, *rest = given + [0.0] * (14 - len(given))
-        self._above, self._below = (k1, k2, k3), (k4, k5, k6)
+        self._above, self._below = (1.0, k1, k2, k3), (1.0, k4, k5, k6)
         self._p, self._s = (p1, p2), tuple(rest[:4])
         tilt = rest[4:]
         self._T: Array | None = _tilt(*tilt) if any(tilt) else None
@@ -101,17 +73,74 @@ class Distortion(Lens):
         self.is_straight = not any(given)
         self.largest_radius = self._largest_radius()
 
+    def distorted(self, p: Array) -> Array:
+        """Return the image of a ray p (2,), shape (2,)."""
+        if self.is_straight:
+            return p
+        u, v = self._flat(*p.tolist())
+        return np.asanyarray(law.array((u, v) if self._T is None else _moved(self._T, u, v)))
+
+    def slopes(self, x: float, y: float) -> tuple[float, float, float, float]:
+        """Return ∂(distorted)/∂p at p = (x, y), row by row."""
+        if self.is_straight:
+            return 1.0, 0.0, 0.0, 1.0
+        a, b, c, d = self._flat_slopes(x, y)
+        if self._T is None:
+            return a, b, c, d
+        u, v = self._flat(x, y)
+        (h00, h01, _), (h10, h11, _), (h20, h21, h22) = self._T.tolist()
+        depth = h20 * u + h21 * v + h22
+        u, v = _moved(self._T, u, v)
+        t00, t01 = (h00 - u * h20) / depth, (h01 - u * h21) / depth
+        t10, t11 = (h10 - v * h20) / depth, (h11 - v * h21) / depth
+        return t00 * a + t01 * c, t00 * b + t01 * d, t10 * a + t11 * c, t10 * b + t11 * d
+
+    def undistorted(self, shown: Array) -> Array:
+        """Return the ray (2,) shown at `shown` (2,); one of those shown where there is none."""
+        if self.is_straight:
+            return shown
+        u, v = shown.tolist()
+        if self._T_inverse is not None:
+            (h00, h01, h02), (h10, h11, h12), (h20, h21, h22) = self._T_inverse.tolist()
+            depth = h20 * u + h21 * v + h22
+            depth = law.select(depth > _BEFORE, depth, _BEFORE)
+            u, v = (h00 * u + h01 * v + h02) / depth, (h10 * u + h11 * v + h12) / depth
+        wanted = root(u * u + v * v)
+        if isinstance(wanted, float) and wanted == 0.0:
+            return np.zeros(2)
+        scale = law.select(wanted > 0.0, self._length(wanted) / wanted, 0.0)
+
+        def nearer(_: int, ray: tuple[float, float]) -> tuple[float, float]:
+            return shortened(self.largest_radius, *self._newton(*ray, u, v))
+
+        x, y = scale * u, scale * v
+        if not self._is_round:
+            x, y = law.repeat(_NEWTON_STEPS, nearer, (x, y))
+        return np.asanyarray(law.array([x, y]))
+
+    def ray(self, shown: Array) -> Array:
+        """Return the ray (2,) that is shown at `shown` (2,); NaN where none is."""
+        if self.is_straight:
+            return shown
+        p = self.undistorted(shown)
+        is_shown = length(self.distorted(p) - shown) <= _LEAST * (1.0 + length(shown))
+        return np.asanyarray(law.select(is_shown, p, np.full(2, np.nan)))
+
     def _factors(self, rho: float) -> tuple[float, float]:
-        """Return the radial factor and its derivative by ρ."""
-        k1, k2, k3 = self._above
-        factor = 1.0 + rho * (k1 + rho * (k2 + rho * k3))
-        slope = k1 + rho * (2.0 * k2 + rho * 3.0 * k3)
-        if any(self._below):
-            k4, k5, k6 = self._below
-            below = 1.0 + rho * (k4 + rho * (k5 + rho * k6))
+        """Return the radial factor and twice its derivative by ρ."""
+        k1, k2, k3 = self._above[1:]
+        factor, slope = _sum(self._above, rho), _sum((k1, 2.0 * k2, 3.0 * k3), rho)
+        if any(self._below[1:]):
+            k4, k5, k6 = self._below[1:]
+            below = _sum(self._below, rho)
             factor = factor / below
-            slope = (slope - factor * (k4 + rho * (2.0 * k5 + rho * 3.0 * k6))) / below
-        return factor, slope
+            slope = (slope - factor * _sum((k4, 2.0 * k5, 3.0 * k6), rho)) / below
+        return factor, 2.0 * slope
+
+    def _length(self, wanted: float) -> float:
+        """Return the length of the ray that a round lens shows at a distance from the middle."""
+        # which grows up to the fold
+        return inverse(lambda r: r * self._factors(r * r)[0], wanted, self.largest_radius)
 
     def _flat(self, x: float, y: float) -> tuple[float, float]:
         """Return the image of a ray on a sensor that is not tilted."""
@@ -128,8 +157,7 @@ class Distortion(Lens):
     def _flat_slopes(self, x: float, y: float) -> tuple[float, float, float, float]:
         """Return the derivatives of `_flat`, row by row."""
         rho = x * x + y * y
-        factor, slope = self._factors(rho)
-        twice = 2.0 * slope
+        factor, twice = self._factors(rho)
         a, b, d = factor + twice * x * x, twice * x * y, factor + twice * y * y
         if self._is_round:
             return a, b, b, d
@@ -142,54 +170,6 @@ class Distortion(Lens):
             b + crossed + of_v * x,
             d + 6.0 * p1 * y + 2.0 * p2 * x + of_v * y,
         )
-
-    def distorted(self, p: Array) -> Array:
-        if self.is_straight:
-            return p
-        u, v = self._flat(*p.tolist())
-        return np.asanyarray(law.array((u, v) if self._T is None else _moved(self._T, u, v)))
-
-    def slopes(self, x: float, y: float) -> tuple[float, float, float, float]:
-        if self.is_straight:
-            return 1.0, 0.0, 0.0, 1.0
-        a, b, c, d = self._flat_slopes(x, y)
-        if self._T is None:
-            return a, b, c, d
-        u, v = self._flat(x, y)
-        (h00, h01, _), (h10, h11, _), (h20, h21, h22) = self._T.tolist()
-        depth = h20 * u + h21 * v + h22
-        u, v = _moved(self._T, u, v)
-        t00, t01 = (h00 - u * h20) / depth, (h01 - u * h21) / depth
-        t10, t11 = (h10 - v * h20) / depth, (h11 - v * h21) / depth
-        return t00 * a + t01 * c, t00 * b + t01 * d, t10 * a + t11 * c, t10 * b + t11 * d
-
-    def radius(self, size: float) -> float:
-        """Return the distance from the middle at which a round lens shows a ray of a length."""
-        return size * self._factors(size * size)[0]
-
-    def undistorted(self, shown: Array) -> Array:
-        if self.is_straight:
-            return shown
-        u, v = shown.tolist()
-        if self._T_inverse is not None:
-            (h00, h01, h02), (h10, h11, h12), (h20, h21, h22) = self._T_inverse.tolist()
-            depth = h20 * u + h21 * v + h22
-            depth = law.select(depth > _BEFORE, depth, _BEFORE)
-            u, v = (h00 * u + h01 * v + h02) / depth, (h10 * u + h11 * v + h12) / depth
-        wanted = root(u * u + v * v)
-        if isinstance(wanted, float) and wanted == 0.0:
-            return np.zeros(2)
-        # the radius grows up to the fold
-        scale = inverse(self.radius, wanted, self.largest_radius) / wanted
-        scale = law.select(wanted > 0.0, scale, 0.0)
-
-        def nearer(_: int, ray: tuple[float, float]) -> tuple[float, float]:
-            return shortened(self.largest_radius, *self._newton(*ray, u, v))
-
-        x, y = scale * u, scale * v
-        if not self._is_round:
-            x, y = law.repeat(_NEWTON_STEPS, nearer, (x, y))
-        return np.asanyarray(law.array([x, y]))
 
     def _newton(self, x: float, y: float, u: float, v: float) -> tuple[float, float]:
         """Return a ray (x, y) after a step of Newton's towards the one that is shown at (u, v)."""
@@ -208,9 +188,7 @@ class Distortion(Lens):
         if self.is_straight:
             return math.inf
         r = Polynomial([0.0, 1.0])
-        above, below = (
-            Polynomial([1.0, 0.0, a, 0.0, b, 0.0, c]) for a, b, c in (self._above, self._below)
-        )
+        above, below = (Polynomial(each)(r * r) for each in (self._above, self._below))
         s1, s2, s3, s4 = self._s
         p, first, second = math.hypot(*self._p), math.hypot(s1, s3), math.hypot(s2, s4)
         taken = r * (6.0 * p + 2.0 * first) + r**3 * (4.0 * second)
@@ -223,8 +201,61 @@ class Distortion(Lens):
         scales = _FARTHEST ** np.arange(20.0)
         given = [np.asarray(each.coef, dtype=np.float64) for each in conditions]
         scaled = (each * scales[: len(each)] for each in given)
-        first = _FARTHEST * min(1.0, *map(_first_root, scaled))
-        return first if self._is_round else _SURELY * first
+        largest = _FARTHEST * min(1.0, *map(_first_root, scaled))
+        return largest if self._is_round else _SURELY * largest
+
+
+_WIDEST = math.radians(85.0)  # [rad]; at 90° from the optical axis X/Z is infinite
+
+
+class Fisheye(Lens):
+    """OpenCV's fisheye lens, also called equidistant, or of Kannala and Brandt.
+
+    It shows a ray at the angle θ = atan ‖p‖ from the optical axis at the distance
+    θ_d = θ (1 + k₁θ² + k₂θ⁴ + k₃θ⁶ + k₄θ⁸) from the middle, in the ray's direction. Rays are shown
+    up to where θ_d stops growing, and to 85°: to the angle `widest` [rad].
+    """
+
+    def __init__(self, coefficients: Sequence[float]) -> None:
+        if len(coefficients) not in (0, 4):
+            raise InvalidInputError(
+                "distortion of a fisheye lens must be OpenCV's (k1, k2, k3, k4), or none, got "
+                f"{len(coefficients)}: {list(coefficients)}",
+                given=coefficients,
+            )
+        self.is_straight, self._is_round = False, True
+        self._T = self._T_inverse = None
+        self._k = [1.0, *(coefficients or (0.0,) * 4)]
+        self._growth = [(2.0 * i + 1.0) * k for i, k in enumerate(self._k)]  # of dθ_d/dθ, in θ²
+        turn = min(1.0, _first_root(np.array(self._growth) * _WIDEST ** (2.0 * np.arange(5))))
+        self.widest = _WIDEST * math.sqrt(turn)
+        self.largest_radius, self.shown_radius = math.tan(self.widest), self._bent(self.widest)
+
+    def _bent(self, theta: float) -> float:
+        return theta * _sum(self._k, theta * theta)
+
+    def _factors(self, rho: float) -> tuple[float, float]:
+        if isinstance(rho, float) and rho == 0.0:
+            return 1.0, 0.0
+        size = root(rho)
+        theta = angle(size, 1.0)
+        factor = self._bent(theta) / size
+        twice = (_sum(self._growth, theta * theta) / (1.0 + rho) - factor) / rho
+        is_beside = rho > 0.0
+        return law.select(is_beside, factor, 1.0), law.select(is_beside, twice, 0.0)
+
+    def _length(self, wanted: float) -> float:
+        sine, cosine = sine_and_cosine(inverse(self._bent, wanted, self.widest))
+        tangent: float = sine / cosine
+        return tangent
+
+
+def _sum(coefficients: Sequence[float], s: float) -> float:
+    """Return c₀ + c₁s + c₂s² + … by Horner's scheme."""
+    *others, value = coefficients
+    for each in reversed(others):
+        value = each + s * value
+    return value
 
 
 def inverse(growing: Callable[[float], float], wanted: float, largest: float) -> float:
@@ -271,10 +302,7 @@ def _tilt(tau_x: float, tau_y: float) -> Array:
             f"{tau_y:g}",
             given=(tau_x, tau_y),
         )
-    (sx, cx), (sy, cy) = ((math.sin(tau), math.cos(tau)) for tau in (tau_x, tau_y))
-    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, sx], [0.0, -sx, cx]])
-    about_y = np.array([[cy, 0.0, -sy], [0.0, 1.0, 0.0], [sy, 0.0, cy]])
-    R = about_y @ about_x
+    R = pin.rpy.rpyToMatrix(-tau_x, -tau_y, 0.0)
     along = np.array([[R[2, 2], 0.0, -R[0, 2]], [0.0, R[2, 2], -R[1, 2]], [0.0, 0.0, 1.0]])
     return np.asarray(along @ R)
 
@@ -284,79 +312,3 @@ def _moved(H: Array, u: float, v: float) -> tuple[float, float]:
     (h00, h01, h02), (h10, h11, h12), (h20, h21, h22) = H.tolist()
     depth = h20 * u + h21 * v + h22
     return (h00 * u + h01 * v + h02) / depth, (h10 * u + h11 * v + h12) / depth
-
-
-_WIDEST = math.radians(85.0)  # [rad]; at 90° from the optical axis X/Z is infinite
-
-
-class Fisheye(Lens):
-    """OpenCV's fisheye lens, also called equidistant, or of Kannala and Brandt.
-
-    It shows a ray at the angle θ = atan ‖p‖ from the optical axis at the distance
-    θ_d = θ (1 + k₁θ² + k₂θ⁴ + k₃θ⁶ + k₄θ⁸) from the middle, in the ray's direction. Rays are shown
-    up to where θ_d stops growing, and to 85°.
-
-    Attributes:
-        widest: Angle up to which rays are shown [rad].
-        shown_radius: Distance from the middle up to which there are rays, in focal lengths.
-    """
-
-    is_straight = False
-
-    def __init__(self, coefficients: Sequence[float]) -> None:
-        if len(coefficients) not in (0, 4):
-            raise InvalidInputError(
-                "distortion of a fisheye lens must be OpenCV's (k1, k2, k3, k4), or none, got "
-                f"{len(coefficients)}: {list(coefficients)}",
-                given=coefficients,
-            )
-        self._k = tuple(coefficients) or (0.0,) * 4
-        growth = [1.0, *(n * k for n, k in zip((3.0, 5.0, 7.0, 9.0), self._k, strict=True))]
-        slope = np.array(growth) * _WIDEST ** (2.0 * np.arange(5))  # of θ_d, in (θ/widest)²
-        turn = min(1.0, _first_root(slope))
-        self.widest = _WIDEST * math.sqrt(turn)
-        self.largest_radius, self.shown_radius = math.tan(self.widest), self.bent(self.widest)
-
-    def bent(self, theta: float) -> float:
-        """Return θ_d of an angle θ [rad]."""
-        k1, k2, k3, k4 = self._k
-        square = theta * theta
-        return theta * (1.0 + square * (k1 + square * (k2 + square * (k3 + square * k4))))
-
-    def growth(self, theta: float) -> float:
-        """Return dθ_d/dθ at an angle θ [rad]."""
-        k1, k2, k3, k4 = self._k
-        s = theta * theta
-        return 1.0 + s * (3.0 * k1 + s * (5.0 * k2 + s * (7.0 * k3 + s * 9.0 * k4)))
-
-    def distorted(self, p: Array) -> Array:
-        size = length(p)
-        if isinstance(size, float) and size == 0.0:
-            return p
-        bent = p * (self.bent(angle(size, 1.0)) / size)
-        return np.asanyarray(law.select(size > 0.0, bent, p))
-
-    def slopes(self, x: float, y: float) -> tuple[float, float, float, float]:
-        rho = x * x + y * y
-        if isinstance(rho, float) and rho == 0.0:
-            return 1.0, 0.0, 0.0, 1.0
-        size = root(rho)
-        theta = angle(size, 1.0)
-        factor = self.bent(theta) / size
-        rate = (self.growth(theta) / (1.0 + rho) - factor) / rho
-        is_beside, across = rho > 0.0, rate * x * y
-        across = law.select(is_beside, across, 0.0)
-        return (
-            law.select(is_beside, factor + rate * x * x, 1.0),
-            across,
-            across,
-            law.select(is_beside, factor + rate * y * y, 1.0),
-        )
-
-    def undistorted(self, shown: Array) -> Array:
-        wanted = length(shown)
-        if isinstance(wanted, float) and wanted == 0.0:
-            return np.zeros(2)
-        sine, cosine = sine_and_cosine(inverse(self.bent, wanted, self.widest))
-        ray = shown * (sine / cosine / wanted)
-        return np.asanyarray(law.select(wanted > 0.0, ray, 0.0 * shown))

@@ -22,7 +22,6 @@ from approxjac.errors import (
 from approxjac.robots.meshes import share_dir
 from approxjac.robots.robot import STANDARD_GRAVITY, Robot
 from approxjac.robots.urdf import (
-    MOMENTS,
     MOST_TEXT,
     Urdf,
     leader_of,
@@ -284,7 +283,7 @@ def implausible(robot: Robot) -> list[str]:
     for name, (mass, *_) in zip(names, masses, strict=True):
         if mass > _HEAVY * reach**3:
             findings.append(
-                f"what moves with joint {name} has {mass:g} kg, of an arm that reaches {reach:.3g} m"
+                f"what moves with joint {name} has {mass:g} kg, of an arm of {reach:.3g} m reach"
             )
     efforts = zip(robot.joint_names, robot.effort_limits, robot.joint_units, strict=True)
     for name, effort, unit in efforts:
