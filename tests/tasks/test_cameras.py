@@ -349,7 +349,7 @@ def test_calibrations_that_do_not_exist_are_refused():
 
     assert Flat().calibration == {}
     assert Flat().mount is None
-    with pytest.raises(aj.InvalidInputError, match="Flat has no calibration to change, got"):
+    with pytest.raises(UnknownNameError, match="value 'roll' not in the calibration of Flat"):
         Flat().recalibrated({"roll": 1.0})
 
 

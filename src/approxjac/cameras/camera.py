@@ -12,7 +12,6 @@ from typing import Any, Self
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from approxjac import law
 from approxjac.cameras.calibration import (
@@ -71,16 +70,10 @@ class Camera(Saved, ABC):
 
     def recalibrated(self, values: Mapping[str, float]) -> Camera:
         """Return this camera with other values of its calibration, if it has them."""
-        kind = type(self).__name__
-        if not self.calibration:
-            raise InvalidInputError(
-                f"{kind} has no calibration to change, got {dict(values)}", given=values
-            )
         for name in values:
             if name not in self.calibration:
-                raise UnknownNameError(
-                    "value", name, f"the calibration of {kind}", self.calibration
-                )
+                where = f"the calibration of {type(self).__name__}"
+                raise UnknownNameError("value", name, where, self.calibration)
         return self
 
     @property
@@ -257,11 +250,20 @@ class PinholeCamera(Camera):
         own.update(position=tuple(p.tolist()), rotation=tuple(map(tuple, R.tolist())))
         own.update(center=tuple(c.tolist()), distortion=k)
         own.update(_f=f, _c=c, _p=p, _R=R, _R_t=R.T.copy(), _lens=lens)
-        rays = np.array([lens.ray(x) for x in (self._border() - c) / f])
-        own["_sees_all"] = bool(np.isfinite(rays).all())
-        if not self._sees_all:
-            self._require_fisheye(np.isnan(rays).any(axis=1))
-            rays = np.array([self.ray(self.nearest(x)) for x in self._border()])
+        border = self._border()
+        rays = np.array([lens.ray(x) for x in (border - c) / f])
+        is_lost = np.isnan(rays).any(axis=1)
+        own["_sees_all"] = not is_lost.any()
+        if is_lost.any() and not self.fisheye:  # which alone may show a round image
+            raise InvalidInputError(
+                "distortion must not fold the image back within its size: no ray is shown at "
+                f"{border[is_lost][0].tolist()} px, as no ray longer than {lens.largest_radius:.3g}"
+                " is. Calibrate with views that reach into the corners, or with fewer "
+                f"coefficients; got {self.distortion}",
+                given=self.distortion,
+            )
+        if is_lost.any():
+            rays = np.array([self.ray(self.nearest(x)) for x in border])
         own["_edges"] = list(zip(rays.min(axis=0).tolist(), rays.max(axis=0).tolist(), strict=True))
 
     @classmethod
@@ -275,15 +277,9 @@ class PinholeCamera(Camera):
         up: Sequence[float] | Array = (0.0, 0.0, 1.0),
         **options: Any,
     ) -> PinholeCamera:
-        """Return a camera whose optical axis goes through a point, as `standing_at` puts it.
+        """Return a camera at `position` whose optical axis goes through `target`, both (3,) [m].
 
-        Args:
-            target: The point, shape (3,) [m].
-            position: Of the camera, shape (3,) [m].
-            focal_length: f_x = f_y, or (f_x, f_y) [px].
-            size: Width and height of the image [px].
-            up: Direction that is up in the image, shape (3,).
-            **options: Center, distortion, fisheye, mount and near, as for `PinholeCamera`.
+        `up` and what it must not be are as of `standing_at`, all else as of `PinholeCamera`.
         """
         return cls(focal_length, size, **options).standing_at(position, looking_at=target, up=up)
 
@@ -332,14 +328,13 @@ class PinholeCamera(Camera):
     ) -> PinholeCamera:
         """Return the camera of a YAML file of OpenCV's FileStorage, or of ROS's camera_info.
 
-        It has a camera_matrix (or K), distortion_coefficients (or D), the width and height of the
-        image, and may name its model: ROS's distortion_model (plumb_bob, rational_polynomial,
+        It may name its model: ROS's distortion_model (plumb_bob, rational_polynomial,
         equidistant), or fisheye_model of OpenCV's sample program.
 
         Args:
             path: Of the file, at most 0.5 MB.
-            size: Width and height of the image [px]; by default those of the file.
-            fisheye: The lens is a fisheye one; by default as the file says, and else it is not.
+            size: Of the image [px], if the file has none.
+            fisheye: The lens is a fisheye one, if the file does not say so.
             **where: Rvec, tvec, camera_pose, mount and near, as for `from_opencv`.
         """
         return cls.from_opencv(**read_calibration(path, size, fisheye), **where)
@@ -466,11 +461,8 @@ class PinholeCamera(Camera):
     @property
     def calibration(self) -> Mapping[str, tuple[float, str]]:
         """f_x [px], the distance that the camera stands back [m], and its roll [rad]."""
-        return {
-            "focal_length": (float(self._f[0]), "px"),
-            "distance": (0.0, "m"),
-            "roll": (0.0, "rad"),
-        }
+        f = float(self._f[0])
+        return {"focal_length": (f, "px"), "distance": (0.0, "m"), "roll": (0.0, "rad")}
 
     @property
     def numbers(self) -> dict[str, Array]:
@@ -511,20 +503,6 @@ class PinholeCamera(Camera):
         return np.array(
             [(u, v) for u in along[0] for v in (top, bottom)]
             + [(u, v) for u in (left, right) for v in along[1]]
-        )
-
-    def _require_fisheye(self, is_lost: NDArray[np.bool_]) -> None:
-        """Refuse a lens without a ray for each pixel, unless it may show a round image."""
-        if self.fisheye:
-            return
-        lost = self._border()[is_lost]
-        nearest = np.argmin(np.linalg.norm((lost - self._c) / self._f, axis=1))
-        raise InvalidInputError(
-            f"distortion must not fold the image back within its size: no ray is shown at "
-            f"{lost[nearest].tolist()} px, as no ray longer than "
-            f"{self._lens.largest_radius:.3g} is. Calibrate with views that reach into the "
-            f"corners, or with fewer coefficients; got {self.distortion}",
-            given=self.distortion,
         )
 
 
