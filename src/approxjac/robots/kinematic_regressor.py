@@ -194,7 +194,6 @@ class KinematicRegressor:
         drift = J.take(self._of_theta, 1).dot(theta_dot)
         return PointMotion(p, self._along_joints(J), self._along_joints(J_dot), drift)
 
-
     def robot_with(self, theta: Array, turn: Array | None = None) -> Robot:
         """Return the robot with other translations θ (p,) [m], and its one tool turned.
 

@@ -120,7 +120,7 @@ def for_other_tools(urdf: Urdf, urdf_dir: Path | None, path: Path) -> None:
 
 def _possible(inertia: Any) -> bool:
     """Tell whether principal moments are possible: none negative, none above the others' sum."""
-    xx, xy, xz, yy, yz, zz = (float(inertia.get(name)) for name in _MOMENTS)
+    xx, xy, xz, yy, yz, zz = (float(inertia.get(name)) for name in MOMENTS)
     small, middle, large = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     slack = 1e-9 * abs(large)
     return bool(small >= -slack and small + middle >= large - slack)
