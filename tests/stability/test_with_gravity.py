@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import itertools
 
 import numpy as np
 import pinocchio as pin
@@ -502,63 +501,6 @@ def test_starts_travel_no_further_than_from_where_they_are_to_the_box(name):
         V0 = arm.V(found.weights, start, np.zeros(n), arm.sensor.value(end))
         worst = max(worst, float((found.radius + found.travel * np.sqrt(V0)).max()))
     assert 0.95 * 0.15 < worst < 1.01 * 0.15
-
-
-def boundary(arm, half, n):
-    """Joint motions onto the faces of a box, (k, n_v): a lattice of n places a joint."""
-    lattice = np.linspace(-half, half, n)
-    for joint in range(arm.bare.nv):
-        for side in (-half, half):
-            others = itertools.product(lattice, repeat=arm.bare.nv - 1)
-            for rest in others:
-                yield np.insert(np.array(rest), joint, side)
-
-
-@pytest.mark.parametrize(("name", "half", "n"), [("two_link", 0.8, 25), ("three_joint", 0.15, 5)])
-def test_on_the_boundary_of_the_box_V_is_above_the_level_whatever_the_speed(name, half, n):
-    """With no joint to spare: min over q̇ of V is V at rest less ½|Ge|²_M. Starts are below."""
-    arm = HeavyArm(name, half)
-    if name == "two_link":  # of which inertia takes much
-        arm.kp, arm.kv, arm.damping = 1500.0, 120.0, 4.0
-        arm.gains = aj.Gains(arm.kp, arm.kv, arm.damping)
-    found, weights = arm.report.attraction, arm.report.sampled.weights
-    assert 0.0 < found.level <= arm.report.sampled.level
-    sides = np.array(list(itertools.product((-1.0, 1.0), repeat=arm.bare.nv)))
-    targets = [arm.sensor.value(arm.q + found.radius * side) for side in sides]
-    lowest = np.inf
-    for motion in boundary(arm, half, n):
-        q = arm.q + motion
-        M, x, G = arm.plant.dynamics.M(q), arm.sensor.value(q), arm.cross_weight(weights, q)
-        for x_d in targets:
-            turned = G @ (x - x_d)
-            least = 0.5 * (x - x_d) @ (weights.w * (x - x_d)) - 0.5 * turned @ M @ turned
-            if lowest > least:
-                lowest, at = least, (q, -turned, x_d)
-    assert_allclose(arm.V(weights, *at), lowest, atol=1e-9)
-    assert lowest >= found.level * (1.0 - 1e-2)
-    for side, x_d in zip(sides, targets[::-1], strict=True):
-        start = arm.q + found.radius * side
-        assert arm.V(weights, start, np.zeros(arm.bare.nv), x_d) <= found.level * 1.05
-
-
-def test_the_level_of_the_box_is_no_more_than_that_of_the_form():
-    """At a period that hardly any speed is certified for."""
-    arm = heavy("three_joint")
-    report = arm.report_of(arm.known, latency=Latency(12e-3))
-    assert report.certified_by == "sampled form"
-    assert report.sampled.level < 0.1 * arm.report.sampled.level
-    assert 0.0 < report.attraction.level <= report.sampled.level
-    x_d = arm.sensor.value(arm.q - report.attraction.radius)
-    start = arm.q + report.attraction.radius
-    V0 = arm.V(report.sampled.weights, start, np.zeros(3), x_d)
-    assert report.sampled.level * 1.05 >= V0
-
-
-def test_joints_to_spare_have_no_level_of_the_box():
-    for name, n in (("panda", 7), ("ur5", 6)):
-        arm = heavy(name)
-        assert arm.bare.nv == n
-        assert arm.report.attraction.level == 0.0
 
 
 def test_gravity_that_is_wrong_certifies_nothing(arm):

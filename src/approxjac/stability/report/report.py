@@ -330,7 +330,7 @@ def _verdict(report: StabilityReport) -> Row:
             text = f"with learnt gravity there is no certificate {runs}"
             text = f"certified: {verdict}, margin {figures['margin']:.2g}; {text}"
             return Row("verdict", "certified", verdict, figures, text)
-        figures["stays"] = report.attraction is not None and report.attraction.radius > 0.0
+        figures["stays"] = report.attraction is not None
         text = f"certified: yes, margin {figures['margin']:.2g}, {runs}"
         text += "" if figures["stays"] else f", {_IF_IT_STAYS}"
         return Row("verdict", "certified", "yes", figures, text)
@@ -378,9 +378,8 @@ def _covered_starts(report: StabilityReport, sampled: SampledTest, figures: dict
     figures["certified_error"] = sampled.certified_error
     begins = "From no start is it proven that the arm stays in the region"
     if stays is not None:
-        names = ("radius", "error", "travel", "rate", "level")
+        names = ("radius", "error", "travel", "rate")
         figures |= {name: getattr(stays, name) for name in names} | stays.weights._asdict()
-    if stays is not None and stays.radius:
         both = "start and target" if report.loop.target is None else "start"
         joints = joined(report.loop.plants[0].robot.joint_units)
         begins = (
