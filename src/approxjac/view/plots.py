@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from approxjac import law
 from approxjac.cameras import Camera, PinholeCamera
 from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.formatting import joined
 from approxjac.interface import LimitStatus
 from approxjac.robots import Robot
 from approxjac.simulation import Trajectory
@@ -45,7 +46,7 @@ def plot_error(
     with styled(ax) as ax:
         ax.axhline(0.0, color=COLORS["neutral"], linewidth=0.8)
         _over_time(ax, run, np.array(factors) * run.error, map(formulas, run.task_labels))
-        ax.set(ylabel=f"$x - x_d$ [{' or '.join(dict.fromkeys(units))}]", title=title)
+        ax.set(ylabel=f"$x - x_d$ [{joined(units)}]", title=title)
     return ax
 
 
@@ -256,7 +257,7 @@ def plot_parameters(
                 ax.axhline(truth[name], color=color, linestyle="--", linewidth=0.9)
         if truth:
             ax.plot([], [], "--", color=COLORS["neutral"], linewidth=0.9, label="true values")
-        units = " or ".join(dict.fromkeys(run.parameters[name] or "–" for name in chosen))
+        units = joined(run.parameters[name] or "–" for name in chosen)
         ax.set(ylabel=f"learnt{', ± 2 sd' if has_bands else ''} [{units}]", title=title)
         if has_bands:
             # a band of what is not seen is that of the belief, beside which curves are flat

@@ -483,15 +483,15 @@ def with_pages(arm, act, **options):
 
 def test_what_a_page_sends_cannot_hurt(panda):
     answers = {
-        '{"target": [1' + 400 * "0" + ", 0, 0]}": r"target must be numbers, got \[1000",
-        '{"target": "123"}': "target must be numbers, got '123'",
-        '{"target": {"0": 1}}': "target must be numbers, got {'0': 1}",
-        '{"target": [NaN, 0, 0]}': "target must be finite",
-        '{"target": [true, 0, 0]}': "target must be numbers",
-        '{"target": ["", 0, 0]}': "target must be numbers",
+        '{"point": [1' + 400 * "0" + ", 0, 0]}": r"point must be numbers, got \[1000",
+        '{"point": "123"}': "point must be numbers, got '123'",
+        '{"point": {"0": 1}}': "point must be numbers, got {'0': 1}",
+        '{"point": [NaN, 0, 0]}': "point must be finite",
+        '{"point": [true, 0, 0]}': "point must be numbers",
+        '{"point": ["", 0, 0]}': "point must be numbers",
         '{"point": [1e308, 1e308, 1e308]}': "target must be at most .* m from the arm's base",
         '{"point": [1e300, 0, 0]}': "target must be at most .* m from the arm's base",
-        '{"target": [0.3, 0.3, 1e30]}': "target must be at most .* m from the arm's base",
+        '{"point": [0.3, 0.3, 1e30]}': "target must be at most .* m from the arm's base",
         '{"point": [1, 2]}': r"point must have shape \(3,\)",
         '{"pixel": [0, 1, 2]}': "there is no point 0 in an image",
         '{"length": true}': "length must be numbers",
@@ -612,7 +612,7 @@ def test_while_paused_what_is_changed_is_shown(panda):
         times = []
         for height in (0.5, 0.45, 0.4):
             target = [*pages.tell()["rows"][-1]["target"][:2], height]
-            pages.tell(json.dumps({"target": target}), until="controls")
+            pages.tell(json.dumps({"point": target}), until="controls")
             wait_for(lambda wanted=target: pages.tell()["rows"][-1]["target"] == wanted)
             rows = pages.tell()["rows"]
             times.append(rows[-1]["t"])

@@ -12,6 +12,7 @@ import signal
 import socket
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -20,6 +21,7 @@ import numpy as np
 
 from approxjac.cameras import PlanarCamera
 from approxjac.errors import ApproxJacError, InvalidInputError, package_of
+from approxjac.formatting import plain
 from approxjac.robots import Robot
 from approxjac.simulation.simulate import Loop
 from approxjac.simulation.trajectory import Record, scene_of
@@ -32,18 +34,16 @@ from approxjac.view.browser.stage import Stage
 _FRAME = 1.0 / 30.0  # between pictures [s]
 _STALL = 0.5  # behind its time, after which a run does not catch up [s]
 _NAP = 0.02  # between looks at what the user wants, while waiting [s]
-_KEPT = 1500  # instants that a page gets when it is opened late
+_KEPT = 3000  # last instants, which a page gets when it is opened late
 _SLOWEST = 1e-3  # of real time; slower is a pause
-_COMMANDS = "target, point, pixel, length, speed, pause, go, stop"
+_COMMANDS = "point, pixel, length, speed, pause, go, stop"
 _SHOWN = 80  # characters of what a page sent, in errors
-_LONGEST_ERROR = 300  # characters
 _FAR = 2.0  # from the base on each axis, of what the arm reaches: runs diverge at light years
-_STEP = 10.0  # of what is neither place nor image, such as joints or a quaternion
 
 _HOST = "127.0.0.1"  # nobody else on the network gets to move an arm
 _HOSTS = r"(127\.0\.0\.1|localhost)"
 _PORT = 7007
-_BEHIND = 900  # messages that a page has not taken yet
+_ALIVE = {"websocket_ping_interval": 10.0, "websocket_ping_timeout": 10.0}  # or it is left [s]
 _LONGEST = 20_000  # of a message from a page [byte]
 _SPARE = 0.005  # between messages of one page [s]; a mouse sends one in 50 ms
 _KINDS = 32  # of commands that wait; of each kind the latest
@@ -92,8 +92,7 @@ class LiveView:
         self._length = as_number("believed_length", believed_length, unit="m", minimum=0.0)
         self._patience = as_number("patience", patience, unit="s", minimum=0.0)
         self.url: str | None = None
-        self._rows: dict[int, dict[str, Any]] = {}  # the last one in each so many steps
-        self._every = 1
+        self._rows: deque[dict[str, Any]] = deque(maxlen=_KEPT)
         self._paused = self._changed = self._interrupted = self._ended = self._closed = False
         self._origin = self._next = 0.0
         self._before: Any = None  # what Ctrl-C did before
@@ -180,7 +179,7 @@ class LiveView:
 
     def _greeting(self) -> str:
         """Return the first message to a page; it may date from before the belief changed."""
-        message: dict[str, Any] = {"rows": list(self._rows.values()), "controls": self._controls()}
+        message: dict[str, Any] = {"rows": list(self._rows), "controls": self._controls()}
         if self._changed:
             message["redraw"] = self._stage.data("believed")
         return json.dumps(message)
@@ -192,11 +191,9 @@ class LiveView:
         self._next = time.perf_counter() + _FRAME
         row = self._row(loop)
         self._tell(rows=[row])
-        # the same instant with another target takes the place of the one before
-        self._rows[loop.step // self._every] = row
-        if len(self._rows) > _KEPT:
-            self._every *= 2
-            self._rows = {key // 2: kept for key, kept in self._rows.items()}
+        if self._rows and self._rows[-1]["t"] == row["t"]:  # with another target
+            self._rows.pop()
+        self._rows.append(row)
 
     def _row(self, loop: Loop) -> dict[str, Any]:
         """Return this step as the page shows it, in types that JSON has."""
@@ -205,7 +202,7 @@ class LiveView:
         record.add(loop.truth, x, loop.state, answer, loop.tau, loop.target, controller)
         self._run = record.trajectory()
         self._columns = self._frames.columns(self._run)
-        return {name: _plain(values[-1]) for name, values in self._columns.items()}
+        return {name: plain(values[-1]) for name, values in self._columns.items()}
 
     # -- time ---------------------------------------------------------------------------
 
@@ -248,7 +245,7 @@ class LiveView:
 
     def _do(self, loop: Loop, command: str, value: Any) -> None:
         size = self._stage.size
-        if command in ("target", "point", "pixel"):
+        if command in ("point", "pixel"):
             loop.aim_at(_target(loop, command, _numbers(command, value), size))
         elif command == "length" and self._believe is not None:
             given = _numbers("length", value).item()
@@ -271,13 +268,6 @@ class LiveView:
             raise InvalidInputError(message, given=command)
 
 
-def _plain(value: Any) -> Any:
-    """Return numbers as JSON can have them: rounded, and None for what is not known."""
-    if np.ndim(value) > 0:
-        return [_plain(entry) for entry in value]
-    return float(f"{value:.6g}") if math.isfinite(value) else None
-
-
 def _speed(value: float) -> float:
     return math.inf if value == math.inf else as_number("speed", value, minimum=_SLOWEST)
 
@@ -292,48 +282,37 @@ def _numbers(name: str, value: Any) -> Array:
 
 
 def _target(loop: Loop, command: str, given: Array, size: float) -> Array:
-    """Return the target that a page wants, if an arm of this size [m] can be sent to it.
+    """Return the target with what a page moved, if an arm of this size [m] can be sent to it.
 
-    It is given as a whole, as the place (3,) [m] of what is followed, or as (i, u, v), the image of
-    point i.
+    That is the place (3,) [m] of what is followed, or (i, u, v), the image of point i.
     """
-    sensor = loop.plant.sensor
-    target = given if command == "target" else np.array(loop.target)
+    sensor, target = loop.plant.sensor, np.array(loop.target)
     if command == "point":
         place = as_array("point", given, (3,), "m")
         feature = next((feature for feature in features(sensor) if feature.axes), None)
         if feature is None:
             message = "the target is no position, which a point could be"
             raise InvalidInputError(message, given=given)
+        _require_near(place, _FAR * size, "m from the arm's base")
         rows = ["xyz".index(axis) for axis in feature.axes]
         target[feature.entries][: len(rows)] = place[rows]
-    elif command == "pixel":
+    else:
         i, u, v = as_array("pixel", given, (3,))
         feature = image_feature(sensor)
         if feature is None or i not in range(len(feature.points)):
             raise InvalidInputError(f"there is no point {i:g} in an image", given=given)
+        camera = feature.camera
+        if isinstance(camera, PlanarCamera):  # images of others have a border
+            far, where = _FAR * size * camera.magnification, "from where the base appears"
+            _require_near(np.array([u, v]) - camera.offset, far, f"{camera.unit} {where}")
         target[feature.entries].reshape(len(feature.points), -1)[int(i), :2] = u, v
-    target = sensor.target(target)
-    other = np.ones(len(target), dtype=bool)
+    return np.asarray(sensor.target(target))
 
-    def require_near(way: Array, far: float, words: str) -> None:
-        if not (np.abs(way) <= far).all():
-            message = f"target must be at most {far:.3g} {words}, got {target.tolist()}"
-            raise InvalidInputError(message[:_LONGEST_ERROR], given=target)
 
-    for feature in features(sensor):
-        camera, entries = feature.camera, np.arange(len(target))[feature.entries]
-        if feature.axes:
-            other[entries[: len(feature.axes)]] = False
-            require_near(feature.place(target), _FAR * size, "m from the arm's base")
-        elif camera is not None:
-            points = entries.reshape(len(feature.points), -1)[:, :2]
-            other[points] = False
-            if isinstance(camera, PlanarCamera):  # images of others have a border
-                far, where = _FAR * size * camera.magnification, "from where the base appears"
-                require_near(target[points] - camera.offset, far, f"{camera.unit} {where}")
-    require_near((target - loop.target)[other], _STEP, "from what it was")
-    return target
+def _require_near(way: Array, far: float, words: str) -> None:
+    if not (np.abs(way) <= far).all():
+        message = f"target must be at most {far:.3g} {words}, got {way.tolist()}"
+        raise InvalidInputError(message, given=way)
 
 
 class PageServer:
@@ -410,7 +389,6 @@ class PageServer:
 
         class Socket(self._websocket.WebSocketHandler):  # type: ignore[misc, name-defined]
             def open(self, *_: str) -> None:
-                self.waiting = 0
                 outer._send(self, outer._greeting())
                 outer._pages.add(self)
                 outer.opened.set()
@@ -425,7 +403,7 @@ class PageServer:
             def on_close(self) -> None:
                 outer._pages.discard(self)
 
-        application = self._web.Application(websocket_max_message_size=_LONGEST)
+        application = self._web.Application(websocket_max_message_size=_LONGEST, **_ALIVE)
         key = re.escape(self._key)
         # not to pages of other sites that had their name point to this machine
         served = [("/", NoKey), (f"/{key}/", Page), (f"/{key}/socket", Socket)]
@@ -443,23 +421,8 @@ class PageServer:
             self._send(page, message)
 
     def _send(self, page: Any, message: str) -> None:
-        """Send to one page; leave one that is gone, or that does not keep up."""
-
-        def sent(future: Any) -> None:
-            page.waiting -= 1
-            if future.exception() is not None:
-                self._pages.discard(page)
-
-        try:
-            future = asyncio.ensure_future(page.write_message(message))
-        except self._websocket.WebSocketClosedError:
-            self._pages.discard(page)
-            return
-        page.waiting += 1
-        future.add_done_callback(sent)
-        if page.waiting > _BEHIND:
-            self._pages.discard(page)
-            page.close()
+        with contextlib.suppress(self._websocket.WebSocketClosedError):  # it is gone
+            page.write_message(message).add_done_callback(lambda sent: sent.exception())
 
 
 def _bound(port: int | None) -> socket.socket:

@@ -21,6 +21,7 @@ import numpy as np
 from approxjac.cameras import PinholeCamera
 from approxjac.errors import InvalidInputError, package_of
 from approxjac.files import reason, write_text
+from approxjac.formatting import joined, percent, short
 from approxjac.interface import LimitStatus, Status
 from approxjac.simulation import Trajectory
 from approxjac.simulation.trajectory import Scene
@@ -131,38 +132,24 @@ def _thinned(t: Array, q: Array) -> Any:
 
 def _facts(run: Trajectory) -> list[tuple[str, str]]:
     """List the end of the run and its unusual events, each a name and a text."""
-    shown, factors = zip(*map(display_unit, run.task_units), strict=True)
     facts = [("ended", run.ended)] if run.ended and not run.fault_name else []
+    shown, factors = zip(*map(display_unit, run.task_units), strict=True)
+    errors = run.error * np.array(factors)
     for unit in dict.fromkeys(shown):
-        scaled = (run.error * factors)[:, [name == unit for name in shown]]
-        norms = np.linalg.norm(scaled, axis=1)
-        first, last = float(norms[0]), float(norms[-1])
+        norms = np.linalg.norm(errors[:, [name == unit for name in shown]], axis=1)
+        first, last = short(norms[0]), short(norms[-1])
         if (run.x_d != run.x_d[0]).any():  # a path begins where the arm is
-            facts.append(
-                ("error", f"up to {_short(np.nanmax(norms))} {unit}, {_short(last)} at the end")
-            )
-            continue
-        share = f" ({_short(100.0 * last / first)} % is left)" if first > 0.0 else ""
-        facts.append(("error", f"{_short(first)} → {_short(last)} {unit}{share}"))
+            facts.append(("error", f"up to {short(np.nanmax(norms))} {unit}, {last} at the end"))
+        else:
+            facts.append(("error", f"{first} → {last} {unit}"))
     counts = {"not measured": int((~np.isfinite(run.x_measured).all(axis=1)).sum())}
-    for status, count in (*run.status_counts().items(), *run.limit_status_counts().items()):
-        if status not in (_USUAL_LIMITS if isinstance(status, LimitStatus) else _USUAL):
-            name = status.name.lower().replace("_", " ")
-            if isinstance(status, LimitStatus) and status is not LimitStatus.LIMITED:
-                name = f"limited, {name}"  # where it was not, the proof holds as well
-            counts[name] = count
+    counts |= {s.words: n for s, n in run.status_counts().items() if s not in _USUAL}
+    limited = run.limit_status_counts().items()
+    counts |= {f"limits: {s.words}": n for s, n in limited if s not in _USUAL_LIMITS}
     for name, count in counts.items():
-        part = 100.0 * count / len(run.t)
         if count:
-            facts.append((name, f"{f'{part:.2g}' if part < 99.5 else '100'} % of the time"))
+            facts.append((name, f"{percent(count / len(run.t), 0)} % of the time"))
     return facts
-
-
-def _short(value: float) -> str:
-    """Return a number ≥ 0 as people read it: three digits, and no powers of ten."""
-    if 0.0 < value < 1e-3:
-        return "below 0.001"
-    return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
 
 
 # -- what is in a page --------------------------------------------------------------------------
@@ -268,42 +255,35 @@ def _legend(scene: Scene, tip: str, image: bool) -> list[tuple[str, str, str, st
 
     The page shows those of what occurs in it.
     """
-    held, believes = bool(held_objects(scene.truth)), scene.belief is not None
-    ghost = "arm and camera as the controller believes them"
-    ghost = ghost if image else "the arm as the controller believes it"
-    known = scene.knows_truth
-    entries = (
-        (True, "arm", "bar", "the arm as it is" if known else "the arm as believed"),
-        (held, "object", "bar", "object that it holds"),
-        (believes, "believed", "bar", ghost),
-        (believes, "believed_tip", "", tip),
-        (True, "true", "", f"{'true tip' if known else 'tip by the belief'} and its path"),
-        (any(feature.axes for feature in features(scene.sensor)),
-         "measured", "", "measured tip" + ", where it differs" * known),
-        (True, "target", "", "target, line of sight" if image else "target"),
-        (scene.task is not None, "force", "dash", "force that the control means to exert"),
-        (np.isfinite(scene.torque_limits).any(),
-         "saturated", "bar", "link whose torque is at its limit"),
-        (np.isfinite(np.array(scene.truth.position_limits)).any(),
-         "at_limit", "bar", "link whose joint is at a position limit"),
-    )  # fmt: skip
-    return [
-        (what, COLORS["believed" if what == "believed_tip" else what], mark, words)
-        for shown, what, mark, words in entries
-        if shown
-    ]
+    known, seen = scene.knows_truth, "arm and camera as the controller believes them"
+    entries = [
+        ("arm", "arm", "bar", "the arm as it is" if known else "the arm as believed"),
+        ("object", "object", "bar", "object that it holds"),
+        ("believed", "believed", "bar",
+         seen if image else "the arm as the controller believes it"),
+        ("believed_tip", "believed", "", tip),
+        ("true", "true", "", f"{'true tip' if known else 'tip by the belief'} and its path"),
+        ("measured", "measured", "", "measured tip" + ", where it differs" * known),
+        ("target", "target", "", "target, line of sight" if image else "target"),
+        ("force", "force", "dash", "force that the control means to exert"),
+        ("saturated", "saturated", "bar", "link whose torque is at its limit"),
+        ("at_limit", "at_limit", "bar", "link whose joint is at a position limit"),
+    ]  # fmt: skip
+    if not held_objects(scene.truth):
+        del entries[1]
+    return [(what, COLORS[role], mark, words) for what, role, mark, words in entries]
 
 
 def _plots(scene: Scene, labels: list[str], units: Sequence[str]) -> list[dict[str, Any]]:
     """Return the plots beside the scene; names, units and colours as in `approxjac.view`."""
-    shown = " or ".join(dict.fromkeys(display_unit(unit)[0] for unit in units))
+    shown = joined(display_unit(unit)[0] for unit in units)
     known = bool(np.isfinite(scene.torque_limits).any())
     kinds = {"rad": "N m", "m": "N"}.items()
-    torque = " or ".join(name for unit, name in kinds if unit in scene.truth.joint_units)
+    torque = joined(name for unit, name in kinds if unit in scene.truth.joint_units)
     joints = list(scene.truth.joint_names)
+    # panda_joint1 is joint1 here, where there is little room
     first = joints[0].partition("_")[0] + "_"
-    if len(joints) > 1 and all(name.startswith(first) for name in joints):
-        # panda_joint1 is joint1 here, where there is little room
+    if all(name.startswith(first) for name in joints):
         joints = [name.removeprefix(first) for name in joints]
     plots = [
         ("error", "Task error of each coordinate", f"error [{shown}]", labels, [0.0]),

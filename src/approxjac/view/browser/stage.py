@@ -123,18 +123,15 @@ class Stage:
         """Return True where the believed arm or camera differs from the true one."""
         if "believed" not in self.robots:
             return False
-        true, believed = (
-            {joint.name: np.append(joint.origin, joint.axis) for joint in self._trees[role].joints}
-            for role in ("true", "believed")
-        )
-        if true.keys() != believed.keys():
-            return True
-        pairs = [(true[name], believed[name]) for name in true]
-        views = {camera["role"]: camera for camera in self.cameras}
-        if len(views) == 2:
+        parts = []
+        for role, tree in self._trees.items():
+            joints = [np.append(joint.origin, joint.axis) for joint in tree.joints]
+            views = [camera for camera in self.cameras if camera["role"] == role]
             names = ("apex", "corner", "right", "down", "low", "high")
-            pairs += [(views["true"][name], views["believed"][name]) for name in names]
-        return any(not np.allclose(one, other, atol=1e-9) for one, other in pairs)
+            joints += [view[name] for view in views for name in names]
+            parts.append(np.concatenate(joints))
+        one, other = parts
+        return one.shape != other.shape or not np.allclose(one, other, atol=1e-9)
 
     @property
     def floor(self) -> float:
