@@ -21,7 +21,10 @@ MAIN = """
 #include "controller.h"
 #include <stdio.h>
 #include <time.h>
-static const double inputs[][@row] = {
+static const struct {
+    @p_measurement now;
+    @p_target target;
+} inputs[] = {
 @inputs
 };
 int main(void)
@@ -31,13 +34,12 @@ int main(void)
     struct timespec a, b;
     double sum = 0.0;
     int i, k;
-    @p_init(&state, inputs[0] + @x);
+    @p_init(&state, &inputs[0].now);
     clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &a);
     for (k = 0; k < @rounds; ++k) {
         for (i = 0; i < @count; ++i) {
-            const double *q = inputs[i];
-            @p_state now = state;
-            @p_step(&now, q, q + @v, q + @x, q + @target, 1e-3, &answer);
+            @p_state next = state;
+            @p_step(&next, &inputs[i].now, &inputs[i].target, 1e-3, &answer);
             sum += answer.torque[0];
         }
     }
@@ -64,17 +66,18 @@ class InC:
 
     def __init__(self, controller, inputs, folder):
         aj.export_c(controller, folder)
-        q, v, x, _ = inputs[0]
-        rows = ",\n".join(
-            "{" + ", ".join(float(each).hex() for each in np.concatenate(row)) + "}"
-            for row in inputs
-        )
+        rows = []
+        for row in inputs:
+            parts = (", ".join(float(each).hex() for each in part) for part in row)
+            q, v, x, target = (f"{{{part}}}" for part in parts)
+            rows.append(f"{{{{0.0, {q}, {v}, {x}, 0.0}}, {{{target}}}}}")
         words = {
-            "row": len(np.concatenate(inputs[0])), "inputs": rows, "p": controller.task.robot.name,
-            "v": len(q), "x": len(q) + len(v), "target": len(q) + len(v) + len(x),
-            "rounds": ROUNDS, "count": COUNT,
-        }  # fmt: skip
-        text = re.sub(r"@(row|inputs|rounds|count|target|p|v|x)", lambda m: str(words[m[1]]), MAIN)
+            "inputs": ",\n".join(rows),
+            "p": controller.task.robot.name,
+            "rounds": ROUNDS,
+            "count": COUNT,
+        }
+        text = re.sub(r"@(inputs|rounds|count|p)", lambda m: str(words[m[1]]), MAIN)
         (folder / "time.c").write_text(text, encoding="utf-8")
         strict = ["-O2", "-ffp-contract=off", "-Wall"]
         for command in (

@@ -13,7 +13,14 @@ from own_parts import of_ones_own
 
 import approxjac as aj
 from approxjac.codegen.backends.c99 import sampled_step
-from approxjac.controllers import AwayFromStops, DifferentiatedVelocity, Posture, RegressorGravity
+from approxjac.controllers import (
+    AwayFromStops,
+    DifferentiatedVelocity,
+    HeldMeasurement,
+    Posture,
+    PredictedMeasurement,
+    RegressorGravity,
+)
 from approxjac.interface import LimitStatus, Measurement
 from approxjac.robots import GravityRegressor
 
@@ -125,15 +132,26 @@ class InC:
     def __init__(self, controller, folder, level="-O0", compiler=None):
         aj.export_c(controller, folder)
         compiled(folder, level, EXACT, "-shared", "-fPIC", "-o", "controller.so", compiler=compiler)
-        law = controller.law
-        task, nv = law.task, law.task.robot.nv
+        task, nv = controller.task, controller.task.robot.nv
         library = ctypes.CDLL(str(folder / "controller.so"))
-        prefix = law.task.robot.name
+        prefix = task.robot.name
         self.step_function = getattr(library, f"{prefix}_step")
         self.init_function = getattr(library, f"{prefix}_init")
         self.n_state = header_number(folder, "N_STATE")
         double, integer = ctypes.c_double, ctypes.c_int
         self.State = double * max(self.n_state, 1)
+
+        class Now(ctypes.Structure):
+            _fields_ = (
+                ("t", double), ("q", double * task.robot.nq), ("v", double * nv),
+                ("x", double * task.n_x), ("t_x", double),
+            )  # fmt: skip
+
+        class Target(ctypes.Structure):
+            _fields_ = (
+                ("x", double * task.n_x), ("v", double * task._measured.m),
+                ("a", double * task._measured.m),
+            )  # fmt: skip
 
         class Answer(ctypes.Structure):
             _fields_ = (
@@ -142,13 +160,29 @@ class InC:
                 ("limit_status", integer),
             )  # fmt: skip
 
-        self.answer = Answer()
+        self.Now, self.Target, self.answer = Now, Target, Answer()
 
-    def step(self, state, q, v, x, target, dt):
+    def now(self, measurement):
+        """A measurement in C, whose t_x is NaN where it is not known."""
+        t, q, v, x, t_x = measurement
+        q, v, x = ((ctypes.c_double * len(each))(*each) for each in (q, v, x))
+        return self.Now(t, q, v, x, np.nan if t_x is None else t_x)
+
+    def init(self, measurement):
+        """Return the state before the first step, or None where it was refused."""
+        state = self.State()
+        is_done = self.init_function(state, ctypes.byref(self.now(measurement)))
+        return np.array(state[: self.n_state]) if is_done else None
+
+    def step(self, state, q, v, x, target, dt, t=0.0, t_x=None):
         """Return status, state and answer: name → array."""
-        kept = self.State(*state)
-        arrays = [(ctypes.c_double * len(each))(*each) for each in (q, v, x, target)]
-        status = self.step_function(kept, *arrays, ctypes.c_double(dt), ctypes.byref(self.answer))
+        kept, now = self.State(*state), self.now(Measurement(t, q, v, x, t_x))
+        wanted = target if isinstance(target, aj.Target) else aj.Target(target)
+        parts = ([0.0] * len(self.Target().v) if each is None else each for each in wanted)
+        wanted = self.Target(*((ctypes.c_double * len(each))(*each) for each in parts))
+        status = self.step_function(
+            kept, *map(ctypes.byref, (now, wanted)), ctypes.c_double(dt), ctypes.byref(self.answer)
+        )
         found = {
             name: np.atleast_1d(np.array(getattr(self.answer, name), dtype=float))
             for name, _ in self.answer._fields_
@@ -180,7 +214,8 @@ def draws(step, count, seed=0, at_bounds=0.1):
         target = np.where(scale < 0.1, target, rng.permuted(x, axis=0))
     x[rng.random(count) < 0.03, 0] = np.nan
     x[rng.random(count) < 0.02, -1] = np.inf
-    p, state = law.resting, np.tile(step.initial_state(np.zeros(task.n_x)), (count, 1))
+    first = Measurement(0.0, q[0], v[0], np.zeros(task.n_x))
+    p, state = law.resting, np.tile(step.initial_state(first), (count, 1))
     state[:, :p] *= 1.0 + 0.3 * rng.normal(size=(count, p))
     state[:, :p] += 0.3 * rng.normal(size=(count, p))
     if law.adaptation is not None and law.adaptation.bounds is not None:
@@ -195,6 +230,9 @@ def draws(step, count, seed=0, at_bounds=0.1):
         state[:, p:] = np.where(np.isfinite(x), x, 0.0) + 0.01 * rng.normal(size=x.shape)
     return {
         "q": q, "v": v, "x": x, "target": target, "state": state, "dt": np.full((count, 1), 1e-3),
+        "t": np.zeros((count, 1)), "t_x": np.full((count, 1), np.nan),
+        "target_v": np.zeros((count, task._measured.m)),
+        "target_a": np.zeros((count, task._measured.m)),
     }  # fmt: skip
 
 
@@ -255,12 +293,11 @@ def test_it_gives_the_bits_of_numpy(case, tmp_path):
 @needs_compiler
 @pytest.mark.parametrize("k", range(8))
 def test_what_is_ones_own_is_the_same_in_c(panda, k, tmp_path, rng):
-    """200 steps of a task's, a saturation's, gravity's and a law's of one's own, and a held x."""
+    """200 steps of a task's, a saturation's, gravity's and a law's of one's own, and a held x.
+
+    The torque of the last one depends on time.
+    """
     controller = of_ones_own(panda)[k]
-    if k == 7:  # its torque depends on t, which C does not know
-        with pytest.raises(aj.InvalidInputError, match=r"Springs\.step does not: .* C knows"):
-            aj.export_c(controller, tmp_path)
-        return
     in_c, task = InC(controller, tmp_path), controller.task
     q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
     target = task.value(q) + 0.05
@@ -268,8 +305,9 @@ def test_what_is_ones_own_is_the_same_in_c(panda, k, tmp_path, rng):
     for step in range(200):
         now, v = q + 0.1 * np.sin(1e-2 * step + np.arange(7.0)), 0.1 * rng.normal(size=7)
         x = x if step % 30 else task.value(now)
-        after, expected = controller.step(state, Measurement(0.0, now, v, x), target, 1e-3)
-        status, found, answer = in_c.step(state, now, v, x, target, 1e-3)
+        t = 1e-3 * step
+        after, expected = controller.step(state, Measurement(t, now, v, x), target, 1e-3)
+        status, found, answer = in_c.step(state, now, v, x, target, 1e-3, t)
         assert status == expected.status
         scale = 1.0 + np.abs(expected.torque).max()
         np.testing.assert_allclose(answer["torque"] / scale, expected.torque / scale, atol=1e-12)
@@ -397,7 +435,7 @@ def test_what_is_no_number_is_refused_with_a_safe_torque(tmp_path):
     controller, step = built("panda (28), limits, away from stops")
     in_c, given = InC(controller, tmp_path), draws(step, 5, seed=3)
     row = {name: given[name][2].copy() for name in INPUTS} | {"dt": 1e-3}
-    row["state"] = step.initial_state(row["x"])
+    row["state"] = step.initial_state(Measurement(0.0, row["q"], row["v"], row["x"]))
 
     def refused(name, value):
         wrong = dict(row)
@@ -443,15 +481,70 @@ def test_continuous_joints_off_the_unit_circle_are_refused(tmp_path):
 
 @needs_compiler
 def test_a_first_x_that_is_lost_starts_no_law_that_differentiates_it(tmp_path):
-    for case, starts in (("ur5 (5), sine", 0), ("kinova (6), limits", 1)):
+    for case, starts in (("ur5 (5), sine", False), ("kinova (6), limits", True)):
         controller, step = built(case)
-        in_c = InC(controller, tmp_path / case[:7])
-        state, x = in_c.State(), (ctypes.c_double * 3)(np.nan, 0.0, 0.0)
-        assert in_c.init_function(state, x) == starts
-        x[0] = 1.0
-        assert in_c.init_function(state, x) == 1
-        p = law_of(step).resting
-        assert state[:p] == step.initial_state(np.zeros(step.controller.task.n_x))[:p].tolist()
+        in_c, robot = InC(controller, tmp_path / case[:7]), controller.task.robot
+        first = Measurement(0.0, robot.neutral(), np.zeros(robot.nv), np.array([np.nan, 0.0, 0.0]))
+        assert (in_c.init(first) is not None) == starts
+        seen = first._replace(x=np.array([1.0, 0.0, 0.0]))
+        assert in_c.init(seen).tobytes() == step.initial_state(seen).tobytes()
+        np.testing.assert_allclose(in_c.init(seen), controller.initial_state(seen))
+
+
+def learning(arm):
+    return aj.AdaptiveKinematics(aj.PositionTask(arm), unknown=("tool",))
+
+
+def tracking(arm, **options):
+    return aj.TrackingController(aj.PositionTask(arm), kinematics=learning(arm), **options)
+
+
+TIMED = {
+    "tracking": lambda arm: limited(tracking(arm), 0.9),
+    "velocity": lambda arm: tracking(arm, command="velocity"),
+    "held": lambda arm: HeldMeasurement(law_6(arm), 0.02),
+    "predicted": lambda arm: PredictedMeasurement(law_6(arm), learning(arm)),
+}
+
+
+@needs_compiler
+@pytest.mark.parametrize("case", TIMED)
+def test_what_depends_on_time_is_that_of_python(case, panda, tmp_path):
+    """A moving target, and a camera of 50 Hz, 20 ms late, that loses x for a while."""
+    controller = TIMED[case](panda.with_object(0.0))
+    in_c, truth = InC(controller, tmp_path), aj.PositionTask(panda.with_object(0.1))
+    start = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+    motion = np.array([0.2, 0.3, -0.2, 0.3, 0.1, -0.2, 0.3])
+
+    def measured(k):
+        t, t_x = 1e-3 * k, 0.02 * (k // 20) - 0.02
+        q, then = (start + np.sin(each) * motion for each in (t, t_x))
+        x = truth.value(then) if not 100 <= k < 160 else np.full(3, np.nan)
+        return Measurement(t, q, np.cos(t) * motion, x, t_x)
+
+    state, seen = controller.initial_state(measured(0)), set()
+    np.testing.assert_allclose(in_c.init(measured(0)), state, rtol=1e-12, atol=1e-12)
+    turn = aj.Circle(center=truth.value(start), radius=0.05, period=2.0)
+    for k in range(250):
+        now = measured(k)
+        target = turn.at(now.t) if case in ("tracking", "velocity") else turn.at(0.0).x
+        after, expected = controller.step(state, now, target, 1e-3)
+        t, q, v, x, t_x = now
+        status, found, answer = in_c.step(state, q, v, x, target, 1e-3, t, t_x)
+        assert status == expected.status
+        scale = 1.0 + np.abs(expected.torque).max()
+        np.testing.assert_allclose(answer["torque"] / scale, expected.torque / scale, atol=1e-9)
+        np.testing.assert_allclose(found, after, rtol=1e-9, atol=1e-9)
+        state = after
+        seen.add(expected.status.name)
+    assert len(seen) > 1
+    for t, t_x in ((np.nan, 0.0), (np.inf, 0.0), (1.0, np.inf), (1.0, 2.5)):
+        if case == "held" and t_x == 0.0:  # it looks at t_x alone
+            continue
+        status, found, answer = in_c.step(state, q, v, x, target, 1e-3, t, t_x)
+        assert status == header_number(tmp_path, "REFUSED_T")
+        assert not answer["torque"].any()
+        np.testing.assert_array_equal(found, state)
 
 
 def test_the_header_says_what_it_was_made_from(tmp_path):

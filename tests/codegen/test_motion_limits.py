@@ -9,7 +9,6 @@ from codegen.test_c99 import InC, needs_compiler
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
-from approxjac.codegen.backends.c99 import sampled_step
 from approxjac.codegen.step import compiled
 from approxjac.controllers import CartesianSpeed, Limit, Wall
 from approxjac.simulation.simulate import SampledLoop
@@ -132,11 +131,11 @@ def test_a_whole_run_is_that_of_python(panda, monkeypatch):
 def test_in_C_they_are_those_of_python(name, tmp_path, rng):
     """Also where no torque keeps them: there C brakes by itself."""
     controller = limiter(name)
-    in_c, first, seen = InC(controller, tmp_path), sampled_step(controller).begun, set()
+    in_c, seen = InC(controller, tmp_path), set()
     assert "what the controller keeps" in (tmp_path / "controller.h").read_text("utf-8")
     apart = []
     for measurements, target in steps(controller, 60, rng):
-        state, kept = controller.initial_state(measurements[0]), first
+        state, kept = controller.initial_state(measurements[0]), in_c.init(measurements[0])
         for measurement in measurements:
             state, expected = controller.step(state, measurement, target, controller.dt)
             _, q, v, x, _ = measurement

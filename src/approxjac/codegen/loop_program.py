@@ -198,7 +198,7 @@ def _begun(
     """Return a state that begins with the first x, where it does, and whether that is lost."""
     if controller.kinematics is not controller.law.kinematics:
         return state, False
-    first = laws.begun(controller.law, *measurement[1:4])
+    first = laws.begun(controller.law, measurement._replace(t=0.0, t_x=0.0))
     at = [i for i, each in enumerate(first.tolist()) if isinstance(each, Scalar)]
     if not at:
         return state, False

@@ -40,27 +40,19 @@ def step_program(controller: Controller, *, may_lose: bool) -> Program:
     """
     program = Program()
     program.graph.is_finite = not may_lose
-    sizes = laws.argument_sizes(controller) | {"t": 1, "t_x": 1}
-    if laws.is_ours(controller):
-        sizes |= dict.fromkeys(("target_v", "target_a"), controller.task._measured.m)
+    sizes = laws.argument_sizes(controller)
     given = {name: program.kept(name, size) for name, size in sizes.items()}
-    q, v, x, target, state, (dt,), (time,), (t_x,), *rates = given.values()
-    predicts = _predicts(controller)
-    if predicts:  # an x beyond what can be learnt from is lost
-        x = np.where(x * x < HUGE, x, np.nan)
-    after, answer, left = laws.stepped(
-        controller, state, Measurement(time, q, v, x, t_x),
-        Target(target, *rates) if rates else target,
-        dt if controller.dt is None else controller.dt,
-    )  # fmt: skip
-    numbers = [q, v, target, state, answer.torque, after, *rates]
-    numbers += [] if predicts else [x, answer.e]
+    after, answer, left = laws.stepped_from(controller, given)
+    predicts = laws.predicts(controller)
+    checked = ("q", "v", "target", "state", "target_v", "target_a") + (() if predicts else ("x",))
+    numbers = [given[name] for name in checked if name in given] + [answer.torque, after]
+    numbers += [] if predicts else [answer.e]
     usual = sum(((each * each).sum() for each in numbers), 0.0) < HUGE**2
     if not predicts:
         usual = any_of([answer.status == each for each in _USUAL]) & usual
     for joint in list(controller.task.robot.model.joints)[1:]:
         if joint.nq == 2:  # a (cos, sin) pair off the unit circle is for Python to judge
-            cosine, sine = q[joint.idx_q], q[joint.idx_q + 1]
+            cosine, sine = given["q"][joint.idx_q : joint.idx_q + 2]
             usual = usual & (abs(cosine * cosine + sine * sine - 1.0) < _ROUND_OFF)
     usual = usual & ~left if isinstance(left, Scalar) else usual
     if isinstance(answer.limit_status, Scalar):
@@ -74,11 +66,6 @@ def step_program(controller: Controller, *, may_lose: bool) -> Program:
     }  # fmt: skip
     program.step({name: value for name, value in found.items() if value is not None})
     return program
-
-
-def _predicts(controller: Controller) -> bool:
-    """Return whether a law controls what it predicts, so that a step without x is usual, too."""
-    return controller.law.kinematics is not None
 
 
 def compiled(controller: Controller) -> Any:
@@ -152,7 +139,7 @@ class _MachineCode:
         controller = self.ordinary
         usually: Any = super()
         ordinary, ordinary_step = usually.evaluate, usually.step
-        predicts, law, task = _predicts(controller), controller.law, controller.task
+        predicts, law, task = laws.predicts(controller), controller.law, controller.task
         program = step_program(controller, may_lose=predicts)
         buffer = np.zeros((1, program.n_rows, 1))
         flat = buffer[0, :, 0]

@@ -9,6 +9,7 @@ import numpy as np
 
 from approxjac.codegen.arm.traced_tasks import traced
 from approxjac.codegen.trace.symbols import Condition, Graph, Symbols, inputs, symbols
+from approxjac.controllers.arguments import HUGE
 from approxjac.controllers.controller import Controller
 from approxjac.controllers.gains.gains import Diagonals
 from approxjac.controllers.limits.torque_limited import TorqueLimited
@@ -102,20 +103,46 @@ def first_state(controller: Controller) -> Array:
     return controller.initial_state(Measurement(0.0, q, np.zeros(robot.nv), x, 0.0))
 
 
-def begun(controller: Controller, q: Symbols, v: Symbols, x: Symbols) -> Symbols:
+def begun(controller: Controller, measurement: Measurement) -> Symbols:
     """Return what `Controller.initial_state` does."""
     own = getattr(controller, "ordinary", controller)
-    measurement = Measurement(0.0, q, v, x, 0.0)
     return symbols(traced("controller", own, lambda: on_symbols(own).initial_state(measurement)))
 
 
 def argument_sizes(controller: Controller) -> dict[str, int]:
-    """Return the sizes of a step's arguments, but for time, by name."""
+    """Return the sizes of a step's arguments, by name."""
     task, robot = controller.task, controller.task.robot
-    return {
+    sizes = {
         "q": robot.nq, "v": robot.nv, "x": task.n_x, "target": task.n_x,
-        "state": len(first_state(controller)), "dt": 1,
+        "state": len(first_state(controller)), "dt": 1, "t": 1, "t_x": 1,
     }  # fmt: skip
+    if is_ours(controller):
+        sizes |= dict.fromkeys(("target_v", "target_a"), task._measured.m)
+    return sizes
+
+
+def measured(given: dict[str, Symbols]) -> Measurement:
+    """Return the measurement among the arguments of a step."""
+    return Measurement(given["t"][0], given["q"], given["v"], given["x"], given["t_x"][0])
+
+
+def stepped_from(
+    controller: Controller, given: dict[str, Symbols]
+) -> tuple[Symbols, Evaluation, Condition]:
+    """Do as `stepped`, from arguments by name, with the sizes of `argument_sizes`."""
+    measurement = measured(given)
+    if predicts(controller):  # an x beyond what can be learnt from is lost
+        x = measurement.x
+        measurement = measurement._replace(x=np.where(x * x < HUGE, x, np.nan))
+    rates = [given[name] for name in ("target_v", "target_a") if name in given]
+    target = Target(given["target"], *rates) if rates else given["target"]
+    dt = given["dt"][0] if controller.dt is None else controller.dt
+    return stepped(controller, given["state"], measurement, target, dt)
+
+
+def predicts(controller: Controller) -> bool:
+    """Return whether a law controls what it predicts, so that a step without x is usual, too."""
+    return controller.law.kinematics is not None
 
 
 def is_ours(controller: Controller) -> bool:
@@ -129,7 +156,5 @@ def require_covered(controller: Controller) -> None:
     Raises:
         InvalidInputError: It takes no symbols.
     """
-    graph = Graph()
-    given = [inputs(graph, name, size) for name, size in argument_sizes(controller).items()]
-    (q, v, x, target, state, _), (t, t_x) = given, inputs(graph, "t", 2)
-    stepped(controller, state, Measurement(t, q, v, x, t_x), target, controller.dt or 1e-3)
+    graph, sizes = Graph(), argument_sizes(controller)
+    stepped_from(controller, {name: inputs(graph, name, size) for name, size in sizes.items()})

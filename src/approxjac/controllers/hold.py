@@ -106,6 +106,8 @@ class HeldMeasurement(ControllerWrapper):
             # numbers may be no measurement all the same, such as a quaternion of zeros
             errors = x if self._measured._subtracts else self._measured.error(x, self._origin)
             taken, knows_time = (0.0, False) if t_x is None else (t_x, True)
+            if hasattr(t_x, "graph"):  # a symbol, NaN where it is not known
+                knows_time = t_x == t_x
             held = law.hold_step(memory, x, errors, taken, knows_time, self._parts, self._most)
             after, answer = self.controller.step(inner, measurement._replace(x=held.x), target, dt)
             if answer.J_hat is None:

@@ -98,7 +98,8 @@ class PredictedMeasurement(ControllerWrapper):
 
     def initial_state(self, measurement: Measurement) -> Array:
         """Return the state before the first step."""
-        require_arrays(np.zeros(0), measurement, self.task._origin, self.task, 0)
+        if not hasattr(getattr(measurement, "q", None), "arm_of"):  # or it is of symbols
+            require_arrays(np.zeros(0), measurement, self.task._origin, self.task, 0)
         return self._started(self.kinematics.initial_state(measurement), measurement)
 
     def resumed(self, state: Array, measurement: Measurement) -> Array:

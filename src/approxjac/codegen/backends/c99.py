@@ -13,9 +13,8 @@ from approxjac import law
 from approxjac.codegen import traced_law as laws
 from approxjac.codegen.backends.numpy_lanes import numpy_function
 from approxjac.codegen.trace.program import Going, Language, Rows, Writer
-from approxjac.codegen.trace.symbols import Graph, Number, Passes, Scalar, inputs, symbols
+from approxjac.codegen.trace.symbols import Graph, Number, Passes, inputs, symbols
 from approxjac.controllers.controller import Controller
-from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement
 from approxjac.validation import Array
 
@@ -81,13 +80,26 @@ def _loop(label: str, loop: Passes, lines: list[str], going: Going, rows: Rows) 
     ]
 
 
+READ = {  # an argument of a step
+    "t": "now->t",
+    "q": "now->q[{}]",
+    "v": "now->v[{}]",
+    "x": "now->x[{}]",
+    "t_x": "now->t_x",
+    "target": "target->x[{}]",
+    "target_v": "target->v[{}]",
+    "target_a": "target->a[{}]",
+    "state": "state[{}]",
+    "dt": "dt",
+}
+
 LANGUAGE = Language(
     templates=_TEMPLATES,
     variable="v",
     assigned=lambda name, text, is_condition: (
         f"    const {'int' if is_condition else 'double'} {name} = {text};"
     ),
-    read=lambda name, i: name if name == "dt" else f"{name}[{i}]",
+    read=lambda name, i: READ[name].format(i),
     constant=constant,
     rare=_rare,
     table=_table,
@@ -100,64 +112,24 @@ LANGUAGE = Language(
 )
 
 
-class _NoTime:
-    """Time, which C does not know: what asks for it takes no code."""
-
-    is_unknown = True
-
-    def _refuse(self, *_: Any) -> Any:
-        raise TypeError("C knows no time t")
-
-    __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = __truediv__ = _refuse
-    __lt__ = __le__ = __gt__ = __ge__ = __float__ = __array__ = _refuse
-
-
-_NO_TIME: Any = _NoTime()
-
-
 class SampledStep(NamedTuple):
     """One step of a law with a state, as arithmetic.
 
     Attributes:
-        graph: All that is computed, of the inputs "q", "v", "x", "target", "state" and "dt".
+        graph: All that is computed, of the inputs that `READ` names.
         outputs: Name → numbers: "torque", "after" (the state after the step), "e", "gravity",
             "J_hat" (row by row), "status" (the number of a `Status`), "limit_status" and
             "slack".
         controller: What takes it.
-        begun: State before the first step, numbers and entries of the first q, v and x.
+        sizes: Name → numbers of the inputs.
+        first: The state before the first step, of the first measurement.
     """
 
     graph: Graph
     outputs: dict[str, list[Number]]
     controller: Controller
-    begun: list[Number]
-
-    def initial_state(self, x: Array) -> Array:
-        """Return the state before the first step, where x (n_x,) is measured first."""
-        each = zip(self.begun, self.firsts, strict=True)
-        return np.array([value if i is None else x[i] for value, i in each], dtype=float)
-
-    @property
-    def firsts(self) -> list[int | None]:
-        """Which entry of the first x each number of the first state is; None is a constant.
-
-        Raises:
-            InvalidInputError: It is neither.
-        """
-        found: list[int | None] = []
-        for each in self.begun:
-            value = self.graph.nodes[each.place].value if isinstance(each, Scalar) else None
-            if not isinstance(each, Scalar):
-                found.append(None)
-            elif isinstance(value, tuple) and value[0] == "x":
-                found.append(value[1])
-            else:
-                raise InvalidInputError(
-                    "controller must begin with numbers and the first x to make C of it, got "
-                    f"{self.controller!r}",
-                    given=self.controller,
-                )
-        return found
+    sizes: dict[str, int]
+    first: list[Number]
 
     def lines(self) -> tuple[list[str], dict[str, list[str]]]:
         """Return the lines of C that compute the outputs, and what these are called there."""
@@ -165,21 +137,34 @@ class SampledStep(NamedTuple):
         lines, names = Writer(self.graph, LANGUAGE).lines(flat)
         return lines, self._split(names)
 
+    def first_lines(self) -> tuple[list[str], list[str]]:
+        """Return the lines of C that compute the first state, and what its numbers are called."""
+        return Writer(self.graph, LANGUAGE).lines(self.first)
+
     def in_numpy(self) -> Callable[..., dict[str, Array]]:
         """Return the same as a function of the inputs by name, (rows, N) → (rows, N)."""
         flat = [number for numbers in self.outputs.values() for number in numbers]
         function = numpy_function(self.graph, flat)
 
         def step(**given: Array) -> dict[str, Array]:
+            rows = _rows_of(function, given)
             size = len(given["dt"][0])
-            with np.errstate(all="ignore"):
-                rows = [np.broadcast_to(row, size) for row in function(**given)]
             return {
-                name: np.array(each, dtype=float).reshape(-1, size)
-                for name, each in self._split(rows).items()
+                name: np.array(each).reshape(-1, size) for name, each in self._split(rows).items()
             }
 
         return step
+
+    def initial_state(self, measurement: Measurement) -> Array:
+        """Return the state before the first step, to the bit that of C."""
+        t_x = math.nan if measurement.t_x is None else measurement.t_x
+        given = measurement._replace(t_x=t_x)._asdict()
+        columns = {name: np.reshape(value, (-1, 1)) for name, value in given.items()}
+        columns |= {
+            name: np.zeros((size, 1)) for name, size in self.sizes.items() if name not in columns
+        }
+        rows = _rows_of(numpy_function(self.graph, self.first), columns)
+        return np.array(rows).reshape(len(self.first))
 
     def _split(self, flat: list[Any]) -> dict[str, list[Any]]:
         found, at = {}, 0
@@ -189,8 +174,14 @@ class SampledStep(NamedTuple):
         return found
 
 
+def _rows_of(function: Callable[..., Any], given: dict[str, Array]) -> list[Array]:
+    with np.errstate(all="ignore"):
+        rows = function(**given)
+    return [np.broadcast_to(row, given["dt"][0].shape).astype(float) for row in rows]
+
+
 def sampled_step(controller: Controller) -> SampledStep:
-    """Return one step of a controller, for a target at rest.
+    """Return one step of a controller.
 
     x may be lost. Where the sweeps that keep what is learnt within its bounds do not end, it rests.
 
@@ -198,16 +189,11 @@ def sampled_step(controller: Controller) -> SampledStep:
         InvalidInputError: A controller that takes no symbols.
     """
     task, robot = controller.task, controller.task.robot
-    graph = Graph()
-    sizes = laws.argument_sizes(controller)
-    q, v, x, target, state, (dt,) = (inputs(graph, name, size) for name, size in sizes.items())
-    # nothing tells when x was taken: an x that differs is new
-    measurement = Measurement(_NO_TIME, q, v, x)
-    after, answer, left = laws.stepped(
-        controller, state, measurement, target, dt if controller.dt is None else controller.dt
-    )
+    graph, sizes = Graph(), laws.argument_sizes(controller)
+    given = {name: inputs(graph, name, size) for name, size in sizes.items()}
+    after, answer, left = laws.stepped_from(controller, given)
     p = controller.law.resting
-    after[:p] = law.select(left, state[:p], after[:p])
+    after[:p] = law.select(left, given["state"][:p], after[:p])
     outputs = {
         "torque": answer.torque, "after": after, "e": answer.e, "gravity": answer.gravity,
         "J_hat": answer.J_hat, "status": answer.status, "limit_status": answer.limit_status,
@@ -218,4 +204,5 @@ def sampled_step(controller: Controller) -> SampledStep:
         name: symbols(zeros[name] if value is None else value).ravel().tolist()
         for name, value in outputs.items()
     }
-    return SampledStep(graph, flat, controller, laws.begun(controller, q, v, x).tolist())
+    first = laws.begun(controller, laws.measured(given))
+    return SampledStep(graph, flat, controller, sizes, first.tolist())

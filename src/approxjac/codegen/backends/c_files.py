@@ -19,7 +19,7 @@ from approxjac.controllers.gains.gains import Latency
 from approxjac.errors import InvalidInputError
 from approxjac.files import reason, together, write_text
 from approxjac.formatting import joined
-from approxjac.interface import LimitStatus, Status
+from approxjac.interface import LimitStatus, Measurement, Status
 from approxjac.tasks import PoseTask, Task
 from approxjac.validation import Array, require
 
@@ -38,14 +38,12 @@ def export_c(controller: Controller, folder: str | PathLike[str]) -> Path:
     made from.
 
     A step in C is a step in Python, to rounding, and the same bits wherever the compiler contracts
-    and reorders nothing. But targets are at rest; what Python raises an error for has a status
-    below zero; and where gravity is learnt and the few sweeps that keep it within its bounds do not
-    end, learning rests for that step, for which V̇ ≤ −W is not claimed.
+    and reorders nothing. But what Python raises an error for has a status below zero; and where
+    gravity is learnt and the few sweeps that keep it within its bounds do not end, learning rests
+    for that step, for which V̇ ≤ −W is not claimed.
 
     Args:
-        controller: Any that takes symbols: a `SetpointController`, also with a task, saturation or
-            gravity of your own; one in a `HeldMeasurement`, or in a `TorqueLimited` with limits of
-            effort alone and a weight that is a diagonal; or a controller of your own.
+        controller: Any that takes symbols, as those that `compiled` takes.
         folder: Where to write; made if it is not there.
 
     Returns:
@@ -106,14 +104,37 @@ def _source(step: SampledStep) -> dict[str, str]:
         f"    answer->status = ({prefix}_status)(int){names['status'][0]};",
         f"    answer->limit_status = ({prefix}_limit_status)(int){names['limit_status'][0]};",
     ]
-    has_power = any("power_of_two" in line for line in lines)
+    first, begun = step.first_lines()
+    first += [f"    state->values[{i}] = {value};" for i, value in enumerate(begun or ["0.0"])]
     return {
         "lines": "\n".join(lines),
         "stores": "\n".join(stores),
-        "helpers": templates.POWER_OF_TWO if has_power else "",
+        "helpers": templates.POWER_OF_TWO if "power_of_two" in "".join(lines + first) else "",
         "q_checks": _q_checks(step),
-        "first": _first(step),
+        "first": "\n".join([*first, "    (void)now;"]),
+        "t_checks": _t_checks(step, lines + first),
+        "rate_checks": "".join(
+            f" && is_finite(target->{name}, {prefix.upper()}_M_X)"
+            for name in "va"
+            if _asks(lines, f"target->{name}")
+        ),
     }
+
+
+def _asks(lines: list[str], field: str) -> bool:
+    """Return whether lines of C read a field of an argument."""
+    return re.search(rf"{field}\b", "\n".join(lines)) is not None
+
+
+def _t_checks(step: SampledStep, lines: list[str]) -> str:
+    """Return the lines that refuse a time that is none."""
+    wrong = ["!is_finite(&now->t, 1)"] if _asks(lines, "now->t") else []
+    if _asks(lines, "now->t_x"):
+        wrong += ["fabs(now->t_x) > DBL_MAX", "now->t_x - now->t > 1.0"]
+    if not wrong:
+        return ""
+    refused = f"return refused(answer, {identifier(step.controller.task.robot.name).upper()}"
+    return f"    if ({' || '.join(wrong)}) {{\n        {refused}_REFUSED_T);\n    }}\n"
 
 
 def _q_checks(step: SampledStep) -> str:
@@ -128,37 +149,28 @@ def _q_checks(step: SampledStep) -> str:
     return "\n        && ".join(holds)
 
 
-def _first(step: SampledStep) -> str:
-    """Return the body of the function that sets the first state."""
-    lines = [
-        f"state->values[{k}] = {constant(float(each)) if i is None else f'x[{i}]'};"
-        for k, (each, i) in enumerate(zip(step.begun, step.firsts, strict=True))
-    ]
-    if not lines:
-        lines.append("state->values[0] = 0.0;")
-    if any(i is not None for i in step.firsts):
-        lines.append(f"return is_finite(x, {step.controller.task.n_x});")
-    else:
-        lines += ["(void)x;", "return 1;"]
-    return "\n".join(f"    {line}" for line in lines)
-
-
 Record = dict[str, Array]
+_MEASURED, _WANTED = ("t", "q", "v", "x", "t_x"), ("target", "target_v", "target_a")
 
 
 def _recorded(step: SampledStep, dt: float) -> list[Record]:
     """Return steps at random configurations, one after the other, with what they answer."""
     task, rng = step.controller.task, np.random.default_rng(0)
-    robot, function, found, state = task.robot, step.in_numpy(), [], np.zeros(0)
+    robot, function, found, state = task.robot, step.in_numpy(), list[Record](), np.zeros(0)
+    m = task._measured.m
     for k in range(_RECORDED):
         q, v = robot.random_configuration(rng), rng.normal(scale=0.5, size=robot.nv)
         x = task.value(q) + rng.normal(scale=0.02, size=task.n_x)
         target = x + rng.normal(scale=0.02 if k % 2 else 0.5, size=task.n_x)
         if k == 0:
-            state = step.initial_state(x)
+            state = step.initial_state(Measurement(0.0, q, v, x, 0.0))
         if k % _LOST == _LOST - 1:
             x = np.full(task.n_x, np.nan)
-        given = {"q": q, "v": v, "x": x, "target": target}
+        rates = rng.normal(scale=0.1, size=(2, m)) * (k % 2)
+        given = {
+            "t": np.array([k * dt]), "q": q, "v": v, "x": x, "t_x": np.array([k * dt]),
+            "target": target, "target_v": rates[0], "target_a": rates[1],
+        }  # fmt: skip
         columns = {name: value[:, np.newaxis] for name, value in given.items()}
         answer = function(**columns, state=state[:, np.newaxis], dt=np.array([[dt]]))
         found.append(given | {name: value.ravel() for name, value in answer.items()})
@@ -170,13 +182,26 @@ def _rows(records: list[Record]) -> str:
     """Return the records as C initializes them."""
     rows = []
     for record in records:
-        after = record["after"] if len(record["after"]) else np.zeros(1)
-        parts = [record[name] for name in ("q", "v", "x", "target", "torque")]
-        numbers = [f"{{{', '.join(map(constant, part.tolist()))}}}" for part in [*parts, after]]
-        numbers += [constant(float(record["slack"][0]))]
-        numbers += [str(int(record[name][0])) for name in ("status", "limit_status")]
-        rows.append("    {" + ",\n     ".join(numbers) + "}")
+        if not len(record["after"]):
+            record = record | {"after": np.zeros(1)}
+        parts = [
+            *(_braced([_of(record, name) for name in names]) for names in (_MEASURED, _WANTED)),
+            *(_of(record, name) for name in ("torque", "after")),
+            constant(float(record["slack"][0])),
+            *(str(int(record[name][0])) for name in ("status", "limit_status")),
+        ]
+        rows.append("    {" + ",\n     ".join(parts) + "}")
     return ",\n".join(rows)
+
+
+def _of(record: Record, name: str) -> str:
+    """Return some numbers of a record as C initializes them."""
+    numbers = [constant(value) for value in record[name].tolist()]
+    return numbers[0] if name in ("t", "t_x") else _braced(numbers)
+
+
+def _braced(parts: list[str]) -> str:
+    return f"{{{', '.join(parts)}}}"
 
 
 # -- words of a controller about itself ------------------------------------------------------------
@@ -185,7 +210,12 @@ def _rows(records: list[Record]) -> str:
 def words(controller: Controller, step: SampledStep) -> dict[str, str]:
     """Return the names, sizes and texts that stand in several files."""
     task, robot = controller.task, controller.task.robot
-    prefix, n_state = identifier(robot.name), len(step.begun)
+    prefix, n_state = identifier(robot.name), len(step.first)
+    tau = joined("N" if unit == "m" else "N m" for unit in robot.joint_units)
+    speed = joined(f"{unit}/s" for unit in robot.joint_units)
+    commands = f"joint torques to send [{tau}]"
+    if controller.command == "velocity":
+        commands = f"joint velocities to send [{speed}]"
     return {
         "prefix": prefix,
         "PREFIX": prefix.upper(),
@@ -193,18 +223,47 @@ def words(controller: Controller, step: SampledStep) -> dict[str, str]:
         "nv": str(robot.nv),
         "n_x": str(task.n_x),
         "m": str(task.m),
+        "m_x": str(task._measured.m),
         "n_state": str(n_state),
         "stored": str(max(n_state, 1)),
         "made_from": _comment(_made_from(controller, step)),
-        "q_units": _units_of_q(step),
-        "v_units": joined(f"{unit}/s" for unit in robot.joint_units),
-        "tau_units": joined("N" if unit == "m" else "N m" for unit in robot.joint_units),
-        "x_units": _units_of_x(task),
+        "tau_units": tau,
+        "commands": commands,
         "e_units": joined(task.units),
         "state_words": _state_words(step),
         "statuses": _enumeration(prefix, Status),
         "limit_statuses": _enumeration(f"{prefix}_LIMITS", LimitStatus),
+    } | _fields(step)
+
+
+def _fields(step: SampledStep) -> dict[str, str]:
+    """Return a comment for each field of a measurement and of a target."""
+    task, law = step.controller.task, step.controller.law
+    lines, x_units = step.lines()[0] + step.first_lines()[0], _units_of_x(task)
+    speeds = joined(f"{unit}/s" for unit in task.robot.joint_units)
+    lost = "the torque is damping and gravity, nothing is learnt"
+    if law.kinematics is not None:
+        lost = "the predicted one takes its place"
+    rates = joined(f"{unit}/s" for unit in task._measured.units)
+    texts = {
+        "t": ("now->t", "time [s]"),
+        "q": ("now->q", f"joint positions [{_units_of_q(step)}]"),
+        "v": ("now->v", f"joint velocities [{speeds}]"),
+        "x": ("now->x", f"task value [{x_units}]; where a number is not finite, {lost}"),
+        "t_x": ("now->t_x", "when x was taken, by the clock of t [s]; NAN where it is not known"),
+        "target": ("target->x", f"task value [{x_units}]"),
+        "rate": ("target->[va]", f"its rate [{rates}], and the rate of that"),
     }
+    return {
+        f"{name}_comment": _said(text + ("" if _asks(lines, field) else "; not looked at"))
+        for name, (field, text) in texts.items()
+    }
+
+
+def _said(text: str) -> str:
+    """Return a comment within an enumeration or a structure."""
+    lines = textwrap.wrap(f"/* {text} */", _LINE, initial_indent=" " * 4, subsequent_indent=" " * 7)
+    return "\n".join(lines)
 
 
 def identifier(name: str) -> str:
@@ -252,12 +311,9 @@ def _plain(text: str) -> str:
 
 def _enumeration(prefix: str, outcomes: type[Status] | type[LimitStatus]) -> str:
     """Return the members of an enumeration, each after its sentence."""
-    lines = []
+    lines = list[str]()
     for outcome in outcomes:
-        said = textwrap.wrap(_plain(outcome.message), _LINE - 10)
-        lines += textwrap.wrap(
-            f"/* {' '.join(said)} */", _LINE, initial_indent="    ", subsequent_indent="       "
-        )
+        lines.append(_said(_plain(outcome.message)))
         lines.append(f"    {prefix.upper()}_{outcome.name} = {outcome.value},")
     return "\n".join(lines).rstrip(",")
 
@@ -277,12 +333,12 @@ def _units_of_x(task: Task) -> str:
 
 
 def _state_words(step: SampledStep) -> str:
-    n, p, firsts = len(step.begun), step.controller.law.resting, step.firsts
+    law, n = step.controller.law, len(step.first)
     if n == 0:
         return "This law has none; C has no empty structures."
-    followed = [k for k, i in enumerate(firsts) if i is not None]
-    end = followed[-1] + 1 if followed else p
-    parts = [f"[0] to [{p - 1}] are what is learnt of gravity"] if p else []
-    parts += [f"[{p}] to [{end - 1}] are x, filtered"] if followed else []
+    p, filtered = law.resting, 0 if getattr(law, "velocity", None) is None else law.task.n_x
+    of, end = "gravity" if law.kinematics is None else "motion", p + filtered
+    parts = [f"[0] to [{p - 1}] are what is learnt of {of}"] if p else []
+    parts += [f"[{p}] to [{end - 1}] are x, filtered"] if filtered else []
     parts += [f"[{end}] to [{n - 1}] are what the controller keeps"] if n > end else []
     return f"{'; '.join(parts)}."

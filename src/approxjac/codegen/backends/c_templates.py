@@ -23,11 +23,15 @@ enum {
     ${PREFIX}_N_V = $nv, /* joints */
     ${PREFIX}_N_X = $n_x, /* numbers of a task value */
     ${PREFIX}_M = $m, /* numbers of a task error */
+    ${PREFIX}_M_X = $m_x, /* and of the rate of a task value */
     ${PREFIX}_N_STATE = $n_state /* numbers of the state */
 };
 
 /* What happened in a step. Below zero: it was refused, see the torque of each. */
 typedef enum {
+    /* t or t_x is not finite (NAN is a t_x that is not known), or t_x is more than 1 s after t, as
+       by another clock: the torque is zero, the state stays; stop the robot */
+    ${PREFIX}_REFUSED_T = -7,
     /* dt is not positive or not finite: the torque is that of the law, the state stays */
     ${PREFIX}_REFUSED_DT = -6,
     /* a number of the target is not finite: torque and state are those of an x that is lost */
@@ -56,9 +60,31 @@ typedef struct {
     double values[$stored];
 } ${prefix}_state;
 
+/* What is measured. */
+typedef struct {
+$t_comment
+    double t;
+$q_comment
+    double q[$nq];
+$v_comment
+    double v[$nv];
+$x_comment
+    double x[$n_x];
+$t_x_comment
+    double t_x;
+} ${prefix}_measurement;
+
+/* What is wanted. Zeros in v and a are a target at rest. */
+typedef struct {
+$target_comment
+    double x[$n_x];
+$rate_comment
+    double v[$m_x], a[$m_x];
+} ${prefix}_target;
+
 /* The answer to one measurement. */
 typedef struct {
-    double torque[$nv];   /* joint torques to send [$tau_units]; always finite */
+    double torque[$nv];   /* $commands; always finite */
     double e[$m];        /* task error [$e_units]; not finite where x is lost */
     double gravity[$nv];  /* gravity torque within the law's torque [$tau_units] */
     double J_hat[$m][$nv]; /* believed task Jacobian [$e_units, per unit of a joint] */
@@ -67,26 +93,18 @@ typedef struct {
     ${prefix}_limit_status limit_status;
 } ${prefix}_answer;
 
-/* Set the state before the first step.
+/* Set the state before the first step from the first measurement.
  *
- * x: the first measured task value [$x_units].
- *
- * Only a law that differentiates x looks at it: then it has to be finite, and else 0 is returned
- * and the state is not usable. Otherwise returns 1.
+ * Returns 1; or 0 where the state needs a number of it that is not finite, and is not usable.
  */
-int ${prefix}_init(${prefix}_state *state, const double x[$n_x]);
+int ${prefix}_init(${prefix}_state *state, const ${prefix}_measurement *now);
 
 /* Take one step: fill the answer, move the state on, and return the answer's status.
  *
- * q:      joint positions [$q_units].
- * v:      joint velocities [$v_units].
- * x:      measured task value [$x_units].
- *         One that is not finite is lost: the torque is damping and gravity, nothing is learnt.
- * target: wanted task value, at rest [$x_units].
- * dt:     time for which the torque is held [s].
+ * dt: time for which the torque is held [s].
  */
-${prefix}_status ${prefix}_step(${prefix}_state *state, const double q[$nq], const double v[$nv],
-    const double x[$n_x], const double target[$n_x], double dt, ${prefix}_answer *answer);
+${prefix}_status ${prefix}_step(${prefix}_state *state, const ${prefix}_measurement *now,
+    const ${prefix}_target *target, double dt, ${prefix}_answer *answer);
 
 #ifdef __cplusplus
 }
@@ -145,36 +163,37 @@ static ${prefix}_status refused(${prefix}_answer *answer, ${prefix}_status statu
 }
 
 /* The law and its limits. What is in a block of `if` is needed only there. */
-static void evaluate(const double *q, const double *v, const double *x, const double *target,
+static void evaluate(const ${prefix}_measurement *now, const ${prefix}_target *target,
     const double *state, double dt, ${prefix}_answer *answer, double *after)
 {
 $lines
-    (void)q, (void)v, (void)x, (void)target, (void)state, (void)dt;
+    (void)now, (void)target, (void)state, (void)dt;
 $stores
 }
 
-int ${prefix}_init(${prefix}_state *state, const double x[$n_x])
+int ${prefix}_init(${prefix}_state *state, const ${prefix}_measurement *now)
 {
 $first
+    return is_finite(state->values, N_STATE);
 }
 
-${prefix}_status ${prefix}_step(${prefix}_state *state, const double q[$nq], const double v[$nv],
-    const double x[$n_x], const double target[$n_x], double dt, ${prefix}_answer *answer)
+${prefix}_status ${prefix}_step(${prefix}_state *state, const ${prefix}_measurement *now,
+    const ${prefix}_target *target, double dt, ${prefix}_answer *answer)
 {
     double after[$stored];
     int i, is_target, is_dt;
-    if (!is_configuration(q)) {
+    if (!is_configuration(now->q)) {
         return refused(answer, ${PREFIX}_REFUSED_Q);
     }
-    if (!is_finite(v, ${PREFIX}_N_V)) {
+    if (!is_finite(now->v, ${PREFIX}_N_V)) {
         return refused(answer, ${PREFIX}_REFUSED_V);
     }
-    if (!is_finite(state->values, N_STATE)) {
+$t_checks    if (!is_finite(state->values, N_STATE)) {
         return refused(answer, ${PREFIX}_REFUSED_STATE);
     }
-    is_target = is_finite(target, ${PREFIX}_N_X);
+    is_target = is_finite(target->x, ${PREFIX}_N_X)$rate_checks;
     is_dt = dt > 0.0 && dt <= DBL_MAX;
-    evaluate(q, v, x, target, state->values, is_dt ? dt : 0.0, answer, after);
+    evaluate(now, target, state->values, is_dt ? dt : 0.0, answer, after);
     if (!is_finite(answer->torque, ${PREFIX}_N_V) || !is_finite(after, N_STATE)) {
         return refused(answer, ${PREFIX}_REFUSED_OVERFLOW);
     }
@@ -214,7 +233,8 @@ SELFTEST = """\
 #include <string.h>
 
 typedef struct {
-    double q[$nq], v[$nv], x[$n_x], target[$n_x];
+    ${prefix}_measurement now;
+    ${prefix}_target target;
     double torque[$nv], after[$stored], slack;
     int status, limit_status;
 } record;
@@ -240,14 +260,15 @@ int main(void)
     ${prefix}_answer answer;
     int failed = 0, i, k;
     const int count = (int)(sizeof records / sizeof records[0]);
-    double largest = 0.0, bad[$nq];
-    if (!${prefix}_init(&state, records[0].x)) {
+    double largest = 0.0;
+    ${prefix}_measurement bad = records[0].now;
+    if (!${prefix}_init(&state, &bad)) {
         printf("init failed\\n");
         return 1;
     }
     for (k = 0; k < count; ++k) {
         const record *r = &records[k];
-        int status = ${prefix}_step(&state, r->q, r->v, r->x, r->target, $dt, &answer);
+        int status = ${prefix}_step(&state, &r->now, &r->target, $dt, &answer);
         int is_same = status == r->status && (int)answer.limit_status == r->limit_status
             && memcmp(answer.torque, r->torque, sizeof r->torque) == 0
             && memcmp(state.values, r->after, ${PREFIX}_N_STATE * sizeof(double)) == 0
@@ -259,10 +280,9 @@ int main(void)
     }
     printf("%d of %d steps to the bit; largest difference of a torque %g\\n", count - failed, count,
         largest);
-    memcpy(bad, records[0].q, sizeof bad);
-    bad[${PREFIX}_N_Q - 1] = NAN;
-    if (${prefix}_step(&state, bad, records[0].v, records[0].x, records[0].target, $dt, &answer)
-            != ${PREFIX}_REFUSED_Q || !is_zero(answer.torque, ${PREFIX}_N_V)) {
+    bad.q[${PREFIX}_N_Q - 1] = NAN;
+    if (${prefix}_step(&state, &bad, &records[0].target, $dt, &answer) != ${PREFIX}_REFUSED_Q
+            || !is_zero(answer.torque, ${PREFIX}_N_V)) {
         printf("a q that is not finite was not refused\\n");
         ++failed;
     }

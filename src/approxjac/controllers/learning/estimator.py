@@ -426,7 +426,7 @@ class Estimator(Kinematics):
     def _eased(dt: float, away: Any, *turns: Array) -> Any:
         """Return the rate β of what is smoothed, or a slower one if x̂ is `away` [m], or turned."""
         rate = _EASED_SPEED / np.maximum(away, 1e-9)
-        rate = np.minimum(rate, min(_SMOOTHING, 0.5 / dt))
+        rate = np.minimum(rate, np.minimum(_SMOOTHING, 0.5 / dt))
         for turn in turns:
             rate = np.minimum(rate, _EASED_TURN / np.maximum(law.length(turn), 1e-9))
         return rate
