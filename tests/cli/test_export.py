@@ -38,14 +38,21 @@ def test_what_a_robot_adds_by_itself_is_left_to_it(tmp_path):
     for gravity in ("learn_residual", "learnt"):
         export(tmp_path / gravity, *options, gravity)
         test = (tmp_path / gravity / "selftest.c").read_text("utf-8")
-        assert f"r->target, {constant(0.002)}, &answer)" in test
+        assert f"&r->target, {constant(0.002)}, &answer)" in test
     source = (tmp_path / "learn_residual" / "controller.c").read_text(encoding="utf-8")
-    start = source.partition("_init(")[2].partition("}")[0]
-    assert "= 0.0;" in start
-    assert all("= 0.0;" in line for line in start.splitlines() if "state->values" in line)
+    start = source.partition("_init(")[2].partition("return")[0]
+    firsts = [line for line in start.splitlines() if "state->values" in line]
+    assert firsts
+    assert all("= 0.0;" in line for line in firsts)
+
+
+def test_a_tracking_law_that_learns_is_covered(tmp_path):
+    assert export(tmp_path, "two_link", "--learn-kinematics", "--limits", "none") == 0
+    assert "learnt kinematics" in (tmp_path / "controller.h").read_text("utf-8")
 
 
 def test_what_is_not_covered_is_refused_with_the_reason(tmp_path, capsys):
-    assert export(tmp_path / "none", "panda", "--learn-kinematics", "--limits", "none") == 2
+    camera = ("--task.kind", "image", "--true.camera.kind", "pinhole", "--learn-kinematics")
+    assert export(tmp_path / "none", "panda", *camera, "--limits", "none") == 2
     assert capsys.readouterr().err.startswith("approxjac: controller must take symbols")
     assert not (tmp_path / "none").exists()
