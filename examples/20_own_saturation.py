@@ -28,7 +28,7 @@ arguments.add_argument("--out", type=Path, default=Path("results/examples"))
 class Soft:
     """s(e) = e/(1 + (e/γ)²)^½, the slope of γ²((1 + (e/γ)²)^½ − 1)."""
 
-    d, c_bar = 1.0, 0.5
+    c_bar = 0.5
 
     def __init__(self, gamma):
         self.gamma = gamma
@@ -47,10 +47,6 @@ class Soft:
     def ds(self, e):
         """Return the slope of s."""
         return self._grown(e) ** -3.0
-
-    def d_bar(self, e_max):
-        """Return e/s(e) up to e_max."""
-        return float(self._grown(e_max))
 
 
 arm, gamma = aj.load_robot("panda"), 0.05

@@ -14,7 +14,7 @@ def learning(robot):
 class Cubic:
     """s(e) = e / (1 + (e/γ)²)^½: a saturation of one's own."""
 
-    d, c_bar, gamma = 1.0, 0.5, 0.1
+    c_bar, gamma = 0.5, 0.1
 
     def s(self, e):
         return e / np.sqrt(1.0 + (e / self.gamma) ** 2)
@@ -24,9 +24,6 @@ class Cubic:
 
     def ds(self, e):
         return (1.0 + (e / self.gamma) ** 2) ** -1.5
-
-    def d_bar(self, e_max):
-        return float(np.sqrt(1.0 + (e_max / self.gamma) ** 2))
 
 
 class Weighed(aj.controllers.ModelGravity):

@@ -30,7 +30,6 @@ class Own:
     """γ tanh(e/γ) in the shortest form, and parts to exchange."""
 
     gamma: float = 0.1
-    d: float = 1.0
     c_bar: float = 0.5
 
     def s(self, e):
@@ -41,9 +40,6 @@ class Own:
 
     def ds(self, e):
         return 1.0 - np.tanh(e / self.gamma) ** 2
-
-    def d_bar(self, e_max):
-        return max(1.0, e_max / self.s(e_max)) if e_max > 0 else 1.0
 
 
 def own(**parts):
@@ -154,14 +150,14 @@ def slope_two(self, e):
 
 
 FAULTS = {
-    "a number": (0.2, "got 0.2: it has no s, S, ds, d, c_bar, d_bar"),
+    "a number": (0.2, "got 0.2: it has no s, S, ds, c_bar"),
     "a class": (Tanh, "that is a class, give an object of it"),
-    "parts that are missing": (OnlySlopes(), "it has no d, c_bar, d_bar"),
+    "parts that are missing": (OnlySlopes(), "it has no c_bar"),
     "another length of γ": (Sine((0.1, 0.2)), "fails for an e of shape (3,) with ValueError: "),
     "a part that fails": (
         own(ds=raises),
-        "ds(e) fails for an e of shape (3,) with ZeroDivisionError: division by zero (control has "
-        "e of shape (3,), tests of stability (N, 3), neither to be changed)",
+        "ds(e) fails for an e of shape (3,) with ZeroDivisionError: division by zero (e has "
+        "shape (3,) or (N, 3), and is not to be changed)",
     ),
     "an e that is changed": (own(s=in_place), "s(e) fails for an e of shape (3,) with ValueError"),
     "a potential that is summed": (
@@ -178,16 +174,15 @@ FAULTS = {
         "its slope ds(0) must be 1 in every coordinate, got [1.0, 2.0, 1.0]",
     ),
     "no slope at 0": (own(ds=lambda _, e: np.sin(e) / e), "got [nan, nan, nan]"),
-    "a number for d_bar": (own(d_bar=2.0), "d_bar must be a function of e_max, and it fails for"),
     "an offset of s": (own(s=lambda _, e: e + 0.1), "s(0) must be 0, got [0.1, 0.1, 0.1]"),
     "an offset of S": (own(S=lambda _, e: e * e / 2 + 1), "S(0) must be 0, got [1.0, 1.0, 1.0]"),
     "a slope that is told wrongly": (
         own(s=lambda f, e: f.gamma * np.tanh(2.0 * e / f.gamma)),
-        "ds(e) must be the slope of s, here 2, got s(e) = ",
+        "ds(e) must be the slope of s, got s(e) = ",
     ),
     "a wrong slope only beyond": (
         own(ds=lambda f, e: np.where(np.abs(e) < f.gamma, 1.0 - np.tanh(e / f.gamma) ** 2, 0.0)),
-        "ds(e) must be the slope of s, here 0.",
+        "ds(e) must be the slope of s, got s(e) = ",
     ),
     "the wrong sign": (
         own(s=lambda _, e: e - 2e-3 * np.sign(e), ds=lambda _, e: np.ones(e.shape)),
@@ -195,12 +190,12 @@ FAULTS = {
     ),
     "an error that is too small to be seen": (
         own(s=lambda _, e: np.where(np.abs(e) > 1e-3, e, 0.0), ds=lambda _, e: np.ones(e.shape)),
-        "ds(e) must be the slope of s, here 0, got s(e) = 0, ",
+        "ds(e) must be the slope of s, got s(e) = 0, ",
     ),
-    "a wrong potential": (own(S=lambda _, e: e * e), "s(e) must be the slope of S, here "),
+    "a wrong potential": (own(S=lambda _, e: e * e), "s(e) must be the slope of S, got s(e) = "),
     "a wrong potential only beyond": (
         own(S=lambda f, e: np.minimum(f.gamma**2 * np.log(np.cosh(e / f.gamma)), f.gamma**2)),
-        "s(e) must be the slope of S, here 0, got s(e) = ",
+        "s(e) must be the slope of S, got s(e) = ",
     ),
     "one that falls": (
         own(
@@ -214,13 +209,8 @@ FAULTS = {
         own(S=lambda f, e: f.gamma**2 * np.log(np.cosh(e / f.gamma) ** 10) / 10),
         "s, S and ds must be finite, got s(e) = 0.1, S(e) = inf and ds(e) = 0 at e = ",
     ),
-    "entries that are mixed": (own(s=radial), "s must act entry by entry, got s(["),
-    "d": (Tanh(0.1, d=1.01), "eq. (8) asks for e s(e) >= d s(e)² with d = 1.01, got s(e) = "),
-    "c_bar": (Linear(c_bar=5.0), "eq. (8) asks for S(e) >= c_bar s(e)² with c_bar = 5, got s"),
-    "d_bar": (
-        own(d_bar=lambda *_: 1.5),
-        "eq. (8) asks for d_bar(e_max) s(e)² >= e s(e) with d_bar(",
-    ),
+    "entries that are mixed": (own(s=radial), "s must act entry by entry, got s(e) = "),
+    "c_bar": (Linear(c_bar=5.0), "S(e) must be >= c_bar s(e)², c_bar 5, got s(e) = "),
 }
 
 
@@ -238,14 +228,9 @@ def test_what_does_not_hold_is_named(name):
 
 @pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf, None, "half"])
 def test_constants_are_positive_numbers(value):
-    for parts, text in (
-        ({"d": value}, "d of a saturation must be a finite number > 0, got "),
-        ({"c_bar": value}, "c_bar of a saturation must be a finite number > 0, got "),
-    ):
-        with pytest.raises(aj.InvalidInputError, match=re.escape(text)):
-            require_saturation(Own(**parts), TASKS[3])
-    with pytest.raises(aj.InvalidInputError, match=r"d_bar\(e_max\) of a saturation must be a fi"):
-        require_saturation(own(d_bar=lambda *_: value), TASKS[3])
+    text = "c_bar of a saturation must be a finite number > 0, got "
+    with pytest.raises(aj.InvalidInputError, match=text):
+        require_saturation(Own(c_bar=value), TASKS[3])
 
 
 def test_the_mistake_of_an_own_saturation_is_the_cause():

@@ -23,7 +23,8 @@ def test_v1_falls_by_what_is_said_with_each_frame_and_never_rises(rng):
         forgotten = law.V1(Lambda, truth - Theta)
         assert forgotten <= before * (1 + 1e-12)
         innovation = H @ truth - H @ Theta
-        fall = law.V1_fall(Lambda, H, weight, innovation)
+        S = np.eye(3) / weight + H @ np.linalg.solve(Lambda, H.T)
+        fall = 0.5 * innovation @ np.linalg.solve(S, innovation)
         Lambda = law.information(Lambda, H, weight)
         Theta = Theta + law.correction(Lambda, H, weight, innovation)
         assert law.V1(Lambda, truth - Theta) == pytest.approx(forgotten - fall, rel=1e-6, abs=1e-9)

@@ -8,7 +8,7 @@ from approxjac.controllers.limits.quadratic_program import Solver
 from approxjac.law import interior_minimum
 from approxjac.law.factors import Factors
 
-DAQP = Solver("daqp")
+DAQP = Solver()
 
 
 @pytest.mark.parametrize(

@@ -209,7 +209,7 @@ def test_the_printed_13_does_not_hold(adaptive_two_link):
     alpha, task = 0.5, plant.sensor
     assert slope == pytest.approx(-value(q, v, state).W, rel=1e-6)
     M, M_dot = plant.dynamics.M(q), plant.dynamics.M_dot(q, v)
-    s, pinv = task.value(q) - target, law.right_pinv(task.jacobian(q))
+    s, pinv = task.value(q) - target, np.linalg.pinv(task.jacobian(q))
     pinv_dot = law.cross_weight_pinv(task.jacobian(q), task.jacobian_dot(q, v)[None])[1][0]
     W = value(q, v, state).W
     without_the_dot = W + alpha * (pinv_dot @ s - pinv @ s) @ (M @ v)

@@ -4,7 +4,6 @@ Symbols are the paper's; misprints are corrected and each departure is named whe
 """
 
 from approxjac.law.adaptation import V1 as V1
-from approxjac.law.adaptation import V1_fall as V1_fall
 from approxjac.law.adaptation import correction as correction
 from approxjac.law.adaptation import forgotten_information as forgotten_information
 from approxjac.law.adaptation import information as information
@@ -52,7 +51,6 @@ from approxjac.law.limits import rate_bounds as rate_bounds
 from approxjac.law.limits import speed_bounds as speed_bounds
 from approxjac.law.limits import within as within
 from approxjac.law.linearization import LinearLaw as LinearLaw
-from approxjac.law.linearization import adaptive_closed_loop_matrix as adaptive_closed_loop_matrix
 from approxjac.law.linearization import closed_loop_matrix as closed_loop_matrix
 from approxjac.law.linearization import frame_map as frame_map
 from approxjac.law.linearization import learning_gain as learning_gain
@@ -75,9 +73,7 @@ from approxjac.law.pseudoinverse import adjugate as adjugate
 from approxjac.law.pseudoinverse import damped_gram_solve as damped_gram_solve
 from approxjac.law.pseudoinverse import gram_damping as gram_damping
 from approxjac.law.pseudoinverse import is_near_singular as is_near_singular
-from approxjac.law.pseudoinverse import is_surely_regular as is_surely_regular
 from approxjac.law.pseudoinverse import may_be_singular as may_be_singular
-from approxjac.law.pseudoinverse import right_pinv as right_pinv
 from approxjac.law.quadratic import Minimum as Minimum
 from approxjac.law.quadratic import QuadraticProgram as QuadraticProgram
 from approxjac.law.quadratic import interior_minimum as interior_minimum
@@ -107,11 +103,8 @@ from approxjac.law.steps import damped_pinv as damped_pinv
 from approxjac.law.steps import hold_moved as hold_moved
 from approxjac.law.steps import hold_step as hold_step
 from approxjac.law.steps import setpoint_step as setpoint_step
-from approxjac.law.torque import bounded_torque as bounded_torque
-from approxjac.law.torque import bounded_torque_bound as bounded_torque_bound
 from approxjac.law.torque import estimated_velocity_torque as estimated_velocity_torque
 from approxjac.law.torque import gravity as gravity
-from approxjac.law.torque import learnt_gravity_torque as learnt_gravity_torque
 from approxjac.law.torque import measured_velocity_torque as measured_velocity_torque
 from approxjac.law.tracking import PredictedError as PredictedError
 from approxjac.law.tracking import ReferenceGains as ReferenceGains

@@ -223,12 +223,3 @@ def V1(Lambda: Array, Delta: Array) -> float:
     Implements V₁ of Theorem A.
     """
     return 0.5 * float(Delta.dot(Lambda).dot(Delta))
-
-
-def V1_fall(Lambda: Array, H: Array, weight: float, innovation: Array) -> float:
-    """½εᵀ(R + HΛ⁻¹Hᵀ)⁻¹ε: how much V₁ falls with a frame, exactly, where x = HΘ.
-
-    Implements the fall of V₁ in samples. Λ is (P, P), forgotten but without the frame.
-    """
-    S = np.eye(len(H)) / weight + H.dot(np.linalg.solve(Lambda, H.T))
-    return 0.5 * float(innovation.dot(np.linalg.solve(S, innovation)))

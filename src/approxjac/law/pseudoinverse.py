@@ -16,11 +16,6 @@ SINGULAR_RATIO = 0.02
 """Damping sets in where σ_min(Ĵ) falls below this share of σ_max(Ĵ)."""
 
 
-def right_pinv(J: Array) -> Array:
-    """J⁺ = Jᵀ(J Jᵀ)⁻¹, shape (n_v, m), of J (m, n_v) with full row rank, so that J J⁺ = I."""
-    return np.asarray(np.linalg.solve(J @ J.T, J).T, dtype=np.float64)
-
-
 def damped_gram_solve(
     G: Array, b: Array, singular_ratio: float = SINGULAR_RATIO, scale: float = 0.0
 ) -> tuple[Array, float]:
@@ -79,7 +74,8 @@ def regular_solver(
     """
     if len(G) <= 3:
         rows, determinant, bound, trace = adjugate(G.tolist())
-        regular = is_surely_regular(bound, trace, singular_ratio, scale)
+        regular = trace > 3.0 * scale * scale  # of which the largest eigenvalue is a third
+        regular = regular & (bound > singular_ratio**2 * trace * trace * trace)
         return lambda b: array(solution(rows, determinant, b.tolist())), complement(regular)
     if type(G) is np.ndarray:
         return lambda b: b, True
@@ -178,12 +174,6 @@ def solution(rows: Rows, determinant: float, b: list[float]) -> tuple[float, ...
         a01 * b0 + a11 * b1 + a12 * b2,
         a02 * b0 + a12 * b1 + a22 * b2,
     )
-
-
-def is_surely_regular(bound: float, trace: float, singular_ratio: float, scale: float) -> bool:
-    """Return True if σ_min of J is surely above the ratio, from the sizes by `adjugate` of JJᵀ."""
-    is_large: bool = trace > 3.0 * scale * scale  # of which the largest eigenvalue is a third
-    return is_large & (bound > singular_ratio**2 * trace * trace * trace)
 
 
 Rows = tuple[tuple[float, ...], ...]

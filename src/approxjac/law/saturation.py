@@ -1,10 +1,8 @@
-"""Saturated functions s(e), their potentials S(e) and the constants of eq. (8).
+"""Saturated functions s(e), their potentials S(e) and the constant c̄ of eq. (8).
 
-All act entry by entry. γ may be a number or an array with one entry for each task
-coordinate.
-
-No bounded s has a global d̄ in (8): θ s(θ) grows with θ while s² stays put. So d̄ is
-given up to an error e_max; d and c̄ hold everywhere.
+All act entry by entry. γ may be a number or an array with one entry for each task coordinate. Of
+the constants of (8), c̄ is the one that conditions ask for: d is 1 of a slope that is 1 at most, and
+no bounded s has a d̄.
 """
 
 from __future__ import annotations
@@ -27,25 +25,19 @@ _TOP, _BOTTOM = np.array(_QUARTER), np.array(-_QUARTER)
 class Saturation(Protocol):
     """A function s with the properties (1)–(3) that the paper asks for, and slope 1 at 0.
 
-    Any object with these six will do as the `saturation` of a controller; nothing is inherited.
+    Any object with these four will do as the `saturation` of a controller; nothing is inherited.
     What has to hold, entry by entry:
 
     - s(0) = 0 and s'(0) = 1: another slope belongs into the gains. Every test of stability takes
       it to be 1.
     - s(θ) has the sign of θ and nowhere falls. ds is its slope.
     - S(0) = 0, and s is the slope of S.
-    - With d and c̄ it obeys (8): θ s(θ) ≥ d s(θ)² and S(θ) ≥ c̄ s(θ)². Where s' is nowhere
-      above 1, d = 1 and c̄ = ½ do.
+    - S(θ) ≥ c̄ s(θ)², of (8). Where s' is nowhere above 1, c̄ = ½ does.
 
     Control calls s with e of shape (m,), the tests of stability call s, S and ds with (N, m). A
     controller looks at all of this at some hundred errors when it is built, and refuses what does
     not hold.
     """
-
-    @property
-    def d(self) -> float:
-        """Constant d of (8)."""
-        ...
 
     @property
     def c_bar(self) -> float:
@@ -64,16 +56,11 @@ class Saturation(Protocol):
         """Slope s'(e), same shape as e, dimensionless."""
         ...
 
-    def d_bar(self, e_max: float) -> float:
-        """Constant with d̄ s(θ)² ≥ θ s(θ) for θ up to e_max, eq. (8)."""
-        ...
-
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """s(e) = e: no saturation, the limit γ → ∞. Implements Eq. (8) with d = d̄ = 1, c̄ = ½."""
+    """s(e) = e: no saturation, the limit γ → ∞. Implements Eq. (8) with c̄ = ½."""
 
-    d: float = 1.0
     c_bar: float = 0.5
 
     def s(self, e: Array) -> Array:
@@ -88,17 +75,12 @@ class Linear:
         """s'(e) = 1."""
         return np.ones_like(e)
 
-    def d_bar(self, e_max: float) -> float:
-        """d̄ = 1 for any e_max."""
-        return 1.0
-
 
 @dataclass(frozen=True, eq=False)
 class _Bounded:
     """Base of saturations with a γ."""
 
     gamma: float | Sequence[float] | Array
-    d: float = 1.0
     c_bar: float = 0.5
     _gamma: Array = field(init=False, repr=False)
 
@@ -115,7 +97,7 @@ class _Bounded:
 class Sine(_Bounded):
     """The paper's example: γ sin(e/γ) up to an error of γπ/2, ±γ beyond.
 
-    Implements Eq. (8) with d = 1 and c̄ = ½, for S(e) = γ²(1 − cos(e/γ)) inside and
+    Implements Eq. (8) with c̄ = ½, for S(e) = γ²(1 − cos(e/γ)) inside and
     γ² + γ(abs(e) − γπ/2) outside. (The paper calls γ the error at which s saturates; here, as
     in its simulations, γ is the value it saturates at.)
 
@@ -142,18 +124,11 @@ class Sine(_Bounded):
         inside = np.abs(e) < 0.5 * np.pi * self._gamma
         return np.where(inside, np.cos(_within(e / self._gamma)), 0.0)
 
-    def d_bar(self, e_max: float) -> float:
-        """d̄ = u / sin u up to saturation, u beyond, with u = e_max / γ."""
-        u = e_max / float(np.min(self._gamma))
-        if u <= 0:
-            return 1.0
-        return float(u / np.sin(min(u, 0.5 * np.pi)))
-
 
 class Tanh(_Bounded):
     """s(e) = γ tanh(e/γ): smooth everywhere, strictly increasing, bounded by γ.
 
-    Implements Eq. (8) with d = 1 and c̄ = ½, for S(e) = γ² log cosh(e/γ). Departure from the
+    Implements Eq. (8) with c̄ = ½, for S(e) = γ² log cosh(e/γ). Departure from the
     paper's property (2): γ is reached only in the limit, which no proof step needs.
 
     Attributes:
@@ -175,11 +150,6 @@ class Tanh(_Bounded):
     def ds(self, e: Array) -> Array:
         """s'(e), between 0 and 1."""
         return np.asarray(1.0 - np.tanh(e / self._gamma) ** 2)
-
-    def d_bar(self, e_max: float) -> float:
-        """d̄ = u / tanh u with u = e_max / γ."""
-        u = e_max / float(np.min(self._gamma))
-        return float(u / np.tanh(u)) if u > 0 else 1.0
 
 
 def _within(u: Array) -> Array:

@@ -17,7 +17,7 @@ from approxjac.validation import Array
 
 
 class LinearLoop(NamedTuple):
-    """Parts of the linearised laws (6) and (28), (29), as of `law.adaptive_closed_loop_matrix`.
+    """Parts of the linearised laws (6) and (28), (29), as of `law.closed_loop_matrix`.
 
     They are of N targets, with that axis in front of all that targets do not have in common.
     """
@@ -104,7 +104,7 @@ def continuous_matrix(loop: LinearLoop) -> Array:
     """A of ż = A z with z = (δq, q̇, δθ̂), shape (N, 2 n_v + p, 2 n_v + p)."""
     M, _, J, J_hat, J_hat_pinv, kp, kv, friction, damping, Z, L, alpha = loop
     B = friction + damping
-    return law.adaptive_closed_loop_matrix(M, J, J_hat, J_hat_pinv, kp, kv, B, Z, L, alpha)
+    return law.closed_loop_matrix(M, J, J_hat, kp, kv, B, (Z, L, alpha * J_hat_pinv))
 
 
 def sampled_matrix(loop: LinearLoop, timing: Timing) -> Array:
