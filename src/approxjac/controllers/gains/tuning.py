@@ -14,7 +14,7 @@ from approxjac import law
 from approxjac.controllers.gains.gains import Diagonals, Gains, Latency
 from approxjac.controllers.gains.sample_configurations import sample_configurations
 from approxjac.errors import InvalidInputError
-from approxjac.formatting import listed, short
+from approxjac.formatting import listed
 from approxjac.robots import Dynamics, GravityRegressor, Robot
 from approxjac.robots.urdf import direction
 from approxjac.tasks import Task
@@ -52,25 +52,18 @@ Flags = np.ndarray[Any, np.dtype[np.bool_]]
 def default_gains(task: Task, settling_time: float = 1.0, bandwidth: float = 1000.0) -> Gains:
     """Return gains with which the believed arm settles to 2 % in about `settling_time`.
 
-    With r = 4 / settling_time, Λ the inertia that the arm shows to a force along a task
-    coordinate, 1 / (Ĵ M⁻¹ Ĵᵀ)ᵢᵢ, and M its inertia matrix, each the median over configurations
-    within the joint limits (seeded, without those that are singular or out of a camera's view):
+    With r = 4 / settling_time, Λ = 1 / (Ĵ M⁻¹ Ĵᵀ)ᵢᵢ the inertia that the arm shows to a force along
+    a task coordinate, and K_b = 1 / (Ĵ B_c⁻¹ Ĵᵀ)ᵢᵢ what B_c adds to the damping along one, medians
+    over seeded configurations,
 
         K_v = 4 r Λ,   B_c = r Mᵢᵢ + b,   b = 0.03 λ_max[Ĵᵀ K_v Ĵ],   K_p = r (K_v + K_b),
 
-    with K_b = 1 / (Ĵ B_c⁻¹ Ĵᵀ)ᵢᵢ what B_c adds to the damping along a coordinate. So the slow
-    pole of Λë + (K_v + K_b) ė + K_p e = 0 is at about −r. Coordinates of one unit get the same
-    gain, so the rule has no favourite axis and orientation keeps its potential; those of an
-    orientation get K_v ≥ 2 b.
-
-    The added damping lets condition (21) hold: it asks for λ_min[ĴᵀK_vĴ + B] > 0, and along a
-    self-motion that is B alone. Its first term makes a self-motion decay like exp(−r t). The
-    second keeps the wrist quiet when a tool is longer than believed: Ĵ has no lever there
-    and K_v no effect, while the error feels the tool's.
-
-    Damping that acts faster than it is computed turns into its opposite. So K_v (and K_p with it)
-    of each unit and B_c of each joint are reduced to where λ_max[M⁻¹ĴᵀK_vĴ] and (M⁻¹)ᵢᵢ B_c, each
-    taken alone, are at most half of `bandwidth`.
+    so that the slow pole of Λë + (K_v + K_b) ė + K_p e = 0 is at about −r. Coordinates of one unit
+    get the same gain; those of an orientation K_v ≥ 2 b. B_c lets condition (21) hold along a
+    self-motion, which decays like exp(−r t), and b keeps the wrist quiet when a tool is longer than
+    believed, where Ĵ has no lever. K_v (and K_p with it) of each unit and B_c of each joint are
+    reduced to where λ_max[M⁻¹ĴᵀK_vĴ] and (M⁻¹)ᵢᵢ B_c, each taken alone, are at most half of
+    `bandwidth`: damping that acts faster than it is computed turns into its opposite.
 
     Args:
         task: The task of the believed robot.
@@ -221,8 +214,8 @@ class _Arm:
         D = J.mT * kv @ J + np.diag(damping)
         return D, J.mT * kp
 
-    def saturation(self, gains: Diagonals, latency: Latency) -> tuple[Array, list[str]]:
-        """Return γ (m,), which keeps torques and speeds within their limits, and what decided."""
+    def saturation(self, gains: Diagonals, latency: Latency) -> Array:
+        """Return γ (m,), which keeps torques and speeds within their limits."""
         (D, force), rate = self.motion(gains), slow_rate(self.task, gains)
         effort, fastest = self.robot.effort_limits, self.robot.velocity_limits
         speed = np.linalg.solve(D, force)
@@ -230,20 +223,14 @@ class _Arm:
         at = holdable if holdable.any() else np.ones_like(holdable)
         share = _TORQUE / (1.0 + rate * latency.of_position)  # what is late overshoots
         left = np.maximum(share * effort - np.abs(self.g[at]), (1.0 - _HOLDABLE) * effort)
-        gamma, why = np.empty(self.task.m), []
+        gamma = np.empty(self.task.m)
         for group, distance in zip(self.postures.groups, self.distance, strict=True):
             with np.errstate(divide="ignore"):
                 motors = (left / np.linalg.norm(force[at][:, :, group], axis=2)).min(axis=1)
                 speeds = (_SPEED * fastest / np.linalg.norm(speed[:, :, group], axis=2)).min(axis=1)
-            candidates = {
-                "an eighth of a usual distance": distance / 8.0,
-                "the motors": float(np.quantile(motors, 0.25, method="lower")) / len(self.distance),
-                "the joints' speeds": float(np.median(speeds)) / len(self.distance),
-            }
-            decides = min(candidates, key=candidates.__getitem__)
-            gamma[group] = candidates[decides]
-            why.append(decides)
-        return gamma, why
+            most = min(float(np.quantile(motors, 0.25, method="lower")), float(np.median(speeds)))
+            gamma[group] = min(distance / 8.0, most / len(self.distance))
+        return gamma
 
     def time(self, gamma: Array, rate: float, alpha: float) -> float:
         """Return the time that a usual distance takes until hardly any error is left [s]."""
@@ -275,8 +262,7 @@ class _Arm:
         task_force = task_force * min(1.0, most / largest(J.mT * task_force @ J))
         felt = root.mT @ Z
         C = np.mean(felt.mT @ felt, axis=0)
-        diagonal = np.diag(C)
-        S = 1.0 / np.sqrt(np.maximum(diagonal, 1e-8 * diagonal.max()))
+        S = 1.0 / np.sqrt(np.maximum(np.diag(C), 1e-8 * np.diag(C).max()))
         metric = S[:, None] * C * S + _RIDGE * np.eye(len(S))
         L = S[:, None] * np.linalg.inv(metric) * S
         L *= 0.5 * share / largest(Z @ L @ Z.mT)
@@ -296,18 +282,14 @@ class _Arm:
 
     def cases(self, gains: Diagonals, learning: Learning | None) -> law.LinearLaw:
         """Return the linearised loop at some postures, of arms that differ from the believed."""
-        J_hat = self.postures.J_hat[:_CHECKED]
-        M_inv = self.postures.M_inv[:_CHECKED]
-        D, force = self.motion(gains)
-        D, force = D[:_CHECKED], force[:_CHECKED]
-        J_hat_T = J_hat.mT
-        rate: Array = np.zeros_like(D)
-        pull: Array = np.zeros_like(J_hat_T)
+        J_hat, M_inv = self.postures.J_hat[:_CHECKED], self.postures.M_inv[:_CHECKED]
+        D, force = (each[:_CHECKED] for each in self.motion(gains))
+        rate, pull = np.zeros_like(D), np.zeros_like(force)
         if learning is not None:
             assert self.Z is not None
             Z = self.Z[:_CHECKED]
             rate = rate + Z @ learning.gravity @ Z.mT
-            rate = rate + J_hat_T * learning.task_force @ J_hat + np.diag(learning.joint_torque)
+            rate = rate + J_hat.mT * learning.task_force @ J_hat + np.diag(learning.joint_torque)
             root = 1.0 if learning.pinv_weight is None else np.sqrt(learning.pinv_weight)
             pinv = np.linalg.pinv(J_hat / root).mT / root
             pull = pull + learning.alpha * pinv.mT
@@ -369,9 +351,8 @@ class _Arm:
         if max(np.abs(multipliers).max(), np.abs(of_larger).max()) > 1.0 + _ROUND_OFF:
             return False
         lag = latency.of_position
-        wanted = _DAMPED + _LATE * slow_rate(self.task, gains) * lag
-        ratio = self.damping_ratio(gains, multipliers, samples * dt, lag)
-        return ratio >= min(wanted, _NEARLY * attainable)
+        wanted = min(_DAMPED + _LATE * slow_rate(self.task, gains) * lag, _NEARLY * attainable)
+        return self.damping_ratio(gains, multipliers, samples * dt, lag) >= wanted
 
     def damping_ratio(self, gains: Diagonals, multipliers: Array, dt: float, lag: float) -> float:
         """Return the damping ratio that nine of ten cases have, of multipliers (k, n) over dt [s].
@@ -399,22 +380,13 @@ def tuned(
 ) -> Tuning:
     """Return gains, saturation and learning with which an arm reaches targets fast, and safely.
 
-    With D = ĴᵀK_vĴ + B_c, W = D⁻¹MD⁻¹, π a share from 1 down, and quantiles over usual postures:
-
-    1. r, of ten rates from 1.5 to 8 1/s that are at most 0.3 over the lag of x, the one with which
-       a usual distance takes least time. Gains are `default_gains` of the settling time 4/r, with
-       the bandwidth that the lag of q̇ leaves; α is the rate of the slow pole.
-    2. γ, so that in three of four postures that the motors can hold the position force asks for at
-       most 75 % of the motors beside gravity, less where x is late, of which 30 % count as free at
-       least, and for 80 % of the joints' speeds; an eighth of a usual distance at most.
-    3. L_d = ½K_p, reduced where λ_max(W ĴᵀL_dĴ) > 0.6 max(π, 0.35); L = k S(SCS + 0.03 I)⁻¹S with
-       C the mean of ZᵀWZ, S = diag(C)^−½ and k such that λ_max(W Z L Zᵀ) = π/2;
-       L_w = ¼B_c²/Mⱼⱼ, reduced where λ_max(W L_w) > π/2.
-    4. The check: the loop's sampled, delayed linearisation at twenty postures, of arms that are
-       lighter and heavier than believed and hold an unmodelled tool, is stable with one
-       and a half times all of these, and in nine of ten cases its damping ratio is at least
-       0.15 + 0.36 r times the lag of x, or nearly that of a loop without latency.
-       If not, π is reduced, and then r.
+    The rate r of the settling time 4/r is the one with which a usual distance takes least time, γ
+    keeps the motors and the joints' speeds within shares of their limits, and learning is a share
+    π of what inertia allows. All of it has to pass a check: the loop's sampled, delayed
+    linearisation at twenty configurations, of arms that are lighter and heavier than believed and
+    hold an unmodelled tool, is stable with one and a half times all of these, and in nine of ten
+    cases its damping ratio is at least 0.15 + 0.36 r times the lag of x, or nearly that of a loop
+    without latency. If not, π is reduced, and then r.
 
     Args:
         task: The task of the believed robot.
@@ -435,12 +407,12 @@ def tuned(
         share, learning, stable = arm.fastest(diagonals, latency, alpha)
         if stable:
             break
-    gamma, limited_by = arm.saturation(diagonals, latency)
+    gamma = arm.saturation(diagonals, latency)
     if rate < rates[0]:
         why += f"; slower by the check, {_SETTLED / rate:.3g} s"
     if not stable:
         why += "; no gains passed the check: x is too late, or Ĵ too far off"
-    reasons = [why, f"gamma {short(gamma)} by {' and '.join(dict.fromkeys(limited_by))}"]
+    reasons = [why]
     if learning is not None:
         reasons.append(f"learns at {100.0 * share:.0f} % of what inertia allows")
     return Tuning(of_rate(rate), gamma, learning, latency, rate, share, stable, tuple(reasons))
@@ -461,7 +433,7 @@ def _rates(
 
     def time(rate: float) -> float:
         diagonals = of_rate(rate).diagonals(m, nv)
-        gamma, _ = arm.saturation(diagonals, latency)
+        gamma = arm.saturation(diagonals, latency)
         return arm.time(gamma, rate, slow_rate(arm.task, diagonals))
 
     if settling_time is None:
