@@ -18,10 +18,10 @@ from approxjac.controllers import (
     TrackingGains,
 )
 from approxjac.controllers.adaptive_dynamics import (
-    squared_rate_of_arm,
     squared_rates,
     usual_motions,
 )
+from approxjac.controllers.limits.limits import sure_deceleration
 from approxjac.robots import Dynamics, Robot
 from approxjac.robots.dynamics import DynamicsRegressor
 from approxjac.simulation import VelocityServo
@@ -393,16 +393,17 @@ def test_other_tasks_need_kinematics(panda):
 
 def test_velocity_commands_stay_within_limits(panda):
     task, q0 = aj.PositionTask(panda), STARTS["panda"]
-    controller = known(task, command="velocity", dt=4e-3, acceleration=5.0)
+    controller = known(task, command="velocity", dt=4e-3)
     assert controller.command == "velocity"
     state = controller.initial_state(measured(task, q0))
     assert len(state) == 8
     path, q, before = circle(task, q0), q0, np.zeros(7)
+    most = np.minimum(sure_deceleration(panda, panda.effort_limits), 10.0 * panda.velocity_limits)
     errors = []
     for k in range(1500):
         target = path.at(k * 4e-3)
         state, answer = controller.step(state, measured(task, q, before), target, 4e-3)
-        assert (np.abs(answer.torque - before) <= 5.0 * 4e-3 + 1e-12).all()
+        assert (np.abs(answer.torque - before) <= 4e-3 * most + 1e-12).all()
         assert (np.abs(answer.torque) <= panda.velocity_limits).all()
         before = answer.torque
         q = q + 4e-3 * before
@@ -450,14 +451,13 @@ def test_noise_of_the_velocity_is_no_lag():
             {"kinematics": "known"},
             r"kinematics must be AdaptiveKinematics\(task\) or None, got 'kn",
         ),
-        ({"dynamics": 3.0}, r"dynamics must be AdaptiveDynamics\(robot\), ModelDynamics\(robot\)"),
+        ({"dynamics": 3.0}, r"dynamics must be AdaptiveDynamics\(robot\) or ModelDyn"),
         ({"posture": np.zeros(6)}, r"posture must have shape \(7,\) \[rad or m\], got"),
         ({"posture": np.full(7, 90.0)}, "posture must be in radians"),
         ({"speed": 0.0}, r"speed must be numbers > 0 \[unit of the task/s\], one or 3, infinite"),
         ({"gains": 60.0}, r"gains must be TrackingGains\(\.\.\.\) or None, got 60.0"),
         ({"dt": 0.0}, r"dt must be a finite number > 0 \[s\], got 0.0"),
         ({"command": "position"}, 'command must be "torque" or "velocity", got \'position\''),
-        ({"acceleration": 3.0}, 'acceleration must be None without command="velocity", got 3.0'),
     ],
 )
 def test_what_does_not_fit_is_refused(panda, changes, message):
@@ -573,8 +573,12 @@ def test_what_an_arm_carries_is_learnt_at_one_rate_whatever_it_weighs(name):
     """From half a kilogram to thirty; with one gain for all it was 2/s to 25/s."""
     dynamics = AdaptiveDynamics(aj.load_robot(name))
     motions, links = usual_motions(dynamics.regressor), slice(dynamics.regressor.links)
-    rate = np.sqrt(squared_rate_of_arm(motions, dynamics.gamma, links))
-    assert 10.0 < rate < 16.1
+    gamma = dynamics.gamma[links]
+    rates = [
+        np.trace(Y[:, links] * gamma @ Y[:, links].T) / np.trace(np.linalg.inv(M_inv))
+        for Y, M_inv in motions
+    ]
+    assert 10.0 < np.sqrt(np.median(rates)) < 16.1
     # nothing is made faster than κ by it
     alone = np.sqrt(squared_rates(motions, dynamics.gamma)[links])
     at_20 = np.sqrt(squared_rates(motions, 20.0 * dynamics.sd**2)[links])
@@ -600,7 +604,8 @@ def test_a_light_arm_learns_the_weight_of_its_object():
 
 
 def test_what_is_learnt_stays_within_bounds(panda, rng):
-    dynamics = AdaptiveDynamics(panda, gain=1e6)
+    dynamics = AdaptiveDynamics(panda)
+    object.__setattr__(dynamics, "gamma", 5e4 * dynamics.gamma)
     a, q = dynamics.initial_state(), STARTS["panda"]
     for _ in range(50):
         a, torque, _ = dynamics.step(a, q, *rng.normal(size=(3, 7)), True, 1e-3)
@@ -614,8 +619,12 @@ def test_what_is_learnt_stays_within_bounds(panda, rng):
 @pytest.mark.parametrize(
     ("name", "options", "text"),
     [
-        ("panda", {}, "self-motion: drawn to the middle of the ranges of all joints"),
-        ("ur5", {}, "self-motion: drawn nowhere, as all joints turn a whole turn"),
+        (
+            "panda",
+            {},
+            "self-motion: drawn to the middle of the ranges of panda_joint1, ",
+        ),
+        ("ur5", {}, "self-motion: drawn to the middle of the ranges of no joint"),
         ("kinova", {}, "ranges of j2s6s200_joint_2, "),
         ("panda", {"posture": [0, 0, 0, -1, 0, 1, 0]}, "self-motion: drawn to the posture that"),
         ("panda", {"gains": TrackingGains(self_motion=0.0)}, ""),
@@ -624,5 +633,5 @@ def test_what_is_learnt_stays_within_bounds(panda, rng):
 )
 def test_it_is_printed_where_the_self_motion_is_drawn_to(name, options, text):
     told = str(aj.TrackingController(aj.PositionTask(aj.load_robot(name)), **options))
-    assert text in told
+    assert text in " ".join(told.split())
     assert ("self-motion" in told) == bool(text)

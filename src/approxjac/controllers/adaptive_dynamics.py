@@ -137,30 +137,22 @@ class ModelDynamics(MotionDynamics):
 class AdaptiveDynamics(MotionDynamics):
     """All of the dynamics, learnt: â' = −Γ Y_dᵀσ with Γ = gain · diag(sd²), or less.
 
-    By default the gain is 20/J; of links it is that with which a light arm learns what it carries
-    as fast as a heavy one: ω = 16/s with ω² = tr(Y_d Γ Y_dᵀ)/tr M, the median of usual motions. An
-    error of the torque then goes like exp(−ω²t/κ). But no parameter is made faster by that than
-    half of `fastest`.
-
-    Less where a parameter alone would make the loop swing faster than `fastest`, as those of a
-    wrist do that a URDF says to be lighter than any wrist is.
+    The gain is 20/J; of links it is that with which a light arm learns what it carries as fast as a
+    heavy one: ω = 16/s with ω² = tr(Y_d Γ Y_dᵀ)/tr M, the median of usual motions. An error of the
+    torque then goes like exp(−ω²t/κ). But no parameter is made faster by that than half of
+    `fastest`, and Γ is less where a parameter alone would make the loop swing faster than it.
 
     Ten inertial parameters of every link, and of every joint rotor inertia, viscous and Coulomb
-    friction and a constant torque. Weight that hangs on wrong origins is outside of the span of
-    the last link: so all links learn.
-
-    How far each parameter may plausibly be wrong says how fast it learns. By default a link's mass
-    may be wrong by 3 % of the arm's (the last one's, which holds objects, by twice that), at up to
-    a fifth of the reach from its place; friction by the torque of that weight, or by 2 % of the
-    effort where that is more; rotors by what drives of such an effort have. A parameter goes
+    friction and a constant torque. How far each may plausibly be wrong, sd, says how fast it
+    learns: a link's mass by 3 % of the arm's (the last one's, which holds objects, by twice that),
+    at up to a fifth of the reach from its place; friction by the torque of that weight, or by 2 %
+    of the effort where that is more; rotors by what drives of such an effort have. A parameter goes
     no farther than 20 of these from what is believed, and rotor inertia and friction not below 0.
     (Γ is diagonal, so V₂ does not rise by these bounds if the truth lies within them.)
 
     Args:
         robot: The believed robot.
         rotor_inertia: As of `MotionDynamics`. Where they are given, the law's gain matrix has them.
-        sd: Plausible errors of all parameters in the order of `regressor.names`, shape (p,).
-        gain: How fast all of them learn > 0 [1/J], in place of the above.
         fastest: How fast each parameter may learn at usual configurations > 0 [1/s]. In place of
             the default a `TrackingController` takes twice its κ, for dynamics that it makes itself.
 
@@ -179,26 +171,27 @@ class AdaptiveDynamics(MotionDynamics):
         robot: Robot,
         *,
         rotor_inertia: float | Sequence[float] | Array = 0.0,
-        sd: Sequence[float] | Array | None = None,
-        gain: float | None = None,
         fastest: float = 120.0,
     ) -> None:
         super().__init__(robot, rotor_inertia=rotor_inertia)
         self.regressor = DynamicsRegressor(robot)
         self.n_state = self.regressor.p
         self.parameters = dict(zip(self.regressor.names, self.regressor.units, strict=True))
-        usual = plausible_errors(self.regressor)
-        self.sd = usual if sd is None else as_diagonal("sd", sd, self.n_state)
+        self.sd = plausible_errors(self.regressor)
         self.fastest = as_number("fastest", fastest, unit="1/s", above=0.0)
-        one = _GAIN if gain is None else as_number("gain", gain, unit="1/J", above=0.0)
-        motions = usual_motions(self.regressor)
-        self.gain, rates = np.full(self.n_state, one), squared_rates(motions, one * self.sd**2)
-        if gain is None:
-            k = slice(self.regressor.links)
-            wanted = _LINKS**2 / squared_rate_of_arm(motions, one * usual**2, k)
-            more = np.minimum(wanted, np.maximum(1.0, (0.5 * self.fastest) ** 2 / rates[k]))
-            self.gain[k] *= more
-            rates[k] *= more
+        motions, gamma = usual_motions(self.regressor), _GAIN * self.sd**2
+        self.gain, rates = np.full(self.n_state, _GAIN), squared_rates(motions, gamma)
+        # tr(Y_d Γ Y_dᵀ)/tr M of links: the mean of joints by their inertia, so that wrists hardly
+        # count
+        k = slice(self.regressor.links)
+        swings = [
+            (Y_d[:, k] ** 2 * gamma[k]).sum() / np.trace(np.linalg.inv(M_inv))
+            for Y_d, M_inv in motions
+        ]
+        wanted = _LINKS**2 / max(float(np.median(swings)), 1e-9)
+        more = np.minimum(wanted, np.maximum(1.0, (0.5 * self.fastest) ** 2 / rates[k]))
+        self.gain[k] *= more
+        rates[k] *= more
         self.gamma = self.gain * self.sd**2 * np.minimum(1.0, self.fastest**2 / rates)
         links, n = self.regressor.links, robot.nv
         prior = self.regressor.a.copy()
@@ -270,18 +263,6 @@ def squared_rates(motions: Sequence[tuple[Array, Array]], gamma: Array) -> Array
     """
     rates = [gamma * (Y_d * (M_inv @ Y_d)).sum(axis=0) for Y_d, M_inv in motions]
     return np.asarray(np.maximum(np.max(rates, axis=0), 1e-9))
-
-
-def squared_rate_of_arm(motions: Sequence[tuple[Array, Array]], gamma: Array, k: slice) -> float:
-    """Return the squared rate at which the parameters k make all joints swing [1/s²].
-
-    tr(Y_d Γ Y_dᵀ)/tr M, the mean of joints by their inertia, so that wrists hardly count; the
-    median of usual motions.
-    """
-    rates = [
-        (Y_d[:, k] ** 2 * gamma[k]).sum() / np.trace(np.linalg.inv(M_inv)) for Y_d, M_inv in motions
-    ]
-    return max(float(np.median(rates)), 1e-9)
 
 
 def known_efforts(robot: Robot) -> Array:

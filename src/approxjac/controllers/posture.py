@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -57,7 +58,7 @@ class Posture:
             InvalidInputError: A robot without self-motion, or wrong shapes.
         """
         robot = task.robot
-        _require_redundant(self, task)
+        require_redundant(self, task)
         wanted = robot.configuration(self.q, "q of the posture")
         robot.require_radians("q of the posture", wanted)
         stiffness = as_diagonal("stiffness", self.stiffness, robot.nv, unit="N m/rad")
@@ -96,7 +97,7 @@ class AwayFromStops:
             InvalidInputError: A robot without self-motion.
         """
         robot = task.robot
-        _require_redundant(self, task)
+        require_redundant(self, task)
         lower, upper = robot.position_limits
         width = np.minimum(self.share * (upper - lower), _WIDEST)
         lower, upper, stiffness = lower + width, upper - width, rate * gains.damping
@@ -110,7 +111,8 @@ class AwayFromStops:
         return torque
 
 
-def _require_redundant(posture: Posture | AwayFromStops, task: Task) -> None:
+def require_redundant(posture: Any, task: Task) -> None:
+    """Refuse a posture for an arm without self-motion."""
     robot = task.robot
     if robot.nv <= task.m:
         raise InvalidInputError(

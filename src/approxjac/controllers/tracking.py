@@ -31,6 +31,7 @@ from approxjac.controllers.learning.estimator import Kinematics
 from approxjac.controllers.learning.learnt_camera import AdaptiveCamera
 from approxjac.controllers.learning.positions import AdaptiveKinematics
 from approxjac.controllers.limits.limits import Limits, sure_deceleration
+from approxjac.controllers.posture import require_redundant
 from approxjac.controllers.pseudoinverse import singular_ratio
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import spaced
@@ -61,7 +62,7 @@ _WHOLE = 0.999  # of a turn
 _APPROACH = 5.0  # κ of `law.speed_bounds` [1/s]
 _LAG_GAIN = 1.0  # of what learns the lag
 _LONGEST_LAG = 0.1  # [s]
-_SOONEST = 0.1  # that a joint gets to its full speed in, by default [s]
+_SOONEST = 0.1  # that a joint gets to its full speed in [s]
 
 
 @dataclass(frozen=True)
@@ -121,9 +122,6 @@ class TrackingController(Immutable, Controller):
         command: "torque", or "velocity" for a robot that takes joint velocities: then q̇_r is the
             command, ahead of the lag of the robot's servo, which is learnt in place of the
             dynamics, and within the URDF's limits of speed and position.
-        acceleration: Largest change of a velocity command, a number or shape (n_v,) [rad/s² or
-            m/s²]; by default what the motors of the believed arm surely have, up to full speed in
-            0.1 s.
 
     Raises:
         InvalidInputError: Numbers out of range or of the wrong shape, kinematics or dynamics of
@@ -144,7 +142,6 @@ class TrackingController(Immutable, Controller):
         dt: float = 1e-3,
         gains: TrackingGains | None = None,
         command: Literal["torque", "velocity"] = "torque",
-        acceleration: float | Sequence[float] | Array | None = None,
     ) -> None:
         require_controllable(task)
         robot = task.robot
@@ -172,12 +169,7 @@ class TrackingController(Immutable, Controller):
         self._added, self._n_dynamics = np.zeros(robot.nv), 1  # the lag of a servo
         self._commands = None
         if command == "velocity":
-            self._commands = VelocityCommand(robot, limits, acceleration, self.dt)
-        elif acceleration is not None:
-            raise InvalidInputError(
-                f'acceleration must be None without command="velocity", got {acceleration!r}',
-                given=acceleration,
-            )
+            self._commands = VelocityCommand(robot, limits, self.dt)
         else:
             self._added = self.dynamics.gain_inertia(max(1.0, _ROOM / (self.kappa * self.dt)))
             self._n_dynamics = self.dynamics.n_state
@@ -196,9 +188,8 @@ class TrackingController(Immutable, Controller):
         """Refuse kinematics or dynamics that are none, or of another robot."""
         task, of = self.task, self.kinematics
         require("kinematics", of, Kinematics, "AdaptiveKinematics(task) or None")
-        wanted = "AdaptiveDynamics(robot), ModelDynamics(robot) or None"
+        wanted, names = "AdaptiveDynamics(robot) or ModelDynamics(robot)", task.robot.joint_names
         require("dynamics", self.dynamics, MotionDynamics, wanted)
-        names = task.robot.joint_names
         if of.task.robot.joint_names != names or of.task.labels != task.labels:
             raise InvalidInputError(
                 f"kinematics must be of the task {task!r}, got {of!r}", given=of
@@ -414,12 +405,8 @@ class RestConfiguration:
 
     def __init__(self, task: Task, q: Sequence[float] | Array | None, rate: float) -> None:
         robot = task.robot
-        if q is not None and robot.nv <= task.m:
-            raise InvalidInputError(
-                f"posture is for arms with more joints than task coordinates, got one for "
-                f"{robot.name} with {robot.nv} joints and {task.m} coordinates",
-                given=q,
-            )
+        if q is not None:
+            require_redundant(q, task)
         # as arrays, which NumPy multiplies with in a third of the time of numbers
         self._pull, self._share = np.full(robot.nv, -rate), np.array(rate / _SELF_MOTION)
         self._is_vector = robot.nq == robot.nv
@@ -446,12 +433,7 @@ class RestConfiguration:
         if self._names is None:
             return "self-motion: drawn to the posture that is given"
         drawn = [name for name, k in zip(self._names, self._pull, strict=True) if k]
-        if not drawn:
-            return "self-motion: drawn nowhere, as all joints turn a whole turn"
-        if len(drawn) == len(self._names):
-            return "self-motion: drawn to the middle of the ranges of all joints"
-        middle = f"drawn to the middle of the ranges of {', '.join(drawn)}"
-        return f"self-motion: {middle}; joints that turn a whole turn are free"
+        return f"self-motion: drawn to the middle of the ranges of {', '.join(drawn) or 'no joint'}"
 
     def velocity(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return n₀ and its derivative at q (nq,) and q̇ (n_v,)."""
@@ -478,23 +460,16 @@ class VelocityCommand:
 
     Speed is brought within its limits along q̇_r as a whole (`law.within_speeds`, before); joints
     near their position limits are slowed down each on its own, and each command differs from the
-    one before by the acceleration that there may be: by default `sure_deceleration`, but no more
-    than leads to full speed in 0.1 s. Where a command is limited, L̂ rests.
+    one before by the acceleration that there may be: `sure_deceleration`, but no more than leads to
+    full speed in 0.1 s. Where a command is limited, L̂ rests.
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        limits: Limits,
-        acceleration: float | Sequence[float] | Array | None,
-        dt: float,
-    ) -> None:
+    def __init__(self, robot: Robot, limits: Limits, dt: float) -> None:
         sure = sure_deceleration(robot, np.asarray(limits.effort))
-        usual = np.minimum(sure, np.asarray(limits.velocity) / _SOONEST)
-        given = usual if acceleration is None else acceleration
-        self.acceleration = as_limits("acceleration", given, robot.nv, unit="rad/s^2 or m/s^2")
-        slowing = np.minimum(self.acceleration, sure)
-        self._joints = law.JointRange.of(limits.position, limits.velocity, _APPROACH, slowing)
+        self.acceleration = np.minimum(sure, np.asarray(limits.velocity) / _SOONEST)
+        self._joints = law.JointRange.of(
+            limits.position, limits.velocity, _APPROACH, self.acceleration
+        )
         self._robot = robot
         self._neutral = None if robot.nq == robot.nv else robot.neutral()
         self._dt, self._change = dt, dt * self.acceleration

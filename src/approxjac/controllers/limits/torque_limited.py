@@ -151,7 +151,6 @@ class TorqueLimited(ControllerWrapper):
             at most 1/dt. By default 0.3 over the lag of q̇ where the law knows its latency. Else as
             fast as the law's own joint damping, which the loop stands, but from 0.1/dt to 0.3/dt;
             with a limit of the rate 0.1/dt.
-        approach: κ of `speed_bounds` [1/s], at most `braking`; a tenth of it by default.
         solver: A function that takes a `QuadraticProgram` and returns its minimum; DAQP by
             default, which is exact.
 
@@ -169,7 +168,6 @@ class TorqueLimited(ControllerWrapper):
         proof: bool = True,
         dt: float = 1e-3,
         braking: float | None = None,
-        approach: float | None = None,
         solver: Callable[[law.QuadraticProgram], Any] | None = None,
     ) -> None:
         wanted = (
@@ -204,9 +202,9 @@ class TorqueLimited(ControllerWrapper):
         self.alpha = controller.alpha
         inertias = usual_inertias(robot)
         usual = self._usual_braking(inertias)
-        self.braking = _rate("braking", usual if braking is None else braking, 1.0 / self._dt)
-        usual = 0.1 * self.braking
-        self.approach = _rate("approach", usual if approach is None else approach, self.braking)
+        given, fast = usual if braking is None else braking, (1.0 + 1e-9) / self._dt
+        self.braking = as_number("braking", given, unit="1/s", above=0.0, most=fast)
+        self.approach = 0.1 * self.braking  # κ of `speed_bounds` [1/s]
         if not (solver is None or callable(solver)):
             wanted = "a function of a QuadraticProgram, or None for DAQP"
             raise InvalidInputError(f"solver must be {wanted}, got {solver!r}", given=solver)
@@ -455,10 +453,6 @@ class TorqueLimited(ControllerWrapper):
     def __repr__(self) -> str:
         numbers = f"dt={self._dt:g}, braking={self.braking:g}"
         return f"TorqueLimited({self.controller!r}, proof={self.proof}, {numbers})"
-
-
-def _rate(name: str, value: float, most: float) -> float:
-    return as_number(name, value, unit="1/s", above=0.0, most=most * (1.0 + 1e-9))
 
 
 def _sorted(
