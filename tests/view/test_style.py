@@ -72,7 +72,7 @@ def plots(run, image_run, arm, seen):
         ),
         "plot_image": lambda ax: view.plot_image(image_run, seen.camera, ax),
         "plot_allowed_error": lambda ax: view.plot_allowed_error(
-            0.04, 0.3, unit="m/rad", p_label="p of the errors", own_a=0.3, ax=ax
+            0.04, 0.3, unit="m/rad", p_label="p of the errors", ax=ax
         ),
         "plot_margins": lambda ax: view.plot_margins(places, margins, ax=ax),
         "plot_shares": lambda ax: view.plot_shares(
@@ -161,11 +161,3 @@ def test_pictures_of_long_rough_runs_are_small(run, image_run, seen, tmp_path):
     for path in paths:
         assert path.stat().st_size < 500_000, path.name
     assert "<text" not in paths[1].read_text(encoding="utf-8")  # letters are paths: any machine
-
-
-def test_figure_1_says_which_alpha_its_bound_is_for():
-    ax = view.plot_allowed_error(0.04, 0.3, unit="m/rad", p_label="p", own_a=0.3)
-    own = [text.get_text() for text in ax.get_legend().get_texts() if "own $a$" in text.get_text()]
-    assert [text.split("\n")[1] for text in own] == [
-        r"this $\alpha$ and large gains (the report: its own $\alpha$ and gains)"
-    ]

@@ -37,7 +37,7 @@ def stability(
             place of a report. They settle within --settling-time, 1 s by default, and within
             --limits; scenario.toml has them, and is written only where some are found.
         jobs: How many processes share the rollouts.
-        out: Folder for figure1, workspace and map as .png and .svg, summary.json, scenario.toml.
+        out: Folder for workspace and map as .png and .svg, summary.json, scenario.toml.
     """
     from concurrent.futures import ProcessPoolExecutor
     from contextlib import nullcontext

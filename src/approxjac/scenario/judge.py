@@ -18,7 +18,7 @@ from approxjac.cameras import Camera
 from approxjac.controllers import Limits, SetpointController, TorqueLimited
 from approxjac.errors import InvalidInputError
 from approxjac.files import together, write_text
-from approxjac.formatting import joined, numbers, plain, wrapped
+from approxjac.formatting import numbers, plain, wrapped
 from approxjac.robots import Robot
 from approxjac.scenario.build import (
     BuiltScenario,
@@ -227,22 +227,6 @@ def advice(result: StabilityResult) -> str:
 # -- pictures and files -----------------------------------------------------------------
 
 
-def draw_allowed_error(result: StabilityResult) -> Figure:
-    """Draw Figure 1 of the paper for this arm and its errors."""
-    first, controller = result.report.theorem1, result.report.loop.controller
-    kp, kv, _ = controller.diagonals
-    figure, (ax,) = view.new_figure(size=(6.5, 4.8))
-    view.plot_allowed_error(
-        first.lambda_2,
-        first.p,
-        unit=f"{joined(controller.task.units)}/rad",
-        p_label=r"$p$ of the errors, the largest $\|J^T - \hat{J}^T\|$",
-        own_a=float(kp.max() / kv.max()),
-        ax=ax,
-    )
-    return figure
-
-
 def draw_workspace(result: StabilityResult) -> Figure:
     """Draw the margin of the matrix form over the workspace, in two planes of the world."""
     report = result.report
@@ -322,7 +306,6 @@ def write(result: StabilityResult, out: Path) -> None:
     """Write the pictures, summary.json and scenario.toml into a folder."""
     drawn = draw_map(result)
     with together(out) as folder:
-        view.save_figure(draw_allowed_error(result), folder / "figure1")
         view.save_figure(draw_workspace(result), folder / "workspace")
         if drawn is not None:
             view.save_figure(drawn, folder / "map")

@@ -328,13 +328,7 @@ def plot_image(
 
 
 def plot_allowed_error(
-    lambda2: float,
-    p: float,
-    *,
-    unit: str,
-    p_label: str,
-    own_a: float | None = None,
-    ax: Axes | None = None,
+    lambda2: float, p: float, *, unit: str, p_label: str, ax: Axes | None = None
 ) -> Axes:
     """Draw Figure 1: the p that (23) allows against a, its two curves and their crossing.
 
@@ -343,12 +337,10 @@ def plot_allowed_error(
         p: ‖Jᵀ − Ĵᵀ‖, drawn dashed.
         unit: Of p.
         p_label: Name of p.
-        own_a: The controller's own a = k_p/k_v [1/s], marked on a logarithmic axis if given.
         ax: Axes to draw into; new ones by default.
     """
     alpha = float(np.sqrt(lambda2))
-    marked = [each for each in (alpha, own_a) if each] or [1e-12]
-    a = np.union1d(np.geomspace(0.05 * min(marked), 4.0 * max(marked), 600), marked)
+    a = np.linspace(0.0, max(4.0 * alpha, 1e-12), 600)[1:]
     velocity = law.allowed_p_velocity(a, alpha, lambda2)
     position = law.allowed_p_position(a, alpha)
     with styled(ax, (6.5, 4.8)) as ax:
@@ -356,17 +348,10 @@ def plot_allowed_error(
         ax.fill_between(a, allowed, color=SERIES[2], alpha=0.15, label="$p$ allowed by (23)")
         ax.plot(a, velocity, color=SERIES[0], label=r"$2\lambda_2 / (a + \alpha)$")
         ax.plot(a, position, color=SERIES[1], label=r"$2 a \alpha / (a + \alpha)$")
-        if alpha > 0.0:
-            at = rf"$a = \lambda_2 / \alpha$ = {alpha:.4f}, $p = \sqrt{{\lambda_2}}$ = {alpha:.4f}"
-            ax.plot([alpha], [alpha], "o", color=SERIES[6], ms=5, label=f"crossing: {at}")
+        at = rf"$a = \lambda_2 / \alpha$ = {alpha:.4f}, $p = \sqrt{{\lambda_2}}$ = {alpha:.4f}"
+        ax.plot([alpha], [alpha], "o", color=SERIES[6], ms=5, label=f"crossing: {at}")
         ax.axhline(p, color=COLORS["neutral"], linestyle="--", label=f"{p_label}: {p:.4f}")
-        if own_a is not None:
-            own = np.interp(own_a, a, allowed)
-            label = f"the controller's own $a$ = {own_a:.3g} allows $p$ = {own:.3g} with\n"
-            label += r"this $\alpha$ and large gains (the report: its own $\alpha$ and gains)"
-            ax.axvline(own_a, color=SERIES[3], label=label)
-            ax.set_xscale("log")
-        ax.set(xlabel="$a = k_p / k_v$ [1/s]", ylabel=f"allowed $p$ [{unit}]", xlim=(a[0], a[-1]))
+        ax.set(xlabel="$a = k_p / k_v$ [1/s]", ylabel=f"allowed $p$ [{unit}]", xlim=(0.0, a[-1]))
         ax.set(ylim=(0.0, 1.25 * max(p, float(velocity.max()))))
         crossover = rf"$\alpha = \sqrt{{\lambda_2}}$ = {alpha:.4f} 1/s"
         ax.set_title(f"Figure 1: allowed Jacobian error ({crossover})")

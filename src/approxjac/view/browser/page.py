@@ -28,7 +28,7 @@ from approxjac.simulation.trajectory import Scene
 from approxjac.tasks.analysis import features, image_feature
 from approxjac.validation import Array, require
 from approxjac.view.browser.frames import RunFrames
-from approxjac.view.browser.stage import Stage, grid, link_points, viewpoint
+from approxjac.view.browser.stage import Stage, frame_points, grid, viewpoint
 from approxjac.view.style import COLORS, SERIES, display_unit
 from approxjac.view.tree import held_objects, learnt_regressor
 
@@ -174,7 +174,7 @@ def page_data(
     ends = [columns[name][[0, -1]] for name in ("tip", "target", "believed_tip")]
     moving = np.concatenate([*ends, columns["tip"]])
     moving = moving[np.isfinite(moving).all(axis=1)]
-    seen = [link_points(robot, q, stage.boxes[role]) for role, robot in stage.robots.items()]
+    seen = [frame_points(robot, q) for robot in stage.robots.values()]
     seen += [f.points for f in features(scene.sensor) if f.camera is not None and f.frame is None]
     seen += [moving, stage.camera_points]
     if live:
@@ -199,7 +199,7 @@ def page_data(
         "live": live,
         "colours": COLORS,
         "size": stage.size,
-        "view": viewpoint(moving, points),
+        "view": viewpoint(moving, points, stage.size),
         "image": image,
         "plots": _plots(scene, list(run.task_labels), run.task_units),
         "jointNames": list(truth.joint_names),

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping, Sequence
-from itertools import product
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,13 +21,12 @@ from approxjac.view.style import COLORS
 from approxjac.view.tree import Tree, held_objects
 
 if TYPE_CHECKING:
-    from trimesh import Trimesh
-
     from approxjac.view.look import Look
 
 _GHOST = 0.38  # opacity of the believed arm
 _GRID, _GRID_LINES = "#DDE1E6", 24
 _INSTANTS = 40  # of a run, whose configurations must all be in view
+_AROUND = 0.1  # of an arm's size: how thick links are
 _FRONT, _ASIDE = np.array([0.1, -1.0, 0.3]), np.array([0.3, -0.3, 0.35])
 _NEAR = 0.18  # to the image as it is drawn, of the way to what the camera looks at
 _IN_HAND = 0.12  # the same of a camera on the arm, of the arm's size
@@ -99,17 +97,10 @@ class Stage:
             role: robot_look(each) for role, each in self.robots.items()
         }
         self._trees = {role: Tree(robot, role) for role, robot in self.robots.items()}
-        self.boxes = {  # around links
-            role: {link: _box(shapes) for link, shapes in look.shapes.items()}
-            for role, look in self._looks.items()
-        }
-        rng, origins = (
-            np.random.default_rng(0),
-            dict.fromkeys(scene.truth.frame_names, np.zeros((1, 3))),
-        )
+        rng = np.random.default_rng(0)
         q = np.array([scene.truth.random_configuration(rng) for _ in range(_INSTANTS)])
-        around = link_points(scene.truth, q, origins)
-        self.size = float(np.linalg.norm(around, axis=1).max())  # the farthest that a link gets
+        # the farthest that a link gets
+        self.size = float(np.linalg.norm(frame_points(scene.truth, q), axis=1).max())
         self._tasks = {"true": scene.sensor, "believed": scene.task}
         self.cameras = []  # as they are drawn, with the path of the node that carries each
         for role in self.robots:
@@ -135,11 +126,10 @@ class Stage:
 
     @property
     def floor(self) -> float:
-        """Return the height of the base's origin, or of the lowest that is fixed to it [m]."""
-        drivers, robot = self._trees["true"].drivers, self.robots["true"]
-        boxes = {link: box for link, box in self.boxes["true"].items() if drivers[link] < 0}
-        fixed = link_points(robot, robot.neutral()[np.newaxis], boxes)
-        return float(fixed[:, 2].min(initial=0.0))
+        """Return the height of the lowest frame that does not move [m]."""
+        frames = self.scene.truth.model.frames
+        fixed = [frame.placement for frame in frames if frame.parentJoint == 0]
+        return min(float(placed.translation[2]) for placed in fixed)
 
     @property
     def camera_points(self) -> Array:
@@ -256,8 +246,17 @@ class _Drawing:
     ) -> None:  # fmt: skip
         """Put a geometry at a node, as it is or placed (4, 4) in the node's axes."""
         g = self.geometry
-        material = g.MeshLambertMaterial if lit else g.MeshBasicMaterial
-        self._put(path, g.Mesh(shape, material(**look)), colour, placed)
+        if isinstance(shape, g.PointsGeometry):
+            thing = g.LineSegments(shape, g.LineBasicMaterial())
+        else:
+            thing = g.Mesh(shape, (g.MeshLambertMaterial if lit else g.MeshBasicMaterial)(**look))
+        thing.material.color = int(colour[1:], 16)  # as three.js counts it
+        # MeshCat's own are random; they need to be unique within a command only
+        thing.uuid, thing.geometry.uuid, thing.material.uuid = "object", "geometry", "material"
+        command = self._commands.SetObject(thing).lower() | {"path": "/".join(path)}
+        if placed is not None:
+            command["object"]["object"]["matrix"] = placed.T.ravel().tolist()
+        self.commands.append(base64.b64encode(self._pack(command)).decode())
 
     def mesh(
         self, path: tuple[str, ...], vertices: Array, faces: Any, colour: str, **look: Any
@@ -268,20 +267,7 @@ class _Drawing:
 
     def lines(self, path: tuple[str, ...], ends: Array, colour: str) -> None:
         """Put lines at a node, from each first of two points (n, 3) to the second."""
-        g = self.geometry
-        points = g.PointsGeometry(np.array(ends, dtype=np.float32).T)
-        self._put(path, g.LineSegments(points, g.LineBasicMaterial()), colour)
-
-    def _put(
-        self, path: tuple[str, ...], thing: Any, colour: str, placed: Array | None = None
-    ) -> None:
-        thing.material.color = int(colour[1:], 16)  # as three.js counts it
-        # MeshCat's own are random; they need to be unique within a command only
-        thing.uuid, thing.geometry.uuid, thing.material.uuid = "object", "geometry", "material"
-        command = self._commands.SetObject(thing).lower() | {"path": "/".join(path)}
-        if placed is not None:
-            command["object"]["object"]["matrix"] = placed.T.ravel().tolist()
-        self.commands.append(base64.b64encode(self._pack(command)).decode())
+        self.put(path, self.geometry.PointsGeometry(np.array(ends, dtype=np.float32).T), colour)
 
 
 def grid(points: Array, floor: float) -> list[str]:
@@ -311,31 +297,23 @@ def _draw_camera(camera: dict[str, Any], drawing: _Drawing) -> None:
     drawing.mesh((*path, "image"), corners, [[0, 1, 2], [0, 2, 3]], colour, **glass)
 
 
-def _box(shapes: Sequence[Trimesh]) -> Array:
-    """Return the corners of the box around shapes, (8, 3) [m]."""
-    bounds = np.concatenate([shape.bounds for shape in shapes])
-    return np.array(list(product(*zip(bounds.min(axis=0), bounds.max(axis=0), strict=True))))
-
-
-def link_points(robot: Robot, q: Array, boxes: Mapping[str, Array]) -> Array:
-    """Return points of links (k, 3), each in its frame, at some of the q (N, nq); (n, 3) [m]."""
-    data = robot.model.createData()
-    points: list[Array] = [np.zeros((0, 3))]
+def frame_points(robot: Robot, q: Array) -> Array:
+    """Return the origins of all frames at some of the q (N, nq), shape (n, 3) [m]."""
+    data, points = robot.model.createData(), []
     every = max(1, len(q) // _INSTANTS)
     for row in [*q[::every], *q[-1:]]:
         pin.framesForwardKinematics(robot.model, data, row)
-        for link, own in boxes.items():
-            placed = data.oMf[robot.frame_id(link)]
-            points.append(own @ placed.rotation.T + placed.translation)
-    return np.concatenate(points)
+        points += [placed.translation.copy() for placed in data.oMf]
+    return np.array(points)
 
 
-def viewpoint(moving: Array, points: Array) -> dict[str, Any]:
+def viewpoint(moving: Array, points: Array, size: float) -> dict[str, Any]:
     """Return from where to look at moving points (n, 3), with others (N, 3) in view [m].
 
     "direction" is a vector towards the eye, along which what moves, and with less weight all that
     is in view, spreads least; it is turned a little, so that what is flat is not seen from the very
-    front. "points" are those of all that are the farthest in some of many directions.
+    front. "points" are those of all that are the farthest in some of many directions, and a little
+    farther, for the bodies of an arm of a size [m].
     """
     spread = np.cov(moving.T) + 0.15 * np.cov(points.T)
     direction = np.linalg.eigh(spread)[1][:, 0]
@@ -344,7 +322,7 @@ def viewpoint(moving: Array, points: Array) -> dict[str, Any]:
     direction = direction * np.copysign(1.0, direction @ towards) + _ASIDE
     direction[2] = max(direction[2], _ASIDE[2])
     ways = np.random.default_rng(0).normal(size=(300, 3))
-    return {
-        "direction": np.round(direction, 4).tolist(),
-        "points": np.round(points[np.unique(np.argmax(points @ ways.T, axis=0))], 4).tolist(),
-    }
+    far = points[np.unique(np.argmax(points @ ways.T, axis=0))]
+    out = far - points.mean(axis=0)
+    far = far + _AROUND * size * out / np.linalg.norm(out, axis=1, keepdims=True)
+    return {"direction": np.round(direction, 4).tolist(), "points": np.round(far, 4).tolist()}
