@@ -148,10 +148,6 @@ def test_it_writes_everything(done, tmp_path):
     assert f"believed object length 0, object mass 0, {wrong} " in said
 
 
-def test_nothing_wrong_is_believed():
-    assert report.believed(Scenario("panda", true=BARE)) == "what is true"
-
-
 @pytest.mark.parametrize(
     ("robot", "parts", "reason"),
     [

@@ -86,7 +86,7 @@ def test_the_rest_is_learnt_of_a_robot_that_adds_its_own_gravity():
     share = np.abs(asked / built.plant.motor_limits).max()
     assert done.peak_torque_ratio == pytest.approx(share)
     assert share > 1.2 * np.abs(run.tau / built.plant.motor_limits).max()
-    drawn = report.draw(done).axes[1].lines[:6]
+    drawn = report.draw(done).axes[1].lines[2:8]
     assert np.abs([line.get_ydata() for line in drawn]).max() == pytest.approx(share)
     assert not built.law.learnt(run.state[0]).any()
     last = run.error_norm[-1]
@@ -325,7 +325,7 @@ def test_what_limits_did_is_told(limited):
     assert summary["peak_torque_ratio"] == pytest.approx(1.0)
     axes = {ax.get_title(): ax for ax in report.draw(limited).axes}
     assert len(axes) == 4
-    torque = axes["Torque of each joint"].get_lines()[0].get_ydata()
+    torque = axes["Torque of each joint"].get_lines()[2].get_ydata()  # after the limits
     assert torque == pytest.approx(limited.run.tau[:, 0] / (0.7 * 87.0))
 
 
@@ -492,10 +492,9 @@ def test_kinematics_that_are_learnt_follow_a_circle(tmp_path, controller):
     summary = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
     assert abs(summary["kinematics"]["camera.rz"]["value"] - 1.7) < 0.05
     assert "camera turned by 1.7" in (tmp_path / "kinematics.txt").read_text(encoding="utf-8")
-    assert (tmp_path / "kinematics.png").stat().st_size > 20_000
-    told = report.text(result)
-    assert "tracker turned by 97" in told
-    assert "(camera.r in kinematics.txt)" in " ".join(told.split())
+    told = " ".join(report.text(result).split())
+    assert "kinematics tool at " in told
+    assert " a degree of freedom: kinematics.txt" in told
     assert len(report.draw(result).axes) == 3  # nothing was limited: there is no such panel
     again = Scenario.load(tmp_path / "scenario.toml")
     assert again == result.built.scenario
@@ -522,9 +521,6 @@ def test_what_does_not_explain_an_image_is_said_to_be_its_center_or_distortion(p
     q = np.array(HOME)
     state = kinematics.initial_state(aj.Measurement(0.0, q, 0.0 * q, kinematics.task.value(q)))
     learnt = kinematics.report(state)._replace(chi_squared=5.3, angle=2.0, seconds=3.0)
-    told = report._kinematics(learnt, is_image=True)
-    assert "camera turned by 114.6 deg, chi squared 5.30" in told
-    assert told.endswith("which does not explain x")
     assert "do not explain x: others are (of a camera\nalso center and lens)" in str(learnt)
 
 

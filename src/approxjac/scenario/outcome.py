@@ -19,7 +19,7 @@ from approxjac.interface import LimitStatus, Status
 from approxjac.robots import Dynamics
 from approxjac.scenario.build import BuiltScenario, build_scenario, sampling_time
 from approxjac.scenario.convert import differences, typed_as
-from approxjac.scenario.records import Belief
+from approxjac.scenario.records import Belief, Object, Truth
 from approxjac.scenario.scenario import Scenario
 from approxjac.scenario.starts import too_far
 from approxjac.simulation import Computation, Loop, Trajectory, simulate
@@ -165,17 +165,12 @@ class RunResult:
 
         A run of no time, as one that was stopped before it began, has none.
         """
-        if self.never_began:
+        if float(self.run.t[-1]) == 0.0:
             return "stopped after 0 s"
         done = "followed" if self.on_path else "converged"
         if self.late:
             return f"{done} late"
         return f"not {done}" if self.failed else done
-
-    @property
-    def never_began(self) -> bool:
-        """True if the run took no time, of which nothing can be said."""
-        return float(self.run.t[-1]) == 0.0
 
     @property
     def late(self) -> bool:
@@ -186,12 +181,12 @@ class RunResult:
     @property
     def failed(self) -> bool:
         """True if the task was not done; what is too late to judge is no failure."""
-        return self.never_began or (bool(self.reason) and not self.late)
+        return bool(self.reason) and not self.late
 
     @property
     def reason(self) -> str:
         """The reason why the task was not done, or cannot be judged; nothing if it was done."""
-        if self.never_began:
+        if float(self.run.t[-1]) == 0.0:
             return "nothing was simulated, so there is no verdict"
         far = too_far(self.built.plant.sensor, self.run.x_d if self.on_path else self.run.x_d[-1:])
         if self.converged and not (self.on_path and far):
@@ -268,6 +263,15 @@ class RunResult:
             names = ("largest_error", "rms_error", "last_quarter_rms_error")
             pairs = zip(names, self.strayed, strict=True)
             sizes |= {name: {run.task_unit: error} for name, error in pairs}
+        known, limits = run.slack[np.isfinite(run.slack)], None
+        if built.limits is not None:
+            beyond = (np.abs(run.tau) - built.limits.effort).max()
+            limits = {
+                "status_counts": {s.name: n for s, n in run.limit_status_counts().items()},
+                "largest_slack_W": known.max() if known.size else None,
+                "largest_torque_violation": beyond.clip(0.0),
+                "peak_speed_ratio": self.peak_speed_ratio,
+            }
         values = {
             "robot": run.robot_name,
             **{f"{name}_{unit}": e for name, errors in sizes.items() for unit, e in errors.items()},
@@ -279,7 +283,7 @@ class RunResult:
             "warning": built.warning,
             "at_joint_stops_s": run.at_stops,
             "joint_limit_excess": self.joint_limit_excess,
-            "limits": self._limits_summary(),
+            "limits": limits,
             "start": run.x[0],
             "target": run.target,
             "end": run.x[-1],
@@ -293,19 +297,6 @@ class RunResult:
             "scenario": asdict(built.scenario),
         }
         return {name: plain(value) for name, value in values.items()}
-
-    def _limits_summary(self) -> dict[str, Any] | None:
-        """Return the effect of limits at the recorded instants; None without limits."""
-        run, limits = self.run, self.built.limits
-        if limits is None:
-            return None
-        known = run.slack[np.isfinite(run.slack)]
-        return {
-            "status_counts": {s.name: n for s, n in run.limit_status_counts().items()},
-            "largest_slack_W": known.max() if known.size else None,
-            "largest_torque_violation": (np.abs(run.tau) - limits.effort).max().clip(0.0),
-            "peak_speed_ratio": self.peak_speed_ratio,
-        }
 
 
 def run_scenario(
@@ -344,10 +335,7 @@ def _peak(values: Array, limits: Array) -> float:
 
 
 def write(result: RunResult, out: Path) -> None:
-    """Write run.png, run.svg, run.npz, summary.json and scenario.toml into a folder.
-
-    And kinematics.txt, .png and .svg, where they were learnt.
-    """
+    """Write run.png, .svg and .npz, summary.json, scenario.toml, and kinematics.txt if learnt."""
     from approxjac import view
 
     with together(out) as folder:
@@ -355,8 +343,6 @@ def write(result: RunResult, out: Path) -> None:
         result.run.save(folder / "run.npz")
         if result.kinematics is not None:
             write_text(folder / "kinematics.txt", f"{result.kinematics}\n")
-            figure = _draw_kinematics(result.run, result.kinematics)
-            view.save_figure(figure, folder / "kinematics")
         result.built.scenario.save(folder / "scenario.toml")
         write_text(folder / "summary.json", json.dumps(result.summary(), indent=2) + "\n")
 
@@ -364,11 +350,16 @@ def write(result: RunResult, out: Path) -> None:
 def text(result: RunResult) -> str:
     """Return the verdict, and then what the arm did, a line each."""
     run, built, torque = result.run, result.built, result.peak_torque_ratio
-    law, robot = built.law, built.plant.robot
+    law, robot, scenario = built.law, built.plant.robot, built.scenario
+    asks = "asks for up to" if built.limits is None else "up to"
+    with_own = "" if built.plant.adds_gravity is None else ", with the gravity that the robot adds"
+    true, belief = scenario.true, scenario.believed
+    right = Belief(true.object, true.shifts, true.rotations)
+    belief = replace(belief, object=belief.object.like(true.object))
     lines = {
         "robot": f"{robot.name}, {robot.nv} joints, {robot.mass:.3g} kg with the object",
-        "object": held(built.scenario),
-        "believed": believed(built.scenario),
+        "true": _different(true, Truth(object=Object())) or "as in the URDF",
+        "believed": _different(belief, right) or "what is true",
         "law": law.describe()[0],
         "q at start": numbers_of(robot.angles(run.q[0])),
         "q at end": numbers_of(robot.angles(run.q[-1])),
@@ -378,16 +369,18 @@ def text(result: RunResult) -> str:
         "settled": "not" if math.isnan(result.settling_time) else f"{result.settling_time:.3g} s",
         "torque": "no limit known"
         if math.isnan(torque)
-        else f"{'asks for up to' if built.limits is None else 'up to'} "
-        f"{100.0 * torque:.0f} % of the limits"
-        f"{'' if built.plant.adds_gravity is None else ', with the gravity that the robot adds'}",
+        else f"{asks} {100.0 * torque:.0f} % of the limits{with_own}",
         "law's status": shares(run.status_counts()),
     }
     if learnt := law.describe_learnt(run.state[-1]):
         lines["learnt"] = learnt
-    if result.kinematics is not None:
-        is_image = isinstance(built.plant.sensor, ImageTask)
-        lines["kinematics"] = _kinematics(result.kinematics, is_image)
+    if (kinematics := result.kinematics) is not None:
+        tool = [row.value for row in kinematics.rows if row.name.startswith("tool.")]
+        where = f"tool at {numbers_of(np.round(tool, 3))} m, " if tool else ""
+        lines["kinematics"] = (
+            f"{where}chi squared {kinematics.chi_squared:.2f} a degree of freedom"
+            f"{'' if kinematics.is_explained else ', which does not explain x'}: kinematics.txt"
+        )
     if built.limits is not None:
         lines["limits' status"] = shares(run.limit_status_counts())
     if run.at_stops:
@@ -416,26 +409,15 @@ def _error(result: RunResult) -> str:
     return f"{sizes}, where {within} is wanted"
 
 
-def held(scenario: Scenario) -> str:
-    """Return the object that the arm truly holds."""
-    given = scenario.true.object
-    if not given.length and not given.mass:
-        return "none"
-    along = f", along {typed_as(given.axis)} of the tip" if given.axis else ""
-    return f"{given.length:g} m long, {given.mass:g} kg{along}"
-
-
-def believed(scenario: Scenario) -> str:
-    """Return what the controller believes that is wrong, by keys of [believed]."""
-    true, belief = scenario.true, scenario.believed
-    right = Belief(true.object, true.shifts, true.rotations)
-    wrong = differences(replace(belief, object=belief.object.like(true.object)), right)
-    parts = [
-        f"{name} {key} {typed_as(value)}"
-        for name, values in wrong.items()
-        for key, value in values.items()
-    ]
-    return ", ".join(parts) or "what is true"
+def _different(record: Any, usual: Any) -> str:
+    """Return the values of a record that differ from another's, by key."""
+    parts = []
+    for name, value in differences(record, usual).items():
+        inner = value if isinstance(value, dict) else {"": value}
+        parts += [
+            f"{name} {key} {typed_as(each)}".replace("  ", " ") for key, each in inner.items()
+        ]
+    return ", ".join(parts)
 
 
 def draw(result: RunResult) -> Figure:
@@ -467,32 +449,6 @@ def _plane(result: RunResult) -> str:
         return "xz"
     chosen = np.argsort(-np.ptp(run.x_d[:, :3], axis=0), kind="stable")[:2]
     return "".join("xyz"[i] for i in sorted(chosen))
-
-
-def _kinematics(learnt: KinematicReport, is_image: bool) -> str:
-    """Return tool and camera as they were learnt, and whether that explains x."""
-    tool = [row.value for row in learnt.rows if row.name.startswith("tool.")]
-    parts = [f"tool at {numbers_of(np.round(tool, 3))} m"] if tool else []
-    if learnt.angle:
-        which, rows = ("camera", "") if is_image else ("tracker", " (camera.r in kinematics.txt)")
-        parts.append(f"{which} turned by {math.degrees(learnt.angle):.1f} deg{rows}")
-    parts.append(f"chi squared {learnt.chi_squared:.2f} a degree of freedom")
-    if not learnt.is_explained:
-        parts.append("which does not explain x")
-    return ", ".join(parts)
-
-
-def _draw_kinematics(run: Trajectory, learnt: KinematicReport) -> Figure:
-    """Draw what was learnt of the tool, and of the tracker's rotation, where they were learnt."""
-    from approxjac import view
-
-    names = [row.name for row in learnt.rows]
-    groups = [[name for name in names if name.startswith(kind)] for kind in ("tool.", "camera.")]
-    groups = [group for group in groups if group] or [names]
-    figure, axes = view.new_figure(len(groups), title="What is learnt of the kinematics")
-    for ax, group in zip(axes, groups, strict=True):
-        view.plot_parameters(run, group, ax, title=group[0].partition(".")[0])
-    return figure
 
 
 def _size(errors: dict[str, float]) -> str:
