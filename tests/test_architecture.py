@@ -45,7 +45,7 @@ ALLOWED = {
         "interface", "law", "robots", "simulation", "tasks", "validation",
     },
     "view": {
-        "cameras", "controllers", "errors", "files", "interface", "law", "robots",
+        "cameras", "controllers", "errors", "files", "formatting", "interface", "law", "robots",
         "simulation", "tasks", "validation",
     },
     "paper": {
