@@ -143,7 +143,7 @@ def table(found):
                 name,
                 len(run.gap),
                 ", ".join(f"{gap:.3g}" for gap in gaps),
-                ", ".join(str(run.late(late)) for late in LATE),
+                ", ".join(str((run.gap > late).sum()) for late in LATE),
                 ", ".join(f"{value:.0f}" for value in work),
                 ", ".join(f"{value:.0f}" for value in step),
                 f"{1e6 * np.median(warm):.1f}",

@@ -17,7 +17,6 @@ from rehearsal import START, Wrapped, driver_of, goal, run, tolerating
 import approxjac as aj
 from approxjac.errors import ControlError, InvalidInputError
 from approxjac.realtime import Fault, RobotRun, SimulatedDriver, control
-from approxjac.realtime.control import require_near
 from approxjac.view.browser.page import _legend, page
 
 
@@ -171,7 +170,7 @@ def test_a_driver_that_hangs_is_braked_by_the_watchdog(plant, controller):
 
     found = run(driver_of(plant, Hanging), controller, tolerances=tolerating(max_period=0.1))
     assert found.fault is Fault.READ_HUNG
-    told = r"twice `max_period`: no state came; the command before took this machine [\d.]+ ms"
+    told = r"twice `max_period`: no state came"
     assert re.search(told, found.ended)
     assert len(braked) == 1
     assert 0.15 < braked[0] < 2.0  # twice `max_period`, on a machine that may be busy
@@ -227,26 +226,6 @@ def test_a_run_is_printed_in_one_block(plant, controller):
     assert names[:2] == ["run", "torque"]
     assert names[-3:] == ["ended", "stop", "work"]
     assert all(line[16:18] == "  " and line[18] != " " for line in lines), lines
-
-
-def test_a_late_torque_says_how_long_the_step_took(plant, controller):
-    class Busy(Wrapped):
-        late = 0.0
-
-        def read(self):
-            measured = super().read()
-            return measured._replace(t=measured.t + self.late)
-
-        def send(self, command):
-            if len(self.sent) == 50:
-                time.sleep(0.35)
-                self.late = 0.31
-            super().send(command)
-
-    found = run(driver_of(plant, Busy), controller, tolerances=tolerating(max_period=0.3))
-    assert found.fault is Fault.TORQUE_LATE
-    took, usual = re.search(r"took this machine (\d+) ms, ([\d.]+) in", found.ended).groups()
-    assert float(took) >= 350.0 > 10.0 * float(usual)
 
 
 def test_a_few_periods_without_q_are_bridged(plant, controller):
@@ -411,27 +390,19 @@ def test_a_page_of_a_robot_speaks_of_beliefs_not_of_truth(plant, controller, tmp
     assert "true tip and its path" in [entry[-1] for entry in legend]
 
 
-def test_a_run_says_how_far_the_target_went(plant, controller):
-    found = run(driver_of(plant), controller, 1.5)
-    way, last = math.hypot(0.05, 0.05, 0.05), found.error_norm[-1]
-    told = f"target led {way:.3g} m away from the start, error {last:.3g} m at the end\n"
-    assert str(found).startswith(told)
-
-
 REFUSED = {
     "limits": "controller must keep the robot's limits of effort",
     "falls": "the controller must compensate gravity, such as by AdaptiveGravity",
-    "adds": "the robot adds its own gravity: the controller must learn what is left of it",
-    "adds to T": "own gravity: take it off each torque in the driver's send, as FrankaDriver(grav",
+    "adds": "the controller must leave gravity to the robot, which adds its own",
+    "adds to T": "or a driver that takes it off, as FrankaDriver(gravity=robot)",
     "beyond": "limits, got panda_joint4 at 0.1 rad, limits -3.072 and -0.0698",
     "degrees": "q must be in radians: it is 111.",
     "moving": "the arm must be at rest",
     "blind": "x must be known before the arm moves",
     "clock": "the clock of the driver must go on",
     "two clocks": "t_x must be by the clock of t: x was taken 1.7e+09 s after t: two clocks?",
-    "millimetres": "m from the base of an arm that reaches 1.09 m; 1 mm is 0.001",
     "period": "must be",
-    "tuning": "(gains or learning) is for a period of 0.001 s, and the driver's dt is 0.002 s; ",
+    "tuning": "(gains or learning) is for a period of 0.001 s, and the driver's dt is 0.002 s",
     "sizes": "driver must read q, q̇ and x with 7, 7 and 3 numbers, got shapes (6,), (7,), (3,)",
     "duration": "duration must be a finite number > 0 [s], got 0.0",
     "driver": "driver must be a Driver",
@@ -447,7 +418,6 @@ def test_what_may_not_begin_is_refused_and_sends_nothing(plant, controller, pand
         "clock": lambda m: m._replace(t=1.0),
         "beyond": lambda m: m._replace(q=np.append(START[:3], [0.1, *START[4:]])),
         "degrees": lambda m: m._replace(q=np.degrees(m.q)),
-        "millimetres": lambda m: m._replace(x=1e3 * m.x),
         "two clocks": lambda m: m._replace(t_x=m.t + 1.7e9),
         "sizes": lambda m: m._replace(q=m.q[:6]),
     }
@@ -482,7 +452,7 @@ def test_the_remedy_for_another_period_keeps_the_rest_of_the_latency(plant, cont
     law, limits = controller.controller, aj.Limits.of(controller.task.robot)
     latency = aj.Latency(image_period=0.03, image_age=0.06)
     law = aj.SetpointController(law.task, gravity=law.gravity, latency=latency)
-    remedy = r"latency=Latency\(period=0.002, image_period=0.03, image_age=0.06\)\)$"
+    remedy = r"the loop, Latency\(period=0.002, image_period=0.03, image_age=0.06\): what"
     with pytest.raises(InvalidInputError, match=remedy):
         run(driver_of(plant, dt=2e-3), aj.TorqueLimited(law, limits, dt=2e-3), 0.02)
 
@@ -492,15 +462,6 @@ def test_a_law_tuned_for_the_period_may_begin(plant, controller):
     slow = aj.SetpointController(law.task, gravity=law.gravity, latency=aj.Latency(period=2e-3))
     found = run(driver_of(plant, dt=2e-3), aj.TorqueLimited(slow, limits, dt=2e-3), 0.02)
     assert "its time was over" in found.ended
-
-
-def test_a_tracker_may_stand_elsewhere_in_a_hall(panda):
-    x = np.array([30.0, -20.0, 3.0])
-    require_near(aj.PositionTask(panda), x)
-    placed = aj.tasks.TrackerTask(panda, offset=1e3 * x)
-    require_near(placed, 1e3 * x + 0.5)
-    with pytest.raises(InvalidInputError, match=r"x must be in m, got \["):
-        require_near(placed, 1e3 * x + 100.0)
 
 
 @pytest.mark.parametrize("frames", [300, 1100])

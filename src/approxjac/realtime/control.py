@@ -5,11 +5,8 @@ from __future__ import annotations
 import contextlib
 import copy
 import math
-import queue
 import threading
-import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future
 from dataclasses import dataclass, field, fields, replace
 from types import NoneType
 from typing import Any
@@ -31,19 +28,17 @@ from approxjac.simulation.plant import Plant, VelocityServo
 from approxjac.simulation.simulate import Loop, Observer, require_fit, require_start, wanted_of
 from approxjac.simulation.trajectory import Trajectory
 from approxjac.tasks import Task
-from approxjac.tasks.analysis import features
 from approxjac.validation import Array, as_number, require
 
 _PERIOD = 1.0 / 30.0  # s, of observers
 _PATIENCE = 30.0  # s, for which an observer may prepare before the arm moves
-_ANSWER = 1.0  # s, within which the loop carries out what an observer asks for
+_ANSWER = 1.0  # s, within which an observer has to end
+_SEEN = ("path", "step", "target", "truth", "measurement", "answer", "state", "tau")
 _READS = 5
 _AT_REST = 0.05  # rad/s or m/s
-_FAR, _REACHES = 50.0, 20.0  # m and reaches of the arm, beyond both of which no x is in metres
 _HELD = 0.2  # share of the largest torque by which what is believed of gravity may be off
 _WARM = 50  # steps before the first that counts: caches, and whatever is made at first use
 _HANGS = 2.0  # times `max_period`, after which the watchdog brakes
-_SOME = 200  # instants of a run, among which the farthest target is looked for
 _SPEED = {"m": 0.2, "rad": 0.5, "px": 100.0}  # of targets that are eased in, per s
 
 
@@ -74,19 +69,8 @@ class RobotRun(Trajectory):
         """Return the fault that ended it, or None."""
         return Fault[self.fault_name] if self.fault_name else None
 
-    def late(self, longest: float) -> int:
-        """Return the number of commands that came later than a time after the one before [s]."""
-        return int((self.gap > longest).sum())
-
     def _error_line(self) -> str:
-        """Return in words how far the target went, which is eased in, and the error at the end."""
-        error = f"error {self.error_norm[-1]:.3g} {self.task_unit} at the end"
-        sensor = None if self.scene is None else self.scene.sensor
-        if sensor is None:
-            return error
-        some = self.x_d[np.unique(np.linspace(0, len(self.t) - 1, _SOME).astype(int))]
-        way = max(float(np.linalg.norm(sensor.error(x_d, self.x_d[0]))) for x_d in some)
-        return f"target led {way:.3g} {self.task_unit} away from the start, {error}"
+        return f"error {self.error_norm[-1]:.3g} {self.task_unit} at the end"
 
     def _figures(self) -> dict[str, str]:
         """Describe the run, with its stop and the times that commands took."""
@@ -177,21 +161,18 @@ def control(
         first = require_at_rest(driver, task, tolerances.timeout)
         require_start(task, wanted, first.x)
         loop = RobotLoop(brake, plant, controller, wanted, first, steps, tolerances, speeds, state)
-        if not loop.learns_sensor:
-            require_near(task, first.x)
         require_held(driver, controller, first.q, loop.answer)
         for _ in range(_WARM):
             controller.step(loop.state, loop.measurement, loop._wanted, driver.dt)
-        watched = None
         if observer is not None:
-            watched = held.enter_context(ObserverThread(loop, observer))
+            held.enter_context(ObserverThread(loop, observer))
         held.enter_context(undisturbed(scheduling or Scheduling()))
         error: BaseException | None = None
         watchdog, why = Watchdog(brake, _HANGS * tolerances.max_period), ""
         try:
             with watchdog:
                 signals.looked_at = True
-                why = _run(loop, watchdog, signals, stop, watched)
+                why = _run(loop, watchdog, signals, stop)
         except HungError:
             pass
         except Exception as raised:
@@ -218,7 +199,6 @@ def _run(
     watchdog: Watchdog,
     signals: StopSignals,
     stop: threading.Event | None,
-    watched: ObserverThread | None,
 ) -> str:
     """Run to the end, and return why it ended."""
     why = ""
@@ -237,8 +217,6 @@ def _run(
                 loop.halt()
         if signals.count > 1:
             return f"{signals.name}, twice: braked at once"
-        if watched is not None:
-            watched.serve()
         if not loop.advance():
             break
         watchdog.beat()
@@ -249,15 +227,12 @@ def _run_of(loop: RobotLoop, why: str) -> RobotRun:
     fault = loop.fault
     if fault is not None and not fault.stops:
         why = f"{loop.describe_fault()}; braked at once" + (f" ({why})" if why else "")
-    record, errors = loop.record()
-    run = record.trajectory()
+    run = loop.trajectory()
     scene = None if run.scene is None else replace(run.scene, knows_truth=False)
     done = slice(1, max(loop.step, 1))
     kept = {field.name: getattr(run, field.name) for field in fields(Trajectory)}
     return RobotRun(
-        **kept
-        | {"error": errors, "scene": scene, "ended": why}
-        | {"fault_name": "" if fault is None else fault.name},
+        **kept | {"scene": scene, "ended": why, "fault_name": "" if fault is None else fault.name},
         stop_distance=float(loop.stop_distance),
         stop_bound=float(loop.stop_bound),
         gap=loop.gaps[done].astype(float),
@@ -268,7 +243,8 @@ def _run_of(loop: RobotLoop, why: str) -> RobotRun:
 class ObserverThread(Loop):
     """Copy of a robot's loop for an observer, and the thread in which that is called.
 
-    That is some 30 times a second. What the observer asks of it is done by the loop itself.
+    That is some 30 times a second. What the observer asks for is done between two steps of the
+    loop.
     """
 
     _knows_truth = False
@@ -278,70 +254,46 @@ class ObserverThread(Loop):
         plant, controller = copy.deepcopy((loop.plant, loop.controller))
         super().__init__(plant, controller, loop.path, loop.dt, loop.steps)
         self._loop, self._observer = loop, observer
-        self._commands: queue.SimpleQueue[tuple[Future[None], Any, Any]] = queue.SimpleQueue()
         self._ready, self._over = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._show, name="approxjac observer", daemon=True)
 
     def __enter__(self) -> ObserverThread:
         self._thread.start()
-        end = time.perf_counter() + _PATIENCE
-        while not self._ready.wait(_PERIOD) and time.perf_counter() < end:
-            self.serve()  # its first call may ask for something, too
+        self._ready.wait(_PATIENCE)
         return self
 
     def __exit__(self, *_: object) -> None:
         self._over.set()
         self._thread.join(_ANSWER)
 
-    def serve(self) -> None:
-        """Carry out what the observer asked for, in the thread of the loop."""
-        while not self._commands.empty():
-            answer, command, argument = self._commands.get()
-            try:
-                command(*argument)
-                answer.set_result(None)
-            except Exception as error:  # the observer's to deal with
-                answer.set_exception(error)
-
     def aim_at(self, target: Any) -> None:
         """Have the loop move its target."""
-        self._ask(self._loop.aim_at, target)
+        with self._loop.between_steps:
+            self._loop.aim_at(target)
 
     def exchange(self, controller: Any) -> None:
         """Have the loop go on with another controller."""
-        self._ask(self._loop.exchange, copy.deepcopy(controller))
+        with self._loop.between_steps:
+            self._loop.exchange(copy.deepcopy(controller))
         self.controller = controller
 
     def stop(self) -> None:
         """Have the loop come to rest."""
-        self._ask(self._loop.stop)
-
-    def _ask(self, command: Any, *argument: Any) -> None:
-        answer: Future[None] = Future()
-        self._commands.put((answer, command, argument))
-        answer.result(_ANSWER)
+        self._loop.stop()
 
     def _show(self) -> None:
         observer: Any = self._observer
         scope = observer if hasattr(observer, "__exit__") else contextlib.nullcontext()
         # an error of whoever looks on is no reason to stop an arm
         with contextlib.suppress(Exception), scope:
-            while True:
+            while not self.stopped:
                 self.stopped = self._over.is_set()
-                self._look()
+                for name in _SEEN:
+                    setattr(self, name, getattr(self._loop, name))
                 observer(self)
                 self._ready.set()
-                if self.stopped:
-                    break
                 self._over.wait(_PERIOD)
         self._ready.set()
-
-    def _look(self) -> None:
-        """See how the loop is now."""
-        loop = self._loop
-        self.path, self.step, self.target = loop.path, loop.step, loop.target
-        self.truth, self.measurement, self.answer = loop.truth, loop.measurement, loop.answer
-        self.state, self.tau = loop.state, loop.tau
 
 
 def require_at_rest(driver: Driver, task: Task, timeout: float) -> Measurement:
@@ -387,25 +339,6 @@ def require_at_rest(driver: Driver, task: Task, timeout: float) -> Measurement:
     return measured
 
 
-def require_near(task: Task, x: Array) -> None:
-    """Refuse positions so far from the arm that they are in millimetres, say.
-
-    A tracker may have its origin elsewhere in a hall.
-    """
-    for feature in features(task):
-        if not feature.axes or feature.frame is None:
-            continue
-        origin, reach = task.robot.reach_bound(feature.frame)
-        origin = origin[["xyz".index(axis) for axis in feature.axes]]
-        away = float(np.linalg.norm(feature.place(x) - origin))
-        if away > max(_FAR, _REACHES * reach):
-            raise InvalidInputError(
-                f"x must be in m, got {listed(x)}: the tip would be {away:.3g} m from the base of "
-                f"an arm that reaches {reach:.3g} m; 1 mm is 0.001",
-                given=x,
-            )
-
-
 def require_held(driver: Driver, controller: Controller, q: Array, answer: Evaluation) -> None:
     """Refuse to begin where the command does not hold the arm, as it is believed to be."""
     robot = controller.task.robot
@@ -420,17 +353,15 @@ def require_held(driver: Driver, controller: Controller, q: Array, answer: Evalu
     needed = np.zeros(robot.nv) if driver.adds_gravity else Dynamics(robot).g(q)
     slack = _HELD * np.where(np.isfinite(most), most, np.abs(needed).max())
     if (np.abs(answer.gravity - needed) > slack).any():
-        message = "the controller must compensate gravity, such as by AdaptiveGravity(robot)"
+        message = "compensate gravity, such as by AdaptiveGravity(robot)"
         if driver.adds_gravity:
-            message = "the robot adds its own gravity: " + (
-                "take it off each torque in the driver's send, as FrankaDriver(gravity=arm) does, "
-                "and set adds_gravity = False, for the tracking law compensates all of it"
-                if controller.law.kinematics is not None
-                else "the controller must learn what is left of it, AdaptiveGravity(robot, "
-                "theta0=0.0), or leave it out, NoGravity(robot)"
+            message = (
+                "leave gravity to the robot, which adds its own: AdaptiveGravity(robot, "
+                "theta0=0.0), NoGravity(robot), or a driver that takes it off, as "
+                "FrankaDriver(gravity=robot) does"
             )
         raise InvalidInputError(
-            f"{message}; it compensates {listed(answer.gravity)}, and the arm takes "
-            f"{listed(needed)} [N m or N]",
+            f"the controller must {message}; it compensates {listed(answer.gravity)}, and the arm "
+            f"takes {listed(needed)} [N m or N]",
             given=answer,
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import threading
 import time
 from collections import deque
 from typing import Any
@@ -21,7 +22,7 @@ from approxjac.realtime.faults import Fault, Tolerances
 from approxjac.realtime.watches import FaultWatch, SensorWatch
 from approxjac.simulation.plant import Plant
 from approxjac.simulation.simulate import Loop, Wanted, first_state, target_at, wanted_of, x_of
-from approxjac.simulation.trajectory import Record
+from approxjac.simulation.trajectory import Record, Trajectory
 from approxjac.tasks import Task
 from approxjac.validation import Array, as_vector
 
@@ -45,6 +46,7 @@ class RobotLoop(Loop):
         fault: What is wrong, or None; and its `detail` in words: which joint, and by how much.
         learns_sensor: Whether the controller learns where the sensor is.
         halting: Whether it is being brought to rest.
+        between_steps: Held in each step, and by other threads that change what comes next.
     """
 
     _wanted: Target
@@ -66,6 +68,7 @@ class RobotLoop(Loop):
         driver, robot = brake.driver, plant.robot
         super().__init__(plant, controller, path, driver.dt, steps)
         self._brake, self._speeds, self._tolerances = brake, speeds, tolerances
+        self.between_steps = threading.Lock()
         self._max_error = np.asarray(tolerances.max_error)
         fastest = np.asarray(driver.limits.for_joints(robot.nv).velocity)
         self._begun = first.t
@@ -91,8 +94,8 @@ class RobotLoop(Loop):
         self._stride = max(1, math.ceil(steps / _ROWS))
         rounds = steps + math.ceil(tolerances.timeout / self.dt) + 2  # with those of a stop
         self._record = Record(plant, rounds // self._stride + _TAIL + 2, self.dt)
-        self._tail: deque[tuple[int, tuple[Any, ...], Array]] = deque()
-        self._errors: list[Array] = []
+        self._tail: deque[tuple[int, tuple[Any, ...], float]] = deque()
+        self._taken: list[float] = []  # when the x of each instant was
         self.gaps = np.zeros(rounds, dtype=np.float32)
         self.works = np.zeros(rounds, dtype=np.float32)
 
@@ -100,11 +103,14 @@ class RobotLoop(Loop):
         """Carry out a period; return whether the run goes on. It never sends after a fault."""
         measurement = self._timed(read(self._brake.driver, self.controller.task))
         self._read = time.perf_counter()
+        with self.between_steps:
+            return self._period(measurement)
+
+    def _period(self, measurement: Measurement) -> bool:
         self.measurement = measurement
         fault = self._watch.look(measurement, self._read)
         known = bool(np.isfinite(measurement.q).all() and np.isfinite(measurement.v).all())
-        late = fault is Fault.TORQUE_LATE
-        self._note(fault, self._watch.detail + (self.describe_work() if late else ""))
+        self._note(fault, self._watch.detail)
         if fault is None and known:
             self._note(self._sensor.look(measurement, self.target))
             if message := two_clocks(measurement, self.dt):
@@ -132,8 +138,11 @@ class RobotLoop(Loop):
 
     def halt(self) -> None:
         """Bring the arm to rest with the controller, from the next period on."""
-        if self.halting:
-            return
+        with self.between_steps:
+            if not self.halting:
+                self._halt()
+
+    def _halt(self) -> None:
         self.halting = True
         task, velocity = self.controller.task._measured, self._velocity
         stop = Halt(task, self.step * self.dt, self.target, velocity, _HALT)
@@ -167,16 +176,19 @@ class RobotLoop(Loop):
         task, now = self.controller.task._measured, self.step * self.dt
         self._eased = Eased(task, self.path, now, x, velocity, self._speeds)
 
-    def record(self) -> tuple[Record, Array]:
-        """Return the record, with each of the last periods, and its errors (N, m).
-
-        They are those of x to the target when x was taken.
-        """
+    def trajectory(self) -> Trajectory:
+        """Return the record, with each of the last periods; its errors are of when x was taken."""
         if not self._tail:  # nothing was known: the instant before it
             self._keep()
         while self._tail:
             self._evict(last=True)
-        return self._record, np.array(self._errors)
+        run = self._record.trajectory()
+        error, x_d = self.plant.sensor.error, run.x_d
+        errors = []
+        for x, at in zip(run.x, np.interp(self._taken, run.t, np.arange(len(run.t))), strict=True):
+            share, before, after = at % 1.0, math.floor(at), math.ceil(at)
+            errors.append((1.0 - share) * error(x, x_d[before]) + share * error(x, x_d[after]))
+        return dataclasses.replace(run, error=np.array(errors))
 
     def _timed(self, measurement: Measurement) -> Measurement:
         """Return it in the time of the run."""
@@ -230,14 +242,6 @@ class RobotLoop(Loop):
         elif self._limited * self.dt > self._tolerances.timeout:
             self._note(Fault.LIMITS)
 
-    def describe_work(self) -> str:
-        """Return in words how long it took from a state to its command, before and usually."""
-        works = 1e3 * self.works[: self.step]
-        if not len(works):
-            return ""
-        last, usual = works[-1], np.median(works)
-        return f"; the command before took this machine {last:.3g} ms, {usual:.3g} in the median"
-
     def describe_hang(self, longest: float) -> str:
         """Return in words what did not come back within a time after the last command [s]."""
         came = self._read - self._sent  # later: the state came after the brake, to another thread
@@ -245,8 +249,7 @@ class RobotLoop(Loop):
         if 0.0 < came < longest:
             what = f"the state was read after {1e3 * came:.3g} ms; the command, or sending it, "
             what += "did not come back"
-        work = self.describe_work()
-        return f"no command for {1e3 * longest:.3g} ms, twice `max_period`: {what}{work}"
+        return f"no command for {1e3 * longest:.3g} ms, twice `max_period`: {what}"
 
     def describe_fault(self) -> str:
         """Return the fault in words."""
@@ -277,27 +280,16 @@ class RobotLoop(Loop):
             self.truth, self.measurement.x, self.state, self.answer, self.tau, self.target,
             self.controller,
         )  # fmt: skip
-        self._tail.append((self.step, instant, self._error()))
+        t, t_x = self.truth.t, self.truth.t_x
+        self._tail.append((self.step, instant, t if t_x is None else min(t_x, t)))
         if len(self._tail) > _TAIL:
             self._evict(last=False)
 
     def _evict(self, last: bool) -> None:
-        step, instant, error = self._tail.popleft()
+        step, instant, taken = self._tail.popleft()
         if last or step % self._stride == 0:
             self._record.add(*instant)
-            self._errors.append(error)
-
-    def _error(self) -> Array:
-        """Return the error of x to the target when it was taken, by targets of periods before."""
-        t, _, _, x, t_x = self.truth
-        error = self.plant.sensor.error
-        if t_x is None or not t_x < t:
-            return error(x, self.target)
-        ago = min((t - t_x) / self.dt, float(len(self._tail)))
-        k = math.ceil(ago)
-        before, after = (self.target if i <= 0 else self._tail[-i][1][5] for i in (k, k - 1))
-        share = k - ago
-        return (1.0 - share) * error(x, before) + share * error(x, after)
+            self._taken.append(taken)
 
 
 def require_able(driver: Driver, controller: Controller) -> None:
@@ -314,10 +306,9 @@ def require_able(driver: Driver, controller: Controller) -> None:
         # as it was given: the rule's own has the lag of law (5), too
         latency = dataclasses.replace(law.latency or Latency(), period=driver.dt)
         raise InvalidInputError(
-            f"latency of the law must be that of the loop: what it chose by itself (gains or "
-            f"learning) is for a period of {tuning.latency.period:g} s, and the driver's dt is "
-            f"{driver.dt:g} s; take its latency with that period, SetpointController(..., "
-            f"latency={latency!r})",
+            f"latency of the law must be that of the loop, {latency!r}: what it chose by itself "
+            f"(gains or learning) is for a period of {tuning.latency.period:g} s, and the "
+            f"driver's dt is {driver.dt:g} s",
             given=controller,
         )
     if driver.command != "torque":

@@ -16,12 +16,11 @@ from types import FrameType
 from typing import Any
 
 from approxjac.errors import InvalidInputError
-from approxjac.validation import as_integer
 
 _SWITCH = 2e-4  # s, between the interpreter's threads; 5 ms by default, many periods
 _lock = threading.Lock()
 _loops = 0  # that run now: the interpreter is common to the threads of several arms
-_usual = (0.0, True, 0)
+_usual = (0.0, True)
 
 
 @dataclass(frozen=True)
@@ -32,17 +31,10 @@ class Scheduling:
         cpu: The processor to run on; None leaves that to the system.
         priority: Of SCHED_FIFO, from 1 to 99, for which Linux wants a permission; None leaves the
             system's scheduling.
-
-    Raises:
-        InvalidInputError: A priority that is no integer from 1 on.
     """
 
     cpu: int | None = None
     priority: int | None = None
-
-    def __post_init__(self) -> None:
-        if self.priority is not None:
-            as_integer("priority", self.priority, 1)
 
 
 @contextmanager
@@ -53,10 +45,10 @@ def undisturbed(scheduling: Scheduling) -> Iterator[None]:
         InvalidInputError: A processor that is not there, or a priority that the system refuses.
     """
     global _loops, _usual
-    before = _set(scheduling.cpu, scheduling.priority)
+    before = _set(scheduling)
     with _lock:
         if _loops == 0:
-            _usual = sys.getswitchinterval(), gc.isenabled(), gc.get_freeze_count()
+            _usual = sys.getswitchinterval(), gc.isenabled()
             gc.collect()
             gc.freeze()  # what is there now is looked through no more
             gc.disable()
@@ -68,10 +60,9 @@ def undisturbed(scheduling: Scheduling) -> Iterator[None]:
         with _lock:
             _loops -= 1
             if _loops == 0:
-                switch, collects, frozen = _usual
+                switch, collects = _usual
                 sys.setswitchinterval(switch)
-                if not frozen:  # by somebody else, too
-                    gc.unfreeze()
+                gc.unfreeze()
                 if collects:
                     gc.enable()
         if before is not None:
@@ -80,29 +71,26 @@ def undisturbed(scheduling: Scheduling) -> Iterator[None]:
             os.sched_setaffinity(0, affinity)
 
 
-def _set(cpu: int | None, priority: int | None) -> tuple[set[int], int, os.sched_param] | None:
+def _set(scheduling: Scheduling) -> tuple[set[int], int, os.sched_param] | None:
     """Ask the system, and return what was before."""
+    cpu, priority = scheduling.cpu, scheduling.priority
     if cpu is None and priority is None:
         return None
-    if not hasattr(os, "sched_setscheduler"):
-        raise InvalidInputError("cpu and priority can be set on Linux only", given=cpu)
-    before = os.sched_getaffinity(0), os.sched_getscheduler(0), os.sched_getparam(0)
-    if cpu is not None:
-        if cpu not in before[0]:
-            raise InvalidInputError(
-                f"cpu must be one of {sorted(before[0])}, got {cpu!r}", given=cpu
-            )
-        os.sched_setaffinity(0, {cpu})
-    if priority is not None:
-        try:
+    before = None
+    try:
+        before = os.sched_getaffinity(0), os.sched_getscheduler(0), os.sched_getparam(0)
+        if cpu is not None:
+            os.sched_setaffinity(0, {cpu})
+        if priority is not None:
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-        except (OSError, TypeError) as error:
+    except (AttributeError, OSError, OverflowError, TypeError, ValueError) as error:
+        if before is not None:
             os.sched_setaffinity(0, before[0])
-            raise InvalidInputError(
-                "priority must be one of SCHED_FIFO that this user may take (1 to 99, with "
-                f"`ulimit -r` or CAP_SYS_NICE), got {priority!r}: {error}",
-                given=priority,
-            ) from error
+        raise InvalidInputError(
+            "scheduling must be what Linux lets this user take, a processor that is there and a "
+            f"priority from 1 to 99 (`ulimit -r`, CAP_SYS_NICE), got {scheduling!r}: {error}",
+            given=scheduling,
+        ) from error
     return before
 
 
