@@ -85,10 +85,16 @@ def passes(test, roll, large_gains):
     region = aj.JointBox.around(plant.robot, q, 0.0)
     loop = ClosedLoop(controller, plant, region, plant.sensor.value(q))
     at_target = loop.samples_at(np.zeros(1, dtype=int), q[None])
-    setting = replace(loop.setting, large_gains=large_gains)
+    setting = loop.setting
+    if large_gains:
+        light = {"M": 1e-9 * at_target.M, "dM": 1e-9 * at_target.dM}
+        at_target = replace(at_target, **light)
     if test == "theorem1":
         first = theorem1(at_target, setting)
-        return first.p < (first.allowed_p_large_gains if large_gains else first.allowed_p)
+        if not large_gains:
+            return first.p < first.allowed_p
+        rest = setting.kp, setting.kv, first.lambda_1, 0.0, 0.0  # what is left of (22) is (21)
+        return first.p < min(law.allowed_p(law.best_alpha(*rest, np.inf), *rest))
     if test != "local":
         return bool(best_weights(MatrixForm(at_target, setting), test).margins.min() > 0.0)
     J, J_hat, kp, kv, B = at_target.J[0], at_target.J_hat[0], setting.kp, setting.kv, setting.B

@@ -58,29 +58,24 @@ def test_theorem_1_certifies_neither_figure_4_nor_5():
         assert round(found.p, 3) == 0.038
         assert round(law.largest_allowed_p(found.lambda_2), 4) == 0.0113
         assert 0.0 < found.allowed_p < 0.0113
-        assert np.isnan(found.alpha_range).all()
 
 
-def test_theorem_1_holds_for_small_errors_and_says_for_which_alpha():
+def test_theorem_1_holds_for_small_errors():
     samples, setting = on_panda(0.005, 5.0, radius=0.1)
     found = theorem1(samples, setting)
     assert found.holds
-    low, high = found.alpha_range
-    assert 0.0 < low < found.alpha < high <= found.alpha_max
-    for alpha, inside in ((1.01 * low, True), (0.99 * low, False), (0.99 * high, True)):
-        bounds = law.allowed_p(alpha, setting.kp, setting.kv, found.lambda_1, found.c0, found.c1)
-        assert (found.p < min(bounds)) == inside
+    assert 0.0 < found.alpha <= found.alpha_max
+    bounds = law.allowed_p(found.alpha, setting.kp, setting.kv, found.lambda_1, found.c0, found.c1)
+    assert found.p < min(bounds) == found.allowed_p
 
 
 def test_theorem_1_with_the_alpha_of_an_adaptation_has_no_other():
     samples, setting = on_panda(0.005, 5.0, radius=0.1)
     free = theorem1(samples, setting)
-    low, high = free.alpha_range
-    for alpha, holds in ((0.9 * low, False), (1.1 * low, True), (0.9 * high, True)):
+    for alpha in (1e-3 * free.alpha, 0.9 * free.alpha):
         learnt = theorem1(samples, replace(setting, fixed_alpha=alpha))
         assert learnt.alpha == alpha
-        assert learnt.holds == holds
-        assert_allclose(learnt.alpha_range, [alpha] * 2 if holds else [np.nan] * 2, atol=0.0)
+        assert learnt.holds == (alpha > 0.1 * free.alpha)
         assert learnt.allowed_p < free.allowed_p  # which is with the best α
     beyond = theorem1(samples, replace(setting, fixed_alpha=1.01 * free.alpha_max))
     assert beyond.allowed_p == 0.0  # (14) does not hold, whatever p is
@@ -97,9 +92,9 @@ def test_theorem_1_is_weaker_than_its_matrix_form():
         found = theorem1(samples, setting)
         assert found.holds
         form = MatrixForm(samples, setting)
-        for alpha in (found.alpha, *found.alpha_range):
-            weights = Weights(alpha * np.eye(3), np.zeros((3, 3)), setting.kp + alpha * setting.kv)
-            assert (form.margins(weights) > 0.0).all()
+        alpha = found.alpha
+        weights = Weights(alpha * np.eye(3), np.zeros((3, 3)), setting.kp + alpha * setting.kv)
+        assert (form.margins(weights) > 0.0).all()
 
 
 def test_constants_are_those_of_their_sample():
@@ -254,7 +249,8 @@ def test_a_camera_roll_costs_what_theory_says():
             1, np.random.default_rng(0)
         )
         kp, kv, _ = controller.diagonals
-        setting = Setting(kp, kv, np.zeros(2), law.Linear(), large_gains=True)
+        setting = Setting(kp, kv, np.zeros(2), law.Linear())
+        samples = replace(samples, M=1e-9 * samples.M, dM=1e-9 * samples.dM)
         return best_weights(MatrixForm(samples, setting), family).margins.min() > 0.0
 
     for degrees, expected in (

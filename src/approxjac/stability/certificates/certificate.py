@@ -143,12 +143,9 @@ class SampledTest(MatrixTest):
         return form.is_possible() and bool(form.best_multiplier(self.weights).margins.min() > 0.0)
 
 
-def refine_constants(
-    loop: ClosedLoop, samples: Samples, rng: np.random.Generator
-) -> tuple[Samples, dict[str, Array]]:
-    """Add samples from around the worst of each constant of Theorem 1; and all `constants`."""
-    setting = loop.setting
-    values = constants(samples, setting)
+def refine_constants(loop: ClosedLoop, samples: Samples, rng: np.random.Generator) -> Samples:
+    """Add samples from around the worst of each constant of Theorem 1."""
+    values = constants(samples, loop.setting)
     more: list[Samples] = []
     for name in CONSTANTS:
         for _ in range(_REFINED):
@@ -156,14 +153,14 @@ def refine_constants(
             k = _first_largest(bad)
             known, k = (samples, k) if k < len(samples) else (more[k - len(samples)], 0)
             nearby = loop.near(known, k, _NEAR, _CLOSER, rng)
-            its_values = constants(nearby, setting)
+            its_values = constants(nearby, loop.setting)
             its_bad = badness(name, its_values[name])
             if its_bad.max() <= bad.max() + _SAME * abs(bad.max()):
                 break
             worst = np.array([_first_largest(its_bad)])
             more.append(nearby.take(worst))
             values = {key: np.append(values[key], its_values[key][worst]) for key in values}
-    return samples.join(*more), values
+    return samples.join(*more)
 
 
 def _first_largest(values: Array) -> int:

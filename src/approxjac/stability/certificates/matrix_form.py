@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import copy
 import itertools
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, Self
 
@@ -78,7 +77,6 @@ class Setting:
     saturation: law.Saturation
     fixed_alpha: float | None = None  # α where gravity is learnt with it by (29) [1/s]
     weight: Array | None = None  # of `law.cross_weight_pinv`, shape (n_v,)
-    large_gains: bool = False  # leave out what inertia takes, as in the limit of large gains
 
     @property
     def c_bar(self) -> float:
@@ -170,7 +168,7 @@ class MatrixForm:
         X, Y = np.zeros((2, *F.shape)), np.zeros((2, *F.shape))
         Y[0, :, :n, :n], Y[1, :, :n, :n] = D, M
         Y[0, :, n:k, n:k], Y[1, :, n:k, n:k] = Q[:, n:, n:], P[:, n:, n:]
-        X[0], X[1, :, :k, :k] = F, Y[1, :, :k, :k] if self.setting.large_gains else P
+        X[0], X[1, :, :k, :k] = F, P
         X[1, :, range(k, whole), range(k, whole)] = 1.0
         return X, Y
 
@@ -229,8 +227,6 @@ class MatrixForm:
         root[:, :n, :n] = self._of_samples.root[positive]
         root[:, n:, n:] = np.linalg.inv(np.linalg.cholesky(Q[:, n:, n:]))
         margins[positive] = np.linalg.eigvalsh(root @ Q @ root.mT)[:, 0]
-        if self.setting.large_gains:  # V is all potential
-            return np.asarray(np.minimum(margins, 1.0))
         # of P the margin is 1 less the largest singular value of the whitened cross block
         return np.asarray(np.minimum(margins, 1.0 - np.sqrt(self._kinetic(weights, G))))
 
@@ -246,14 +242,6 @@ class MatrixForm:
 
     def violations(self, weights: Weights) -> int:
         """Return the number of samples whose margin is not positive."""
-        with suppress(np.linalg.LinAlgError):  # faster than eigenvalues where there are none
-            block = weights.block(self.setting.c_bar)
-            np.linalg.cholesky(block)
-            Q, G = self._decrease(weights)
-            np.linalg.cholesky(Q)
-            if not self.setting.large_gains:
-                np.linalg.cholesky(law.potential_matrix(self.samples.M, G, block))
-            return 0
         return int((self.margins(weights) <= 0.0).sum())
 
     def cross_weight(self, weights: Weights) -> Array:
@@ -267,9 +255,7 @@ class MatrixForm:
         G, dG = of.pinv @ weights.A1, of.dpinv @ weights.A1
         if weights.A2.any():
             G, dG = G + of.damped @ weights.A2, dG + of.ddamped @ weights.A2
-        N = np.zeros_like(at.M)
-        if not setting.large_gains:
-            N = law.inertial_block(at.M, at.dM, at.J_e, G, dG, at.s, at.slope)
+        N = law.inertial_block(at.M, at.dM, at.J_e, G, dG, at.s, at.slope)
         coupling = np.asarray(weights.coupling) if np.any(weights.coupling) else None
         Q = law.decrease_matrix(
             of.D, N, at.J_e, at.J_hat, G, setting.kp, weights.w, coupling, at.slope

@@ -78,13 +78,6 @@ class Theorem1:
         return self.setting.fixed_alpha is not None and self.alpha >= self.alpha_max
 
     @property
-    def allowed_p_large_gains(self) -> float:
-        """The largest p that (21) allows, the limit of (22) for large gains at the same ratios."""
-        setting = self.setting
-        alpha = law.best_alpha(setting.kp, setting.kv, self.lambda_1, 0.0, 0.0, np.inf)
-        return min(law.allowed_p(alpha, setting.kp, setting.kv, self.lambda_1, 0.0, 0.0))
-
-    @property
     def margin(self) -> float:
         """1 − p / allowed p, positive if Theorem 1 holds; −∞ if it allows no p at all."""
         allowed = self.allowed_p
@@ -94,19 +87,6 @@ class Theorem1:
     def holds(self) -> bool:
         """True if (14) and (22) hold for some α."""
         return self.margin > 0.0
-
-    @property
-    def alpha_range(self) -> tuple[float, float]:
-        """Smallest and largest α for which (14) and (22) hold [1/s]; NaN if there is none."""
-        if not self.holds:
-            return np.nan, np.nan
-        if self.setting.fixed_alpha is not None:
-            return self.alpha, self.alpha
-        kp, k = self.setting.kp, float(self.setting.kv.max())
-        pull = 0.5 * self.p
-        lowest = pull * float(kp.max()) / (float(kp.min()) - self.c1 - pull * k)
-        highest = (k * self.lambda_1 - pull * float(kp.max())) / (self.c0 + pull * k)
-        return lowest, min(highest, self.alpha_max)
 
 
 CONSTANTS = ("p", "b_J", "lambda_m", "lambda_1", "lambda_2", "c0", "c1")
@@ -148,13 +128,9 @@ def badness(name: str, values: Array) -> Array:
     return -values if name in ("lambda_1", "lambda_2") else values
 
 
-def theorem1(
-    samples: Samples, setting: Setting, known: Mapping[str, Array] | None = None
-) -> Theorem1:
-    """Take the constants of Theorem 1 over all samples, of which the first may be known."""
-    each = constants(samples.take(slice(0 if known is None else len(known["p"]), None)), setting)
-    if known is not None:
-        each = {name: np.append(known[name], each[name]) for name in CONSTANTS}
+def theorem1(samples: Samples, setting: Setting) -> Theorem1:
+    """Take the constants of Theorem 1 over all samples."""
+    each = constants(samples, setting)
     worst = {name: int(np.argmax(badness(name, values))) for name, values in each.items()}
     return Theorem1(
         **{name: float(each[name][k]) for name, k in worst.items()}, setting=setting, worst=worst

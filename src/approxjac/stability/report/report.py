@@ -268,7 +268,7 @@ def report_of(
     samples = loop.draw(half, rng, inside=SHARED)
     tell("configurations", 0.5)
     fresh = loop.draw(configurations - half, rng, inside=1)
-    samples, constants = refine_constants(loop, samples, rng)
+    samples = refine_constants(loop, samples, rng)
     form, check = MatrixForm(samples, setting), MatrixForm(fresh, setting)
     bests: dict[Family, Best] = {}
     for k, family in enumerate(setting.families):
@@ -294,7 +294,7 @@ def report_of(
         truths, configured = loop.targets(0, rng)
     local = local_test(loop, truths, configured)
     everywhere = samples.join(fresh)
-    first = theorem1(everywhere, setting, constants)
+    first = theorem1(everywhere, setting)
     singular_q = loop.singular_configuration(samples)
     damped_q = loop.damped_configuration(everywhere)
     gravity_error = loop.gravity_error(samples.q[:: max(1, len(samples) // 20)])
@@ -567,8 +567,8 @@ def _continuous(report: StabilityReport) -> Iterator[Row]:
     """Rows about the same loop in continuous time, and the worst cases."""
     first, local, samples = report.theorem1, report.local, report.samples
     passed = "holds" if report.is_as_assumed else "would hold"
-    names = ("p", "allowed_p", "alpha", "alpha_max", "margin", "allowed_p_large_gains",
-             "alpha_range", "b_J", "lambda_m", "lambda_1", "lambda_2", "c0", "c1")  # fmt: skip
+    names = ("p", "allowed_p", "alpha", "alpha_max", "margin", "b_J", "lambda_m", "lambda_1",
+             "lambda_2", "c0", "c1")  # fmt: skip
     figures: dict[str, Any] = {name: getattr(first, name) for name in names}
     figures |= {"holds": first.holds, "too_fast": first.is_too_fast}
     verdict = passed if first.holds else "does not hold"

@@ -177,8 +177,8 @@ def _failing(
     if loop.singular_configuration(samples) is not None:
         return np.array(loop.values[0])  # whatever the errors: the arm may stand still there
     if test == "theorem1":
-        samples, constants = refine_constants(loop, samples, rng)
-        first = theorem1(samples, loop.setting, constants)
+        samples = refine_constants(loop, samples, rng)
+        first = theorem1(samples, loop.setting)
         return None if first.holds else np.array(loop.values[samples.truth[first.worst["p"]]])
     form = MatrixForm(samples, loop.setting)
     for family in form.setting.families:
