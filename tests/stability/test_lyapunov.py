@@ -244,13 +244,13 @@ def test_what_v_and_w_are_not_for_is_refused(adaptive_two_link, two_link):
         lyapunov(controller, plant, *arguments, 0.5)
     task = aj.PositionTask(two_link, axes="xz")
     law_5 = aj.SetpointController(task, aj.Gains(1.0, 1.0), velocity=DifferentiatedVelocity())
-    with pytest.raises(aj.InvalidInputError, match=r"V and W are those of the laws \(6\) and \(28"):
+    with pytest.raises(aj.InvalidInputError, match=r"are those of the laws \(6\) and \(28"):
         lyapunov(plant, law_5, *arguments, 0.5)
     swapped = aj.SetpointController(aj.PositionTask(two_link, axes="zx"), aj.Gains(1.0, 1.0))
     with pytest.raises(aj.InvalidInputError, match="must have the coordinates of the plant's sens"):
         lyapunov(plant, swapped, *arguments, 0.5)
     with pytest.raises(aj.InvalidInputError, match=r"alpha must be a finite number > 0 \[1/s\]"):
-        lyapunov(plant, law_5, *arguments, np.nan)
+        lyapunov(plant, controller, *arguments, np.nan)
 
 
 # -- orientation and posture ----------------------------------------------------------------

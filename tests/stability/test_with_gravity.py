@@ -375,7 +375,6 @@ def test_motors_hold_the_arm_only_where_they_have_more_than_its_weight(arm):
         assert cost.holds == holds
         assert (cost.level > 0.0) == holds
         assert (cost.verdict == "cannot hold") == (not holds)
-        assert cost.uncounted == 0.0
 
 
 def test_below_the_level_no_torque_is_beyond_the_efforts(arm):

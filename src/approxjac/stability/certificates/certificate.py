@@ -237,25 +237,18 @@ def sampled_test(
     most_s = fastest / math.sqrt(2.0 * setting.c_bar * float(potential.min()))
 
     def at_speed(form: SampledForm) -> SampledTest:
-        """Choose a function on the first samples, and check it on the others if it passes."""
-        first, family = form.take(slice(n)), setting.families[1]
+        """Choose a function on the first samples, and check it on the others."""
+        first, weights = form.take(slice(n)), known.weights._replace(multiplier=0.5)
+        family, margins, violations = setting.families[1], np.full(n, -np.inf), len(fresh.samples)
         if form.is_possible():
             best, family = smallest_family(first, setting.families[1:])
-        else:
-            weights = known.weights._replace(multiplier=0.5)
-            best = known._replace(weights=weights, margins=np.full(n, -np.inf))
-        most_s = form.largest_s(best.weights)
-        if most_s > form.most_s:  # of smaller weights than were begun with, errors may be larger
-            form = form.changed(most_s=most_s)
-            best = best._replace(margins=form.take(slice(n)).margins(best.weights))
-        violations = checked = len(fresh.samples)
-        if best.margins.min() > 0.0:
-            margins = form.take(slice(n, None)).margins(best.weights)
-            violations = int((margins <= 0.0).sum())
-        return SampledTest(
-            family, best.weights, best.margins, checked, violations, latency,
-            max(0.0, form.level(best.weights)), form,
-        )  # fmt: skip
+            weights, margins, most_s = best.weights, best.margins, form.largest_s(best.weights)
+            if most_s > form.most_s:  # of smaller weights errors may be larger
+                form = form.changed(most_s=most_s)
+                margins = form.take(slice(n)).margins(weights)
+            violations = int((form.take(slice(n, None)).margins(weights) <= 0.0).sum())
+        level, checked = max(0.0, form.level(weights)), len(fresh.samples)
+        return SampledTest(family, weights, margins, checked, violations, latency, level, form)
 
     whole = SampledForm(form, loop.plants[0].friction, Hold.of(latency), fastest, most_s)
     test = at_speed(whole)
@@ -264,9 +257,6 @@ def sampled_test(
         slower = _SLOWER if test.certified else ()
         tries = (at_speed(whole.with_speed(k * fastest)) for k in slower)
         test = next((each for each in tries if each.certified), test)
-    if test.margin <= 0.0 and test.form.is_possible():
-        margins = test.form.take(slice(n, None)).margins(test.weights)
-        test = replace(test, violations=int((margins <= 0.0).sum()))
     return test
 
 

@@ -8,14 +8,11 @@ import numpy as np
 
 from approxjac import law
 from approxjac.controllers import TorqueLimited
-from approxjac.robots import Dynamics
-from approxjac.robots.robot import STANDARD_GRAVITY
 from approxjac.stability.certificates.certificate import SampledTest
 from approxjac.stability.certificates.matrix_form import Weights
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.loop.samples import Samples
 
-_FEW = 100  # samples that a weight that is not counted is looked up at
 _FAR = 1e9  # an error at which a saturation that is bounded has its bound
 
 
@@ -34,8 +31,6 @@ class LimitCost:
         holds: Whether motors can hold the arm at all samples.
         protects: Whether the limiter keeps the very V of the report falling.
         proof: Whether the limiter keeps any V falling.
-        uncounted: Largest share of a motor that the arm's weight takes when upright, where it is
-            not counted, as of a robot without gravity; 0 where it is.
     """
 
     clipped: float
@@ -44,7 +39,6 @@ class LimitCost:
     holds: bool
     protects: bool
     proof: bool
-    uncounted: float
 
     @property
     def verdict(self) -> str:
@@ -111,11 +105,4 @@ def limit_cost(
         # ½(1 − σ²) is level/v̄²
         level = sampled.level * min(1.0, float((room / along).min() / sampled.speed)) ** 2
     clipped = float((asked > effort).any(axis=1).mean())
-    uncounted = 0.0
-    if not np.any(loop.plants[0].robot.gravity):
-        few = slice(None, None, max(1, len(samples) // _FEW))
-        arms = [loop.plants[t].robot.with_gravity(STANDARD_GRAVITY) for t in samples.truth[few]]
-        pairs = zip(arms, samples.q[few], strict=True)
-        upright = np.array([Dynamics(arm).g(q) for arm, q in pairs])
-        uncounted = float((np.abs(upright) / effort).max())
-    return LimitCost(clipped, free, level, holds, protects, limiter.proof, uncounted)
+    return LimitCost(clipped, free, level, holds, protects, limiter.proof)

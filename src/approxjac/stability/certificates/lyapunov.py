@@ -59,15 +59,11 @@ def lyapunov(
             plant with Coulomb friction, sensing, actuator delay or torque limits.
     """
     require("plant", plant, Plant, "a Plant")
-    require_law(controller, alone=False)
+    require_law(controller, posture=True)
     plant.require_task(controller.task)
     plant.require_ideal("the Lyapunov function")
     alpha = controller.alpha if alpha is None else alpha
     alpha = as_number("alpha", alpha, unit="1/s", above=0.0)
-    if controller.velocity is not None:
-        raise InvalidInputError(
-            f"V and W are those of the laws (6) and (28), got {controller!r}", given=controller
-        )
     q, v = plant.robot.configuration(q), as_array("v", v, (plant.robot.nv,))
     task, sensor, dynamics = controller.task, plant.sensor, plant.dynamics
     target = sensor.target(target)

@@ -196,23 +196,12 @@ class RegularPart(Region):
 
 def require_setpoint(controller: SetpointController) -> None:
     """Refuse anything else, such as a controller that limits it or holds measurements for it."""
-    given: Any = controller
-    if isinstance(given, Controller) and given.kinematics is not None:
-        raise InvalidInputError(
-            "controller must be a SetpointController: a TrackingController learns its Jacobian, "
-            "and no test covers that over a region; use rollouts to see how often it converges; "
-            f"got {controller!r}",
-            given=controller,
-        )
-    wanted = "a SetpointController (controller.law is the one inside of its wrappers)"
+    wanted = "a SetpointController, which learns no Jacobian (controller.law is within wrappers)"
     require("controller", controller, SetpointController, wanted)
 
 
-def require_law(controller: SetpointController, *, alone: bool = True) -> None:
-    """Refuse a controller whose torque is not that of the laws (6) or (28); `alone`: or with more.
-
-    More is a posture torque, or the velocity of law (5).
-    """
+def require_law(controller: SetpointController, *, posture: bool = False) -> None:
+    """Refuse a controller whose torque is not that of the laws (6) or (28), or has a posture's."""
     require_setpoint(controller)
     kind, laws = type(controller), "the conditions are those of the laws (6) and (28)"
     names = ("evaluate", "step")
@@ -223,7 +212,7 @@ def require_law(controller: SetpointController, *, alone: bool = True) -> None:
             f"got {controller!r}",
             given=controller,
         )
-    if alone and (controller.velocity is not None or controller.posture is not None):
+    if controller.velocity is not None or not (posture or controller.posture is None):
         raise InvalidInputError(
             f"{laws} without a posture torque, got {controller!r} with "
             f"velocity = {controller.velocity!r} and posture = {controller.posture!r}",

@@ -607,12 +607,8 @@ def of_limits(cost: LimitCost) -> list[Row]:
     if cost.level:
         text = "only for starts whose motions never ask for more than the motors have"
         rows.append(Row("limits", "certified", "", {"level": cost.level}, text))
-    text = "limits of speed, position and rate"
-    if cost.uncounted:
-        text += (
-            f", and the weight of an arm taken without gravity: up to {percent(cost.uncounted)} %"
-        )
-    return [*rows, acting, Row("limits", "not checked", "", {"uncounted": cost.uncounted}, text)]
+    text = "limits of speed, position and rate, and the weight of an arm taken without gravity"
+    return [*rows, acting, Row("limits", "not checked", "", {}, text)]
 
 
 def _numbers(q: Array, digits: int) -> str:
