@@ -87,22 +87,18 @@ class LocalStability:
         numbers = {"self-motion": self.self_motion, unseen: self.unseen_parameters}
         left_out = [f"{number} of {what}" for what, number in numbers.items() if number]
         ending = f"; left out are {' and '.join(left_out)}" if left_out else ""
+        rate, worst = self.decay_rate, self.eigenvalues[self.eigenvalues.real.argmax()]
         if self.singular:
-            verdict = (
-                "undecided: J or Ĵ loses rank at the target, so that more than the self-motion "
-                "is neither held nor driven away; choose another target or task"
-            )
+            verdict = "undecided: J or Ĵ loses rank at the target; choose another one or its task"
         elif self.stable:
             verdict = (
-                f"stable: errors near the target die out at {self.decay_rate:.3g} 1/s or faster "
-                f"(to 1 % in {math.log(100.0) / self.decay_rate:.3g} s), "
-                f"damping ratio {self.damping_ratio:.2g}"
+                f"stable: errors near the target die out at {rate:.3g} 1/s or faster (to 1 % in "
+                f"{math.log(100.0) / rate:.3g} s), damping ratio {self.damping_ratio:.2g}"
             )
         else:
-            worst = self.eigenvalues[self.eigenvalues.real.argmax()]
-            swing = abs(float(worst.imag)) / (2.0 * math.pi)
-            how = f", oscillating at {swing:.3g} Hz" if swing > 0.0 else ""
-            verdict = f"unstable: errors near the target grow at {-self.decay_rate:.3g} 1/s{how}"
+            verdict = f"unstable: errors near the target grow at {-rate:.3g} 1/s"
+            if worst.imag:
+                verdict += f", oscillating at {abs(worst.imag) / (2.0 * math.pi):.3g} Hz"
         return f"{verdict} ({loop}){ending}"
 
 
@@ -115,26 +111,23 @@ def local_stability(
     differences, with the state nearest to its initial one that holds the arm there.
 
     The equilibria with e = 0 form a manifold: the self-motion, and for learnt gravity every θ̂ with
-    the right torque. Motion along it neither decays nor grows; its eigenvalues, of zero, are left
-    out. Gravity that is learnt is linearised at a θ̂ that gives the true gravity around the target,
-    and not only at it.
+    the right torque. Its eigenvalues, of zero, are left out. Gravity that is learnt is linearised
+    at a θ̂ that gives the true gravity around the target, and not only at it.
 
     Args:
         plant: The true robot, sensor and friction.
         controller: The controller with its believed robot.
         q_target: Configuration that attains the target, shape (nq,).
-        dt: Sampling time [s] for the loop as `simulate` runs it with dt: torque held over dt,
-            delays of the torque and of x in whole samples, q̇ filtered, θ̂ in Euler steps, and
-            friction and gravity acting all the time. None is the continuous loop.
+        dt: Sampling time [s] for the loop as `simulate` runs it with dt, its delays in whole
+            samples. None is the continuous loop.
 
     Raises:
         InvalidInputError: Gravity that is not exact near `q_target` and cannot become so by
-            learning, or θ̂ that stands still there (torque_limits, bounds); another controller that
-            does not rest there, is not smooth, depends on the time or has no rate without dt;
-            another task than the sensor's; a `q_target` of the wrong
-            shape, or that the sensor does not see; a plant with Coulomb friction, frames, noise,
-            rounding, dropouts or torque limits; delays or a filter of q̇ without dt, or of very
-            many samples.
+            learning, or θ̂ that stands still there; another controller that does not rest there, is
+            not smooth, depends on the time or has no rate without dt; another task than the
+            sensor's; a `q_target` that the sensor does not see; a plant with Coulomb friction,
+            frames, noise, rounding, dropouts or torque limits; delays or a filter of q̇ without dt,
+            or of very many samples.
     """
     require("plant", plant, Plant, "a Plant")
     require_fit(plant, controller, controller.dt if dt is None else dt)
@@ -174,13 +167,12 @@ def _by_differences(
     What only limits torques, or holds measurements, of a law is not felt near a target where the
     torque is within the limits.
     """
-    law = controller.law
+    law, dt = controller.law, None if timing is None else timing.dt
     if law is not controller and law.task is controller.task:
         here = plant.measure(0.0, q, np.zeros(plant.robot.nv))
-        state, step = controller.initial_state(here), 1e-3 if timing is None else timing.dt
-        _, answer = controller.step(state, here, plant.sensor.value(q), controller.dt or step)
+        state, step = controller.initial_state(here), controller.dt or dt or 1e-3
+        _, answer = controller.step(state, here, plant.sensor.value(q), step)
         if answer.limit_status in (LimitStatus.UNLIMITED, LimitStatus.FREE):
-            dt = None if timing is None else timing.dt
             return local_stability(plant, law, q, dt)
         raise InvalidInputError(
             f"controller must hold the arm at the target with a torque within its limits, got "
