@@ -491,7 +491,7 @@ MUTANTS = [
         "share = _TORQUE / (1.0 + rate * latency.of_position)", "share = _TORQUE", FIGURES,
     ),
     (
-        "gravity is exact if it is too small", "stability/loop/local.py",
+        "gravity is exact if it is too small", "stability/loop/linearization.py",
         "error = float(np.abs(given - wanted).max())", "error = float((given - wanted).max())",
         GRAVITY,
     ),

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from approxjac.scenario import Scenario
     from approxjac.stability.errors.region import JointBox
     from approxjac.stability.errors.uncertainty import Uncertainty
-    from approxjac.stability.loop.local import local_stability
+    from approxjac.stability.loop.linearization import local_stability
     from approxjac.stability.study import Study
 
 __version__ = "0.1.0"

@@ -436,7 +436,7 @@ def test_what_eq_1_does_not_have_is_refused(two_link, options):
 )
 def test_what_no_linearization_has_is_refused_with_dt_too(two_link, options):
     plant, controller = two_link_loop(two_link, **options)
-    with pytest.raises(aj.InvalidInputError, match=r"noise, rounding and dropouts \(delays and"):
+    with pytest.raises(aj.InvalidInputError, match="but for delays and velocity_filter"):
         aj.local_stability(plant, controller, GOAL, 0.01)
 
 

@@ -10,7 +10,6 @@ from approxjac.codegen.backends.numpy_lanes import NumpyLanes
 from approxjac.robots import GravityRegressor
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.loop.linearization import Timing, linear_loop, spectrum
-from approxjac.stability.loop.local import local_test
 from approxjac.stability.loop.samples import TracedTerms, terms_alone
 from approxjac.tasks import CombinedTask, NonsingularTask, PoseTrackerTask, TrackerTask
 from approxjac.tasks.analysis import jacobian_gradient
@@ -142,7 +141,7 @@ def test_samples_are_what_each_configuration_gives_alone(name, rng):
 def test_targets_are_what_each_gives_alone(learns, timing, rng):
     loop = closed_loop(aj.PositionTask, learns)
     truths, q = loop.targets(12, rng)
-    found = local_test(loop, truths, q, timing)
+    found = loop.local_test(truths, q, timing)
     for t, each, rate, ratio in zip(
         truths, q, found.decay_rates, found.damping_ratios, strict=True
     ):

@@ -9,7 +9,7 @@ from scipy.linalg import expm
 
 import approxjac as aj
 from approxjac.controllers import DifferentiatedVelocity, Posture
-from approxjac.stability.loop import local as local_module
+from approxjac.stability.loop import linearization as local_module
 
 GOAL = np.array([0.5, 1.2])
 

@@ -18,7 +18,6 @@ from approxjac.stability.certificates.matrix_form import MatrixForm
 from approxjac.stability.certificates.theorem1 import theorem1
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.loop.configurations import inverse_kinematics
-from approxjac.stability.loop.local import local_test
 from approxjac.stability.report.report import of_gravity, usual_errors
 from approxjac.stability.search import suggested_gains as search
 
@@ -523,7 +522,7 @@ def test_pose_gains_that_differ_count_in_theorem_1(weightless):
     found = theorem1(samples, loop.setting)
     assert found.p > 0.01
     assert not found.holds
-    assert local_test(loop, samples.truth, samples.q).stable
+    assert loop.local_test(samples.truth, samples.q).stable
 
 
 def test_tolerance_takes_no_gravity_for_granted():

@@ -3,7 +3,7 @@
 from approxjac.stability.certificates.lyapunov import LyapunovValue, lyapunov
 from approxjac.stability.errors.region import JointBox, Region, RegularPart
 from approxjac.stability.errors.uncertainty import Uncertainty
-from approxjac.stability.loop.local import LocalStability, local_stability
+from approxjac.stability.loop.linearization import LocalStability, local_stability
 from approxjac.stability.report.other_laws import OtherLawReport
 from approxjac.stability.report.report import StabilityReport
 from approxjac.stability.rollouts.rollouts import Execution, Rollouts

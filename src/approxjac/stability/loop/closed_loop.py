@@ -22,7 +22,14 @@ from approxjac.stability.loop.configurations import (
     inverse_kinematics,
     least_regular,
 )
-from approxjac.stability.loop.linearization import Spectrum, Timing, linear_loops, spectrum
+from approxjac.stability.loop.linearization import (
+    LocalTest,
+    Spectrum,
+    Timing,
+    gravity_error,
+    linear_loops,
+    spectrum,
+)
 from approxjac.stability.loop.samples import (
     Indices,
     Samples,
@@ -44,6 +51,7 @@ _STARTS = 20  # of the search for configurations that attain a target
 _WEIGHED = 8  # true robots from inside whose gravity is looked at, besides the corners
 _DECADES = 6.0  # of the sizes of small errors
 _VANISHING = 1e-4  # σ_min that is found there, of a tenth of the typical σ_max
+_MOST_TARGETS = 1000
 _SINGULAR = 1e-9  # σ_min as a share of σ_max at which Ĵ⁺ cannot be computed
 
 
@@ -270,17 +278,22 @@ class ClosedLoop:
             **vars(at), truth=truths, q=configurations, x_d=x_d, J_e=J_e, s=s, slope=slope
         )
 
-    def linearised(
-        self, truths: Indices, configurations: Array, timing: Timing | None = None
-    ) -> Spectrum:
-        """Linearise at true robots (N,) with configurations (N, nq), taken as targets."""
-        return self._spectrum(configurations, self.terms(truths, configurations), timing)
-
     def _spectrum(self, configurations: Array, at: Terms, timing: Timing | None) -> Spectrum:
         plant, law = self.plants[0], self.controller
         parts = linear_loops(law, plant.friction, configurations, at.M, at.dg, at.J, at.J_hat)
         parts = parts._replace(**self.diagonals._asdict())
         return spectrum(parts, float(np.linalg.norm(plant.robot.gravity)), timing)
+
+    def local_test(
+        self, truths: Indices, configurations: Array, timing: Timing | None = None
+    ) -> LocalTest:
+        """Linearise at true robots (N,) with configurations (N, nq), taken as targets.
+
+        The first thousand are taken, of the loop as it is sampled or (None) continuous.
+        """
+        truths, configurations = truths[:_MOST_TARGETS], configurations[:_MOST_TARGETS]
+        found = self._spectrum(configurations, self.terms(truths, configurations), timing)
+        return LocalTest(found.decay_rates, found.damping_ratios, configurations, truths)
 
     def spectral_radii(self, samples: Samples, latency: Latency) -> Array:
         """Return the spectral radii of the loop, from frame to frame of x, shape (N,).
@@ -353,14 +366,3 @@ class ClosedLoop:
 def usual_region(task: Task) -> RegularPart:
     """Return the default region: the joint limits without near-singular configurations."""
     return RegularPart(JointBox(task.robot), task, _REGULAR * vanishing(task))
-
-
-def gravity_error(
-    law: SetpointController, plants: Sequence[Plant], q: Sequence[Array] | Array, g: Array
-) -> float:
-    """Return the largest of true g (k, N, n_v) at q (N, nq) not compensated or learnt."""
-    if law.adaptation is None:
-        torque = law.gravity.torque  # type: ignore[union-attr]
-        return float(np.abs(g - np.array([np.array(torque(at)) for at in q])).max())
-    left = [law.adaptation.regressor.fit(plant.robot)[1] for plant in plants]
-    return float((np.array(left)[:, None, None] * np.abs(g)).max())

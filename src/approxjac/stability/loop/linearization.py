@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from approxjac import law
-from approxjac.controllers import Latency, SetpointController
+from approxjac.controllers import Controller, Latency, SetpointController
 from approxjac.errors import InvalidInputError
-from approxjac.simulation import Plant
+from approxjac.interface import LimitStatus, Measurement
+from approxjac.simulation import Plant, Sensing
+from approxjac.simulation.plant import rk4
+from approxjac.simulation.simulate import require_fit
+from approxjac.stability.errors.region import require_law, require_seen
 from approxjac.stability.loop.samples import Indices
-from approxjac.validation import Array
+from approxjac.validation import Array, as_number, require
 
 
 class LinearLoop(NamedTuple):
@@ -169,7 +177,7 @@ def damping_ratios(values: NDArray[np.complex128], dead_time: float) -> Array:
 
 
 _SINGULAR = 1e-10  # relative smallest singular value that counts as zero
-_ZERO = 1e-11  # size of an eigenvalue relative to the largest that counts as zero
+_NONE = 1e-11  # size of an eigenvalue relative to the largest that counts as zero
 
 
 class Spectrum(NamedTuple):
@@ -242,5 +250,421 @@ def spectrum(loop: LinearLoop, gravity: float, timing: Timing | None = None) -> 
             values.real, values.imag = np.log(sizes) / timing.frame, angles / timing.frame
     sizes, finite = np.abs(values), np.isfinite(values)
     smallest = np.min(sizes, axis=1, initial=np.inf, where=finite)
-    singular |= smallest <= _ZERO * np.max(sizes, axis=1, initial=0.0, where=finite)
+    singular |= smallest <= _NONE * np.max(sizes, axis=1, initial=0.0, where=finite)
     return Spectrum(values, singular, loop.Z.shape[-1] - ranks, timing)
+
+
+# -- one target, or the findings at many ----------------------------------------------------------
+
+_EXACT = 1e-6  # relative error of a gravity compensation that counts as none
+_NEAR = 1e-2  # how far from the target gravity is compared [rad or m]
+_MOST_STATES = 1000  # eigenvalues of more take many seconds
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LocalStability:
+    """Eigenvalues of the linearised closed loop, those of the equilibria themselves left out.
+
+    With dt the loop is sampled: a mode is multiplied by μ from one sample to the next, and its
+    eigenvalue is λ = ln(μ)/dt, so that all numbers mean the same with and without dt.
+
+    Attributes:
+        eigenvalues: Complex λ [1/s], the slowest first, 2 n_v − (n_v − m) of them for law (6).
+            Learnt parameters and delays add to them; −∞ is a mode that is over after one sample.
+        self_motion: Number n_v − m of eigenvalues left out because every configuration of the
+            self-motion attains the target.
+        unseen_parameters: Number p − rank Z of eigenvalues left out because so many combinations
+            of the learnt parameters exert no torque at the target.
+        singular: Whether more eigenvalues are zero than that, as where J or Ĵ loses rank at the
+            target. Then the linearisation decides nothing.
+        dt: Sampling time [s], or None for the continuous loop.
+        dead_time: Longest time until the sampled loop has answered a motion, hold and delays
+            together [s]; 0 for the continuous loop.
+    """
+
+    eigenvalues: NDArray[np.complex128]
+    self_motion: int
+    unseen_parameters: int
+    singular: bool
+    dt: float | None = None
+    dead_time: float = 0.0
+
+    @property
+    def max_real_eigenvalue(self) -> float:
+        """Largest real part of the eigenvalues, the spectral abscissa [1/s]."""
+        return float(self.eigenvalues.real.max())
+
+    @property
+    def decay_rate(self) -> float:
+        """Rate at which the slowest error dies out [1/s]; negative where one grows."""
+        return -self.max_real_eigenvalue
+
+    @property
+    def damping_ratio(self) -> float:
+        """Smallest −Re λ by the size of λ (1 does not oscillate, 0 does for ever, below 0 grows).
+
+        Of the sampled loop, modes that fall to a tenth within the dead time are not counted.
+        """
+        return float(damping_ratios(self.eigenvalues, self.dead_time))
+
+    @property
+    def stable(self) -> bool:
+        """Return whether every error near the target dies out."""
+        return not self.singular and self.max_real_eigenvalue < 0.0
+
+    def __repr__(self) -> str:
+        loop = "continuous loop" if self.dt is None else f"sampled every {self.dt:g} s"
+        unseen = "learnt parameters without effect at the target"
+        numbers = {"self-motion": self.self_motion, unseen: self.unseen_parameters}
+        left_out = [f"{number} of {what}" for what, number in numbers.items() if number]
+        ending = f"; left out are {' and '.join(left_out)}" if left_out else ""
+        rate, worst = self.decay_rate, self.eigenvalues[self.eigenvalues.real.argmax()]
+        if self.singular:
+            verdict = "undecided: J or Ĵ loses rank at the target; choose another one or its task"
+        elif self.stable:
+            verdict = (
+                f"stable: errors near the target die out at {rate:.3g} 1/s or faster (to 1 % in "
+                f"{math.log(100.0) / rate:.3g} s), damping ratio {self.damping_ratio:.2g}"
+            )
+        else:
+            verdict = f"unstable: errors near the target grow at {-rate:.3g} 1/s"
+            if worst.imag:
+                verdict += f", oscillating at {abs(worst.imag) / (2.0 * math.pi):.3g} Hz"
+        return f"{verdict} ({loop}){ending}"
+
+
+def local_stability(
+    plant: Plant, controller: Controller, q_target: Array, dt: float | None = None
+) -> LocalStability:
+    """Linearise the closed loop at rest where it attains the target.
+
+    Law (6) or (28), (29) by its equations, with s'(0) = 1; any other controller by finite
+    differences, with the state nearest to its initial one that holds the arm there.
+
+    The equilibria with e = 0 form a manifold: the self-motion, and for learnt gravity every θ̂ with
+    the right torque. Its eigenvalues, of zero, are left out. Gravity that is learnt is linearised
+    at a θ̂ that gives the true gravity around the target, and not only at it.
+
+    Args:
+        plant: The true robot, sensor and friction.
+        controller: The controller with its believed robot.
+        q_target: Configuration that attains the target, shape (nq,).
+        dt: Sampling time [s] for the loop as `simulate` runs it with dt, its delays in whole
+            samples. None is the continuous loop.
+
+    Raises:
+        InvalidInputError: Gravity that is not exact near `q_target` and cannot become so by
+            learning, or θ̂ that stands still there; another controller that does not rest there, is
+            not smooth, depends on the time or has no rate without dt; another task than the
+            sensor's; a `q_target` that the sensor does not see; a plant with Coulomb friction,
+            frames, noise, rounding, dropouts or torque limits; delays or a filter of q̇ without dt,
+            or of very many samples.
+    """
+    require("plant", plant, Plant, "a Plant")
+    require_fit(plant, controller, controller.dt if dt is None else dt)
+    plant.require_task(controller.task)
+    timing = _timing(plant, dt)
+    q = plant.robot.configuration(q_target, "q_target")
+    require_seen("q_target", q, plant.sensor)
+    law: Any = controller
+    try:
+        require_law(law)
+    except InvalidInputError:
+        return _by_differences(plant, controller, q, timing)
+    _require_gravity(plant, law, q)
+    gravity = float(np.linalg.norm(plant.robot.gravity))
+    (values,), (singular,), (unseen,), _ = spectrum(linear_loop(plant, law, q), gravity, timing)
+    self_motion = plant.robot.nv - plant.sensor.m
+    return _stability(values, self_motion, int(unseen), bool(singular), timing)
+
+
+def _stability(
+    values: NDArray[np.complex128],
+    self_motion: int,
+    unseen: int,
+    singular: bool,
+    timing: Timing | None,
+) -> LocalStability:
+    dt, dead_time = (None, 0.0) if timing is None else (timing.dt, timing.dead_time)
+    values = values[np.argsort(-values.real)]
+    return LocalStability(values, self_motion, unseen, singular, dt, dead_time)
+
+
+def _by_differences(
+    plant: Plant, controller: Controller, q: Array, timing: Timing | None
+) -> LocalStability:
+    """Return `local_stability` of a controller of any kind.
+
+    What only limits torques, or holds measurements, of a law is not felt near a target where the
+    torque is within the limits.
+    """
+    law, dt = controller.law, None if timing is None else timing.dt
+    if law is not controller and law.task is controller.task:
+        here = plant.measure(0.0, q, np.zeros(plant.robot.nv))
+        state, step = controller.initial_state(here), controller.dt or dt or 1e-3
+        _, answer = controller.step(state, here, plant.sensor.value(q), step)
+        if answer.limit_status in (LimitStatus.UNLIMITED, LimitStatus.FREE):
+            return local_stability(plant, law, q, dt)
+        raise InvalidInputError(
+            f"controller must hold the arm at the target with a torque within its limits, got "
+            f"{controller!r}, which says {answer.limit_status}",
+            given=controller,
+        )
+    if timing is None and not controller.is_continuous:
+        raise InvalidInputError(
+            f"dt must be given for a controller that runs in samples, got None for {controller!r}",
+            given=None,
+        )
+    return numerical_stability(plant, controller, q, timing)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LocalTest:
+    """Verdict of the exact linearisation with each configuration taken as a target.
+
+    Attributes:
+        decay_rates: −max Re λ without the self-motion's zeros, shape (N,) [1/s]; 0 where J or Ĵ is
+            singular, which decides nothing.
+        damping_ratios: Smallest −Re λ/‖λ‖, shape (N,).
+        q: The configurations, shape (N, nq).
+        truth: Index of the true robot, shape (N,).
+    """
+
+    decay_rates: Array
+    damping_ratios: Array
+    q: Array
+    truth: Indices
+
+    def __repr__(self) -> str:
+        stable = f"stable at {100 * self.share:.4g} % of {len(self.q)} configurations"
+        return f"LocalTest({stable}, slowest decay {self.decay_rates.min():.3g}/s)"
+
+    @property
+    def share(self) -> float:
+        """Share of the configurations that are stable."""
+        return float((self.decay_rates > 0.0).mean())
+
+    @property
+    def worst(self) -> int:
+        """Index of the configuration with the slowest decay."""
+        return int(self.decay_rates.argmin())
+
+    @property
+    def stable(self) -> bool:
+        """Return whether all are."""
+        return bool((self.decay_rates > 0.0).all())
+
+
+def _timing(plant: Plant, dt: float | None) -> Timing | None:
+    """Timing of the loop in whole samples, as `simulate` has it; None without dt."""
+    if dt is None:
+        plant.require_ideal("the local test")
+        return None
+    dt = as_number("dt", dt, unit="s", above=0.0)
+    plant.require_ideal("the local test with dt", late=True)
+    sensing = plant.sensing or Sensing()
+    x_delay = sensing.x_delay
+    late = plant.sensor.m * x_delay / dt + plant.robot.nv * plant.actuator_delay / dt
+    if late > _MOST_STATES:
+        raise InvalidInputError(
+            f"the delays must be at most some {_MOST_STATES // plant.robot.nv} samples in all, got "
+            f"x_delay = {x_delay:g} s and actuator_delay = {plant.actuator_delay:g} s with "
+            f"dt = {dt:g} s; a larger dt tells the same",
+            given=dt,
+        )
+    return Timing(
+        dt, round(x_delay / dt), round(plant.actuator_delay / dt), sensing.velocity_filter
+    )
+
+
+def _require_gravity(plant: Plant, controller: SetpointController, q: Array) -> None:
+    """Refuse gravity that is not exact around the target, or cannot be learnt to be so."""
+    model, learning = plant.robot.model, controller.adaptation
+    nearby = [q, *(pin.integrate(model, q, _NEAR * unit) for unit in np.eye(plant.robot.nv))]
+    wanted = np.array([[plant.dynamics.g(at) for at in nearby]])
+    error = gravity_error(controller, [plant], nearby, wanted)
+    if error > _EXACT * max(1.0, float(np.abs(wanted).max())):
+        raise InvalidInputError(
+            f"the controller's gravity must be {'exact' if learning is None else 'learnable'} near "
+            f"the target for it to be an equilibrium, got an error of {error:.3g} N m with "
+            f"{type(controller.gravity).__name__}",
+            given=controller,
+        )
+    if learning is None:
+        return
+    theta, limits = learning.regressor.fit(plant.robot)[0], learning.torque_limits
+    held = [("torque_limits", wanted[0, 0], -limits, limits)]
+    if learning.bounds is not None:
+        lower, upper = learning.bounds
+        held.append(("bounds", theta, lower[: len(theta)], upper[: len(theta)]))
+    for name, value, low, high in held:
+        if not ((low < value) & (value < high)).all():
+            raise InvalidInputError(
+                f"{name} of AdaptiveGravity must hold {value.tolist()} of the true gravity at the "
+                f"target, or θ̂ stands still, got {low.tolist()} to {high.tolist()}",
+                given=learning,
+            )
+
+
+def gravity_error(
+    law: SetpointController, plants: Sequence[Plant], q: Sequence[Array] | Array, g: Array
+) -> float:
+    """Return the largest of true g (k, N, n_v) at q (N, nq) not compensated or learnt."""
+    if law.adaptation is None:
+        torque = law.gravity.torque  # type: ignore[union-attr]
+        return float(np.abs(g - np.array([np.array(torque(at)) for at in q])).max())
+    left = [law.adaptation.regressor.fit(plant.robot)[1] for plant in plants]
+    return float((np.array(left)[:, None, None] * np.abs(g)).max())
+
+
+# -- any controller, by finite differences ---------------------------------------------------------
+
+_STEP = 1e-4  # of a difference, of coordinates of size one; extrapolated to fourth order
+_KINK = 1e-2  # relative, by which slopes to both sides may differ
+_AT_REST = 1e-6  # relative, of the torque and of the rate of the state
+_NULL = 1e-6  # rate that counts as zero [1/s]: differences round to 1e-8, modes are faster
+_ZERO = 1e-9  # relative eigenvalue that counts as zero
+_IN_Q = 1e-6  # part of a unit vector that counts as one along q
+_ROUNDS = 20  # of Newton's method
+_FARTHEST = 0.5  # that a joint may move along the self-motion to where it rests [rad or m]
+_MOST_NUMBERS = 400  # of a state
+_SUBSTEPS = 4  # of the plant in a sample, so that its motion counts as exact
+
+
+def numerical_stability(
+    plant: Plant, controller: Controller, q: Array, timing: Timing | None
+) -> LocalStability:
+    """Linearise the loop of any controller at rest at q (nq,), whose x is its target.
+
+    The coordinates z are the motion from q, q̇, the state of the controller, the filter of q̇, the
+    errors of late x, and late torques, the oldest first. In samples the rate of z is that of its
+    mean over one of them, (z(k+1) − z(k))/dt.
+    """
+    model, sensor, n = plant.robot.model, plant.sensor, plant.robot.nv
+    still = np.zeros(n)
+    state = controller.initial_state(plant.measure(0.0, q, still))
+    if len(state) > _MOST_NUMBERS:
+        raise InvalidInputError(
+            f"controller must have a state of at most {_MOST_NUMBERS} numbers to be linearised "
+            f"by differences, got {len(state)} of {controller!r}; rollouts judge any",
+            given=controller,
+        )
+    answer = partial(_answer, controller, None if timing is None else timing.dt)
+    q, state = _resting(plant, controller, answer, q, state)
+    x_d = sensor.value(q)
+    torque, _ = answer(x_d, q, still, x_d, state)
+    parts = [still, still, state]
+    if timing is not None:
+        filtered = n if timing.velocity_filter is not None else 0
+        parts += [np.zeros(filtered), np.zeros(timing.x_late * sensor.m)]
+        parts.append(np.tile(torque, timing.torque_late))
+    ends = np.cumsum(list(map(len, parts)))[:-1]
+
+    def rate(z: Array) -> Array:
+        moved, v, state, *late = np.split(z, ends)
+        at = np.asarray(pin.integrate(model, q, moved))
+        x = plant.measure(0.0, at, v).x
+        if timing is None:
+            torque, state_rate = answer(x_d, at, v, x, state)
+            return np.concatenate([v, plant.acceleration(at, v, torque), state_rate])
+        (w, old, waiting), dt, seen = late, timing.dt, v
+        errors = np.concatenate([old, sensor.error(x, x_d)])
+        if timing.velocity_filter is not None:
+            share = dt / (timing.velocity_filter + dt)
+            seen = share / dt * moved + w
+            w = (1.0 - share) * seen - share / dt * moved
+        x = sensor.displaced(x_d, errors[: sensor.m])
+        torque, state_rate = answer(x_d, at, seen, x, state)
+        torques = np.concatenate([waiting, torque])
+        for _ in range(_SUBSTEPS):
+            at, v = plant.advance(at, v, torques[:n], dt / _SUBSTEPS, rk4)
+        moved = np.asarray(pin.difference(model, q, at))
+        rest = [state + dt * state_rate, w, errors[sensor.m :], torques[n:]]
+        return np.asarray((np.concatenate([moved, v, *rest]) - z) / dt)
+
+    A = _slopes(rate, np.concatenate(parts), controller)
+    # ż = A z, or z(k+1) = (I + dt A) z(k)
+    _, sizes, rows = np.linalg.svd(A)
+    at_rest = sizes <= _NULL
+    along, across = rows[at_rest].T, rows[~at_rest].T
+    moving = int((np.linalg.svd(along[:n], compute_uv=False) > _IN_Q).sum()) if at_rest.any() else 0
+    values = np.linalg.eigvals(across.T @ A @ across).astype(np.complex128)
+    singular = moving > n - sensor.m or np.abs(values).min() <= _ZERO * np.abs(values).max()
+    if timing is not None:  # λ = ln(μ)/dt; −∞ for a mode that is over after one sample
+        with np.errstate(divide="ignore"):
+            values = np.asarray(np.log(1.0 + timing.dt * values) / timing.dt, np.complex128)
+    return _stability(values, moving, int(at_rest.sum()) - moving, bool(singular), timing)
+
+
+def _answer(
+    controller: Controller,
+    dt: float | None,
+    x_d: Array,
+    q: Array,
+    v: Array,
+    x: Array,
+    state: Array,
+    t: float = 0.0,
+) -> tuple[Array, Array]:
+    """Return a controller's torque and the rate of its state, in samples its mean rate."""
+    measurement = Measurement(t, q, v, x, t)
+    if dt is None:
+        answer = controller.evaluate(state, measurement, x_d)
+        return np.array(answer.torque), np.asarray(answer.state_rate)
+    after, answer = controller.step(state, measurement, x_d, dt)
+    return np.array(answer.torque), np.asarray((after - state) / dt)
+
+
+def _resting(
+    plant: Plant, controller: Controller, answer: Callable[..., Any], q: Array, state: Array
+) -> tuple[Array, Array]:
+    """Return where the arm stays at rest at its target and with which state, by Newton's method."""
+    x_d, n, still = plant.sensor.value(q), plant.robot.nv, np.zeros(plant.robot.nv)
+    now, later = (answer(x_d, q, still, x_d, state, t) for t in (0.0, 1.0))
+    if not all(map(np.array_equal, now, later)):
+        raise InvalidInputError(
+            f"controller must be one whose step does not depend on the time, to be linearised, "
+            f"got {controller!r}; rollouts judge any",
+            given=controller,
+        )
+
+    def left(z: Array) -> Array:
+        at = np.asarray(pin.integrate(plant.robot.model, q, z[:n]))
+        x = plant.sensor.value(at)
+        torque, rate = answer(x_d, at, still, x, z[n:])
+        return np.concatenate([torque - plant.dynamics.g(at), rate, plant.sensor.error(x, x_d)])
+
+    z = np.concatenate([still, state])
+    size = max(1.0, float(np.abs(plant.dynamics.g(q)).max()))
+    for _ in range(_ROUNDS):
+        residual = left(z)
+        if np.abs(residual).max() <= 1e-3 * _AT_REST * size:
+            break
+        z = z - np.linalg.lstsq(_slopes(left, z, None), residual, rcond=1e-9)[0]
+    residual = left(z)
+    if not (np.abs(residual).max() <= _AT_REST * size and np.abs(z[:n]).max() <= _FARTHEST):
+        best = f" with the best of its states, {z[n:].tolist()}" if len(state) else ""
+        off = np.abs(left(np.concatenate([still, z[n:]]))[:n]).max()
+        raise InvalidInputError(
+            "controller must hold the arm at rest at the target for it to be an equilibrium, "
+            f"got {controller!r}, whose torque is off by {off:.3g} N m there{best}",
+            given=controller,
+        )
+    return np.asarray(pin.integrate(plant.robot.model, q, z[:n])), np.asarray(z[n:])
+
+
+def _slopes(function: Callable[[Array], Array], z: Array, smooth: Controller | None) -> Array:
+    """Return ∂f/∂z by central differences of fourth order, (k, n), of what has to be smooth."""
+    here, columns = function(z), []
+    for i, unit in enumerate(np.eye(len(z))):
+        h = _STEP * max(1.0, abs(z[i]))
+        more, less, far, near = (function(z + k * h * unit) for k in (1.0, -1.0, 2.0, -2.0))
+        columns.append((8.0 * (more - less) - (far - near)) / (12.0 * h))
+        kink = np.abs(more - 2.0 * here + less).max() / h
+        if smooth is not None and kink > _KINK * max(np.abs(columns[-1]).max(), 1e-6):
+            raise InvalidInputError(
+                f"controller must be smooth near the target to be linearised, got {smooth!r}, "
+                "whose slope jumps there; rollouts judge any",
+                given=smooth,
+            )
+    return np.array(columns).T

@@ -15,7 +15,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.formatting import percent, plain, rows, wrapped
 from approxjac.simulation import Sensing
 from approxjac.stability.loop.configurations import inverse_kinematics
-from approxjac.stability.loop.local import LocalTest, local_stability
+from approxjac.stability.loop.linearization import LocalTest, local_stability
 from approxjac.stability.rollouts.rollouts import Rollouts
 from approxjac.stability.rollouts.setting import RolloutSetting
 from approxjac.stability.rows import Row, as_json

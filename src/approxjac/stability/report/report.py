@@ -26,8 +26,7 @@ from approxjac.stability.certificates.matrix_form import Best, Family, MatrixFor
 from approxjac.stability.certificates.theorem1 import Theorem1, theorem1
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.closed_loop import EXACT_GRAVITY, SHARED, ClosedLoop
-from approxjac.stability.loop.linearization import Timing
-from approxjac.stability.loop.local import LocalTest, local_test
+from approxjac.stability.loop.linearization import LocalTest, Timing
 from approxjac.stability.loop.samples import Samples
 from approxjac.stability.rollouts.rollouts import Rollouts
 from approxjac.stability.rows import Row, as_json, as_text
@@ -292,7 +291,7 @@ def report_of(
     truths, configured = samples.truth, samples.q
     if loop.target is not None:
         truths, configured = loop.targets(0, rng)
-    local = local_test(loop, truths, configured)
+    local = loop.local_test(truths, configured)
     everywhere = samples.join(fresh)
     first = theorem1(everywhere, setting)
     singular_q = loop.singular_configuration(samples)

@@ -16,7 +16,6 @@ from approxjac.formatting import short_fields, wrapped
 from approxjac.stability.certificates.certificate import margin
 from approxjac.stability.loop.closed_loop import SHARED
 from approxjac.stability.loop.linearization import Timing
-from approxjac.stability.loop.local import local_test
 from approxjac.stability.search.tolerance import TESTS, Test
 from approxjac.stability.studied_loop import StudiedLoop
 from approxjac.validation import Array, as_limits, as_number
@@ -119,7 +118,7 @@ def suggested_gains(
         own = loop.with_gains(gains)
         pull = samples.J_hat.mT @ (own.setting.kp * samples.s)[..., None]
         ratio = float((np.abs(weight - pull[..., 0]) / limits).max())
-        slowest = local_test(own, *targets, Timing.of(latency)).decay_rates.min()
+        slowest = own.local_test(*targets, Timing.of(latency)).decay_rates.min()
         time = _SETTLED / slowest if slowest > 0.0 else np.inf
         left = np.nan  # of no use where both of the others are missed
         if test != "local" and singular:

@@ -17,7 +17,6 @@ from approxjac.stability.errors.region import uncovered
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.closed_loop import SHARED, ClosedLoop
 from approxjac.stability.loop.configurations import UnattainedError
-from approxjac.stability.loop.local import local_test
 from approxjac.stability.report.other_laws import near_targets
 from approxjac.stability.studied_loop import StudiedLoop
 from approxjac.validation import Array, as_number
@@ -171,7 +170,7 @@ def _failing(
 ) -> Array | None:
     """The true values with which a test without simulation fails, or None if it passes."""
     if test == "local":
-        local = local_test(loop, *loop.targets(configurations, rng))
+        local = loop.local_test(*loop.targets(configurations, rng))
         return None if local.stable else np.array(loop.values[local.truth[local.worst]])
     samples = loop.draw(configurations, rng, inside=SHARED)
     if loop.singular_configuration(samples) is not None:
