@@ -98,16 +98,16 @@ MUTANTS = [
         "along = along + dg", "along = along - dg", GRAVITY,
     ),
     (
-        "gravity of the held torque dropped", "stability/certificates/sampled_form.py",
+        "gravity of the held torque dropped", "stability/certificates/matrix_form.py",
         "at.s, at.slope, kp, at.dg", "at.s, at.slope, kp", GRAVITY,
     ),
     (
-        "level with the wrong sign of the share", "stability/certificates/sampled_form.py",
+        "level with the wrong sign of the share", "stability/certificates/matrix_form.py",
         "return 0.5 * (1.0 - share) * self.speed**2",
         "return 0.5 * (1.0 + share) * self.speed**2", GRAVITY,
     ),
     (
-        "level of all of the kinetic energy", "stability/certificates/sampled_form.py",
+        "level of all of the kinetic energy", "stability/certificates/matrix_form.py",
         "return 0.5 * (1.0 - share) * self.speed**2",
         "return 0.5 * self.speed**2", GRAVITY,
     ),
@@ -404,7 +404,7 @@ MUTANTS = [
     ),
     # -- a second round
     (
-        "span without the delay", "stability/certificates/sampled_form.py",
+        "span without the delay", "stability/certificates/matrix_form.py",
         "gain, span = sampled_form.hold_gain(h, d) + lag, h + d",
         "gain, span = sampled_form.hold_gain(h, d) + lag, h", GRAVITY,
     ),

@@ -10,8 +10,7 @@ from certify import lyapunov
 
 import approxjac as aj
 from approxjac.stability.certificates.attraction import slower, travels
-from approxjac.stability.certificates.matrix_form import MatrixForm
-from approxjac.stability.certificates.sampled_form import Hold, SampledForm
+from approxjac.stability.certificates.matrix_form import Hold, MatrixForm, SampledForm
 from approxjac.stability.errors.region import Region
 from approxjac.stability.loop.closed_loop import SHARED, ClosedLoop
 from approxjac.stability.rollouts.setting import RolloutSetting

@@ -14,8 +14,8 @@ from common import head, parser, row, write
 import approxjac as aj
 from approxjac import law
 from approxjac.paper import experiments as paper
+from approxjac.stability.certificates.certificate import theorem1
 from approxjac.stability.certificates.matrix_form import FAMILIES, MatrixForm, best_weights
-from approxjac.stability.certificates.theorem1 import theorem1
 from approxjac.stability.loop.closed_loop import ClosedLoop
 
 FIGURES = (3, 4, 5, 6, 7)

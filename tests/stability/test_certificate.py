@@ -14,6 +14,7 @@ from approxjac import law
 from approxjac.cameras import PlanarCamera
 from approxjac.paper import experiments as paper
 from approxjac.robots import GravityRegressor
+from approxjac.stability.certificates.certificate import theorem1
 from approxjac.stability.certificates.matrix_form import (
     FAMILIES,
     MatrixForm,
@@ -21,7 +22,6 @@ from approxjac.stability.certificates.matrix_form import (
     Weights,
     best_weights,
 )
-from approxjac.stability.certificates.theorem1 import theorem1
 from approxjac.stability.loop.closed_loop import ClosedLoop
 
 Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.0])

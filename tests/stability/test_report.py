@@ -14,8 +14,8 @@ from approxjac.errors import UnknownNameError
 from approxjac.law import Sine
 from approxjac.paper import experiments as paper
 from approxjac.robots import GravityRegressor
+from approxjac.stability.certificates.certificate import theorem1
 from approxjac.stability.certificates.matrix_form import MatrixForm
-from approxjac.stability.certificates.theorem1 import theorem1
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.loop.configurations import inverse_kinematics
 from approxjac.stability.report.report import of_gravity, usual_errors

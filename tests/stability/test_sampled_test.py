@@ -10,8 +10,7 @@ import approxjac as aj
 from approxjac.controllers import Latency
 from approxjac.law import Linear
 from approxjac.stability.certificates.certificate import largest, sampled_test
-from approxjac.stability.certificates.matrix_form import MatrixForm, best_weights
-from approxjac.stability.certificates.sampled_form import Hold
+from approxjac.stability.certificates.matrix_form import Hold, MatrixForm, best_weights
 from approxjac.stability.loop.closed_loop import ClosedLoop
 
 Q0 = (0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7)

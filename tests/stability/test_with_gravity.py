@@ -15,7 +15,7 @@ from approxjac.law import sampled_form
 from approxjac.robots import Dynamics, GravityRegressor
 from approxjac.stability import local_stability
 from approxjac.stability.certificates.limit_cost import limit_cost
-from approxjac.stability.certificates.sampled_form import Hold
+from approxjac.stability.certificates.matrix_form import Hold
 
 
 @functools.cache

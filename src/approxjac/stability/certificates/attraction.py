@@ -8,8 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.stability.certificates.certificate import SampledTest, largest_errors
-from approxjac.stability.certificates.matrix_form import Weights, best_weights
-from approxjac.stability.certificates.sampled_form import SampledForm
+from approxjac.stability.certificates.matrix_form import SampledForm, Weights, best_weights
 from approxjac.stability.errors.region import JointBox
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.loop.samples import Indices

@@ -16,14 +16,15 @@ from approxjac.stability.certificates.attraction import Attraction, attraction
 from approxjac.stability.certificates.certificate import (
     MatrixTest,
     SampledTest,
+    Theorem1,
     largest,
     refine_constants,
     refine_weights,
     sampled_test,
+    theorem1,
 )
 from approxjac.stability.certificates.limit_cost import LimitCost, limit_cost
 from approxjac.stability.certificates.matrix_form import Best, Family, MatrixForm, Weights, on_more
-from approxjac.stability.certificates.theorem1 import Theorem1, theorem1
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.closed_loop import EXACT_GRAVITY, SHARED, ClosedLoop
 from approxjac.stability.loop.linearization import LocalTest, Timing

@@ -10,9 +10,8 @@ import numpy as np
 
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.formatting import rows, wrapped
-from approxjac.stability.certificates.certificate import refine_constants, refine_weights
+from approxjac.stability.certificates.certificate import refine_constants, refine_weights, theorem1
 from approxjac.stability.certificates.matrix_form import MatrixForm
-from approxjac.stability.certificates.theorem1 import theorem1
 from approxjac.stability.errors.region import uncovered
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.closed_loop import SHARED, ClosedLoop
