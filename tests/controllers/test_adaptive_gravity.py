@@ -146,9 +146,8 @@ def test_what_is_learnt_is_told_in_words(arms):
     assert told.startswith(
         "to compensate, beside the believed arm's weight: a load on the last link of +1 kg"
     )
-    assert "-3 N along y" in told
-    assert "0.25 N m" in told
-    assert "panda_joint6" in told
+    assert "-3 N (force along y)" in told
+    assert "+0.25 N m (torque of panda_joint6)" in told
     only_gravity = aj.AdaptiveGravity(regressor, L=0.1)
     learns = aj.SetpointController(task, gravity=only_gravity).adaptation
     assert "force" not in learns.words(theta, task)
@@ -192,15 +191,18 @@ def test_inside_the_bounds_nothing_changes(arms):
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        ({"bounds": 3.0}, r"bounds must be a smallest and a largest theta, got 3\.0"),
-        ({"bounds": (-9.0, 0.0, 9.0)}, "bounds must be a smallest and a largest theta, got"),
-        ({"bounds": (-9.0,)}, "bounds must be a smallest and a largest theta, got"),
+        ({"bounds": 3.0}, r"bounds must be a smallest and a larger theta .*, got 3\.0"),
+        (
+            {"bounds": (-9.0, 0.0, 9.0)},
+            "bounds must be a smallest and a larger theta that hold",
+        ),
+        ({"bounds": (-9.0,)}, "bounds must be a smallest and a larger theta that hold"),
         ({"bounds": (-9.0, np.inf)}, r"bounds must be finite, got \[inf"),
         ({"bounds": (np.nan, 9.0)}, r"bounds must be finite, got \[nan"),
         ({"bounds": (-9.0, np.ones(3))}, r"bounds must have shape \(2,\), got shape \(3,\)"),
         ({"bounds": ("low", 9.0)}, r"bounds must be numbers of shape \(2,\)"),
-        ({"bounds": (9.0, -9.0)}, r"a smallest and a larger theta, got \[9\.0, 9\.0\] to \[-9"),
-        ({"bounds": (0.0, 1e-3)}, r"bounds must hold theta0 = \[.*\], got \[0\.0, 0\.0\] to"),
+        ({"bounds": (9.0, -9.0)}, r"a smallest and a larger theta .*, got \(9\.0, -9"),
+        ({"bounds": (0.0, 1e-3)}, r"hold theta0 = \[.*\], got \(0\.0, 0\.001"),
         ({"bounds": (1.0, 1.0), "theta0": (1.0, 1.0)}, r"a smallest and a larger theta"),
         ({"L": 1e300}, r"L must be at most 1e\+60"),
         ({"L": 1e300 * np.eye(2)}, r"L must be at most 1e\+60"),

@@ -39,41 +39,35 @@ def require_arrays(
 
 def require_array(name: str, value: Array, size: int, task: Task) -> None:
     """Refuse what is no vector of floats of the size that a task asks for."""
-    if not isinstance(value, np.ndarray) or value.shape != (size,):
-        given = value.shape if isinstance(value, np.ndarray) else type(value).__name__
-        how = ""
-        if isinstance(value, _NUMBERS):
-            how = f"; numpy.array({name}, dtype=float) makes one of numbers"
-        elif isinstance(value, np.ndarray) and value.size == size:  # such as corners, one a row
-            how = f"; {name}.ravel() makes one"
-        elif name == "q" and given == (task.robot.nv,):  # continuous joints have (cos, sin)
-            how = "; task.robot.configuration(q) makes one of one angle a joint"
-        raise InvalidInputError(
-            f"{name} must be an array of shape {(size,)} for {task!r}, got {given}{how}",
-            given=value,
-        )
+    is_array = isinstance(value, np.ndarray) and not isinstance(value, np.ma.MaskedArray)
+    if is_array and value.shape == (size,) and value.dtype == FLOAT64:
+        return
+    given, how = type(value).__name__, ""
     if isinstance(value, np.ma.MaskedArray):  # by chance it would do as if nothing was hidden
-        raise InvalidInputError(
-            f"{name} must be a plain array, got a masked one; {name}.filled(numpy.nan) makes one, "
-            "with NaN where an entry of x is lost",
-            given=value,
-        )
-    if value.dtype != FLOAT64:  # differences of unsigned pixels would wrap around
-        raise InvalidInputError(
-            f"{name} must be an array of float64, got {value.dtype}; "
-            f"{name}.astype(float) makes one of numbers",
-            given=value,
-        )
+        given, how = "a masked one", f"; {name}.filled(numpy.nan) makes a lost entry NaN"
+    elif is_array and value.shape == (size,):  # differences of unsigned pixels would wrap around
+        given, how = str(value.dtype), f"; {name}.astype(float) makes one of numbers"
+    elif is_array:
+        given = str(value.shape)
+        if value.size == size:  # such as corners, one a row
+            how = f"; {name}.ravel() makes one"
+        elif name == "q" and value.shape == (task.robot.nv,):  # continuous joints have (cos, sin)
+            how = "; task.robot.configuration(q) makes one of one angle a joint"
+    elif isinstance(value, _NUMBERS):
+        how = f"; numpy.array({name}, dtype=float) makes one of numbers"
+    raise InvalidInputError(
+        f"{name} must be an array of shape {(size,)} of float64 for {task!r}, got {given}{how}",
+        given=value,
+    )
 
 
 def with_rates(target: Target, m: int) -> Target:
     """Return a target whose ẋ_d and ẍ_d are finite vectors (m,) where it has them, or refuse."""
-    x_d, v_d, a_d = target
-    if v_d is not None:
-        v_d = as_vector("v of the target", v_d, m)
-    if a_d is not None:
-        a_d = as_vector("a of the target", a_d, m)
-    return Target(x_d, v_d, a_d)
+    rates = zip("va", target[1:], strict=True)
+    return Target(
+        target.x,
+        *(None if u is None else as_vector(f"{name} of the target", u, m) for name, u in rates),
+    )
 
 
 def is_lost(
@@ -106,14 +100,9 @@ def require_finite(q: Array, v: Array, target: Array, state: Array, task: Task) 
 
 
 def time_of_x(t_x: Any) -> float | None:
-    """Return when x was taken [s], or refuse it; None where it is not known, or no x is there yet.
-
-    The latter is -inf.
-    """
-    if t_x is None or (isinstance(t_x, float) and -math.inf < t_x < math.inf):
-        return t_x
-    if isinstance(t_x, float) and t_x == -math.inf:
-        return None
+    """Return when x was taken [s], or refuse it; None where it is not known, or never, at −inf."""
+    if t_x is None or (isinstance(t_x, float) and t_x < math.inf):
+        return None if t_x == -math.inf else t_x
     return as_number("t_x of a measurement", t_x, unit="s")
 
 

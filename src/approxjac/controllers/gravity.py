@@ -32,16 +32,7 @@ from approxjac.validation import (
 )
 
 
-class _RobotGravity(Immutable):
-    def __init__(self, robot: Robot) -> None:
-        require("robot", robot, Robot, "the believed Robot")
-        self.robot = robot
-
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}({self.robot.name!r})"
-
-
-class ModelGravity(_RobotGravity):
+class ModelGravity(Immutable):
     """g(q) of a robot's model, by RNEA: exact as far as its masses and lengths are.
 
     Args:
@@ -49,9 +40,12 @@ class ModelGravity(_RobotGravity):
     """
 
     def __init__(self, robot: Robot) -> None:
-        super().__init__(robot)
-        model = robot.model
+        require("robot", robot, Robot, "the believed Robot")
+        self.robot, model = robot, robot.model
         self._torque_at = partial(pin.computeGeneralizedGravity, model, model.createData())
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.robot.name!r})"
 
     def torque(self, q: Array) -> Array:
         """Return g(q), shape (n_v,) [N m or N]; an alias of scratch memory."""
@@ -61,12 +55,8 @@ class ModelGravity(_RobotGravity):
         return g
 
 
-class NoGravity(_RobotGravity):
-    """No gravity torque: the robot compensates it by itself, or there is none.
-
-    Args:
-        robot: The believed robot.
-    """
+class NoGravity(ModelGravity):
+    """No gravity torque: the robot compensates it by itself, or there is none."""
 
     def torque(self, q: Array) -> Array:
         """Return zeros, shape (n_v,)."""
@@ -97,8 +87,7 @@ class RegressorGravity(Immutable):
 
     def torque(self, q: Array) -> Array:
         """Return Z(q) θ, shape (n_v,) [N m or N]."""
-        g: Array = self.regressor.Z(q).dot(self.theta)
-        return g
+        return np.asanyarray(self.regressor.Z(q).dot(self.theta))
 
 
 class AdaptiveGravity(Immutable):
@@ -112,16 +101,13 @@ class AdaptiveGravity(Immutable):
     law is beyond `torque_limits`: what a saturated motor fails to do is no evidence about gravity.
 
     Args:
-        model: The believed robot, or a `GravityRegressor` of it. What it holds
-            changes θ̂_g(0) only.
+        model: The believed robot, or a `GravityRegressor` of it. What it holds changes θ̂_g(0) only.
         L: Adaptation gain of θ_g: a number, a diagonal (p,), or a symmetric positive definite
-            matrix (p, p); 0 leaves θ̂_g as it is, and d and w are learnt. None takes that of
-            `tuned`.
+            matrix (p, p); 0 learns d and w only. None takes that of `tuned`.
         alpha: α > 0 of eq. (10) [1/s]; by default the rate of the task's slow pole.
         theta0: θ̂_g(0), a number or shape (p,); that of the believed robot by default.
-        bounds: Smallest and largest θ_g, each a number or shape (p,), that θ̂_g is kept in by
-            projection (to within one step of dt where control is sampled). By default none where
-            L is given, and else those of `tuned`.
+        bounds: Smallest and largest θ_g, each a number or shape (p,), that θ̂_g is kept in (to
+            within one step of dt). By default none where L is given, and else those of `tuned`.
         torque_limits: Torques beyond which θ̂ stands still, a number or shape (n_v,) [N m or N];
             the believed robot's effort limits by default, `numpy.inf` for never.
         task_force: L_d ≥ 0 of d, a number or shape (m,); 0 does not learn it. By default 0 where L
@@ -170,31 +156,21 @@ class AdaptiveGravity(Immutable):
             setattr(self, name, value)
 
     def __repr__(self) -> str:
-        shown = [f"{self.robot.name!r}", f"{self.regressor.p} parameters"]
-        if self.L is not None:
-            shown.append(f"L={short(self.L) if self.L.ndim == 1 else 'a matrix'}")
-        if self.alpha is not None:
-            shown.append(f"alpha={self.alpha:.4g}")
-        return f"AdaptiveGravity({', '.join(shown)})"
+        L = "" if self.L is None else f", L={short(self.L) if self.L.ndim == 1 else 'a matrix'}"
+        alpha = "" if self.alpha is None else f", alpha={self.alpha:.4g}"
+        return f"AdaptiveGravity({self.robot.name!r}, {self.regressor.p} parameters{L}{alpha})"
 
     def _bounds(self, bounds: Any) -> tuple[Array, Array]:
-        try:
-            lower, upper = bounds
-        except (TypeError, ValueError) as error:
-            raise InvalidInputError(
-                f"bounds must be a smallest and a largest theta, got {bounds!r}", given=bounds
-            ) from error
-        lower, upper = (as_entries("bounds", bound, self.regressor.p) for bound in (lower, upper))
-        wanted = ""
-        if not (lower < upper).all():
-            wanted = "be a smallest and a larger theta"
-        elif not ((lower <= self.theta0) & (self.theta0 <= upper)).all():
-            wanted = f"hold theta0 = {self.theta0.tolist()}"
-        if wanted:
-            raise InvalidInputError(
-                f"bounds must {wanted}, got {lower.tolist()} to {upper.tolist()}", given=bounds
-            )
-        return lower, upper
+        if isinstance(bounds, tuple | list | np.ndarray) and len(bounds) == 2:
+            lower, upper = (as_entries("bounds", bound, self.regressor.p) for bound in bounds)
+            holds = (lower < upper) & (lower <= self.theta0) & (self.theta0 <= upper)
+            if holds.all():
+                return lower, upper
+        raise InvalidInputError(
+            "bounds must be a smallest and a larger theta that hold theta0 = "
+            f"{self.theta0.tolist()}, got {bounds!r}",
+            given=bounds,
+        )
 
     @property
     def wants_rule(self) -> bool:
@@ -304,25 +280,17 @@ class Adaptation(NamedTuple):
         return np.pad(theta, (0, sum(self.sizes[1:])))
 
     def words(self, theta_hat: Array, task: Task) -> str:
-        """Describe a θ̂ (P,): a load on the last link, a force on the task, joint torques.
-
-        The load is the one that acts most like what was learnt of gravity.
-        """
-        change = theta_hat - self.theta0
-        of_gravity, force, torques = np.split(change, np.cumsum(self.sizes)[:-1])
+        """Describe a θ̂ (P,): the load that acts most like it, and constant forces."""
+        of_gravity, *constant = np.split(theta_hat - self.theta0, np.cumsum(self.sizes)[:-1])
         mass, *moments = self.regressor.payload(of_gravity)
         at = numbers_of(np.round(moments, 4))
         parts = [f"a load on the last link of {mass:+.3g} kg, its first moment {at} kg m"]
-        others = [*self.parameters(task).items()][self.regressor.p :]
-        if len(force):
-            pairs = zip(force, others, strict=False)
-            along = [f"{d:+.3g} {unit} {name.removeprefix('force ')}" for d, (name, unit) in pairs]
-            parts.append(f"a constant force of {', '.join(along)}")
-        if len(torques):
-            i = int(np.abs(torques).argmax())
-            name, unit = others[len(force) + i]
-            at = name.removeprefix("torque of ")
-            parts.append(f"constant torques of up to {torques[i]:+.3g} {unit} ({at})")
+        forces = np.concatenate(constant)
+        if len(forces):
+            others = [*self.parameters(task).items()][self.regressor.p :]
+            each = zip(forces, others, strict=True)
+            rows = [f"{value:+.3g} {unit} ({name})" for value, (name, unit) in each]
+            parts.append(f"constant {', '.join(rows)}")
         return f"to compensate, beside the believed arm's weight: {'; '.join(parts)}"
 
     def bounded(self, rate: Array, theta_hat: Array, Y: Array, g: Array) -> tuple[Array, Any]:
@@ -355,7 +323,7 @@ def _is_beyond(torque: Array, limits: Array) -> Any:
     return bool(math.hypot(*share.tolist()) > 1.0 and np.abs(share).max() > 1.0)
 
 
-Gravity = ModelGravity | NoGravity | RegressorGravity | AdaptiveGravity | Adaptation
+Gravity = ModelGravity | RegressorGravity | AdaptiveGravity | Adaptation
 
 
 def require_gravity(gravity: Gravity, task: Task) -> None:
@@ -376,14 +344,12 @@ def require_gravity(gravity: Gravity, task: Task) -> None:
 
 def describe_gravity(gravity: Gravity, believed: Robot) -> str:
     """Return where gravity comes from in words, beside the believed arm."""
-    name, robot = type(gravity).__name__, gravity.robot
-    if type(gravity) is NoGravity:
+    kind, robot = type(gravity), gravity.robot
+    if kind is NoGravity:
         weightless = not believed.gravity.any()
         return "known exactly: the arm is taken without it" if weightless else "not compensated"
-    if type(gravity) is RegressorGravity:
-        return "as its parameters say"
-    if type(gravity) is not ModelGravity:
-        return f"by {name}"
+    if kind is not ModelGravity:
+        return "as its parameters say" if kind is RegressorGravity else f"by {kind.__name__}"
     if robot == believed:
         return "as of the believed arm"
     other = [f"{robot.mass:.4g} kg"] if robot.urdf != believed.urdf else []

@@ -64,59 +64,26 @@ class DifferentiatedVelocity:
     def __post_init__(self) -> None:
         as_number("time_constant", self.time_constant, unit="s", above=0.0)
 
-    def late(self, latency: Latency) -> Latency:
-        """Return a latency with the damping of law (5), which acts as late as x tells Ẋ."""
-        lag = latency.image_age + 0.5 * latency.image_period + self.time_constant
-        return replace(latency, velocity_filter=latency.velocity_filter + lag)
-
-    def require_difference(self, task: Task) -> None:
-        """Refuse a task whose error is another one than x − x_d."""
-        if not task._subtracts:
-            raise InvalidInputError(
-                f"law (5) differentiates x and needs a task whose error is x - x_d, got {task!r}",
-                given=self,
-            )
-
-    def require_finite(self, x: Array) -> None:
-        """Refuse a first x that is lost."""
-        if not np.isfinite(x).all():
-            raise MeasurementError(
-                f"the first x must be finite for law (5), which differentiates it, "
-                f"got {x.tolist()}",
-                given=x,
-            )
-
 
 class Reach:
-    """Bound on the reach of the believed arm; infinite for other tasks than positions and poses.
-
-    Attributes:
-        origin: Where the arm begins [unit of the task].
-        most: How far it reaches from there.
-
-    Args:
-        task: The task of the believed robot.
-    """
+    """Bound on the reach of the believed arm; infinite for other tasks than positions and poses."""
 
     def __init__(self, task: Task) -> None:
-        self._task, self.origin, self.most = task, np.zeros(1), math.inf
+        self._task, self._origin, self._most = task, np.zeros(1), math.inf
         if isinstance(task, PositionTask | PoseTask):
-            origin, self.most = task.robot.reach_bound(task.frame)
-            self.origin = origin[["xyz".index(axis) for axis in task.labels[:3]]]
+            origin, self._most = task.robot.reach_bound(task.frame)
+            self._origin = origin[["xyz".index(axis) for axis in task.labels[:3]]]
 
     def is_exceeded(self, q: Array, e: Array) -> Any:
         """Return whether a target is too far away for the arm, and an unmodelled tool.
 
         It is e (m,) away from where the believed arm is at q: who measures x may stand anywhere.
         """
-        k = len(self.origin)
-        if self.most == math.inf:
+        k, most = len(self._origin), self._most
+        if most == math.inf or (is_far := law.length(e[:k]) > UNKNOWN_TOOL * most) is False:
             return False
-        is_far = law.length(e[:k]) > UNKNOWN_TOOL * self.most
-        if is_far is False:
-            return False
-        there = self._task.value(q)[:k] - e[:k] - self.origin
-        return is_far & (law.length(there) > (1.0 + UNKNOWN_TOOL) * self.most)
+        there = self._task.value(q)[:k] - e[:k] - self._origin
+        return is_far & (law.length(there) > (1.0 + UNKNOWN_TOOL) * most)
 
 
 class SetpointController(Immutable, Controller):
@@ -133,7 +100,6 @@ class SetpointController(Immutable, Controller):
     Immutable, but it owns scratch memory: one instance a thread.
 
     Attributes:
-        tuning: What `tuned` chose, and why; None if gains and learning are given.
         adaptation: What learns gravity, with its defaults filled in; None if it is not learnt.
         pinv: Ĵ⁺ of y.
 
@@ -194,8 +160,11 @@ class SetpointController(Immutable, Controller):
         self.diagonals: Diagonals = self.gains.diagonals(task.m, robot.nv)
         require_saturation(self.saturation, task)
         require_damping(self.gains, self.diagonals, task)
-        if velocity is not None:
-            velocity.require_difference(task)
+        if velocity is not None and not task._subtracts:
+            raise InvalidInputError(
+                f"law (5) differentiates x and needs a task whose error is x - x_d, got {task!r}",
+                given=velocity,
+            )
         learning = self.gravity
         if isinstance(learning, AdaptiveGravity):
             chosen = None if self.tuning is None else self.tuning.learning
@@ -229,7 +198,9 @@ class SetpointController(Immutable, Controller):
         if gains is not None and regressor is None:
             return None
         if self.velocity is not None:  # damping of law (5) acts as late as x tells Ẋ
-            latency = self.velocity.late(Latency() if latency is None else latency)
+            known = Latency() if latency is None else latency
+            lag = known.image_age + 0.5 * known.image_period + self.velocity.time_constant
+            latency = replace(known, velocity_filter=known.velocity_filter + lag)
         return tuned(
             self.task, latency, settling_time=settling_time, regressor=regressor, gains=gains,
             alpha=alpha,
@@ -246,8 +217,11 @@ class SetpointController(Immutable, Controller):
         if not hasattr(x, "arm_of"):  # which symbols have
             q, _, x = require_arrays(self._no_rate, measurement, x_d, task, len(self._no_rate))
             analysis.require_as_believed(task, q, x)
-            if self.velocity is not None:
-                self.velocity.require_finite(x)
+            if self.velocity is not None and not np.isfinite(x).all():
+                raise MeasurementError(
+                    f"the first x must be finite for law (5), which differentiates it, got {x}",
+                    given=x,
+                )
         theta0 = np.zeros(0) if self.adaptation is None else self.adaptation.theta0
         followed = np.zeros(0) if self.velocity is None else x
         return np.concatenate([theta0, followed])
@@ -259,9 +233,8 @@ class SetpointController(Immutable, Controller):
 
     def describe_learnt(self, state: Array) -> str:
         """Return in words what a state has learnt of gravity; "" of nothing."""
-        if self.adaptation is None:
-            return ""
-        return self.adaptation.words(self.learnt(state), self.task)
+        learning = self.adaptation
+        return "" if learning is None else learning.words(self.learnt(state), self.task)
 
     def learnt(self, state: Array) -> Array:
         """Return θ̂ of a state (n_state,), or of a series of them (…, n_state); shape (…, p)."""
