@@ -87,14 +87,8 @@ def swept_within_bounds(
     C. Hildreth's method ("A quadratic programming procedure", Naval Research Logistics 4(1), 1957)
     takes the multiplier of one bound after the other. A few sweeps mostly end.
 
-    Args:
-        rate: dθ̂/dt of `theta_hat_rate`, shape (P,).
-        theta_hat: θ̂, shape (P,).
-        bounds: Its smallest and largest values, each (P,).
-        L: A diagonal (P,) or a matrix (P, P).
-        Y: Regressor, shape (n_v, P).
-        g: Yθ̂, which grows no further where it is beyond what motors have, shape (n_v,).
-        motors: What they have, shape (n_v,).
+    g = Yθ̂ (n_v,) grows no further where it is beyond what `motors` (n_v,) have; the regressor Y is
+    (n_v, P).
     """
     lower, upper = bounds
     high, low, is_beyond = theta_hat >= upper, theta_hat <= lower, np.abs(g) > motors

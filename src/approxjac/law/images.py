@@ -35,13 +35,8 @@ def image_turn(shown: Array, seen: Array, weights: Array) -> tuple[Array, Array]
 
     The planar Kabsch problem, in closed form: of rays about their means, with any size.
 
-    Args:
-        shown: Rays as they are predicted, shape (…, k, 2).
-        seen: As they are measured, shape (k, 2).
-        weights: Of the points, shape (k,).
-
-    Returns:
-        The angle [rad], and the mean square of what is left with the best size, shape (…).
+    Predicted rays are (…, k, 2), measured ones (k, 2), weights of the points (k,). Returned
+    are the angle [rad], and the mean square of what is left with the best size, shape (…).
     """
     w = weights / weights.sum()
     a, b = shown - (w @ shown)[..., np.newaxis, :], seen - w.dot(seen)

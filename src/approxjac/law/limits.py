@@ -40,16 +40,8 @@ def limited_torque(
     most ρ R⁻¹. The power yᵀ(τ − τ*) falls with λ along a line that is broken where a joint
     reaches or leaves its limit, so λ is found exactly from the power at these breaks.
 
-    Args:
-        torque: τ* of the law, shape (n_v,) [N m or N].
-        y: Passive output, eq. (10), shape (n_v,) [rad/s or m/s].
-        lower: Smallest torques, shape (n_v,).
-        upper: Largest torques, shape (n_v,), not below `lower`.
-        weight: Diagonal of R > 0, shape (n_v,).
-        rho: ρ ≥ 0, the most that λ may be.
-
-    Returns:
-        τ within the limits, shape (n_v,), and σ [W].
+    τ* [N m or N], y of eq. (10) [rad/s or m/s], the bounds, and the diagonal of R > 0 are (n_v,).
+    Returned are τ and σ [W].
     """
     clipped: Array = np.minimum(np.maximum(torque, lower), upper)
     step, power = y / weight, y.dot(clipped - torque)
@@ -117,11 +109,8 @@ def approach_speed(left: Array, fastest: Array, approach: float | Array, knee: A
     Source: B. Faverjon and P. Tournassoud, "A local based approach for path planning of
     manipulators with a high number of degrees of freedom", ICRA 1987, for κd.
 
-    Args:
-        left: d, signed.
-        fastest: The largest speed of all.
-        approach: κ [1/s].
-        knee: a/κ, the speed from which on a brakes.
+    `left` is d, `fastest` the largest speed of all, `approach` κ [1/s], and `knee` a/κ, the speed
+    from which on a brakes.
     """
     signed = approach * left
     speed = np.abs(signed)
@@ -130,19 +119,12 @@ def approach_speed(left: Array, fastest: Array, approach: float | Array, knee: A
 
 
 class JointRange(NamedTuple):
-    """Where joints may be, and how they may move there.
+    """Where joints may be, and how they may move there."""
 
-    Attributes:
-        ends: Smallest and largest positions, shape (2, n_v), infinite where there is none.
-        fastest: Largest speeds, shape (n_v,).
-        approach: κ [1/s].
-        knee: a/κ with the deceleration a that each joint is sure of, shape (n_v,).
-    """
-
-    ends: Array
-    fastest: Array
-    approach: Array
-    knee: Array
+    ends: Array  # smallest and largest positions, shape (2, n_v), infinite where there is none
+    fastest: Array  # largest speeds, shape (n_v,)
+    approach: Array  # κ [1/s]
+    knee: Array  # a/κ with the deceleration a that each joint is sure of, shape (n_v,)
 
     @classmethod
     def of(
@@ -175,11 +157,8 @@ def acceleration_bounds(
     Where torques change slowly, an acceleration has to be ramped down in time: over what is left to
     the bound, with half of what torques can do, so it is √(jd) at most.
 
-    Args:
-        v: Joint velocity q̇, shape (n_v,), or another speed.
-        speeds: Bounds, such as the smallest and largest, shape (2, n_v); infinite is no bound.
-        braking: r [1/s], at most 1/dt.
-        jerk: j, how fast accelerations change [rad/s³ or m/s³]; None is without end.
+    v is q̇ or another speed; its bounds are infinite where there is none; `braking` is r [1/s], and
+    `jerk` j, how fast accelerations change [rad/s³ or m/s³], None without end.
     """
     left: Array = speeds - v
     if jerk is None:
@@ -190,17 +169,11 @@ def acceleration_bounds(
 
 
 class Rows(NamedTuple):
-    """Bounds of q̈, and of further rows E q̈, at one step.
+    """Bounds of q̈, and of further rows E q̈, at one step."""
 
-    Attributes:
-        low: Shape (n_v + k,), those of q̈ first; −inf where there is no bound.
-        high: Shape (n_v + k,), inf where there is none.
-        E: Shape (k, n_v); None is without further rows.
-    """
-
-    low: Array
-    high: Array
-    E: Array | None = None
+    low: Array  # shape (n_v + k,), those of q̈ first; −inf where there is no bound
+    high: Array  # shape (n_v + k,), inf where there is none
+    E: Array | None = None  # shape (k, n_v); None is without further rows
 
     def of(self, q_dd: Array) -> Array:
         """Return the bounded numbers of q̈ (n_v,) or of matrices (n_v, n_v)."""
@@ -224,21 +197,13 @@ class TorqueRows(NamedTuple):
 
 
 class AskedTorque(NamedTuple):
-    """A torque that a law asks for, and its bounds, each of shape (n_v,).
+    """A torque that a law asks for, and its bounds, each of shape (n_v,)."""
 
-    Attributes:
-        torque: τ*.
-        lower: Smallest torques.
-        upper: Largest torques.
-        clipped: τ* brought within them.
-        is_beyond: Whether that is another torque.
-    """
-
-    torque: Array
+    torque: Array  # τ*
     lower: Array
     upper: Array
-    clipped: Array
-    is_beyond: Any
+    clipped: Array  # τ* brought within them
+    is_beyond: Any  # whether that is another torque
 
 
 def limit_step(
@@ -326,14 +291,7 @@ def braked(
     within the others: first the row that lacks most counts as one that cannot be kept, then the two
     that do, until there is a torque.
 
-    Args:
-        M_inv: M̂⁻¹.
-        bounds: Of the rows.
-        lower: Smallest torques.
-        upper: Largest torques.
-        brake: q̈ that brings joints to rest, shape (n_v,).
-        hold: What is sent where nothing else is known, shape (n_v,).
-        minimum: Solver.
+    `brake` is q̈ that brings joints to rest, and `hold` what is sent where nothing else is known.
     """
     A, low, high, rows, at_rest = bounds
     n, start = len(lower), brake

@@ -63,23 +63,14 @@ def learning_gain(L: Array, Z: Array) -> Array:
 
 
 class LinearLaw(NamedTuple):
-    """The linearised loop at rest at its target, a batch of k of them.
+    """The linearised loop at rest at its target, a batch of k of them."""
 
-    Attributes:
-        M_inv: Inverse of the true inertia matrix, shape (k, n_v, n_v).
-        J: True task Jacobian, shape (k, m, n_v).
-        stiffness: ĴᵀK_p, shape (k, n_v, m).
-        damping: ĴᵀK_vĴ + B_c, shape (k, n_v, n_v).
-        learning: Y L Yᵀ, which turns y into the rate of the learnt torque, shape (k, n_v, n_v).
-        pull: αĴ⁺, shape (k, n_v, m).
-    """
-
-    M_inv: Array
-    J: Array
-    stiffness: Array
-    damping: Array
-    learning: Array
-    pull: Array
+    M_inv: Array  # inverse of the true inertia matrix, shape (k, n_v, n_v)
+    J: Array  # true task Jacobian, shape (k, m, n_v)
+    stiffness: Array  # ĴᵀK_p, shape (k, n_v, m)
+    damping: Array  # ĴᵀK_vĴ + B_c, shape (k, n_v, n_v)
+    learning: Array  # Y L Yᵀ, which turns y into the rate of the learnt torque, (k, n_v, n_v)
+    pull: Array  # αĴ⁺, shape (k, n_v, m)
 
 
 def frame_map(

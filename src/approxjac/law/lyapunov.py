@@ -25,18 +25,8 @@ def V(
 
     Implements Eq. (12).
 
-    Args:
-        v: Joint velocity q̇, shape (n_v,).
-        s: Saturated error s(e), shape (m,).
-        potential: S_i(e_i), shape (m,).
-        J_hat_pinv: Ĵ⁺, shape (n_v, m).
-        M: Inertia matrix, shape (n_v, n_v).
-        kp: Diagonal of K_p, shape (m,).
-        kv: Diagonal of K_v, shape (m,).
-        alpha: Scalar α [1/s].
-
-    Returns:
-        V [J].
+    q̇ is (n_v,); s(e), the potentials S_i(e_i) and the gains' diagonals are (m,), Ĵ⁺ is (n_v, m), M
+    (n_v, n_v), α [1/s] and V [J].
     """
     Mv = M @ v
     return float(0.5 * v @ Mv + alpha * (Mv @ (J_hat_pinv @ s)) + (kp + alpha * kv) @ potential)

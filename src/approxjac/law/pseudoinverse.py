@@ -29,14 +29,7 @@ def damped_gram_solve(
     Source: Y. Nakamura and H. Hanafusa, "Inverse kinematic solutions with singularity
     robustness for robot manipulator control", J. Dyn. Sys. Meas. Control 108, 1986.
 
-    Args:
-        G: J Jᵀ, shape (m, m).
-        b: Shape (m,).
-        singular_ratio: Ratio of singular values below which damping sets in.
-        scale: A σ_max below which it counts as this large [unit of J].
-
-    Returns:
-        w, shape (m,), zero where G is, and λ (0 where w is exact).
+    Returned are w (m,), zero where G (m, m) is, and λ, 0 where w is exact.
     """
     solve, singular = regular_solver(G, singular_ratio, scale)
 

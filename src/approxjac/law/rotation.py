@@ -308,10 +308,7 @@ def best_rotation(M: Array, h: Array, A: Array) -> Array:
     Newton's method on the rotations A ← exp([δ]ₓ)A. Where the function is not concave along δ, or
     does not rise, A ← the rotation nearest to Mw + h, which never lowers it as M ≥ 0.
 
-    Args:
-        M: Symmetric, positive semidefinite, (d², d²).
-        h: Shape (d²,).
-        A: Where to start, (d, d).
+    M (d², d²) is symmetric, positive semidefinite; A (d, d) is where to start.
     """
     d = len(A)
 

@@ -28,39 +28,23 @@ _LEAST = 1e-300
 
 
 class Singularity(NamedTuple):
-    """Bounds below which Ĵ is near singular.
+    """Bounds below which Ĵ is near singular."""
 
-    Attributes:
-        ratio: σ_min/σ_max below which Ĵ does.
-        scale: A σ_max below which it counts as this large [unit of the task/rad].
-        inverse_root: 1/√R of the Ĵ⁺ of least q̇ᵀRq̇, shape (n_v,); None is R = I.
-    """
-
-    ratio: float = SINGULAR_RATIO
-    scale: float = 0.0
-    inverse_root: Array | None = None
+    ratio: float = SINGULAR_RATIO  # of σ_min/σ_max
+    scale: float = 0.0  # a σ_max below which it counts as this large [unit of the task/rad]
+    inverse_root: Array | None = None  # 1/√R of the Ĵ⁺ of least q̇ᵀRq̇, (n_v,); None is R = I
 
 
 class SetpointTerms(NamedTuple):
-    """Terms of the believed robot at a measured q, and of the error.
+    """Terms of the believed robot at a measured q, and of the error."""
 
-    Attributes:
-        J_hat: Ĵ, shape (m, n_v).
-        s: s(e), shape (m,); zeros where x is lost.
-        g: Gravity torque, shape (n_v,); None where it is learnt.
-        Y: Regressor of what is learnt, shape (n_v, P); None of nothing.
-        pull: τ₀ of a posture, shape (n_v,), or None.
-        x_dot: Measured Ẋ, shape (m,); None is Ĵq̇.
-        v_d: ẋ_d of a target that moves, shape (m,); None is at rest.
-    """
-
-    J_hat: Array
-    s: Array
-    g: Array | None = None
-    Y: Array | None = None
-    pull: Array | None = None
-    x_dot: Array | None = None
-    v_d: Array | None = None
+    J_hat: Array  # shape (m, n_v)
+    s: Array  # s(e), shape (m,); zeros where x is lost
+    g: Array | None = None  # gravity torque, shape (n_v,); None where it is learnt
+    Y: Array | None = None  # regressor of what is learnt, shape (n_v, P); None of nothing
+    pull: Array | None = None  # τ₀ of a posture, shape (n_v,)
+    x_dot: Array | None = None  # measured Ẋ, shape (m,); None is Ĵq̇
+    v_d: Array | None = None  # ẋ_d of a target that moves, shape (m,); None is at rest
 
 
 def setpoint_step(
@@ -74,14 +58,7 @@ def setpoint_step(
 ) -> tuple[Array, Array, Any, Array, Array | None, Array | None]:
     """Answer as the laws (5), (6) and (28) do, with a posture and on a path.
 
-    Args:
-        kp: Diagonal of K_p, shape (m,).
-        kv: Diagonal of K_v, shape (m,).
-        damping: Diagonal of B_c, shape (n_v,).
-        terms: Of the believed robot.
-        v: q̇, shape (n_v,).
-        theta_hat: θ̂, shape (P,).
-        singularity: What counts as near singular.
+    The gains are diagonals, q̇ is (n_v,) and θ̂ (P,).
 
     Returns:
         τ; the gravity torque in it; whether Ĵ is near singular; q̇, less Ĵ⁺ẋ_d of a target that

@@ -49,16 +49,12 @@ class PredictedError(NamedTuple):
 
 
 class ReferenceGains(NamedTuple):
-    """How fast a reference leads an error to zero.
+    """How fast a reference leads an error to zero."""
 
-    α and k of `task_velocity`, the fastest speeds of joints of `within_speeds`, and the singular
-    ratio and scale of `damped_gram_solve`.
-    """
-
-    alpha: float | Array
+    alpha: float | Array  # α and k of `task_velocity`
     k: float | Array
-    fastest: Array
-    singular_ratio: float = SINGULAR_RATIO
+    fastest: Array  # speeds of joints of `within_speeds`
+    singular_ratio: float = SINGULAR_RATIO  # and scale, of `damped_gram_solve`
     scale: float = 0.0
 
 
@@ -97,18 +93,7 @@ def reference(
 
         q̈_r = h + Ĵ⁺(u' − Ĵ'q̇_r − Ĵh − (λ²)'w).
 
-    Args:
-        J_hat: Ĵ.
-        J_hat_dot: Ĵ', its derivative along the motion.
-        u: Wanted task velocity.
-        u_dot: Its derivative.
-        null: n₀, of which q̇_r has what does not move the task.
-        null_dot: Its derivative.
-        singular_ratio: As for `damped_gram_solve`.
-        scale: As for `damped_gram_solve`.
-
-    Returns:
-        q̇_r, q̈_r and λ.
+    Each derivative is along the motion. Returned are q̇_r, q̈_r and λ.
     """
     G = dot(J_hat, J_hat.T)
     solve, singular = regular_solver(G, singular_ratio, scale)
@@ -136,12 +121,8 @@ def reference_step(
 ) -> tuple[Array, Array, Any, Any]:
     """Return q̇_r and q̈_r that lead a predicted error to zero, and what is to be said of them.
 
-    Args:
-        error: Predicted error.
-        v: q̇.
-        null: n₀ and its derivative.
-        waits: Whether the joints are to stand still, as nothing is predicted yet.
-        gains: How fast.
+    `null` are n₀ and its derivative; the joints are to stand still while it `waits`, as nothing is
+    predicted yet.
 
     Returns:
         q̇_r; q̈_r; whether Ĵ⁺ is damped; whether all is finite, and else the joints stand still.

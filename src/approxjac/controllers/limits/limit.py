@@ -63,13 +63,8 @@ class LimitTerms:
         """Return rows that keep some h(q) at 0 or above.
 
         h may fall by κh a second at most, or as fast as can surely be braked if that is less; from
-        below 0 it has to come back.
-
-        Args:
-            value: h, shape (k,).
-            J: ∂h/∂q, shape (k, n_v).
-            drift: J̇q̇, shape (k,).
-            returning: How fast it has to come back at most.
+        below 0 it has to come back, as fast as `returning` at most. h and J̇q̇ are (k,), J = ∂h/∂q
+        is (k, n_v).
         """
         value, J, drift = (law.array(each) for each in (value, J, drift))
         fastest = np.where(value < 0.0, returning, _FAR)
@@ -81,14 +76,7 @@ class LimitTerms:
     def stay_below(
         self, rate: Any, most: float | Array, J: Any, drift: Any
     ) -> tuple[Array, Array, Array]:
-        """Return rows that keep some speed Jq̇ at its bound or below.
-
-        Args:
-            rate: The speed, shape (k,).
-            most: Its bound, a number or shape (k,).
-            J: Shape (k, n_v).
-            drift: J̇q̇, shape (k,).
-        """
+        """Return rows that keep speeds Jq̇ (k,) at their bounds `most` or below; J̇q̇ is (k,)."""
         rate, J, drift = (law.array(each) for each in (rate, J, drift))
         most = np.broadcast_to(most, (len(J),))
         high = law.acceleration_bounds(rate, most, self.braking, self._jerk_of(J))

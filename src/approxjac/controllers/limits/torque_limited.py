@@ -44,23 +44,15 @@ _NEVER = 1e20  # [s], a time that is never measured
 class AccelerationObserver:
     """q̈ = f(q, q̇, τ) + r, with f the believed dynamics and r the residual that periods have shown.
 
-    After each period q̇ is f dt + r₁ dt from where it was, and r follows r₁ with a rate of its own:
-    one at which damping may act, so that delays and filters which allow that damping allow r, and
-    noise of q̇ becomes no more torque than with that damping.
+    After each period q̇ is f dt + r₁ dt from where it was, and r follows r₁ with a rate of its own
+    [1/s]: one at which damping may act, so that delays and filters which allow that damping allow
+    r, and noise of q̇ becomes no more torque than with that damping.
 
     Limits have to be kept while gravity is learnt: so f has the believed arm's weight where it is,
-    and does not depend on what is learnt; elsewhere it has what the controller compensates, which
-    may be that of a robot that compensates itself.
+    and does not depend on what is learnt; elsewhere it has what the controller compensates.
 
     Its memory is flat: when the next q̇ is expected [s], that q̇ by f alone, and r; 1 + 2 n_v. A q̇
     that comes at another time than expected, by more than half a period, shows nothing.
-
-    Owns scratch memory: one instance a thread.
-
-    Args:
-        controller: The law whose torques are predicted.
-        dt: Period [s].
-        rate: Of r [1/s], at most 1/dt.
     """
 
     def __init__(self, controller: Controller, dt: float, rate: float) -> None:
@@ -109,42 +101,35 @@ class TorqueLimited(ControllerWrapper):
         min ½(τ − τ*)ᵀR(τ − τ*) + ρσ   subject to   yᵀ(τ − τ*) ≤ σ,  σ ≥ 0
 
     and to the limits: of τ and its rate; and of q̇ and q, whose next step the believed dynamics
-    predict. A slack σ > 0 is reported, never hidden. The multiplier of the proof's row acts as
-    damping added along y, λR⁻¹ with λ ≤ ρ, so ρ is chosen such that this damping is not faster
-    than `braking` at usual configurations.
+    predict. R is diagonal, the largest (M̂⁻¹)ᵢᵢ over usual configurations. A slack σ > 0 is
+    reported, never hidden. The multiplier of the proof's row acts as damping added along y, λR⁻¹
+    with λ ≤ ρ, and ρ makes it no faster than `braking`. While no limit of speed or position is
+    near, the minimum is known in closed form. Where no torque keeps all limits, and where the
+    solver fails, joints are braked as hard as motors can, those first that need it most. On a path
+    q̇ − Ĵ⁺ẋ_d takes the place of q̇ in y.
 
-    R is diagonal, 1 / max (M̂⁻¹)ᵢᵢ over usual configurations. While no limit of speed or position
-    is near, the minimum is known in closed form and no solver is called. Where no torque keeps all
-    limits, and where the solver fails, joints are braked as hard as motors can, those first that
-    need it most. On a path q̇ − Ĵ⁺ẋ_d takes the place of q̇ in y.
-
-    Learning by eq. (29) goes on where the torque is free, or limited such that V̇ ≤ −W holds: the
-    parameters are part of that V, and it needs them to move. Where the proof is given up, joints
-    that are at a limit count as locked: the others go on learning as the arm of these joints does,
-    y = q̇ + α(ĴP)⁺s(e) with P leaving out what is locked. So an arm that weight has pushed to a
-    stop learns what it needs to leave it, and nothing winds up where the others cannot lessen the
-    error. Otherwise θ̂ rests. This takes the place of `AdaptiveGravity.torque_limits`. Dynamics that
-    a `TrackingController` learns rest wherever the proof is given up; its kinematics go on.
+    Learning by eq. (29) goes on where the torque is free, or limited such that V̇ ≤ −W holds. Where
+    the proof is given up, joints that are at a limit count as locked: the others go on learning as
+    the arm of these joints does, y = q̇ + α(ĴP)⁺s(e) with P leaving out what is locked, so that an
+    arm that weight has pushed to a stop learns what it needs to leave it. Otherwise θ̂ rests. This
+    takes the place of `AdaptiveGravity.torque_limits`. Dynamics that a `TrackingController` learns
+    rest wherever the proof is given up; its kinematics go on.
 
     Its state is that of the controller, followed by what it predicts, where motion is limited, and
-    by the torque of the step before where the rate of torques is; the first step starts from the
-    torque that holds the arm. `resumed`, `kinematics_learnt` and `learnt_robot` of the law are to
-    be had of this, too, and take its states.
+    by the torque of the step before where the rate of torques is.
 
     Immutable, but it owns scratch memory: one instance a thread.
 
     Attributes:
         alpha: α of y [1/s]: that of the adaptation where gravity is learnt, and else 0.3 of the
-            rate of the task's slow pole. With a small α it is q̇ that counts, and the proof can be
-            kept more often.
+            rate of the task's slow pole.
         limits: Limits of joints and motors, with an entry for each joint.
         motion_limits: Limits of motion besides those of joints.
 
     Args:
         controller: The controller whose torque to limit.
-        limits: Limits to keep: `Limits` of joints and motors, a `Limit` of motion such as `Wall`,
-            or a list of them. Where there are no `Limits` among them, those of the believed
-            robot's URDF are kept.
+        limits: `Limits` of joints and motors, by default those of the believed robot's URDF; a
+            `Limit` of motion such as `Wall`; or a list of them.
         proof: Whether yᵀ(τ − τ*) ≤ σ is asked for.
         dt: Sampling time [s].
         braking: How fast damping may be, and the correction of `AccelerationObserver` [1/s],
@@ -316,14 +301,7 @@ class TorqueLimited(ControllerWrapper):
     ) -> tuple[Array, Any, Any, Array]:
         """Return the torque within its bounds, what was done to it, σ [W], and what is kept.
 
-        It runs on symbols, too.
-
-        Args:
-            answer: Answer of the law.
-            gravity: Gravity torque in it, shape (n_v,).
-            measurement: What was measured.
-            asked: Its torque, and the bounds.
-            memory: What was kept from the step before.
+        It runs on symbols, too. `gravity` is the gravity torque in the law's answer, shape (n_v,).
         """
         forward = partial(self._prediction.forward, measurement, gravity)
         M_inv = partial(self._prediction.dynamics.M_inv, measurement.q)
@@ -429,12 +407,7 @@ class TorqueLimited(ControllerWrapper):
         )  # fmt: skip
 
     def _passive_output(self, answer: Evaluation, v: Array) -> tuple[Array, Any]:
-        """Return y, shape (n_v,), and ρ.
-
-        λ pulls q̇ to where y is 0, such as Ĵ⁺ẋ_d − αĴ⁺s(e). Where that is faster than joints may
-        move, ρ is reduced, or the pull would drive them into their limits of speed for as long as
-        the error lasts.
-        """
+        """Return y, shape (n_v,), and ρ, less where y = 0 is faster than joints may move."""
         y = self._law.passive_output(answer, v, self._alpha)
         if answer.reference is not None:
             y = y - answer.reference
@@ -459,11 +432,10 @@ def _sorted(
     limits: Limits | Limit | Sequence[Limits | Limit] | None,
 ) -> tuple[Limits | None, tuple[Limit, ...]]:
     """Return the limits of joints and motors, None of none, and those of motion."""
-    listed = tuple(limits) if isinstance(limits, list | tuple) else (limits,)
-    of_joints = [each for each in listed if each is None or isinstance(each, Limits)]
+    listed = limits if isinstance(limits, list | tuple) else () if limits is None else (limits,)
+    of_joints = [each for each in listed if isinstance(each, Limits)]
     if len(of_joints) > 1:
-        raise InvalidInputError(
-            f"limits must hold one Limits at most, got {limits!r}", given=limits
-        )
-    others = tuple(each for each in listed if each is not None and not isinstance(each, Limits))
+        message = f"limits must hold one Limits at most, got {limits!r}"
+        raise InvalidInputError(message, given=limits)
+    others = tuple(each for each in listed if not isinstance(each, Limits))
     return (of_joints[0] if of_joints else None), others
