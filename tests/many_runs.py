@@ -3,7 +3,7 @@
 import approxjac as aj
 from approxjac.stability import Execution
 
-_OF_EXECUTION = ("engine", "executor", "folder")
+_OF_EXECUTION = ("engine", "executor")
 
 
 def study(controller, errors, region=None, *, dt=1e-3, actuator_delay=0.0, **options):

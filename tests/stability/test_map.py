@@ -105,8 +105,8 @@ def digest(found):
     return b"".join(column.tobytes() for column in columns)
 
 
-def test_the_same_bits_whatever_carries_it_out(plane, tmp_path, monkeypatch):
-    """Threads, processes, portions of other sizes, stopped and gone on with."""
+def test_the_same_bits_whatever_carries_it_out(plane, monkeypatch):
+    """Threads, processes, portions of other sizes."""
     own = functools.partial(study(*plane, **SHORT).map, {"damping": DAMPING, "error": SCALES}, 40)
     expected, done = digest(own()), []
     with ThreadPoolExecutor(2) as pool:
@@ -119,18 +119,6 @@ def test_the_same_bits_whatever_carries_it_out(plane, tmp_path, monkeypatch):
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         assert digest(own(execution=Execution(executor=pool))) == expected
 
-    def stop(what, share):
-        if share >= 0.4:
-            raise KeyboardInterrupt
-
-    kept_there = Execution(folder=tmp_path)
-    with pytest.raises(KeyboardInterrupt):
-        own(execution=kept_there, progress=stop)
-    kept = {file: file.stat().st_mtime_ns for file in tmp_path.iterdir()}
-    assert kept
-    assert digest(own(execution=kept_there)) == expected
-    assert kept.items() <= {f: f.stat().st_mtime_ns for f in tmp_path.iterdir()}.items()
-    assert len(kept) < len([*tmp_path.iterdir()])
     monkeypatch.setattr("approxjac.stability.rollouts.rollouts._PORTION", 16)
     assert digest(own()) == expected
 

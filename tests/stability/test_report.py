@@ -407,7 +407,7 @@ def test_tolerance_stops_where_robots_cannot_exist(weightless, box):
     assert found["local"].fails_at == math.inf
     assert "times the errors, the most that was tried" in str(found["local"])
     assert str(found["local"]).startswith("tolerated by the linearisation (near targets only): ")
-    assert repr(found["local"]) == "Tolerance('local': did not fail up to 1, the largest)"
+    assert repr(found["local"]) == "Tolerance('local': scale 1, fails at inf)"
     assert "object length 0 to 0.2 m" in str(found["local"])  # and not 1.2e-07
 
 

@@ -114,13 +114,6 @@ def test_threads_and_processes_give_the_same(controller, uncertainty, serial):
     require_same(threads, rolled(controller, by_lambda, REGION, **SHORT))
 
 
-def test_what_a_folder_cannot_know_again_is_refused(uncertainty, tmp_path):
-    own = dataclasses.replace(uncertainty, task=lambda robot: aj.PositionTask(robot, axes="xz"))
-    controller = aj.SetpointController(own.believed_task())
-    with pytest.raises(aj.InvalidInputError, match=r"must be picklable .* a lambda is not\)"):
-        rolled(controller, own, REGION, folder=tmp_path, **SHORT)
-
-
 def test_learnt_gravity_in_threads(uncertainty):
     task = uncertainty.believed_task()
     learning = aj.SetpointController(task, gravity=aj.AdaptiveGravity(GravityRegressor(task.robot)))
@@ -281,7 +274,6 @@ def test_the_interval_is_that_of_scipy(runs, share, confidence):
             {"sensing": aj.Sensing(x_delay=30.0)},
             r"x_delay must be shorter than the duration, 10 \[",
         ),
-        ({"folder": 3}, "folder must be a folder, or None, got 3"),
         ({"executor": 2}, "executor must be an executor of concurrent.futures or None, got 2"),
     ],
 )
@@ -363,13 +355,3 @@ def test_a_share_that_is_not_all_is_not_shown_as_all():
     assert [percent(each) for each in (0.0, 1e-9, 0.5, 0.99995, 1.0)] == [
         "0.0", "0.1", "50.0", "99.9", "100.0",
     ]  # fmt: skip
-
-
-def test_a_file_that_is_damaged_is_named(tmp_path, controller, uncertainty):
-    options = {"runs": 3, "duration": 0.1, "dt": 2e-3, "folder": tmp_path, "engine": "python"}
-    rolled(controller, uncertainty, REGION, **options)
-    file = next(tmp_path.iterdir())
-    for damage in (b"", b"junk", file.read_bytes()[:100]):
-        file.write_bytes(damage)
-        with pytest.raises(aj.InvalidInputError, match=file.name):
-            rolled(controller, uncertainty, REGION, **options)

@@ -123,8 +123,7 @@ def test_errors_that_turn_the_camera_away_are_errors_that_fail():
     region = aj.JointBox.around(ARM, (0.1, 1.2), 0.1)
     found = aj.Study(controller, errors, region).tolerance(("local",), draws=8)["local"]
     assert 1.0 < found.scale < found.fails_at < 6.0
-    assert not found.is_tested
-    assert "not tested at" in repr(found)
+    assert np.isfinite(found.fails_at)
     told = " ".join(str(found).split())
     assert "outside the region only, or not seen; a larger region would tell" in told
     assert "fails" not in told

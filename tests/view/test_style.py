@@ -56,7 +56,6 @@ def plots(run, image_run, arm, seen):
     tracking = aj.TrackingController(aj.PositionTask(belief))
     plant = aj.Plant(arm)
     followed = aj.simulate(plant, tracking, plant.sensor.value(HOME), HOME, 0.05, dt=1e-3)
-    places, margins = rng.normal(size=(N, 3)), rng.uniform(-1.0, 1.0, N)
     x, y = np.linspace(0.1, 1.0, 5), np.linspace(1.0, 2.0, 4)
     decay = x[None, :] - 0.2 * y[:, None]
     return {
@@ -74,7 +73,6 @@ def plots(run, image_run, arm, seen):
         "plot_allowed_error": lambda ax: view.plot_allowed_error(
             0.04, 0.3, unit="m/rad", p_label="p of the errors", ax=ax
         ),
-        "plot_margins": lambda ax: view.plot_margins(places, margins, ax=ax),
         "plot_shares": lambda ax: view.plot_shares(
             x, y, np.clip(decay, 0.0, 1.0), own=(0.5, 1.5), ax=ax,
             labels=("true object_length [m]", "damping [N m s/rad]"),
@@ -86,7 +84,7 @@ def plots(run, image_run, arm, seen):
 NAMES = (
     "plot_error", "plot_torque", "plot_torque, limits", "plot_slack", "plot_path",
     "plot_parameters", "plot_image", "plot_allowed_error",
-    "plot_margins", "plot_shares", "plot_parameters, bands",
+    "plot_shares", "plot_parameters, bands",
 )  # fmt: skip
 
 

@@ -18,7 +18,7 @@ from approxjac.cameras import Camera
 from approxjac.controllers import Limits, SetpointController, TorqueLimited
 from approxjac.errors import InvalidInputError
 from approxjac.files import together, write_text
-from approxjac.formatting import numbers, plain, wrapped
+from approxjac.formatting import plain, wrapped
 from approxjac.robots import Robot
 from approxjac.scenario.build import (
     BuiltScenario,
@@ -39,7 +39,7 @@ from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.search.map import PARAMETERS, own_values, require_parameters
 from approxjac.stability.search.tolerance import Test, Tolerance
 from approxjac.stability.studied_loop import Progress
-from approxjac.tasks import CombinedTask, FrameKinematics, ImageTask, Task
+from approxjac.tasks import CombinedTask, ImageTask, Task
 from approxjac.tasks.analysis import features, fine_error
 from approxjac.validation import Array
 
@@ -227,28 +227,6 @@ def advice(result: StabilityResult) -> str:
 # -- pictures and files -----------------------------------------------------------------
 
 
-def draw_workspace(result: StabilityResult) -> Figure:
-    """Draw the margin of the matrix form over the workspace, in two planes of the world."""
-    report = result.report
-    best = max(report.matrix.values(), key=lambda test: test.margin)
-    robot = report.loop.controller.task.robot
-    tip = FrameKinematics(robot, robot.tip_or(None))
-    positions = np.array([tip.position(q) for q in report.samples.q[: len(best.margins)]])
-    widths = np.ptp(positions, axis=0)
-    pairs = {"xz": widths[[0, 2]], "xy": widths[:2]}  # on a line in a plane nothing is to be seen
-    planes = [plane for plane, two in pairs.items() if two.min() > 0.01 * two.max()] or ["xz"]
-    between = " " if len(planes) > 1 else "\n"
-    figure, axes = view.new_figure(
-        len(planes),
-        size=(5.2 * len(planes), 4.6),
-        title=f"{robot.name}: margin of the matrix form in continuous time,{between}"
-        "where the believed tip is",
-    )
-    for ax, plane in zip(axes, planes, strict=True):
-        view.plot_margins(positions, best.margins, plane, ax, title=f"{plane[0]}-{plane[1]} plane")
-    return figure
-
-
 def draw_map(result: StabilityResult) -> Figure | None:
     """Draw the share of runs that converge, between its interval's ends; None of no map."""
     grid, uncertainty = result.map, uncertainty_of(result.study)
@@ -262,9 +240,7 @@ def draw_map(result: StabilityResult) -> Figure | None:
     figure, axes = view.new_figure(3, size=(14.0, 4.6), title=textwrap.fill(title, 130))
     own = own_values(controller)
     first, second = grid.names
-    low, high = np.moveaxis(
-        np.where(np.isnan(grid.share)[..., None], np.nan, grid.intervals), -1, 0
-    )
+    low, high = np.moveaxis(grid.intervals, -1, 0)
     shares = {"at least": low, "of the runs": grid.share, "at most": high}
     for ax, (title, share) in zip(axes, shares.items(), strict=True):
         view.plot_shares(
@@ -288,7 +264,6 @@ def summary(result: StabilityResult) -> dict[str, Any]:
             test: {
                 "scale": each.scale,
                 "fails_at": each.fails_at,
-                "is_tested": each.is_tested,
                 "errors": each.uncertainty.describe_box(),
                 "worst": each.worst_text,
             }
@@ -306,7 +281,6 @@ def write(result: StabilityResult, out: Path) -> None:
     """Write the pictures, summary.json and scenario.toml into a folder."""
     drawn = draw_map(result)
     with together(out) as folder:
-        view.save_figure(draw_workspace(result), folder / "workspace")
         if drawn is not None:
             view.save_figure(drawn, folder / "map")
         result.scenario.save(folder / "scenario.toml")
@@ -319,39 +293,10 @@ def write(result: StabilityResult, out: Path) -> None:
 # -- gains ------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class SuggestedGains:
-    """Gains found for a scenario."""
-
-    scenario: Scenario  # with the gains that were found and certified
-    errors: str  # that they are for
-    suggestion: stability.Suggestion
-    refused: str = ""  # what a report of all configurations says, if it refuses the gains
-    report: StabilityReport | None = None  # of the scenario as it is; None without gains
-
-    @property
-    def needs_known_gravity(self) -> bool:
-        """True if the gains are certified when sampled, but not with the scenario's gravity.
-
-        As where it is learnt, of which there are certificates in continuous time only.
-        """
-        return self.report is not None and self.report.certified_by is None
-
-    def __str__(self) -> str:
-        control = self.scenario.controller
-        lines = [str(self.suggestion), *wrapped(f"for {self.errors}, with known gravity", "  ")]
-        if self.refused:
-            lines += wrapped(f"a report refuses what was found: {self.refused}", "  ")
-        if self.report is not None:
-            if self.needs_known_gravity:
-                lines += wrapped(f"with gravity {control.gravity}: {self.report.verdict()}")
-            lines.append("")
-            lines += [f"  controller.{name} {numbers(getattr(control, name))}" for name in _GAINS]
-        return "\n".join(lines)
-
-
-def suggested(scenario: Scenario, progress: Progress) -> SuggestedGains:
-    """Return gains of law (6) that a whole report certifies for a scenario's errors.
+def suggested(
+    scenario: Scenario, progress: Progress
+) -> tuple[stability.Suggestion, Scenario | None]:
+    """Return gains of law (6) for a scenario's errors, and the scenario with them if there are any.
 
     Raises:
         InvalidInputError: No ranges of errors, or gains that are given already.
@@ -374,41 +319,22 @@ def suggested(scenario: Scenario, progress: Progress) -> SuggestedGains:
         configurations=min(scenario.stability.configurations, 200),
         progress=progress,
     )
-    found, errors = suggestion.found, uncertainty.describe_box()
-    if found is None:
-        return SuggestedGains(scenario, errors, suggestion)
-    diagonals = study.loop().controller.with_gains(found.gains).diagonals
+    if suggestion.found is None:
+        return suggestion, None
+    diagonals = study.loop().controller.with_gains(suggestion.found.gains).diagonals
     gains = {name: tuple(getattr(diagonals, name)) for name in _GAINS}
     # a settling time is refused beside given gains
-    own = scenario.with_values({"controller": gains | {"settling_time": None}})
-    # the search is of fewer configurations, and of law (6) with known gravity and no limits
-    report = _report(own.with_values({"controller": {"gravity": "exact"}}))
-    if not report.passed:
-        suggestion = replace(suggestion, found=None)
-        return SuggestedGains(scenario, errors, suggestion, report.verdict())
-    assert report.sampled is not None
-    suggestion = replace(suggestion, found=replace(found, margin=report.sampled.margin))
-    if own.controller.gravity != "exact":
-        report = _report(own)
-    return SuggestedGains(own, errors, suggestion, report=report)
+    return suggestion, scenario.with_values({"controller": gains | {"settling_time": None}})
 
 
-def _report(scenario: Scenario) -> StabilityReport:
-    report = prepare(scenario).report(scenario.stability.configurations)
-    assert isinstance(report, StabilityReport)  # the laws of scenarios have certificates
-    return report
-
-
-def write_gains(result: SuggestedGains, out: Path) -> None:
+def write_gains(suggestion: stability.Suggestion, found: Scenario | None, out: Path) -> None:
     """Write summary.json, and scenario.toml if gains were found, into a folder."""
-    found, control = result.suggestion.found, result.scenario.controller
-    summary: dict[str, Any] = {"found": found is not None, "errors": result.errors}
-    if found is not None and result.report is not None:
-        summary |= {name: getattr(control, name) for name in _GAINS}
-        summary |= {"margin": found.margin, "torque_ratio": found.torque_ratio}
-        summary["settling_time_s"] = found.settling_time
-        summary["verdict"] = result.report.verdict()  # with the scenario's own gravity
+    summary: dict[str, Any] = {"found": found is not None}
+    if found is not None:
+        summary |= {name: getattr(found.controller, name) for name in _GAINS}
+        names = ("margin", "torque_ratio", "settling_time")
+        summary |= {name: getattr(suggestion.found, name) for name in names}
     with together(out) as folder:
         if found is not None:
-            result.scenario.save(folder / "scenario.toml")
+            found.save(folder / "scenario.toml")
         write_text(folder / "summary.json", json.dumps(plain(summary), indent=2) + "\n")

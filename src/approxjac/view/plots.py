@@ -358,44 +358,6 @@ def plot_allowed_error(
     return ax
 
 
-def plot_margins(
-    positions: Array,
-    margins: Array,
-    plane: str = "xz",
-    ax: Axes | None = None,
-    *,
-    title: str = "Margin over the workspace",
-) -> Axes:
-    """Draw the margin of each configuration at its tip, the smallest on top, crosses below zero.
-
-    Tips are at `positions`, shape (N, 3) [m], and drawn in a plane of two world axes; margins are
-    of shape (N,).
-    """
-    rows = plane_rows(plane)
-    top = np.argsort(-margins)
-    with styled(ax) as ax:
-        # one that is far below zero would leave all others without colour
-        reach = min(1.0, max(0.05, float(np.abs(margins[np.isfinite(margins)]).max(initial=0.0))))
-        for passes, marker, name in ((True, "o", "holds in"), (False, "x", "fails in")):
-            chosen = top[(margins[top] > 0.0) == passes]
-            if len(chosen) == 0:
-                continue
-            dots = ax.scatter(
-                positions[chosen, rows[0]], positions[chosen, rows[1]], marker=marker,
-                s=9 if passes else 14, linewidths=0.0 if passes else 1.2,
-                c=np.clip(margins[chosen], -reach, reach), cmap="RdYlBu", vmin=-reach, vmax=reach,
-            )  # fmt: skip
-            label = f"{name} {len(chosen)} of {len(margins)} configurations"
-            ax.plot([], [], marker, ms=4, color="0.4", label=label)
-        worst = positions[margins.argmin(), rows]
-        ax.plot(*worst, "s", mfc="none", mec=SERIES[6], ms=9, mew=1.5,
-                label=f"worst: {margins.min():.3g}")  # fmt: skip
-        ax.set_aspect("equal", adjustable="datalim")
-        ax.set(xlabel=f"{plane[0]} [m]", ylabel=f"{plane[1]} [m]", title=title)
-        ax.figure.colorbar(dots, ax=ax, label="margin [–]", shrink=0.8)
-    return ax
-
-
 def plot_shares(
     x: Array,
     y: Array,

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import copy
-import hashlib
 import math
-import os
 import pickle
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property, partial
-from pathlib import Path
+from functools import cached_property
 from types import NoneType
 from typing import Any, Literal
 
 import numpy as np
 
 from approxjac.errors import InvalidInputError, package_of
-from approxjac.files import read_arrays, replaced
 from approxjac.formatting import joined, percent
 from approxjac.simulation import Trajectory
 from approxjac.stability.rollouts.setting import COLUMNS, Rollout, RolloutSetting
@@ -32,7 +28,6 @@ _VECTOR = 8  # runs that lanes take at once, at least
 
 Engine = Literal["lanes", "python"]
 _EXECUTOR: Any = (Executor, NoneType)
-_FOLDER: Any = (str, os.PathLike, NoneType)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -56,21 +51,6 @@ class Rollouts:
             Rollout(*(value.item() if value.ndim == 0 else value for value in row))
             for row in zip(*each, strict=True)
         )
-
-    @property
-    def table(self) -> dict[str, Array]:
-        """The columns with a number each, as `pandas.DataFrame` takes them."""
-        robot = self.setting.controller.task.robot
-        labels = {
-            "values": [f"true {name}" for name in self.setting.uncertainty.names],
-            "q0": [f"q0[{i}]" for i in range(robot.nq)],
-            "target": [f"target[{i}]" for i in range(self.setting.controller.task.n_x)],
-        }
-        found: dict[str, Array] = {}
-        for name, column in self.columns.items():
-            each = zip(labels[name], column.T, strict=True) if name in labels else [(name, column)]
-            found |= dict(each)
-        return found
 
     def replay(self, index: int) -> Trajectory:
         """Simulate a run again, in Python, with all that it records.
@@ -198,19 +178,16 @@ class Execution:
         executor: What carries out portions of the runs, such as a `ThreadPoolExecutor` (for lanes),
             a `ProcessPoolExecutor` or Dask's `client.get_executor()`, the user's to shut down; this
             thread by default. Each portion has its own copies.
-        folder: Where portions that are done are kept, a file each. The same call goes on from them.
 
     Raises:
-        InvalidInputError: What is no executor, or no folder.
+        InvalidInputError: What is no executor.
     """
 
     engine: Engine | None = None
     executor: Executor | None = None
-    folder: str | os.PathLike[str] | None = None
 
     def __post_init__(self) -> None:
         require("executor", self.executor, _EXECUTOR, "an executor of concurrent.futures or None")
-        require("folder", self.folder, _FOLDER, "a folder, or None")
 
 
 def carried_out(
@@ -224,35 +201,33 @@ def carried_out(
 
     Each ends with its so many-th run that does not converge, if `failures` are given.
     """
-    executor, folder = execution.executor, execution.folder
+    executor = execution.executor
     shared = max(1, math.ceil(len(settings) * runs / _CHUNKS))
     pieces: list[tuple[int, range]] = []
     for k, setting in enumerate(settings):
         if setting.engine == "lanes":
-            whole_ones = executor is None and folder is None and failures is None
+            whole_ones = executor is None and failures is None
             size = _PORTION if whole_ones else min(max(_VECTOR, shared), _PORTION)
         else:
-            size = 1 if executor is None and folder is None else min(shared, _PORTION)
+            size = 1 if executor is None else min(shared, _PORTION)
         pieces += [(k, range(runs)[at : at + size]) for at in range(0, runs, size)]
-    part = partial(_portion, None if folder is None else Path(folder), executor is not None)
-    if folder is not None or isinstance(executor, ProcessPoolExecutor):  # others may pickle more
+    if isinstance(executor, ProcessPoolExecutor):  # others may pickle more
         try:
             pickle.dumps(settings)
         except (pickle.PicklingError, AttributeError, TypeError) as error:
             raise InvalidInputError(
-                "controller, uncertainty and region must be picklable to go to other processes or "
-                "to be known again in a folder (functools.partial(PositionTask, axes='xz') is, a "
-                f"lambda is not): {error}",
+                "controller, uncertainty and region must be picklable to go to other processes "
+                f"(functools.partial(PositionTask, axes='xz') is, a lambda is not): {error}",
                 given=settings[0],
             ) from error
-    futures = [executor.submit(part, settings[k], indices) for k, indices in pieces if executor]
+    futures = [executor.submit(_copied, settings[k], indices) for k, indices in pieces if executor]
     found: list[list[dict[str, Array]]] = [[] for _ in settings]
     left = [math.inf if failures is None else failures] * len(settings)
     try:
         done = 0
         for i, (k, indices) in enumerate(pieces):
             if left[k] > 0:
-                columns = futures[i].result() if futures else part(settings[k], indices)
+                columns = futures[i].result() if futures else settings[k].columns(indices)
                 failed = np.cumsum(np.logical_not(columns["converged"]))
                 kept = np.searchsorted(failed, left[k]) + 1  # with the last failure
                 found[k].append({name: column[:kept] for name, column in columns.items()})
@@ -267,28 +242,6 @@ def carried_out(
     return [{name: np.concatenate([p[name] for p in each]) for name in COLUMNS} for each in found]
 
 
-def _portion(
-    folder: Path | None, is_shared: bool, setting: RolloutSetting, indices: range
-) -> dict[str, Array]:
-    """Return the columns of some runs, from their file if there is one.
-
-    Where others go on meanwhile it is of a copy, as tasks and controllers have scratch memory.
-    """
-    name = "" if folder is None else hashlib.sha256(pickle.dumps((setting, indices))).hexdigest()
-    file = None if folder is None else folder / f"{name[:20]}.npz"
-    if file is not None and file.exists():
-        try:
-            with file.open("rb") as stream:
-                return read_arrays(stream)
-        except Exception as error:  # NumPy, zipfile and zlib each raise their own
-            raise InvalidInputError(
-                f"folder must hold whole files only, but {file} cannot be read ({error}); delete "
-                "it, and its runs are done again",
-                given=folder,
-            ) from error
-    found = (copy.deepcopy(setting) if is_shared else setting).columns(indices)
-    if file is not None:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with replaced(file) as unfinished, unfinished.open("wb") as kept:
-            np.savez(kept, **found)  # type: ignore[arg-type]
-    return found
+def _copied(setting: RolloutSetting, indices: range) -> dict[str, Array]:
+    """Columns of some runs of a copy, as tasks and controllers have scratch memory."""
+    return copy.deepcopy(setting).columns(indices)

@@ -41,10 +41,8 @@ class Tolerance:
         test: The test.
         scale: The largest scale at which it passed, with the test passing at all the smaller
             ones that bisection tried; 0 if it does not even pass without errors.
-        fails_at: The smallest scale at which it failed, or could not be tested; infinite if it
-            never did, up to `largest`.
-        is_tested: Whether it was tested there. Not so where a true robot attains the target outside
-            the region only, or hardly sees the region.
+        fails_at: The smallest scale at which it failed, or a true robot does not attain the target
+            in the region, or hardly sees it; infinite if none did, up to `largest`.
         worst: The true values that fail there, shape (d,); those at `scale` if nothing fails.
         uncertainty: The set at `scale`.
     """
@@ -54,7 +52,6 @@ class Tolerance:
     fails_at: float
     worst: Array
     uncertainty: Uncertainty
-    is_tested: bool = True
 
     @property
     def worst_text(self) -> str:
@@ -62,28 +59,19 @@ class Tolerance:
         return self.uncertainty.describe(self.worst) if np.isfinite(self.fails_at) else ""
 
     def __repr__(self) -> str:
-        if not np.isfinite(self.fails_at):
-            return f"Tolerance({self.test!r}: did not fail up to {self.scale:.3g}, the largest)"
-        ends = "fails" if self.is_tested else "not tested"
-        return f"Tolerance({self.test!r}: scale {self.scale:.3g}, {ends} at {self.fails_at:.3g})"
+        return f"Tolerance({self.test!r}: scale {self.scale:.3g}, fails at {self.fails_at:.3g})"
 
     def __str__(self) -> str:
-        box = f"{self.scale:.3g} times the errors"
-        what = _WORDS[self.test]
+        what = f"tolerated by {_WORDS[self.test]}"
         if self.scale == 0.0:
-            return "\n".join(wrapped(f"tolerated by {what}: no errors"))
-        texts = {"errors": self.uncertainty.describe_box()}
-        at = f"at {self.fails_at:.3g} times, with {self.worst_text}"
-        if not self.is_tested:
-            texts["not tested"] = (
-                f"{at}: the target is attained outside the region only, or not seen; a larger "
-                "region would tell"
-            )
-        elif np.isfinite(self.fails_at):
-            texts["fails"] = at
-        else:
-            box += ", the most that was tried"
-        return "\n".join([*wrapped(f"tolerated by {what}: {box}"), *rows(texts, 2)])
+            return "\n".join(wrapped(f"{what}: no errors"))
+        fails = f"at {self.fails_at:.3g} times, with {self.worst_text}"
+        texts = {
+            "errors": self.uncertainty.describe_box(),
+            "fails": fails if np.isfinite(self.fails_at) else "not up to the most that was tried",
+        }
+        heading = wrapped(f"{what}: {self.scale:.3g} times the errors")
+        return "\n".join([*heading, *rows(texts, 2)])
 
 
 def tolerances(
@@ -109,20 +97,17 @@ def tolerances(
         raise InvalidInputError(
             f"uncertainty must have a range to scale, got {uncertainty!r}", given=uncertainty
         )
-    for test in tests:
-        if test not in (*TESTS, "rollouts"):
-            raise UnknownNameError("test", test, "the tests", (*TESTS, "rollouts"))
+    for test in set(tests) - set(_WORDS):
+        raise UnknownNameError("test", test, "the tests", _WORDS)
     largest = uncertainty.largest_scale(as_number("largest", largest, above=0.0))
     precision = as_number("precision", precision, above=0.0)
     if loop is not None:
         loop.require_gravity()
 
-    untested: set[tuple[Test, float]] = set()
-
     def failing(test: Test, scale: float) -> Array | None:
         """The true values with which a test fails at a scale, or None if it passes."""
-        scaled = loop.scaled(scale) if loop is not None and test != "rollouts" else None
         own = replace(study, uncertainty=uncertainty.scaled(scale), region=region)
+        scaled = loop.scaled(scale) if loop is not None and test != "rollouts" else None
         try:
             if scaled is not None:
                 rng = np.random.default_rng(study.seed)
@@ -138,8 +123,6 @@ def tolerances(
         except UnattainedError as error:
             if scale <= 1.0:
                 raise
-            # grown errors have put the target out of reach, or have a camera look elsewhere
-            untested.add((test, scale))
             return np.array(error.given if scaled is None else scaled.values[error.truth])
 
     tolerated: dict[Test, Tolerance] = {}
@@ -157,10 +140,7 @@ def tolerances(
                 fails, worst = scale, culprit
             scale = min(2.0 * passes, largest) if np.isinf(fails) else 0.5 * (passes + fails)
         worst = uncertainty.believed if worst is None else worst
-        is_tested = (test, fails) not in untested
-        tolerated[test] = Tolerance(
-            test, passes, fails, worst, uncertainty.scaled(passes), is_tested
-        )
+        tolerated[test] = Tolerance(test, passes, fails, worst, uncertainty.scaled(passes))
     return tolerated
 
 
