@@ -64,7 +64,6 @@ class Kinematics(Immutable, ABC):
     n_state: int = 0
     names: tuple[str, ...] = ()  # of what `learnt` returns
     units: tuple[str, ...] = ()
-    _kept: tuple[slice, ...] = ()  # parts of a state that hold what was learnt
 
     def initial_state(self, measurement: Measurement) -> Array:
         """Return the state before the first step, shape (n_state,); by default none."""
@@ -73,16 +72,10 @@ class Kinematics(Immutable, ABC):
     def resumed(self, state: Array, measurement: Measurement) -> Array:
         """Return a state before a first step that knows what another state has learnt.
 
-        Times, configurations and frames of the other one are forgotten.
-
-        Raises:
-            InvalidInputError: A state that is not of such kinematics.
+        Times, configurations and frames of the other one are forgotten. By default nothing is
+        learnt. Raises InvalidInputError of a state that is not of such kinematics.
         """
-        state = self._required(state)
-        fresh = self.initial_state(measurement)
-        for part in self._kept:
-            fresh[part] = state[part]
-        return fresh
+        return self.initial_state(measurement)
 
     def step(self, state: Array, measurement: Measurement, dt: float) -> Array:
         """Return the state after learning from a measurement, and dt [s] later.
@@ -128,32 +121,13 @@ class Kinematics(Immutable, ABC):
         """Return the standard deviations of what a state has learnt, shape (p,)."""
         return np.array([row.sd for row in self.report(state).rows] if self.names else [])
 
-    def _required(self, state: Array) -> Array:
-        """Return a state of such kinematics, or refuse what is none."""
-        state = as_vector("state", state, self.n_state)
-        if not self._is_state(state):
-            raise InvalidInputError(
-                f"state must be one of {self!r}, as initial_state and step return it, got numbers "
-                "that are not",
-                given=state,
-            )
-        return state
-
-    def _is_state(self, state: Array) -> bool:
-        """Return whether finite numbers (n_state,) can be a state, as far as they show."""
-        return True
-
     def robot(self, state: Array) -> Robot:
         """Return the believed robot with what a state has learnt of its tool and joint origins.
 
-        Masses, friction and the tracker are not in it; a state that is saved has them all.
-
-        Raises:
-            InvalidInputError: Kinematics that learn nothing, or a state of others.
+        Masses, friction and the tracker are not in it; a state that is saved has them all. Raises
+        as `report`.
         """
-        raise InvalidInputError(
-            f"kinematics must learn to change a robot, got {self!r}", given=self
-        )
+        raise InvalidInputError(f"kinematics must learn, got {self!r}", given=self)
 
     def report(self, state: Array) -> KinematicReport:
         """Return the learnt numbers of a state, with standard deviations and what was not seen.
@@ -161,7 +135,7 @@ class Kinematics(Immutable, ABC):
         Raises:
             InvalidInputError: Kinematics that learn nothing, or a state of others.
         """
-        raise InvalidInputError(f"kinematics must learn to report, got {self!r}", given=self)
+        raise InvalidInputError(f"kinematics must learn, got {self!r}", given=self)
 
 
 class KnownKinematics(Kinematics):
@@ -295,6 +269,10 @@ class Estimator(Kinematics):
         return x
 
     @abstractmethod
+    def _is_state(self, state: Array) -> bool:
+        """Return whether finite numbers (n_state,) can be a state, as far as they show."""
+
+    @abstractmethod
     def _begin(self, state: Array) -> None:
         """Write into a state what is believed."""
 
@@ -346,7 +324,7 @@ class Estimator(Kinematics):
             as_vector("q of a measurement", measurement.q, self.task.robot.nq)
         state, frames = np.zeros_like(measurement.q, shape=self.n_state), at["frames"]
         self._frames.begin(state[frames], measurement.t, measurement.q)
-        state[at["time"]] = self._frames.last_time(state[frames])
+        state[at["time"]] = measurement.t
         state[at["noted"]] = 0.0, 0.0, self.noise**2
         self._begin(state)
         measurement = self._frames.by_own_clock(state[frames].copy(), measurement, 0.0)
@@ -433,15 +411,31 @@ class Estimator(Kinematics):
 
     def status(self, state: Array, measurement: Measurement) -> Status:
         """Return whether a state is good to be controlled by; see `Kinematics`."""
-        silence = self._frames.silence(state[self._at["frames"]])
-        is_old: Any = measurement.t_x is not None and silence > _STALE
-        if hasattr(measurement.t_x, "graph"):  # NaN where it is not known
-            is_old = (silence > _STALE) & (measurement.t_x == measurement.t_x)
-        status: Status = law.select(is_old, _PREDICTED, _OK)
+        t_x: Any = math.nan if measurement.t_x is None else measurement.t_x
+        is_old = self._frames.silence(state[self._at["frames"]]) > _STALE
+        status: Status = law.select(is_old & (t_x == t_x), _PREDICTED, _OK)  # NaN is not known
         status = law.select(self._has_begun(state), status, _LOST)
         return status
 
     # -- what was learnt -----------------------------------------------------------------
+
+    def _required(self, state: Array) -> Array:
+        """Return a state of such kinematics, or refuse what is none."""
+        state = as_vector("state", state, self.n_state)
+        if not self._is_state(state):
+            raise InvalidInputError(
+                f"state must be one of {self!r}, as initial_state and step return it, got numbers "
+                "that are not",
+                given=state,
+            )
+        return state
+
+    def resumed(self, state: Array, measurement: Measurement) -> Array:
+        """Return a state before a first step that knows what another state has learnt."""
+        state, fresh = self._required(state), self.initial_state(measurement)
+        for part in self._kept:
+            fresh[part] = state[part]
+        return fresh
 
     def learnt(self, state: Array) -> Array:
         """Return the learnt numbers of a state, or of a series of them (…, n_state), (…, p)."""
@@ -554,10 +548,6 @@ class Frames:
             t_x = math.nan
         return Measurement(t + ahead, q, v, x, t_x + ahead)
 
-    def last_time(self, numbers: Array) -> Any:
-        """Return the time of the last configuration that is remembered [s]."""
-        return numbers[self._head + (self._count - 1) * self._width]
-
     def silence(self, numbers: Array) -> Any:
         """Return for how long there was no frame to learn from [s]."""
         t, ahead, last = numbers[self._n_x + 1 : self._head].tolist()
@@ -570,7 +560,7 @@ class Frames:
         Also where time does not pass.
         """
         t, q, *_ = measurement
-        since = t - self.last_time(numbers)
+        since = t - numbers[-self._width]  # since the last one that is remembered
 
         def shift(numbers: Array) -> None:
             ring = self._ring(numbers)

@@ -82,9 +82,8 @@ class AdaptiveCamera(Estimator):
             "rotation" [rad], and of "focal_length" the logarithm; by default 0.2, 0.2, 0.02, 0.5,
             1.0 and 0.3.
         noise: Standard deviation of x [px].
-        delay: Age of x where `Measurement.t_x` is None [s]. No frame that is older than 0.25 s, or
-            than twice the delay, is learnt from.
-        dt: Sampling time of control [s].
+        delay: As of `AdaptiveKinematics`.
+        dt: As well.
 
     Attributes:
         names: Names of what is learnt, such as "tool.x", "points.x", "camera.x", "camera.rz" (of
@@ -92,8 +91,7 @@ class AdaptiveCamera(Estimator):
             and "focal_length" [px].
 
     Raises:
-        InvalidInputError: Another task or camera, nothing unknown or something else than that, or
-            numbers that make no sense.
+        InvalidInputError: Another task or camera, and as `AdaptiveKinematics`.
         UnknownNameError: An sd of something else.
     """
 
@@ -287,10 +285,9 @@ class AdaptiveCamera(Estimator):
     # -- prediction ----------------------------------------------------------------------
 
     def predict(self, state: Array, q: Array, v: Array, target: Target) -> PredictedError:
-        """Return the predicted error at q (nq,) and q̇ (n_v,).
+        """Return z = (f₀/Z₀) N(ρ_d) c at q (nq,) and q̇ (n_v,), with the smoothed estimates.
 
-        z = (f₀/Z₀) N(ρ_d) c, with the smoothed estimates, c the points in the camera's axes and
-        N(ρ) = [I, −ρ]; and, exactly, all that its derivatives need.
+        c are the points in the camera's axes and N(ρ) = [I, −ρ].
         """
         at, k, s = self._at, self._k, self._scale[:, np.newaxis]
         u, R, stretch = self._smooth(state)
