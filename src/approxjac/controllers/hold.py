@@ -22,17 +22,12 @@ _OK, _HELD = Status.OK, Status.MEASUREMENT_HELD  # members of an enum are slow t
 class HeldMeasurement(ControllerWrapper):
     """A controller that goes on with the last x that was seen, until the arm has moved too far.
 
-    Images come some 30 times a second and some are lost; control runs at 1 kHz. What makes an old
-    x wrong is not its age but the motion since. For each of the task's parts (each feature of an
-    image) this counts how far it must have moved since it was last new, by the believed Jacobian:
-
-        p = ∫ Ĵ q̇ dt
-
-    While every abs(pᵢ) <= unseenᵢ the controller gets the x that was last seen. A part beyond that,
-    or never seen, is too old until it is seen again: the controller gets NaN there and does what it
-    does when a measurement is lost. Whether x is lost, or a camera repeats it because no new image
-    has come or because it hangs, is all the same: an arm that moves stops once it has moved too far
-    without being seen.
+    What makes an old x wrong is not its age but the motion since. For each of the task's parts
+    (each feature of an image) this counts how far it must have moved since it was last new, by the
+    believed Jacobian, p = ∫ Ĵ q̇ dt. While every abs(pᵢ) <= unseenᵢ the controller gets the x that
+    was last seen. A part beyond that, or never seen, is too old until it is seen again: the
+    controller gets NaN there and does what it does when a measurement is lost. So an arm stops once
+    it has moved too far, whether x is lost or a camera that hangs repeats it.
 
     A part is new where it is finite and x was taken later than the last one (`Measurement.t_x`), or
     where that is not known, where it differs from the last one: with noise every new image does.
@@ -85,10 +80,7 @@ class HeldMeasurement(ControllerWrapper):
     def step(
         self, state: Array, measurement: Measurement, target: Target | Array, dt: float
     ) -> tuple[Array, Evaluation]:
-        """Return the state after a step, and the answer to this x, or to the one last seen.
-
-        The answer is that of the controller. Its e is that of the x that was used: of an earlier
-        one where it is held, NaN where it is too old.
+        """Return the state after a step, and the controller's answer to this x, or the last one.
 
         Raises:
             MeasurementError: As the controller, or an x beyond what a state can keep.

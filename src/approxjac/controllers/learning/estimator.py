@@ -41,19 +41,16 @@ _LONGEST_FRAME = 0.1  # time that one frame counts for [s]
 _NOISE_MEMORY = 2.0  # of the noise that is seen [s]
 _DIFFERENCE = 1e-5  # of values, either way, from which a rate is taken [unit of the task]
 _TURNS_BACK = 10.0  # times as fast as what moves: an error that has jumped, as at half a turn
+_JUMP = 8.0  # standard deviations of x, beyond which it has jumped
 WINDOW = 0.3
 """Over which residuals are averaged: noise goes, what is not explained stays [s]."""
-JUMP = 8.0
-"""Standard deviations of x, beyond which it has jumped."""
 
 
 class Kinematics(Immutable, ABC):
     """Kinematics, known or learnt, that predict what a law controls.
 
-    It learns from the measured x in `step`, and from nothing else; `predict` is a function of its
-    state, q and q̇. Its state is flat: it goes in and comes out.
-
-    Immutable, but it owns scratch memory: one instance a thread.
+    They learn from the measured x in `step`, and from nothing else. Immutable, but with scratch
+    memory: one instance a thread.
 
     Attributes:
         task: The task of the believed robot.
@@ -132,8 +129,7 @@ class Kinematics(Immutable, ABC):
     def report(self, state: Array) -> KinematicReport:
         """Return the learnt numbers of a state, with standard deviations and what was not seen.
 
-        Raises:
-            InvalidInputError: Kinematics that learn nothing, or a state of others.
+        Raises InvalidInputError of kinematics that learn nothing, or a state of others.
         """
         raise InvalidInputError(f"kinematics must learn, got {self!r}", given=self)
 
@@ -211,8 +207,7 @@ class Estimator(Kinematics):
 
     A *frame* is an x that is new, with the configuration at which it was taken; a *gate* passes
     over those that jump; `_correct` learns from the others; what is controlled follows *smoothly*
-    what is learnt, and `predict` goes by it. One derived from it has what is learnt, of which
-    these are the steps. All run on numbers, and on symbols.
+    what is learnt, and `predict` goes by it. All run on numbers, and on symbols.
 
     Attributes:
         regressor: Points of the robot, linear in the translations of tool and joint origins.
@@ -239,7 +234,7 @@ class Estimator(Kinematics):
         self.delay = as_number("delay", delay, unit="s", minimum=0.0, most=LONGEST_DELAY)
         dt = as_number("dt", dt, unit="s", above=0.0)
         self._frames = Frames(task.robot, task.n_x, self.delay, dt)
-        jump = JUMP * self.noise / float(np.min(self._pixels))
+        jump = _JUMP * self.noise / float(np.min(self._pixels))
         self._gate = Gate(task.robot, n_points, jump, self._reach)
         sizes = {
             "frames": self._frames.size, "gate": self._gate.size, "time": 1,
@@ -290,26 +285,18 @@ class Estimator(Kinematics):
 
     @abstractmethod
     def _correct(self, state: Array, frame: Frame, since: Any, is_anew: Any) -> None:
-        """Learn from a frame, in place, and let `_account` have what it does not explain.
+        """Learn from a frame that counts for a time [s], in place; `_account` for what is left.
 
-        It has `_points` of x, of which something is seen, counts for the time `since` [s], and is
-        the first one after the sensor was moved where it `is_anew`.
+        It has `_points` of x, and is the first one after the sensor was moved where it `is_anew`.
         """
 
     @abstractmethod
     def _aim(self, state: Array, q: Array, dt: float) -> None:
-        """Set the rates at which the smoothed estimates follow, in place.
-
-        As `_eased` says, or more slowly where x̂ or a rotation would be fast, as after a restart.
-        """
+        """Set the rates at which the smoothed estimates follow, in place, as `_eased` says."""
 
     @abstractmethod
     def _covariance(self, state: Array) -> tuple[Array, float]:
-        """Return the covariance (p, p) by the noise that is given, and χ² by what is seen."""
-
-    def _in_units(self, covariance: Array, learnt: Array) -> Array:
-        """Return the covariance of what is estimated as that of what `learnt` returns."""
-        return covariance
+        """Return the covariance (p, p) of `learnt` by the noise as given, and χ² as it is seen."""
 
     # -- the steps ---------------------------------------------------------------------------
 
@@ -379,10 +366,7 @@ class Estimator(Kinematics):
             state[self._at[name]] = turn.dot(state[self._at[name]].reshape(turn.shape)).ravel()
 
     def _account(self, state: Array, left: Array, since: Any) -> None:
-        """Note what is left of x (m,) after a frame, NaN where nothing is, in place.
-
-        The integral takes it up, it is averaged to be looked at, and its change is noise.
-        """
+        """Take up what is left of x (m,), NaN where nothing is; average it; its change is noise."""
         at, seen = self._at, np.isfinite(left)
         n, before = np.where(seen, 1.0, 0.0).sum(), state[at["left"]]
         integral, averaged, noted = (state[at[name]] for name in ("integral", "averaged", "noted"))
@@ -448,7 +432,7 @@ class Estimator(Kinematics):
         seconds, restarts, variance = state[at["noted"]].tolist()
         share = 1.0 - P.diagonal() / self._sd**2
         wider = max(chi, 1.0) * max(1.0, variance / self.noise**2)
-        P = self._in_units(P * wider, learnt)
+        P = P * wider
         numbers = np.array([self._believed, learnt, np.sqrt(P.diagonal()), share]).T.tolist()
         each = zip(self.names, self.units, numbers, strict=True)
         rows = tuple(LearntNumber(name, unit, *row) for name, unit, row in each)
@@ -512,13 +496,12 @@ def motion_of_points(
 class Frames:
     """Memory of which x is new, and at which configuration it was taken.
 
-    Its numbers: the last x, when it was taken, the last t, by how much its own clock is ahead of
-    that, when there last was a frame, and (t, q) of some hundredths of a second, the last one last.
-    A clock t that stands still from step to step is gone on with by dt.
+    A frame is new by `Measurement.t_x`, and was taken then. Where that is None or ahead of now, it
+    is new by a change of x, and was taken `delay` ago. One that is older than all that is
+    remembered is passed over, and so are those faster than at 250 Hz.
 
-    A frame is new by `Measurement.t_x`, and was taken then. Where that is None or ahead of
-    now, it is new by a change of x, and was taken `delay` ago; 1 s ahead is refused. One taken
-    before all that is remembered is passed over, and so are those faster than at 250 Hz.
+    Its numbers: the last x, when it was taken, the last t, by how much its own clock is ahead of
+    that, when there last was a frame, and (t, q) of some hundredths of a second.
     """
 
     def __init__(self, robot: Robot, n_x: int, delay: float, dt: float) -> None:
@@ -555,10 +538,7 @@ class Frames:
         return law.select(since > 0.0, since, 0.0)
 
     def remember(self, numbers: Array, measurement: Measurement) -> Any:
-        """Write down the configuration at hand, if it is time; return whether it was.
-
-        Also where time does not pass.
-        """
+        """Write down the configuration, if it is time; return whether it was, or time stands."""
         t, q, *_ = measurement
         since = t - numbers[-self._width]  # since the last one that is remembered
 
@@ -574,10 +554,7 @@ class Frames:
         return is_due | (since < _ROUND_OFF)
 
     def new(self, numbers: Array, measurement: Measurement) -> tuple[Frame | None, Any]:
-        """Return a frame and whether it is new, and note it; `remember` comes first.
-
-        None, where it is surely not.
-        """
+        """Return a frame, None where it is surely old, and whether it is new, and note it."""
         n, (t, _, _, x, _) = self._n_x, measurement
         t_x: Any = measurement.t_x
         taken_before, head, seen = numbers[n], numbers[: n + 4], np.abs(x) < _FARTHEST
@@ -625,22 +602,15 @@ class Frames:
 
 
 class Gate:
-    """Tells a sensor that jumps from an arm that moves.
+    """Passes over frames in which x moved farther than the arm, until it is back or stays.
 
-    From one frame to the next that is believed, x moves by no more than the arm does. One that
-    moves farther is passed over, and so are all until x is back; but if it stays, and frames agree
-    with each other, the sensor is believed: it was moved.
-
-    Its numbers: frames passed over in a row, then of the last frame that was believed and of the
-    last one that was not: configuration, x, and 1 for each entry of x that was seen at it; and
-    whether the last one was believed, and the first after the sensor moved, 1 or 0.
-
-    reach(q_0, q) is how far each entry of x may move between configurations, (n_x,), and by `jump`
-    farther.
+    Its numbers: frames passed over in a row; of the last frame that was believed, and of the last
+    one that was not, q, x, and 1 for each entry of x that was seen; whether the last one was
+    believed, and the first after the sensor moved, 1 or 0. x (n_x,) may move by `reach(q_0, q)` and
+    by `jump`.
     """
 
-    PASSED_OVER = 8
-    """Frames in a row that agree after which the sensor is believed."""
+    PASSED_OVER = 8  # frames in a row that agree after which the sensor is believed
 
     def __init__(
         self, robot: Robot, n_x: int, jump: float, reach: Callable[[Array, Array], Array]

@@ -67,10 +67,8 @@ class AdaptiveCamera(Estimator):
     that Ĵ is as regular as the arm's own, on the way through any roll and even where the camera is
     believed behind the points. z = 0 where x̂ = x_d.
 
-    Frames are paired with the configuration at which they were taken, so delay and frame rate are
-    outside the loop. Points that jump are passed over; a camera that was moved, or a tool that
-    slipped, is learnt anew. A camera that is believed rolled, or on another side of the arm, is
-    found from how images move; nothing proves that it always is.
+    A camera that is believed rolled, or on another side of the arm, is found from how images move;
+    nothing proves that it always is. For the rest it is as `AdaptiveKinematics`.
 
     Args:
         task: An `ImageTask` of the believed robot with a `PinholeCamera`, as it is believed. Its
@@ -124,12 +122,14 @@ class AdaptiveCamera(Estimator):
         self._sd_u = np.where(points.is_points, sds[where], sds["origins"])
         pose = [moves * sds["position"]] * 3 + [moves * sds["rotation"]] * 3
         all_sd = np.concatenate([self._sd_u, pose, [zooms * sds["focal_length"]]])
+        in_units = np.append(all_sd[:-1], all_sd[-1] * camera.focal_length[0])
         # pixels as rays: center, distortion and focal length those that are believed
         self._f, self._center = np.asarray(camera.focal_length), np.asarray(camera.center)
         self._lens = None if camera._lens.is_straight else camera._lens
         self._estimator = _KeyFrames(self._first, all_sd, self.noise / self._f, self._k)
         self._is_learnt = all_sd > 0.0
-        self._sd, self._believed = all_sd[self._is_learnt], self._in_order(self._first)
+        self._sd = in_units[self._is_learnt]
+        self._believed = self._in_order(self._first)
         of_pose = [f"camera.{each}" for each in ("x", "y", "z", "rx", "ry", "rz")] if moves else []
         self.names = (*points.names, *of_pose, *(["focal_length"] if zooms else []))
         self.units = tuple(
@@ -164,10 +164,7 @@ class AdaptiveCamera(Estimator):
         return np.array([lens.ray(each) if np.isfinite(each).all() else each for each in w])
 
     def _target_rays(self, target: Target) -> tuple[Array, Array, Array]:
-        """Return the rays of a target, and their first and second derivatives, (k, 2) each.
-
-        Of one that moves out of the image they are those at its edge.
-        """
+        """Return rays of a target, or of the image's edge, and their two derivatives; (k, 2)."""
         x_d, v_d, a_d = target
         x_d = x_d.reshape(-1, 2)
         if self._lens is not None:
@@ -338,14 +335,11 @@ class AdaptiveCamera(Estimator):
         keys, is_learnt = state[self._at["keys"]], self._is_learnt
         beyond = max(1.0, state[self._at["noted"]][2] / self.noise**2)
         covariance = self._estimator.covariance(keys)[np.ix_(is_learnt, is_learnt)]
-        return covariance, float(keys[-2] / beyond)
-
-    def _in_units(self, covariance: Array, learnt: Array) -> Array:
         # rotations in the learnt camera's own axes; of the focal length its logarithm is learnt
-        scale = np.array([-1.0 if unit == "rad" else 1.0 for unit in self.units])
-        if self.units[-1] == "px":
-            scale[-1] = learnt[-1]
-        return np.asarray(covariance * scale * scale[:, np.newaxis])
+        learnt = self.learnt(state)[-1]
+        scale = np.array([{"rad": -1.0, "px": learnt}.get(unit, 1.0) for unit in self.units])
+        covariance = covariance * scale * scale[:, np.newaxis]
+        return covariance, float(keys[-2] / beyond)
 
 
 def _require_image(task: Any) -> None:
@@ -369,10 +363,7 @@ class _WatchedPoints:
     """r(q) = o(q) + H(q)u in the axes of the camera's mount, with u translations.
 
     Of a camera in the world the points are the robot's: u moves the tool. Of one on the robot they
-    are the world's: u moves all of them, in the axes of the world. In u are where the k points are
-    (`is_points`), if `moves`, and the origins of joints, if `origins`.
-
-    Owns scratch memory: one instance a thread.
+    are the world's, and u moves all of them, in its axes (`is_points`).
     """
 
     def __init__(self, task: ImageTask, moves: bool, origins: bool) -> None:
@@ -408,11 +399,7 @@ class _WatchedPoints:
         return self._moved.theta(u[: self._n])
 
     def motion(self, q: Array, v: Array, u: Array, u_dot: Array) -> PointMotion:
-        """Return points and derivatives at q (nq,) and q̇ (n_v,), with u and u' (n_u,).
-
-        In the axes of the mount: r and what u' moves it by are (k, 3), ∂r/∂q and its rate
-        (k, 3, n_v).
-        """
+        """Return r (k, 3), ∂r/∂q (k, 3, n_v), its rate, and what u' moves r by (k, 3)."""
         n = self._n
         theta, theta_dot = self.theta(u), self._moved.rates(u_dot[:n])
         p, J, J_dot, drift = self.regressor.motion(q, v, theta, theta_dot)
@@ -450,18 +437,14 @@ class _KeyFrames:
     """Least squares of y = e^λ π(R(o + Hu − p)) over key frames, linearised anew with each frame.
 
     A key frame is the mean of y and of r = o + Hu over a short way, which is as linear in u as one
-    frame is. As rays are no linear function, what is remembered are 40 of them. Each new frame
-    brings a step of Levenberg and Marquardt from the estimate, with the prior as it was at first.
-
-    Where the estimate does not explain what is seen, the camera may be rolled, or elsewhere about
-    the points: the turn of the image that explains it best from there, in closed form, is tried
-    beside the estimate for some frames, and taken if it is better beyond doubt.
+    frame is. Each new frame brings a step of Levenberg and Marquardt. Where the estimate does not
+    explain what is seen, a camera elsewhere about the points, with the best turn of the image from
+    there, is tried beside it for some frames, and taken if it is better beyond doubt.
 
     An estimate has the translations u, the rotation R of the mount's axes in the camera's, the
-    camera's position p in its mount's axes, and the logarithm λ of the focal length over the
-    believed one. The numbers: key frames (for each point its count, y, o and H), the estimate, the
-    one that is tried beside it, how long that has been tried (0: it is not), how many were tried
-    before, χ² (0 before the first frame), and which key frame is last. Plausible errors sd are of
+    camera's position p in its mount's axes, and λ. The numbers: key frames (for each point its
+    count, y, o and H), the estimate, the one that is tried beside it, for how many frames (0: none
+    is), how many were before, χ² (0 before the first frame), and which key frame is last. sd are of
     u, p, the rotation and λ, 0 of what is known; the noise (2,) is of y.
     """
 
@@ -494,14 +477,7 @@ class _KeyFrames:
         return numbers[self._m : self._m + self._e].copy()
 
     def learn(self, numbers: Array, H: Array, o: Array, y: Array) -> Array:
-        """Return the numbers after a frame.
-
-        Args:
-            numbers: As before, shape (size,).
-            H: Of the points, shape (k, 3, n_u).
-            o: Shape (k, 3).
-            y: What is measured, shape (k, 2), NaN of points that are lost.
-        """
+        """Return the numbers after a frame of H (k, 3, n_u), o (k, 3) and y (k, 2), NaN if lost."""
         numbers = numbers.copy()
         self._remember(numbers, H, o, y)
         terms = self._terms(numbers)
@@ -633,10 +609,7 @@ class _KeyFrames:
     # -- where to start ------------------------------------------------------------------
 
     def _placed(self, estimate: Array, terms: _Terms) -> Array:
-        """Return an estimate whose camera is moved such that it sees the points, about as it does.
-
-        Where they are believed behind it, it is moved back; then sideways.
-        """
+        """Return an estimate whose camera is moved back, and sideways, such that it sees them."""
         if self._prior[self._n] == 0.0:  # where it is is known
             return estimate
         weights, placed = terms[0][:, 0] / terms[0][:, 0].sum(), estimate.copy()
@@ -650,9 +623,8 @@ class _KeyFrames:
     def _another(self, terms: _Terms, rank: int) -> Array:
         """Return another estimate to begin with: a camera elsewhere about the points, and rolled.
 
-        At the depth that is believed. Where it is believed is the first, and from there the best
-        roll, in closed form; of other views, the one whose images are alike but for turn and size.
-        `rank` is how many were tried before.
+        Every other one is from where it is believed, at the believed depth; the others are from
+        views whose images are alike but for turn and size, the best first.
         """
         weights, y, o, H = terms
         w = weights[:, 0] / weights[:, 0].sum()

@@ -64,9 +64,8 @@ class AdaptiveKinematics(Estimator):
     same over all rotations: all frames, not the last one only, say which one is right. An integral
     offset on x̂ takes up what the parameters do not explain.
 
-    Frames are paired with the configuration at which they were taken, so delay and frame rate are
-    outside the loop. A sensor that jumps is passed over. One that was moved is learnt anew, and so
-    is a tool that slipped: what was learnt before is a belief then.
+    Frames are paired with the configuration at which they were taken. A sensor that jumps is passed
+    over; one that was moved, or a tool that slipped, is learnt anew.
 
     Of a pose R̂_x = R̂ R_f(q) T̂ is learnt, too, the tool's rotation T̂ with that of the tracker. In
     a `PlanarCamera` x is m times as large; images tell a wrong magnification m from lengths that
@@ -96,8 +95,8 @@ class AdaptiveKinematics(Estimator):
             the believed tool.
 
     Raises:
-        InvalidInputError: Another task, nothing unknown or something else than that, an sd of what
-            is not unknown, or numbers that make no sense, such as milliseconds.
+        InvalidInputError: Another task, nothing unknown or something else, an sd of what is known,
+            or numbers that make no sense, such as milliseconds.
         UnknownNameError: An sd of something else.
     """
 
@@ -522,14 +521,9 @@ class _KnownRotation:
         return bool((diagonal > 0.99 * self.prior.diagonal()).all())
 
     def learn(self, numbers: Array, H: Array, o: Array, x: Array, share: Any) -> Array:
-        """Return the numbers after a frame.
+        """Return the numbers after a frame x (m,), and a share λT forgotten.
 
-        Args:
-            numbers: As before, shape (size,).
-            H: Regressor in the base's axes, 0 in rows that are lost, (m, P).
-            o: What of them is known, shape (m,).
-            x: What is measured, shape (m,).
-            share: λT, to be forgotten.
+        H (m, P) and o (m,) are in the base's axes; all are 0 in rows that are lost.
         """
         if self._is_turned:
             x = x.reshape(-1, self._d).dot(self._R).ravel()
@@ -557,15 +551,12 @@ class _KnownRotation:
 class _UnknownRotation(_KnownRotation):
     """x = R(o + Hu + c), with R any rotation: exact least squares over all frames at once.
 
-    Theorem B. In the base frame Rᵀx = o + Hu + c, and as R changes no lengths, the sums over frames
-    that the least squares need do not depend on R. So all frames are remembered, exactly, in sums
-    N, a, B and E of fixed size: for a rotation A = Rᵀ, with w = vec A,
+    Theorem B. All frames are remembered in sums N, a, B and E: for a rotation A = Rᵀ, w = vec A,
 
         Θ(A) = N⁻¹(a + Bw), and A maximises ½(a + Bw)ᵀN⁻¹(a + Bw) + Eᵀw
 
-    over rotations only, 3 numbers (1 in the plane) instead of all, and looked for everywhere.
-    Forgetting is towards the prior about what is estimated now, which leaves the estimate where it
-    is; Theorem B then holds where the sum of squares is as convex as the prior.
+    over rotations only, looked for everywhere. Forgetting is towards the prior about what is
+    estimated now, which leaves the estimate where it is.
     """
 
     def __init__(
@@ -654,13 +645,9 @@ def _reduced(N: Array, a: Array, B: Array, E: Array) -> tuple[Array, Array, Arra
 class Orientation:
     """R_x = R R_f(q) T: R_f is that of the believed frame, T the tool's in it, R that of a tracker.
 
-    To the estimators the three axes of x are points ℓ R_x e_k, linear in the nine numbers of T: R
-    is one for them and the position, and what the sums over frames have to hold does not change.
-    T is the rotation nearest to the nine: with R known, the average of R_fᵀRᵀR_x and the prior.
-    Of a rotation vector φ, Σ‖ℓ[φ]ₓ e_k‖² = 2ℓ²‖φ‖²; so with ℓ = L/√2, and L the noise of
-    positions over that of angles, what a radian counts as [m], both weigh as their noise says.
-
-    Owns scratch memory: one instance a thread.
+    To the estimators the three axes of x are points ℓ R_x e_k, linear in nine numbers, to which T
+    is the nearest rotation. Of a rotation vector φ, Σ‖ℓ[φ]ₓ e_k‖² = 2ℓ²‖φ‖²; so with ℓ = L/√2, and
+    L the noise of positions over that of angles [m], both weigh as their noise says.
     """
 
     def __init__(self, robot: Robot, frame: str, length: float) -> None:
@@ -718,10 +705,9 @@ class Orientation:
     def apart(
         self, q: Array, before: tuple[Array, Array], goal: tuple[Array, Array], integral: Array
     ) -> tuple[Array, Array]:
-        """Return the rotation vector from one orientation to another, and to make it the tool's.
+        """Return the rotation vector between orientations (R, T), and the axes in which T turns.
 
-        Both are of R and T; `integral` turns the goal further, in L [m]. The vector (3,) is in the
-        sensor's axes, and the rotation (3, 3) from these to those in which T turns.
+        `integral` turns the goal further, in L [m]. The vector (3,) is in the sensor's axes.
         """
         R_f = self.frame_rotation(q)
         (R, T), (R_goal, T_goal) = before, goal
@@ -732,11 +718,7 @@ class Orientation:
     def predict(
         self, q: Array, v: Array, target: Target, T: Array, T_spin: Array, R: Array, spin: Array
     ) -> PredictedError:
-        """Return z = log(R_f T (RᵀR_d)ᵀ) and its derivatives, in the base's axes.
-
-        The target is the quaternion of R_d (4,), ω_d and its rate (3,) in the sensor's axes;
-        T' = [T_spin]ₓT and R' = [spin]ₓR.
-        """
+        """Return z = log(R_f T (RᵀR_d)ᵀ) in the base's axes; T' = [T_spin]ₓT and R' = [spin]ₓR."""
         x_d, x_d_dot, x_d_ddot = target
         R_d, is_some = law.rotation_of(x_d)
         J, R_f, _ = self._frame.motion(q)
