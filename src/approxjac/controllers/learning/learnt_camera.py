@@ -122,13 +122,12 @@ class AdaptiveCamera(Estimator):
         self._sd_u = np.where(points.is_points, sds[where], sds["origins"])
         pose = [moves * sds["position"]] * 3 + [moves * sds["rotation"]] * 3
         all_sd = np.concatenate([self._sd_u, pose, [zooms * sds["focal_length"]]])
-        in_units = np.append(all_sd[:-1], all_sd[-1] * camera.focal_length[0])
         # pixels as rays: center, distortion and focal length those that are believed
         self._f, self._center = np.asarray(camera.focal_length), np.asarray(camera.center)
         self._lens = None if camera._lens.is_straight else camera._lens
         self._estimator = _KeyFrames(self._first, all_sd, self.noise / self._f, self._k)
         self._is_learnt = all_sd > 0.0
-        self._sd = in_units[self._is_learnt]
+        self._sd = np.append(all_sd[:-1], all_sd[-1] * self._f[0])[self._is_learnt]
         self._believed = self._in_order(self._first)
         of_pose = [f"camera.{each}" for each in ("x", "y", "z", "rx", "ry", "rz")] if moves else []
         self.names = (*points.names, *of_pose, *(["focal_length"] if zooms else []))
