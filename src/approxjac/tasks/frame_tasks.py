@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache, cached_property, partial
+from functools import cache, cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -52,10 +52,6 @@ class FrameKinematics:
         return self._model.createData()
 
     @cached_property
-    def _jacobian_of(self) -> partial[Array]:
-        return partial(pin.computeFrameJacobian, self._model, self._data)
-
-    @cached_property
     def _placed(self) -> tuple[Array, Array]:
         placement = self._data.oMf[self._id]
         return placement.rotation, placement.translation
@@ -73,9 +69,7 @@ class FrameKinematics:
 
     def position(self, q: Array) -> Array:
         """Return the position of the frame's origin in the world, shape (3,) [m]."""
-        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
-            return np.asanyarray(arm.frame(self.frame)[1])
-        return np.array(self._placement(q).translation)
+        return self.placement(q)[1]
 
     def placement(self, q: Array) -> tuple[Array, Array]:
         """Return the rotation (3, 3) of the frame's axes in the world's, and `position`."""
@@ -96,7 +90,8 @@ class FrameKinematics:
         """Return the Jacobian of (velocity, angular velocity), LOCAL_WORLD_ALIGNED, (6, n_v)."""
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
             return np.asanyarray(arm.jacobian(self.frame))
-        J: Array = self._jacobian_of(self.robot.configuration(q), self._id, _LWA)
+        q = self.robot.configuration(q)
+        J: Array = pin.computeFrameJacobian(self._model, self._data, q, self._id, _LWA)
         return J if self._many else J.reshape(6, 1)
 
     def motion(self, q: Array) -> tuple[Array, Array, Array]:
@@ -190,7 +185,34 @@ _STILL = 1e-4  # share of the fastest axis below which nothing moves along it (U
 _NOWHERE = (0.0, 0.0, 0.0)
 
 
-class PositionTask(Task):
+class _FrameTask(Task):
+    """A task of the origin of a frame, or of its pose."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        frame: str | None = None,
+        labels: Sequence[str] = ("x", "y", "z"),
+        units: Sequence[str] = ("m", "m", "m"),
+        n_x: int | None = None,
+    ) -> None:
+        super().__init__(robot, labels, units, n_x)
+        self.frame = robot.tip_or(frame)
+        self._frame = FrameKinematics(robot, self.frame)
+        self._features = (Feature(slice(0, self.n_x), self.frame, "".join(labels[:3])),)
+
+    def jacobian(self, q: Array, x: Array | None = None) -> Array:
+        return self._of_error(self._frame.jacobian(q))
+
+    def jacobian_dot(self, q: Array, v: Array) -> Array:
+        return self._of_error(self._frame.jacobian_dot(q, v))
+
+    def _of_error(self, J: Array) -> Array:
+        """Return the task's part of a Jacobian (6, n_v) of the frame, shape (m, n_v)."""
+        return J
+
+
+class PositionTask(_FrameTask):
     """X = position of a frame's origin along world axes [m].
 
     Args:
@@ -209,21 +231,15 @@ class PositionTask(Task):
 
     def __init__(self, robot: Robot, frame: str | None = None, axes: str | None = None) -> None:
         require("robot", robot, Robot, "a Robot")
-        self.frame = robot.tip_or(frame)
-        self.axes = best_axes(robot, self.frame) if axes is None else axes
+        self.axes = best_axes(robot, frame) if axes is None else axes
         self._rows = _as_slice(tuple(axis_rows("axes", self.axes)))
-        super().__init__(robot, tuple(self.axes), ("m",) * len(self.axes))
-        self._frame = FrameKinematics(robot, self.frame)
-        self._features = (Feature(slice(0, self.m), self.frame, self.axes),)
+        super().__init__(robot, frame, tuple(self.axes), ("m",) * len(self.axes))
 
     def value(self, q: Array) -> Array:
         return self._frame.position(q)[self._rows]
 
-    def jacobian(self, q: Array, x: Array | None = None) -> Array:
-        return self._frame.jacobian(q)[self._rows]
-
-    def jacobian_dot(self, q: Array, v: Array) -> Array:
-        return self._frame.jacobian_dot(q, v)[self._rows]
+    def _of_error(self, J: Array) -> Array:
+        return J[self._rows]
 
     def on(self, robot: Robot) -> PositionTask:
         return PositionTask(robot, self.frame, self.axes)
@@ -255,7 +271,7 @@ def best_axes(robot: Robot, frame: str | None = None) -> str:
     return "".join("xyz"[i] for i in sorted(np.argsort(-speeds)[: min(moving, robot.nv)]))
 
 
-class PoseTask(Task):
+class PoseTask(_FrameTask):
     """X = position [m] and orientation of a frame in the world; m = 6.
 
     A value is (x, y, z) and a quaternion (x, y, z, w), shape (7,), as `pin.SE3ToXYZQUAT` has it;
@@ -279,20 +295,12 @@ class PoseTask(Task):
     _kind = "pose"
 
     def __init__(self, robot: Robot, frame: str | None = None) -> None:
-        super().__init__(robot, ("x", "y", "z", "rx", "ry", "rz"), ("m",) * 3 + ("rad",) * 3, 7)
-        self.frame = robot.tip_or(frame)
-        self._frame = FrameKinematics(robot, self.frame)
-        self._features = (Feature(slice(0, 7), self.frame, "xyz"),)
+        labels = ("x", "y", "z", "rx", "ry", "rz")
+        super().__init__(robot, frame, labels, ("m",) * 3 + ("rad",) * 3, 7)
         self._origin = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])  # no rotation
 
     def value(self, q: Array) -> Array:
         return self._frame.pose(q)
-
-    def jacobian(self, q: Array, x: Array | None = None) -> Array:
-        return self._frame.jacobian(q)
-
-    def jacobian_dot(self, q: Array, v: Array) -> Array:
-        return self._frame.jacobian_dot(q, v)
 
     def error(self, x: Array, x_d: Array) -> Array:
         px, py, pz, *quaternion = x.tolist()
@@ -315,21 +323,31 @@ class PoseTask(Task):
         return f"PoseTask({self.robot.name!r}, {self.frame!r})"
 
 
-class _Tracked(Task):
+class _Tracked(_FrameTask):
     """A task of a frame in the axes of a tracker, R p + b of a position p in the world."""
 
-    frame: str
-    _frame: FrameKinematics
-
-    def _track(self, rotation: Sequence[float] | Array, offset: Sequence[float] | Array) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        rotation: Sequence[float] | Array = _NOWHERE,
+        offset: Sequence[float] | Array = _NOWHERE,
+        frame: str | None = None,
+    ) -> None:
+        super().__init__(robot, frame)
         self.rotation = as_array("rotation", rotation, (3,), "rad")
         self.offset = as_array("offset", offset, (3,), "m")
         self._R: Array = pin.exp3(self.rotation)
-        placed = self._R, self.offset
-        self._features = (Feature(slice(0, self.n_x), self.frame, "xyz", placed=placed),)
+        (feature,) = self._features
+        self._features = (feature._replace(placed=(self._R, self.offset)),)
+
+    def value(self, q: Array) -> Array:
+        return self._R @ self._frame.position(q) + self.offset
+
+    def _of_error(self, J: Array) -> Array:
+        return np.concatenate([self._R @ J[k : k + 3] for k in range(0, self.m, 3)])
 
     def on(self, robot: Robot) -> Self:
-        return type(self)(robot, self.rotation, self.offset, self.frame)  # type: ignore[arg-type]
+        return type(self)(robot, self.rotation, self.offset, self.frame)
 
     def __repr__(self) -> str:
         rotation, offset = self.rotation.tolist(), self.offset.tolist()
@@ -352,27 +370,6 @@ class TrackerTask(_Tracked):
 
     _kind = "tracker"
 
-    def __init__(
-        self,
-        robot: Robot,
-        rotation: Sequence[float] | Array = _NOWHERE,
-        offset: Sequence[float] | Array = _NOWHERE,
-        frame: str | None = None,
-    ) -> None:
-        super().__init__(robot, ("x", "y", "z"), ("m", "m", "m"))
-        self.frame = robot.tip_or(frame)
-        self._frame = FrameKinematics(robot, self.frame)
-        self._track(rotation, offset)
-
-    def value(self, q: Array) -> Array:
-        return self._R @ self._frame.position(q) + self.offset
-
-    def jacobian(self, q: Array, x: Array | None = None) -> Array:
-        return np.asanyarray(self._R @ self._frame.jacobian(q)[:3])
-
-    def jacobian_dot(self, q: Array, v: Array) -> Array:
-        return np.asarray(self._R @ self._frame.jacobian_dot(q, v)[:3])
-
 
 class PoseTrackerTask(_Tracked, PoseTask):
     """X = (R p + b, R R_f): the pose of a frame in the axes of a tracker; m = 6.
@@ -383,25 +380,6 @@ class PoseTrackerTask(_Tracked, PoseTask):
 
     _kind = "pose tracker"
 
-    def __init__(
-        self,
-        robot: Robot,
-        rotation: Sequence[float] | Array = _NOWHERE,
-        offset: Sequence[float] | Array = _NOWHERE,
-        frame: str | None = None,
-    ) -> None:
-        PoseTask.__init__(self, robot, frame)
-        self._track(rotation, offset)
-
     def value(self, q: Array) -> Array:
         R, p = self._frame.placement(q)
         return np.concatenate([self._R @ p + self.offset, law.quaternion(self._R @ R)])
-
-    def jacobian(self, q: Array, x: Array | None = None) -> Array:
-        return self._turned(self._frame.jacobian(q))
-
-    def jacobian_dot(self, q: Array, v: Array) -> Array:
-        return self._turned(self._frame.jacobian_dot(q, v))
-
-    def _turned(self, J: Array) -> Array:
-        return np.concatenate([self._R @ J[:3], self._R @ J[3:]])
