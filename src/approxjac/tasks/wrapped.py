@@ -24,7 +24,78 @@ from approxjac.tasks.task import Task
 from approxjac.validation import Array, as_array, as_number, require
 
 
-class StackedTask(Task):
+class WrappedTask(Task):
+    """A task made from others of one robot, whose values, errors and sensors are stacked."""
+
+    def __init__(
+        self, tasks: Sequence[Task], labels: Sequence[str], units: Sequence[str] | None = None
+    ) -> None:
+        units = [unit for task in tasks for unit in task.units] if units is None else units
+        super().__init__(tasks[0].robot, labels, units, sum(task.n_x for task in tasks))
+        entries = _one_after_the_other([task.n_x for task in tasks])
+        rows = _one_after_the_other([task.m for task in tasks])
+        measured = _one_after_the_other([task._measured.m for task in tasks])
+        self.tasks = tuple(tasks)
+        self._each = list(zip(tasks, entries, rows, strict=True))
+        self._uses_x = any(task._uses_x for task in tasks)
+        self._subtracts = all(task._subtracts for task in tasks)
+        self._origin = np.concatenate([task._origin for task in tasks])
+        self._untold = [at.start + i for task, at, _ in self._each for i in task._untold]
+        self._parts = tuple(
+            (_moved(part, at.start), _moved(coordinates, own.start))
+            for (task, at, _), own in zip(self._each, measured, strict=True)
+            for part, coordinates in task._parts
+        )
+        self._features = tuple(
+            feature._replace(entries=_moved(feature.entries, at.start))
+            for task, at, _ in self._each
+            for feature in task._features
+        )
+
+    def value(self, q: Array) -> Array:
+        return np.concatenate([task.value(q) for task in self.tasks])
+
+    def error(self, x: Array, x_d: Array) -> Array:
+        return np.concatenate([task.error(x[i], x_d[i]) for task, i, _ in self._each])
+
+    def displaced(self, x: Array, e: Array) -> Array:
+        return np.concatenate([task.displaced(x[i], e[rows]) for task, i, rows in self._each])
+
+    def target(self, x_d: object) -> Array:
+        target = super().target(x_d)
+        for task, entries, _ in self._each:
+            task.target(target[entries])  # as it may have edges, such as those of an image
+        return target
+
+    @property
+    def _measured(self) -> Task:
+        return self.tasks[0]._measured
+
+    def _seen(self, x: Array) -> Array:
+        return np.concatenate([task._seen(x[i]) for task, i, _ in self._each])
+
+    def _is_mirrored(self, x: Array, other: Array) -> bool:
+        return any(task._is_mirrored(x[i], other[i]) for task, i, _ in self._each)
+
+    def _sensor_jacobian(self, q: Array) -> Array:
+        return np.concatenate([task._sensor_jacobian(q) for task in self.tasks])
+
+    def _error_jacobian(self, e: Array, J: Array) -> Array:
+        return np.concatenate([task._error_jacobian(e[i], J[i]) for task, _, i in self._each])
+
+    def _saved(self) -> dict[str, Any] | None:
+        return self.tasks[0]._saved()  # what the law changes is no affair of a picture
+
+
+def _one_after_the_other(sizes: list[int]) -> list[slice]:
+    return [slice(end - size, end) for size, end in zip(sizes, accumulate(sizes), strict=True)]
+
+
+def _moved(entries: slice, start: int) -> slice:
+    return slice(entries.start + start, entries.stop + start)
+
+
+class StackedTask(WrappedTask):
     """X = the values of several tasks, one after the other, and so the errors and Jacobians.
 
     The labels are those of the tasks with their number, such as "1.x" or "2.x".
@@ -47,35 +118,8 @@ class StackedTask(Task):
                     f"tasks must be of one robot, got {tasks[0].robot!r} and {task.robot!r}",
                     given=tasks,
                 )
-        self.tasks = tasks
         self._overdetermined = any(task._overdetermined for task in tasks)
-        super().__init__(
-            tasks[0].robot,
-            [f"{i}.{label}" for i, task in enumerate(tasks, start=1) for label in task.labels],
-            [unit for task in tasks for unit in task.units],
-            sum(task.n_x for task in tasks),
-        )
-        entries = _one_after_the_other([task.n_x for task in tasks])
-        rows = _one_after_the_other([task.m for task in tasks])
-        self._each = list(zip(tasks, entries, rows, strict=True))
-        self._uses_x = any(task._uses_x for task in tasks)
-        self._subtracts = all(task._subtracts for task in tasks)
-        self._origin = np.concatenate([task._origin for task in tasks])
-        self._untold = [where.start + i for task, where, _ in self._each for i in task._untold]
-        measured = _one_after_the_other([task._measured.m for task in tasks])
-        self._parts = tuple(
-            (_moved(part, entries.start), _moved(coordinates, own.start))
-            for (task, entries, _), own in zip(self._each, measured, strict=True)
-            for part, coordinates in task._parts
-        )
-        self._features = tuple(
-            feature._replace(entries=_moved(feature.entries, entries.start))
-            for task, entries, _ in self._each
-            for feature in task._features
-        )
-
-    def value(self, q: Array) -> Array:
-        return np.concatenate([task.value(q) for task in self.tasks])
+        super().__init__(tasks, [f"{i + 1}.{at}" for i, t in enumerate(tasks) for at in t.labels])
 
     def jacobian(self, q: Array, x: Array | None = None) -> Array:
         given = [(task, None if x is None else x[i]) for task, i, _ in self._each]
@@ -83,18 +127,6 @@ class StackedTask(Task):
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:
         return np.concatenate([task.jacobian_dot(q, v) for task in self.tasks])
-
-    def error(self, x: Array, x_d: Array) -> Array:
-        return np.concatenate([task.error(x[i], x_d[i]) for task, i, _ in self._each])
-
-    def displaced(self, x: Array, e: Array) -> Array:
-        return np.concatenate([task.displaced(x[i], e[rows]) for task, i, rows in self._each])
-
-    def target(self, x_d: object) -> Array:
-        target = super().target(x_d)
-        for task, entries, _ in self._each:
-            task.target(target[entries])  # as it may have edges, such as those of an image
-        return target
 
     def on(self, robot: Robot) -> StackedTask:
         return StackedTask(*(task.on(robot) for task in self.tasks))
@@ -105,32 +137,12 @@ class StackedTask(Task):
         same = all(a is b for a, b in zip(plain, self.tasks, strict=True))
         return self if same else StackedTask(*plain)
 
-    def _seen(self, x: Array) -> Array:
-        return np.concatenate([task._seen(x[i]) for task, i, _ in self._each])
-
-    def _is_mirrored(self, x: Array, other: Array) -> bool:
-        return any(task._is_mirrored(x[i], other[i]) for task, i, _ in self._each)
-
-    def _sensor_jacobian(self, q: Array) -> Array:
-        return np.concatenate([task._sensor_jacobian(q) for task in self.tasks])
-
-    def _error_jacobian(self, e: Array, J: Array) -> Array:
-        return np.concatenate([task._error_jacobian(e[i], J[i]) for task, _, i in self._each])
-
     def _saved(self) -> dict[str, Any] | None:
         parts = [task._saved() for task in self.tasks]
         return None if None in parts else {"kind": "stacked", "tasks": parts}
 
     def __repr__(self) -> str:
         return f"StackedTask({', '.join(map(repr, self.tasks))})"
-
-
-def _one_after_the_other(sizes: list[int]) -> list[slice]:
-    return [slice(end - size, end) for size, end in zip(sizes, accumulate(sizes), strict=True)]
-
-
-def _moved(entries: slice, start: int) -> slice:
-    return slice(entries.start + start, entries.stop + start)
 
 
 _CONFIGURATIONS = 400
@@ -141,50 +153,6 @@ _BEST = 1.5  # times the least error that was found is as good
 _LONGEST = 0.3  # step of that search [rad or m]
 _LEAST = 0.01  # mobility that a direction is taken to have at least, as a share of the largest
 _REGULAR = 1e-9  # σ_min/σ_max of C below which it has no inverse
-
-
-class WrappedTask(Task):
-    """A task made from another one, whose values, errors, targets and sensor it keeps."""
-
-    def __init__(
-        self, task: Task, labels: Sequence[str] | None = None, units: Sequence[str] | None = None
-    ) -> None:
-        super().__init__(task.robot, labels or task.labels, units or task.units, task.n_x)
-        self.task = task
-        self._uses_x, self._subtracts = task._uses_x, task._subtracts
-        self._origin, self._untold = task._origin, task._untold
-        self._parts, self._features = task._parts, task._features
-
-    def value(self, q: Array) -> Array:
-        return self.task.value(q)
-
-    def error(self, x: Array, x_d: Array) -> Array:
-        return self.task.error(x, x_d)
-
-    def displaced(self, x: Array, e: Array) -> Array:
-        return self.task.displaced(x, e)
-
-    def target(self, x_d: object) -> Array:
-        return self.task.target(x_d)
-
-    @property
-    def _measured(self) -> Task:
-        return self.task._measured
-
-    def _seen(self, x: Array) -> Array:
-        return self.task._seen(x)
-
-    def _is_mirrored(self, x: Array, other: Array) -> bool:
-        return self.task._is_mirrored(x, other)
-
-    def _sensor_jacobian(self, q: Array) -> Array:
-        return self.task._sensor_jacobian(q)
-
-    def _error_jacobian(self, e: Array, J: Array) -> Array:
-        return self.task._error_jacobian(e, J)
-
-    def _saved(self) -> dict[str, Any] | None:
-        return self.task._saved()  # what the law changes is no affair of a picture
 
 
 class CombinedTask(WrappedTask):
@@ -230,7 +198,9 @@ class CombinedTask(WrappedTask):
             raise InvalidInputError(
                 f"C must be regular, got singular values {values.tolist()}", given=C
             )
-        super().__init__(task, [f"c{i}" for i in range(1, k + 1)], (joined(task.units),) * k)
+        labels = [f"c{i}" for i in range(1, k + 1)]
+        super().__init__((task,), labels, (joined(task.units),) * k)
+        self.task = task
         self._inverse = np.linalg.inv(self.C) if k == task.m else np.linalg.pinv(self.C)
         self._subtracts = False
 
@@ -362,7 +332,8 @@ class NonsingularTask(WrappedTask):
     def __init__(self, task: Task, bend: Mapping[str, float], ratio: float = 0.1) -> None:
         require("task", task, Task, "a task of the believed robot, such as PositionTask(robot)")
         require("bend", bend, Mapping, "a mapping from joint names to displacements")
-        super().__init__(task)
+        super().__init__((task,), task.labels)
+        self.task = task
         self._ratio = as_number("ratio", ratio, above=0.0)
         if self._ratio >= 1.0:
             raise InvalidInputError(f"ratio must be < 1, got {ratio!r}", given=ratio)
