@@ -193,8 +193,7 @@ def tag_corners(size: float, tag_pose: object = None) -> Array:
 
     In the order of `cv2.aruco`: upper left, upper right, lower right, lower left of the upright
     tag. (pupil-apriltags begins at the lower left and goes the other way round: take
-    `corners[::-1]`.) The x of the task is `corners.ravel()`, eight numbers, of which
-    `CombinedTask.balanced` makes the six that a controller takes.
+    `corners[::-1]`.) `CombinedTask.balanced` makes six coordinates of the eight.
 
     Args:
         size: Length of its black square's side, > 0 [m].

@@ -78,10 +78,7 @@ class Camera(Saved, ABC):
 
     @property
     def numbers(self) -> dict[str, Array]:
-        """Numbers that images depend on, by the names of attributes, of cameras of one kind.
-
-        Of a camera of one's own they are all its attributes that are numbers.
-        """
+        """Numbers that images depend on, by the names of attributes; by default all floats."""
         own = {name: np.asarray(value) for name, value in vars(self).items()}
         return {name: value for name, value in own.items() if value.dtype == np.float64}
 
@@ -170,15 +167,13 @@ _WITHIN = 0.999  # of a round image, in which a ray is surely shown
 class PinholeCamera(Camera):
     """A camera with perspective: u = f_x x″ + c_x, v = f_y y″ + c_y, in pixels.
 
-    (x″, y″) is the ray (X/Z, Y/Z) through a point (X, Y, Z) in the camera's own axes, bent by its
-    lens: OpenCV's pinhole model with all its coefficients, or its fisheye model. All as in OpenCV:
-    the camera's x axis points right in the image, y down, z along the view; (0, 0) is the middle of
-    the upper left pixel. `from_opencv` and `from_file` take a calibration as it is.
+    (x″, y″) is the ray (X/Z, Y/Z) through a point (X, Y, Z) in the camera's own axes (right, down,
+    forward), bent by its lens, all as in OpenCV; (0, 0) is the middle of the upper left pixel.
+    `from_opencv` and `from_file` take a calibration as it is.
 
     Rays beyond where the lens's polynomial folds back, or beyond 85° of a fisheye lens, have no
-    image (NaN), and pixels that no ray is shown at are not seen. For a Jacobian a point outside is
-    taken at the nearest ray within the image and at a depth of at least `near`: a believed camera
-    may have it there, or behind it, while the true one sees it.
+    image (NaN). For a Jacobian a point outside the view is taken at the nearest ray within it and
+    at a depth of at least `near`: the true camera may see it although the believed one does not.
 
     Attributes:
         focal_length: f_x = f_y, or (f_x, f_y), > 0 [px].
@@ -187,11 +182,9 @@ class PinholeCamera(Camera):
         rotation: Its axes (right, down, forward) as columns, shape (3, 3).
         center: (c_x, c_y), where the optical axis meets the image; its middle by default [px].
         distortion: (k₁, k₂, k₃), or fewer of them; or OpenCV's 4, 5, 8, 12 or 14 coefficients (k₁,
-            k₂, p₁, p₂, k₃, k₄, k₅, k₆, s₁, s₂, s₃, s₄, τ_x, τ_y); of a fisheye lens (k₁, k₂, k₃,
-            k₄), or none.
+            k₂, p₁, p₂, k₃, k₄, k₅, k₆, s₁, s₂, s₃, s₄, τ_x, τ_y); of a fisheye lens 4, or none.
         fisheye: The lens is OpenCV's fisheye lens ("equidistant" in ROS).
-        mount: Frame of the robot that position and rotation are given in and that the camera
-            moves with; None is the world.
+        mount: Frame that position and rotation are given in; None is the world.
         near: Smallest depth Z at which anything is seen, > 0 [m].
 
     Raises:
@@ -298,13 +291,11 @@ class PinholeCamera(Camera):
     ) -> PinholeCamera:
         """Return the camera of a calibration by OpenCV.
 
-        Its pose in what it is fixed to, the world or the `mount` that carries it, is given by rvec
-        and tvec or by camera_pose; by default it is in that frame's origin and axes.
+        Its pose in the world, or in its `mount`, is given by rvec and tvec, or by camera_pose.
 
         Args:
             K: Camera matrix, shape (3, 3), without skew [px].
-            distortion: OpenCV's coefficients in any shape: 4, 5, 8, 12 or 14 of them, or none; of a
-                fisheye lens 4, or none.
+            distortion: OpenCV's coefficients in any shape, or none.
             size: Width and height of the image [px].
             rvec: With tvec, to the camera: r_camera = Rodrigues(rvec) r + tvec, as `cv2.solvePnP`
                 returns for a board with points r in that frame; 3 numbers [rad].
@@ -346,12 +337,9 @@ class PinholeCamera(Camera):
         *,
         up: Sequence[float] | Array = (0.0, 0.0, 1.0),
     ) -> PinholeCamera:
-        """Return this camera elsewhere, with its optical axis through a point.
+        """Return this camera at `position`, its optical axis through `looking_at`, both (3,) [m].
 
-        Args:
-            position: Of the camera, shape (3,) [m].
-            looking_at: The point, shape (3,) [m], not straight up or down.
-            up: Direction that is up in the image, shape (3,).
+        `up`, shape (3,), is the direction that is up in the image; the view may not go along it.
         """
         return replace(self, position=position, rotation=view_axes(position, looking_at, up))
 
@@ -412,11 +400,7 @@ class PinholeCamera(Camera):
         return np.asanyarray(self._R @ law.array([depth * X, depth * Y, depth]) + self._p)
 
     def interaction(self, r: Array) -> Array:
-        """Return the image Jacobian J_I = ∂X/∂r, shape (2, 3) [px/m].
-
-        With [−I, [r_c]ₓ] behind it, r_c the point and both in the camera's axes, it is the
-        interaction matrix (2, 6) of the camera's own velocity in the literature.
-        """
+        """Return the image Jacobian J_I = ∂X/∂r, shape (2, 3) [px/m]."""
         x, y, Z = self._within(self.in_camera(r))
         a, b, c, d = self._lens.slopes(x, y)
         f_u, f_v = (self._f / Z).tolist()
@@ -446,8 +430,7 @@ class PinholeCamera(Camera):
         """Return this camera moved and with another focal length: of a true one, a wrong belief.
 
         Args:
-            shift: From here, along this camera's axes (right, down, forward), shape (3,) [m]. A
-                shift of (0, 0, −d) makes all depths larger by d.
+            shift: Along this camera's axes (right, down, forward), shape (3,) [m].
             rotation: Rotation vector in this camera's axes, shape (3,) [rad]; (0, 0, δ) rolls the
                 camera clockwise by δ, as it looks, so that what it sees turns the other way.
             focal_factor: Of both focal lengths, > 0.
@@ -460,7 +443,7 @@ class PinholeCamera(Camera):
 
     @property
     def calibration(self) -> Mapping[str, tuple[float, str]]:
-        """f_x [px], the distance that the camera stands back [m], and its roll [rad]."""
+        """f_x, the distance that the camera stands back, and its roll."""
         f = float(self._f[0])
         return {"focal_length": (f, "px"), "distance": (0.0, "m"), "roll": (0.0, "rad")}
 

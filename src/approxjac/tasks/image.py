@@ -24,13 +24,10 @@ _ROUND, _OPEN = 0.2, 0.5  # how round a polygon must be, and what of it must be 
 class ImageTask(Task):
     """X = image of one or several points; J = J_I J_e, eq. (33).
 
-    On the believed robot with the believed camera its Jacobian is the paper's Ĵ = Ĵ_I Ĵ_e. A
-    camera fixed in the world watches points of the robot (eye-to-hand), one with a `mount` is
-    carried by the robot and watches points of the world (eye-in-hand).
-
-    With k points x is (u₁, v₁, u₂, v₂, …) and m = 2k. A controller takes at most 6 of them, and at
-    most as many as there are joints: of more, such as the corners of a tag,
-    `CombinedTask.balanced` makes as many.
+    A camera fixed in the world watches points of the robot (eye-to-hand), one with a `mount` is
+    carried by the robot and watches points of the world (eye-in-hand). With k points x is
+    (u₁, v₁, u₂, v₂, …) and m = 2k, of which a controller takes at most 6, and at most as many as
+    there are joints; of more `CombinedTask.balanced` makes as many.
 
     Args:
         robot: The robot, true or believed.
@@ -41,9 +38,8 @@ class ImageTask(Task):
             be given for points of the world.
         depth: Where Ĵ_I takes a point to be. "believed": where the believed robot and camera have
             it. Or on the ray of its *measured* image, at a depth Z > 0 of all, or of each, shape
-            (k,) [m]; or "measured" for a camera that measures it: then x is (u₁, v₁, Z₁, …) and has
-            n_x = 3k entries. The depths are no part of the error, and those of a target are not
-            used. Where none is measured (Z is not finite, or not > 0) it is the believed one.
+            (k,) [m]; or "measured" for a camera that measures it: then x is (u₁, v₁, Z₁, …), the
+            depths are no part of the error, and the believed one is used where none is measured.
 
     Raises:
         UnknownNameError: No such frame.

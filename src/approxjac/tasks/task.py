@@ -38,28 +38,11 @@ class Task(Immutable, Saved, ABC):
     """A task X = h(q) of one robot.
 
     A controller uses the task of the *believed* robot, and of it only the Jacobian Ĵ: the value
-    X comes from a measurement. A sensor is the same kind of object on the *true* robot.
-
-    The error e of a value to a target has m coordinates. Mostly e = X − X_d and X has m entries
-    too; a pose has 7 entries and an error of 6 coordinates.
+    X comes from a measurement. A sensor is the same kind of object on the *true* robot. The error
+    e of a value to a target has m coordinates; mostly it is X − X_d and X has m entries, too.
 
     A task of one's own has `value`, `jacobian` and `on`, and with another error its own `error` and
-    `displaced`, too::
-
-        class Distance(aj.Task):
-            def __init__(self, robot, point):
-                super().__init__(robot, labels=("distance",), units=("m",))
-                self.point, self._tip = point, FrameKinematics(robot, robot.tip)
-
-            def value(self, q):
-                return np.array([np.linalg.norm(self._tip.position(q) - self.point)])
-
-            def jacobian(self, q, x=None):
-                away = self._tip.position(q) - self.point
-                return (away / np.linalg.norm(away))[np.newaxis] @ self._tip.jacobian(q)[:3]
-
-            def on(self, robot):
-                return Distance(robot, self.point)
+    `displaced`, too; examples/19_own_task.py is one.
 
     Immutable, but it owns scratch memory: one instance a thread. Methods raise an
     InvalidInputError for a q or v of the wrong length or not finite.
