@@ -133,11 +133,11 @@ def test_nothing_to_learn_without_gravity(two_link):
 
 def test_fit_refuses_another_arm(two_link, panda):
     with pytest.raises(
-        aj.InvalidInputError, match=r"robot must have the joints of two_link \(joint1, jo"
+        aj.InvalidInputError, match=r"robot must have the joints of Robot\('two_link'"
     ):
         GravityRegressor(two_link).fit(panda)
     with pytest.raises(
-        aj.InvalidInputError, match=r"robot must be under the gravity \[0.0, 0.0, -9"
+        aj.InvalidInputError, match=r"be under its gravity of \[0.0, 0.0, -9.81\] m/s"
     ):
         GravityRegressor(panda).fit(panda.with_gravity((0.0, 0.0, 9.81)))
 

@@ -149,7 +149,7 @@ def test_a_path_gives_the_same_arm_as_the_name(name):
         (
             {"tip": "zz"},
             UnknownNameError,
-            "frame 'zz' not in branched; ends are tooth, head, rim; valid are ",
+            "frame 'zz' not in branched; likely tips are tooth, head, rim; valid are ",
         ),
         ({"base": "trnk"}, UnknownNameError, "frame 'trnk' not in branched; did you mean 'trun"),
         (

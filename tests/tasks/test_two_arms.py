@@ -70,6 +70,6 @@ def test_one_arm_does_not_wait_for_the_other():
 
 
 def test_two_ends_have_to_be_named():
-    told = "likely tips are left_hand, right_hand; ends are left_tip, right_tip"
+    told = "likely tips are left_hand, right_hand, left_tip, right_tip"
     with pytest.raises(aj.InvalidInputError, match=told):
         aj.PositionTask(aj.load_robot(URDF))

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.errors import InvalidInputError
-from approxjac.robots.robot import WORLD, Robot, mass_matrix, symmetric
+from approxjac.robots.robot import WORLD, Robot, mass_matrix
 from approxjac.robots.traced import arm_of
 from approxjac.validation import Array, as_vector, axis_rows, require
 
@@ -86,10 +86,7 @@ class Dynamics:
         return np.array(pin.rnea(self._model, self._data, q, v, a))
 
     def forward(self, q: Array, v: Array, tau: Array) -> Array:
-        """q̈ from τ, shape (n_v,) [rad/s² or m/s²].
-
-        By the articulated-body algorithm, or with mimic joints by solving with M(q).
-        """
+        """q̈ from τ, shape (n_v,) [rad/s² or m/s²]."""
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
             return np.asanyarray(arm.forward(v, tau))
         q, v, tau = self._q(q), self._v(v), self._v(tau, "tau")
@@ -102,9 +99,7 @@ class Dynamics:
         """M(q)⁻¹, shape (n_v, n_v)."""
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
             return np.asanyarray(arm.factors.solve(np.eye(self.robot.nv)))
-        if self._mimic_joints.G is not None:
-            return np.asarray(np.linalg.inv(self.M(q)))
-        return symmetric(pin.computeMinverse(self._model, self._data, self._q(q)))
+        return np.asarray(np.linalg.inv(self.M(q)))
 
     def energy(self, q: Array, v: Array) -> float:
         """Kinetic plus potential energy [J]."""
@@ -132,7 +127,12 @@ COULOMB_SPEED = 0.05
 _RANK_TOLERANCE = 1e-9
 _HALF = np.array(0.5)  # an array, which NumPy multiplies with in a third of the time of a number
 _OF_A_LINK = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
-_OF_A_JOINT = ("rotor", "viscous", "coulomb", "constant")
+_OF_A_JOINT = {  # and their units where it turns and where it slides
+    "rotor": ("kg m²", "kg"),
+    "viscous": ("N m s/rad", "N s/m"),
+    "coulomb": ("N m", "N"),
+    "constant": ("N m", "N"),
+}
 
 
 class _TorqueRegressor:
@@ -146,7 +146,6 @@ class _TorqueRegressor:
         self._model = robot.mimic_joints.model  # Pinocchio has no regressor with mimic joints
         self._data = self._model.createData()
         self._zero = np.zeros(self._model.nv)
-        self._many = self._model.nv > 1  # of one joint Pinocchio's regressor has lost an axis
         self._movers = list(self._model.names)[1:]
         inertias = list(self._model.inertias)[1:]
         self._dynamic = np.concatenate([each.toDynamicParameters() for each in inertias])
@@ -167,7 +166,7 @@ class _TorqueRegressor:
         """Return the columns of links at q (nq,), and velocities and accelerations of all."""
         q_all = self._mimic_joints.q(q)
         Y: Array = pin.computeJointTorqueRegressor(model, self._data, q_all, v, a)
-        return self._mimic_joints.rows(Y if self._many else Y[np.newaxis])
+        return self._mimic_joints.rows(Y.reshape(self._model.nv, -1))  # of one joint it is flat
 
     def _at_rest(self, q: Array) -> Array:
         return self._torques(self._model, q, self._zero, self._zero)
@@ -232,11 +231,10 @@ class DynamicsRegressor(_TorqueRegressor):
         # all of one kind at once, so that its columns are a diagonal
         names += [f"{joint}.{label}" for label in _OF_A_JOINT for joint in robot.joint_names]
         self.names = tuple(names)
-        turning = [unit == "rad" for unit in robot.joint_units]
-        of_joints = (("kg m²", "kg"), ("N m s/rad", "N s/m"), ("N m", "N"), ("N m", "N"))
-        self.units = ("kg", *3 * ("kg m",), *6 * ("kg m²",)) * len(self._movers) + tuple(
-            angular if turns else linear for angular, linear in of_joints for turns in turning
-        )
+        kinds = [int(unit == "m") for unit in robot.joint_units]
+        of_joints = [units[kind] for units in _OF_A_JOINT.values() for kind in kinds]
+        of_links = ("kg", *3 * ("kg m",), *6 * ("kg m²",)) * len(self._movers)
+        self.units = (*of_links, *of_joints)
         self.a = np.concatenate([self._dynamic, np.zeros(len(_OF_A_JOINT) * robot.nv)])
         self.a.flags.writeable = False
 
@@ -274,17 +272,15 @@ class GravityRegressor(_TorqueRegressor):
 
     Of each moving link they are its mass and three first moments (m c_x, m c_y, m c_z). A column
     that depends on columns before it, in link order, is left out and its parameter is added to
-    theirs (an outer link's mass acts like a first moment of its parent). The span of Z does not
-    change when the translations of joint origins are wrong, so gravity can be learnt exactly with
-    wrong lengths; wrong axis directions break that.
+    theirs. The span of Z does not change when the translations of joint origins are wrong, so
+    gravity can be learnt exactly with wrong lengths; wrong axis directions break that.
 
     Owns scratch memory: one instance a thread.
 
     Args:
         robot: The (believed) robot.
         moments: Axes of the link frames along which centres of mass may lie. "xyz" assumes
-            nothing. "x" is the paper's arm, whose rods lie along x: it gives exactly the
-            paper's θ₁ and θ₂, where "xyz" gives two more that are zero there.
+            nothing; "x" gives exactly the paper's θ₁ and θ₂, whose rods lie along x.
 
     Attributes:
         names: Names of the parameters, such as "joint1.mx" [kg m] or "joint1.m" [kg].
@@ -295,7 +291,6 @@ class GravityRegressor(_TorqueRegressor):
     Raises:
         InvalidInputError: No or doubled axes, centres of mass of `robot` that `moments` does not
             cover, or gravity exerts no torque on this robot.
-        UnknownNameError: An axis that is not x, y or z.
     """
 
     def __init__(self, robot: Robot, moments: str = "xyz") -> None:
@@ -352,16 +347,11 @@ class GravityRegressor(_TorqueRegressor):
             InvalidInputError: Other joints, or another gravity.
         """
         require("robot", robot, Robot, "a Robot")
-        if robot.joint_names != self.robot.joint_names:
+        own = self.robot
+        if robot.joint_names != own.joint_names or (robot.gravity != own.gravity).any():
             raise InvalidInputError(
-                f"robot must have the joints of {self.robot.name} "
-                f"({', '.join(self.robot.joint_names)}), got {robot!r}",
-                given=robot,
-            )
-        if not np.array_equal(robot.gravity, self.robot.gravity):
-            raise InvalidInputError(
-                f"robot must be under the gravity {self.robot.gravity.tolist()} of the regressor "
-                f"[m/s^2], got {robot.gravity.tolist()}",
+                f"robot must have the joints of {own!r} and be under its gravity of "
+                f"{own.gravity.tolist()} m/s^2, got {robot!r} under {robot.gravity.tolist()}",
                 given=robot,
             )
         rng = np.random.default_rng(seed)
@@ -372,9 +362,7 @@ class GravityRegressor(_TorqueRegressor):
     def payload(self, change: Array) -> Array:
         """Return the load on the last link that acts most like a change of θ (p,), the smallest.
 
-        Returns:
-            Mass [kg], and those of the first moments in the axes of that link's joint [kg m] that
-            `moments` names.
+        It is a mass [kg], and those first moments in that link's axes [kg m] that `moments` names.
         """
         weighted = self._held * self._usual[:, np.newaxis]
         load: Array = np.linalg.lstsq(weighted, change * self._usual, rcond=1e-9)[0]

@@ -75,26 +75,23 @@ def load_robot(
 ) -> Robot:
     """Load an arm by name, from a path to a .urdf file, or from URDF text.
 
-    Where the tip is known, the arm is the chain from `base` to it: the robot's other joints, such
-    as those of fingers, wheels or the other arm, are locked, each at zero or at its limit nearest
-    to zero, and mimic joints with the joint that they follow.
+    Where the tip is known, the arm is the chain from `base` to it: other joints, such as those of
+    fingers or wheels, are locked, each at zero or at its limit nearest to zero.
 
     Args:
         source: A name ("panda", "two_link", …), which the robot then has; a path; or text that
             starts with "<".
         gravity: Acceleration of gravity in the world frame, shape (3,) [m/s²].
         tip: End-effector frame; by default the named robot's own, or the last link of an arm
-            that does not branch. Of a branched file without it, no joint is locked.
-        base: Link that the chain starts from; by default the named robot's own, or the root. The
-            robot stands in the world on its root all the same.
+            that does not branch.
+        base: Link that the chain starts from; by default the named robot's own, or the root.
         free: Joints that are not locked although the tip does not need them: one name, several,
             or "all".
 
     Raises:
         UnknownNameError: Neither a known name nor a file; no such frame, or moving joint to free.
         UrdfError: The file is missing, or its URDF is not usable.
-        InvalidInputError: Not a text or a path; a tip that nothing moves, or that `base` does not
-            carry.
+        InvalidInputError: A tip that nothing moves, or that `base` does not carry.
         MissingPackageError: A robot of example-robot-data, without the extra `robots`.
 
     Warns:

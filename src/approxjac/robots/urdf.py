@@ -313,25 +313,23 @@ def _joint_faults(joint: UrdfJoint, links: set[str]) -> Iterator[str]:
 
 
 _USUAL = ("tool0", "tcp", "_ee_link", "end_effector", "eef", "tool", "flange", "gripper", "hand")
-_MANY = 12  # ends that are named
+_MANY = 12  # links that are named
 
 
 def likely_tips(urdf: Urdf) -> str:
-    """Return a clause that offers the links that are called as tips are, and the ends."""
-    moved = [link for link in urdf.links if link in urdf.moved_links]
+    """Return a clause that offers the ends, and before them the links called as tips are."""
+    carriers = {joint.parent for joint in urdf.joints.values()}
     ranks = {}
-    for link in moved:
-        name = f"_{link.lower()}"
-        words = [k for k, word in enumerate(_USUAL) if word in name]
-        if words and "finger" not in name:
+    for link in filter(urdf.moved_links.__contains__, urdf.links):
+        words = [k for k, word in enumerate(_USUAL) if word in f"_{link.lower()}"]
+        if words and "finger" not in link.lower():
             # of two with the same word the shorter name is that of the whole thing
             ranks[link] = words[0], len(link)
-    likely = sorted(ranks, key=ranks.__getitem__)[:5]
-    carriers = {joint.parent for joint in urdf.joints.values()}
-    ends = [link for link in moved if link not in carriers]
-    more = f" and {len(ends) - _MANY} more" if len(ends) > _MANY else ""
-    named = f"ends are {', '.join(ends[:_MANY])}{more}"
-    return f"likely tips are {', '.join(likely)}; {named}" if likely else named
+        elif link not in carriers:
+            ranks[link] = len(_USUAL), 0
+    likely = sorted(ranks, key=ranks.__getitem__)
+    more = f" and {len(likely) - _MANY} more" if len(likely) > _MANY else ""
+    return f"likely tips are {', '.join(likely[:_MANY])}{more}"
 
 
 # -- edits, each a new tree that keeps everything else of the old one ---------------------

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -40,7 +40,6 @@ class FrameKinematics:
         self.frame = frame
         self._id = robot.frame_id(frame)
         self._model = robot.model
-        self._many = robot.nv > 1  # of one joint Pinocchio's Jacobian has lost an axis
         # Pinocchio's J̇ is wrong with mimic joints: it is computed with all joints on their own
         self._all = robot.mimic_joints.model
 
@@ -92,7 +91,7 @@ class FrameKinematics:
             return np.asanyarray(arm.jacobian(self.frame))
         q = self.robot.configuration(q)
         J: Array = pin.computeFrameJacobian(self._model, self._data, q, self._id, _LWA)
-        return J if self._many else J.reshape(6, 1)
+        return J.reshape(6, -1)  # of one joint it is flat
 
     def motion(self, q: Array) -> tuple[Array, Array, Array]:
         """Return `jacobian`, and the frame's rotation (3, 3) and position (3,) at the same q.
@@ -232,7 +231,10 @@ class PositionTask(_FrameTask):
     def __init__(self, robot: Robot, frame: str | None = None, axes: str | None = None) -> None:
         require("robot", robot, Robot, "a Robot")
         self.axes = best_axes(robot, frame) if axes is None else axes
-        self._rows = _as_slice(tuple(axis_rows("axes", self.axes)))
+        rows = axis_rows("axes", self.axes)
+        # at equal distances as a slice, which NumPy takes without a copy
+        evenly = slice(rows[0], rows[-1] + 1, max(1, (rows[-1] - rows[0]) // max(1, len(rows) - 1)))
+        self._rows = evenly if list(range(3))[evenly] == rows else rows
         super().__init__(robot, frame, tuple(self.axes), ("m",) * len(self.axes))
 
     def value(self, q: Array) -> Array:
@@ -246,15 +248,6 @@ class PositionTask(_FrameTask):
 
     def __repr__(self) -> str:
         return f"PositionTask({self.robot.name!r}, {self.frame!r}, {self.axes!r})"
-
-
-@cache
-def _as_slice(rows: tuple[int, ...]) -> slice | list[int]:
-    """Return rows at equal distances as a slice, which NumPy takes without a copy."""
-    step = rows[1] - rows[0] if len(rows) > 1 else 1
-    end = rows[-1] + step
-    evenly = slice(rows[0], end if end >= 0 else None, step)
-    return evenly if tuple(range(3))[evenly] == rows else list(rows)
 
 
 def best_axes(robot: Robot, frame: str | None = None) -> str:
