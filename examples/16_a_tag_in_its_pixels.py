@@ -11,7 +11,6 @@ You will learn: what lies between a calibration and a detector on one side and t
 """
 
 import argparse
-import tempfile
 from collections import deque
 from pathlib import Path
 
@@ -37,14 +36,8 @@ TAG[:3, :3] = [[0.0, 0.5, 0.75**0.5], [1.0, 0.0, 0.0], [0.0, 0.75**0.5, -0.5]]
 GOAL = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 START = GOAL + [0.15, -0.1, 0.1, 0.15, -0.1, 0.1, 0.3]
 
-with tempfile.TemporaryDirectory() as folder:
-    path = Path(folder, "camera.yml")  # yours is what OpenCV's calibration wrote
-    stored = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
-    stored.write("camera_matrix", K)
-    stored.write("distortion_coefficients", LENS)
-    stored.release()
-    camera = aj.PinholeCamera.from_file(path, size=(640, 480))
-camera = camera.standing_at((1.25, -0.25, 0.75), looking_at=(0.55, 0.0, 0.5))  # in truth
+camera = aj.PinholeCamera.from_opencv(K, LENS, (640, 480))
+camera.standing_at((1.25, -0.25, 0.75), looking_at=(0.55, 0.0, 0.5))  # in truth
 wrong = camera.with_error(rotation=(0.0, 0.0, np.radians(20.0)), shift=(0.05, 0.0, -0.15))
 arm = aj.load_robot("panda")
 truth, belief = arm.with_object(0.15, 0.3, axis="x"), arm.with_object(0.0)  # weighed only

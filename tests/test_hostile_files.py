@@ -13,7 +13,6 @@ import trimesh
 from numpy.lib import format as npy
 
 import approxjac as aj
-from approxjac.cameras import PinholeCamera
 from approxjac.errors import ApproxJacError, TrajectoryFileError
 from approxjac.realtime import SimulatedDriver
 from approxjac.realtime.control import RobotRun
@@ -101,19 +100,6 @@ def of_scenario(path):
     return [str(aj.Scenario.load(path))]
 
 
-def write_calibration(path):
-    path.write_text(
-        "%YAML:1.0\n---\nimage_width: 640\nimage_height: 480\ncamera_matrix: !!opencv-matrix\n"
-        "   rows: 3\n   cols: 3\n   dt: d\n   data: [ 600., 0., 320., 0., 601., 240., 0, 0, 1 ]\n"
-        "distortion_coefficients: !!opencv-matrix\n   rows: 1\n   cols: 5\n   dt: d\n"
-        "   data: [ -0.1, 0.02, 1e-3, -1e-3, 0. ]\n"
-    )
-
-
-def of_calibration(path):
-    return [repr(PinholeCamera.from_file(path))]
-
-
 def write_mesh(path):
     path.write_bytes(encoded(trimesh.creation.icosphere(1), path.suffix[1:]))
 
@@ -139,7 +125,6 @@ KINDS = {  # ending, what writes one, what reads it; whether the file tells that
     "portion": (".npz", write_portion, of_portion, True),
     "URDF": (".urdf", write_urdf, of_urdf, False),
     "scenario": (".toml", write_scenario, of_scenario, False),
-    "calibration": (".yaml", write_calibration, of_calibration, False),
     "STL": (".stl", write_mesh, of_mesh, False),
     "OBJ": (".obj", write_mesh, of_mesh, False),
     "DAE": (".dae", write_mesh, of_mesh, False),

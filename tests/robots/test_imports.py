@@ -12,7 +12,7 @@ law = aj.TorqueLimited(aj.SetpointController(task))
 aj.simulate(aj.Plant(arm, task), law, duration=0.01, dt=1e-3, target=task.value(arm.neutral()))
 HEAVY = {
     "scipy", "trimesh", "yourdfpy", "networkx", "shapely", "PIL", "matplotlib", "osqp",
-    "qpsolvers", "mujoco", "llvmlite", "meshcat", "tornado", "yaml", "tqdm", "IPython",
+    "qpsolvers", "mujoco", "llvmlite", "meshcat", "tornado", "tqdm", "IPython",
 }
 print(*HEAVY & set(sys.modules))
 """

@@ -6,7 +6,6 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from types import NoneType
 from typing import Any, Self
 
@@ -14,12 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac import law
-from approxjac.cameras.calibration import (
-    as_rotation,
-    opencv_parameters,
-    read_calibration,
-    view_axes,
-)
+from approxjac.cameras.calibration import as_pose, as_rotation, view_axes
 from approxjac.cameras.lenses import Fisheye, Lens, shortened
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.formatting import short_fields
@@ -169,7 +163,7 @@ class PinholeCamera(Camera):
 
     (x″, y″) is the ray (X/Z, Y/Z) through a point (X, Y, Z) in the camera's own axes (right, down,
     forward), bent by its lens, all as in OpenCV; (0, 0) is the middle of the upper left pixel.
-    `from_opencv` and `from_file` take a calibration as it is.
+    `from_opencv` takes a calibration as it is.
 
     Rays beyond where the lens's polynomial folds back, or beyond 85° of a fisheye lens, have no
     image (NaN). For a Jacobian a point outside the view is taken at the nearest ray within it and
@@ -305,30 +299,34 @@ class PinholeCamera(Camera):
             fisheye: The coefficients are those of `cv2.fisheye`.
             **options: Mount and near, as for `PinholeCamera`.
         """
-        given = opencv_parameters(K, distortion, rvec, tvec, camera_pose)
-        return cls(size=size, fisheye=fisheye, **given, **options)
-
-    @classmethod
-    def from_file(
-        cls,
-        path: str | Path,
-        *,
-        size: Sequence[int] | None = None,
-        fisheye: bool | None = None,
-        **where: Any,
-    ) -> PinholeCamera:
-        """Return the camera of a YAML file of OpenCV's FileStorage, or of ROS's camera_info.
-
-        It may name its model: ROS's distortion_model (plumb_bob, rational_polynomial,
-        equidistant), or fisheye_model of OpenCV's sample program.
-
-        Args:
-            path: Of the file, at most 0.5 MB.
-            size: Of the image [px], if the file has none.
-            fisheye: The lens is a fisheye one, if the file does not say so.
-            **where: Rvec, tvec, camera_pose, mount and near, as for `from_opencv`.
-        """
-        return cls.from_opencv(**read_calibration(path, size, fisheye), **where)
+        k = as_array("K", K, (3, 3), "px")
+        f, c = (k[0, 0], k[1, 1]), (k[0, 2], k[1, 2])
+        if (k != [[f[0], 0.0, c[0]], [0.0, f[1], c[1]], [0.0, 0.0, 1.0]]).any():
+            raise InvalidInputError(
+                f"K must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got {k.tolist()}", given=K
+            )
+        coefficients: Any = () if distortion is None else np.ravel(distortion)
+        if len(coefficients) == 3:  # of which the last would be taken for k₃
+            raise InvalidInputError(
+                "distortion must be OpenCV's 4, 5, 8, 12 or 14 coefficients, or none, got 3: "
+                f"{list(coefficients)}",
+                given=distortion,
+            )
+        places = {"rvec": rvec, "tvec": tvec, "camera_pose": camera_pose}
+        given = [name for name, each in places.items() if each is not None]
+        R, p = np.eye(3), np.zeros(3)
+        if given == ["rvec", "tvec"]:
+            R = pin.exp3(np.array(as_array("rvec", np.ravel(rvec), (3,), "rad"))).T
+            p = -R @ as_array("tvec", np.ravel(tvec), (3,), "m")
+        elif given == ["camera_pose"]:
+            R, p = as_pose("camera_pose", camera_pose)
+        elif given:
+            raise InvalidInputError(
+                f"where a camera stands must be given by rvec and tvec, or by camera_pose, got "
+                f"{' and '.join(given)}",
+                given=given,
+            )
+        return cls(f, size, p, R, c, coefficients, fisheye=fisheye, **options)
 
     def standing_at(
         self,
