@@ -270,10 +270,6 @@ def test_the_interval_is_that_of_scipy(runs, share, confidence):
         ({"duration": 0.01, "dt": 0.003}, r"duration must be a whole number of dt = 0.003"),
         ({"accuracy": -1.0}, "accuracy must be a finite number > 0, got -1"),
         ({"target": (0.1, 0.2, 0.3)}, r"target must have shape \(2,\) \[m\]"),
-        (
-            {"sensing": aj.Sensing(x_delay=30.0)},
-            r"x_delay must be shorter than the duration, 10 \[",
-        ),
         ({"executor": 2}, "executor must be an executor of concurrent.futures or None, got 2"),
     ],
 )

@@ -123,25 +123,23 @@ class StudiedLoop:
     ) -> Rollouts:
         """Simulate the sampled closed loop from random starts, with random true robots.
 
-        Run k draws from a generator of its own, `numpy.random.default_rng([seed, k])`: the true
-        values, the start, the configuration that attains the target, and the seed of its noise and
-        dropouts. So the result is the same whatever carries out the runs, more runs of the same
-        seed begin with the same ones, and studies that differ in gains alone are asked the same.
+        Run k draws all of its own from `numpy.random.default_rng([seed, k])`. So the result is the
+        same whatever carries out the runs, more runs of the same seed begin with the same ones, and
+        studies that differ in gains alone are asked the same.
 
         Args:
             n: How many, ≥ 1.
-            failures: ≥ 1: end with the so many-th run that does not converge, which with 1 is the
-                first one; all runs are carried out by default. The interval holds all the same.
+            failures: ≥ 1: end with so many runs that do not converge; none of them by default. The
+                interval holds all the same.
             execution: How and where they are carried out.
             progress: Called with "rollouts" and the share that is done; True shows a bar.
 
         Raises:
             UnknownNameError: No such engine.
             MissingPackageError: Lanes are asked for, and llvmlite is not there.
-            InvalidInputError: Numbers out of range, lanes asked for where they do not cover the
-                loop, a controller of another task than the sensor's, a region of which a true
-                camera sees nothing, or something that cannot be sent to the processes of an
-                executor.
+            InvalidInputError: Numbers out of range, lanes where they do not cover the loop, another
+                task than the sensor's, a region of which a true camera sees nothing, or what cannot
+                be sent to the processes of an executor.
         """
         n = as_integer("n", n, 1)
         failures = None if failures is None else as_integer("failures", failures, 1)
@@ -197,12 +195,6 @@ class StudiedLoop:
         late = Plant(plant.robot, plant.sensor, sensing=sensing, actuator_delay=timing.torque_delay)
         duration = dt * round(_DURATION / dt) if self.duration is None else self.duration
         duration = as_number("duration", duration, unit="s", minimum=dt)
-        if sensing is not None and sensing.x_delay >= duration:
-            raise InvalidInputError(
-                f"x_delay must be shorter than the duration, {duration:g} [s], or nothing arrives "
-                f"that is measured in a run, got {sensing.x_delay:g}",
-                given=sensing,
-            )
         accuracy = self.accuracy
         if accuracy is None:
             noise = 0.0 if sensing is None else float(np.max(sensing.x_noise))
@@ -225,12 +217,9 @@ def telling(progress: Progress) -> Iterator[Callable[[str, float], None]]:
         return
     from tqdm import tqdm
 
-    times = "{desc}{percentage:3.0f} %|{bar}| {elapsed} so far, {remaining} to go"
-    with tqdm(total=1.0, bar_format=times) as bar:
+    with tqdm(total=1.0, bar_format="{desc}{percentage:3.0f} %|{bar}| {elapsed}") as bar:
 
         def tell(what: str, share: float) -> None:
-            if bar.desc != f"{what}: ":  # whose time counts from here
-                bar.reset()
             bar.set_description(what, refresh=False)
             bar.update(share - bar.n)
 

@@ -60,18 +60,14 @@ class Study(StudiedLoop):
     ) -> dict[Test, Tolerance]:
         """Find the largest scaling of the errors for which each test still passes.
 
-        By bisection, with the same configurations at every scale. Functions are tried only in the
-        configurations that choose them, so a report may find a little less; a region where Ĵ loses
-        rank passes neither "theorem1" nor "matrix". The local test and rollouts might pass again
-        beyond a gap.
+        By bisection, with the same configurations at every scale. Functions are not checked in
+        others, so a report may find a little less. A test might pass again beyond a gap.
 
         Args:
-            tests: "theorem1", "matrix", "local" or "rollouts". The first two are not for a task
-                whose Jacobian uses the measured x.
+            tests: "theorem1", "matrix" (neither where Ĵ uses x), "local" or "rollouts".
             largest: Scale at most > 0; less where robots beyond it cannot exist.
             precision: Of the scale, relative, > 0.
-            draws: How many configurations to draw, 400 by default, or rollouts at each scale, 100
-                by default, which end with the first that does not converge.
+            draws: Of configurations, 400 by default, or rollouts at each scale, 100 by default.
             progress: Called with "tolerance" and the share that is done; True shows a bar.
 
         Raises:
@@ -120,12 +116,11 @@ class Study(StudiedLoop):
     ) -> Suggestion:
         """Find gains of law (6) that pass a test, with gravity that is known exactly.
 
-        Three demands: the test passes for every corner of the errors and every configuration drawn,
-        and so does the loop sampled, with delays, by a whole report or, of "local", by its exact
-        linearisation; the torque of a start at rest, gravity compensated, is within the limits; and
-        a small error settles to 2 % in the wanted time with every true robot: a far reach takes
-        longer. Tried are multiples of the default gains, from gentle to strong, K_p along with K_v
-        and the damping so that the believed arm settles in time.
+        Three demands: the test passes for every configuration drawn, and the sampled loop by a
+        report or, of "local", by its exact linearisation; the torque of a start at rest, gravity
+        compensated, is within the limits; and a small error settles to 2 % in the wanted time with
+        every true robot: a far reach takes longer. Tried are multiples of the default gains, from
+        gentle to strong, with K_p so that the believed arm settles in time.
 
         Args:
             settling_time: Wanted > 0 [s].

@@ -50,13 +50,12 @@ def lyapunov(
         state: Controller state, needed where gravity is learnt, shape (n_state,).
         theta: True θ, needed where gravity is learnt: that of the controller's regressor, shape
             (p,), as `GravityRegressor.fit` finds it, or with the constant task force and joint
-            torques that are learnt beside it (`AdaptiveGravity`), which are 0 if not given.
+            torques that are learnt beside it, which are 0 if not given.
 
     Raises:
-        InvalidInputError: A controller of law (5), or of your own; one that learns gravity
+        InvalidInputError: A law that V is not of, or a plant that is not ideal; learnt gravity
             without `state` and `theta`, or with another α; another task than the sensor's, or one
-            whose Jacobian uses the measured x; a q that the sensor does not see; a singular Ĵ; a
-            plant with Coulomb friction, sensing, actuator delay or torque limits.
+            whose Jacobian uses the measured x; a q that the sensor does not see; a singular Ĵ.
     """
     require("plant", plant, Plant, "a Plant")
     require_law(controller, posture=True)

@@ -325,15 +325,6 @@ def on_more(form: MatrixForm, family: Family, known: Best) -> Best:
     return known._replace(margins=np.append(known.margins, more))
 
 
-class _Look(NamedTuple):
-    """Whitened matrices X of some unknowns, shape (2, N, n_v + m, n_v + m)."""
-
-    margin: float  # the least; −∞ where Y is not positive
-    metric: Array  # L⁻¹ of Y = LLᵀ, or that of other unknowns where Y is not positive
-    whitened: Array  # L⁻¹XL⁻ᵀ, or L⁻¹(X − μY)L⁻ᵀ there
-    values: Array  # its least eigenvalues, shape (2, N)
-
-
 def _cutting_planes(
     form: MatrixForm, unknowns: FamilyNumbers, start: Array, cuts: Array
 ) -> tuple[Array, float, Array]:
@@ -351,7 +342,13 @@ def _cutting_planes(
     parts = [form.pencils(unknowns.fixed.plus(1.0, part)) for part in unknowns.basis]
     X1, Y1 = np.stack([X - X0 for X, _ in parts]), np.stack([Y - Y0 for _, Y in parts])
 
-    def look(y: Array, mu: float = 0.0, metric: Array | None = None) -> _Look | None:
+    def look(
+        y: Array, mu: float = 0.0, metric: Array | None = None
+    ) -> tuple[float, Array, Array, Array] | None:
+        """Return the least margin, −∞ where Y is not positive; L⁻¹ of Y = LLᵀ, or the one given.
+
+        And the matrices X, or X − μY, whitened with that, and their least eigenvalues, (2, N).
+        """
         weights = unknowns.weights(y)
         (X, Y), is_positive = form.pencils(weights), True
         try:
@@ -364,19 +361,21 @@ def _cutting_planes(
             X = X - mu * Y
         whitened: Array = metric @ X @ metric.mT
         values = np.asarray(np.linalg.eigvalsh(whitened)[..., 0], dtype=np.float64)
+        margin = float(values.min()) if is_positive else -np.inf
         if form.fills:  # Y does not tell the margin
-            return _Look(float(form.margins(weights).min()), metric, whitened, values)
-        return _Look(float(values.min()) if is_positive else -np.inf, metric, whitened, values)
+            margin = float(form.margins(weights).min())
+        return margin, metric, whitened, values
 
     best, here = start, look(start)
     if here is None:  # the start is of fewer samples
         best, here = unknowns.start, look(unknowns.start)
     assert here is not None
-    best_margin, mu = here.margin, max(here.margin, -1.0)
+    best_margin, metric, whitened, values = here
+    mu = max(best_margin, -1.0)
     for _ in range(_ROUNDS):
-        worst = np.argsort(here.values, axis=None)[:_CUTS]
-        which = np.unravel_index(worst, here.values.shape)
-        vectors = here.metric.mT[which] @ np.linalg.eigh(here.whitened[which])[1][..., :2]
+        worst = np.argsort(values, axis=None)[:_CUTS]
+        which = np.unravel_index(worst, values.shape)
+        vectors = metric.mT[which] @ np.linalg.eigh(whitened[which])[1][..., :2]
         for v in np.moveaxis(vectors, -1, 0):
             more = np.stack([_along(v, X0, X1, which), _along(v, Y0, Y1, which)])
             cuts = np.concatenate([cuts, more], axis=1)
@@ -394,10 +393,11 @@ def _cutting_planes(
         cuts = cuts[:, np.sort(np.argsort(answer.slack)[:_KEPT])]
         # part of the way only, as the bounds far from the best point are still poor
         y = best + _STEP * (answer.x[:-1] - best)
-        here = look(y, mu, here.metric)
+        here = look(y, mu, metric)
         assert here is not None
-        if here.margin > best_margin:
-            best, best_margin, mu = y, here.margin, max(mu, here.margin)
+        margin, metric, whitened, values = here
+        if margin > best_margin:
+            best, best_margin, mu = y, margin, max(mu, margin)
     return best, best_margin, cuts
 
 

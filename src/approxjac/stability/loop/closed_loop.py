@@ -158,8 +158,10 @@ class ClosedLoop:
         sym(K_pĴG) of Q is singular. The margins are relative to that block, so they stay positive
         however near a singularity is.
         """
-        task, tiny = self.controller.task, _VANISHING * vanishing(self.controller.task)
-        return least_regular(task, self.parts, samples, lambda q, size: size <= tiny)
+        task = self.controller.task
+        q = least_regular(task, self.parts, samples)
+        size = np.linalg.svd(task.jacobian(q), compute_uv=False)[-1]
+        return q if size <= _VANISHING * vanishing(task) else None
 
     def damped_configuration(self, samples: Samples) -> Array | None:
         """Return a configuration (nq,) where the Ĵ⁺ that learning uses is damped, if one is found.
@@ -169,13 +171,8 @@ class ClosedLoop:
         """
         if self.controller.adaptation is None:
             return None
-        is_damped, task = self.controller.pinv.is_damped, self.controller.task
-        damped = is_damped(samples.J_hat)
-        if damped.any():
-            return np.asarray(samples.q[damped.argmax()])
-        return least_regular(
-            task, self.parts, samples, lambda q, _: bool(is_damped(task.jacobian(q)))
-        )
+        q = least_regular(self.controller.task, self.parts, samples)
+        return q if self.controller.pinv.is_damped(self.controller.task.jacobian(q)) else None
 
     def draw(self, n: int, rng: np.random.Generator, inside: int = 0) -> Samples:
         """Draw n samples, or more to have every corner as often.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -56,7 +56,6 @@ def inverse_kinematics(
 
 
 _TRIES = 1000  # for each configuration that is seen
-_NEARBY = 20  # tries
 _HALVINGS = 30  # of the way out of the view
 
 
@@ -68,15 +67,20 @@ class UnattainedError(InvalidInputError):
         self.truth = truth  # index of the true robot, or of the run
 
 
-class VisiblePart:
+class VisiblePart(Region):
     """The configurations of a region that the sensor of a true robot sees: all, but for cameras."""
 
     def __init__(self, region: Region, sensor: Task, truth: int = 0) -> None:
         self.region, self.sensor, self.truth = region, sensor, truth
+        self.robot, self.spread = region.robot, region.spread
 
     def sample(self, n: int, rng: np.random.Generator) -> Array:
         """Draw n configurations that are seen, shape (n, nq)."""
         return self.replace_unseen(self.region.sample(n, rng), rng)
+
+    def contains(self, q: Array) -> bool:
+        """Return True if a configuration (nq,) belongs to the region and is seen."""
+        return self.region.contains(q) and sees(self.sensor, q)
 
     def replace_unseen(self, drawn: Array, rng: np.random.Generator) -> Array:
         """Return configurations (n, nq) of the region, with others for those that are not seen.
@@ -101,18 +105,6 @@ class VisiblePart:
                 )
         return kept
 
-    def contains(self, q: Array) -> bool:
-        """Return whether a configuration (nq,) belongs to the region and is seen."""
-        return self.region.contains(q) and sees(self.sensor, q)
-
-    def near(self, q: Array, size: float, rng: np.random.Generator) -> Array:
-        """Return a visible configuration about `size` spreads of the region away from such a q."""
-        for _ in range(_NEARBY):
-            moved = self.region.near(q, size, rng)
-            if sees(self.sensor, moved):
-                return moved
-        return q
-
     def between(self, seen: Array, other: Array, share: float) -> Array:
         """Return a share of the way from a visible configuration, halved until it is visible."""
         for _ in range(_HALVINGS):
@@ -126,25 +118,18 @@ class VisiblePart:
 _FROM, _NEWTON, _SHORTER = 5, 20, 8
 
 
-def least_regular(
-    task: Task,
-    parts: Sequence[VisiblePart],
-    samples: Samples,
-    wanted: Callable[[Array, float], bool],
-) -> Array | None:
-    """Return a configuration (nq,) that is wanted by itself and its σ_min(Ĵ), or None.
+def least_regular(task: Task, parts: Sequence[VisiblePart], samples: Samples) -> Array:
+    """Return the configuration (nq,) with the least σ_min(Ĵ) that is found.
 
     Newton steps towards σ_min(Ĵ) = 0 from the least regular samples, halved until they stay in
     the region, of which a true robot's sensor sees some parts, and lead nearer.
     """
-    sizes = np.linalg.svd(samples.J_hat, compute_uv=False)[:, -1]
+    sizes, found = np.linalg.svd(samples.J_hat, compute_uv=False)[:, -1], []
     for k in np.argsort(sizes)[:_FROM]:
         part = parts[int(samples.truth[k])]
         q: Array = samples.q[k]
         size, gradient = _sigma_min(task, q)
         for _ in range(_NEWTON):
-            if wanted(q, size):
-                return q
             step = -size * gradient / max(float(gradient @ gradient), 1e-300)
             for halving in range(_SHORTER):
                 moved = np.array(pin.integrate(task.robot.model, q, 0.5**halving * step))
@@ -155,7 +140,8 @@ def least_regular(
             else:
                 break
             q, size, gradient = moved, nearer, its_gradient
-    return None
+        found.append((size, q))
+    return min(found, key=lambda each: each[0])[1]
 
 
 def _sigma_min(task: Task, q: Array) -> tuple[float, Array]:
