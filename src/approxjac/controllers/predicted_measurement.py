@@ -179,10 +179,9 @@ class _WithJacobian(Task):
         self._plain = task
 
     def value(self, q: Array) -> Array:
-        J = self._plain.jacobian(q)
-        return np.concatenate(
-            [self._plain.error(self._plain.value(q), self._plain._origin), J.ravel()]
-        )
+        plain = self._plain
+        z = plain.error(plain.value(q), plain._origin)
+        return np.concatenate([z, plain.jacobian(q).ravel()])
 
     def jacobian(self, q: Array, x: Array | None = None) -> Array:
         if x is None:
@@ -191,9 +190,6 @@ class _WithJacobian(Task):
 
     def error(self, x: Array, x_d: Array) -> Array:
         return np.asarray(x[: self.m] - x_d[: self.m])
-
-    def displaced(self, x: Array, e: Array) -> Array:
-        return np.concatenate([x[: self.m] + e, x[self.m :]])
 
     def on(self, robot: Robot) -> Task:
         return _WithJacobian(self._plain.on(robot))

@@ -129,12 +129,12 @@ class AdaptiveCamera(Estimator):
         self._is_learnt = all_sd > 0.0
         self._sd = np.append(all_sd[:-1], all_sd[-1] * self._f[0])[self._is_learnt]
         self._believed = self._in_order(self._first)
-        of_pose = [f"camera.{each}" for each in ("x", "y", "z", "rx", "ry", "rz")] if moves else []
-        self.names = (*points.names, *of_pose, *(["focal_length"] if zooms else []))
-        self.units = tuple(
-            "px" if name == "focal_length" else "rad" if name in of_pose[3:] else "m"
-            for name in self.names
-        )
+        units = dict.fromkeys(points.names, "m")
+        if moves:
+            units |= {f"camera.{axis}": "m" for axis in "xyz"}
+            units |= {f"camera.r{axis}": "rad" for axis in "xyz"}
+        self.names = (*units, *(["focal_length"] if zooms else []))
+        self.units = (*units.values(), *(["px"] if zooms else []))
         depths = [task.depths(q) for q in seen_configurations(task, 20)]
         self._usual_depth = float(np.median(depths))
         self._scale, self._pixels = self._f / self._usual_depth, np.tile(self._f, self._k)

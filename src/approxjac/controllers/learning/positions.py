@@ -140,14 +140,14 @@ class AdaptiveKinematics(Estimator):
         in_order = rows == list(range(3 * self.regressor.k))
         self._rows: slice | Array = slice(None) if in_order else np.array(rows)
         self._n_p, self._n_theta = len(rows), len(moved.u)
-        names, Theta = list(moved.names), [moved.u]
+        units, Theta = dict.fromkeys(moved.names, "m"), [moved.u]
         self._sd_u = np.where(moved.is_tool, sds["tool"], sds["origins"])
         deviations = [self._sd_u]
         self._orientation, self._learns_T = None, is_pose and tool
         if is_pose:
             self._orientation = Orientation(task.robot, frames[0], self.noise / angle_noise)
         if self._learns_T:
-            names += [f"tool.r{axis}" for axis in "xyz"]
+            units |= {f"tool.r{axis}": "rad" for axis in "xyz"}
             Theta.append(np.eye(3).ravel())
             # √2, as one turn changes two of three numbers of an axis
             deviations.append(np.full(9, math.sqrt(2.0) * sds["orientation"]))
@@ -158,7 +158,7 @@ class AdaptiveKinematics(Estimator):
         self._offsets, self._constant = np.zeros((len(rows), 0)), each.dot(c)
         if self._turns or "offset" in kinds:
             self._offsets, self._constant = each, np.zeros(len(rows))
-            names += [f"offset.{axis}" for axis in axes]
+            units |= {f"offset.{axis}": "m" for axis in axes}
             Theta.append(c)
             deviations.append(np.full(d, sds["offset"]))
         kind = _UnknownRotation if self._turns else _KnownRotation
@@ -166,10 +166,9 @@ class AdaptiveKinematics(Estimator):
         self._estimator = kind(self._Theta, R, sd_Theta, sds["camera"], self._n_u, self.noise)
         spin = len(law.generators(d)) if self._turns else 0
         if self._turns:
-            names += [f"camera.r{axis}" for axis in axes] if d == 3 else ["camera.turn"]
-        self.names = tuple(names)
-        angles = ("rx", "ry", "rz", "turn")
-        self.units = tuple("rad" if name.endswith(angles) else "m" for name in names)
+            turns = [f"camera.r{axis}" for axis in axes] if d == 3 else ["camera.turn"]
+            units |= dict.fromkeys(turns, "rad")
+        self.names, self.units = tuple(units), tuple(units.values())
         self._believed = self._in_order(self._Theta, R)
         prior = np.diag(np.append(sd_Theta, np.full(spin, sds["camera"])) ** 2)
         self._sd = np.sqrt(self._merged(prior, self._Theta).diagonal())
@@ -453,15 +452,15 @@ def _seen(task: Any) -> tuple[list[tuple[str, str]], tuple[float, Array, Array] 
                 f"PinholeCamera) or a Robot, got {task!r}",
                 given=task,
             )
-    trackers = [each for each in parts if isinstance(each, TrackerTask | PoseTrackerTask)]
     points = [(each.frame, getattr(each, "axes", "xyz")) for each in parts]
-    if not trackers:
+    is_tracked = [isinstance(each, TrackerTask | PoseTrackerTask) for each in parts]
+    if not any(is_tracked):
         return points, None
-    if len({(*each.rotation, *each.offset) for each in trackers}) > 1 or len(trackers) < len(parts):
+    if not all(is_tracked) or len({(*each.rotation, *each.offset) for each in parts}) > 1:
         raise InvalidInputError(
             f"task must be of one tracker, with one rotation and offset, got {task!r}", given=task
         )
-    return points, (1.0, law.rotation_exp(trackers[0].rotation), trackers[0].offset)
+    return points, (1.0, law.rotation_exp(parts[0].rotation), parts[0].offset)
 
 
 def _axes(task: Task, points: list[tuple[str, str]], turns: bool) -> str:
