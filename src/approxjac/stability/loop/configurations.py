@@ -56,6 +56,7 @@ def inverse_kinematics(
 
 
 _TRIES = 1000  # for each configuration that is seen
+_NEARBY = 20  # tries
 _HALVINGS = 30  # of the way out of the view
 
 
@@ -72,7 +73,6 @@ class VisiblePart(Region):
 
     def __init__(self, region: Region, sensor: Task, truth: int = 0) -> None:
         self.region, self.sensor, self.truth = region, sensor, truth
-        self.robot, self.spread = region.robot, region.spread
 
     def sample(self, n: int, rng: np.random.Generator) -> Array:
         """Draw n configurations that are seen, shape (n, nq)."""
@@ -104,6 +104,11 @@ class VisiblePart(Region):
                     truth=self.truth,
                 )
         return kept
+
+    def near(self, q: Array, size: float, rng: np.random.Generator) -> Array:
+        """Return a visible configuration about `size` spreads of the region away from such a q."""
+        near = (self.region.near(q, size, rng) for _ in range(_NEARBY))
+        return next((moved for moved in near if sees(self.sensor, moved)), q)
 
     def between(self, seen: Array, other: Array, share: float) -> Array:
         """Return a share of the way from a visible configuration, halved until it is visible."""
