@@ -110,6 +110,10 @@ class Structure(NamedTuple):
             tuple(model.frames[all_frame_id(robot, f)].parentJoint - 1 for f in frames),
         )
 
+    def turn(self, joint: int) -> Array:
+        """Return the `turns` of a joint; those of the base, -1, are none."""
+        return np.eye(3) if joint < 0 else self.turns[joint]
+
 
 class Reduced(NamedTuple):
     """The numbers of N arms in axes whose z is that of each joint, with bodies that act alike.
@@ -146,7 +150,7 @@ def reduced(numbers: ArmNumbers, structure: Structure) -> Reduced:
     Each arm's depend on itself alone, to the last bit.
     """
     turns = np.array(structure.turns)
-    carrying = np.array([_turn(structure, j) for j in structure.parents])
+    carrying = np.array([structure.turn(j) for j in structure.parents])
     backwards = np.swapaxes(carrying, -1, -2)
     R = _tidy(_product(_product(backwards, numbers.rotations), turns))
     t = _tidy(_applied(backwards, numbers.translations))
@@ -187,7 +191,7 @@ def reduced(numbers: ArmNumbers, structure: Structure) -> Reduced:
         )
     spreads = spreads[..., [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
 
-    ends = np.array([_turn(structure, j) for j in structure.carriers]).reshape(-1, 3, 3)
+    ends = np.array([structure.turn(j) for j in structure.carriers]).reshape(-1, 3, 3)
     ends = np.swapaxes(ends, -1, -2)
     return Reduced(
         R,
@@ -199,10 +203,6 @@ def reduced(numbers: ArmNumbers, structure: Structure) -> Reduced:
         _tidy(_product(ends, numbers.frame_rotations)),
         _tidy(_applied(ends, numbers.frame_translations)),
     )
-
-
-def _turn(structure: Structure, joint: int) -> Array:
-    return np.eye(3) if joint < 0 else structure.turns[joint]
 
 
 def _with_z(axis: Array) -> Array:

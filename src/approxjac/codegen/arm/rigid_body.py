@@ -7,7 +7,7 @@ fold away. With mimic joints all joints move on their own, and q̇_all = G q̇ b
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -192,14 +192,15 @@ class Configured:
         weight: Acceleration of gravity in the world, shape (3,) [m/s²].
     """
 
-    def __init__(self, arm: Arm, q: Symbols) -> None:
+    def __init__(self, arm: Arm, q: Symbols, numbers: Reduced | None = None) -> None:
         self.nv = arm.robot.nv
         self.arm, self.q = arm, q
-        self._numbers, self.structure = arm.numbers, arm.structure
-        self.weight = arm.numbers.gravity
+        self._numbers, self.structure = numbers or arm.numbers, arm.structure
+        numbers = self._numbers
+        self.weight = numbers.gravity
         mimic = arm.robot.mimic_joints
         self.q_all = q = q if mimic.A is None or mimic.b is None else mimic.A @ q + mimic.b
-        self._n, numbers = len(self.structure.parents), arm.numbers
+        self._n = len(self.structure.parents)
         spreads = numbers.spreads[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
         each = zip(numbers.masses, numbers.moments, spreads, strict=True)
         self._bodies = [Body(*body) for body in each]
@@ -231,7 +232,10 @@ class Configured:
     def jacobian(self, name: str) -> Symbols:
         """Return the Jacobian of a frame's velocity and angular velocity in the world, (6, n_v)."""
         _, carrier = self._frame(name)
-        p = self.frame(name)[1]
+        return self.jacobian_of(carrier, self.frame(name)[1])
+
+    def jacobian_of(self, carrier: int, p: Symbols) -> Symbols:
+        """Return the same of a point p (3,) of a link."""
         J = _zeros(6, self._n)
         for j in self.path(carrier):
             R, origin = self._placements[j]
@@ -255,18 +259,29 @@ class Configured:
     def jacobian_dot(self, name: str, v: Symbols) -> Symbols:
         """Return the rate of `jacobian` along q̇ (n_v,), shape (6, n_v)."""
         _, carrier = self._frame(name)
-        speeds, p = self.arm.robot.mimic_joints.v(v), self.frame(name)[1]
-        J_dot, axes = _zeros(6, self._n), {}
+        return self.jacobian_dot_of(carrier, self.frame(name)[1], v)
+
+    def jacobian_dot_of(
+        self, carrier: int, p: Symbols, v: Symbols, drifts: Mapping[int, Symbols] | None = None
+    ) -> Symbols:
+        """Return the same of a point p (3,) of a link.
+
+        What joints carry may move besides, each joint's at a velocity (3,) in the world, and so may
+        the point, whose own is that of -1.
+        """
+        drifts = drifts or {}
+        speeds, J_dot, axes = self.arm.robot.mimic_joints.v(v), _zeros(6, self._n), {}
         spin, rate, origin = _NOTHING, _NOTHING, _NOTHING  # of the link before, at its origin
         for j in reversed(self.path(carrier)):
             z, begins = self.axis(j), self._placements[j][1]
             rate, origin = rate + cross(spin, begins - origin), begins
+            rate = rate + drifts.get(j, _NOTHING)
             axes[j] = z, cross(spin, z), begins, rate
             if self.structure.slides[j]:
                 rate = rate + z * speeds[j]
             else:
                 spin = spin + z * speeds[j]
-        p_dot = rate + cross(spin, p - origin)
+        p_dot = rate + cross(spin, p - origin) + drifts.get(-1, _NOTHING)
         for j, (z, z_dot, begins, begins_dot) in axes.items():
             if self.structure.slides[j]:
                 J_dot[:3, j] = z_dot
@@ -279,11 +294,15 @@ class Configured:
         """Return the axis of a joint in the world, shape (3,)."""
         return self._placements[joint][0][:, 2]
 
+    def origin(self, joint: int) -> Symbols:
+        """Return where a joint begins in the world, where it slides as far as it does, (3,) [m]."""
+        return self._placements[joint][1] if joint >= 0 else _NOTHING
+
     def axes(self, joint: int) -> Symbols:
         """Return the axes of a joint's frame in the world, shape (3, 3); -1 is the base."""
         if joint < 0:
             return symbols(np.eye(3))
-        return self._placements[joint][0] @ self.structure.turns[joint].T
+        return self._placements[joint][0] @ self.structure.turn(joint).T
 
     @cached_property
     def _placements(self) -> list[tuple[Symbols, Symbols]]:
@@ -500,71 +519,44 @@ class LearntPoints:
     def __init__(self, arm: Configured, regressor: KinematicRegressor) -> None:
         self._arm, self._regressor = arm, regressor
         names = list(arm.arm.robot.mimic_joints.model.names)[1:]
-        self._movers, self._n_all = [names.index(name) for name in regressor.movers], len(names)
+        self._movers = [names.index(name) for name in regressor.movers]
         places = [arm.arm.require_frame(name) for name in regressor.frames]
         self._carriers = [arm.arm.structure.carriers[place] for place in places]
 
     def Y(self) -> Symbols:
         """Return Y(q), shape (3k, p)."""
-        arm, regressor, rows = self._arm, self._regressor, []
-        n = len(self._movers)
-        for frame, _ in regressor.points:
+        arm, rows = self._arm, []
+        for frame, _ in self._regressor.points:
             carrier = self._carriers[frame]
-            path = arm.path(carrier)
-            blocks = [symbols(np.zeros((3, 3))) for _ in range(regressor.p // 3)]
+            blocks = [_zeros(3, 3) for _ in range(self._regressor.p // 3)]
             for i, joint in enumerate(self._movers):
-                if joint in path:
+                if joint in arm.path(carrier):
                     blocks[i] = arm.axes(arm.structure.parents[joint])
-            blocks[n + frame] = arm.axes(carrier)
+            blocks[len(self._movers) + frame] = arm.axes(carrier)
             rows.append(np.concatenate(blocks, axis=1))
         return np.concatenate(rows)
 
     def motion(self, v: Symbols | None, theta: Symbols, theta_dot: Symbols | None) -> PointMotion:
         """Return positions and derivatives with q̇ (n_v,), θ and θ' (p,); None is at rest."""
-        arm, regressor, structure = self._arm, self._regressor, self._arm.structure
-        mimic = arm.arm.robot.mimic_joints
+        given, parents, n = self._arm, self._arm.structure.parents, len(self._movers)
         placed = symbols(theta).reshape(-1, 3)
-        speeds = symbols(np.zeros(self._n_all)) if v is None else mimic.v(v)
-        rates = symbols(np.zeros(regressor.p)) if theta_dot is None else symbols(theta_dot)
-        own = rates.reshape(-1, 3)
-        spins: dict[int, Symbols] = {-1: _NOTHING}
-        slides: dict[int, Symbols] = {-1: _NOTHING}  # velocity of where what it carries begins
-        moves: dict[int, Symbols] = {}
-        axes: dict[int, tuple[Symbols, Symbols]] = {}
-        origins: dict[int, Symbols] = {}
-        ends: dict[int, Symbols] = {-1: _NOTHING}
-        drifts: dict[int, Symbols] = {-1: _NOTHING}
+        rates = np.zeros(self._regressor.p) if theta_dot is None else theta_dot
+        rates, v = symbols(rates).reshape(-1, 3), _zeros(given.nv) if v is None else v
+        translations = given.arm.numbers.translations.copy()
         for i, j in enumerate(self._movers):
-            parent = structure.parents[j]
-            z, spin, rate = arm.axis(j), spins[parent], arm.axes(parent) @ own[i]
-            z_dot = cross(spin, z)
-            origins[j] = ends[parent] + arm.axes(parent) @ placed[i]
-            moves[j] = slides[parent] + cross(spin, origins[j] - ends[parent]) + rate
-            drifts[j] = drifts[parent] + rate
-            axes[j], spins[j], slides[j], ends[j] = (z, z_dot), spin, moves[j], origins[j]
-            if structure.slides[j]:
-                at = arm.q_all[structure.places[j]]
-                ends[j] = origins[j] + z * at
-                slides[j] = moves[j] + z_dot * at + z * speeds[j]
-            else:
-                spins[j] = spin + z * speeds[j]
-        found = []
-        for frame, point in regressor.points:
+            translations[j] = given.structure.turn(parents[j]).T @ placed[i]
+        numbers = given.arm.numbers._replace(translations=translations)
+        arm, found = Configured(given.arm, given.q, numbers), []
+        drifts = {j: arm.axes(parents[j]) @ rates[i] for i, j in enumerate(self._movers)}
+        for frame, point in self._regressor.points:
             carrier = self._carriers[frame]
-            p = ends[carrier] + arm.axes(carrier) @ placed[len(self._movers) + frame]
+            p = arm.origin(carrier) + arm.axes(carrier) @ placed[n + frame]
             if point.any():
-                p = p + arm.frame(regressor.frames[frame])[0] @ point
-            rate = arm.axes(carrier) @ own[len(self._movers) + frame]
-            p_dot = slides[carrier] + cross(spins[carrier], p - ends[carrier]) + rate
-            J, J_dot = symbols(np.zeros((2, 3, self._n_all)))
-            for j in arm.path(carrier):
-                z, z_dot = axes[j]
-                if structure.slides[j]:
-                    J[:, j], J_dot[:, j] = z, z_dot
-                    continue
-                away, away_dot = p - origins[j], p_dot - moves[j]
-                J[:, j], J_dot[:, j] = cross(z, away), cross(z_dot, away) + cross(z, away_dot)
-            found.append((p, mimic.columns(J), mimic.columns(J_dot), drifts[carrier] + rate))
+                p = p + arm.frame(self._regressor.frames[frame])[0] @ point
+            drifts[-1] = arm.axes(carrier) @ rates[n + frame]
+            drift = sum((drifts[j] for j in reversed(arm.path(carrier))), _NOTHING) + drifts[-1]
+            J, J_dot = arm.jacobian_of(carrier, p), arm.jacobian_dot_of(carrier, p, v, drifts)
+            found.append((p, J[:3], J_dot[:3], drift))
         return PointMotion(*(np.concatenate(each) for each in zip(*found, strict=True)))
 
 
