@@ -15,7 +15,7 @@ import sys
 import threading
 from collections import OrderedDict
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 from approxjac.errors import package_of
 from approxjac.files import replaced
@@ -27,20 +27,6 @@ _SWITCH = "APPROXJAC_CACHE"
 _OFF = ("", "0", "off", "no", "false")
 
 
-class Counts(NamedTuple):
-    """Where this process has had its machine code from.
-
-    Attributes:
-        compiled: Texts that were compiled.
-        read: Codes that were read from the folder.
-        shared: Codes that this process already had.
-    """
-
-    compiled: int = 0
-    read: int = 0
-    shared: int = 0
-
-
 class MachineCode:
     """The function `run` of a text, which lives as long as this does.
 
@@ -50,7 +36,6 @@ class MachineCode:
 
     _known: ClassVar[OrderedDict[str, MachineCode]] = OrderedDict()
     _lock: ClassVar[Any] = threading.RLock()
-    counts: ClassVar[Counts] = Counts()
 
     def __init__(self, llvm: Any, machine: Any, code: bytes) -> None:
         self._engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
@@ -76,33 +61,32 @@ class MachineCode:
         with cls._lock:  # LLVM is no faster in several threads, and all may want the same
             if name in cls._known:
                 cls._known.move_to_end(name)
-                cls._count("shared")
                 return cls._known[name]
-            found = cls._known[name] = cls._loaded(llvm, name, text, features, effort)
+            machine = llvm.Target.from_default_triple().create_target_machine(
+                cpu=llvm.get_host_cpu_name(), features=features, opt=effort, jit=True
+            )
+            found = cls._known[name] = cls(llvm, machine, _made(llvm, machine, name, text))
             while len(cls._known) > _IN_MEMORY:
                 cls._known.popitem(last=False)
         return found
 
-    @classmethod
-    def _loaded(cls, llvm: Any, name: str, text: str, features: str, effort: int) -> MachineCode:
-        machine = llvm.Target.from_default_triple().create_target_machine(
-            cpu=llvm.get_host_cpu_name(), features=features, opt=effort, jit=True
-        )
-        folder = cache_folder()
-        path = None if folder is None else folder / f"{name}.code"
-        code = None if path is None else _read(path)
-        if code is not None:
-            cls._count("read")
-            return cls(llvm, machine, code)
-        code = machine.emit_object(llvm.parse_assembly(text))
-        cls._count("compiled")
-        if path is not None:
-            _write(path, code)
-        return cls(llvm, machine, code)
 
-    @classmethod
-    def _count(cls, what: str) -> None:
-        cls.counts = cls.counts._replace(**{what: getattr(cls.counts, what) + 1})
+def _made(llvm: Any, machine: Any, name: str, text: str) -> bytes:
+    """Return the code of a text, from the folder if it is there; else it is compiled."""
+    folder = cache_folder()
+    if folder is None:
+        return _compiled(llvm, machine, text)
+    path = folder / f"{name}.code"
+    code = _read(path)
+    if code is None:
+        code = _compiled(llvm, machine, text)
+        _write(path, code)
+    return code
+
+
+def _compiled(llvm: Any, machine: Any, text: str) -> bytes:
+    code: bytes = machine.emit_object(llvm.parse_assembly(text))
+    return code
 
 
 def cache_folder() -> Path | None:
