@@ -45,6 +45,11 @@ def require_covered(controller: Controller, plant: Plant) -> None:
     """
     laws.require_covered(controller)
     tasks.frames(plant.sensor)
+    _require_plain(plant)
+
+
+def _require_plain(plant: Plant) -> None:
+    """Refuse another plant than those covered."""
     more = (plant.servo, plant.torque_limits, plant.adds_gravity)
     if type(plant) is not Plant or any(part is not None for part in more):
         raise InvalidInputError(
@@ -92,6 +97,7 @@ class TracedLoop:
         sensor: Mapping[str, Symbols] | None = None,
         senses: Senses | None = None,
     ) -> None:
+        _require_plain(plant)
         robot, self._plant, self._dt = plant.robot, plant, dt
         self.truth = Arm(program.given, "truth", robot, tasks.frames(plant.sensor), numbers)
         self.q = q = program.kept("q", robot.nq)
