@@ -12,7 +12,7 @@ from approxjac import law
 from approxjac.codegen.backends.llvm import LlvmLanes
 from approxjac.codegen.backends.numpy_lanes import NumpyLanes, numpy_function
 from approxjac.codegen.trace.program import Block, Program
-from approxjac.codegen.trace.symbols import Graph, any_of, eigensystem, inputs, select, symbols
+from approxjac.codegen.trace.symbols import Graph, eigensystem, inputs, select, symbols
 from approxjac.law.factors import Factors
 
 
@@ -149,10 +149,10 @@ def program():
     push = noise * wave[1] - 0.1 * late
     v_end = v + 0.01 * (-stiffness * np.sin(q) - same * np.tanh(v) + push)
     q_end = q + 0.01 * v_end
-    far = any_of(np.abs(q_end) > 0.5)
+    far = law.any_of(np.abs(q_end) > 0.5)
     held = np.where(np.abs(q_end) > 0.5, 0.5 * np.cos(q_end), q_end)
     first = symbols(p.graph.rare(far, held.tolist(), q_end.tolist()))
-    fast = any_of(np.abs(v_end) > 0.6)
+    fast = law.any_of(np.abs(v_end) > 0.6)
     second = p.graph.rare(fast, (first * np.sqrt(np.abs(v_end))).tolist(), v_end.tolist())
     p.step({"q": first, "v": second, "late": v})
     p.record({"n": n[0] + np.abs(v).max() + 1e-3 * p.k})

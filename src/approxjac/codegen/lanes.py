@@ -22,12 +22,10 @@ from approxjac.codegen.trace.program import Block, Program
 from approxjac.codegen.trace.symbols import Condition, Number, Scalar, Symbols, select, symbols
 from approxjac.controllers.controller import Controller
 from approxjac.controllers.gains.gains import Diagonals
-from approxjac.controllers.setpoint import SetpointController
 from approxjac.interface import Measurement, Target, TargetPath
 from approxjac.law.factors import Factors
 from approxjac.simulation import Plant
 from approxjac.tasks import Task
-from approxjac.tasks.analysis import image_feature
 from approxjac.validation import Array
 
 _BLOCK = 256  # steps that are drawn at once: some 20 MB of 1024 runs
@@ -98,17 +96,13 @@ class Begun(NamedTuple):
         `frames` are those that its sensor looks at, where they are known: to find them takes as
         long as many steps.
         """
-        # only law (5) begins with x, once it is measured, and of images the points' order is seen
-        inside = controller.law
-        needed = not isinstance(inside, SetpointController) or inside.velocity is not None
-        needed = needed or image_feature(inside.task) is not None
-        x = plant.sensor.value(q) if needed else target
+        x = plant.sensor.value(q)
         state = controller.initial_state(Measurement(0.0, q, np.zeros(plant.robot.nv), x))
         frames = tasks.frames(plant.sensor) if frames is None else frames
         numbers = arm_numbers(plant.robot, frames)
         holding = plant.dynamics.g(q) if plant.actuator_delay > 0.0 else np.zeros(plant.robot.nv)
         sensor = tasks.numbers([plant.sensor])
-        gains = np.concatenate(inside.diagonals or [np.zeros(0)])
+        gains = np.concatenate(controller.law.diagonals or [np.zeros(0)])
         return cls(q, target, state, numbers, sensor, seed, holding, gains)
 
 
@@ -200,7 +194,7 @@ class Lanes:
         times = self._senses.times(program, every)
         for first in range(0, len(times), _BLOCK):
             now = times[first : first + _BLOCK]
-            block = Block(first, now, draws.block(first, first + len(now)))
+            block = Block(first, now, draws(first, first + len(now)))
             self.compiled.run(kept, parameters, block)
         columns = kept.swapaxes(1, 2).reshape(-1, kept.shape[1])[: len(starts)]
         return {name: columns[:, program.rows[name][0]] for name in OUTCOME}

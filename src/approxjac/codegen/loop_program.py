@@ -21,7 +21,6 @@ from approxjac.codegen.trace.symbols import (
     Number,
     Scalar,
     Symbols,
-    any_of,
     select,
     symbols,
 )
@@ -132,7 +131,7 @@ class TracedLoop:
                 touched, lambda: self._held(acting), lambda: (q_end, v_end, 0.0)
             )
             wrong = wrong > 0.0
-        far = any_of(np.abs(q_end) > LARGEST_ANGLE)
+        far = law.any_of(np.abs(q_end) > LARGEST_ANGLE)
         self.left = self.left | unfinished | wrong | far
         squares = [(each * each).sum() for each in (q_end, v_end, self.answer.torque, state)]
         self.diverged = ~(sum(squares, 0.0) < _FINITE)
@@ -159,7 +158,7 @@ class TracedLoop:
             for value, (low, high) in zip(q.tolist(), self._plant.stops.ends, strict=True)
             if math.isfinite(low) or math.isfinite(high)
         ]
-        return any_of(beyond)
+        return law.any_of(symbols(beyond))
 
     def _held(self, torque: Symbols) -> tuple[Symbols, Symbols, Number]:
         """Return what `Plant.advance` does at stops, as `JointStops.held_torque` has it.
@@ -189,7 +188,9 @@ class TracedLoop:
             push = np.where(presses, Factors(A).solve(np.where(presses, b, 0.0)), 0.0)
             left = b - slowed @ push
             newly = ~touches & (depth + dt * (outward - slowed @ push) > 0.0)
-            wrong = any_of(newly | (presses & (push < 0.0)) | (touches & ~presses & (left > 0.0)))
+            wrong = law.any_of(
+                newly | (presses & (push < 0.0)) | (touches & ~presses & (left > 0.0))
+            )
             return push, left, touches, presses, wrong
 
         start = nothing, b, nothing < 0.0, nothing < 0.0, False
@@ -210,5 +211,5 @@ def _begun(
         return state, False
     is_first = program.k < 1.0
     law.alter(is_first, state, lambda state: state.__setitem__(at, first[at]))
-    lost = controller.kinematics is None and any_of(symbols(is_first) & ~np.isfinite(first[at]))
+    lost = controller.kinematics is None and law.any_of(symbols(is_first) & ~np.isfinite(first[at]))
     return state, lost

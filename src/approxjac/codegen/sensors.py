@@ -57,7 +57,7 @@ class Senses:
         self._lost = lost_entries(sensing, plant.sensor)
         self.may_lose = sensing.x_dropout > 0.0 or bool(self._lost)
         self.late = round(min(plant.actuator_delay / dt, float(steps)))
-        self._k = np.arange(steps + 1)
+        self._k, self._always = np.arange(steps + 1), np.ones(steps + 1, dtype=bool)
         frames = SensorFrames(sensing, dt)
         each = (frames.next(k * dt) for k in range(steps + 1))
         taken, kept_at, self._lost_in, read_at, new, self._t_x = zip(*each, strict=True)
@@ -148,37 +148,28 @@ class Senses:
                 found[:, at : at + size] = np.reshape(known[name], (-1, size))
         return found
 
-    def drawn(self, program: Program, seeds: Sequence[int], width: int) -> Draws:
-        """Return what is drawn for the runs of some seeds, as vectors of a width."""
-        always = np.ones(len(self._k), dtype=bool)
-        drawn_at = {"x_noise": self._is_taken, "q_noise": always, "x_dropout": self._is_new}
-        return Draws(program, drawn_at, seeds, width)
+    def drawn(
+        self, program: Program, seeds: Sequence[int], width: int
+    ) -> Callable[[int, int], Array]:
+        """Return a function that draws for the runs of some seeds, as vectors of a width.
 
+        Of the next steps, from one number to another, it returns what `Block.draws` has.
+        """
+        drawn_at = {"x_noise": self._is_taken, "x_dropout": self._is_new}
+        draws = {name: [_draw(seed, name) for seed in seeds] for name in program.draws}
 
-class Draws:
-    """Numbers drawn for some runs, in blocks of steps that follow one another."""
+        def block(first: int, end: int) -> Array:
+            found = np.zeros((-(-len(seeds) // width), end - first, program.n_draws, width))
+            for name, (at, size) in program.draws.items():
+                here = drawn_at.get(name, self._always)[first:end]
+                number = int(here.sum())
+                steps: Any = slice(None) if number == len(here) else np.flatnonzero(here)
+                for lane, draw in enumerate(draws[name]):
+                    group, i = divmod(lane, width)
+                    found[group, :, at : at + size, i][steps] = draw((number, size))
+            return found
 
-    def __init__(
-        self, program: Program, drawn_at: dict[str, Array], seeds: Sequence[int], width: int
-    ) -> None:
-        self._shape = -(-len(seeds) // width), program.n_draws, width
-        self._each = [
-            (drawn_at[name], *place, [_draw(seed, name) for seed in seeds])
-            for name, place in program.draws.items()
-        ]
-
-    def block(self, first: int, end: int) -> Array:
-        """Return what is drawn of the next steps, shape (groups, steps, draws, width)."""
-        groups, n_draws, width = self._shape
-        found = np.zeros((groups, end - first, n_draws, width))
-        for drawn_at, at, size, draws in self._each:
-            here = drawn_at[first:end]
-            number = int(here.sum())
-            steps: Any = slice(None) if number == len(here) else np.flatnonzero(here)
-            for lane, draw in enumerate(draws):
-                group, i = divmod(lane, width)
-                found[group, :, at : at + size, i][steps] = draw((number, size))
-        return found
+        return block
 
 
 def _draw(seed: int, name: str) -> Callable[[tuple[int, int]], Array]:

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from approxjac import law
 from approxjac.codegen import traced_law as laws
 from approxjac.codegen.backends.llvm import LlvmLanes
 from approxjac.codegen.trace.program import Program
-from approxjac.codegen.trace.symbols import Scalar, any_of, select
+from approxjac.codegen.trace.symbols import Scalar, select, symbols
 from approxjac.controllers.arguments import FLOAT64, HUGE, time_of_x
 from approxjac.controllers.controller import Controller
 from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
@@ -49,7 +50,7 @@ def step_program(controller: Controller, *, may_lose: bool) -> Program:
     numbers += [] if predicts else [answer.e]
     usual = sum(((each * each).sum() for each in numbers), 0.0) < HUGE**2
     if not predicts:
-        usual = any_of([answer.status == each for each in _USUAL]) & usual
+        usual = law.any_of(symbols([answer.status == each for each in _USUAL])) & usual
     for joint in list(controller.task.robot.model.joints)[1:]:
         if joint.nq == 2:  # a (cos, sin) pair off the unit circle is for Python to judge
             cosine, sine = given["q"][joint.idx_q : joint.idx_q + 2]

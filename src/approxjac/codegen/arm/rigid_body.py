@@ -120,13 +120,17 @@ class Arm:
         frames: Sequence[str],
         numbers: ArmNumbers | None = None,
     ) -> None:
-        self.name, self.robot, self.frames = name, robot, tuple(frames)
+        self.name, self.robot = name, robot
         self.structure = Structure.of(robot, frames)
         self._is_known = numbers is None
         if numbers is None:
             numbers = ArmNumbers.stacked([arm_numbers(robot, frames)])
         named = self.named(numbers)
         self.numbers = Reduced(*(given(part, values) for part, values in named.items()))
+        each = (
+            self.structure.carriers, self.numbers.frame_rotations, self.numbers.frame_translations,
+        )  # fmt: skip
+        self.frames = dict(zip(frames, zip(*each, strict=True), strict=True))
         self._at: dict[tuple[Number, ...], Configured] = {}
 
     @classmethod
@@ -143,25 +147,18 @@ class Arm:
         finally:
             graph.arms.remove(self)
 
-    def require_frame(self, name: str) -> int:
-        """Return the number of a frame, which one with numbers of its own has to have.
+    def frame(self, name: str) -> tuple[int, Symbols, Symbols]:
+        """Return the joint that moves a frame, its axes (3, 3) and its origin (3,) [m] there.
 
         Raises:
             UnknownNameError: No such frame.
+            ValueError: One that is not among those of an arm with numbers of its own.
         """
         if name not in self.frames:
             if not self._is_known:
                 raise ValueError(f"frame {name!r} is not among those of {self.name}")
-            more = Arm(_known, self.name, self.robot, (name,))
-            self.frames = (*self.frames, name)
-            carriers = (*self.structure.carriers, *more.structure.carriers)
-            self.structure = self.structure._replace(carriers=carriers)
-            of_frames = {
-                part: np.concatenate([getattr(each, part) for each in (self.numbers, more.numbers)])
-                for part in ("frame_rotations", "frame_translations")
-            }
-            self.numbers = self.numbers._replace(**of_frames)
-        return self.frames.index(name)
+            self.frames |= Arm(_known, self.name, self.robot, (name,)).frames
+        return self.frames[name]
 
     def named(self, numbers: ArmNumbers) -> dict[str, Array]:
         """Return the numbers of such arms, stacked, as the program knows them."""
@@ -221,9 +218,7 @@ class Configured:
 
     def frame(self, name: str) -> tuple[Symbols, Symbols]:
         """Return the rotation (3, 3) of a frame's axes in the world's, and its origin (3,) [m]."""
-        i, carrier = self._frame(name)
-        numbers = self.arm.numbers
-        R, p = numbers.frame_rotations[i], numbers.frame_translations[i]
+        carrier, R, p = self.arm.frame(name)
         if carrier < 0:
             return R, p
         R_joint, p_joint = self._placements[carrier]
@@ -231,8 +226,7 @@ class Configured:
 
     def jacobian(self, name: str) -> Symbols:
         """Return the Jacobian of a frame's velocity and angular velocity in the world, (6, n_v)."""
-        _, carrier = self._frame(name)
-        return self.jacobian_of(carrier, self.frame(name)[1])
+        return self.jacobian_of(self.arm.frame(name)[0], self.frame(name)[1])
 
     def jacobian_of(self, carrier: int, p: Symbols) -> Symbols:
         """Return the same of a point p (3,) of a link."""
@@ -248,18 +242,17 @@ class Configured:
 
     def drift(self, name: str, v: Symbols) -> Symbols:
         """Return J̇q̇ of `jacobian` for velocities (n_v,), shape (6,)."""
-        i, carrier = self._frame(name)
+        carrier, _, p = self.arm.frame(name)
         if carrier < 0:
             return _zeros(6)
         motion = self.motions(v, _zeros(self.nv), _NOTHING)[carrier]
-        p, R = self.arm.numbers.frame_translations[i], self._placements[carrier][0]
+        R = self._placements[carrier][0]
         at = motion.a if motion.gradient is None else motion.a + motion.gradient @ p
         return np.concatenate([R @ at, R @ motion.omega_dot])
 
     def jacobian_dot(self, name: str, v: Symbols) -> Symbols:
         """Return the rate of `jacobian` along q̇ (n_v,), shape (6, n_v)."""
-        _, carrier = self._frame(name)
-        return self.jacobian_dot_of(carrier, self.frame(name)[1], v)
+        return self.jacobian_dot_of(self.arm.frame(name)[0], self.frame(name)[1], v)
 
     def jacobian_dot_of(
         self, carrier: int, p: Symbols, v: Symbols, drifts: Mapping[int, Symbols] | None = None
@@ -503,10 +496,6 @@ class Configured:
             joint = self.structure.parents[joint]
         return path
 
-    def _frame(self, name: str) -> tuple[int, int]:
-        i = self.arm.require_frame(name)
-        return i, self.arm.structure.carriers[i]
-
 
 class LearntPoints:
     """Points of an arm whose translations are learnt: what `KinematicRegressor` has of them.
@@ -520,8 +509,7 @@ class LearntPoints:
         self._arm, self._regressor = arm, regressor
         names = list(arm.arm.robot.mimic_joints.model.names)[1:]
         self._movers = [names.index(name) for name in regressor.movers]
-        places = [arm.arm.require_frame(name) for name in regressor.frames]
-        self._carriers = [arm.arm.structure.carriers[place] for place in places]
+        self._carriers = [arm.arm.frame(name)[0] for name in regressor.frames]
 
     def Y(self) -> Symbols:
         """Return Y(q), shape (3k, p)."""

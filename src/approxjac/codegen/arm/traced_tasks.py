@@ -34,7 +34,7 @@ def _probed(task: Task) -> tuple[str, ...]:
     arm = Arm.known(task.robot)
     with arm.standing_in(graph):
         traced("task", task, lambda: (task.value(q), task.jacobian(q, x), task.error(x, x)))
-    return arm.frames
+    return tuple(arm.frames)
 
 
 def traced(name: str, given: Any, computed: Callable[[], Any]) -> Any:

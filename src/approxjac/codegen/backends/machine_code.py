@@ -20,7 +20,6 @@ from typing import Any, ClassVar
 from approxjac.errors import package_of
 from approxjac.files import replaced
 
-_MAGIC = b"approxjac machine code 1\n"
 _IN_MEMORY = 32  # programs
 _ON_DISK = 256 * 2**20  # bytes of all
 _SWITCH = "APPROXJAC_CACHE"
@@ -125,13 +124,13 @@ def _read(path: Path) -> bytes | None:
     try:
         with path.open("rb") as file:
             data = file.read(_ON_DISK)
-        head = len(_MAGIC) + hashlib.sha256().digest_size
-        if data[: len(_MAGIC)] != _MAGIC or _signed(path, data[head:]) != data[len(_MAGIC) : head]:
+        code = data[hashlib.sha256().digest_size :]
+        if data != _signed(path, code) + code:
             return None
         os.utime(path)  # the next to go is the one that was not used for longest
     except OSError:
         return None
-    return data[head:]
+    return code
 
 
 def _write(path: Path, code: bytes) -> None:
@@ -139,7 +138,7 @@ def _write(path: Path, code: bytes) -> None:
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         with replaced(path) as unfinished:
-            unfinished.write_bytes(_MAGIC + _signed(path, code) + code)
+            unfinished.write_bytes(_signed(path, code) + code)
         files = [(each.stat().st_mtime, each) for each in path.parent.glob("*.code")]
         left = _ON_DISK
         for _, each in sorted(files, reverse=True):

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import functools
 import math
+import operator
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
@@ -386,7 +387,15 @@ class Scalar:
 
     def choose(self, then: Callable[[], Any], otherwise: Callable[[], Any]) -> Any:
         """Return what `law.choose` does; `then` costs nothing where it never holds."""
-        return _chosen(self, then(), otherwise())
+        pairs = [(symbols(a), symbols(b)) for a, b in zip(then(), otherwise(), strict=True)]
+        flat = [
+            pair
+            for a, b in pairs
+            for pair in zip(a.flat, np.broadcast_to(b, a.shape).flat, strict=True)
+        ]
+        values = iter(self.graph.rare(self, *zip(*flat, strict=True)) if flat else ())
+        found = [symbols([next(values) for _ in a.flat]).reshape(a.shape) for a, _ in pairs]
+        return tuple(each[()] for each in found)
 
     def altered(self, after: Any, before: Any) -> Any:
         """Return one array where it holds, the other elsewhere: of what differs, see `choose`."""
@@ -428,8 +437,22 @@ class Scalar:
         self.graph.left = self.graph.left | self
 
     def sine_and_cosine(self) -> tuple[Number, Number]:
-        """Return sin a and cos a."""
-        return sine_and_cosine(self)
+        """Return sin a and cos a, of an a up to `LARGEST_ANGLE`."""
+        quarter = (self * (2.0 / 3.14159265358979323846) + 0.5).floor()
+        r: Number = self
+        for part in _QUARTERS:
+            r = r - quarter * part
+        square = r * r
+        sine = r + r * square * _polynomial(square, _SIN)
+        cosine = (1.0 - 0.5 * square) + square * square * _polynomial(square, _COS)
+        half = (quarter * 0.5).floor()
+        odd = quarter - 2.0 * half  # whether sine and cosine change places
+        behind = half - 2.0 * (half * 0.5).floor()  # whether x is in the third or fourth quarter
+        swaps, sign = odd == 1.0, 1.0 - 2.0 * behind
+        return (
+            sign * select(swaps, cosine, sine),
+            sign * (1.0 - 2.0 * odd) * select(swaps, sine, cosine),
+        )
 
     def arctan2(self, x: Number) -> Number:
         """Return the angle of (x, a), from −π to π [rad]."""
@@ -507,31 +530,12 @@ _MOST = 700.0  # whose exp does not overflow
 _FLAT = 20.0  # beyond it, tanh is 1 to the last bit
 
 LARGEST_ANGLE = 1e6
-"""Angle up to which `sine_and_cosine` keeps its digits [rad]."""
+"""Angle up to which `Scalar.sine_and_cosine` keeps its digits [rad]."""
 
 
 def nearest_integer(x: Scalar) -> Number:
     """Return the integer next to x, the even one of two."""
     return select(abs(x) < 2.0**51, (x + 1.5 * 2.0**52) - 1.5 * 2.0**52, x)
-
-
-def sine_and_cosine(x: Scalar) -> tuple[Number, Number]:
-    """Return sin x and cos x, for x up to `LARGEST_ANGLE`."""
-    quarter = (x * (2.0 / 3.14159265358979323846) + 0.5).floor()
-    r: Number = x
-    for part in _QUARTERS:
-        r = r - quarter * part
-    square = r * r
-    sine = r + r * square * _polynomial(square, _SIN)
-    cosine = (1.0 - 0.5 * square) + square * square * _polynomial(square, _COS)
-    half = (quarter * 0.5).floor()
-    odd = quarter - 2.0 * half  # whether sine and cosine change places
-    behind = half - 2.0 * (half * 0.5).floor()  # whether x is in the third or fourth quarter
-    swaps, sign = odd == 1.0, 1.0 - 2.0 * behind
-    return (
-        sign * select(swaps, cosine, sine),
-        sign * (1.0 - 2.0 * odd) * select(swaps, sine, cosine),
-    )
 
 
 def tanh(x: Scalar) -> Number:
@@ -601,44 +605,34 @@ def _of_one(known: Callable[[float], float], unknown: Callable[[Scalar], Any]) -
     return function
 
 
-def _smaller(a: Number, b: Number) -> Number:
-    return select(a < b, a, b)
-
-
-def _larger(a: Number, b: Number) -> Number:
-    return select(a > b, a, b)
-
-
 Symbols = Any
 """A `SymbolArray`, which NumPy's stubs take for an array of floats."""
 
 _FUNCTIONS: dict[np.ufunc, np.ufunc] = {
-    np.sin: _of_one(np.sin, lambda a: sine_and_cosine(a)[0]),
-    np.cos: _of_one(np.cos, lambda a: sine_and_cosine(a)[1]),
+    np.sin: _of_one(np.sin, lambda a: a.sine_and_cosine()[0]),
+    np.cos: _of_one(np.cos, lambda a: a.sine_and_cosine()[1]),
     np.tanh: _of_one(np.tanh, tanh),
     np.sqrt: _of_one(np.sqrt, Scalar.sqrt),
     np.rint: _of_one(np.rint, nearest_integer),
-    np.minimum: np.frompyfunc(_smaller, 2, 1),
-    np.maximum: np.frompyfunc(_larger, 2, 1),
+    np.minimum: np.frompyfunc(lambda a, b: select(a < b, a, b), 2, 1),
+    np.maximum: np.frompyfunc(lambda a, b: select(a > b, a, b), 2, 1),
     np.isfinite: _of_one(np.isfinite, Scalar.is_finite),
-    np.less: np.frompyfunc(lambda a, b: a < b, 2, 1),
-    np.less_equal: np.frompyfunc(lambda a, b: a <= b, 2, 1),
-    np.greater: np.frompyfunc(lambda a, b: a > b, 2, 1),
-    np.greater_equal: np.frompyfunc(lambda a, b: a >= b, 2, 1),
-    np.equal: np.frompyfunc(lambda a, b: a == b, 2, 1),
-    np.arctan2: np.frompyfunc(lambda y, x: products.angle(y, x), 2, 1),
+    np.less: np.frompyfunc(operator.lt, 2, 1),
+    np.less_equal: np.frompyfunc(operator.le, 2, 1),
+    np.greater: np.frompyfunc(operator.gt, 2, 1),
+    np.greater_equal: np.frompyfunc(operator.ge, 2, 1),
+    np.equal: np.frompyfunc(operator.eq, 2, 1),
+    np.arctan2: np.frompyfunc(products.angle, 2, 1),
     np.hypot: np.frompyfunc(lambda a, b: products.root(a * a + b * b), 2, 1),
     np.exp: _of_one(np.exp, exp),
     np.expm1: _of_one(np.expm1, expm1),
     np.copysign: np.frompyfunc(lambda a, b: select(b < 0.0, -abs(a), abs(a)), 2, 1),
     np.isnan: _of_one(np.isnan, lambda a: ~(a == a)),
     np.sign: _of_one(np.sign, lambda a: select(a > 0.0, 1.0, select(a < 0.0, -1.0, 0.0))),
-    np.logical_and: np.frompyfunc(lambda a, b: a & b, 2, 1),
-    np.logical_or: np.frompyfunc(lambda a, b: a | b, 2, 1),
-    np.logical_not: np.frompyfunc(lambda a: law.complement(a), 1, 1),
-    np.bitwise_and: np.frompyfunc(lambda a, b: a & b, 2, 1),
-    np.bitwise_or: np.frompyfunc(lambda a, b: a | b, 2, 1),
-    np.invert: np.frompyfunc(lambda a: ~a if isinstance(a, Scalar) else not a, 1, 1),
+    np.logical_and: np.frompyfunc(operator.and_, 2, 1),
+    np.logical_or: np.frompyfunc(operator.or_, 2, 1),
+    np.logical_not: np.frompyfunc(law.complement, 1, 1),
+    np.invert: np.frompyfunc(law.complement, 1, 1),
 }
 _SWEEPS = {1: 0, 2: 1, 3: 5}
 _MANY_SWEEPS = 7  # beyond three rows
@@ -815,24 +809,6 @@ _OF_ARRAYS: dict[Any, Callable[..., Any]] = {
 }
 
 
-def _chosen(
-    condition: Scalar, then: tuple[Any, ...], otherwise: tuple[Any, ...]
-) -> tuple[Any, ...]:
-    """Return then where a condition holds, otherwise elsewhere: numbers and arrays of symbols."""
-    arrays = [(symbols(a), symbols(b)) for a, b in zip(then, otherwise, strict=True)]
-    flat = [(a, np.broadcast_to(b, a.shape)) for a, b in arrays]
-    values = condition.graph.rare(
-        condition,
-        [each for a, _ in flat for each in a.ravel().tolist()],
-        [each for _, b in flat for each in b.ravel().tolist()],
-    )
-    found, at = [], 0
-    for a, _ in flat:
-        found.append(symbols(values[at : at + a.size]).reshape(a.shape) if a.ndim else values[at])
-        at += a.size
-    return tuple(found)
-
-
 def _looped(count: int, body: Callable[[Any, Values], tuple[Values, Values]], start: Values) -> Any:
     """Return what `law.collect` does, as a loop of the graph, whose body is traced once."""
     arrays = [symbols(each) for each in start]
@@ -923,11 +899,6 @@ def inputs(graph: Graph, name: str, shape: int | tuple[int, ...]) -> Symbols:
     """Return an input of a graph as an array."""
     size = shape if isinstance(shape, int) else int(np.prod(shape))
     return symbols(graph.input(name, size)).reshape(shape)
-
-
-def any_of(conditions: Any) -> Condition:
-    """Return whether any of some conditions holds."""
-    return functools.reduce(lambda a, b: a | b, np.ravel(conditions).tolist(), False)
 
 
 def _plain(value: Any) -> Any:
