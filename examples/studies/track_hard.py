@@ -217,7 +217,7 @@ def run_case(case):
     except aj.errors.SimulationError as error:
         return Outcome(case, reason=str(error))
     state, steps = last[0], (math.nan, math.nan)
-    within = law._n_dynamics, law._end
+    within = law.resting, law._end
     report = law.kinematics.report(state[slice(*within)])
     norm = 1e3 * run.error_norm
     without = (

@@ -79,6 +79,8 @@ class Controller(ABC):
             controls the measured one.
         alpha: α of `passive_output` [1/s].
         diagonals: Gains of its task and joints, if it has such.
+        gain_values: Gains by their names.
+        resting: Count of the state's first numbers, which rest where limits give the proof up.
         needs_solver: Whether its limits may need a solver, which takes its time.
 
     Args:
@@ -95,6 +97,8 @@ class Controller(ABC):
     kinematics: Kinematics | None = None
     alpha: float = 1.0
     diagonals: Diagonals | None = None
+    gain_values: Mapping[str, Any] = MappingProxyType({})
+    resting: int = 0
     needs_solver: bool = False
 
     def __init__(self, task: Task) -> None:
@@ -110,11 +114,6 @@ class Controller(ABC):
     def describe(self) -> list[str]:
         """Describe it in plain words: in a line, then its task, then what else to know."""
         return [spaced(type(self).__name__), f"{self.task.describe()} of {self.task.robot.name}"]
-
-    @property
-    def gain_values(self) -> dict[str, Any]:
-        """Gains by their names."""
-        return {}
 
     # -- the loop -------------------------------------------------------------------------------
 
@@ -275,14 +274,9 @@ class Controller(ABC):
     def passive_output(self, answer: Evaluation, v: Array, alpha: float | Array) -> Array:
         """Return y where this law gave an answer, shape (n_v,) [rad/s or m/s].
 
-        Args:
-            answer: The answer.
-            v: The joint velocity that it was given for, shape (n_v,), less the answer's reference
-                if there is one. (y is linear in it: the reference may be subtracted afterwards.)
-            alpha: α [1/s], for a law whose y has one.
-
-        Returns:
-            By default q̇: limits add no energy.
+        By default q̇: limits add no energy. v is the joint velocity that the answer was given for,
+        shape (n_v,), less the answer's reference if there is one; α [1/s] is for a law whose y has
+        one.
         """
         return v
 
@@ -290,23 +284,13 @@ class Controller(ABC):
         """Return True where V̇ is known for an answer of this law; by default nowhere."""
         return False
 
-    @property
-    def resting(self) -> int:
-        """Count of the state's first numbers, which rest where the proof is given up."""
-        return 0
-
     def rate_without(
         self, locked: Array, state: Array, measurement: Measurement, answer: Evaluation
     ) -> Array:
         """Return the rate of what rests, shape (`resting`,), as of an arm with locked joints.
 
-        A limiter asks for it where the proof is given up; by default it rests.
-
-        Args:
-            locked: Which joints are at a limit, shape (n_v,).
-            state: State of this law before the step.
-            measurement: What was measured.
-            answer: The answer to it.
+        A limiter asks for it where the proof is given up; by default it rests. `locked` (n_v,) says
+        which joints are at a limit.
         """
         return np.zeros(self.resting)
 
@@ -325,8 +309,7 @@ class Controller(ABC):
     def believed_dynamics(self) -> tuple[Dynamics, bool]:
         """Return the dynamics that predict what a torque does, and whether they have gravity.
 
-        Without it the gravity of the law's answer is subtracted, which may be that of a robot that
-        compensates itself.
+        Without it the gravity of the law's answer is subtracted.
         """
         return self._own_dynamics, True
 

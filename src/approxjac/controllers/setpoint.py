@@ -158,6 +158,7 @@ class SetpointController(Immutable, Controller):
         self.gains = gains
         self.saturation: Saturation = Linear() if saturation is None else saturation
         self.diagonals: Diagonals = self.gains.diagonals(task.m, robot.nv)
+        self.gain_values = self.diagonals._asdict()
         require_saturation(self.saturation, task)
         require_damping(self.gains, self.diagonals, task)
         if velocity is not None and not task._subtracts:
@@ -171,7 +172,7 @@ class SetpointController(Immutable, Controller):
             learning = learning.adaptation(task, self.diagonals, chosen)
         self.adaptation = learning if isinstance(learning, Adaptation) else None
         self.parameters = {} if self.adaptation is None else self.adaptation.parameters(task)
-        self._p = len(self.parameters)
+        self.resting = len(self.parameters)
         weight = None if self.adaptation is None else self.adaptation.pinv_weight
         self.pinv = Pseudoinverse(weight, analysis.vanishing(task), singular_ratio(task))
         # as arrays, which NumPy takes in two thirds of the time of numbers
@@ -183,7 +184,7 @@ class SetpointController(Immutable, Controller):
         self.reach, self._subtracts = Reach(task), task._subtracts  # as most do
         self._combination = analysis.combination(task)  # a target moves as what is measured does
         self._continuous = robot.nq != robot.nv
-        self._no_rate = np.zeros(self._p + (0 if velocity is None else task.m))
+        self._no_rate = np.zeros(self.resting + (0 if velocity is None else task.m))
         # of q, v, x, target and state
         self._shapes = (robot.nq,), (robot.nv,), (task.n_x,), (task.n_x,), self._no_rate.shape
         self._no_rate.flags.writeable = False
@@ -226,11 +227,6 @@ class SetpointController(Immutable, Controller):
         followed = np.zeros(0) if self.velocity is None else x
         return np.concatenate([theta0, followed])
 
-    @property
-    def gain_values(self) -> dict[str, Any]:
-        """K_p, K_v and the joint damping, as diagonals."""
-        return self.diagonals._asdict()
-
     def describe_learnt(self, state: Array) -> str:
         """Return in words what a state has learnt of gravity; "" of nothing."""
         learning = self.adaptation
@@ -238,7 +234,7 @@ class SetpointController(Immutable, Controller):
 
     def learnt(self, state: Array) -> Array:
         """Return θ̂ of a state (n_state,), or of a series of them (…, n_state); shape (…, p)."""
-        return state[..., : self._p]
+        return state[..., : self.resting]
 
     def lyapunov(self, at: Instant) -> float:
         """Return V of (12), or (31) where gravity is learnt, with Ĵ⁺ as in the law [J].
@@ -255,7 +251,7 @@ class SetpointController(Immutable, Controller):
         theta = _true_parameters(regressor, at.dynamics.robot)
         if at.adds_gravity is not None:  # the rest is what there is to learn
             theta = theta - _true_parameters(regressor, at.adds_gravity)
-        off = self.adaptation.whole(theta) - at.state[: self._p]
+        off = self.adaptation.whole(theta) - at.state[: self.resting]
         return V + law.parameter_potential(off, self.adaptation.L)
 
     def task_torque(self, at: Instant) -> Array:
@@ -264,7 +260,7 @@ class SetpointController(Immutable, Controller):
         assert J_hat is not None
         x_dot = J_hat.dot(at.v)
         if self.velocity is not None and np.isfinite(e).all():
-            x_dot = (e + at.x_d - at.state[self._p :]) / self._lag
+            x_dot = (e + at.x_d - at.state[self.resting :]) / self._lag
         return np.asarray(-(kp * np.nan_to_num(self.saturation.s(e)) + kv * x_dot).dot(J_hat))
 
     def passive_output(self, answer: Evaluation, v: Array, alpha: float | Array) -> Array:
@@ -285,7 +281,7 @@ class SetpointController(Immutable, Controller):
         """Return the rate of θ̂ with y = q̇ + α(ĴP)⁺s(e), P leaving out joints that are locked."""
         J_hat, learning, g = answer.J_hat, self.adaptation, answer.gravity
         if learning is None or J_hat is None or g is None:
-            return np.zeros(self._p)
+            return np.zeros(self.resting)
         _, q, v, *_ = measurement
         J_free, s = np.where(locked, 0.0, J_hat), self.saturation.s(answer.e)
         v = np.where(locked, 0.0, v)
@@ -295,12 +291,7 @@ class SetpointController(Immutable, Controller):
         y = law.passive_output(v, self.pinv.times(J_free, s, J_hat), learning.alpha)
         Y = learning.Y(q, J_hat)
         rate = law.theta_hat_rate(learning.L, Y, y)
-        return learning.bounded(rate, state[: self._p], Y, g)[0]
-
-    @property
-    def resting(self) -> int:
-        """Count of the state's first numbers, which rest where limits give the proof up."""
-        return self._p
+        return learning.bounded(rate, state[: self.resting], Y, g)[0]
 
     def with_limiter(self, motors: Array) -> SetpointController:
         """Return this law with learning that leaves it to the limiter when it rests."""
@@ -329,7 +320,7 @@ class SetpointController(Immutable, Controller):
         """Return the gravity torque that this law compensates, shape (n_v,) [N m or N]."""
         if self.adaptation is not None:
             Y = self.adaptation.Y(q, self.task.jacobian(q))
-            return law.gravity(Y, state[: self._p])
+            return law.gravity(Y, state[: self.resting])
         return self.gravity.torque(q).copy()  # type: ignore[union-attr]  # the others have one
 
     def with_gains(self, gains: Gains) -> Self:
@@ -418,7 +409,7 @@ class SetpointController(Immutable, Controller):
         s = law.array(self.saturation.s(e)) if lost is not True else np.zeros(self.task.m)
         if lost is not False:
             s = law.select(lost, np.zeros(self.task.m), s)
-        learning, g, Y, x_dot, theta_hat = self.adaptation, None, None, None, state[: self._p]
+        learning, g, Y, x_dot, theta_hat = self.adaptation, None, None, None, state[: self.resting]
         if learning is None:
             g = law.array(self.gravity.torque(q)).copy()  # type: ignore[union-attr]
         else:
@@ -426,7 +417,7 @@ class SetpointController(Immutable, Controller):
         if self.velocity is not None:
             # The differentiator's state follows x with time constant T: its rate is Ẋ itself.
             # Without x it goes on with Ĵq̇, so that there is no jump when x is back.
-            x_dot = (x - state[self._p :]) / self._lag
+            x_dot = (x - state[self.resting :]) / self._lag
             if lost is not False:
                 x_dot = law.select(lost, J_hat.dot(v), x_dot)
         if v_d is not None and lost is not False:
@@ -442,7 +433,7 @@ class SetpointController(Immutable, Controller):
         if learning is not None:
             rests, far = learning.rests(torque), self.reach.is_exceeded(q, e)
             stands = lost | rests | far
-            rate = self._no_rate[: self._p]
+            rate = self._no_rate[: self.resting]
             if stands is not True:
                 assert Y is not None
                 assert pinv_s is not None
@@ -459,12 +450,12 @@ class SetpointController(Immutable, Controller):
 
     @property
     def _equations(self) -> tuple[str, ...]:
-        return ("(28)", "(29)") if self._p else ("(6)" if self.velocity is None else "(5)",)
+        return ("(28)", "(29)") if self.resting else ("(6)" if self.velocity is None else "(5)",)
 
     def describe(self) -> list[str]:
         """Return law, gains, saturation and gravity in a line, its task, and the rule's reasons."""
         saturation = describe_saturation(self.saturation, self.task)
-        gravity = "learnt" if self._p else describe_gravity(self.gravity, self.task.robot)
+        gravity = "learnt" if self.resting else describe_gravity(self.gravity, self.task.robot)
         first = f"set-point law {self._equations[0]}, {self.gains}, {saturation}; gravity {gravity}"
         return [first, super().describe()[1], *(self.tuning.reasons if self.tuning else ())]
 

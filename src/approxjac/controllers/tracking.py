@@ -7,7 +7,7 @@ command (`VelocityCommand`).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, Self
 
@@ -166,14 +166,16 @@ class TrackingController(Immutable, Controller):
             )
         self.command = command
         limits = Limits.of(robot).for_joints(robot.nv)
-        self._added, self._n_dynamics = np.zeros(robot.nv), 1  # the lag of a servo
-        self._commands = None
+        self.gain_values = {"alpha": self.alpha, "kappa": self.kappa}
+        self._commands, self._added = None, np.zeros(robot.nv)
         if command == "velocity":
-            self._commands = VelocityCommand(robot, limits, self.dt)
+            self._commands, self.resting = VelocityCommand(robot, limits, self.dt), 1
+            self.parameters = {"lag of the servo": "s"} | {**self.kinematics.parameters}
         else:
+            self.parameters = {**self.dynamics.parameters, **self.kinematics.parameters}
             self._added = self.dynamics.gain_inertia(max(1.0, _ROOM / (self.kappa * self.dt)))
-            self._n_dynamics = self.dynamics.n_state
-        self._end = self._n_dynamics + self.kinematics.n_state
+            self.resting = self.dynamics.n_state
+        self._end = self.resting + self.kinematics.n_state
         self.n_state = self._end + (0 if self._commands is None else robot.nv)
         # of metres and radians at once it is usually 0.05, where nothing is singular
         most = _SINGULAR_RATIO if len(set(task.units)) == 1 else law.SINGULAR_RATIO
@@ -214,16 +216,16 @@ class TrackingController(Immutable, Controller):
         _, q, v, *_ = measurement
         state = np.zeros_like(q, shape=self.n_state)
         if self._commands is None:
-            state[: self._n_dynamics] = self.dynamics.initial_state()
+            state[: self.resting] = self.dynamics.initial_state()
         else:
             state[self._end :] = np.where(np.isfinite(v), v, 0.0)
-        state[self._n_dynamics : self._end] = self.kinematics.initial_state(measurement)
+        state[self.resting : self._end] = self.kinematics.initial_state(measurement)
         return state
 
     def resumed(self, state: Array, measurement: Measurement) -> Array:
         """Return a state before a first step that knows what another state has learnt."""
         state = require_state(state, self.n_state)
-        fresh, (p, end) = self.initial_state(measurement), (self._n_dynamics, self._end)
+        fresh, (p, end) = self.initial_state(measurement), (self.resting, self._end)
         fresh[:p] = state[:p]
         fresh[p:end] = self.kinematics.resumed(state[p:end], measurement)
         return fresh
@@ -250,7 +252,7 @@ class TrackingController(Immutable, Controller):
             require_dt(dt, self.dt)
         with np.errstate(over="ignore", invalid="ignore"):  # an overflow is a named error
             target, measurement = self._checked(state, measurement, target)
-            self.kinematics.check(state[self._n_dynamics : self._end], measurement, dt)
+            self.kinematics.check(state[self.resting : self._end], measurement, dt)
             try:
                 after, answer = self.evolve(state, measurement, target)
                 if math.isfinite(float(after.dot(after) + answer.torque.dot(answer.torque))):
@@ -264,7 +266,7 @@ class TrackingController(Immutable, Controller):
     ) -> tuple[Array, Evaluation]:
         """Do as `step`, with arguments that are checked, or are symbols."""
         _, q, v, x, _ = measurement
-        p, end, dt = self._n_dynamics, self._end, self.dt
+        p, end, dt = self.resting, self._end, self.dt
         known = state[p:end]
         now = self.kinematics.status(known, measurement)
         waits, is_old = now == _LOST, now == _PREDICTED
@@ -318,30 +320,18 @@ class TrackingController(Immutable, Controller):
 
     def learnt(self, state: Array) -> Array:
         """Return the learnt numbers of dynamics and kinematics, shape (…, p)."""
-        known = self.kinematics.learnt(state[..., self._n_dynamics : self._end])
-        return np.concatenate([state[..., : self._n_dynamics], known], axis=-1)
-
-    @property
-    def gain_values(self) -> dict[str, Any]:
-        """α and κ."""
-        return {"alpha": self.alpha, "kappa": self.kappa}
-
-    @property
-    def parameters(self) -> Mapping[str, str]:  # type: ignore[override]
-        """Names and units of what is learnt: of the dynamics or the servo, of the kinematics."""
-        lag = self._commands is not None
-        of_motion = {"lag of the servo": "s"} if lag else self.dynamics.parameters
-        return {**of_motion, **self.kinematics.parameters}
+        known = self.kinematics.learnt(state[..., self.resting : self._end])
+        return np.concatenate([state[..., : self.resting], known], axis=-1)
 
     def learnt_sd(self, state: Array) -> Array:
         """Return the standard deviations of what was learnt, NaN of the dynamics, shape (p,)."""
         kinematics, known = self.kinematics_of(state)
-        return np.concatenate([np.full(self._n_dynamics, np.nan), kinematics.sd_of(known)])
+        return np.concatenate([np.full(self.resting, np.nan), kinematics.sd_of(known)])
 
     def kinematics_of(self, state: Array) -> tuple[Kinematics, Array]:
         """Return the kinematics, and their part of a state."""
         state = require_state(state, self.n_state)
-        return self.kinematics, state[self._n_dynamics : self._end]
+        return self.kinematics, state[self.resting : self._end]
 
     def with_task(self, task: Task) -> Self:
         """Return this controller with another task, such as that of another believed robot.
@@ -360,11 +350,6 @@ class TrackingController(Immutable, Controller):
 
     # -- what limits of torques need to know ----------------------------------------------------
 
-    @property
-    def resting(self) -> int:
-        """Numbers of the state, those of the dynamics, that rest while limits give the proof up."""
-        return self._n_dynamics
-
     def is_proven(self, answer: Evaluation) -> bool:
         """Return whether V̇₂ is known: always, as the kinematics do not enter."""
         return True
@@ -379,7 +364,7 @@ class TrackingController(Immutable, Controller):
 
     def gravity_torque(self, state: Array, q: Array) -> Array:
         """Return the gravity torque that this law compensates, shape (n_v,) [N m or N]."""
-        return self.dynamics.gravity(state[: self._n_dynamics], q)
+        return self.dynamics.gravity(state[: self.resting], q)
 
     def describe(self) -> list[str]:
         """Return the law and what it learns in a line, its task, and where it is drawn to."""

@@ -51,7 +51,7 @@ class ControllerWrapper(Immutable, Controller):
     limits: Limits | None = _inner("limits")
     parameters: Mapping[str, str] = _inner("parameters")
     kinematics: Kinematics | None = _inner("kinematics")
-    gain_values: dict[str, Any] = _inner("gain_values")
+    gain_values: Mapping[str, Any] = _inner("gain_values")
     law: Controller = _inner("law")
     needs_solver: bool = _inner("needs_solver")
 
@@ -64,18 +64,6 @@ class ControllerWrapper(Immutable, Controller):
 
     def with_task(self, task: Task) -> Self:
         return self._rebuilt(controller=self.controller.with_task(task))
-
-    def with_limiter(self, motors: Array) -> Controller:
-        """Refuse limits around this: they go inside.
-
-        Raises:
-            InvalidInputError: Always.
-        """
-        raise InvalidInputError(
-            "controller must be a law such as SetpointController (what holds measurements goes "
-            f"around it: HeldMeasurement(TorqueLimited(law), ...)), got {self!r}",
-            given=self,
-        )
 
     def describe_learnt(self, state: Array) -> str:
         return self.controller.describe_learnt(self._split(state)[0])
@@ -127,16 +115,11 @@ class ControllerWrapper(Immutable, Controller):
         least = self._memory
         if hasattr(state, "arm_of"):  # symbols
             return state[: len(state) - least], state[len(state) - least :]
-        if type(state) is not np.ndarray or state.ndim != 1 or state.dtype != FLOAT64:
+        is_vector = type(state) is np.ndarray and state.ndim == 1 and state.dtype == FLOAT64
+        if not is_vector or len(state) < least:
             raise InvalidInputError(
-                f"state must be an array of float64 as initial_state and step return it, got "
-                f"{f'{state.dtype} {state.shape}' if type(state) is np.ndarray else repr(state)}",
-                given=state,
-            )
-        if len(state) < least:
-            raise InvalidInputError(
-                f"state must have the {least} numbers of {type(self).__name__} after those of the "
-                f"controller inside, got {len(state)}",
+                "state must be an array of float64 as initial_state and step return it, with the "
+                f"{least} numbers of {type(self).__name__} last, got {state!r}",
                 given=state,
             )
         inner, memory = state[: len(state) - least], state[len(state) - least :]

@@ -45,7 +45,7 @@ def damped_solver(
 ) -> tuple[Callable[[Array], Array], Array, Any]:
     """Return b ↦ w of `damped_gram_solve`; eigenvectors of least and largest eigenvalue; and λ²."""
     squares, U = np.linalg.eigh(G)
-    least, largest = _ends(squares)
+    least, largest = squares.min(), squares.max()
     damping = gram_damping(least, largest, singular_ratio, scale)
     # squares below zero by round-off are lifted by the damping that is then at work
     lifted, ends = np.maximum(squares, 0.0) + damping, U.T[[0, -1]]
@@ -78,13 +78,6 @@ def regular_solver(
     return partial(np.linalg.solve, G), complement(regular & (inverse_trace > 0.0))
 
 
-def _ends(squares: Array) -> tuple[Any, Any]:
-    """Return the least and the largest eigenvalue; only numbers are sorted."""
-    if type(squares) is np.ndarray:
-        return squares[0], squares[-1]
-    return squares.min(), squares.max()
-
-
 def may_be_singular(G: Array, singular_ratio: float, scale: float) -> Any:
     """Return False where σ_min of J is surely above a share of σ_max and the scale, of G = J Jᵀ."""
     return regular_solver(G, singular_ratio, scale)[1]
@@ -112,8 +105,8 @@ def is_near_singular(G: Array, singular_ratio: float = SINGULAR_RATIO, scale: fl
     """Return True if σ_min of J is below `singular_ratio` · max(σ_max, `scale`), from G = J Jᵀ."""
 
     def by_eigenvalues() -> tuple[Array]:
-        least, largest = _ends(np.asanyarray(np.linalg.eigvalsh(G)))
-        return (gram_damping(least, largest, singular_ratio, scale),)
+        squares = np.asanyarray(np.linalg.eigvalsh(G))
+        return (gram_damping(squares.min(), squares.max(), singular_ratio, scale),)
 
     may_be = may_be_singular(G, singular_ratio, scale)
     damping: Any = choose(may_be, by_eigenvalues, lambda: (0.0,))[0]

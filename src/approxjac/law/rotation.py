@@ -47,28 +47,26 @@ def cross_matrix(phi: Array) -> Array:
 
 
 def rotation_exp(phi: Array) -> Array:
-    """Return exp([φ]ₓ) of a rotation vector (3,), or of the angle (1,) in the plane [rad]."""
+    """Return exp([φ]ₓ) of a rotation vector (3,), or of the angle (1,) in the plane [rad].
+
+    1 + s[φ]ₓ + c[φ]ₓ² in plain numbers, which at this size are quicker than arrays.
+    """
     size = length(phi)
     sine, cosine = sine_and_cosine(size)
     turns = size > 1e-4
     s, c = _share(sine, size, turns, 1.0), _share(1.0 - cosine, size * size, turns, 0.5)
-    return np.asanyarray(array(rodrigues(phi.tolist(), s, c)))
-
-
-def rodrigues(phi: list[float], s: float, c: float) -> list[list[float]]:
-    """Return 1 + s[φ]ₓ + c[φ]ₓ² in plain numbers, which at this size are quicker than arrays."""
     if len(phi) == 1:
-        (x,) = phi
+        (x,) = phi.tolist()
         along = 1.0 - c * x * x
-        return [[along, -s * x], [s * x, along]]
-    x, y, z = phi
+        return np.asanyarray(array([[along, -s * x], [s * x, along]]))
+    x, y, z = phi.tolist()
     xx, yy, zz, xy, xz, yz = x * x, y * y, z * z, c * x * y, c * x * z, c * y * z
     x, y, z = s * x, s * y, s * z
-    return [
+    return np.asanyarray(array([
         [1.0 - c * (yy + zz), xy - z, xz + y],
         [xy + z, 1.0 - c * (xx + zz), yz - x],
         [xz - y, yz + x, 1.0 - c * (xx + yy)],
-    ]
+    ]))  # fmt: skip
 
 
 def rotation_log(R: Array) -> Array:

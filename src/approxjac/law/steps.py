@@ -188,10 +188,6 @@ def hold_moved(held: HoldStep, motion: Array) -> Array:
 
 
 def _each(condition: Any, a: list[Any], b: list[Any]) -> list[Any]:
-    if condition is True:
-        return a
-    if condition is False:
-        return b
     return [select(condition, *pair) for pair in zip(a, b, strict=True)]
 
 

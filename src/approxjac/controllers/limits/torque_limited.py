@@ -160,6 +160,10 @@ class TorqueLimited(ControllerWrapper):
             "HeldMeasurement(TorqueLimited(law), ...))"
         )
         require("controller", controller, Controller, wanted)
+        if controller.law is not controller:
+            raise InvalidInputError(
+                f"controller must be {wanted}, got {controller!r}", given=controller
+            )
         if controller.command != "torque":
             raise InvalidInputError(
                 f'controller must command torques to be limited, got command="velocity" of '
