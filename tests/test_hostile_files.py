@@ -17,7 +17,6 @@ from approxjac.errors import ApproxJacError, TrajectoryFileError
 from approxjac.realtime import SimulatedDriver
 from approxjac.realtime.control import RobotRun
 from approxjac.robots.meshes import find_mesh
-from approxjac.stability.rollouts.rollouts import _portion
 from approxjac.view.look import load_mesh
 
 ARRAYS = ("t", "q", "v", "x", "x_d", "error", "tau", "state", "status", "slack", "V", "sigma_min")
@@ -55,24 +54,6 @@ def of_run(path, kind=aj.Trajectory):
 
 def of_robot_run(path):
     return of_run(path, RobotRun)
-
-
-class Runs:
-    """What many runs share, as far as a portion of them needs it."""
-
-    def columns(self, indices):
-        return {"index": np.array(indices), "final_error": np.linspace(0.0, 1.0, len(indices))}
-
-
-def write_portion(path):
-    _portion(path.parent, False, Runs(), range(50))
-    (portion,) = path.parent.iterdir()
-    return portion  # under a name of its own
-
-
-def of_portion(path):
-    found = _portion(path.parent, False, Runs(), range(50))
-    return [found["index"], found["final_error"]]
 
 
 def write_urdf(path):
@@ -122,7 +103,6 @@ def of_mesh(path):
 KINDS = {  # ending, what writes one, what reads it; whether the file tells that it is damaged
     "run": (".npz", write_run, of_run, True),
     "robot's run": (".npz", write_robot_run, of_robot_run, True),
-    "portion": (".npz", write_portion, of_portion, True),
     "URDF": (".urdf", write_urdf, of_urdf, False),
     "scenario": (".toml", write_scenario, of_scenario, False),
     "STL": (".stl", write_mesh, of_mesh, False),

@@ -8,7 +8,7 @@ import re
 import shutil
 import sys
 import textwrap
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -127,3 +127,13 @@ def rows(texts: dict[str, str], indent: int = 0) -> list[str]:
         for name, text in texts.items()
         for line in wrapped(text, f"{' ' * indent}{name:<{first}}  ")
     ]
+
+
+def aligned(lines: Sequence[Sequence[str]]) -> str:
+    """Return lines of words in columns, the first line underlined."""
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    lines = [lines[0], ["-" * width for width in widths], *lines[1:]]
+    return "\n".join(
+        "  ".join(word.ljust(width) for word, width in zip(line, widths, strict=True)).rstrip()
+        for line in lines
+    )

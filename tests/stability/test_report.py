@@ -14,7 +14,7 @@ from approxjac.errors import UnknownNameError
 from approxjac.law import Sine
 from approxjac.paper import experiments as paper
 from approxjac.robots import GravityRegressor
-from approxjac.stability.certificates.certificate import theorem1
+from approxjac.stability.certificates.certificate import largest, theorem1
 from approxjac.stability.certificates.matrix_form import MatrixForm
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.loop.configurations import inverse_kinematics
@@ -74,7 +74,16 @@ def test_report_says_what_each_test_says(report):
     in_time = MatrixForm(report.samples.take(slice(len(sampled.margins))), report.loop.setting)
     assert (sampled.margins <= in_time.margins(sampled.weights) + 1e-12).all()
     assert sampled.margin > 0.0
-    certified, exact = report.largest_period
+    worst, latency = report.samples.take(np.argsort(-report.spectral_radii)[:60]), report.latency
+    certified, exact = (
+        sampled.largest_period(),
+        largest(
+            lambda period: bool(
+                (report.loop.spectral_radii(worst, replace(latency, period=period)) < 1.0).all()
+            ),
+            latency.period,
+        ),
+    )
     assert 0.6 <= certified / exact <= math.pi / 4.0 + 0.02
     assert certified >= 5e-4
     assert [test.certified for test in report.matrix.values()] == [True]  # none wider was needed
@@ -100,7 +109,6 @@ def test_report_says_what_each_test_says(report):
         assert rows[part, "near targets"].figures["unstable"] == 0
     assert rows["sampled", "matrix form"].figures["margin"] == sampled.margin
     assert_array_equal(report.rows[1].figures["certified_error"], sampled.certified_error)
-    assert rows["sampled", "longest period"].figures == {"certified": certified, "stable": exact}
 
 
 def test_gravity_that_is_left_out_is_said_to_be_known(tools):
@@ -186,7 +194,6 @@ def test_summary_is_json_and_complete(report):
     assert summary["certified_by"] == "sampled form"
     assert summary["certified_in_continuous_time"] == "matrix"
     assert summary["about"]["timing"]["period"] == 5e-4
-    assert summary["sampled"]["longest period"]["certified"] >= 5e-4
     assert summary["continuous"]["Theorem 1"]["verdict"] == "does not hold"
     assert len(summary["continuous"]["paper's weights"]["worst_q"]) == 7
     assert summary["continuous"]["near targets"]["verdict"] == "stable"
@@ -405,7 +412,7 @@ def test_tolerance_stops_where_robots_cannot_exist(weightless, box):
     found = aj.Study(controller_of(errors), errors, box).tolerance(("local",), draws=20)
     assert_allclose(found["local"].scale, 1.0, rtol=1e-4)  # a length below 0 is none
     assert found["local"].fails_at == math.inf
-    assert "times the errors, the most that was tried" in str(found["local"])
+    assert "not up to the most that was tried" in str(found["local"])
     assert str(found["local"]).startswith("tolerated by the linearisation (near targets only): ")
     assert repr(found["local"]) == "Tolerance('local': scale 1, fails at inf)"
     assert "object length 0 to 0.2 m" in str(found["local"])  # and not 1.2e-07

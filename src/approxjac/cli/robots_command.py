@@ -6,10 +6,8 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 
-import numpy as np
-
 from approxjac.errors import InvalidInputError, MissingPackageError
-from approxjac.formatting import wrapped
+from approxjac.formatting import aligned, wrapped
 from approxjac.robots import Robot, load_robot, robot_names
 from approxjac.robots.load import locked_joints
 from approxjac.robots.urdf import likely_tips
@@ -41,8 +39,8 @@ def robots(
 
 
 def _table() -> str:
-    """Return all arms that load by name: joints, n_v, n_q, effort limits, tip and moving mass."""
-    rows = [("name", "nv", "nq", "joints", "effort limits", "suggested tip", "kg")]
+    """Return all arms that load by name: joints, n_v, n_q, tip and moving mass."""
+    lines = [("name", "nv", "nq", "joints", "suggested tip", "kg")]
     missing = []
     for name in robot_names():
         try:
@@ -50,75 +48,43 @@ def _table() -> str:
         except MissingPackageError:
             missing.append(name)
             continue
-        size = str(robot.nv), str(robot.nq)
-        kinds, mass = _kinds(robot), f"{robot.mass:.3g}"
-        rows.append((robot.name, *size, kinds, _efforts(robot), str(robot.tip), mass))
-    lines = [_aligned(rows), "", "Effort limits are in N m, those of prismatic joints in N."]
+        size, mass = (str(robot.nv), str(robot.nq)), f"{robot.mass:.3g}"
+        lines.append((robot.name, *size, _kinds(robot), str(robot.tip), mass))
+    text = [aligned(lines)]
     if missing:
         names = ", ".join(missing)
-        lines += ["", *wrapped(f"pip install 'approxjac[robots]' brings {names}")]
-    return "\n".join(lines)
+        text += ["", *wrapped(f"pip install 'approxjac[robots]' brings {names}")]
+    return "\n".join(text)
 
 
 def _details(source: str, tip: str | None, base: str | None, free: Sequence[str]) -> str:
     """Return one robot: its joints with their kinds and limits, and those that are locked."""
     robot = load_robot(source, tip=tip, base=base, free=free)
-    rows = [("joint", "kind", "limits", "effort")]
+    joints = [("joint", "kind", "limits", "effort")]
     (lower, upper), efforts = robot.position_limits, robot.effort_limits
-    for i, (name, kind) in enumerate(zip(robot.joint_names, _each_kind(robot), strict=True)):
-        unit, force = ("m", "N") if kind == "prismatic" else ("rad", "N m")
+    for i, (name, unit) in enumerate(zip(robot.joint_names, robot.joint_units, strict=True)):
+        kind, force = robot.tree.joints[name].type, "N" if unit == "m" else "N m"
         known = f"{lower[i]:.4g} to {upper[i]:.4g} {unit}"
         known = known if math.isfinite(lower[i]) else "none known"
         most = f"{efforts[i]:g} {force}" if math.isfinite(efforts[i]) else "none known"
-        rows.append((name, kind, "none" if kind == "continuous" else known, most))
+        joints.append((name, kind, "none" if kind == "continuous" else known, most))
     unclear = "not clear, as it has more than one end: name one as tip (--tip)"
     leads = robot.tip or f"{unclear}; {likely_tips(robot.tree)}"
     lines = [
         f"{source}: {_kinds(robot)}; nv {robot.nv}, nq {robot.nq}; {robot.mass:.4g} kg",
         *wrapped(f"tip: {leads}", indent=2),
         "",
-        _aligned(rows),
+        aligned(joints),
     ]
-    others = {
-        "locked": locked_joints(source, robot),
-        "moving with another joint": [
-            name for name in robot.mimic_joints.model.names[1:] if name not in robot.joint_names
-        ],
-    }
-    for title, joints in others.items():
-        if joints:
-            lines += ["", *wrapped(f"{title}: {', '.join(joints)}")]
+    mimics = [n for n in robot.mimic_joints.model.names[1:] if n not in robot.joint_names]
+    others = {"locked": locked_joints(source, robot), "moving with another joint": mimics}
+    for title, names in others.items():
+        if names:
+            lines += ["", *wrapped(f"{title}: {', '.join(names)}")]
     return "\n".join(lines)
-
-
-def _each_kind(robot: Robot) -> list[str]:
-    """Return the kind of each joint: revolute, continuous or prismatic."""
-    return [robot.tree.joints[name].type for name in robot.joint_names]
 
 
 def _kinds(robot: Robot) -> str:
     """Return the joints by kind, such as "1 prismatic, 7 revolute"."""
-    kinds = Counter(_each_kind(robot))
+    kinds = Counter(robot.tree.joints[name].type for name in robot.joint_names)
     return ", ".join(f"{count} {kind}" for kind, count in kinds.items())
-
-
-def _efforts(robot: Robot) -> str:
-    """Return the range of the effort limits, apart for torques and forces."""
-    units = np.array(robot.joint_units)
-    ranges = []
-    for unit in dict.fromkeys(robot.joint_units):
-        limits = robot.effort_limits[units == unit]
-        known = [f"{limit:g}" for limit in np.unique(limits[np.isfinite(limits)])]
-        text = "-".join(dict.fromkeys([*known[:1], *known[-1:]])) or "none known"
-        ranges.append(text + (" or none" if known and not np.isfinite(limits).all() else ""))
-    return ", ".join(ranges)
-
-
-def _aligned(rows: Sequence[Sequence[str]]) -> str:
-    """Return rows of words in columns, the first row underlined."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    rows = [rows[0], ["-" * width for width in widths], *rows[1:]]
-    return "\n".join(
-        "  ".join(word.ljust(width) for word, width in zip(row, widths, strict=True)).rstrip()
-        for row in rows
-    )

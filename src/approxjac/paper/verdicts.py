@@ -10,7 +10,7 @@ from typing import Any
 from approxjac import view
 from approxjac.cameras import PlanarCamera
 from approxjac.errors import MissingPackageError
-from approxjac.formatting import wrapped
+from approxjac.formatting import aligned, wrapped
 from approxjac.paper.experiments import (
     ALPHA,
     CAMERA,
@@ -84,25 +84,28 @@ def table(results: Sequence[Reproduction], bound: JacobianBound | None) -> str:
         lines += [*wrapped(text), ""]
     if results:
         times = sorted({t for result in results for t in result.error_ratios})
-        ratios = "".join(f"{f'{t:g} s':>8}" for t in times)
-        lines += [
-            f"{'':46}{'max Re λ':>9}   |e|/|e(0)| at",
-            f"{'figure':<46}{'[1/s]':>9} {ratios}  {'verdict':<10}the paper",
+        heads = [
+            "figure",
+            "max Re λ [1/s]",
+            *(f"e({t:g} s)" for t in times),
+            "verdict",
+            "the paper",
         ]
+        lines.append(aligned([heads, *(_row(result) for result in results)]))
     for result in results:
         e = result.experiment
-        ratios = "".join(f"{r:8.4f}" for r in result.error_ratios.values())
-        agrees = "" if result.agrees_with_paper else " (differs)"
-        lines.append(
-            f"{f'{e.figure}  {e.title}':<46}{result.local.max_real_eigenvalue:>+9.4f} {ratios}  "
-            f"{result.verdict:<10}“{e.paper_words}”{agrees}"
-        )
         if not result.agrees_with_paper or not result.evidence_agrees:
-            lines += wrapped(result.reason, "   ")
+            lines += wrapped(f"Figure {e.figure}: {result.reason}")
         if result.theta_hat is not None:
             learnt = ", ".join(f"{value:.4f}" for value in result.theta_hat)
-            lines.append(f"{'':3}learnt θ̂ = ({learnt}) kg m")
+            lines.append(f"Figure {e.figure}: learnt θ̂ = ({learnt}) kg m")
     return "\n".join(lines).rstrip()
+
+
+def _row(result: Reproduction) -> list[str]:
+    e, ratios = result.experiment, [f"{r:.4f}" for r in result.error_ratios.values()]
+    ends = [result.verdict, f"“{e.paper_words}”{'' if result.agrees_with_paper else ' (differs)'}"]
+    return [f"{e.figure}  {e.title}", f"{result.local.max_real_eigenvalue:+.4f}", *ratios, *ends]
 
 
 def write_pages(results: Sequence[Reproduction], out: Path) -> str:

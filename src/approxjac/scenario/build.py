@@ -70,9 +70,9 @@ class BuiltScenario:
         if self.scenario.true.tracker != Tracker():
             return ""  # in whose axes nobody knows where the arm is
         run, goal = self.scenario.run, self.scenario.run.target
-        doubt = doubts(self.law.task, self.target, self.q0, run.duration)
+        doubt = doubts(self.law.task, self.target, run.duration)
         if not doubt and goal != Goal() and goal.configuration is None:  # or it was there itself
-            doubt = doubts(self.plant.sensor, self.target, self.q0, run.duration, "true")
+            doubt = doubts(self.plant.sensor, self.target, run.duration, "true")
         return doubt
 
 

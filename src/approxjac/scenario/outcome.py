@@ -215,7 +215,10 @@ class RunResult:
                 who = "the law and the gravity that the robot adds ask"
             return f"{who} for more torque than the motors deliver"
         if mostly(run.limit_status[last] > LimitStatus.FREE):
-            return self._held_back()
+            beyond = self.built.plant.robot.beyond_limits(run.q[-1:])[0] > -_AT_LIMIT
+            names = ", ".join(np.array(run.joint_names)[beyond])
+            where = f" at the position limits of {names}" if names else ""
+            return f"held back{where}: {LimitStatus(int(run.limit_status[-1])).message}"
         if self.on_path:
             far = f"strays up to {self.strayed[0]:.3g} {run.task_unit} from its path"
             return f"{far}, where at most {self.tolerance:.3g} {run.task_unit} is following it"
@@ -239,19 +242,6 @@ class RunResult:
         run, law, q = self.run, self.built.law, self.run.q[-1]
         first, end = (law.gravity_torque(run.state[last][k], q) for k in (0, -1))
         return bool(np.linalg.norm(end - first) > 0.01 * np.linalg.norm(run.task_torque[-1]))
-
-    def _held_back(self) -> str:
-        """Return which limits acted at the end, and how."""
-        run = self.run
-        beyond = self.built.plant.robot.beyond_limits(run.q[-1:])[0]
-        weak = np.abs(self.motor_torque[-1]) > 0.999 * self.built.plant.motor_limits
-        limits = [
-            f"the {kind} limits of {', '.join(np.array(run.joint_names)[there])}"
-            for kind, there in (("position", beyond > -_AT_LIMIT), ("torque", weak))
-            if there.any()
-        ]
-        where = f" at {' and '.join(limits)}" if limits else ""
-        return f"held back{where}: {LimitStatus(int(run.limit_status[-1])).message}"
 
     # -- summary ------------------------------------------------------------------------
 

@@ -17,7 +17,6 @@ from approxjac.stability.certificates.certificate import (
     MatrixTest,
     SampledTest,
     Theorem1,
-    largest,
     refine_constants,
     refine_weights,
     sampled_test,
@@ -66,7 +65,6 @@ _LIMITS = {
 _TINY = 1e-6
 _DRAWN = 400  # starts that tell what is usual
 _TARGETS = 1000  # that the sampled loop is linearised at
-_WORST = 60
 _CHOOSE = 1000  # samples at most that functions are chosen on: more of them check instead
 
 
@@ -198,21 +196,6 @@ class StabilityReport:
         if isinstance(truth, Uncertainty) and truth.d > 0:
             return truth.describe(self.loop.values[index])
         return "the true robot"
-
-    @cached_property
-    def largest_period(self) -> tuple[float, float]:
-        """Largest period that is certified, and that is stable by the exact linearisation [s].
-
-        All else the same; 0 where none is. Worked out when it is asked for, such as to be printed.
-        """
-        assert self.sampled is not None
-        worst = self.samples.take(np.argsort(-self.spectral_radii)[:_WORST])
-
-        def stable(period: float) -> bool:
-            radii = self.loop.spectral_radii(worst, replace(self.latency, period=period))
-            return bool((radii < 1.0).all())
-
-        return self.sampled.largest_period(), largest(stable, self.latency.period)
 
     @cached_property
     def attraction(self) -> Attraction | None:
@@ -493,18 +476,6 @@ def _sampled(report: StabilityReport) -> Iterator[Row]:
         names = ("family", "speed", "level")
         figures = _figures(report, sampled) | {name: getattr(sampled, name) for name in names}
         yield Row("sampled", "matrix form", verdict, figures, text)
-        certified, stable = report.largest_period
-        text = (
-            f"the function passes up to {_ms(certified)}, all else the same; near targets it is "
-            f"stable up to {_ms(stable)}"
-        )
-        figures = {"certified": certified, "stable": stable}
-        yield Row("sampled", "longest period", "", figures, text)
-        if certified:
-            longest, given = sampled.largest_delay(), report.latency.torque_delay
-            text = f"the function passes up to {_ms(longest)}, all else the same"
-            figures = {"certified": longest, "given": given}
-            yield Row("sampled", "longest delay of torques", "", figures, text)
     worst, unstable = float(radii.max()), int((radii >= 1.0).sum())
     decay = -math.log(worst) / frame if worst > 0.0 else math.inf
     figures = {"spectral_radius": worst, "frame": frame}
