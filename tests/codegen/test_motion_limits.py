@@ -111,7 +111,7 @@ def test_a_whole_run_is_that_of_python(panda, monkeypatch):
     limits = [replace(aj.Limits.of(belief), rate=1000.0), wall, CartesianSpeed(0.3)]
     plain = aj.TorqueLimited(aj.SetpointController(aj.PositionTask(belief)), limits)
     options = {
-        "duration": 2.0,
+        "duration": 1.2,
         "dt": 1e-3,
         "computation": aj.simulation.Computation("semi_implicit_euler"),
     }

@@ -280,7 +280,7 @@ def test_an_observer_sees_it_and_moves_the_target(plant, controller):
             loop.aim_at(second)
             moved.append(loop.step)
 
-    found = run(driver_of(plant, Watched), controller, 4.0, observer=observe)
+    found = run(driver_of(plant, Watched), controller, 2.5, observer=observe)
     assert len(seen) > 3
     assert {name for _, _, name in seen} == {"approxjac observer"}
     assert_allclose(found.x_d[-1], second)
@@ -299,7 +299,7 @@ def test_a_path_is_followed(plant, controller):
     driver = driver_of(plant)
     center = goal(plant, (-0.05, 0.0, 0.0))
     path = aj.Circle(center, 0.05, 4.0)
-    found = control(driver, controller, path, 4.0, tolerances=tolerating())
+    found = control(driver, controller, path, 3.2, tolerances=tolerating())
     assert_allclose(found.x_d[3000], path.at(3.0).x)
     assert found.error_norm[2000:].max() < 0.02
 
@@ -489,7 +489,7 @@ def test_a_robot_that_adds_gravity_is_led_by_what_is_left(plant, panda):
     law = aj.SetpointController(aj.PositionTask(belief), gravity=gravity)
     limited = aj.TorqueLimited(law, aj.Limits.of(belief))
     driver = driver_of(aj.Plant(plant.robot, plant.sensor, adds_gravity=panda))
-    found = run(driver, limited, 4.0)
+    found = run(driver, limited, 2.5)
     assert found.error_norm[-1] < 1e-3
     e = found.error[0]  # as it is believed, nothing is left to learn
     assert found.V[0] == pytest.approx(law.diagonals[0] @ law.saturation.S(e), rel=1e-3)

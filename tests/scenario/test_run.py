@@ -473,11 +473,14 @@ PARTS = ("tool", "origins", "camera")
 @pytest.mark.parametrize(
     "controller",
     [
-        {"law": "tracking", "unknown": PARTS},
-        {"unknown": PARTS},
-        {"law": "tracking", "unknown": PARTS, "command": "velocity"},
+        pytest.param({"law": "tracking", "unknown": PARTS}, id="tracking law"),
+        pytest.param({"unknown": PARTS}, id="set-point law", marks=pytest.mark.study),
+        pytest.param(
+            {"law": "tracking", "unknown": PARTS, "command": "velocity"},
+            id="velocities",
+            marks=pytest.mark.study,
+        ),
     ],
-    ids=["tracking law", "set-point law", "velocities"],
 )
 def test_kinematics_that_are_learnt_follow_a_circle(tmp_path, controller):
     """A tool and a tracker turned by 97° that nobody told of; and what was learnt is written."""

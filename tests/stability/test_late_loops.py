@@ -123,6 +123,7 @@ def test_the_multipliers_are_those_of_the_simulated_period(name, learns):
     assert np.abs(without[:, np.newaxis] - own).min(axis=1).max() > 1e-5
 
 
+@pytest.mark.study
 def test_of_late_loops_some_are_unstable_by_the_gravity_that_they_hold():
     """As if it did not change they would be told to be stable, and their runs grow."""
     unstable = {k for k, late in enumerate(loops()) if late.radius() >= 1.0}

@@ -18,7 +18,7 @@ def small(monkeypatch):
 
 
 def test_nothing_contradicts_a_few_certificates(small):
-    outcomes = [study.attack((number, 5, 16)) for number in (0, 7, 10)]
+    outcomes = [study.attack((number, 5, 16)) for number in (0, 10)]
     assert all(o.latency and o.radius > 0.0 for o in outcomes)
     assert not [text for o in outcomes for text in o.counterexamples()]
     assert sum(len(o.uneven) for o in outcomes) >= 4
