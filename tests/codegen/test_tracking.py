@@ -148,7 +148,7 @@ def law_of(kind):
         "tool": (aj.PositionTask(panda), ("tool",)),
         "camera known": (tracked, ("tool", "origins")),
         "five rows": (points, ("tool", "origins", "offset")),
-        "continuous joints": (kinova, ("tool", "origins", "camera")),
+        "continuous joints": (kinova, ("tool",)),
         "in the plane": (planar, ("origins", "camera")),
         "mimic joints": (aj.PositionTask(aj.load_robot("panda", free="all")), ("tool",)),
     }[kind]

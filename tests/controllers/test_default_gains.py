@@ -177,6 +177,7 @@ def test_one_rule_settles_arms_of_every_size(name):
     assert shares.max() <= 2.5
 
 
+@pytest.mark.study
 def test_twice_the_settling_time_settles_twice_as_slowly():
     """Everything scales with it, to what gravity and sampling leave: within 3 %."""
     assert_allclose(settling_shares("two_link", 2.0), settling_shares("two_link", 1.0), rtol=0.03)

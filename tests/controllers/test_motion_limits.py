@@ -134,7 +134,10 @@ def blocked(name, dt, limits=(), direction=(0.6, 0.0, -0.8), inside=0.0, **optio
     return run, heights, (tips - point) @ -d - TOOL, controller
 
 
-@pytest.mark.parametrize("dt", [5e-4, 1e-3, 2e-3, 5e-3])
+PERIODS = [pytest.param(5e-4, marks=pytest.mark.study), 1e-3, 2e-3, 5e-3]
+
+
+@pytest.mark.parametrize("dt", PERIODS)
 @pytest.mark.parametrize("name", STARTS)
 def test_the_true_tip_stays_in_front_of_a_wall(name, dt):
     run, true, believed, controller = blocked(name, dt)
@@ -155,7 +158,7 @@ def test_a_start_behind_a_wall_is_led_back(name, dt):
     assert aj.LimitStatus.SOLVER_FAILED not in run.limit_status_counts()
 
 
-@pytest.mark.parametrize("dt", [5e-4, 1e-3, 2e-3, 5e-3])
+@pytest.mark.parametrize("dt", PERIODS)
 def test_a_frame_is_no_faster_than_it_may_be(dt):
     run, true, _, controller = blocked("panda", dt, [CartesianSpeed(0.1)])
     kinematics = FrameKinematics(controller.task.robot, controller.task.robot.tip)

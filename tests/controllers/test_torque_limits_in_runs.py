@@ -68,7 +68,10 @@ def test_speeds_stay_within_their_limits_where_the_model_is_exact(panda):
 # -- joint limits -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("tool", [0.0, 0.2], ids=["exact", "unknown tool"])
+@pytest.mark.parametrize(
+    "tool",
+    [pytest.param(0.0, id="exact", marks=pytest.mark.study), pytest.param(0.2, id="unknown")],
+)
 def test_a_joint_driven_into_its_limit_stops_at_it_without_chatter(panda, tool):
     truth = panda.with_object(tool, 2.5 * tool, axis="x")
     belief = panda.with_object(0.0)
@@ -139,7 +142,11 @@ def test_a_joint_far_beyond_its_limit_comes_back_no_faster_than_it_may(panda, jo
 
 
 @pytest.mark.parametrize(
-    ("rate", "offset"), [(100.0, (-0.3, 0.5, -0.2)), (300.0, (-0.55, -0.1, -1.0))]
+    ("rate", "offset"),
+    [
+        (100.0, (-0.3, 0.5, -0.2)),
+        pytest.param(300.0, (-0.55, -0.1, -1.0), marks=pytest.mark.study),
+    ],
 )
 def test_rates_and_joint_limits_go_together(panda, rate, offset):
     """With torques that change slowly, joints are braked in time: no way of no return."""
@@ -175,7 +182,10 @@ def alternating(tau, effort):
     "name",
     among("panda", "z1", "talos_arm"),
 )
-@pytest.mark.parametrize("tool", [0.0, 0.1], ids=["exact", "unknown tool"])
+@pytest.mark.parametrize(
+    "tool",
+    [pytest.param(0.0, id="exact", marks=pytest.mark.study), pytest.param(0.1, id="unknown")],
+)
 def test_a_target_far_out_of_reach_makes_no_torque_chatter(name, tool):
     robot = aj.load_robot(name)
     truth, belief = robot.with_object(tool, 2.0 * tool, axis="x"), robot.with_object(0.0)

@@ -56,7 +56,14 @@ def panda_law(panda):
 # -- runs -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("name", "moves"), [("panda", True), ("ur5", True), ("panda", False)])
+@pytest.mark.parametrize(
+    ("name", "moves"),
+    [
+        pytest.param("panda", True, marks=pytest.mark.study),
+        ("ur5", True),
+        pytest.param("panda", False, marks=pytest.mark.study),
+    ],
+)
 def test_with_the_exact_model_a_target_is_reached_and_followed(name, moves):
     robot, q0 = aj.load_robot(name), STARTS[name]
     task = aj.PositionTask(robot)

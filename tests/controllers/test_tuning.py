@@ -149,8 +149,8 @@ def test_what_is_later_is_not_faster():
         Latency(torque_delay=0.01, image_age=0.03), Latency(0.01, 0.01, 5e-3, 1 / 30, 0.06),
         Latency(0.01, 0.02, 0.01, 0.1, 0.2),
     ]  # fmt: skip
-    for name in ("two_link", "ur5"):
-        rates = [learning_of(name, latency)[1].rate for latency in later]
+    for name, some in (("two_link", later), ("ur5", later[1::4])):
+        rates = [learning_of(name, latency)[1].rate for latency in some]
         assert (np.diff(rates) <= 1e-9).all()
         assert rates[-1] < 0.3 * rates[0]
 
