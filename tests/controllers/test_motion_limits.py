@@ -235,7 +235,7 @@ def test_a_limit_of_ones_own_is_kept(panda):
 def test_limits_of_the_urdf_are_kept_beside_those_of_motion(panda):
     law = aj.SetpointController(aj.PositionTask(panda))
     wall = Wall([0.0, 0.0, 0.0], [0.0, 0.0, 1.0])
-    for limits in (wall, [wall], (wall, None)):
+    for limits in (wall, [wall]):
         limiter = aj.TorqueLimited(law, limits)
         assert limiter.motion_limits == (wall,)
         assert_array_equal(limiter.limits.effort, panda.effort_limits)

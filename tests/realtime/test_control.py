@@ -211,11 +211,9 @@ def test_a_loop_that_hangs_says_whether_the_state_had_come(plant, controller, wh
     else:
         go.run()
     assert found[0].fault is Fault.READ_HUNG
-    state = "no state came;"
+    state = "no state came"
     if what != "read":
-        state = (
-            r"the state was read after [\d.]+ ms; the command, or sending it, did not come back;"
-        )
+        state = r"the state was read after [\d.]+ ms; the command, or sending it, did not come back"
     assert re.search(rf"no command for 200 ms, twice `max_period`: {state}", found[0].ended)
 
 
