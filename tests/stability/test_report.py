@@ -337,7 +337,7 @@ def test_bad_input_is_named(tools, box, weightless):
         aj.Study(controller, tools, box).report(3)
     with pytest.raises(aj.InvalidInputError, match="seed must be an integer >= 0, got -1"):
         aj.Study(controller, tools, box, seed=-1).report()
-    with pytest.raises(aj.InvalidInputError, match="runs needs an Uncertainty"):
+    with pytest.raises(aj.InvalidInputError, match="uncertainty must be an Uncertainty"):
         aj.Study(controller, weightless.with_object(0.1), box).report(40, runs=5)
     with pytest.raises(aj.InvalidInputError, match="region must be a Region, such as JointBox"):
         aj.Study(controller, tools, region=3).report()

@@ -13,7 +13,6 @@ import numpy as np
 
 from approxjac.controllers import Latency
 from approxjac.controllers.controller import Controller
-from approxjac.errors import InvalidInputError
 from approxjac.interface import Target, TargetPath
 from approxjac.robots import Robot
 from approxjac.simulation import Plant, Sensing
@@ -94,12 +93,6 @@ class StudiedLoop:
                 that a true camera sees nothing of, a target that no configuration of a true robot
                 attains, or numbers out of range.
         """
-        if runs and not isinstance(self.uncertainty, Uncertainty):
-            raise InvalidInputError(
-                "runs needs an Uncertainty, from which rollouts draw true robots, "
-                f"got {self.uncertainty!r}",
-                given=self.uncertainty,
-            )
         controller, timing, seed = self.controller, self.timing, self.seed
         count = as_integer("configurations", configurations, 20)
         with telling(progress) as tell:

@@ -17,16 +17,14 @@ class Study(StudiedLoop):
     """A closed loop, the errors that it may meet, and where: what its tests have in common.
 
     Attributes:
-        controller: The controller with its believed robot: rollouts take anything with the
-            interface of `Controller`; the other tests take law (6) or (28), and a report
-            `TorqueLimited` around it.
+        controller: The controller with its believed robot. Certificates are of law (6) or (28), and
+            of `TorqueLimited` around it.
         uncertainty: How the true robot may differ. A report takes one true robot besides, as a
             `Plant`, or as a `Robot` on which the controller's own task is measured.
         region: Where starts, at rest, and targets are, as far as the true robot's sensor sees; the
             joint limits without near-singular configurations by default.
-        target: x_d of all, shape (n_x,) [unit of the task]; by default the values of other
-            configurations of the region, so that answers are of all targets within it. Rollouts
-            take what moves besides, as `simulate` does.
+        target: x_d of all, shape (n_x,) [unit of the task], for rollouts also what moves; by
+            default the values of other configurations of the region, so that answers are of all.
         latency: When the loop measures and acts; by default that of the controller, or 1 kHz with
             ideal sensors.
         sensing: How measurements of rollouts differ from the truth; by default as late as

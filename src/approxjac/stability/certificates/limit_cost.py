@@ -23,11 +23,10 @@ class LimitCost:
     Attributes:
         clipped: Share of the samples, taken as at rest, whose torque is beyond the efforts.
         free: For each unit of the task the error at rest up to which no torque at any sample is
-            beyond the efforts, whatever its direction, the coordinates of other units being zero
-            [units of the task]. Infinite where none ever is, 0 where motors cannot hold the arm.
-        level: Certified motions that begin with V ≤ this never ask for more than the efforts, and
-            what is certified of the loop without limits is true of the one with them [J]. 0 of what
-            is not certified.
+            beyond the efforts, whatever its direction, those of other units being zero [units of
+            the task]. Infinite where none ever is, 0 where motors cannot hold the arm.
+        level: Certified motions that begin with V ≤ this never ask for more than the efforts [J];
+            0 of what is not certified.
         holds: Whether motors can hold the arm at all samples.
         protects: Whether the limiter keeps the very V of the report falling.
         proof: Whether the limiter keeps any V falling.
@@ -59,12 +58,10 @@ def limit_cost(
 ) -> LimitCost:
     """Return the cost of a limiter's limits of effort.
 
-    With P of V ≥ ½zᵀPz, σ² and v̄ of `SampledForm.level`, V ≥ ½(1 − σ²)|q̇|²_M and
-    V ≥ ½(1 − σ²)sᵀUs with U = 2c̄W + Ω, each by completing the square of the other. So V ≤ c
-    bounds each torque,
+    With σ² of `SampledForm.level` and U = 2c̄W + Ω, V ≥ ½(1 − σ²)|q̇|²_M and V ≥ ½(1 − σ²)sᵀUs, each
+    by completing the square of the other. So V ≤ c bounds each torque, also of a held or late one,
     |τᵢ − gᵢ| ≤ (|dᵢ|_{M⁻¹} + |kᵢ|_{U⁻¹}) √(2c/(1 − σ²)), dᵢ and kᵢ the rows of ĴᵀK_vĴ + B_c and
-    of ĴᵀK_p. A torque that is held or late was such a torque when it was computed. The two parts
-    may be of different times, as where x comes in frames.
+    of ĴᵀK_p.
 
     `known` is the V that certifies the loop without limits; None if none does.
     """

@@ -434,11 +434,9 @@ class Hold(NamedTuple):
     def of(cls, latency: Latency) -> Hold:
         """Return that of a loop.
 
-        A filter of differences of q, with its time constant τ, has the means of q̇ over earlier
-        periods, with falling weights: it is late by τ and half a period in the mean. Frames that
-        do not fall on samples wait for the next one, each for another time; counted back by the
-        longest, the times that they are used for follow each other without a gap, each with an
-        error that is zero where its frame was taken, so that `hold_gain` remains.
+        A filter of differences of q is late by its time constant and half a period in the mean.
+        Frames that do not fall on samples wait for the next one; counted back by the longest wait,
+        they follow each other without a gap, so that `hold_gain` remains.
         """
         h, d = latency.period, latency.torque_delay
         lag = latency.velocity_filter + 0.5 * h if latency.velocity_filter > 0.0 else 0.0

@@ -138,15 +138,10 @@ class ClosedLoop:
         """Raise if gravity is neither compensated exactly nor can be learnt."""
         error = self.gravity_error(self.region.sample(5, np.random.default_rng(0)))
         if error > EXACT_GRAVITY:
-            how = "AdaptiveGravity learns it"
-            if self.controller.adaptation is not None:
-                how = (
-                    "no learnt gravity parameters explain it, as of wrong joint axes or a tilted "
-                    "base"
-                )
             raise InvalidInputError(
                 f"gravity must be compensated exactly or be learnt, got an error of {error:.3g} "
-                f"N m; {how}, and robots with_gravity((0, 0, 0)) take it as compensated",
+                "N m; AdaptiveGravity learns it, but for wrong joint axes or a tilted base, and "
+                "robots with_gravity((0, 0, 0)) take it as compensated",
                 given=self.controller,
             )
 
@@ -154,9 +149,7 @@ class ClosedLoop:
         """Return a configuration (nq,) of the region where Ĵ loses rank, or None if none is found.
 
         No sample hits it, and no test holds there: Ĵᵀ K_p s = 0 for some s ≠ 0, so the arm may
-        stand still away from its target. G = αĴ⁺ does not exist, and with G = αD⁻¹ĴᵀK_v the block
-        sym(K_pĴG) of Q is singular. The margins are relative to that block, so they stay positive
-        however near a singularity is.
+        stand still away from its target. Margins do not show it: they are relative to sym(K_pĴG).
         """
         task = self.controller.task
         q = least_regular(task, self.parts, samples)
@@ -166,8 +159,7 @@ class ClosedLoop:
     def damped_configuration(self, samples: Samples) -> Array | None:
         """Return a configuration (nq,) where the Ĵ⁺ that learning uses is damped, if one is found.
 
-        V of learnt gravity has the law's own G = αĴ⁺, and the conditions are evaluated with an
-        exact one. Elsewhere no Ĵ⁺ is in the law: G is of the analysis alone, and always exact.
+        V of learnt gravity has the law's own G = αĴ⁺, and the conditions are of an exact one.
         """
         if self.controller.adaptation is None:
             return None
@@ -181,9 +173,8 @@ class ClosedLoop:
         errors, each of which so many samples share. Those of one robot are not independent: 1 is
         for samples that are to bound a share.
 
-        A third of them have e = 0, where every motion is to end, a third small errors of all
-        sizes, and a third those between two configurations of the region. Without the first two a
-        saturated s(e) would be looked at where it is flat only.
+        A third of them have e = 0, a third small errors of all sizes, and a third those between two
+        configurations, where a saturated s(e) is flat.
         """
         truths, drawn = self._drawn(n, rng, inside)
         n = len(truths)
@@ -293,11 +284,7 @@ class ClosedLoop:
         return LocalTest(found.decay_rates, found.damping_ratios, configurations, truths)
 
     def spectral_radii(self, samples: Samples, latency: Latency) -> Array:
-        """Return the spectral radii of the loop, from frame to frame of x, shape (N,).
-
-        In the exact linearisation of the sampled, late loop at each sample taken as a target,
-        gravity that is held included; below 1 where it is stable.
-        """
+        """Return the spectral radii of the sampled, late loop at samples as targets, (N,)."""
         return self._spectrum(samples.q, samples, Timing.of(latency)).spectral_radii
 
     def attained(self, rng: np.random.Generator) -> list[list[Array]]:

@@ -78,8 +78,7 @@ class Timing(NamedTuple):
 def linear_loop(plant: Plant, controller: SetpointController, q: Array) -> LinearLoop:
     """Return the parts of the loop of a plant and a controller at one configuration (nq,).
 
-    Where Ĵ uses the measured x it is taken at that of the target: its change with x is multiplied
-    by e and q̇, which are zero there.
+    Ĵ that uses x is taken at that of the target: its change is multiplied by e and q̇, both zero.
     """
     sensor, dynamics = plant.sensor, plant.dynamics
     terms = (
@@ -265,12 +264,11 @@ _MOST_STATES = 1000  # eigenvalues of more take many seconds
 class LocalStability:
     """Eigenvalues of the linearised closed loop, those of the equilibria themselves left out.
 
-    With dt the loop is sampled: a mode is multiplied by μ from one sample to the next, and its
-    eigenvalue is λ = ln(μ)/dt, so that all numbers mean the same with and without dt.
+    With dt a mode is multiplied by μ from one sample to the next, and its eigenvalue is
+    λ = ln(μ)/dt, so that all numbers mean the same with and without dt.
 
     Attributes:
-        eigenvalues: Complex λ [1/s], the slowest first, 2 n_v − (n_v − m) of them for law (6).
-            Learnt parameters and delays add to them; −∞ is a mode that is over after one sample.
+        eigenvalues: Complex λ [1/s], the slowest first; −∞ is a mode that is over after one sample.
         self_motion: Number n_v − m of eigenvalues left out because every configuration of the
             self-motion attains the target.
         unseen_parameters: Number p − rank Z of eigenvalues left out because so many combinations
