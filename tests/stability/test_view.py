@@ -124,7 +124,7 @@ def test_errors_that_turn_the_camera_away_are_errors_that_fail():
     found = aj.Study(controller, errors, region).tolerance(("local",), draws=8)["local"]
     assert 1.0 < found.scale < found.fails_at < 6.0
     assert np.isfinite(found.fails_at)
-    assert f"fails at {found.fails_at:.3g} times" in str(found)
+    assert f"at {found.fails_at:.3g} times, with camera distance" in str(found)
     with pytest.raises(aj.InvalidInputError, match="the region must hold configurations"):
         aj.Study(controller, errors.scaled(5.1), region).tolerance(("local",), draws=8)
 

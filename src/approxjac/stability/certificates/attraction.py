@@ -121,17 +121,16 @@ def _farthest(
     loop: ClosedLoop, form: SampledForm, weights: Weights, rate: float, rng: np.random.Generator
 ) -> Array:
     """The most that samples travel by a function, with a closer look around those that do."""
-    near, most = form, np.zeros(form.samples.M.shape[-1])
-    for look in range(_LOOKS + 1):
-        bounds = travels(near, weights, rate)
-        if (bounds <= most).all():
-            break
-        most = np.maximum(most, bounds.max(axis=0))
-        if look == _LOOKS or np.isinf(most).any():
-            break
+    bounds = travels(form, weights, rate)
+    near, most = form, bounds.max(axis=0)
+    for _ in range(_LOOKS if np.isfinite(most).all() else 0):
         k = int((bounds / most).max(axis=1).argmax())
         near = form.elsewhere(loop.near(near.samples, k, _NEAR, _CLOSE, rng))
-    return most
+        bounds = travels(near, weights, rate)
+        if (bounds <= most).all() or np.isinf(bounds).any():
+            return np.maximum(most, bounds.max(axis=0))
+        most = np.maximum(most, bounds.max(axis=0))
+    return np.asarray(most)
 
 
 def travels(form: SampledForm, weights: Weights, rate: float) -> Array:
