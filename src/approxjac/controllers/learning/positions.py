@@ -376,31 +376,27 @@ class AdaptiveKinematics(Estimator):
         z = R̂ᵀ(x̂ − x_d), with the smoothed estimates, and all that its derivatives need. In a
         `PlanarCamera` it has the size that it has on the sensor [m].
         """
+        wanted = [np.zeros(self.task.m) if each is None else each for each in target]
         if self._size != 1.0:
-            x_d, *rates = target
-            rates = [None if each is None else each / self._size for each in rates]
-            located = Target(x_d / self._size, *rates)
+            located = [each / self._size for each in wanted]
             return PredictedError(*(self._size * e for e in self._predict(state, q, v, located)))
         if self._orientation is None:
-            return self._predict(state, q, v, target)
+            return self._predict(state, q, v, wanted)
         at, T = self._at, state[self._at["T"]].reshape(3, 3)
-        parts = [(None, None) if each is None else (each[:3], each[3:]) for each in target]
-        place, turn = (Target(*each) for each in zip(*parts, strict=True))
+        place, turn = ([each[part] for each in wanted] for part in (slice(3), slice(3, None)))
         R, spin = self._rotation(state), state[at["R_spin"]] if self._turns else np.zeros(3)
         positions = self._predict(state, q, v, place)
         turns = self._orientation.predict(q, v, turn, T, state[at["T_spin"]], R, spin)
         return PredictedError(*map(np.concatenate, zip(positions, turns, strict=True)))
 
-    def _predict(self, state: Array, q: Array, v: Array, target: Target) -> PredictedError:
+    def _predict(self, state: Array, q: Array, v: Array, wanted: list[Array]) -> PredictedError:
         """Return the predicted error of positions x̂ = R̂p + b̂, in the base's axes."""
         at, n, moved = self._at, self._n_theta, self._moved
         theta, theta_dot = moved.theta(state[at["u"]][:n]), moved.rates(state[at["u_dot"]][:n])
         motion = self.regressor.motion(q, v, theta, theta_dot)
         p, J, J_dot, drift = (part[self._rows] for part in motion)
         p = p + self._constant
-        x_d, x_d_dot, x_d_ddot = target
-        x_d_dot = np.zeros(len(p)) if x_d_dot is None else x_d_dot
-        x_d_ddot = np.zeros(len(p)) if x_d_ddot is None else x_d_ddot
+        x_d, x_d_dot, x_d_ddot = wanted
         away, b_dot, spin = state[at["b"]] - x_d, state[at["b_dot"]], state[at["R_spin"]]
         if self._is_turned:
             # rows are vectors: x R is Rᵀx. With R' = [ω]ₓR, Rᵀx changes by Rᵀ(x' + [ω]ₓᵀx)
@@ -715,18 +711,16 @@ class Orientation:
         return law.rotation_log(wanted.dot(now.dot(T).T)), now.T
 
     def predict(
-        self, q: Array, v: Array, target: Target, T: Array, T_spin: Array, R: Array, spin: Array
+        self, q: Array, v: Array, turn: list[Array], T: Array, T_spin: Array, R: Array, spin: Array
     ) -> PredictedError:
         """Return z = log(R_f T (RᵀR_d)ᵀ) in the base's axes; T' = [T_spin]ₓT and R' = [spin]ₓR."""
-        x_d, x_d_dot, x_d_ddot = target
+        x_d, x_d_dot, x_d_ddot = turn
         R_d, is_some = law.rotation_of(x_d)
         J, R_f, _ = self._frame.motion(q)
         J = J[3:].copy()
         drift = R_f.dot(T_spin)
         D = R.T.dot(law.select(is_some, R_d, np.eye(3)))
         E = R_f.dot(T).dot(D.T)
-        x_d_dot = np.zeros(3) if x_d_dot is None else x_d_dot
-        x_d_ddot = np.zeros(3) if x_d_ddot is None else x_d_ddot
         x_d_ddot = R.T.dot(x_d_ddot - law.cross_matrix(spin).dot(x_d_dot))
         x_d_dot = R.T.dot(x_d_dot)
         speed, of_target = J.dot(v), x_d_dot - R.T.dot(spin)
