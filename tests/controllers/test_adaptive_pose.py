@@ -231,9 +231,9 @@ def test_estimates_move_as_is_said(turned_run, sensor):
         after = kinematics.step(after, aj.Measurement(t, run.q, np.zeros(7), x, 8.99), 1e-3)
     Theta, R = kinematics._estimator.estimate(after[at["sums"]])
     n = kinematics._n_u
-    T = kinematics._orientation.of(Theta[n - 9 : n])
-    goal = rotation_exp(after[at["integral"]][3:] / kinematics._orientation.length)
-    goal = goal @ R @ kinematics._orientation.frame_rotation(run.q) @ T
+    T = law.nearest_rotation(Theta[n - 9 : n].reshape(3, 3).T)
+    goal = rotation_exp(after[at["integral"]][3:] / kinematics._length)
+    goal = goal @ R @ kinematics._frame(run.q) @ T
     z = kinematics.predict(
         after, run.q, np.zeros(7), aj.Target(np.append(x[:3], pin.Quaternion(goal).coeffs()))
     ).z

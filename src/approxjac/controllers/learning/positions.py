@@ -112,9 +112,10 @@ class AdaptiveKinematics(Estimator):
     ) -> None:
         self.task = task = PositionTask(task) if isinstance(task, Robot) else task
         self.unknown = kinds = chosen_kinds(unknown, _KINDS)
-        is_pose, self._turns = isinstance(task, PoseTask), "camera" in kinds
+        self._is_pose, self._turns = isinstance(task, PoseTask), "camera" in kinds
         used = {*kinds, *(("offset",) if self._turns else ())}
-        used |= {"orientation"} if is_pose and "tool" in kinds else set()
+        self._learns_T = self._is_pose and "tool" in kinds
+        used |= {"orientation"} if self._learns_T else set()
         in_image = isinstance(task, ImageTask)
         sds = chosen_deviations(sd, {**_USUAL_SD, **(_USUAL_IN_IMAGE if in_image else {})}, used)
         points, sensor = _seen(task)
@@ -143,9 +144,14 @@ class AdaptiveKinematics(Estimator):
         units, Theta = dict.fromkeys(moved.names, "m"), [moved.u]
         self._sd_u = np.where(moved.is_tool, sds["tool"], sds["origins"])
         deviations = [self._sd_u]
-        self._orientation, self._learns_T = None, is_pose and tool
-        if is_pose:
-            self._orientation = Orientation(task.robot, frames[0], self.noise / angle_noise)
+        # The axes of R_x = R R_f(q) T are points ℓ R_x e_k, linear in nine numbers, to which T is
+        # the nearest rotation. Of a rotation vector φ, Σ‖ℓ[φ]ₓ e_k‖² = 2ℓ²‖φ‖²: with ℓ = L/√2, and
+        # L what a radian counts as [m], both weigh as their noise says.
+        self._length = self.noise / angle_noise
+        self._l, self._flange = (
+            self._length / math.sqrt(2.0),
+            FrameKinematics(task.robot, frames[0]),
+        )
         if self._learns_T:
             units |= {f"tool.r{axis}": "rad" for axis in "xyz"}
             Theta.append(np.eye(3).ravel())
@@ -172,7 +178,7 @@ class AdaptiveKinematics(Estimator):
         self._believed = self._in_order(self._Theta, R)
         prior = np.diag(np.append(sd_Theta, np.full(spin, sds["camera"])) ** 2)
         self._sd = np.sqrt(self._merged(prior, self._Theta).diagonal())
-        n, n_p, n_T = self._n_u, self._n_p, 9 if is_pose else 0
+        n, n_p, n_T = self._n_u, self._n_p, 9 if self._is_pose else 0
         sizes = {
             "sums": self._estimator.size, "chi": 2, "placed": task.n_x,
             "R": d * d if self._turns else 0, "R_spin": spin, "T": n_T, "T_spin": n_T // 3,
@@ -192,8 +198,9 @@ class AdaptiveKinematics(Estimator):
 
     def _points(self, x: Array) -> Array:
         # of a pose position and axes; what may be turned tells nothing where it is seen in part
-        if self._orientation is not None:
-            x = np.concatenate([x[:3], self._orientation.points(x[3:])])
+        if self._is_pose:
+            R, is_some = law.rotation_of(x[3:])
+            x = np.concatenate([x[:3], np.where(is_some, self._l * R.T.ravel(), math.nan)])
         if self._is_turned:
             lost = np.isnan(x.reshape(-1, self._d).sum(axis=1))
             x = np.where(np.repeat(lost, self._d), math.nan, x)
@@ -209,9 +216,11 @@ class AdaptiveKinematics(Estimator):
         """Return H(q) and o(q) of all that is linear, in the base's axes."""
         H, known = self._positions(q)
         H = np.concatenate([H, self._offsets], axis=1)
-        if self._orientation is None:
+        if not self._is_pose:
             return H, known
-        axes, at, n = self._orientation.regressor(q), self._n_theta, H.shape[1]
+        R, none, at, n = self._l * self._frame(q), np.zeros((3, 3)), self._n_theta, H.shape[1]
+        rows = [[R, none, none], [none, R, none], [none, none, R]]
+        axes = np.concatenate([np.concatenate(row, axis=1) for row in rows])
         parts, known_axes = [np.zeros((9, n))], axes.dot(np.eye(3).ravel())
         if self._learns_T:
             parts = [np.zeros((9, at)), axes, np.zeros((9, n - at - 9))]
@@ -224,9 +233,9 @@ class AdaptiveKinematics(Estimator):
         before, after = self._moved.at(q_0), self._moved.at(q)
         known, unsure = motion_of_points(before, after, self._moved.u, self._sd_u)
         reach = np.repeat(1.5 * known + 4.0 * unsure, 3)[self._rows]
-        if self._orientation is not None:
-            turned = self._orientation.reach(q_0, q)
-            reach = np.concatenate([reach, np.repeat(1.5 * turned, 9)])
+        if self._is_pose:
+            turned = law.length((self._frame(q) - self._frame(q_0)).ravel())
+            reach = np.concatenate([reach, np.repeat(1.5 * (self._l / math.sqrt(2.0)) * turned, 9)])
         return np.asanyarray(reach)
 
     def _in_order(self, Theta: Array, R: Array) -> Array:
@@ -234,7 +243,7 @@ class AdaptiveKinematics(Estimator):
         n, c = self._n_theta, Theta[self._n_u :]
         parts = [Theta[:n]]
         if self._learns_T:
-            parts.append(law.rotation_log(Orientation.of(Theta[n : self._n_u])))
+            parts.append(law.rotation_log(_rotation_of(Theta[n : self._n_u])))
         parts.append(R.dot(c) if len(c) else c)
         if self._turns:
             parts.append(law.rotation_log(R))
@@ -246,7 +255,7 @@ class AdaptiveKinematics(Estimator):
             return P
         start, end = self._n_theta, self._n_u
         M = np.eye(len(P))
-        M[start : start + 3, start:end] = Orientation.turn_of(Theta[start:end])
+        M[start : start + 3, start:end] = _turn_of(Theta[start:end])
         M = np.delete(M, slice(start + 3, end), axis=0)
         return np.asarray(M.dot(P).dot(M.T))
 
@@ -260,7 +269,7 @@ class AdaptiveKinematics(Estimator):
         if self._turns:
             state[at["R"]] = self._R.ravel()
         state[at["b"]] = self._turned(self._R, self._offsets.dot(self._Theta[n:]))
-        if self._orientation is not None:
+        if self._is_pose:
             state[at["T"]] = np.eye(3).ravel()
 
     def _has_begun(self, state: Array) -> Any:
@@ -270,8 +279,9 @@ class AdaptiveKinematics(Estimator):
         at, (x, _, q), n_p = self._at, frame, self._n_p
         R = self._rotation(state)
         first = np.isfinite(x) & ~(state[at["placed"]] > 0.0)
-        if self._orientation is not None:
-            T, is_seen = self._orientation.first(q, x[3:], R)
+        if self._is_pose:
+            R_x, is_seen = law.rotation_of(x[3:])
+            T = self._frame(q).T.dot(R.T).dot(R_x)
             first[3:] = first[3:] & is_seen
             state[at["T"]] = np.where(law.all_of(first[3:]), T.ravel(), state[at["T"]])
         H, known = self._positions(q)
@@ -301,8 +311,8 @@ class AdaptiveKinematics(Estimator):
         state[at["learnt"]] = self._in_order(Theta, R)
         predicted = self._turned(R, known + H.dot(Theta))
         left = x[: self._n_p] - predicted[: self._n_p]
-        if self._orientation is not None:
-            left = np.concatenate([left, self._orientation.left(x[3:], predicted[3:])])
+        if self._is_pose:
+            left = np.concatenate([left, self._turn_left(x[3:], predicted[3:])])
         self._account(state, left, since)
         seen = np.isfinite(left)
         square = (np.where(seen, averaged, 0.0) ** 2).sum() / np.where(seen, 1.0, 0.0).sum()
@@ -313,6 +323,13 @@ class AdaptiveKinematics(Estimator):
             chi[0] += since / np.minimum(chi[1] + 1.0, _MEMORY) * (square / usual**2 - chi[0])
 
         law.alter(kept > _NO_TIME, chi, look)
+
+    def _turn_left(self, points: Array, predicted: Array) -> Array:
+        """Return the rotation vector from predicted points to measured ones, in L, (3,) [m]."""
+        is_seen = np.isfinite(points[0])
+        R = np.where(is_seen, points, 0.0).reshape(3, 3).T / self._l
+        nearest = law.nearest_rotation(predicted.reshape(3, 3))
+        return np.where(is_seen, self._length * law.rotation_log(R.dot(nearest)), math.nan)
 
     def _renew(self, state: Array) -> None:
         """Begin anew where what was learnt is contradicted, as by a tool that slipped, in place."""
@@ -340,14 +357,14 @@ class AdaptiveKinematics(Estimator):
         away = away - (self._turned(smooth_R, smooth_p) + state[at["b"]])
         turn = law.rotation_log(R.dot(smooth_R.T)) if self._turns else np.zeros(3)
         turns = [turn] if self._turns else []
-        if self._orientation is not None:
-            T, T_goal = state[at["T"]].reshape(3, 3), self._tool(state)
-            smooth, goal = (smooth_R, T), (R, T_goal)
-            apart, back = self._orientation.apart(q, smooth, goal, integral[n_p:])
-            turns.append(apart)
+        if self._is_pose:
+            T, R_f = state[at["T"]].reshape(3, 3), self._frame(q)
+            now, goal = smooth_R.dot(R_f), R.dot(R_f).dot(self._tool(state))
+            goal = law.rotation_exp(integral[n_p:] / self._length).dot(goal)
+            turns.append(law.rotation_log(goal.dot(now.dot(T).T)))
         rate = self._eased(dt, law.length(away), *turns)
-        if self._orientation is not None:
-            state[at["T_spin"]] = rate * back.dot(apart - turn)
+        if self._is_pose:
+            state[at["T_spin"]] = rate * now.T.dot(turns[-1] - turn)
         state[at["u_dot"]] = u_dot = rate * (u - smooth_u)
         b_dot = rate * away - self._turned(smooth_R, H.dot(u_dot))
         if self._turns:
@@ -358,6 +375,10 @@ class AdaptiveKinematics(Estimator):
     def _rotation(self, state: Array) -> Array:
         """Return the smoothed rotation of the base's axes in the sensor's, (d, d)."""
         return state[self._at["R"]].reshape(self._d, self._d) if self._turns else self._R
+
+    def _frame(self, q: Array) -> Array:
+        """Return R_f of the believed frame, shape (3, 3)."""
+        return self._flange.placement(q)[0]
 
     def _tool(self, state: Array) -> Array:
         """Return the learnt rotation of the tool from what is believed, (3, 3)."""
@@ -380,13 +401,11 @@ class AdaptiveKinematics(Estimator):
         if self._size != 1.0:
             located = [each / self._size for each in wanted]
             return PredictedError(*(self._size * e for e in self._predict(state, q, v, located)))
-        if self._orientation is None:
+        if not self._is_pose:
             return self._predict(state, q, v, wanted)
-        at, T = self._at, state[self._at["T"]].reshape(3, 3)
         place, turn = ([each[part] for each in wanted] for part in (slice(3), slice(3, None)))
-        R, spin = self._rotation(state), state[at["R_spin"]] if self._turns else np.zeros(3)
         positions = self._predict(state, q, v, place)
-        turns = self._orientation.predict(q, v, turn, T, state[at["T_spin"]], R, spin)
+        turns = self._predict_turn(state, q, v, turn)
         return PredictedError(*map(np.concatenate, zip(positions, turns, strict=True)))
 
     def _predict(self, state: Array, q: Array, v: Array, wanted: list[Array]) -> PredictedError:
@@ -407,6 +426,26 @@ class AdaptiveKinematics(Estimator):
             back = vectors.dot(self._rotation(state))
             away, x_d_dot, b_dot, x_d_ddot = back.reshape(4, -1)
         return PredictedError(p + away, J, J_dot, x_d_dot, x_d_ddot, drift + b_dot)
+
+    def _predict_turn(self, state: Array, q: Array, v: Array, turn: list[Array]) -> PredictedError:
+        """Return z = log(R_f T (RᵀR_d)ᵀ) in the base's axes; T' = [T_spin]ₓT and R' = [spin]ₓR."""
+        at, (x_d, x_d_dot, x_d_ddot) = self._at, turn
+        T, R = state[at["T"]].reshape(3, 3), self._rotation(state)
+        spin = state[at["R_spin"]] if self._turns else np.zeros(3)
+        R_d, is_some = law.rotation_of(x_d)
+        J, R_f, _ = self._flange.motion(q)
+        J = J[3:].copy()
+        drift = R_f.dot(state[at["T_spin"]])
+        D = R.T.dot(law.select(is_some, R_d, np.eye(3)))
+        E = R_f.dot(T).dot(D.T)
+        x_d_ddot = R.T.dot(x_d_ddot - law.cross_matrix(spin).dot(x_d_dot))
+        x_d_dot = R.T.dot(x_d_dot)
+        speed, of_target = J.dot(v), x_d_dot - R.T.dot(spin)
+        # of E' = [ω]ₓE, ω = speed + drift − E of_target; ż is no ω, but for small z
+        z_dot = law.log_rate(E, speed + drift - E.dot(of_target))
+        drift = z_dot - speed + x_d_dot
+        J_dot = self._flange.jacobian_dot(q, v)[3:]
+        return PredictedError(law.rotation_log(E), J, J_dot, x_d_dot, x_d_ddot, drift)
 
     # -- what was learnt -----------------------------------------------------------------
 
@@ -637,95 +676,12 @@ def _reduced(N: Array, a: Array, B: Array, E: Array) -> tuple[Array, Array, Arra
     return solved, 0.5 * (M + M.T), B.T.dot(solved[:, 0]) + E
 
 
-class Orientation:
-    """R_x = R R_f(q) T: R_f is that of the believed frame, T the tool's in it, R that of a tracker.
+def _rotation_of(numbers: Array) -> Array:
+    """Return T of the nine numbers vec(Tᵀ), shape (3, 3)."""
+    return law.nearest_rotation(numbers.reshape(3, 3).T)
 
-    To the estimators the three axes of x are points ℓ R_x e_k, linear in nine numbers, to which T
-    is the nearest rotation. Of a rotation vector φ, Σ‖ℓ[φ]ₓ e_k‖² = 2ℓ²‖φ‖²; so with ℓ = L/√2, and
-    L the noise of positions over that of angles [m], both weigh as their noise says.
-    """
 
-    def __init__(self, robot: Robot, frame: str, length: float) -> None:
-        self.length = length
-        self._l = length / math.sqrt(2.0)
-        self._frame = FrameKinematics(robot, frame)
-
-    def frame_rotation(self, q: Array) -> Array:
-        """Return R_f, shape (3, 3)."""
-        return self._frame.placement(q)[0]
-
-    # -- for the estimators ---------------------------------------------------------------
-
-    def points(self, quaternion: Array) -> Array:
-        """Return ℓ R_x e_k, one after the other, shape (9,), NaN where there is no rotation."""
-        R, is_some = law.rotation_of(quaternion)
-        return np.where(is_some, self._l * R.T.ravel(), math.nan)
-
-    def regressor(self, q: Array) -> Array:
-        """Return H of these points in the base frame, Hvec(Tᵀ), shape (9, 9)."""
-        R, none = self._l * self.frame_rotation(q), np.zeros((3, 3))
-        rows = [[R, none, none], [none, R, none], [none, none, R]]
-        return np.concatenate([np.concatenate(row, axis=1) for row in rows])
-
-    def reach(self, q_0: Array, q: Array) -> Any:
-        """Return the motion of one of these points between two configurations [m]."""
-        moved = self.frame_rotation(q) - self.frame_rotation(q_0)
-        return law.length(moved.ravel()) * (self._l / math.sqrt(2.0))
-
-    def left(self, points: Array, predicted: Array) -> Array:
-        """Return the rotation vector from predicted points to measured ones, in L, (3,) [m]."""
-        is_seen = np.isfinite(points[0])
-        R = np.where(is_seen, points, 0.0).reshape(3, 3).T / self._l
-        nearest = law.nearest_rotation(predicted.reshape(3, 3))
-        return np.where(is_seen, self.length * law.rotation_log(R.dot(nearest)), math.nan)
-
-    @staticmethod
-    def of(numbers: Array) -> Array:
-        """Return T of the nine numbers vec(Tᵀ), shape (3, 3)."""
-        return law.nearest_rotation(numbers.reshape(3, 3).T)
-
-    @staticmethod
-    def turn_of(numbers: Array) -> Array:
-        """Return the rotation vector that small changes of the nine turn T by, a map (3, 9)."""
-        tangents = law.tangents(Orientation.of(numbers)).reshape(3, 3, 3)
-        return 0.5 * tangents.transpose(1, 0, 2).reshape(9, 3).T
-
-    # -- for the law ----------------------------------------------------------------------
-
-    def first(self, q: Array, quaternion: Array, R: Array) -> tuple[Array, Any]:
-        """Return the T with which the first x is as predicted, (3, 3), and whether it is seen."""
-        R_x, is_seen = law.rotation_of(quaternion)
-        return self.frame_rotation(q).T.dot(R.T).dot(R_x), is_seen
-
-    def apart(
-        self, q: Array, before: tuple[Array, Array], goal: tuple[Array, Array], integral: Array
-    ) -> tuple[Array, Array]:
-        """Return the rotation vector between orientations (R, T), and the axes in which T turns.
-
-        `integral` turns the goal further, in L [m]. The vector (3,) is in the sensor's axes.
-        """
-        R_f = self.frame_rotation(q)
-        (R, T), (R_goal, T_goal) = before, goal
-        now = R.dot(R_f)
-        wanted = law.rotation_exp(integral / self.length).dot(R_goal.dot(R_f).dot(T_goal))
-        return law.rotation_log(wanted.dot(now.dot(T).T)), now.T
-
-    def predict(
-        self, q: Array, v: Array, turn: list[Array], T: Array, T_spin: Array, R: Array, spin: Array
-    ) -> PredictedError:
-        """Return z = log(R_f T (RᵀR_d)ᵀ) in the base's axes; T' = [T_spin]ₓT and R' = [spin]ₓR."""
-        x_d, x_d_dot, x_d_ddot = turn
-        R_d, is_some = law.rotation_of(x_d)
-        J, R_f, _ = self._frame.motion(q)
-        J = J[3:].copy()
-        drift = R_f.dot(T_spin)
-        D = R.T.dot(law.select(is_some, R_d, np.eye(3)))
-        E = R_f.dot(T).dot(D.T)
-        x_d_ddot = R.T.dot(x_d_ddot - law.cross_matrix(spin).dot(x_d_dot))
-        x_d_dot = R.T.dot(x_d_dot)
-        speed, of_target = J.dot(v), x_d_dot - R.T.dot(spin)
-        # of E' = [ω]ₓE, ω = speed + drift − E of_target; ż is no ω, but for small z
-        z_dot = law.log_rate(E, speed + drift - E.dot(of_target))
-        drift = z_dot - speed + x_d_dot
-        J_dot = self._frame.jacobian_dot(q, v)[3:]
-        return PredictedError(law.rotation_log(E), J, J_dot, x_d_dot, x_d_ddot, drift)
+def _turn_of(numbers: Array) -> Array:
+    """Return the rotation vector that small changes of the nine turn T by, a map (3, 9)."""
+    tangents = law.tangents(_rotation_of(numbers)).reshape(3, 3, 3)
+    return 0.5 * tangents.transpose(1, 0, 2).reshape(9, 3).T
