@@ -318,7 +318,7 @@ def test_a_point_that_is_never_seen_does_not_cost_the_memory(hand):
     """Frames at one place are one key frame, whichever points they show."""
     goal, sensor, task = hand
     kinematics, estimator = AdaptiveCamera(task), AdaptiveCamera(task)._estimator
-    H, o = kinematics._points_of.at(goal)
+    H, o = kinematics._watched(goal)
     y = kinematics._rays(sensor.value(goal) / 600.0)
     y[1] = np.nan
     numbers = estimator.about(kinematics._first)

@@ -16,6 +16,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement, Status, Target
 from approxjac.law import PredictedError
 from approxjac.robots import KinematicRegressor, Robot
+from approxjac.robots.kinematic_regressor import PointMotion
 from approxjac.robots.traced import motion_between, moved
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import combination
@@ -474,11 +475,14 @@ class Translations:
 
     def theta(self, u: Array) -> Array:
         """Return all translations of the regressor, those that are known as well; (p,) [m]."""
-        return np.asanyarray(self._known + self.rates(u))
+        return np.asanyarray(self._known + self._spread(u))
 
-    def rates(self, u_dot: Array) -> Array:
-        """Return the rates of `theta`, shape (p,) [m/s]."""
-        return u_dot if len(u_dot) == len(self._S) else np.asanyarray(self._S.dot(u_dot))
+    def motion(self, q: Array, v: Array, u: Array, u_dot: Array) -> PointMotion:
+        """Return the points and their derivatives at q and q̇, with u and u' (n_u,)."""
+        return self._regressor.motion(q, v, self.theta(u), self._spread(u_dot))
+
+    def _spread(self, u: Array) -> Array:
+        return u if len(u) == len(self._S) else np.asanyarray(self._S.dot(u))
 
 
 def motion_of_points(

@@ -115,13 +115,23 @@ class AdaptiveCamera(Estimator):
         used = {*kinds, *(("position", "rotation") if moves else ())}
         sds = chosen_deviations(sd, _USUAL_SD, used)
         self.task, self.noise = task, as_number("noise", noise, unit="px", above=0.0)
-        self._points_of = points = _WatchedPoints(task, where in kinds, "origins" in kinds)
-        self.regressor, self._k, n = points.regressor, len(task.points), len(points.u)
+        # r(q) = o(q) + H(q)u in the mount's axes. Of a camera in the world u moves the tool; of
+        # one on the robot it moves the world's points, and the mount is its origin and axes' ends.
+        mount, self._world, self._k = camera.mount, task.points, len(task.points)
+        frame, ends = (task.frame, task.points) if mount is None else (mount, np.eye(4, 3, -1))
+        self.regressor = KinematicRegressor(task.robot, frame, ends)
+        self._moved = moved = Translations(self.regressor, 1, "tool" in kinds, "origins" in kinds)
+        units, u = dict.fromkeys(moved.names, "m"), moved.u
+        sd_u = np.where(moved.is_tool, sds["tool"], sds["origins"])
+        self._n, self._moves_world = len(u), "points" in kinds
+        if self._moves_world:
+            units |= {f"points.{axis}": "m" for axis in "xyz"}
+            u, sd_u = np.append(u, np.zeros(3)), np.append(sd_u, np.full(3, sds["points"]))
+        self._u, self._sd_u, n = u, sd_u, len(u)
         self._R, self._p = np.asarray(camera.rotation).T, np.asarray(camera.position)
-        self._first = np.concatenate([points.u, self._R.ravel(), self._p, [0.0]])
-        self._sd_u = np.where(points.is_points, sds[where], sds["origins"])
+        self._first = np.concatenate([u, self._R.ravel(), self._p, [0.0]])
         pose = [moves * sds["position"]] * 3 + [moves * sds["rotation"]] * 3
-        all_sd = np.concatenate([self._sd_u, pose, [zooms * sds["focal_length"]]])
+        all_sd = np.concatenate([sd_u, pose, [zooms * sds["focal_length"]]])
         # pixels as rays: center, distortion and focal length those that are believed
         self._f, self._center = np.asarray(camera.focal_length), np.asarray(camera.center)
         self._lens = None if camera._lens.is_straight else camera._lens
@@ -129,7 +139,6 @@ class AdaptiveCamera(Estimator):
         self._is_learnt = all_sd > 0.0
         self._sd = np.append(all_sd[:-1], all_sd[-1] * self._f[0])[self._is_learnt]
         self._believed = self._in_order(self._first)
-        units = dict.fromkeys(points.names, "m")
         if moves:
             units |= {f"camera.{axis}": "m" for axis in "xyz"}
             units |= {f"camera.r{axis}": "rad" for axis in "xyz"}
@@ -187,6 +196,44 @@ class AdaptiveCamera(Estimator):
         assert self._lens is not None
         return np.array(self._lens.slopes(*ray.tolist())).reshape(2, 2)
 
+    # -- points that are watched ---------------------------------------------------------
+
+    def _watched(self, q: Array) -> tuple[Array, Array]:
+        """Return H(q), shape (k, 3, n_u), and o(q), shape (k, 3)."""
+        H, known = self._moved.at(q)
+        known = known.reshape(-1, 3)
+        if self._camera.mount is None:
+            return H.reshape(self._k, 3, self._n), known
+        A = known[1:] - known[0]  # rows are the mount's axes
+        H = -A.dot(H[:3])
+        if self._moves_world:
+            H = np.concatenate([H, A], axis=1)
+        return np.broadcast_to(H, (self._k, *H.shape)), (self._world - known[0]).dot(A.T)
+
+    def _watched_motion(self, q: Array, v: Array, u: Array, u_dot: Array) -> PointMotion:
+        """Return r (k, 3), ∂r/∂q (k, 3, n_v), its rate, and what u' moves r by (k, 3)."""
+        n = self._n
+        p, J, J_dot, drift = self._moved.motion(q, v, u[:n], u_dot[:n])
+        J, J_dot = (each.reshape(-1, 3, J.shape[1]) for each in (J, J_dot))
+        p, drift = p.reshape(-1, 3), drift.reshape(-1, 3)
+        if self._camera.mount is None:
+            return PointMotion(p, J, J_dot, drift)
+        # r = A(P − o) with rows a of A: each entry is a product a·w
+        A, a_J, a_J_dot = p[1:] - p[0], J[1:] - J[0], J_dot[1:] - J_dot[0]
+        a_dot = a_J.dot(v)
+        w, w_dot = self._world - p[0], -J[0].dot(v) - drift[0]
+        moved = -drift[0]
+        if self._moves_world:
+            w, w_dot, moved = w + u[n:], w_dot + u_dot[n:], moved + u_dot[n:]
+        each = np.einsum("kj,ajn->kan", w, a_J)
+        each_dot = np.einsum("kj,ajn->kan", w, a_J_dot) + np.einsum("j,ajn->an", w_dot, a_J)
+        return PointMotion(
+            w.dot(A.T),
+            each - A.dot(J[0]),
+            each_dot - a_dot.dot(J[0]) - A.dot(J_dot[0]),
+            np.tile(A.dot(moved), (self._k, 1)),
+        )
+
     # -- learning ------------------------------------------------------------------------
 
     def _begin(self, state: Array) -> None:
@@ -200,7 +247,7 @@ class AdaptiveCamera(Estimator):
         y = self._rays(frame.x)
         if np.isfinite(y).all(axis=1).any():
             keys = state[self._at["keys"]]
-            learnt = self._estimator.learn(keys, *self._points_of.at(frame.q), y)
+            learnt = self._estimator.learn(keys, *self._watched(frame.q), y)
             keys[:] = self._estimator.renewed(learnt)
             keys[-2] = 1e-12  # the camera was placed
         self._follow(state)
@@ -221,8 +268,8 @@ class AdaptiveCamera(Estimator):
         return np.concatenate([u, p, law.rotation_log(self._R.dot(R.T)), [f]])[self._is_learnt]
 
     def _reach(self, q_0: Array, q: Array) -> Array:
-        points = self._points_of
-        known, unsure = motion_of_points(points.at(q_0), points.at(q), points.u, self._sd_u)
+        before, after = self._watched(q_0), self._watched(q)
+        known, unsure = motion_of_points(before, after, self._u, self._sd_u)
         return np.repeat((_MOVES * known + 4.0 * unsure) * _MOVES / self._usual_depth, 2)
 
     def _correct(self, state: Array, frame: Frame, since: Any, is_anew: Any) -> None:
@@ -230,7 +277,7 @@ class AdaptiveCamera(Estimator):
         seen = np.isfinite(y).all(axis=1)
         if not seen.any():
             return
-        H, o = self._points_of.at(frame.q)
+        H, o = self._watched(frame.q)
         keys, explained, noted = state[at["keys"]], state[at["explained"]], state[at["noted"]]
         unlike = np.abs(state[at["averaged"]] * self._pixels).max() > _CHANGED * self.noise
         if is_anew or (unlike and explained[0]):  # what was learnt before is contradicted
@@ -256,7 +303,7 @@ class AdaptiveCamera(Estimator):
         at = self._at
         u, R, p, stretch = _parts(self._estimator.estimate(state[at["keys"]]))
         smooth_u, smooth_R, smooth_stretch = self._smooth(state)
-        H, o = self._points_of.at(q)
+        H, o = self._watched(q)
         r, smooth_r = o + H.dot(u), o + H.dot(smooth_u)
         c, smooth_c = (r - p).dot(R.T), smooth_r.dot(smooth_R.T) + state[at["t"]]
         # how far apart the two are beside the rays, at the depth of the points
@@ -289,7 +336,7 @@ class AdaptiveCamera(Estimator):
         u, R, stretch = self._smooth(state)
         t_dot, spin = state[at["t_dot"]], state[at["R_spin"]]
         l_dot = float(state[at["stretch_dot"]][0])
-        r, J_r, J_r_dot, drift_r = self._points_of.motion(q, v, u, state[at["u_dot"]])
+        r, J_r, J_r_dot, drift_r = self._watched_motion(q, v, u, state[at["u_dot"]])
         R_dot = law.cross_matrix(spin).dot(R)
         c, A = r.dot(R.T) + state[at["t"]], R @ J_r
         drift_c = drift_r.dot(R.T) + r.dot(R_dot.T) + t_dot
@@ -328,7 +375,7 @@ class AdaptiveCamera(Estimator):
     def robot(self, state: Array) -> Robot:
         """Return the believed robot with the translations that a state has learnt."""
         estimate = self._estimator.estimate(self._required(state)[self._at["keys"]])
-        return self.regressor.robot_with(self._points_of.theta(_parts(estimate)[0]))
+        return self.regressor.robot_with(self._moved.theta(estimate[: self._n]))
 
     def _covariance(self, state: Array) -> tuple[Array, float]:
         keys, is_learnt = state[self._at["keys"]], self._is_learnt
@@ -356,71 +403,6 @@ def _require_image(task: Any) -> None:
         f"carried with points of the world, frame=None; got {task!r}",
         given=task,
     )
-
-
-class _WatchedPoints:
-    """r(q) = o(q) + H(q)u in the axes of the camera's mount, with u translations.
-
-    Of a camera in the world the points are the robot's: u moves the tool. Of one on the robot they
-    are the world's, and u moves all of them, in its axes (`is_points`).
-    """
-
-    def __init__(self, task: ImageTask, moves: bool, origins: bool) -> None:
-        mount, self._k = task.camera.mount, len(task.points)
-        self._is_carried = mount is not None
-        if mount is None:
-            self.regressor = KinematicRegressor(task.robot, task.frame, task.points)
-        else:  # its origin, and the ends of its axes
-            self.regressor = KinematicRegressor(task.robot, mount, np.eye(4, 3, -1))
-        self._moved = moved = Translations(self.regressor, 1, moves and mount is None, origins)
-        self._world, self._moves_world = task.points, moves and self._is_carried
-        self._n = len(moved.u)
-        self.names, self.u, self.is_points = moved.names, moved.u, moved.is_tool
-        if self._moves_world:
-            self.names = [*self.names, *(f"points.{axis}" for axis in "xyz")]
-            self.u = np.append(self.u, np.zeros(3))
-            self.is_points = np.append(self.is_points, np.ones(3, dtype=bool))
-
-    def at(self, q: Array) -> tuple[Array, Array]:
-        """Return H(q), shape (k, 3, n_u), and o(q), shape (k, 3)."""
-        H, known = self._moved.at(q)
-        known = known.reshape(-1, 3)
-        if not self._is_carried:
-            return H.reshape(self._k, 3, self._n), known
-        A = known[1:] - known[0]  # rows are the mount's axes
-        H = -A.dot(H[:3])
-        if self._moves_world:
-            H = np.concatenate([H, A], axis=1)
-        return np.broadcast_to(H, (self._k, *H.shape)), (self._world - known[0]).dot(A.T)
-
-    def theta(self, u: Array) -> Array:
-        """Return all translations of `regressor`, those that are known as well; shape (p,) [m]."""
-        return self._moved.theta(u[: self._n])
-
-    def motion(self, q: Array, v: Array, u: Array, u_dot: Array) -> PointMotion:
-        """Return r (k, 3), ∂r/∂q (k, 3, n_v), its rate, and what u' moves r by (k, 3)."""
-        n = self._n
-        theta, theta_dot = self.theta(u), self._moved.rates(u_dot[:n])
-        p, J, J_dot, drift = self.regressor.motion(q, v, theta, theta_dot)
-        J, J_dot = (each.reshape(-1, 3, J.shape[1]) for each in (J, J_dot))
-        p, drift = p.reshape(-1, 3), drift.reshape(-1, 3)
-        if not self._is_carried:
-            return PointMotion(p, J, J_dot, drift)
-        # r = A(P − o) with rows a of A: each entry is a product a·w
-        A, a_J, a_J_dot = p[1:] - p[0], J[1:] - J[0], J_dot[1:] - J_dot[0]
-        a_dot = a_J.dot(v)
-        w, w_dot = self._world - p[0], -J[0].dot(v) - drift[0]
-        moved = -drift[0]
-        if self._moves_world:
-            w, w_dot, moved = w + u[n:], w_dot + u_dot[n:], moved + u_dot[n:]
-        each = np.einsum("kj,ajn->kan", w, a_J)
-        each_dot = np.einsum("kj,ajn->kan", w, a_J_dot) + np.einsum("j,ajn->an", w_dot, a_J)
-        return PointMotion(
-            w.dot(A.T),
-            each - A.dot(J[0]),
-            each_dot - a_dot.dot(J[0]) - A.dot(J_dot[0]),
-            np.tile(A.dot(moved), (self._k, 1)),
-        )
 
 
 def _parts(estimate: Array) -> tuple[Array, Array, Array, float]:

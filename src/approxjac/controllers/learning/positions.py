@@ -410,9 +410,8 @@ class AdaptiveKinematics(Estimator):
 
     def _predict(self, state: Array, q: Array, v: Array, wanted: list[Array]) -> PredictedError:
         """Return the predicted error of positions x̂ = R̂p + b̂, in the base's axes."""
-        at, n, moved = self._at, self._n_theta, self._moved
-        theta, theta_dot = moved.theta(state[at["u"]][:n]), moved.rates(state[at["u_dot"]][:n])
-        motion = self.regressor.motion(q, v, theta, theta_dot)
+        at, n = self._at, self._n_theta
+        motion = self._moved.motion(q, v, state[at["u"]][:n], state[at["u_dot"]][:n])
         p, J, J_dot, drift = (part[self._rows] for part in motion)
         p = p + self._constant
         x_d, x_d_dot, x_d_ddot = wanted
