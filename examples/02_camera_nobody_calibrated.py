@@ -30,7 +30,7 @@ believed_camera = PlanarCamera(focal_length=0.05, distance=3.0, roll=np.radians(
 plant = aj.Plant(arm, sensor=aj.ImageTask(arm, true_camera))
 
 start, goal = np.radians([60.0, 90.0]), np.radians([90.0, 90.0])
-target = plant.sensor.value(goal)
+target, reached = plant.sensor.value(goal), aj.PositionTask(arm).value(goal)
 
 figure, axes = view.new_figure(
     columns=2, rows=2, title="A camera that is believed to be rolled by 60°, and is not"
@@ -46,7 +46,8 @@ for left, right, kv in ((axes[0], axes[1], 5000.0), (axes[2], axes[3], 10000.0))
     said = "stable" if local.stable else "unstable"
     print(f"a = {5000.0 / kv:g}: max Re λ = {local.max_real_eigenvalue:+.4f} 1/s ({said}); {run}")
     view.plot_error(run, left, title=f"Error in the image, a = {5000.0 / kv:g}: {said}")
-    view.plot_path(run, arm, q_target=goal, ax=right, title=f"Path of the tip, a = {5000.0 / kv:g}")
+    title = f"Path of the tip, a = {5000.0 / kv:g}"
+    view.plot_path(run, arm, target=reached, ax=right, title=title)
 
 print(*view.save_figure(figure, out / "uncalibrated_camera"), sep="\n")
 print(view.save_page(run, out / "uncalibrated_camera.html"))

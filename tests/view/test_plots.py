@@ -36,7 +36,7 @@ def test_the_torque_of_each_joint_is_drawn(run):
 
 def test_the_path_is_that_of_the_true_tip(run):
     robot = aj.load_robot("two_link")
-    ax = view.plot_path(run, robot, q_target=(0.4, 1.0))
+    ax = view.plot_path(run, robot)
     lines = {line.get_label(): line for line in ax.get_lines()}
     assert_allclose(np.array(lines["path of tool0"].get_data()).T, run.x, atol=1e-12)
     start = np.array(lines["start"].get_data()).T
@@ -102,13 +102,8 @@ def test_bad_paths_are_refused(run):
             aj.errors.ApproxJacError, match=r"plane must name two world axes|not in plane"
         ):
             view.plot_path(run, robot, plane=plane)
-    with pytest.raises(aj.InvalidInputError, match=r"q_target must have shape \(2,\)"):
-        view.plot_path(run, robot, q_target=(1.0, 2.0, 3.0))
     with pytest.raises(aj.InvalidInputError, match=r"target must have shape \(3,\)"):
         view.plot_path(run, robot, target=(1.0, 2.0))
-    other = aj.load_robot("panda")
-    with pytest.raises(aj.InvalidInputError, match="believed must have the joints of"):
-        view.plot_path(run, robot, believed=other)
 
 
 def test_what_is_believed_and_the_target_are_drawn_if_asked_for(run):

@@ -64,7 +64,7 @@ def plots(run, image_run, arm, seen):
         "plot_torque, limits": lambda ax: view.plot_torque(run, ax, limits=arm.effort_limits),
         "plot_slack": lambda ax: view.plot_slack(run, ax),
         "plot_path": lambda ax: view.plot_path(
-            run, arm, q_target=HOME, ax=ax, believed=belief, target=run.target
+            run, arm, ax=ax, believed=belief, target=run.target
         ),
         "plot_parameters": lambda ax: view.plot_parameters(
             learnt, ax=ax, truth={"a": 1.0, "b": 2.0}

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from approxjac import view
 from approxjac.cameras import PlanarCamera
 from approxjac.errors import MissingPackageError
@@ -22,6 +24,7 @@ from approxjac.paper.experiments import (
     Setup,
 )
 from approxjac.robots import GravityRegressor, Robot
+from approxjac.tasks import FrameKinematics
 from approxjac.view.style import formulas
 
 
@@ -129,7 +132,8 @@ def write_result(result: Reproduction, setup: Setup, truth: Robot, out: Path) ->
     title = formulas(f"Figure {e.figure}: {e.title} {gains} — {result.verdict}")
     figure, axes = view.new_figure(4 if learns else 3, title=title)
     view.plot_error(result.run, axes[0], title="Error of the image, coordinate by coordinate")
-    view.plot_path(result.run, truth, q_target=setup.target, ax=axes[1])
+    target = FrameKinematics(truth, truth.tip_or(None)).position(np.array(setup.target))
+    view.plot_path(result.run, truth, ax=axes[1], target=target)
     view.plot_torque(result.run, axes[2])
     if learns:
         regressor = GravityRegressor(truth, moments="x")

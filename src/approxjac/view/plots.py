@@ -115,7 +115,6 @@ def plot_path(
     robot: Robot,
     frame: str | None = None,
     plane: str = "xz",
-    q_target: Sequence[float] | Array | None = None,
     ax: Axes | None = None,
     *,
     believed: Robot | None = None,
@@ -129,7 +128,6 @@ def plot_path(
         robot: Robot whose kinematics to draw: the true one.
         frame: Frame to follow; the robot's `tip` by default.
         plane: Two world axes, such as "xz".
-        q_target: Configuration that attains the target, shape (nq,), drawn dashed if given.
         ax: Axes to draw into; new ones by default.
         believed: Robot that the controller believes; the path of its frame is drawn if given, and
             where the controller learnt its kinematics, the path as it was learnt by then.
@@ -137,15 +135,10 @@ def plot_path(
         title: Of the axes; says frame and plane by default.
 
     Raises:
-        InvalidInputError: A plane, a configuration or a target of another shape, or another arm.
+        InvalidInputError: A plane or a target of another shape.
     """
     _require_run(run)
     rows = plane_rows(plane)
-    if believed is not None and believed.joint_names != robot.joint_names:
-        raise InvalidInputError(
-            f"believed must have the joints of the robot, got {', '.join(believed.joint_names)}",
-            given=believed,
-        )
     seen = None if believed is None else _tips(run, believed, believed.tip_or(frame))[:, rows]
     frame = robot.tip_or(frame)
     tips = _tips(run, robot, frame)[:, rows]
@@ -165,10 +158,6 @@ def plot_path(
                 seen = learnt[:, rows]
                 ax.plot(*seen.T, "--", color=COLORS["believed"], label="as it is learnt", zorder=5)
             ax.plot(*seen[-1], "o", color=COLORS["believed"], ms=4, zorder=5)
-        if q_target is not None:
-            points = _skeleton(robot, frame, robot.configuration(q_target, "q_target"))[:, rows]
-            ax.plot(*points.T, "--", color=COLORS["target"], lw=1.0, label="arm at the target")
-            target = points[-1] if target is None else target
         if target is not None:
             ax.plot(*target, "x", color=COLORS["target"], ms=8, mew=2, label="target", zorder=6)
         ax.set_aspect("equal", adjustable="datalim")
@@ -365,7 +354,6 @@ def plot_shares(
     *,
     labels: tuple[str, str],
     own: tuple[float, float] | None = None,
-    own_name: str = "as given",
     ax: Axes | None = None,
     title: str = "Share of runs that converge",
 ) -> Axes:
@@ -376,8 +364,7 @@ def plot_shares(
         y: Values of the second, shape (N_y,).
         shares: Shape (N_y, N_x), 0 to 1; NaN is left grey.
         labels: Of the axes.
-        own: Where the controller and its errors are, or what it believes.
-        own_name: What that is called.
+        own: Where the controller is.
         ax: Axes to draw into; new ones by default.
         title: Of the axes.
     """
@@ -389,7 +376,7 @@ def plot_shares(
         )  # fmt: skip
         ax.figure.colorbar(shown, ax=ax, label="share that converges [–]", shrink=0.8)
         if own is not None:
-            ax.plot(*own, "*", color=SERIES[6], mec="white", ms=14, label=own_name)
+            ax.plot(*own, "*", color=SERIES[6], mec="white", ms=14, label="as given")
         for values, set_scale in ((x, ax.set_xscale), (y, ax.set_yscale)):
             if values[0] > 0.0 and values[-1] / values[0] > 20.0:
                 set_scale("log")

@@ -114,11 +114,7 @@ def page(run: Trajectory, title: str | None = None) -> str:
 
 
 def _thinned(t: Array, q: Array) -> Any:
-    """Return indices of the instants that the page shows, the first and the last among them.
-
-    Half of them are shared out by time and half by motion, so that paths are round where it is
-    fast.
-    """
+    """Return indices of instants to show, half by time and half by motion: paths are round then."""
     duration = float(t[-1] - t[0])
     count = min(len(t), _FRAMES, max(2, round(duration * _RATE) + 1))
     if count == len(t):

@@ -38,12 +38,9 @@ _THROUGH: Mapping[str, Any] = {
 
 
 def _camera_view(task: Task | None, size: float) -> dict[str, Any] | None:
-    """Return the drawing of a task's camera in the axes of its mount, or None.
-
-    The image coordinates X are at `corner` + a `right` + b `down` with (a, b) = (X − low)/(high −
-    low), without lens distortion. `reach` is how far lines of sight go, in distances of the image.
-    The arm has a size [m].
-    """
+    """Return the drawing of a task's camera in the axes of its mount, or None."""
+    # image coordinates X are at corner + a right + b down with (a, b) = (X − low)/(high − low),
+    # without lens distortion; lines of sight go on to `reach` distances of the image
     feature = image_feature(task)
     camera = None if feature is None else feature.camera
     near, reach = _NEAR, _BEYOND / _NEAR
@@ -310,10 +307,8 @@ def frame_points(robot: Robot, q: Array) -> Array:
 def viewpoint(moving: Array, points: Array, size: float) -> dict[str, Any]:
     """Return from where to look at moving points (n, 3), with others (N, 3) in view [m].
 
-    "direction" is a vector towards the eye, along which what moves, and with less weight all that
-    is in view, spreads least; it is turned a little, so that what is flat is not seen from the very
-    front. "points" are those of all that are the farthest in some of many directions, and a little
-    farther, for the bodies of an arm of a size [m].
+    That is the direction along which what moves, and with less weight the rest, spreads least,
+    turned a little; and the outermost points, farther out by how thick an arm of a size [m] is.
     """
     spread = np.cov(moving.T) + 0.15 * np.cov(points.T)
     direction = np.linalg.eigh(spread)[1][:, 0]
