@@ -67,7 +67,6 @@ simulate panda --task.kind image --task.points 9 | --task.points | got 9 | 1, 2 
 simulate panda --sensor.rate 1e6 | --sensor.rate | got 1e+06 | at most that of control, 1000 [Hz]
 simulate panda --learn-kinematics --gravity exact | --gravity | got exact | learnt or believed
 simulate panda --limits none --controller.torque-rate 9 | torque-rate | got 9.0 | "urdf"
-simulate panda --save nowhere/s.toml | --save | got nowhere/s.toml | a folder that there is
 simulate panda --out file | --out | got file | a folder that can be made
 simulate zero.toml | controller.kp | got 0.0 in zero.toml | > 0
 simulate late.toml | sensor.delay | got 100 | shorter than the run, 20 [s]

@@ -49,9 +49,9 @@ def reach(tmp_path):
 def test_a_file_says_the_same_as_options(reach, tmp_path, capsys):
     assert main(["simulate", str(reach), "--out", str(tmp_path / "a")]) == 0
     assert "converged\nerror " in capsys.readouterr().out
-    assert main([*OPTIONS, "--out", str(tmp_path / "b"), f"--save={tmp_path / 'b.toml'}"]) == 0
+    assert main([*OPTIONS, "--out", str(tmp_path / "b")]) == 0
     assert outcome(tmp_path / "a") == outcome(tmp_path / "b")
-    assert Scenario.load(reach) == Scenario.load(tmp_path / "b.toml")
+    assert Scenario.load(reach) == Scenario.load(tmp_path / "b" / "scenario.toml")
     assert Scenario.load(reach) == Scenario.load(tmp_path / "a" / "scenario.toml")
 
 
@@ -108,7 +108,7 @@ def test_a_bad_file_is_one_clear_line(tmp_path, capsys, monkeypatch, text, messa
      (["--line", "0", "0.1", "0"], {"line": {"offset": [0.0, 0.1, 0.0]}})],
 )  # fmt: skip
 def test_a_path_has_a_short_option(tmp_path, words, target):
-    saved, run = tmp_path / "s.toml", ["--duration", "0.01", "--out", str(tmp_path)]
-    assert main(["simulate", "panda", *words, *run, "--save", str(saved)]) in (0, 1)
+    saved, run = tmp_path / "scenario.toml", ["--duration", "0.01", "--out", str(tmp_path)]
+    assert main(["simulate", "panda", *words, *run]) in (0, 1)
     expected = Scenario("panda", run={"target": target, "duration": 0.01})
     assert Scenario.load(saved) == expected

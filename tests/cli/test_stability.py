@@ -12,10 +12,8 @@ import pytest
 
 import approxjac as aj
 from approxjac.cli import main
-from approxjac.cli.stability_command import long_work
-from approxjac.scenario import Scenario, build_scenario, judge
-from approxjac.stability import Suggestion, Tolerance
-from approxjac.stability.search.suggested_gains import Candidate
+from approxjac.scenario import Scenario, judge
+from approxjac.stability import Tolerance
 
 ROOT = Path(__file__).parents[2]
 AROUND = ("0", "-0.5", "0", "-2", "0", "1.8", "0")
@@ -98,7 +96,7 @@ def test_what_is_not_certified_says_what_to_change(tmp_path, capsys):
     shown = capsys.readouterr().out
     assert code == 1
     assert "certified: no, sampled at 1 kHz" in shown
-    assert "\nnext: --suggest-gains" in shown
+    assert "\nnext: other gains" in shown
     summary = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
     assert summary["reason"] == "none"
     assert not (tmp_path / "map.png").exists()
@@ -308,41 +306,6 @@ def test_no_map_of_another_run_stays(tmp_path):
     assert not (tmp_path / "map.png").exists()
 
 
-def test_gains_that_are_certified_are_found(tmp_path, capsys):
-    errors = ["--object-length", "0", "0.05", "--around", *AROUND, "--radius", "0.05"]
-    quick = ["--configurations", "40"]
-    assert stability(tmp_path, "panda", *errors, "--suggest-gains", *quick) == 0
-    shown = capsys.readouterr().out.splitlines()
-    assert shown[0].startswith("gains: found, passing with margin 0.")
-    kp, kv, damping = (
-        line.split() for line in shown if line.startswith("  --k") or "  --d" in line
-    )
-    assert (kp[0], kv[0], damping[0]) == ("--kp", "--kv", "--damping")
-    assert len(damping) == 8
-    found = Scenario.load(tmp_path / "scenario.toml").controller
-    assert found.kp == pytest.approx([float(kp[1])] * 3, rel=1e-3)
-    assert found.damping == pytest.approx([float(word) for word in damping[1:]], rel=1e-3)
-    assert judge.prepare(Scenario.load(tmp_path / "scenario.toml")).report(200).passed
-    assert stability(tmp_path, "panda", "--suggest-gains") == 2
-    assert "needs ranges of errors, such as --object-length 0 0.3" in capsys.readouterr().err
-    assert stability(tmp_path, "panda", *errors, "--suggest-gains", "--kp", "9") == 2
-    assert "--kp must be left out where gains are to be found, got 9" in capsys.readouterr().err
-
-
-def test_suggested_gains_are_written_as_a_scenario_that_is_taken(tmp_path, monkeypatch):
-    """No settling time beside given gains, which the command's own next line would refuse."""
-    gains = aj.Gains(100.0, 20.0, 2.0)
-    candidate = Candidate(gains, margin=0.2, torque_ratio=0.5, settling_time=1.47)
-    found = Suggestion("matrix", candidate, (candidate,), 1.0)
-    monkeypatch.setattr(aj.Study, "gains", lambda *args, **options: found)
-    errors = ["--object-length", "0", "0.1", "--around", "0.3", "1.0", "--radius", "0.1"]
-    given = ["--settling-time", "2", "--suggest-gains", "--configurations", "20"]
-    assert stability(tmp_path, "two_link", *errors, *given) == 0
-    assert "settling_time" not in (tmp_path / "scenario.toml").read_text(encoding="utf-8")
-    built = build_scenario(Scenario.load(tmp_path / "scenario.toml"))
-    np.testing.assert_array_equal(built.law.diagonals.damping, [2.0, 2.0])
-
-
 def test_where_gravity_is_learnt_known_gravity_is_what_to_try():
     scenario = Scenario(
         "two_link", controller={"gravity": "learnt"},
@@ -367,27 +330,6 @@ def failing(own):
     return failed
 
 
-def test_without_gains_no_scenario_is_written(tmp_path, monkeypatch, capsys):
-    candidate = Candidate(aj.Gains(100.0, 20.0, 2.0), 0.2, torque_ratio=0.5, settling_time=1.47)
-    none = Suggestion("matrix", None, (candidate,), 1.0)
-    monkeypatch.setattr(aj.Study, "gains", lambda *args, **_: none)
-    errors = ["--object-length", "0", "0.1", "--around", "0.3", "1.0", "--radius", "0.1"]
-    code = stability(tmp_path, "two_link", *errors, "--configurations", "20", "--suggest-gains")
-    assert code == 1
-    assert not (tmp_path / "scenario.toml").exists()
-    assert not json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))["found"]
-    shown = capsys.readouterr().out
-    assert shown.startswith("gains: none found that meet all demands: of 1 tried 1 pass the test")
-    assert "without gains no scenario.toml is written" in shown
-
-
-def test_what_takes_long_is_told_once_where_no_bar_is_shown(capsys):
-    tell = long_work({"map": "making the map"})
-    for what, share in (("local", 0.0), ("map", 0.0), ("map", 0.5), ("local", 0.0)):
-        tell(what, share)
-    assert capsys.readouterr().err == "approxjac: making the map\n"
-
-
 def test_what_is_not_certified_says_what_is_next():
     scenario = Scenario(
         "two_link", controller={"gravity": "exact", "kp": 5000.0, "kv": 2.0, "damping": 0.01},
@@ -401,7 +343,7 @@ def test_what_is_not_certified_says_what_is_next():
     assert not failed.passed
     scales = {"matrix": dataclasses.replace(NOT_TOLERATED, uncertainty=own.uncertainty)}
     assert judge.advice(judge.StabilityResult(scenario, own, failed, scales)).startswith(
-        "suggest_gains for other gains, smaller errors, or a smaller stability.radius"
+        "other gains (Study.gains), smaller errors, or a smaller stability.radius"
     )
     scales["matrix"] = dataclasses.replace(scales["matrix"], scale=0.5)
     smaller = "smaller errors, such as object length 0 to 0.12 m, object mass 0 to 0.04 kg"
@@ -426,7 +368,6 @@ def test_commands_of_the_pages_get_as_far_as_the_work(words, tmp_path, monkeypat
         raise Works
 
     monkeypatch.setattr(judge, "analyse", work)
-    monkeypatch.setattr(aj.Study, "gains", work)
     monkeypatch.setattr("approxjac.scenario.run_scenario", work)
     monkeypatch.chdir(tmp_path)
     words = [str(ROOT / word) if (ROOT / word).is_file() else word for word in words]

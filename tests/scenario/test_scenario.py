@@ -120,13 +120,3 @@ def test_what_is_wrong_is_told_by_its_key(given, text):
     with pytest.raises(aj.errors.ApproxJacError, match=text) as caught:
         Scenario("panda", **given) if "tru" not in given else Scenario("panda").with_values(given)
     assert "\n" not in str(caught.value)
-
-
-def test_what_is_saved_can_be_read_without_knowing_the_defaults(tmp_path):
-    text = Scenario("panda").save(tmp_path / "s.toml").read_text(encoding="utf-8")
-    assert text == (
-        'robot = "panda"\n\n[true]\nobject = { length = 0.2, mass = 0.5 }\n\n'
-        "[believed]\nobject = { length = 0.0, mass = 0.0 }\n\n"
-        '[controller]\nlaw = "setpoint"\ngravity = "learnt"\n\n[run]\nduration = 20.0\nseed = 0\n'
-    )
-    assert str(Scenario("panda")) == 'robot = "panda"\n'

@@ -234,14 +234,6 @@ def scenario_of(command: str, source: str, values: Mapping[str, Words]) -> Scena
     return scenario.with_values(table)
 
 
-def require_folder_of(option: str, file: Path | None) -> None:
-    """Refuse a file, if one is given, that there is no folder for."""
-    if file is not None and not file.parent.is_dir():
-        raise InvalidInputError(
-            f"{option} must be a file in a folder that there is, got {file}", given=file
-        )
-
-
 def make_folder(out: Path) -> None:
     """Make the folder that a command writes to."""
     try:

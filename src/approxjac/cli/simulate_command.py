@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from approxjac.cli.options import make_folder, require_folder_of, time_bar
+from approxjac.cli.options import make_folder, time_bar
 from approxjac.errors import InvalidInputError
 from approxjac.scenario import Scenario
 
@@ -15,7 +15,6 @@ def simulate(
     view: bool = False,
     speed: float | None = None,
     port: int | None = None,
-    save: Path | None = None,
     out: Path = Path("results/simulate"),
 ) -> int:
     """Let an arm reach a target although its controller believes a wrong robot, or a wrong camera.
@@ -31,7 +30,6 @@ def simulate(
             can be changed, and the run paused or stopped.
         speed: Of the run with --view, as a multiple of real time; 1 by default.
         port: Of the page with --view, on this machine; 7007 by default, or any free one.
-        save: Write the scenario to this .toml file, too.
         out: Folder for the pictures, run.npz, summary.json and scenario.toml.
     """
     from approxjac.scenario import build_scenario, run_scenario
@@ -45,13 +43,10 @@ def simulate(
             )
     if view and scenario.loop.dt == "continuous":  # what is shown are steps
         scenario = scenario.with_values({"loop": {"dt": 1e-3}})
-    require_folder_of("--save", save)
     built = build_scenario(scenario)
     make_folder(out)
     if built.warning:
         print(f"approxjac: warning: {built.warning}", file=sys.stderr)
-    if save is not None:
-        scenario.save(save)
     live = None
     if view:
         from approxjac.view import LiveView

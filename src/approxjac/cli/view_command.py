@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from approxjac.cli.options import require_folder_of
 from approxjac.errors import InvalidInputError
 
 
@@ -26,7 +25,10 @@ def view(
     from approxjac.view import save_page
     from approxjac.view.browser.page import open_browser
 
-    require_folder_of("--out", out)
+    if out is not None and not out.parent.is_dir():
+        raise InvalidInputError(
+            f"--out must be a file in a folder that there is, got {out}", given=out
+        )
     path = _run_file(Path(run))
     beside = path.with_name(path.name.removesuffix(".npz") + ".html")
     page = save_page(Trajectory.load(path), out or beside, title)
@@ -43,12 +45,6 @@ def _run_file(run: Path) -> Path:
         names = ", ".join(path.name for path in files) or "none"
         raise InvalidInputError(
             f"RUN must be a file, or a folder with one run (.npz), got {run} with {names}",
-            given=run,
-        )
-    if files[0].is_file() and files[0].suffix.lower() != ".npz":
-        raise InvalidInputError(
-            "RUN must be a run.npz that simulate, paper or Trajectory.save wrote, or a folder "
-            f"with one, got {run}",
             given=run,
         )
     return files[0]

@@ -16,7 +16,6 @@ import numpy as np
 from approxjac import stability, view
 from approxjac.cameras import Camera
 from approxjac.controllers import Limits, SetpointController, TorqueLimited
-from approxjac.errors import InvalidInputError
 from approxjac.files import together, write_text
 from approxjac.formatting import plain, wrapped
 from approxjac.robots import Robot
@@ -30,7 +29,7 @@ from approxjac.scenario.build import (
     sensing_of,
 )
 from approxjac.scenario.records import Analysis
-from approxjac.scenario.refusals import refuse, require_reportable
+from approxjac.scenario.refusals import require_reportable
 from approxjac.scenario.scenario import Scenario
 from approxjac.scenario.starts import configuration_of
 from approxjac.simulation import Plant
@@ -46,8 +45,6 @@ from approxjac.validation import Array
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_SETTLING_TIME = 1.0  # that gains are wanted for [s]
-_GAINS = ("kp", "kv", "damping")
 _OF_MAP = ("names", "x", "y", "share", "intervals")  # in summary.json
 
 
@@ -221,7 +218,7 @@ def advice(result: StabilityResult) -> str:
     smaller = ""
     if 0.0 < scale < 1.0:  # of which a report may find a little less
         smaller = f", such as {uncertainty.scaled(0.8 * scale).describe_box()}"
-    return f"suggest_gains for other gains, smaller errors{smaller}, or {region}"
+    return f"other gains (Study.gains), smaller errors{smaller}, or {region}"
 
 
 # -- pictures and files -----------------------------------------------------------------
@@ -288,53 +285,3 @@ def write(result: StabilityResult, out: Path) -> None:
         for ending in ("png", "svg") if drawn is None else ():
             # no map of another run beside the other files
             (out / f"map.{ending}").unlink(missing_ok=True)
-
-
-# -- gains ------------------------------------------------------------------------------
-
-
-def suggested(
-    scenario: Scenario, progress: Progress
-) -> tuple[stability.Suggestion, Scenario | None]:
-    """Return gains of law (6) for a scenario's errors, and the scenario with them if there are any.
-
-    Raises:
-        InvalidInputError: No ranges of errors, or gains that are given already.
-    """
-    left_out = "must be left out where gains are to be found"
-    refuse(scenario, [(f"controller.{name}", True, left_out, "") for name in _GAINS])
-    study = prepare(scenario)
-    uncertainty = uncertainty_of(study)
-    if uncertainty is None:
-        raise InvalidInputError(
-            "suggest_gains needs ranges of errors, such as stability.object_length 0 0.3, got none",
-            given=None,
-        )
-    # a report of known gravity leaves it out, but motors have to hold the arm
-    heavy = replace(uncertainty, arm=uncertainty.arm.with_gravity(loaded_arm(scenario).gravity))
-    limits = limits_of(scenario, study.controller.task.robot)
-    suggestion = replace(study, uncertainty=heavy).gains(
-        scenario.controller.settling_time or _SETTLING_TIME,
-        torque_limits=None if limits is None else limits.effort,
-        configurations=min(scenario.stability.configurations, 200),
-        progress=progress,
-    )
-    if suggestion.found is None:
-        return suggestion, None
-    diagonals = study.loop().controller.with_gains(suggestion.found.gains).diagonals
-    gains = {name: tuple(getattr(diagonals, name)) for name in _GAINS}
-    # a settling time is refused beside given gains
-    return suggestion, scenario.with_values({"controller": gains | {"settling_time": None}})
-
-
-def write_gains(suggestion: stability.Suggestion, found: Scenario | None, out: Path) -> None:
-    """Write summary.json, and scenario.toml if gains were found, into a folder."""
-    summary: dict[str, Any] = {"found": found is not None}
-    if found is not None:
-        summary |= {name: getattr(found.controller, name) for name in _GAINS}
-        names = ("margin", "torque_ratio", "settling_time")
-        summary |= {name: getattr(suggestion.found, name) for name in names}
-    with together(out) as folder:
-        if found is not None:
-            found.save(folder / "scenario.toml")
-        write_text(folder / "summary.json", json.dumps(plain(summary), indent=2) + "\n")

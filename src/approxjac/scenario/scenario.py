@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import tomllib
 from dataclasses import KW_ONLY, dataclass, fields
 from pathlib import Path
-from types import SimpleNamespace
 
 from approxjac.errors import InvalidInputError
 from approxjac.files import read_text, write_text
@@ -16,7 +14,6 @@ from approxjac.scenario.records import (
     Belief,
     ControllerChoice,
     LoopRecord,
-    Object,
     Run,
     Sensor,
     TaskChoice,
@@ -104,23 +101,9 @@ class Scenario:
         return made
 
     def save(self, path: str | Path) -> Path:
-        """Write the scenario file that says the same, and return its path.
-
-        What a reader asks for first is in it, also where it is as by default: the objects, the
-        controller's law and gravity, duration and seed.
-        """
-        usual = vars(Scenario(self.robot)) | _ALWAYS_SHOWN
-        table = {"robot": self.robot, **differences(self, SimpleNamespace(**usual))}
-        write_text(Path(path), to_toml(table))
+        """Write the scenario file that says the same, and return its path."""
+        write_text(Path(path), str(self))
         return Path(path)
 
     def __str__(self) -> str:
         return to_toml({"robot": self.robot, **differences(self, Scenario(self.robot))})
-
-
-_ALWAYS_SHOWN = {  # differ from whatever a scenario has
-    "true": Truth(object=Object(length=math.nan, mass=math.nan)),
-    "believed": Belief(object=Object(length=math.nan, mass=math.nan)),
-    "controller": ControllerChoice(law="", gravity=""),  # type: ignore[arg-type]
-    "run": Run(duration=math.nan, seed=-1),
-}
