@@ -18,6 +18,7 @@ import numpy as np
 import approxjac as aj
 from approxjac import view
 from approxjac.cameras import PlanarCamera
+from approxjac.tasks import FrameKinematics
 
 arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
 arguments.add_argument("--out", type=Path, default=Path("results/examples"))
@@ -30,7 +31,7 @@ believed_camera = PlanarCamera(focal_length=0.05, distance=3.0, roll=np.radians(
 plant = aj.Plant(arm, sensor=aj.ImageTask(arm, true_camera))
 
 start, goal = np.radians([60.0, 90.0]), np.radians([90.0, 90.0])
-target, reached = plant.sensor.value(goal), aj.PositionTask(arm).value(goal)
+target, reached = plant.sensor.value(goal), FrameKinematics(arm, arm.tip).position(goal)
 
 figure, axes = view.new_figure(
     columns=2, rows=2, title="A camera that is believed to be rolled by 60°, and is not"
