@@ -25,6 +25,14 @@ _MANY = 50  # numbers, of which the wrong ones are counted in a message
 _CHANGEABLE = (list, dict, np.ndarray)
 
 
+def _floats(value: Any) -> Array:
+    """Return a new array of floats; a TypeError or ValueError of what is hidden or no number."""
+    if _is_masked(value) or np.asarray(value).dtype.kind not in "iuf":  # as text and booleans are
+        raise TypeError
+    with np.errstate(over="ignore"):  # a long double may become infinite, which is refused
+        return np.array(value, dtype=np.float64)
+
+
 def as_array(name: str, value: Any, shape: tuple[int | str, ...], unit: str = "") -> Array:
     """Return `value` as a new read-only float array of `shape`, all entries finite.
 
@@ -32,12 +40,8 @@ def as_array(name: str, value: Any, shape: tuple[int | str, ...], unit: str = ""
     """
     suffix = f" [{unit}]" if unit else ""
     wanted = str(shape).replace("'", "")
-    require_unmasked(name, value)
     try:
-        if np.asarray(value).dtype.kind not in "iuf":  # text and booleans are no numbers
-            raise TypeError
-        with np.errstate(over="ignore"):  # a long double may become infinite, which is refused
-            array = np.array(value, dtype=np.float64)
+        array = _floats(value)
     except (TypeError, ValueError) as error:
         raise InvalidInputError(
             f"{name} must be numbers of shape {wanted}{suffix}, got {value!r}", given=value
@@ -46,9 +50,8 @@ def as_array(name: str, value: Any, shape: tuple[int | str, ...], unit: str = ""
         n == k or (n and isinstance(k, str)) for n, k in zip(array.shape, shape, strict=True)
     )
     if not fits:
-        how = "; ravel() makes it one" if array.ndim > 1 and shape == (array.size,) else ""
         raise InvalidInputError(
-            f"{name} must have shape {wanted}{suffix}, got shape {array.shape}{how}", given=value
+            f"{name} must have shape {wanted}{suffix}, got shape {array.shape}", given=value
         )
     if not np.isfinite(array).all():
         wrong = array.size - int(np.isfinite(array).sum())
@@ -58,17 +61,8 @@ def as_array(name: str, value: Any, shape: tuple[int | str, ...], unit: str = ""
     return array
 
 
-def require_unmasked(name: str, value: Any) -> None:
-    """Refuse a masked array of which a mask hides something: as an array it would show it."""
-    if _is_masked(value):
-        raise InvalidInputError(
-            f"{name} must have no masked entries, got {value!r}; filled(numpy.nan) makes them NaN "
-            "where a number may be lost",
-            given=value,
-        )
-
-
 def _is_masked(value: Any) -> bool:
+    """Return True for what a mask hides, of which an array would show what was there."""
     if isinstance(value, np.ma.MaskedArray):
         return bool(np.ma.is_masked(value))
     return isinstance(value, list | tuple) and any(map(_is_masked, value))
@@ -108,7 +102,6 @@ def as_number(
     """Return `value` as a finite float that is >= `minimum`, > `above` and <= `most`."""
     if type(value) is float and minimum <= value <= most and value > above and math.isfinite(value):
         return value  # the quick way
-    require_unmasked(name, value)
     suffix = f" [{unit}]" if unit else ""
     bound = ""
     if minimum > -math.inf:
@@ -118,7 +111,7 @@ def as_number(
     if most < math.inf:
         bound += f"{' and' if bound else ''} <= {most:g}"
     try:
-        number = float(value) if np.ndim(value) == 0 else math.nan
+        number = math.nan if _is_masked(value) or np.ndim(value) else float(value)
     except (TypeError, ValueError, OverflowError):
         number = math.nan
     if isinstance(value, bool | str | bytes) or not (
@@ -143,34 +136,22 @@ def as_diagonal(
     name: str, value: Any, size: int, *, unit: str = "", positive: bool = True
 ) -> Array:
     """Return a diagonal given as a scalar or a vector as a read-only vector of `size`."""
-    if len(shape_of(value)) == 2:
-        raise InvalidInputError(
-            f"{name} must be a number or the diagonal of a matrix, one number an entry, got shape "
-            f"{shape_of(value)}",
-            given=value,
-        )
     array = as_entries(name, value, max(size, 1), unit)
-    if (array > _LARGEST).any():  # or products of gains could overflow in a control step
-        raise InvalidInputError(
-            f"{name} must be at most {_LARGEST:g}, got {array.tolist()}", given=value
-        )
-    if (array <= 0).any() if positive else (array < 0).any():
-        wanted = "> 0" if positive else ">= 0"
+    if not ((array > 0.0 if positive else array >= 0.0) & (array <= _LARGEST)).all():
+        # or products of gains could overflow in a control step
         suffix = f" [{unit}]" if unit else ""
         raise InvalidInputError(
-            f"{name} must be {wanted} in every entry{suffix}, got {array.tolist()}", given=value
+            f"{name} must be {'>' if positive else '>='} 0 in every entry{suffix}, and at most "
+            f"{_LARGEST:g}, got {array.tolist()}",
+            given=value,
         )
     return array
 
 
 def as_limits(name: str, value: Any, size: int, *, unit: str) -> Array:
     """Return limits given as a scalar or a vector as a read-only vector; inf is no limit."""
-    require_unmasked(name, value)
     try:
-        if np.asarray(value).dtype.kind not in "iuf":
-            raise TypeError
-        with np.errstate(over="ignore"):
-            array = np.broadcast_to(np.array(value, dtype=np.float64), (size,)).copy()
+        array = np.broadcast_to(_floats(value), (size,)).copy()
     except (TypeError, ValueError):
         array = np.full(size, np.nan)
     if not (array > 0.0).all():

@@ -365,10 +365,10 @@ def test_wrong_shapes_are_named(panda, rng):
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        ({"kp": -1.0, "kv": 1.0}, r"kp must be > 0 in every entry, got \[-1.0\]"),
-        ({"kp": 1.0, "kv": 0.0}, r"kv must be > 0 in every entry, got \[0.0\]"),
+        ({"kp": -1.0, "kv": 1.0}, r"kp must be > 0 in every entry, .*got \[-1.0\]"),
+        ({"kp": 1.0, "kv": 0.0}, r"kv must be > 0 in every entry, .*got \[0.0\]"),
         ({"kp": (1.0, np.nan), "kv": 1.0}, r"kp must be finite, got \[1.0, nan\]"),
-        ({"kp": 1.0, "kv": 1.0, "damping": -0.1}, r"damping must be >= 0 in every entry, got \[-0"),
+        ({"kp": 1.0, "kv": 1.0, "damping": -0.1}, r"damping must be >= 0 in every entry, .*got"),
         ({"kp": "high", "kv": 1.0}, r"kp must be numbers of shape \(1,\), got \['high'\]"),
         ({"kp": "400", "kv": 1.0}, r"kp must be numbers of shape \(1,\), got \['400'\]"),
     ],
@@ -550,7 +550,7 @@ def test_repr_names_the_law(controller):
 
 @pytest.mark.parametrize("gains", [(1e300, 1.0), (1.0, 1e300), (1.0, 1.0, 1e300)])
 def test_gains_that_could_overflow_in_a_step_are_refused(gains):
-    with pytest.raises(aj.InvalidInputError, match=r"must be at most 1e\+60, got"):
+    with pytest.raises(aj.InvalidInputError, match=r"and at most 1e\+60, got"):
         aj.Gains(*gains)
 
 

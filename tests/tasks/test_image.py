@@ -256,9 +256,9 @@ def test_default_gains_in_pixels(panda):
             "points must not lie on one line: their images do not change as it turns about itself",
         ),
         ({"depth": "known"}, r"depth must be 'believed', 'measured' or numbers > 0 \[m\], got"),
-        ({"depth": 0.0}, r"depth must be > 0 in every entry \[m\], got \[0.0\]"),
+        ({"depth": 0.0}, r"depth must be > 0 in every entry \[m\], .*got \[0.0\]"),
         ({"depth": (1.0, 2.0)}, r"depth must have shape \(1,\) \[m\], got shape \(2,\)"),
-        ({"depth": (-1.0,)}, r"depth must be > 0 in every entry \[m\], got \[-1.0\]"),
+        ({"depth": (-1.0,)}, r"depth must be > 0 in every entry \[m\], .*got \[-1.0\]"),
         (
             {"camera": PlanarCamera(0.05, 3.0), "depth": 1.0},
             "camera of a task with depths must be a PinholeCamera, got PlanarCamera",
