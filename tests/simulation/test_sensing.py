@@ -884,7 +884,7 @@ def test_every_reading_is_the_image_that_was_taken_then(period, late, lost, froz
 
 
 def test_an_interval_of_a_part_that_the_task_does_not_have_is_refused(panda, pair):
-    text = r"part of x_lost must be one of the parts of StackedTask.*, 0 to 1, got 2"
+    text = r"part of x_lost must be one of the 2 of StackedTask.*, counted from 0, got 2"
     with pytest.raises(aj.InvalidInputError, match=text):
         aj.Plant(panda, pair, sensing=aj.Sensing(x_lost=[(0.0, 1.0, 2)]))
 

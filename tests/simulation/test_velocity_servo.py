@@ -238,8 +238,6 @@ def test_what_is_for_torques_refuses_a_servo(panda):
     for refusing in (plant.require_ideal, partial(plant.require_ideal, late=True)):
         with pytest.raises(aj.InvalidInputError, match=r"this is for a plant without .*servo"):
             refusing("this")
-    with pytest.raises(aj.InvalidInputError, match="actuator_delay must be 0 where there is"):
-        aj.Plant(panda, servo=VelocityServo(), actuator_delay=0.002)
     with pytest.raises(aj.InvalidInputError, match="the controller's velocity must have shape"):
         aj.simulate(plant, Told(plant.sensor, lambda t: np.zeros(6)), target, START)
 

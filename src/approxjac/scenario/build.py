@@ -220,10 +220,10 @@ def _plant(truth: Robot, sensor: Task, motors: Array, scenario: Scenario, belief
     true = scenario.true
     options: dict[str, Any] = {"friction": Friction(true.friction, true.coulomb)}
     options["sensing"] = sensing_of(scenario.sensor)
+    options["actuator_delay"] = scenario.loop.actuator_delay
     if scenario.controller.command == "velocity":
         options["servo"] = true.servo
     else:
-        options["actuator_delay"] = scenario.loop.actuator_delay
         options["torque_limits"] = motors if np.isfinite(motors).any() else None
     if scenario.controller.gravity == "learn_residual":
         options["adds_gravity"] = belief

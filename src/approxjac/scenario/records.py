@@ -252,7 +252,7 @@ class LoopRecord:
 
     Attributes:
         dt: Sampling time of control, s; "continuous" integrates one differential equation.
-        actuator_delay: From a torque to its effect, s.
+        actuator_delay: From a command to its effect, s.
     """
 
     dt: float | Literal["continuous"] = above(1e-3)

@@ -85,7 +85,6 @@ def _rules(scenario: Scenario) -> Iterator[Rule]:
         ("true.servo", not velocities, "needs controller.command velocity", control.command),
         ("controller.command", not tracks, "needs controller.law tracking", control.law),
         ("controller.torque_rate", velocities, "is of torques", control.command),
-        ("loop.actuator_delay", velocities, "is of torques: see true.servo", control.command),
         ("controller.unseen", learns, "is of no use where x is predicted", "controller.unknown"),
     ]
     for name in _OF_SETPOINT:

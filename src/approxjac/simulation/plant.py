@@ -49,8 +49,7 @@ def rk4(
 ) -> tuple[Array, Array]:
     """Return (q, v) after dt [s] by the classical Runge–Kutta method, order 4.
 
-    The acceleration q̈(q, q̇, τ) may alias scratch memory; `moved` is q (nq,) after a motion
-    (n_v,).
+    The acceleration may alias scratch memory; `moved` is q (nq,) after a motion (n_v,).
     """
     half = 0.5 * dt
     a1 = acceleration(q, v, tau).copy()
@@ -67,10 +66,7 @@ def rk4(
 def semi_implicit_euler(
     acceleration: Acceleration, moved: Motion, q: Array, v: Array, tau: Array, dt: float
 ) -> tuple[Array, Array]:
-    """Return (q, v) after dt: velocity first, then position with the new velocity, order 1.
-
-    The scheme of most physics engines. Arguments as for `rk4`.
-    """
+    """Return (q, v) after dt: velocity first, then position with the new one, order 1."""
     v_new = v + dt * acceleration(q, v, tau)
     return moved(q, dt * v_new), v_new
 
@@ -87,13 +83,9 @@ class VelocityServo:
 
         τ = M(q)(q̇_cmd − q̇)/lag + C(q, q̇)q̇ + g(q) + friction
 
-    of the true arm, clipped at the limits of its motors (`Plant.motor_limits`). It has no errors
-    but these; a joint that is held up, or whose motor is at its limit, disturbs the others. Until
-    the first command takes effect it holds the arm at rest. Limits of speed are the controller's to
-    keep.
-
-    Away from obstacles it stands for a robot that takes positions, too, if that is sent ∫q̇_cmd dt
-    and follows it with this lag.
+    of the true arm, clipped at `Plant.motor_limits`. Until the first command takes effect it holds
+    the arm at rest. Limits of speed are the controller's to keep. Away from obstacles it stands for
+    a robot that takes positions, too, if that is sent ∫q̇_cmd dt.
 
     Attributes:
         lag: Time constant, ≥ 1 ms [s].
@@ -223,12 +215,9 @@ class Friction(NamedTuple):
 class Plant(Immutable):
     """M(q) q̈ + C(q, q̇)q̇ + friction + g(q) = τ of the true robot, eq. (1).
 
-    It yields measurements and takes torques, or velocities if it has a servo; nothing else of it
-    reaches a controller. The direction of gravity is the robot's: see `Robot.with_gravity`. What
-    is claimed of eq. (1) is claimed of arms strictly within their joint limits, where joint stops
-    do nothing.
-
-    Owns scratch memory: one instance a thread.
+    It yields measurements and takes torques, or velocities if it has a servo. What is claimed of
+    eq. (1) is claimed of arms strictly within their joint limits, where joint stops do nothing. It
+    owns scratch memory: one instance a thread.
 
     Args:
         robot: The true robot.
@@ -237,8 +226,8 @@ class Plant(Immutable):
         friction: A `Friction`, or the viscous one alone: B ≥ 0, a number or shape (n_v,)
             [N m s/rad or N s/m]. Damping that the URDF mentions is not used.
         sensing: How measurements differ from the truth; not at all by default. Needs dt.
-        actuator_delay: Time from a torque to its effect [s], rounded to whole samples; until the
-            first one takes effect the robot is held by g(q). Needs dt.
+        actuator_delay: Time from a command to its effect [s], beside that of a servo, rounded to
+            whole samples; until the first one takes effect the robot is held. Needs dt.
         torque_limits: What the motors deliver at most, a number or shape (n_v,) [N m or N]; more
             is clipped, infinite is no limit. Nothing is clipped by default.
         joint_limits: Whether the joints stop at `Robot.position_limits`, as `JointStops` says. A
@@ -250,7 +239,7 @@ class Plant(Immutable):
 
     Raises:
         InvalidInputError: A sensor on another robot, numbers that are negative or of the wrong
-            shape, or an actuator delay or own gravity beside a servo, which has its own.
+            shape, or own gravity beside a servo, which has its own.
     """
 
     def __init__(
@@ -276,21 +265,12 @@ class Plant(Immutable):
             sensing.sizes(sensor)  # refuses wrong lengths, and parts that are not there
             lost_entries(sensing, sensor)
         nv = robot.nv
-        self.robot = robot
-        self.sensor = sensor
+        self.robot, self.sensor, self.servo, self.sensing = robot, sensor, servo, sensing
         viscous, coulomb, width = friction if isinstance(friction, Friction) else Friction(friction)
         self.friction = as_diagonal("friction", viscous, nv, unit="N m s/rad", positive=False)
         self.coulomb = as_diagonal("coulomb", coulomb, nv, unit="N m", positive=False)
         self.coulomb_velocity = as_number("coulomb_velocity", width, above=0.0)
-        self.servo = servo
-        self.sensing = sensing
         self.actuator_delay = as_number("actuator_delay", actuator_delay, unit="s", minimum=0.0)
-        if servo is not None and self.actuator_delay > 0.0:
-            raise InvalidInputError(
-                f"actuator_delay must be 0 where there is a servo, whose delay is its own, got "
-                f"{self.actuator_delay:g} beside {servo!r}",
-                given=actuator_delay,
-            )
         self.adds_gravity = adds_gravity
         self._added = None if adds_gravity is None else _added(adds_gravity, robot, servo)
         if torque_limits is not None:
@@ -312,7 +292,7 @@ class Plant(Immutable):
         return plant
 
     def _sensed(self, sensing: Sensing | None, actuator_delay: float) -> Self:
-        """Return this plant with sensing and lateness that were checked; its own where ideal."""
+        """Return this plant with other sensing and lateness; itself where there are none."""
         if sensing is None and actuator_delay == 0.0:
             return self
         return self._with(sensing=sensing, actuator_delay=actuator_delay)
@@ -325,7 +305,7 @@ class Plant(Immutable):
 
     @property
     def command(self) -> Literal["torque", "velocity"]:
-        """Return "torque" or "velocity"."""
+        """What it takes."""
         return "torque" if self.servo is None else "velocity"
 
     @property
@@ -450,9 +430,11 @@ class Plant(Immutable):
 
         Its arguments are not checked: a loop that calls it checks what comes out, once a step.
         """
-        accelerate: Acceleration = self._driven
+        accelerate: Acceleration = self._acceleration
         if self.servo is None:
-            accelerate, tau = self._acceleration, self._delivered(q, tau)
+            tau = self._delivered(q, tau)
+        else:
+            accelerate = lambda *at: self._acceleration(*at[:2], self.applied(*at))  # noqa: E731
         q_end, v_end = integrate(accelerate, self._moved, q, v, tau, dt)
         if self.stops is None or not self.stops.touched(q_end):
             return q_end, v_end
@@ -462,7 +444,6 @@ class Plant(Immutable):
         return self._moved(q, dt * v_end), v_end
 
     def _moved(self, q: Array, motion: Array) -> Array:
-        """Return the configuration after a motion (n_v,) from q (nq,)."""
         if self._is_vector:
             return q + motion
         return np.asarray(pin.integrate(self.robot.model, q, motion))
@@ -481,7 +462,6 @@ class Plant(Immutable):
         return np.minimum(np.maximum(tau, -self.torque_limits), self.torque_limits)
 
     def _acceleration(self, q: Array, v: Array, tau: Array) -> Array:
-        """Return q̈ under a torque that the motors deliver, for arguments that are checked."""
         if self._has_friction:
             tau = tau - self.friction_torque(v)
         return self._forward(q, v, tau)
@@ -504,12 +484,7 @@ class Plant(Immutable):
         limits = self.motor_limits
         return np.asarray(np.minimum(np.maximum(tau, -limits), limits))
 
-    def _driven(self, q: Array, v: Array, command: Array) -> Array:
-        """Return q̈ under a command of the servo, for arguments that are checked."""
-        return self._acceleration(q, v, self.applied(q, v, command))
-
     def _forward(self, q: Array, v: Array, tau: Array) -> Array:
-        """Return q̈ under a torque at the joints, for arguments that are checked."""
         if self.robot.mimic_joints.G is not None:
             return self.dynamics.forward(q, v, tau)
         return np.asarray(pin.aba(self.robot.model, self._data, q, v, tau, WORLD))

@@ -28,10 +28,6 @@ DRAWN = ("x_noise", "q_noise", "x_dropout")
 class Sensing:
     """Differences of the measurements from the truth. Everything is off by default.
 
-    The task value gets noise, is rounded, arrives late and is sometimes lost; the encoders get
-    noise and are rounded; and q̇ may come from differences of the measured q instead of a
-    tachometer, as the paper recommends for x.
-
     Each x that is taken is a frame. With an `x_rate`, frame k is taken at the first control sample
     at or after k/x_rate, and until the next one arrives the last one is read again, bit by bit.
     Noise, rounding and dropout happen once a frame.
@@ -92,12 +88,12 @@ class Sensing:
     def sizes(self, task: Task) -> tuple[Array, Array, Array, Array]:
         """Return noise and quantum of a task's x (m,), noise and quantum of q (n_v,)."""
         m, nv = task.m, task.robot.nv
-        sizes = {"x_noise": m, "x_quantum": m, "q_noise": nv, "q_quantum": nv}
-        x_noise, x_quantum, q_noise, q_quantum = (
-            as_diagonal(name, getattr(self, name), size, positive=False)
-            for name, size in sizes.items()
+        return (
+            as_diagonal("x_noise", self.x_noise, m, positive=False),
+            as_diagonal("x_quantum", self.x_quantum, m, positive=False),
+            as_diagonal("q_noise", self.q_noise, nv, positive=False),
+            as_diagonal("q_quantum", self.q_quantum, nv, positive=False),
         )
-        return x_noise, x_quantum, q_noise, q_quantum
 
 
 class SensorReadings:
@@ -121,11 +117,9 @@ class SensorReadings:
 
     def read(self, truth: Measurement) -> Measurement:
         """Return the measurement at the next sample, given what is true then."""
-        noise = (
-            self._q_noise * self._of_q.standard_normal(len(self._q_noise))
-            if self._q_noisy
-            else None
-        )
+        noise = None
+        if self._q_noisy:
+            noise = self._q_noise * self._of_q.standard_normal(len(self._q_noise))
         q = encoded(self._task.robot, truth.q, noise, self._q_quantum)
         v = truth.v if self._filter is None else self._difference(q, self._filter)
         x, t_x = self._read_x(truth.t, truth.x)
@@ -135,22 +129,17 @@ class SensorReadings:
         """Return the x that arrives at time t [s], and the time at which it was taken."""
         frame = self._frames.next(t)
         if frame.is_taken:
-            self._images[frame.kept_at] = self._taken(x, frame.lost)
+            noisy = self._x_noisy
+            noise = self._x_noise * self._of_x.standard_normal(self._task.m) if noisy else None
+            image = np.array(imaged(self._task, x, noise, self._x_quantum))
+            for interval in frame.lost:
+                image[self._lost[interval]] = np.nan
+            self._images[frame.kept_at] = image
         if frame.is_new:
             lost = self._dropout and self._of_dropouts.random() < self._dropout
             image = self._images[frame.read_at]
             self._reading = np.full(self._task.n_x, np.nan) if lost else image
         return self._reading, frame.t_x
-
-    def _taken(self, x: Array, lost: list[int]) -> Array:
-        """Return the image that is taken of x, with what is lost of it."""
-        noise = self._x_noise * self._of_x.standard_normal(self._task.m) if self._x_noisy else None
-        x = imaged(self._task, x, noise, self._x_quantum)
-        if lost:
-            x = x.copy()
-        for interval in lost:
-            x[self._lost[interval]] = np.nan
-        return x
 
     def _difference(self, q: Array, time_constant: float) -> Array:
         if self._before is not None:
@@ -203,37 +192,35 @@ def filtered(v: Array, slope: Array, time_constant: float, dt: float) -> Array:
 
 def lost_entries(sensing: Sensing, task: Task) -> list[slice]:
     """Return the entries of x that each of the intervals `x_lost` takes."""
-    parts, entries = task._parts, []
-    for _, _, *part in sensing.x_lost:
-        if part and part[0] >= len(parts):
-            valid = "0" if len(parts) == 1 else f"0 to {len(parts) - 1}"
-            raise InvalidInputError(
-                f"part of x_lost must be one of the parts of {task!r}, {valid}, got {part[0]}",
-                given=part[0],
-            )
-        entries.append(parts[part[0]][0] if part else slice(None))
-    return entries
+    parts = task._parts
+    wrong = [i for _, _, *part in sensing.x_lost for i in part if i >= len(parts)]
+    if wrong:
+        raise InvalidInputError(
+            f"part of x_lost must be one of the {len(parts)} of {task!r}, counted from 0, got "
+            f"{wrong[0]}",
+            given=wrong[0],
+        )
+    return [parts[part[0]][0] if part else slice(None) for _, _, *part in sensing.x_lost]
 
 
 def _intervals(name: str, value: Any, *, parts: bool) -> tuple[Any, ...]:
     """Return intervals of time as tuples of their numbers, and of the part where there is one."""
-    wanted = "(start, end) or (start, end, part)" if parts else "(start, end)"
     try:
-        intervals = [tuple(interval) for interval in value]
-    except TypeError:
-        intervals = [()]
-    for interval in intervals:
-        part = interval[2] if parts and len(interval) == 3 else 0
-        if len(interval) not in (2, 3 if parts else 2) or type(part) is not int or part < 0:
-            raise InvalidInputError(
-                f"{name} must be intervals {wanted}, such as [(1.0, 2.5)] [s], got {value!r}",
-                given=value,
-            )
+        intervals = [(start, end, *part) for start, end, *part in value]
+        if not all(type(i) is int and i >= 0 for _, _, *part in intervals for i in part):
+            raise TypeError
+        if any(len(interval) > 2 + parts for interval in intervals):
+            raise TypeError
+    except (TypeError, ValueError):
+        wanted = "(start, end) or (start, end, part)" if parts else "(start, end)"
+        raise InvalidInputError(
+            f"{name} must be intervals {wanted}, such as [(1.0, 2.5)] [s], got {value!r}",
+            given=value,
+        ) from None
     checked = []
     for start, end, *part in intervals:
         start = as_number(f"start of {name}", start, unit="s")
-        end = as_number(f"end of {name}", end, unit="s", above=start)
-        checked.append((start, end, *part))
+        checked.append((start, as_number(f"end of {name}", end, unit="s", above=start), *part))
     return tuple(checked)
 
 
@@ -242,33 +229,20 @@ _TINY = 1e-6  # of a frame or a sample: more than round-off in k dt, less than a
 
 
 class SensorFrame(NamedTuple):
-    """Work of a camera at one sample.
-
-    Attributes:
-        is_taken: Whether it takes an image now.
-        kept_at: Place of the image that it took last.
-        lost: Numbers of the intervals in which x is lost that the one it takes now is taken in.
-        read_at: Place of the image that arrives.
-        is_new: Whether that arrives now, or is read again.
-        t_x: Time at which that was taken [s].
-    """
+    """Work of a camera at one sample: what it takes, and what arrives of what it took."""
 
     is_taken: bool
-    kept_at: int
-    lost: list[int]
-    read_at: int
-    is_new: bool
-    t_x: float
+    kept_at: int  # the place of the image that it took last
+    lost: list[int]  # numbers of the intervals of `x_lost` that it is in
+    read_at: int  # the place of the image that arrives
+    is_new: bool  # or is read again
+    t_x: float  # when that was taken [s]
 
 
 class SensorFrames:
     """The frames of one run, which time alone decides: the same in all runs.
 
     Images have places, which are taken again once nobody will read what is there.
-
-    Args:
-        sensing: Rate, delay, and when x is lost or frozen.
-        dt: Sampling time [s].
     """
 
     def __init__(self, sensing: Sensing, dt: float) -> None:

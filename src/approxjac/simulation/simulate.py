@@ -302,11 +302,10 @@ class MovingArm:
         self._readings = None
         if plant.sensing is not None:
             self._readings = SensorReadings(plant.sensing, plant.sensor, dt, seed)
-        if plant.servo is None:
-            self._first, delay = plant.holding_torque(q), plant.actuator_delay
-            self._per_sample, self._taken_per_step = 1, 1.0
-        else:
-            self._first, delay = np.zeros(plant.robot.nv), plant.servo.delay
+        self._first, delay = plant.holding_torque(q), plant.actuator_delay
+        self._per_sample, self._taken_per_step = 1, 1.0
+        if plant.servo is not None:
+            self._first, delay = np.zeros(plant.robot.nv), delay + plant.servo.delay
             self._per_sample = max(1, math.ceil(dt / _STEP - _TINY))
             self._taken_per_step = min(dt / self._per_sample / plant.servo.period, 1.0)
         self._h = dt / self._per_sample  # for which a command that acts is held
