@@ -75,7 +75,7 @@ def test_waypoints_keep_their_limits_and_reach_each_point(points, speed, acceler
     [
         (lambda: aj.Circle([0.4, 0.1, 0.5], 0.0, 4.0), "radius must be a finite number > 0"),
         (lambda: aj.Circle([0.4], 0.1, 4.0), "center must have 3 coordinates, or 2 without"),
-        (lambda: aj.Circle([0.4, 0.1, 0.5, 0, 0, 0, 1], 0.1, 4.0), "for which any object will do"),
+        (lambda: aj.Circle([0.4, 0.1, 0.5, 0, 0, 0, 1], 0.1, 4.0), "a path of poses is any object"),
         (lambda: aj.Circle([0.4, 0.1], 0.1, 4.0, normal=[0, 0, 1]), "or 2 without a normal"),
         (lambda: aj.Circle([0, 0, 0], 0.1, 4.0, normal=[0, 0, 0]), "normal must have a length"),
         (lambda: aj.Circle(0.4, 0.1, 4.0), r"center must have shape \(m,\), got shape \(\)"),

@@ -29,7 +29,7 @@ def listed(values: Any) -> str:
 
 
 def numbers(values: Any) -> str:
-    """Return numbers to four digits as they may be typed; one where all entries are equal."""
+    """Return numbers to four digits, to be typed; one where all are equal."""
     entries = numbers_of(values).split()
     return entries[0] if len(set(entries)) == 1 else " ".join(entries)
 

@@ -69,8 +69,8 @@ class Status(_Outcome):
 class LimitStatus(_Outcome):
     """Outcome of limits for the torque that a law asks for, in one step of a controller.
 
-    The proof is that of Theorem 1: V̇ ≤ −W, which any torque with yᵀ(τ − τ*) ≤ 0 keeps. Where
-    what is learnt stands still, V̇ has −yᵀY(θ − θ̂) besides the slack.
+    The proof is that of Theorem 1, V̇ ≤ −W. Where what is learnt stands still, V̇ has
+    −yᵀY(θ − θ̂) besides the slack.
     """
 
     UNLIMITED = "the controller knows no limits"

@@ -23,9 +23,6 @@ _APART = 1e-12  # relative: points that are no nearer than this are two
 class Circle:
     """A circle at constant speed, from the point that is first along the plane's first axis.
 
-    Of positions and images. A pose is led round by a path of your own, whose at(t) has a `Target`
-    with x (7,) and v and a (6,).
-
     Attributes:
         center: Center, shape (2,) or (3,) [unit of the task].
         radius: > 0 [unit of the task].
@@ -48,12 +45,9 @@ class Circle:
         as_number("radius", self.radius, above=0.0)
         as_number("period", self.period, unit="s", above=0.0)
         if len(center) not in (2, 3) or (len(center) == 2 and self.normal is not None):
-            rest = f"with normal {self.normal!r}"
-            if len(center) == 7:
-                rest = "of a pose, for which any object will do whose at(t) returns a Target"
             raise InvalidInputError(
                 f"center must have 3 coordinates, or 2 without a normal, got {center.tolist()} "
-                f"{rest}",
+                f"with normal {self.normal!r} (a path of poses is any object with at(t) → Target)",
                 given=self.center,
             )
         normal = as_array("normal", (0.0, 0.0, 1.0) if self.normal is None else self.normal, (3,))

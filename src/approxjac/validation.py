@@ -168,9 +168,8 @@ def require(name: str, value: Any, kind: type | tuple[type, ...], wanted: str) -
     """Refuse an object of another kind than the one an argument is for."""
     if isinstance(value, type) or not isinstance(value, kind):  # a class may look like a protocol
         given = f"the class {value.__name__}" if isinstance(value, type) else repr(value)
-        name_of = getattr(value, "__name__", "") if inspect.isroutine(value) else ""
-        if name_of.isidentifier():  # which "<lambda>" is not
-            given = f"the function {name_of}; did you mean {name_of}()?"
+        if inspect.isroutine(value) and "<" not in value.__name__:
+            given = f"the function {value.__name__}; did you mean {value.__name__}()?"
         raise InvalidInputError(f"{name} must be {wanted}, got {given}", given=value)
 
 

@@ -231,7 +231,6 @@ def test_the_record_holds_the_run(short_run):
     assert run.units["tau"] == "N m"
     assert run.units["x"] == run.task_unit == "m"
     assert_allclose(run.error_norm, np.hypot(*run.error.T))
-    assert run.error_ratio(0.0) == 1.0
     assert repr(run) == "Trajectory('two_link', 0.1 s, 11 samples; |e| 0.909 -> 0.731 m)"
 
 
@@ -288,19 +287,6 @@ def test_endings_are_added_where_they_are_missing(short_run, tmp_path):
     assert repr(aj.Trajectory.load(tmp_path / "run.NPZ")) == repr(short_run)
     with pytest.raises(aj.InvalidInputError, match="path must name a file, got"):
         short_run.save("")
-
-
-def test_ratios_are_read_between_records_and_only_within_the_run(short_run):
-    norm = short_run.error_norm
-    assert short_run.error_ratio(0.035) == pytest.approx(0.5 * (norm[3] + norm[4]) / norm[0])
-    for t in (-0.1, 0.2, np.nan):
-        with pytest.raises(
-            aj.InvalidInputError, match=r"t must be (within the run, 0 to 0.1 \[s\]|a finite)"
-        ):
-            short_run.error_ratio(t)
-    still = dataclasses.replace(short_run, error=0.0 * short_run.error)
-    with pytest.raises(aj.InvalidInputError, match="there is no ratio to an initial error of 0"):
-        still.error_ratio(0.0)
 
 
 def test_a_run_that_cannot_be_written_is_a_named_error(short_run, tmp_path):

@@ -12,7 +12,6 @@ from types import NoneType
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from approxjac.controllers.controller import Controller
 from approxjac.errors import ControlError, InvalidInputError
@@ -46,9 +45,8 @@ _SPEED = {"m": 0.2, "rad": 0.5, "px": 100.0}  # of targets that are eased in, pe
 class RobotRun(Trajectory):
     """The record of a run on a robot, which plots and pages take like any other `Trajectory`.
 
-    What nobody can know stands for what is: x is what was measured last, the scene has the believed
-    robot twice, and V is that of the believed arm. The error is that of x to the target when x was
-    taken, at `Measurement.t_x`; without that to the target of the same instant.
+    Its x is what was measured last, and the true robot is the believed one, as nobody knows more.
+    The error is that of x to the target when x was taken, if `Measurement.t_x` says when.
 
     Attributes:
         stop_distance: How far x went from the call for a controlled stop until the brake, NaN
@@ -66,14 +64,13 @@ class RobotRun(Trajectory):
 
     @property
     def fault(self) -> Fault | None:
-        """Return the fault that ended it, or None."""
+        """The fault that ended it, or None."""
         return Fault[self.fault_name] if self.fault_name else None
 
     def _error_line(self) -> str:
         return f"error {self.error_norm[-1]:.3g} {self.task_unit} at the end"
 
     def _figures(self) -> dict[str, str]:
-        """Describe the run, with its stop and the times that commands took."""
         figures = super()._figures()
         if np.isfinite(self.stop_distance):
             figures["stop"] = (
@@ -106,16 +103,13 @@ def control(
 
     It begins only where the robot stands still, is seen, and is held by what the controller would
     send. The target starts at the tip, as it is seen, and joins the path that is asked for. Every
-    period is looked at for faults (`Fault`): of sensing, at which the robot brakes at once, and
-    others, at which the controller brings it to rest first, as it does at the end. SIGINT, SIGTERM,
-    SIGHUP and SIGQUIT bring it to rest, too, and a second one brakes at once; `control` then
-    returns, and `ended` of the run names the signal. A watchdog brakes if the driver hangs. What is
-    sent is within the controller's limits.
+    period is looked at for faults (`Fault`). SIGINT, SIGTERM, SIGHUP and SIGQUIT bring it to rest
+    and end the run, a second one brakes at once. A watchdog brakes if the driver hangs.
 
     Args:
         driver: The robot.
-        controller: A controller for the period of the driver.
-            Within `TorqueLimited` where the robot has limits.
+        controller: One for the period of the driver, within `TorqueLimited` where the robot has
+            limits.
         target: x_d, a `Target` that moves, or a path; its time is that of the run, which counts
             periods.
         duration: After which the arm is brought to rest [s].
@@ -313,23 +307,20 @@ def require_at_rest(driver: Driver, task: Task, timeout: float) -> Measurement:
         if count + 1 >= _READS and np.isfinite(measured.x).all():
             break
     assert measured is not None
-    for name, values in (("q", measured.q), ("v", measured.v), ("x", measured.x)):
-        if not np.isfinite(values).all():
-            raise InvalidInputError(
-                f"{name} must be known before the arm moves, got {listed(values)}", given=measured
-            )
-    if message := two_clocks(measured, driver.dt):
-        raise InvalidInputError(f"t_x must be by the clock of t: {message}", given=measured)
-    if (np.abs(measured.v) > _AT_REST).any():
-        raise InvalidInputError(
-            f"the arm must be at rest, below {_AT_REST} rad/s or m/s, got v = {listed(measured.v)}",
-            given=measured,
-        )
+    unknown = [name for name in "qvx" if not np.isfinite(getattr(measured, name)).all()]
+    moves = np.abs(measured.v).max() > _AT_REST
+    for wrong, why in (
+        (unknown, f"{', '.join(unknown)} must be known before the arm moves"),
+        (two_clocks(measured, driver.dt), "t_x must be by the clock of t"),
+        (moves, f"the arm must be at rest, below {_AT_REST} rad/s or m/s"),
+    ):
+        if wrong:
+            raise InvalidInputError(f"{why}, got {measured!r}", given=measured)
     robot.require_radians("q", measured.q)
     beyond = np.flatnonzero(robot.beyond_limits(measured.q[None])[0] > 0.0)
     if beyond.size:
         low, high = robot.position_limits
-        angles = pin.difference(robot.model, robot.neutral(), measured.q)
+        angles = robot.angles(measured.q)
         where = "; ".join(
             f"{robot.joint_names[j]} at {angles[j]:.4g} {robot.joint_units[j]}, limits "
             f"{low[j]:.4g} and {high[j]:.4g}"

@@ -53,15 +53,12 @@ class Fault(enum.Enum):
 
     @property
     def message(self) -> str:
-        """Return it in words."""
+        """What it is, in words."""
         return str(self.value)
 
     @property
     def stops(self) -> bool:
-        """Return True where the controller brings the arm to rest before the brake.
-
-        Else the robot brakes at once, as what it would be controlled by is what is wrong.
-        """
+        """Whether the controller brings the arm to rest first; else it brakes at once."""
         return self in (Fault.TORQUE_LATE, Fault.LIMITS)
 
     def __str__(self) -> str:
@@ -70,9 +67,7 @@ class Fault(enum.Enum):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Accuracy:
-    """Accuracy of the sensors, and of what is believed of the arm.
-
-    What is no more than this is no fault.
+    """Accuracy of the sensors, and of what is believed of the arm: errors that are no fault.
 
     Attributes:
         q: Standard deviation of q, with the steps of the encoders, a number or (n_v,) [rad or m].
@@ -111,14 +106,8 @@ class Accuracy:
         as_number("velocity_filter", self.velocity_filter, unit="s", minimum=0.0)
 
     def for_units(self, units: Sequence[str]) -> Accuracy:
-        """Return it with an x, by default what is usual for the units of a task."""
+        """Return it with an x, by default what is usual for units."""
         return self if self.x is not None else replace(self, x=[_X.get(u, 2e-3) for u in units])
-
-    def stiction_of(self, effort: Array) -> Array:
-        """Return within which torque each joint may stick, for its largest ones (n_v,)."""
-        if self.stiction is None:
-            return 0.05 * effort
-        return np.broadcast_to(np.asarray(self.stiction, float), effort.shape)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -153,11 +142,7 @@ class Tolerances:
         as_number("max_period", self.max_period, unit="s", above=0.0)
 
     def for_task(self, task: Task, dt: float) -> Tolerances:
-        """Return them with a bound for each coordinate of a task, for a period of dt [s].
-
-        Raises:
-            InvalidInputError: Bounds of another size, or a `max_period` of at most dt.
-        """
+        """Return them with a bound for each coordinate of a task, for a period of dt [s]."""
         as_number("max_period", self.max_period, unit="s", above=dt)
         return replace(
             self,
@@ -170,18 +155,7 @@ class Tolerances:
 def task_bounds(
     name: str, given: Any, task: Task, usual: Mapping[str, float], per: str = ""
 ) -> Array:
-    """Return bounds for each coordinate of a task, by default the usual ones of its units.
-
-    Args:
-        name: Of the argument, for errors.
-        given: A number, shape (m,), or None.
-        task: The task.
-        usual: Unit -> usual bound; infinite where there is none.
-        per: What follows the unit, such as "/s".
-
-    Returns:
-        Shape (m,) [unit of the task].
-    """
+    """Return bounds (m,), by default the usual ones of units, infinite where there are none."""
     if given is None:
         return np.array([usual.get(unit, math.inf) for unit in task.units])
     return as_limits(name, given, task.m, unit=joined(task.units) + per)

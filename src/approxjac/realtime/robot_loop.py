@@ -172,7 +172,6 @@ class RobotLoop(Loop):
         self._sensor = SensorWatch(task, self.dt, accuracy, blind, self.learns_sensor)
 
     def _ease(self, x: Array, velocity: Array) -> None:
-        """Have the target begin at x (n_x,) with a velocity (m,) and join its path."""
         task, now = self.controller.task._measured, self.step * self.dt
         self._eased = Eased(task, self.path, now, x, velocity, self._speeds)
 
@@ -191,7 +190,6 @@ class RobotLoop(Loop):
         return dataclasses.replace(run, error=np.array(errors))
 
     def _timed(self, measurement: Measurement) -> Measurement:
-        """Return it in the time of the run."""
         t_x = measurement.t_x
         return measurement._replace(
             t=measurement.t - self._begun, t_x=None if t_x is None else t_x - self._begun
@@ -199,7 +197,6 @@ class RobotLoop(Loop):
 
     @property
     def _velocity(self) -> Array:
-        """Velocity of the moving target, shape (m,)."""
         v = self._wanted.v
         return np.zeros(self.controller.task._measured.m) if v is None else v
 
@@ -208,7 +205,6 @@ class RobotLoop(Loop):
         self.target = x_of(self._wanted)
 
     def _look(self, measurement: Measurement) -> None:
-        """Take the new measurement: where is the target, and is the arm where it should be?"""
         x, task = measurement.x, self.controller.task._measured
         sees = bool(np.isfinite(x).all())
         if self._blind and sees and not self.halting:
@@ -230,7 +226,6 @@ class RobotLoop(Loop):
             self.stop_distance = max(self.stop_distance, way)
 
     def _judge(self) -> None:
-        """Look at what the controller says of its answer."""
         lost = self.answer.status in _LOST
         self._lost = self._lost + 1 if lost else 0
         self._blind = self._blind or lost
@@ -243,7 +238,7 @@ class RobotLoop(Loop):
             self._note(Fault.LIMITS)
 
     def describe_hang(self, longest: float) -> str:
-        """Return in words what did not come back within a time after the last command [s]."""
+        """Say what did not come back within a time after the last command [s]."""
         came = self._read - self._sent  # later: the state came after the brake, to another thread
         what = "no state came"
         if 0.0 < came < longest:
@@ -252,7 +247,7 @@ class RobotLoop(Loop):
         return f"no command for {1e3 * longest:.3g} ms, twice `max_period`: {what}"
 
     def describe_fault(self) -> str:
-        """Return the fault in words."""
+        """Say what is wrong, and where."""
         assert self.fault is not None
         detail = f" ({self.detail})" if self.detail else ""
         return f"{self.fault}: {self.fault.message}{detail}"
@@ -263,7 +258,6 @@ class RobotLoop(Loop):
             self.fault, self.detail = fault, detail
 
     def _brakes(self) -> bool:
-        """Return True after a fault at which the robot brakes at once."""
         return self.fault is not None and not self.fault.stops
 
     def _rests(self) -> bool:

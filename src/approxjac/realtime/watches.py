@@ -36,14 +36,10 @@ _GROWTH, _STEPS, _TIME = 1.4, 5, 0.03  # of speed, over so many times of so many
 
 
 class FaultWatch:
-    """Hold q, q̇, the clock and commands against each other.
+    """Hold q, q̇, the clock and commands against each other, without believing any dynamics.
 
-    It sees each period's measurement once. Thresholds come from noise, the largest joint speeds
-    `fastest` (n_v,) and the period; no dynamics are believed. From state to state it may take at
-    most `late` [s].
-
-    Attributes:
-        detail: Of the last fault, in words: which joint, and by how much.
+    Its thresholds come from noise, the largest joint speeds `fastest` (n_v,) and the period. From
+    state to state it may take at most `late` [s]. `detail` says which joint, and by how much.
     """
 
     def __init__(
@@ -75,8 +71,9 @@ class FaultWatch:
         self._last: Measurement | None = None
         # a command that a joint at rest must answer: a change of torque, or a way
         self._commands_velocity = commands_velocity
-        stiction = 2.0 * accuracy.stiction_of(robot.effort_limits)
-        self._answered = np.full(n, np.inf) if commands_velocity else stiction
+        usual = accuracy.stiction is None
+        stiction = 0.05 * robot.effort_limits if usual else np.asarray(accuracy.stiction, float)
+        self._answered = np.full(n, np.inf) if commands_velocity else 2.0 * stiction
         self._way, self._asked, self._stood = np.zeros((3, n))
         self._stands = max(_REPEATS, round(_STANDS / dt))
         self._command, self._held_by, self._led, self._recent = np.zeros((4, n))
@@ -87,10 +84,7 @@ class FaultWatch:
         self._ahead = deque([-math.inf], maxlen=_REMEMBERED)
 
     def look(self, measurement: Measurement, now: float) -> Fault | None:
-        """Return the fault of a period's measurement, read at `now` by this machine's clock [s].
-
-        One without q and q̇ is bridged for some periods; it is the caller who must not use it.
-        """
+        """Return the fault of a period's measurement, read at `now` by this machine's clock [s]."""
         t, q, v = measurement.t, measurement.q, measurement.v
         self.detail = ""
         if not math.isfinite(math.hypot(*q.tolist(), *v.tolist())):
@@ -119,19 +113,13 @@ class FaultWatch:
         return self._compare(way, v, last.v, elapsed, missed) or self._speed(t, v)
 
     def commanded(self, command: Array, reference: Array | None) -> Fault | None:
-        """Take note of a command and of the joint velocity it is to lead to, both (n_v,).
-
-        Returns a fault where a joint is faster than it was led to be lately.
-        """
+        """Return the fault of a joint that is faster than commands led it to be lately."""
         self._command = command
         if len(self._past) == 1:  # what holds a joint that stood still from the beginning
             self._held_by = command
-        led = np.zeros_like(command) if reference is None else np.abs(reference)
+        wanted = np.zeros_like(command) if reference is None else reference
+        self._asked, led = command if self._commands_velocity else wanted, np.abs(wanted)
         self._led = led + led.max()  # joints need not share the motion as it is led
-        if self._commands_velocity:
-            self._asked = command
-        else:
-            self._asked = np.zeros_like(command) if reference is None else reference
         if reference is None or self._unknown or self._last is None:
             return None
         self._recent = np.maximum(self._fades * self._recent, self._led + led)
@@ -146,14 +134,12 @@ class FaultWatch:
         return self._fault(Fault.TOO_FAST, j, message)
 
     def _fault(self, fault: Fault, j: int, message: str) -> Fault:
-        """Return a fault of a joint, with a message as its detail."""
         self.detail = f"{self._names[j]}: {message}"
         return fault
 
     def _compare(
         self, way: Array, v: Array, before: Array, elapsed: float, missed: int
     ) -> Fault | None:
-        """Hold the way of a period against q̇."""
         periods = elapsed / self._dt
         mean = (0.5 * elapsed) * (v + before)
         off, sudden = np.abs(way - mean), np.abs(v - before)
@@ -199,7 +185,6 @@ class FaultWatch:
         return self._fault(Fault.VELOCITY_DISAGREES, j, message)
 
     def _unanswered(self, same: Array) -> Fault | None:
-        """Return a fault where a joint stands still under a command that must move it."""
         self._stood = np.where(same, self._stood + 1.0, 0.0)
         self._way = np.where(same, self._way + self._dt * self._asked, 0.0)
         self._held_by = np.where(same, self._held_by, self._command)
@@ -297,7 +282,7 @@ class SensorWatch:
         self._q_seen: Array | None = None  # in the last period in which there was an x
 
     def look(self, measurement: Measurement, x_d: Array) -> Fault | None:
-        """Return the fault of x, led to x_d (n_x,), or None. q and q̇ are taken for right."""
+        """Return the fault of x, led to x_d (n_x,). q and q̇ are taken for right."""
         t, q, v, x, t_x = measurement
         self._path += self._dt * math.hypot(*v.tolist())
         self._past.append((t, q, self._path))
@@ -312,11 +297,8 @@ class SensorWatch:
             if t - self._seen <= self._longest:
                 return None
             now = self._frame(self._past[-1], x, x_d)
-            return (
-                Fault.SENSOR_FROZEN
-                if self._is_off(now, last) or self._is_still(now, last)
-                else None
-            )
+            frozen = self._is_off(now, last) or self._is_still(now, last)
+            return Fault.SENSOR_FROZEN if frozen else None
         self._seen = t
         instant = self._instant(t if t_x is None else t_x)
         if instant is None:
@@ -338,7 +320,6 @@ class SensorWatch:
         return None
 
     def _instant(self, taken: float) -> tuple[float, Array, float] | None:
-        """Return the period in which a frame was taken [s], if it is kept."""
         back = round((self._past[-1][0] - taken) / self._dt)
         if not 0 <= back < len(self._past):
             return None  # from before the run, or by a clock that nobody knows
@@ -353,7 +334,6 @@ class SensorWatch:
         return _Frame(t, x, self._task.value(q), path, rotation, x_d)
 
     def _is_off(self, new: _Frame, old: _Frame) -> bool:
-        """Return True where x moved otherwise than the joints can have moved it."""
         seen, believed = self._motions(new, old)
         turned, besides = self._slack(new, old)
         if self._is_learnt:
@@ -389,7 +369,6 @@ class SensorWatch:
         return turned, self._share * self._norms * max(new.path - old.path, 0.0)
 
     def _unexplained(self, error: Array, turned: float, new: _Frame, old: _Frame) -> Array:
-        """Return the rest of an error that no other tip on its link explains."""
         left = error.copy()
         for group in (self._groups[i] for i in np.flatnonzero(self._is_place)):
             along = np.zeros(len(group))
@@ -402,5 +381,4 @@ class SensorWatch:
         return left
 
     def _sizes(self, error: Array) -> Array:
-        """Return the lengths of the parts of an error that have one unit each."""
         return np.array([math.hypot(*error[group].tolist()) for group in self._groups])

@@ -430,11 +430,9 @@ class Plant(Immutable):
 
         Its arguments are not checked: a loop that calls it checks what comes out, once a step.
         """
-        accelerate: Acceleration = self._acceleration
+        accelerate: Acceleration = self._driven
         if self.servo is None:
-            tau = self._delivered(q, tau)
-        else:
-            accelerate = lambda *at: self._acceleration(*at[:2], self.applied(*at))  # noqa: E731
+            accelerate, tau = self._acceleration, self._delivered(q, tau)
         q_end, v_end = integrate(accelerate, self._moved, q, v, tau, dt)
         if self.stops is None or not self.stops.touched(q_end):
             return q_end, v_end
@@ -483,6 +481,9 @@ class Plant(Immutable):
             tau += self.friction_torque(v)
         limits = self.motor_limits
         return np.asarray(np.minimum(np.maximum(tau, -limits), limits))
+
+    def _driven(self, q: Array, v: Array, command: Array) -> Array:
+        return self._acceleration(q, v, self.applied(q, v, command))
 
     def _forward(self, q: Array, v: Array, tau: Array) -> Array:
         if self.robot.mimic_joints.G is not None:

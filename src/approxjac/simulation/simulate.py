@@ -95,10 +95,7 @@ def first_state(
     dt: float,
     given: Array | None = None,
 ) -> Array:
-    """Return the state that a controller begins with, after a step in which it is seen to be one.
-
-    Its initial state, unless another one is given.
-    """
+    """Return the state that a controller begins with, after a step in which it is checked."""
     state = controller.initial_state(measurement)
     if given is not None:
         state = as_array("state", given, state.shape)
@@ -181,7 +178,7 @@ class InitialState(NamedTuple):
 class Loop:
     """Base of the loops of a plant and of a robot.
 
-    An observer may look at all of it, and may move the target, exchange the controller or stop it.
+    An observer may look at all of it, move the target, exchange the controller, or stop it.
 
     Attributes:
         plant: The true robot, or of a real one what is believed of it.
@@ -231,7 +228,7 @@ class Loop:
         return self.stopped or self.step == self.steps
 
     def aim_at(self, target: Target | TargetPath | Array) -> None:
-        """Move the target, from the next step on, to a value that the sensor has."""
+        """Move the target, from the next step on."""
         path = wanted_of(self.plant.sensor, target, self.t)
         wanted = target_at(path, self.t)
         try:
@@ -246,12 +243,7 @@ class Loop:
         self.target = x_of(wanted)
 
     def exchange(self, controller: Controller) -> None:
-        """Let another controller go on, from the next step on, with the state that there is.
-
-        Raises:
-            InvalidInputError: A controller of another task, with a state of another length, or
-                for another sampling time.
-        """
+        """Let another controller go on, from the next step on, with the state that there is."""
         require_fit(self.plant, controller, self.dt)
         state = first_state(self.plant, controller, self._wanted, self.measurement, self.dt)
         if state.shape != self.state.shape:
@@ -344,10 +336,7 @@ class MovingArm:
 
 
 class SampledLoop(Loop):
-    """A closed loop whose command is held over dt (zero-order hold), as `simulate` runs it.
-
-    What an observer does not touch is the same to the last bit as without it.
-    """
+    """A closed loop whose command is held over dt (zero-order hold), as `simulate` runs it."""
 
     def __init__(
         self,
@@ -456,22 +445,18 @@ def simulate(
         q0: Start configuration, shape (nq,), at rest; or an `InitialState`, with a velocity or a
             state of the controller. `plant.ready_configuration()` by default.
         duration: > 0 [s].
-        dt: Sampling time [s]: torques are held over it, as a robot does. None integrates
-            (q, v, controller state) as one differential equation with LSODA, as the paper does,
-            for laws in continuous time. A controller that limits speeds or positions has a `dt`
-            of its own, which it must be.
-        record_every: Time between recorded instants [s]: dt, or duration/1000 where dt is None.
-            A whole number of them fits into duration where dt is None; it is a whole number of dt
-            otherwise, and the last instant is recorded too.
+        dt: Sampling time [s], over which commands are held; that of the controller where it has
+            one. None integrates (q, v, controller state) as one differential equation with LSODA,
+            as the paper does, for laws in continuous time.
+        record_every: Time between recorded instants [s]: a whole number of dt, one by default, with
+            the last instant besides; a whole part of the duration, 1/1000, where dt is None.
         seed: Of the noise and the dropouts of the plant's sensing, ≥ 0.
         computation: Integrator, tolerances, machine code or Python, and a report of progress.
-        observer: Called with the `Loop`, which says what it may do, at every step of
-            sampled control. An observer that is a context manager is entered before the run and
-            left after it, however it ends.
+        observer: Called with the `Loop` at every step of sampled control. One that is a context
+            manager is entered before the run and left after it, however it ends.
 
     Returns:
-        The record of the run; its first instant is the start, its last the end. Status is
-        recorded at these instants only.
+        The record of the run, from its start to its end.
 
     Raises:
         InvalidInputError: Wrong shapes, numbers that are not finite or out of range.

@@ -21,7 +21,7 @@ from approxjac.interface import Evaluation, LimitStatus, Measurement, Status
 from approxjac.robots import Robot
 from approxjac.simulation.plant import Plant
 from approxjac.tasks import StackedTask, Task
-from approxjac.validation import Array, Saved, as_number, require
+from approxjac.validation import Array, Saved, require
 
 _TOUCHES = 1e-6  # beyond a position limit; less is rounding [rad or m]
 _NUMBERS = (np.dtype(np.float64), np.dtype(np.int64))
@@ -137,12 +137,10 @@ class Trajectory:
         joint_names, joint_units: In the order of v and τ; "rad", or "m" for prismatic joints.
         task_labels, task_units: Of the task coordinates, length m.
         scene: Who took part, to draw the run with; None if that is not known.
-        derived: Returns what is worked out of a run only when it is asked for, by name: V, task
-            torque, σ_min, the law as printed, and the function that `learnt_sd` is.
+        derived: Returns what is worked out only when it is asked for, by its name.
         ended: Why a run on a robot ended, in words; "" of others.
         fault_name: Of the `Fault` that ended it; "" without one.
-        engine: What carried out a simulated run: "machine code" or "Python", and why, where it was
-            Python for a reason; "" of others.
+        engine: What carried out a simulated run, "machine code" or "Python", and why; "" of others.
     """
 
     t: Array
@@ -183,18 +181,12 @@ class Trajectory:
 
     @cached_property
     def task_torque(self) -> Array:
-        """The part of the law's torque that acts on the task, by its controller, (N, n_v).
-
-        −Ĵᵀ(K_p s(e) + K_v Ĵq̇) of a `SetpointController`; NaN where it is not known.
-        """
+        """The part of the law's torque that acts on the task, (N, n_v); NaN where unknown."""
         return np.asarray(self.derived(self, "task_torque"))
 
     @cached_property
     def V(self) -> Array:
-        """The controller's Lyapunov function of the true arm, shape (N,) [J]; NaN without one.
-
-        V of (12) of a `SetpointController`, or of (31) where gravity is learnt, with its α.
-        """
+        """The controller's Lyapunov function of the true arm, shape (N,) [J]; NaN without one."""
         return np.asarray(self.derived(self, "V"))
 
     @cached_property
@@ -210,10 +202,7 @@ class Trajectory:
         return {} if self.scene is None else self.scene.parameters
 
     def learnt_sd(self, k: int) -> Array:
-        """Return the standard deviations of what was learnt by the kth instant, shape (p,).
-
-        NaN where they are not known, as of runs from files.
-        """
+        """Return the standard deviations of `learnt[k]`, shape (p,); NaN of runs from files."""
         return np.asarray(self.derived(self, "learnt_sd")(self.state[k]))
 
     @cached_property
@@ -251,25 +240,9 @@ class Trajectory:
         """‖e‖ over time, shape (N,)."""
         return np.asarray(np.linalg.norm(self.error, axis=1))
 
-    def error_ratio(self, t: float) -> float:
-        """Return ‖e(t)‖ / ‖e(0)‖ at t [s] within the run, linear between recorded instants."""
-        norm = self.error_norm
-        t = as_number("t", t, unit="s")
-        if not self.t[0] <= t <= self.t[-1]:
-            raise InvalidInputError(
-                f"t must be within the run, {self.t[0]:g} to {self.t[-1]:g} [s], got {t!r}", given=t
-            )
-        if norm[0] == 0.0:
-            raise InvalidInputError("there is no ratio to an initial error of 0", given=t)
-        return float(np.interp(t, self.t, norm) / norm[0])
-
     @cached_property
     def at_stops(self) -> dict[str, float]:
-        """Time [s] that each joint was at a stop, beyond a position limit; of those that were.
-
-        As far as recorded instants show: a contact lasts some 10 ms at least. Empty where the robot
-        is not known (`scene`).
-        """
+        """Time [s] of each joint that was beyond a position limit, as recorded instants show."""
         if self.scene is None:
             return {}
         share = (self.scene.truth.beyond_limits(self.q) > _TOUCHES).mean(axis=0)
@@ -334,11 +307,8 @@ class Trajectory:
             run._require_fit(derived["law"])
             return run
         except FileNotFoundError as error:
-            folder = Path(path).with_suffix("")
-            runs = sorted(folder.rglob("*.npz"))[:3] if folder.is_dir() else []
-            there = f"; there are {', '.join(map(str, runs))}" if runs else ""
             raise TrajectoryFileError(
-                f"trajectory file {path} does not exist{there}", given=path
+                f"trajectory file {path} does not exist", given=path
             ) from error
         except Exception as error:  # NumPy, zipfile, zlib and json each raise their own
             why = str(error) if zipfile.is_zipfile(path) else "it is no .npz file"
