@@ -477,7 +477,7 @@ def test_parts_of_another_robot_are_refused(panda):
     task = aj.PositionTask(panda)
     with pytest.raises(aj.InvalidInputError, match="kinematics must be of the task PositionTask"):
         TrackingController(task, kinematics=KnownKinematics(aj.PositionTask(ur5)))
-    with pytest.raises(aj.InvalidInputError, match="dynamics must be of a robot with the joints"):
+    with pytest.raises(aj.InvalidInputError, match="dynamics must be of the task PositionTask"):
         known(task, dynamics=ModelDynamics(ur5))
     with pytest.raises(aj.InvalidInputError, match="posture is for arms with more joints than"):
         known(aj.PoseTask(ur5), posture=np.zeros(6))

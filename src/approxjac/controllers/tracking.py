@@ -192,16 +192,15 @@ class TrackingController(Immutable, Controller):
         require("kinematics", of, Kinematics, "AdaptiveKinematics(task) or None")
         wanted, names = "AdaptiveDynamics(robot) or ModelDynamics(robot)", task.robot.joint_names
         require("dynamics", self.dynamics, MotionDynamics, wanted)
-        if of.task.robot.joint_names != names or of.task.labels != task.labels:
-            raise InvalidInputError(
-                f"kinematics must be of the task {task!r}, got {of!r}", given=of
-            )
-        if self.dynamics.robot.joint_names != names:
-            raise InvalidInputError(
-                f"dynamics must be of a robot with the joints of {task.robot.name}, got "
-                f"{self.dynamics!r}",
-                given=self.dynamics,
-            )
+        seen = of.task.robot.joint_names == names and of.task.labels == task.labels
+        for name, part, fits in (
+            ("kinematics", of, seen),
+            ("dynamics", self.dynamics, self.dynamics.robot.joint_names == names),
+        ):
+            if not fits:
+                raise InvalidInputError(
+                    f"{name} must be of the task {task!r}, got {part!r}", given=part
+                )
 
     def initial_state(self, measurement: Measurement) -> Array:
         """Return the state before the first step.

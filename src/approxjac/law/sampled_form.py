@@ -35,10 +35,6 @@ def hold_gain(period: float, late: float) -> float:
 
     What is held starts each period without an error: Wirtinger's inequality with one free end has
     2/π of the longest period. Being late adds its own time, as ∫|u(t) − u(t − d)|² ≤ d²∫|u̇|².
-
-    Args:
-        period: Longest time from sample to sample [s].
-        late: How late what was sampled acts [s].
     """
     return late + 2.0 * period / math.pi
 
@@ -48,29 +44,20 @@ def growth(rate: float, span: float, lag: float = 0.0) -> float:
 
     For rates of V, and for weights that change by at most e^(2 · rate · t) in a time t.
 
-    Args:
-        rate: [1/s].
-        span: Longest time that what acts is out of date [s].
-        lag: Mean age of what a filter with a falling response makes of it [s]. Such an age σ is
-            less spread than one with exponential distribution, so E σe^(rate σ) ≤ lag/(1 −
-            rate lag)².
+    `span` is the longest time that what acts is out of date, `lag` the mean age of what a filter
+    with a falling response makes of it [s]. Such an age σ is less spread than one with exponential
+    distribution, so E σe^(rate σ) ≤ lag/(1 − rate lag)².
     """
     exponent, left = rate * span, 1.0 - rate * lag
     return math.exp(exponent) / left**2 if exponent < _MOST and left > 0.0 else math.inf
 
 
 class TorqueRate(NamedTuple):
-    """u̇ = T z + U w + T_x w_x, but for what is quadratic in q̇.
+    """u̇ = T z + U w + T_x w_x, but for what is quadratic in q̇."""
 
-    Attributes:
-        T: Shape (…, n_v, n_v + m).
-        U: Shape (…, n_v, n_v).
-        T_x: Shape (…, n_v, m); None where x is read with the rest of the state.
-    """
-
-    T: Array
-    U: Array
-    T_x: Array | None
+    T: Array  # shape (…, n_v, n_v + m)
+    U: Array  # shape (…, n_v, n_v)
+    T_x: Array | None  # shape (…, n_v, m); None where x is read with the rest of the state
 
     def changed(self, change: Callable[[Array], Array]) -> TorqueRate:
         """Return this with each array changed, such as to some of a stack."""
@@ -224,11 +211,8 @@ def held_form(
     scale = multiplier * gain
     F -= scale * (1.0 + b) * (whole.mT @ R @ whole)
     F[..., v, v] -= multiplier * (b + b * b) * D
-    upper = np.triu(np.ones(F.shape[-2:], dtype=bool), 1)
-    filled = np.where(upper, F, 0.0)
-    filled = filled + filled.mT
-    filled[..., range(at[-1]), range(at[-1])] = F[..., range(at[-1]), range(at[-1])]
-    return filled
+    upper = np.triu(F, 1)
+    return upper + upper.mT + F * np.eye(at[-1])
 
 
 def held_margin(F: Array, D: Array, J_hat: Array, G: Array, kp: Array) -> Array:
