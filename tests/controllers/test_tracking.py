@@ -15,7 +15,6 @@ from approxjac.controllers import (
     KnownKinematics,
     ModelDynamics,
     TrackingController,
-    TrackingGains,
 )
 from approxjac.controllers.adaptive_dynamics import (
     squared_rates,
@@ -621,24 +620,3 @@ def test_what_is_learnt_stays_within_bounds(panda, rng):
     assert (np.abs(a - dynamics.initial_state()) <= 20.0 * dynamics.sd + 1e-12).all()
     assert (a[links : links + 21] >= 0.0).all()
     assert_allclose(dynamics.sd[:10], [0.505, *[0.111] * 3, *[0.0244] * 6], rtol=0.02)
-
-
-@pytest.mark.parametrize(
-    ("name", "options", "text"),
-    [
-        (
-            "panda",
-            {},
-            "self-motion: drawn to the middle of the ranges of panda_joint1, ",
-        ),
-        ("ur5", {}, "self-motion: drawn to the middle of the ranges of no joint"),
-        ("kinova", {}, "ranges of j2s6s200_joint_2, "),
-        ("panda", {"posture": [0, 0, 0, -1, 0, 1, 0]}, "self-motion: drawn to the posture that"),
-        ("panda", {"gains": TrackingGains(self_motion=0.0)}, ""),
-        ("two_link", {}, ""),
-    ],
-)
-def test_it_is_printed_where_the_self_motion_is_drawn_to(name, options, text):
-    told = str(aj.TrackingController(aj.PositionTask(aj.load_robot(name)), **options))
-    assert text in " ".join(told.split())
-    assert ("self-motion" in told) == bool(text)

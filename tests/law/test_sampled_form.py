@@ -77,7 +77,7 @@ def test_bounds_of_what_turns_hold_in_every_direction(seed):
     _, controller, _, q, _, at, rng = setup("panda", law.Linear(), seed)
     M, D, kv, kp = at["M"], at["D"], at["kv"], at["kp"]
     turn = sampled_form.damping_turn(M, D, at["J_hat"], at["dJ_hat"], kv)
-    along = sampled_form.damping_turn_along(M, D, at["J_hat"], at["dJ_hat"], kv)
+    along = sampled_form.damping_turn(M, D, at["J_hat"], at["dJ_hat"], kv, along=True)
     stiff = sampled_form.stiffness_turn(D, at["dJ_hat"], kp)
     root = np.linalg.inv(np.linalg.cholesky(D))
     for _ in range(50):

@@ -218,31 +218,19 @@ class AdaptiveGravity(Immutable):
 
 
 class Adaptation(NamedTuple):
-    """An `AdaptiveGravity` with its defaults filled in, for one task and its gains.
+    """An `AdaptiveGravity` with its defaults filled in, for one task and its gains."""
 
-    Attributes:
-        regressor: Z(q) of the believed robot.
-        sizes: Numbers of gravity parameters, of task forces and of joint torques that are learnt.
-        L: Of all parameters, a diagonal (P,) or a matrix (P, P).
-        alpha: α [1/s].
-        theta0: θ̂(0), shape (P,).
-        bounds: Smallest and largest θ, each shape (P,), or None.
-        torque_limits: Torques beyond which θ̂ stands still, shape (n_v,).
-        motors: Torques beyond which what θ̂ alone asks for grows no further, shape (n_v,): those
-            limits, also within a limiter, which decides itself when θ̂ stands still.
-        pinv_weight: Weight of Ĵ⁺ in y of (10), as of `law.cross_weight_pinv`, shape (n_v,): B_c
-            where the rule chose how to learn; None is I.
-    """
-
-    regressor: GravityRegressor
-    sizes: tuple[int, int, int]
-    L: Array
-    alpha: float
-    theta0: Array
-    bounds: tuple[Array, Array] | None
-    torque_limits: Array
+    regressor: GravityRegressor  # Z(q) of the believed robot
+    sizes: tuple[int, int, int]  # numbers of θ_g, d and w that are learnt
+    L: Array  # of all parameters, a diagonal (P,) or a matrix (P, P)
+    alpha: float  # α [1/s]
+    theta0: Array  # θ̂(0), shape (P,)
+    bounds: tuple[Array, Array] | None  # smallest and largest θ, each shape (P,)
+    torque_limits: Array  # torques beyond which θ̂ stands still, shape (n_v,)
+    # those limits, also within a limiter, which decides itself when θ̂ stands still: what θ̂ alone
+    # asks for grows no further beyond them
     motors: Array
-    pinv_weight: Array | None
+    pinv_weight: Array | None  # of Ĵ⁺ in y of (10), as of `law.cross_weight_pinv`; None is I
 
     def __repr__(self) -> str:
         L = short(self.L) if self.L.ndim == 1 else "a matrix"

@@ -366,12 +366,11 @@ class TrackingController(Immutable, Controller):
         return self.dynamics.gravity(state[: self.resting], q)
 
     def describe(self) -> list[str]:
-        """Return the law and what it learns in a line, its task, and where it is drawn to."""
+        """Return the law and what it learns in a line, and its task."""
         kinds = [spaced(type(part).__name__) for part in (self.kinematics, self.dynamics)]
         parts = " and ".join(kinds).replace("adaptive", "learnt").replace("model", "known")
         first = f"tracking law, alpha {self.alpha:.4g}, kappa {self.kappa:.4g}; {parts}"
-        drawn = self._rest.words()
-        return [first, super().describe()[1], *([drawn] if drawn else [])]
+        return [first, super().describe()[1]]
 
     def __repr__(self) -> str:
         parts = f"{self.task!r}, {self.kinematics!r}, {self.dynamics!r}"
@@ -399,7 +398,6 @@ class RestConfiguration:
         self._first = np.array([joint.idx_q for joint in joints])  # the cosine of (cos, sin)
         self._second = self._first + self._continuous
         self._none = np.zeros(robot.nv) if robot.nv <= task.m or rate == 0.0 else None
-        self._names = None if q is not None else robot.joint_names
         if q is None:
             lower, upper = robot.usual_range()
             whole = np.where(np.array(robot.joint_units) == "m", 2.0, 2.0 * np.pi)
@@ -409,15 +407,6 @@ class RestConfiguration:
             return
         self.q = as_array("posture", robot.configuration(q, "posture"), (robot.nq,))
         robot.require_radians("posture", self.q)
-
-    def words(self) -> str:
-        """Return where it draws the self-motion to; "" where there is none or it is left alone."""
-        if self._none is not None:
-            return ""
-        if self._names is None:
-            return "self-motion: drawn to the posture that is given"
-        drawn = [name for name, k in zip(self._names, self._pull, strict=True) if k]
-        return f"self-motion: drawn to the middle of the ranges of {', '.join(drawn) or 'no joint'}"
 
     def velocity(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return n₀ and its derivative at q (nq,) and q̇ (n_v,)."""

@@ -18,7 +18,6 @@ Shapes are those of `law.matrix_form`; D_c is D without the arm's own friction.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -58,10 +57,6 @@ class TorqueRate(NamedTuple):
     T: Array  # shape (…, n_v, n_v + m)
     U: Array  # shape (…, n_v, n_v)
     T_x: Array | None  # shape (…, n_v, m); None where x is read with the rest of the state
-
-    def changed(self, change: Callable[[Array], Array]) -> TorqueRate:
-        """Return this with each array changed, such as to some of a stack."""
-        return TorqueRate(*(None if each is None else change(each) for each in self))  # type: ignore[arg-type]
 
 
 def torque_rate(
@@ -118,18 +113,16 @@ def torque_curvature(
     return tensor_bound(_turned(tensor, root, root_M, root))
 
 
-def damping_turn(M: Array, D: Array, J_hat: Array, dJ_hat: Array, kv: Array) -> Array:
-    """k_R, (…): D changes by at most the factor e^(k_R v̄ t) in a time t with |q̇|_M ≤ v̄."""
-    root, root_M = _inverse_root(D), _inverse_root(M)
-    gradient = _damping_gradient(J_hat, dJ_hat, kv)
-    return tensor_bound(_turned(gradient, root_M, root, root))
+def damping_turn(
+    M: Array, D: Array, J_hat: Array, dJ_hat: Array, kv: Array, along: bool = False
+) -> Array:
+    """k_R, (…): D changes by at most the factor e^(k_R v̄ t) in a time t with |q̇|_M ≤ v̄.
 
-
-def damping_turn_along(M: Array, D: Array, J_hat: Array, dJ_hat: Array, kv: Array) -> Array:
-    """k_f, (…): |∂D[q̇]p| is at most k_f |q̇|_D |p|_M in the norm of D⁻¹."""
+    `along` gives k_f instead: |∂D[q̇]p| is at most k_f |q̇|_D |p|_M in the norm of D⁻¹.
+    """
     root, root_M = _inverse_root(D), _inverse_root(M)
-    gradient = _damping_gradient(J_hat, dJ_hat, kv)
-    return tensor_bound(_turned(gradient, root, root, root_M))
+    sides = (root, root, root_M) if along else (root_M, root, root)
+    return tensor_bound(_turned(_damping_gradient(J_hat, dJ_hat, kv), *sides))
 
 
 def stiffness_turn(D: Array, dJ_hat: Array, kp: Array) -> Array:

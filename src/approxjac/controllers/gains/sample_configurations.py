@@ -21,20 +21,13 @@ _NO_DAMPING = 1e-9  # instead of none, which would divide by zero
 
 
 class SampleConfigurations(NamedTuple):
-    """Configurations in which a task is seen and not near singular, and the arm there.
+    """Configurations in which a task is seen and not near singular, and the believed arm there."""
 
-    Attributes:
-        q: Shape (k, nq).
-        J_hat: Believed Jacobians, shape (k, m, n_v).
-        M: Believed inertia matrices, shape (k, n_v, n_v).
-        M_inv: Their inverses.
-        groups: Which coordinates have the same unit, unit by unit, each of shape (m,).
-    """
-
-    q: Array
-    J_hat: Array
-    M: Array
-    M_inv: Array
+    q: Array  # shape (k, nq)
+    J_hat: Array  # shape (k, m, n_v)
+    M: Array  # inertia matrices, shape (k, n_v, n_v)
+    M_inv: Array  # their inverses
+    # which coordinates have the same unit, unit by unit, each of shape (m,)
     groups: tuple[np.ndarray[Any, np.dtype[np.bool_]], ...]
 
     def felt_damping(self, damping: Array) -> Array:

@@ -571,7 +571,7 @@ class SampledForm(MatrixForm):
                     at.M, at.dM, D, D_c[rows], at.J_hat, at.dJ_hat, kv
                 )
                 if self.hold.lag:
-                    each["filtered"] = sampled_form.damping_turn_along(*turned)
+                    each["filtered"] = sampled_form.damping_turn(*turned, along=True)
                 if self.hold.frames is not None:
                     each["stiffness"] = sampled_form.stiffness_turn(D, at.dJ_hat, kp)
             most = {name: float(values.max()) for name, values in each.items()}
@@ -581,7 +581,8 @@ class SampledForm(MatrixForm):
     def take(self, which: Indices | slice) -> Self:
         """Return the matrices of some of the samples."""
         other = super().take(which)
-        other._rate = self._rate.changed(lambda values: values[which])
+        parts = (None if each is None else each[which] for each in self._rate)
+        other._rate = sampled_form.TorqueRate(*parts)  # type: ignore[arg-type]
         return other
 
     def is_possible(self) -> bool:
