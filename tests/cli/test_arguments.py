@@ -18,7 +18,7 @@ simulat panda | command 'simulat' | simulate
 simulate | simulate needs the name of an arm | got none | .urdf
 simulate panda ur5 | the name of an arm | got panda ur5
 simulate pando | robot 'pando' | did you mean 'panda'
-simulate panda --learn-kinematic | '--learn-kinematic' | did you mean '--learn-kinematics'
+simulate panda --settling-tim | '--settling-tim' | did you mean '--settling-time'
 simulate panda --objct-length 1 | '--objct-length' | '--object-length'
 simulate panda --object-length | --object-length must be a number | got nothing | , m
 simulate panda --object-length long | --object-length must be a number | got long
@@ -65,7 +65,7 @@ simulate panda --view=yes | --view | got yes | no value
 simulate panda --true.floor 0 | --true.floor | got 0.0 | true.engine mujoco
 simulate panda --task.kind image --task.points 9 | --task.points | got 9 | 1, 2 or 3
 simulate panda --sensor.rate 1e6 | --sensor.rate | got 1e+06 | at most that of control, 1000 [Hz]
-simulate panda --learn-kinematics --gravity exact | --gravity | got exact | learnt or believed
+simulate panda --controller.law tracking --gravity exact | --gravity | got exact | learnt or
 simulate panda --limits none --controller.torque-rate 9 | torque-rate | got 9.0 | "urdf"
 simulate panda --out file | --out | got file | a folder that can be made
 simulate zero.toml | controller.kp | got 0.0 in zero.toml | > 0
@@ -75,7 +75,7 @@ stability panda --object-length 0.3 | --object-length must be 2 numbers | got 0.
 stability panda --object-length 0.3 0.1 | --object-length | 0.3 | 0.1 | (smallest, largest) [m]
 stability panda --object-length 0 0.1 --around 0 0 | --around | 2 | 7 | [rad or m]
 stability panda --object-length 0 0.1 --map error qq | 'qq' | a, damping, error, kv
-stability panda --learn-kinematics | --learn-kinematics | left out of a report | tool origins camera
+stability panda --controller.unknown tool | --controller.unknown | left out of a report | tool
 stability panda --roll 0 1 | --roll | got 0 1 with position | task.kind image
 stability panda --jobs 0 | --jobs | got 0 | >= 1
 paper --figures 2 | --figures | got 2 | 1, 3, 4, 5, 6, 7, 8
@@ -153,7 +153,7 @@ def test_every_key_is_an_option_and_a_line_of_a_file(option, tmp_path):
         ("--controller.integral-action false", "controller.integral_action", False),
         ("--limits none", "controller.limits", "none"),
         ("--limits 0.5", "controller.limits", 0.5),
-        ("--learn-kinematics", "controller.unknown", ("tool", "origins", "camera")),
+        ("--controller.unknown tool origins", "controller.unknown", ("tool", "origins")),
         ("--task.frames a b --seed 1", "task.frames", ("a", "b")),
         ("--true.shifts j 0 1e-2 -1 k 0 0 1", "true.shifts",
          {"j": (0.0, 0.01, -1.0), "k": (0.0, 0.0, 1.0)}),

@@ -5,6 +5,8 @@ from approxjac.cli import main
 from approxjac.codegen.backends.c99 import constant
 from approxjac.scenario import Scenario, build_scenario
 
+LEARNS = ("--controller.law", "tracking", "--controller.unknown", "tool", "origins", "camera")
+
 
 def export(folder, *options):
     return main(["export", *options, "--folder", str(folder)])
@@ -47,12 +49,33 @@ def test_what_a_robot_adds_by_itself_is_left_to_it(tmp_path):
 
 
 def test_a_tracking_law_that_learns_is_covered(tmp_path):
-    assert export(tmp_path, "two_link", "--learn-kinematics", "--limits", "none") == 0
+    assert (
+        export(
+            tmp_path,
+            "two_link",
+            "--controller.law",
+            "tracking",
+            "--controller.unknown",
+            "tool",
+            "--limits",
+            "none",
+        )
+        == 0
+    )
     assert "learnt kinematics" in (tmp_path / "controller.h").read_text("utf-8")
 
 
 def test_what_is_not_covered_is_refused_with_the_reason(tmp_path, capsys):
-    camera = ("--task.kind", "image", "--true.camera.kind", "pinhole", "--learn-kinematics")
+    camera = (
+        "--task.kind",
+        "image",
+        "--true.camera.kind",
+        "pinhole",
+        "--controller.law",
+        "tracking",
+        "--controller.unknown",
+        "tool",
+    )
     assert export(tmp_path / "none", "panda", *camera, "--limits", "none") == 2
     assert capsys.readouterr().err.startswith("approxjac: controller must take symbols")
     assert not (tmp_path / "none").exists()

@@ -32,7 +32,6 @@ class Option:
     hint: Any  # type of its value
     help: str
     default: Any = None
-    means: str = ""  # options that it stands for
 
 
 # A report is about errors that are given as ranges, and takes gravity as compensated exactly.
@@ -86,12 +85,6 @@ POSITIONAL: Mapping[str, tuple[str, str]] = {
     "view": ("RUN", "the run.npz that simulate, paper or Trajectory.save wrote, or its folder"),
 }
 """Command → the word before its options, in brackets where it may be left out, and what it is."""
-_LEARN = Option(
-    ("--learn-kinematics",), "learn_kinematics", bool,
-    "Learn tool, joint origins and camera with the tracking law, as --controller.law tracking "
-    "--controller.unknown tool origins camera.",
-    means="--controller.law tracking --controller.unknown tool origins camera",
-)  # fmt: skip
 
 
 def options_of(command: Callable[..., int]) -> list[Option]:
@@ -99,8 +92,7 @@ def options_of(command: Callable[..., int]) -> list[Option]:
     name = command.__name__
     if name not in SHORT:
         return own_options(command)
-    of_scenario = record_options(_USUAL[name], SHORT[name])
-    return [*of_scenario, *own_options(command), _LEARN]
+    return [*record_options(_USUAL[name], SHORT[name]), *own_options(command)]
 
 
 def documented(record: Any) -> dict[str, str]:
@@ -163,10 +155,7 @@ def read(
                 raise InvalidInputError(
                     f"{name} takes no value, got {' '.join(given)}", given=given
                 )
-            meant, _ = read(command, option.means.split(), options)
-            meant = meant or {option.key: True}
-            values |= meant
-            names |= dict.fromkeys(meant, name)
+            values[option.key], names[option.key] = True, name
             continue
         try:
             converted(option.hint, given)

@@ -28,15 +28,15 @@ from approxjac.paths import Circle, Line, Waypoints
 from approxjac.robots import GravityRegressor, Robot, load_robot
 from approxjac.robots.urdf import OBJECT_RADIUS
 from approxjac.scenario.image_setup import image_scene
-from approxjac.scenario.records import Goal, Numbers, Object, Sensor, Tracker, Vectors
+from approxjac.scenario.records import Numbers, Object, Sensor, Tracker, Vectors
 from approxjac.scenario.refusals import require_effect
 from approxjac.scenario.scenario import Scenario
 from approxjac.scenario.starts import (
     configuration_of,
-    doubts,
     numbers,
     regular_configuration,
     straight_ahead,
+    too_far,
 )
 from approxjac.simulation import Friction, MujocoPlant, Plant, Sensing
 from approxjac.tasks import CombinedTask, ImageTask, PositionTask, Task
@@ -44,6 +44,7 @@ from approxjac.tasks.analysis import with_error
 from approxjac.validation import Array
 
 _PLANAR_FOCAL_LENGTH = 0.05  # [m]
+_INSTANTS = 200  # of a path, that are looked at before it
 _LEAST_PIXELS = 0.05  # noise of an image that a scenario has without [px]
 _LEAST_NOISE = 1e-4  # of x that a scenario has without [m or rad]
 
@@ -69,11 +70,14 @@ class BuiltScenario:
             return tuning.reasons[0]
         if self.scenario.true.tracker != Tracker():
             return ""  # in whose axes nobody knows where the arm is
-        run, goal = self.scenario.run, self.scenario.run.target
-        doubt = doubts(self.law.task, self.target, run.duration)
-        if not doubt and goal != Goal() and goal.configuration is None:  # or it was there itself
-            doubt = doubts(self.plant.sensor, self.target, run.duration, "true")
-        return doubt
+        target = self.target
+        if not isinstance(target, np.ndarray):
+            times = np.linspace(0.0, self.scenario.run.duration, _INSTANTS)
+            target = np.array([target.at(t).x for t in times])
+        for whose, task in (("believed", self.law.task), ("true", self.plant.sensor)):
+            if far := too_far(task, np.atleast_2d(target)):
+                return f"for the {whose} arm the target is {far}"
+        return ""
 
 
 def loaded_arm(scenario: Scenario) -> Robot:

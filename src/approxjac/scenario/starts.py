@@ -8,13 +8,11 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.errors import InvalidInputError
-from approxjac.interface import TargetPath
 from approxjac.robots import Dynamics, Robot
 from approxjac.simulation.plant import holdable
 from approxjac.tasks import PoseTask, PositionTask, Task
 from approxjac.validation import Array, as_array
 
-_INSTANTS = 200  # of a path
 REGULAR = 0.1
 """Starts and targets have σ_min of J and of Ĵ above this share of σ_max."""
 
@@ -103,11 +101,3 @@ def too_far(task: Task, values: Array) -> str:
     if away <= most:
         return ""
     return f"out of reach: {away:.3g} m from the first joint, where {most:.3g} m is the most"
-
-
-def doubts(task: Task, target: Array | TargetPath, duration: float, whose: str = "believed") -> str:
-    """Return why a target is beyond the reach of the arm of a task; or ""."""
-    if not isinstance(target, np.ndarray):
-        target = np.array([target.at(t).x for t in np.linspace(0.0, duration, _INSTANTS)])
-    far = too_far(task, np.atleast_2d(target))
-    return f"for the {whose} arm the target is {far}" if far else ""
