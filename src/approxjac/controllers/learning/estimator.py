@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -195,19 +195,11 @@ class KnownKinematics(Kinematics):
         return x_dot - x_d_dot if jumped else np.asarray(rate)
 
 
-class Frame(NamedTuple):
-    """A frame: x (n_x,), NaN where it is lost, when it was taken [s], and q at that time (nq,)."""
-
-    x: Array
-    t: Any
-    q: Array
-
-
 class Estimator(Kinematics):
     """Kinematics that learn from frames of x: frame, gate, correct, smooth, predict.
 
-    A *frame* is an x that is new, with the configuration at which it was taken; a *gate* passes
-    over those that jump; `_correct` learns from the others; what is controlled follows *smoothly*
+    A *frame* is a measurement whose x is new, with t and q when it was taken; a *gate* passes over
+    those that jump; `_correct` learns from the others; what is controlled follows *smoothly*
     what is learnt, and `predict` goes by it. All run on numbers, and on symbols.
 
     Attributes:
@@ -277,7 +269,7 @@ class Estimator(Kinematics):
         """Return whether x was ever seen, and x̂ placed there."""
 
     @abstractmethod
-    def _place(self, state: Array, frame: Frame) -> None:
+    def _place(self, state: Array, frame: Measurement) -> None:
         """Let x̂ begin at the first x that is seen, in place."""
 
     @abstractmethod
@@ -285,7 +277,7 @@ class Estimator(Kinematics):
         """Return the largest motion of each of `_points` between configurations, without noise."""
 
     @abstractmethod
-    def _correct(self, state: Array, frame: Frame, since: Any, is_anew: Any) -> None:
+    def _correct(self, state: Array, frame: Measurement, since: Any, is_anew: Any) -> None:
         """Learn from a frame that counts for a time [s], in place; `_account` for what is left.
 
         It has `_points` of x, and is the first one after the sensor was moved where it `is_anew`.
@@ -557,7 +549,7 @@ class Frames:
         law.alter(since < -_ROUND_OFF, numbers, lambda numbers: self.begin(numbers, t, q))
         return is_due | (since < _ROUND_OFF)
 
-    def new(self, numbers: Array, measurement: Measurement) -> tuple[Frame | None, Any]:
+    def new(self, numbers: Array, measurement: Measurement) -> tuple[Measurement | None, Any]:
         """Return a frame, None where it is surely old, and whether it is new, and note it."""
         n, (t, _, _, x, _) = self._n_x, measurement
         t_x: Any = measurement.t_x
@@ -582,7 +574,8 @@ class Frames:
             head[n + 3] = law.select(is_known, t, head[n + 3])
 
         law.alter(is_noted, head, note)
-        return Frame(np.where(seen, x, math.nan), taken, q), is_noted & is_known
+        frame = measurement._replace(t=taken, q=q, x=np.where(seen, x, math.nan))
+        return frame, is_noted & is_known
 
     def _at(self, numbers: Array, t: Any, measurement: Measurement) -> tuple[Array, Any]:
         """Return the configuration at a time [s], and whether it is not longer ago than known."""
@@ -622,7 +615,7 @@ class Gate:
         self._nq, self._n_x, self._jump, self._reach = robot.nq, n_x, jump, reach
         self.size = 3 + 2 * (robot.nq + 2 * n_x)
 
-    def judge(self, numbers: Array, frame: Frame) -> None:
+    def judge(self, numbers: Array, frame: Measurement) -> None:
         """Note whether to believe a frame, and whether it is the first after the sensor moved."""
         last, other = numbers[1:-2].reshape(2, -1)
         fits = self._fits(last, frame)
@@ -636,7 +629,7 @@ class Gate:
         numbers[-2] = law.select(believed, 1.0, 0.0)
         numbers[-1] = law.select(believed & jumps, 1.0, 0.0)
 
-    def _fits(self, last: Array, frame: Frame) -> Any:
+    def _fits(self, last: Array, frame: Measurement) -> Any:
         """Return whether x is where it may be after the last frame; where none was, it may be."""
         nq, n = self._nq, self._nq + self._n_x
         compared = (last[n:] > 0.0) & np.isfinite(frame.x)
@@ -646,7 +639,7 @@ class Gate:
             return True
         return is_near | law.all_of(change <= self._reach(last[:nq], frame.q) + self._jump)
 
-    def _note(self, where: Array, frame: Frame) -> None:
+    def _note(self, where: Array, frame: Measurement) -> None:
         n, seen = self._nq, np.isfinite(frame.x)
         where[:n] = frame.q
         where[n : n + self._n_x] = np.where(seen, frame.x, where[n : n + self._n_x])

@@ -11,12 +11,7 @@ import numpy as np
 from approxjac import law
 from approxjac.cameras import PinholeCamera
 from approxjac.controllers.arguments import chosen_deviations, chosen_kinds, is_rotation
-from approxjac.controllers.learning.estimator import (
-    Estimator,
-    Frame,
-    Translations,
-    motion_of_points,
-)
+from approxjac.controllers.learning.estimator import Estimator, Translations, motion_of_points
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement, Target
 from approxjac.law import PredictedError
@@ -243,12 +238,12 @@ class AdaptiveCamera(Estimator):
     def _has_begun(self, state: Array) -> Any:
         return bool(state[self._at["keys"]][-2] > 0.0)  # χ² is, from the first frame on
 
-    def _place(self, state: Array, frame: Frame) -> None:
+    def _place(self, state: Array, frame: Measurement) -> None:
         y = self._rays(frame.x)
         if np.isfinite(y).all(axis=1).any():
             keys = state[self._at["keys"]]
             learnt = self._estimator.learn(keys, *self._watched(frame.q), y)
-            keys[:] = self._estimator.renewed(learnt)
+            keys[:] = self._estimator.about(self._estimator.estimate(learnt))
             keys[-2] = 1e-12  # the camera was placed
         self._follow(state)
 
@@ -272,7 +267,7 @@ class AdaptiveCamera(Estimator):
         known, unsure = motion_of_points(before, after, self._u, self._sd_u)
         return np.repeat((_MOVES * known + 4.0 * unsure) * _MOVES / self._usual_depth, 2)
 
-    def _correct(self, state: Array, frame: Frame, since: Any, is_anew: Any) -> None:
+    def _correct(self, state: Array, frame: Measurement, since: Any, is_anew: Any) -> None:
         at, estimator, y = self._at, self._estimator, self._rays(frame.x)
         seen = np.isfinite(y).all(axis=1)
         if not seen.any():
@@ -281,7 +276,7 @@ class AdaptiveCamera(Estimator):
         keys, explained, noted = state[at["keys"]], state[at["explained"]], state[at["noted"]]
         unlike = np.abs(state[at["averaged"]] * self._pixels).max() > _CHANGED * self.noise
         if is_anew or (unlike and explained[0]):  # what was learnt before is contradicted
-            keys = estimator.renewed(keys)
+            keys = estimator.about(estimator.estimate(keys))
             explained[0] = 0.0
             self._forget(state)
         state[at["keys"]] = keys = estimator.learn(keys, H, o, y)
@@ -448,10 +443,6 @@ class _KeyFrames:
         numbers = np.zeros(self.size)
         numbers[self._m : self._m + self._e] = estimate
         return numbers
-
-    def renewed(self, numbers: Array) -> Array:
-        """Return numbers that have forgotten all frames, but not the estimate."""
-        return self.about(self.estimate(numbers))
 
     def estimate(self, numbers: Array) -> Array:
         """Return the estimate."""

@@ -15,7 +15,6 @@ from approxjac.controllers.arguments import chosen_deviations, chosen_kinds, is_
 from approxjac.controllers.learning.estimator import (
     WINDOW,
     Estimator,
-    Frame,
     Translations,
     motion_of_points,
 )
@@ -275,8 +274,8 @@ class AdaptiveKinematics(Estimator):
     def _has_begun(self, state: Array) -> Any:
         return law.all_of(state[self._at["placed"]] > 0.0)
 
-    def _place(self, state: Array, frame: Frame) -> None:
-        at, (x, _, q), n_p = self._at, frame, self._n_p
+    def _place(self, state: Array, frame: Measurement) -> None:
+        at, x, q, n_p = self._at, frame.x, frame.q, self._n_p
         R = self._rotation(state)
         first = np.isfinite(x) & ~(state[at["placed"]] > 0.0)
         if self._is_pose:
@@ -289,7 +288,7 @@ class AdaptiveKinematics(Estimator):
         state[at["b"]] = np.where(first[:n_p], x[:n_p] - x_hat, state[at["b"]])
         state[at["placed"]] = np.where(first, 1.0, state[at["placed"]])
 
-    def _correct(self, state: Array, frame: Frame, since: Any, is_anew: Any) -> None:
+    def _correct(self, state: Array, frame: Measurement, since: Any, is_anew: Any) -> None:
         at, x = self._at, frame.x
         averaged, chi = state[at["averaged"]], state[at["chi"]]
         kept = -np.expm1(-since / WINDOW)
@@ -359,7 +358,9 @@ class AdaptiveKinematics(Estimator):
         turns = [turn] if self._turns else []
         if self._is_pose:
             T, R_f = state[at["T"]].reshape(3, 3), self._frame(q)
-            now, goal = smooth_R.dot(R_f), R.dot(R_f).dot(self._tool(state))
+            learnt = self.learnt(state)[self._n_theta : self._n_theta + 3]
+            T_goal = law.rotation_exp(learnt) if self._learns_T else np.eye(3)
+            now, goal = smooth_R.dot(R_f), R.dot(R_f).dot(T_goal)
             goal = law.rotation_exp(integral[n_p:] / self._length).dot(goal)
             turns.append(law.rotation_log(goal.dot(now.dot(T).T)))
         rate = self._eased(dt, law.length(away), *turns)
@@ -379,11 +380,6 @@ class AdaptiveKinematics(Estimator):
     def _frame(self, q: Array) -> Array:
         """Return R_f of the believed frame, shape (3, 3)."""
         return self._flange.placement(q)[0]
-
-    def _tool(self, state: Array) -> Array:
-        """Return the learnt rotation of the tool from what is believed, (3, 3)."""
-        n = self._n_theta
-        return law.rotation_exp(self.learnt(state)[n : n + 3]) if self._learns_T else np.eye(3)
 
     def _turned(self, R: Array, p: Array) -> Array:
         """Return R p of each point, shape (m,)."""
