@@ -41,45 +41,26 @@ to Python, as it came to what is not covered.
 
 
 class Box(NamedTuple):
-    """Configurations between bounds, where a task may have to be regular.
+    """Configurations between bounds, where a task may have to be regular."""
 
-    Attributes:
-        center: Shape (nq,).
-        lower: Smallest motion from it, shape (n_v,).
-        upper: Largest motion from it, shape (n_v,); of continuous joints as far as `lower`.
-        task: The task.
-        sigma_min: Smallest singular value that its Jacobian must have.
-    """
-
-    center: Array
-    lower: Array
-    upper: Array
+    center: Array  # shape (nq,)
+    lower: Array  # smallest motion from it, shape (n_v,)
+    upper: Array  # largest motion from it, shape (n_v,); of continuous joints as far as `lower`
     task: Task | None = None
-    sigma_min: float = 0.0
+    sigma_min: float = 0.0  # smallest singular value that the task's Jacobian must have
 
 
 class Begun(NamedTuple):
-    """Numbers that lanes keep of a run that begins, which are few beside its plant.
+    """Numbers that lanes keep of a run that begins, which are few beside its plant."""
 
-    Attributes:
-        q: Configuration, at rest, shape (nq,).
-        target: x_d, shape (n_x,).
-        state: State of the controller, shape (n_state,).
-        numbers: Those of the true robot.
-        sensor: Those of its sensor, as `tasks.numbers` has them.
-        seed: Of noise and dropouts.
-        holding: Torque that holds it until the first one acts, shape (n_v,).
-        gains: Diagonals of the law, one after the other, shape (2 m + n_v,).
-    """
-
-    q: Array
-    target: Array
-    state: Array
-    numbers: ArmNumbers
-    sensor: dict[str, Array]
-    seed: int
-    holding: Array
-    gains: Array
+    q: Array  # configuration, at rest, shape (nq,)
+    target: Array  # x_d, shape (n_x,)
+    state: Array  # of the controller, shape (n_state,)
+    numbers: ArmNumbers  # of the true robot
+    sensor: dict[str, Array]  # numbers of its sensor, as `tasks.numbers` has them
+    seed: int  # of noise and dropouts
+    holding: Array  # torque that holds it until the first one acts, shape (n_v,)
+    gains: Array  # diagonals of the law, one after the other, shape (2 m + n_v,)
 
     @classmethod
     def of(
@@ -119,9 +100,6 @@ class Lanes:
         tolerance: Error below which a task counts as done.
         integrator: Of the plant: one of `INTEGRATORS`.
         path: Where the target of all runs moves, in place of their own; None is at rest.
-
-    Attributes:
-        program: What is done in each step.
     """
 
     def __init__(

@@ -26,7 +26,7 @@ from approxjac.codegen.trace.symbols import (
 )
 from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError
-from approxjac.interface import Measurement, Target
+from approxjac.interface import Evaluation, Measurement, Target
 from approxjac.law.factors import Factors
 from approxjac.simulation import Plant
 from approxjac.simulation.plant import INTEGRATORS
@@ -71,18 +71,17 @@ class TracedLoop:
         integrator: One of `INTEGRATORS`.
         sensor: Numbers of the sensor that differ from run to run, by their names.
         senses: Sensors and motors as they really are; None is ideal.
-
-    Attributes:
-        truth: The true arms.
-        q: Configuration before the step, shape (nq,).
-        v: Its rate, shape (n_v,).
-        x: What the sensor delivers, shape (n_x,).
-        error: e, also where no sensor sees x, shape (m,).
-        answer: The law's.
-        after: What is kept after the step, by name.
-        diverged: Whether numbers became too large.
-        left: Whether the step is left to Python.
     """
+
+    truth: Arm  # the true arms
+    q: Symbols  # configuration before the step, shape (nq,)
+    v: Symbols  # its rate, shape (n_v,)
+    x: Symbols  # what the sensor delivers, shape (n_x,)
+    error: Symbols  # e, also where no sensor sees x, shape (m,)
+    answer: Evaluation  # the law's
+    after: dict[str, Any]  # what is kept after the step
+    diverged: Condition  # numbers became too large
+    left: Condition  # the step is left to Python
 
     def __init__(
         self,
@@ -107,7 +106,7 @@ class TracedLoop:
         self.x = x = tasks.seen(plant.sensor, value)
         self.error = tasks.error(plant.sensor, value, target.x)
         may_lose = tasks.may_lose(plant.sensor)
-        self.left: Condition = False
+        self.left = False
         if senses is None:
             count = program.kept("count", 1)[0]
             measurement, kept = Measurement(count * dt, q, v, x, count * dt), {"count": count + 1.0}
@@ -135,7 +134,7 @@ class TracedLoop:
         self.left = self.left | unfinished | wrong | far
         squares = [(each * each).sum() for each in (q_end, v_end, self.answer.torque, state)]
         self.diverged = ~(sum(squares, 0.0) < _FINITE)
-        self.after: dict[str, Any] = {"q": q_end, "v": v_end, "state": after, **kept}
+        self.after = {"q": q_end, "v": v_end, "state": after, **kept}
 
     def _advanced(self, torque: Symbols, integrator: str) -> tuple[Symbols, Symbols]:
         """Return q and v after the step, as `Plant.advance` does without stops."""

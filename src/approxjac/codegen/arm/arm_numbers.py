@@ -15,24 +15,18 @@ _ROUND_OFF = 1e-15
 
 
 class ArmNumbers(NamedTuple):
-    """Numbers of an arm with n joints, each on its own; of several arms with an axis N in front.
+    """Numbers of an arm with n joints and k frames; of several arms with an axis N in front.
 
-    Attributes:
-        rotations: Axes of each joint's frame in those of its parent joint, shape (n, 3, 3).
-        translations: Its origin there, shape (n, 3) [m].
-        inertias: Of the links that each joint moves m, m c, and I about the joint's origin, as xx,
-            xy, yy, xz, yz, zz, shape (n, 10) [kg, kg m, kg m²].
-        gravity: In the world, shape (3,) [m/s²].
-        frame_rotations: Axes of k frames in those of the joint that moves them, shape (k, 3, 3).
-        frame_translations: Their origins there, shape (k, 3) [m].
+    Inertias are of the links that each joint moves m, m c, and I about the joint's origin, as xx,
+    xy, yy, xz, yz, zz [kg, kg m, kg m²].
     """
 
-    rotations: Array
-    translations: Array
-    inertias: Array
-    gravity: Array
-    frame_rotations: Array
-    frame_translations: Array
+    rotations: Array  # axes of each joint's frame in those of its parent joint, shape (n, 3, 3)
+    translations: Array  # its origin there, shape (n, 3) [m]
+    inertias: Array  # shape (n, 10)
+    gravity: Array  # in the world, shape (3,) [m/s²]
+    frame_rotations: Array  # axes of frames in those of the joint that moves them, (k, 3, 3)
+    frame_translations: Array  # their origins there, shape (k, 3) [m]
 
     @classmethod
     def stacked(cls, each: Sequence[ArmNumbers]) -> ArmNumbers:
@@ -69,23 +63,14 @@ def all_frame_id(robot: Robot, frame: str) -> int:
 
 
 class Structure(NamedTuple):
-    """Structure that arms must have in common; all lists are by joint.
+    """Structure that arms must have in common, joint by joint."""
 
-    Attributes:
-        parents: Number of the joint that carries each; -1 for the base.
-        slides: Whether it is prismatic.
-        turns: Rotation from axes whose z is that of the joint to the axes of its frame, (3, 3).
-        places: Where in q of all joints its coordinate begins.
-        pairs: Whether that is a pair (cos, sin).
-        carriers: For each frame, the number of the joint that moves it, -1 for the base.
-    """
-
-    parents: tuple[int, ...]
-    slides: tuple[bool, ...]
-    turns: tuple[Array, ...]
-    places: tuple[int, ...]
-    pairs: tuple[bool, ...]
-    carriers: tuple[int, ...]
+    parents: tuple[int, ...]  # number of the joint that carries each; -1 for the base
+    slides: tuple[bool, ...]  # whether it is prismatic
+    turns: tuple[Array, ...]  # axes whose z is that of the joint in those of its frame, (3, 3)
+    places: tuple[int, ...]  # where in q of all joints its coordinate begins
+    pairs: tuple[bool, ...]  # whether that is a pair (cos, sin)
+    carriers: tuple[int, ...]  # of each frame, the joint that moves it; -1 for the base
 
     @classmethod
     def of(cls, robot: Robot, frames: Sequence[str]) -> Structure:
@@ -123,25 +108,17 @@ class Reduced(NamedTuple):
     the base takes all the mass of an arm whose joints turn. Links that slide keep their mass and
     its moments, and pass on what resists turns. What is left has zeros that fold away.
 
-    Attributes:
-        rotations: As of `ArmNumbers`, shape (N, n, 3, 3).
-        translations: The same, shape (N, n, 3) [m].
-        masses: Masses, shape (N, n) [kg].
-        moments: First moments, shape (N, n, 3) [kg m].
-        spreads: Second moments ∫ r rᵀ dm, as xx, xy, xz, yy, yz, zz, shape (N, n, 6) [kg m²].
-        gravity: Shape (N, 3) [m/s²].
-        frame_rotations: As of `ArmNumbers`, shape (N, k, 3, 3).
-        frame_translations: The same, shape (N, k, 3) [m].
+    Placements are as those of `ArmNumbers`.
     """
 
-    rotations: Array
-    translations: Array
-    masses: Array
-    moments: Array
-    spreads: Array
-    gravity: Array
-    frame_rotations: Array
-    frame_translations: Array
+    rotations: Array  # shape (N, n, 3, 3)
+    translations: Array  # shape (N, n, 3) [m]
+    masses: Array  # shape (N, n) [kg]
+    moments: Array  # first moments, shape (N, n, 3) [kg m]
+    spreads: Array  # second ones ∫ r rᵀ dm, as xx, xy, xz, yy, yz, zz, shape (N, n, 6) [kg m²]
+    gravity: Array  # shape (N, 3) [m/s²]
+    frame_rotations: Array  # shape (N, k, 3, 3)
+    frame_translations: Array  # shape (N, k, 3) [m]
 
 
 def reduced(numbers: ArmNumbers, structure: Structure) -> Reduced:

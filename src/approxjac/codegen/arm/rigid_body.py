@@ -37,20 +37,12 @@ _OF_A_LINK = 10  # m, the first moments, and xx, xy, yy, xz, yz, zz of the inert
 
 
 class Motion(NamedTuple):
-    """Motion of a link, in its own axes.
+    """Motion of a link, in its own axes."""
 
-    Attributes:
-        omega: Its angular velocity, shape (3,) [rad/s].
-        omega_dot: Its angular acceleration, shape (3,) [rad/s²].
-        a: Acceleration of the joint's origin, shape (3,) [m/s²].
-        gradient: U (3, 3), so that what is at r in the link's axes has acceleration a + U r; None
-            of a base that does not turn.
-    """
-
-    omega: Symbols
-    omega_dot: Symbols
-    a: Symbols
-    gradient: Symbols
+    omega: Symbols  # its angular velocity, shape (3,) [rad/s]
+    omega_dot: Symbols  # its angular acceleration, shape (3,) [rad/s²]
+    a: Symbols  # acceleration of the joint's origin, shape (3,) [m/s²]
+    gradient: Symbols  # U (3, 3): what is at r has acceleration a + U r; None of a base
 
 
 class Body(NamedTuple):
@@ -77,7 +69,7 @@ def force(body: Body, a: Symbols, U: Symbols) -> Wrench:
         S[0, 2] * U[1, 2] - S[1, 2] * U[0, 2] + S[0, 0] * U[1, 0] - S[1, 1] * U[0, 1]
         + S[0, 1] * (U[1, 1] - U[0, 0]),
     ])  # fmt: skip
-    return a * m + U @ h, turning + cross(h, a)
+    return a * m + U @ h, turning + np.cross(h, a)
 
 
 def gradient(omega: Symbols, omega_dot: Symbols) -> Symbols:
@@ -88,13 +80,6 @@ def gradient(omega: Symbols, omega_dot: Symbols) -> Symbols:
         [-(yy + zz), xy - dz, xz + dy],
         [xy + dz, -(xx + zz), yz - dx],
         [xz - dy, yz + dx, -(xx + yy)],
-    ])  # fmt: skip
-
-
-def cross(a: Symbols, b: Symbols) -> Symbols:
-    """Return a × b, shape (3,)."""
-    return symbols([
-        a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
     ])  # fmt: skip
 
 
@@ -237,7 +222,7 @@ class Configured:
             if self.structure.slides[j]:
                 J[:3, j] = z
             else:
-                J[:3, j], J[3:, j] = cross(z, p - origin), z
+                J[:3, j], J[3:, j] = np.cross(z, p - origin), z
         return self.arm.robot.mimic_joints.columns(J)
 
     def drift(self, name: str, v: Symbols) -> Symbols:
@@ -267,19 +252,19 @@ class Configured:
         spin, rate, origin = _NOTHING, _NOTHING, _NOTHING  # of the link before, at its origin
         for j in reversed(self.path(carrier)):
             z, begins = self.axis(j), self._placements[j][1]
-            rate, origin = rate + cross(spin, begins - origin), begins
+            rate, origin = rate + np.cross(spin, begins - origin), begins
             rate = rate + drifts.get(j, _NOTHING)
-            axes[j] = z, cross(spin, z), begins, rate
+            axes[j] = z, np.cross(spin, z), begins, rate
             if self.structure.slides[j]:
                 rate = rate + z * speeds[j]
             else:
                 spin = spin + z * speeds[j]
-        p_dot = rate + cross(spin, p - origin) + drifts.get(-1, _NOTHING)
+        p_dot = rate + np.cross(spin, p - origin) + drifts.get(-1, _NOTHING)
         for j, (z, z_dot, begins, begins_dot) in axes.items():
             if self.structure.slides[j]:
                 J_dot[:3, j] = z_dot
             else:
-                J_dot[:3, j] = cross(z_dot, p - begins) + cross(z, p_dot - begins_dot)
+                J_dot[:3, j] = np.cross(z_dot, p - begins) + np.cross(z, p_dot - begins_dot)
                 J_dot[3:, j] = z_dot
         return self.arm.robot.mimic_joints.columns(J_dot)
 
@@ -368,7 +353,7 @@ class Configured:
             if parent >= 0:
                 f, moment = self._out(j, f), self._out(j, moment)
                 held = forces[parent]
-                moment = moment + cross(self._origins[j], f)
+                moment = moment + np.cross(self._origins[j], f)
                 forces[parent] = held[0] + f, held[1] + moment
         return self.arm.robot.mimic_joints.rows(tau)
 
@@ -400,7 +385,7 @@ class Configured:
         """Return the gravity regressor, shape (n_v, p) [m²/s² for first moments]."""
         Z = _zeros(self._n, regressor.p)
         # a joint that turns feels g at r with r · (z × g)
-        feels = [cross(R[:, 2], self._numbers.gravity) for R, _ in self._placements]
+        feels = [np.cross(R[:, 2], self._numbers.gravity) for R, _ in self._placements]
         for column, place in enumerate(regressor.columns.tolist()):
             link, what = divmod(place, 10)  # m, mx, my or mz
             R, p = self._placements[link]
@@ -428,16 +413,16 @@ class Configured:
             if self._n > _LONG:
                 R, p = self._placements[j]
                 f = R @ f
-                moment = R @ moment + cross(p, f)
+                moment = R @ moment + np.cross(p, f)
                 for k in self.path(j)[1:]:
                     z, origin = self.axis(k), self._placements[k][1]
-                    turn = z @ moment - cross(z, origin) @ f
+                    turn = z @ moment - np.cross(z, origin) @ f
                     M[j, k] = M[k, j] = z @ f if self.structure.slides[k] else turn
                 continue
             k = j
             while (parent := self.structure.parents[k]) >= 0:
                 f, moment = self._out(k, f), self._out(k, moment)
-                moment = moment + cross(self._origins[k], f)
+                moment = moment + np.cross(self._origins[k], f)
                 k = parent
                 M[j, k] = M[k, j] = f[2] if self.structure.slides[k] else moment[2]
         return M

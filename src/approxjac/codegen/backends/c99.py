@@ -115,21 +115,15 @@ LANGUAGE = Language(
 class SampledStep(NamedTuple):
     """One step of a law with a state, as arithmetic.
 
-    Attributes:
-        graph: All that is computed, of the inputs that `READ` names.
-        outputs: Name → numbers: "torque", "after" (the state after the step), "e", "gravity",
-            "J_hat" (row by row), "status" (the number of a `Status`), "limit_status" and
-            "slack".
-        controller: What takes it.
-        sizes: Name → numbers of the inputs.
-        first: The state before the first step, of the first measurement.
+    Its outputs are "torque", "after" (the state after the step), "e", "gravity", "J_hat" (row by
+    row), "status" (the number of a `Status`), "limit_status" and "slack".
     """
 
-    graph: Graph
+    graph: Graph  # of the inputs that `READ` names
     outputs: dict[str, list[Number]]
     controller: Controller
-    sizes: dict[str, int]
-    first: list[Number]
+    sizes: dict[str, int]  # of inputs
+    first: list[Number]  # state before the first step, of the first measurement
 
     def lines(self) -> tuple[list[str], dict[str, list[str]]]:
         """Return the lines of C that compute the outputs, and what these are called there."""

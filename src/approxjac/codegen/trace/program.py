@@ -26,17 +26,11 @@ STEP, RECORDED = "k", "recorded"
 
 
 class Block(NamedTuple):
-    """Steps that follow one another, with what is known of each.
+    """Steps that follow one another, with what is known of each."""
 
-    Attributes:
-        first: Number of the first one.
-        times: What is the same in all runs, shape (steps, times).
-        draws: What is drawn for each, shape (groups, steps, draws, width).
-    """
-
-    first: int
-    times: Array
-    draws: Array
+    first: int  # number of the first one
+    times: Array  # what is the same in all runs, shape (steps, times)
+    draws: Array  # what is drawn for each, shape (groups, steps, draws, width)
 
     @classmethod
     def plain(cls, steps: int = 1) -> Block:
@@ -183,36 +177,27 @@ Rows = list[tuple[int, str]]
 class Language(NamedTuple):
     """Language that code is written in.
 
-    Lines of a block are as those outside of it: who writes the block moves them to the right.
-
-    Attributes:
-        templates: Operation → how it is written, with its arguments as {0}, {1} and {2}.
-        variable: What names of variables begin with.
-        assigned: The line that assigns a text to a name, which is a condition or is not.
-        read: The text that reads an input, of its name and its place.
-        constant: The text of a number.
-        rare: Of a label of the block, its condition, its lines, and for each result its name, what
-            it is in the block and what it is elsewhere: the lines of both.
-        table: Of a name and numbers, and whether these are constants: lines that make an array.
-        loop: Of a label, a `Passes`, its lines, `Going` and `Rows`: the lines of all.
-        cell: Of a name, an array and a place: the lines that read it; s and a loop's label is what
-            goes from pass to pass, y what is collected, t a table.
-        taken: Of a name, an array, i and a loop's label, how far cells are apart, and the first:
-            the lines that read what the number of the pass says.
-        number: Of a name, and i and a loop's label: the lines that make the pass a number.
+    Lines of a block are as those outside of it: who writes the block moves them to the right. A
+    loop has a label: s and that is what goes from pass to pass, y what is collected, i the number
+    of the pass; t and another is a table.
     """
 
-    templates: Mapping[str, str]
-    variable: str
+    templates: Mapping[str, str]  # operation → how it is written, with arguments {0}, {1}, {2}
+    variable: str  # what names of variables begin with
+    # the line that assigns a text to a name, which is a condition or is not
     assigned: Callable[[str, str, bool], str]
-    read: Callable[[str, int], str]
+    read: Callable[[str, int], str]  # the text of an input, of its name and its place
     constant: Callable[[float], str]
+    # lines of a rare block, of its label, its condition, its lines, and for each result its name,
+    # what it is in the block and what it is elsewhere
     rare: Callable[[str, str, list[str], list[tuple[str, str, str]]], list[str]]
+    # lines that make an array, of a name and numbers, and whether these are constants
     table: Callable[[str, list[str], bool], list[str]]
     loop: Callable[[str, Passes, list[str], Going, Rows], list[str]]
-    cell: Callable[[str, str, int], list[str]]
+    cell: Callable[[str, str, int], list[str]]  # lines that read a place of an array
+    # lines that read what a pass says: of a name, an array, i, how far cells are apart, the first
     taken: Callable[[str, str, str, int, int], list[str]]
-    number: Callable[[str, str], list[str]]
+    number: Callable[[str, str], list[str]]  # lines that make i a number
 
 
 class Scope:

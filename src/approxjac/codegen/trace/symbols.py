@@ -32,37 +32,28 @@ Condition = Any
 class Node(NamedTuple):
     """One operation.
 
-    Attributes:
-        operation: Arithmetic, as backends' templates have it, "input", "constant" or "rare"; or of
-            loops, an array ("table" of numbers, "state" before a pass, "loop" after the last, where
-            what was collected follows in its order), "index", "cell" or "take".
-        arguments: Places of its arguments in the graph.
-        value: The constant; the name and the place of an input; the number of a rare block; a
-            `Passes`; the number of the loop that an index, or a state, is of; which cell; how far
-            cells are apart, and the first, of what is taken.
+    It is arithmetic, as backends' templates have it, "input", "constant" or "rare"; or of loops an
+    array ("table" of numbers, "state" before a pass, "loop" after the last, where what was
+    collected follows in its order), "index", "cell" or "take".
     """
 
     operation: str
-    arguments: tuple[int, ...] = ()
+    arguments: tuple[int, ...] = ()  # their places in the graph
+    # The constant; name and place of an input; number of a rare block; a `Passes`; number of the
+    # loop of an index or a state; which cell; how far cells are apart, and the first, of a take.
     value: Any = None
 
 
 class Passes(NamedTuple):
-    """How often the body of a loop runs, and what it keeps.
+    """How often the body of a loop runs, and how many numbers it keeps.
 
     Its arguments are its start, what follows it, and what is collected, in each pass.
-
-    Attributes:
-        number: Of the loop.
-        times: How often.
-        n: How many numbers go from pass to pass.
-        m: How many are collected in each.
     """
 
-    number: int
+    number: int  # of the loop
     times: int
-    n: int
-    m: int
+    n: int  # go from pass to pass
+    m: int  # are collected in each
 
 
 POWER_SHIFT = 1023.0 + 1.5 * 2.0**52
@@ -722,7 +713,7 @@ def _solve(A: Any, b: Any) -> Symbols:
         return Factors(A).solve(b)
     if n > 3:
         raise TypeError("no solution with a matrix that is not known yet, nor symmetric, n > 3")
-    return symbols(_inverse(rows)) @ b
+    return _inverse(A) @ b
 
 
 def _is_same(a: Number, b: Number) -> bool:
@@ -732,21 +723,13 @@ def _is_same(a: Number, b: Number) -> bool:
     return not isinstance(a, Scalar) and not isinstance(b, Scalar) and bool(a == b)
 
 
-def _inverse(rows: list[list[Number]]) -> list[list[Number]]:
+def _inverse(A: Symbols) -> Symbols:
     """Return the inverse of a matrix of at most three rows, by its cofactors."""
-    n = len(rows)
-    if n == 1:
-        return [[1.0 / rows[0][0]]]
-
-    def cofactor(i: int, j: int) -> Number:
-        if n == 2:
-            return rows[1 - i][1 - j] * (1.0 if i == j else -1.0)
-        (a, b), (c, d) = ((i + 1) % 3, (i + 2) % 3), ((j + 1) % 3, (j + 2) % 3)
-        return rows[a][c] * rows[b][d] - rows[a][d] * rows[b][c]
-
-    cofactors = [[cofactor(i, j) for j in range(n)] for i in range(n)]
-    determinant: Number = sum((rows[0][j] * cofactors[0][j] for j in range(n)), 0.0)
-    return [[cofactors[j][i] / determinant for j in range(n)] for i in range(n)]
+    n, whole = len(A), symbols(np.eye(3))
+    whole[:n, :n] = A
+    a, b, c = whole
+    columns = [np.cross(b, c), np.cross(c, a), np.cross(a, b)]
+    return (np.stack(columns, axis=1) / (a @ columns[0]))[:n, :n]
 
 
 def eigensystem(A: Any) -> tuple[Symbols, Symbols]:
