@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Callable
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ import numpy as np
 from approxjac import law
 from approxjac.codegen import traced_law as laws
 from approxjac.codegen.backends.numpy_lanes import numpy_function
-from approxjac.codegen.trace.program import Going, Language, Rows, Writer
+from approxjac.codegen.trace.program import Going, Language, Rows
 from approxjac.codegen.trace.symbols import Graph, Number, Passes, inputs, symbols
 from approxjac.controllers.controller import Controller
 from approxjac.interface import Measurement
@@ -125,26 +126,21 @@ class SampledStep(NamedTuple):
     sizes: dict[str, int]  # of inputs
     first: list[Number]  # state before the first step, of the first measurement
 
-    def lines(self) -> tuple[list[str], dict[str, list[str]]]:
-        """Return the lines of C that compute the outputs, and what these are called there."""
-        flat = [number for numbers in self.outputs.values() for number in numbers]
-        lines, names = Writer(self.graph, LANGUAGE).lines(flat)
-        return lines, self._split(names)
-
-    def first_lines(self) -> tuple[list[str], list[str]]:
-        """Return the lines of C that compute the first state, and what its numbers are called."""
-        return Writer(self.graph, LANGUAGE).lines(self.first)
+    @property
+    def asked(self) -> set[str]:
+        """Names of the inputs that it looks at."""
+        return self.graph.asked([*chain(*self.outputs.values()), *self.first])
 
     def in_numpy(self) -> Callable[..., dict[str, Array]]:
         """Return the same as a function of the inputs by name, (rows, N) → (rows, N)."""
-        flat = [number for numbers in self.outputs.values() for number in numbers]
-        function = numpy_function(self.graph, flat)
+        function = numpy_function(self.graph, [*chain(*self.outputs.values())])
 
         def step(**given: Array) -> dict[str, Array]:
-            rows = _rows_of(function, given)
+            rows = iter(_rows_of(function, given))
             size = len(given["dt"][0])
             return {
-                name: np.array(each).reshape(-1, size) for name, each in self._split(rows).items()
+                name: np.array([next(rows) for _ in numbers]).reshape(-1, size)
+                for name, numbers in self.outputs.items()
             }
 
         return step
@@ -152,26 +148,15 @@ class SampledStep(NamedTuple):
     def initial_state(self, measurement: Measurement) -> Array:
         """Return the state before the first step, to the bit that of C."""
         t_x = math.nan if measurement.t_x is None else measurement.t_x
-        given = measurement._replace(t_x=t_x)._asdict()
-        columns = {name: np.reshape(value, (-1, 1)) for name, value in given.items()}
-        columns |= {
-            name: np.zeros((size, 1)) for name, size in self.sizes.items() if name not in columns
-        }
-        rows = _rows_of(numpy_function(self.graph, self.first), columns)
+        given = {name: np.zeros((size, 1)) for name, size in self.sizes.items()}
+        for name, value in measurement._replace(t_x=t_x)._asdict().items():
+            given[name] = np.reshape(value, (-1, 1))
+        rows = _rows_of(numpy_function(self.graph, self.first), given)
         return np.array(rows).reshape(len(self.first))
-
-    def _split(self, flat: list[Any]) -> dict[str, list[Any]]:
-        found, at = {}, 0
-        for name, numbers in self.outputs.items():
-            found[name] = flat[at : at + len(numbers)]
-            at += len(numbers)
-        return found
 
 
 def _rows_of(function: Callable[..., Any], given: dict[str, Array]) -> list[Array]:
-    with np.errstate(all="ignore"):
-        rows = function(**given)
-    return [np.broadcast_to(row, given["dt"][0].shape).astype(float) for row in rows]
+    return [np.broadcast_to(row, given["dt"][0].shape).astype(float) for row in function(**given)]
 
 
 def sampled_step(controller: Controller) -> SampledStep:

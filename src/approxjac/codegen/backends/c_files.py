@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Iterator
+from itertools import chain
 from os import PathLike
 from pathlib import Path
 from string import Template
@@ -12,7 +13,8 @@ from string import Template
 import numpy as np
 
 from approxjac.codegen.backends import c_templates as templates
-from approxjac.codegen.backends.c99 import SampledStep, constant, sampled_step
+from approxjac.codegen.backends.c99 import LANGUAGE, SampledStep, constant, sampled_step
+from approxjac.codegen.trace.program import Writer
 from approxjac.codegen.trace.symbols import LARGEST_ANGLE
 from approxjac.controllers.controller import Controller
 from approxjac.controllers.gains.gains import Latency
@@ -85,51 +87,41 @@ def _filled(text: str, named: dict[str, str]) -> str:
 
 def _source(step: SampledStep) -> dict[str, str]:
     """Return what only the source has."""
-    lines, names = step.lines()
-    prefix = identifier(step.controller.task.robot.name)
-    stores = [
-        f"    answer->{name}[{i}] = {value};"
-        for name in ("torque", "e", "gravity")
-        for i, value in enumerate(names[name])
-    ]
-    nv = len(names["torque"])
-    stores += [
-        f"    answer->J_hat[{i // nv}][{i % nv}] = {value};"
-        for i, value in enumerate(names["J_hat"])
-    ]
-    after = names["after"] or ["0.0"]
-    stores += [f"    after[{i}] = {value};" for i, value in enumerate(after)]
-    stores += [
-        f"    answer->slack = {names['slack'][0]};",
-        f"    answer->status = ({prefix}_status)(int){names['status'][0]};",
-        f"    answer->limit_status = ({prefix}_limit_status)(int){names['limit_status'][0]};",
-    ]
-    first, begun = step.first_lines()
+    lines, flat = Writer(step.graph, LANGUAGE).lines([*chain(*step.outputs.values())])
+    prefix, nv = identifier(step.controller.task.robot.name), step.controller.task.robot.nv
+    places = {
+        "torque": "answer->torque[{i}]", "after": "after[{i}]", "e": "answer->e[{i}]",
+        "gravity": "answer->gravity[{i}]", "J_hat": "answer->J_hat[{row}][{column}]",
+        "status": "answer->status", "limit_status": "answer->limit_status",
+        "slack": "answer->slack",
+    }  # fmt: skip
+    kinds = {name: f"({prefix}_{name})(int)" for name in ("status", "limit_status")}
+    stores, values = list[str](), iter(flat)
+    for name, numbers in step.outputs.items():
+        for i in range(len(numbers)):
+            place = places[name].format(i=i, row=i // nv, column=i % nv)
+            stores.append(f"    {place} = {kinds.get(name, '')}{next(values)};")
+    if not step.outputs["after"]:
+        stores.append("    after[0] = 0.0;")
+    first, begun = Writer(step.graph, LANGUAGE).lines(step.first)
     first += [f"    state->values[{i}] = {value};" for i, value in enumerate(begun or ["0.0"])]
+    rates = [name for name in ("v", "a") if f"target_{name}" in step.asked]
+    finite = (f" && is_finite(target->{name}, {prefix.upper()}_M_X)" for name in rates)
     return {
         "lines": "\n".join(lines),
         "stores": "\n".join(stores),
         "helpers": templates.POWER_OF_TWO if "power_of_two" in "".join(lines + first) else "",
         "q_checks": _q_checks(step),
         "first": "\n".join([*first, "    (void)now;"]),
-        "t_checks": _t_checks(step, lines + first),
-        "rate_checks": "".join(
-            f" && is_finite(target->{name}, {prefix.upper()}_M_X)"
-            for name in "va"
-            if _asks(lines, f"target->{name}")
-        ),
+        "t_checks": _t_checks(step),
+        "rate_checks": "".join(finite),
     }
 
 
-def _asks(lines: list[str], field: str) -> bool:
-    """Return whether lines of C read a field of an argument."""
-    return re.search(rf"{field}\b", "\n".join(lines)) is not None
-
-
-def _t_checks(step: SampledStep, lines: list[str]) -> str:
+def _t_checks(step: SampledStep) -> str:
     """Return the lines that refuse a time that is none."""
-    wrong = ["!is_finite(&now->t, 1)"] if _asks(lines, "now->t") else []
-    if _asks(lines, "now->t_x"):
+    wrong = ["!is_finite(&now->t, 1)"] if "t" in step.asked else []
+    if "t_x" in step.asked:
         wrong += ["fabs(now->t_x) > DBL_MAX", "now->t_x - now->t > 1.0"]
     if not wrong:
         return ""
@@ -239,24 +231,24 @@ def words(controller: Controller, step: SampledStep) -> dict[str, str]:
 def _fields(step: SampledStep) -> dict[str, str]:
     """Return a comment for each field of a measurement and of a target."""
     task, law = step.controller.task, step.controller.law
-    lines, x_units = step.lines()[0] + step.first_lines()[0], _units_of_x(task)
+    x_units = _units_of_x(task)
     speeds = joined(f"{unit}/s" for unit in task.robot.joint_units)
     lost = "the torque is damping and gravity, nothing is learnt"
     if law.kinematics is not None:
         lost = "the predicted one takes its place"
     rates = joined(f"{unit}/s" for unit in task._measured.units)
     texts = {
-        "t": ("now->t", "time [s]"),
-        "q": ("now->q", f"joint positions [{_units_of_q(step)}]"),
-        "v": ("now->v", f"joint velocities [{speeds}]"),
-        "x": ("now->x", f"task value [{x_units}]; where a number is not finite, {lost}"),
-        "t_x": ("now->t_x", "when x was taken, by the clock of t [s]; NAN where it is not known"),
-        "target": ("target->x", f"task value [{x_units}]"),
-        "rate": ("target->[va]", f"its rate [{rates}], and the rate of that"),
+        "t": "time [s]",
+        "q": f"joint positions [{_units_of_q(step)}]",
+        "v": f"joint velocities [{speeds}]",
+        "x": f"task value [{x_units}]; where a number is not finite, {lost}",
+        "t_x": "when x was taken, by the clock of t [s]; NAN where it is not known",
+        "target": f"task value [{x_units}]",
+        "target_v": f"its rate [{rates}], and the rate of that",
     }
     return {
-        f"{name}_comment": _said(text + ("" if _asks(lines, field) else "; not looked at"))
-        for name, (field, text) in texts.items()
+        f"{name}_comment": _said(text + ("" if name in step.asked else "; not looked at"))
+        for name, text in texts.items()
     }
 
 

@@ -78,7 +78,7 @@ $t_x_comment
 typedef struct {
 $target_comment
     double x[$n_x];
-$rate_comment
+$target_v_comment
     double v[$m_x], a[$m_x];
 } ${prefix}_target;
 

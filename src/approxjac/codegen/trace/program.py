@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -137,12 +136,6 @@ class Program:
                 at, size = self.parameters[name]
                 found[:, at : at + size] = flat[:, differs]
         return found
-
-    def asked(self) -> set[str]:
-        """Return the names of what a step depends on."""
-        nodes, wanted = self.graph.nodes, chain(*self.stepped.values())
-        each = (nodes[place] for place in self.graph.needed(list(wanted)))
-        return {node.value[0] for node in each if node.operation == "input"}
 
     @property
     def k(self) -> Scalar:

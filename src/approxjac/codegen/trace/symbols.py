@@ -190,6 +190,11 @@ class Graph:
         """Return the places of all that some numbers depend on, in order."""
         return self.reached(map(self.place, numbers))[0]
 
+    def asked(self, numbers: Sequence[Number]) -> set[str]:
+        """Return the names of inputs that some numbers depend on."""
+        each = (self.nodes[place] for place in self.needed(numbers))
+        return {node.value[0] for node in each if node.operation == "input"}
+
     def reached(self, wanted: Iterable[int]) -> tuple[list[int], dict[int, set[int]]]:
         """Return the places of all that some depend on, in order, and what is needed of each loop.
 
