@@ -71,8 +71,10 @@ class Urdf:
             raise UrdfError(
                 f"{source} must have at most {MOST_TEXT} characters, got {len(text)}", given=source
             )
+        # The text is decoded already; an encoding it declares would be applied a second time.
+        bare = re.sub(r"^\s*<\?xml[^>]*\?>", "", text)
         try:
-            root = _tree(text)
+            root = etree.fromstring(bare.encode(), etree.XMLParser(remove_blank_text=True))
         except (ValueError, etree.XMLSyntaxError) as error:  # a ValueError of lone surrogates
             raise UrdfError(f"{source} is not well-formed XML: {error}", given=text) from error
         if root.tag != "robot":
@@ -159,30 +161,6 @@ def leader_of(joint: str, following: Mapping[str, Follows]) -> Follows:
         joint, own_multiplier, own_offset = following[joint]
         multiplier, offset = multiplier * own_multiplier, multiplier * own_offset + offset
     return joint, multiplier, offset
-
-
-def _tree(text: str) -> Any:
-    """Return the root of an XML text; a namespace that nobody declared, as Drake's, is declared."""
-    # The text is decoded already; an encoding it declares would be applied a second time.
-    bare = re.sub(r"^\s*<\?xml[^>]*\?>", "", text)
-    parser = etree.XMLParser(remove_blank_text=True)
-    try:
-        return etree.fromstring(bare.encode(), parser)
-    except etree.XMLSyntaxError:
-        start = _START.match(bare)
-        used = {prefix for either in _PREFIX.findall(bare) for prefix in either if prefix}
-        if start is None or not (missing := sorted(used - set(_DECLARED.findall(start[0])))):
-            raise
-    declared = "".join(f' xmlns:{prefix}="urn:{prefix}"' for prefix in missing[:_MOST_ATTRIBUTES])
-    return etree.fromstring(
-        (bare[: start.end(1)] + declared + bare[start.end(1) :]).encode(), parser
-    )
-
-
-# where <robot ends, the prefixes that elements and attributes have, and those that it declares
-_START = re.compile(r"((?:\s++|<!--.*?-->|<\?.*?\?>)*+<robot)\b[^>]*", re.DOTALL)
-_PREFIX = re.compile(r"<(?!xml)([A-Za-z_][\w.-]*+):|\s(?!xml)([A-Za-z_][\w.-]*+):[\w.-]++\s*+=")
-_DECLARED = re.compile(r"\sxmlns:([\w.-]+)")
 
 
 def _joint(element: Any) -> UrdfJoint:
