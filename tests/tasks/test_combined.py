@@ -159,8 +159,11 @@ def test_copies(image, C):
     ("C", "text"),
     [
         (np.eye(3), r"C must have shape \(k, 4\), got shape \(3, 3\)"),
-        (np.ones((5, 4)), r"C must have shape \(k, 4\) with k <= 4, got shape \(5, 4\)"),
-        (np.diag([1.0, 1.0, 1.0, 0.0]), r"C must be regular, got singular values \[1.0, 1.0"),
+        (np.ones((5, 4)), r"C must have full row rank, with at most 4 rows, got shape \(5, 4\)"),
+        (
+            np.diag([1.0, 1.0, 1.0, 0.0]),
+            r"full row rank, .* and singular values \[1.0, 1.0",
+        ),
         (np.full((4, 4), np.nan), "C must be finite"),
         ("balanced", r"C must be numbers of shape \(k, 4\), got 'balanced'"),
     ],

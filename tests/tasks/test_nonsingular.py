@@ -171,9 +171,9 @@ def test_all_else_is_that_of_the_task(panda, rng):
         (({"joint2": 20.0},), aj.InvalidInputError, r"bend of joint2 must be less than a turn"),
         (({"elbow": 0.1},), UnknownNameError, "moving joint 'elbow' not in two_link; valid are"),
         (((0.0, 0.1),), aj.InvalidInputError, "bend must be a mapping from joint names to displ"),
-        (({"joint2": 0.1}, 0.0), aj.InvalidInputError, "ratio must be a finite number > 0, got 0"),
-        (({"joint2": 0.1}, 1.0), aj.InvalidInputError, "ratio must be < 1, got 1.0"),
-        (({"joint2": 0.1}, np.nan), aj.InvalidInputError, "ratio must be a finite number > 0, go"),
+        (({"joint2": 0.1}, 0.0), aj.InvalidInputError, "ratio must be a finite number > 0 and <"),
+        (({"joint2": 0.1}, 1.1), aj.InvalidInputError, "ratio must be .* <= 1, got 1.1"),
+        (({"joint2": 0.1}, np.nan), aj.InvalidInputError, "ratio must be a finite number > 0 an"),
     ],
 )
 def test_bad_designs_are_refused(two_link, arguments, kind, text):

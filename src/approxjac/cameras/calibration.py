@@ -34,22 +34,6 @@ def as_pose(name: str, value: object) -> tuple[Array, Array]:
     return as_rotation(pose[:3, :3], name, "axes"), np.array(pose[:3, 3])
 
 
-def view_axes(position: object, looking_at: object, up: object) -> Array:
-    """Return the axes of a camera whose optical axis goes through a point; see `standing_at`."""
-    p = as_array("position", position, (3,), "m")
-    view = as_array("target", looking_at, (3,), "m") - p
-    right = np.cross(view, as_array("up", up, (3,)))
-    if not np.linalg.norm(right) > 1e-9 * max(1.0, float(np.linalg.norm(view))):
-        raise InvalidInputError(
-            f"target must be away from position, and not along up, which has no place in the "
-            f"image then, got target {looking_at!r} from {position!r} with up {up!r}",
-            given=looking_at,
-        )
-    z: Array = view / np.linalg.norm(view)
-    x: Array = right / np.linalg.norm(right)
-    return np.column_stack([x, np.cross(z, x), z])
-
-
 def tag_corners(size: float, tag_pose: object = None) -> Array:
     """Return the corners of a square tag, as points of an `ImageTask`, shape (4, 3) [m].
 

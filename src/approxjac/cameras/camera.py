@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac import law
-from approxjac.cameras.calibration import as_pose, as_rotation, view_axes
+from approxjac.cameras.calibration import as_pose, as_rotation
 from approxjac.cameras.lenses import Fisheye, Lens, shortened
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.formatting import short_fields
@@ -339,7 +339,17 @@ class PinholeCamera(Camera):
 
         `up`, shape (3,), is the direction that is up in the image; the view may not go along it.
         """
-        return replace(self, position=position, rotation=view_axes(position, looking_at, up))
+        p = as_array("position", position, (3,), "m")
+        view = as_array("target", looking_at, (3,), "m") - p
+        right = np.cross(view, as_array("up", up, (3,)))
+        if not np.linalg.norm(right) > 1e-9 * max(1.0, float(np.linalg.norm(view))):
+            raise InvalidInputError(
+                f"target must be away from position, and not along up, which has no place in the "
+                f"image then, got target {looking_at!r} from {position!r} with up {up!r}",
+                given=looking_at,
+            )
+        x, z = right / np.linalg.norm(right), view / np.linalg.norm(view)
+        return replace(self, position=p, rotation=np.column_stack([x, np.cross(z, x), z]))
 
     def placement(self) -> tuple[Array, Array]:
         """Return rotation (3, 3) and position (3,) [m] in the frame that it is fixed to."""

@@ -197,8 +197,7 @@ class LinkMotion:
 class DynamicsRegressor(_TorqueRegressor):
     """M(q)q̈_r + C(q, q̇)q̇_r + g(q) + joint torques = Y_d(q, q̇, q̇_r, q̈_r) a.
 
-    Of each moving link a has ten inertial parameters about the joint's frame, as
-    `pin.Inertia.toDynamicParameters` has them: m, the first moments and the inertia. Of each joint
+    Of each moving link a has the ten parameters of `pin.Inertia.toDynamicParameters`. Of each joint
     it has rotor inertia, viscous friction, Coulomb friction and a constant torque, with columns
     q̈_r, q̇_r, tanh(q̇_r/v_c) and 1: friction of the *reference* velocity. It never falls with speed,
     so what the true one has more opposes σ = q̇ − q̇_r.
@@ -378,9 +377,6 @@ class GravityRegressor(_TorqueRegressor):
         """Return the largest error of Z θ over new configurations, relative to the largest g."""
         Z, g = self._samples(robot, rng)
         return float(np.abs(Z @ theta - g).max() / max(np.abs(g).max(), 1e-300))
-
-    def __repr__(self) -> str:
-        return f"GravityRegressor({self.robot.name!r}: {self.p} parameters {', '.join(self.names)})"
 
 
 def anywhere(robot: Robot, rng: np.random.Generator) -> list[Array]:

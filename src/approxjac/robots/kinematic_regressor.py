@@ -38,9 +38,8 @@ class KinematicRegressor:
     """p(q) = Y(q) θ + offset(q), with θ the translations of joint origins and of the tool.
 
     A chain of joints 1…n with right axes, Rᵢ the rotation of link i and tᵢ the origin of joint i
-    on link i − 1, has p = Σ Rᵢ₋₁ tᵢ + Rₙ t_tool: Y is nothing but the link rotations, and p, J
-    and J̇ are linear in θ (affine where a joint is prismatic). Fixed joints between two that move
-    are part of the second one's origin, those after the last that moves are the tool.
+    on link i − 1, has p = Σ Rᵢ₋₁ tᵢ + Rₙ t_tool: Y holds the link rotations. Fixed joints between
+    two that move are part of the second one's origin, those after the last that moves the tool.
 
     Owns scratch memory: one instance a thread. What it returns is yours to keep.
 
@@ -137,14 +136,14 @@ class KinematicRegressor:
         added = [self._freed.joints[i] for i in (*map(links.get, joints), *shifts, *ends_at)]
         places = np.array([each.idx_v + i for each in added for i in range(each.nv)])
         self._of_joints, self._of_theta = np.split(places, [n])
-        # from (q, θ) and (q̇, θ') to numbers of that model
-        self._order_v = np.argsort(places)
-        self._order_q = np.argsort([each.idx_q + i for each in added for i in range(each.nq)])
-        own_q = [model.joints[joint] for joint in joints]
-        own_q = [each.idx_q + i for each in own_q for i in range(each.nq)]
-        self._own_q = None if own_q == list(range(model.nq)) else np.array(own_q)
-        columns = [model.joints[joint].idx_v for joint in joints]
-        self._columns = robot.mimic_joints.columns(np.eye(model.nv))[columns]
+        # where the numbers of that model are in (q, θ) and (q̇, θ') of all joints
+        own = [model.joints[joint] for joint in joints]
+        at_q = [each.idx_q + i for each in own for i in range(each.nq)]
+        at_v = [each.idx_v for each in own]
+        order = np.argsort([each.idx_q + i for each in added for i in range(each.nq)])
+        self._from_q = np.append(at_q, model.nq + np.arange(self.p))[order]
+        self._from_v = np.append(at_v, model.nv + np.arange(self.p))[np.argsort(places)]
+        self._columns = robot.mimic_joints.columns(np.eye(model.nv))[at_v]
         self._plain = np.array_equal(self._columns, np.eye(n))
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -184,10 +183,8 @@ class KinematicRegressor:
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
             symbolic: PointMotion = arm.points(self).motion(v, theta, theta_dot)
             return symbolic
-        speeds = as_vector("v", v, self.robot.nv)
-        if not self._plain:
-            speeds = self._columns.dot(speeds)
-        rates = np.concatenate([speeds, theta_dot]).take(self._order_v)
+        speeds = self.robot.mimic_joints.v(as_vector("v", v, self.robot.nv))
+        rates = np.concatenate([speeds, theta_dot]).take(self._from_v)
         pin.computeJointJacobiansTimeVariation(self._freed, self._data, self._all(q, theta), rates)
         p = self._positions()
         J, J_dot = self._jacobians(pin.getFrameJacobian), self._jacobians(_JACOBIAN_DOT)
@@ -197,9 +194,9 @@ class KinematicRegressor:
     def robot_with(self, theta: Array, turn: Array | None = None) -> Robot:
         """Return the robot with other translations θ (p,) [m], and its one tool turned.
 
-        A tool that is a joint of its own in the URDF, fixed, is moved. Where a moving link is the
-        frame itself, it gets an object without mass, whose end is the new `tip`. The turn is a
-        rotation vector of the tool in its own axes, (3,) [rad].
+        A tool on a fixed joint of its own is moved. A moving link that is the frame itself gets an
+        object without mass, whose end is the new `tip`. The turn is a rotation vector of the tool
+        in its own axes, (3,) [rad].
         """
         theta = as_array("theta", theta, (self.p,), "m")
         change = (theta - self.theta).reshape(-1, 3)
@@ -255,9 +252,7 @@ class KinematicRegressor:
     def _all(self, q: Array, theta: Array) -> Array:
         """Return q and θ as the model with translations as joints has them."""
         q = self.robot.mimic_joints.q(self.robot.configuration(q))
-        if self._own_q is not None:
-            q = q.take(self._own_q)
-        return np.concatenate([q, theta]).take(self._order_q)
+        return np.concatenate([q, theta]).take(self._from_q)
 
     def _positions(self) -> Array:
         """Return the positions of all points, (3k,) [m], where they are placed."""

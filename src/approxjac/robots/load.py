@@ -28,7 +28,7 @@ from approxjac.robots.urdf import (
     likely_tips,
     with_locked_joints,
 )
-from approxjac.validation import Array
+from approxjac.validation import Array, require
 
 
 class NamedRobot(NamedTuple):
@@ -217,16 +217,12 @@ def _lock_off_chain(
 
 def _names(free: str | Sequence[str], moving: list[str], urdf: Urdf) -> list[str]:
     """Return the joints that `free` names."""
-    try:
-        names = [free] if isinstance(free, str) else list(free)
-    except TypeError as error:
-        raise InvalidInputError(
-            f"free must be names of joints, or 'all', got {free!r}", given=free
-        ) from error
-    if len(names) == 1 and isinstance(names[0], str) and names[0] == "all":
+    require("free", free, Sequence, "names of joints, or 'all'")
+    names = [free] if isinstance(free, str) else list(free)
+    if names == ["all"]:
         return moving
     for name in names:
-        if not isinstance(name, str) or name not in moving:
+        if name not in moving:
             raise UnknownNameError("moving joint", name, urdf.name, moving)
     return names
 

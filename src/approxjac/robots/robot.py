@@ -36,11 +36,10 @@ _MOST_MOVING = 150  # Pinocchio's scratch memory grows with the cube of it
 class MimicJoints(NamedTuple):
     """All moving joints as they follow from the n_v that move on their own: q_all = A q + b.
 
-    Pinocchio can leave mimic joints out of q and v, but not every algorithm of it can. Those that
-    cannot refuse such a model, or (mass and Coriolis matrix, Jacobian rates) return something else
-    without a word. They are run on `model`, in which every joint moves on its own, and brought
-    back with v_all = G v, which is constant. Where nothing is coupled, `model` is the robot's own
-    model and every method returns what it is given.
+    Those algorithms of Pinocchio that cannot leave mimic joints out refuse such a model, or return
+    something else without a word (M, C, Jacobian rates). They are run on `model`, in which every
+    joint moves on its own, and brought back with v_all = G v, which is constant. Where nothing is
+    coupled, `model` is the robot's own and every method returns what it is given.
     """
 
     model: pin.Model
@@ -80,8 +79,7 @@ class Robot(Immutable):
         urdf_dir: Folder that mesh names in the URDF are relative to.
         source: What to call the URDF in errors.
         name: What to call the robot; its name in the URDF by default.
-        outward: Axis of the tip, such as "z", along which the arm leads on; by default the one that
-            the last three joints say.
+        outward: Axis of the tip along which the arm leads on; by default as `outward_axis` says.
 
     Attributes:
         tree: The URDF as a tree. Read-only.
@@ -234,19 +232,13 @@ class Robot(Immutable):
         return np.array(differences).reshape(*q.shape[:-1], self.nv)
 
     def beyond_limits(self, q: Array) -> Array:
-        """Return the excess of each joint over its limits at q (N, nq); shape (N, n_v) [rad or m].
-
-        Negative within them, −∞ where a joint has none.
-        """
+        """Excess of each joint over its limits at q (N, nq), −∞ without; (N, n_v) [rad or m]."""
         low, high = self.position_limits
         motions = np.array([pin.difference(self.model, self.neutral(), each) for each in q])
         return np.asarray(np.maximum(motions - high, low - motions))
 
     def require_radians(self, name: str, q: Array) -> None:
-        """Raise an InvalidInputError if q (nq,) is a turn or more beyond a limit, as degrees are.
-
-        One that is a little beyond them may be where a run ended.
-        """
+        """Raise an InvalidInputError if q (nq,) is a turn or more beyond a limit, as in degrees."""
         beyond = self.beyond_limits(q[np.newaxis])[0]
         beyond[np.array(self.joint_units) != "rad"] = 0.0
         if beyond.max() > 2.0 * np.pi:
@@ -313,8 +305,8 @@ class Robot(Immutable):
     ) -> Robot:
         """Return this robot holding an object: a uniform cylinder with a frame at its far end.
 
-        The object is a URDF link `name` on a fixed joint at the origin of `parent`; the frame at
-        its end is the link `{name}_tip`, which becomes the new `tip`, turned as `parent` is.
+        The object is a link `name` on a fixed joint; the link at its end, `{name}_tip`, turned as
+        `parent` is, becomes the new `tip`.
 
         Args:
             length: From the parent's origin to the tip, 0 to 10 [m].
@@ -326,8 +318,7 @@ class Robot(Immutable):
             name: Name of the new link.
 
         Raises:
-            InvalidInputError: Numbers that are negative, not finite or too large, an axis that is
-                none, or a name that is taken.
+            InvalidInputError: Numbers out of range, a zero axis, or a name that is taken.
             UnknownNameError: No such parent.
         """
         length, mass = as_size("length", length), as_size("mass", mass, "kg")
@@ -370,7 +361,6 @@ class Robot(Immutable):
 
         Raises:
             UnknownNameError: No such joint.
-            InvalidInputError: Wrong shape or not finite.
         """
         for name, given in (("shifts", shifts), ("rotations", rotations)):
             if given is not None:
@@ -394,7 +384,6 @@ class Robot(Immutable):
 
         Raises:
             UnknownNameError: Not a moving joint of this robot.
-            InvalidInputError: A position that is not finite.
         """
         require("positions", positions, Mapping, "a mapping from joint names to positions")
         moving = list(self.mimic_joints.model.names)[1:]

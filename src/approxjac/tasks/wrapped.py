@@ -96,9 +96,7 @@ def _moved(entries: slice, start: int) -> slice:
 
 
 class StackedTask(WrappedTask):
-    """X = the values of several tasks, one after the other, and so the errors and Jacobians.
-
-    The labels are those of the tasks with their number, such as "1.x" or "2.x".
+    """X = the values of several tasks; the labels have their number, such as "1.x" or "2.x".
 
     Args:
         *tasks: At least one task, all of the same robot.
@@ -158,15 +156,13 @@ _REGULAR = 1e-9  # σ_min/σ_max of C below which it has no inverse
 class CombinedTask(WrappedTask):
     """e = C (error of another task): the same task in other coordinates, as many or fewer.
 
-    K_p and K_v are diagonal, so they weigh the coordinates and nothing between them. The images of
+    K_p and K_v are diagonal, so they weigh the coordinates and nothing between them: the images of
     several points move together when the hand moves sideways and hardly apart when it comes
-    nearer: one gain for all coordinates makes the second slow. With C the directions that a motion
-    shows well and those that it shows little become coordinates of their own. What is measured, and
-    a target, stay those of the task itself; C changes what is stable no more than gains do.
+    nearer, and one gain for all makes the second slow. With C, which `balanced` chooses, both are
+    coordinates of their own. What is measured, and a target, stay those of the task itself.
 
-    With fewer rows than columns C makes fewer coordinates: of the eight of a tag's corners a rigid
-    body moves six. s = C x is a task like any other, with the Jacobian C J, and the law's proof
-    holds for it wherever C Ĵ has full row rank. `balanced` chooses such a C.
+    With fewer rows than columns C makes fewer coordinates, such as the six of a rigid body of the
+    eight of a tag's corners. The law's proof holds wherever C Ĵ has full row rank.
 
     Source: the combination matrix of B. Espiau, F. Chaumette and P. Rives, "A new approach to
     visual servoing in robotics", IEEE Trans. Robotics and Automation 8 (1992).
@@ -188,15 +184,12 @@ class CombinedTask(WrappedTask):
         require("task", task, Task, "a task, such as ImageTask(robot, camera, points=points)")
         self.C = as_array("C", C, ("k", task.m))
         k = len(self.C)
-        if k > task.m:
-            raise InvalidInputError(
-                f"C must have shape (k, {task.m}) with k <= {task.m}, got shape {self.C.shape}",
-                given=C,
-            )
         values = np.linalg.svd(self.C, compute_uv=False)
-        if not values[-1] > _REGULAR * values[0]:
+        if k > task.m or not values[-1] > _REGULAR * values[0]:
             raise InvalidInputError(
-                f"C must be regular, got singular values {values.tolist()}", given=C
+                f"C must have full row rank, with at most {task.m} rows, got shape {self.C.shape} "
+                f"and singular values {values.tolist()}",
+                given=C,
             )
         labels = [f"c{i}" for i in range(1, k + 1)]
         super().__init__((task,), labels, (joined(task.units),) * k)
@@ -234,10 +227,12 @@ class CombinedTask(WrappedTask):
         far = [np.linalg.norm(task.error(task.value(q), x_d)) for q in seen]
         near, rows = [seen[k] for k in np.argsort(far)[:_NEAREST]], controllable_coordinates(task)
         if rows < task.m:
-            near = _attaining(task, x_d, near[:_STARTS])
-        dynamics, A = Dynamics(task.robot), np.zeros((task.m, task.m))
+            ends = [_nearer(task, x_d, q) for q in near[:_STARTS]]
+            least = min(error for _, error in ends)
+            near = [q for q, error in ends if error <= _BEST * least + 1e-6]
+        dynamics, A, none = Dynamics(task.robot), np.zeros((task.m, task.m)), np.zeros(task.m)
         for q in near:
-            J = _jacobian(task, q, x_d)
+            J = task.jacobian(q, with_error(task, task.value(q), x_d, none))
             mobility = J @ np.linalg.solve(dynamics.M(q), J.T)
             A += mobility / np.trace(mobility)
         values, U = np.linalg.eigh(A)
@@ -270,18 +265,6 @@ class CombinedTask(WrappedTask):
 
     def __repr__(self) -> str:
         return f"CombinedTask({self.task!r}, C of shape {self.C.shape})"
-
-
-def _jacobian(task: Task, q: Array, x_d: Array) -> Array:
-    """Return J with the value of a target, for a task that uses it, (m, n_v)."""
-    return task.jacobian(q, with_error(task, task.value(q), x_d, np.zeros(task.m)))
-
-
-def _attaining(task: Task, x_d: Array, starts: list[Array]) -> list[Array]:
-    """Return configurations whose values are a target, or as near to it as is found from starts."""
-    ends = [_nearer(task, x_d, q) for q in starts]
-    least = min(error for _, error in ends)
-    return [q for q, error in ends if error <= _BEST * least + 1e-6]
 
 
 def _nearer(task: Task, x_d: Array, q: Array) -> tuple[Array, float]:
@@ -321,7 +304,7 @@ class NonsingularTask(WrappedTask):
     Args:
         task: The task of the believed robot.
         bend: Joint name → how far the bent one is away [rad or m], such as {"joint4": 0.3}.
-        ratio: Share of the largest singular value below which Ĵ is changed, > 0 and < 1.
+        ratio: Share of the largest singular value below which Ĵ is changed, > 0 and <= 1.
 
     Raises:
         UnknownNameError: No such joint.
@@ -334,9 +317,7 @@ class NonsingularTask(WrappedTask):
         require("bend", bend, Mapping, "a mapping from joint names to displacements")
         super().__init__((task,), task.labels)
         self.task = task
-        self._ratio = as_number("ratio", ratio, above=0.0)
-        if self._ratio >= 1.0:
-            raise InvalidInputError(f"ratio must be < 1, got {ratio!r}", given=ratio)
+        self._ratio = as_number("ratio", ratio, above=0.0, most=1.0)
         robot = task.robot
         offset = np.zeros(robot.nv)
         for joint, displacement in bend.items():
