@@ -17,9 +17,8 @@ from approxjac.validation import Array
 class Perturbation:
     """Robots that differ from one in the size of its object, and in the origins of its joints.
 
-    For many of them: `robot` copies the Pinocchio model and moves what is elsewhere in it, in a
-    hundredth of the time that `Robot.with_object` and `with_kinematic_error` take, for the same
-    model up to round-off.
+    `robot` copies the Pinocchio model and moves what is elsewhere in it, in a hundredth of the time
+    that `Robot.with_object` and `with_kinematic_error` take.
 
     Args:
         arm: The robot, without the object.
@@ -130,8 +129,8 @@ class _Parts:
         if n is not None:
             self._onto_axis = rotation_onto(n)
             self._object, self._tip = at["object_joint"], at["object_tip_joint"]
-        # what is elsewhere on its link: joints with an error, the tip of the object, and all that a
-        # fixed one of them carries, each with where it is: on the link, or on a frame that moves
+        # what moves on its link: joints with an error, the object's tip, and all that a fixed one
+        # of them carries, each with where it is: on the link, or on a frame that moves
         self._places: list[tuple[int, int | None, int | None, pin.SE3, Array, int | None]] = []
         carried: list[int] = []
         for k, frame in enumerate(frames):  # frames come after those that carry them

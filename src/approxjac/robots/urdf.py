@@ -54,15 +54,11 @@ class UrdfJoint(NamedTuple):
 
 
 class Urdf:
-    """A URDF: its XML tree, its links and its joints. Read-only; an edit is made on a `copy`.
-
-    `source` is what to call it in errors, `text` what it was read from, if it was.
-    """
+    """A URDF: its XML tree, its links and its joints. Read-only; an edit is made on a `copy`."""
 
     def __init__(self, root: Any, source: str, text: str | None = None) -> None:
-        self.root = root
-        self.source = source
-        self._text = text
+        self.root, self.source = root, source  # what to call it in errors
+        self._text = text  # that it was read from, if it was
 
     @classmethod
     def parse(cls, text: str, source: str) -> Urdf:
@@ -367,8 +363,7 @@ def with_object(
 ) -> Urdf:
     """Return a URDF with a uniform cylinder from the origin of `parent` along `axis`, and its tip.
 
-    Both new links keep the orientation of `parent`. A massless object has no <inertial>, one
-    without length no geometry, as other tools refuse cylinders of length 0.
+    Without length it has no geometry, as other tools refuse cylinders of length 0.
     """
     middle = pin.SE3(rotation_onto(axis), 0.5 * length * axis)
     link = E.link(name=name)

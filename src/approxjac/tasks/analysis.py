@@ -46,14 +46,8 @@ def combination(task: Task) -> Array:
 
 
 def uncombined(task: Task) -> Array | None:
-    """Return the matrix from a task's errors to those of what is measured; None is I.
-
-    Of a task with fewer coordinates it is the pseudo-inverse: the least error that would show so.
-    """
-    if task._measured is task:
-        return None
-    C = combination(task)
-    return np.asarray(np.linalg.inv(C) if len(C) == C.shape[1] else np.linalg.pinv(C))
+    """Return the matrix from a task's errors to the least ones of what is measured; None is I."""
+    return None if task._measured is task else np.asarray(np.linalg.pinv(combination(task)))
 
 
 def controllable_coordinates(task: Task) -> int:
@@ -116,10 +110,7 @@ def sees(task: Task, q: Array) -> bool:
 
 
 def seen_configurations(task: Task, count: int) -> list[Array]:
-    """Draw seeded configurations within the joint limits in which the task's sensor sees it.
-
-    They are `count`, or fewer where they are rare.
-    """
+    """Draw `count` seeded configurations in which the task's sensor sees it; fewer if rare."""
     rng = np.random.default_rng(0)
     drawn = (task.robot.random_configuration(rng) for _ in range(max(count, _TRIES)))
     seen = list(islice((q for q in drawn if sees(task, q)), count))

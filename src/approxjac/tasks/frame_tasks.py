@@ -44,7 +44,6 @@ class FrameKinematics:
         self._all = robot.mimic_joints.model
 
     # Scratch memory is made when it is first needed: of truths that are drawn, many never need it.
-    # Of what Pinocchio holds these are live views, as to read it costs as much as to compute it.
 
     @cached_property
     def _data(self) -> pin.Data:
@@ -52,6 +51,7 @@ class FrameKinematics:
 
     @cached_property
     def _placed(self) -> tuple[Array, Array]:
+        # live views, as to read them costs as much as to compute them
         placement = self._data.oMf[self._id]
         return placement.rotation, placement.translation
 
@@ -268,13 +268,11 @@ class PoseTask(_FrameTask):
     """X = position [m] and orientation of a frame in the world; m = 6.
 
     A value is (x, y, z) and a quaternion (x, y, z, w), shape (7,), as `pin.SE3ToXYZQUAT` has it;
-    the quaternion's length and sign do not matter. The error is (p − p_d, φ): φ = log(R R_dᵀ) is
-    the rotation vector from the target's orientation to the measured one, in world axes [rad],
-    valid up to 180°.
+    the quaternion's length and sign do not matter. The error is (p − p_d, φ), with the rotation
+    vector φ = log(R R_dᵀ) in world axes [rad], below 180°.
 
-    The Jacobian is the geometric one, with which d/dt ½‖φ‖² = φᵀω holds exactly for every φ below
-    180°: the paper's proof carries over where the three rotational gains are equal and s(φ) = φ.
-    With other gains V̇ = −W holds with ∂e/∂q in place of J.
+    The Jacobian is the geometric one, with which d/dt ½‖φ‖² = φᵀω: the paper's proof carries over
+    where the three rotational gains are equal and s(φ) = φ.
 
     Args:
         robot: The robot, true or believed.
@@ -350,8 +348,8 @@ class _Tracked(_FrameTask):
 class TrackerTask(_Tracked):
     """X = R p + b: position p of a frame's origin in the axes of a tracker [m].
 
-    Nobody has lined the tracker up with the robot's base. Targets are in its axes, too. A
-    controller that knows nothing of the tracker takes a `PositionTask` for it.
+    Targets are in its axes, too. A controller that knows nothing of the tracker takes a
+    `PositionTask` for it.
 
     Args:
         robot: The robot, true or believed.

@@ -10,7 +10,7 @@ import numpy as np
 from approxjac import law
 from approxjac.cameras.camera import Camera, PinholeCamera
 from approxjac.errors import InvalidInputError
-from approxjac.formatting import listed, short
+from approxjac.formatting import short
 from approxjac.robots import Robot
 from approxjac.tasks.frame_tasks import PointKinematics
 from approxjac.tasks.task import Feature, Task
@@ -43,9 +43,8 @@ class ImageTask(Task):
 
     Raises:
         UnknownNameError: No such frame.
-        InvalidInputError: Points that are the same or all on one line, whose image never tells how
-            the body is turned about it; points that move with the camera; a depth for a camera that
-            has none.
+        InvalidInputError: Points that are the same, all on one line, or move with the camera; a
+            depth for a camera that has none.
     """
 
     _kind = "image"
@@ -133,12 +132,11 @@ class ImageTask(Task):
         target = super().target(x_d)
         outside = np.nonzero(~np.isfinite(self._images(self._seen(target))).all(axis=1))[0]
         if len(outside):
-            size = ""
-            if isinstance(self.camera, PinholeCamera):
-                size = f" of {self.camera.size[0]} x {self.camera.size[1]} px"
+            size = getattr(self.camera, "size", None)
+            where = "" if size is None else f" of {size[0]} x {size[1]} px"
             wrong = self._images(target)[outside[0]].tolist()
             raise InvalidInputError(
-                f"target must be within the image{size}, got {wrong} for point {outside[0] + 1}",
+                f"target must be within the image{where}, got {wrong} for point {outside[0] + 1}",
                 given=x_d,
             )
         return target
@@ -201,14 +199,10 @@ class ImageTask(Task):
     def __repr__(self) -> str:
         name = "the world" if self.frame is None else repr(self.frame)
         shown = f"ImageTask({self.robot.name!r}, {self.camera!r}, {name}"
-        if len(self.points) > 1:
+        if len(self.points) > 1 or self.points.any():
             shown += f", {len(self.points)} points"
-        elif self.points.any():
-            shown += f", {listed(self.points)}"
-        if self._uses_x:
-            depth = repr(self.depth) if isinstance(self.depth, str) else short(self.depth)
-            shown += f", depth={depth}"
-        return shown + ")"
+        depth = self.depth if isinstance(self.depth, str) else short(self.depth)
+        return f"{shown}, depth={depth})" if self._uses_x else f"{shown})"
 
 
 def _joint_of(robot: Robot, frame: str | None) -> int:
