@@ -10,7 +10,7 @@ import numpy as np
 from approxjac import law
 from approxjac.cameras.camera import Camera, PinholeCamera
 from approxjac.errors import InvalidInputError
-from approxjac.formatting import short
+from approxjac.formatting import listed, short
 from approxjac.robots import Robot
 from approxjac.tasks.frame_tasks import PointKinematics
 from approxjac.tasks.task import Feature, Task
@@ -200,7 +200,8 @@ class ImageTask(Task):
         name = "the world" if self.frame is None else repr(self.frame)
         shown = f"ImageTask({self.robot.name!r}, {self.camera!r}, {name}"
         if len(self.points) > 1 or self.points.any():
-            shown += f", {len(self.points)} points"
+            k = len(self.points)
+            shown += f", {listed(self.points) if k == 1 else f'{k} points'}"
         depth = self.depth if isinstance(self.depth, str) else short(self.depth)
         return f"{shown}, depth={depth})" if self._uses_x else f"{shown})"
 
