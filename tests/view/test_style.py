@@ -70,9 +70,6 @@ def plots(run, image_run, arm, seen):
             learnt, ax=ax, truth={"a": 1.0, "b": 2.0}
         ),
         "plot_image": lambda ax: view.plot_image(image_run, seen.camera, ax),
-        "plot_allowed_error": lambda ax: view.plot_allowed_error(
-            0.04, 0.3, unit="m/rad", p_label="p of the errors", ax=ax
-        ),
         "plot_shares": lambda ax: view.plot_shares(
             x, y, np.clip(decay, 0.0, 1.0), own=(0.5, 1.5), ax=ax,
             labels=("true object_length [m]", "damping [N m s/rad]"),
@@ -83,7 +80,7 @@ def plots(run, image_run, arm, seen):
 
 NAMES = (
     "plot_error", "plot_torque", "plot_torque, limits", "plot_slack", "plot_path",
-    "plot_parameters", "plot_image", "plot_allowed_error",
+    "plot_parameters", "plot_image",
     "plot_shares", "plot_parameters, bands",
 )  # fmt: skip
 

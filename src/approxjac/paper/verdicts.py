@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from approxjac import view
+from approxjac import law, view
 from approxjac.cameras import PlanarCamera
 from approxjac.errors import MissingPackageError
 from approxjac.formatting import aligned, wrapped
@@ -30,9 +30,25 @@ from approxjac.view.style import formulas
 
 def write_bound(bound: JacobianBound, out: Path) -> None:
     """Write fig1.png and fig1.svg: the allowed p against a, its two curves and their crossing."""
+    alpha, p, colors = float(np.sqrt(bound.lambda_2)), bound.p_of_figure_4, view.SERIES
+    a = np.linspace(0.0, 4.0 * alpha, 600)[1:]
+    velocity = law.allowed_p_velocity(a, alpha, bound.lambda_2)
+    position = law.allowed_p_position(a, alpha)
     figure, (ax,) = view.new_figure(size=(6.5, 4.8))
-    p, label = bound.p_of_figure_4, r"$\|J^T - \hat{J}^T\|$ of Figure 4 at its target"
-    view.plot_allowed_error(bound.lambda_2, p, unit="m/rad on the sensor", p_label=label, ax=ax)
+    with view.style():
+        allowed = np.minimum(velocity, position)
+        ax.fill_between(a, allowed, color=colors[2], alpha=0.15, label="$p$ allowed by (23)")
+        ax.plot(a, velocity, color=colors[0], label=r"$2\lambda_2 / (a + \alpha)$")
+        ax.plot(a, position, color=colors[1], label=r"$2 a \alpha / (a + \alpha)$")
+        at = rf"$a = \lambda_2 / \alpha$ = {alpha:.4f}, $p = \sqrt{{\lambda_2}}$ = {alpha:.4f}"
+        ax.plot([alpha], [alpha], "o", color=colors[6], ms=5, label=f"crossing: {at}")
+        label = rf"$\|J^T - \hat{{J}}^T\|$ of Figure 4 at its target: {p:.4f}"
+        ax.axhline(p, color=view.COLORS["neutral"], linestyle="--", label=label)
+        ax.set(xlabel="$a = k_p / k_v$ [1/s]", ylabel="allowed $p$ [m/rad on the sensor]")
+        ax.set(xlim=(0.0, a[-1]), ylim=(0.0, 1.25 * max(p, float(velocity.max()))))
+        crossover = rf"$\alpha = \sqrt{{\lambda_2}}$ = {alpha:.4f} 1/s"
+        ax.set_title(f"Figure 1: allowed Jacobian error ({crossover})")
+        view.legend_below(ax)
     view.save_figure(figure, out / "fig1")
 
 

@@ -7,7 +7,6 @@ package_of("study", "matplotlib")  # for its error
 from approxjac.view.browser.live import LiveView
 from approxjac.view.browser.page import save_page, show, write_index
 from approxjac.view.plots import (
-    plot_allowed_error,
     plot_error,
     plot_image,
     plot_parameters,
@@ -25,7 +24,6 @@ __all__ = [
     "LiveView",
     "legend_below",
     "new_figure",
-    "plot_allowed_error",
     "plot_error",
     "plot_image",
     "plot_parameters",

@@ -9,7 +9,6 @@ import pinocchio as pin
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from approxjac import law
 from approxjac.cameras import Camera, PinholeCamera
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.formatting import joined
@@ -313,37 +312,6 @@ def plot_image(
             ax.set(ylim=(high[1] + around, low[1] - around))  # v points down
         u, v = (formulas(f"{name} [{camera.unit}]") for name in camera.labels)
         ax.set(xlabel=u, ylabel=v, title=title)
-    return ax
-
-
-def plot_allowed_error(
-    lambda2: float, p: float, *, unit: str, p_label: str, ax: Axes | None = None
-) -> Axes:
-    """Draw Figure 1: the p that (23) allows against a, its two curves and their crossing.
-
-    Args:
-        lambda2: λ₂ of (23); α is √λ₂, which allows the largest p.
-        p: ‖Jᵀ − Ĵᵀ‖, drawn dashed.
-        unit: Of p.
-        p_label: Name of p.
-        ax: Axes to draw into; new ones by default.
-    """
-    alpha = float(np.sqrt(lambda2))
-    a = np.linspace(0.0, max(4.0 * alpha, 1e-12), 600)[1:]
-    velocity = law.allowed_p_velocity(a, alpha, lambda2)
-    position = law.allowed_p_position(a, alpha)
-    with styled(ax, (6.5, 4.8)) as ax:
-        allowed = np.minimum(velocity, position)
-        ax.fill_between(a, allowed, color=SERIES[2], alpha=0.15, label="$p$ allowed by (23)")
-        ax.plot(a, velocity, color=SERIES[0], label=r"$2\lambda_2 / (a + \alpha)$")
-        ax.plot(a, position, color=SERIES[1], label=r"$2 a \alpha / (a + \alpha)$")
-        at = rf"$a = \lambda_2 / \alpha$ = {alpha:.4f}, $p = \sqrt{{\lambda_2}}$ = {alpha:.4f}"
-        ax.plot([alpha], [alpha], "o", color=SERIES[6], ms=5, label=f"crossing: {at}")
-        ax.axhline(p, color=COLORS["neutral"], linestyle="--", label=f"{p_label}: {p:.4f}")
-        ax.set(xlabel="$a = k_p / k_v$ [1/s]", ylabel=f"allowed $p$ [{unit}]", xlim=(0.0, a[-1]))
-        ax.set(ylim=(0.0, 1.25 * max(p, float(velocity.max()))))
-        crossover = rf"$\alpha = \sqrt{{\lambda_2}}$ = {alpha:.4f} 1/s"
-        ax.set_title(f"Figure 1: allowed Jacobian error ({crossover})")
     return ax
 
 
