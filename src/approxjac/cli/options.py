@@ -170,14 +170,6 @@ def read(
     return values, names
 
 
-def with_options(names: Mapping[str, str], text: str) -> str:
-    """Return a text with options in place of the keys that it names."""
-    for key in sorted(names, key=len, reverse=True):
-        if "." in key or "_" in key:
-            text = re.sub(rf"(?<![\w.-]){re.escape(key)}(?![\w.])", names[key], text)
-    return text
-
-
 def explained(
     error: ApproxJacError,
     options: Sequence[Option],
@@ -190,7 +182,10 @@ def explained(
     Keys that were not typed stay as they are in a file, if there is one.
     """
     usual = {} if source.endswith(".toml") else {each.key: each.names[0] for each in options}
-    message = with_options(usual | names, str(error))
+    shown, message = usual | names, str(error)
+    for key in sorted(shown, key=len, reverse=True):
+        if "." in key or "_" in key:
+            message = re.sub(rf"(?<![\w.-]){re.escape(key)}(?![\w.])", shown[key], message)
     key, _, rest = message.partition(" ")
     own = [
         name

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from approxjac.cli.options import make_folder, options_of, with_options
+from approxjac.cli.options import make_folder
 from approxjac.errors import InvalidInputError
 from approxjac.scenario import Scenario
 
@@ -15,7 +15,7 @@ def stability(
     jobs: int = 1,
     out: Path = Path("results/stability"),
 ) -> int:
-    """Tell whether a controller is stable before anything moves, by how much, and what to change.
+    """Tell whether a controller is stable before anything moves, and by how much.
 
     Example: approxjac stability panda --object-length 0 0.3 --around 0 -0.5 0 -2 0 1.6 0.7
 
@@ -46,8 +46,7 @@ def stability(
             lambda report: print(report, end="\n\n", flush=True),
         )
     judge.write(result, out)
-    names = {each.key: each.names[0] for each in options_of(stability)}
-    if follows := with_options(names, judge.consequences(result, out)):
+    if follows := judge.consequences(result, out):
         print(follows, end="\n\n")
     print(f"Pictures and summary.json are in {out}")
     return 0 if result.report.passed else 1

@@ -190,35 +190,14 @@ def _values(name: str, loop: ClosedLoop, uncertainty: Uncertainty, count: int) -
 
 
 def consequences(result: StabilityResult, out: Path) -> str:
-    """Return the step to take after a report, the errors tolerated, and the outcome of the map."""
+    """Return the errors tolerated, and the outcome of the map."""
     blocks: list[list[str]] = []
-    if step := advice(result):
-        blocks.append(wrapped(f"next: {step}"))
     if result.tolerances:
         how = "in continuous time, by a search on fewer configurations; a report may find less:"
         blocks.append([*wrapped(how), *map(str, result.tolerances.values())])
     if result.map is not None:
         blocks.append([str(result.map), f"The map is {out / 'map.png'}"])
     return "\n\n".join("\n".join(block) for block in blocks)
-
-
-def advice(result: StabilityResult) -> str:
-    """Return what a person can try next; nothing where the loop is certified."""
-    report, uncertainty = result.report, uncertainty_of(result.study)
-    if report.passed:
-        return ""
-    if not report.gravity_is_exact or report.loop.controller.adaptation is not None:
-        return "controller.gravity exact, which tells what is certified if gravity is known"
-    if report.singular_q is not None:
-        return "stability.sigma_min, which leaves out where the estimated Jacobian loses rank"
-    region = "a smaller stability.radius around a configuration (stability.around)"
-    if uncertainty is None:
-        return region
-    scale = result.tolerances["matrix"].scale
-    smaller = ""
-    if 0.0 < scale < 1.0:  # of which a report may find a little less
-        smaller = f", such as {uncertainty.scaled(0.8 * scale).describe_box()}"
-    return f"other gains (Study.gains), smaller errors{smaller}, or {region}"
 
 
 # -- pictures and files -----------------------------------------------------------------
@@ -266,7 +245,6 @@ def summary(result: StabilityResult) -> dict[str, Any]:
             }
             for test, each in result.tolerances.items()
         },
-        "advice": advice(result),
         "gains": result.report.loop.controller.diagonals._asdict(),
         "map": grid and {name: getattr(grid, name) for name in _OF_MAP},
         "scenario": asdict(result.scenario),
