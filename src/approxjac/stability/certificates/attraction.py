@@ -128,7 +128,7 @@ def _farthest(
         near = form.elsewhere(loop.near(near.samples, k, _NEAR, _CLOSE, rng))
         bounds = travels(near, weights, rate)
         if (bounds <= most).all() or np.isinf(bounds).any():
-            return np.maximum(most, bounds.max(axis=0))
+            return np.asarray(np.maximum(most, bounds.max(axis=0)))
         most = np.maximum(most, bounds.max(axis=0))
     return np.asarray(most)
 

@@ -39,6 +39,7 @@ _SLOWER, _SLOWEST = (0.5, 0.25), 0.06  # times the speed that all starts need, t
 _SPARE = 1.4  # c is at most so many times what starts need: σ² is known afterwards only
 _WORST = 120  # samples that largest periods and delays are sought with
 _HALVINGS = 7
+_FARTHEST = 1e6  # error that is looked at
 _LONGEST = 64.0  # times the period of the loop
 
 
@@ -387,10 +388,8 @@ def sampled_test(
 
 def largest_errors(saturation: Saturation, w: Array, level: float) -> Array:
     """The largest eᵢ with wᵢSᵢ(eᵢ) ≤ c, the others being zero, shape (m,)."""
-    low, high = np.zeros(len(w)), np.full(len(w), 1e-9)
-    while ((w * saturation.S(high) < level) & (high < 1e6)).any():
-        high = np.where(w * saturation.S(high) < level, 2.0 * high, high)
-    for _ in range(60):
+    low, high = np.zeros(len(w)), np.full(len(w), _FARTHEST)
+    for _ in range(80):
         middle = 0.5 * (low + high)
         inside = w * saturation.S(middle) <= level
         low, high = np.where(inside, middle, low), np.where(inside, high, middle)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -547,7 +546,18 @@ def numerical_stability(
             f"by differences, got {len(state)} of {controller!r}; rollouts judge any",
             given=controller,
         )
-    answer = partial(_answer, controller, None if timing is None else timing.dt)
+    dt = None if timing is None else timing.dt
+
+    def answer(
+        x_d: Array, q: Array, v: Array, x: Array, state: Array, t: float = 0.0
+    ) -> tuple[Array, Array]:
+        measurement = Measurement(t, q, v, x, t)
+        if dt is None:
+            given = controller.evaluate(state, measurement, x_d)
+            return np.array(given.torque), np.asarray(given.state_rate)
+        after, given = controller.step(state, measurement, x_d, dt)
+        return np.array(given.torque), np.asarray((after - state) / dt)
+
     q, state = _resting(plant, controller, answer, q, state)
     x_d = sensor.value(q)
     torque, _ = answer(x_d, q, still, x_d, state)
@@ -562,10 +572,10 @@ def numerical_stability(
         moved, v, state, *late = np.split(z, ends)
         at = np.asarray(pin.integrate(model, q, moved))
         x = plant.measure(0.0, at, v).x
-        if timing is None:
+        if timing is None or dt is None:
             torque, state_rate = answer(x_d, at, v, x, state)
             return np.concatenate([v, plant.acceleration(at, v, torque), state_rate])
-        (w, old, waiting), dt, seen = late, timing.dt, v
+        (w, old, waiting), seen = late, v
         errors = np.concatenate([old, sensor.error(x, x_d)])
         if timing.velocity_filter is not None:
             share = dt / (timing.velocity_filter + dt)
@@ -592,25 +602,6 @@ def numerical_stability(
         with np.errstate(divide="ignore"):
             values = np.asarray(np.log(1.0 + timing.dt * values) / timing.dt, np.complex128)
     return _stability(values, moving, int(at_rest.sum()) - moving, bool(singular), timing)
-
-
-def _answer(
-    controller: Controller,
-    dt: float | None,
-    x_d: Array,
-    q: Array,
-    v: Array,
-    x: Array,
-    state: Array,
-    t: float = 0.0,
-) -> tuple[Array, Array]:
-    """Return a controller's torque and the rate of its state, in samples its mean rate."""
-    measurement = Measurement(t, q, v, x, t)
-    if dt is None:
-        answer = controller.evaluate(state, measurement, x_d)
-        return np.array(answer.torque), np.asarray(answer.state_rate)
-    after, answer = controller.step(state, measurement, x_d, dt)
-    return np.array(answer.torque), np.asarray((after - state) / dt)
 
 
 def _resting(
