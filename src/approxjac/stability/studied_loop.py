@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
 from types import NoneType
@@ -95,16 +94,16 @@ class StudiedLoop:
         """
         controller, timing, seed = self.controller, self.timing, self.seed
         count = as_integer("configurations", configurations, 20)
-        with telling(progress) as tell:
-            reason = uncovered(controller)
-            loop = None if reason else self.loop()
-            many = self.rollouts(runs, execution=execution, progress=tell) if runs else None
-            if loop is None:
-                setting = self.setting()
-                near = near_targets(setting, timing, count, partial(tell, "near targets"))
-                return OtherLawReport(setting, timing, reason, *near, many)
-            limiter: Any = controller if controller.limited_law is not None else None
-            return report_of(loop, timing, count, seed, tell, limiter, many)
+        tell = telling(progress)
+        reason = uncovered(controller)
+        loop = None if reason else self.loop()
+        many = self.rollouts(runs, execution=execution, progress=tell) if runs else None
+        if loop is None:
+            setting = self.setting()
+            near = near_targets(setting, timing, count, partial(tell, "near targets"))
+            return OtherLawReport(setting, timing, reason, *near, many)
+        limiter: Any = controller if controller.limited_law is not None else None
+        return report_of(loop, timing, count, seed, tell, limiter, many)
 
     def rollouts(
         self,
@@ -138,8 +137,8 @@ class StudiedLoop:
         failures = None if failures is None else as_integer("failures", failures, 1)
         execution = Execution() if execution is None else execution
         setting = self.setting().with_engine(execution.engine, n)
-        with telling(progress) as tell:
-            (columns,) = carried_out([setting], n, failures, execution, partial(tell, "rollouts"))
+        tell = partial(telling(progress), "rollouts")
+        (columns,) = carried_out([setting], n, failures, execution, tell)
         return Rollouts(columns, setting)
 
     # -- what the tests are made of -------------------------------------------------------------
@@ -201,19 +200,17 @@ class StudiedLoop:
         )  # fmt: skip
 
 
-@contextmanager
-def telling(progress: Progress) -> Iterator[Callable[[str, float], None]]:
-    """Yield a function of the name of a part of the work and the share that is done."""
+def telling(progress: Progress) -> Callable[[str, float], None]:
+    """Return a function of the name of a part of the work and the share that is done."""
     require("progress", progress, _PROGRESS, "a function of what is done and its share, or True")
     if progress is not True:
-        yield progress or (lambda what, share: None)
-        return
+        return progress or (lambda what, share: None)
     from tqdm import tqdm
 
-    with tqdm(total=1.0, bar_format="{desc}{percentage:3.0f} %|{bar}| {elapsed}") as bar:
+    bar = tqdm(total=1.0, bar_format="{desc}{percentage:3.0f} %|{bar}| {elapsed}")
 
-        def tell(what: str, share: float) -> None:
-            bar.set_description(what, refresh=False)
-            bar.update(share - bar.n)
+    def tell(what: str, share: float) -> None:
+        bar.set_description(what, refresh=False)
+        bar.update(share - bar.n)
 
-        yield tell
+    return tell

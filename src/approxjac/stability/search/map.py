@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,8 +18,8 @@ from approxjac.stability.errors.region import require_setpoint
 from approxjac.stability.loop.configurations import UnattainedError
 from approxjac.stability.rollouts.rollouts import Execution, Rollouts, carried_out
 from approxjac.stability.rollouts.setting import RolloutSetting, sharing
-from approxjac.stability.studied_loop import StudiedLoop
-from approxjac.validation import Array, as_array, require
+from approxjac.stability.studied_loop import Progress, StudiedLoop, telling
+from approxjac.validation import Array, as_array, as_integer, require
 
 PARAMETERS = {
     "error": "scale of the errors [–]",
@@ -96,14 +97,31 @@ def _outcome(runs: Rollouts) -> str:
     return f"{percent(runs.share)} % of {runs.n}, with 95 % confidence {low} to {high} %"
 
 
-def map_of(
+def stability_map(
     study: StudiedLoop,
     over: Mapping[str, Sequence[float] | Array],
-    n: int,
-    execution: Execution,
-    tell: Callable[[float], None],
+    n: int = 100,
+    *,
+    execution: Execution | None = None,
+    progress: Progress = None,
 ) -> StabilityMap:
-    """Return the map of a study over some parameters; see `Study.map`."""
+    """Carry out rollouts over a grid of one or two parameters.
+
+    Each point has the same n runs, but for what was changed.
+
+    Args:
+        study: The study.
+        over: "error", "a", "kv" or "damping" (see `PARAMETERS`) → values: numbers that grow,
+            > 0 of gains, ≥ 0 of "error".
+        n: Runs at each point.
+        execution: How and where they are carried out.
+        progress: Called with "map" and the share that is done; True shows a bar.
+
+    Raises:
+        InvalidInputError: Values that are no growing numbers, or what rollouts refuse.
+        UnknownNameError: No such parameter.
+    """
+    n, execution = as_integer("n", n, 1), Execution() if execution is None else execution
     require("over", over, Mapping, "a dict of one or two parameters and their values")
     if len(over) not in (1, 2):
         raise InvalidInputError(
@@ -122,6 +140,7 @@ def map_of(
         if scale <= 1.0 or _is_seen(own, n):
             settings[point] = own.with_engine(execution.engine, n)
     together = sharing([*settings.values()]) if settings else []
+    tell = partial(telling(progress), "map")
     columns = carried_out(together, n, None, execution, tell) if together else []
     points = {
         point: Rollouts(each, setting)

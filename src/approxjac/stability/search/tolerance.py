@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -17,7 +17,7 @@ from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.closed_loop import SHARED, ClosedLoop
 from approxjac.stability.loop.configurations import UnattainedError
 from approxjac.stability.report.other_laws import near_targets
-from approxjac.stability.studied_loop import StudiedLoop
+from approxjac.stability.studied_loop import Progress, StudiedLoop, telling
 from approxjac.validation import Array, as_number
 
 Test = Literal["theorem1", "matrix", "local", "rollouts"]
@@ -76,14 +76,31 @@ class Tolerance:
 
 def tolerances(
     study: StudiedLoop,
-    tests: Sequence[Test],
+    tests: Sequence[Test] = TESTS,
+    *,
     largest: float = 10.0,
     precision: float = 0.02,
     draws: int | None = None,
-    tell: Callable[[float], None] = lambda share: None,
+    progress: Progress = None,
 ) -> dict[Test, Tolerance]:
-    """Return the largest scaling of a study's errors for each test; see `Study.tolerance`."""
-    uncertainty = study.errors
+    """Find the largest scaling of the errors for which each test still passes.
+
+    By bisection, with the same configurations at every scale. Functions are not checked in
+    others, so a report may find a little less. A test might pass again beyond a gap.
+
+    Args:
+        study: The study.
+        tests: "theorem1", "matrix" (neither where Ĵ uses x), "local" or "rollouts".
+        largest: Scale at most > 0; less where robots beyond it cannot exist.
+        precision: Of the scale, relative, > 0.
+        draws: Of configurations, 400 by default, or rollouts at each scale, 100 by default.
+        progress: Called with "tolerance" and the share that is done; True shows a bar.
+
+    Raises:
+        InvalidInputError: Numbers out of range, or what a report refuses.
+        UnknownNameError: No such test.
+    """
+    uncertainty, tell = study.errors, telling(progress)
     reason = uncovered(study.controller)
     if reason and (without := set(tests) - {"local", "rollouts"}):
         raise InvalidInputError(
@@ -132,7 +149,7 @@ def tolerances(
         for step in range(_STEPS):
             if passes == largest or (np.isfinite(fails) and fails - passes <= precision * fails):
                 break
-            tell((k + step / _STEPS) / len(tests))
+            tell("tolerance", (k + step / _STEPS) / len(tests))
             culprit = failing(test, scale)
             if culprit is None:
                 passes = scale
