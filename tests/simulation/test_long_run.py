@@ -63,7 +63,7 @@ def test_three_minutes_do_not_drift(panda):
 
     run = run_of(panda, 180.0, 0.1, progress)
 
-    for array in (run.t, run.q, run.v, run.x, run.error, run.tau, run.state, run.sigma_min):
+    for array in (run.t, run.q, run.v, run.x, run.error, run.tau, run.state, run.V):
         assert len(array) == 1801
         assert np.isfinite(array).all()
     lost = np.isnan(run.x_measured).any(axis=1)

@@ -109,7 +109,7 @@ def test_it_stops_the_run(panda, every):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"dt": None}, "dt must be given for an observer: it looks at every step"),
+        ({"dt": None}, "dt must be given for an observer, which looks at every sample"),
         ({"observer": "me"}, "observer must be a function of a Loop, got 'me'"),
     ],
 )

@@ -17,12 +17,7 @@ class HungError(BaseException):
 
 
 class Brake:
-    """A driver's brake, closed once.
-
-    Attributes:
-        error: What the driver raised instead of braking, or None.
-        closed_at: When it was closed, by `time.perf_counter`; None before [s].
-    """
+    """A driver's brake, closed once: when, by `time.perf_counter` [s], and what it raised then."""
 
     def __init__(self, driver: Driver) -> None:
         self.driver, self._lock = driver, threading.Lock()

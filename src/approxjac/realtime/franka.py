@@ -38,11 +38,9 @@ class FrankaDriver:
     The robot adds gravity, as it knows it, to the torques that it is sent. Control begins with the
     first command; until then, and after `brake`, the robot holds itself.
 
-    Commands are brought within the rates that the robot takes, as its makers' own loop does it:
-    torques within its efforts and 500 N m/s of the last that it got, velocities within 7 rad/s²,
-    1000 rad/s³ and its speeds near joint ends; that is less than it takes, so that a command which
-    comes late is no jump. Whatever else is beyond its limits ends in a reflex, of which it does not
-    recover by itself: see `recover`.
+    Commands are brought within less than the rates that the robot takes: torques within its
+    efforts and 500 N m/s of the last that it got, velocities within 7 rad/s², 1000 rad/s³ and its
+    speeds near joint ends. Whatever else is beyond its limits ends in a reflex: see `recover`.
 
     Args:
         address: Of the robot's control unit.
@@ -79,7 +77,6 @@ class FrankaDriver:
     ) -> None:
         require("address", address, str, "a name or an IP address")
         require("sensor", sensor, Callable, "a function of t and q that returns x")  # type: ignore[arg-type]
-        require("command", command, str, '"torque" or "velocity"')
         if command not in ("torque", "velocity"):
             message = f'command must be "torque" or "velocity", got {command!r}'
             raise InvalidInputError(message, given=command)

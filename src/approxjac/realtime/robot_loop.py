@@ -270,12 +270,8 @@ class RobotLoop(Loop):
         return (slow and since > _HALT) or since > self._tolerances.timeout
 
     def _keep(self) -> None:
-        instant = (
-            self.truth, self.measurement.x, self.state, self.answer, self.tau, self.target,
-            self.controller,
-        )  # fmt: skip
         t, t_x = self.truth.t, self.truth.t_x
-        self._tail.append((self.step, instant, t if t_x is None else min(t_x, t)))
+        self._tail.append((self.step, self.instant, t if t_x is None else min(t_x, t)))
         if len(self._tail) > _TAIL:
             self._evict(last=False)
 
@@ -321,9 +317,8 @@ def require_able(driver: Driver, controller: Controller) -> None:
 class Eased:
     """A target's path, with an offset that goes to zero with least jerk.
 
-    At first it is at x (n_x,), with a velocity in the error coordinates of the task (m,) [unit/s];
-    within its `duration` [s] it joins the path, at rest relative to it, and no faster than a speed
-    (m,). So the target of a loop jumps neither in position nor in velocity.
+    It begins at x (n_x,) with a velocity in the error coordinates of the task (m,) [unit/s], and
+    joins the path within its `duration` [s], no faster relative to it than a speed (m,).
     """
 
     def __init__(

@@ -24,13 +24,10 @@ class MujocoPlant(Plant):
     """A plant that moves as MuJoCo says, with joint limits and a floor.
 
     MuJoCo opens the URDF that `Robot.save_urdf` writes. Without contact and within the joint
-    limits, accelerations are those of `Plant` to rounding. Limits and floor are soft constraints
-    with MuJoCo's own default, a time constant of 20 ms ("MuJoCo as the plant" in the documentation
-    has figures). What the arm and its object touch is the floor only, never each other; the shapes
-    are those of <collision> in the URDF, meshes as their convex hulls.
-
-    Do not give `simulate` dt=None if a limit or the floor may be touched: these forces jump, and
-    the continuous integration does not keep its tolerance across a jump.
+    limits, accelerations are those of `Plant` to rounding. Limits and floor are MuJoCo's soft
+    constraints, with a time constant of 20 ms; their forces jump, so give `simulate` a dt. What the
+    arm and its object touch is the floor only, never each other; the shapes are those of
+    <collision> in the URDF, meshes as their convex hulls.
 
     Needs `pip install 'approxjac[mujoco]'`. Owns scratch memory: one instance a thread.
 

@@ -161,9 +161,8 @@ class JointStops:
     def held_torque(self, q: Array, v: Array, M_inv: Array, dt: float) -> Array:
         """Return the torque (n_v,) that stops hold over a step dt [s] of semi-implicit Euler.
 
-        Of p with δ and δ̇ at the end of the step (implicit Euler), so that what is said of the
-        energy holds for a step of any length, with any stiffness. v is that at the end of the step
-        if there were no stops.
+        p has δ and δ̇ of the end of the step (implicit Euler), so that no step adds energy. v is
+        that at the end of the step without stops.
         """
         depth, side = self.depth(q)
         v = side * v  # outwards
@@ -330,10 +329,9 @@ class Plant(Immutable):
     def ready_configuration(self) -> Array:
         """Return a configuration (nq,) to start from, as `simulate` does; the same each time.
 
-        Of 300 seeded configurations in the middle 80 % of `Robot.usual_range`, the one with the
-        largest σ_min of the sensor's Jacobian; among those that the sensor sees, that the motors
-        hold with at most 70 % of their limits, and in which the arm touches nothing. An
-        InvalidInputError if there is none.
+        Of 300 in the middle of `Robot.usual_range` that the sensor sees, that the motors hold well,
+        and in which the arm touches nothing, the one with the largest σ_min of the sensor's
+        Jacobian. An InvalidInputError if there is none.
         """
         robot, sensor, rng = self.robot, self.sensor, np.random.default_rng(0)
         effort = np.minimum(robot.effort_limits, self.motor_limits)
@@ -426,10 +424,7 @@ class Plant(Immutable):
     def advance(
         self, q: Array, v: Array, tau: Array, dt: float, integrate: Integrator
     ) -> tuple[Array, Array]:
-        """Return (q, v) after dt [s] under a torque, or a command of the servo, that is held.
-
-        Its arguments are not checked: a loop that calls it checks what comes out, once a step.
-        """
+        """Return (q, v) after dt [s] under a command that is held; nothing is checked here."""
         accelerate: Acceleration = self._driven
         if self.servo is None:
             accelerate, tau = self._acceleration, self._delivered(q, tau)

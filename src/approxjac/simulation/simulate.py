@@ -223,6 +223,12 @@ class Loop:
         return self.truth.t
 
     @property
+    def instant(self) -> tuple[Any, ...]:
+        """What a `Record` keeps of this step."""
+        x, state, answer = self.measurement.x, self.state, self.answer
+        return self.truth, x, state, answer, self.tau, self.target, self.controller
+
+    @property
     def ended(self) -> bool:
         """Return True after the last step."""
         return self.stopped or self.step == self.steps
@@ -482,7 +488,16 @@ def simulate(
     # a loop that diverges overflows before the error says so
     with np.errstate(over="ignore", invalid="ignore"):
         if dt is None:
-            _require_continuous(plant, controller, observer)
+            for wrong, why in (
+                (observer is not None, "an observer, which looks at every sample"),
+                (plant.needs_sampling, "a plant with sensing, actuator delay or servo"),
+                (
+                    not controller.is_continuous,
+                    f"a controller that runs in samples, {controller!r}",
+                ),
+            ):
+                if wrong:
+                    raise InvalidInputError(f"dt must be given for {why}, got None", given=None)
             count = 1000 if record_every is None else whole("record_every", record_every, duration)
             return _continuous(plant, controller, wanted, start, duration, count, computation)
         steps, stride = whole("dt", dt, duration), 1
@@ -515,19 +530,6 @@ def _onwards(progress: Progress | None) -> Progress:
             progress(t)
 
     return report
-
-
-def _require_continuous(plant: Plant, controller: Controller, observer: Observer | None) -> None:
-    """Refuse what needs samples."""
-    if observer is not None:
-        why = "an observer: it looks at every step of sampled control"
-    elif plant.needs_sampling:
-        why = "a plant with sensing, actuator delay or servo: they are those of sampled control"
-    elif not controller.is_continuous:
-        why = f"a controller that runs in samples, got None for {controller!r}"
-    else:
-        return
-    raise InvalidInputError(f"dt must be given for {why}", given=None)
 
 
 def whole(name: str, part: float, total: float, *, of: str = "duration") -> int:
@@ -607,10 +609,7 @@ def _sampled(
     with observer if isinstance(observer, AbstractContextManager) else nullcontext():
         while True:
             # as they are before an observer changes them
-            instant = (
-                loop.truth, loop.measurement.x, loop.state, loop.answer, loop.tau, loop.target,
-                loop.controller,
-            )  # fmt: skip
+            instant = loop.instant
             wanted = loop.step % stride == 0 or loop.ended
             if wanted:
                 record.add(*instant)

@@ -43,9 +43,8 @@ _COLUMNS = {  # the axis of each array beside time, "" without one, and its unit
     "task_torque": ("n_v", "{torque}"),
     "V": ("", "J"),
     "V_dot": ("", "W"),
-    "sigma_min": ("", "{task}/{joint}"),
 }
-_DERIVED = ("task_torque", "V", "sigma_min")  # of them, and V_dot of V
+_DERIVED = ("task_torque", "V")  # of them, and V_dot of V
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,11 +203,6 @@ class Trajectory:
     def learnt_sd(self, k: int) -> Array:
         """Return the standard deviations of `learnt[k]`, shape (p,); NaN of runs from files."""
         return np.asarray(self.derived(self, "learnt_sd")(self.state[k]))
-
-    @cached_property
-    def sigma_min(self) -> Array:
-        """Smallest singular value of Ĵ, shape (N,)."""
-        return np.asarray(self.derived(self, "sigma_min"))
 
     @cached_property
     def law(self) -> str:
@@ -507,8 +501,6 @@ class Record:
         if name == "learnt_sd":
             return self._controllers[-1][1].learnt_sd
         e, J_hat = self._columns[len(_RECORDED) :]
-        if name == "sigma_min":
-            return _sigma_min(J_hat[: len(run.t)])
         plant, values = self._plant, []
         for start, end, controller in self._spans(len(run.t)):
             error = controller.task.error
@@ -533,14 +525,6 @@ def _errors(sensor: Task, x: Array, x_d: Array) -> Array:
     if sensor._subtracts:
         return np.asarray(x - x_d)
     return np.array([sensor.error(*pair) for pair in zip(x, x_d, strict=True)])
-
-
-def _sigma_min(J_hat: Array) -> Array:
-    """Return the smallest singular value of each Ĵ, NaN of one that is not known, shape (N,)."""
-    smallest = np.full(len(J_hat), np.nan)
-    known = np.isfinite(J_hat).all(axis=(1, 2))
-    smallest[known] = np.linalg.svd(J_hat[known], compute_uv=False)[:, -1]
-    return smallest
 
 
 def scene_of(plant: Plant, controller: Controller) -> Scene:

@@ -197,9 +197,8 @@ class LiveView:
 
     def _row(self, loop: Loop) -> dict[str, Any]:
         """Return this step as the page shows it, in types that JSON has."""
-        record, x = Record(loop.plant, 1), loop.measurement.x
-        answer, controller = loop.answer, loop.controller
-        record.add(loop.truth, x, loop.state, answer, loop.tau, loop.target, controller)
+        record = Record(loop.plant, 1)
+        record.add(*loop.instant)
         self._run = record.trajectory()
         self._columns = self._frames.columns(self._run)
         return {name: plain(values[-1]) for name, values in self._columns.items()}
