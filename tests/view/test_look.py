@@ -1,6 +1,7 @@
 """What a robot looks like: its meshes as Pinocchio reads them, capsules where there are none."""
 
 import sys
+from typing import NamedTuple
 
 import coal
 import numpy as np
@@ -15,10 +16,19 @@ from approxjac.errors import MissingPackageError
 from approxjac.robots.meshes import find_mesh, share_dir
 from approxjac.robots.urdf import Urdf
 from approxjac.view import look as look_module
-from approxjac.view.look import load_mesh, robot_look, simplify, smooth
+from approxjac.view.look import load_mesh, simplify, smooth
 
 ROBOTS = share_dir() / "example-robot-data/robots"
 FINGER = "panda_description/meshes/visual/finger.dae"
+
+
+class Look(NamedTuple):
+    shapes: dict
+    missing: list
+
+
+def robot_look(robot):
+    return Look(*look_module.robot_look(robot))
 
 
 def bounds(vertices):
@@ -88,7 +98,7 @@ def look(arm):
 
 
 def test_arms_look_as_pinocchio_shows_them(arm, look):
-    assert look.missing == ()
+    assert look.missing == []
     assert set(look.shapes) <= set(arm.frame_names)
     places, checked = {}, {}
     for link, path, scale, origin in visuals(arm):
@@ -134,9 +144,7 @@ def test_an_arm_whose_meshes_are_gone_is_drawn_as_capsules(arm):
     text = text.replace(".stl", ".gone").replace(".STL", ".gone")
     moved = aj.Robot(text, tip=arm.tip, urdf_dir=arm.urdf_dir)
     look = robot_look(moved)
-    assert look.missing == tuple(
-        f"{name}: no such file" for name in dict.fromkeys(look_names(text))
-    )
+    assert look.missing == [f"{name}: no such file" for name in dict.fromkeys(look_names(text))]
     seen = {
         link.get("name")
         for link in Urdf.parse(text, "").root.iterfind("link")
@@ -182,7 +190,7 @@ def moving_joints(robot):
 def test_every_format_is_read_as_pinocchio_does(name):
     path = ROBOTS / name
     look = look_of(visual(f'<mesh filename="package://{name}" scale="2 -1 1"/>'), urdf_dir=ROBOTS)
-    assert look.missing == ()
+    assert look.missing == []
     expected = bounds(by_coal(path, (2.0, -1.0, 1.0)))
     assert_allclose(bounds(look.shapes["arm"][0].vertices), expected, atol=2e-3)
 
@@ -250,13 +258,13 @@ def assert_tip_is_reached(look):
 )
 def test_what_cannot_be_shown_is_named(element, text):
     look = look_of(element)
-    assert look.missing == (text,)
+    assert look.missing == [text]
     assert_tip_is_reached(look)
 
 
 def test_a_link_of_which_something_is_found_keeps_that():
     look = look_of(visual('<mesh filename="no.stl"/>'), visual('<sphere radius="0.1"/>'))
-    assert look.missing == ("no.stl: no such file",)
+    assert look.missing == ["no.stl: no such file"]
     (sphere,) = look.shapes["arm"]
     assert_allclose(bounds(sphere.vertices), [[-0.1] * 3, [0.1] * 3])
 
@@ -266,7 +274,7 @@ def test_a_link_of_which_something_is_found_keeps_that():
 
 def test_a_robot_that_says_nothing_is_drawn_as_capsules():
     look = look_of()
-    assert look.missing == ()
+    assert look.missing == []
     assert set(look.shapes) == {"arm"}
     assert_tip_is_reached(look)
 

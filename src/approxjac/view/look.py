@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from copy import deepcopy
 from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -24,7 +23,6 @@ from approxjac.view.tree import robot_joints
 _TRIANGLES = 2500  # of a mesh file
 _THICK = 0.03  # radius of a capsule, of the way from the base to the farthest link
 _NEAR = 0.1  # of the radius: joints nearer to their link's origin get no capsule
-_AROUND = 32  # sides of what is round; a multiple of 4, so that it reaches its radius along x, y
 
 # Meshes are simplified at this size: fast-simplification's steps towards larger gaps are absolute.
 # The largest is 3 % of it; with its usual 7 instead of 5 there is no end to them, and a mesh in
@@ -39,18 +37,10 @@ _CELLS = (0.2, 0.6, 1.8, 5.4)
 _SHARP = np.deg2rad(35.0)  # edges sharper than this stay edges when shaded smoothly
 
 
-class Look(NamedTuple):
-    """Shapes of the links of a robot.
+def robot_look(robot: Robot) -> tuple[dict[str, tuple[Trimesh, ...]], list[str]]:
+    """Return shapes of links by name, in their frames [m], and what cannot be shown, and why.
 
     Both sides of triangles are to be drawn: not all files have them counterclockwise.
-    """
-
-    shapes: Mapping[str, tuple[Trimesh, ...]]  # by link, in its frame [m]
-    missing: tuple[str, ...]  # what of the URDF cannot be shown, by name, and why
-
-
-def robot_look(robot: Robot) -> Look:
-    """Return the look of each link of a robot, and what of it is missing.
 
     A link looks like the <visual>s of the URDF that are found. Meshes are simplified to at most
     2500 triangles a file, unless that would tear one of many small parts apart, and are ready for
@@ -72,7 +62,7 @@ def robot_look(robot: Robot) -> Look:
             kind = "visual" if shape is None else shape.tag
             file = None if shape is None else shape.get("filename")
             missing[f"{file or f'<{kind}> of link {name!r}'}: {error}"] = None
-    return Look(_in_place(robot, wanted, set(shapes)) | shapes, tuple(missing))
+    return _in_place(robot, wanted, set(shapes)) | shapes, list(missing)
 
 
 def _visual(element: Any, folder: Path | None) -> Trimesh:
@@ -101,7 +91,7 @@ def _visual(element: Any, folder: Path | None) -> Trimesh:
     elif shape.sphere is not None:
         mesh = creation.icosphere(2, shape.sphere.radius)
     elif shape.cylinder is not None:
-        mesh = smooth(creation.cylinder(*sizes, sections=_AROUND))
+        mesh = smooth(creation.cylinder(*sizes))
     else:
         path = find_mesh(shape.mesh.filename or "", folder)
         if path is None:

@@ -80,13 +80,11 @@ class Tree:
     def listed(self) -> list[dict[str, Any]]:
         """Return the joints as the page reads them: matrices columns first, as in three.js."""
         return [
-            {
-                "path": self.paths[joint.child], "kind": joint.kind,
-                "origin": joint.origin.T.ravel().tolist(), "axis": joint.axis.tolist(),
-                "column": joint.column,
-            }
+            joint._asdict()
+            | {"path": self.paths[joint.child], "axis": joint.axis.tolist()}
+            | {"origin": joint.origin.T.ravel().tolist()}
             for joint in self.joints
-        ]  # fmt: skip
+        ]
 
 
 def joint_positions(robot: Robot, q: Array) -> Array:

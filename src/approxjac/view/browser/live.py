@@ -361,8 +361,7 @@ class PageServer:
 
     def _keep(self, command: str, value: Any) -> None:
         # points of an image are moved one by one
-        of_a_point = command == "pixel" and isinstance(value, list)
-        kind = f"{command} {value[:1]}" if of_a_point else command
+        kind = str(value).partition(",")[0] if command == "pixel" else command
         with self._lock:
             self._commands.pop(kind, None)  # the latest are the last
             self._commands[kind] = command, value

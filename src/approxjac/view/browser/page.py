@@ -40,8 +40,6 @@ _FRAMES = 1000  # of a run, at most
 _HEAD = 4000  # characters of a page in which its name stands
 _MARK = '<meta name="generator" content="approxjac">'
 _SCRIPTS = ("uPlot.iife.min.js", "scene.js", "plots.js", "image.js", "page.js")
-_BUNDLED = "dist/main.min.js."
-_LICENCES = ("LICENSE", f"{_BUNDLED}LICENSE.txt", f"{_BUNDLED}THIRD_PARTY_LICENSES.json")
 _ROOM = 0.35  # to all sides, for targets of a live page that are yet to come, of the arm's size
 
 
@@ -215,8 +213,10 @@ def document(data: Mapping[str, Any], *scripts: str) -> str:
     code = [(viewer / "dist" / "main.min.js").read_text(encoding="utf-8")]
     code += [*map(asset, _SCRIPTS), *scripts]
     licences = ["uPlot:\n\n" + asset("uPlot.LICENSE")]  # which ask to be handed on
-    for name in filter(lambda name: (viewer / name).is_file(), _LICENCES):
-        licences.append(f"MeshCat, {name}:\n\n{(viewer / name).read_text(encoding='utf-8')}")
+    files = (*viewer.iterdir(), *(viewer / "dist").iterdir())
+    for file in sorted(files, key=lambda file: file.name):
+        if "LICENSE" in file.name:
+            licences.append(f"MeshCat, {file.name}:\n\n{file.read_text(encoding='utf-8')}")
     # "</script" would end the element that it stands in, and "<!--" change how it is read
     values = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     ended = [part.replace("</script", "<\\/script") for part in code]

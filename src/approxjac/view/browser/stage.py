@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -19,9 +19,6 @@ from approxjac.tasks.analysis import image_feature
 from approxjac.validation import Array, plane_rows
 from approxjac.view.style import COLORS
 from approxjac.view.tree import Tree, held_objects
-
-if TYPE_CHECKING:
-    from approxjac.view.look import Look
 
 _GHOST = 0.38  # opacity of the believed arm
 _GRID, _GRID_LINES = "#DDE1E6", 24
@@ -90,9 +87,9 @@ class Stage:
         self.robots = {"true": scene.truth}
         if scene.belief is not None:
             self.robots["believed"] = scene.belief
-        self._looks: dict[str, Look] = {
-            role: robot_look(each) for role, each in self.robots.items()
-        }
+        looks = {role: robot_look(each) for role, each in self.robots.items()}
+        self._shapes = {role: shapes for role, (shapes, _) in looks.items()}
+        self._missing = list(dict.fromkeys(text for _, texts in looks.values() for text in texts))
         self._trees = {role: Tree(robot, role) for role, robot in self.robots.items()}
         rng = np.random.default_rng(0)
         q = np.array([scene.truth.random_configuration(rng) for _ in range(_INSTANTS)])
@@ -141,10 +138,9 @@ class Stage:
         `approxjac.redraw` of a page takes `data("believed")`, when the belief has changed.
         """
         roles = roles or tuple(self.robots)
-        missing = dict.fromkeys(text for look in self._looks.values() for text in look.missing)
         drawing = _Drawing()
         built: dict[str, Any] = {
-            "roles": roles, "missing": list(missing), "links": [], "clones": [], "cameras": [],
+            "roles": roles, "missing": self._missing, "links": [], "clones": [], "cameras": [],
             "commands": drawing.commands, "differs": self.differs,
             "joints": {role: self._trees[role].listed() for role in roles},
         }  # fmt: skip
@@ -167,8 +163,8 @@ class Stage:
         tree, true = self._trees[role], self._trees["true"]
         objects = held_objects(self.robots[role])
         ghost = {"opacity": _GHOST, "depthWrite": False}
-        for link, shapes in self._looks[role].shapes.items():
-            twins = self._looks["true"].shapes.get(link, ())
+        for link, shapes in self._shapes[role].items():
+            twins = self._shapes["true"].get(link, ())
             colour = COLORS["object" if link in objects else "arm"]
             for i, shape in enumerate(shapes):
                 path = (*tree.paths[link], f"shape{i}")
