@@ -70,8 +70,7 @@ class Kinematics(Immutable, ABC):
     def resumed(self, state: Array, measurement: Measurement) -> Array:
         """Return a state before a first step that knows what another state has learnt.
 
-        Times, configurations and frames of the other one are forgotten. By default nothing is
-        learnt. Raises InvalidInputError of a state that is not of such kinematics.
+        Times and frames are forgotten. Raises InvalidInputError of a state of other kinematics.
         """
         return self.initial_state(measurement)
 
@@ -136,15 +135,10 @@ class Kinematics(Immutable, ABC):
 
 
 class KnownKinematics(Kinematics):
-    """z = h(q) − x_d of the believed arm. The measured x is not used.
+    """z = h(q) − x_d of the believed arm; the measured x is not used.
 
-    With a wrong model the arm goes where the model says, which is elsewhere.
-
-    Args:
-        task: The task of the believed robot.
-
-    Raises:
-        InvalidInputError: A task whose Jacobian depends on the measured x.
+    With a wrong model the arm goes where the model says. Raises InvalidInputError of a task whose
+    Jacobian depends on the measured x.
     """
 
     def __init__(self, task: Task) -> None:
@@ -315,13 +309,11 @@ class Estimator(Kinematics):
 
     def check(self, state: Array, measurement: Measurement, dt: float) -> None:
         """Refuse a measurement without a time, or whose x is by another clock."""
-        t, t_x = _time(measurement), time_of_x(measurement.t_x)
+        t, t_x, frames = _time(measurement), time_of_x(measurement.t_x), state[self._at["frames"]]
         if t_x is not None and t_x > t:
-            ahead = self._frames.by_own_clock(state[self._at["frames"]].copy(), measurement, dt).t
-            if message := from_another_clock(ahead, t_x, _OTHER):
-                raise InvalidInputError(
-                    f"t_x must be by the clock of t: {message}", given=measurement
-                )
+            ahead = self._frames.by_own_clock(frames.copy(), measurement, dt).t
+            if why := from_another_clock(ahead, t_x, _OTHER):
+                raise InvalidInputError(f"t_x must be by the clock of t: {why}", given=measurement)
 
     def correct(self, state: Array, measurement: Measurement, dt: float) -> None:
         """Make a state that of `step`, in place, of a measurement that `check` takes."""

@@ -58,9 +58,8 @@ class AdaptiveCamera(Estimator):
 
     What the law controls is how far each point is beside the ray of its target, at its predicted
     depth Ẑ: z = (f₀/Z₀) Ẑ(ρ̂ − ρ_d), with ρ the ray (X/Z, Y/Z) and the believed f₀ over a usual
-    depth Z₀, which makes pixels of it. It is [I, −ρ_d] times the point in the camera's axes, so
-    that Ĵ is as regular as the arm's own, on the way through any roll and even where the camera is
-    believed behind the points. z = 0 where x̂ = x_d.
+    depth Z₀, which makes pixels of it. So Ĵ is as regular as the arm's own, on the way through any
+    roll and even where the camera is believed behind the points.
 
     A camera that is believed rolled, or on another side of the arm, is found from how images move;
     nothing proves that it always is. For the rest it is as `AdaptiveKinematics`.

@@ -55,13 +55,10 @@ class AdaptiveKinematics(Estimator):
     """x̂ = R̂ p(q; θ̂) + b̂, learnt from the measured x while the arm moves.
 
     Learnt are the translations of the tool and of all joint origins, and rotation and offset of a
-    camera or tracker, as chosen. What the law controls is the *predicted* x̂, a known function of
-    q, turned back into the base frame, so that no estimate of the camera makes Ĵ singular.
-
-    With a rotation that is known it is recursive least squares with forgetting towards the prior
-    (Theorem A): x̂ → x for any motion whatever, without excitation. With one that is not, it is the
-    same over all rotations: all frames, not the last one only, say which one is right. An integral
-    offset on x̂ takes up what the parameters do not explain.
+    camera or tracker, as chosen. What the law controls is the *predicted* x̂, turned back into the
+    base frame, so that no estimate of the camera makes Ĵ singular. With a rotation that is known,
+    x̂ → x for any motion whatever, without excitation (Theorem A). With one that is not, all frames
+    say which one is right. An integral offset takes up what the parameters do not explain.
 
     Frames are paired with the configuration at which they were taken. A sensor that jumps is passed
     over; one that was moved, or a tool that slipped, is learnt anew.
