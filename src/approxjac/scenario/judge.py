@@ -205,13 +205,13 @@ def consequences(result: StabilityResult, out: Path) -> str:
 
 def draw_map(result: StabilityResult) -> Figure | None:
     """Draw the share of runs that converge, between its interval's ends; None of no map."""
-    grid, uncertainty = result.map, uncertainty_of(result.study)
-    if grid is None or uncertainty is None:
+    grid = result.map
+    if grid is None:
         return None
     controller = result.report.loop.controller
     title = (
         f"{controller.task.robot.name}: share of {result.scenario.stability.map_runs} runs a point "
-        f"that converge, with 95 % confidence; errors are {uncertainty.describe_box()}"
+        f"that converge, with 95 % confidence; errors are {result.study.errors.describe_box()}"
     )
     figure, axes = view.new_figure(3, size=(14.0, 4.6), title=textwrap.fill(title, 130))
     own = own_values(controller)

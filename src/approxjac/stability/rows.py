@@ -15,6 +15,7 @@ _PARTS = {
     "rollouts": "rollouts (simulated, sampled, with delays)",
     "continuous": "in continuous time (to compare)",
     "worst": "worst cases (what to look at first)",
+    "other law": "tests that apply",
 }
 
 

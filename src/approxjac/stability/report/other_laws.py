@@ -12,13 +12,13 @@ import numpy as np
 
 from approxjac.controllers import Latency
 from approxjac.errors import InvalidInputError
-from approxjac.formatting import percent, plain, rows, wrapped
+from approxjac.formatting import percent, plain, wrapped
 from approxjac.simulation import Sensing
 from approxjac.stability.loop.configurations import inverse_kinematics
 from approxjac.stability.loop.linearization import LocalTest, local_stability
 from approxjac.stability.rollouts.rollouts import Rollouts
 from approxjac.stability.rollouts.setting import RolloutSetting
-from approxjac.stability.rows import Row, as_json
+from approxjac.stability.rows import Row, as_json, as_text
 from approxjac.validation import Array
 
 _MOST_TARGETS = 200
@@ -47,7 +47,7 @@ class OtherLawReport:
     @property
     def passed(self) -> bool:
         """True if all tests that apply pass: no proof, but nothing speaks against it."""
-        verdicts = {row.verdict for row in self.rows[1:]}
+        verdicts = {row.verdict for row in self.rows}
         return not verdicts & {"not stable", "fail"} and bool(verdicts & {"stable", "pass"})
 
     @cached_property
@@ -55,7 +55,13 @@ class OtherLawReport:
         """The findings: what was tested, its verdict and figures."""
         none = {"reason": self.reason}
         certificates = Row("other law", "certificates", "not applicable", none, self.reason)
-        return [certificates, self._near(), self._simulated()]
+        about = {
+            "law": "; ".join(self.setting.controller.describe()[:2]),
+            "timing": repr(self.latency),
+            "errors": self.setting.uncertainty.describe_box(),
+        }
+        rows = [Row("about", name, "", {name: text}, text) for name, text in about.items()]
+        return [*rows, certificates, self._near(), self._simulated()]
 
     def _near(self) -> Row:
         local, verdict, n = self.local, "not applicable", len(self.local.q)
@@ -94,13 +100,7 @@ class OtherLawReport:
         return f"OtherLawReport({self.setting.controller!r}: {self.verdict()})"
 
     def __str__(self) -> str:
-        table = {row.name: f"{row.verdict}: {row.text}" for row in self.rows}
-        about = {
-            "law": "; ".join(self.setting.controller.describe()[:2]),
-            "errors": self.setting.uncertainty.describe_box(),
-            "timing": repr(self.latency),
-        }
-        return "\n".join([*wrapped(self.verdict()), *rows(table, 2), *rows(about, 2)])
+        return "\n".join([*wrapped(self.verdict()), as_text(self.rows)])
 
     def summary(self) -> dict[str, Any]:
         """Return the part of summary.json."""

@@ -21,7 +21,7 @@ from approxjac.stability.rollouts.setting import COLUMNS, Rollout, RolloutSettin
 from approxjac.stability.rows import Row, as_lines
 from approxjac.validation import Array, as_integer, require
 
-_BEYOND = 1.0 + 1e-6  # of a limit: a torque at it, and round-off, is not beyond
+_BEYOND = 1.0 + 1e-6  # of a limit
 _CHUNKS = 64  # that runs are handed to an executor in, at least
 _PORTION = 1024  # runs in lanes at once, at most
 _VECTOR = 8  # runs that lanes take at once, at least
@@ -87,11 +87,6 @@ class Rollouts:
         return int((~np.logical_or(self.columns["stayed"], self.columns["diverged"])).sum())
 
     @property
-    def n_beyond_torque(self) -> int:
-        """Number of runs that asked a motor for more than its limit, of those not diverged."""
-        return int((self.columns["peak_torque"] > _BEYOND).sum())
-
-    @property
     def share(self) -> float:
         """Share of the runs that converged."""
         return self.n_converged / self.n
@@ -129,10 +124,11 @@ class Rollouts:
             Row("rollouts", "diverged", f"{self.n_diverged} of {n}", diverged),
             Row("rollouts", "left the region", f"{self.n_left} of {n}", left, "without diverging"),
         ]
-        if self.n_beyond_torque:
+        # a torque at its limit, and round-off, is not beyond
+        if beyond := int((self.columns["peak_torque"] > _BEYOND).sum()):
             most = float(np.nanmax(self.columns["peak_torque"]))
-            peaks = {"beyond": self.n_beyond_torque, "most": most, "unknown": self.n_diverged}
-            count = f"{'at least ' if self.n_diverged else ''}{self.n_beyond_torque} of {n}"
+            peaks = {"beyond": beyond, "most": most, "unknown": self.n_diverged}
+            count = f"{'at least ' if self.n_diverged else ''}{beyond} of {n}"
             text = f"beyond motors, which are not limited here: up to {most:.3g} times their limits"
             rows.append(Row("rollouts", "torques", count, peaks, text))
         values = setting.uncertainty.describe(worst.values)
