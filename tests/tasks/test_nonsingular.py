@@ -168,7 +168,7 @@ def test_all_else_is_that_of_the_task(panda, rng):
             aj.InvalidInputError,
             r"bend of joint2 must be .* \[rad\], got 'far'",
         ),
-        (({"joint2": 20.0},), aj.InvalidInputError, r"bend of joint2 must be less than a turn"),
+        (({"joint2": 20.0},), aj.InvalidInputError, r"bend of joint2 must be .* and <= 6.28"),
         (({"elbow": 0.1},), UnknownNameError, "moving joint 'elbow' not in two_link; valid are"),
         (((0.0, 0.1),), aj.InvalidInputError, "bend must be a mapping from joint names to displ"),
         (({"joint2": 0.1}, 0.0), aj.InvalidInputError, "ratio must be a finite number > 0 and <"),

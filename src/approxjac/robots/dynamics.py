@@ -212,8 +212,7 @@ class DynamicsRegressor(_TorqueRegressor):
         robot: The (believed) robot.
 
     Attributes:
-        names: Names of the parameters, such as "joint1.mx" [kg m] or "joint1.rotor" [kg m²].
-        units: Their units.
+        names: Names of the parameters, such as "joint1.mx" or "joint1.rotor"; `units` are theirs.
         a: Their values for `robot` itself, whose joints have none, shape (p,).
         links: Number of the parameters of links, which come first.
         last_link: Those of the link that holds the tip.
@@ -282,8 +281,7 @@ class GravityRegressor(_TorqueRegressor):
             nothing; "x" gives exactly the paper's θ₁ and θ₂, whose rods lie along x.
 
     Attributes:
-        names: Names of the parameters, such as "joint1.mx" [kg m] or "joint1.m" [kg].
-        units: Their units.
+        names: Names of the parameters, such as "joint1.mx"; `units` are theirs.
         theta: Their values for `robot` itself, shape (p,).
         columns: Their places among the ten dynamic parameters of each joint, shape (p,).
 
@@ -333,14 +331,10 @@ class GravityRegressor(_TorqueRegressor):
         return self._at_rest(self.robot.configuration(q)).take(self.columns, 1)
 
     def fit(self, robot: Robot, *, seed: int = 0) -> tuple[Array, float]:
-        """Return the θ with which this Z(q) reproduces the gravity of a robot with these joints.
+        """Return the θ (p,) nearest to this robot's that gives the gravity of one with these joints.
 
-        Of all θ that do so equally well, the one nearest to this robot's own; `seed` is that of the
-        random configurations.
-
-        Returns:
-            θ, shape (p,), and the residual: the largest error of Z θ relative to the largest
-            gravity torque, over random configurations that the fit did not use.
+        The residual that comes with it is the largest error of Z θ relative to the largest gravity
+        torque, over random configurations of a `seed` that the fit did not use.
 
         Raises:
             InvalidInputError: Other joints, or another gravity.

@@ -71,8 +71,8 @@ class Perturbation:
         """Return a robot; a UrdfError if its inertia matrix would be singular.
 
         Args:
-            length: Of the object, 0 to 10 [m]; without one it is not looked at.
-            mass: Of the object, ≥ 0 [kg]; the same.
+            length: Of the object, if there is one, 0 to 10 [m].
+            mass: Of the object, ≥ 0 [kg].
             shifts: Of the origins of `joints` in the parent links' frames, shape (k, 3) [m].
             rotations: Rotation vectors in the joints' own frames, shape (k, 3) [rad].
         """

@@ -21,7 +21,6 @@ from approxjac.robots.urdf import (
     direction,
     leader_of,
     likely_tips,
-    require_new,
     with_locked_joints,
     with_moved_origins,
     with_object,
@@ -327,7 +326,17 @@ class Robot(Immutable):
         if parent not in self.tree.links:
             raise UnknownNameError("link", parent, self.name, self.tree.links)
         along = direction(self.outward_axis(parent) if axis is None else axis)
-        require_new(name, set(self._frames) | {"universe"}, self.name)
+        if not isinstance(name, str) or not name.isprintable() or not name or " " in name:
+            raise InvalidInputError(
+                f"name must be a text without spaces, such as 'object', got {name!r}", given=name
+            )
+        for new in (name, f"{name}_tip", f"{name}_joint", f"{name}_tip_joint"):
+            if new in self._frames or new == "universe":
+                raise InvalidInputError(
+                    f"name must be new to the robot, got {name!r}: {self.name} already has a frame "
+                    f"{new!r}",
+                    given=name,
+                )
         size = {"length": length, "mass": mass, "radius": radius}
         urdf = with_object(self.tree, name=name, parent=parent, axis=along, **size)
         outward = self.outward_axis(parent)  # the tip is turned as its parent is

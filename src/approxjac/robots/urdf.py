@@ -8,7 +8,7 @@ import math
 import re
 import reprlib
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence, Set
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -333,20 +333,6 @@ def as_size(name: str, value: Any, unit: str = "m") -> float:
             f"{name} must be at most {most:g} [{unit}], got {number:g}; {such}", given=value
         )
     return number
-
-
-def require_new(name: str, taken: Collection[str], robot: str) -> None:
-    """Refuse a name of an object that is none, or that a robot's frames have."""
-    if not isinstance(name, str) or not name.isprintable() or not name or " " in name:
-        raise InvalidInputError(
-            f"name must be a text without spaces, such as 'object', got {name!r}", given=name
-        )
-    for new in (name, f"{name}_tip", f"{name}_joint", f"{name}_tip_joint"):
-        if new in taken:
-            raise InvalidInputError(
-                f"name must be new to the robot, got {name!r}: {robot} already has a frame {new!r}",
-                given=name,
-            )
 
 
 def rotation_onto(axis: Array) -> Array:

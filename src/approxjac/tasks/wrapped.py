@@ -102,8 +102,7 @@ class StackedTask(WrappedTask):
         *tasks: At least one task, all of the same robot.
 
     Raises:
-        InvalidInputError: No task, something else than tasks, tasks of different robots, or more
-            coordinates than joints.
+        InvalidInputError: No task, tasks of different robots, or more coordinates than joints.
     """
 
     def __init__(self, *tasks: Task) -> None:
@@ -176,8 +175,7 @@ class CombinedTask(WrappedTask):
             gains go with it.
 
     Raises:
-        InvalidInputError: A matrix of another shape, not finite or without full row rank, or with
-            more rows than the robot has joints.
+        InvalidInputError: A matrix without full row rank, or with more rows than joints.
     """
 
     def __init__(self, task: Task, C: object) -> None:
@@ -212,8 +210,7 @@ class CombinedTask(WrappedTask):
             target: x_d, shape (n_x,).
 
         Raises:
-            InvalidInputError: A target that is none, a task that no sensor sees, or coordinates of
-                different units, whose inertias do not compare.
+            InvalidInputError: Coordinates of different units, whose inertias do not compare.
         """
         require("task", task, Task, "a task, such as ImageTask(robot, camera, points=points)")
         if len(set(task.units)) > 1:
@@ -296,8 +293,7 @@ class NonsingularTask(WrappedTask):
     with σᵢ, uᵢ the singular values and left singular vectors of Ĵ(q) and ε = `ratio` · σ_max (or of
     a tenth of the σ_max that Ĵ typically has, where even σ_max is smaller): task directions that
     are being lost get the rows of a configuration that is bent a little. `bend` also decides to
-    which side the arm folds: of a square Jacobian the singular configurations are moved to the
-    other side of the fold, as its determinant has to change its sign somewhere.
+    which side the arm folds.
 
     For controllers; a sensor is a plain task of the true robot.
 
@@ -308,8 +304,7 @@ class NonsingularTask(WrappedTask):
 
     Raises:
         UnknownNameError: No such joint.
-        InvalidInputError: No joint bent, a displacement that is zero or not finite, or a ratio
-            out of range.
+        InvalidInputError: No joint bent, or by a turn or more.
     """
 
     def __init__(self, task: Task, bend: Mapping[str, float], ratio: float = 0.1) -> None:
@@ -323,13 +318,12 @@ class NonsingularTask(WrappedTask):
         for joint, displacement in bend.items():
             if joint not in robot.joint_names:
                 raise UnknownNameError("moving joint", joint, robot.name, robot.joint_names)
-            name = f"bend of {joint}"
             i = robot.joint_names.index(joint)
-            offset[i] = as_number(name, displacement, unit=robot.joint_units[i])
-            if abs(offset[i]) > 2.0 * np.pi and robot.joint_units[i] == "rad":
-                raise InvalidInputError(
-                    f"{name} must be less than a turn [rad], got {displacement!r}", given=bend
-                )
+            unit = robot.joint_units[i]
+            most = 2.0 * np.pi if unit == "rad" else np.inf
+            offset[i] = as_number(
+                f"bend of {joint}", displacement, unit=unit, minimum=-most, most=most
+            )
         if not offset.any():
             raise InvalidInputError(
                 f"bend must displace at least one joint of {robot.name}, got {dict(bend)}",
