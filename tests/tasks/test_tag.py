@@ -203,9 +203,7 @@ def test_corners_as_rows_are_told_how_to_become_a_vector_in_few_words(panda):
     with pytest.raises(aj.InvalidInputError, match=r"got \(4, 2\); x.ravel\(\) makes one$") as told:
         held(task).initial_state(at(Q, rows))
     assert len(str(told.value)) < 350
-    with pytest.raises(
-        aj.InvalidInputError, match=r"shape \(8,\) .*, got shape \(4, 2\)"
-    ):
+    with pytest.raises(aj.InvalidInputError, match=r"shape \(8,\) .*, got shape \(4, 2\)"):
         task.target(rows)
 
 

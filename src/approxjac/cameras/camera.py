@@ -86,8 +86,7 @@ class Camera(Saved, ABC):
 class PlanarCamera(Camera):
     """The paper's camera (section 5.1), parallel to the plane that the arm moves in.
 
-    (x_s, y_s) = f/(z − f) [[cos δ, sin δ], [−sin δ, cos δ]] (x, y) + d, on the sensor [m]: the
-    `PinholeCamera` whose depth is z − f for every point, and that sees without end.
+    (x_s, y_s) = f/(z − f) [[cos δ, sin δ], [−sin δ, cos δ]] (x, y) + d, on the sensor [m].
 
     Attributes:
         focal_length: f > 0 [m].
@@ -334,10 +333,7 @@ class PinholeCamera(Camera):
         *,
         up: Sequence[float] | Array = (0.0, 0.0, 1.0),
     ) -> PinholeCamera:
-        """Return this camera at `position`, its optical axis through `looking_at`, both (3,) [m].
-
-        `up`, shape (3,), is the direction that is up in the image; the view may not go along it.
-        """
+        """Return this camera at a position, looking at another (3,) [m], and with `up` upwards."""
         p = as_array("position", position, (3,), "m")
         view = as_array("target", looking_at, (3,), "m") - p
         right = np.cross(view, as_array("up", up, (3,)))

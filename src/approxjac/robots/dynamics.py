@@ -16,8 +16,7 @@ from approxjac.validation import Array, as_vector, axis_rows, require
 class Dynamics:
     """The terms of M(q) q̈ + C(q, q̇) q̇ + g(q) = τ, eq. (1) without friction.
 
-    Owns scratch memory: one instance a thread. What it returns is yours to keep. A q, v, a or τ of
-    the wrong length or not finite is an InvalidInputError.
+    Owns scratch memory: one instance a thread. What it returns is yours to keep.
 
     Args:
         robot: The robot, true or believed.
@@ -331,10 +330,10 @@ class GravityRegressor(_TorqueRegressor):
         return self._at_rest(self.robot.configuration(q)).take(self.columns, 1)
 
     def fit(self, robot: Robot, *, seed: int = 0) -> tuple[Array, float]:
-        """Return the θ (p,) nearest to this robot's that gives the gravity of one with these joints.
+        """Return the θ (p,) nearest to this robot's with the gravity of another, and how well.
 
-        The residual that comes with it is the largest error of Z θ relative to the largest gravity
-        torque, over random configurations of a `seed` that the fit did not use.
+        That is the largest error of Z θ relative to the largest gravity torque, over random
+        configurations of a `seed` that the fit did not use.
 
         Raises:
             InvalidInputError: Other joints, or another gravity.

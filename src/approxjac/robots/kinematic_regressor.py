@@ -46,8 +46,7 @@ class KinematicRegressor:
     Args:
         robot: The robot, true or believed.
         frame: Frame name, or several; the robot's `tip` by default.
-        points: Points of the one frame in its own axes, shape (k, 3) [m]; by default the origin of
-            each frame.
+        points: Points of the one frame in its own axes, shape (k, 3) [m]; by default its origin.
 
     Attributes:
         k: Number of points.

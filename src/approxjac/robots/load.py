@@ -79,8 +79,7 @@ def load_robot(
     fingers or wheels, are locked, each at zero or at its limit nearest to zero.
 
     Args:
-        source: A name ("panda", "two_link", …), which the robot then has; a path; or text that
-            starts with "<".
+        source: A name ("panda", "two_link", …), a path, or text that starts with "<".
         gravity: Acceleration of gravity in the world frame, shape (3,) [m/s²].
         tip: End-effector frame; by default the named robot's own, or the last link of an arm
             that does not branch.
@@ -180,10 +179,7 @@ def _read(path: Path) -> str:
 def _lock_off_chain(
     urdf: Urdf, base: str | None, tip: str | None, free: str | Sequence[str]
 ) -> Urdf:
-    """Return a URDF with the joints fixed that `load_robot` locks; itself if there are none.
-
-    A mimic joint and the joint that it follows are one: both stay free if either is needed.
-    """
+    """Return a URDF with the joints fixed that `load_robot` locks; itself if there are none."""
     moving = [joint.name for joint in urdf.joints.values() if joint.type != "fixed"]
     free = _names(free, moving, urdf)
     if tip is None:
@@ -195,6 +191,7 @@ def _lock_off_chain(
             )
         return urdf
     chain = _chain(urdf, base, tip)
+    # a mimic joint and the joint that it follows are one: both stay free if either is needed
     direct = {j: follows for j, follows in urdf.followers.items() if follows[0] in moving}
     leaders = {joint: leader_of(joint, direct)[0] for joint in moving}
     needed = {leaders[joint] for joint in moving if joint in chain or joint in free}

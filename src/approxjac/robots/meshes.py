@@ -90,10 +90,8 @@ def _require_few_copies(file: IO[bytes]) -> None:
 def for_other_tools(urdf: Urdf, urdf_dir: Path | None, path: Path) -> None:
     """Make a URDF open alike in Pinocchio, MuJoCo, MeshCat and yourdfpy, to be written to `path`.
 
-    Mesh files that exist are named by their full path; collision meshes that MuJoCo cannot
-    read are converted to STL, into the folder `{name}_meshes` beside the file. Unless the URDF
-    already speaks to MuJoCo, it is asked to keep links on fixed joints as bodies (it merges them
-    otherwise, and the tip frame is lost) and not to invent a mass for shapes of links without one.
+    Unless the URDF already speaks to MuJoCo, it is asked to keep links on fixed joints as bodies,
+    or the tip frame would be lost, and to invent no mass for shapes.
     """
     root, folder = urdf.root, path.with_name(f"{path.stem}_meshes")
     converted: dict[Path, Path] = {}

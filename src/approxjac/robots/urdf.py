@@ -6,7 +6,6 @@ import copy
 import functools
 import math
 import re
-import reprlib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence, Set
 from typing import Any, NamedTuple
@@ -192,8 +191,6 @@ _ATTRIBUTES = (  # of what element, which attributes, what they must be, must th
 )
 # "++" goes back to no digit, and so takes no quadratic time
 _NUMBER = re.compile(r"[+-]?(\d++\.?\d*+|\.\d++)([eE][+-]?\d++)?", re.ASCII)
-_SHORTENED = reprlib.Repr()
-_SHORTENED.maxstring = 60
 
 
 def _floats(text: str | None) -> list[float]:
@@ -262,7 +259,7 @@ def _attribute_faults(owner: Any) -> Iterator[str]:
                 if (given is not None or required) and not is_right:
                     yield (
                         f"<{element.tag} {attribute}=...> of {owner.tag} {name!r} "
-                        f"must be {wanted}, got {_SHORTENED.repr(given)}"
+                        f"must be {wanted}, got {repr(given)[:60]}"
                     )
 
 
@@ -351,16 +348,16 @@ def with_object(
 
     Without length it has no geometry, as other tools refuse cylinders of length 0.
     """
-    middle = pin.SE3(rotation_onto(axis), 0.5 * length * axis)
+    middle, drawn = pin.SE3(rotation_onto(axis), 0.5 * length * axis), radius or 0.01 * length
     link = E.link(name=name)
     if mass > 0.0:
         # of a thin rod (radius 0) along it that of the cylinder it is drawn as: MuJoCo refuses 0
         across = str(mass * (3.0 * radius**2 + length**2) / 12.0)
-        along = str(0.5 * mass * _drawn_radius(length, radius) ** 2)
+        along = str(0.5 * mass * drawn**2)
         inertia = E.inertia(ixx=across, ixy="0.0", ixz="0.0", iyy=across, iyz="0.0", izz=along)
         link.append(E.inertial(_origin(middle), E.mass(value=str(mass)), inertia))
     if length > 0.0:
-        size = {"radius": str(_drawn_radius(length, radius)), "length": str(length)}
+        size = {"radius": str(drawn), "length": str(length)}
         color = E.material(E.color(rgba="0.9 0.6 0.0 1.0"), name=f"{name}_color")
         for shape in (E.visual(), E.collision()):
             shape.extend([E.geometry(E.cylinder(**size)), _origin(middle)])
@@ -405,25 +402,18 @@ def with_locked_joints(urdf: Urdf, positions: Mapping[str, float]) -> Urdf:
         if name not in locked:
             continue
         if locked[name] != 0.0:
-            old = urdf.joints[name]
-            _set_origin(element, old.origin * _motion(old, locked[name]))
+            old, motion = urdf.joints[name], pin.SE3.Identity()
+            along = locked[name] * (old.axis / np.linalg.norm(old.axis))
+            if old.type == "prismatic":
+                motion.translation = along
+            else:
+                motion.rotation = pin.exp3(along)
+            _set_origin(element, old.origin * motion)
         element.set("type", "fixed")
         for tag in ("axis", "limit", "mimic", "safety_controller", "calibration", "dynamics"):
             for part in element.findall(tag):
                 element.remove(part)
     return new
-
-
-def _motion(joint: UrdfJoint, position: float) -> pin.SE3:
-    """Return the placement of a joint's child at a position [rad or m] in that at zero."""
-    along = position * (joint.axis / np.linalg.norm(joint.axis))
-    slides = joint.type == "prismatic"
-    return pin.SE3(np.eye(3), along) if slides else pin.SE3(pin.exp3(along), np.zeros(3))
-
-
-def _drawn_radius(length: float, radius: float) -> float:
-    """Return the radius that a cylinder is drawn with; of a thin rod (0), a share of its length."""
-    return radius if radius > 0.0 else 0.01 * length
 
 
 def _set_origin(joint: Any, placement: pin.SE3) -> None:

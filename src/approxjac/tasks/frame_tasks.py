@@ -27,8 +27,7 @@ _CROSS = np.array([
 class FrameKinematics:
     """Forward kinematics of one frame.
 
-    Owns scratch memory: one instance a thread. What it returns is yours to keep. A q or v of the
-    wrong length or not finite is an InvalidInputError.
+    Owns scratch memory: one instance a thread. What it returns is yours to keep.
 
     Args:
         robot: The robot, true or believed.

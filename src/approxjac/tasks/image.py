@@ -61,6 +61,7 @@ class ImageTask(Task):
     ) -> None:
         require("camera", camera, Camera, "a camera, such as PlanarCamera(f, z)")
         self.camera = camera
+        self._pinhole: Any = camera  # as which only what has depths is used
         if points is None and frame is None and camera.mount is not None:
             raise InvalidInputError(
                 f"points must be given for a camera that is carried by the robot: positions in the "
@@ -190,11 +191,6 @@ class ImageTask(Task):
             place = self._pinhole.locate(self._pinhole.nearest(image[:2]), Z)
             located.append(law.select(Z > 0.0, place, nowhere))
         return np.vstack(located)
-
-    @property
-    def _pinhole(self) -> PinholeCamera:
-        assert isinstance(self.camera, PinholeCamera)  # no other has depths or edges
-        return self.camera
 
     def __repr__(self) -> str:
         name = "the world" if self.frame is None else repr(self.frame)

@@ -44,8 +44,7 @@ class Task(Immutable, Saved, ABC):
     A task of one's own has `value`, `jacobian` and `on`, and with another error its own `error` and
     `displaced`, too; examples/19_own_task.py is one.
 
-    Immutable, but it owns scratch memory: one instance a thread. Methods raise an
-    InvalidInputError for a q or v of the wrong length or not finite.
+    Immutable, but it owns scratch memory: one instance a thread.
 
     Args:
         robot: The robot whose kinematics the task uses.
