@@ -93,9 +93,8 @@ class MotionDynamics(Immutable, ABC):
     def gain_inertia(self, room: float) -> Array:
         """Return inertias F (n_v,) to add to M̂ in the gain κM̂, with λ_max(M̂⁻¹(M̂ + F)) <= room.
 
-        A URDF has no rotors and so has light wrists: a gain of its M̂ alone leaves them soft. What
-        is added is what any drive of such an effort has, as far as the period allows on an arm
-        that has none. Nothing where rotor inertias are given.
+        Those that any drive of such an effort has: a URDF has no rotors, and a gain of its M̂ alone
+        leaves light wrists soft. Nothing where rotor inertias are given.
         """
         F = _DRIVE * known_efforts(self.robot)
         if self.rotor_inertia.any() or not F.any():
@@ -226,11 +225,7 @@ class AdaptiveDynamics(MotionDynamics):
 
 
 def plausible_errors(regressor: DynamicsRegressor) -> Array:
-    """Return plausible errors of the parameters of a robot, shape (p,).
-
-    For a Panda 0.5 kg, 0.1 kg m and 0.02 kg m² of a link, 1, 0.2 and 0.06 of the last one;
-    0.1 to 0.2 kg m² of a rotor, and 1 to 2 N m, or as much at 1 rad/s, of joint torques.
-    """
+    """Return plausible errors of the parameters of a robot, shape (p,)."""
     robot = regressor.robot
     mass = _MASS * robot.mass
     reach = math.inf if robot.tip is None else robot.reach_bound(robot.tip)[1]
@@ -257,10 +252,7 @@ def usual_motions(regressor: DynamicsRegressor) -> list[tuple[Array, Array]]:
 
 
 def squared_rates(motions: Sequence[tuple[Array, Array]], gamma: Array) -> Array:
-    """Return the squared rates at which each parameter alone makes σ swing, (p,) [1/s²].
-
-    With Mσ̇ = −Y_d ã and ã' = ΓY_dᵀσ that is γᵢ Y_dᵢᵀM⁻¹Y_dᵢ: the largest of usual motions.
-    """
+    """Return γᵢ Y_dᵢᵀM⁻¹Y_dᵢ, the largest of motions: each alone makes σ swing so, (p,) [1/s²]."""
     rates = [gamma * (Y_d * (M_inv @ Y_d)).sum(axis=0) for Y_d, M_inv in motions]
     return np.asarray(np.maximum(np.max(rates, axis=0), 1e-9))
 

@@ -124,18 +124,6 @@ def overflow(measurement: Measurement) -> MeasurementError:
     )
 
 
-def require_state(state: Array, size: int) -> Array:
-    """Return a law's state, shape (size,), or refuse one of another controller."""
-    if isinstance(state, np.ndarray) and state.ndim == 1 and len(state) > size:
-        raise InvalidInputError(
-            f"state must have shape ({size},), got shape ({len(state)},): that of a controller "
-            "around this one, such as a TorqueLimited, has more numbers; call the method of the "
-            "outer one, which has it, too",
-            given=state,
-        )
-    return as_vector("state", state, size)
-
-
 def require_dt(dt: float, sampling_time: float) -> None:
     """Refuse another dt [s] than the one that a controller is for."""
     dt = as_number("dt", dt, unit="s", above=0.0)

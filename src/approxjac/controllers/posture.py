@@ -24,12 +24,10 @@ Torque = Callable[[Array], Array]
 class Posture:
     """The torque N τ₀ with τ₀ = −k (q ⊖ q_posture) and N = I − Ĵ⁺Ĵ.
 
-    N leaves of τ₀ what Ĵᵀ cannot produce; near a singular Ĵ it is faded out, to 0 at the singular
-    posture. At rest −Ĵᵀ K_p s(e) + N τ₀ = 0 splits into its two parts, which are orthogonal, so
-    e = 0 stays the only equilibrium of the task however wrong Ĵ is, as long as it has full row
-    rank. The proof pays: V̇ = −W + yᵀN τ₀ (of which the part along αĴ⁺s(e) vanishes with the
-    shortest Ĵ⁺s), so V may rise while the arm moves towards the posture. The self-motion is damped
-    by B_c only.
+    N leaves of τ₀ what Ĵᵀ cannot produce; near a singular Ĵ it is faded out. e = 0 stays the only
+    equilibrium of the task however wrong Ĵ is, as long as it has full row rank. The proof pays:
+    V̇ = −W + yᵀN τ₀, so V may rise while the arm moves towards the posture. The self-motion is
+    damped by B_c only.
 
     Attributes:
         q: Posture, shape (nq,) [rad or m].
@@ -72,10 +70,8 @@ class AwayFromStops:
     τ₀ = k (δ − d) for a joint at a distance d < δ from its stop, none elsewhere; k is r B_c with
     r the rate of the task's slow pole: self-motion out of the zone is as fast as the task.
 
-    It is a `Posture` in all else: e = 0 stays the only equilibrium of the task, and
-    V̇ = −W + yᵀN τ₀, which is −W + q̇ᵀN τ₀ with the shortest Ĵ⁺. Which way round a target is
-    reached it does not know: an arm whose way is
-    barred by a stop stays there.
+    It is a `Posture` in all else. Which way round a target is reached it does not know: an arm
+    whose way is barred by a stop stays there.
 
     Attributes:
         share: δ as a share of a joint's range, 0 to 0.5; δ is at most 0.6 rad or m.

@@ -172,6 +172,7 @@ class SetpointController(Immutable, Controller):
             learning = learning.adaptation(task, self.diagonals, chosen)
         self.adaptation = learning if isinstance(learning, Adaptation) else None
         self.parameters = {} if self.adaptation is None else self.adaptation.parameters(task)
+        self._equation = "(28)" if self.adaptation else "(6)" if velocity is None else "(5)"
         self.resting = len(self.parameters)
         weight = None if self.adaptation is None else self.adaptation.pinv_weight
         self.pinv = Pseudoinverse(weight, analysis.vanishing(task), singular_ratio(task))
@@ -448,20 +449,15 @@ class SetpointController(Immutable, Controller):
         status = law.select(lost, _LOST, status)
         return Evaluation(torque, rate, status, e, J_hat, g, _UNLIMITED, 0.0, reference)
 
-    @property
-    def _equations(self) -> tuple[str, ...]:
-        return ("(28)", "(29)") if self.resting else ("(6)" if self.velocity is None else "(5)",)
-
     def describe(self) -> list[str]:
         """Return law, gains, saturation and gravity in a line, its task, and the rule's reasons."""
         saturation = describe_saturation(self.saturation, self.task)
         gravity = "learnt" if self.resting else describe_gravity(self.gravity, self.task.robot)
-        first = f"set-point law {self._equations[0]}, {self.gains}, {saturation}; gravity {gravity}"
+        first = f"set-point law {self._equation}, {self.gains}, {saturation}; gravity {gravity}"
         return [first, super().describe()[1], *(self.tuning.reasons if self.tuning else ())]
 
     def __repr__(self) -> str:
-        numbers = ", ".join(self._equations)
-        parts = f"law {numbers}, {self.task!r}, {self.gains!r}, {self.gravity!r}"
+        parts = f"law {self._equation}, {self.task!r}, {self.gains!r}, {self.gravity!r}"
         return f"{type(self).__name__}({parts})"
 
 

@@ -23,7 +23,6 @@ from approxjac.controllers.arguments import (
     require_arrays,
     require_dt,
     require_finite,
-    require_state,
     with_rates,
 )
 from approxjac.controllers.controller import Controller
@@ -45,7 +44,15 @@ from approxjac.tasks.analysis import (
     seen_configurations,
     vanishing,
 )
-from approxjac.validation import Array, Immutable, as_array, as_limits, as_number, require
+from approxjac.validation import (
+    Array,
+    Immutable,
+    as_array,
+    as_limits,
+    as_number,
+    as_vector,
+    require,
+)
 
 _OK, _SINGULAR = Status.OK, Status.NEAR_SINGULAR  # members of an enum are slow to look up
 _PREDICTED, _UNPREDICTED, _LOST = Status.PREDICTED, Status.NOT_PREDICTED, Status.MEASUREMENT_LOST
@@ -223,7 +230,7 @@ class TrackingController(Immutable, Controller):
 
     def resumed(self, state: Array, measurement: Measurement) -> Array:
         """Return a state before a first step that knows what another state has learnt."""
-        state = require_state(state, self.n_state)
+        state = as_vector("state", state, self.n_state)
         fresh, (p, end) = self.initial_state(measurement), (self.resting, self._end)
         fresh[:p] = state[:p]
         fresh[p:end] = self.kinematics.resumed(state[p:end], measurement)
@@ -329,7 +336,7 @@ class TrackingController(Immutable, Controller):
 
     def kinematics_of(self, state: Array) -> tuple[Kinematics, Array]:
         """Return the kinematics, and their part of a state."""
-        state = require_state(state, self.n_state)
+        state = as_vector("state", state, self.n_state)
         return self.kinematics, state[self.resting : self._end]
 
     def with_task(self, task: Task) -> Self:

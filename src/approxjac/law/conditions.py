@@ -39,15 +39,8 @@ def allowed_p(
     """The p below which l₁ λ_max[K_v] > αc₀, and that below which l₂ λ_max[K_v] > αc₁.
 
     Implements Eq. (22), solved for p. Implements Eq. (21), too, with c₀ = c₁ = 0. Departure: λ₁ is
-    that of ĴᵀK_vĴ + B, not of J.
-
-    Args:
-        alpha: α > 0 [1/s].
-        kp: Diagonal of K_p, shape (m,).
-        kv: Diagonal of K_v, shape (m,).
-        lambda1: λ₁ = λ_min[ĴᵀK_vĴ + B] / λ_max[K_v].
-        c0: c₀ of eq. (15).
-        c1: c₁ of eq. (15).
+    λ_min[ĴᵀK_vĴ + B] / λ_max[K_v], not of J. c₀ and c₁ are those of eq. (15), α > 0 is in 1/s, and
+    the gains are diagonals (m,).
     """
     k = float(kv.max())
     spread = float(kp.max()) + alpha * k

@@ -140,14 +140,10 @@ def hold_step(
 ) -> HoldStep:
     """Return the last x that was seen, part by part, until the arm has moved too far.
 
-    Args:
-        memory: (x, t_x, p, seen) of the steps before, shape (n_x + 1 + m + parts,).
-        x: What arrives, shape (n_x,).
-        errors: Its errors to any value, shape (m,), not finite where x is no measurement.
-        t_x: When it was taken [s].
-        knows_time: Whether that is known; if not, an x that differs is new.
-        parts: Entries of x, and of the error, of what is measured at once, in order.
-        most: How far each error may move without being seen, m numbers.
+    The memory (x, t_x, p, seen) of the steps before is (n_x + 1 + m + parts,). What arrives is x
+    (n_x,), taken at t_x [s]; where nothing `knows_time`, an x that differs is new. `errors` of x to
+    any value (m,) are not finite where it is no measurement. `parts` are entries of x, and of the
+    error, of what is measured at once, in order; `most` is how far each error may move unseen.
     """
     kept, n = memory.tolist(), len(x)
     last, t_last, p, seen = kept[:n], kept[n], kept[n + 1 : -len(parts)], kept[-len(parts) :]

@@ -62,9 +62,7 @@ class Limits:
     def of(cls, robot: Robot, scale: float = 1.0) -> Limits:
         """Return the limits of effort, position and velocity of a robot's URDF.
 
-        Args:
-            robot: The believed robot.
-            scale: Share of the effort limits that may be used, > 0.
+        `scale` > 0 is the share of the effort limits that may be used.
         """
         require("robot", robot, Robot, "a Robot")
         scale = as_number("scale", scale, above=0.0)
@@ -101,11 +99,7 @@ def sure_deceleration(robot: Robot, effort: Array) -> Array:
     Half of what is left of the efforts after gravity, in all but one of twenty configurations
     within the joint limits: while one joint brakes, every motor that this asks for a torque has to
     give it. The other half is for joints that brake together, for the terms in q̇, and for what the
-    arm carries. Infinite where no effort is known.
-
-    Args:
-        robot: The believed robot.
-        effort: Largest abs(τ), shape (n_v,).
+    arm carries. Infinite where no effort, the largest abs(τ) (n_v,), is known.
     """
     dynamics, rng = Dynamics(robot), np.random.default_rng(0)
     rates = []

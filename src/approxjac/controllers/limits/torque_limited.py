@@ -190,9 +190,14 @@ class TorqueLimited(ControllerWrapper):
         self.proof = proof
         self.alpha = controller.alpha
         inertias = usual_inertias(robot)
-        usual = self._usual_braking(inertias)
-        given, fast = usual if braking is None else braking, (1.0 + 1e-9) / self._dt
-        self.braking = as_number("braking", given, unit="1/s", above=0.0, most=fast)
+        if braking is None and (latency := controller.latency) is not None:
+            braking = _KNOWN / (latency.of_velocity - latency.period + self._dt)
+        elif braking is None:
+            # the loop stands the law's own damping, too; a limit of the rate makes it act late
+            damped = 0.0 if self._has_rate else controller.damping_rate(inertias)
+            braking = min(max(_UNKNOWN / self._dt, damped), _KNOWN / self._dt)
+        at_most = (1.0 + 1e-9) / self._dt
+        self.braking = as_number("braking", braking, unit="1/s", above=0.0, most=at_most)
         self.approach = 0.1 * self.braking  # κ of `speed_bounds` [1/s]
         if not (solver is None or callable(solver)):
             wanted = "a function of a QuadraticProgram, or None for DAQP"
@@ -418,14 +423,6 @@ class TorqueLimited(ControllerWrapper):
         if self._per_speed is None:
             return y, self._rho
         return y, self._rho / law.largest(((y - v) * self._per_speed).tolist(), 1.0)
-
-    def _usual_braking(self, inertias: Array) -> float:
-        latency = self.controller.latency
-        if latency is not None:
-            return _KNOWN / (latency.of_velocity - latency.period + self._dt)
-        # the loop stands the law's own damping, too; a limit of the rate makes it act late
-        own = 0.0 if self._has_rate else self.controller.damping_rate(inertias)
-        return min(max(_UNKNOWN / self._dt, own), _KNOWN / self._dt)
 
     def __repr__(self) -> str:
         numbers = f"dt={self._dt:g}, braking={self.braking:g}"
