@@ -43,8 +43,16 @@ def test_a_redundant_arm_brings_two_points_to_within_the_noise(done):
 @pytest.mark.parametrize(
     ("robot", "parts"),
     [
-        ("panda", {"task": {"depth": "constant"}, "run": {"seed": 1, "duration": 5.5}}),
-        ("panda", {"task": {"depth": "measured"}, "run": {"seed": 1, "duration": 7.0}}),
+        pytest.param(
+            "panda",
+            {"task": {"depth": "constant"}, "run": {"seed": 1, "duration": 5.5}},
+            marks=pytest.mark.study,
+        ),
+        pytest.param(
+            "panda",
+            {"task": {"depth": "measured"}, "run": {"seed": 1, "duration": 7.0}},
+            marks=pytest.mark.study,
+        ),
         ("ur5", {"true": IN_HAND, "run": {"duration": 5.0}}),
         ("two_link", {"believed": NEARLY, "run": {"duration": 8.0}}),  # joints as coordinates
     ],

@@ -617,7 +617,13 @@ def test_progress_must_be_a_function(panda, position):
 # -- all of it together ---------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("offset", "seed"), [((0.1, -0.15, 0.16), 0), ((-0.1, 0.2, 0.1), 1)])
+@pytest.mark.parametrize(
+    ("offset", "seed"),
+    [
+        ((0.1, -0.15, 0.16), 0),
+        pytest.param((-0.1, 0.2, 0.1), 1, marks=pytest.mark.study),
+    ],
+)
 @pytest.mark.parametrize(
     ("gravity", "settled", "final"),
     [("known", 3e-3, 1e-3), ("learnt", 5e-3, 2e-3)],  # measured over 8 seeds: 1.4, 0.4; 2.3, 0.8

@@ -29,8 +29,14 @@ def test_where_it_stands_is_told_as_opencv_tells_it():
 
 @pytest.mark.parametrize(
     "options",
-    [{"distortion": (-0.28, 0.1, 2e-3, -1e-3, -0.02)}, {"fisheye": True, "focal_length": 220.0}],
-    ids=["tangential", "fisheye"],
+    [
+        pytest.param(
+            {"distortion": (-0.28, 0.1, 2e-3, -1e-3, -0.02)},
+            id="tangential",
+            marks=pytest.mark.study,
+        ),
+        pytest.param({"fisheye": True, "focal_length": 220.0}, id="fisheye"),
+    ],
 )
 def test_a_camera_is_learnt_through_its_lens(panda, options):
     """Its rays are those of the lens: learnt is where it stands, and the error goes to zero."""
