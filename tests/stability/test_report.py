@@ -285,7 +285,7 @@ def test_gravity_that_no_parameters_explain_is_not_said_to_want_learning(options
     row = of_gravity(loop, error)
     assert dict(row.figures) == {"error": error, "learns": True, "by": terms}
     assert row.text.startswith("no learnt gravity parameters explain up to")
-    with pytest.raises(aj.InvalidInputError, match="explain it, as of wrong joint axes or a"):
+    with pytest.raises(aj.InvalidInputError, match="but for wrong joint axes or a tilted base"):
         loop.require_gravity()
 
 
