@@ -261,7 +261,7 @@ def test_what_a_calibration_does_not_have_is_refused(arm, watched):
         aj.Uncertainty(arm, camera=watched.camera, roll=(0.1, 0.2))
     with pytest.raises(
         aj.InvalidInputError,
-        match=r"a camera must exist .* got camera focal length -300 px, camera distance -0.9 m, "
+        match=r"a camera must exist .* camera focal length -300 px, camera distance -0.9 m, "
         r"camera roll -2.7 rad \(-154.7 deg\) with the factor 9: focal_length must be a finite "
         r"number > 0 \[px\], got -300",
     ):

@@ -236,21 +236,17 @@ class Uncertainty:
                 for end in known[-2:]:
                     as_size(known.name, end, known.unit)
         self.plant(self.believed)  # refuses a task, an axis or friction that fit no such robot
-        if self.camera is not None:
-            self._require_cameras(self.camera)
-
-    def _require_cameras(self, camera: Camera) -> None:
-        """Refuse a box that holds cameras that cannot exist: the first of them is a corner."""
-        unsure = [known for known in self._coordinates if known.name.startswith("camera ")]
-        names, units = ([getattr(known, of) for known in unsure] for of in ("name", "unit"))
-        for corner in itertools.product(*(known[-2:] for known in unsure)):
+        of_cameras = [known.name.startswith("camera ") for known in self._coordinates]
+        pairs = zip(self._coordinates, of_cameras, strict=True)
+        corners = itertools.product(*(k[-2:] if of_camera else (k[2],) for k, of_camera in pairs))
+        for corner in corners if any(of_cameras) else ():  # where a camera is first none
             try:
-                self._true_camera(camera, dict(zip(names, corner, strict=True)))
+                self.plant(corner)
             except InvalidInputError as error:
                 grown = "" if self.factor == 1.0 else f" with the factor {self.factor:.4g}"
                 raise InvalidInputError(
-                    "a camera must exist everywhere in the set, got "
-                    f"{', '.join(map(_in_words, names, corner, units))}{grown}: {error}",
+                    f"a camera must exist everywhere in the set, got {self.describe(corner)}"
+                    f"{grown}: {error}",
                     given=corner,
                 ) from error
 
