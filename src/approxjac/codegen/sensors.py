@@ -38,15 +38,16 @@ class Senses:
         steps: Number of steps of a run.
         path: Where the target of all runs moves, or None.
 
-    Attributes:
-        late: By how many steps torques are late.
-        may_lose: Whether x may be lost on its way.
     """
+
+    late: int  # by how many steps torques are late
+    may_lose: bool  # x may be lost on its way
 
     def __init__(
         self, plant: Plant, dt: float, steps: int, path: Target | TargetPath | None = None
     ) -> None:
         self._sensor, self._dt = plant.sensor, dt
+        self._times: dict[str, Any] = {}  # name → what is the same in all runs, step by step
         self._targets: list[Target] = []
         if path is not None:
             targets = (target_at(path, k * dt) for k in range(steps + 1))
@@ -64,7 +65,6 @@ class Senses:
         self._is_taken, self._is_new = np.array(taken), np.array(new)
         self._kept_at, self._read_at = np.array(kept_at), np.array(read_at)
         self._is_now = self._is_taken & (self._kept_at == self._read_at)
-        self._places = int(self._kept_at.max()) + 1
 
     def measured(self, program: Program, truth: Measurement) -> tuple[Measurement, dict[str, Any]]:
         """Return what is measured of the truth, x as the sensor delivers it, and what is kept."""
@@ -85,31 +85,45 @@ class Senses:
             kept |= {"q_before": q, "v_filtered": v}
         x = imaged(sensor, x, noise("x_noise", self._x_noise), self._x_quantum)
         if self._lost:
-            x = np.where(program.timed("lost", len(x)) > 0.0, np.nan, x)
+            lost = np.zeros((len(self._k), len(x)))
+            for row, intervals in zip(lost, self._lost_in, strict=True):
+                for interval in intervals:
+                    row[self._lost[interval]] = 1.0
+            x = np.where(self._timed(program, "lost", lost) > 0.0, np.nan, x)
         if not self._is_now.all():
-            kept[_IMAGE] = x
-            image = program.history(_IMAGE, len(x), self._places + 1)  # one for what nobody reads
-            x = np.where(program.timed("now", 1) > 0.0, x, image)
+            kept[_IMAGE], nobody = x, int(self._kept_at.max()) + 1  # reads that place
+            image = program.history(_IMAGE, len(x), nobody + 1)
+            goes_to = np.where(self._is_taken, self._kept_at, nobody)
+            self._times |= {f"{_IMAGE}.from": self._read_at, f"{_IMAGE}.to": goes_to}
+            x = np.where(self._timed(program, "now", self._is_now) > 0.0, x, image)
         if sensing.x_dropout > 0.0:
             drops = program.drawn("x_dropout", 1)[0] < sensing.x_dropout
             before = program.kept("dropped", 1)[0]
-            is_new = program.timed("new", 1)[0] > 0.0
+            is_new = self._timed(program, "new", self._is_new)[0] > 0.0
             kept["dropped"] = select(is_new, select(drops, 1.0, 0.0), before)
             x = np.where(symbols(kept["dropped"] > 0.0), np.nan, x)
-        return Measurement(t, q, v, x, program.timed("t_x", 1)[0]), kept
+        return Measurement(t, q, v, x, self._timed(program, "t_x", self._t_x)[0]), kept
+
+    def _timed(self, program: Program, name: str, values: Any) -> Symbols:
+        self._times[name] = values
+        return program.timed(name, int(np.size(values)) // len(self._k))
 
     def target(self, program: Program) -> Target | None:
         """Return the target, where that of all runs moves."""
         if not self._targets:
             return None
-        moves = any(each.v is not None for each in self._targets)
-        v_d = program.timed("target_v", self._sensor.m) if moves else None
-        return Target(program.timed("target", self._sensor.n_x), v_d)
+        x_d, v_d = self._timed(program, "target", [each.x for each in self._targets]), None
+        if any(each.v is not None for each in self._targets):
+            at_rest = np.zeros(self._sensor.m)
+            rates = [at_rest if each.v is None else each.v for each in self._targets]
+            v_d = self._timed(program, "target_v", rates)
+        return Target(x_d, v_d)
 
     def acting(self, program: Program, torque: Symbols) -> tuple[Symbols, dict[str, Any]]:
         """Return the torque that acts when one is asked for, and what is kept of the latter."""
         if not self.late:
             return torque, {}
+        self._times |= dict.fromkeys((f"{_TORQUE}.from", f"{_TORQUE}.to"), self._k % self.late)
         return program.history(_TORQUE, len(torque), self.late), {_TORQUE: torque}
 
     def begun(self, program: Program, kept: Array, holding: Array) -> None:
@@ -123,29 +137,11 @@ class Senses:
 
         Each so many steps, and the last, are recorded.
         """
-        nobody = self._places
-        known: dict[str, Any] = {
-            f"{_IMAGE}.from": self._read_at,
-            f"{_IMAGE}.to": np.where(self._is_taken, self._kept_at, nobody),
-            "now": self._is_now,
-            "new": self._is_new,
-            "t_x": self._t_x,
-            RECORDED: (self._k % every == 0) | (self._k == self._k[-1]),
-        }
-        if self.late:
-            known |= dict.fromkeys((f"{_TORQUE}.from", f"{_TORQUE}.to"), self._k % self.late)
-        if self._targets:
-            known["target"] = [each.x for each in self._targets]
-            at_rest = np.zeros(self._sensor.m)
-            known["target_v"] = [at_rest if t.v is None else t.v for t in self._targets]
+        is_due = (self._k % every == 0) | (self._k == self._k[-1])
+        known = self._times | {RECORDED: is_due}
         found = np.zeros((len(self._k), program.n_times))
         for name, (at, size) in program.times.items():
-            if name == "lost":
-                for row, intervals in zip(found, self._lost_in, strict=True):
-                    for interval in intervals:
-                        row[at : at + size][self._lost[interval]] = 1.0
-            else:
-                found[:, at : at + size] = np.reshape(known[name], (-1, size))
+            found[:, at : at + size] = np.reshape(known[name], (-1, size))
         return found
 
     def drawn(

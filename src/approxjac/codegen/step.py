@@ -26,12 +26,10 @@ _USUAL = (Status.OK, Status.MEASUREMENT_HELD)
 def step_program(controller: Controller, *, may_lose: bool) -> Program:
     """Return the program of one step of a controller.
 
-    What is kept are its arguments "q", "v", "x", "target", "state", "dt", "t", "t_x" and, of a
-    controller of this library, "target_v" and "target_a"; and its answer "torque", "after" (the
-    state after the step), "rate" (the law's own), "e", "gravity", "J_hat", "reference", "status"
-    and "limit_status" (numbers of a `Status` and a `LimitStatus`), "slack", "left" (whether all
-    that does not hold) and "usual" (whether it holds, all numbers are small, and the status is that
-    of a usual step); without those that the controller does not answer with.
+    What is kept are its arguments, as `argument_sizes` has them, and what it answers with: the
+    fields of its `Evaluation`, but for its rate as "rate", "after" (the state after the step),
+    "left" (all that does not hold) and "usual" (it holds, all numbers are small, and the status is
+    that of a usual step).
 
     Args:
         controller: The controller.

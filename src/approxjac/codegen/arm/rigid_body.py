@@ -483,12 +483,7 @@ class Configured:
 
 
 class LearntPoints:
-    """Points of an arm whose translations are learnt: what `KinematicRegressor` has of them.
-
-    Args:
-        arm: The believed arm at q.
-        regressor: Of the points.
-    """
+    """Points of the believed arm at q whose translations are learnt: see `KinematicRegressor`."""
 
     def __init__(self, arm: Configured, regressor: KinematicRegressor) -> None:
         self._arm, self._regressor = arm, regressor
@@ -539,11 +534,7 @@ class LearntBodies:
     It is what `DynamicsRegressor` has, without the regressor: Yᵀσ is the power of what each
     parameter needs, and Y a is Newton's and Euler's equations from link to link.
 
-    Args:
-        arm: The believed arm at q.
-        v: q̇, shape (n_v,).
-        v_r: q̇_r, shape (n_v,).
-        a_r: q̈_r, shape (n_v,).
+    It is of the believed arm at q, and of q̇, q̇_r and q̈_r, each (n_v,).
     """
 
     def __init__(self, arm: Configured, v: Symbols, v_r: Symbols, a_r: Symbols) -> None:

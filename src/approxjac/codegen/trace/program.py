@@ -43,24 +43,18 @@ class Program:
     Declare what there is with `kept`, `history`, `given`, `timed` and `drawn`, compute with what
     they return, and say with `step` and `record` what follows.
 
-    Attributes:
-        graph: All that is computed.
-        rows: Name → place and number of rows of what is kept.
-        parameters: Name → place and number of rows of what stays, and differs from run to run.
-        histories: Name → place of the first row, and number of rows, of what is read later.
-        times: Name → place and number of what is the same in all runs, step by step.
-        draws: Name → place and number of what is drawn for each run, step by step.
-        stepped: What follows at a step: names and their numbers.
+    Each name has its place, from 0, and how many numbers it is of: rows of what is kept and of
+    parameters, numbers of times and of draws; of a history those of each of its places.
     """
 
     def __init__(self) -> None:
         self.graph = Graph()
-        self.rows: dict[str, tuple[int, int]] = {}
-        self.parameters: dict[str, tuple[int, int]] = {}
-        self.histories: dict[str, tuple[int, int]] = {}
-        self.times: dict[str, tuple[int, int]] = {}
-        self.draws: dict[str, tuple[int, int]] = {}
-        self.stepped: dict[str, list[Number]] = {}
+        self.rows: dict[str, tuple[int, int]] = {}  # kept from step to step
+        self.parameters: dict[str, tuple[int, int]] = {}  # which differ from run to run
+        self.histories: dict[str, tuple[int, int]] = {}  # rows that are read later
+        self.times: dict[str, tuple[int, int]] = {}  # the same in all runs, step by step
+        self.draws: dict[str, tuple[int, int]] = {}  # for each run, step by step
+        self.stepped: dict[str, list[Number]] = {}  # what follows at a step
         self._given: dict[str, tuple[Any, Array]] = {}  # which differ, and the others
         self.n_rows = self.n_parameters = self.n_times = self.n_draws = 0
 

@@ -68,17 +68,14 @@ _COMMUTES = frozenset({"add", "multiply", "equal", "and", "or"})
 class Graph:
     """Operations in an order in which they can be carried out.
 
-    Attributes:
-        nodes: The operations.
-        is_finite: All numbers are taken to be finite, so that nothing is computed to find out.
-        arms: Arms whose terms are computed, each with the robot that it is.
-        left: Whether what is computed does not hold.
+    Where it `is_finite`, all numbers are taken to be finite, so that nothing is computed to find
+    out. What is computed does not hold where it is `left`.
     """
 
     def __init__(self, is_finite: bool = False) -> None:
         self.nodes: list[Node] = []
         self.is_finite = is_finite
-        self.arms: list[Any] = []
+        self.arms: list[Any] = []  # whose terms are computed, each with the robot that it is
         self.left: Condition = False
         self._known: dict[object, int] = {}
         self._blocks = self._loops = 0
