@@ -115,7 +115,7 @@ class Lanes:
         path: Target | TargetPath | None = None,
     ) -> None:
         self.program = program = Program()
-        self._steps, m = steps, controller.task.m
+        m = controller.task.m
         numbers, sensors, others = _stacked(examples)
         given = {name: program.given(name, each) for name, each in (others | sensors).items()}
         self._senses = senses = Senses(plant, dt, steps, path)
