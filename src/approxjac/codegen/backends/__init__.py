@@ -1,1 +1,1 @@
-"""Backends: a program as LLVM lanes, C99 or NumPy source."""
+"""Backends: a program as LLVM lanes or C99, or carried out by NumPy."""
