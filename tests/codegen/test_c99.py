@@ -557,7 +557,7 @@ def test_the_header_says_what_it_was_made_from(tmp_path):
         f"approxjac {aj.__version__}", "robot    panda", ", ".join(
             f"panda_joint{i} [rad]" for i in (1, 2, 3)
         ),
-        "PositionTask('panda', 'panda_hand_tcp', 'xyz'), x in m", "(28), (29)",
+        "PositionTask('panda', 'panda_hand_tcp', 'xyz'), x in m", "law (28)",
         f"K_p {law.diagonals.kp[0]:.4g}", f"{law.saturation.gamma[0]:.4g}", "12 parameters",
         "AwayFromStops(share=0.12)", "Limits(effort=[34.8",
         "joint positions [rad]", "time for which the torque is held [s]",

@@ -141,7 +141,8 @@ def test_a_loop_has_the_bits_of_an_unrolled_one(case, monkeypatch):
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.__name__)
 def test_c_has_the_bits_of_numpy(case, tmp_path):
     program = program_of(case)
-    lines, names = Writer(program.graph, LANGUAGE).lines(program.stepped["found"])
+    language = LANGUAGE._replace(read="{}[{}]".format)
+    lines, names = Writer(program.graph, language).lines(program.stepped["found"])
     stores = [f"    found[{i}] = {name};" for i, name in enumerate(names)]
     head = ["#include <math.h>", "void step(const double *x, const double *y, double *found)", "{"]
     helper = "#include <stdint.h>\n" + POWER_OF_TWO if "power_of_two" in str(lines) else ""

@@ -100,7 +100,7 @@ LANGUAGE = Language(
     assigned=lambda name, text, is_condition: (
         f"    const {'int' if is_condition else 'double'} {name} = {text};"
     ),
-    read=lambda name, i: READ.get(name, f"{name}[{{}}]").format(i),
+    read=lambda name, i: READ[name].format(i),
     constant=constant,
     rare=_rare,
     table=_table,
