@@ -254,7 +254,15 @@ class TorqueLimited(ControllerWrapper):
 
     def initial_state(self, measurement: Measurement) -> Array:
         """Return the state before the first step; errors are those of the controller."""
-        state, before = self._law.initial_state(measurement), np.zeros(0)
+        return self._begun(self._law.initial_state(measurement), measurement)
+
+    def resumed(self, state: Array, measurement: Measurement) -> Array:
+        """Return a state before a first step that knows what another state has learnt."""
+        state = super().resumed(state, measurement)
+        return self._begun(state[: len(state) - self._memory], measurement)
+
+    def _begun(self, state: Array, measurement: Measurement) -> Array:
+        before = np.zeros(0)
         if self._has_rate:
             before = np.full(len(self._rate), _UNSET)
             if type(measurement.q) is np.ndarray:  # C begins before it is known
