@@ -161,7 +161,7 @@ class AdaptiveGravity(Immutable):
         return f"AdaptiveGravity({self.robot.name!r}, {self.regressor.p} parameters{L}{alpha})"
 
     def _bounds(self, bounds: Any) -> tuple[Array, Array]:
-        if isinstance(bounds, tuple | list | np.ndarray) and len(bounds) == 2:
+        if not is_scalar(bounds) and len(bounds) == 2:
             lower, upper = (as_entries("bounds", bound, self.regressor.p) for bound in bounds)
             holds = (lower < upper) & (lower <= self.theta0) & (self.theta0 <= upper)
             if holds.all():
