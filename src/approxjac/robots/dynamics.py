@@ -165,7 +165,7 @@ class _TorqueRegressor:
         """Return the columns of links at q (nq,), and velocities and accelerations of all."""
         q_all = self._mimic_joints.q(q)
         Y: Array = pin.computeJointTorqueRegressor(model, self._data, q_all, v, a)
-        return self._mimic_joints.rows(Y.reshape(self._model.nv, -1))  # of one joint it is flat
+        return self._mimic_joints.rows(Y if Y.ndim == 2 else Y[np.newaxis])  # flat of one joint
 
     def _at_rest(self, q: Array) -> Array:
         return self._torques(self._model, q, self._zero, self._zero)

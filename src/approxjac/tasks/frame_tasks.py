@@ -90,7 +90,7 @@ class FrameKinematics:
             return np.asanyarray(arm.jacobian(self.frame))
         q = self.robot.configuration(q)
         J: Array = pin.computeFrameJacobian(self._model, self._data, q, self._id, _LWA)
-        return J.reshape(6, -1)  # of one joint it is flat
+        return J if J.ndim == 2 else J.reshape(6, 1)  # of one joint it is flat
 
     def motion(self, q: Array) -> tuple[Array, Array, Array]:
         """Return `jacobian`, and the frame's rotation (3, 3) and position (3,) at the same q.
