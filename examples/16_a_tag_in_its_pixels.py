@@ -37,7 +37,7 @@ GOAL = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 START = GOAL + [0.15, -0.1, 0.1, 0.15, -0.1, 0.1, 0.3]
 
 camera = aj.PinholeCamera.from_opencv(K, LENS, (640, 480))
-camera.standing_at((1.25, -0.25, 0.75), looking_at=(0.55, 0.0, 0.5))  # in truth
+camera = camera.standing_at((1.25, -0.25, 0.75), looking_at=(0.55, 0.0, 0.5))  # in truth
 wrong = camera.with_error(rotation=(0.0, 0.0, np.radians(20.0)), shift=(0.05, 0.0, -0.15))
 arm = aj.load_robot("panda")
 truth, belief = arm.with_object(0.15, 0.3, axis="x"), arm.with_object(0.0)  # weighed only
