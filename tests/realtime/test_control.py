@@ -17,6 +17,7 @@ from rehearsal import START, Wrapped, driver_of, goal, run, tolerating
 import approxjac as aj
 from approxjac.errors import ControlError, InvalidInputError
 from approxjac.realtime import Fault, RobotRun, SimulatedDriver, control
+from approxjac.realtime.control import require_near
 from approxjac.view.browser.page import _legend, page
 
 
@@ -399,6 +400,7 @@ REFUSED = {
     "blind": "x must be known before the arm moves",
     "clock": "the clock of the driver must go on",
     "two clocks": "t_x must be by the clock of t, got Measurement(",
+    "millimetres": "m from the base of an arm that reaches 1.09 m; 1 mm is 0.001",
     "period": "must be",
     "tuning": "(gains or learning) is for a period of 0.001 s, and the driver's dt is 0.002 s",
     "sizes": "driver must read q, q̇ and x with 7, 7 and 3 numbers, got shapes (6,), (7,), (3,)",
@@ -416,6 +418,7 @@ def test_what_may_not_begin_is_refused_and_sends_nothing(plant, controller, pand
         "clock": lambda m: m._replace(t=1.0),
         "beyond": lambda m: m._replace(q=np.append(START[:3], [0.1, *START[4:]])),
         "degrees": lambda m: m._replace(q=np.degrees(m.q)),
+        "millimetres": lambda m: m._replace(x=1e3 * m.x),
         "two clocks": lambda m: m._replace(t_x=m.t + 1.7e9),
         "sizes": lambda m: m._replace(q=m.q[:6]),
     }
@@ -460,6 +463,15 @@ def test_a_law_tuned_for_the_period_may_begin(plant, controller):
     slow = aj.SetpointController(law.task, gravity=law.gravity, latency=aj.Latency(period=2e-3))
     found = run(driver_of(plant, dt=2e-3), aj.TorqueLimited(slow, limits, dt=2e-3), 0.02)
     assert "its time was over" in found.ended
+
+
+def test_a_tracker_may_stand_elsewhere_in_a_hall(panda):
+    x = np.array([30.0, -20.0, 3.0])
+    require_near(aj.PositionTask(panda), x)
+    placed = aj.tasks.TrackerTask(panda, offset=1e3 * x)
+    require_near(placed, 1e3 * x + 0.5)
+    with pytest.raises(InvalidInputError, match=r"x must be in m, got \["):
+        require_near(placed, 1e3 * x + 100.0)
 
 
 @pytest.mark.parametrize("frames", [300, 1100])

@@ -5,6 +5,7 @@ import time
 import pytest
 
 import approxjac as aj
+from approxjac.robots.urdf import Urdf
 
 INERTIA = '<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/>'
 QUICK = 2.0  # s; the worst takes 0.4 s, and took 15 s and more
@@ -139,20 +140,30 @@ def test_a_file_that_is_too_long_is_not_read(tmp_path):
         aj.load_robot(path)
 
 
-def test_elements_of_other_tools_are_kept(tmp_path):
-    """As in files for Drake; a namespace that nobody declared is named."""
+def test_namespaces_that_nobody_declared_are_declared(tmp_path):
+    """As in files for Drake: elements and attributes of its own, without xmlns:drake."""
     rotor = '<drake:joint name="d" type="x"><drake:rotor value="1"/></drake:joint>'
-    bare = with_inside(rotor)
-    with pytest.raises(aj.errors.UrdfError, match="Namespace prefix drake on joint is not defined"):
-        aj.load_robot(bare)
-    arm = aj.load_robot(bare.replace("<robot", '<robot xmlns:drake="urn:drake"', 1))
+    text = f"<?xml version='1.0'?>\n<!-- an arm <robot --> {with_inside(rotor)}"
+    text = text.replace('<link name="l1"', '<link acme:id="7" name="l1"', 1)
+    arm = aj.load_robot(text)
+    assert arm.joint_names == ("j0", "j1")
     path = arm.with_object(0.1).save_urdf(tmp_path / "arm.urdf")
-    assert '<drake:rotor value="1"/>' in path.read_text()
-    assert aj.load_robot(path).joint_names == arm.joint_names == ("j0", "j1")
+    saved = path.read_text()
+    assert 'xmlns:drake="urn:drake"' in saved
+    assert '<drake:rotor value="1"/>' in saved
+    assert 'acme:id="7"' in saved
+    assert aj.load_robot(path).joint_names == arm.joint_names
+    assert Urdf.parse(arm.urdf, "again").links == ("l0", "l1", "l2")
+
+
+def test_of_two_prefixes_only_the_missing_one_is_declared():
+    text = with_inside("<b:y/><a:x/>").replace("<robot", '<robot xmlns:b="urn:other"', 1)
+    root = aj.load_robot(text).tree.root
+    assert root.nsmap == {"b": "urn:other", "a": "urn:a"}
 
 
 def test_xacro_without_a_namespace_is_still_told():
-    with pytest.raises(aj.errors.UrdfError, match="Namespace prefix xacro on include"):
+    with pytest.raises(aj.errors.UrdfError, match="expand it first"):
         aj.load_robot(with_inside("<xacro:include x='1'/>"))
 
 

@@ -359,7 +359,7 @@ def test_laws_without_certificates_have_a_report_that_says_so(tools, box):
     assert "the laws (6) and (28) without a posture" in unwrapped(report)
     tracking = aj.Study(aj.TrackingController(law_5.task), tools, box).report(20)
     assert "a SetpointController, which learns no Jacobian" in unwrapped(tracking)
-    assert "not applicable" in tracking.rows[1].verdict
+    assert any("not applicable" in row.verdict for row in tracking.rows)
     assert not tracking.passed
 
 

@@ -27,6 +27,7 @@ from approxjac.simulation.plant import Plant, VelocityServo
 from approxjac.simulation.simulate import Loop, Observer, require_fit, require_start, wanted_of
 from approxjac.simulation.trajectory import Trajectory
 from approxjac.tasks import Task
+from approxjac.tasks.analysis import features
 from approxjac.validation import Array, as_number, require
 
 _PERIOD = 1.0 / 30.0  # s, of observers
@@ -37,6 +38,7 @@ _READS = 5
 _AT_REST = 0.05  # rad/s or m/s
 _HELD = 0.2  # share of the largest torque by which what is believed of gravity may be off
 _WARM = 50  # steps before the first that counts: caches, and whatever is made at first use
+_FAR, _REACHES = 50.0, 20.0  # m and reaches of the arm, beyond both of which no x is in metres
 _HANGS = 2.0  # times `max_period`, after which the watchdog brakes
 _SPEED = {"m": 0.2, "rad": 0.5, "px": 100.0}  # of targets that are eased in, per s
 
@@ -155,6 +157,8 @@ def control(
         first = require_at_rest(driver, task, tolerances.timeout)
         require_start(task, wanted, first.x)
         loop = RobotLoop(brake, plant, controller, wanted, first, steps, tolerances, speeds, state)
+        if not loop.learns_sensor:
+            require_near(task, first.x)
         require_held(driver, controller, first.q, loop.answer)
         for _ in range(_WARM):
             controller.step(loop.state, loop.measurement, loop._wanted, driver.dt)
@@ -328,6 +332,25 @@ def require_at_rest(driver: Driver, task: Task, timeout: float) -> Measurement:
         )
         raise InvalidInputError(f"q must be within the joints' limits, got {where}", given=measured)
     return measured
+
+
+def require_near(task: Task, x: Array) -> None:
+    """Refuse positions so far from the arm that they are in millimetres, say.
+
+    A tracker may have its origin elsewhere in a hall.
+    """
+    for feature in features(task):
+        if not feature.axes or feature.frame is None:
+            continue
+        origin, reach = task.robot.reach_bound(feature.frame)
+        origin = origin[["xyz".index(axis) for axis in feature.axes]]
+        away = float(np.linalg.norm(feature.place(x) - origin))
+        if away > max(_FAR, _REACHES * reach):
+            raise InvalidInputError(
+                f"x must be in m, got {listed(x)}: the tip would be {away:.3g} m from the base of "
+                f"an arm that reaches {reach:.3g} m; 1 mm is 0.001",
+                given=x,
+            )
 
 
 def require_held(driver: Driver, controller: Controller, q: Array, answer: Evaluation) -> None:

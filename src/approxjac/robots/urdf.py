@@ -23,6 +23,7 @@ _TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 MOST_TEXT = 16_000_000  # characters
 _MOST_LINKS = 2000  # in a chain of 5000 Pinocchio's parser runs out of stack
 _MOST_ATTRIBUTES = 100
+_UNDECLARED = re.compile(r"Namespace prefix (\S+) .*is not defined")
 _LONGEST_NUMBERS = 1000  # characters, of three numbers
 OBJECT_RADIUS = 0.01
 """Radius of an object that nothing is said about [m]."""
@@ -66,10 +67,8 @@ class Urdf:
             raise UrdfError(
                 f"{source} must have at most {MOST_TEXT} characters, got {len(text)}", given=source
             )
-        # The text is decoded already; an encoding it declares would be applied a second time.
-        bare = re.sub(r"^\s*<\?xml[^>]*\?>", "", text)
         try:
-            root = etree.fromstring(bare.encode(), etree.XMLParser(remove_blank_text=True))
+            root = _tree(text)
         except (ValueError, etree.XMLSyntaxError) as error:  # a ValueError of lone surrogates
             raise UrdfError(f"{source} is not well-formed XML: {error}", given=text) from error
         if root.tag != "robot":
@@ -156,6 +155,24 @@ def leader_of(joint: str, following: Mapping[str, Follows]) -> Follows:
         joint, own_multiplier, own_offset = following[joint]
         multiplier, offset = multiplier * own_multiplier, multiplier * own_offset + offset
     return joint, multiplier, offset
+
+
+def _tree(text: str) -> Any:
+    """Return the root of an XML text; a namespace that nobody declared, as Drake's, is declared."""
+    # The text is decoded already; an encoding it declares would be applied a second time.
+    bare = re.sub(r"^\s*<\?xml[^>]*\?>", "", text)
+    parser = etree.XMLParser(remove_blank_text=True)
+    try:
+        return etree.fromstring(bare.encode(), parser)
+    except etree.XMLSyntaxError:
+        undeclared = [_UNDECLARED.match(each.message) for each in parser.error_log]
+        if not all(undeclared):
+            raise
+    root = etree.fromstring(bare.encode(), etree.XMLParser(recover=True))
+    prefixes = sorted({match[1] for match in undeclared if match})[:_MOST_ATTRIBUTES]
+    declared = "".join(f' xmlns:{prefix}="urn:{prefix}"' for prefix in prefixes)
+    start, whole = f"<{root.tag}", etree.tostring(root, encoding="unicode")
+    return etree.fromstring(whole.replace(start, start + declared, 1).encode(), parser)
 
 
 def _joint(element: Any) -> UrdfJoint:
