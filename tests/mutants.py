@@ -189,7 +189,7 @@ MUTANTS = [
     ),
     (
         "least braking of a millisecond", "controllers/limits/torque_limited.py",
-        "min(max(_UNKNOWN / self._dt, own)", "min(max(_UNKNOWN / 1e-3, own)", PERIODS,
+        "min(max(_UNKNOWN / self._dt, damped)", "min(max(_UNKNOWN / 1e-3, damped)", PERIODS,
     ),
     (
         "beyond a limit by ten times as much", "controllers/limits/torque_limited.py",
@@ -511,8 +511,8 @@ MUTANTS = [
     ),
     (
         "saturation at the larger of torques", "controllers/gains/tuning.py",
-        "decides = min(candidates, key=candidates.__getitem__)",
-        "decides = max(candidates, key=candidates.__getitem__)", FIGURES,
+        "gamma[group] = min(distance / 8.0, most / len(self.distance))",
+        "gamma[group] = max(distance / 8.0, most / len(self.distance))", FIGURES,
     ),
     (
         "lag of x without the age of frames", "controllers/gains/gains.py",

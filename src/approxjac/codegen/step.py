@@ -71,18 +71,18 @@ def step_program(controller: Controller, *, may_lose: bool) -> Program:
 def compiled(controller: Controller) -> Any:
     """Return a controller that computes the same to rounding, with its usual steps as machine code.
 
-    A usual step is one whose status is OK, or that of a held x. Whatever is not (x is lost, Ĵ near
-    a singular pose, torques beyond the limits where gravity is learnt, wrong arguments) is left to
-    the controller as it is, from the beginning; so are limits that no torque keeps. Of a
-    `TrackingController` every step is usual. Where limits of speed, position or motion act, a
-    torque is that of Python to 1e-6.
+    A usual step is one whose status is OK, or that of a held x. Any other step (x lost, Ĵ near a
+    singular pose, torques beyond the limits where gravity is learnt, limits that no torque keeps,
+    wrong arguments) runs in Python, from the beginning. All steps of a `TrackingController` are
+    usual. Where limits of speed, position or motion act, torques agree with Python's to 1e-6 of
+    their size.
 
-    Any controller will do whose step takes symbols, that is, which computes with NumPy and without
-    a branch on a value: with a task, camera, saturation or gravity of your own, too, and one of
-    your own. What does not is named in the error.
+    It takes any controller whose step runs on symbols, that is, computes with NumPy and never
+    branches on a value: your own, too, or one with a task, camera, saturation or gravity of your
+    own. The error names what does not.
 
-    It needs llvmlite (`pip install 'approxjac[fast]'`), and some tenths of a second to be built. A
-    copy of it, as another process gets, is built again.
+    It needs llvmlite (`pip install 'approxjac[fast]'`). Building takes some tenths of a second; a
+    copy in another process is built again.
 
     Args:
         controller: The controller.

@@ -32,8 +32,8 @@ class PredictedMeasurement(ControllerWrapper):
     believed Jacobian: for it J = Ĵ, so p = 0 of the paper's Theorem 1, whatever the true arm is.
     With kinematics whose estimates move by θ̂' ∈ L², as those of Theorem A do, s(z) and q̇ go to
     zero, and e with z ("Learning the kinematics" in the documentation). Noise, delay and frames of
-    the sensor are outside the loop. Until x was seen once there is none to predict, and the law
-    does what it does where x is lost; later it goes on with what is predicted.
+    the sensor are outside the loop. Until x was seen once nothing can be predicted, and the
+    law acts as if x were lost; from then on it uses the prediction.
 
     Its state is that of the controller, followed by that of the kinematics.
 

@@ -58,11 +58,11 @@ def setpoint_step(
 ) -> tuple[Array, Array, Any, Array, Array | None, Array | None]:
     """Answer as the laws (5), (6) and (28) do, with a posture and on a path.
 
-    The gains are diagonals, q̇ is (n_v,) and θ̂ (P,).
+    The gains are diagonals, K_p and K_v (m,) and the damping (n_v,); q̇ is (n_v,) and θ̂ (P,).
 
     Returns:
-        τ; the gravity torque in it; whether Ĵ is near singular; q̇, less Ĵ⁺ẋ_d of a target that
-        moves; Ĵ⁺s(e) where something is learnt; that Ĵ⁺ẋ_d. Each of shape (n_v,).
+        τ; the gravity torque in it; whether Ĵ is near singular; q̇ − Ĵ⁺ẋ_d, or q̇ if the target is at
+        rest; Ĵ⁺s(e) if something is learnt; Ĵ⁺ẋ_d. All but the third of shape (n_v,).
     """
     J_hat, s, g, Y, pull, x_dot, v_d = terms
     ratio, scale, _ = singularity

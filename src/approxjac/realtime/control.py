@@ -101,12 +101,12 @@ def control(
     observer: Observer | None = None,
     scheduling: Scheduling | None = None,
 ) -> RobotRun:
-    """Run a controller on a robot, and brake it whatever happens.
+    """Run a controller on a robot, and brake the robot however the run ends.
 
-    It begins only where the robot stands still, is seen, and is held by what the controller would
-    send. The target starts at the tip, as it is seen, and joins the path that is asked for. Every
-    period is looked at for faults (`Fault`). SIGINT, SIGTERM, SIGHUP and SIGQUIT bring it to rest
-    and end the run, a second one brakes at once. A watchdog brakes if the driver hangs.
+    It starts only if the robot stands still, x is measured, and the controller's first command
+    would hold the arm. The target starts at the measured tip and joins the path that is asked for.
+    Every period is checked for faults (`Fault`). SIGINT, SIGTERM, SIGHUP and SIGQUIT bring it to
+    rest and end the run; a second signal brakes at once. A watchdog brakes if the driver hangs.
 
     Args:
         driver: The robot.

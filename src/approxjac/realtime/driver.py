@@ -56,7 +56,7 @@ class Driver(Protocol):
 def read(driver: Driver, task: Task) -> Measurement:
     """Return the next measurement, copied, as drivers may write to the same arrays each time.
 
-    What a mask hides is NaN. Encoders may give angles of continuous joints, too.
+    Masked entries become NaN. Encoders may give angles of continuous joints, too.
 
     Raises:
         InvalidInputError: q, q̇ or x with another number of entries.

@@ -57,15 +57,15 @@ class AdaptiveKinematics(Estimator):
     Learnt are the translations of the tool and of all joint origins, and rotation and offset of a
     camera or tracker, as chosen. What the law controls is the *predicted* x̂, turned back into the
     base frame, so that no estimate of the camera makes Ĵ singular. With a rotation that is known,
-    x̂ → x for any motion whatever, without excitation (Theorem A). With one that is not, all frames
-    say which one is right. An integral offset takes up what the parameters do not explain.
+    x̂ → x for any motion, without excitation (Theorem A). An unknown rotation is found from all
+    frames together. An integral offset takes up what the parameters do not explain.
 
-    Frames are paired with the configuration at which they were taken. A sensor that jumps is passed
-    over; one that was moved, or a tool that slipped, is learnt anew.
+    Frames are paired with the configuration at which they were taken. A jump of the sensor is
+    ignored; if it stays, as after somebody moved the sensor or the tool slipped, it is learnt anew.
 
-    Of a pose R̂_x = R̂ R_f(q) T̂ is learnt, too, the tool's rotation T̂ with that of the tracker. In
-    a `PlanarCamera` x is m times as large; images tell a wrong magnification m from lengths that
-    are wrong by its factor by nothing, so it is learnt as these.
+    Of a pose, the orientation R̂_x = R̂ R_f(q) T̂ is learnt, too, with the rotation T̂ of the tool.
+    For a `PlanarCamera` x is m times as large: images cannot distinguish a wrong magnification m
+    from lengths that are wrong by the same factor, so it is learnt as lengths.
 
     Args:
         task: A `PositionTask` or `TrackerTask` of the believed robot, or a `StackedTask` of them;

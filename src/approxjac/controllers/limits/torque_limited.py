@@ -108,15 +108,15 @@ class TorqueLimited(ControllerWrapper):
     solver fails, joints are braked as hard as motors can, those first that need it most. On a path
     q̇ − Ĵ⁺ẋ_d takes the place of q̇ in y.
 
-    Learning by eq. (29) goes on where the torque is free, or limited such that V̇ ≤ −W holds. Where
-    the proof is given up, joints that are at a limit count as locked: the others go on learning as
-    the arm of these joints does, y = q̇ + α(ĴP)⁺s(e) with P leaving out what is locked, so that an
-    arm that weight has pushed to a stop learns what it needs to leave it. Otherwise θ̂ rests. This
-    takes the place of `AdaptiveGravity.torque_limits`. Dynamics that a `TrackingController` learns
-    rest wherever the proof is given up; its kinematics go on.
+    Adaptation by eq. (29) continues while the torque is free, or limited such that V̇ ≤ −W holds.
+    Where the proof is given up, joints at a limit count as locked, and the arm of the remaining
+    joints adapts, with y = q̇ + α(ĴP)⁺s(e), where P leaves out the locked ones: an arm that its
+    weight has pushed against a stop learns what it needs to leave it. Otherwise θ̂ stays. This
+    takes the place of `AdaptiveGravity.torque_limits`. The dynamics of a `TrackingController` do
+    not adapt while the proof is given up; its kinematics do.
 
-    Its state is that of the controller, followed by what it predicts, where motion is limited, and
-    by the torque of the step before where the rate of torques is.
+    The state is that of the controller, followed by the predicted motion if motion is limited, and
+    by the last torque if the rate of torques is.
 
     Immutable, but it owns scratch memory: one instance a thread.
 
