@@ -3,6 +3,7 @@
 import pytest
 
 import approxjac as aj
+from approxjac.codegen import compiled
 
 
 @pytest.fixture
@@ -11,11 +12,12 @@ def plant(panda):
     return aj.Plant(truth, aj.PositionTask(truth))
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def controller(panda):
+    """As machine code: what is tested is the loop."""
     belief = panda.with_object(0.0)
     law = aj.SetpointController(aj.PositionTask(belief), gravity=aj.AdaptiveGravity(belief))
-    return aj.TorqueLimited(law, aj.Limits.of(belief))
+    return compiled(aj.TorqueLimited(law, aj.Limits.of(belief)))
 
 
 @pytest.fixture

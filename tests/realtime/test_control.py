@@ -193,9 +193,9 @@ def test_a_loop_that_hangs_says_whether_the_state_had_come(plant, controller, wh
             super().send(command)
 
     driver = driver_of(plant, Hanging)
-    hanging, found = copy.copy(controller), []
+    hanging, found = copy.copy(controller.ordinary), []
     if what == "law":
-        step = controller.step
+        step = hanging.step
 
         def slow(*given):
             if len(driver.sent) == 20:
