@@ -31,7 +31,7 @@ from approxjac.view.style import formulas
 def write_bound(bound: JacobianBound, out: Path) -> None:
     """Write fig1.png and fig1.svg: the allowed p against a, its two curves and their crossing."""
     alpha, p, colors = float(np.sqrt(bound.lambda_2)), bound.p_of_figure_4, view.SERIES
-    a = np.linspace(0.0, 4.0 * alpha, 600)[1:]
+    a = np.linspace(0.0, 4.0 * (alpha or 1.0), 600)[1:]  # 0: a singular target allows no error
     velocity = law.allowed_p_velocity(a, alpha, bound.lambda_2)
     position = law.allowed_p_position(a, alpha)
     figure, (ax,) = view.new_figure(size=(6.5, 4.8))
