@@ -75,15 +75,15 @@ def test_report_says_what_each_test_says(report):
     assert (sampled.margins <= in_time.margins(sampled.weights) + 1e-12).all()
     assert sampled.margin > 0.0
     worst, latency = report.samples.take(np.argsort(-report.spectral_radii)[:60]), report.latency
-    certified, exact = (
-        sampled.largest_period(),
-        largest(
-            lambda period: bool(
-                (report.loop.spectral_radii(worst, replace(latency, period=period)) < 1.0).all()
-            ),
-            latency.period,
-        ),
-    )
+
+    def stable(**other):
+        return bool((report.loop.spectral_radii(worst, replace(latency, **other)) < 1.0).all())
+
+    certified = sampled.largest_period()
+    exact = largest(lambda period: stable(period=period), latency.period)
+    delay = sampled.largest_delay()
+    exact_delay = largest(lambda delay: stable(torque_delay=delay), latency.period)
+    assert 0.3 <= delay / exact_delay <= 1.0
     assert 0.6 <= certified / exact <= math.pi / 4.0 + 0.02
     assert certified >= 5e-4
     assert [test.certified for test in report.matrix.values()] == [True]  # none wider was needed
