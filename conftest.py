@@ -1,5 +1,6 @@
 """Runs every code block of the README and the docs as a test."""
 
+import gc
 import os
 import shlex
 import subprocess
@@ -47,6 +48,17 @@ pytest_collect_file = Sybil(
     fixtures=["scratch"],
     setup=lambda namespace: namespace.update(__name__="__main__"),  # as in a file of one's own
 ).pytest()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection():
+    """Let the garbage collector leave alone what stays to the end: modules, and all the tests."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 # Files that take long. A worker gets whole files: these come first, so that in the end both have

@@ -50,7 +50,6 @@ def undisturbed(scheduling: Scheduling) -> Iterator[None]:
         if _loops == 0:
             _usual = sys.getswitchinterval(), gc.isenabled()
             gc.collect()
-            gc.freeze()  # what is there now is looked through no more
             gc.disable()
             sys.setswitchinterval(_SWITCH)
         _loops += 1
@@ -62,7 +61,6 @@ def undisturbed(scheduling: Scheduling) -> Iterator[None]:
             if _loops == 0:
                 switch, collects = _usual
                 sys.setswitchinterval(switch)
-                gc.unfreeze()
                 if collects:
                     gc.enable()
         if before is not None:
