@@ -8,6 +8,7 @@ from arms import ARMS
 from hypothesis import Phase, settings
 
 import approxjac as aj
+from approxjac.codegen.backends.machine_code import MachineCode
 
 IN_CI = bool(os.environ.get("CI"))
 settings.register_profile("default", deadline=None, derandomize=IN_CI, max_examples=20)
@@ -37,6 +38,24 @@ def _cache(tmp_path_factory: pytest.TempPathFactory) -> None:
     base = tmp_path_factory.getbasetemp()
     shared = base if os.environ.get("PYTEST_XDIST_WORKER") is None else base.parent
     os.environ["APPROXJAC_CACHE"] = str(shared / "machine_code")
+
+
+WHOLE = MachineCode.of
+OPTIMISED = ("test_graph.py", "test_lanes.py", "test_loops.py", "test_machine_code.py")
+
+
+def _quickly(text: str, features: str, effort: int = 0) -> MachineCode:
+    return WHOLE(text, features, 0)
+
+
+@pytest.hookimpl(tryfirst=True)  # before fixtures compile something
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Let LLVM optimise for studies and where machine code is what is tested.
+
+    Elsewhere it takes six times as long as it saves; the bits are the same.
+    """
+    optimised = item.path.name in OPTIMISED or item.get_closest_marker("study") is not None
+    MachineCode.of = WHOLE if optimised else _quickly
 
 
 @pytest.fixture(scope="session", params=ARMS)
