@@ -5,7 +5,8 @@ is its own, the force that its integral learns, and how fast errors die out near
 other integral gains: stable up to the dashed line, beyond which rollouts no longer converge.
 
 You will learn: that `step` makes a law, and `lyapunov`, `learnt` and `parameters` the rest: V along
-its runs, plots by name, `local_stability` by linearisation, rollouts and a report.
+its runs, plots by name, `local_stability` by linearisation, rollouts and a report. A step that
+never branches on a value is also compiled, run in lanes and written as C.
 
     python examples/18_a_law_of_your_own.py --out results/examples
 """
@@ -18,6 +19,7 @@ import numpy as np
 
 import approxjac as aj
 from approxjac import view
+from approxjac.codegen import compiled
 
 arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
 arguments.add_argument("--out", type=Path, default=Path("results/examples"))
@@ -71,6 +73,9 @@ run = aj.simulate(plant, law, target, START, 6.0, dt=DT)
 print(f"{law}\n{run}")
 print(f"V from {run.V[0]:.3g} to {run.V[-1]:.3g} J, at most {run.V_dot.max():+.3g} W on the way")
 print(aj.local_stability(plant, law, run.q[-1], dt=DT))
+again = aj.simulate(plant, compiled(law), target, START, 6.0, dt=DT)
+print(f"compiled, torques differ by {np.abs(again.tau - run.tau).max():.0e} N m at most")
+print(aj.export_c(law, out / "own_law"))
 
 errors = aj.Uncertainty(arm, object_length=(0.0, 0.15), object_mass=(0.0, 0.3), object_axis="x")
 late = aj.Latency(period=DT, torque_delay=2e-3)
@@ -92,6 +97,7 @@ for ki in (0.5 * low, 1.5 * low):
     many = replace(study, controller=SpringAndIntegral(task, ki)).rollouts(6)
     shares.append(many.share)
     print(f"ki {ki:.0f} (stable up to {low:.0f}): {many.n_converged} of {many.n} runs converge")
+print(f"they ran in: {many.setting.engine}")
 
 figure, axes = view.new_figure(2, 2, title="A spring, a damper and an integral")
 view.plot_error(run, axes[0])
