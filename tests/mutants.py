@@ -24,6 +24,7 @@ FIGURES = "tests/controllers/test_documented_figures.py"
 STARTS = "tests/realtime/test_fast_starts.py"
 FORM = "tests/law/test_sampled_form.py"
 BOUNDS = "tests/controllers/test_learning_bounds.py"
+GATE = "tests/controllers/test_gate.py"
 
 # name, file, text that is there once, text instead, tests that must fail
 MUTANTS = [
@@ -531,6 +532,44 @@ MUTANTS = [
     (
         "posture in the task's way", "law/tracking.py",
         "w = solve(u - dot(J_hat, null))", "w = solve(u)", "tests/law/test_tracking.py",
+    ),
+    # -- those that a stranger found surviving
+    (
+        "jumps that disagree count", "controllers/learning/estimator.py",
+        "count = law.select(agrees, numbers[0] + 1.0, 1.0)", "count = numbers[0] + 1.0", GATE,
+    ),
+    (
+        "covariance by the root of chi squared", "controllers/learning/estimator.py",
+        "P = P * wider", "P = P * math.sqrt(wider)", GATE,
+    ),
+    (
+        "lag learns while its command is limited", "controllers/tracking.py",
+        "return law.select(law.all_of(sent == wanted), lag, state), sent", "return lag, sent",
+        "tests/controllers/test_tracking.py",
+    ),
+    (
+        "frame is new by its last part", "law/steps.py",
+        "any_new = any_new | is_new", "any_new = is_new",
+        "tests/controllers/test_measurement_hold.py",
+    ),
+    (
+        "depth of zero is one", "tasks/image.py",
+        "law.select(Z > 0.0, place, nowhere)", "law.select(Z >= 0.0, place, nowhere)",
+        "tests/tasks/test_image.py",
+    ),
+    (
+        "actuators beside a servo are not late", "simulation/simulate.py",
+        "delay + plant.servo.delay", "plant.servo.delay",
+        "tests/simulation/test_velocity_servo.py",
+    ),
+    (
+        "images of own laws as late as one", "stability/report/other_laws.py",
+        "x_delay=latency.image_age + 0.5 * latency.image_period,", "x_delay=latency.image_age,",
+        "tests/stability/test_own_laws.py",
+    ),
+    (
+        "another part of x is lost", "scenario/build.py",
+        "(given.lost_part - 1,)", "(given.lost_part,)", "tests/scenario/test_images.py",
     ),
 ]  # fmt: skip
 

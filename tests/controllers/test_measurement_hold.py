@@ -20,6 +20,7 @@ DT = 1e-3
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 V = np.array([0.1, -0.3, 0.2, 0.4, 0.1, -0.2, 0.3])
 LOST = np.full(3, np.nan)
+GAINS = aj.Gains(100.0, 20.0, 1.0)
 
 
 @pytest.fixture(scope="module")
@@ -237,6 +238,29 @@ def test_parts_are_held_one_by_one(pair):
     assert answer.status is Status.MEASUREMENT_LOST
     assert_array_equal(np.isnan(answer.e), [True, True, True, False])
     assert_same(loop.step(x + 1e-3), loop.alone(x + 1e-3))
+
+
+@pytest.mark.parametrize("lost", [0, 1, 2])
+def test_a_frame_is_seen_once_whichever_of_its_points_is_lost(panda, lost):
+    """By t_x; what comes again, or was overtaken, is held, and so is what is in none."""
+    points = {"panda_link4": "y", "panda_link6": "xz", "panda_hand_tcp": "xy"}
+    three = aj.StackedTask(*(aj.PositionTask(panda, *each) for each in points.items()))
+    x, gone = three.value(START), np.array([0, 1, 1, 2, 2]) == lost
+    loop = Loop(aj.HeldMeasurement(aj.SetpointController(three, GAINS), 0.1), x, x + 0.05)
+    loop.step(x, 0.0)
+    frame = np.where(gone, np.nan, x + 1e-3)
+    seen = np.where(gone, x, frame)
+    for t_x, status in ((0.1, Status.OK), (0.1, Status.MEASUREMENT_HELD), (0.2, Status.OK)):
+        answer = loop.step(frame, t_x)
+        assert answer.status is status
+        assert_same(answer, loop.alone(seen))
+    for t_x in (0.2, 0.15):
+        answer = loop.step(x + 2e-3, t_x)
+        assert answer.status is Status.MEASUREMENT_HELD
+        assert_same(answer, loop.alone(seen))
+    assert loop.step(np.full(5, np.nan), 0.3).status is Status.MEASUREMENT_HELD
+    assert loop.step(x + 2e-3, 0.25).status is Status.OK  # nothing was seen at 0.3
+    assert_same(loop.step(frame, 0.26), loop.alone(np.where(gone, x + 2e-3, frame)))
 
 
 def test_the_controller_has_the_last_word_on_the_status(panda):

@@ -21,6 +21,7 @@ from approxjac.controllers.adaptive_dynamics import (
     usual_motions,
 )
 from approxjac.controllers.limits.limits import sure_deceleration
+from approxjac.controllers.tracking import VelocityCommand
 from approxjac.robots import Dynamics, Robot
 from approxjac.robots.dynamics import DynamicsRegressor
 from approxjac.simulation import VelocityServo
@@ -445,6 +446,31 @@ def test_noise_of_the_velocity_is_no_lag():
     controller = known(task, command="velocity", dt=dt)
     run = aj.simulate(plant, controller, circle(task, q0), q0, 6.0, dt=dt)
     assert controller.learnt(run.state[-1]) == pytest.approx([0.052], abs=6e-3)
+
+
+@pytest.mark.parametrize("limited", ["", "acceleration", "speed", "position", "of one joint"])
+def test_a_lag_is_learnt_where_the_command_is_what_was_wanted_and_nowhere_else(panda, limited):
+    limits, dt = aj.Limits.of(panda).for_joints(7), 4e-3
+    command = VelocityCommand(panda, limits, dt)
+    q, v_r, w, lag = STARTS["panda"], np.full(7, 0.1), np.full(7, 2.0), np.array([0.02])
+    wanted = v_r + lag * w
+    v, before = v_r - 0.05, wanted.copy()
+    if limited == "acceleration":
+        before = wanted - 2.0 * dt * command.acceleration
+    if limited == "of one joint":
+        before[3] -= 2.0 * dt * command.acceleration[3]
+    if limited == "speed":
+        v_r = before = 1.1 * np.asarray(limits.velocity)
+    if limited == "position":
+        q = limits.position[1] - 1e-3
+    after, sent = command.step(lag, q, v, v_r, w, before)
+    reached = np.full(7, not limited)
+    if limited == "of one joint":
+        reached = np.arange(7) != 3
+    assert_array_equal(sent == v_r + lag * w, reached)
+    rate = -w @ (v - v_r)  # of V₃, with a gain of one
+    assert rate > 0.5
+    assert_allclose(after, lag if limited else lag + dt * rate, rtol=1e-12)
 
 
 # -- what is taken and what is refused ------------------------------------------------------------

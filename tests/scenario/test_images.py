@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 from scenarios import HOME, camera
 
@@ -86,6 +86,16 @@ def test_without_images_the_arm_stops_and_goes_on_after(done, outage):
     assert lost[(t > start) & (t < end)].all()
     assert np.abs(result.run.v[np.argmax(t >= 1.29)]).max() < 0.5
     assert result.converged  # and it goes on
+
+
+def test_the_point_that_is_said_to_be_lost_is():
+    lost = {"lost": (0.0, 0.5), "lost_part": 1, "delay": 0.0}
+    scenario = camera(task={"points": 3}, sensor=lost, believed=NEARLY)
+    built, dt = build_scenario(scenario), scenario.loop.dt
+    run = aj.simulate(built.plant, built.controller, built.target, built.q0, 4 * dt, dt=dt)
+    seen = np.isfinite(run.x_measured.reshape(-1, 3, 2))
+    assert_array_equal(seen.all(axis=(0, 2)), [False, True, True])
+    assert not seen[:, 0].any()
 
 
 def test_the_believed_camera_differs_as_the_scenario_says():

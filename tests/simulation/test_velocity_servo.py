@@ -105,6 +105,24 @@ def test_a_command_is_taken_at_the_servos_period_and_held(panda, period, delay):
     assert_allclose(run.v, np.tile(expected, (7, 1)).T, atol=1e-6)
 
 
+@pytest.mark.parametrize("late", [(12, 0), (4, 8)])
+@pytest.mark.parametrize("dt", [1e-3, 4e-3])
+def test_the_delays_of_actuators_and_of_their_servo_add_up(panda, late, dt):
+    of_actuators, of_servo = (1e-3 * each for each in late)
+    plant, alone = (
+        aj.Plant(panda, servo=VelocityServo(delay=delay, period=dt), actuator_delay=more)
+        for delay, more in ((of_servo, of_actuators), (12e-3, 0.0))
+    )
+    run, expected = (
+        driven(each, lambda t: np.full(7, np.cos(20.0 * t)), START, 0.04, dt)[0]
+        for each in (plant, alone)
+    )
+    assert_array_equal(run.v, expected.v)
+    assert_array_equal(run.tau, expected.tau)
+    moves = np.abs(run.v).max(axis=1) > 1e-9
+    assert run.t[moves][0] == pytest.approx(12e-3 + dt)
+
+
 def test_the_arm_rests_until_the_first_command_acts(panda):
     plant = aj.Plant(panda, servo=VelocityServo(delay=0.05), **ROUGH)
     run, _ = driven(plant, constant(1.0, 7), START, duration=0.05)

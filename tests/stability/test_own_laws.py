@@ -10,6 +10,7 @@ from scipy.linalg import expm
 import approxjac as aj
 from approxjac.controllers import DifferentiatedVelocity, Posture
 from approxjac.stability.loop import linearization as local_module
+from approxjac.stability.report.other_laws import near_targets
 
 GOAL = np.array([0.5, 1.2])
 
@@ -266,6 +267,19 @@ def test_a_report_of_ones_own_law_says_which_tests_apply():
     alone = aj.local_stability(plant, study.controller, report.local.q[k], 2e-3)
     assert alone.decay_rate == report.local.decay_rates.min()
     assert alone.damping_ratio == report.local.damping_ratios[k]
+
+
+def test_near_targets_an_image_is_late_by_half_the_time_between_them_too():
+    def rates(**latency):
+        found, refused = near_targets(setting, aj.Latency(period=2e-3, **latency), 2)
+        assert not refused
+        return found.decay_rates
+
+    setting = study_of(TaskSpacePD, seed=1).setting()
+    for age in (0.0, 0.01):
+        as_age = rates(image_age=age + 0.02)
+        assert_allclose(rates(image_age=age, image_period=0.04), as_age, rtol=1e-12)
+        assert (np.abs(rates(image_age=age) - as_age) > 1e-3 * as_age).all()
 
 
 def test_a_report_finds_what_speaks_against_a_law():

@@ -173,6 +173,20 @@ def test_lost_images_are_replaced_by_what_the_belief_sees(panda, rng, depth):
     assert_allclose(task.jacobian(q, np.full(task.n_x, np.nan)), task.jacobian(q))
 
 
+@pytest.mark.parametrize("depth", [0.0, -0.0, -1.0, np.nan, -np.inf])
+def test_a_depth_that_is_none_is_taken_as_the_belief_has_it(panda, rng, depth):
+    """As cameras say that they measured none; of the other point it is as measured."""
+    q = panda.random_configuration(rng)
+    task, believed = (watching(panda, q, points=2, depth=each) for each in ("measured", "believed"))
+    x = task.value(q) * [1.0, 1.0, 1.0, 1.0, 1.0, 1.2]
+    as_measured, as_believed = task.jacobian(q, x), believed.jacobian(q)
+    x[2] = depth
+    J = task.jacobian(q, x)
+    assert_allclose(J[:2], as_believed[:2], rtol=1e-12)
+    assert_allclose(J[2:], as_measured[2:], rtol=1e-12)
+    assert np.abs(J[2:] - as_believed[2:]).max() > 0.1 * np.abs(J[2:]).max()
+
+
 def test_the_believed_depth_needs_no_measurement(panda, rng):
     q = panda.random_configuration(rng)
     task = watching(panda, q)
