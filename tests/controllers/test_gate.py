@@ -5,7 +5,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
+from approxjac import law
 from approxjac.controllers import AdaptiveKinematics
+from approxjac.robots import KinematicRegressor
+from approxjac.tasks import TrackerTask
 
 RATE, REST = 60.0, np.zeros(2)
 AT = np.array([0.4, -0.9])
@@ -46,12 +49,15 @@ def assert_nothing_learnt(kinematics, state, before):
     assert_array_equal(new.covariance, old.covariance)
 
 
+# -- which frames --------------------------------------------------------------------------------
+
+
 def test_jumps_that_agree_are_believed_at_the_eighth(kinematics, settled):
     state, x = settled
     assert_nothing_learnt(kinematics, shown(kinematics, [x + JUMP] * 7, state, 20), state)
     after = shown(kinematics, [x + JUMP] * 8, state, 20)
     assert kinematics.report(after).restarts == 1
-    assert np.abs(kinematics.learnt(after) - kinematics.learnt(state)).max() > 0.01
+    assert np.abs(kinematics.learnt(after) - kinematics.learnt(state)).max() > 5e-3
 
 
 def test_jumps_that_disagree_teach_nothing_however_many(kinematics, settled):
@@ -67,6 +73,66 @@ def test_what_comes_between_jumps_ends_their_agreement(kinematics, settled, betw
     after = shown(kinematics, [*[x + JUMP] * 7, other, *[x + JUMP] * 7], state, 20)
     assert kinematics.report(after).restarts == 0
     assert_allclose(kinematics.learnt(after), kinematics.learnt(state), atol=1e-9)
+
+
+def test_a_state_that_is_gone_on_with_takes_the_first_x_as_it_is(kinematics, settled):
+    """Nobody knows how long ago it was, nor what was done to the sensor meanwhile."""
+    state, x = settled
+    here = aj.Measurement(0.0, AT, REST, x + JUMP, 0.0)
+    after = shown(kinematics, [x + JUMP], kinematics.resumed(state, here))
+    assert kinematics.report(after).restarts == 0
+    assert np.abs(kinematics.learnt(after) - kinematics.learnt(state)).max() > 5e-3
+
+
+def test_frames_count_for_the_time_since_the_one_before(kinematics, settled):
+    state, x = settled
+    assert kinematics.report(state).seconds == pytest.approx(19.0 / RATE)
+    lost = shown(kinematics, [x * np.nan] * 3, state, 20)
+    assert kinematics.report(shown(kinematics, [x], lost, 23)).seconds == pytest.approx(23.0 / RATE)
+    much_later = shown(kinematics, [x], lost, 200)
+    assert kinematics.report(much_later).seconds == pytest.approx(19.0 / RATE + 0.1)
+
+
+def test_frames_closer_than_4_ms_count_as_one(kinematics, settled):
+    state, x = settled
+    seen = aj.Measurement(1.0, AT, REST, x + 1e-3, 1.0)
+    once = kinematics.step(state, seen, 1e-3)
+    soon, late = (
+        kinematics.step(once, seen._replace(t=t, t_x=t, x=x - 1e-3), 1e-3) for t in (1.003, 1.005)
+    )
+    assert_nothing_learnt(kinematics, soon, once)
+    assert kinematics.report(late).seconds > kinematics.report(once).seconds
+
+
+@pytest.mark.parametrize("age", [0.0, 0.004, 0.013, 0.2])
+def test_a_frame_is_of_the_configuration_at_which_it_was_taken(kinematics, arm, age):
+    """Between those that are remembered, too: of an arm in motion, whose x is late and exact."""
+    dt, speed, state = 2e-3, np.array([1.0, -1.5]), None
+    for k in range(400):
+        t, taken = k * dt, max(k * dt - age, 0.0)
+        x = kinematics.task.value(AT + taken * speed)
+        seen = aj.Measurement(t, AT + t * speed, speed, x, taken)
+        state = kinematics.initial_state(seen) if state is None else state
+        state = kinematics.step(state, seen, dt)
+    believed = [row.believed for row in kinematics.report(state).rows]
+    assert_allclose(kinematics.learnt(state), believed, atol=1e-5)
+
+
+@pytest.mark.parametrize("dt", [1e-3, 0.05, 0.2])
+def test_what_is_predicted_follows_what_is_learnt_without_swinging_at_any_period(kinematics, dt):
+    x = kinematics.task.value(AT)
+    seen, away = aj.Measurement(0.0, AT, REST, x, 0.0), []
+    state = kinematics.initial_state(seen)
+    for k in range(1, 31 if dt > 0.01 else 401):
+        seen = aj.Measurement(k * dt, AT, REST, x + [5e-3, 0.0], k * dt)
+        state = kinematics.step(state, seen, dt)
+        away.append(kinematics.predict(state, AT, REST, aj.Target(seen.x)).z[0])
+    assert away[0] < -2e-3
+    assert (np.diff(np.abs(away)) <= 1e-6).all()
+    assert abs(away[-1]) < 1e-3
+
+
+# -- how sure they are ---------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("residual", ["noise", "more noise", "what nothing explains"])
@@ -99,3 +165,40 @@ def test_residuals_beyond_what_was_told_widen_the_covariance_as_they_are(arm, re
     for wide, narrow in zip(wrong.rows, clean.rows, strict=True):
         assert wide.sd == pytest.approx(np.sqrt(wider) * narrow.sd)
         assert wide.share == pytest.approx(narrow.share)
+
+
+@pytest.mark.parametrize("kind", ["turned", "turned in the plane", "of a known tracker"])
+def test_where_x_was_seen_it_is_known_well_although_no_number_is(arm, panda, kind):
+    """The covariance of x̂ = R p + b by that of tool, rotation and offset, which belong together."""
+    in_plane = kind == "turned in the plane"
+    robot, axes = (arm, "xz") if in_plane else (panda.with_object(0.1), "xyz")
+    truth, turns = aj.PositionTask(robot, axes=axes), kind != "of a known tracker"
+    task, R, b = truth, law.rotation_exp(np.array([0.7] if in_plane else [0.5, -0.4, 0.9])), 0.1
+    if not turns:
+        task = TrackerTask(robot, [0.5, -0.4, 0.9], [0.1, 0.1, 0.1])
+    kinematics = AdaptiveKinematics(task, ("tool", "camera" if turns else "offset"))
+    rng, q_0, state = np.random.default_rng(1), 0.4 * np.arange(1.0, robot.nv + 1.0), None
+    for k in range(40):
+        q = q_0 + 0.02 * rng.standard_normal(robot.nv)
+        seen = aj.Measurement(k / RATE, q, 0.0 * q, R @ truth.value(q) + b, k / RATE)
+        state = kinematics.initial_state(seen) if state is None else state
+        state = kinematics.step(state, seen, 1.0 / RATE)
+    learnt = dict(zip(kinematics.names, kinematics.learnt(state), strict=True))
+    report = kinematics.report(state)
+    if turns:
+        turn = [value for name, value in learnt.items() if name.startswith("camera.")]
+        R = law.rotation_exp(np.array(turn))
+
+    def sd_of_x(q):
+        rows, d = ["xyz".index(axis) for axis in axes], len(axes)
+        p = R @ aj.PositionTask(kinematics.robot(state), axes=axes).value(q)
+        tool = R @ KinematicRegressor(robot).Y(q)[:, -3:][rows]
+        J = [tool, np.eye(d)] + ([(law.generators(d) @ p).T] if turns else [])
+        J = np.concatenate(J, axis=1)
+        assert J.shape[1] == len(report.covariance)
+        return np.sqrt(np.diag(J @ report.covariance @ J.T))
+
+    known = sd_of_x(q_0).max()
+    assert known < 1.2 * kinematics.noise / np.sqrt(40)
+    assert sd_of_x(-q_0).max() > 5.0 * known
+    assert min(row.sd for row in report.rows if "offset" in row.name) > 5.0 * known

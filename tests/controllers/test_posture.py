@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 
 import approxjac as aj
 from approxjac.controllers import AwayFromStops, Posture, RegressorGravity
+from approxjac.controllers.gains.tuning import slow_rate
 from approxjac.robots import GravityRegressor
 
 START = {
@@ -193,13 +194,15 @@ def test_near_a_singular_posture_it_fades_out_and_still_leaves_the_task_alone():
 
 @pytest.mark.parametrize("name", among("panda", "xarm7", "pr2_left_arm"))
 def test_joints_near_their_stops_are_pushed_inwards_within_the_null_space(name, rng):
+    """As fast as the task's slow pole is, each by its own damping."""
     robot = aj.load_robot(name)
-    task, gains = aj.PositionTask(robot), aj.Gains(400.0, 80.0, damping=1.0)
+    damping = np.linspace(0.5, 2.0, robot.nv)
+    task, gains = aj.PositionTask(robot), aj.Gains(400.0, 80.0, damping)
     plain = aj.SetpointController(task, gains)
     pushed = aj.SetpointController(task, gains, posture=AwayFromStops(0.2))
     lower, upper = robot.position_limits
     width = np.minimum(0.2 * (upper - lower), 0.6)
-    near_ones = 0
+    near_ones, rate = 0, slow_rate(task, plain.diagonals)
     for _ in range(60):
         q, v = robot.random_configuration(rng), rng.uniform(-1, 1, robot.nv)
         J_hat = task.jacobian(q)
@@ -213,7 +216,8 @@ def test_joints_near_their_stops_are_pushed_inwards_within_the_null_space(name, 
         motion = pin.difference(robot.model, robot.neutral(), q)
         deep = np.maximum(lower + width - motion, 0.0) - np.maximum(motion - upper + width, 0.0)
         assert_allclose(J_hat @ push, np.zeros(3), atol=1e-9)
-        assert push @ deep >= -1e-9  # towards the middle of the joints' ranges, on the whole
+        N = np.eye(robot.nv) - np.linalg.pinv(J_hat) @ J_hat
+        assert_allclose(push, N @ (rate * damping * deep), atol=1e-9)
         assert np.any(push) == (np.abs(deep).max() > 0.0)
         near_ones += np.any(deep)
     assert near_ones > 5

@@ -35,17 +35,18 @@ def test_of_a_robot_that_compensates_itself_no_weight_is_predicted(panda):
     assert_allclose(prediction.forward(rest, np.zeros(7), np.zeros(7)), 0.0, atol=1e-9)
 
 
-def test_periods_show_what_the_believed_arm_lacks(panda):
+@pytest.mark.parametrize("dt", [DT, 4e-3])
+def test_periods_show_what_the_believed_arm_lacks(panda, dt):
     """A constant lack of q̈ is found as a filter of the rate does, 1 − (1 − rate dt)ᵏ."""
-    prediction = AccelerationObserver(law_of(panda, aj.AdaptiveGravity(panda)), DT, RATE)
+    prediction = AccelerationObserver(law_of(panda, aj.AdaptiveGravity(panda)), dt, RATE)
     lack, v, memory = np.linspace(-3.0, 3.0, 7), np.zeros(7), prediction.nothing
     for k in range(60):
-        measurement = measured(Q, v, k * DT)
+        measurement = measured(Q, v, k * dt)
         residual = prediction.residual(memory, measurement)
-        assert_allclose(residual, lack * (1.0 - (1.0 - RATE * DT) ** k), atol=1e-9)
+        assert_allclose(residual, lack * (1.0 - (1.0 - RATE * dt) ** k), atol=1e-9)
         f = prediction.forward(measurement, np.zeros(7), np.zeros(7))
         memory = prediction.expecting(measurement, f, residual)
-        v = v + DT * (f + lack)
+        v = v + dt * (f + lack)
 
 
 @pytest.mark.parametrize("t", [-1.0, 0.0, 3.0 * DT, 1e9, np.inf, np.nan])

@@ -5,7 +5,7 @@ from types import FunctionType, ModuleType
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac.controllers import DifferentiatedVelocity, ModelGravity, RegressorGravity
@@ -15,6 +15,7 @@ from approxjac.law import Sine, Tanh
 from approxjac.paper import experiments as paper
 from approxjac.robots import Dynamics, GravityRegressor
 from approxjac.scenario import Scenario, build_scenario
+from approxjac.tasks import CombinedTask
 
 TARGET = np.array([0.4, 0.1, 0.5])
 
@@ -127,6 +128,73 @@ def test_adaptation_is_eq_29(panda, rng):
         assert_allclose(answer.state_rate, -dense @ regressor.Z(measurement.q).T @ y)
         assert_allclose(answer.J_hat, J_hat)
         assert_allclose(controller.learnt(np.arange(12.0)), np.arange(12.0))
+
+
+def behind(controller, measurement):
+    """A first state, of which the differentiator of law (5) has an x from 2 mm away."""
+    state = controller.initial_state(measurement)
+    if controller.velocity is not None:
+        state[-3:] -= [0.002, -0.001, 0.003]
+    return state
+
+
+def measured_velocity(controller, measurement, state):
+    """Ẋ as the law has it."""
+    if controller.velocity is None:
+        return controller.task.jacobian(measurement.q) @ measurement.v
+    return (measurement.x - state[-3:]) / controller.velocity.time_constant
+
+
+def test_on_a_path_the_motion_is_relative_to_it(controller, panda, rng):
+    """In the torque of every law, and in what learns; and where x is lost it is at rest."""
+    measurement, v_d = near(panda, rng), np.array([0.3, -0.2, 0.1])
+    state = behind(controller, measurement)
+    answer = controller.evaluate(state, measurement, aj.Target(TARGET, v_d))
+    J_hat = controller.task.jacobian(measurement.q)
+    reference = np.linalg.pinv(J_hat) @ v_d
+    assert_allclose(answer.reference, reference)
+    relative = measurement._replace(v=measurement.v - reference)
+    x_dot = measured_velocity(controller, measurement, state) - v_d
+    expected = expected_torque(controller, relative, x_dot, answer.gravity)
+    assert_allclose(answer.torque, expected)
+    s = controller.saturation.s(measurement.x - TARGET)
+    if (learning := controller.adaptation) is not None:
+        y = relative.v + learning.alpha * np.linalg.pinv(J_hat) @ s
+        rate = -learning.L * (learning.Y(measurement.q, J_hat).T @ y)
+        assert_allclose(answer.state_rate[: controller.resting], rate)
+    lost = measurement._replace(x=np.full(3, np.nan))
+    for_good, on_path = (
+        controller.evaluate(state, lost, target) for target in (TARGET, aj.Target(TARGET, v_d))
+    )
+    assert_array_equal(on_path.torque, for_good.torque)
+    assert_array_equal(on_path.state_rate, for_good.state_rate)
+
+
+def test_the_velocity_of_a_target_is_of_what_is_measured_however_it_is_combined(panda, rng):
+    """In other axes, with one gain for all, a law is the same."""
+    task, turned = aj.PositionTask(panda), np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    measurement, target = near(panda, rng), aj.Target(TARGET, np.array([0.3, -0.2, 0.1]))
+    one, other = (
+        aj.SetpointController(each, aj.Gains(400.0, 80.0, 1.0)).evaluate(
+            np.zeros(0), measurement, target
+        )
+        for each in (task, CombinedTask(task, turned))
+    )
+    assert_allclose(other.torque, one.torque)
+    assert_allclose(other.reference, one.reference)
+
+
+@pytest.mark.parametrize("seen", [True, False])
+def test_the_torque_of_the_task_is_what_gravity_and_damping_leave(controller, panda, rng, seen):
+    measurement = near(panda, rng)
+    state, x = behind(controller, measurement), measurement.x
+    if not seen:
+        measurement = measurement._replace(x=np.full(3, np.nan))
+    answer, dynamics = controller.evaluate(state, measurement, TARGET), Dynamics(panda)
+    at = Instant(measurement.q, measurement.v, x - TARGET, TARGET, state, answer, dynamics)
+    damped = controller.diagonals.damping * measurement.v
+    expected = answer.torque - answer.gravity + damped
+    assert_allclose(controller.task_torque(at), expected, atol=1e-9)
 
 
 def test_a_singular_pose_is_reported_and_the_rate_stays_bounded(two_link):

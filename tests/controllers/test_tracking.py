@@ -21,7 +21,7 @@ from approxjac.controllers.adaptive_dynamics import (
     usual_motions,
 )
 from approxjac.controllers.limits.limits import sure_deceleration
-from approxjac.controllers.tracking import VelocityCommand
+from approxjac.controllers.tracking import RestConfiguration, VelocityCommand
 from approxjac.robots import Dynamics, Robot
 from approxjac.robots.dynamics import DynamicsRegressor
 from approxjac.simulation import VelocityServo
@@ -272,6 +272,24 @@ def test_the_self_motion_goes_to_the_posture(panda):
     assert run.error_norm[-1] < 1e-4
 
 
+def test_self_motion_is_drawn_to_a_posture_the_short_way_round(rng):
+    """Of continuous joints by the sine of the angle; and its rate is that of the motion."""
+    robot = aj.load_robot("kinova")
+    task = aj.PositionTask(robot)
+    wanted, q = (robot.random_configuration(rng) for _ in range(2))
+    away = pin.difference(robot.model, wanted, q)
+    turns = np.isinf(robot.position_limits[0])
+    assert 0 < turns.sum() < 6
+    away = np.where(turns, np.sin(away), away)
+    rest = RestConfiguration(task, wanted, 1.5)
+    v, h = rng.normal(size=6), 1e-6
+    n_0, rate = rest.velocity(q, v)
+    assert_allclose(n_0, -1.5 * away / np.sqrt(1.0 + ((3.0 * away) ** 2).sum()), rtol=1e-12)
+    after, before = (rest.velocity(pin.integrate(robot.model, q, s * h * v), v)[0] for s in (1, -1))
+    assert_allclose(rate, (after - before) / (2.0 * h), atol=1e-7)
+    assert_allclose(rest.velocity(wanted, v)[0], np.zeros(6), atol=1e-15)
+
+
 def test_joints_that_turn_a_whole_turn_are_drawn_nowhere():
     """The middle of their ranges would be an arm that is stretched out."""
     ur5 = aj.load_robot("ur5")
@@ -449,28 +467,73 @@ def test_noise_of_the_velocity_is_no_lag():
 
 
 @pytest.mark.parametrize("limited", ["", "acceleration", "speed", "position", "of one joint"])
-def test_a_lag_is_learnt_where_the_command_is_what_was_wanted_and_nowhere_else(panda, limited):
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_lag_is_learnt_where_the_command_is_what_was_wanted_and_nowhere_else(
+    panda, limited, side
+):
     limits, dt = aj.Limits.of(panda).for_joints(7), 4e-3
     command = VelocityCommand(panda, limits, dt)
-    q, v_r, w, lag = STARTS["panda"], np.full(7, 0.1), np.full(7, 2.0), np.array([0.02])
-    wanted = v_r + lag * w
-    v, before = v_r - 0.05, wanted.copy()
+    q, v_r, w, lag = STARTS["panda"], side * np.full(7, 0.1), side * np.full(7, 2.0), 0.02
+    wanted, change = v_r + lag * w, dt * command.acceleration
+    v, before, expected = v_r - side * 0.05, wanted.copy(), wanted.copy()
     if limited == "acceleration":
-        before = wanted - 2.0 * dt * command.acceleration
+        before = wanted - side * 2.0 * change
+        expected = before + side * change
     if limited == "of one joint":
-        before[3] -= 2.0 * dt * command.acceleration[3]
+        before[3] -= side * 2.0 * change[3]
+        expected[3] = before[3] + side * change[3]
     if limited == "speed":
-        v_r = before = 1.1 * np.asarray(limits.velocity)
+        v_r = before = side * 1.1 * np.asarray(limits.velocity)
+        v, expected = v_r - side * 0.05, side * np.asarray(limits.velocity)
+        expected = np.where(np.abs(before - expected) > change, before - side * change, expected)
     if limited == "position":
-        q = limits.position[1] - 1e-3
-    after, sent = command.step(lag, q, v, v_r, w, before)
-    reached = np.full(7, not limited)
-    if limited == "of one joint":
-        reached = np.arange(7) != 3
-    assert_array_equal(sent == v_r + lag * w, reached)
+        low, high = limits.position
+        q, before = (high - 1e-3 if side > 0.0 else low + 1e-3), 0.0 * v
+        expected = side * np.minimum(5e-3, change)  # 5/s of what is left
+    after, sent = command.step(np.array([lag]), q, v, v_r, w, before)
+    assert_allclose(sent, expected, rtol=1e-9)
     rate = -w @ (v - v_r)  # of V₃, with a gain of one
     assert rate > 0.5
     assert_allclose(after, lag if limited else lag + dt * rate, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("faster", "end"), [(0.5, 0.0), (-0.5, 0.1)])
+def test_a_lag_is_learnt_within_what_servos_have(panda, faster, end):
+    limits = aj.Limits.of(panda).for_joints(7)
+    command, lag = VelocityCommand(panda, limits, 4e-3), np.array([0.05])
+    v_r, w = np.full(7, 0.1), np.full(7, 2.0)
+    for _ in range(10):
+        before = v_r + lag * w
+        lag, _ = command.step(lag, STARTS["panda"], v_r + faster, v_r, w, before)
+    assert lag == [end]
+
+
+def test_the_first_command_goes_on_from_the_speed_that_there_is(panda):
+    task, q, v = aj.PositionTask(panda), STARTS["panda"], np.linspace(-0.5, 0.5, 7)
+    controller = known(task, command="velocity", dt=4e-3)
+    here = measured(task, q, v)
+    change = 4e-3 * VelocityCommand(panda, aj.Limits.of(panda).for_joints(7), 4e-3).acceleration
+    for state in (
+        controller.initial_state(here),
+        controller.resumed(controller.initial_state(measured(task, q)), here),
+    ):
+        _, answer = controller.step(state, here, here.x, 4e-3)
+        assert (np.abs(answer.torque - v) <= change + 1e-12).all()
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_beside_continuous_joints_others_are_slowed_down_at_their_stops(side):
+    robot = aj.load_robot("kinova")
+    limits, ends = aj.Limits.of(robot).for_joints(6), robot.position_limits
+    command = VelocityCommand(robot, limits, 8e-3)
+    with_stops = np.isfinite(ends[0])
+    assert with_stops.any()
+    assert not with_stops.all()
+    angles = np.where(with_stops, ends[1] if side > 0.0 else ends[0], 2.0) - side * 1e-3
+    v_r = side * np.full(6, 0.05)
+    _, sent = command.step(np.zeros(1), robot.configuration(angles), v_r, v_r, np.zeros(6), v_r)
+    slowed = np.maximum(5e-3, 0.05 - 8e-3 * command.acceleration)
+    assert_allclose(side * sent, np.where(with_stops, slowed, 0.05), rtol=1e-9)
 
 
 # -- what is taken and what is refused ------------------------------------------------------------
@@ -586,6 +649,34 @@ def test_told_rotors_are_in_the_gain_and_in_what_is_learnt(panda):
     regressor = controller.dynamics.regressor
     rotors = controller.dynamics.initial_state()[regressor.links : regressor.links + 7]
     assert_array_equal(rotors, 0.1)
+
+
+@pytest.mark.parametrize("kind", [ModelDynamics, AdaptiveDynamics])
+def test_told_rotors_are_in_the_torque_of_a_motion(panda, rng, kind):
+    q, (v, v_r, a_r) = STARTS["panda"], rng.normal(size=(3, 7))
+    rotors = np.linspace(0.1, 0.4, 7)
+    dynamics, arm = kind(panda, rotor_inertia=rotors), Dynamics(panda)
+    state = dynamics.initial_state()
+    after, torque, g = dynamics.step(state, q, v, v_r, a_r, False, 1e-3)
+    expected = (arm.M(q) + np.diag(rotors)) @ a_r + arm.C(q, v) @ v_r + arm.g(q)
+    assert_allclose(torque, expected, atol=1e-9)
+    assert_allclose(g, arm.g(q), atol=1e-9)
+    assert_allclose(dynamics.gravity(state, q), arm.g(q), atol=1e-9)
+    assert_array_equal(after, state)
+
+
+def test_what_is_learnt_in_a_step_is_in_its_torque(panda, rng):
+    q, (v, v_r, a_r), dt = STARTS["panda"], rng.normal(size=(3, 7)), 4e-3
+    dynamics = AdaptiveDynamics(panda, rotor_inertia=0.1)
+    state, Y_d = dynamics.initial_state(), dynamics.regressor.Y_d(q, v, v_r, a_r)
+    after, torque, g = dynamics.step(state, q, v, v_r, a_r, True, dt)
+    change = -dt * dynamics.gamma * (Y_d.T @ (v - v_r))
+    joints = slice(dynamics.regressor.links, dynamics.regressor.links + 21)
+    change[joints] = np.maximum(change[joints], -state[joints])  # of rotors and friction
+    assert_allclose(after, state + change, rtol=1e-9)
+    assert_allclose(torque, Y_d @ after)
+    assert_allclose(g, dynamics.gravity(after, q))
+    assert np.abs(torque - Y_d @ state).max() > 1e-3
 
 
 @pytest.mark.parametrize("name", ["panda", "xarm7", "tiago_arm"])
