@@ -3,8 +3,8 @@
 The plant owns the true robot, the controller the believed one; only measurements and torques
 pass between them. Import as `import approxjac as aj`.
 
-What one builds and calls is here by name. What functions return, and what is built rarely, is in
-the module that makes it: `aj.stability.RegularPart`, `aj.cameras.Camera`, `aj.view.plot_run`.
+The names most programs need are here. Returned types and rarely used classes are in the
+modules that define them: `aj.stability.RegularPart`, `aj.cameras.Camera`, `aj.view.plot_run`.
 """
 
 import importlib

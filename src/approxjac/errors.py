@@ -1,7 +1,7 @@
-"""The errors of approxjac: one root, and each error carries what it was given; `package_of`.
+"""The errors of approxjac: one base class; each error carries the offending value.
 
-Every message says what was expected, what was given and, where that can be listed,
-what would be valid.
+Every message states the expected value, the given one and, where they can be listed, the
+valid ones.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ _FEW = 5  # names that are all listed
 
 
 class ApproxJacError(Exception):
-    """Root of all errors raised on purpose by this library.
+    """Base class of all errors that this library raises on purpose.
 
     Attributes:
-        given: The offending value, as it was handed in.
+        given: The offending value, as it was passed in.
     """
 
     def __init__(self, message: str, *, given: Any = None) -> None:
@@ -32,7 +32,7 @@ class ApproxJacError(Exception):
 
 
 class InvalidInputError(ApproxJacError, ValueError):
-    """A number, array or option that is outside what is meaningful."""
+    """A number, array or option that is not valid."""
 
 
 class UnknownNameError(ApproxJacError, LookupError):
@@ -60,7 +60,7 @@ class UrdfError(ApproxJacError, ValueError):
 
 
 class ImplausibleRobotWarning(UserWarning):
-    """A URDF whose masses or effort limits cannot be those of the arm."""
+    """A URDF whose masses or effort limits look like placeholders."""
 
 
 class MeasurementError(ApproxJacError, ValueError):
@@ -68,23 +68,23 @@ class MeasurementError(ApproxJacError, ValueError):
 
 
 class DriverError(ApproxJacError, RuntimeError):
-    """A robot that refuses, has stopped by itself, or cannot be reached; with its own words."""
+    """A robot that refuses a command, stopped by itself or cannot be reached, in its own words."""
 
 
 class SimulationError(ApproxJacError, RuntimeError):
-    """A simulation that could not be carried to its end."""
+    """A simulation that could not be completed."""
 
 
 class ControlError(ApproxJacError, RuntimeError):
-    """A robot's run that an error ended; the arm was braked, and `given` is the run until then."""
+    """A run on a robot that an error ended; the arm was braked, `given` is the run until then."""
 
 
 class MissingPackageError(ApproxJacError, ImportError):
-    """A package is not installed that only a part of this library needs."""
+    """A missing optional package, which only a part of this library needs."""
 
 
 class TrajectoryFileError(ApproxJacError, ValueError):
-    """A file that is missing or does not hold a trajectory."""
+    """A file that is missing, cannot be written or does not hold a trajectory."""
 
 
 _NEEDED_BY = {
@@ -98,7 +98,7 @@ _NEEDED_BY = {
 
 
 def package_of(extra: str, name: str) -> Any:
-    """Import a package of an extra, or raise a MissingPackageError."""
+    """Import a package that an extra installs, or raise a MissingPackageError."""
     try:
         return importlib.import_module(name)
     except ImportError as error:

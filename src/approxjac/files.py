@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all, and that are read whole or not at all."""
+"""Files written atomically, and read whole or not at all."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ import numpy as np
 
 @contextmanager
 def replaced(path: Path) -> Iterator[Path]:
-    """Yield a new path beside another one, whose place the file there takes at the end.
+    """Yield a temporary path whose file replaces `path` when the block ends.
 
-    Where the block raises an error, what was at the place stays as it was, and nothing is left.
+    If the block raises an error, `path` stays as it was and the temporary file is removed.
     """
     if path.is_dir():
         raise IsADirectoryError(f"{path} is a folder")
@@ -31,9 +31,9 @@ def replaced(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def together(folder: Path) -> Iterator[Path]:
-    """Yield an empty folder inside another one, whose files take their places there at the end.
+    """Yield an empty folder inside `folder`; its files are moved there when the block ends.
 
-    Where the block raises an error, no file of the other folder is changed.
+    If the block raises an error, no file of `folder` is changed.
     """
     unfinished = folder / f".{uuid.uuid4().hex[:16]}"
     try:
@@ -49,12 +49,12 @@ def together(folder: Path) -> Iterator[Path]:
 
 
 def reason(error: Exception) -> str:
-    """Return the reason of an error of files, without numbers and names of temporary files."""
+    """Return the reason of a file error, without its number and names of temporary files."""
     return (isinstance(error, OSError) and error.strerror) or str(error)
 
 
 def read_text(path: Path, most: int) -> str:
-    """Return a text file in UTF-8; an OSError says if it has more than `most` bytes."""
+    """Read a text file in UTF-8; raise an OSError if it has more than `most` bytes."""
     with path.open("rb") as file:
         data = file.read(most + 1)
     if len(data) > most:
@@ -69,9 +69,9 @@ def write_text(path: Path, text: str) -> None:
 
 
 def read_arrays(stream: IO[bytes]) -> dict[str, Any]:
-    """Return the arrays of a .npz file by their names.
+    """Return the arrays of a .npz file by name.
 
-    A damaged file raises what zipfile, zlib and NumPy raise, or a ValueError.
+    A damaged file raises an error of zipfile, zlib or NumPy, or a ValueError.
     """
     with np.load(stream, allow_pickle=False) as archive:
         if damaged := archive.zip.testzip():

@@ -15,13 +15,13 @@ import numpy as np
 
 
 def short(value: Any) -> str:
-    """Return numbers to four digits: one, one where all entries are equal, or a list."""
+    """Format numbers to four digits: as one number if all entries are equal, else as a list."""
     entries = [f"{entry:.4g}" for entry in np.ravel(value)]
     return entries[0] if len(set(entries)) == 1 else listed(value)
 
 
 def listed(values: Any) -> str:
-    """Return numbers to four digits, as a list of all of them; what are no numbers as it is."""
+    """Format numbers to four digits as a list; anything else by its repr."""
     try:
         return f"[{', '.join(f'{entry:.4g}' for entry in np.ravel(values))}]"
     except (TypeError, ValueError):  # a record that is refused still has to be printed
@@ -29,24 +29,24 @@ def listed(values: Any) -> str:
 
 
 def numbers(values: Any) -> str:
-    """Return numbers to four digits, to be typed; one where all are equal."""
+    """Format numbers to four digits, separated by spaces; as one if all are equal."""
     entries = numbers_of(values).split()
     return entries[0] if len(set(entries)) == 1 else " ".join(entries)
 
 
 def numbers_of(values: Any) -> str:
-    """Return all numbers to four digits, as they may be typed."""
+    """Format all numbers to four digits, separated by spaces."""
     return " ".join(f"{entry + 0.0:.4g}" for entry in np.ravel(values))
 
 
 def shares(counts: Mapping[Any, int]) -> str:
-    """Return in which share of the instants each outcome was, in words."""
+    """Return the share of instants with each outcome as text, such as "ok 98 %, …"."""
     total = sum(counts.values())
     return ", ".join(f"{each.words} {100.0 * n / total:.3g} %" for each, n in counts.items())
 
 
 def short_fields(record: Any) -> str:
-    """Return a dataclass with its fields, without those that are as by default."""
+    """Return a dataclass as text, without fields that have their default."""
     shown = []
     for field in filter(lambda field: field.repr, dataclasses.fields(record)):
         value = getattr(record, field.name)
@@ -66,19 +66,19 @@ def spaced(name: str) -> str:
 
 
 def joined(units: Iterable[str]) -> str:
-    """Return units as one text; different ones are joined by "or"."""
+    """Return units as one text, different ones joined by "or"."""
     return " or ".join(dict.fromkeys(units))
 
 
 def percent(share: float, digits: int = 1) -> str:
-    """Return a share in percent, where nothing but all is 100 and nothing but none is 0."""
+    """Format a share in percent; only a share of 1 gives 100, and only one of 0 gives 0."""
     least = 10.0**-digits
     shown = min(max(100.0 * share, least), 100.0 - least) if 0.0 < share < 1.0 else 100.0 * share
     return f"{shown:.{digits}f}"
 
 
 def plain(value: Any) -> Any:
-    """Return a value as JSON knows it: arrays as lists, None for a number that is not finite."""
+    """Return a value for JSON: arrays as lists, None for a number that is not finite."""
     if isinstance(value, dict):
         return {name: plain(entry) for name, entry in value.items()}
     if isinstance(value, np.ndarray | np.generic):
@@ -94,17 +94,17 @@ _UNITS = re.compile(r"(\d) (%|[a-z]+)\b")
 
 
 def width() -> int:
-    """Return the width of text: that of the terminal it is shown on, at least 40, or 100."""
+    """Return the width of text in characters: the terminal's, at least 40; else 100."""
     if not sys.stdout.isatty():
         return _WIDTH
     return max(40, shutil.get_terminal_size((_WIDTH, 24)).columns)
 
 
 def wrapped(text: str, start: str = "", indent: int | None = None) -> list[str]:
-    """Return text as lines of the `width`, the first after `start`, and others as far in.
+    """Wrap text to the `width`: the first line after `start`, the others indented as far.
 
-    No number goes without its unit. After a start that takes more than half of the width, text
-    begins in a line of its own.
+    Numbers stay with their units. After a start longer than half the width, the text begins on
+    a line of its own.
     """
     if len(start) > width() // 2:
         return [start.rstrip(), *(wrapped(text, " " * _INDENT) if text else ())]
@@ -120,7 +120,7 @@ def wrapped(text: str, start: str = "", indent: int | None = None) -> list[str]:
 
 
 def rows(texts: dict[str, str], indent: int = 0) -> list[str]:
-    """Return names and what is texts of each beside them, wrapped."""
+    """Return names with their texts beside them, wrapped."""
     first = max(map(len, texts), default=0)
     return [
         line
@@ -130,7 +130,7 @@ def rows(texts: dict[str, str], indent: int = 0) -> list[str]:
 
 
 def aligned(lines: Sequence[Sequence[str]]) -> str:
-    """Return lines of words in columns, the first line underlined."""
+    """Return rows of words as aligned columns, the first row underlined."""
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     lines = [lines[0], ["-" * width for width in widths], *lines[1:]]
     return "\n".join(

@@ -1,7 +1,7 @@
 """The interface of plant and controller: measurement, target, evaluation, status.
 
-The plant owns the true robot, the controller the believed one. Only a `Measurement` goes
-one way and a torque goes the other; neither side ever sees the other's model.
+The plant owns the true robot, the controller the believed one. Only a `Measurement` passes
+one way and a torque the other; neither side ever sees the other's model.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class _Outcome(enum.IntEnum):
 
     @property
     def words(self) -> str:
-        """Return the name as text: "near singular"."""
+        """The name as text, such as "near singular"."""
         return "ok" if self.name == "OK" else self.name.lower().replace("_", " ")
 
 
@@ -38,20 +38,16 @@ class Status(_Outcome):
 
     OK = "the law was evaluated as written"
     NEAR_SINGULAR = (
-        "the estimated Jacobian is near a singular pose: in one direction hardly any force acts, "
+        "the estimated Jacobian is nearly singular: in one task direction hardly any force acts, "
         "and its pseudo-inverse is damped"
     )
     MEASUREMENT_LOST = (
-        "the task measurement is not finite, or none was seen yet that can be learnt from: no "
-        "position force, damping and gravity compensation only, adaptation frozen (the tracking "
-        "law goes on learning what holds the arm)"
+        "the task measurement is not finite, or none that can be learnt from has arrived yet: "
+        "damping and gravity compensation only, no position force, adaptation paused (the "
+        "tracking law still learns the torque that holds the arm)"
     )
-    TORQUE_SATURATED = (
-        "the law asks for more than the robot's effort limits: what it learns stands still"
-    )
-    MEASUREMENT_HELD = (
-        "the task measurement is that of an earlier instant: the law was evaluated with it"
-    )
+    TORQUE_SATURATED = "the law asks for more than the robot's effort limits: adaptation paused"
+    MEASUREMENT_HELD = "the law was evaluated with a task measurement of an earlier instant"
     OUT_OF_REACH = (
         "the target is farther away than the believed arm reaches, with an unmodelled tool: "
         "adaptation paused"
@@ -61,43 +57,43 @@ class Status(_Outcome):
         "the predicted value, adaptation paused"
     )
     NOT_PREDICTED = (
-        "there is no prediction to go by, such as of a point that the believed camera does not "
-        "see: the joints are brought to rest, nothing is learnt of the dynamics"
+        "no prediction exists, such as for a point that the believed camera does not see: the "
+        "joints are brought to rest, adaptation of the dynamics paused"
     )
 
 
 class LimitStatus(_Outcome):
-    """Outcome of limits for the torque that a law asks for, in one step of a controller.
+    """Effect of limits on the torque of a law, in one step of a controller.
 
-    The proof is that of Theorem 1, V̇ ≤ −W. Where what is learnt stands still, V̇ has
-    −yᵀY(θ − θ̂) besides the slack.
+    The proof is that of Theorem 1: V̇ ≤ −W, with the Lyapunov function V and W ≥ 0. While
+    adaptation is paused, V̇ has −yᵀY(θ − θ̂) besides the slack (docs/theory.md).
     """
 
     UNLIMITED = "the controller knows no limits"
     FREE = "the torque of the law is within all limits"
     LIMITED = (
-        "the torque was brought within the limits; nothing is said of the proof, which was not "
-        "asked for, or x is lost, or the estimated Jacobian near a singular pose"
+        "the torque was brought within the limits without a statement on the proof: none was "
+        "requested, x is lost, or the estimated Jacobian is nearly singular"
     )
     PROOF_KEPT = (
-        "the torque was brought within the limits such that V falls no slower than with the law's "
-        "own torque: V̇ ≤ −W still holds where it held"
+        "the torque was brought within the limits and V falls no slower than with the law's own "
+        "torque: V̇ ≤ −W still holds where it held"
     )
     PROOF_GIVEN_UP = (
-        "the torque was brought within the limits, which adds the slack to V̇; learning goes on "
+        "the torque was brought within the limits, which adds the slack to V̇; adaptation continues "
         "without the joints that are at a limit"
     )
     INFEASIBLE = (
-        "no torque keeps all limits at once: joints are braked as hard as their motors can, within "
-        "the limits of torques and their rates"
+        "no torque keeps all limits at once: the joints are braked as hard as the limits of "
+        "torque and torque rate allow"
     )
     SOLVER_FAILED = (
-        "the solver gave no usable torque in time: joints are braked, within the limits of torques "
-        "and their rates"
+        "the solver gave no usable torque in time: the joints are braked within the limits of "
+        "torque and torque rate"
     )
     EXCEEDED = (
-        "a joint is faster or further than it may be; the torque of the law leads it back, within "
-        "all limits"
+        "a joint is beyond its speed or position limit; the law's torque, within all limits, "
+        "brings it back"
     )
 
 
@@ -109,7 +105,7 @@ class Measurement(NamedTuple):
         q: Joint configuration, shape (nq,) [rad or m].
         v: Joint velocity q̇, shape (nv,) [rad/s or m/s].
         x: Task value measured by a sensor, shape (n_x,) [unit of the task]; NaN when lost.
-        t_x: Time at which x was taken, by the clock of t [s]; None if it is not known.
+        t_x: Time at which x was taken, on the clock of t [s]; None if unknown.
     """
 
     t: float
@@ -125,12 +121,12 @@ class Measurement(NamedTuple):
 
 
 class Target(NamedTuple):
-    """Wanted task value and its motion. Wherever a target is taken, an array is one at rest.
+    """Desired task value and its motion. An array in its place is a target at rest.
 
     Attributes:
         x: x_d, shape (n_x,) [unit of the task].
-        v: ẋ_d in the sensor's error coordinates, shape (m,) [unit of the task/s]; None is at rest.
-        a: ẍ_d in the same coordinates, shape (m,) [unit of the task/s²]; None is none.
+        v: ẋ_d in the sensor's error coordinates, shape (m,) [unit of the task/s]; None is zero.
+        a: ẍ_d in the same coordinates, shape (m,) [unit of the task/s²]; None is zero.
     """
 
     x: Array
@@ -140,7 +136,7 @@ class Target(NamedTuple):
 
 @runtime_checkable
 class TargetPath(Protocol):
-    """Any object that says where the target is at a time."""
+    """Any object that gives the target at a time."""
 
     def at(self, t: float) -> Target:
         """Return the target at t [s]."""
@@ -148,22 +144,22 @@ class TargetPath(Protocol):
 
 
 class Evaluation(NamedTuple):
-    """Answer of a controller to one measurement; `answer._replace(torque=...)` is a changed copy.
+    """Output of a controller for one measurement; `answer._replace(torque=...)` is a changed copy.
 
     Attributes:
-        torque: Joint torque τ, shape (nv,) [N m or N]; from a controller with command="velocity"
-            the joint velocity that it commands, q̇_cmd [rad/s or m/s].
-        state_rate: Time derivative of the state of the law, shape (n_state,). A controller that
-            only steps has that of the law inside it, or None.
-        status: What happened.
+        torque: Joint torque τ, shape (nv,) [N m or N]; the joint velocity q̇_cmd [rad/s or m/s]
+            from a controller with command="velocity".
+        state_rate: Time derivative of the law's state, shape (n_state,). A discrete controller
+            gives that of the law inside it, or None.
+        status: Outcome of this step.
         e: Task error, shape (m,) [unit of the task].
-        J_hat: Estimated Jacobian Ĵ, shape (m, n_v); None from controllers that have none.
+        J_hat: Estimated Jacobian Ĵ, shape (m, n_v); None from controllers without one.
         gravity: Gravity torque that the law compensates, part of its torque, shape (n_v,) [N m or
-            N]; None from controllers that have none.
-        limit_status: What limits did to the torque.
-        slack: σ ≥ 0, what limits add to V̇ [W]; NaN where it is not known.
-        reference: Joint velocity that the law leads the joints to, shape (n_v,) [rad/s or m/s]: q̇_r
-            of the tracking law, Ĵ⁺ẋ_d of the set-point laws on a path; None is none.
+            N]; None from controllers without one.
+        limit_status: Effect of the limits on the torque.
+        slack: σ ≥ 0, the power that limits add to V̇ [W]; NaN where it is not known.
+        reference: Desired joint velocity, shape (n_v,) [rad/s or m/s]: q̇_r of the tracking law,
+            Ĵ⁺ẋ_d of the set-point laws on a path; None if there is none.
     """
 
     torque: Array

@@ -21,14 +21,14 @@ _APART = 1e-12  # relative: points that are no nearer than this are two
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Circle:
-    """A circle at constant speed, from the point that is first along the plane's first axis.
+    """A circle at constant speed, starting on the plane's first axis.
 
     Attributes:
         center: Center, shape (2,) or (3,) [unit of the task].
         radius: > 0 [unit of the task].
         period: Time of one turn > 0 [s].
-        normal: Normal of the plane, about which it turns to the left, shape (3,); z by default.
-            Of a center of two coordinates it is the axis that comes towards the viewer.
+        normal: Normal of the plane, about which it turns counter-clockwise, shape (3,); z by
+            default. Not for a center of two coordinates, where it points towards the viewer.
 
     Raises:
         InvalidInputError: Numbers out of range, or a normal of length zero.
@@ -76,7 +76,7 @@ class Circle:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Line:
-    """A straight line from rest to rest, with least jerk; it rests at its end.
+    """A straight line from rest to rest with minimum jerk; the target stays at its end.
 
     Attributes:
         start: Shape (m,) [unit of the task].
@@ -113,7 +113,7 @@ class Line:
 class Waypoints:
     """Straight lines from point to point, at rest in each, within limits of speed.
 
-    Each line is gone as fast as the limits allow: speed up, hold the speed, slow down.
+    Each line has a trapezoidal speed profile, as fast as the limits allow.
 
     Attributes:
         points: Shape (k, m), at least two [unit of the task].

@@ -1,6 +1,6 @@
-"""Validation of what users give; `Immutable` objects, and what a file keeps of them.
+"""Validation of arguments; `Immutable` objects, and `Saved` ones that files hold.
 
-What a function here refuses is an InvalidInputError, with the name of the argument and its value.
+The functions raise an InvalidInputError with the name and value of the argument.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def _floats(value: Any) -> Array:
 def as_array(name: str, value: Any, shape: tuple[int | str, ...], unit: str = "") -> Array:
     """Return `value` as a new read-only float array of `shape`, all entries finite.
 
-    An axis that has a name in place of a length, such as "k", may have any but 0.
+    An axis with a name in place of a length, such as "k", may have any length but 0.
     """
     suffix = f" [{unit}]" if unit else ""
     wanted = str(shape).replace("'", "")
@@ -71,7 +71,7 @@ def _is_masked(value: Any) -> bool:
 def as_vector(name: str, value: Any, size: int, unit: str = "") -> Array:
     """Return `value` itself if it is a finite float vector of `size`, else a copy that is.
 
-    The quick way for vectors that come a thousand times a second.
+    Faster than `as_array`, for vectors that arrive a thousand times a second.
     """
     if (
         type(value) is ndarray
@@ -86,7 +86,7 @@ def as_vector(name: str, value: Any, size: int, unit: str = "") -> Array:
 
 
 def as_entries(name: str, value: Any, size: int, unit: str = "") -> Array:
-    """Return a number, or one number an entry, as a read-only float vector of `size`."""
+    """Return a number, or one per entry, as a read-only float vector of `size`."""
     return as_array(name, [value] * size if is_scalar(value) else value, (size,), unit)
 
 
@@ -165,7 +165,7 @@ def as_limits(name: str, value: Any, size: int, *, unit: str) -> Array:
 
 
 def require(name: str, value: Any, kind: type | tuple[type, ...], wanted: str) -> None:
-    """Refuse an object of another kind than the one an argument is for."""
+    """Raise an InvalidInputError if an argument is not of the type `kind`."""
     if isinstance(value, type) or not isinstance(value, kind):  # a class may look like a protocol
         given = f"the class {value.__name__}" if isinstance(value, type) else repr(value)
         if inspect.isroutine(value) and "<" not in value.__name__:
@@ -174,7 +174,7 @@ def require(name: str, value: Any, kind: type | tuple[type, ...], wanted: str) -
 
 
 def is_scalar(value: Any) -> bool:
-    """Return True for a single item; a ragged list is none."""
+    """Return True for a single item; False for a ragged list."""
     if _is_masked(value):  # which NumPy warns of, or fails at
         return isinstance(value, np.ma.MaskedArray) and value.ndim == 0
     try:
@@ -184,7 +184,7 @@ def is_scalar(value: Any) -> bool:
 
 
 def shape_of(value: Any) -> tuple[int, ...]:
-    """Return the shape of a value that may be anything; that of a ragged list is ()."""
+    """Return the shape of any value; () for a ragged list."""
     try:
         return () if _is_masked(value) else np.shape(value)
     except ValueError:
@@ -214,10 +214,10 @@ def plane_rows(plane: str) -> list[int]:
 
 
 class Immutable:
-    """An object whose public attributes stay as they were built, and that copies by being built.
+    """An object whose public attributes cannot change after construction.
 
-    What it works out when it is built would not follow a later change. A copy is built anew from
-    the same arguments, as they were then, and so has scratch memory of its own.
+    Values derived at construction would not follow a later change. A copy is built anew from
+    the same arguments, and so has scratch memory of its own.
     """
 
     _given: tuple[tuple[Any, ...], dict[str, Any]]
@@ -272,9 +272,9 @@ def _as_it_is(value: Any) -> Any:
 
 
 class Saved:
-    """An object that a file keeps as its kind and the arguments that it was built with.
+    """An object that a file stores as its kind and the arguments of its constructor.
 
-    Robots are kept elsewhere. A class without a kind of its own is not kept.
+    Robots are stored separately. A class without a kind of its own is not stored.
     """
 
     _kind: ClassVar[str]

@@ -356,7 +356,6 @@ def test_a_lost_measurement_leaves_damping_and_gravity(controller, value, rng):
     lost = measurement._replace(x=np.array([0.1, value, 0.2]))
     answer = controller.evaluate(state, lost, TARGET)
     assert answer.status is aj.Status.MEASUREMENT_LOST
-    assert "adaptation frozen" in answer.status.message
     assert np.array_equal(controller.learnt(answer.state_rate), controller.learnt(0 * state))
     # the same as at the target with no measured velocity
     _, kv, damping = controller.diagonals

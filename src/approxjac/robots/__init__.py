@@ -1,4 +1,4 @@
-"""Robots: arms from URDF files, objects attached to them, errors applied to them."""
+"""Robots: arms from URDF files, attached objects and kinematic errors."""
 
 from approxjac.robots.dynamics import Dynamics, DynamicsRegressor, GravityRegressor
 from approxjac.robots.kinematic_regressor import KinematicRegressor

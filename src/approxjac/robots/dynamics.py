@@ -1,4 +1,4 @@
-"""M, C and g of a robot, and what moves it as a matrix times its inertial parameters."""
+"""M, C and g of a robot, and regressors: torques as a matrix times inertial parameters."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from approxjac.validation import Array, as_vector, axis_rows, require
 class Dynamics:
     """The terms of M(q) q̈ + C(q, q̇) q̇ + g(q) = τ, eq. (1) without friction.
 
-    Owns scratch memory: one instance a thread. What it returns is yours to keep.
+    q has shape (nq,) [rad or m], q̇ and q̈ (n_v,). Owns scratch memory: one instance a thread;
+    returned arrays are copies.
 
     Args:
         robot: The robot, true or believed.
@@ -41,51 +42,51 @@ class Dynamics:
         return f"Dynamics({self.robot.name!r})"
 
     def M(self, q: Array) -> Array:
-        """Inertia matrix M(q), shape (n_v, n_v) [kg m², kg m or kg]."""
+        """Return the inertia matrix M(q), shape (n_v, n_v) [kg m², kg m or kg]."""
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
             return np.asanyarray(arm.M())
         return mass_matrix(self._mimic_joints, self._all_data, self._q(q))
 
     def C(self, q: Array, v: Array) -> Array:
-        """Coriolis matrix C(q, q̇) with Ṁ − 2C skew-symmetric, shape (n_v, n_v)."""
+        """Return the Coriolis matrix C(q, q̇), Ṁ − 2C skew-symmetric, shape (n_v, n_v)."""
         return self._coriolis_matrix(self._mimic_joints.q(self._q(q)), self._v(v))
 
     def M_dot(self, q: Array, v: Array) -> Array:
-        """dM/dt = C + Cᵀ along q̇, shape (n_v, n_v)."""
+        """Return dM/dt = C + Cᵀ along q̇, shape (n_v, n_v)."""
         C = self.C(q, v)
         return C + C.T
 
     def M_gradient(self, q: Array) -> Array:
-        """∂M/∂q_k, shape (n_v, n_v, n_v), k first: `M_dot` along each joint."""
+        """Return ∂M/∂q_k, the `M_dot` along each joint; shape (n_v, n_v, n_v), k first."""
         q_all, units = self._mimic_joints.q(self._q(q)), np.eye(self.robot.nv)
         dM: Array = np.array([self._coriolis_matrix(q_all, unit) for unit in units])
         return dM + np.swapaxes(dM, 1, 2)
 
     def coriolis(self, q: Array, v: Array) -> Array:
-        """C(q, q̇)q̇ = (½Ṁ + S)q̇, shape (n_v,) [N m or N]."""
+        """Return C(q, q̇)q̇ = (½Ṁ + S)q̇, shape (n_v,) [N m or N]."""
         return self.inverse(q, v, self._zero) - self.g(q)
 
     def g(self, q: Array) -> Array:
-        """Gravity torque g(q), shape (n_v,) [N m or N]."""
+        """Return the gravity torque g(q), shape (n_v,) [N m or N]."""
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
             return np.asanyarray(arm.gravity())
         return np.array(pin.computeGeneralizedGravity(self._model, self._data, self._q(q)))
 
     def g_gradient(self, q: Array) -> Array:
-        """∂g/∂q, shape (n_v, n_v) [N m/rad, and alike with m and N]."""
+        """Return ∂g/∂q, shape (n_v, n_v) [N m or N, per rad or m]."""
         q_all = self._mimic_joints.q(self._q(q))
         G = pin.computeGeneralizedGravityDerivatives(self._all, self._all_data, q_all)
         return np.array(self._mimic_joints.rows(self._mimic_joints.columns(G)))
 
     def inverse(self, q: Array, v: Array, a: Array) -> Array:
-        """M(q)a + C(q, q̇)q̇ + g(q) by RNEA, shape (n_v,) [N m or N]."""
+        """Return M(q)a + C(q, q̇)q̇ + g(q) by RNEA, shape (n_v,) [N m or N]."""
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
             return np.asanyarray(arm.bias(v) + arm.momentum(a))
         q, v, a = self._q(q), self._v(v), self._v(a, "a")
         return np.array(pin.rnea(self._model, self._data, q, v, a))
 
     def forward(self, q: Array, v: Array, tau: Array) -> Array:
-        """q̈ from τ, shape (n_v,) [rad/s² or m/s²]."""
+        """Return q̈ under the torque τ, shape (n_v,) [rad/s² or m/s²]."""
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
             return np.asanyarray(arm.forward(v, tau))
         q, v, tau = self._q(q), self._v(v), self._v(tau, "tau")
@@ -95,13 +96,13 @@ class Dynamics:
         return np.array(pin.aba(self._model, self._data, q, v, tau, WORLD))
 
     def M_inv(self, q: Array) -> Array:
-        """M(q)⁻¹, shape (n_v, n_v)."""
+        """Return M(q)⁻¹, shape (n_v, n_v)."""
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
             return np.asanyarray(arm.factors.solve(np.eye(self.robot.nv)))
         return np.asarray(np.linalg.inv(self.M(q)))
 
     def energy(self, q: Array, v: Array) -> float:
-        """Kinetic plus potential energy [J]."""
+        """Return the kinetic plus potential energy [J]."""
         q, v = self._mimic_joints.q(self._q(q)), self._mimic_joints.v(self._v(v))
         return float(
             pin.computeKineticEnergy(self._all, self._all_data, q, v)
@@ -175,7 +176,7 @@ class _TorqueRegressor:
 
 
 class LinkMotion:
-    """The columns Y of links in M(q)q̈_r + C(q, q̇)q̇_r + g(q) = Y a, as products with them."""
+    """The links' part Y of `DynamicsRegressor.Y_d`, as products that need no matrix."""
 
     def __init__(self, regressor: DynamicsRegressor, q: Array, Y: Array) -> None:
         self._regressor, self._q, self._Y = regressor, q, Y
@@ -196,14 +197,14 @@ class LinkMotion:
 class DynamicsRegressor(_TorqueRegressor):
     """M(q)q̈_r + C(q, q̇)q̇_r + g(q) + joint torques = Y_d(q, q̇, q̇_r, q̈_r) a.
 
-    Of each moving link a has the ten parameters of `pin.Inertia.toDynamicParameters`. Of each joint
-    it has rotor inertia, viscous friction, Coulomb friction and a constant torque, with columns
-    q̈_r, q̇_r, tanh(q̇_r/v_c) and 1: friction of the *reference* velocity. It never falls with speed,
-    so what the true one has more opposes σ = q̇ − q̇_r.
+    The parameters a are, for each moving link, the ten of `pin.Inertia.toDynamicParameters`; for
+    each joint, rotor inertia, viscous friction, Coulomb friction and a constant torque, with
+    columns q̈_r, q̇_r, tanh(q̇_r/v_c) and 1. Friction is that at the *reference* velocity q̇_r. It
+    never falls with speed, so its difference at the true velocity opposes σ = q̇ − q̇_r.
 
     C is the Christoffel form, so that Ṁ − 2C is skew-symmetric, by polarisation: C(q, q̇)q̇_r =
     c(q, ½(q̇ + q̇_r)) − c(q, ½(q̇ − q̇_r)) with c(q, v) = C(q, v)v. All parameters are kept, although
-    they depend on each other: a law that learns them leaves what makes no torque as it was.
+    some are redundant: learning does not change combinations without effect on the torque.
 
     Owns scratch memory: one instance a thread.
 
@@ -211,10 +212,11 @@ class DynamicsRegressor(_TorqueRegressor):
         robot: The (believed) robot.
 
     Attributes:
-        names: Names of the parameters, such as "joint1.mx" or "joint1.rotor"; `units` are theirs.
-        a: Their values for `robot` itself, whose joints have none, shape (p,).
-        links: Number of the parameters of links, which come first.
-        last_link: Those of the link that holds the tip.
+        names: Names of the parameters, such as "joint1.mx" or "joint1.rotor".
+        units: Their units.
+        a: Their values for `robot`, zero for the joints, shape (p,).
+        links: Number of link parameters, which come first.
+        last_link: Slice of the parameters of the link that holds the tip.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -248,7 +250,7 @@ class DynamicsRegressor(_TorqueRegressor):
         return links - self._torques(self._weightless, q, apart, self._zero)
 
     def of_joints(self, v_r: Array, a_r: Array) -> Array:
-        """Return the columns of joints, of each kind the diagonal; shape (4, n_v)."""
+        """Return the diagonals of the joints' four blocks of columns, shape (4, n_v)."""
         each = a_r, v_r, np.tanh(v_r / COULOMB_SPEED), self._one
         return np.concatenate(each).reshape(4, -1)
 
@@ -260,32 +262,33 @@ class DynamicsRegressor(_TorqueRegressor):
         return LinkMotion(self, q, self._links(q, v, v_r, a_r))
 
     def Z(self, q: Array) -> Array:
-        """Gravity's part of the links' columns, Y_d(q, 0, 0, 0), shape (n_v, 10 links)."""
+        """Return the links' columns of gravity, Y_d(q, 0, 0, 0), shape (n_v, 10 links)."""
         return self._at_rest(q)
 
 
 class GravityRegressor(_TorqueRegressor):
     """g(q) = Z(q) θ with as few parameters as gravity can distinguish.
 
-    Of each moving link they are its mass and three first moments (m c_x, m c_y, m c_z). A column
-    that depends on columns before it, in link order, is left out and its parameter is added to
-    theirs. The span of Z does not change when the translations of joint origins are wrong, so
-    gravity can be learnt exactly with wrong lengths; wrong axis directions break that.
+    They are the mass and three first moments (m c_x, m c_y, m c_z) of each moving link. A column
+    that depends linearly on those before it, in link order, is left out and its parameter is merged
+    into theirs. The span of Z does not change when the translations of joint origins are wrong, so
+    gravity can be learnt exactly with wrong lengths, though not with wrong axis directions.
 
     Owns scratch memory: one instance a thread.
 
     Args:
         robot: The (believed) robot.
         moments: Axes of the link frames along which centres of mass may lie. "xyz" assumes
-            nothing; "x" gives exactly the paper's θ₁ and θ₂, whose rods lie along x.
+            nothing; "x" gives the θ₁ and θ₂ of the paper, whose rods lie along x.
 
     Attributes:
-        names: Names of the parameters, such as "joint1.mx"; `units` are theirs.
-        theta: Their values for `robot` itself, shape (p,).
-        columns: Their places among the ten dynamic parameters of each joint, shape (p,).
+        names: Names of the parameters, such as "joint1.mx".
+        units: Their units.
+        theta: Their values for `robot`, shape (p,).
+        columns: Their indices among the ten dynamic parameters of each joint, shape (p,).
 
     Raises:
-        InvalidInputError: No or doubled axes, centres of mass of `robot` that `moments` does not
+        InvalidInputError: No or repeated axes, centres of mass of `robot` that `moments` does not
             cover, or gravity exerts no torque on this robot.
     """
 
@@ -324,19 +327,19 @@ class GravityRegressor(_TorqueRegressor):
         return type(self), (self.robot, self._moments)  # a copy has scratch memory of its own
 
     def Z(self, q: Array) -> Array:
-        """Gravity regressor Z(q), shape (n_v, p) [m²/s² for first moments, with g inside]."""
+        """Return the gravity regressor Z(q), shape (n_v, p) [N m or N, per unit of θ]."""
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
             return np.asanyarray(arm.Z(self))
         return self._at_rest(self.robot.configuration(q)).take(self.columns, 1)
 
     def fit(self, robot: Robot, *, seed: int = 0) -> tuple[Array, float]:
-        """Return the θ (p,) nearest to this robot's with the gravity of another, and how well.
+        """Fit θ (p,) to the gravity torques of another robot; return it and its relative error.
 
-        That is the largest error of Z θ relative to the largest gravity torque, over random
-        configurations of a `seed` that the fit did not use.
+        The θ is that nearest to this robot's. Its error is the largest of Z θ over the largest
+        gravity torque, at random configurations of a `seed` that the fit did not use.
 
         Raises:
-            InvalidInputError: Other joints, or another gravity.
+            InvalidInputError: `robot` has other joints, or another gravity.
         """
         require("robot", robot, Robot, "a Robot")
         own = self.robot
@@ -352,9 +355,9 @@ class GravityRegressor(_TorqueRegressor):
         return theta, self._error(robot, theta, rng)
 
     def payload(self, change: Array) -> Array:
-        """Return the load on the last link that acts most like a change of θ (p,), the smallest.
+        """Return the smallest load on the last link that best explains a change of θ (p,).
 
-        It is a mass [kg], and those first moments in that link's axes [kg m] that `moments` names.
+        It is a mass [kg] and, in that link's axes, the first moments that `moments` names [kg m].
         """
         weighted = self._held * self._usual[:, np.newaxis]
         load: Array = np.linalg.lstsq(weighted, change * self._usual, rcond=1e-9)[0]
@@ -373,14 +376,14 @@ class GravityRegressor(_TorqueRegressor):
 
 
 def anywhere(robot: Robot, rng: np.random.Generator) -> list[Array]:
-    """Return 60 configurations over full turns (and ±1 m): limits must not hide a column."""
+    """Return 60 random configurations over full turns (±1 m), regardless of joint limits."""
     reach = np.where(np.array(robot.joint_units) == "m", 1.0, np.pi)
     motions = rng.uniform(-reach, reach, (60, robot.nv))
     return [np.array(pin.integrate(robot.model, robot.neutral(), motion)) for motion in motions]
 
 
 def independent_columns(A: Array) -> tuple[list[int], Array]:
-    """Return the columns of A that do not depend on those before, and G with A = A[:, kept] G."""
+    """Return the indices of columns of A independent of those before, and G: A = A[:, kept] G."""
     scale = np.linalg.norm(A, axis=0)
     some = np.nonzero(scale > _RANK_TOLERANCE * scale.max(initial=0.0))[0]
     # on the diagonal is what of a column no combination of those before it makes

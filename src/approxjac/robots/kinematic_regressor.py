@@ -19,13 +19,13 @@ _JACOBIAN_DOT = pin.getFrameJacobianTimeVariation
 
 
 class PointMotion(NamedTuple):
-    """Positions and their derivatives with translations that are learnt.
+    """Positions and their derivatives, with θ̂ moving at θ'.
 
     Attributes:
         p: Positions Y(q)θ + offset, shape (3k,) [m].
         J: ∂p/∂q, shape (3k, n_v).
-        J_dot: Its rate along q̇ and θ', shape (3k, n_v).
-        drift: Y(q)θ', shape (3k,) [m/s].
+        J_dot: Its time derivative along q̇ and θ', shape (3k, n_v).
+        drift: Y(q)θ', the velocity that θ' adds, shape (3k,) [m/s].
     """
 
     p: Array
@@ -37,29 +37,29 @@ class PointMotion(NamedTuple):
 class KinematicRegressor:
     """p(q) = Y(q) θ + offset(q), with θ the translations of joint origins and of the tool.
 
-    A chain of joints 1…n with right axes, Rᵢ the rotation of link i and tᵢ the origin of joint i
-    on link i − 1, has p = Σ Rᵢ₋₁ tᵢ + Rₙ t_tool: Y holds the link rotations. Fixed joints between
-    two that move are part of the second one's origin, those after the last that moves the tool.
+    For joints 1…n with Rᵢ the rotation of link i and tᵢ the origin of joint i on link i − 1,
+    p = Σ Rᵢ₋₁ tᵢ + Rₙ t_tool: Y holds the link rotations, which need correct joint axes. Fixed
+    joints before a moving one are part of its origin, those after the last part of the tool.
 
-    Owns scratch memory: one instance a thread. What it returns is yours to keep.
+    Owns scratch memory: one instance a thread; returned arrays are copies.
 
     Args:
         robot: The robot, true or believed.
         frame: Frame name, or several; the robot's `tip` by default.
-        points: Points of the one frame in its own axes, shape (k, 3) [m]; by default its origin.
+        points: Points in the axes of a single frame, shape (k, 3) [m]; by default its origin.
 
     Attributes:
         k: Number of points.
         movers: Names of the joints that move the points, whose origins come first.
-        names: Names of the parameters, such as "panda_joint4.x" [m] or "tool.x"; with several
-            frames the name of the frame in place of "tool".
-        theta: Their values for `robot` itself, shape (p,) [m].
-        points: Frame of each point, and where it is in that frame's axes, shape (3,) [m].
-        has_offset: Whether `offset` is ever anything but 0.
+        names: Names of the parameters, such as "panda_joint4.x" or "tool.x"; with several
+            frames, the frame's name replaces "tool".
+        theta: Their values for `robot`, shape (p,) [m].
+        points: Frame of each point, and its position in that frame's axes, shape (3,) [m].
+        has_offset: True if `offset` can differ from 0.
 
     Raises:
         UnknownNameError: No such frame.
-        InvalidInputError: Points of several frames, or a frame that nothing moves.
+        InvalidInputError: Points with several frames, or a frame that no joint moves.
     """
 
     def __init__(
@@ -165,7 +165,7 @@ class KinematicRegressor:
         return self._jacobians(pin.getFrameJacobian).take(self._of_theta, 1)
 
     def offset(self, q: Array) -> Array:
-        """Return p − Y(q)θ, shape (3k,) [m]: what slides, and points beside the frame's origin."""
+        """Return p − Y(q)θ, shape (3k,) [m]: prismatic travel and points off the frame's origin."""
         if not self.has_offset:
             return np.zeros(3 * self.k)
         return self.position(q, self._nothing)
@@ -178,7 +178,7 @@ class KinematicRegressor:
         return self._positions()
 
     def motion(self, q: Array, v: Array, theta: Array, theta_dot: Array) -> PointMotion:
-        """Return positions and derivatives at q (nq,) and q̇ (n_v,), with θ and θ' (p,) [m, m/s]."""
+        """Return positions and derivatives at q (nq,), q̇ (n_v,), θ (p,) [m] and θ' (p,) [m/s]."""
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
             symbolic: PointMotion = arm.points(self).motion(v, theta, theta_dot)
             return symbolic
@@ -191,11 +191,11 @@ class KinematicRegressor:
         return PointMotion(p, self._along_joints(J), self._along_joints(J_dot), drift)
 
     def robot_with(self, theta: Array, turn: Array | None = None) -> Robot:
-        """Return the robot with other translations θ (p,) [m], and its one tool turned.
+        """Return the robot with other translations θ (p,) [m] and its tool rotated by `turn`.
 
-        A tool on a fixed joint of its own is moved. A moving link that is the frame itself gets an
+        A tool on a fixed joint of its own is moved. If the frame is a moving link, that gets an
         object without mass, whose end is the new `tip`. The turn is a rotation vector of the tool
-        in its own axes, (3,) [rad].
+        in its own axes, shape (3,) [rad].
         """
         theta = as_array("theta", theta, (self.p,), "m")
         change = (theta - self.theta).reshape(-1, 3)

@@ -32,7 +32,7 @@ from approxjac.validation import Array, require
 
 
 class NamedRobot(NamedTuple):
-    """A robot that loads by name."""
+    """URDF file, tip and base of a robot that `load_robot` knows by name."""
 
     path: str  # of its URDF, in our `urdf/` folder or in example-robot-data's `robots/`
     tip: str  # suggested end-effector frame
@@ -75,8 +75,8 @@ def load_robot(
 ) -> Robot:
     """Load an arm by name, from a path to a .urdf file, or from URDF text.
 
-    Where the tip is known, the arm is the chain from `base` to it: other joints, such as those of
-    fingers or wheels, are locked, each at zero or at its limit nearest to zero.
+    If the tip is known, the arm is the chain from `base` to it: other joints, such as those of
+    fingers or wheels, are locked at zero or at the limit nearest to zero.
 
     Args:
         source: A name ("panda", "two_link", …), a path, or text that starts with "<".
@@ -84,17 +84,16 @@ def load_robot(
         tip: End-effector frame; by default the named robot's own, or the last link of an arm
             that does not branch.
         base: Link that the chain starts from; by default the named robot's own, or the root.
-        free: Joints that are not locked although the tip does not need them: one name, several,
-            or "all".
+        free: Joints off the chain that are not locked: one name, several, or "all".
 
     Raises:
         UnknownNameError: Neither a known name nor a file; no such frame, or moving joint to free.
         UrdfError: The file is missing, or its URDF is not usable.
-        InvalidInputError: A tip that nothing moves, or that `base` does not carry.
-        MissingPackageError: A robot of example-robot-data, without the extra `robots`.
+        InvalidInputError: A tip that no joint moves, or that is not on a chain from `base`.
+        MissingPackageError: A named robot without its package; install the extra `robots`.
 
     Warns:
-        ImplausibleRobotWarning: Masses or effort limits of a file that look like placeholders.
+        ImplausibleRobotWarning: Masses or effort limits of a file look like placeholders.
     """
     text, path, entry = _find(source)
     if entry is not None:
@@ -105,8 +104,8 @@ def load_robot(
     robot = Robot(urdf, gravity=gravity, tip=tip, urdf_dir=folder, name=name)
     if entry is None and (doubts := implausible(robot)):
         warnings.warn(
-            f"{label}: {'; '.join(doubts)}. That looks like placeholders, with which gravity "
-            "and torque limits are wrong; put in the maker's numbers",
+            f"{label}: {'; '.join(doubts)}. These look like placeholders, which make gravity "
+            "and torque limits wrong; put in the manufacturer's numbers",
             ImplausibleRobotWarning,
             stacklevel=2,
         )
@@ -119,7 +118,7 @@ def robot_names() -> tuple[str, ...]:
 
 
 def locked_joints(source: str | Path, robot: Robot) -> tuple[str, ...]:
-    """Return the joints that move in a source, and were locked when `robot` was loaded from it."""
+    """Return the moving joints of a source that were locked when `robot` was loaded from it."""
     before, now = Urdf.parse(_find(source)[0], "URDF text").joints, robot.tree.joints
     return tuple(
         joint for joint in before if before[joint].type != "fixed" and now[joint].type == "fixed"
@@ -258,7 +257,7 @@ _G = 9.81
 
 
 def implausible(robot: Robot) -> list[str]:
-    """List masses and effort limits that are not plausible, a sentence each."""
+    """Return a clause for each mass or effort limit that is not plausible."""
     names, inertias = list(robot.model.names)[1:], list(robot.model.inertias)[1:]
     masses = [(each.mass, *each.inertia.ravel().tolist()) for each in inertias]
     findings, ((shared, count),) = [], Counter(masses).most_common(1)

@@ -1,4 +1,4 @@
-"""Mesh files of a URDF: where they are; and writing what other tools can read."""
+"""Mesh files of a URDF: finding and reading them, and URDFs that other tools can open."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def share_dir() -> Path | None:
 
 
 def find_mesh(filename: str, urdf_dir: Path | None) -> Path | None:
-    """Return the file that a URDF means by a mesh name, as ROS finds packages, or None."""
+    """Return the file of a URDF's mesh name, searched as ROS finds packages, or None."""
     if filename.startswith("package://"):
         relative = filename.removeprefix("package://")
         roots = [urdf_dir, *urdf_dir.parents] if urdf_dir is not None else []
@@ -50,7 +50,7 @@ def find_mesh(filename: str, urdf_dir: Path | None) -> Path | None:
 def read_mesh(path: Path) -> Any:
     """Read the triangles of a mesh file with trimesh, without textures.
 
-    Each of trimesh's readers raises its own; a ValueError for another kind of file, or over 200 MB.
+    Raises a ValueError for another kind of file, or one over 200 MB, and trimesh's own errors.
     """
     trimesh = package_of("view", "trimesh")
     kind, size = path.suffix.lower().removeprefix("."), path.stat().st_size
@@ -88,10 +88,10 @@ def _require_few_copies(file: IO[bytes]) -> None:
 
 
 def for_other_tools(urdf: Urdf, urdf_dir: Path | None, path: Path) -> None:
-    """Make a URDF open alike in Pinocchio, MuJoCo, MeshCat and yourdfpy, to be written to `path`.
+    """Change a URDF to open alike in Pinocchio, MuJoCo, MeshCat and yourdfpy, saved at `path`.
 
-    Unless the URDF already speaks to MuJoCo, it is asked to keep links on fixed joints as bodies,
-    or the tip frame would be lost, and to invent no mass for shapes.
+    Unless it already has options for MuJoCo, it gets some: links on fixed joints stay bodies, so
+    that the tip frame is not lost, and shapes add no mass.
     """
     root, folder = urdf.root, path.with_name(f"{path.stem}_meshes")
     converted: dict[Path, Path] = {}

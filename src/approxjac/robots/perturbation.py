@@ -1,4 +1,4 @@
-"""`Perturbation`: robots that differ from one in its object and in where its joints are."""
+"""`Perturbation`: robots that differ in their object and in the origins of their joints."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from approxjac.validation import Array
 
 
 class Perturbation:
-    """Robots that differ from one in the size of its object, and in the origins of its joints.
+    """A family of robots that differ in the size of their object and the origins of their joints.
 
-    `robot` copies the Pinocchio model and moves what is elsewhere in it, in a hundredth of the time
-    that `Robot.with_object` and `with_kinematic_error` take.
+    `robot` changes a copy of the Pinocchio model, in a hundredth of the time that
+    `Robot.with_object` and `with_kinematic_error` take.
 
     Args:
         arm: The robot, without the object.
         held: Length [m] and mass [kg] of the object that `base` holds, or None for no object.
-        axis: Axis of the tip that the object points along, as of `Robot.with_object`.
-        joints: Joints whose origins may be elsewhere, fixed ones too.
+        axis: Axis of the tip that the object points along, as for `Robot.with_object`.
+        joints: Joints whose origins may differ, fixed ones too.
 
     Attributes:
         base: The robot without perturbations.
@@ -57,23 +57,23 @@ class Perturbation:
         return self  # it never changes
 
     def moving(self) -> Perturbation:
-        """Return this with a robot that is always the same one, moved: use it before the next."""
+        """Return a copy whose `robot` changes one robot in place: use it before the next call."""
         moving = object.__new__(type(self))
         vars(moving).update(vars(self))
         moving._moved = PerturbedRobot.like(self.base, _outward=self._outward)
         return moving
 
     def moves(self, robot: Robot) -> bool:
-        """Return True for the robot that moves."""
+        """Return True for the robot that a copy by `moving` changes in place."""
         return robot is self._moved
 
     def robot(self, length: float, mass: float, shifts: Array, rotations: Array) -> Robot:
-        """Return a robot; a UrdfError if its inertia matrix would be singular.
+        """Return a perturbed robot; raise a UrdfError if its inertia matrix would be singular.
 
         Args:
-            length: Of the object, if there is one, 0 to 10 [m].
-            mass: Of the object, ≥ 0 [kg].
-            shifts: Of the origins of `joints` in the parent links' frames, shape (k, 3) [m].
+            length: Length of the object, if there is one, 0 to 10 [m].
+            mass: Its mass, ≥ 0 [kg].
+            shifts: Shifts of the k joint origins in the parent links' frames, shape (k, 3) [m].
             rotations: Rotation vectors in the joints' own frames, shape (k, 3) [rad].
         """
         if self._given[1] is not None:
@@ -91,7 +91,7 @@ class Perturbation:
 
 
 class PerturbedRobot(Robot):
-    """A robot whose model is a changed copy; its URDF is made when it is asked for."""
+    """A robot whose model is a changed copy; its URDF is made on first access."""
 
     _made_by: tuple[Perturbation, tuple[float, float, Array, Array]]
 

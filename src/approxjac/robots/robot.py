@@ -1,4 +1,4 @@
-"""`Robot`: an arm from a URDF, with objects attached to it and errors applied to it."""
+"""`Robot`: an arm from a URDF, with attached objects and kinematic errors."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ _MOST_MOVING = 150  # Pinocchio's scratch memory grows with the cube of it
 
 
 class MimicJoints(NamedTuple):
-    """All moving joints as they follow from the n_v that move on their own: q_all = A q + b.
+    """The map from the n_v independent joints to all, mimic joints included: q_all = A q + b.
 
-    Those algorithms of Pinocchio that cannot leave mimic joints out refuse such a model, or return
-    something else without a word (M, C, Jacobian rates). They are run on `model`, in which every
-    joint moves on its own, and brought back with v_all = G v, which is constant. Where nothing is
-    coupled, `model` is the robot's own and every method returns what it is given.
+    Some of Pinocchio's algorithms refuse models with mimic joints, or silently return wrong values
+    (M, C, Jacobian rates). They run on `model`, in which every joint is independent, and results
+    are mapped back with v_all = G v, G constant. Without mimic joints, `model` is the robot's own
+    and every method returns its argument.
     """
 
     model: pin.Model
@@ -47,19 +47,19 @@ class MimicJoints(NamedTuple):
     b: Array | None = None  # (nq_all,)
 
     def q(self, q: Array) -> Array:
-        """Configuration of all joints, shape (nq_all,)."""
+        """Return the configuration of all joints, shape (nq_all,)."""
         return q if self.A is None or self.b is None else self.A @ q + self.b
 
     def v(self, v: Array) -> Array:
-        """Velocities of all joints, shape (n_all,)."""
+        """Return the velocities of all joints, shape (n_all,)."""
         return v if self.G is None else self.G @ v
 
     def columns(self, J: Array) -> Array:
-        """J G: from a Jacobian in all velocities to one in v, shape (…, n_v)."""
+        """Return J G: a Jacobian in all velocities as one in v, shape (…, n_v)."""
         return J if self.G is None else J @ self.G
 
     def rows(self, tau: Array) -> Array:
-        """Gᵀ τ: from torques at all joints to those at the n_v, shape (n_v, …)."""
+        """Return Gᵀ τ: torques at all joints as those at the n_v, shape (n_v, …)."""
         return tau if self.G is None else self.G.T @ tau
 
 
@@ -67,23 +67,23 @@ class Robot(Immutable):
     """A fixed-base arm: its URDF and the Pinocchio model built from it.
 
     Immutable: every change returns a new robot. Two robots are equal when their URDF text and
-    gravity are. Meshes are never needed. A mimic joint is no degree of freedom: it moves with the
+    gravity are. Meshes are not needed. A mimic joint is no degree of freedom: it moves with the
     joint that it follows, under that joint's limits, and is locked with it.
 
     Args:
         urdf: URDF text, or a tree of it.
         gravity: Acceleration of gravity in the world frame, shape (3,) [m/s²].
         tip: End-effector frame to use where none is named; by default the last link of an
-            unbranched arm, and None of others.
+            unbranched arm, and None for others.
         urdf_dir: Folder that mesh names in the URDF are relative to.
-        source: What to call the URDF in errors.
-        name: What to call the robot; its name in the URDF by default.
-        outward: Axis of the tip along which the arm leads on; by default as `outward_axis` says.
+        source: Name of the URDF in errors.
+        name: Name of the robot; by default that in the URDF.
+        outward: Axis of the tip that points away from the arm; see `outward_axis`.
 
     Attributes:
         tree: The URDF as a tree. Read-only.
         model: Pinocchio model. Read-only; call `model.copy()` to change it.
-        mimic_joints: How mimic joints move with the others.
+        mimic_joints: The map from independent joints to all joints.
         nq: Length of a configuration q; larger than `nv` where joints are continuous.
         nv: Number of degrees of freedom n_v.
 
@@ -133,13 +133,13 @@ class Robot(Immutable):
 
     @property
     def models(self) -> tuple[pin.Model, ...]:
-        """`model`, and where mimic joints move the one in which they move on their own."""
+        """`model` and, with mimic joints, the model in which these are independent."""
         coupled = self.mimic_joints.G is not None
         return (self.model, self.mimic_joints.model) if coupled else (self.model,)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Names of the joints that move on their own, in the order of v and τ."""
+        """Names of the independent joints, in the order of v and τ."""
         return tuple(self._joints)
 
     @property
@@ -150,7 +150,7 @@ class Robot(Immutable):
 
     @property
     def frame_names(self) -> tuple[str, ...]:
-        """Names of all frames, which are links and joints."""
+        """Names of all frames: links and joints."""
         return tuple(self._frames)
 
     @property
@@ -177,13 +177,13 @@ class Robot(Immutable):
         return np.where(known, low, -np.inf), np.where(known, high, np.inf)
 
     def neutral(self) -> Array:
-        """Configuration with every joint at zero, shape (nq,)."""
+        """Return the configuration with every joint at zero, shape (nq,)."""
         return np.array(pin.neutral(self.model))
 
     def usual_range(self) -> tuple[Array, Array]:
-        """Range of each joint that is drawn from, as two motions from zero (n_v,) [rad or m].
+        """Return the range that random configurations cover, as two offsets (n_v,) [rad or m].
 
-        The joint limits; the turn or the 2 m nearest to zero of a wider range, or without limits.
+        It is that of the joint limits; of a wider or unlimited range, the turn or 2 m nearest to 0.
         """
         lower, upper = self.position_limits
         reach = np.where(np.array(self.joint_units) == "m", 1.0, np.pi)
@@ -192,15 +192,15 @@ class Robot(Immutable):
         return np.where(wide, middle - reach, lower), np.where(wide, middle + reach, upper)
 
     def random_configuration(self, rng: np.random.Generator) -> Array:
-        """Uniform configuration within `usual_range`, shape (nq,) [rad or m]."""
+        """Draw a configuration uniformly within `usual_range`, shape (nq,) [rad or m]."""
         motion = rng.uniform(*self.usual_range())
         return np.array(pin.integrate(self.model, self.neutral(), motion))
 
     def configuration(self, q: Sequence[float] | Array, name: str = "q") -> Array:
         """Return `q` as a float array of shape (nq,), itself if it is one already.
 
-        One number a joint, shape (n_v,), is taken as well: the angles of continuous joints. An
-        InvalidInputError says what else is wrong, such as (cos, sin) pairs off the unit circle.
+        One number per joint, shape (n_v,), is accepted as well, with angles for continuous joints.
+        Anything else is an InvalidInputError, such as (cos, sin) pairs off the unit circle.
         """
         if self.nq == self.nv or hasattr(q, "arm_of"):  # symbols
             return as_vector(name, q, self.nq, "rad or m")
@@ -217,9 +217,9 @@ class Robot(Immutable):
         return vector
 
     def angles(self, q: Sequence[float] | Array) -> Array:
-        """Return the position of each joint at q, (…, nq) → (…, n_v): back from `configuration`.
+        """Return the joint positions at q, (…, nq) → (…, n_v) [rad or m]; inverts `configuration`.
 
-        Those of continuous joints are from -π to π [rad or m].
+        Those of continuous joints are from −π to π.
         """
         q = np.asarray(q, dtype=float)
         if q.shape[-1:] != (self.nq,):
@@ -231,13 +231,13 @@ class Robot(Immutable):
         return np.array(differences).reshape(*q.shape[:-1], self.nv)
 
     def beyond_limits(self, q: Array) -> Array:
-        """Excess of each joint over its limits at q (N, nq), −∞ without; (N, n_v) [rad or m]."""
+        """Return the excess over joint limits at q (N, nq), −∞ without; (N, n_v) [rad or m]."""
         low, high = self.position_limits
         motions = np.array([pin.difference(self.model, self.neutral(), each) for each in q])
         return np.asarray(np.maximum(motions - high, low - motions))
 
     def require_radians(self, name: str, q: Array) -> None:
-        """Raise an InvalidInputError if q (nq,) is a turn or more beyond a limit, as in degrees."""
+        """Raise an InvalidInputError if q (nq,) seems to be in degrees: a turn beyond a limit."""
         beyond = self.beyond_limits(q[np.newaxis])[0]
         beyond[np.array(self.joint_units) != "rad"] = 0.0
         if beyond.max() > 2.0 * np.pi:
@@ -248,10 +248,10 @@ class Robot(Immutable):
             )
 
     def reach_bound(self, frame: str) -> tuple[Array, float]:
-        """Return the place of the first joint before a frame (3,), and a bound on its reach [m].
+        """Return the chain's first joint's position (3,) [m] and a bound on a frame's reach [m].
 
-        The bound is the arm stretched out along its links, whatever its joints allow; infinite with
-        a prismatic joint without limits, or one that mimics another.
+        The bound is the sum of the link lengths, regardless of limits of revolute joints; infinite
+        with a prismatic joint that has no limits or mimics another.
         """
         model, there = self.model, self.model.frames[self.frame_id(frame)]
         joints = list(model.supports[there.parentJoint])[1:]
@@ -273,11 +273,11 @@ class Robot(Immutable):
             raise UnknownNameError("frame", frame, self.name, self.tree.links) from None
 
     def tip_or(self, frame: str | None) -> str:
-        """Return `frame` if it exists, or the robot's own tip where it is None.
+        """Return `frame` if it exists, or the robot's own tip if it is None.
 
         Raises:
             UnknownNameError: No such frame.
-            InvalidInputError: None was given and the robot has more than one end.
+            InvalidInputError: `frame` is None and the robot has no single tip.
         """
         if frame is None:
             if self.tip is None:
@@ -304,16 +304,16 @@ class Robot(Immutable):
     ) -> Robot:
         """Return this robot holding an object: a uniform cylinder with a frame at its far end.
 
-        The object is a link `name` on a fixed joint; the link at its end, `{name}_tip`, turned as
-        `parent` is, becomes the new `tip`.
+        The object is a link `name` on a fixed joint; the link at its end, `{name}_tip`, oriented
+        as `parent`, becomes the new `tip`.
 
         Args:
             length: From the parent's origin to the tip, 0 to 10 [m].
             mass: ≥ 0 [kg].
-            radius: Of the cylinder, 0 to 10 [m]; 0 is a thin rod.
+            radius: Radius of the cylinder, 0 to 10 [m]; 0 is a thin rod.
             parent: Link that holds it; the robot's `tip` by default.
             axis: Direction in the parent's frame: "x", "-z", …, or a vector of shape (3,); by
-                default the axis that leads on from the arm (`outward_axis`).
+                default the axis that points away from the arm (`outward_axis`).
             name: Name of the new link.
 
         Raises:
@@ -343,9 +343,9 @@ class Robot(Immutable):
         return self._changed(urdf, tip=f"{name}_tip", outward=outward)
 
     def outward_axis(self, frame: str | None = None) -> str:
-        """Return the axis of a frame, the tip by default, along which the arm leads on: "-z", ….
+        """Return the axis of a frame (the tip by default) that points away from the arm: "-z", ….
 
-        If nothing else is known, it is the one along which the last three joints at zero lead.
+        By default the axis nearest to the direction from the third-last joint to it at q = 0.
         """
         frame = self.tip_or(frame)
         if frame == self.tip and self._outward is not None:
@@ -362,7 +362,7 @@ class Robot(Immutable):
         shifts: Mapping[str, Sequence[float]] | None = None,
         rotations: Mapping[str, Sequence[float]] | None = None,
     ) -> Robot:
-        """Return this robot with the origins of joints, also fixed ones, shifted or turned.
+        """Return this robot with joint origins, also of fixed joints, shifted or rotated.
 
         Args:
             shifts: Joint name → shift of its origin in the parent link's frame, shape (3,) [m].
@@ -385,11 +385,11 @@ class Robot(Immutable):
         return self._changed(with_moved_origins(self.tree, errors))
 
     def with_locked_joints(self, positions: Mapping[str, float]) -> Robot:
-        """Return this robot with joints fixed for good, such as those of fingers.
+        """Return this robot with some joints fixed, such as those of fingers.
 
         Args:
             positions: Joint name → position at which it is fixed [rad or m]. Mimic joints are
-                fixed with the joint that they follow, or where this says.
+                fixed with the joint that they follow, or at the position given here.
 
         Raises:
             UnknownNameError: Not a moving joint of this robot.
@@ -415,9 +415,9 @@ class Robot(Immutable):
     def save_urdf(self, path: str | Path) -> Path:
         """Write a URDF that Pinocchio, MuJoCo, MeshCat and yourdfpy open alike; return its path.
 
-        Mesh files are named by their full path, so the file is meant for this machine. Collision
-        meshes in formats that MuJoCo does not read are converted to STL, into a folder beside the
-        file. A URDF tells neither gravity nor the tip: `load_robot(path, tip=robot.tip)`.
+        Mesh files are named by their full path, so the file is for this machine only. Collision
+        meshes in formats that MuJoCo does not read are converted to STL, in a folder beside the
+        file. A URDF holds neither gravity nor the tip: `load_robot(path, tip=robot.tip)`.
 
         Raises:
             InvalidInputError: The file cannot be written.
@@ -442,7 +442,7 @@ class Robot(Immutable):
 
     @classmethod
     def like(cls, robot: Robot, **changes: Any) -> Self:
-        """Return the same robot with models of its own, which may be changed at once."""
+        """Return a copy of a robot with Pinocchio models of its own, which may be modified."""
         new, model, mimic_joints = cls.__new__(cls), pin.Model(robot.model), robot.mimic_joints
         independent = model if mimic_joints.G is None else pin.Model(mimic_joints.model)
         mimic_joints = MimicJoints(independent, *mimic_joints[1:])
@@ -457,7 +457,7 @@ class Robot(Immutable):
 
     @property
     def mass(self) -> float:
-        """Mass of everything that moves [kg]."""
+        """Mass of all moving links [kg]."""
         return float(sum(inertia.mass for inertia in list(self.model.inertias)[1:]))
 
     def __eq__(self, other: object) -> bool:
@@ -478,7 +478,7 @@ class Robot(Immutable):
 
 
 def build_model(urdf: Urdf) -> tuple[pin.Model, MimicJoints]:
-    """Return the Pinocchio model of a URDF, and how mimic joints follow from its joints."""
+    """Return the Pinocchio model of a URDF, and its map of mimic joints."""
     source = urdf.source
     moving = sum(joint.type != "fixed" for joint in urdf.joints.values())
     if moving > _MOST_MOVING:
@@ -548,22 +548,22 @@ def _coupled(urdf: Urdf, root: Any, model: pin.Model) -> tuple[pin.Model, MimicJ
 
 
 def own_joints(model: pin.Model) -> dict[str, Any]:
-    """Return name → Pinocchio joint of those that move on their own, in the order of v."""
+    """Return name → Pinocchio joint of the independent joints, in the order of v."""
     joints = zip(list(model.names)[1:], list(model.joints)[1:], strict=True)
     return {name: joint for name, joint in joints if joint.nv == 1}  # a mimic joint has nv 0
 
 
 def mass_matrix(mimic_joints: MimicJoints, data: pin.Data, q: Array) -> Array:
-    """M(q) by CRBA, made symmetric, of the model and data in which every joint moves by itself.
+    """Return M(q) by CRBA, made symmetric, from data of the model with all joints independent.
 
-    With mimic joints Pinocchio's CRBA is wrong where what one of them moves has branches.
+    On models with mimic joints Pinocchio's CRBA is wrong if the chain branches after one of them.
     """
     M = symmetric(pin.crba(mimic_joints.model, data, mimic_joints.q(q), WORLD))
     return M if mimic_joints.G is None else symmetric(mimic_joints.rows(mimic_joints.columns(M)))
 
 
 def symmetric(upper: Array) -> Array:
-    """Return a symmetric matrix of its upper triangle, as Pinocchio gives it, shape (n, n)."""
+    """Return a symmetric matrix from its upper triangle, shape (n, n)."""
     return np.where(_is_lower(len(upper)), upper.T, upper)
 
 
@@ -573,9 +573,9 @@ def _is_lower(n: int) -> np.ndarray[Any, np.dtype[np.bool_]]:
 
 
 def require_inertia(model: pin.Model, mimic_joints: MimicJoints, source: str) -> None:
-    """Refuse a robot whose inertia matrix is singular: no torque control is possible.
+    """Raise a UrdfError if the inertia matrix is singular: no torque control is possible.
 
-    What is fixed to the base may have any inertia, and in URDFs that people use some of it has.
+    Links fixed to the base may have any inertia; common URDFs contain invalid ones there.
     """
     for name, inertia in zip(list(model.names)[1:], list(model.inertias)[1:], strict=True):
         moments = np.linalg.eigvalsh(inertia.inertia)

@@ -1,8 +1,8 @@
-"""Kinematics and dynamics of a configuration that is not known yet, which brings its own.
+"""Kinematics and dynamics at a symbolic configuration.
 
-`codegen` writes a law down by running it on arrays of symbols. Pinocchio takes numbers only: so
-what is a robot's at q is asked of q, where that is no plain array. An array of symbols has
-`arm_of(robot)`, and `moved` and `motion_between` of configurations.
+`codegen` traces a law by running it on arrays of symbols. Pinocchio takes numbers only, so a
+symbolic q supplies the robot's terms itself: it has the methods `arm_of(robot)`, `moved` and
+`motion_between`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def arm_of(robot: Robot, q: Any) -> Any:
-    """Return the terms of a robot at a q that is not known yet; None where it is known.
+    """Return the terms of a robot at a symbolic q; None if q is numeric.
 
     It has `frame(name)`, `jacobian(name)`, `drift(name, v)`, `gravity()`, `M()`, `bias(v)` and
     `Z(regressor)`.
@@ -29,14 +29,14 @@ def arm_of(robot: Robot, q: Any) -> Any:
 
 
 def moved(robot: Robot, q: Array, motion: Array) -> Array:
-    """Return the configuration (nq,) that a motion (n_v,) leads to from q."""
+    """Return the configuration (nq,) after a motion (n_v,) from q."""
     if type(q) is np.ndarray and type(motion) is np.ndarray:
         return np.array(pin.integrate(robot.model, q, motion))
     return np.asanyarray(_symbolic(q, motion).moved(robot, q, motion))
 
 
 def motion_between(robot: Robot, a: Array, b: Array) -> Array:
-    """Return the motion (n_v,) that leads from a to b, both (nq,)."""
+    """Return the motion (n_v,) from a to b, both (nq,)."""
     if type(a) is np.ndarray and type(b) is np.ndarray:
         return np.asarray(pin.difference(robot.model, a, b))
     return np.asanyarray(_symbolic(a, b).motion_between(robot, a, b))

@@ -1,4 +1,4 @@
-"""`Urdf`: a URDF as a tree, checked and edited; nothing of the XML is lost (tags, comments)."""
+"""`Urdf`: a URDF as a tree, checked and edited; unknown tags and comments are kept."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Urdf:
 
     @classmethod
     def parse(cls, text: str, source: str) -> Urdf:
-        """Return the tree of a URDF text; refuse what is no XML or no valid URDF."""
+        """Parse a URDF text; raise a UrdfError if it is no XML or no valid URDF."""
         if len(text) > MOST_TEXT:
             raise UrdfError(
                 f"{source} must have at most {MOST_TEXT} characters, got {len(text)}", given=source
@@ -134,7 +134,7 @@ class Urdf:
 
     @functools.cached_property
     def text(self) -> str:
-        """The text that it was read from; of an edited one, indented with an XML declaration."""
+        """The text it was read from; after edits, indented text with an XML declaration."""
         if self._text is not None:
             return self._text
         tree = self.root.getroottree()  # with the comments that stand before the root
@@ -142,12 +142,12 @@ class Urdf:
         return str(text.decode())
 
     def copy(self) -> Urdf:
-        """Return a copy whose root may be changed before anything else is asked of it."""
+        """Return a copy whose root may be changed before any property is read."""
         return Urdf(copy.deepcopy(self.root.getroottree()).getroot(), self.source)
 
 
 def leader_of(joint: str, following: Mapping[str, Follows]) -> Follows:
-    """Return the joint at the end of a chain of followers, with the multiplier and offset to it."""
+    """Return the joint that a mimic joint follows in the end, with multiplier and offset."""
     multiplier, offset = 1.0, 0.0
     for _ in following:
         if joint not in following:
@@ -305,7 +305,7 @@ _MANY = 12  # links that are named
 
 
 def likely_tips(urdf: Urdf) -> str:
-    """Return a clause that offers the ends, and before them the links called as tips are."""
+    """Return a clause that suggests tips: links with a tip's usual name, then the end links."""
     carriers = {joint.parent for joint in urdf.joints.values()}
     ranks = {}
     for link in filter(urdf.moved_links.__contains__, urdf.links):
@@ -339,7 +339,7 @@ def direction(axis: str | Sequence[float]) -> Array:
 
 
 def as_size(name: str, value: Any, unit: str = "m") -> float:
-    """Return a length or radius of an object [m], or its mass [kg], as a number."""
+    """Return a length or radius [m], or a mass [kg], as a valid number."""
     number = as_number(name, value, unit=unit, minimum=0.0)
     most, such = (_LONGEST, "200 mm are 0.2") if unit == "m" else (_HEAVIEST, "500 g are 0.5")
     if number > most:
@@ -350,7 +350,7 @@ def as_size(name: str, value: Any, unit: str = "m") -> float:
 
 
 def rotation_onto(axis: Array) -> Array:
-    """Return the smallest rotation matrix that takes z onto the unit vector `axis`."""
+    """Return the matrix (3, 3) of the smallest rotation from z onto the unit vector `axis`."""
     x, y, z = axis
     if z < -1.0 + 1e-12:
         return np.diag([1.0, -1.0, -1.0])
@@ -363,7 +363,7 @@ def with_object(
 ) -> Urdf:
     """Return a URDF with a uniform cylinder from the origin of `parent` along `axis`, and its tip.
 
-    Without length it has no geometry, as other tools refuse cylinders of length 0.
+    With length 0 it has no geometry, because other tools refuse such cylinders.
     """
     middle, drawn = pin.SE3(rotation_onto(axis), 0.5 * length * axis), radius or 0.01 * length
     link = E.link(name=name)
@@ -393,7 +393,7 @@ def with_object(
 
 
 def with_moved_origins(urdf: Urdf, errors: Mapping[str, tuple[Array, Array]]) -> Urdf:
-    """Return a URDF with joints moved: their shifts (3,) [m] and rotation vectors (3,) [rad]."""
+    """Return a URDF with joint origins moved by shifts (3,) [m] and rotation vectors (3,) [rad]."""
     new = urdf.copy()
     for element in new.root.iterfind("joint"):
         name = element.get("name")
@@ -405,7 +405,7 @@ def with_moved_origins(urdf: Urdf, errors: Mapping[str, tuple[Array, Array]]) ->
 
 
 def with_locked_joints(urdf: Urdf, positions: Mapping[str, float]) -> Urdf:
-    """Return a URDF with joints fixed at positions [rad or m], and those that mimic them."""
+    """Return a URDF with joints, and those that mimic them, fixed at positions [rad or m]."""
     locked = dict(positions)
     moving = {joint.name for joint in urdf.joints.values() if joint.type != "fixed"}
     following = {joint: follows for joint, follows in urdf.followers.items() if joint in moving}
