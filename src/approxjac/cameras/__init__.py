@@ -1,4 +1,4 @@
-"""Cameras: how points in space become images, and what is known of a camera."""
+"""Cameras: how points in space become images."""
 
 from approxjac.cameras.camera import Camera, PinholeCamera, PlanarCamera, tag_corners
 

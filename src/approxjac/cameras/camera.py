@@ -1,4 +1,4 @@
-"""`Camera`: the paper's planar one, and the one with perspective in OpenCV's conventions."""
+"""`Camera`: the paper's planar camera, and a pinhole camera in OpenCV's conventions."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ from approxjac.validation import (
 
 
 class Camera(Saved, ABC):
-    """A camera: the image X of a point, and how the image moves with the point.
+    """A camera: the image X of a point and its Jacobian.
 
-    Positions are those in the frame that the camera is fixed to.
+    Positions r [m] are in the frame `mount` that the camera is fixed to.
 
     Attributes:
         labels: Names of the image coordinates of one point, length 2.
@@ -46,7 +46,7 @@ class Camera(Saved, ABC):
 
     @abstractmethod
     def project(self, r: Array) -> Array:
-        """Return the image of a point at r (3,), shape (2,); NaN where it has none."""
+        """Return the image of a point at r (3,), shape (2,); NaN if it has none."""
 
     @abstractmethod
     def interaction(self, r: Array) -> Array:
@@ -58,11 +58,11 @@ class Camera(Saved, ABC):
 
     @property
     def calibration(self) -> Mapping[str, tuple[float, str]]:
-        """Numbers of the camera's calibration that may be wrong, by name, and their units."""
+        """Name → value and unit of calibration parameters that may be wrong."""
         return {}
 
     def recalibrated(self, values: Mapping[str, float]) -> Camera:
-        """Return this camera with other values of its calibration, if it has them."""
+        """Return this camera with other values of its `calibration`, by name."""
         for name in values:
             if name not in self.calibration:
                 where = f"the calibration of {type(self).__name__}"
@@ -71,12 +71,12 @@ class Camera(Saved, ABC):
 
     @property
     def numbers(self) -> dict[str, Array]:
-        """Numbers that images depend on, by the names of attributes; by default all floats."""
+        """Attribute → number that images depend on; by default all float attributes."""
         own = {name: np.asarray(value) for name, value in vars(self).items()}
         return {name: value for name, value in own.items() if value.dtype == np.float64}
 
     def with_numbers(self, numbers: Mapping[str, Any]) -> Self:
-        """Return this camera with other `numbers`, such as some that are not known yet."""
+        """Return this camera with other `numbers`, which may be symbols."""
         other = object.__new__(type(self))
         vars(other).update(vars(self), **numbers)
         return other
@@ -91,9 +91,9 @@ class PlanarCamera(Camera):
     Attributes:
         focal_length: f > 0 [m].
         distance: z > f, from the arm's plane to the image [m].
-        roll: δ, turn of the image about the optical axis [rad].
-        offset: d, where the world's origin appears, shape (2,) [m].
-        plane: The world axes that are the paper's x and y.
+        roll: δ, rotation of the image about the optical axis [rad].
+        offset: d, image of the world's origin, shape (2,) [m].
+        plane: World axes of x and y above, such as "xz".
 
     Raises:
         InvalidInputError: A focal length that is not positive, or a distance not beyond it.
@@ -159,29 +159,29 @@ _WITHIN = 0.999  # of a round image, in which a ray is surely shown
 class PinholeCamera(Camera):
     """A camera with perspective: u = f_x x″ + c_x, v = f_y y″ + c_y, in pixels.
 
-    (x″, y″) is the ray (X/Z, Y/Z) through a point (X, Y, Z) in the camera's own axes (right, down,
-    forward), bent by its lens, all as in OpenCV; (0, 0) is the middle of the upper left pixel.
-    `from_opencv` takes a calibration as it is.
+    (x″, y″) is the ray (X/Z, Y/Z) of a point (X, Y, Z) in the camera's own axes (right, down,
+    forward), distorted by the lens, as in OpenCV; (0, 0) is the centre of the upper left pixel.
+    `from_opencv` takes OpenCV's calibration directly.
 
-    Rays beyond where the lens's polynomial folds back, or beyond 85° of a fisheye lens, have no
-    image (NaN). For a Jacobian a point outside the view is taken at the nearest ray within it and
-    at a depth of at least `near`: the true camera may see it although the believed one does not.
+    Rays beyond the angle at which the lens's polynomial folds back, or beyond 85° of a fisheye
+    lens, have no image (NaN). The Jacobian of a point outside the view is that at the nearest
+    visible ray and a depth of at least `near`: the true camera may see it although this does not.
 
     Attributes:
         focal_length: f_x = f_y, or (f_x, f_y), > 0 [px].
         size: Width and height of the image [px].
-        position: Of the camera's centre, shape (3,) [m].
+        position: Position of the camera's centre, shape (3,) [m].
         rotation: Its axes (right, down, forward) as columns, shape (3, 3).
-        center: (c_x, c_y), where the optical axis meets the image; its middle by default [px].
-        distortion: (k₁, k₂, k₃), or fewer of them; or OpenCV's 4, 5, 8, 12 or 14 coefficients (k₁,
-            k₂, p₁, p₂, k₃, k₄, k₅, k₆, s₁, s₂, s₃, s₄, τ_x, τ_y); of a fisheye lens 4, or none.
-        fisheye: The lens is OpenCV's fisheye lens ("equidistant" in ROS).
+        center: Principal point (c_x, c_y); the image's centre by default [px].
+        distortion: Up to three of (k₁, k₂, k₃); or OpenCV's 4, 5, 8, 12 or 14 coefficients (k₁,
+            k₂, p₁, p₂, k₃, k₄, k₅, k₆, s₁, s₂, s₃, s₄, τ_x, τ_y); 4 or none of a fisheye lens.
+        fisheye: Whether the lens is OpenCV's fisheye model ("equidistant" in ROS).
         mount: Frame that position and rotation are given in; None is the world.
-        near: Smallest depth Z at which anything is seen, > 0 [m].
+        near: Smallest depth Z at which points are seen, > 0 [m].
 
     Raises:
-        InvalidInputError: Numbers out of range or of the wrong shape, a rotation that is none, or
-            a distortion with which the image folds back within its size.
+        InvalidInputError: Numbers out of range or of the wrong shape, axes that are not
+            orthonormal, or a distortion that folds back within the image.
     """
 
     focal_length: float | Sequence[float]
@@ -264,7 +264,8 @@ class PinholeCamera(Camera):
     ) -> PinholeCamera:
         """Return a camera at `position` whose optical axis goes through `target`, both (3,) [m].
 
-        `up` and what it must not be are as of `standing_at`, all else as of `PinholeCamera`.
+        `up` (3,) points upwards in the image and must not be parallel to the optical axis; other
+        arguments are those of `PinholeCamera`.
         """
         return cls(focal_length, size, **options).standing_at(position, looking_at=target, up=up)
 
@@ -283,19 +284,19 @@ class PinholeCamera(Camera):
     ) -> PinholeCamera:
         """Return the camera of a calibration by OpenCV.
 
-        Its pose in the world, or in its `mount`, is given by rvec and tvec, or by camera_pose.
+        Its pose in the world, or in its `mount`, is given by rvec and tvec or by camera_pose.
 
         Args:
             K: Camera matrix, shape (3, 3), without skew [px].
-            distortion: OpenCV's coefficients in any shape, or none.
+            distortion: OpenCV's coefficients in any shape, or None.
             size: Width and height of the image [px].
-            rvec: With tvec, to the camera: r_camera = Rodrigues(rvec) r + tvec, as `cv2.solvePnP`
-                returns for a board with points r in that frame; 3 numbers [rad].
-            tvec: 3 numbers [m].
-            camera_pose: From the camera, r = R r_camera + p, shape (4, 4) [m], as
-                `cv2.calibrateHandEye` returns as R_cam2gripper and t_cam2gripper.
-            fisheye: The coefficients are those of `cv2.fisheye`.
-            **options: Mount and near, as for `PinholeCamera`.
+            rvec: Rotation vector of r_camera = Rodrigues(rvec) r + tvec, 3 numbers [rad]; such as
+                from `cv2.solvePnP`, for points r of a board in that frame.
+            tvec: Its translation, 3 numbers [m].
+            camera_pose: Matrix of r = R r_camera + p, shape (4, 4) [m]; such as R_cam2gripper and
+                t_cam2gripper of `cv2.calibrateHandEye`.
+            fisheye: Whether the coefficients are those of `cv2.fisheye`.
+            **options: `mount` and `near`, as for `PinholeCamera`.
         """
         k = as_array("K", K, (3, 3), "px")
         f, c = (k[0, 0], k[1, 1]), (k[0, 2], k[1, 2])
@@ -333,7 +334,7 @@ class PinholeCamera(Camera):
         *,
         up: Sequence[float] | Array = (0.0, 0.0, 1.0),
     ) -> PinholeCamera:
-        """Return this camera at a position, looking at another (3,) [m], and with `up` upwards."""
+        """Return this camera at a position, looking at another (3,) [m], with `up` upwards."""
         p = as_array("position", position, (3,), "m")
         view = as_array("target", looking_at, (3,), "m") - p
         right = np.cross(view, as_array("up", up, (3,)))
@@ -347,7 +348,7 @@ class PinholeCamera(Camera):
         return replace(self, position=p, rotation=np.column_stack([x, np.cross(z, x), z]))
 
     def placement(self) -> tuple[Array, Array]:
-        """Return rotation (3, 3) and position (3,) [m] in the frame that it is fixed to."""
+        """Return rotation (3, 3) and position (3,) [m] in the frame `mount`."""
         return self._R.copy(), self._p.copy()
 
     def in_camera(self, r: Array) -> Array:
@@ -384,7 +385,7 @@ class PinholeCamera(Camera):
         return np.asanyarray(law.select(inside, x, _NOWHERE.copy()))
 
     def nearest(self, x: Array) -> Array:
-        """Return the image coordinates that can be seen and are nearest to x (2,); (2,)."""
+        """Return the visible image coordinates (2,) nearest to x (2,) [px]."""
         (u, v), (width, height) = x.tolist(), self.size
         inside = law.array([_between(u, -0.5, width - 0.5), _between(v, -0.5, height - 0.5)])
         if self._sees_all:
@@ -394,7 +395,7 @@ class PinholeCamera(Camera):
         return np.asanyarray(self._c + self._f * law.array(w))
 
     def ray(self, x: Array) -> Array:
-        """Return the ray (X/Z, Y/Z) whose image is x (2,) [px], shape (2,); NaN where none is."""
+        """Return the ray (X/Z, Y/Z) whose image is x (2,) [px], shape (2,); NaN if none has it."""
         return self._lens.ray((x - self._c) / self._f)
 
     def locate(self, x: Array, depth: float) -> Array:
@@ -430,13 +431,13 @@ class PinholeCamera(Camera):
         rotation: Sequence[float] | Array = (0.0, 0.0, 0.0),
         focal_factor: float = 1.0,
     ) -> PinholeCamera:
-        """Return this camera moved and with another focal length: of a true one, a wrong belief.
+        """Return this camera with errors of its pose and focal length.
 
         Args:
-            shift: Along this camera's axes (right, down, forward), shape (3,) [m].
+            shift: Shift along this camera's axes (right, down, forward), shape (3,) [m].
             rotation: Rotation vector in this camera's axes, shape (3,) [rad]; (0, 0, δ) rolls the
-                camera clockwise by δ, as it looks, so that what it sees turns the other way.
-            focal_factor: Of both focal lengths, > 0.
+                camera clockwise by δ, seen from behind it, and its image the other way.
+            focal_factor: Factor of both focal lengths, > 0.
         """
         moved = self._R @ as_array("shift", shift, (3,), "m")
         turned = self._R @ pin.exp3(np.array(as_array("rotation", rotation, (3,), "rad")))
@@ -534,17 +535,17 @@ def as_pose(name: str, value: object) -> tuple[Array, Array]:
 def tag_corners(size: float, tag_pose: object = None) -> Array:
     """Return the corners of a square tag, as points of an `ImageTask`, shape (4, 3) [m].
 
-    In the order of `cv2.aruco`: upper left, upper right, lower right, lower left of the upright
-    tag. (pupil-apriltags begins at the lower left and goes the other way round: take
-    `corners[::-1]`.) `CombinedTask.balanced` makes six coordinates of the eight.
+    The order is that of `cv2.aruco`: upper left, upper right, lower right, lower left of the
+    upright tag. (For pupil-apriltags, which starts at the lower left and goes the other way round,
+    use `corners[::-1]`.) `CombinedTask.balanced` reduces the eight coordinates to six.
 
     Args:
-        size: Length of its black square's side, > 0 [m].
-        tag_pose: From the tag to the frame that it is fixed to, shape (4, 4) [m]; the tag's x axis
-            points right, y up, and z out of it. By default it is in that frame's origin and axes.
+        size: Side length of its black square, > 0 [m].
+        tag_pose: Pose of the tag in the frame that it is fixed to, shape (4, 4) [m]; its x axis
+            points right, y up, and z out of the tag. By default the identity.
 
     Raises:
-        InvalidInputError: A size that is not positive, or a pose that is none.
+        InvalidInputError: A size that is not positive, or a matrix that is no pose.
     """
     half = 0.5 * as_number("size", size, unit="m", above=0.0)
     corners = half * np.array([[-1.0, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])

@@ -1,4 +1,4 @@
-"""Lenses: where they show a ray, by OpenCV's pinhole model and by its fisheye model."""
+"""Lenses: distortion of rays by OpenCV's pinhole and fisheye models."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ _COUNTS = (0, 1, 2, 3, 4, 5, 8, 12, 14)  # of coefficients that a lens may be gi
 class Lens:
     """OpenCV's distortion of a pinhole camera, with up to 14 coefficients.
 
-    With ρ = ‖p‖², a ray p = (x, y) = (X/Z, Y/Z) is shown, in focal lengths from the middle, at
+    With ρ = ‖p‖², the image of a ray p = (x, y) = (X/Z, Y/Z), in focal lengths from the center, is
 
         p (1 + k₁ρ + k₂ρ² + k₃ρ³)/(1 + k₄ρ + k₅ρ² + k₆ρ³)
           + (2p₁xy + p₂(ρ + 2x²), p₁(ρ + 2y²) + 2p₂xy) + (s₁ρ + s₂ρ², s₃ρ + s₄ρ²),
 
-    seen on a sensor that is tilted by (τ_x, τ_y); the coefficients are those of `PinholeCamera`.
+    on a sensor that is tilted by (τ_x, τ_y); the coefficients are those of `PinholeCamera`.
 
-    The map is one to one on a disc of rays where its derivative has a positive definite symmetric
-    part; `largest_radius` is that of such a disc, by bounds on the derivative (exact where the
-    distortion is radial). Rays beyond have no image here, so that none is shown where another is.
+    The map is one to one on a disc of rays on which its derivative has a positive definite
+    symmetric part; `largest_radius` is the radius of such a disc, by bounds on the derivative
+    (exact for radial distortion). Rays beyond it have no image, so that no two share one.
 
     Attributes:
-        largest_radius: Of rays that are shown.
-        shown_radius: Of the image of these, if it may be round, in focal lengths.
-        is_straight: It shows each ray where it is.
+        largest_radius: Largest ‖p‖ of rays with an image.
+        shown_radius: Radius of the image of these rays, if it is round, in focal lengths.
+        is_straight: True without distortion.
     """
 
     shown_radius = math.inf
@@ -96,7 +96,7 @@ class Lens:
         return t00 * a + t01 * c, t00 * b + t01 * d, t10 * a + t11 * c, t10 * b + t11 * d
 
     def undistorted(self, shown: Array) -> Array:
-        """Return the ray (2,) shown at `shown` (2,); one of those shown where there is none."""
+        """Return the ray (2,) with image `shown` (2,), or another valid ray if there is none."""
         if self.is_straight:
             return shown
         u, v = shown.tolist()
@@ -119,7 +119,7 @@ class Lens:
         return np.asanyarray(law.array([x, y]))
 
     def ray(self, shown: Array) -> Array:
-        """Return the ray (2,) that is shown at `shown` (2,); NaN where none is."""
+        """Return the ray (2,) with image `shown` (2,); NaN if there is none."""
         if self.is_straight:
             return shown
         p = self.undistorted(shown)
@@ -211,9 +211,9 @@ _WIDEST = math.radians(85.0)  # [rad]; at 90° from the optical axis X/Z is infi
 class Fisheye(Lens):
     """OpenCV's fisheye lens, also called equidistant, or of Kannala and Brandt.
 
-    It shows a ray at the angle θ = atan ‖p‖ from the optical axis at the distance
-    θ_d = θ (1 + k₁θ² + k₂θ⁴ + k₃θ⁶ + k₄θ⁸) from the middle, in the ray's direction. Rays are shown
-    up to where θ_d stops growing, and to 85°: to the angle `widest` [rad].
+    A ray at the angle θ = atan ‖p‖ from the optical axis has its image in the ray's direction at
+    the distance θ_d = θ (1 + k₁θ² + k₂θ⁴ + k₃θ⁶ + k₄θ⁸) from the center. Rays have images up to the
+    angle `widest` [rad] at which θ_d stops growing, at most 85°.
     """
 
     def __init__(self, coefficients: Sequence[float]) -> None:
@@ -259,10 +259,7 @@ def _sum(coefficients: Sequence[float], s: float) -> float:
 
 
 def inverse(growing: Callable[[float], float], wanted: float, largest: float) -> float:
-    """Invert a function that grows from 0 to `largest`.
-
-    Bisection cannot fail, and nothing is in a hurry.
-    """
+    """Invert a function that grows from 0 to `largest`, by bisection."""
 
     def halved(_: int, ends: tuple[float, float, float]) -> tuple[float, float, float]:
         low, high, wanted = ends
@@ -279,7 +276,7 @@ def inverse(growing: Callable[[float], float], wanted: float, largest: float) ->
 
 
 def shortened(radius: float, x: float, y: float) -> tuple[float, float]:
-    """Return a ray (x, y), shortened to a length where it is longer."""
+    """Return a ray (x, y), shortened to a length if it is longer."""
     size = root(x * x + y * y)
     size = law.select(size > _TINY, size, _TINY)
     back = law.select(size > radius, radius / size, 1.0)

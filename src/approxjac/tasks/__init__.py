@@ -1,4 +1,4 @@
-"""Tasks: what is measured and brought to a target, with its Jacobian."""
+"""Tasks: quantities that are measured and brought to a target, with their Jacobians."""
 
 from approxjac.tasks.frame_tasks import (
     FrameKinematics,

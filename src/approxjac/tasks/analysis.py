@@ -1,4 +1,4 @@
-"""Functions of a task that only an analysis, a sensor or a drawing needs."""
+"""Functions of a task for analysis, sensors and plots."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _TRIES = 20000  # random configurations to look for ones that a camera sees
 
 
 def fine_error(units: Iterable[str], noise: float = 0.0) -> float:
-    """Return the error below which a task of some units is done, measured with noise."""
+    """Return the error below which a task in these units counts as done, given sensor noise."""
     return max(_NOISY * noise, *(FINE.get(unit, FINE["m"]) for unit in units))
 
 
@@ -37,7 +37,7 @@ def with_error(task: Task, x: Array, x_d: Array, e: Array) -> Array:
 
 
 def combination(task: Task) -> Array:
-    """Return the matrix from errors of what is measured to those of a task."""
+    """Return the matrix from errors of the measured value to those of the task."""
     measured, origin = task._measured, task._origin
     if measured is task:
         return np.eye(task.m)
@@ -46,18 +46,18 @@ def combination(task: Task) -> Array:
 
 
 def uncombined(task: Task) -> Array | None:
-    """Return the matrix from a task's errors to the least ones of what is measured; None is I."""
+    """Return the matrix from a task's errors to the smallest measured ones; None for I."""
     return None if task._measured is task else np.asarray(np.linalg.pinv(combination(task)))
 
 
 def controllable_coordinates(task: Task) -> int:
-    """Return the number of coordinates that the arm can move one by one, at most."""
+    """Return the largest number of coordinates that the arm can move independently."""
     most = min(task.m, task.robot.nv)
     return min(most, _OF_A_BODY) if isinstance(task, ImageTask) else most
 
 
 def require_controllable(task: Task) -> None:
-    """Refuse what is no task, and one with more coordinates than the arm can move one by one."""
+    """Raise an InvalidInputError for a task with more coordinates than the arm can move."""
     require("task", task, Task, "a task of the believed robot, such as PositionTask(robot)")
     m, nv, most = task.m, task.robot.nv, controllable_coordinates(task)
     if m > most:
@@ -70,23 +70,23 @@ def require_controllable(task: Task) -> None:
 
 
 def features(task: Task | None) -> tuple[Feature, ...]:
-    """Return the features that a task follows; none of tasks that are not this library's."""
+    """Return the features that a task follows; none for a user's own task."""
     return () if task is None else task._features
 
 
 def place_of(task: Task, x: Array) -> Array | None:
-    """Return the place in the world (3,) [m] of a value x (n_x,); None if it has none."""
+    """Return the position in the world (3,) [m] of a value x (n_x,); None if it has none."""
     placed = next((part for part in features(task) if part.axes == "xyz"), None)
     return None if placed is None else placed.place(x)
 
 
 def image_feature(task: Task | None) -> Feature | None:
-    """Return the first part of a task that a camera sees."""
+    """Return the first feature of a task that a camera sees, or None."""
     return next((feature for feature in features(task) if feature.camera is not None), None)
 
 
 def require_unmirrored(task: Task, name: str, x: Array, like: Array, whose: str) -> None:
-    """Refuse a value whose points run round the other way than in another one."""
+    """Raise an InvalidInputError if a value's points run in the opposite sense to another's."""
     if task._is_mirrored(x, like):
         raise InvalidInputError(
             f"{name} must have its points in the task's order: they run round the other way than "
@@ -97,7 +97,7 @@ def require_unmirrored(task: Task, name: str, x: Array, like: Array, whose: str)
 
 
 def require_as_believed(task: Task, q: Array, x: Array) -> None:
-    """Refuse a measured x whose points run round the other way than in the believed image."""
+    """Raise an InvalidInputError if a measured x is mirrored against the believed image."""
     if image_feature(task) is not None and np.isfinite(q).all():
         require_unmirrored(task, "x", x, task.value(q), "the believed image")
 
@@ -110,7 +110,7 @@ def sees(task: Task, q: Array) -> bool:
 
 
 def seen_configurations(task: Task, count: int) -> list[Array]:
-    """Draw `count` seeded configurations in which the task's sensor sees it; fewer if rare."""
+    """Draw up to `count` seeded configurations in which the task's sensor sees it."""
     rng = np.random.default_rng(0)
     drawn = (task.robot.random_configuration(rng) for _ in range(max(count, _TRIES)))
     seen = list(islice((q for q in drawn if sees(task, q)), count))
@@ -124,7 +124,7 @@ def seen_configurations(task: Task, count: int) -> list[Array]:
 
 
 def vanishing(task: Task) -> float:
-    """Return σ_max [unit of the task/rad] below which Ĵ vanishes: a tenth of what it usually is."""
+    """Return the σ_max [unit of the task/rad] below which Ĵ vanishes: a tenth of the usual one."""
     threshold: float | None = vars(task).get("_vanishing")  # which no task changes
     if threshold is None:
         largest = [np.linalg.norm(task.jacobian(q), 2) for q in seen_configurations(task, 20)]
@@ -133,7 +133,7 @@ def vanishing(task: Task) -> float:
 
 
 def require_jacobian_of_q(task: Task, what: str) -> None:
-    """Refuse a task whose Jacobian uses the measured x, for an analysis that needs its rate."""
+    """Raise an InvalidInputError if a task's Jacobian uses the measured x."""
     if task._uses_x:
         raise InvalidInputError(
             f"{what} is for a task whose Jacobian depends on q only and has a rate, such as an "

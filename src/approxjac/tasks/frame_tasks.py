@@ -1,4 +1,4 @@
-"""Kinematics of a frame of a robot, and its position or pose as tasks, also in a tracker's axes."""
+"""Kinematics of a robot's frame, and tasks of its position or pose, also in a tracker's axes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _CROSS = np.array([
 class FrameKinematics:
     """Forward kinematics of one frame.
 
-    Owns scratch memory: one instance a thread. What it returns is yours to keep.
+    Owns scratch memory: one instance a thread; returned arrays are copies except `motion`'s.
 
     Args:
         robot: The robot, true or believed.
@@ -116,7 +116,7 @@ class FrameKinematics:
         return mimic_joints.columns(J_dot.reshape(6, -1))
 
     def drift(self, q: Array, v: Array) -> Array:
-        """Return J̇q̇, shape (6,): what accelerates the frame, and turns it, where q̈ is 0."""
+        """Return J̇q̇, the frame's acceleration and angular acceleration at q̈ = 0, shape (6,)."""
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
             return np.asanyarray(arm.drift(self.frame, v))
         return np.asarray(self.jacobian_dot(q, v).dot(v))
@@ -151,7 +151,7 @@ class PointKinematics:
         return p
 
     def jacobians(self, q: Array, at: Array | None = None) -> tuple[Array, Array]:
-        """Return r (k, 3), or `at` where that is finite, and ∂r/∂q there (k, 3, n_v)."""
+        """Return positions r (k, 3), `at` where that is finite, and ∂r/∂q there (k, 3, n_v)."""
         p, moved = self._in_world(q)
         if self._mount is None:
             return _chosen(p, at), moved
@@ -216,13 +216,12 @@ class PositionTask(_FrameTask):
     Args:
         robot: The robot, true or believed.
         frame: Frame name; the robot's `tip` by default.
-        axes: World axes in the order wanted, such as "xyz" or "xz"; by default those that the arm
-            commands: all three, or of a planar arm or one with fewer joints the best of them
-            (`best_axes`).
+        axes: World axes in the order of X, such as "xyz" or "xz"; by default all three, or for a
+            planar arm or one with fewer joints those of `best_axes`.
 
     Raises:
         UnknownNameError: No such frame, or an axis that is not x, y or z.
-        InvalidInputError: No or doubled axes, or more of them than joints.
+        InvalidInputError: No or repeated axes, or more of them than joints.
     """
 
     _kind = "position"
@@ -250,10 +249,10 @@ class PositionTask(_FrameTask):
 
 
 def best_axes(robot: Robot, frame: str | None = None) -> str:
-    """Return world axes along which an arm commands a frame (its `tip` by default).
+    """Return the world axes along which an arm can move a frame (its `tip` by default).
 
-    "xyz" without the axes along which nothing moves the frame; of an arm with fewer joints those
-    along which it moves fastest, in the mean over seeded configurations.
+    "xyz" without axes along which no joint moves the frame; for an arm with fewer joints, those
+    along which the frame moves fastest, in the mean over seeded configurations.
     """
     rng, kinematics = np.random.default_rng(0), FrameKinematics(robot, robot.tip_or(frame))
     drawn = [robot.random_configuration(rng) for _ in range(20)]
@@ -266,12 +265,12 @@ def best_axes(robot: Robot, frame: str | None = None) -> str:
 class PoseTask(_FrameTask):
     """X = position [m] and orientation of a frame in the world; m = 6.
 
-    A value is (x, y, z) and a quaternion (x, y, z, w), shape (7,), as `pin.SE3ToXYZQUAT` has it;
+    A value is (x, y, z) and a quaternion (x, y, z, w), shape (7,), as from `pin.SE3ToXYZQUAT`;
     the quaternion's length and sign do not matter. The error is (p − p_d, φ), with the rotation
     vector φ = log(R R_dᵀ) in world axes [rad], below 180°.
 
-    The Jacobian is the geometric one, with which d/dt ½‖φ‖² = φᵀω: the paper's proof carries over
-    where the three rotational gains are equal and s(φ) = φ.
+    The Jacobian is the geometric one, for which d/dt ½‖φ‖² = φᵀω: the stability proof holds if
+    the three rotational gains are equal and s(φ) = φ.
 
     Args:
         robot: The robot, true or believed.
@@ -347,8 +346,8 @@ class _Tracked(_FrameTask):
 class TrackerTask(_Tracked):
     """X = R p + b: position p of a frame's origin in the axes of a tracker [m].
 
-    Targets are in its axes, too. A controller that knows nothing of the tracker takes a
-    `PositionTask` for it.
+    Targets are in its axes, too. A controller that does not know the tracker's pose uses a
+    `PositionTask` in its place.
 
     Args:
         robot: The robot, true or believed.
@@ -364,8 +363,8 @@ class TrackerTask(_Tracked):
 class PoseTrackerTask(_Tracked, PoseTask):
     """X = (R p + b, R R_f): the pose of a frame in the axes of a tracker; m = 6.
 
-    As a `PoseTask` in all else. A controller that knows nothing of the tracker takes a `PoseTask`
-    for it. Arguments and errors are those of a `TrackerTask`, and fewer than six joints.
+    Otherwise a `PoseTask`, which a controller that does not know the tracker's pose uses in its
+    place. Arguments and errors are those of `TrackerTask`; fewer than six joints are an error.
     """
 
     _kind = "pose tracker"

@@ -26,25 +26,25 @@ class ImageTask(Task):
 
     A camera fixed in the world watches points of the robot (eye-to-hand), one with a `mount` is
     carried by the robot and watches points of the world (eye-in-hand). With k points x is
-    (u₁, v₁, u₂, v₂, …) and m = 2k, of which a controller takes at most 6, and at most as many as
-    there are joints; of more `CombinedTask.balanced` makes as many.
+    (u₁, v₁, u₂, v₂, …) and m = 2k. A controller takes at most 6 coordinates, and no more than
+    there are joints; `CombinedTask.balanced` reduces larger tasks to that.
 
     Args:
         robot: The robot, true or believed.
         camera: The camera, true or believed.
-        frame: Frame that the points are fixed to. By default the robot's `tip`, or the world where
-            the camera is carried by the robot, which is None as an attribute.
-        points: Positions of the points in that frame, shape (k, 3) [m]; its origin by default. To
-            be given for points of the world.
-        depth: Where Ĵ_I takes a point to be. "believed": where the believed robot and camera have
-            it. Or on the ray of its *measured* image, at a depth Z > 0 of all, or of each, shape
-            (k,) [m]; or "measured" for a camera that measures it: then x is (u₁, v₁, Z₁, …), the
-            depths are no part of the error, and the believed one is used where none is measured.
+        frame: Frame that the points are fixed to. By default the robot's `tip`; for a camera on
+            the robot the world (None).
+        points: Positions of the points in that frame, shape (k, 3) [m]; by default its origin.
+            Required for points of the world.
+        depth: Depth of the points in Ĵ_I. "believed": position and depth from the believed robot
+            and camera. A number Z > 0, or shape (k,) [m]: that depth on the ray of the *measured*
+            image. "measured", for a camera that measures depth: x is (u₁, v₁, Z₁, …), the depths
+            are no part of the error, and a lost one is replaced by the believed one.
 
     Raises:
         UnknownNameError: No such frame.
-        InvalidInputError: Points that are the same, all on one line, or move with the camera; a
-            depth for a camera that has none.
+        InvalidInputError: Points that coincide, are collinear or move with the camera; or a
+            depth for a camera without one.
     """
 
     _kind = "image"

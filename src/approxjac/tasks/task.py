@@ -19,7 +19,7 @@ _DIFFERENCE = 1e-5  # of q, either way, from which a rate is taken [rad or m]
 
 
 class Feature(NamedTuple):
-    """The origin of a frame that an elementary task follows, or points that a camera sees."""
+    """A frame's origin, or points seen by a camera, that an elementary task follows."""
 
     entries: slice  # where its values are in x
     frame: str | None  # that is followed, or that the points are fixed to; None is the world
@@ -37,12 +37,12 @@ class Feature(NamedTuple):
 class Task(Immutable, Saved, ABC):
     """A task X = h(q) of one robot.
 
-    A controller uses the task of the *believed* robot, and of it only the Jacobian Ĵ: the value
-    X comes from a measurement. A sensor is the same kind of object on the *true* robot. The error
-    e of a value to a target has m coordinates; mostly it is X − X_d and X has m entries, too.
+    A controller uses only the Jacobian Ĵ of a task of the *believed* robot: the value X comes from
+    a measurement. A sensor is the same kind of object on the *true* robot. The error e of a value
+    to a target has m coordinates; usually it is X − X_d, and X has m entries, too.
 
-    A task of one's own has `value`, `jacobian` and `on`, and with another error its own `error` and
-    `displaced`, too; examples/19_own_task.py is one.
+    For a task of your own, implement `value`, `jacobian` and `on`, and for another error also
+    `error` and `displaced`; see examples/19_own_task.py.
 
     Immutable, but it owns scratch memory: one instance a thread.
 
@@ -94,7 +94,7 @@ class Task(Immutable, Saved, ABC):
 
     @abstractmethod
     def value(self, q: Array) -> Array:
-        """Return X = h(q), shape (n_x,), NaN where a sensor would not see it."""
+        """Return X = h(q), shape (n_x,), with NaN for parts that a sensor would not see."""
 
     @abstractmethod
     def jacobian(self, q: Array, x: Array | None = None) -> Array:
@@ -103,18 +103,17 @@ class Task(Immutable, Saved, ABC):
         Args:
             q: Configuration, shape (nq,).
             x: Measured value, shape (n_x,), for a task that uses it, such as an image whose depth
-                is measured. Parts of it that are lost, and None, are replaced by what this robot
-                would measure.
+                is measured. Lost parts (NaN), or all for None, are replaced by `value(q)`.
         """
 
     @abstractmethod
     def on(self, robot: Robot) -> Task:
-        """Return the same task of another robot, such as the true one."""
+        """Return the same task for another robot, such as the true one."""
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:
         """Return d/dt of `jacobian` along q̇, shape (m, n_v).
 
-        A central difference, good to some 1e-9 of it, of tasks that do not have it exactly.
+        By default a central difference, with a relative error of about 1e-9.
         """
         q, v = self.robot.configuration(q), as_vector("v", v, self.robot.nv)
         speed = float(np.linalg.norm(v))
@@ -126,7 +125,7 @@ class Task(Immutable, Saved, ABC):
         return (after - before) / (2.0 * step)
 
     def error(self, x: Array, x_d: Array) -> Array:
-        """Return the error e of a value to a target, both (n_x,); shape (m,), NaN if x is lost."""
+        """Return the error e (m,) of a value to a target, both (n_x,); NaN if x is lost."""
         return x - x_d
 
     def displaced(self, x: Array, e: Array) -> Array:
@@ -134,7 +133,7 @@ class Task(Immutable, Saved, ABC):
         return x + e
 
     def target(self, x_d: object) -> Array:
-        """Return a target as a read-only array (n_x,), if it is a value with an error to it."""
+        """Return a target as a read-only array (n_x,), or raise an InvalidInputError."""
         target = as_array("target", x_d, (self.n_x,), joined(self.units))
         if not (np.abs(self.error(target, target)) < 1e-6).all():
             raise InvalidInputError(

@@ -1,4 +1,4 @@
-"""Tasks made from others: stacked, their coordinates combined, or their Jacobian kept regular."""
+"""Tasks made from others: stacked, with combined coordinates, or with a regular Jacobian."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def _moved(entries: slice, start: int) -> slice:
 
 
 class StackedTask(WrappedTask):
-    """X = the values of several tasks; the labels have their number, such as "1.x" or "2.x".
+    """X = the values of several tasks; labels start with the task's number: "1.x", "2.x".
 
     Args:
         *tasks: At least one task, all of the same robot.
@@ -155,24 +155,24 @@ _REGULAR = 1e-9  # σ_min/σ_max of C below which it has no inverse
 class CombinedTask(WrappedTask):
     """e = C (error of another task): the same task in other coordinates, as many or fewer.
 
-    K_p and K_v are diagonal, so they weigh the coordinates and nothing between them: the images of
-    several points move together when the hand moves sideways and hardly apart when it comes
-    nearer, and one gain for all makes the second slow. With C, which `balanced` chooses, both are
-    coordinates of their own. What is measured, and a target, stay those of the task itself.
+    K_p and K_v are diagonal and cannot weigh combinations of coordinates: the images of several
+    points move together when the hand moves sideways, and hardly apart when it comes nearer, so
+    that one gain for all makes the second slow. With C, which `balanced` chooses, each motion
+    is a coordinate of its own. Measurements and targets stay those of the task itself.
 
-    With fewer rows than columns C makes fewer coordinates, such as the six of a rigid body of the
-    eight of a tag's corners. The law's proof holds wherever C Ĵ has full row rank.
+    With fewer rows than columns C reduces the coordinates, such as the eight of a tag's corners to
+    the six of a rigid body. The law's proof holds wherever C Ĵ has full row rank.
 
     Source: the combination matrix of B. Espiau, F. Chaumette and P. Rives, "A new approach to
     visual servoing in robotics", IEEE Trans. Robotics and Automation 8 (1992).
 
-    For controllers: the plant's sensor is the task itself, also that of rollouts. The other
-    stability tests take a plant whose sensor is `CombinedTask(sensor, C)` with the same C.
+    It is for controllers; the plant's sensor, also in rollouts, is the task itself. The other
+    stability tests need a plant whose sensor is `CombinedTask(sensor, C)` with the same C.
 
     Args:
         task: The task of the believed robot.
-        C: Matrix of full row rank with m columns and at most m rows. Its size does not matter, as
-            gains go with it.
+        C: Matrix of full row rank with m columns and at most m rows. Its scale does not matter:
+            the default gains are chosen for it.
 
     Raises:
         InvalidInputError: A matrix without full row rank, or with more rows than joints.
@@ -197,20 +197,20 @@ class CombinedTask(WrappedTask):
 
     @classmethod
     def balanced(cls, task: Task, target: object) -> CombinedTask:
-        """Combine coordinates such that the arm shows the same inertia along all of them.
+        """Combine coordinates such that the arm has the same inertia along all of them.
 
-        C = Ā^(−1/2), with Ā the mean of the mobility Ĵ M̂⁻¹ Ĵᵀ, its trace set to one, over the 30 of
-        400 seeded configurations whose values are nearest to a target; with ‖C‖ = 1, so that it
-        makes no error larger. Of more coordinates than the arm can move one by one, such as the
-        eight of a tag's corners, C takes those with the largest mobility; of these Ā is that where
-        the believed arm has the target's value or comes nearest to it.
+        C = Ā^(−1/2), scaled to ‖C‖ = 1, so that no error grows. Ā is the mean of the mobility
+        Ĵ M̂⁻¹ Ĵᵀ, of trace one, over the 30 of 400 seeded configurations whose values are nearest to
+        the target. Of more coordinates than the arm can move independently, such as the eight of
+        a tag's corners, C keeps those with the largest mobility; then Ā is that at the believed
+        arm's configuration nearest to the target.
 
         Args:
             task: The task of the believed robot.
             target: x_d, shape (n_x,).
 
         Raises:
-            InvalidInputError: Coordinates of different units, whose inertias do not compare.
+            InvalidInputError: Coordinates of different units, whose inertias cannot be compared.
         """
         require("task", task, Task, "a task, such as ImageTask(robot, camera, points=points)")
         if len(set(task.units)) > 1:
@@ -290,21 +290,20 @@ class NonsingularTask(WrappedTask):
 
         Ĵ_d(q) = Ĵ(q) + P(q) (Ĵ(q ⊕ bend) − Ĵ(q)),   P = Σ wᵢ uᵢuᵢᵀ,   wᵢ = max(0, 1 − (σᵢ/ε)²)
 
-    with σᵢ, uᵢ the singular values and left singular vectors of Ĵ(q) and ε = `ratio` · σ_max (or of
-    a tenth of the σ_max that Ĵ typically has, where even σ_max is smaller): task directions that
-    are being lost get the rows of a configuration that is bent a little. `bend` also decides to
-    which side the arm folds.
+    with σᵢ, uᵢ the singular values and left singular vectors of Ĵ(q) and ε = `ratio` · σ_max (a
+    tenth of the typical σ_max of Ĵ in place of a smaller σ_max): task directions near singularity
+    get the rows of a slightly bent configuration. `bend` also decides to which side the arm folds.
 
-    For controllers; a sensor is a plain task of the true robot.
+    It is for controllers; the sensor is a plain task of the true robot.
 
     Args:
         task: The task of the believed robot.
-        bend: Joint name → how far the bent one is away [rad or m], such as {"joint4": 0.3}.
+        bend: Joint name → displacement of the bent configuration [rad or m], as {"joint4": 0.3}.
         ratio: Share of the largest singular value below which Ĵ is changed, > 0 and <= 1.
 
     Raises:
         UnknownNameError: No such joint.
-        InvalidInputError: No joint bent, or by a turn or more.
+        InvalidInputError: No joint is bent, or one by a turn or more.
     """
 
     def __init__(self, task: Task, bend: Mapping[str, float], ratio: float = 0.1) -> None:
@@ -348,7 +347,7 @@ class NonsingularTask(WrappedTask):
         return np.asanyarray(law.choose(may_be, designed, lambda: (J,))[0])
 
     def design_error(self, q: Array) -> float:
-        """Return ‖Ĵ_d − Ĵ‖, what the design adds to (7)'s p; 0 away from singular."""
+        """Return ‖Ĵ_d − Ĵ‖, which adds to the error bound p of eq. (7); 0 away from singular."""
         return float(np.linalg.norm(self.jacobian(q) - self.task.jacobian(q), 2))
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:
@@ -363,7 +362,7 @@ class NonsingularTask(WrappedTask):
         return weights
 
     def on(self, robot: Robot) -> Task:
-        """Return the task that was designed around, of another robot."""
+        """Return the original task, for another robot."""
         return self.task.on(robot)
 
     def __repr__(self) -> str:
