@@ -1,4 +1,4 @@
-"""Controllers: the laws of the paper put together with a believed robot."""
+"""Controllers: control laws applied to a believed robot."""
 
 from approxjac.controllers.adaptive_dynamics import AdaptiveDynamics as AdaptiveDynamics
 from approxjac.controllers.adaptive_dynamics import ModelDynamics as ModelDynamics

@@ -1,4 +1,4 @@
-"""Sources of the tracking law's torque for a motion: the believed model, or what it learns."""
+"""Sources of the tracking law's feedforward torque: the believed model, or learnt dynamics."""
 
 from __future__ import annotations
 
@@ -33,17 +33,17 @@ _CONFIGURATIONS, _SPEED, _ACCELERATION = 20, 0.5, 2.0  # usual ones [rad/s, rad/
 
 
 class MotionDynamics(Immutable, ABC):
-    """The torque of a reference motion, M̂q̈_r + Ĉq̇_r + ĝ, and what is learnt of it.
+    """The torque of a reference motion, M̂q̈_r + Ĉq̇_r + ĝ, and its learnt parameters.
 
     Immutable, but it owns scratch memory: one instance a thread.
 
     Args:
         robot: The believed robot.
-        rotor_inertia: Rotor inertias as the joints feel them, a number or shape (n_v,) [kg m² or
+        rotor_inertia: Rotor inertias reflected to the joints, a number or shape (n_v,) [kg m² or
             kg].
 
     Attributes:
-        n_state: Length of the state, p where p parameters are learnt.
+        n_state: Length of the state, the number of learnt parameters.
         parameters: Their names and units.
     """
 
@@ -72,19 +72,19 @@ class MotionDynamics(Immutable, ABC):
     def step(
         self, state: Array, q: Array, v: Array, v_r: Array, a_r: Array, learns: Any, dt: float
     ) -> tuple[Array, Array, Array]:
-        """Return the state dt [s] later, the torque of the motion by it, and that of gravity.
+        """Return the state dt [s] later, with it the torque of the motion and that of gravity.
 
-        The torque is that of the *new* state: a step of a rate that is evaluated before it is
-        taken adds nothing to V₂, however short the period is against what learns. q is (nq,), q̇,
-        q̇_r and q̈_r are (n_v,); `learns` says whether to learn.
+        The torque uses the *new* state, so that the step adds nothing to the Lyapunov function V₂,
+        however fast the learning is. q is (nq,), q̇, q̇_r and q̈_r are (n_v,); `learns` is True
+        to learn.
         """
 
     @abstractmethod
     def gravity(self, state: Array, q: Array) -> Array:
-        """Return the part of the torque that holds the arm, shape (n_v,) [N m or N]."""
+        """Return the gravity torque by a state, shape (n_v,) [N m or N]."""
 
     def momentum(self, q: Array, v: Array) -> Array:
-        """Return M̂(q) v of the believed arm with its rotors, nothing learnt; shape (n_v,)."""
+        """Return M̂(q) v of the believed arm with its rotors, without learning; shape (n_v,)."""
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
             return np.asanyarray(arm.momentum(v) + self.rotor_inertia * v)
         p = pin.rnea(self._weightless, self._data, q, self._still, v)
@@ -93,8 +93,8 @@ class MotionDynamics(Immutable, ABC):
     def gain_inertia(self, room: float) -> Array:
         """Return inertias F (n_v,) to add to M̂ in the gain κM̂, with λ_max(M̂⁻¹(M̂ + F)) <= room.
 
-        Those that any drive of such an effort has: a URDF has no rotors, and a gain of its M̂ alone
-        leaves light wrists soft. Nothing where rotor inertias are given.
+        They are typical rotor inertias for the effort limits, because a URDF has none and a gain of
+        M̂ alone leaves light wrists soft. Zero if rotor inertias are given.
         """
         F = _DRIVE * known_efforts(self.robot)
         if self.rotor_inertia.any() or not F.any():
@@ -109,15 +109,15 @@ class MotionDynamics(Immutable, ABC):
 
 
 class ModelDynamics(MotionDynamics):
-    """The believed model as it is; nothing is learnt.
+    """The believed model, without learning.
 
-    For a robot that compensates its own weight it is that of `robot.with_gravity((0, 0, 0))`.
+    For a robot that compensates its own weight, use `robot.with_gravity((0, 0, 0))`.
     """
 
     def step(
         self, state: Array, q: Array, v: Array, v_r: Array, a_r: Array, learns: Any, dt: float
     ) -> tuple[Array, Array, Array]:
-        """Return the state as it is, and the torque by two passes of RNEA; see `MotionDynamics`."""
+        """Return the unchanged state, and torques by two passes of RNEA; see `MotionDynamics`."""
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
             motion = arm.reference_torque(v, v_r, a_r) + self.rotor_inertia * a_r
             return state, motion, arm.gravity()
@@ -134,31 +134,31 @@ class ModelDynamics(MotionDynamics):
 
 
 class AdaptiveDynamics(MotionDynamics):
-    """All of the dynamics, learnt: â' = −Γ Y_dᵀσ with Γ = gain · diag(sd²), or less.
+    """Adaptive dynamics: â' = −Γ Y_dᵀσ with Γ = gain · diag(sd²) at most, σ = q̇ − q̇_r.
 
-    The gain is 20/J; of links it is that with which a light arm learns what it carries as fast as a
-    heavy one: ω = 16/s with ω² = tr(Y_d Γ Y_dᵀ)/tr M, the median of usual motions. An error of the
-    torque then goes like exp(−ω²t/κ). But no parameter is made faster by that than half of
-    `fastest`, and Γ is less where a parameter alone would make the loop swing faster than it.
+    The gain is 20/J; for links it is scaled so that light and heavy arms learn a payload equally
+    fast: ω = 16/s with ω² = tr(Y_d Γ Y_dᵀ)/tr M, the median over usual motions. A torque error then
+    decays as exp(−ω²t/κ). The scaling makes no parameter faster than half of `fastest`, and Γ is
+    reduced if one parameter alone would make the loop oscillate faster than `fastest`.
 
-    Ten inertial parameters of every link, and of every joint rotor inertia, viscous and Coulomb
-    friction and a constant torque. How far each may plausibly be wrong, sd, says how fast it
-    learns: a link's mass by 3 % of the arm's (the last one's, which holds objects, by twice that),
-    at up to a fifth of the reach from its place; friction by the torque of that weight, or by 2 %
-    of the effort where that is more; rotors by what drives of such an effort have. A parameter goes
-    no farther than 20 of these from what is believed, and rotor inertia and friction not below 0.
-    (Γ is diagonal, so V₂ does not rise by these bounds if the truth lies within them.)
+    Learnt are ten inertial parameters of each link, and of each joint rotor inertia, viscous and
+    Coulomb friction and a constant torque. Each has a plausible error sd, which sets its rate: a
+    link's mass 3 % of the arm's (the last link's, which holds objects, twice that), at up to a
+    fifth of the reach from its place; friction the torque of that weight, or 2 % of the effort
+    limit if that is more; rotors those of typical drives. A parameter stays within 20 sd of its
+    believed value, and rotor inertia and friction above 0. (Γ is diagonal, so V₂ does not rise by
+    these bounds if the truth lies within them.)
 
     Args:
         robot: The believed robot.
-        rotor_inertia: As of `MotionDynamics`. Where they are given, the law's gain matrix has them.
-        fastest: How fast each parameter may learn at usual configurations > 0 [1/s]. In place of
-            the default a `TrackingController` takes twice its κ, for dynamics that it makes itself.
+        rotor_inertia: As for `MotionDynamics`. If given, they are in the law's gain matrix.
+        fastest: Largest learning rate of each parameter at usual configurations > 0 [1/s]. A
+            `TrackingController` that makes its own dynamics uses twice its κ.
 
     Attributes:
         regressor: The `DynamicsRegressor`.
         sd: Plausible errors, shape (p,).
-        gain: Of each parameter, shape (p,) [1/J].
+        gain: Gain of each parameter, shape (p,) [1/J].
         gamma: Diagonal of Γ, shape (p,).
 
     Raises:
@@ -200,13 +200,13 @@ class AdaptiveDynamics(MotionDynamics):
         self._prior, self._low, self._high = prior, low, high
 
     def initial_state(self) -> Array:
-        """Return the believed parameters: the model's links, rotors, no friction; shape (p,)."""
+        """Return the believed parameters: links and rotors, no friction; shape (p,)."""
         return self._prior.copy()
 
     def step(
         self, state: Array, q: Array, v: Array, v_r: Array, a_r: Array, learns: Any, dt: float
     ) -> tuple[Array, Array, Array]:
-        """Return â dt [s] later, and Y_d â and Zâ with it; see `MotionDynamics`."""
+        """Return â dt [s] later, with it Y_d â and Zâ; see `MotionDynamics`."""
         links, k, sigma = self.regressor.motion(q, v, v_r, a_r), self.regressor.links, v - v_r
         joints = self.regressor.of_joints(v_r, a_r)
         Y_d_sigma = np.concatenate([links.powers(sigma), (joints * sigma).ravel()])
@@ -252,12 +252,12 @@ def usual_motions(regressor: DynamicsRegressor) -> list[tuple[Array, Array]]:
 
 
 def squared_rates(motions: Sequence[tuple[Array, Array]], gamma: Array) -> Array:
-    """Return γᵢ Y_dᵢᵀM⁻¹Y_dᵢ, the largest of motions: each alone makes σ swing so, (p,) [1/s²]."""
+    """Return the largest γᵢ Y_dᵢᵀM⁻¹Y_dᵢ of motions, each parameter's ω² alone; (p,) [1/s²]."""
     rates = [gamma * (Y_d * (M_inv @ Y_d)).sum(axis=0) for Y_d, M_inv in motions]
     return np.asarray(np.maximum(np.max(rates, axis=0), 1e-9))
 
 
 def known_efforts(robot: Robot) -> Array:
-    """Return effort limits, 0 where none is known, shape (n_v,) [N m or N]."""
+    """Return effort limits, 0 where unknown, shape (n_v,) [N m or N]."""
     effort = robot.effort_limits
     return np.where(np.isfinite(effort), effort, 0.0)

@@ -1,4 +1,4 @@
-"""Checks of the arguments of a step, and of options of kinematics that learn."""
+"""Checks of the arguments of a step, and of options of learnt kinematics."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _NUMBERS = (list, tuple, int, float)
 def require_arrays(
     state: Array, measurement: Measurement, target: Array, task: Task, n_state: int
 ) -> tuple[Array, Array, Array]:
-    """Return q, v and x, or refuse an argument that is no array of its size."""
+    """Return q, v and x; raise an InvalidInputError if an argument is no array of its size."""
     try:
         _, q, v, x, _ = measurement
     except (TypeError, ValueError):
@@ -38,7 +38,7 @@ def require_arrays(
 
 
 def require_array(name: str, value: Array, size: int, task: Task) -> None:
-    """Refuse what is no vector of floats of the size that a task asks for."""
+    """Raise an InvalidInputError unless a value is a float vector of the task's size."""
     is_array = isinstance(value, np.ndarray) and not isinstance(value, np.ma.MaskedArray)
     if is_array and value.shape == (size,) and value.dtype == FLOAT64:
         return
@@ -62,7 +62,7 @@ def require_array(name: str, value: Array, size: int, task: Task) -> None:
 
 
 def with_rates(target: Target, m: int) -> Target:
-    """Return a target whose ẋ_d and ẍ_d are finite vectors (m,) where it has them, or refuse."""
+    """Return a target with ẋ_d and ẍ_d, if any, checked to be finite vectors (m,)."""
     rates = zip("va", target[1:], strict=True)
     return Target(
         target.x,
@@ -73,7 +73,7 @@ def with_rates(target: Target, m: int) -> Target:
 def is_lost(
     q: Array, v: Array, x: Array, target: Array, state: Array, e: Array, task: Task
 ) -> bool:
-    """Return True if x is lost, or refuse anything else that is not finite."""
+    """Return True if x is lost; raise an error if anything else is not finite."""
     require_finite(q, v, target, state, task)
     if np.isfinite(e).all():
         return False
@@ -86,7 +86,7 @@ def is_lost(
 
 
 def require_finite(q: Array, v: Array, target: Array, state: Array, task: Task) -> None:
-    """Refuse numbers that are not finite, but for x."""
+    """Raise an error if an argument other than x is not finite."""
     for name, value in (("q", q), ("v", v)):
         if not np.isfinite(value).all():
             raise MeasurementError(
@@ -100,21 +100,21 @@ def require_finite(q: Array, v: Array, target: Array, state: Array, task: Task) 
 
 
 def time_of_x(t_x: Any) -> float | None:
-    """Return when x was taken [s], or refuse it; None where it is not known, or never, at −inf."""
+    """Return the checked time at which x was taken [s]; None if unknown, or −inf (never)."""
     if t_x is None or (isinstance(t_x, float) and t_x < math.inf):
         return None if t_x == -math.inf else t_x
     return as_number("t_x of a measurement", t_x, unit="s")
 
 
 def from_another_clock(t: float, t_x: float | None, most: float) -> str:
-    """Return in words that x was taken more than `most` [s] after t, as by another clock, or ""."""
+    """Return an error text if x was taken more than `most` [s] after t (another clock), else ""."""
     if t_x is None or not t_x - t > most:
         return ""
     return f"x was taken {t_x - t:.3g} s after t: two clocks?"
 
 
 def overflow(measurement: Measurement) -> MeasurementError:
-    """Return the error of a law whose torque is no number."""
+    """Return the error for a torque that is not finite."""
     _, q, v, x, _ = measurement
     return MeasurementError(
         f"the torque overflows or is no number at q = {q.tolist()}, v = {v.tolist()}, "
@@ -125,7 +125,7 @@ def overflow(measurement: Measurement) -> MeasurementError:
 
 
 def require_dt(dt: float, sampling_time: float) -> None:
-    """Refuse another dt [s] than the one that a controller is for."""
+    """Raise an InvalidInputError if dt [s] is not the controller's."""
     dt = as_number("dt", dt, unit="s", above=0.0)
     if not math.isclose(dt, sampling_time):
         wanted = f"that of the controller, {sampling_time:g} [s]"
@@ -133,7 +133,7 @@ def require_dt(dt: float, sampling_time: float) -> None:
 
 
 def chosen_kinds(unknown: Any, valid: Sequence[str]) -> tuple[str, ...]:
-    """Return the kinds of what may be wrong, one or more of those that are valid, or refuse."""
+    """Return the kinds of unknown parameters, checked to be one or more of the valid ones."""
     try:
         kinds = (unknown,) if isinstance(unknown, str) else tuple(unknown)
     except TypeError:
@@ -148,9 +148,9 @@ def chosen_kinds(unknown: Any, valid: Sequence[str]) -> tuple[str, ...]:
 def chosen_deviations(
     sd: Any, usual: Mapping[str, float], used: Collection[str]
 ) -> dict[str, float]:
-    """Return plausible errors by kind, those that are given in place of the usual, or refuse.
+    """Return plausible errors by kind: those given, else the usual ones.
 
-    One that is not used is refused: who gives it believes that it has an effect.
+    Raises an error for a kind that is unknown or not used, as it would have no effect.
     """
     given = {} if sd is None else sd
     require("sd", given, Mapping, f"a mapping from some of {', '.join(usual)} to numbers")

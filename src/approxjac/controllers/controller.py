@@ -1,4 +1,4 @@
-"""`Controller`: the one base of everything that turns measurements into commands."""
+"""`Controller`: the base class of everything that turns measurements into commands."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ _HUGE = 1e300  # below it no finite rate makes a state overflow within a second
 
 
 class Instant(NamedTuple):
-    """One instant of a run as it truly was, for a controller to look at afterwards.
+    """The true state at one instant of a run, for analysis after the run.
 
     Attributes:
         q: Joint configuration, shape (nq,).
         v: Joint velocity q̇, shape (n_v,).
         e: True task error, shape (m,) [unit of the task].
-        x_d: Wanted task value, shape (n_x,).
+        x_d: Desired task value, shape (n_x,).
         state: State of the controller before its step, shape (n_state,).
-        answer: Its answer, without the rate of the state.
-        dynamics: Of the true robot.
+        answer: Its output, without the rate of the state.
+        dynamics: Dynamics of the true robot.
         adds_gravity: Robot whose gravity the true one compensates itself; None is none.
     """
 
@@ -56,32 +56,32 @@ class Instant(NamedTuple):
 
 
 class Controller(ABC):
-    """Anything that turns measurements into torques, or velocities, step by step.
+    """Anything that turns measurements into joint torques or velocities, step by step.
 
-    Derive from it and write `step`, or `evaluate` of a law in continuous time, whose `step` is an
-    Euler step of the rate of its state. All else has a default, and is overridden where a
-    controller can tell more: its V (`lyapunov`), what it has learnt (`learnt`, `parameters`), how
-    limits of torques may change its torque (`passive_output`, `is_proven`).
+    Derive from it and write `step`; or, for a law in continuous time, `evaluate`, of which `step`
+    is an Euler step. All else has a default to override: the Lyapunov function (`lyapunov`),
+    learnt numbers (`learnt`, `parameters`), and how limits may change the torque
+    (`passive_output`, `is_proven`).
 
-    A controller holds no memory of its own: what evolves is a flat state array that goes in and
-    comes out, so that a loop can be stopped, saved and gone on with.
+    A controller has no memory: its state is a flat array, an argument and a result of each step, so
+    that a run can be stopped, saved and continued.
 
     Attributes:
         task: The task of the believed robot.
-        command: What it commands, which `Evaluation.torque` then is: torques, or velocities of
-            the joints for a robot that takes those.
-        dt: Sampling time that control has to have [s], or None where any will do.
-        latency: Of the loop, if it is known.
-        tuning: What a rule chose of its gains, and why; None if they are given.
+        command: Kind of `Evaluation.torque`: joint torques, or joint velocities for a robot that
+            takes those.
+        dt: Required sampling time [s]; None for any.
+        latency: Latency of the loop, if known.
+        tuning: Gains that `tuned` chose, and why; None if they were given.
         limits: Limits that it keeps, with an entry for each joint; None is none.
         parameters: Names and units of the numbers that `learnt` returns, in their order.
-        kinematics: What predicts the error that it controls, known or learnt; None where it
+        kinematics: Known or learnt kinematics that predict the controlled error; None if it
             controls the measured one.
         alpha: α of `passive_output` [1/s].
-        diagonals: Gains of its task and joints, if it has such.
-        gain_values: Gains by their names.
-        resting: Count of the state's first numbers, which rest where limits give the proof up.
-        needs_solver: Whether its limits may need a solver, which takes its time.
+        diagonals: Gains of its task and joints, if any.
+        gain_values: Gains by name.
+        resting: Number of leading state entries that pause when limits give up the proof.
+        needs_solver: Whether its limits may need a solver, which takes time.
 
     Args:
         task: The task of the believed robot.
@@ -112,7 +112,7 @@ class Controller(ABC):
         return "\n".join([*wrapped(first), *(line for o in others for line in wrapped(o, "  "))])
 
     def describe(self) -> list[str]:
-        """Describe it in plain words: in a line, then its task, then what else to know."""
+        """Describe it in lines of text: the law, its task, further remarks."""
         return [spaced(type(self).__name__), f"{self.task.describe()} of {self.task.robot.name}"]
 
     # -- the loop -------------------------------------------------------------------------------
@@ -124,18 +124,18 @@ class Controller(ABC):
     def step(
         self, state: Array, measurement: Measurement, target: Target | Array, dt: float
     ) -> tuple[Array, Evaluation]:
-        """Return the state after a step, and torque and status for it.
+        """Return the state after a step, and its output.
 
-        By default one Euler step of the rate that `evaluate` answers with.
+        By default an Euler step of the rate from `evaluate`.
 
         Args:
             state: State before the step, shape (n_state,).
-            measurement: What was measured.
-            target: Wanted task value: x_d, shape (n_x,), or a `Target` that moves.
+            measurement: The measurement.
+            target: Desired task value: x_d, shape (n_x,), or a `Target` that moves.
             dt: Time for which the torque is held [s].
 
         Raises:
-            InvalidInputError: As `evaluate`, no positive dt, or an answer without a rate.
+            InvalidInputError: As `evaluate`; dt is not positive, or the output has no rate.
             MeasurementError: As `evaluate`, or a state that overflows.
         """
         answer = self.evaluate(state, measurement, target)
@@ -159,12 +159,12 @@ class Controller(ABC):
     def evaluate(
         self, state: Array, measurement: Measurement, target: Target | Array
     ) -> Evaluation:
-        """Return torque, rate of the state and status, of a law in continuous time.
+        """Return torque, rate of the state and status of a law in continuous time.
 
         The arguments are those of `step`.
 
         Raises:
-            InvalidInputError: A controller that runs in samples only.
+            InvalidInputError: The controller is discrete.
         """
         raise InvalidInputError(
             f"controller must have a step(state, measurement, target, dt), or an "
@@ -179,9 +179,9 @@ class Controller(ABC):
 
     @property
     def law(self) -> Controller:
-        """The law inside of all wrappers, such as the `SetpointController`; else itself.
+        """The law inside all wrappers, such as the `SetpointController`; else itself.
 
-        Its state is the first part of theirs.
+        Its state comes first in the wrappers' state.
         """
         return self
 
@@ -192,7 +192,7 @@ class Controller(ABC):
             task: A task with the same coordinates, of a robot with the same joints.
 
         Raises:
-            InvalidInputError: A controller that cannot.
+            InvalidInputError: The controller cannot.
         """
         raise InvalidInputError(
             f"controller must be able to take another task for its belief to be changed, got "
@@ -202,40 +202,41 @@ class Controller(ABC):
 
     @property
     def limited_law(self) -> Controller | None:
-        """The law whose torque this brings within limits; None of what limits none itself."""
+        """The law whose torque this limits; None if it is no limiter."""
         return None
 
     # -- what is learnt -------------------------------------------------------------------------
 
     def learnt(self, state: Array) -> Array:
-        """Return the learnt numbers of a state, or of a series (…, n_state), shape (…, p)."""
+        """Return the learnt numbers (…, p) of a state, or of a series of states (…, n_state)."""
         return state[..., :0]
 
     def describe_learnt(self, state: Array) -> str:
-        """Return in words what a state has learnt beside kinematics; "" of nothing."""
+        """Describe what a state has learnt beside kinematics; "" if nothing."""
         return ""
 
     def learnt_sd(self, state: Array) -> Array:
-        """Return the standard deviations of what a state has learnt, (p,); NaN is not known."""
+        """Return the standard deviations of `learnt`, shape (p,); NaN where unknown."""
         return np.full(len(self.learnt(state)), np.nan)
 
     def resumed(self, state: Array, measurement: Measurement) -> Array:
-        """Return a state before a first step that knows what another state has learnt.
+        """Return an initial state with the learnt numbers of another state.
 
-        Such as the last one of a run before, for `simulate(state=...)`; of the same controller.
+        Use it to continue from the last state of an earlier run of this controller, with
+        `simulate(..., q0=InitialState(state=...))`.
 
         Raises:
             InvalidInputError: A state of another controller, a measurement of the wrong shapes, or
-                a controller that learns no kinematics.
+                the controller learns no kinematics.
         """
         self.kinematics_of(state)
         return state
 
     def kinematics_of(self, state: Array) -> tuple[Kinematics, Array]:
-        """Return the kinematics that this learns, and their part of a state.
+        """Return the learnt kinematics, and their part of a state.
 
         Raises:
-            InvalidInputError: A controller that learns no kinematics, or a state of another one.
+            InvalidInputError: The controller learns no kinematics, or a state of another one.
         """
         raise InvalidInputError(
             "controller must learn kinematics, such as a TrackingController or a "
@@ -249,10 +250,10 @@ class Controller(ABC):
         return kinematics.report(known)
 
     def learnt_robot(self, state: Array) -> Robot:
-        """Return the believed robot with what a state has learnt of its tool and joint origins.
+        """Return the believed robot with the tool and joint origins that a state has learnt.
 
-        Masses, friction and the tracker are not in it; a state that is saved has them all. Raises
-        as `kinematics_of`.
+        It is without learnt masses, friction and tracker, which only the state has. Raises the
+        errors of `kinematics_of`.
         """
         kinematics, known = self.kinematics_of(state)
         return kinematics.robot(known)
@@ -260,11 +261,11 @@ class Controller(ABC):
     # -- what is true of a run ------------------------------------------------------------------
 
     def lyapunov(self, at: Instant) -> float:
-        """Return V [J] at an instant of a run; by default NaN: there is none."""
+        """Return the Lyapunov function V [J] at an instant; by default NaN, for none."""
         return math.nan
 
     def task_torque(self, at: Instant) -> Array:
-        """Return the part of the torque that acts on the task, (n_v,); NaN is not known."""
+        """Return the part of the torque that acts on the task, (n_v,); NaN where unknown."""
         return np.full(len(at.v), np.nan)
 
     # -- what limits of torques need to know ----------------------------------------------------
@@ -272,44 +273,43 @@ class Controller(ABC):
     # yᵀ(τ − τ*) ≤ 0 keeps what is proven of V̇.
 
     def passive_output(self, answer: Evaluation, v: Array, alpha: float | Array) -> Array:
-        """Return y where this law gave an answer, shape (n_v,) [rad/s or m/s].
+        """Return the y for which a torque change Δτ adds yᵀΔτ to V̇, (n_v,) [rad/s or m/s].
 
-        By default q̇: limits add no energy. v is the joint velocity that the answer was given for,
-        shape (n_v,), less the answer's reference if there is one; α [1/s] is for a law whose y has
-        one.
+        By default q̇: limits add no energy. v is the joint velocity at the `answer`, shape (n_v,),
+        minus its reference if there is one; α [1/s] is for a law whose y has one.
         """
         return v
 
     def is_proven(self, answer: Evaluation) -> Any:
-        """Return True where V̇ is known for an answer of this law; by default nowhere."""
+        """Return True if V̇ is known for an output of this law; by default False."""
         return False
 
     def rate_without(
         self, locked: Array, state: Array, measurement: Measurement, answer: Evaluation
     ) -> Array:
-        """Return the rate of what rests, shape (`resting`,), as of an arm with locked joints.
+        """Return the rate of the first `resting` state entries for an arm with locked joints.
 
-        A limiter asks for it where the proof is given up; by default it rests. `locked` (n_v,) says
-        which joints are at a limit.
+        A limiter uses it while the proof is given up; by default zero. `locked` (n_v,) is True
+        for joints at a limit.
         """
         return np.zeros(self.resting)
 
     def with_limiter(self, motors: Array) -> Controller:
-        """Return this law inside of a limiter, which rests it and sends at most `motors` (n_v,)."""
+        """Return this law for use in a limiter that decides when learning pauses."""
         return self
 
     def damping_rate(self, inertias: Array) -> float:
-        """Return the rate at which this damps joints [1/s], given usual inertias (k, n_v, n_v)."""
+        """Return the rate of its joint damping [1/s], given usual inertias (k, n_v, n_v)."""
         return 0.0
 
     def gravity_torque(self, state: Array, q: Array) -> Array:
-        """Return the gravity torque compensated, (n_v,) [N m or N]; by default the robot's."""
+        """Return the compensated gravity torque, (n_v,) [N m or N]; by default the robot's."""
         return self._own_dynamics.g(q)
 
     def believed_dynamics(self) -> tuple[Dynamics, bool]:
-        """Return the dynamics that predict what a torque does, and whether they have gravity.
+        """Return the dynamics that predict accelerations, and whether they include gravity.
 
-        Without it the gravity of the law's answer is subtracted.
+        If they do not, the gravity torque of the law's output is subtracted.
         """
         return self._own_dynamics, True
 

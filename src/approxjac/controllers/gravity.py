@@ -33,7 +33,7 @@ from approxjac.validation import (
 
 
 class ModelGravity(Immutable):
-    """g(q) of a robot's model, by RNEA: exact as far as its masses and lengths are.
+    """g(q) of a robot's model by RNEA, as exact as its masses and lengths.
 
     Args:
         robot: The believed robot.
@@ -64,9 +64,9 @@ class NoGravity(ModelGravity):
 
 
 class RegressorGravity(Immutable):
-    """g(q) = Z(q) θ, eq. (27), with θ known from elsewhere (identification, a data sheet).
+    """g(q) = Z(q) θ, eq. (27), with known θ (from identification or a data sheet).
 
-    It is exact even where the regressor's robot has wrong lengths: see `GravityRegressor`.
+    It can be exact even if the regressor's robot has wrong lengths: see `GravityRegressor`.
 
     Args:
         regressor: Z(q) of the believed robot.
@@ -91,28 +91,28 @@ class RegressorGravity(Immutable):
 
 
 class AdaptiveGravity(Immutable):
-    """Z(q) θ̂_g + Ĵᵀd̂ + ŵ with all of θ̂ = (θ̂_g, d̂, ŵ) learnt by eq. (29).
+    """The learnt gravity torque Z(q) θ̂_g + Ĵᵀd̂ + ŵ, with θ̂ = (θ̂_g, d̂, ŵ) adapted by eq. (29).
 
-    Beside the gravity parameters θ_g these are a constant force d on the task, which is integral
-    action with a proof, and constant joint torques w, which take up friction. (28), (29) hold for
-    the regressor Y = [Z, Ĵᵀ, I] with θ = (θ_g, 0, 0), and V̇ = −W with it.
+    θ_g are gravity parameters, d is a constant force on the task (integral action with a proof), w
+    are constant joint torques, which compensate friction. Eqs. (28) and (29) hold for the
+    regressor Y = [Z, Ĵᵀ, I] with θ = (θ_g, 0, 0), and V̇ = −W with it.
 
-    θ̂ stands still while x is lost, while the target is out of reach, and while the torque of the
-    law is beyond `torque_limits`: what a saturated motor fails to do is no evidence about gravity.
+    Adaptation pauses while x is lost, while the target is out of reach, and while the law's torque
+    is beyond `torque_limits`: a saturated motor gives no evidence about gravity.
 
     Args:
-        model: The believed robot, or a `GravityRegressor` of it. What it holds changes θ̂_g(0) only.
+        model: The believed robot, or a `GravityRegressor` of it. Its payload affects θ̂_g(0) only.
         L: Adaptation gain of θ_g: a number, a diagonal (p,), or a symmetric positive definite
-            matrix (p, p); 0 learns d and w only. None takes that of `tuned`.
+            matrix (p, p); 0 learns d and w only. None is that of `tuned`.
         alpha: α > 0 of eq. (10) [1/s]; by default the rate of the task's slow pole.
         theta0: θ̂_g(0), a number or shape (p,); that of the believed robot by default.
-        bounds: Smallest and largest θ_g, each a number or shape (p,), that θ̂_g is kept in (to
-            within one step of dt). By default none where L is given, and else those of `tuned`.
-        torque_limits: Torques beyond which θ̂ stands still, a number or shape (n_v,) [N m or N];
+        bounds: Smallest and largest θ̂_g, each a number or shape (p,), kept to within one step of
+            dt. By default none if L is given, else those of `tuned`.
+        torque_limits: Torques beyond which adaptation pauses, a number or shape (n_v,) [N m or N];
             the believed robot's effort limits by default, `numpy.inf` for never.
-        task_force: L_d ≥ 0 of d, a number or shape (m,); 0 does not learn it. By default 0 where L
-            is given, unless as 0, and else that of `tuned`.
-        joint_torque: L_w ≥ 0 of w, a number or shape (n_v,), as `task_force`.
+        task_force: L_d ≥ 0 of d, a number or shape (m,); 0 does not learn it. By default 0 if a
+            nonzero L is given, else that of `tuned`.
+        joint_torque: L_w ≥ 0 of w, a number or shape (n_v,); default as for `task_force`.
 
     Attributes:
         regressor: Z(q) of the believed robot.
@@ -174,11 +174,11 @@ class AdaptiveGravity(Immutable):
 
     @property
     def wants_rule(self) -> bool:
-        """True if `tuned` chooses its rates of learning."""
+        """True if `tuned` chooses its learning rates."""
         return self.L is None or not self.L.any()
 
     def adaptation(self, task: Task, gains: Diagonals, chosen: Learning | None) -> Adaptation:
-        """Return this with its defaults filled in, for a task, its gains and what `tuned` chose.
+        """Return this with its defaults filled in, for a task, gains and the choice of `tuned`.
 
         Raises:
             InvalidInputError: A task force or joint torques of another length.
@@ -255,7 +255,7 @@ class Adaptation(NamedTuple):
         return parameters
 
     def Y(self, q: Array, J_hat: Array) -> Array:
-        """Return Y = [Z, Ĵᵀ, I], without what is not learnt, shape (n_v, P)."""
+        """Return Y = [Z, Ĵᵀ, I], only the learnt columns, shape (n_v, P)."""
         Z = self.regressor.Z(q)
         _, forces, torques = self.sizes
         if not (forces or torques):
@@ -264,7 +264,7 @@ class Adaptation(NamedTuple):
         return np.concatenate([*parts, np.eye(torques)] if torques else parts, axis=1)
 
     def whole(self, theta: Array) -> Array:
-        """Return θ = (θ_g, 0, 0), shape (P,), of θ_g (p,): constant forces are not there."""
+        """Return θ = (θ_g, 0, 0), shape (P,), from θ_g (p,): the true constant forces are zero."""
         return np.pad(theta, (0, sum(self.sizes[1:])))
 
     def words(self, theta_hat: Array, task: Task) -> str:
@@ -282,10 +282,10 @@ class Adaptation(NamedTuple):
         return f"to compensate, beside the believed arm's weight: {'; '.join(parts)}"
 
     def bounded(self, rate: Array, theta_hat: Array, Y: Array, g: Array) -> tuple[Array, Any]:
-        """Return dθ̂/dt (P,) within bounds, for g = Yθ̂ (n_v,), and whether that was not found.
+        """Return dθ̂/dt (P,) within bounds, for g = Yθ̂ (n_v,), and whether that failed.
 
-        Beside the bounds of each parameter there are those of the motors: where |Yθ̂| is beyond
-        them, it grows no further. V̇ ≤ −W stays where the true arm can be held at q.
+        Beside the bounds of each parameter, |Yθ̂| may not grow beyond the motors' limits. V̇ ≤ −W
+        remains true if the motors can hold the true arm at q.
         """
         if self.bounds is None:
             return rate, False
@@ -298,7 +298,7 @@ class Adaptation(NamedTuple):
         return law.within_bounds(rate, theta_hat, *self.bounds, self.L, outward), False
 
     def rests(self, torque: Array) -> Any:
-        """Return True if any torque (n_v,) is beyond its limit, where θ̂ stands still."""
+        """Return True if any torque (n_v,) is beyond its limit, so that adaptation pauses."""
         return _is_beyond(torque, self.torque_limits)
 
 
@@ -315,7 +315,7 @@ Gravity = ModelGravity | RegressorGravity | AdaptiveGravity | Adaptation
 
 
 def require_gravity(gravity: Gravity, task: Task) -> None:
-    """Refuse what is no source of gravity torque, or one of a robot with other joints."""
+    """Raise an InvalidInputError for no gravity source, or one of a robot with other joints."""
     wanted = (
         "one of ModelGravity, RegressorGravity, AdaptiveGravity and NoGravity, such as "
         "AdaptiveGravity(belief), or derived from ModelGravity with a torque(q) of your own"
@@ -331,7 +331,7 @@ def require_gravity(gravity: Gravity, task: Task) -> None:
 
 
 def describe_gravity(gravity: Gravity, believed: Robot) -> str:
-    """Return where gravity comes from in words, beside the believed arm."""
+    """Describe a source of gravity torque, compared with the believed arm."""
     kind, robot = type(gravity), gravity.robot
     if kind is NoGravity:
         weightless = not believed.gravity.any()

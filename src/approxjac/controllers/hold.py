@@ -1,4 +1,4 @@
-"""`HeldMeasurement`: the last x that was seen, kept until the arm has moved too far."""
+"""`HeldMeasurement`: hold the last measured x until the arm has moved too far."""
 
 from __future__ import annotations
 
@@ -20,32 +20,32 @@ _OK, _HELD = Status.OK, Status.MEASUREMENT_HELD  # members of an enum are slow t
 
 
 class HeldMeasurement(ControllerWrapper):
-    """A controller that goes on with the last x that was seen, until the arm has moved too far.
+    """A controller that uses the last measured x until the arm has moved too far.
 
-    What makes an old x wrong is not its age but the motion since. For each of the task's parts
-    (each feature of an image) this counts how far it must have moved since it was last new, by the
-    believed Jacobian, p = ∫ Ĵ q̇ dt. While every abs(pᵢ) <= unseenᵢ the controller gets the x that
-    was last seen. A part beyond that, or never seen, is too old until it is seen again: the
-    controller gets NaN there and does what it does when a measurement is lost. So an arm stops once
-    it has moved too far, whether x is lost or a camera that hangs repeats it.
+    An old x is wrong because of the motion since, not its age. For each part of the task (each
+    feature of an image) this integrates the motion since its last new value by the believed
+    Jacobian, p = ∫ Ĵ q̇ dt. While every abs(pᵢ) <= unseenᵢ the controller gets the last x. A part
+    beyond that, or never seen, is NaN until it is seen again, and the controller acts as for a lost
+    measurement. So the arm stops once it has moved too far, whether x is lost or a frozen camera
+    repeats it.
 
-    A part is new where it is finite and x was taken later than the last one (`Measurement.t_x`), or
-    where that is not known, where it differs from the last one: with noise every new image does.
+    A part is new if it is finite and x was taken later than the last one (`Measurement.t_x`); if
+    that time is unknown, if it differs from the last one: with noise every new image does.
 
-    The status is that of the controller, or `MEASUREMENT_HELD` where that is `OK` and no part of x
-    is new. A limiter inside of it speaks of V with the held x.
+    The status is that of the controller, or `MEASUREMENT_HELD` if that is `OK` and no part of x is
+    new. A limiter inside it evaluates V with the held x.
 
-    Its state is that of the controller, then the last x (n_x,), the time that it was taken at, p
-    (m,), and for each part 1 if it was ever seen, else 0. Law (5) differentiates the held x, a
-    staircase: with a time constant below the time between images its torque jumps at each of them.
+    Its state is that of the controller, then the last x (n_x,), the time it was taken, p (m,), and
+    for each part 1 if it was ever seen, else 0. Law (5) differentiates the held x, a staircase:
+    with a time constant below the time between images its torque jumps at each of them.
 
     Args:
-        controller: The controller, which answers with Ĵ: a `SetpointController`, or `TorqueLimited`
-            and the like around one.
-        unseen: How far the image may move without being seen, a number or shape (m,) > 0, infinite
-            for no limit [unit of the task]. Less than the arm moves from image to image (its
-            fastest speed times the time between them, and a few more where some are lost) makes it
-            stutter.
+        controller: A controller that returns Ĵ: a `SetpointController`, or a wrapper such as
+            `TorqueLimited` around one.
+        unseen: Largest motion of the image without a new measurement, a number or shape (m,) > 0,
+            infinite for no limit [unit of the task]. It must exceed the motion between images (the
+            fastest speed times the image period, times a few if some are lost), or the arm
+            stutters.
 
     Attributes:
         controller: The controller.
@@ -70,9 +70,9 @@ class HeldMeasurement(ControllerWrapper):
         self._memory = task.n_x + 1 + m + len(self._parts)
 
     def initial_state(self, measurement: Measurement) -> Array:
-        """Return the state before the first step: nothing has been seen yet.
+        """Return the state before the first step, without any x.
 
-        Raises as the controller, such as law (5) where the first x is lost.
+        Raises the controller's errors, such as that of law (5) if the first x is lost.
         """
         memory = np.append(self._origin, np.zeros(self._memory - len(self._origin)))
         return np.concatenate([self.controller.initial_state(measurement), memory])
@@ -80,12 +80,11 @@ class HeldMeasurement(ControllerWrapper):
     def step(
         self, state: Array, measurement: Measurement, target: Target | Array, dt: float
     ) -> tuple[Array, Evaluation]:
-        """Return the state after a step, and the controller's answer to this x, or the last one.
+        """Return the state after a step, and the controller's output for this x or the last one.
 
         Raises:
-            MeasurementError: As the controller, or an x beyond what a state can keep.
-            InvalidInputError: As the controller, a t_x that is no finite number, or a controller
-                that answers without Ĵ.
+            MeasurementError: As the controller, or an x too large for the state.
+            InvalidInputError: As the controller; t_x is not finite, or the output has no Ĵ.
         """
         inner, memory = self._split(state)
         t_x = getattr(measurement, "t_x", None)

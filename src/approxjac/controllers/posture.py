@@ -24,8 +24,8 @@ Torque = Callable[[Array], Array]
 class Posture:
     """The torque N τ₀ with τ₀ = −k (q ⊖ q_posture) and N = I − Ĵ⁺Ĵ.
 
-    N leaves of τ₀ what Ĵᵀ cannot produce; near a singular Ĵ it is faded out. e = 0 stays the only
-    equilibrium of the task however wrong Ĵ is, as long as it has full row rank. The proof pays:
+    N keeps the part of τ₀ that Ĵᵀ cannot produce, faded out near a singular Ĵ. e = 0 remains the
+    only equilibrium of the task for any Ĵ of full row rank. The proof is weaker:
     V̇ = −W + yᵀN τ₀, so V may rise while the arm moves towards the posture. The self-motion is
     damped by B_c only.
 
@@ -50,7 +50,7 @@ class Posture:
     __repr__ = short_fields
 
     def torque(self, task: Task, gains: Diagonals, rate: float) -> Torque:
-        """Return the function τ₀ of q (nq,) for the robot of a task; it knows no gains.
+        """Return the function τ₀ of q (nq,) for the robot of a task, independent of gains.
 
         Raises:
             InvalidInputError: A robot without self-motion, or wrong shapes.
@@ -65,13 +65,13 @@ class Posture:
 
 @dataclass(frozen=True)
 class AwayFromStops:
-    """The torque N τ₀ that pushes joints away from their position limits, where they are near.
+    """The torque N τ₀ that pushes joints away from position limits that are near.
 
-    τ₀ = k (δ − d) for a joint at a distance d < δ from its stop, none elsewhere; k is r B_c with
-    r the rate of the task's slow pole: self-motion out of the zone is as fast as the task.
+    τ₀ = k (δ − d) for a joint at a distance d < δ from its stop, else zero; k is r B_c with r the
+    rate of the task's slow pole: self-motion out of the zone is as fast as the task.
 
-    It is a `Posture` in all else. Which way round a target is reached it does not know: an arm
-    whose way is barred by a stop stays there.
+    In all else it is like `Posture`. It does not plan: an arm whose way is blocked by a stop stays
+    there.
 
     Attributes:
         share: δ as a share of a joint's range, 0 to 0.5; δ is at most 0.6 rad or m.
@@ -108,7 +108,7 @@ class AwayFromStops:
 
 
 def require_redundant(posture: Any, task: Task) -> None:
-    """Refuse a posture for an arm without self-motion."""
+    """Raise an InvalidInputError for a posture of an arm without self-motion."""
     robot = task.robot
     if robot.nv <= task.m:
         raise InvalidInputError(

@@ -1,4 +1,4 @@
-"""`PredictedMeasurement`: a set-point law on the x̂ that kinematics predict, and learn from x."""
+"""`PredictedMeasurement`: a set-point law on the x̂ predicted by learnt kinematics."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ _LOST = Status.MEASUREMENT_LOST
 
 
 class PredictedMeasurement(ControllerWrapper):
-    """A set-point law that controls what is predicted, while the kinematics learn from x.
+    """A set-point law that controls a predicted error, while the kinematics learn from x.
 
     The law gets the predicted error z and its exact Jacobian Ĵ in place of the measured x and the
-    believed Jacobian: for it J = Ĵ, so p = 0 of the paper's Theorem 1, whatever the true arm is.
-    With kinematics whose estimates move by θ̂' ∈ L², as those of Theorem A do, s(z) and q̇ go to
-    zero, and e with z ("Learning the kinematics" in the documentation). Noise, delay and frames of
-    the sensor are outside the loop. Until x was seen once nothing can be predicted, and the
-    law acts as if x were lost; from then on it uses the prediction.
+    believed Jacobian: the Jacobian error p of Theorem 1 is zero, whatever the true arm is. With
+    kinematics whose estimates have θ̂' ∈ L², as those of Theorem A, s(z) and q̇ go to zero, and e
+    with z ("Learning the kinematics" in the documentation). Noise, delay and frame rate of the
+    sensor are outside the loop. Until x is first seen the law acts as if x were lost; then it
+    uses the prediction.
 
     Its state is that of the controller, followed by that of the kinematics.
 
     Args:
-        controller: A `SetpointController`, or `TorqueLimited` and the like around one. Its gains,
-            and what gravity it learns, stay.
-        kinematics: What predicts, such as `AdaptiveKinematics`, of the controller's task.
+        controller: A `SetpointController`, or a wrapper such as `TorqueLimited` around one. It
+            keeps its gains and gravity.
+        kinematics: Kinematics of the controller's task, such as `AdaptiveKinematics`.
 
     Attributes:
         controller: The controller, whose task has Ĵ as a part of its value.
@@ -73,23 +73,23 @@ class PredictedMeasurement(ControllerWrapper):
     task_torque = Controller.task_torque
 
     def learnt(self, state: Array) -> Array:
-        """Return the learnt numbers of the law and then of the kinematics, shape (…, p)."""
+        """Return the learnt numbers of the law, then of the kinematics, shape (…, p)."""
         n = state.shape[-1] - self._memory
         parts = [self.controller.learnt(state[..., :n]), self.kinematics.learnt(state[..., n:])]
         return np.concatenate(parts, axis=-1)
 
     @property
     def parameters(self) -> Mapping[str, str]:  # type: ignore[override]
-        """Names and units of what the law and then the kinematics learn."""
+        """Name → unit of the learnt numbers of the law, then of the kinematics."""
         return {**self.controller.parameters, **self.kinematics.parameters}
 
     def learnt_sd(self, state: Array) -> Array:
-        """Return the standard deviations of what was learnt, shape (p,)."""
+        """Return the standard deviations of `learnt`, shape (p,)."""
         inner, known = self._split(state)
         return np.concatenate([self.controller.learnt_sd(inner), self.kinematics.sd_of(known)])
 
     def with_task(self, task: Task) -> Self:
-        """Refuse another task than that of the kinematics; raises InvalidInputError."""
+        """Return this controller for its own task; raise an InvalidInputError for another."""
         raise InvalidInputError(
             f"task must be {self.task!r}, which the kinematics are of; build a new controller for "
             f"{task!r}",
@@ -103,7 +103,7 @@ class PredictedMeasurement(ControllerWrapper):
         return self._started(self.kinematics.initial_state(measurement), measurement)
 
     def resumed(self, state: Array, measurement: Measurement) -> Array:
-        """Return a state before a first step that knows what another state has learnt."""
+        """Return an initial state with the learnt numbers of another state."""
         fresh = self.initial_state(measurement)
         inner, known = self._split(as_vector("state", state, len(fresh)))
         fresh = self._started(self.kinematics.resumed(known, measurement), measurement)
@@ -118,11 +118,10 @@ class PredictedMeasurement(ControllerWrapper):
     def step(
         self, state: Array, measurement: Measurement, target: Target | Array, dt: float
     ) -> tuple[Array, Evaluation]:
-        """Return the state after a step, and the answer to what is predicted.
+        """Return the state after a step, and the output for the predicted error.
 
-        The answer's e is that of the measured x, NaN where that is lost.
-
-        Raises as the controller.
+        The output's e is that of the measured x, NaN where that is lost. Errors are those of the
+        controller.
         """
         target = target if isinstance(target, Target) else Target(target)
         (inner, known), task = self._split(state), self.task

@@ -1,4 +1,4 @@
-"""`Pseudoinverse`: the Ĵ⁺ of a set-point law, shortest or weighted, damped where it has to be."""
+"""`Pseudoinverse`: the Ĵ⁺ of a set-point law, plain or weighted, damped near singularities."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ _CONFIGURATIONS = 20
 
 
 def singular_ratio(task: Task, most: float = law.SINGULAR_RATIO) -> float:
-    """Return σ_min/σ_max of Ĵ below which it is near singular.
+    """Return the σ_min/σ_max of Ĵ below which it counts as near singular.
 
-    It is `most`; of the images of three points and more, which tell a tilt by small differences in
-    every configuration, at most a fifth of what is usual.
+    It is `most`; for images of three points or more, in which a tilt makes small differences in
+    every configuration, at most a fifth of the usual ratio.
     """
     if task.m < _OF_POINTS or image_feature(task) is None:
         return most
@@ -35,13 +35,13 @@ def singular_ratio(task: Task, most: float = law.SINGULAR_RATIO) -> float:
 class Pseudoinverse:
     """Ĵ⁺, damped near singular configurations as in the law.
 
-    Where the rule chose how to learn, Ĵ⁺s is the one of all q̇ with Ĵq̇ = s that has the least
-    q̇ᵀB_cq̇, as the arm's own motion towards its target has. So y of (10) is small along it, and what
-    is learnt is not drawn along by the motion. Elsewhere it is the shortest, as in the paper.
+    With a `weight` (from `tuned`), Ĵ⁺s minimizes q̇ᵀB_cq̇ over all q̇ with Ĵq̇ = s, as the arm's own
+    motion towards its target does. So y of (10) is small along that motion, which disturbs learning
+    less. Without one it is the Moore–Penrose inverse, as in the paper.
 
     Attributes:
-        weight: As of `law.cross_weight_pinv`, shape (n_v,); None is I.
-        singularity: What counts as near singular.
+        weight: As for `law.cross_weight_pinv`, shape (n_v,); None is I.
+        singularity: Thresholds of near singularity.
     """
 
     def __init__(self, weight: Array | None, scale: float, ratio: float) -> None:
@@ -50,7 +50,7 @@ class Pseudoinverse:
         self.singularity = law.Singularity(ratio, scale, inverse_root)
 
     def times(self, J_hat: Array, s: Array, whole: Array | None = None) -> Array:
-        """Return Ĵ⁺s (n_v,), of a Ĵ that may lack columns of a whole one, whose size counts."""
+        """Return Ĵ⁺s (n_v,); if Ĵ lacks columns, damping is judged by the `whole` Ĵ's size."""
         singularity = self.singularity
         if whole is not None:
             scale = float(np.linalg.norm(self._weighted(whole), 2))
@@ -58,7 +58,7 @@ class Pseudoinverse:
         return law.damped_pinv(J_hat, s, singularity)[0]
 
     def is_damped(self, J_hat: Array) -> NDArray[np.bool_]:
-        """Return True where Ĵ⁺ is damped, of Ĵ (…, m, n_v), shape (…)."""
+        """Return True where Ĵ⁺ is damped, for Ĵ (…, m, n_v); shape (…)."""
         sizes: Any = np.linalg.svd(self._weighted(J_hat), compute_uv=False)
         squares, (ratio, scale, _) = sizes**2, self.singularity
         return law.gram_damping(squares[..., -1], squares[..., 0], ratio, scale) > 0.0
@@ -68,5 +68,5 @@ class Pseudoinverse:
         return J_hat if inverse_root is None else J_hat * inverse_root
 
     def matrix(self, J_hat: Array) -> Array:
-        """Return Ĵ⁺ of a Ĵ (m, n_v), shape (n_v, m)."""
+        """Return Ĵ⁺ (n_v, m) for a Ĵ (m, n_v)."""
         return np.array([self.times(J_hat, unit) for unit in np.eye(len(J_hat))]).T

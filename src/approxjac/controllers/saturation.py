@@ -1,6 +1,6 @@
-"""Checks of a saturation, made once, when a controller is built.
+"""Checks of a saturation when a controller is built.
 
-The tests of stability take it for granted: none of them would notice a slope other than 1.
+The stability tests assume them: none would detect a slope other than 1.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ class _Fault(Exception):
 
 
 def require_saturation(saturation: Saturation, task: Task) -> None:
-    """Refuse what is no `law.Saturation` of the task's m coordinates.
+    """Check that an object is a `law.Saturation` of the task's m coordinates.
 
     Raises:
         InvalidInputError: A part is missing or fails, s(0) is not 0 or its slope not 1, s, S and ds
-            do not belong together, or eq. (8) does not hold with c̄, at errors from far below to far
-            beyond the one at which s saturates.
+            are inconsistent, or eq. (8) does not hold with c̄, at errors from far below to far
+            above the one at which s saturates.
     """
     try:
         if isinstance(saturation, type):

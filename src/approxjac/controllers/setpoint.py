@@ -1,4 +1,4 @@
-"""`SetpointController`: the laws (5), (6) and (28) put together with a believed robot."""
+"""`SetpointController`: the paper's set-point laws (5), (6) and (28)."""
 
 from __future__ import annotations
 
@@ -75,9 +75,9 @@ class Reach:
             self._origin = origin[["xyz".index(axis) for axis in task.labels[:3]]]
 
     def is_exceeded(self, q: Array, e: Array) -> Any:
-        """Return whether a target is too far away for the arm, and an unmodelled tool.
+        """Return True if a target is out of reach, even with an unmodelled tool.
 
-        It is e (m,) away from where the believed arm is at q: who measures x may stand anywhere.
+        It is taken at e (m,) from the believed position at q, so the sensor may stand anywhere.
         """
         k, most = len(self._origin), self._most
         if most == math.inf or (is_far := law.length(e[:k]) > UNKNOWN_TOOL * most) is False:
@@ -87,42 +87,42 @@ class Reach:
 
 
 class SetpointController(Immutable, Controller):
-    """Bring a measured task value to a target with an approximate Jacobian.
+    """A set-point law with an approximate Jacobian: brings the measured task value to a target.
 
-    τ = −Ĵᵀ(K_p s(e) + K_v Ĵq̇) − B_c q̇ + gravity, with e = x − x_d, x measured. It knows the
-    believed robot only, through the Jacobian of `task` and through `gravity`.
+    τ = −Ĵᵀ(K_p s(e) + K_v Ĵq̇) − B_c q̇ + gravity, with e = x − x_d, x measured. It uses only the
+    believed robot, by the Jacobian of `task` and by `gravity`.
 
-    The theorems are for a target at rest. For one that moves, q̇ − Ĵ⁺ẋ_d takes the place of q̇, in
-    the torque and in what learns: it is followed more closely, but nothing is proven then.
+    The theorems are for a target at rest. For a moving one, q̇ − Ĵ⁺ẋ_d replaces q̇ in the torque and
+    in the adaptation: it is followed more closely, but without a proof.
 
-    Its state is θ̂ where gravity is learnt, followed by the differentiator's state for law (5).
+    Its state is θ̂ if gravity is learnt, followed by the differentiator's state for law (5).
 
     Immutable, but it owns scratch memory: one instance a thread.
 
     Attributes:
-        adaptation: What learns gravity, with its defaults filled in; None if it is not learnt.
-        pinv: Ĵ⁺ of y.
+        adaptation: The adaptation of gravity, with its defaults filled in; None without.
+        pinv: The Ĵ⁺ of y = q̇ + αĴ⁺s(e), which drives the adaptation.
 
     Args:
         task: The task of the believed robot.
-        gains: K_p, K_v and the added joint damping; those of `tuned` by default.
-        gravity: Where the gravity torque comes from; the believed robot's own model by default.
+        gains: K_p, K_v and the added joint damping B_c; those of `tuned` by default.
+        gravity: Source of the gravity torque; the believed robot's own model by default.
             `NoGravity` is for robots that compensate it themselves, `AdaptiveGravity` makes this
             the law (28), (29).
-        saturation: s(e), any `law.Saturation`. By default the tanh of `tuned` where gains are its
-            own, too, and s(e) = e where they are given.
+        saturation: s(e), any `law.Saturation`. By default the tanh of `tuned`, or s(e) = e if gains
+            are given.
         velocity: None for the paper's estimated task velocity Ĵq̇, law (6); or
             `DifferentiatedVelocity`, law (5).
-        posture: Where the self-motion of a redundant arm is drawn to, or `AwayFromStops`; nowhere
-            by default.
-        latency: Of the loop, for `tuned`; by default that of 1 kHz with ideal sensors.
-        settling_time: Wanted, for `tuned`: the one number that makes all of it slower or faster
-            [s]; by default as fast as inertia, motors and latency allow.
+        posture: A `Posture` that attracts the self-motion of a redundant arm, or `AwayFromStops`;
+            none by default.
+        latency: Latency of the loop, for `tuned`; by default that of 1 kHz with ideal sensors.
+        settling_time: Desired settling time [s], for `tuned`, which scales all gains; by default
+            as short as inertia, motors and latency allow.
 
     Raises:
-        InvalidInputError: Gains of the wrong shape, a saturation that is no `law.Saturation`, no
-            added damping on an arm with more joints than task coordinates, a posture for an arm
-            without self-motion, or gravity of a robot with other joints.
+        InvalidInputError: Gains of the wrong shape, an invalid saturation, no added damping on an
+            arm with more joints than task coordinates, a posture for an arm without self-motion,
+            or gravity of a robot with other joints.
     """
 
     def __init__(
@@ -229,18 +229,18 @@ class SetpointController(Immutable, Controller):
         return np.concatenate([theta0, followed])
 
     def describe_learnt(self, state: Array) -> str:
-        """Return in words what a state has learnt of gravity; "" of nothing."""
+        """Describe the gravity that a state has learnt; "" if none."""
         learning = self.adaptation
         return "" if learning is None else learning.words(self.learnt(state), self.task)
 
     def learnt(self, state: Array) -> Array:
-        """Return θ̂ of a state (n_state,), or of a series of them (…, n_state); shape (…, p)."""
+        """Return θ̂ (…, p) of a state, or of a series of states (…, n_state)."""
         return state[..., : self.resting]
 
     def lyapunov(self, at: Instant) -> float:
-        """Return V of (12), or (31) where gravity is learnt, with Ĵ⁺ as in the law [J].
+        """Return V [J] of (12), or (31) if gravity is learnt, with Ĵ⁺ as in the law.
 
-        NaN where the error is not known.
+        It is NaN if the error is not known.
         """
         if at.answer.J_hat is None or not np.isfinite(at.e).all():
             return math.nan
@@ -273,7 +273,7 @@ class SetpointController(Immutable, Controller):
         return law.passive_output(v, self.pinv.times(J_hat, s), alpha)
 
     def is_proven(self, answer: Evaluation) -> Any:
-        """Return True where V̇ is known: with x, and with Ĵ⁺."""
+        """Return True if V̇ is known: x is measured, and Ĵ⁺ not damped."""
         return answer.status == _OK
 
     def rate_without(
@@ -295,24 +295,24 @@ class SetpointController(Immutable, Controller):
         return learning.bounded(rate, state[: self.resting], Y, g)[0]
 
     def with_limiter(self, motors: Array) -> SetpointController:
-        """Return this law with learning that leaves it to the limiter when it rests."""
+        """Return this law with adaptation that only the limiter pauses."""
         if self.adaptation is None:
             return self
         always = np.full(self.task.robot.nv, np.inf)
         return self.with_gravity(self.adaptation._replace(torque_limits=always, motors=motors))
 
     def damping_rate(self, inertias: Array) -> float:
-        """Return the rate at which B_c damps joints [1/s]."""
+        """Return the rate of joint damping by B_c [1/s]."""
         return quickest(inertias, self.diagonals.damping)
 
     def believed_dynamics(self) -> tuple[Dynamics, bool]:
-        """Return the believed dynamics, with their gravity where it is learnt."""
+        """Return the believed dynamics, and True (with gravity) if gravity is learnt."""
         robot, learns = self.task.robot, self.adaptation is not None
         return Dynamics(robot if learns else robot.with_gravity((0.0, 0.0, 0.0))), learns
 
     @functools.cached_property
     def alpha(self) -> float:  # type: ignore[override]
-        """α of V [1/s]: of the adaptation if any, else 0.3 of the rate of the task's slow pole."""
+        """α of V [1/s]: that of the adaptation, else 0.3 of the rate of the task's slow pole."""
         if self.adaptation is not None:
             return self.adaptation.alpha
         return _ALPHA_SHARE * slow_rate(self.task, self.diagonals)
@@ -325,15 +325,15 @@ class SetpointController(Immutable, Controller):
         return self.gravity.torque(q).copy()  # type: ignore[union-attr]  # the others have one
 
     def with_gains(self, gains: Gains) -> Self:
-        """Return this controller with other gains; what it learns, and how fast, stays."""
+        """Return this controller with other gains, and the same learning rates."""
         return self._with(gains=gains)
 
     def with_gravity(self, gravity: Gravity) -> Self:
-        """Return this controller with another source of gravity, and the gains that it has."""
+        """Return this controller with another source of gravity, and the same gains."""
         return self._with(gravity=gravity)
 
     def with_task(self, task: Task) -> Self:
-        """Return this controller with another task; gains, gravity and its learning stay."""
+        """Return this controller with another task, and the same gains, gravity and learning."""
         return self._with(task=task)
 
     def _with(self, **changes: Any) -> Self:
@@ -347,8 +347,8 @@ class SetpointController(Immutable, Controller):
     ) -> Evaluation:
         """Return torque and rate of the state for one measurement.
 
-        A measurement x that is not finite counts as lost: then there is no position force, only
-        damping (by K_v and B_c, where there is any) and gravity compensation; learning rests.
+        An x that is not finite counts as lost: then there is no position force, only damping (by
+        K_v and B_c) and gravity compensation, and adaptation pauses.
 
         Raises:
             MeasurementError: q or v not finite, or a torque that overflows.
@@ -450,7 +450,7 @@ class SetpointController(Immutable, Controller):
         return Evaluation(torque, rate, status, e, J_hat, g, _UNLIMITED, 0.0, reference)
 
     def describe(self) -> list[str]:
-        """Return law, gains, saturation and gravity in a line, its task, and the rule's reasons."""
+        """Describe law, gains, saturation and gravity, its task, and the reasons of `tuned`."""
         saturation = describe_saturation(self.saturation, self.task)
         gravity = "learnt" if self.resting else describe_gravity(self.gravity, self.task.robot)
         first = f"set-point law {self._equation}, {self.gains}, {saturation}; gravity {gravity}"

@@ -1,7 +1,7 @@
-"""`TrackingController`: follow what kinematics predict, with dynamics that learn.
+"""`TrackingController`: the adaptive tracking law, with learnt kinematics and dynamics.
 
-The reference that it follows has a self-motion (`RestConfiguration`), and is a torque or a velocity
-command (`VelocityCommand`).
+Its reference includes a self-motion (`RestConfiguration`); its command is a torque or a velocity
+(`VelocityCommand`).
 """
 
 from __future__ import annotations
@@ -74,13 +74,13 @@ _SOONEST = 0.1  # that a joint gets to its full speed in [s]
 
 @dataclass(frozen=True)
 class TrackingGains:
-    """How fast a `TrackingController` reduces errors.
+    """Gains of a `TrackingController`, as rates.
 
     Attributes:
-        alpha: α, how fast small errors are reduced > 0 [1/s].
-        kappa: κ, how fast the joints follow their reference > 0 [1/s]. By default 60, or 0.25/dt
-            where that is less.
-        self_motion: k_n, how fast the self-motion is [1/s].
+        alpha: α, rate at which small errors decay > 0 [1/s].
+        kappa: κ, rate at which the joints follow their reference > 0 [1/s]. By default 60, or
+            0.25/dt if that is less.
+        self_motion: k_n, rate of the self-motion [1/s].
     """
 
     alpha: float = 4.0
@@ -95,40 +95,38 @@ class TrackingGains:
 
 
 class TrackingController(Immutable, Controller):
-    """Follow a target with a predicted error, learnt kinematics and learnt dynamics.
-
-    It is the tracking law, adaptive, after Slotine and Li.
+    """The adaptive tracking law (after Slotine and Li), with learnt kinematics and dynamics.
 
     τ = Y_d(q, q̇, q̇_r, q̈_r) â − κM̂σ with σ = q̇ − q̇_r, where the reference velocity
 
         q̇_r = Ĵ⁺(u − Ĵn₀) + n₀,   u = ẋ_d − αs(z),   n₀ = −k_n s(q ⊖ q_rest)
 
-    leads the predicted error z to zero and q̈_r is its exact derivative. The measured x only
-    teaches the kinematics; where it is lost, control goes on with what is predicted. Kinematics
-    that learn hold the joints still until x was seen once: q̇_r = 0, `MEASUREMENT_LOST`.
+    brings the predicted error z to zero and q̈_r is its exact derivative. The measured x is used
+    only to learn the kinematics; while it is lost, control continues with the prediction. With
+    learnt kinematics the joints rest until x is first seen: q̇_r = 0, `MEASUREMENT_LOST`.
 
-    Its state is that of the dynamics, followed by that of the kinematics and, of velocity commands,
-    the command before.
+    Its state is that of the dynamics, followed by that of the kinematics and, for velocity
+    commands, the last command.
 
     Immutable, but it owns scratch memory: one instance a thread.
 
     Args:
         task: The task of the believed robot.
-        kinematics: What predicts z, for the same dt. By default, for positions and poses,
+        kinematics: Kinematics that predict z, for the same dt. By default, for positions and poses,
             `AdaptiveKinematics` of tool and joint origins; `KnownKinematics` takes the believed
-            arm's own for true.
-        dynamics: What the torque of a motion comes from; `AdaptiveDynamics` of the believed robot
+            arm's as true.
+        dynamics: Source of the feedforward torque Y_d â; `AdaptiveDynamics` of the believed robot
             by default, or `ModelDynamics`.
-        posture: Configuration that the self-motion of a redundant arm is drawn to, shape (nq,); by
-            default the middle of the ranges of joints that turn less than once, others nowhere.
-        speed: How fast an error is reduced at most, a number or one for each coordinate, shape (m,)
-            [unit of the task/s]. By default 0.5 m/s and 1 rad/s, and of other units what half a
-            rad/s of the joints makes.
+        posture: Rest configuration q_rest of a redundant arm's self-motion, shape (nq,); by default
+            the middle of the ranges of joints that turn less than once, none for others.
+        speed: Largest speed at which errors are reduced, a number or one for each coordinate, (m,)
+            [unit of the task/s]. By default 0.5 m/s and 1 rad/s, for other units that of joint
+            speeds of 0.5 rad/s.
         dt: Sampling time [s].
         gains: α, κ and k_n; by default those of `TrackingGains()`.
-        command: "torque", or "velocity" for a robot that takes joint velocities: then q̇_r is the
-            command, ahead of the lag of the robot's servo, which is learnt in place of the
-            dynamics, and within the URDF's limits of speed and position.
+        command: "torque", or "velocity" for a robot that takes joint velocities: then the command
+            is q̇_r, advanced by the servo's lag, which is learnt in place of the dynamics, and
+            within the URDF's limits of speed and position.
 
     Raises:
         InvalidInputError: Numbers out of range or of the wrong shape, kinematics or dynamics of
@@ -229,7 +227,7 @@ class TrackingController(Immutable, Controller):
         return state
 
     def resumed(self, state: Array, measurement: Measurement) -> Array:
-        """Return a state before a first step that knows what another state has learnt."""
+        """Return an initial state with the learnt numbers of another state."""
         state = as_vector("state", state, self.n_state)
         fresh, (p, end) = self.initial_state(measurement), (self.resting, self._end)
         fresh[:p] = state[:p]
@@ -239,16 +237,16 @@ class TrackingController(Immutable, Controller):
     def step(
         self, state: Array, measurement: Measurement, target: Target | Array, dt: float
     ) -> tuple[Array, Evaluation]:
-        """Return the state after a step, and a torque (or a velocity) for it.
+        """Return the state after a step, and its output with a torque (or a velocity).
 
-        The answer's e is that of the measured x, NaN where that is lost; its Ĵ is that of the
-        prediction, and its reference q̇_r.
+        The output's e is that of the measured x, NaN where that is lost; its Ĵ is that of the
+        prediction, and its reference is q̇_r.
 
         Raises:
             MeasurementError: q or v not finite, or numbers that overflow.
             InvalidInputError: Wrong shapes or types, a target or state that is not finite, (cos,
-                sin) pairs of continuous joints off the unit circle, or another dt than the one that
-                this controller is for.
+                sin) pairs of continuous joints off the unit circle, or a dt that is not this
+                controller's.
         """
         if hasattr(state, "arm_of"):  # symbols
             return self.evolve(
@@ -270,7 +268,7 @@ class TrackingController(Immutable, Controller):
     def evolve(
         self, state: Array, measurement: Measurement, target: Target
     ) -> tuple[Array, Evaluation]:
-        """Do as `step`, with arguments that are checked, or are symbols."""
+        """Do the work of `step`, with checked arguments or symbols."""
         _, q, v, x, _ = measurement
         p, end, dt = self.resting, self._end, self.dt
         known = state[p:end]
@@ -330,7 +328,7 @@ class TrackingController(Immutable, Controller):
         return np.concatenate([state[..., : self.resting], known], axis=-1)
 
     def learnt_sd(self, state: Array) -> Array:
-        """Return the standard deviations of what was learnt, NaN of the dynamics, shape (p,)."""
+        """Return the standard deviations of `learnt`, NaN for the dynamics, shape (p,)."""
         kinematics, known = self.kinematics_of(state)
         return np.concatenate([np.full(self.resting, np.nan), kinematics.sd_of(known)])
 
@@ -343,7 +341,7 @@ class TrackingController(Immutable, Controller):
         """Return this controller with another task, such as that of another believed robot.
 
         Raises:
-            InvalidInputError: Its kinematics or dynamics were given, which are of the task before.
+            InvalidInputError: Its kinematics or dynamics were given, for the old task.
         """
         for name in ("kinematics", "dynamics"):
             if self._arguments[name] is not None:
@@ -357,7 +355,7 @@ class TrackingController(Immutable, Controller):
     # -- what limits of torques need to know ----------------------------------------------------
 
     def is_proven(self, answer: Evaluation) -> bool:
-        """Return whether V̇₂ is known: always, as the kinematics do not enter."""
+        """Return True: V̇₂ is always known, because the kinematics do not enter it."""
         return True
 
     def damping_rate(self, inertias: Array) -> float:
@@ -365,7 +363,7 @@ class TrackingController(Immutable, Controller):
         return self.kappa
 
     def believed_dynamics(self) -> tuple[Dynamics, bool]:
-        """Return those of the believed robot, with its own gravity."""
+        """Return the believed robot's dynamics, and True: they include gravity."""
         return Dynamics(self.dynamics.robot), True
 
     def gravity_torque(self, state: Array, q: Array) -> Array:
@@ -373,7 +371,7 @@ class TrackingController(Immutable, Controller):
         return self.dynamics.gravity(state[: self.resting], q)
 
     def describe(self) -> list[str]:
-        """Return the law and what it learns in a line, and its task."""
+        """Describe the law and its learning in a line, and its task."""
         kinds = [spaced(type(part).__name__) for part in (self.kinematics, self.dynamics)]
         parts = " and ".join(kinds).replace("adaptive", "learnt").replace("model", "known")
         first = f"tracking law, alpha {self.alpha:.4g}, kappa {self.kappa:.4g}; {parts}"
@@ -387,10 +385,9 @@ class TrackingController(Immutable, Controller):
 class RestConfiguration:
     """n₀ = −k_n s(q ⊖ q_rest), no faster than 0.5 rad/s, and its derivative.
 
-    Of continuous joints the sine of the angle takes the place of the angle, so that n₀ has no jump
-    half a turn away. By default q_rest is the middle of the ranges of joints that turn less than
-    once, or slide less than 2 m. The others are drawn nowhere: the middle of ±2π says nothing of
-    an elbow.
+    For continuous joints the sine of the angle replaces the angle, so that n₀ does not jump half a
+    turn away. By default q_rest is the middle of the ranges of joints that turn less than once, or
+    slide less than 2 m; the middle of a wider range is no useful posture, and has no effect.
     """
 
     def __init__(self, task: Task, q: Sequence[float] | Array | None, rate: float) -> None:
@@ -431,17 +428,15 @@ class RestConfiguration:
 
 
 class VelocityCommand:
-    """The velocity nearest to q̇_r + L̂w that joints may be commanded, with a lag L̂ that is learnt.
+    """The allowed joint velocity nearest to q̇_r + L̂w, with a learnt servo lag L̂.
 
-    w = ∂q̇_r/∂t + Dq̇_r with D = ∂q̇_r/∂q is q̈_r = w + Dσ of joints that move as they should: it has
-    no noise of q̇, which would be in q̈_r and in σ alike and make L̂ grow. V₃ of
-    `law.servo_lag_rate` falls with D near −αĴ⁺Ĵ for a lag below 1/α. A delay counts as lag, for
-    which nothing is proven.
+    w = ∂q̇_r/∂t + Dq̇_r with D = ∂q̇_r/∂q is the q̈_r = w + Dσ of joints that follow exactly (σ = 0).
+    It has no noise of q̇, which in both q̈_r and σ would make L̂ grow. V₃ of `law.servo_lag_rate`
+    falls with D near −αĴ⁺Ĵ for a lag below 1/α. A delay acts as lag, without a proof.
 
-    Speed is brought within its limits along q̇_r as a whole (`law.within_speeds`, before); joints
-    near their position limits are slowed down each on its own, and each command differs from the
-    one before by the acceleration that there may be: `sure_deceleration`, but no more than leads to
-    full speed in 0.1 s. Where a command is limited, L̂ rests.
+    Before, q̇_r is scaled as a whole to the speed limits (`law.within_speeds`). Joints near their
+    position limits are slowed down one by one, and commands change by at most `sure_deceleration`,
+    or full speed in 0.1 s if that is less. While a command is limited, L̂ does not change.
     """
 
     def __init__(self, robot: Robot, limits: Limits, dt: float) -> None:
@@ -457,7 +452,7 @@ class VelocityCommand:
     def step(
         self, state: Array, q: Array, v: Array, v_r: Array, w: Array, before: Array
     ) -> tuple[Array, Array]:
-        """Return L̂ [s] a period later, shape (1,), and the command; w is q̈_r at q̇ = q̇_r."""
+        """Return the next L̂ [s], shape (1,), and the command; w is q̈_r at q̇ = q̇_r."""
         wanted = v_r + state[0] * w
         motion = q if self._neutral is None else motion_between(self._robot, self._neutral, q)
         low, high = law.speed_bounds(motion, self._joints)

@@ -1,4 +1,4 @@
-"""`ControllerWrapper`: a controller around another one, to which it forwards."""
+"""`ControllerWrapper`: a controller around another one."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ def _inner(name: str) -> Any:
 
 
 class ControllerWrapper(Immutable, Controller):
-    """A controller that steps another one and keeps some memory of its own.
+    """A controller that steps another one and has some memory of its own.
 
-    Its state is that of the other one, followed by that memory, which is discrete by nature: such
-    a controller has no rate of its state.
+    Its state is that of the other one, followed by that memory, which is discrete: the state has
+    no rate.
 
     Immutable; one instance a thread, as the controller inside.
 
@@ -56,7 +56,7 @@ class ControllerWrapper(Immutable, Controller):
     needs_solver: bool = _inner("needs_solver")
 
     def describe(self) -> list[str]:
-        """Describe the controller inside, and then what is done to it."""
+        """Describe the controller inside, then this wrapper."""
         return [*self.controller.describe(), self._what or f"within {type(self).__name__}"]
 
     def learnt(self, state: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Simulation: plants that are the truth, integrators, runs and their records."""
+"""Simulation: the true plant, its sensors, runs and their records."""
 
 from approxjac.simulation.mujoco_plant import MujocoPlant
 from approxjac.simulation.plant import Friction, Plant, VelocityServo

@@ -1,4 +1,4 @@
-"""A plant whose physics MuJoCo computes: an engine that no one here wrote."""
+"""A plant whose physics MuJoCo computes, an independent engine."""
 
 from __future__ import annotations
 
@@ -21,31 +21,31 @@ if TYPE_CHECKING:
 
 
 class MujocoPlant(Plant):
-    """A plant that moves as MuJoCo says, with joint limits and a floor.
+    """A plant simulated by MuJoCo, with joint limits and a floor.
 
     MuJoCo opens the URDF that `Robot.save_urdf` writes. Without contact and within the joint
     limits, accelerations are those of `Plant` to rounding. Limits and floor are MuJoCo's soft
-    constraints, with a time constant of 20 ms; their forces jump, so give `simulate` a dt. What the
-    arm and its object touch is the floor only, never each other; the shapes are those of
-    <collision> in the URDF, meshes as their convex hulls.
+    constraints, with a time constant of 20 ms; their forces jump, so give `simulate` a dt. The arm
+    and its object can touch the floor, but not each other; shapes are those of <collision> in
+    the URDF, meshes as their convex hulls.
 
     Needs `pip install 'approxjac[mujoco]'`. Owns scratch memory: one instance a thread.
 
     Args:
         robot: The true robot.
         sensor, friction: As for `Plant`.
-        floor: Height z of a horizontal floor in the world frame [m]; None for no floor. What is
+        floor: Height z of a horizontal floor in the world frame [m]; None for no floor. Links
             fixed to the base may be below it.
-        **options: The others of `Plant`.
+        **options: Other arguments of `Plant`.
 
     Attributes:
         mujoco_model: MuJoCo's model of the robot and the floor, such as for its viewer. Read-only.
 
     Raises:
-        InvalidInputError: As for `Plant`, a floor that is no height, or mimic joints that move.
+        InvalidInputError: As for `Plant`, a floor that is no number, or moving mimic joints.
         MissingPackageError: MuJoCo is not installed.
-        UrdfError: MuJoCo cannot open the URDF, such as for collision meshes that are missing, or
-            for inertias that no body has.
+        UrdfError: MuJoCo cannot open the URDF, for example because of missing collision meshes
+            or physically impossible inertias.
     """
 
     stops = None  # MuJoCo has its own

@@ -49,7 +49,7 @@ def rk4(
 ) -> tuple[Array, Array]:
     """Return (q, v) after dt [s] by the classical Runge–Kutta method, order 4.
 
-    The acceleration may alias scratch memory; `moved` is q (nq,) after a motion (n_v,).
+    The acceleration may alias scratch memory; `moved(q, motion)` adds a motion (n_v,) to q (nq,).
     """
     half = 0.5 * dt
     a1 = acceleration(q, v, tau).copy()
@@ -66,7 +66,7 @@ def rk4(
 def semi_implicit_euler(
     acceleration: Acceleration, moved: Motion, q: Array, v: Array, tau: Array, dt: float
 ) -> tuple[Array, Array]:
-    """Return (q, v) after dt: velocity first, then position with the new one, order 1."""
+    """Return (q, v) after dt [s]: velocity first, then position with it; order 1."""
     v_new = v + dt * acceleration(q, v, tau)
     return moved(q, dt * v_new), v_new
 
@@ -76,24 +76,24 @@ INTEGRATORS: Mapping[str, Integrator] = {"rk4": rk4, "semi_implicit_euler": semi
 
 @dataclass(frozen=True, repr=False)
 class VelocityServo:
-    """The robot's own loop around its joints, where a controller commands q̇ in place of torques.
+    """The robot's own velocity loop, for a controller that commands q̇ instead of torques.
 
-    It takes a command every `period`, acts on it `delay` later, and makes q̇ follow it with a
+    It reads a command every `period`, acts on it `delay` later, and makes q̇ follow it with a
     first-order lag, lag · q̈ = q̇_cmd − q̇, by the torque
 
         τ = M(q)(q̇_cmd − q̇)/lag + C(q, q̇)q̇ + g(q) + friction
 
     of the true arm, clipped at `Plant.motor_limits`. Until the first command takes effect it holds
-    the arm at rest. Limits of speed are the controller's to keep. Away from obstacles it stands for
-    a robot that takes positions, too, if that is sent ∫q̇_cmd dt.
+    the arm at rest. Keeping speed limits is up to the controller. Away from obstacles it also
+    models a position-controlled robot that is sent ∫q̇_cmd dt.
 
     Attributes:
         lag: Time constant, ≥ 1 ms [s].
-        delay: Time from a command that is taken to its effect [s].
-        period: Time between commands that are taken [s]; others are not seen.
+        delay: Time from reading a command to its effect [s].
+        period: Time between commands that are read [s]; others are ignored.
 
     Raises:
-        InvalidInputError: A number that is negative, not finite or too small.
+        InvalidInputError: A number is negative, not finite or too small.
     """
 
     lag: float = 0.03
@@ -108,12 +108,12 @@ class VelocityServo:
 
 
 class JointStops:
-    """Stops at `Robot.position_limits`: p = max(0, kδ + dδ̇) where a joint is δ > 0 beyond one.
+    """Stops at `Robot.position_limits`: torque p = max(0, kδ + dδ̇) for a joint δ > 0 beyond one.
 
-    A stop pushes back and never pulls: T + ½kδ² never grows through it. k is that of 200 rad/s with
-    the usual inertia of the joint, 1/mean (M⁻¹)_ii, or stiffer where its motor could press the
-    joint further than 0.01 rad or m beyond the limit; d = 2k / 200 rad/s. So a joint that runs into
-    its stop at v sinks in by about v/(e·200 rad/s), 2 mrad at 1 rad/s.
+    A stop pushes back and never pulls, so it never adds energy to T + ½kδ², T the kinetic energy.
+    With the joint's usual inertia 1/mean (M⁻¹)_ii, k gives 200 rad/s, or more where the motor could
+    press the joint further than 0.01 rad or m beyond the limit; d = 2k / 200 rad/s. A joint that
+    hits its stop at v sinks in by about v/(e·200 rad/s), 2 mrad at 1 rad/s.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -139,30 +139,30 @@ class JointStops:
         return 2.0 / _RATE * self.stiffness
 
     def touched(self, q: Array) -> bool:
-        """Return True where a joint is beyond its limits; quick, as every step asks."""
+        """Return True if any joint is beyond its limits."""
         for value, (low, high) in zip(q.tolist(), self.ends):  # noqa: B905, SIM110 (it is quick)
             if value < low or value > high:  # one that is NaN is not
                 return True
         return False
 
     def depth(self, q: Array) -> tuple[Array, Array]:
-        """Return δ, −∞ without limits, and the side of the nearer limit, +1 or −1: (n_v,) each."""
+        """Return δ (−∞ without limits) and the side of the nearer limit, ±1; shape (n_v,) each."""
         motion = motion_between(self._robot, self._robot.neutral(), q)
         low, high = self._limits
         above, below = motion - high, low - motion
         return np.maximum(above, below), np.where(above > below, 1.0, -1.0)
 
     def torque(self, q: Array, v: Array) -> Array:
-        """Return −p on the upper side and p on the lower one, shape (n_v,) [N m or N]."""
+        """Return −p at upper limits and p at lower ones, shape (n_v,) [N m or N]."""
         depth, side = self.depth(q)
         push = self.stiffness * np.maximum(depth, 0.0) + self.damping * side * v
         return np.where(depth > 0.0, -side * np.maximum(push, 0.0), 0.0)
 
     def held_torque(self, q: Array, v: Array, M_inv: Array, dt: float) -> Array:
-        """Return the torque (n_v,) that stops hold over a step dt [s] of semi-implicit Euler.
+        """Return the stops' constant torque (n_v,) over a step dt [s] of semi-implicit Euler.
 
         p has δ and δ̇ of the end of the step (implicit Euler), so that no step adds energy. v is
-        that at the end of the step without stops.
+        the velocity (n_v,) that the step would end with without stops.
         """
         depth, side = self.depth(q)
         v = side * v  # outwards
@@ -197,13 +197,13 @@ def _complementary(A: Array, b: Array) -> Array:
 
 
 class Friction(NamedTuple):
-    """Friction of the joints, Bq̇ + τ_c tanh(q̇/v_c); eq. (1) has the first term only.
+    """Joint friction, Bq̇ + τ_c tanh(q̇/v_c); the paper's eq. (1) has the first term only.
 
     Attributes:
         viscous: B ≥ 0, a number or shape (n_v,) [N m s/rad or N s/m].
         coulomb: Coulomb friction τ_c ≥ 0, a number or shape (n_v,) [N m or N].
-        coulomb_velocity: v_c > 0 within which it passes from −τ_c to τ_c [rad/s or m/s]. So that
-            joints creep rather than stick; a τ_c dt much above M v_c makes a sampled run unstable.
+        coulomb_velocity: v_c > 0, half-width of the change from −τ_c to τ_c [rad/s or m/s]:
+            joints creep rather than stick. τ_c dt much above M v_c makes a sampled run unstable.
     """
 
     viscous: float | Sequence[float] | Array = 0.0
@@ -214,31 +214,31 @@ class Friction(NamedTuple):
 class Plant(Immutable):
     """M(q) q̈ + C(q, q̇)q̇ + friction + g(q) = τ of the true robot, eq. (1).
 
-    It yields measurements and takes torques, or velocities if it has a servo. What is claimed of
-    eq. (1) is claimed of arms strictly within their joint limits, where joint stops do nothing. It
-    owns scratch memory: one instance a thread.
+    It gives measurements and takes torques, or velocities if it has a servo. Statements on
+    eq. (1) hold strictly within the joint limits, where the joint stops have no effect. It owns
+    scratch memory: one instance a thread.
 
     Args:
         robot: The true robot.
-        sensor: What measures X: a task of the true robot; by default the position of its tip,
+        sensor: Task of the true robot that measures X; by default the position of its tip,
             `PositionTask(robot)`.
         friction: A `Friction`, or the viscous one alone: B ≥ 0, a number or shape (n_v,)
-            [N m s/rad or N s/m]. Damping that the URDF mentions is not used.
-        sensing: How measurements differ from the truth; not at all by default. Needs dt.
+            [N m s/rad or N s/m]. Damping in the URDF is not used.
+        sensing: Sensor errors, such as noise and delay; none by default. Needs dt in `simulate`.
         actuator_delay: Time from a command to its effect [s], beside that of a servo, rounded to
             whole samples; until the first one takes effect the robot is held. Needs dt.
-        torque_limits: What the motors deliver at most, a number or shape (n_v,) [N m or N]; more
-            is clipped, infinite is no limit. Nothing is clipped by default.
-        joint_limits: Whether the joints stop at `Robot.position_limits`, as `JointStops` says. A
+        torque_limits: Largest motor torque, a number or shape (n_v,) [N m or N], at which commands
+            are clipped; infinite is no limit. Nothing is clipped by default.
+        joint_limits: Whether the joints stop at `Robot.position_limits`, see `JointStops`. A
             sampled step that ends beyond a limit is one of semi-implicit Euler.
-        servo: The robot's own loop, for a controller that commands velocities of the joints:
+        servo: The robot's own velocity loop, for a controller that commands joint velocities:
             `simulation.VelocityServo`. None takes torques. Needs dt.
-        adds_gravity: The robot whose g(q) it adds to each torque by itself, such as that of a
-            Franka without a tool; the motors deliver the sum. None adds none.
+        adds_gravity: Robot whose g(q) the plant adds to each torque itself, as a Franka does for
+            its arm without a tool; the motors deliver the sum. None adds none.
 
     Raises:
-        InvalidInputError: A sensor on another robot, numbers that are negative or of the wrong
-            shape, or own gravity beside a servo, which has its own.
+        InvalidInputError: A sensor of another robot, numbers that are negative or of the wrong
+            shape, or `adds_gravity` with a servo, which has its own gravity torque.
     """
 
     def __init__(
@@ -304,17 +304,17 @@ class Plant(Immutable):
 
     @property
     def command(self) -> Literal["torque", "velocity"]:
-        """What it takes."""
+        """Kind of command that it takes."""
         return "torque" if self.servo is None else "velocity"
 
     @property
     def motor_limits(self) -> Array:
-        """Torques that the motors deliver at most, shape (n_v,) [N m or N]."""
+        """Largest motor torques, shape (n_v,) [N m or N]."""
         return self.robot.effort_limits if self.torque_limits is None else self.torque_limits
 
     @cached_property
     def stops(self) -> JointStops | None:
-        """The stops of its joints, or None."""
+        """The joint stops, or None."""
         return JointStops(self.robot) if self.joint_limits else None
 
     @cached_property
@@ -327,11 +327,11 @@ class Plant(Immutable):
         return self.robot.model.createData()
 
     def ready_configuration(self) -> Array:
-        """Return a configuration (nq,) to start from, as `simulate` does; the same each time.
+        """Return the default start configuration (nq,) of `simulate`; the same each time.
 
-        Of 300 in the middle of `Robot.usual_range` that the sensor sees, that the motors hold well,
-        and in which the arm touches nothing, the one with the largest σ_min of the sensor's
-        Jacobian. An InvalidInputError if there is none.
+        It has the largest σ_min of the sensor's Jacobian among 300 random ones in the middle of
+        `Robot.usual_range` in which the sensor sees x, the motors hold the arm with ease and
+        nothing is in contact. Raises an InvalidInputError if there is none.
         """
         robot, sensor, rng = self.robot, self.sensor, np.random.default_rng(0)
         effort = np.minimum(robot.effort_limits, self.motor_limits)
@@ -363,9 +363,9 @@ class Plant(Immutable):
         return late or self.servo is not None
 
     def require_ideal(self, what: str, *, late: bool = False) -> None:
-        """Raise an InvalidInputError if there is more than eq. (1) and joint stops.
+        """Raise an InvalidInputError if the plant has more than eq. (1) and joint stops.
 
-        With `late` there may be delays and a filter of q̇.
+        `late` allows delays and a filter of q̇.
         """
         sensing, rough = self.sensing, self.needs_sampling
         if late:
@@ -394,7 +394,7 @@ class Plant(Immutable):
                 )
 
     def require_measured(self, task: Task) -> None:
-        """Raise an InvalidInputError if a task takes another x than the sensor measures."""
+        """Raise an InvalidInputError if a task is for another x than the sensor measures."""
         self._require_same(task, self.sensor._measured, task._measured)
 
     def _require_same(self, task: Task, sensor: Task, wanted: Task) -> None:
@@ -424,7 +424,7 @@ class Plant(Immutable):
     def advance(
         self, q: Array, v: Array, tau: Array, dt: float, integrate: Integrator
     ) -> tuple[Array, Array]:
-        """Return (q, v) after dt [s] under a command that is held; nothing is checked here."""
+        """Return (q, v) after dt [s] under a constant command; arguments are not checked."""
         accelerate: Acceleration = self._driven
         if self.servo is None:
             accelerate, tau = self._acceleration, self._delivered(q, tau)
@@ -442,7 +442,7 @@ class Plant(Immutable):
         return np.asarray(pin.integrate(self.robot.model, q, motion))
 
     def holding_torque(self, q: Array) -> Array:
-        """Return the torque to send so that it stands, shape (n_v,) [N m or N]."""
+        """Return the torque to send to hold the arm at rest, shape (n_v,) [N m or N]."""
         g = self.dynamics.g(q)
         return g if self._added is None else g - self._added.g(q)
 
@@ -467,7 +467,7 @@ class Plant(Immutable):
         return viscous + self.coulomb * np.tanh(v / self.coulomb_velocity)
 
     def applied(self, q: Array, v: Array, command: Array) -> Array:
-        """Return the torque for a command: itself, or that of the servo for a velocity, (n_v,)."""
+        """Return a torque command itself, or the servo's torque for a velocity; shape (n_v,)."""
         if self.servo is None:
             return command
         a = (command - v) / self.servo.lag
@@ -486,7 +486,7 @@ class Plant(Immutable):
         return np.asarray(pin.aba(self.robot.model, self._data, q, v, tau, WORLD))
 
     def measure(self, t: float, q: Array, v: Array) -> Measurement:
-        """Return the measurement of ideal sensors at t [s]; NaN for what the sensor cannot see."""
+        """Return the measurement of ideal sensors at t [s]; x is NaN where it is not seen."""
         q, v = self.robot.configuration(q), as_vector("v", v, self.robot.nv)
         return Measurement(t, q, v, self.sensor._seen(self.sensor.value(q)), t)
 
@@ -522,5 +522,5 @@ def _added(other: Robot, robot: Robot, servo: VelocityServo | None) -> Dynamics:
 
 
 def holdable(dynamics: Dynamics, q: Array, effort: Array) -> bool:
-    """Return True where holding a configuration takes at most 70 % of the effort limits."""
+    """Return True if holding a configuration takes at most 70 % of the effort limits."""
     return not (np.abs(dynamics.g(q)) > _HOLDABLE * effort).any()

@@ -1,4 +1,4 @@
-"""Sensing as it really is: noise, delay, quanta, dropouts, frames, no tachometer."""
+"""Realistic sensing: noise, delay, quantization, dropouts, frames, no tachometer."""
 
 from __future__ import annotations
 
@@ -26,27 +26,27 @@ DRAWN = ("x_noise", "q_noise", "x_dropout")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Sensing:
-    """Differences of the measurements from the truth. Everything is off by default.
+    """Errors of the measurements. All are off by default.
 
-    Each x that is taken is a frame. With an `x_rate`, frame k is taken at the first control sample
-    at or after k/x_rate, and until the next one arrives the last one is read again, bit by bit.
-    Noise, rounding and dropout happen once a frame.
+    Each sample of x is a frame. With an `x_rate`, frame k is taken at the first control sample at
+    or after k/x_rate, and its x is repeated, bit by bit, until the next one arrives. Noise,
+    rounding and dropout apply once per frame.
 
     Attributes:
         x_noise: Standard deviation of white noise on the task coordinates, a number or shape
             (m,) [unit of the task].
-        x_quantum: Steps that they are rounded to, likewise.
+        x_quantum: Rounding steps of the task coordinates, likewise.
         x_delay: Age of x when it arrives [s]; rounded to whole samples of control.
         x_dropout: Probability that a frame of x is lost, from 0 to 1: NaN until the next arrives.
         q_noise: Standard deviation of white noise on q, a number or shape (n_v,) [rad or m].
-        q_quantum: Steps of the encoders, likewise.
+        q_quantum: Rounding steps of the encoders, likewise.
         velocity_filter: Time constant T of q̇ from differences of the measured q,
             T dq̇/dt + q̇ = Δq/dt [s], from q̇ = 0 at the first sample; 0 does not filter. None is an
             exact tachometer.
-        x_rate: Frames of x a second [Hz]; None takes one at each control sample.
-        x_lost: Intervals (start, end) [s] in which x is lost, or (start, end, part) for one of the
-            parts that a task of several measurements has, counted from 0.
-        x_frozen: Intervals (start, end) [s] in which no new frame arrives and the last is read.
+        x_rate: Frames of x per second [Hz]; None takes one at each control sample.
+        x_lost: Intervals (start, end) [s] in which x is lost, or (start, end, part) for one part
+            of a task with several, counted from 0.
+        x_frozen: Intervals (start, end) [s] in which the last frame is repeated.
 
     Raises:
         InvalidInputError: Negative or not finite, or a probability above 1.
@@ -79,7 +79,7 @@ class Sensing:
 
     @property
     def is_linear(self) -> bool:
-        """Return True if it only delays x and filters q̇: nothing random, rounded or repeated."""
+        """True if it only delays x and filters q̇: nothing is random, rounded or repeated."""
         if self.x_rate is not None or self.x_lost or self.x_frozen:
             return False
         others = (self.x_noise, self.x_quantum, self.x_dropout, self.q_noise, self.q_quantum)
@@ -99,7 +99,7 @@ class Sensing:
 class SensorReadings:
     """The readings of one run, sample by sample; the same seed gives the same ones.
 
-    What is drawn depends on time alone: each kind has a generator of its own, see `generator`.
+    Random numbers depend on time alone: each kind has a generator of its own, see `generator`.
     """
 
     def __init__(self, sensing: Sensing, task: Task, dt: float, seed: int) -> None:
@@ -180,7 +180,7 @@ def imaged(task: Task, x: Array, noise: Array | None, quantum: Array) -> Array:
 
 
 def rounded(values: Array, steps: Array) -> Array:
-    """Round to multiples of steps; a step of 0 rounds nothing."""
+    """Round to multiples of steps; 0 is no rounding."""
     safe = np.where(steps > 0.0, steps, 1.0)
     return np.where(steps > 0.0, safe * np.rint(values / safe), values)
 
@@ -191,7 +191,7 @@ def filtered(v: Array, slope: Array, time_constant: float, dt: float) -> Array:
 
 
 def lost_entries(sensing: Sensing, task: Task) -> list[slice]:
-    """Return the entries of x that each of the intervals `x_lost` takes."""
+    """Return the entries of x that are lost in each of the intervals `x_lost`."""
     parts = task._parts
     wrong = [i for _, _, *part in sensing.x_lost for i in part if i >= len(parts)]
     if wrong:
@@ -229,7 +229,7 @@ _TINY = 1e-6  # of a frame or a sample: more than round-off in k dt, less than a
 
 
 class SensorFrame(NamedTuple):
-    """Work of a camera at one sample: what it takes, and what arrives of what it took."""
+    """Frames taken by, and arriving from, a sensor at one control sample."""
 
     is_taken: bool
     kept_at: int  # the place of the image that it took last
@@ -240,9 +240,9 @@ class SensorFrame(NamedTuple):
 
 
 class SensorFrames:
-    """The frames of one run, which time alone decides: the same in all runs.
+    """The frames of one run; their timing is the same in all runs.
 
-    Images have places, which are taken again once nobody will read what is there.
+    Frames are kept in slots, which are reused once they will not be read any more.
     """
 
     def __init__(self, sensing: Sensing, dt: float) -> None:

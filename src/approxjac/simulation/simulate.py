@@ -1,4 +1,4 @@
-"""`simulate` and its loops: a controller and what moves, continuously or sample by sample."""
+"""`simulate` and its loops of controller and plant, continuous or sampled."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ Wanted = Target | TargetPath | Array
 
 
 def wanted_of(sensor: Task, target: object, t: float) -> Wanted:
-    """Return a target, or a path, whose value at t [s] is one of the sensor."""
+    """Return a target or path, checked against the sensor at t [s]."""
     if isinstance(target, type) or not isinstance(target, Target | TargetPath):
         return sensor.target(target)
     now = target.at(t) if isinstance(target, TargetPath) else target
@@ -67,7 +67,7 @@ def x_of(target: Target | Array) -> Array:
 
 
 def require_start(task: Task, wanted: Wanted, x: Array) -> None:
-    """Refuse a target at rest whose points run round the other way than they are measured."""
+    """Raise an InvalidInputError if a target at rest is mirrored against the measured x."""
     if isinstance(wanted, np.ndarray):
         require_unmirrored(task, "target", wanted, x, "the measured x")
 
@@ -95,7 +95,7 @@ def first_state(
     dt: float,
     given: Array | None = None,
 ) -> Array:
-    """Return the state that a controller begins with, after a step in which it is checked."""
+    """Return a controller's first state, after a trial step that checks the controller."""
     state = controller.initial_state(measurement)
     if given is not None:
         state = as_array("state", given, state.shape)
@@ -130,7 +130,7 @@ def first_state(
 
 
 def require_fit(plant: Plant, controller: Controller, dt: float | None) -> None:
-    """Refuse a controller that is none, of another task, command or sampling time."""
+    """Raise an InvalidInputError for a controller of another task, command or sampling time."""
     like = "a controller, such as SetpointController(...)"
     require("controller", controller, Controller, like)
     require("task of the controller", controller.task, Task, "the task of the believed robot")
@@ -152,7 +152,7 @@ def require_fit(plant: Plant, controller: Controller, dt: float | None) -> None:
 
 
 class InitialState(NamedTuple):
-    """How a run begins.
+    """Start of a run.
 
     Attributes:
         q0: Configuration, shape (nq,); `plant.ready_configuration()` by default.
@@ -166,7 +166,7 @@ class InitialState(NamedTuple):
     state: Array | None = None
 
     def checked(self, plant: Plant) -> tuple[Array, Array, Array | None]:
-        """Return configuration, velocity and state for a plant, refused where they are wrong."""
+        """Return configuration, velocity and state, checked for a plant."""
         robot = plant.robot
         q0 = plant.ready_configuration() if self.q0 is None else self.q0
         q = as_array("q0", robot.configuration(q0, "q0"), (robot.nq,))
@@ -176,23 +176,23 @@ class InitialState(NamedTuple):
 
 
 class Loop:
-    """Base of the loops of a plant and of a robot.
+    """Base of the control loops, simulated and on a robot.
 
-    An observer may look at all of it, move the target, exchange the controller, or stop it.
+    An observer may read all of it, move the target, exchange the controller, or stop the run.
 
     Attributes:
-        plant: The true robot, or of a real one what is believed of it.
+        plant: The simulated plant, or the believed one of a real robot.
         controller: The controller.
-        path: What the target is now and later: an array at rest, a `Target` or a path.
+        path: The target from now on: an array at rest, a `Target` or a path.
         target: x_d, shape (n_x,).
         dt: Sampling time [s].
         step: Number of the step.
-        steps: Number of the last one.
-        truth: Measurement of ideal sensors; its x is NaN where the sensor does not see. Of a robot
-            it is what was measured last.
+        steps: Number of the last step.
+        truth: Measurement of ideal sensors; its x is NaN where the sensor does not see. On a robot
+            the last measurement.
         measurement: Measurement that the controller gets.
         state: State of the controller before this step, shape (n_state,).
-        answer: Answer of the controller.
+        answer: Output of the controller.
         tau: Torque at this instant, the controller's or that of the plant's servo, shape (n_v,).
         stopped: Whether an observer stopped it.
     """
@@ -224,13 +224,13 @@ class Loop:
 
     @property
     def instant(self) -> tuple[Any, ...]:
-        """What a `Record` keeps of this step."""
+        """The values of this step that a `Record` keeps."""
         x, state, answer = self.measurement.x, self.state, self.answer
         return self.truth, x, state, answer, self.tau, self.target, self.controller
 
     @property
     def ended(self) -> bool:
-        """Return True after the last step."""
+        """True after the last step."""
         return self.stopped or self.step == self.steps
 
     def aim_at(self, target: Target | TargetPath | Array) -> None:
@@ -241,20 +241,19 @@ class Loop:
             self.controller.step(self.state, self.measurement, wanted, self.dt)
         except MeasurementError as error:
             raise InvalidInputError(
-                f"target must be one that the controller can be evaluated with, without an "
-                f"overflow, got {x_of(wanted).tolist()}",
+                f"target must not make the controller overflow, got {x_of(wanted).tolist()}",
                 given=target,
             ) from error
         self.path = path
         self.target = x_of(wanted)
 
     def exchange(self, controller: Controller) -> None:
-        """Let another controller go on, from the next step on, with the state that there is."""
+        """Replace the controller from the next step on; the new one gets the current state."""
         require_fit(self.plant, controller, self.dt)
         state = first_state(self.plant, controller, self._wanted, self.measurement, self.dt)
         if state.shape != self.state.shape:
             raise InvalidInputError(
-                f"controller must have a state of length {len(self.state)} to go on with, got "
+                f"controller must have a state of length {len(self.state)}, as the one before, got "
                 f"{controller!r} with {len(state)}",
                 given=controller,
             )
@@ -280,16 +279,16 @@ class Loop:
 
 
 class MovingArm:
-    """A plant in motion: measured at each sample, and moved by commands that are held.
+    """A plant in motion: measured at each sample and moved by zero-order-held commands.
 
-    Torques act late; velocities are taken at the servo's period, and late. Until the first command
-    acts the arm is held.
+    Torques act after the actuator delay; velocities are also sampled at the servo's period. Until
+    the first command acts the arm is held.
 
     Attributes:
         q: Configuration, shape (nq,).
         v: Velocity, shape (n_v,).
         dt: Sampling time [s].
-        samples: How many went by.
+        samples: Number of samples so far.
     """
 
     def __init__(
@@ -317,12 +316,12 @@ class MovingArm:
         return self.samples * self.dt
 
     def sense(self) -> tuple[Measurement, Measurement]:
-        """Return the measurement of ideal sensors, and that of its own."""
+        """Return the measurement of ideal sensors, and that of the plant's own."""
         truth = self.plant.measure(self.t, self.q, self.v)
         return truth, truth if self._readings is None else self._readings.read(truth)
 
     def take(self, command: Array) -> list[Array]:
-        """Return the commands that act over the next sample, one after the other."""
+        """Queue a command; return those that act during the next sample, in order."""
         return [self._next(command) for _ in range(self._per_sample)]
 
     def _next(self, command: Array) -> Array:
@@ -335,14 +334,14 @@ class MovingArm:
         return self._waiting.popleft() if len(self._waiting) > self._late else self._first
 
     def move(self, acting: list[Array]) -> None:
-        """Move for a sample under the commands that act."""
+        """Integrate over one sample under the commands that act."""
         self.samples += 1
         for command in acting:
             self.q, self.v = self.plant.advance(self.q, self.v, command, self._h, self._integrate)
 
 
 class SampledLoop(Loop):
-    """A closed loop whose command is held over dt (zero-order hold), as `simulate` runs it."""
+    """The loop of `simulate`, whose command is held over dt (zero-order hold)."""
 
     def __init__(
         self,
@@ -365,7 +364,7 @@ class SampledLoop(Loop):
         self._control()
 
     def advance(self) -> None:
-        """Hold the command for dt, measure, and control; a SimulationError if the loop diverged."""
+        """Advance by dt, measure and control; raise a SimulationError if the loop diverged."""
         self.state = self._after
         self._arm.move(self._acting)
         self.step += 1
@@ -392,20 +391,20 @@ _MACHINE_CODE = "approxjac.codegen.whole_run"  # which builds on this, and so is
 
 @dataclass(frozen=True, repr=False)
 class Computation:
-    """How a run is computed.
+    """Numerical options of a run.
 
     Attributes:
-        integrator: Of the plant between samples: "rk4" or "semi_implicit_euler".
+        integrator: Integrator of the plant between samples, "rk4" or "semi_implicit_euler".
         engine: "compiled" traces the closed loop and runs it as machine code, some 20 times as
-            fast; "python" takes its steps one by one, with anything. By default machine code where
-            it covers the run, llvmlite is installed (the extra `fast`) and the run takes 5000 steps
-            or more; the record says which it was.
+            fast; "python" can run everything. By default machine code if it covers the run,
+            llvmlite is installed (the extra `fast`) and the run has at least 5000 steps; the
+            record's `engine` names the choice.
         rtol: Relative tolerance of the continuous integration (dt=None).
         atol: Absolute tolerance of it.
-        progress: Called now and then with the time reached [s].
+        progress: Function that is called now and then with the time reached [s].
 
     Raises:
-        InvalidInputError: A tolerance that is not positive, or a progress that is no function.
+        InvalidInputError: A tolerance that is not positive, or `progress` is no function.
         UnknownNameError: No such integrator or engine.
     """
 
@@ -448,25 +447,26 @@ def simulate(
         controller: A controller, such as a `SetpointController`, or one of your own.
         target: x_d, shape (n_x,) [unit of the task]; a `Target` that moves; or a path, any object
             with `at(t) → Target`, such as `Circle`.
-        q0: Start configuration, shape (nq,), at rest; or an `InitialState`, with a velocity or a
-            state of the controller. `plant.ready_configuration()` by default.
+        q0: Start configuration at rest, shape (nq,) [rad or m]; or an `InitialState`, with a
+            velocity or a state of the controller. By default `plant.ready_configuration()`.
         duration: > 0 [s].
-        dt: Sampling time [s], over which commands are held; that of the controller where it has
-            one. None integrates (q, v, controller state) as one differential equation with LSODA,
-            as the paper does, for laws in continuous time.
-        record_every: Time between recorded instants [s]: a whole number of dt, one by default, with
-            the last instant besides; a whole part of the duration, 1/1000, where dt is None.
-        seed: Of the noise and the dropouts of the plant's sensing, ≥ 0.
-        computation: Integrator, tolerances, machine code or Python, and a report of progress.
-        observer: Called with the `Loop` at every step of sampled control. One that is a context
-            manager is entered before the run and left after it, however it ends.
+        dt: Sampling time [s], over which commands are held; that of the controller if it has one.
+            None integrates (q, v, controller state) as one differential equation with LSODA, as
+            in the paper, for laws in continuous time.
+        record_every: Time between recorded instants [s], a multiple of dt, by default dt; the last
+            instant is always recorded. With dt=None a fraction 1/n of the duration, 1/1000 by
+            default.
+        seed: Seed of the noise and dropouts of the plant's sensing, ≥ 0.
+        computation: Integrator, tolerances, machine code or Python, and progress reports.
+        observer: Function of the `Loop`, called at every step of sampled control. A context manager
+            is entered before the run and exited after it, however it ends.
 
     Returns:
-        The record of the run, from its start to its end.
+        The record of the run.
 
     Raises:
-        InvalidInputError: Wrong shapes, numbers that are not finite or out of range.
-        SimulationError: The closed loop diverged, or the integration could not reach the end.
+        InvalidInputError: Wrong shapes, or numbers that are not finite or out of range.
+        SimulationError: The closed loop diverged, or the integration failed.
     """
     require("plant", plant, Plant, "a Plant (the first argument; the controller is the second)")
     if dt is not None:
@@ -533,7 +533,7 @@ def _onwards(progress: Progress | None) -> Progress:
 
 
 def whole(name: str, part: float, total: float, *, of: str = "duration") -> int:
-    """Return the ratio of two times; refuse one that is no integer."""
+    """Return total/part, or raise an InvalidInputError if that is no integer."""
     part = as_number(name, part, unit="s", above=0.0)
     if part < 1e-9 * total:
         raise InvalidInputError(

@@ -1,4 +1,4 @@
-"""`Trajectory`: the record of one run; `Scene`: who took part; `Record`: it, while it goes on."""
+"""`Trajectory`: the record of a run; `Scene`: its robots and tasks; `Record`: its recorder."""
 
 from __future__ import annotations
 
@@ -49,9 +49,9 @@ _DERIVED = ("task_torque", "V")  # of them, and V_dot of V
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """The true and the believed robot of a run, and what each of them takes x for.
+    """The true and the believed robot of a run, with sensor and task.
 
-    None stands for what a controller does not know, and for tasks that a file cannot hold.
+    An entry is None if the controller does not know it, or a file cannot hold it.
     """
 
     truth: Robot
@@ -63,7 +63,7 @@ class Scene:
     knows_truth: bool = True  # else the true robot is the believed one, as nobody knows more
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as a file holds it: texts, numbers, lists and dictionaries."""
+        """Return it as texts, numbers, lists and dictionaries, to be stored in a file."""
         return {
             "truth": _saved_robot(self.truth),
             "belief": None if self.belief is None else _saved_robot(self.belief),
@@ -116,7 +116,7 @@ def _restored_task(kept: Mapping[str, Any] | None, robot: Robot | None) -> Task 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Trajectory:
-    """The record of one run. The first axis of every array is time.
+    """The record of one run. The first axis of every array is time; `units` lists their units.
 
     Attributes:
         t: Time, shape (N,) [s].
@@ -126,20 +126,20 @@ class Trajectory:
         x_measured: Measured task value, NaN where it was lost, shape (N, n_x).
         x_d: Target, shape (N, n_x).
         error: True error of x to the target, shape (N, m).
-        tau: Torque that the controller asked for, or that the plant's servo applied, (N, n_v).
+        tau: Torque that the controller commanded, or that the plant's servo applied, (N, n_v).
         state: Controller state, shape (N, n_state).
-        learnt: What was learnt by then, in the order of `parameters`, shape (N, p).
+        learnt: Learnt numbers, in the order of `parameters`, shape (N, p).
         status: `Status` at these instants, shape (N,).
         limit_status: `LimitStatus` at these instants, shape (N,).
-        slack: σ, what limits add to V̇, NaN where it is not known, shape (N,) [W].
+        slack: σ, the power that limits add to V̇, NaN where unknown, shape (N,) [W].
         robot_name: Name of the true robot.
         joint_names, joint_units: In the order of v and τ; "rad", or "m" for prismatic joints.
         task_labels, task_units: Of the task coordinates, length m.
-        scene: Who took part, to draw the run with; None if that is not known.
-        derived: Returns what is worked out only when it is asked for, by its name.
-        ended: Why a run on a robot ended, in words; "" of others.
-        fault_name: Of the `Fault` that ended it; "" without one.
-        engine: What carried out a simulated run, "machine code" or "Python", and why; "" of others.
+        scene: Robots and tasks, to draw the run; None if unknown.
+        derived: Function that computes other quantities on demand, by name.
+        ended: Reason why a run on a robot ended, as text; "" for others.
+        fault_name: Name of the `Fault` that ended it; "" without one.
+        engine: "machine code" or "Python" for a simulated run, and why; "" for others.
     """
 
     t: Array
@@ -197,16 +197,16 @@ class Trajectory:
 
     @property
     def parameters(self) -> Mapping[str, str]:
-        """Names and units of what was learnt; of none where the scene is not known."""
+        """Name → unit of the learnt numbers; empty if the scene is not known."""
         return {} if self.scene is None else self.scene.parameters
 
     def learnt_sd(self, k: int) -> Array:
-        """Return the standard deviations of `learnt[k]`, shape (p,); NaN of runs from files."""
+        """Return the standard deviations of `learnt[k]`, shape (p,); NaN for runs from files."""
         return np.asarray(self.derived(self, "learnt_sd")(self.state[k]))
 
     @cached_property
     def law(self) -> str:
-        """The controllers that ran, as printed, dt and the version; "" of files without them."""
+        """The controllers as text, with dt and the version; "" for files without them."""
         return str(self.derived(self, "law"))
 
     @property
@@ -216,12 +216,12 @@ class Trajectory:
 
     @property
     def task_unit(self) -> str:
-        """Unit of x, error and target; different ones are joined by "or"."""
+        """Unit of x, error and target; different ones joined by "or"."""
         return joined(self.task_units)
 
     @property
     def units(self) -> Mapping[str, str]:
-        """Unit of each array; those of different kinds of joints are joined by "or"."""
+        """Array name → unit; those of different kinds of joints joined by "or"."""
         kinds = [{"joint": joint, "torque": _TORQUE[joint]} for joint in _TORQUE]
         kinds = [kind for kind in kinds if kind["joint"] in self.joint_units]
         return {
@@ -236,7 +236,7 @@ class Trajectory:
 
     @cached_property
     def at_stops(self) -> dict[str, float]:
-        """Time [s] of each joint that was beyond a position limit, as recorded instants show."""
+        """Joint name → time beyond a position limit [s], by the recorded instants."""
         if self.scene is None:
             return {}
         share = (self.scene.truth.beyond_limits(self.q) > _TOUCHES).mean(axis=0)
@@ -244,11 +244,11 @@ class Trajectory:
         return {name: time for name, time in times if time > 0.0}
 
     def status_counts(self) -> dict[Status, int]:
-        """Return at how many recorded instants each status held."""
+        """Count the recorded instants with each status."""
         return {Status(s): n for s, n in sorted(Counter(self.status.tolist()).items())}
 
     def limit_status_counts(self) -> dict[LimitStatus, int]:
-        """Return at how many recorded instants each status of the limits held."""
+        """Count the recorded instants with each status of the limits."""
         return {LimitStatus(s): n for s, n in sorted(Counter(self.limit_status.tolist()).items())}
 
     def save(self, path: str | Path) -> Path:
@@ -397,7 +397,7 @@ _RECORDED = (
 
 
 class Record:
-    """Collects instants of a run, `capacity` at most, and makes a `Trajectory` of them."""
+    """A recorder of at most `capacity` instants of a run, for a `Trajectory`."""
 
     def __init__(self, plant: Plant, capacity: int, dt: float | None = None) -> None:
         self._plant = plant
@@ -417,7 +417,7 @@ class Record:
         target: Array,
         controller: Controller,
     ) -> None:
-        """Keep one instant: the truth, the controller's x, state and answer, the torque."""
+        """Record one instant: the truth, the controller's x, state and output, the torque."""
         t, q, v, x, _ = truth
         _, _, status, e, J_hat, _, limit_status, slack, _ = answer
         if J_hat is None:
@@ -437,14 +437,14 @@ class Record:
     def of(
         cls, plant: Plant, controller: Controller, columns: Sequence[Array], dt: float
     ) -> Record:
-        """Return a whole run of one controller: `_RECORDED`, e and Ĵ."""
+        """Return the record of a whole run of one controller, of arrays with time first."""
         record = cls(plant, len(columns[0]), dt)
         record._columns, record._count = tuple(columns), len(columns[0])
         record._controllers = [(0, controller)]
         return record
 
     def trajectory(self) -> Trajectory:
-        """Return all that was kept, as arrays with time as their first axis."""
+        """Return the recorded run."""
         plant = self._plant
         robot, sensor = plant.robot, plant.sensor
         kept = zip(_RECORDED, self._columns, strict=False)

@@ -1,1 +1,1 @@
-"""Gains: their values, the rule that chooses them, and what it needs to know of the loop."""
+"""Gains: their values, the rule that chooses them, and the latency that it needs."""

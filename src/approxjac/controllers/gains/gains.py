@@ -1,4 +1,4 @@
-"""Diagonal gains, and `Latency`: how late a loop measures and acts."""
+"""Diagonal gains, and `Latency`: the delays of a control loop."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from approxjac.validation import Array, as_diagonal, as_number, is_scalar, shape
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Gains:
-    """Gains of the laws (5), (6) and (28), each a number or one number a coordinate.
+    """Gains of the laws (5), (6) and (28), each a number or one number per coordinate.
 
     Attributes:
-        kp: K_p > 0, a number or shape (m,) [N per unit of the task where that is metres].
-        kv: K_v > 0, a number or shape (m,) [N s per unit of the task].
-        damping: Added joint damping B_c ≥ 0, a number or shape (n_v,) [N m s/rad or N s/m].
-            Required to be positive where the arm has more joints than the task coordinates.
+        kp: K_p > 0, a number or shape (m,) [N/m for a task in metres, else J per unit squared].
+        kv: K_v > 0, a number or shape (m,) [N s/m for a task in metres, likewise].
+        damping: Added joint damping B_c ≥ 0, a number or shape (n_v,) [N m s/rad or N s/m]; must be
+            positive if the arm has more joints than the task has coordinates.
 
     Raises:
         InvalidInputError: Not finite, kp or kv not positive, damping negative.
@@ -65,13 +65,13 @@ class Diagonals(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class Latency:
-    """Lags of a loop that measures and acts; by default those of 1 kHz with ideal sensors.
+    """Delays of a control loop; by default those of 1 kHz with ideal sensors.
 
     Attributes:
-        period: Of control, > 0 [s].
-        torque_delay: From a torque to its effect [s].
+        period: Control period, > 0 [s].
+        torque_delay: Time from a torque command to its effect [s].
         velocity_filter: Time constant of the filter of q̇ [s]; 0 is an exact q̇.
-        image_period: Time between two frames of x [s]; 0 takes one at each step.
+        image_period: Time between two frames of x [s]; 0 is one at each step.
         image_age: Age of x when it arrives [s].
 
     Raises:
@@ -92,19 +92,18 @@ class Latency:
 
     @property
     def of_velocity(self) -> float:
-        """Lag from q̇ to the torque that answers it [s]."""
+        """Lag from q̇ to the torque that depends on it [s]."""
         return self.period + self.torque_delay + self.velocity_filter
 
     @property
     def of_position(self) -> float:
-        """Mean lag from x to the torque that answers it [s]."""
+        """Mean lag from x to the torque that depends on it [s]."""
         return self.period + self.torque_delay + self.image_age + 0.5 * self.image_period
 
     def in_samples(self) -> tuple[float, int, int, int]:
-        """Return time of a sample [s], samples between frames of x, its age, torques' lateness.
+        """Return a sample time [s] and, in samples, the image period, image age and torque delay.
 
-        The last two in samples, too. Long delays are counted in longer samples than those of
-        control.
+        For long delays the samples are longer than the control period.
         """
         dt = max(self.period, 0.25 * self.torque_delay)
         frame = self.image_period or max(dt, 0.25 * self.image_age)

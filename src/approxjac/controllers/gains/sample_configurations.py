@@ -1,4 +1,4 @@
-"""Seeded configurations of the believed arm that default gains and learning are chosen from."""
+"""Seeded configurations of the believed arm for choosing default gains and learning rates."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _NO_DAMPING = 1e-9  # instead of none, which would divide by zero
 
 
 class SampleConfigurations(NamedTuple):
-    """Configurations in which a task is seen and not near singular, and the believed arm there."""
+    """Configurations in which a task is seen and regular, with Ĵ and M̂ of the believed arm."""
 
     q: Array  # shape (k, nq)
     J_hat: Array  # shape (k, m, n_v)
@@ -39,7 +39,7 @@ class SampleConfigurations(NamedTuple):
         return self.by_unit(np.median(1.0 / mobility, axis=0))
 
     def by_unit(self, values: Array) -> Array:
-        """Return values (m,) with their mean over coordinates of one unit in place of each."""
+        """Return values (m,), each replaced by the mean over coordinates of its unit."""
         values = values.copy()
         for group in self.groups:
             values[group] = values[group].mean()

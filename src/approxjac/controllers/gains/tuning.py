@@ -1,4 +1,4 @@
-"""Rules that choose gains: `default_gains` by inertia, and `tuned` by motors and latency, too."""
+"""Rules that choose gains: `default_gains` by inertia, `tuned` also by motors and latency."""
 
 from __future__ import annotations
 
@@ -52,24 +52,23 @@ Flags = np.ndarray[Any, np.dtype[np.bool_]]
 def default_gains(task: Task, settling_time: float = 1.0, bandwidth: float = 1000.0) -> Gains:
     """Return gains with which the believed arm settles to 2 % in about `settling_time`.
 
-    With r = 4 / settling_time, Λ = 1 / (Ĵ M⁻¹ Ĵᵀ)ᵢᵢ the inertia that the arm shows to a force along
-    a task coordinate, and K_b = 1 / (Ĵ B_c⁻¹ Ĵᵀ)ᵢᵢ what B_c adds to the damping along one, medians
-    over seeded configurations,
+    With r = 4 / settling_time, Λ = 1 / (Ĵ M⁻¹ Ĵᵀ)ᵢᵢ the inertia along a task coordinate and
+    K_b = 1 / (Ĵ B_c⁻¹ Ĵᵀ)ᵢᵢ the damping that B_c adds along it, medians over seeded configurations,
 
         K_v = 4 r Λ,   B_c = r Mᵢᵢ + b,   b = 0.03 λ_max[Ĵᵀ K_v Ĵ],   K_p = r (K_v + K_b),
 
     so that the slow pole of Λë + (K_v + K_b) ė + K_p e = 0 is at about −r. Coordinates of one unit
-    get the same gain; those of an orientation K_v ≥ 2 b. B_c lets condition (21) hold along a
-    self-motion, which decays like exp(−r t), and b keeps the wrist quiet when a tool is longer than
-    believed, where Ĵ has no lever. K_v (and K_p with it) of each unit and B_c of each joint are
-    reduced to where λ_max[M⁻¹ĴᵀK_vĴ] and (M⁻¹)ᵢᵢ B_c, each taken alone, are at most half of
-    `bandwidth`: damping that acts faster than it is computed turns into its opposite.
+    get the same gain; orientations get K_v ≥ 2 b. B_c satisfies the paper's condition (21) along a
+    self-motion, which decays like exp(−r t), and b damps the wrist if the tool is longer than
+    believed, where Ĵ has no lever arm. K_v (and K_p with it) of each unit and B_c of each joint are
+    reduced until λ_max[M⁻¹ĴᵀK_vĴ] and (M⁻¹)ᵢᵢ B_c, each alone, are at most half of `bandwidth`:
+    faster damping is unstable in sampled control.
 
     Args:
         task: The task of the believed robot.
         settling_time: > 0 [s].
-        bandwidth: How fast damping may be > 0 [1/s]: 1/dt where control is sampled with an exact q̇,
-            1/(dt + T) with a q̇ that is filtered with the time constant T.
+        bandwidth: Fastest damping rate > 0 [1/s]: 1/dt for sampled control with an exact q̇,
+            1/(dt + T) with q̇ from a filter of time constant T.
 
     Raises:
         InvalidInputError: Numbers that are not positive, or a task that is singular in every
@@ -98,7 +97,7 @@ def default_gains(task: Task, settling_time: float = 1.0, bandwidth: float = 100
 
 
 def require_damping(gains: Gains, diagonals: Diagonals, task: Task) -> None:
-    """Refuse no added damping on an arm with more joints than task coordinates, say what does."""
+    """Raise an InvalidInputError if a redundant arm has no added damping; suggest some."""
     robot, m = task.robot, task.m
     if robot.nv > m and not (diagonals.damping > 0.0).all():
         would_do = f"damping={listed(np.round(default_gains(task).damping, 2))} would do"
@@ -111,7 +110,7 @@ def require_damping(gains: Gains, diagonals: Diagonals, task: Task) -> None:
 
 
 def position_gains(task: Task, kv: Array, damping: Array, settling_time: float) -> Array:
-    """Return K_p of `default_gains` for a K_v (m,) and a B_c (n_v,) of one's own, shape (m,)."""
+    """Return the K_p (m,) of `default_gains` for a given K_v (m,) and B_c (n_v,)."""
     return _SETTLED / settling_time * (kv + sample_configurations(task).felt_damping(damping))
 
 
@@ -122,7 +121,7 @@ def slow_rate(task: Task, gains: Diagonals) -> float:
 
 
 def with_unknown_tool(robot: Robot) -> Robot:
-    """Return a robot whose tip is farther out, by the length of an unmodelled tool."""
+    """Return a robot with its tip moved outwards by the usual length of an unmodelled tool."""
     if robot.tip is None:
         return robot
     joint = next(each for each in robot.tree.joints.values() if each.child == robot.tip)
@@ -137,16 +136,16 @@ def with_unknown_tool(robot: Robot) -> Robot:
 
 
 class Learning(NamedTuple):
-    """Rates and bounds of learning θ̂ = (θ_g, d, w).
+    """Rates and bounds of learning θ̂ = (θ̂_g, d̂, ŵ), see `AdaptiveGravity`.
 
     Attributes:
         alpha: α of eq. (10) [1/s].
         gravity: L of the gravity parameters, shape (p, p).
         task_force: L_d, diagonal, shape (m,).
         joint_torque: L_w, diagonal, shape (n_v,).
-        largest: How far each parameter may be from where it began, shape (p + m + n_v,).
+        largest: Largest change of each parameter from its initial value, shape (p + m + n_v,).
         pinv_weight: Weight of Ĵ⁺ in y of (10): B_c over its geometric mean, shape (n_v,); None
-            where not all of it is positive, and where x is late.
+            if B_c has zeros, or x is late.
     """
 
     alpha: float
@@ -159,17 +158,17 @@ class Learning(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Tuning:
-    """Gains, saturation and learning that were chosen for a task, and why.
+    """Gains, saturation and learning rates chosen for a task, with the reasons.
 
     Attributes:
         gains: K_p, K_v, B_c.
         gamma: Saturation γ of tanh, shape (m,) [unit of the task].
-        learning: L, L_d, L_w, α and bounds; None where nothing is learnt.
-        latency: The loop that it was chosen for.
+        learning: L, L_d, L_w, α and bounds; None without learning.
+        latency: Latency of the loop that they were chosen for.
         rate: r, rate of the task's slow pole [1/s].
-        share: π, learning as a share of what inertia allows.
+        share: π, learning rate as a share of the largest that inertia allows.
         stable: Whether the check by the sampled, delayed linearisation passed.
-        reasons: What decided, a line each.
+        reasons: Reasons of the choice, a line each.
     """
 
     gains: Gains
@@ -378,23 +377,23 @@ def tuned(
     gains: Gains | None = None,
     alpha: float | None = None,
 ) -> Tuning:
-    """Return gains, saturation and learning with which an arm reaches targets fast, and safely.
+    """Return gains, saturation and learning rates for fast and robust motion to targets.
 
-    The rate r of the settling time 4/r is the one with which a usual distance takes least time, γ
-    keeps the motors and the joints' speeds within shares of their limits, and learning is a share
-    π of what inertia allows. All of it has to pass a check: the loop's sampled, delayed
-    linearisation at twenty configurations, of arms that are lighter and heavier than believed and
-    hold an unmodelled tool, is stable with one and a half times all of these, and in nine of ten
-    cases its damping ratio is at least 0.15 + 0.36 r times the lag of x, or nearly that of a loop
-    without latency. If not, π is reduced, and then r.
+    The rate r (settling time 4/r) minimizes the time for a usual distance, γ keeps motor torques
+    and joint speeds within shares of their limits, and learning is a share π of the rate that
+    inertia allows. The choice has to pass a check: the loop's sampled, delayed linearisation at
+    twenty configurations, for arms lighter and heavier than believed and with an unmodelled tool,
+    is stable with 1.5 times all of these, and in nine of ten cases its damping ratio is at least
+    0.15 + 0.36 r times the lag of x, or nearly that of a loop without latency. Otherwise π is
+    reduced, then r.
 
     Args:
         task: The task of the believed robot.
-        latency: Of the loop; by default that of 1 kHz with ideal sensors.
-        settling_time: Wanted [s]; 4/r by default. Slower where the check asks for it.
-        regressor: Of the gravity that is to be learnt; None learns nothing.
-        gains: Gains that are given: then learning alone is chosen for them.
-        alpha: α, if it is given [1/s].
+        latency: Latency of the loop; by default that of 1 kHz with ideal sensors.
+        settling_time: Desired settling time [s]; 4/r by default. The check may make it longer.
+        regressor: Regressor of the gravity to learn; None is no learning.
+        gains: Given gains, for which only the learning rates are chosen.
+        alpha: Given α [1/s].
 
     Raises:
         InvalidInputError: As `default_gains`.

@@ -1,1 +1,1 @@
-"""Estimators: kinematics that learn from the measured task value."""
+"""Estimators: kinematics learnt from the measured task value."""

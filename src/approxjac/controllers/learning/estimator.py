@@ -1,4 +1,4 @@
-"""`Kinematics`, which predict what a law controls: known ones, and `Estimator`, which learns."""
+"""`Kinematics`, which predict the controlled error: known ones, and `Estimator`, which learns."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ WINDOW = 0.3
 
 
 class Kinematics(Immutable, ABC):
-    """Kinematics, known or learnt, that predict what a law controls.
+    """Kinematics, known or learnt, that predict the error that a law controls.
 
-    They learn from the measured x in `step`, and from nothing else. Immutable, but with scratch
-    memory: one instance a thread.
+    They learn only from the measured x in `step`. Immutable, but with scratch memory: one
+    instance a thread.
 
     Attributes:
         task: The task of the believed robot.
@@ -68,16 +68,16 @@ class Kinematics(Immutable, ABC):
         return np.zeros(self.n_state)
 
     def resumed(self, state: Array, measurement: Measurement) -> Array:
-        """Return a state before a first step that knows what another state has learnt.
+        """Return an initial state with the learnt numbers of another state, without its times.
 
-        Times and frames are forgotten. Raises InvalidInputError of a state of other kinematics.
+        Raises an InvalidInputError for a state of other kinematics.
         """
         return self.initial_state(measurement)
 
     def step(self, state: Array, measurement: Measurement, dt: float) -> Array:
         """Return the state after learning from a measurement, and dt [s] later.
 
-        A measurement whose x is lost, or was seen before, or that jumps, teaches nothing.
+        An x that is lost, was seen before or jumps is ignored.
         """
         self.check(state, measurement, dt)
         state = state.copy()
@@ -85,16 +85,16 @@ class Kinematics(Immutable, ABC):
         return state
 
     def check(self, state: Array, measurement: Measurement, dt: float) -> None:
-        """Refuse a measurement that `correct` cannot learn from, such as one without a time."""
+        """Raise an InvalidInputError for a measurement unfit for `correct`, as one without time."""
 
     def correct(self, state: Array, measurement: Measurement, dt: float) -> None:
-        """Make a state that of `step`, in place; by default nothing is learnt."""
+        """Do the work of `step` on a state, in place; by default nothing."""
 
     def status(self, state: Array, measurement: Measurement) -> Status:
-        """Return whether a state (if there is one) is good to be controlled by.
+        """Return the status of the prediction by a state.
 
-        `MEASUREMENT_LOST` before x was ever seen, so that what is predicted is as believed;
-        `PREDICTED` where x is too old to be learnt from, for a second; else `OK`.
+        `MEASUREMENT_LOST` before x was ever seen, when the prediction is the believed one;
+        `PREDICTED` if there has been no x to learn from for a second; else `OK`.
         """
         return Status.OK
 
@@ -103,33 +103,33 @@ class Kinematics(Immutable, ABC):
         """Return the predicted error at q (nq,) and q̇ (n_v,) [rad/s or m/s]."""
 
     def learnt(self, state: Array) -> Array:
-        """Return the learnt numbers of a state, or of a series of them (…, n_state), (…, p).
+        """Return the learnt numbers (…, p) of a state, or of a series of states (…, n_state).
 
-        In the order of `names`, in `units`; by default there are none.
+        They are in the order of `names`, in `units`; by default none.
         """
         return state[..., :0]
 
     @property
     def parameters(self) -> Mapping[str, str]:
-        """Names and units of what `learnt` returns."""
+        """Name → unit of the numbers from `learnt`."""
         return dict(zip(self.names, self.units, strict=True))
 
     def sd_of(self, state: Array) -> Array:
-        """Return the standard deviations of what a state has learnt, shape (p,)."""
+        """Return the standard deviations of `learnt`, shape (p,)."""
         return np.array([row.sd for row in self.report(state).rows] if self.names else [])
 
     def robot(self, state: Array) -> Robot:
-        """Return the believed robot with what a state has learnt of its tool and joint origins.
+        """Return the believed robot with the tool and joint origins that a state has learnt.
 
-        Masses, friction and the tracker are not in it; a state that is saved has them all. Raises
-        as `report`.
+        It is without learnt masses, friction and tracker, which only the state has. Raises the
+        errors of `report`.
         """
         raise InvalidInputError(f"kinematics must learn, got {self!r}", given=self)
 
     def report(self, state: Array) -> KinematicReport:
-        """Return the learnt numbers of a state, with standard deviations and what was not seen.
+        """Return a report of a state: learnt numbers, standard deviations, and how well seen.
 
-        Raises InvalidInputError of kinematics that learn nothing, or a state of others.
+        Raises an InvalidInputError if the kinematics do not learn, or for a state of others.
         """
         raise InvalidInputError(f"kinematics must learn, got {self!r}", given=self)
 
@@ -137,8 +137,8 @@ class Kinematics(Immutable, ABC):
 class KnownKinematics(Kinematics):
     """z = h(q) − x_d of the believed arm; the measured x is not used.
 
-    With a wrong model the arm goes where the model says. Raises InvalidInputError of a task whose
-    Jacobian depends on the measured x.
+    With a wrong model the arm reaches a wrong place. Raises an InvalidInputError for a task
+    whose Jacobian depends on the measured x.
     """
 
     def __init__(self, task: Task) -> None:
@@ -190,11 +190,11 @@ class KnownKinematics(Kinematics):
 
 
 class Estimator(Kinematics):
-    """Kinematics that learn from frames of x: frame, gate, correct, smooth, predict.
+    """Kinematics learnt from frames of x: frame, gate, correct, smooth, predict.
 
-    A *frame* is a measurement whose x is new, with t and q when it was taken; a *gate* passes over
-    those that jump; `_correct` learns from the others; what is controlled follows *smoothly*
-    what is learnt, and `predict` goes by it. All run on numbers, and on symbols.
+    A *frame* is a measurement whose x is new, with the t and q at which it was taken; a *gate*
+    rejects those that jump; `_correct` learns from the others; *smoothed* estimates follow the
+    learnt ones, and `predict` uses them. All run on numbers and on symbols.
 
     Attributes:
         regressor: Points of the robot, linear in the translations of tool and joint origins.
@@ -288,9 +288,9 @@ class Estimator(Kinematics):
     # -- the steps ---------------------------------------------------------------------------
 
     def initial_state(self, measurement: Measurement) -> Array:
-        """Return the state before the first step, shape (n_state,): what is believed.
+        """Return the state before the first step, shape (n_state,), with the believed values.
 
-        x̂ is the first x, so that learning begins without a jump; the first that is not lost.
+        x̂ starts at the first x that is not lost, so that learning begins without a jump.
         """
         measurement, at = self._own(measurement), self._at
         if not hasattr(measurement.q, "arm_of"):  # or it is of symbols
@@ -308,7 +308,7 @@ class Estimator(Kinematics):
         return state
 
     def check(self, state: Array, measurement: Measurement, dt: float) -> None:
-        """Refuse a measurement without a time, or whose x is by another clock."""
+        """Raise an InvalidInputError if t is not finite, or t_x is on another clock."""
         t, t_x, frames = _time(measurement), time_of_x(measurement.t_x), state[self._at["frames"]]
         if t_x is not None and t_x > t:
             ahead = self._frames.by_own_clock(frames.copy(), measurement, dt).t
@@ -316,7 +316,7 @@ class Estimator(Kinematics):
                 raise InvalidInputError(f"t_x must be by the clock of t: {why}", given=measurement)
 
     def correct(self, state: Array, measurement: Measurement, dt: float) -> None:
-        """Make a state that of `step`, in place, of a measurement that `check` takes."""
+        """Do the work of `step` on a state, in place, for a checked measurement."""
         numbers, gate = state[self._at["frames"]], self._at["gate"]
         measurement = self._frames.by_own_clock(numbers, self._own(measurement), dt)
         is_time = self._frames.remember(numbers, measurement)
@@ -344,7 +344,7 @@ class Estimator(Kinematics):
         self.advance(state, dt)
 
     def advance(self, state: Array, dt: float) -> None:
-        """Let the smoothed estimates follow for dt [s], in place."""
+        """Move the smoothed estimates towards the learnt ones for dt [s], in place."""
         state[self._moving] += dt * state[self._rates]
         for name, spin in self._turning:
             turn = law.rotation_exp(dt * state[self._at[spin]])
@@ -379,7 +379,7 @@ class Estimator(Kinematics):
         return rate
 
     def status(self, state: Array, measurement: Measurement) -> Status:
-        """Return whether a state is good to be controlled by; see `Kinematics`."""
+        """Return the status of the prediction by a state; see `Kinematics`."""
         t_x: Any = math.nan if measurement.t_x is None else measurement.t_x
         is_old = self._frames.silence(state[self._at["frames"]]) > _STALE
         status: Status = law.select(is_old & (t_x == t_x), _PREDICTED, _OK)  # NaN is not known
@@ -400,18 +400,18 @@ class Estimator(Kinematics):
         return state
 
     def resumed(self, state: Array, measurement: Measurement) -> Array:
-        """Return a state before a first step that knows what another state has learnt."""
+        """Return an initial state with the learnt numbers of another state."""
         state, fresh = self._required(state), self.initial_state(measurement)
         for part in self._kept:
             fresh[part] = state[part]
         return fresh
 
     def learnt(self, state: Array) -> Array:
-        """Return the learnt numbers of a state, or of a series of them (…, n_state), (…, p)."""
+        """Return the learnt numbers (…, p) of a state, or of a series of states (…, n_state)."""
         return state[..., self._at["learnt"]]
 
     def report(self, state: Array) -> KinematicReport:
-        """Return the learnt numbers of a state, with standard deviations and what was not seen."""
+        """Return a report of a state: learnt numbers, standard deviations, and how well seen."""
         at, state = self._at, self._required(state)
         learnt, (P, chi) = self.learnt(state), self._covariance(state)
         seconds, restarts, variance = state[at["noted"]].tolist()
@@ -436,7 +436,7 @@ def _time(measurement: Measurement) -> float:
 
 
 class Translations:
-    """p(q) = o(q) + H(q)u, with u those translations of a regressor that are learnt."""
+    """p(q) = o(q) + H(q)u, with u the learnt translations of a regressor."""
 
     def __init__(
         self, regressor: KinematicRegressor, n_tools: int, tool: bool, origins: bool
@@ -458,7 +458,7 @@ class Translations:
         return Y[:, self._chosen], known
 
     def theta(self, u: Array) -> Array:
-        """Return all translations of the regressor, those that are known as well; (p,) [m]."""
+        """Return all translations of the regressor, learnt and known; (p,) [m]."""
         return np.asanyarray(self._known + self._spread(u))
 
     def motion(self, q: Array, v: Array, u: Array, u_dot: Array) -> PointMotion:
@@ -472,7 +472,7 @@ class Translations:
 def motion_of_points(
     before: tuple[Array, Array], after: tuple[Array, Array], u: Array, sd: Array
 ) -> tuple[Array, Array]:
-    """Return how far points move where u (n_u,) is right, and the sd of it; (k,) [m]."""
+    """Return the distances that points move by u (n_u,), and the sd of these; (k,) [m] each."""
     (H_0, o_0), (H, o) = before, after
     k, n = o.size // 3, len(u)
     H = (H - H_0).reshape(k, 3, n)
@@ -482,14 +482,14 @@ def motion_of_points(
 
 
 class Frames:
-    """Memory of which x is new, and at which configuration it was taken.
+    """Detection of new frames of x and the configurations at which they were taken.
 
-    A frame is new by `Measurement.t_x`, and was taken then. Where that is None or ahead of now, it
-    is new by a change of x, and was taken `delay` ago. One that is older than all that is
-    remembered is passed over, and so are those faster than at 250 Hz.
+    A frame is new by a new `Measurement.t_x`, the time it was taken. If that is None or in the
+    future, it is new by a change of x and was taken `delay` ago. Frames older than the remembered
+    configurations are ignored, and so are those faster than 250 Hz.
 
-    Its numbers: the last x, when it was taken, the last t, by how much its own clock is ahead of
-    that, when there last was a frame, and (t, q) of some hundredths of a second.
+    Its numbers in the state: the last x, the time it was taken, the last t, the offset of its own
+    clock to that, the time of the last frame, and (t, q) of the last few hundred milliseconds.
     """
 
     def __init__(self, robot: Robot, n_x: int, delay: float, dt: float) -> None:
@@ -501,7 +501,7 @@ class Frames:
         self.size = self._head + self._count * self._width
 
     def begin(self, numbers: Array, t: float, q: Array) -> None:
-        """Write the numbers before the first frame, where the arm was at rest."""
+        """Write the numbers before the first frame, for an arm at rest."""
         n, times = self._n_x, self._spacing * np.arange(1 - self._count, 1)
         numbers[:n], numbers[n] = 0.0, _LONG_AGO
         numbers[n + 1], numbers[n + 2], numbers[n + 3] = t - self._spacing, 0.0, t
@@ -509,7 +509,7 @@ class Frames:
         ring[:, 0], ring[:, 1:] = t + times, q
 
     def by_own_clock(self, numbers: Array, measurement: Measurement, dt: float) -> Measurement:
-        """Return a measurement dt [s] after the one before if t stands still; t_x NaN for None."""
+        """Return the measurement, t advanced by dt [s] if it did not change, t_x NaN for None."""
         n, (t, q, v, x, t_x) = self._n_x, measurement
         (last, ahead), t = numbers[n + 1 : n + 3].tolist(), t if hasattr(t, "graph") else float(t)
         since = ahead - abs(t - last)
@@ -520,13 +520,13 @@ class Frames:
         return Measurement(t + ahead, q, v, x, t_x + ahead)
 
     def silence(self, numbers: Array) -> Any:
-        """Return for how long there was no frame to learn from [s]."""
+        """Return the time since the last frame to learn from [s]."""
         t, ahead, last = numbers[self._n_x + 1 : self._head].tolist()
         since = t + ahead - last
         return law.select(since > 0.0, since, 0.0)
 
     def remember(self, numbers: Array, measurement: Measurement) -> Any:
-        """Write down the configuration, if it is time; return whether it was, or time stands."""
+        """Store the configuration if it is time; return whether it was, or t did not change."""
         t, q, *_ = measurement
         since = t - numbers[-self._width]  # since the last one that is remembered
 
@@ -542,7 +542,7 @@ class Frames:
         return is_due | (since < _ROUND_OFF)
 
     def new(self, numbers: Array, measurement: Measurement) -> tuple[Measurement | None, Any]:
-        """Return a frame, None where it is surely old, and whether it is new, and note it."""
+        """Return a frame (None if it is surely old) and whether it is new, and store it."""
         n, (t, _, _, x, _) = self._n_x, measurement
         t_x: Any = measurement.t_x
         taken_before, head, seen = numbers[n], numbers[: n + 4], np.abs(x) < _FARTHEST
@@ -591,12 +591,11 @@ class Frames:
 
 
 class Gate:
-    """Passes over frames in which x moved farther than the arm, until it is back or stays.
+    """A gate that rejects frames in which x moved farther than the arm, until it is back or stays.
 
-    Its numbers: frames passed over in a row; of the last frame that was believed, and of the last
-    one that was not, q, x, and 1 for each entry of x that was seen; whether the last one was
-    believed, and the first after the sensor moved, 1 or 0. x (n_x,) may move by `reach(q_0, q)` and
-    by `jump`.
+    Its numbers in the state: rejected frames in a row; of the last accepted and the last rejected
+    frame q, x, and 1 for each entry of x that was seen; 1 if the last frame was accepted, and 1 if
+    it was the first after the sensor moved. x (n_x,) may move by `reach(q_0, q)` plus `jump`.
     """
 
     PASSED_OVER = 8  # frames in a row that agree after which the sensor is believed
@@ -608,7 +607,7 @@ class Gate:
         self.size = 3 + 2 * (robot.nq + 2 * n_x)
 
     def judge(self, numbers: Array, frame: Measurement) -> None:
-        """Note whether to believe a frame, and whether it is the first after the sensor moved."""
+        """Store whether to accept a frame, and whether it is the first after the sensor moved."""
         last, other = numbers[1:-2].reshape(2, -1)
         fits = self._fits(last, frame)
         jumps = law.complement(fits)

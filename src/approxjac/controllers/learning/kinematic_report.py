@@ -1,4 +1,4 @@
-"""Kinematics as they were learnt, in words and numbers."""
+"""Reports of learnt kinematics."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ _UNEXPLAINED = 1.5  # χ² a degree of freedom
 
 
 class LearntNumber(NamedTuple):
-    """One number as it was learnt.
+    """One learnt number.
 
     Attributes:
-        name: Such as "tool.x" or "camera.rz".
+        name: Name, such as "tool.x" or "camera.rz".
         unit: "m", "rad" or "px".
         believed: Value before the first frame.
-        value: Value by now.
+        value: Learnt value.
         sd: Its standard deviation.
-        share: Of the prior variance that was resolved, 1 − P_ii/P0_ii.
+        share: Resolved share of the prior variance, 1 − P_ii/P0_ii.
     """
 
     name: str
@@ -32,28 +32,28 @@ class LearntNumber(NamedTuple):
 
     @property
     def is_seen(self) -> bool:
-        """Return whether more than half of the prior variance was resolved."""
+        """True if more than half of the prior variance was resolved."""
         return self.share >= _NOT_SEEN
 
 
 class KinematicReport(NamedTuple):
-    """Report of the kinematics as they were learnt.
+    """A report of learnt kinematics.
 
     Attributes:
-        rows: A row each number that was learnt.
-        covariance: Of them, in the same order, wider where χ² is above 1, or the noise above what
-            was given. In short set-point runs of a camera in the hand its focal length and distance
-            were off by 4 to 6 of their sd.
-        angle: Of the camera's rotation [rad]; 0 where it is known.
-        chi_squared: Of residuals averaged over a third of a second, per degree of freedom: 1 if
-            the parameters that may be wrong explain x up to white noise.
-        noise: Standard deviation of x as it was given, and as it is seen from frame to frame
+        rows: A row for each learnt number.
+        covariance: Their covariance, in the same order, enlarged if χ² is above 1 or the noise
+            above the given one. In short set-point runs with a camera in the hand, focal length
+            and distance were off by 4 to 6 of their sd.
+        angle: Angle of the camera's rotation [rad]; 0 if it is known.
+        chi_squared: χ² per degree of freedom of residuals averaged over a third of a second: 1 if
+            the unknown parameters explain x up to white noise.
+        noise: Standard deviation of x, the given one and the observed one from frame to frame
             [`unit`].
-        seconds: Of frames that were learnt from, since the last restart [s].
-        restarts: How often learning began anew, as the sensor was moved or the tool slipped.
-        unit: Of the noise, "m" or "px".
-        silence: For how long there was no frame to learn from [s].
-        last_joint: From whose origin, and along whose link's axes, "tool" is measured.
+        seconds: Time covered by the frames since the last restart [s].
+        restarts: Number of times that learning restarted, as the sensor moved or the tool slipped.
+        unit: Unit of the noise, "m" or "px".
+        silence: Time since the last frame to learn from [s].
+        last_joint: Joint from whose origin, and in whose link's axes, "tool" is measured.
     """
 
     rows: tuple[LearntNumber, ...]
@@ -69,7 +69,7 @@ class KinematicReport(NamedTuple):
 
     @property
     def is_explained(self) -> bool:
-        """Return whether the parameters that may be wrong explain x, of which they were learnt."""
+        """True if the unknown parameters explain the measured x."""
         return self.seconds > 0.0 and self.chi_squared <= _UNEXPLAINED
 
     def __str__(self) -> str:

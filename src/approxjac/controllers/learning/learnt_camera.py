@@ -1,4 +1,4 @@
-"""`AdaptiveCamera`: where points are and what sees them, learnt from their images."""
+"""`AdaptiveCamera`: positions of points and the camera that sees them, learnt from images."""
 
 from __future__ import annotations
 
@@ -52,34 +52,34 @@ _PATIENCE = 10.0  # frames for it to become better
 class AdaptiveCamera(Estimator):
     """x̂ = π(R̂(r(q; û) − p̂); f̂), learnt from the images of points while the arm moves.
 
-    Learnt are where the points are on the tool, the camera's pose and focal length, and if asked
-    for the origins of the joints. A camera in the world watches points of the robot; one that is
-    carried watches points of the world. Depth is not measured: it is what explains how images move.
+    It learns the position of the points on the tool, the camera's pose and focal length, and, on
+    request, the joint origins. A camera in the world watches points of the robot; a camera on the
+    robot watches points of the world. Depth is not measured but inferred from how images move.
 
-    What the law controls is how far each point is beside the ray of its target, at its predicted
-    depth Ẑ: z = (f₀/Z₀) Ẑ(ρ̂ − ρ_d), with ρ the ray (X/Z, Y/Z) and the believed f₀ over a usual
-    depth Z₀, which makes pixels of it. So Ĵ is as regular as the arm's own, on the way through any
-    roll and even where the camera is believed behind the points.
+    The law controls the distance of each point from the ray of its target, at its predicted depth
+    Ẑ: z = (f₀/Z₀) Ẑ(ρ̂ − ρ_d), with ρ the ray (X/Z, Y/Z), the believed focal length f₀ and a usual
+    depth Z₀, so that z is in pixels. So Ĵ is as regular as the arm's own, whatever the roll and
+    even if the camera is believed behind the points.
 
-    A camera that is believed rolled, or on another side of the arm, is found from how images move;
-    nothing proves that it always is. For the rest it is as `AdaptiveKinematics`.
+    A wrongly believed roll or side of the arm is usually detected from how images move; nothing
+    proves that it always is. In all else it is like `AdaptiveKinematics`.
 
     Args:
-        task: An `ImageTask` of the believed robot with a `PinholeCamera`, as it is believed. Its
-            center and distortion are taken for true. Of a tag take three corners, `points[:3]`.
-        unknown: What may be wrong: "tool", or "points" of the world, where what is watched is, all
-            by one translation; "origins" of the joints; "camera", its position and rotation;
-            "focal_length". By default all but the origins.
+        task: An `ImageTask` of the believed robot with the believed `PinholeCamera`, whose center
+            and distortion are taken as true. For a tag use three corners, `points[:3]`.
+        unknown: Parameters that may be wrong: "tool" or, for points of the world, "points" (one
+            translation of all points); "origins" of the joints; "camera", its position and
+            rotation; "focal_length". By default all but the origins.
         sd: Plausible errors: "tool", "points", "origins" and "position" of the camera [m], its
-            "rotation" [rad], and of "focal_length" the logarithm; by default 0.2, 0.2, 0.02, 0.5,
+            "rotation" [rad], and the logarithm of "focal_length"; by default 0.2, 0.2, 0.02, 0.5,
             1.0 and 0.3.
         noise: Standard deviation of x [px].
-        delay: As of `AdaptiveKinematics`.
-        dt: As well.
+        delay: As for `AdaptiveKinematics`.
+        dt: As for `AdaptiveKinematics`.
 
     Attributes:
-        names: Names of what is learnt, such as "tool.x", "points.x", "camera.x", "camera.rz" (of
-            the rotation from the believed camera's axes to the learnt one's, in the believed one's)
+        names: Names of the learnt numbers, such as "tool.x", "points.x", "camera.x", "camera.rz"
+            (rotation vector from the believed to the learnt camera, in the believed one's axes)
             and "focal_length" [px].
 
     Raises:
@@ -324,7 +324,7 @@ class AdaptiveCamera(Estimator):
     def predict(self, state: Array, q: Array, v: Array, target: Target) -> PredictedError:
         """Return z = (f₀/Z₀) N(ρ_d) c at q (nq,) and q̇ (n_v,), with the smoothed estimates.
 
-        c are the points in the camera's axes and N(ρ) = [I, −ρ].
+        Points in the camera's axes are c, and N(ρ) = [I, −ρ].
         """
         at, k, s = self._at, self._k, self._scale[:, np.newaxis]
         u, R, stretch = self._smooth(state)
@@ -358,7 +358,7 @@ class AdaptiveCamera(Estimator):
         return is_rotation(_parts(self._estimator.estimate(state[self._at["keys"]]))[1])
 
     def camera(self, state: Array) -> PinholeCamera:
-        """Return the camera as a state has learnt it."""
+        """Return the camera that a state has learnt."""
         _, R, p, stretch = _parts(self._estimator.estimate(self._required(state)[self._at["keys"]]))
         return self._camera.with_error(
             shift=self._R.dot(p - self._p),

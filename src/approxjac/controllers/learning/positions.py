@@ -54,46 +54,46 @@ _SAME = 0.8  # of tr(AᵀA'): about 45°, nearer than which rotations are one to
 class AdaptiveKinematics(Estimator):
     """x̂ = R̂ p(q; θ̂) + b̂, learnt from the measured x while the arm moves.
 
-    Learnt are the translations of the tool and of all joint origins, and rotation and offset of a
-    camera or tracker, as chosen. What the law controls is the *predicted* x̂, turned back into the
-    base frame, so that no estimate of the camera makes Ĵ singular. With a rotation that is known,
-    x̂ → x for any motion, without excitation (Theorem A). An unknown rotation is found from all
-    frames together. An integral offset takes up what the parameters do not explain.
+    It learns, as chosen, the translations of the tool and of all joint origins, and the rotation
+    and offset of a camera or tracker. The law controls the *predicted* x̂, rotated into the base
+    frame, so that no estimate of the camera makes Ĵ singular. With a known rotation, x̂ → x for any
+    motion, without excitation (Theorem A in docs/theory.md). An unknown rotation is estimated from
+    all frames together. An integral offset absorbs what the parameters do not explain.
 
     Frames are paired with the configuration at which they were taken. A jump of the sensor is
-    ignored; if it stays, as after somebody moved the sensor or the tool slipped, it is learnt anew.
+    ignored; if it persists, as after the sensor moved or the tool slipped, learning restarts.
 
-    Of a pose, the orientation R̂_x = R̂ R_f(q) T̂ is learnt, too, with the rotation T̂ of the tool.
-    For a `PlanarCamera` x is m times as large: images cannot distinguish a wrong magnification m
-    from lengths that are wrong by the same factor, so it is learnt as lengths.
+    For a pose it also learns the orientation R̂_x = R̂ R_f(q) T̂, with the rotation T̂ of the tool.
+    For a `PlanarCamera` images cannot distinguish a wrong magnification from lengths that are wrong
+    by the same factor, so the error is learnt as lengths.
 
     Args:
         task: A `PositionTask` or `TrackerTask` of the believed robot, or a `StackedTask` of them;
             a `PoseTask` or `PoseTrackerTask`; an `ImageTask` of a frame's origin in a
-            `PlanarCamera`; or the robot, for the position of its tip. A camera that may be turned
-            needs two axes or three, the same of every point. Two turn in their plane.
-        unknown: What may be wrong: "tool" and "origins" are translations, of a pose "tool" is its
-            orientation, too; "camera" is rotation and offset, "offset" the offset alone.
+            `PlanarCamera`; or the robot, for the position of its tip. A camera of unknown rotation
+            needs two or three axes, the same for every point; two rotate in their plane.
+        unknown: Parameters that may be wrong: "tool" and "origins" are translations, for a pose
+            "tool" includes its orientation; "camera" is rotation and offset, "offset" the latter.
         sd: Plausible errors: "tool", "origins" and "offset" [m], "orientation" of the tool and
             "camera" [rad]; by default 0.2, 0.02, 0.2, 1.0 and 1.0, in a `PlanarCamera` 0.5 of
             "tool" and "origins". All lengths are in the arm's plane there.
         noise: Standard deviation of x [m], in a `PlanarCamera` on its sensor; by default 2 mm,
             there 0.2 mm times the magnification.
-        delay: Age of x where `Measurement.t_x` is None [s]. No frame that is older than 0.25 s, or
-            than twice the delay, is learnt from.
+        delay: Age of x where `Measurement.t_x` is None [s]. Frames older than 0.25 s, or twice the
+            delay if that is more, are ignored.
         dt: Sampling time of control [s].
         angle_noise: Standard deviation of the orientation of a pose [rad].
 
     Attributes:
         regressor: p(q) of the points, linear in the translations.
-        names: Names of what is learnt, such as "panda_joint4.x", "tool.x", "offset.y", "camera.rz",
-            or "camera.turn" from the first axis to the second; of a pose "tool.rx", in the axes of
-            the believed tool.
+        names: Names of the learnt numbers, such as "panda_joint4.x", "tool.x", "offset.y",
+            "camera.rz", or "camera.turn" from the first axis to the second; for a pose "tool.rx",
+            in the axes of the believed tool.
 
     Raises:
-        InvalidInputError: Another task, nothing unknown or something else, an sd of what is known,
-            or numbers that make no sense, such as milliseconds.
-        UnknownNameError: An sd of something else.
+        InvalidInputError: Another task, an empty or invalid `unknown`, an sd of a known parameter,
+            or numbers out of range, such as times in milliseconds.
+        UnknownNameError: An sd of an unknown kind.
     """
 
     def __init__(
@@ -387,8 +387,8 @@ class AdaptiveKinematics(Estimator):
     def predict(self, state: Array, q: Array, v: Array, target: Target) -> PredictedError:
         """Return the predicted error, in the base's axes, at q (nq,) and q̇ (n_v,).
 
-        z = R̂ᵀ(x̂ − x_d), with the smoothed estimates, and all that its derivatives need. In a
-        `PlanarCamera` it has the size that it has on the sensor [m].
+        z = R̂ᵀ(x̂ − x_d), with the smoothed estimates, and the terms of its derivatives. For a
+        `PlanarCamera` it is in metres on the sensor.
         """
         wanted = [np.zeros(self.task.m) if each is None else each for each in target]
         if self._size != 1.0:
@@ -452,7 +452,7 @@ class AdaptiveKinematics(Estimator):
         return covariance, float(state[self._at["chi"]][0])
 
     def robot(self, state: Array) -> Robot:
-        """Return the believed robot with what a state has learnt of its tool and origins."""
+        """Return the believed robot with the tool and joint origins that a state has learnt."""
         learnt, n = self.learnt(self._required(state)), self._n_theta
         turn = learnt[n : n + 3] if self._learns_T else None
         return self.regressor.robot_with(self._moved.theta(learnt[:n]), turn)

@@ -1,1 +1,1 @@
-"""Limits of torques and joints, and the controllers that keep them."""
+"""Limits of torques, joints and motion, and the controller that keeps them."""

@@ -1,4 +1,4 @@
-"""`Limit`: bounds of motion of the user's own, and two of them: `Wall` and `CartesianSpeed`."""
+"""`Limit`: bounds of motion to derive from, and two examples: `Wall` and `CartesianSpeed`."""
 
 from __future__ import annotations
 
@@ -23,17 +23,18 @@ _CLEAR = 1e-3  # that is kept from a wall besides its margin, for what periods a
 
 @dataclass(eq=False, repr=False)
 class LimitTerms:
-    """The believed arm as it is and moves at one step, of which a limit makes its rows.
+    """The believed arm at one step, from which a limit makes its rows.
 
     Attributes:
         robot: The believed robot.
         q: Configuration, shape (nq,).
         v: Joint velocity q̇, shape (n_v,).
-        frames: Gives kinematics by the name of their frame.
-        approach: κ, the share of a distance to a limit that may be gone in a second [1/s].
-        braking: r, the rate at which speeds are led to their bounds [1/s].
-        deceleration: How fast motors surely brake each joint alone, shape (n_v,), finite.
-        jerk: How fast accelerations of joints change, shape (n_v,); None is without end.
+        frames: Function from a frame's name to its kinematics.
+        approach: κ, largest approach speed per distance to a limit [1/s].
+        braking: r, rate at which speeds decay to their bounds [1/s].
+        deceleration: Deceleration that motors guarantee for each joint alone, shape (n_v,),
+            finite [rad/s² or m/s²].
+        jerk: Largest rate of joint accelerations, shape (n_v,) [rad/s³ or m/s³]; None is no limit.
     """
 
     robot: Robot
@@ -62,9 +63,8 @@ class LimitTerms:
     ) -> tuple[Array, Array, Array]:
         """Return rows that keep some h(q) at 0 or above.
 
-        h may fall by κh a second at most, or as fast as can surely be braked if that is less; from
-        below 0 it has to come back, as fast as `returning` at most. h and J̇q̇ are (k,), J = ∂h/∂q
-        is (k, n_v).
+        h may fall at κh at most, or slower if needed to brake in time; below 0 it has to return, at
+        a rate of `returning` at most. h and J̇q̇ are (k,), J = ∂h/∂q is (k, n_v).
         """
         value, J, drift = (law.array(each) for each in (value, J, drift))
         fastest = np.where(value < 0.0, returning, _FAR)
@@ -92,8 +92,8 @@ class LimitTerms:
 class Limit(ABC):
     """Bounds of motion, as rows: low ≤ A q̈ ≤ high.
 
-    Give it to `TorqueLimited` beside `Limits`. It keeps no memory, and may be kept by several
-    limiters. What it computes with `np.where` in place of `if` can be compiled, too.
+    Pass it to `TorqueLimited` with `Limits`. It has no memory, and several limiters may share it.
+    Rows that use `np.where` instead of `if` can be compiled, too.
     """
 
     @abstractmethod
@@ -113,13 +113,13 @@ class Limit(ABC):
 class Wall(Limit):
     """A plane that frames of the arm stay in front of.
 
-    The believed arm keeps it, and 1 mm besides: with a margin of what the tip may be elsewhere, the
-    true one is in front of the plane, too. A frame that is behind it comes back, with 5 cm/s.
+    The believed arm stays 1 mm further away: with a margin as large as the error of the believed
+    frame positions, so does the true one. A frame behind the plane returns at 5 cm/s.
 
     Args:
-        point: On the plane, shape (3,) [m].
-        normal: Towards the side to stay on, shape (3,), of any length.
-        margin: Distance that is kept from the plane, at least 0 [m].
+        point: A point on the plane in the world, shape (3,) [m].
+        normal: Normal towards the allowed side, shape (3,), of any length.
+        margin: Distance to keep from the plane, ≥ 0 [m].
         frames: Names of frames; the tip by default.
     """
 
@@ -141,7 +141,7 @@ class Wall(Limit):
         self.frames = tuple(frames)
 
     def rows(self, terms: LimitTerms, v: Array, dt: float) -> tuple[Array, Array, Array]:
-        """Return rows, one a frame."""
+        """Return the rows, one for each frame."""
         n, frames = self.normal, self.frames or (None,)
         edge = n.dot(self.point) + self.margin + _CLEAR
         height = [n.dot(terms.position(each)) - edge for each in frames]
@@ -182,10 +182,10 @@ class CartesianSpeed(Limit):
 
 
 def require_rows(limit: Any, terms: LimitTerms, dt: float) -> None:
-    """Refuse what is no limit, or has no such rows.
+    """Check that a limit has valid rows.
 
     Raises:
-        InvalidInputError: It is none.
+        InvalidInputError: It is no limit, or its rows have wrong shapes or bounds.
     """
     require("limits", limit, Limit, "Limits(...), a Limit such as Wall(...), or a list of them")
     rows = limit.rows(terms, terms.v, dt)

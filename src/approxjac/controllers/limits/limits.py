@@ -1,4 +1,4 @@
-"""`Limits` of torques and joints, and how fast motors can brake within them."""
+"""`Limits` of torques and joints, and the deceleration that they allow."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ _NO_INERTIA = 1e-12  # instead of none, which would divide by zero
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Limits:
-    """Limits of the motors and joints of an arm. Each is off where it is None, or infinite.
+    """Limits of the motors and joints of an arm. None or infinite is no limit.
 
-    `Limits.of(robot)` takes those of the URDF; `dataclasses.replace` changes one.
+    `Limits.of(robot)` returns those of the URDF; `dataclasses.replace` changes one.
 
     Attributes:
         effort: Largest abs(τ), a number or shape (n_v,) [N m or N].
@@ -62,7 +62,7 @@ class Limits:
     def of(cls, robot: Robot, scale: float = 1.0) -> Limits:
         """Return the limits of effort, position and velocity of a robot's URDF.
 
-        `scale` > 0 is the share of the effort limits that may be used.
+        `scale` > 0 is the usable share of the effort limits.
         """
         require("robot", robot, Robot, "a Robot")
         scale = as_number("scale", scale, above=0.0)
@@ -94,12 +94,11 @@ class Limits:
 
 
 def sure_deceleration(robot: Robot, effort: Array) -> Array:
-    """Return the deceleration that motors surely give each joint, shape (n_v,) [rad/s² or m/s²].
+    """Return the deceleration that motors guarantee for each joint, (n_v,) [rad/s² or m/s²].
 
-    Half of what is left of the efforts after gravity, in all but one of twenty configurations
-    within the joint limits: while one joint brakes, every motor that this asks for a torque has to
-    give it. The other half is for joints that brake together, for the terms in q̇, and for what the
-    arm carries. Infinite where no effort, the largest abs(τ) (n_v,), is known.
+    It needs at most half of the effort left after gravity, of every motor, in 19 of 20
+    configurations within the joint limits. The other half is for joints that brake together, for
+    the terms in q̇, and for a payload. Infinite if the effort limits (n_v,) [N m or N] are unknown.
     """
     dynamics, rng = Dynamics(robot), np.random.default_rng(0)
     rates = []

@@ -1,4 +1,4 @@
-"""Small dense quadratic programs, their minimum, and the check of what a solver answers."""
+"""Small dense quadratic programs, their solver, and the check of its solutions."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _CONTRADICTORY = -1, -6  # -6: equalities
 
 
 class Verdict(enum.IntEnum):
-    """Outcome of a problem."""
+    """Outcome of a quadratic program."""
 
     SOLVED = 0
     INFEASIBLE = 1  # no z holds all bounds and rows
@@ -35,13 +35,13 @@ class Verdict(enum.IntEnum):
 
 
 class Solver:
-    """DAQP, an exact active-set method, or a function that solves quadratic programs.
+    """A checked solver: DAQP, an exact active-set method, or a user's function.
 
-    Problems are checked before and answers after, so what comes out holds the bounds or is none.
+    Problems and solutions are checked, so that a returned solution satisfies the bounds.
 
     Args:
-        function: Takes a problem (its arrays are copies) and returns z of shape (n,), or None
-            where it finds none; whether that problem is infeasible is decided by DAQP. None is
+        function: Function of a problem (its arrays are copies) that returns z of shape (n,), or
+            None if it finds none; then DAQP decides whether the problem is infeasible. None is
             DAQP itself.
     """
 
@@ -51,16 +51,16 @@ class Solver:
     def solve(
         self, problem: QuadraticProgram, price: float | None = None, pays: bool = False
     ) -> tuple[Array | None, Verdict]:
-        """Return z, shape (n,), and SOLVED, or None and why not; never raise for its numbers.
+        """Return z, shape (n,), and SOLVED, or None and the outcome; never raise for numbers.
 
-        z holds the bounds exactly, and each row to 1e-6 of the size of its terms |A||z|, at
+        z satisfies the bounds exactly, and each row to 1e-6 of the size of its terms |A||z|, at
         least 1e-6.
 
         Args:
             problem: The problem.
-            price: What it costs to exceed the upper bound of the last row, per unit; by default
-                that is a bound like the others.
-            pays: Whether it is likely that this price is paid, which saves time only.
+            price: Cost per unit of exceeding the upper bound of the last row; by default that is
+                a hard bound.
+            pays: Whether that bound is probably exceeded; it saves time only.
         """
         if price is None:
             return self._solved(problem)[:2]
@@ -84,7 +84,7 @@ class Solver:
     def minimum(
         self, problem: QuadraticProgram, price: Any = None, pays: Any = False
     ) -> tuple[Array, Any]:
-        """Solve as `law.Minimum` does; symbols by `law.interior_minimum`."""
+        """Solve as a `law.Minimum`; with symbols by `law.interior_minimum`."""
         if problem.f.dtype.hasobject:
             return law.interior_minimum(problem, price)
         z, verdict = self.solve(problem, price, pays)

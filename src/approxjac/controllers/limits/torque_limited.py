@@ -1,4 +1,4 @@
-"""`TorqueLimited`: torque, rate and joint limits by a QP that keeps the proof where it can."""
+"""`TorqueLimited`: torque, rate and motion limits by a QP that keeps the proof if possible."""
 
 from __future__ import annotations
 
@@ -42,17 +42,17 @@ _NEVER = 1e20  # [s], a time that is never measured
 
 
 class AccelerationObserver:
-    """q̈ = f(q, q̇, τ) + r, with f the believed dynamics and r the residual that periods have shown.
+    """q̈ = f(q, q̇, τ) + r, with f the believed dynamics and r an estimated residual.
 
-    After each period q̇ is f dt + r₁ dt from where it was, and r follows r₁ with a rate of its own
-    [1/s]: one at which damping may act, so that delays and filters which allow that damping allow
-    r, and noise of q̇ becomes no more torque than with that damping.
+    In each period q̇ changes by (f + r₁) dt, and r follows r₁ at a given rate [1/s]. It is a rate at
+    which damping may act: delays and filters that allow that damping allow r, and noise of q̇ causes
+    no more torque than with that damping.
 
-    Limits have to be kept while gravity is learnt: so f has the believed arm's weight where it is,
-    and does not depend on what is learnt; elsewhere it has what the controller compensates.
+    Limits have to be kept while gravity is learnt: then f has the believed arm's weight, whatever
+    was learnt; otherwise it has the gravity that the controller compensates.
 
-    Its memory is flat: when the next q̇ is expected [s], that q̇ by f alone, and r; 1 + 2 n_v. A q̇
-    that comes at another time than expected, by more than half a period, shows nothing.
+    Its memory, of length 1 + 2 n_v: the time at which the next q̇ is expected [s], that q̇ by f
+    alone, and r. A q̇ more than half a period early or late is ignored.
     """
 
     def __init__(self, controller: Controller, dt: float, rate: float) -> None:
@@ -65,13 +65,13 @@ class AccelerationObserver:
         self.nothing = np.concatenate([[_NEVER], np.zeros(2 * robot.nv)])  # before the first period
 
     def timed(self, memory: Array, measurement: Measurement) -> Measurement:
-        """Return a measurement that comes when it is expected where nothing tells the time."""
+        """Return a measurement, at the expected time if its t does not advance."""
         if not hasattr(measurement.t, "is_unknown"):
             return measurement
         return measurement._replace(t=law.select(memory[0] < _NEVER, memory[0], 0.0))
 
     def residual(self, memory: Array, measurement: Measurement) -> Array:
-        """Return r by now, shape (n_v,) [rad/s² or m/s²]."""
+        """Return the updated r, shape (n_v,) [rad/s² or m/s²]."""
         n = self._n
         r, is_due = memory[n + 1 :], abs(measurement.t - memory[0]) <= self._half
         apart = measurement.v - memory[1 : n + 1]
@@ -79,12 +79,12 @@ class AccelerationObserver:
         return residual
 
     def forward(self, measurement: Measurement, gravity: Array, torque: Array) -> Array:
-        """Return f of a torque, shape (n_v,) [rad/s² or m/s²]; gravity is what is compensated."""
+        """Return f for a torque, (n_v,) [rad/s² or m/s²]; `gravity` is the compensated one."""
         _, q, v, _, _ = measurement
         return self.dynamics.forward(q, v, torque if self.has_weight else torque - gravity)
 
     def expecting(self, measurement: Measurement, f: Array, residual: Array) -> Array:
-        """Return the memory after a step that sends a torque with this f."""
+        """Return the memory after sending a torque with this f."""
         expected = measurement.v + self._period * f
         memory = np.concatenate([[measurement.t + self._dt], expected, residual])
         # what is absurd must not make the next period's prediction overflow
@@ -93,36 +93,35 @@ class AccelerationObserver:
 
 
 class TorqueLimited(ControllerWrapper):
-    """A controller whose torque keeps limits, and the proof where limits leave room for it.
+    """A controller whose torque keeps limits, and the stability proof where limits allow it.
 
     Replacing the law's τ* by τ changes V̇ by yᵀ(τ − τ*) with y = q̇ + αĴ⁺s(e), so that any τ with
-    yᵀ(τ − τ*) ≤ 0 keeps V̇ ≤ −W. In each step
+    yᵀ(τ − τ*) ≤ 0 keeps V̇ ≤ −W. Each step solves
 
         min ½(τ − τ*)ᵀR(τ − τ*) + ρσ   subject to   yᵀ(τ − τ*) ≤ σ,  σ ≥ 0
 
-    and to the limits: of τ and its rate; and of q̇ and q, whose next step the believed dynamics
-    predict. R is diagonal, the largest (M̂⁻¹)ᵢᵢ over usual configurations. A slack σ > 0 is
-    reported, never hidden. The multiplier of the proof's row acts as damping added along y, λR⁻¹
-    with λ ≤ ρ, and ρ makes it no faster than `braking`. While no limit of speed or position is
-    near, the minimum is known in closed form. Where no torque keeps all limits, and where the
-    solver fails, joints are braked as hard as motors can, those first that need it most. On a path
-    q̇ − Ĵ⁺ẋ_d takes the place of q̇ in y.
+    and to the limits of τ and its rate, and of the next q̇ and q by the believed dynamics. R is
+    diagonal, the largest (M̂⁻¹)ᵢᵢ over usual configurations. The slack σ is reported in each
+    `Evaluation`. The multiplier λ ≤ ρ of the proof's row acts as damping λR⁻¹ along y, and ρ makes
+    it no faster than `braking`. While no limit of speed or position is near, the minimum has a
+    closed form. If no torque keeps all limits, or the solver fails, joints are braked as hard as
+    motors can, the most urgent first. On a path q̇ − Ĵ⁺ẋ_d replaces q̇ in y.
 
     Adaptation by eq. (29) continues while the torque is free, or limited such that V̇ ≤ −W holds.
-    Where the proof is given up, joints at a limit count as locked, and the arm of the remaining
-    joints adapts, with y = q̇ + α(ĴP)⁺s(e), where P leaves out the locked ones: an arm that its
-    weight has pushed against a stop learns what it needs to leave it. Otherwise θ̂ stays. This
-    takes the place of `AdaptiveGravity.torque_limits`. The dynamics of a `TrackingController` do
-    not adapt while the proof is given up; its kinematics do.
+    If the proof is given up, joints at a limit count as locked and the remaining arm adapts with
+    y = q̇ + α(ĴP)⁺s(e), where P leaves out the locked joints: so an arm pushed against a stop by its
+    weight learns the torque to leave it. Otherwise adaptation pauses. This replaces
+    `AdaptiveGravity.torque_limits`. A `TrackingController` pauses adaptation of its dynamics, not
+    of its kinematics, while the proof is given up.
 
     The state is that of the controller, followed by the predicted motion if motion is limited, and
-    by the last torque if the rate of torques is.
+    by the last torque if its rate is.
 
     Immutable, but it owns scratch memory: one instance a thread.
 
     Attributes:
-        alpha: α of y [1/s]: that of the adaptation where gravity is learnt, and else 0.3 of the
-            rate of the task's slow pole.
+        alpha: α of y [1/s]: that of the adaptation if gravity is learnt, else 0.3 of the rate of
+            the task's slow pole.
         limits: Limits of joints and motors, with an entry for each joint.
         motion_limits: Limits of motion besides those of joints.
 
@@ -130,12 +129,11 @@ class TorqueLimited(ControllerWrapper):
         controller: The controller whose torque to limit.
         limits: `Limits` of joints and motors, by default those of the believed robot's URDF; a
             `Limit` of motion such as `Wall`; or a list of them.
-        proof: Whether yᵀ(τ − τ*) ≤ σ is asked for.
+        proof: Whether to include the row yᵀ(τ − τ*) ≤ σ.
         dt: Sampling time [s].
-        braking: How fast damping may be, and the correction of `AccelerationObserver` [1/s],
-            at most 1/dt. By default 0.3 over the lag of q̇ where the law knows its latency. Else as
-            fast as the law's own joint damping, which the loop stands, but from 0.1/dt to 0.3/dt;
-            with a limit of the rate 0.1/dt.
+        braking: Largest rate of damping and of `AccelerationObserver`'s correction [1/s], at most
+            1/dt. By default 0.3 over the lag of q̇ if the law knows its latency; else that of the
+            law's own joint damping, from 0.1/dt to 0.3/dt; 0.1/dt with a limit of the torque rate.
         solver: A function that takes a `QuadraticProgram` and returns its minimum; DAQP by
             default, which is exact.
 
@@ -234,7 +232,7 @@ class TorqueLimited(ControllerWrapper):
 
     @property
     def dt(self) -> float | None:  # type: ignore[override]
-        """Sampling time that control has to have [s], or None where any will do."""
+        """Required sampling time [s]; None for any."""
         return self._dt if self._looks_ahead else self.controller.dt
 
     @property
@@ -249,7 +247,7 @@ class TorqueLimited(ControllerWrapper):
 
     @property
     def needs_solver(self) -> bool:  # type: ignore[override]
-        """Whether a solver may be called: without one the minimum is known in closed form."""
+        """Whether a solver may be called; otherwise the minimum has a closed form."""
         return self._looks_ahead
 
     def initial_state(self, measurement: Measurement) -> Array:
@@ -257,7 +255,7 @@ class TorqueLimited(ControllerWrapper):
         return self._begun(self._law.initial_state(measurement), measurement)
 
     def resumed(self, state: Array, measurement: Measurement) -> Array:
-        """Return a state before a first step that knows what another state has learnt."""
+        """Return an initial state with the learnt numbers of another state."""
         state = super().resumed(state, measurement)
         return self._begun(state[: len(state) - self._memory], measurement)
 
@@ -278,7 +276,7 @@ class TorqueLimited(ControllerWrapper):
         Arguments and errors are those of the controller.
 
         Raises:
-            InvalidInputError: Another dt than the one that speeds and positions are limited for.
+            InvalidInputError: dt is not that for which speeds and positions are limited.
         """
         traced = hasattr(state, "arm_of")
         if self._looks_ahead and not traced and dt != self._dt:
@@ -316,7 +314,7 @@ class TorqueLimited(ControllerWrapper):
         asked: law.AskedTorque,
         memory: Array,
     ) -> tuple[Array, Any, Any, Array]:
-        """Return the torque within its bounds, what was done to it, σ [W], and what is kept.
+        """Return the limited torque, its status, σ [W], and the new memory.
 
         It runs on symbols, too. `gravity` is the gravity torque in the law's answer, shape (n_v,).
         """
