@@ -1,6 +1,6 @@
-"""The mathematics of the paper: NumPy in, NumPy out, an equation a function.
+"""The mathematics of the paper: functions of NumPy arrays, one for each equation.
 
-Symbols are the paper's; misprints are corrected and each departure is named where it is made.
+Symbols are the paper's; docstrings name each departure from it, such as corrected misprints.
 """
 
 from approxjac.law.adaptation import V1 as V1

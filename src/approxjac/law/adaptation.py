@@ -1,4 +1,4 @@
-"""What is learnt: gravity by the passive output (10) and (29); positions with forgetting."""
+"""Adaptation: gravity by the passive output (10) and (29); positions with forgetting."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _ROUND_OFF = (
 
 
 def passive_output(v: Array, J_hat_pinv_s: Array, alpha: float | Array) -> Array:
-    """y = q̇ + α Ĵ⁺ s(e): the output along which the closed loop is passive.
+    """Return y = q̇ + α Ĵ⁺ s(e): the output along which the closed loop is passive.
 
     Implements Eq. (10), with the joint velocity q̇, Ĵ⁺ s(e) and y of shape (n_v,), α > 0 [1/s].
     """
@@ -28,7 +28,7 @@ def passive_output(v: Array, J_hat_pinv_s: Array, alpha: float | Array) -> Array
 
 
 def theta_hat_rate(L: Array, Z: Array, y: Array) -> Array:
-    """dθ̂/dt = −L Zᵀ y, shape (p,), with the passive output y of (10), shape (n_v,).
+    """Return dθ̂/dt = −L Zᵀ y, shape (p,), with the passive output y of (10), shape (n_v,).
 
     Implements Eq. (29), differentiated. The adaptation gain L is a diagonal (p,) or a matrix
     (p, p), the gravity regressor Z is (n_v, p).
@@ -44,7 +44,7 @@ def within_bounds(
     L: Array,
     outward: Array | None = None,
 ) -> Array:
-    """Rate of θ̂ with what would lead out of bounds taken back.
+    """Return the rate of θ̂ projected so that θ̂ stays within bounds.
 
     The projection of Eq. (29) onto a convex set, in the metric L⁻¹ of V: r = dθ̂/dt − L Nᵀλ, where
     N has the outward normals of the bounds that θ̂ is at, and λ ≥ 0. Where θ lies in the set,
@@ -82,13 +82,13 @@ def swept_within_bounds(
     g: Array,
     motors: Array,
 ) -> tuple[Array, Any]:
-    """Do as `within_bounds`, by sweeps without a branch; say, too, whether they did not end.
+    """Do as `within_bounds`, by branchless sweeps; return also True if they did not converge.
 
     C. Hildreth's method ("A quadratic programming procedure", Naval Research Logistics 4(1), 1957)
-    takes the multiplier of one bound after the other. A few sweeps mostly end.
+    takes the multiplier of one bound after the other. A few sweeps usually suffice.
 
-    g = Yθ̂ (n_v,) grows no further where it is beyond what `motors` (n_v,) have; the regressor Y is
-    (n_v, P).
+    Where g = Yθ̂ (n_v,) is beyond the limits `motors` (n_v,), it does not grow further; the
+    regressor Y is (n_v, P).
     """
     lower, upper = bounds
     high, low, is_beyond = theta_hat >= upper, theta_hat <= lower, np.abs(g) > motors
@@ -188,7 +188,7 @@ def _nonnegative(F: Array, c: Array) -> Array:
 
 
 def forgotten_information(Lambda: Array, Lambda_0: Array, share: float) -> Array:
-    """Λ ← (1 − λT)Λ + λTΛ₀: forget a share λT of what was learnt, and never the prior Λ₀.
+    """Return Λ ← (1 − λT)Λ + λTΛ₀: forget a share λT of what was learnt, and never the prior Λ₀.
 
     Implements Theorem A's forgetting, in samples. Λ and Λ₀ are (P, P); Λ ≥ Λ₀ stays so.
     """
@@ -196,7 +196,7 @@ def forgotten_information(Lambda: Array, Lambda_0: Array, share: float) -> Array
 
 
 def information(Lambda: Array, H: Array, weight: float) -> Array:
-    """Λ ← Λ + HᵀR⁻¹H with R⁻¹ = weight I, the information of a frame x = HΘ; shape (P, P).
+    """Return Λ ← Λ + HᵀR⁻¹H with R⁻¹ = weight I, the information of a frame x = HΘ; shape (P, P).
 
     Implements Theorem A's update of the information, in samples. H is (m, P).
     """
@@ -204,7 +204,7 @@ def information(Lambda: Array, H: Array, weight: float) -> Array:
 
 
 def correction(Lambda: Array, H: Array, weight: float, innovation: Array) -> Array:
-    """ΔΘ̂ = Λ⁻¹HᵀR⁻¹ε with ε = x − HΘ̂ (m,) and Λ that has the frame already; shape (P,).
+    """Return ΔΘ̂ = Λ⁻¹HᵀR⁻¹ε with ε = x − HΘ̂ (m,) and Λ that has the frame already; shape (P,).
 
     Implements Theorem A's gain, in samples. H is (m, P), R⁻¹ = weight I.
     """
@@ -212,7 +212,7 @@ def correction(Lambda: Array, H: Array, weight: float, innovation: Array) -> Arr
 
 
 def V1(Lambda: Array, Delta: Array) -> float:
-    """V₁ = ½ΔᵀΛΔ of the error Δ = Θ − Θ̂ (P,) of what is learnt.
+    """Return V₁ = ½ΔᵀΛΔ of the error Δ = Θ − Θ̂ (P,) of what is learnt.
 
     Implements V₁ of Theorem A.
     """

@@ -1,7 +1,7 @@
-"""Branches and loops that run on numbers, and are written down where numbers are symbols.
+"""Branches and loops that run on numbers and are traced on symbols.
 
-A step of a law is written once, on arrays. NumPy's arrays take one branch; arrays whose numbers are
-not known yet (of `codegen`) take both, and say themselves how.
+A step of a law is written once, on arrays. With NumPy's arrays one branch runs; with arrays of
+symbols (of `codegen`) both are traced.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ Values = TypeVar("Values", bound=tuple[Any, ...])
 def select(condition: Any, a: Any, b: Any) -> Any:
     """Return a where a condition holds, b elsewhere: numbers, or arrays of the same shape.
 
-    Both are computed already, which `choose` is for where they cost something. The condition is a
-    truth value of Python or NumPy, or one that is not known yet.
+    Both are computed already; `choose` avoids that. The condition is a truth value of Python or
+    NumPy, or a symbol.
     """
     if condition is True:
         return a
@@ -57,13 +57,13 @@ def all_finite(numbers: list[Any]) -> Any:
 
 
 def leave(condition: Any) -> None:
-    """Say that what is computed does not hold where a condition, not known yet, holds."""
+    """Mark the results as invalid where a symbolic condition holds."""
     if condition is not False:
         condition.leave()
 
 
 def array(values: Any) -> Any:
-    """Return numbers, some of which may not be known yet, as an array."""
+    """Return numbers or symbols as an array."""
     numbers = values if isinstance(values, np.ndarray) else np.array(values)
     if not numbers.dtype.hasobject:
         return numbers
@@ -86,12 +86,12 @@ def all_of(conditions: Any) -> Any:
 
 
 def surely(condition: Any) -> bool:
-    """Return True if a condition is known to hold, so that nothing else need be computed."""
+    """Return True if a condition is known to hold; False for a symbol."""
     return isinstance(condition, bool | np.bool_) and bool(condition)
 
 
 def alter(condition: Any, values: Array, change: Callable[[Array], None]) -> None:
-    """Let `change` write into an array, in place, where a condition holds; mostly it does not."""
+    """Call `change` to modify an array in place where a condition, usually False, holds."""
     if isinstance(condition, bool | np.bool_):
         if condition:
             change(values)
@@ -104,7 +104,7 @@ def alter(condition: Any, values: Array, change: Callable[[Array], None]) -> Non
 def choose(condition: Any, then: Callable[[], Values], otherwise: Callable[[], Values]) -> Values:
     """Return then() where a condition holds, otherwise() elsewhere.
 
-    Both return tuples of as many numbers and arrays, of the same shapes. Mostly it does not hold.
+    Both return tuples of as many numbers and arrays, of the same shapes. Usually it is False.
     """
     if isinstance(condition, bool | np.bool_):
         return then() if condition else otherwise()
@@ -115,8 +115,8 @@ def choose(condition: Any, then: Callable[[], Values], otherwise: Callable[[], V
 def repeat(count: int, body: Callable[[Any, Values], Values], start: Values) -> Values:
     """Return `start` after count times values = body(i, values).
 
-    Where numbers are not known yet, it is a loop of the code that is made, and `body` is called
-    once, with an i that is not known either: an array is asked for its entry i by `take`.
+    With symbols it becomes a loop in the generated code, and `body` is called once, with a symbol
+    i: `take` reads entry i of an array.
 
     The values are numbers and arrays, whose shapes stay; i counts from 0.
     """
@@ -154,5 +154,5 @@ def collected(
 
 
 def take(array: Array, i: Any) -> Any:
-    """Return array[i], of the i that `repeat` and `collect` give, which may not be known yet."""
+    """Return array[i] for the i of `repeat` and `collect`, which may be a symbol."""
     return array[i] if isinstance(i, int) else i.take(array)

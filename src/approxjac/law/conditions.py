@@ -1,7 +1,7 @@
 """The conditions of Theorem 1: eqs. (7), (14), (21), (22), (23), (24) and (25).
 
-Theorem 1 asks for p, a bound of ‖Jᵀ − Ĵᵀ‖, below both curves of the paper's Figure 1, with gains
-large enough for what inertia and damping take, c₀ and c₁.
+Theorem 1 requires that p, a bound of ‖Jᵀ − Ĵᵀ‖, is below both curves of the paper's Figure 1, with
+gains large enough for the terms c₀ and c₁ of inertia and damping.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from approxjac.validation import Array
 
 
 def jacobian_error(J: Array, J_hat: Array) -> float:
-    """‖Jᵀ − Ĵᵀ‖, the spectral norm. Implements Eq. (7) at one configuration."""
+    """Return ‖Jᵀ − Ĵᵀ‖, the spectral norm. Implements Eq. (7) at one configuration."""
     return float(np.linalg.norm(J - J_hat, 2))
 
 
 def lambda_2(J_hat: Array, B_over_kv: Array) -> float:
-    """λ₂ = λ_min[Ĵᵀ Ĵ + B / k_v] of Ĵ (m, n_v) and the diagonal of B / k_v (n_v,).
+    """Return λ₂ = λ_min[Ĵᵀ Ĵ + B / k_v] of Ĵ (m, n_v) and the diagonal of B / k_v (n_v,).
 
     Implements Eq. (23), its eigenvalue.
     """
@@ -26,7 +26,7 @@ def lambda_2(J_hat: Array, B_over_kv: Array) -> float:
 
 
 def largest_alpha(kv: Array, c_bar: float, lambda_m: float) -> float:
-    """The α below which k_vi c̄ − αλ_m > 0 for all i [1/s], with λ_m = λ_max[Ĵ⁺ᵀ M Ĵ⁺].
+    """Return the α below which k_vi c̄ − αλ_m > 0 for all i [1/s], with λ_m = λ_max[Ĵ⁺ᵀ M Ĵ⁺].
 
     Implements Eq. (14), of the diagonal of K_v (m,) and c̄ of eq. (8).
     """
@@ -36,7 +36,7 @@ def largest_alpha(kv: Array, c_bar: float, lambda_m: float) -> float:
 def allowed_p(
     alpha: float, kp: Array, kv: Array, lambda1: float, c0: float, c1: float
 ) -> tuple[float, float]:
-    """The p below which l₁ λ_max[K_v] > αc₀, and that below which l₂ λ_max[K_v] > αc₁.
+    """Return the p below which l₁ λ_max[K_v] > αc₀, and that below which l₂ λ_max[K_v] > αc₁.
 
     Implements Eq. (22), solved for p. Implements Eq. (21), too, with c₀ = c₁ = 0. Departure: λ₁ is
     λ_min[ĴᵀK_vĴ + B] / λ_max[K_v], not of J. c₀ and c₁ are those of eq. (15), α > 0 is in 1/s, and
@@ -53,7 +53,7 @@ def allowed_p(
 def best_alpha(
     kp: Array, kv: Array, lambda1: float, c0: float, c1: float, alpha_max: float
 ) -> float:
-    """The α that allows the largest p: where the two bounds of (22) cross, or `alpha_max`.
+    """Return the α that allows the largest p: where the two bounds of (22) cross, or `alpha_max`.
 
     Implements Eq. (24) with c₀, c₁ and gains that differ from axis to axis: the first bound falls
     with α and the second rises.
@@ -63,17 +63,17 @@ def best_alpha(
 
 
 def allowed_p_velocity(a: Array, alpha: float, lambda2: float) -> Array:
-    """2 λ₂ / (a + α): the curve of Figure 1 that falls with a. Implements Eq. (23), first."""
+    """Return 2 λ₂ / (a + α), the falling curve of Figure 1. Implements Eq. (23), first."""
     return 2.0 * lambda2 / (a + alpha)
 
 
 def allowed_p_position(a: Array, alpha: float) -> Array:
-    """2 a α / (a + α): the curve of Figure 1 that rises with a. Implements Eq. (23), second."""
+    """Return 2 a α / (a + α), the rising curve of Figure 1. Implements Eq. (23), second."""
     return 2.0 * a * alpha / (a + alpha)
 
 
 def allowed_p_at_crossing(alpha: float, lambda2: float) -> float:
-    """2 α λ₂ / (α² + λ₂), where the curves cross, at a = λ₂ / α.
+    """Return 2 α λ₂ / (α² + λ₂), where the curves cross, at a = λ₂ / α.
 
     Implements Eq. (24). Departure: the paper prints a = λ₁/α for the crossing.
     """
@@ -81,7 +81,7 @@ def allowed_p_at_crossing(alpha: float, lambda2: float) -> float:
 
 
 def largest_allowed_p(lambda2: float) -> float:
-    """λ₂^½, the largest p that any α allows, reached at α = λ₂^½. Implements Eq. (25).
+    """Return λ₂^½, the largest p that any α allows, reached at α = λ₂^½. Implements Eq. (25).
 
     Departure: the paper says that the left-hand side of (24) is maximal there; it is the
     right-hand side.

@@ -1,4 +1,4 @@
-"""`Factors`: a small symmetric matrix as LDLᵀ, without a branch, of numbers known or not."""
+"""`Factors`: a small symmetric matrix as LDLᵀ, without a branch, of numbers or symbols."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Rays of points in a camera: how they move with what is unknown, and the error in their depth.
+"""Rays of points in a camera: their derivatives, and errors at their depth.
 
-Not of the paper. y = e^λ (X/Z, Y/Z) is the ray of a point c = (X, Y, Z) in the camera's axes, as a
-focal length shows it that is wrong by the factor e^λ. Shapes: c is (k, 3), y and ρ are (k, 2).
+Not in the paper. y = e^λ (X/Z, Y/Z) is the ray of a point c = (X, Y, Z) in the camera's axes, for a
+focal length with the error factor e^λ. Shapes: c is (k, 3), y and ρ are (k, 2).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from approxjac.validation import Array
 
 
 def ray_basis(rho: Array) -> Array:
-    """N(ρ) = [I, −ρ], shape (k, 2, 3): N(ρ)c is how far c is beside the ray ρ, at its depth."""
+    """Return N(ρ) = [I, −ρ], shape (k, 2, 3): N(ρ)c is the offset of c from the ray ρ."""
     N = np.zeros((len(rho), 2, 3))
     N[:, 0, 0] = N[:, 1, 1] = 1.0
     N[:, :, 2] = -rho
@@ -20,23 +20,23 @@ def ray_basis(rho: Array) -> Array:
 
 
 def rays(c: Array, stretch: float) -> Array:
-    """y = e^λ (X/Z, Y/Z) with e^λ = stretch, shape (k, 2)."""
+    """Return y = e^λ (X/Z, Y/Z) with e^λ = stretch, shape (k, 2)."""
     return np.asarray(stretch * c[:, :2] / c[:, 2:])
 
 
 def ray_jacobian(c: Array, stretch: float) -> Array:
-    """∂y/∂c = e^λ/Z N(X/Z, Y/Z), shape (k, 2, 3)."""
+    """Return ∂y/∂c = e^λ/Z N(X/Z, Y/Z), shape (k, 2, 3)."""
     Z = c[:, 2:]
     return np.asarray(ray_basis(c[:, :2] / Z) * (stretch / Z)[:, :, np.newaxis])
 
 
 def image_turn(shown: Array, seen: Array, weights: Array) -> tuple[Array, Array]:
-    """Return the turn of the image that leads from `shown` to `seen` best, and what it leaves.
+    """Return the rotation of the image that best fits `shown` to `seen`, and the residual.
 
     The planar Kabsch problem, in closed form: of rays about their means, with any size.
 
-    Predicted rays are (…, k, 2), measured ones (k, 2), weights of the points (k,). Returned
-    are the angle [rad], and the mean square of what is left with the best size, shape (…).
+    Predicted rays `shown` are (…, k, 2), measured rays `seen` (k, 2), weights of the points (k,).
+    Returned are the angle [rad], and the mean square residual with the best scale, shape (…).
     """
     w = weights / weights.sum()
     a, b = shown - (w @ shown)[..., np.newaxis, :], seen - w.dot(seen)

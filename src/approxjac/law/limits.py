@@ -1,7 +1,7 @@
 """Limits of torques and motions that keep the decrease of V: any τ with yᵀ(τ − τ*) ≤ 0 does.
 
 Replacing the law's τ* by another τ changes V̇ by yᵀ(τ − τ*), with the passive output y of eq. (10).
-The paper has no limits; this is what its proof leaves room for. All of it runs on symbols, too.
+The paper has no limits; its proof allows these. All functions run on symbols, too.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _NONE = 1e-100  # a joint that moves less reaches no limit before that
 def limited_torque(
     torque: Array, y: Array, lower: Array, upper: Array, weight: Array, rho: float
 ) -> tuple[Array, float]:
-    """Torque nearest to τ* within limits that keeps V̇ ≤ −W, or gives up as little as it can.
+    """Return the torque nearest to τ* within limits that keeps V̇ ≤ −W, or the least slack.
 
     Minimises ½ Σ rᵢ(τᵢ − τ*ᵢ)² + ρσ subject to τ within its limits, yᵀ(τ − τ*) ≤ σ and σ ≥ 0.
     The minimum is τ = τ* − λ R⁻¹y brought inside the limits, with the smallest λ from 0 to ρ that
@@ -70,10 +70,10 @@ def limited_torque(
 def power_zero(
     power: float, torque: Array, y: Array, lower: Array, upper: Array, step: Array
 ) -> float:
-    """λ > 0 where the power of `limited_torque`, positive at λ = 0, falls to zero; `step` is R⁻¹y.
+    """Return the λ > 0 at which the power of `limited_torque` falls to zero; `step` is R⁻¹y.
 
-    It never rises, and is straight between the breaks: so λ is on the line from the last break that
-    has a power above zero to the first one that has not, and infinite where none has not.
+    The power, positive at λ = 0, never rises and is piecewise linear: λ is on the line from the
+    last break with a positive power to the next, and infinite if the power stays positive.
     """
     per_step = np.where(np.abs(step) < _NONE, _FAR, step)
     ends = np.concatenate([torque - lower, torque - upper]) / np.concatenate([per_step, per_step])
@@ -92,25 +92,25 @@ def power_zero(
 def rate_bounds(
     before: Array, rate: Array, dt: float, lower: Array, upper: Array
 ) -> tuple[Array, Array]:
-    """Return bounds (n_v,) that are also within reach of the torque before in one step of dt [s].
+    """Return bounds (n_v,) that the last torque can also reach in one step of dt [s].
 
-    It lies within the bounds and changes by `rate` (n_v,) [N m/s or N/s] at most.
+    The last torque lies within the bounds and changes by `rate` (n_v,) [N m/s or N/s] at most.
     """
     return np.maximum(lower, before - dt * rate), np.minimum(upper, before + dt * rate)
 
 
 def approach_speed(left: Array, fastest: Array, approach: float | Array, knee: Array) -> Array:
-    """Return the largest speed towards a limit that is `left` away, with its sign; or back.
+    """Return the largest signed speed towards a limit at the distance `left`; negative beyond it.
 
-    At a distance d it is κd at most, so that the limit is come to as exp(−κt), without a sudden
-    stop; and, where that takes more than the deceleration a, √(2ad − (a/κ)²), along which a brakes
-    until the two meet. From beyond the limit it is the speed to come back with.
+    At a distance d it is κd at most, so that the limit is approached as exp(−κt), without a sudden
+    stop; where that needs more than the deceleration a, √(2ad − (a/κ)²), which a allows until the
+    two meet. Beyond the limit it is the speed of return.
 
     Source: B. Faverjon and P. Tournassoud, "A local based approach for path planning of
     manipulators with a high number of degrees of freedom", ICRA 1987, for κd.
 
-    `left` is d, `fastest` the largest speed of all, `approach` κ [1/s], and `knee` a/κ, the speed
-    from which on a brakes.
+    `left` is d, `fastest` the speed limit, `approach` κ [1/s], and `knee` a/κ, the speed above
+    which the deceleration a decides.
     """
     signed = approach * left
     speed = np.abs(signed)
@@ -119,7 +119,7 @@ def approach_speed(left: Array, fastest: Array, approach: float | Array, knee: A
 
 
 class JointRange(NamedTuple):
-    """Where joints may be, and how they may move there."""
+    """Allowed positions of joints and the speed bounds near their ends."""
 
     ends: Array  # smallest and largest positions, shape (2, n_v), infinite where there is none
     fastest: Array  # largest speeds, shape (n_v,)
@@ -138,8 +138,8 @@ class JointRange(NamedTuple):
 def speed_bounds(motion: Array, joints: JointRange) -> Array:
     """Return the smallest and the largest speed of each joint, shape (2, n_v); `approach_speed`.
 
-    A joint beyond its range has to come back, no faster than it may move. `motion` are positions of
-    the joints, shape (n_v,) [rad or m].
+    A joint beyond its range has to return, within its speed limit. `motion` are joint positions,
+    shape (n_v,) [rad or m].
     """
     ends, fastest, approach, knee = joints
     return approach_speed(ends - motion, fastest, approach, knee)
@@ -148,17 +148,17 @@ def speed_bounds(motion: Array, joints: JointRange) -> Array:
 def acceleration_bounds(
     v: Array, speeds: Array, braking: float | Array, jerk: Array | None = None
 ) -> Array:
-    """Return accelerations that lead speeds to their bounds, of the shape of these.
+    """Return accelerations that keep speeds within bounds, of the shape of these.
 
-    Over the next step q̇ goes at most the share r dt of what is left to its bound, and at least
-    that share of the way back from beyond it. A share well below one keeps the joints quiet
-    although the believed inertia, which predicts the step, is wrong.
+    In the next step q̇ covers at most the share r dt of the distance to its bound, and beyond it at
+    least that share of the way back. A share well below one avoids chatter although the step is
+    predicted with a wrong inertia.
 
-    Where torques change slowly, an acceleration has to be ramped down in time: over what is left to
-    the bound, with half of what torques can do, so it is √(jd) at most.
+    With limited torque rates, an acceleration has to be reduced in time: within the distance to the
+    bound, at half of the possible jerk, so it is √(jd) at most.
 
-    v is q̇ or another speed; its bounds are infinite where there is none; `braking` is r [1/s], and
-    `jerk` j, how fast accelerations change [rad/s³ or m/s³], None without end.
+    v is q̇ or another speed; a bound may be infinite; `braking` is r [1/s], and `jerk` is j, the
+    largest rate of accelerations [rad/s³ or m/s³], None for no limit.
     """
     left: Array = speeds - v
     if jerk is None:
@@ -181,7 +181,7 @@ class Rows(NamedTuple):
 
 
 class TorqueRows(NamedTuple):
-    """Rows as bounds of A τ, with what they are made of, and q̈₀, that without a torque."""
+    """Rows as bounds of A τ, with their origin, and q̈₀, the acceleration without torque."""
 
     A: Array
     low: Array
@@ -220,24 +220,24 @@ def limit_step(
     """Bring τ* within bounds of torque and motion, and keep V̇ ≤ −W where they leave room for it.
 
     Minimises ½(τ − τ*)ᵀR(τ − τ*) + ρσ subject to yᵀ(τ − τ*) ≤ σ, σ ≥ 0, to τ within its bounds, and
-    to q̈ within those of the rows, with q̈ = M̂⁻¹τ + q̈₀ as the believed arm predicts it. Where the
-    closed form keeps the rows, no solver is asked.
+    to q̈ within those of the rows, with q̈ = M̂⁻¹τ + q̈₀ of the believed arm. No solver is called if
+    the closed form keeps the rows.
 
     Args:
         asked: τ* and its bounds.
-        output: Gives y, shape (n_v,), and ρ; None is without the proof.
+        output: Function that returns y, shape (n_v,), and ρ; None is without the proof.
         weight: Diagonal of R, shape (n_v,).
-        forward: Gives the believed arm's q̈ of a torque.
-        M_inverse: Gives M̂⁻¹, shape (n_v, n_v).
-        rows: Bounds of motion, if there are any.
-        residual: What is added to the believed q̈, shape (n_v,), where there are rows.
-        brakes: Gives what is sent where there is no minimum, of M̂⁻¹ and the rows: `braked`.
+        forward: Function of a torque that returns the believed arm's q̈.
+        M_inverse: Function that returns M̂⁻¹, shape (n_v, n_v).
+        rows: Bounds of motion, if any.
+        residual: Correction of the believed q̈, shape (n_v,), if there are rows.
+        brakes: Function of M̂⁻¹ and the rows for the torque without a minimum, such as `braked`.
         minimum: Solver.
 
     Returns:
-        τ; q̈ by the believed dynamics with it, where motion is bounded; σ = yᵀ(τ − τ*), at least 0
-        [W], 0 where the proof was not asked for; 0, or 1 where no torque keeps all bounds, 2 where
-        the solver failed; 1 where τ is τ*, else 0.
+        τ; q̈ by the believed dynamics with it, if motion is bounded; σ = yᵀ(τ − τ*) ≥ 0 [W], 0
+        without the proof; 0, or 1 if no torque keeps all bounds, 2 if the solver failed; 1 if τ
+        is τ*, else 0.
     """
     wanted, lower, upper, clipped, beyond = asked
 
@@ -287,11 +287,10 @@ def braked(
 ) -> Array:
     """Return a torque that brakes as hard as motors can, shape (n_v,).
 
-    Rows that cannot be kept come as near to their bounds as can be, for which the joints give way
-    within the others: first the row that lacks most counts as one that cannot be kept, then the two
-    that do, until there is a torque.
+    Rows are given up one by one, that with the largest violation first, until there is a torque;
+    those given up come as near to their bounds as the others allow.
 
-    `brake` is q̈ that brings joints to rest, and `hold` what is sent where nothing else is known.
+    `brake` is the q̈ that brings joints to rest, `hold` the torque to send if everything fails.
     """
     A, low, high, rows, at_rest = bounds
     n, start = len(lower), brake

@@ -21,7 +21,7 @@ def closed_loop_matrix(
     B: Array,
     learning: tuple[Array, Array, Array] | None = None,
 ) -> Array:
-    """A of the closed loop to first order about q̇ = 0, e = 0, where s'(0) = 1.
+    """Return A of the closed loop to first order about q̇ = 0, e = 0, where s'(0) = 1.
 
     A₉ = [[0, I], [−M⁻¹ĴᵀK_p J, −M⁻¹(ĴᵀK_v Ĵ + B)]] in (δq, q̇). Implements Eq. (9). Where gravity is
     learnt, A = [[A₉, [0; M⁻¹Z]], [[−αLZᵀĴ⁺J, −LZᵀ], 0]] in (δq, q̇, δθ̂) about θ̂ = θ. Implements
@@ -58,7 +58,7 @@ def closed_loop_matrix(
 
 
 def learning_gain(L: Array, Z: Array) -> Array:
-    """L Zᵀ of (29), shape (…, p, n_v), with L a diagonal (p,) or a matrix (p, p)."""
+    """Return L Zᵀ of (29), shape (…, p, n_v), with L a diagonal (p,) or a matrix (p, p)."""
     return L[:, np.newaxis] * Z.mT if L.ndim == 1 else np.asarray(L @ Z.mT)
 
 
@@ -83,7 +83,7 @@ def frame_map(
     friction: Array | None = None,
     gravity: Array | None = None,
 ) -> Array:
-    """Map of the state from one frame of x to the next, exact to first order.
+    """Return the map of the state from one frame of x to the next, exact to first order.
 
     Between samples the torque is held. With κ what is left of the learnt torque to learn, near the
     target,

@@ -21,7 +21,7 @@ def V(
     kv: Array,
     alpha: float,
 ) -> float:
-    """V = ½ q̇ᵀM q̇ + α q̇ᵀM Ĵ⁺ s(e) + Σ (k_pi + α k_vi) S_i(e_i).
+    """Return V = ½ q̇ᵀM q̇ + α q̇ᵀM Ĵ⁺ s(e) + Σ (k_pi + α k_vi) S_i(e_i).
 
     Implements Eq. (12).
 
@@ -44,7 +44,7 @@ def W(
     kv: Array,
     alpha: float,
 ) -> float:
-    """W = −V̇ along the closed loop.
+    """Return W = −V̇ along the closed loop.
 
     Implements Eq. (13). Departures: the last term is −s(e)ᵀ(d/dt Ĵ⁺)ᵀM q̇ (the paper's dot is
     missing), and (B − ½Ṁ + S)q̇ is evaluated as B q̇ + C(q, q̇)q̇ − Ṁ q̇.
@@ -73,7 +73,7 @@ def W(
 
 
 def parameter_potential(theta_error: Array, L: Array) -> float:
-    """½ Δθᵀ L⁻¹ Δθ [J], added to V where gravity is learnt, with Δθ = θ − θ̂ (p,).
+    """Return ½ Δθᵀ L⁻¹ Δθ [J], added to V where gravity is learnt, with Δθ = θ − θ̂ (p,).
 
     The adaptation gain L is a diagonal (p,), with 0 for what is known and not learnt, or a matrix
     (p, p). Implements Eq. (31). Departure: the paper prints L for L⁻¹.

@@ -33,14 +33,14 @@ from approxjac.validation import Array
 
 
 def dissipation(J_hat: Array, kv: Array, B: Array) -> Array:
-    """D = ĴᵀK_vĴ + B, what damps the closed loop. Implements Eq. (9), its damping."""
+    """Return D = ĴᵀK_vĴ + B, what damps the closed loop. Implements Eq. (9), its damping."""
     return J_hat.mT @ (kv[:, None] * J_hat) + np.diag(B)
 
 
 def cross_weight_pinv(
     J_hat: Array, dJ_hat: Array, weight: Array | None = None
 ) -> tuple[Array, Array]:
-    """G = Ĵ⁺ and ∂G, of Ĵ with full row rank: the cross weight of eq. (12) with α = 1.
+    """Return G = Ĵ⁺ and ∂G, of Ĵ with full row rank: the cross weight of eq. (12) with α = 1.
 
     Ĵ⁺ = R⁻¹Ĵᵀ(ĴR⁻¹Ĵᵀ)⁻¹ with R of the diagonal `weight` (n_v,), I by default: of all q̇ with
     Ĵq̇ = s, Ĵ⁺s has the least q̇ᵀRq̇. Implements Eq. (12), its second term; the paper's R is I.
@@ -54,7 +54,7 @@ def cross_weight_pinv(
 
 
 def cross_weight_damped(D: Array, J_hat: Array, dJ_hat: Array, kv: Array) -> tuple[Array, Array]:
-    """G = D⁻¹ĴᵀK_v and ∂G: what Ĵ⁺ becomes where damping, with nonsingular D, shares the motion.
+    """Return G = D⁻¹ĴᵀK_v and ∂G, a damped Ĵ⁺ for nonsingular D.
 
     It equals Ĵ⁺ for B = 0 and n_v = m. With it D G = ĴᵀK_v, so damping no longer stands in the
     cross block of Q, and it exists at singular Ĵ too. A widening of Eq. (12).
@@ -69,7 +69,7 @@ def cross_weight_damped(D: Array, J_hat: Array, dJ_hat: Array, kv: Array) -> tup
 def inertial_block(
     M: Array, dM: Array, J: Array, G: Array, dG: Array, s: Array, slope: Array
 ) -> Array:
-    """sym N, (…, n_v, n_v): what inertia takes from the dissipation, the bracket of eq. (13).
+    """Return sym N, (…, n_v, n_v): the inertial terms, which reduce the dissipation.
 
     Implements Eq. (13), its last terms, exactly: s(e)ᵀGᵀ(−½Ṁ + S)q̇ and the two that follow are
     −q̇ᵀN q̇ with N linear in s and s', the `slope`.
@@ -91,7 +91,7 @@ def decrease_matrix(
     coupling: Array | None = None,
     slope: Array | None = None,
 ) -> Array:
-    """Q of V̇ = −zᵀQz, symmetric, (…, n_v + m, n_v + m). Implements Eq. (13) with free weights.
+    """Return Q of V̇ = −zᵀQz, (…, n_v + m, n_v + m). Implements Eq. (13) with free weights.
 
     N is that of `inertial_block`, or zero in the limit of large gains. Where there is a `coupling`,
     Ω, there must be the `slope`, s'(e), with it.
@@ -104,23 +104,23 @@ def decrease_matrix(
 
 
 def stiffness_block(J_hat: Array, G: Array, kp: Array) -> Array:
-    """sym(K_p Ĵ G), the block of Q that belongs to s(e); αK_p in eq. (13). Shape (…, m, m)."""
+    """Return sym(K_p Ĵ G), the block of Q for s(e), (…, m, m); αK_p in eq. (13)."""
     block = kp[:, None] * (J_hat @ G)
     return 0.5 * (block + block.mT)
 
 
 def potential(S: Array, s: Array, weights: Array, coupling: Array) -> Array:
-    """V at rest, Σ wᵢSᵢ(eᵢ) + ½ s(e)ᵀΩ s(e), (…), of S(e) and s(e). Implements Eq. (12)."""
+    """Return V at rest, Σ wᵢSᵢ(eᵢ) + ½ s(e)ᵀΩ s(e), (…), of S(e) and s(e). Implements Eq. (12)."""
     return np.asarray(S @ weights + 0.5 * ((s @ coupling) * s).sum(axis=-1))
 
 
 def potential_block(weights: Array, coupling: Array, c_bar: float) -> Array:
-    """2c̄ W + Ω, (m, m): V at rest is at least half of it along s(e). Implements Eq. (14)."""
+    """Return U = 2c̄ W + Ω, (m, m): V at rest is ≥ ½ s(e)ᵀU s(e). Implements Eq. (14)."""
     return np.asarray(2.0 * c_bar * np.diag(weights) + coupling)
 
 
 def potential_matrix(M: Array, G: Array, block: Array) -> Array:
-    """P = [[M, M G], [·, 2c̄ W + Ω]], (…, n_v + m, n_v + m): V ≥ ½ zᵀPz. Implements Eq. (14).
+    """Return P = [[M, M G], [·, 2c̄ W + Ω]], of which V ≥ ½ zᵀPz. Implements Eq. (14).
 
     Its last block is that of `potential_block`.
     """

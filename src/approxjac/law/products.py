@@ -9,13 +9,13 @@ from approxjac.validation import Array
 
 
 def dot(a: Array, b: Array) -> Array:
-    """`a @ b` of vectors and matrices, in a third of its time for arrays as small as a step's."""
+    """Return `a @ b` of vectors and matrices, for small arrays in a third of its time."""
     product: Array = a.dot(b)
     return product
 
 
 def root(a: Any) -> Any:
-    """√a of a number, known or not: NumPy's takes five times as long for one number."""
+    """Return √a of a number or symbol, in a fifth of NumPy's time."""
     return math.sqrt(a) if isinstance(a, float) else a.sqrt()
 
 
@@ -25,7 +25,7 @@ def length(x: Array) -> Any:
 
 
 def angle(y: Any, x: Any) -> Any:
-    """Return the angle of (x, y) from −π to π [rad], of numbers that are known or not."""
+    """Return the angle of (x, y) from −π to π [rad], for numbers or symbols."""
     return math.atan2(y, x) if isinstance(y, float) and isinstance(x, float) else _of(y, x)
 
 
@@ -34,7 +34,7 @@ def _of(y: Any, x: Any) -> Any:
 
 
 def sine_and_cosine(a: Any) -> tuple[Any, Any]:
-    """Return sin a and cos a of a number, known or not."""
+    """Return sin a and cos a of a number or symbol."""
     if isinstance(a, float):
         return (math.sin(a), math.cos(a)) if math.isfinite(a) else (math.nan, math.nan)
     sine, cosine = a.sine_and_cosine()

@@ -19,7 +19,7 @@ SINGULAR_RATIO = 0.02
 def damped_gram_solve(
     G: Array, b: Array, singular_ratio: float = SINGULAR_RATIO, scale: float = 0.0
 ) -> tuple[Array, float]:
-    """w = (G + λ²I)⁻¹ b of G = J Jᵀ with λ = 0 away from singular poses; then J⁺b = Jᵀw.
+    """Return w = (G + λ²I)⁻¹ b of G = J Jᵀ with λ = 0 away from singular poses; then J⁺b = Jᵀw.
 
     λ² = ε²(1 − (σ_min/ε)²) where σ_min < ε = `singular_ratio` · max(σ_max, `scale`), so that J⁺ is
     continuous in J and never larger than 1/ε. The ratio makes ε free of units (image Jacobians
@@ -90,7 +90,7 @@ def damping_rate(
     singular_ratio: float = SINGULAR_RATIO,
     scale: float = 0.0,
 ) -> Any:
-    """d(λ²)/dt of `damped_solver` where λ > 0, along a motion of J (m, n_v) with rate J'.
+    """Return d(λ²)/dt of `damped_solver` where λ > 0, along a motion of J (m, n_v) with rate J'.
 
     (λ²)' = ε²' − (σ_min²)', with (σᵢ²)' = 2 (Jᵀuᵢ)ᵀJ'ᵀuᵢ of its left singular vector uᵢ. Where
     singular values cross, one of the derivatives to either side. `ends` are those two vectors.
@@ -114,7 +114,7 @@ def is_near_singular(G: Array, singular_ratio: float = SINGULAR_RATIO, scale: fl
 
 
 def gram_damping(least: Array, largest: Array, singular_ratio: float, scale: float) -> Array:
-    """λ² of `damped_gram_solve`, from the least and the largest eigenvalue of J Jᵀ.
+    """Return λ² of `damped_gram_solve`, from the least and the largest eigenvalue of J Jᵀ.
 
     Eigenvalues below zero by round-off count as zero.
     """

@@ -59,9 +59,9 @@ and 0 where z is the minimum, 1 where nothing keeps the bounds, 2 where it faile
 
 
 def interior_minimum(problem: QuadraticProgram, price: Any = None) -> tuple[Array, Any]:
-    """Return z, which holds its bounds, and 0; or 1 where there is none. See `Minimum`.
+    """Return z, which satisfies its bounds, and 0, or 1 if there is none. See `Minimum`.
 
-    Bounds that are infinite before anything is known of a step cost nothing.
+    Bounds that are infinite when traced cost nothing.
     """
     H, f, lower, upper, A, low, high = problem
     n = len(f)

@@ -72,7 +72,7 @@ def rotation_exp(phi: Array) -> Array:
 def rotation_log(R: Array) -> Array:
     """Return the rotation vector (3,) of a rotation matrix, or the angle (1,) of one in the plane.
 
-    Its length is at most π; at π either of the two vectors.
+    Its length is at most π; at π it is either of the two vectors.
     """
     if len(R) == 2:
         return np.asanyarray(array([angle(*_plane_turn(R))]))
@@ -118,7 +118,7 @@ def quaternion(R: Array) -> Array:
 
 
 def rotation_of(quaternion: Array) -> tuple[Any, Any]:
-    """Return R (3, 3) of a quaternion (x, y, z, w) of any length, and whether it is one."""
+    """Return R (3, 3) of a quaternion (x, y, z, w) of any length, and whether that is valid."""
     size = length(quaternion)
     is_some = (size > NO_ROTATION) & (size < math.inf)
     x, y, z, w = (quaternion / select(is_some, size, 1.0)).tolist()
@@ -156,7 +156,7 @@ def quaternion_between(a: list[float], b: list[float]) -> tuple[float, float, fl
 
 
 def rotation_between(a: list[float], b: list[float]) -> tuple[float, float, float]:
-    """Return log(R_a R_bᵀ) [rad] from quaternions (x, y, z, w); NaN where one is none."""
+    """Return log(R_a R_bᵀ) [rad] from quaternions (x, y, z, w); NaN if one is invalid."""
     (ax, ay, az, aw), (bx, by, bz, bw) = a, b
     length_a = root(ax * ax + ay * ay + az * az + aw * aw)
     length_b = root(bx * bx + by * by + bz * bz + bw * bw)
@@ -196,7 +196,7 @@ def nearest_rotation(A: Array) -> Array:
     """Return the rotation R with the largest tr(RᵀA) (Kabsch); shape of A, (d, d).
 
     Raises:
-        LinAlgError: Of A beyond 1e100, with which LAPACK may go on for ever.
+        LinAlgError: A is beyond 1e100, for which LAPACK may not terminate.
     """
     if not A.dtype.hasobject and not math.hypot(*A.ravel().tolist()) < _FAR:
         raise np.linalg.LinAlgError("A must be finite and below 1e100")

@@ -30,7 +30,7 @@ _FEW = 100  # of a stack, that tell which bound is the best
 
 
 def hold_gain(period: float, late: float) -> float:
-    """γ = late + 2/π · period [s], of what is held between samples and acts late.
+    """Return γ = late + 2/π · period [s], of what is held between samples and acts late.
 
     What is held starts each period without an error: Wirtinger's inequality with one free end has
     2/π of the longest period. Being late adds its own time, as ∫|u(t) − u(t − d)|² ≤ d²∫|u̇|².
@@ -71,7 +71,7 @@ def torque_rate(
     kp: Array,
     dg: Array | None = None,
 ) -> TorqueRate:
-    """Rate of u = −ĴᵀK_p s − D_c q̇ + g along the loop.
+    """Return the rate of u = −ĴᵀK_p s − D_c q̇ + g along the loop.
 
     `dg` is ∂g/∂q of the gravity torque that is held with it, (…, n_v, n_v).
     """
@@ -86,7 +86,7 @@ def torque_rate(
 def damping_rate_of_torque(
     M: Array, D: Array, D_c: Array, J_hat: Array, kp: Array, dg: Array | None = None
 ) -> TorqueRate:
-    """Rate of u = −D_c q̇ + g along the loop with −ĴᵀK_p(s + w_x), whose s comes in frames."""
+    """Return the rate of u = −D_c q̇ + g along the loop, if s comes in frames, as s + w_x."""
     pull = _pull(M, D_c)
     stiffness = pull @ (J_hat.mT * kp)
     along = pull @ D
@@ -99,7 +99,7 @@ def damping_rate_of_torque(
 def torque_curvature(
     M: Array, dM: Array, D: Array, D_c: Array, J_hat: Array, dJ_hat: Array, kv: Array
 ) -> Array:
-    """κ, (…): what of u̇ is quadratic in q̇ is at most κ |q̇|_M |q̇|_D in the norm of D⁻¹.
+    """Return κ, (…): what of u̇ is quadratic in q̇ is at most κ |q̇|_M |q̇|_D in the norm of D⁻¹.
 
     D_cM⁻¹C(q, q̇)q̇ − ∂D_c[q̇]q̇, whose tensor is bounded by `tensor_bound`.
     """
@@ -116,7 +116,7 @@ def torque_curvature(
 def damping_turn(
     M: Array, D: Array, J_hat: Array, dJ_hat: Array, kv: Array, along: bool = False
 ) -> Array:
-    """k_R, (…): D changes by at most the factor e^(k_R v̄ t) in a time t with |q̇|_M ≤ v̄.
+    """Return k_R, (…): D changes by at most the factor e^(k_R v̄ t) in a time t with |q̇|_M ≤ v̄.
 
     `along` gives k_f instead: |∂D[q̇]p| is at most k_f |q̇|_D |p|_M in the norm of D⁻¹.
     """
@@ -126,13 +126,13 @@ def damping_turn(
 
 
 def stiffness_turn(D: Array, dJ_hat: Array, kp: Array) -> Array:
-    """ē, (…): |∂Ĵᵀ[q̇]K_p s| is at most ē |q̇|_D |s| in the norm of D⁻¹."""
+    """Return ē, (…): |∂Ĵᵀ[q̇]K_p s| is at most ē |q̇|_D |s| in the norm of D⁻¹."""
     root, gradient = _inverse_root(D), dJ_hat.mT * kp  # [k, a, j]
     return tensor_bound(_turned(gradient, root, root, np.eye(len(kp))))
 
 
 def tensor_bound(tensor: Array) -> Array:
-    """At least the largest |T(x, y, z)| of vectors of length one, (…), of T (…, a, b, c).
+    """Return a bound of |T(x, y, z)| for unit vectors, (…), for T (…, a, b, c).
 
     The spectral norm of one of the three matrices that it unfolds to: of all tensors of a stack the
     same one, which is the best for the first of them.
@@ -160,7 +160,7 @@ def held_form(
     b: float,
     frames: tuple[Array, Array, float] | None = None,
 ) -> Array:
-    """F, (…, N, N): ∫zᵀQz − yᵀw of the loop that runs is at least that of (z, w)ᵀF(z, w).
+    """Return F, (…, N, N): ∫zᵀQz − yᵀw of the loop that runs is at least that of (z, w)ᵀF(z, w).
 
     Affine in (Q, G), in the multiplier λ and in X.
 
@@ -209,7 +209,7 @@ def held_form(
 
 
 def held_margin(F: Array, D: Array, J_hat: Array, G: Array, kp: Array) -> Array:
-    """Largest μ of F ⪰ μ diag(D, sym K_pĴG, 0), (…); −∞ where its last blocks are not positive."""
+    """Return the largest μ of F ⪰ μ diag(D, sym K_pĴG, 0), (…); −∞ if its last blocks are ≤ 0."""
     n, m = G.shape[-2:]
     k = n + m
     lower = F[..., k:, k:]

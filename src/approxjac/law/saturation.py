@@ -25,18 +25,17 @@ _TOP, _BOTTOM = np.array(_QUARTER), np.array(-_QUARTER)
 class Saturation(Protocol):
     """A function s with the properties (1)–(3) that the paper asks for, and slope 1 at 0.
 
-    Any object with these four will do as the `saturation` of a controller; nothing is inherited.
-    What has to hold, entry by entry:
+    Any object with these four members can be the `saturation` of a controller, without inheritance.
+    Requirements, entry by entry:
 
-    - s(0) = 0 and s'(0) = 1: another slope belongs into the gains. Every test of stability takes
+    - s(0) = 0 and s'(0) = 1: another slope belongs into the gains. All stability tests assume
       it to be 1.
-    - s(θ) has the sign of θ and nowhere falls. ds is its slope.
+    - s(θ) has the sign of θ and never falls. ds is its slope.
     - S(0) = 0, and s is the slope of S.
-    - S(θ) ≥ c̄ s(θ)², of (8). Where s' is nowhere above 1, c̄ = ½ does.
+    - S(θ) ≥ c̄ s(θ)², of (8). If s' is never above 1, c̄ = ½ is enough.
 
-    Control calls s with e of shape (m,), the tests of stability call s, S and ds with (N, m). A
-    controller looks at all of this at some hundred errors when it is built, and refuses what does
-    not hold.
+    Controllers call s with e of shape (m,), stability tests call s, S and ds with (N, m). A
+    controller checks the requirements at some hundred errors when it is built.
     """
 
     @property
@@ -45,15 +44,15 @@ class Saturation(Protocol):
         ...
 
     def s(self, e: Array) -> Array:
-        """Saturated error s(e), same shape and unit as e."""
+        """Return the saturated error s(e), same shape and unit as e."""
         ...
 
     def S(self, e: Array) -> Array:
-        """Potential S(e) with dS/de = s, same shape as e, unit of e squared."""
+        """Return the potential S(e) with dS/de = s, same shape as e, unit of e squared."""
         ...
 
     def ds(self, e: Array) -> Array:
-        """Slope s'(e), same shape as e, dimensionless."""
+        """Return the slope s'(e), same shape as e, dimensionless."""
         ...
 
 
@@ -64,15 +63,15 @@ class Linear:
     c_bar: float = 0.5
 
     def s(self, e: Array) -> Array:
-        """s(e) = e."""
+        """Return s(e) = e."""
         return e
 
     def S(self, e: Array) -> Array:
-        """S(e) = e² / 2."""
+        """Return S(e) = e² / 2."""
         return 0.5 * e * e
 
     def ds(self, e: Array) -> Array:
-        """s'(e) = 1."""
+        """Return s'(e) = 1."""
         return np.ones_like(e)
 
 
@@ -106,21 +105,21 @@ class Sine(_Bounded):
     """
 
     def s(self, e: Array) -> Array:
-        """s(e), between −γ and γ."""
+        """Return s(e), between −γ and γ."""
         u: Array = e / self._gamma
         if u.ndim == 1 and not u.dtype.hasobject and math.hypot(*u.tolist()) < _QUARTER:
             return self._gamma * np.sin(u)  # near the target, where nothing saturates
         return self._gamma * np.sin(_within(u))
 
     def S(self, e: Array) -> Array:
-        """S(e) ≥ 0."""
+        """Return S(e) ≥ 0."""
         u = _within(e / self._gamma)
         beyond = np.abs(e / self._gamma) - np.abs(u)  # inside exactly 0, however large γ is
         # 1 − cos u = 2 sin²(u/2), which keeps its digits near zero
         return np.asarray(self._gamma**2 * (2.0 * np.sin(0.5 * u) ** 2 + beyond))
 
     def ds(self, e: Array) -> Array:
-        """s'(e), between 0 and 1."""
+        """Return s'(e), between 0 and 1."""
         inside = np.abs(e) < 0.5 * np.pi * self._gamma
         return np.where(inside, np.cos(_within(e / self._gamma)), 0.0)
 
@@ -136,11 +135,11 @@ class Tanh(_Bounded):
     """
 
     def s(self, e: Array) -> Array:
-        """s(e), between −γ and γ."""
+        """Return s(e), between −γ and γ."""
         return self._gamma * np.tanh(e / self._gamma)
 
     def S(self, e: Array) -> Array:
-        """S(e) ≥ 0."""
+        """Return S(e) ≥ 0."""
         u = np.abs(e / self._gamma)
         # log cosh u: the first form cancels for large u, the second for small u
         near = 0.5 * np.log1p(np.sinh(np.minimum(u, 1.0)) ** 2)
@@ -148,7 +147,7 @@ class Tanh(_Bounded):
         return np.asarray(self._gamma**2 * np.where(u < 1.0, near, far))
 
     def ds(self, e: Array) -> Array:
-        """s'(e), between 0 and 1."""
+        """Return s'(e), between 0 and 1."""
         return np.asarray(1.0 - np.tanh(e / self._gamma) ** 2)
 
 

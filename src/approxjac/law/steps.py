@@ -1,7 +1,7 @@
 """Steps of the set-point laws and of a held measurement, on numbers or on symbols.
 
 A controller checks its arguments, collects the terms of the believed robot and calls these.
-`codegen` writes them down by calling the controller with symbols.
+`codegen` traces them by calling the controller with symbols.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def setpoint_step(
     theta_hat: Array,
     singularity: Singularity,
 ) -> tuple[Array, Array, Any, Array, Array | None, Array | None]:
-    """Answer as the laws (5), (6) and (28) do, with a posture and on a path.
+    """Evaluate the laws (5), (6) and (28), with a posture and on a path.
 
     The gains are diagonals, K_p and K_v (m,) and the damping (n_v,); q̇ is (n_v,) and θ̂ (P,).
 
@@ -88,7 +88,7 @@ def setpoint_step(
 
 
 def damped_pinv(J_hat: Array, s: Array, singularity: Singularity) -> tuple[Array, Any]:
-    """Return Ĵ⁺s (n_v,), of least q̇ᵀRq̇, and its damping λ: 0 away from singular poses."""
+    """Return Ĵ⁺s (n_v,), which minimizes q̇ᵀRq̇, and its damping λ: 0 away from singular poses."""
     ratio, scale, inverse_root = singularity
     if inverse_root is not None:
         J_hat = J_hat * inverse_root
@@ -138,12 +138,12 @@ def hold_step(
     parts: Sequence[tuple[slice, slice]],
     most: Sequence[float],
 ) -> HoldStep:
-    """Return the last x that was seen, part by part, until the arm has moved too far.
+    """Return the last measured x, part by part, until the arm has moved too far.
 
-    The memory (x, t_x, p, seen) of the steps before is (n_x + 1 + m + parts,). What arrives is x
-    (n_x,), taken at t_x [s]; where nothing `knows_time`, an x that differs is new. `errors` of x to
-    any value (m,) are not finite where it is no measurement. `parts` are entries of x, and of the
-    error, of what is measured at once, in order; `most` is how far each error may move unseen.
+    The memory (x, t_x, p, seen) of earlier steps is (n_x + 1 + m + parts,). The new x (n_x,) was
+    taken at t_x [s]; unless `knows_time`, an x that differs is new. `errors` of x to any value (m,)
+    are not finite where it is no measurement. `parts` are the entries of x, and of the error, that
+    are measured together, in order; `most` is the largest motion of each error without a new x.
     """
     kept, n = memory.tolist(), len(x)
     last, t_last, p, seen = kept[:n], kept[n], kept[n + 1 : -len(parts)], kept[-len(parts) :]
@@ -173,7 +173,7 @@ def hold_step(
 
 
 def hold_moved(held: HoldStep, motion: Array) -> Array:
-    """Return the memory after a step in which errors move by so much, shape (m,)."""
+    """Return the memory after a step in which errors move by `motion` (m,)."""
     by, moved = motion.tolist(), list[Any]()
     for rows, is_old in held.stands:
         # a part that is too old stands still: an arm that sags back is not seen by that

@@ -13,7 +13,7 @@ from approxjac.validation import Array
 def measured_velocity_torque(
     J_hat: Array, kp: Array, kv: Array, s: Array, x_dot: Array, v: Array, damping: Array, g: Array
 ) -> Array:
-    """τ = −Ĵᵀ(K_p s(e) + K_v Ẋ) − B_c q̇ + g(q), with Ẋ measured.
+    """Return τ = −Ĵᵀ(K_p s(e) + K_v Ẋ) − B_c q̇ + g(q), with Ẋ measured.
 
     Implements Eq. (5), the earlier law, kept as a baseline. Departure: the added joint damping
     −B_c q̇ is written out (the paper leaves it to "friction added intentionally").
@@ -26,7 +26,7 @@ def measured_velocity_torque(
 def estimated_velocity_torque(
     J_hat: Array, kp: Array, kv: Array, s: Array, v: Array, damping: Array, g: Array
 ) -> Array:
-    """τ = −Ĵᵀ(K_p s(e) + K_v Ĵ q̇) − B_c q̇ + g(q).
+    """Return τ = −Ĵᵀ(K_p s(e) + K_v Ĵ q̇) − B_c q̇ + g(q).
 
     Implements Eq. (6), the paper's law: Ĵ q̇ takes the place of the measured task velocity.
     Implements Eq. (28), too, with the g that has been learnt so far, `gravity`. Departure: the
@@ -48,5 +48,5 @@ def estimated_velocity_torque(
 
 
 def gravity(Z: Array, theta: Array) -> Array:
-    """g = Z(q) θ, of the regressor Z (n_v, p) and gravity parameters (p,). Implements Eq. (27)."""
+    """Return g = Z(q) θ of a regressor (n_v, p) and parameters (p,). Implements Eq. (27)."""
     return dot(Z, theta)

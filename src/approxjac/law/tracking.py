@@ -24,12 +24,11 @@ from approxjac.validation import Array
 
 
 class PredictedError(NamedTuple):
-    """The error as the estimates have it at one instant, and all that its derivatives need.
+    """The error predicted by estimates at one instant, with the terms of its derivatives.
 
-    In the frame where the law works: the base frame, into which the target is pulled back. With
-    Ĉ = R̂ᵀ/ŝ and ĉ = −Ĉb̂ of a camera or tracker x = sRp + b (Ĉ = I where it is known),
-    z = p̂(q) − (Ĉx_d + ĉ) and, exactly, ż = Ĵq̇ − x_d_dot + drift. Unit of the task where the sensor
-    measures in metres.
+    It is in the base frame, into which the target is transformed. With Ĉ = R̂ᵀ/ŝ and ĉ = −Ĉb̂ of a
+    camera or tracker x = sRp + b (Ĉ = I if it is known), z = p̂(q) − (Ĉx_d + ĉ) and, exactly,
+    ż = Ĵq̇ − x_d_dot + drift. It is in the task's unit if the sensor measures in metres.
 
     Attributes:
         z: Predicted error, shape (m,).
@@ -37,7 +36,7 @@ class PredictedError(NamedTuple):
         J_dot: dĴ/dt along q̇ and the motion of the estimates, shape (m, n_v).
         x_d_dot: Ĉẋ_d, shape (m,).
         x_d_ddot: Its rate Ĉẍ_d + Ĉ'ẋ_d, shape (m,).
-        drift: What the estimates move z by, ż − Ĵq̇ + x_d_dot, shape (m,).
+        drift: Velocity of z due to the estimates, ż − Ĵq̇ + x_d_dot, shape (m,).
     """
 
     z: Array
@@ -49,7 +48,7 @@ class PredictedError(NamedTuple):
 
 
 class ReferenceGains(NamedTuple):
-    """How fast a reference leads an error to zero."""
+    """Gains of a reference that brings an error to zero."""
 
     alpha: float | Array  # α and k of `task_velocity`
     k: float | Array
@@ -59,7 +58,7 @@ class ReferenceGains(NamedTuple):
 
 
 def saturated(z: Array, z_dot: Array, k: float | Array) -> tuple[Array, Array]:
-    """s(z) = z/√r with r = 1 + Σ(kᵢzᵢ)², and its derivative (ż − z Σkᵢ²zᵢżᵢ/r)/√r.
+    """Return s(z) = z/√r with r = 1 + Σ(kᵢzᵢ)², and its derivative (ż − z Σkᵢ²zᵢżᵢ/r)/√r.
 
     s is along z, and with k = α/v no α sᵢ(z) is above vᵢ; with one v for all, ‖α s(z)‖ is not.
     """
@@ -72,7 +71,7 @@ def saturated(z: Array, z_dot: Array, k: float | Array) -> tuple[Array, Array]:
 def task_velocity(
     z: Array, z_dot: Array, x_d_dot: Array, x_d_ddot: Array, alpha: float | Array, k: float | Array
 ) -> tuple[Array, Array]:
-    """u = ẋ_d − αs(z) and its derivative, with ẋ_d and ẍ_d; k is that of `saturated`."""
+    """Return u = ẋ_d − αs(z) and its derivative, with ẋ_d and ẍ_d; k is that of `saturated`."""
     s, s_dot = saturated(z, z_dot, k)
     return x_d_dot - alpha * s, x_d_ddot - alpha * s_dot
 
@@ -87,7 +86,7 @@ def reference(
     singular_ratio: float = SINGULAR_RATIO,
     scale: float = 0.0,
 ) -> tuple[Array, Array, float]:
-    """q̇_r = Ĵ⁺(u − Ĵn₀) + n₀ and its derivative, with Ĵ⁺ of `damped_gram_solve`.
+    """Return q̇_r = Ĵ⁺(u − Ĵn₀) + n₀ and its derivative, with Ĵ⁺ of `damped_gram_solve`.
 
     With w = (ĴĴᵀ + λ²I)⁻¹(u − Ĵn₀) and h = Ĵ'ᵀw + n₀', differentiating the definition gives
 
@@ -119,13 +118,12 @@ def reference(
 def reference_step(
     error: PredictedError, v: Array, null: tuple[Array, Array], waits: Any, gains: ReferenceGains
 ) -> tuple[Array, Array, Any, Any]:
-    """Return q̇_r and q̈_r that lead a predicted error to zero, and what is to be said of them.
+    """Return q̇_r and q̈_r that bring a predicted error to zero, and their status.
 
-    `null` are n₀ and its derivative; the joints are to stand still while it `waits`, as nothing is
-    predicted yet.
+    `null` are n₀ and its derivative; the joints rest while it `waits` for a first prediction.
 
     Returns:
-        q̇_r; q̈_r; whether Ĵ⁺ is damped; whether all is finite, and else the joints stand still.
+        q̇_r; q̈_r; whether Ĵ⁺ is damped; whether all is finite, else the joints rest.
     """
     z, J_hat, J_hat_dot, x_d_dot, x_d_ddot, drift = error
     z_dot = dot(J_hat, v) - x_d_dot + drift
@@ -145,7 +143,7 @@ def reference_step(
 
 
 def within_speeds(velocity: Array, acceleration: Array, fastest: Array) -> tuple[Array, Array]:
-    """c q̇_r and its derivative, with the largest c ≤ 1 that keeps every abs(c q̇_r,i) ≤ fastestᵢ.
+    """Return c q̇_r and its derivative, with the largest c ≤ 1 and all abs(c q̇_r,i) ≤ fastestᵢ.
 
     Where c = fastestᵢ/abs(q̇_r,i) of one joint, c' = −c q̈_r,i/q̇_r,i.
     """
@@ -167,17 +165,17 @@ def within_speeds(velocity: Array, acceleration: Array, fastest: Array) -> tuple
 
 
 def tracking_torque(feedforward: Array, kappa: float, M_hat_sigma: Array) -> Array:
-    """τ = Y_d(q, q̇, q̇_r, q̈_r) â − κ M̂σ, with σ = q̇ − q̇_r and both terms given."""
+    """Return τ = Y_d(q, q̇, q̇_r, q̈_r) â − κ M̂σ, with σ = q̇ − q̇_r and both terms given."""
     return feedforward - kappa * M_hat_sigma
 
 
 def dynamics_rate(gamma: Array, Y_d_sigma: Array) -> Array:
-    """dâ/dt = −Γ Y_dᵀσ, shape (p,), with the diagonal of Γ and Y_dᵀσ, (p,) each."""
+    """Return dâ/dt = −Γ Y_dᵀσ, shape (p,), with the diagonal of Γ and Y_dᵀσ, (p,) each."""
     return -gamma * Y_d_sigma
 
 
 def servo_lag_rate(gamma: float, acceleration: Array, sigma: Array) -> Any:
-    """dL̂/dt = −γ wᵀσ, of a servo with L q̈ + q̇ = q̇_cmd that is sent q̇_r + L̂w.
+    """Return dL̂/dt = −γ wᵀσ, of a servo with L q̈ + q̇ = q̇_cmd that is sent q̇_r + L̂w.
 
     With q̈_r = w + Dσ, Lσ̇ = −(I + LD)σ + (L̂ − L)w, and V₃ = ½L‖σ‖² + (L̂ − L)²/2γ has
     V̇₃ = −σᵀ(I + LD)σ.
@@ -186,7 +184,7 @@ def servo_lag_rate(gamma: float, acceleration: Array, sigma: Array) -> Any:
 
 
 def tracking_potential(sigma: Array, M: Array, a_error: Array, gamma: Array) -> float:
-    """V₂ = ½σᵀMσ + ½ãᵀΓ⁻¹ã [J], with the true M and ã = a − â.
+    """Return V₂ = ½σᵀMσ + ½ãᵀΓ⁻¹ã [J], with the true M and ã = a − â.
 
     With `tracking_torque` and `dynamics_rate`, V̇₂ = −κσᵀM̂σ.
     """

@@ -1,4 +1,4 @@
-"""The paper's simulations: what is believed in them, what is left open, and what comes out."""
+"""The paper's simulations: beliefs, choices that the paper leaves open, and results."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ class Reproduction:
 
     @property
     def settles(self) -> bool:
-        """Tell if the run's error dies down, or is all but gone.
+        """True if the run's error decays, or is nearly zero.
 
         The largest error of the last quarter is then below the start and 5 % below that of the
         quarter before, and the last eighth is below the eighth before.
@@ -181,7 +181,7 @@ class Reproduction:
 
     @property
     def evidence_agrees(self) -> bool:
-        """Tell if the linearisation and the run say the same."""
+        """True if the linearisation and the run agree."""
         return self.local.stable == self.settles
 
     @property
@@ -205,7 +205,7 @@ class Reproduction:
 
     @property
     def agrees_with_paper(self) -> bool:
-        """Tell if the verdict is the paper's."""
+        """True if the verdict is the paper's."""
         return self.verdict == self.experiment.paper_says
 
     @property
@@ -252,7 +252,7 @@ class JacobianBound:
 
     @property
     def condition_23_met(self) -> bool:
-        """Tell if (23) holds for some α; Theorem 1 asks for (14) and (22) besides."""
+        """True if (23) holds for some α; Theorem 1 also needs (14) and (22)."""
         return self.p_of_figure_4 < self.allowed_p_at_a_of_figure_4
 
 

@@ -1,4 +1,4 @@
-"""The loop on a robot: drivers, `control`, and the faults that it looks for."""
+"""The loop on a robot: drivers, `control`, and the faults that it detects."""
 
 from approxjac.realtime.control import RobotRun, control
 from approxjac.realtime.driver import Driver

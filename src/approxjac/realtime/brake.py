@@ -1,4 +1,4 @@
-"""`Brake`: a driver's brake, closed once, by whoever is first; and the watchdog that may be it."""
+"""`Brake`: a driver's brake, closed once by the first caller; and a watchdog that may be it."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ _LOOKS = 4  # of the watchdog within the time that it allows
 
 
 class HungError(BaseException):
-    """End of a loop that did not come round in time; no error that a driver could catch."""
+    """The end of a loop that hung; a BaseException, so that drivers do not catch it."""
 
 
 class Brake:
-    """A driver's brake, closed once: when, by `time.perf_counter` [s], and what it raised then."""
+    """A driver's brake, closed once, with the time by `time.perf_counter` [s] and its error."""
 
     def __init__(self, driver: Driver) -> None:
         self.driver, self._lock = driver, threading.Lock()
@@ -25,7 +25,7 @@ class Brake:
         self.closed_at: float | None = None
 
     def close(self) -> None:
-        """Brake, unless that was done."""
+        """Brake, unless already braked."""
         with self._lock:
             if self.closed_at is not None:
                 return
@@ -43,10 +43,10 @@ class Brake:
 
 
 class Watchdog:
-    """A thread that brakes when the loop does not come round within the `longest` time [s].
+    """A thread that brakes if a period takes longer than `longest` [s].
 
-    Then it `bit`; and it interrupts the main thread, if that runs the loop, out of the call that
-    hangs. It cannot run while an extension holds the interpreter's lock.
+    Then it sets `bit`, and interrupts the hanging call if the loop is in the main thread. It
+    cannot run while an extension holds the interpreter's lock.
     """
 
     def __init__(self, brake: Brake, longest: float) -> None:
@@ -58,7 +58,7 @@ class Watchdog:
         self.bit = False
 
     def beat(self) -> None:
-        """Say that the loop has come round."""
+        """Signal that a period was completed."""
         self._beat = time.perf_counter()
 
     def __enter__(self) -> Watchdog:

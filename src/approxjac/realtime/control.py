@@ -1,4 +1,4 @@
-"""`control`: the loop on a robot, and nothing left undone when it ends; `RobotRun`, its record."""
+"""`control`: the loop on a robot, which it always leaves braked; `RobotRun`, its record."""
 
 from __future__ import annotations
 
@@ -45,18 +45,18 @@ _SPEED = {"m": 0.2, "rad": 0.5, "px": 100.0}  # of targets that are eased in, pe
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RobotRun(Trajectory):
-    """The record of a run on a robot, which plots and pages take like any other `Trajectory`.
+    """The record of a run on a robot, a `Trajectory` for plots and pages.
 
-    Its x is what was measured last, and the true robot is the believed one, as nobody knows more.
-    The error is that of x to the target when x was taken, if `Measurement.t_x` says when.
+    Its x is the last measured one, and its true robot is the believed one, as the true one is
+    unknown. The error is that to the target at the time x was taken, if `Measurement.t_x` is known.
 
     Attributes:
-        stop_distance: How far x went from the call for a controlled stop until the brake, NaN
+        stop_distance: Distance that x moved from the start of a controlled stop to the brake, NaN
             without one [length in the units of the task].
-        stop_bound: How far it may go: the error then, the way of the target that comes to rest,
-            and what is faster than that target for the 0.3 s that this takes.
-        gap: Time from command to command in each period of the run, shape (K,) [s].
-        work: Time from the measurement to the command in each, shape (K,) [s].
+        stop_bound: Expected bound on it: the error then, the target's stopping distance, and the
+            excess speed over the target times the 0.3 s that decelerating takes.
+        gap: Time from command to command in each period, shape (K,) [s].
+        work: Time from the measurement to the command in each period, shape (K,) [s].
     """
 
     stop_distance: float = field(kw_only=True)
@@ -103,33 +103,32 @@ def control(
 ) -> RobotRun:
     """Run a controller on a robot, and brake the robot however the run ends.
 
-    It starts only if the robot stands still, x is measured, and the controller's first command
-    would hold the arm. The target starts at the measured tip and joins the path that is asked for.
-    Every period is checked for faults (`Fault`). SIGINT, SIGTERM, SIGHUP and SIGQUIT bring it to
-    rest and end the run; a second signal brakes at once. A watchdog brakes if the driver hangs.
+    It starts only if the robot is at rest, x is measured, and the controller's first command
+    would hold the arm. The target starts at the measured tip and joins the given path. Every period
+    is checked for faults (`Fault`). SIGINT, SIGTERM, SIGHUP and SIGQUIT bring the arm to rest and
+    end the run; a second signal brakes at once. A watchdog brakes if the driver hangs.
 
     Args:
         driver: The robot.
-        controller: One for the period of the driver, within `TorqueLimited` where the robot has
+        controller: A controller for the driver's period, inside `TorqueLimited` if the robot has
             limits.
-        target: x_d, a `Target` that moves, or a path; its time is that of the run, which counts
-            periods.
-        duration: After which the arm is brought to rest [s].
-        state: State of the controller to begin with, such as `controller.resumed(...)` gives.
-        tolerances: What is no fault: of sensors and kinematics, errors, lost x, late commands.
-        speed: Of the target on its way to the path, a number or shape (m,) [unit of the task/s];
-            0.2 m/s, 0.5 rad/s and 100 px/s by default.
-        stop: Brings the arm to rest when another thread sets it.
-        observer: Called with a copy of the loop some 30 times a second, in a thread of its own,
-            such as `view.LiveView()`.
+        target: x_d, a `Target` that moves, or a path, whose time is that of the run (periods × dt).
+        duration: Time after which the arm is brought to rest [s].
+        state: Initial state of the controller, such as from `controller.resumed(...)`.
+        tolerances: Bounds of normal operation: sensors, kinematics, errors, lost x, late commands.
+        speed: Speed of the target until it joins the path, a number or shape (m,) [unit of the
+            task/s]; 0.2 m/s, 0.5 rad/s and 100 px/s by default.
+        stop: Event that brings the arm to rest when another thread sets it.
+        observer: Function called with a copy of the loop about 30 times a second, in a thread of
+            its own, such as `view.LiveView()`.
         scheduling: Processor and priority of the loop's thread; the system's by default.
 
     Returns:
-        The record of the run, with why it ended.
+        The record of the run, with the reason why it ended.
 
     Raises:
         InvalidInputError: Arguments out of range, a controller that does not fit the driver, or an
-            arm that must not begin as it stands; nothing was sent then.
+            arm that is not ready to start; nothing was sent then.
         ControlError: The driver or the controller raised an error, which is its cause. The arm was
             braked, and `given` is the run until then.
     """
@@ -239,10 +238,9 @@ def _run_of(loop: RobotLoop, why: str) -> RobotRun:
 
 
 class ObserverThread(Loop):
-    """Copy of a robot's loop for an observer, and the thread in which that is called.
+    """A copy of a robot's loop for an observer, which it calls about 30 times a second.
 
-    That is some 30 times a second. What the observer asks for is done between two steps of the
-    loop.
+    Requests of the observer are carried out between two steps of the loop.
     """
 
     _knows_truth = False
@@ -265,18 +263,18 @@ class ObserverThread(Loop):
         self._thread.join(_ANSWER)
 
     def aim_at(self, target: Any) -> None:
-        """Have the loop move its target."""
+        """Request another target."""
         with self._loop.between_steps:
             self._loop.aim_at(target)
 
     def exchange(self, controller: Any) -> None:
-        """Have the loop go on with another controller."""
+        """Request another controller."""
         with self._loop.between_steps:
             self._loop.exchange(copy.deepcopy(controller))
         self.controller = controller
 
     def stop(self) -> None:
-        """Have the loop come to rest."""
+        """Request a controlled stop."""
         self._loop.stop()
 
     def _show(self) -> None:
@@ -295,9 +293,9 @@ class ObserverThread(Loop):
 
 
 def require_at_rest(driver: Driver, task: Task, timeout: float) -> Measurement:
-    """Return a first measurement of an arm at rest, within its limits and seen.
+    """Return a first measurement; raise an InvalidInputError if q moves or is out of limits.
 
-    A first frame of x may be lost, or still be under way: for that long it is waited for [s].
+    It waits up to `timeout` [s] for a first frame of x.
     """
     robot, last, measured = task.robot, -np.inf, None
     for count in range(max(_READS, math.ceil(timeout / driver.dt))):
@@ -335,9 +333,9 @@ def require_at_rest(driver: Driver, task: Task, timeout: float) -> Measurement:
 
 
 def require_near(task: Task, x: Array) -> None:
-    """Refuse positions so far from the arm that they are in millimetres, say.
+    """Raise an InvalidInputError if x is too far from the arm, as if in millimetres.
 
-    A tracker may have its origin elsewhere in a hall.
+    The bound leaves room for a tracker with its origin elsewhere in a hall.
     """
     for feature in features(task):
         if not feature.axes or feature.frame is None:
@@ -354,7 +352,7 @@ def require_near(task: Task, x: Array) -> None:
 
 
 def require_held(driver: Driver, controller: Controller, q: Array, answer: Evaluation) -> None:
-    """Refuse to begin where the command does not hold the arm, as it is believed to be."""
+    """Raise an InvalidInputError if the first command would not hold the believed arm."""
     robot = controller.task.robot
     if answer.limit_status in (LimitStatus.INFEASIBLE, LimitStatus.SOLVER_FAILED):
         raise InvalidInputError(

@@ -1,4 +1,4 @@
-"""`Driver`: what the loop needs of a robot, and `read`: arrays of its own from one."""
+"""`Driver`: the interface of a robot to the loop, and `read`, which copies its arrays."""
 
 from __future__ import annotations
 
@@ -19,14 +19,13 @@ _AHEAD = 0.01  # s, and a period: by which x may be stamped later than the state
 
 @runtime_checkable
 class Driver(Protocol):
-    """A robot as the loop sees it. One thread calls `read` and `send`; any may call `brake`.
+    """The interface of a robot. One thread calls `read` and `send`; any may call `brake`.
 
     Attributes:
         dt: Period of the loop [s].
-        command: What `send` takes: joint torques, or joint velocities.
-        adds_gravity: Whether the robot adds the torque that holds it, by its own model, to those
-            sent.
-        limits: What the robot enforces itself, such as by refusing a command or by stopping.
+        command: Kind of commands for `send`: joint torques, or joint velocities.
+        adds_gravity: Whether the robot adds the gravity torque of its own model to commands.
+        limits: Limits that the robot enforces itself, by refusing a command or stopping.
     """
 
     dt: float
@@ -37,10 +36,9 @@ class Driver(Protocol):
     def read(self) -> Measurement:
         """Wait for the state of the next period and return it.
 
-        t is the robot's clock [s]; q, v in the order of `Robot.joint_names`; q has one number a
-        joint, angles of continuous ones too, or (cos, sin) of those as `Robot.neutral` has; x is
-        the last value that the sensor gave, taken at t_x of the same clock, or NaN where there is
-        none.
+        t is the robot's clock [s]; q and v are in the order of `Robot.joint_names`; q has one
+        number per joint, or (cos, sin) for continuous ones as in `Robot.neutral`; x is the sensor's
+        last value, taken at t_x of the same clock, or NaN if there is none.
         """
         ...
 
@@ -49,14 +47,14 @@ class Driver(Protocol):
         ...
 
     def brake(self) -> None:
-        """End control and hold the arm by the robot's own means; does nothing the second time."""
+        """End control and hold the arm by the robot's own means; do nothing the second time."""
         ...
 
 
 def read(driver: Driver, task: Task) -> Measurement:
-    """Return the next measurement, copied, as drivers may write to the same arrays each time.
+    """Return a copy of the next measurement, as drivers may reuse their arrays.
 
-    Masked entries become NaN. Encoders may give angles of continuous joints, too.
+    Masked entries become NaN, angles of continuous joints (cos, sin).
 
     Raises:
         InvalidInputError: q, q̇ or x with another number of entries.
@@ -78,5 +76,5 @@ def read(driver: Driver, task: Task) -> Measurement:
 
 
 def two_clocks(measurement: Measurement, dt: float) -> str:
-    """Return in words that x was taken after t, which no one clock can show, or ""."""
+    """Return an error text if x was taken after t, which proves two clocks, else ""."""
     return from_another_clock(measurement.t, measurement.t_x, dt + _AHEAD)

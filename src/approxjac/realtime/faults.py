@@ -1,4 +1,4 @@
-"""`Fault`: what can be wrong with a robot's loop; `Accuracy` and `Tolerances`: what is no fault."""
+"""`Fault`: faults of a robot's loop; `Accuracy` and `Tolerances`: bounds of normal operation."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _BLIND = {"m": 0.01, "rad": 0.04, "px": 10.0}
 
 
 class Fault(enum.Enum):
-    """Reason to end a run before its time."""
+    """Reason to end a run early."""
 
     JOINTS_UNKNOWN = "q or q̇ was not finite for several periods"
     POSITION_JUMPED = "q jumped further than a joint can move in a period"
@@ -53,12 +53,12 @@ class Fault(enum.Enum):
 
     @property
     def message(self) -> str:
-        """What it is, in words."""
+        """Text that says what is wrong."""
         return str(self.value)
 
     @property
     def stops(self) -> bool:
-        """Whether the controller brings the arm to rest first; else it brakes at once."""
+        """True if the controller brings the arm to rest first; else it brakes at once."""
         return self in (Fault.TORQUE_LATE, Fault.LIMITS)
 
     def __str__(self) -> str:
@@ -67,19 +67,19 @@ class Fault(enum.Enum):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Accuracy:
-    """Accuracy of the sensors, and of what is believed of the arm: errors that are no fault.
+    """Accuracy of the sensors and of the believed arm: errors within it are no fault.
 
     Attributes:
-        q: Standard deviation of q, with the steps of the encoders, a number or (n_v,) [rad or m].
-        v: The same of q̇ [rad/s or m/s].
-        velocity_filter: Time constant by which q̇ is late [s].
+        q: Standard deviation of q, including encoder steps, a number or (n_v,) [rad or m].
+        v: Standard deviation of q̇, likewise [rad/s or m/s].
+        velocity_filter: Time constant of the filter of q̇ [s].
         x: Standard deviation of x, a number or (m,) [unit of the task]; 2 mm, 2 mrad and 1 px by
             default.
-        x_period: Longest time between new values of x, as long as none is lost [s].
+        x_period: Longest time between new values of x while none is lost [s].
         stiction: Torque within which a joint may stick, a number or (n_v,) [N m or N]; 5 % of
-            its largest one by default.
-        tool: How far the tip may be from where it is believed on its link [m].
-        jacobian: Share of Ĵ by which the true Jacobian may differ besides.
+            its effort limit by default.
+        tool: Largest error of the believed tip position on its link [m].
+        jacobian: Further error of Ĵ, as a share of it.
 
     Raises:
         InvalidInputError: Numbers that are negative or not finite.
@@ -106,24 +106,24 @@ class Accuracy:
         as_number("velocity_filter", self.velocity_filter, unit="s", minimum=0.0)
 
     def for_units(self, units: Sequence[str]) -> Accuracy:
-        """Return it with an x, by default what is usual for units."""
+        """Return it with x filled in, by default from the units."""
         return self if self.x is not None else replace(self, x=[_X.get(u, 2e-3) for u in units])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Tolerances:
-    """Bounds of what is normal in a loop on a robot: anything beyond them is a fault.
+    """Bounds of normal operation on a robot: anything beyond them is a fault.
 
     Attributes:
-        accuracy: How well the sensors, and Ĵ, are known.
+        accuracy: Accuracy of the sensors and of Ĵ.
         max_error: Largest error to the moving target, a number or shape (m,) [unit of the task];
             0.15 m, 0.5 rad and 150 px by default.
-        max_blind_motion: How far the tip may move while x is lost, as it is believed, a number or
-            shape (m,) [unit of the task]; 0.01 m, 0.04 rad and 10 px by default.
-        timeout: Longest time for which x may be lost, at the start too, or limits void the proof,
-            and which a controlled stop may take [s].
-        max_period: Longest time from command to command, by the robot's clock, longer than a
-            period; after twice as long by this machine's the watchdog brakes [s].
+        max_blind_motion: Largest believed motion of x while it is lost, a number or shape (m,)
+            [unit of the task]; 0.01 m, 0.04 rad and 10 px by default.
+        timeout: Longest time for which x may be lost (also at the start) or limits may give up the
+            proof, and which a controlled stop may take [s].
+        max_period: Longest time between commands, by the robot's clock, more than one period [s];
+            the watchdog brakes after twice that by this machine's clock.
 
     Raises:
         InvalidInputError: Numbers that are not positive.
@@ -142,7 +142,7 @@ class Tolerances:
         as_number("max_period", self.max_period, unit="s", above=0.0)
 
     def for_task(self, task: Task, dt: float) -> Tolerances:
-        """Return them with a bound for each coordinate of a task, for a period of dt [s]."""
+        """Return them filled in for each coordinate of a task and a period of dt [s]."""
         as_number("max_period", self.max_period, unit="s", above=dt)
         return replace(
             self,
@@ -155,7 +155,7 @@ class Tolerances:
 def task_bounds(
     name: str, given: Any, task: Task, usual: Mapping[str, float], per: str = ""
 ) -> Array:
-    """Return bounds (m,), by default the usual ones of units, infinite where there are none."""
+    """Return bounds (m,), by default the usual ones for the units, infinite for other units."""
     if given is None:
         return np.array([usual.get(unit, math.inf) for unit in task.units])
     return as_limits(name, given, task.m, unit=joined(task.units) + per)

@@ -35,31 +35,31 @@ Sensor = Callable[[float, Array], "Array | tuple[Array, float]"]
 class FrankaDriver:
     """A Franka FR3, by its makers' client and network protocol, at 1 kHz.
 
-    The robot adds gravity, as it knows it, to the torques that it is sent. Control begins with the
+    The robot adds the gravity torque of its own model to commanded torques. Control begins with the
     first command; until then, and after `brake`, the robot holds itself.
 
-    Commands are brought within less than the rates that the robot takes: torques within its
-    efforts and 500 N m/s of the last that it got, velocities within 7 rad/s², 1000 rad/s³ and its
-    speeds near joint ends. Whatever else is beyond its limits ends in a reflex: see `recover`.
+    Commands are clipped safely below the robot's limits: torques to its efforts and 500 N m/s from
+    the last one, velocities to 7 rad/s², 1000 rad/s³ and its speeds near joint ends. Any other
+    limit that is exceeded causes a reflex, the robot's own stop: see `recover`.
 
     Args:
-        address: Of the robot's control unit.
+        address: Address of the robot's control unit.
         sensor: Function of the robot's time t [s] and q, shape (7,), that returns x, or x and the
             time t_x [s] at which it was taken; NaN where there is none. It is called once a period
             and must not wait.
         command: "torque", or "velocity" for a controller that commands velocities.
-        gravity: The robot as it knows itself, whose gravity is taken off again: for controllers
-            that compensate all of it, such as the tracking law. None sends torques as they are, for
-            those that leave it to the robot.
-        collision: Torques of the joints and forces on the tip above which a contact is a collision
-            and ends in a reflex: a number or shape (7,) [N m], and a number or shape (6,) [N, N m].
-            None leaves what the robot has.
-        realtime: Whether to demand a kernel and a priority for real time, as a robot should have.
+        gravity: The robot's own model, whose gravity torque is subtracted from commands: for
+            controllers that compensate all gravity, such as the tracking law. None sends torques
+            unchanged, for controllers that leave gravity to the robot.
+        collision: Joint torques, and forces on the tip, above which a contact causes a reflex: a
+            number or shape (7,) [N m], and a number or shape (6,) [N, N m]. None keeps the
+            robot's setting.
+        realtime: Whether to require a real-time kernel and priority, as a robot should have.
 
     Raises:
         DriverError: No connection, or the robot refuses.
         MissingPackageError: pylibfranka is not installed.
-        InvalidInputError: An argument that is none of these.
+        InvalidInputError: An invalid argument.
     """
 
     dt: float = _DT
@@ -111,8 +111,8 @@ class FrankaDriver:
         """Wait for the state of the next period and return it, with the sensor's x.
 
         Raises:
-            DriverError: A reflex, `brake` from another thread, or a lost connection: the robot
-                waits for 1 s at most, while no other thread of Python runs.
+            DriverError: A reflex, `brake` from another thread, or a lost connection, noticed after
+                at most 1 s, during which no other Python thread runs.
         """
         control = self._control
         with self._named("read"):
@@ -124,7 +124,7 @@ class FrankaDriver:
         return Measurement(t, q, np.array(state.dq), x, t_x)
 
     def send(self, command: Array) -> None:
-        """Send torques [N m] or velocities [rad/s], shape (7,); the first ones begin control.
+        """Send torques [N m] or velocities [rad/s], shape (7,); the first call starts control.
 
         Raises:
             DriverError: The robot refuses them, or it was braked.
@@ -151,7 +151,7 @@ class FrankaDriver:
     def brake(self) -> None:
         """End control: the robot stops and holds itself. Nothing is sent until `recover`.
 
-        May be called from any thread, twice, and after a reflex, which has stopped the robot.
+        It may be called from any thread, repeatedly, and after a reflex.
         """
         self._braked = True
         with self._lock:
@@ -167,9 +167,9 @@ class FrankaDriver:
                 self._is_lost = True
 
     def recover(self) -> None:
-        """Let the robot take commands again after `brake`, and clear the error of a reflex.
+        """Accept commands again after `brake`, and clear the error of a reflex.
 
-        Only call it when somebody has seen why it stopped.
+        Call it only after a person has checked why the robot stopped.
 
         Raises:
             DriverError: The robot cannot recover, such as while its stop is pressed.

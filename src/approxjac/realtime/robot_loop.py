@@ -1,4 +1,4 @@
-"""`RobotLoop`: a controller and a robot, period by period, and its targets, eased in."""
+"""`RobotLoop`: a controller and a robot, period by period, with smoothly joined targets."""
 
 from __future__ import annotations
 
@@ -37,16 +37,17 @@ _SLOWER = 1.2  # times the period that gains were chosen for
 
 
 class RobotLoop(Loop):
-    """A loop whose measurements come from a robot, with a watch over them.
+    """A loop with a robot, which checks its measurements for faults.
 
-    It begins with the measurement `first`, has `steps` in all, and eases targets in with `speeds`
-    (m,) [unit/s]; tolerances have bounds for each coordinate of the task.
+    It begins with the measurement `first`, has `steps` in all, and moves to new targets with
+    `speeds` (m,) [unit/s]; tolerances have bounds for each coordinate of the task.
 
     Attributes:
-        fault: What is wrong, or None; and its `detail` in words: which joint, and by how much.
-        learns_sensor: Whether the controller learns where the sensor is.
-        halting: Whether it is being brought to rest.
-        between_steps: Held in each step, and by other threads that change what comes next.
+        fault: The fault, or None.
+        detail: Text on the fault: which joint, and by how much.
+        learns_sensor: Whether the controller learns the sensor's pose.
+        halting: Whether the arm is being brought to rest.
+        between_steps: Lock held in each step, and by other threads that change the loop.
     """
 
     _wanted: Target
@@ -100,7 +101,7 @@ class RobotLoop(Loop):
         self.works = np.zeros(rounds, dtype=np.float32)
 
     def advance(self) -> bool:
-        """Carry out a period; return whether the run goes on. It never sends after a fault."""
+        """Carry out a period; return True if the run continues. Nothing is sent after a fault."""
         measurement = self._timed(read(self._brake.driver, self.controller.task))
         self._read = time.perf_counter()
         with self.between_steps:
@@ -154,14 +155,14 @@ class RobotLoop(Loop):
         self.stop_distance = 0.0
 
     def aim_at(self, target: Target | TargetPath | Array) -> None:
-        """Move the target, which is eased in from where it is now."""
+        """Change the target, smoothly from the current one."""
         path = wanted_of(self.plant.sensor, target, self.step * self.dt)
         if not self.halting:
             self.path = path
             self._ease(self.target, self._velocity)
 
     def exchange(self, controller: Controller) -> None:
-        """Let another controller go on, from the next step on."""
+        """Replace the controller from the next step on."""
         require_able(self._brake.driver, controller)
         super().exchange(controller)
         self._watch_sensor()
@@ -176,7 +177,7 @@ class RobotLoop(Loop):
         self._eased = Eased(task, self.path, now, x, velocity, self._speeds)
 
     def trajectory(self) -> Trajectory:
-        """Return the record, with each of the last periods; its errors are of when x was taken."""
+        """Return the record, including every last period; errors are at the time x was taken."""
         if not self._tail:  # nothing was known: the instant before it
             self._keep()
         while self._tail:
@@ -238,7 +239,7 @@ class RobotLoop(Loop):
             self._note(Fault.LIMITS)
 
     def describe_hang(self, longest: float) -> str:
-        """Say what did not come back within a time after the last command [s]."""
+        """Describe which call hung for longer than a time after the last command [s]."""
         came = self._read - self._sent  # later: the state came after the brake, to another thread
         what = "no state came"
         if 0.0 < came < longest:
@@ -247,7 +248,7 @@ class RobotLoop(Loop):
         return f"no command for {1e3 * longest:.3g} ms, twice `max_period`: {what}"
 
     def describe_fault(self) -> str:
-        """Say what is wrong, and where."""
+        """Describe the fault and its place."""
         assert self.fault is not None
         detail = f" ({self.detail})" if self.detail else ""
         return f"{self.fault}: {self.fault.message}{detail}"
@@ -283,7 +284,7 @@ class RobotLoop(Loop):
 
 
 def require_able(driver: Driver, controller: Controller) -> None:
-    """Refuse a controller that may command what the robot does not do."""
+    """Raise an InvalidInputError for a controller that does not fit the robot."""
     if controller.command != driver.command:
         raise InvalidInputError(
             f"command of the controller must be {driver.command!r}, which the driver sends, got "
@@ -315,7 +316,7 @@ def require_able(driver: Driver, controller: Controller) -> None:
 
 
 class Eased:
-    """A target's path, with an offset that goes to zero with least jerk.
+    """A target's path with an initial offset that goes to zero with minimum jerk.
 
     It begins at x (n_x,) with a velocity in the error coordinates of the task (m,) [unit/s], and
     joins the path within its `duration` [s], no faster relative to it than a speed (m,).
@@ -335,7 +336,7 @@ class Eased:
         )
 
     def at(self, t: float) -> Target:
-        """Return the target at t [s], in the time of the path."""
+        """Return the target at t [s] of the path's time."""
         goal = target_at(self._path, t)
         r = (t - self._begin) / self.duration
         if r >= 1.0 or not (self._offset.any() or self._rate.any()):
@@ -357,9 +358,9 @@ class Eased:
 
 
 class Halt:
-    """A target that comes to rest from x and a velocity, with steady deceleration.
+    """A target that comes to rest from x and a velocity, with constant deceleration.
 
-    It takes a duration [s] and goes a `distance`, shape (m,).
+    It takes a duration [s] and covers a `distance`, shape (m,).
     """
 
     def __init__(

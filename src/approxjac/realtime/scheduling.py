@@ -1,4 +1,4 @@
-"""`undisturbed`: the interpreter and the system asked to leave a loop alone."""
+"""`undisturbed`: run a loop without interruptions by the interpreter and the system."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ class Scheduling:
 
     Attributes:
         cpu: The processor to run on; None leaves that to the system.
-        priority: Of SCHED_FIFO, from 1 to 99, for which Linux wants a permission; None leaves the
-            system's scheduling.
+        priority: Priority of SCHED_FIFO, 1 to 99, for which Linux needs a permission; None keeps
+            the system's scheduling.
     """
 
     cpu: int | None = None
@@ -39,10 +39,10 @@ class Scheduling:
 
 @contextmanager
 def undisturbed(scheduling: Scheduling) -> Iterator[None]:
-    """Run a block without garbage collection, with threads that hand over soon.
+    """Run a block without garbage collection and with short switching times of threads.
 
     Raises:
-        InvalidInputError: A processor that is not there, or a priority that the system refuses.
+        InvalidInputError: No such processor, or a priority that the system refuses.
     """
     global _loops, _usual
     before = _set(scheduling)
@@ -96,9 +96,9 @@ _SPIN = 1e-4  # s; sleeps end late by about as much
 
 
 class Pace:
-    """Waits for one period after the other; for drivers of robots that do not wait themselves.
+    """A timer of periods, for drivers whose robot does not wait itself.
 
-    Periods that were missed are left out, not made up for in a burst.
+    Missed periods are skipped, not caught up in a burst.
 
     Args:
         dt: Period [s].
@@ -124,10 +124,10 @@ _NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
 
 
 class StopSignals:
-    """While it is entered, signals that would end the program are noted instead.
+    """A context in which signals that would end the program are stored instead.
 
-    Only the main thread of a program can take signals; elsewhere this does nothing. `name` is that
-    of the first that came, and `looked_at` whether somebody looks; else a second one interrupts.
+    It works in the main thread only and does nothing in others. `name` is the first signal's;
+    `looked_at` is True once the loop has read it, else a second signal interrupts.
     """
 
     def __init__(self) -> None:

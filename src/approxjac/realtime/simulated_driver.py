@@ -21,21 +21,20 @@ _CATCH_UP = 50  # periods that an arm goes on without a command
 class SimulatedDriver(MovingArm):
     """A plant as a robot: with its sensors, its delays, a clock, and a brake.
 
-    In real time the arm does not wait: where a command is late, it goes on with the one before.
+    In real time the arm does not wait: if a command is late, the last one continues.
 
     Args:
         plant: The true robot: a `Plant`, or a `MujocoPlant` with friction and a floor.
         q0: Start configuration, shape (nq,); `plant.ready_configuration()` by default.
         dt: Period [s].
-        pace: Seconds that pass in the plant in one of the clock's on the wall; infinite for as
-            fast as it goes.
-        seed: Of the sensors' noise, ≥ 0.
+        pace: Simulated seconds per second of real time; infinite for as fast as possible.
+        seed: Seed of the sensors' noise, ≥ 0.
 
     Attributes:
-        t: Its time now [s].
-        q: Its true configuration now.
-        v: Its true joint velocity now.
-        braked: Whether the brake is closed; the arm then stands still.
+        t: Simulated time [s].
+        q: True configuration, shape (nq,).
+        v: True joint velocity, shape (n_v,).
+        braked: Whether the brake is closed, so that the arm is at rest.
     """
 
     def __init__(
@@ -63,19 +62,19 @@ class SimulatedDriver(MovingArm):
         self.braked = False
 
     def read(self) -> Measurement:
-        """Wait for the next period and return what is measured then."""
+        """Wait for the next period and return its measurement."""
         periods = 1 if self._pace is None else min(self._pace.wait(), _CATCH_UP)
         for _ in range(periods):
             measured = self._period()
         return measured
 
     def go_on(self, duration: float) -> None:
-        """Let the arm go on with the last command, as it does while nobody reads [s]."""
+        """Simulate for a duration [s] with the last command, as while the loop does not read."""
         for _ in range(round(duration / self.dt)):
             self._period()
 
     def send(self, command: Array) -> None:
-        """Take a command for the periods until the next one."""
+        """Accept a command, which acts until the next one."""
         self._command = np.array(command, dtype=float)
 
     def brake(self) -> None:

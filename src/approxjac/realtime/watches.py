@@ -1,4 +1,4 @@
-"""`FaultWatch`: a robot's measurements held against each other, period by period."""
+"""`FaultWatch`: consistency checks of a robot's measurements, period by period."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ _GROWTH, _STEPS, _TIME = 1.4, 5, 0.03  # of speed, over so many times of so many
 
 
 class FaultWatch:
-    """Hold q, q̇, the clock and commands against each other, without believing any dynamics.
+    """Consistency checks of q, q̇, the clock and commands, without a dynamic model.
 
-    Its thresholds come from noise, the largest joint speeds `fastest` (n_v,) and the period. From
-    state to state it may take at most `late` [s]. `detail` says which joint, and by how much.
+    Thresholds come from noise, the largest joint speeds `fastest` (n_v,) and the period; two states
+    may be at most `late` [s] apart. `detail` says which joint is at fault, and by how much.
     """
 
     def __init__(
@@ -113,7 +113,7 @@ class FaultWatch:
         return self._compare(way, v, last.v, elapsed, missed) or self._speed(t, v)
 
     def commanded(self, command: Array, reference: Array | None) -> Fault | None:
-        """Return the fault of a joint that is faster than commands led it to be lately."""
+        """Return the fault of a joint that is faster than recent commands explain."""
         self._command = command
         if len(self._past) == 1:  # what holds a joint that stood still from the beginning
             self._held_by = command
@@ -234,19 +234,19 @@ class _Frame(NamedTuple):
 
 
 class SensorWatch:
-    """Hold x and q against each other.
+    """Consistency checks of x and q.
 
-    x̂ = h(q) of the believed robot is only roughly right. A tip that lies elsewhere on its link by d
-    moves from one configuration to another by (R' − R) d more; so motions between two frames are
-    off by
+    x̂ = h(q) of the believed robot is only approximate. A tip displaced on its link by d moves by
+    (R' − R) d more from one configuration to another, so the error of motions between two frames is
+    at most
 
         7√2 σ + ℓ ‖R' − R‖ + κ ‖Ĵ‖ ∫‖q̇‖ dt
 
-    at most, with σ the largest noise, ℓ and κ those of `Accuracy` (`tool`, `jacobian`) and ‖Ĵ‖ the
-    largest singular value. Of that, (R' − R) d is square to the axis about which the link has
-    turned: a tool explains nothing along it. Coordinates of different units are looked at apart.
-    Where kinematics are learnt, the sensor may be turned: lengths of motions are compared then.
-    While x is lost, the tip may move by `unseen` (m,) at most.
+    with σ the largest noise, ℓ and κ those of `Accuracy` (`tool`, `jacobian`) and ‖Ĵ‖ the largest
+    singular value. (R' − R) d is perpendicular to the axis about which the link has turned: along
+    it, the tool explains no error. Coordinates of different units are checked separately. If the
+    kinematics are learnt, the sensor may be rotated, so that lengths of motions are compared. While
+    x is lost, the tip may move by `unseen` (m,) at most.
     """
 
     def __init__(
@@ -282,7 +282,7 @@ class SensorWatch:
         self._q_seen: Array | None = None  # in the last period in which there was an x
 
     def look(self, measurement: Measurement, x_d: Array) -> Fault | None:
-        """Return the fault of x, led to x_d (n_x,). q and q̇ are taken for right."""
+        """Return the fault of x, with target x_d (n_x,), assuming that q and q̇ are right."""
         t, q, v, x, t_x = measurement
         self._path += self._dt * math.hypot(*v.tolist())
         self._past.append((t, q, self._path))

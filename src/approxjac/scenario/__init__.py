@@ -1,4 +1,4 @@
-"""One description of what is true, believed, measured, who controls and where to."""
+"""Scenarios: one description of robot, belief, task, sensor, controller and run."""
 
 from approxjac.scenario.build import BuiltScenario, build_scenario
 from approxjac.scenario.outcome import RunResult, run_scenario

@@ -1,4 +1,4 @@
-"""A scenario made into what runs: plant, controller, target and start."""
+"""Build a scenario: plant, controller, target and start."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def build_scenario(
 
     Args:
         scenario: The scenario.
-        arm: Its arm without an object, where that is loaded already.
+        arm: Its arm without an object, if already loaded.
         effort_only: Leave limits of speed and position to the robot.
 
     Raises:
@@ -237,7 +237,7 @@ def _plant(truth: Robot, sensor: Task, motors: Array, scenario: Scenario, belief
 
 
 def sensing_of(given: Sensor) -> Sensing | None:
-    """Return the errors of measurements; None if there are none."""
+    """Return the sensor errors; None if there are none."""
     if given == Sensor():
         return None
     of_x = {f"x_{name}": getattr(given, name) for name in ("noise", "quantum", "delay", "dropout")}
@@ -324,7 +324,7 @@ def _kinematics(scenario: Scenario, task: Task) -> Kinematics:
 
 
 def latency_of(scenario: Scenario) -> Latency:
-    """Return the delays of a scenario's loop; continuous control as at 1 kHz."""
+    """Return the delays of a scenario's loop; for continuous control those of 1 kHz."""
     sensor = scenario.sensor
     learns = bool(scenario.controller.unknown)  # then frames are outside the loop
     return Latency(

@@ -1,4 +1,4 @@
-"""Records from tables, Python values and typed words, and back to TOML: one converter for all."""
+"""Conversion of tables, Python values and typed words to records, and back to TOML."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def hints(kind: type) -> Mapping[str, Any]:
 
 
 def filled(record: Any, values: Table, where: str = "", key: str = "") -> Any:
-    """Return a record with the values of a table in place of its own, as `Scenario` refuses them.
+    """Return a record with the values of a table in place of its own, with `Scenario`'s errors.
 
     A value may be a record or its table. Errors name the file `where` the table is from, and the
     dotted `key` of the record within its scenario.
@@ -48,7 +48,7 @@ def filled(record: Any, values: Table, where: str = "", key: str = "") -> Any:
 
 
 def checked(kind: type, base: Any, values: Table, where: str = "", key: str = "") -> dict[str, Any]:
-    """Return values of a table as a kind of record has them; those of inner tables fill `base`."""
+    """Return values of a table, converted for a kind of record; inner tables fill `base`."""
     known = {field.name: field for field in fields(kind)}
     made = {}
     for name, value in values.items():
@@ -70,7 +70,7 @@ def checked(kind: type, base: Any, values: Table, where: str = "", key: str = ""
 
 
 def value_of(hint: Any, value: Any, key: str, where: str = "") -> Any:
-    """Return a value as a field of that type has it, or refuse it by its key."""
+    """Return a value converted to a field's type, or raise an error that names its key."""
     with suppress(*WRONG_TYPE):
         return converted(hint, value)
     given = (" ".join(value) or "nothing") if isinstance(value, Words) else repr(value)
@@ -78,7 +78,7 @@ def value_of(hint: Any, value: Any, key: str, where: str = "") -> Any:
 
 
 def converted(hint: Any, value: Any) -> Any:
-    """Return a value as a field of that type has it; `WRONG_TYPE` if it is of another."""
+    """Return a value converted to a field's type; `WRONG_TYPE` if it is of another."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin in _UNIONS:
         # typed words are also a text, and so may be none
@@ -144,7 +144,7 @@ def typed_as(value: Any) -> str:
 
 
 def wanted(hint: Any) -> str:
-    """Return in words what a value of a type is."""
+    """Describe the valid values of a type."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin in _UNIONS:
         return " or ".join(wanted(kind) for kind in inner if kind is not type(None))

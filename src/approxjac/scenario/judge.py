@@ -1,4 +1,4 @@
-"""The stability of a scenario's loop before anything moves: tests, words, pictures and files."""
+"""The stability of a scenario's loop before it runs: tests, text, pictures and files."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ _OF_MAP = ("names", "x", "y", "share", "intervals")  # in summary.json
 
 @dataclass(frozen=True, eq=False)
 class StabilityResult:
-    """The tests of a loop, and what follows; None of what was not needed."""
+    """The tests of a loop, its tolerances and map; None where not needed."""
 
     scenario: Scenario
     study: Study

@@ -1,4 +1,4 @@
-"""`RunResult`: the record of a scenario that was run, the verdict, words, pictures and files."""
+"""`RunResult`: the record of a scenario's run, its verdict, text, pictures and files."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ _STRAY = 0.05  # of how far a path leads from its start: farther beside it is no
 
 @dataclass(frozen=True, eq=False)
 class RunResult:
-    """The record of a scenario, and the verdict.
+    """The record of a scenario's run, and the verdict.
 
-    Of an image in px, noise hides what an error is at one instant: its errors are the distances of
-    the points, settled is what stays within three tolerances, and the final error is an RMS. A path
-    is followed if the error got and stayed within the tolerance, which is wider.
+    For an image in px, because of noise, errors are the distances of the points, a run has settled
+    if they stay within three tolerances, and the final error is an RMS. A path is followed if the
+    error reached and stayed within the tolerance, which is wider.
     """
 
     built: BuiltScenario
@@ -124,7 +124,7 @@ class RunResult:
 
     @cached_property
     def kinematics(self) -> KinematicReport | None:
-        """What was learnt of the kinematics; None if they are not learnt."""
+        """Report of the learnt kinematics; None if they are not learnt."""
         if not self.built.scenario.controller.unknown:
             return None
         return self.built.controller.kinematics_learnt(self.run.state[-1])
@@ -133,7 +133,7 @@ class RunResult:
 
     @cached_property
     def motor_torque(self) -> Array:
-        """Torque that the motors were asked for, with gravity that the robot adds, (N, n_v)."""
+        """Commanded motor torque with the gravity that the robot adds, (N, n_v) [N m or N]."""
         run, robot = self.run, self.built.plant.adds_gravity
         if robot is None:
             return run.tau
@@ -142,7 +142,7 @@ class RunResult:
 
     @property
     def peak_torque_ratio(self) -> float:
-        """Largest torque asked for, as a share of what its motor delivers; NaN if not known."""
+        """Largest commanded torque as a share of its motor's limit; NaN if unknown."""
         return _peak(self.motor_torque, self.built.plant.motor_limits)
 
     @property
@@ -154,16 +154,16 @@ class RunResult:
 
     @property
     def joint_limit_excess(self) -> float:
-        """Distance of a joint beyond its position limits at most [rad or m]; 0 if none was."""
+        """Largest excess of a joint over its position limits [rad or m]; 0 if none."""
         return max(0.0, float(self.built.plant.robot.beyond_limits(self.run.q).max()))
 
     # -- verdict ------------------------------------------------------------------------
 
     @property
     def verdict(self) -> str:
-        """Converged, converged late, or not converged; of a path followed, or not followed.
+        """Converged, converged late, or not converged; for a path followed, or not followed.
 
-        A run of no time, as one that was stopped before it began, has none.
+        A run that was stopped before it began has none.
         """
         if float(self.run.t[-1]) == 0.0:
             return "stopped after 0 s"
@@ -174,18 +174,18 @@ class RunResult:
 
     @property
     def late(self) -> bool:
-        """True if a target at rest was reached, but in the last tenth, too late to judge."""
+        """True if a target at rest was reached in the last tenth only, too late to judge."""
         reached = not (self.on_path or self.in_pixels or math.isnan(self.settling_time))
         return reached and not self.converged
 
     @property
     def failed(self) -> bool:
-        """True if the task was not done; what is too late to judge is no failure."""
+        """True if the task was not done; being too late to judge is no failure."""
         return bool(self.reason) and not self.late
 
     @property
     def reason(self) -> str:
-        """The reason why the task was not done, or cannot be judged; nothing if it was done."""
+        """The reason why the task was not done or cannot be judged; "" if it was done."""
         if float(self.run.t[-1]) == 0.0:
             return "nothing was simulated, so there is no verdict"
         far = too_far(self.built.plant.sensor, self.run.x_d if self.on_path else self.run.x_d[-1:])
@@ -294,10 +294,10 @@ def run_scenario(
     progress: Callable[[float], None] | None = None,
     observer: Callable[[Loop], None] | None = None,
 ) -> RunResult:
-    """Simulate a scenario, that is built already or not, and judge the run.
+    """Simulate a scenario and judge the run.
 
     Args:
-        scenario: The scenario, or what `build_scenario` made of it.
+        scenario: The scenario, or the result of `build_scenario`.
         progress: As for `simulate`.
         observer: As for `simulate`.
     """
@@ -338,7 +338,7 @@ def write(result: RunResult, out: Path) -> None:
 
 
 def text(result: RunResult) -> str:
-    """Return the verdict, and then what the arm did, a line each."""
+    """Return the verdict and the figures of the run, a line each."""
     run, built, torque = result.run, result.built, result.peak_torque_ratio
     law, robot, scenario = built.law, built.plant.robot, built.scenario
     asks = "asks for up to" if built.limits is None else "up to"
@@ -411,7 +411,7 @@ def _different(record: Any, usual: Any) -> str:
 
 
 def draw(result: RunResult) -> Figure:
-    """Draw error, torque, the path of the tip or through the image, and what limits did."""
+    """Draw error, torque, the path of the tip or through the image, and the effect of limits."""
     from approxjac import view
 
     run, built, sensor = result.run, result.built, result.built.plant.sensor

@@ -1,4 +1,4 @@
-"""Parts of a scenario that would do nothing, or contradict each other, are refused by name."""
+"""Checks for keys of a scenario that would have no effect, or contradict each other."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Rule = tuple[str, bool, str, str]
 
 
 def refuse(scenario: Scenario, rules: Iterable[Rule]) -> None:
-    """Refuse what was given although it does nothing by some rules."""
+    """Raise an InvalidInputError for a given key without effect, by some rules."""
     usual = Scenario(scenario.robot)
     for key, useless, what, there_is in rules:
         value = attrgetter(key)(scenario)
@@ -31,7 +31,7 @@ def refuse(scenario: Scenario, rules: Iterable[Rule]) -> None:
 
 
 def require_effect(scenario: Scenario) -> None:
-    """Refuse what was given but would do nothing, or what contradicts something else."""
+    """Raise an InvalidInputError for keys without effect, or that contradict each other."""
     refuse(scenario, _rules(scenario))
     for kind, held in (("true", scenario.true.object), ("believed", scenario.believed.object)):
         for name, size in (("length", held.length), ("radius", held.radius)):
@@ -42,7 +42,7 @@ def require_effect(scenario: Scenario) -> None:
 
 
 def require_reportable(scenario: Scenario) -> None:
-    """Refuse what a stability report is not about."""
+    """Raise an InvalidInputError for a scenario that a stability report does not cover."""
     kind = scenario.task.kind
     fixed = "must be left out of a report, which is about a fixed Jacobian"
     adds = scenario.controller.gravity == "learn_residual"

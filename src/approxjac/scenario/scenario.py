@@ -1,4 +1,4 @@
-"""`Scenario`: what is true, believed, measured, who controls and where to, said once."""
+"""`Scenario`: one description of robot, belief, task, sensor, controller and run."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ _MOST_TEXT = 1_000_000  # bytes of a file
 
 @dataclass(frozen=True)
 class Scenario:
-    """The description of a run, a report and a live view, said once.
+    """One description for simulation, stability report, export and live view.
 
     `build_scenario` makes plant and controller of it, `run_scenario` simulates them. Each part may
-    be given as its record or as a table of what differs from the defaults:
+    be a record, or a table of the values that differ from the defaults:
     `Scenario("panda", true={"object": {"length": 0.3}}, run={"target": {"offset": (0.1, 0, 0)}})`.
-    It prints as the scenario file that says the same.
+    It prints as an equivalent scenario file.
 
     Attributes:
         robot: Name of an arm, or a .urdf file.
         tip: End-effector frame that holds the object; the robot's own by default.
         base: Link that the chain to the tip starts from.
-        free: Joints that are not locked although the tip does not need them.
+        free: Joints off the chain to the tip that are not locked.
         true: The truth, which only the plant gets to see.
         believed: The belief of the controller.
         task: The task, measured and controlled.
@@ -47,7 +47,7 @@ class Scenario:
         stability: Errors and region of a stability report.
 
     Raises:
-        UnknownNameError: A key that there is not.
+        UnknownNameError: An unknown key.
         InvalidInputError: A value of another type, or out of range.
     """
 
@@ -74,8 +74,8 @@ class Scenario:
         """Return the scenario that a TOML file describes.
 
         Raises:
-            InvalidInputError: No such file, no TOML, no robot, or a value that is none.
-            UnknownNameError: A key that there is not.
+            InvalidInputError: No such file, no TOML, no robot, or an invalid value.
+            UnknownNameError: An unknown key.
         """
         try:
             table = tomllib.loads(read_text(Path(path), _MOST_TEXT))
@@ -101,7 +101,7 @@ class Scenario:
         return made
 
     def save(self, path: str | Path) -> Path:
-        """Write the scenario file that says the same, and return its path."""
+        """Write an equivalent scenario file, and return its path."""
         write_text(Path(path), str(self))
         return Path(path)
 

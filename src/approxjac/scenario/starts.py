@@ -1,4 +1,4 @@
-"""Configurations to start from and to go to: given ones, random ones, and what is in reach."""
+"""Start and target configurations, given or random, and checks of reach."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ def regular_configuration(
 
 
 def straight_ahead(sensor: Task, q0: Array, draw: Callable[[], Array], tries: int = 100) -> Array:
-    """Return a random configuration whose task value the arm gets to straight from q0 (nq,).
+    """Return a random configuration that the arm reaches on a straight way from q0 (nq,).
 
-    No joint stop bars that way, along which a set-point law goes; of `tries`, else the last one.
+    No joint stop blocks that way in task space; if none of `tries` does, the last one is returned.
     """
     from approxjac.stability.loop.configurations import inverse_kinematics  # not for a help
 

@@ -38,17 +38,16 @@ _SHARP = np.deg2rad(35.0)  # edges sharper than this stay edges when shaded smoo
 
 
 def robot_look(robot: Robot) -> tuple[dict[str, tuple[Trimesh, ...]], list[str]]:
-    """Return shapes of links by name, in their frames [m], and what cannot be shown, and why.
+    """Return shapes of links by name, in their frames [m], and texts on those not shown.
 
-    Both sides of triangles are to be drawn: not all files have them counterclockwise.
+    Draw both sides of triangles: not all files have them counterclockwise.
 
-    A link looks like the <visual>s of the URDF that are found. Meshes are simplified to at most
-    2500 triangles a file, unless that would tear one of many small parts apart, and are ready for
-    smooth shading.
+    A link has the <visual>s of the URDF whose files are found. Meshes are simplified to at most
+    2500 triangles a file, unless that would tear small parts apart, and prepared for smooth
+    shading.
 
-    A link of which nothing is found is drawn as capsules from its origin to the joints that it
-    carries, but for those to mere frames; without any away from it, it is a ball. One that has no
-    <visual> is drawn so as well, but never as a ball.
+    A link without any is drawn as capsules from its origin to the joints that it carries, except
+    those to mere frames; if there are none and its <visual>s were not found, as a ball.
     """
     shapes: dict[str, tuple[Trimesh, ...]] = {}
     missing: dict[str, None] = {}  # in order, each once
@@ -125,7 +124,7 @@ def _in_place(robot: Robot, wanted: set[str], seen: set[str]) -> dict[str, tuple
 
 
 def load_mesh(path: Path) -> Trimesh:
-    """Return the triangles of a mesh file as they are written there, equal vertices merged.
+    """Return the triangles of a mesh file, with equal vertices merged.
 
     As in Pinocchio and in RViz, the unit and the up axis that a COLLADA file declares are ignored:
     coordinates are metres in the URDF's frame.

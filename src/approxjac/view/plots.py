@@ -85,7 +85,7 @@ def _over_time(ax: Axes, run: Trajectory, values: Array, labels: Iterable[str | 
 
 
 def plot_slack(run: Trajectory, ax: Axes | None = None) -> Axes:
-    """Draw the slack that limits took from the proof against time, and what limits did.
+    """Draw the slack against time, and the status of the limits.
 
     The status is a band of colours above the slack, which has no line where it is not known.
     """
@@ -128,10 +128,10 @@ def plot_path(
         frame: Frame to follow; the robot's `tip` by default.
         plane: Two world axes, such as "xz".
         ax: Axes to draw into; new ones by default.
-        believed: Robot that the controller believes; the path of its frame is drawn if given, and
-            where the controller learnt its kinematics, the path as it was learnt by then.
-        target: Where in the world the frame shall go, shape (3,) [m], a cross if given.
-        title: Of the axes; says frame and plane by default.
+        believed: Believed robot, whose path of the frame is drawn if given: by the kinematics
+            learnt at each instant, if they are learnt.
+        target: Target of the frame in the world, shape (3,) [m], drawn as a cross if given.
+        title: Title of the axes; by default frame and plane.
 
     Raises:
         InvalidInputError: A plane or a target of another shape.
@@ -201,21 +201,20 @@ def plot_parameters(
     truth: Mapping[str, float] | None = None,
     title: str = "What is learnt",
 ) -> Axes:
-    """Draw numbers that are learnt against time, ± two standard deviations where they are known.
+    """Draw learnt numbers against time, ± two standard deviations where known.
 
-    Where there are bands, the axes hold what is drawn after the first tenth of the run: bands
-    begin as wide as beliefs.
+    Because bands are wide at first, the axes are scaled to the run after its first tenth.
 
     Args:
         run: A run of a controller that learns.
-        names: Of the numbers, such as "tool.x" or "panda_joint1.m", of `run.parameters`; tool and
-            camera by default where they are learnt, else all.
-        ax: Axes; new ones by default.
+        names: Names of the numbers in `run.parameters`, such as "tool.x" or "panda_joint1.m"; by
+            default tool and camera if they are learnt, else all.
+        ax: Axes to draw into; new ones by default.
         truth: True numbers by name, drawn dashed.
-        title: Of the axes.
+        title: Title of the axes.
 
     Raises:
-        InvalidInputError: No run, or one in which nothing was learnt.
+        InvalidInputError: No run, or one without learning.
         UnknownNameError: No such number is learnt.
     """
     _require_run(run)
@@ -267,8 +266,7 @@ def plot_image(
 ) -> Axes:
     """Draw the true path of each point through the image, from its start to its target.
 
-    The images that were measured are faint dots. The border of a pinhole camera's image is its
-    field of view; as in all images v points down.
+    Measured images are faint dots. The border is a pinhole camera's field of view; v points down.
 
     Args:
         run: A run whose task is an image.
@@ -330,11 +328,11 @@ def plot_shares(
     Args:
         x: Values of the first parameter, shape (N_x,).
         y: Values of the second, shape (N_y,).
-        shares: Shape (N_y, N_x), 0 to 1; NaN is left grey.
-        labels: Of the axes.
-        own: Where the controller is.
+        shares: Shares, shape (N_y, N_x), 0 to 1; NaN is left grey.
+        labels: Labels of the two axes.
+        own: The controller's own parameters, marked.
         ax: Axes to draw into; new ones by default.
-        title: Of the axes.
+        title: Title of the axes.
     """
     with styled(ax, (5.6, 4.6)) as ax:
         ax.set_facecolor("0.85")

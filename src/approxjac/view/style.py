@@ -1,4 +1,4 @@
-"""One look for every plot: colour-blind safe, readable in print, reproducible files."""
+"""The style of all plots: colour-blind safe, readable in print, reproducible files."""
 
 from __future__ import annotations
 
@@ -68,10 +68,10 @@ def style() -> AbstractContextManager[None]:
 
 
 class StyledFigure(Figure):
-    """A figure that keeps the look wherever it is drawn; pyplot does not know it."""
+    """A figure that keeps the style wherever it is drawn; pyplot does not know it."""
 
     def draw(self, renderer: Any) -> None:
-        """Draw it in the look: ticks are made only now, from the settings of this moment."""
+        """Draw it in the style: ticks are made only now, from the current settings."""
         layout = self.get_layout_engine()
         with style():
             # one pass takes the room beside an image of fixed shape for room under its legend
@@ -87,7 +87,7 @@ class StyledFigure(Figure):
 
 
 def display_unit(unit: str) -> tuple[str, float]:
-    """Return the unit that an error is shown in, and how many of it one `unit` is."""
+    """Return the unit that an error is shown in, and the factor from `unit` to it."""
     return {"m": ("mm", 1e3), "rad": ("deg", 180.0 / np.pi)}.get(unit, (unit, 1.0))
 
 
@@ -114,7 +114,7 @@ def new_figure(
 def styled(
     ax: Axes | None, size: tuple[float, float] | None = None, columns: int | None = None
 ) -> Iterator[Axes]:
-    """Give the axes of a user, or new ones, to draw on in the look; their legend is put below."""
+    """Yield the user's axes, or new ones, for drawing in the style, with the legend below."""
     with style():
         ax = new_figure(size=size)[1][0] if ax is None else ax
         yield ax

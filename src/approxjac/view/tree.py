@@ -1,4 +1,4 @@
-"""What is drawn of a robot: its links as a tree of nodes, and the tip that is followed."""
+"""A robot as drawn: its links as a tree of nodes, and the tip that is followed."""
 
 from __future__ import annotations
 

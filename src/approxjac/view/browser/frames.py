@@ -1,4 +1,4 @@
-"""`RunFrames`: all that the page shows at each instant of a run, from the run's record."""
+"""`RunFrames`: the quantities that the page shows at each instant of a run."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class RunFrames:
         self._limited = [joint.idx_q for joint in limited], [joint.idx_v for joint in limited]
 
     def columns(self, run: Trajectory, kept: Any = None) -> dict[str, Array]:
-        """Return all that the page shows, first axis time.
+        """Return the quantities that the page shows, first axis time.
 
         Args:
             run: A run of the scene.
@@ -50,12 +50,12 @@ class RunFrames:
                 largest since the instant kept before.
 
         Returns:
-            t, V [J]; error in display units (N, m); torque, as a share of its limit (NaN of those
-            without one) where any limit is known, else in N m or N (N, n_v); load, |τ|/limit
-            (N, n_v); at_limit, 1 of joints at a position limit (N, n_v); joints, all positions
-            (N, n_all); tip, believed_tip (as it is learnt by then, where it is), measured and
-            target (N, 3) [m], NaN where there is no such position; force at the believed tip that
-            the task torque stands for (N, 3) [N].
+            t, V [J]; error in display units (N, m); torque, as a share of its limit (NaN without
+            one) if any limit is known, else in N m or N (N, n_v); load, |τ|/limit (N, n_v);
+            at_limit, 1 for joints at a position limit (N, n_v); joints, all positions (N, n_all);
+            tip, believed_tip (the learnt one, if it is learnt), measured and target (N, 3) [m],
+            NaN where there is no such position; force at the believed tip that corresponds to
+            the task torque (N, 3) [N].
             Of images: pixels, measured_pixels, believed_pixels and target_pixels (N, k, 2).
         """
         kept = np.arange(len(run.t)) if kept is None else kept

@@ -1,4 +1,4 @@
-"""`LiveView`: a run in the browser while it goes on, and the server of its page."""
+"""`LiveView`: a live view of a run in the browser, and the server of its page."""
 
 from __future__ import annotations
 
@@ -52,20 +52,20 @@ _CLOSING = 2.0  # for what was sent to arrive [s]
 
 
 class LiveView:
-    """A view of a run in the browser while it goes on, in real time or at another speed.
+    """A live view of a run in the browser, in real time or at another speed.
 
-    An observer for `simulate`, for one run: `aj.simulate(..., observer=view.LiveView())`. The
-    target is moved in the page (with the mouse, or as numbers); so is the believed length where
-    `believe` is given. What is not moved leaves the run as it is without a view, to the last bit.
-    Ctrl-C in the terminal stops the run and keeps what there is of it.
+    It is an observer for one run of `simulate`: `aj.simulate(..., observer=view.LiveView())`. The
+    target can be changed in the page (with the mouse, or as numbers); with `believe` also the
+    believed length. Without changes the run is the same as without a view, to the last bit.
+    Ctrl-C in the terminal stops the run and keeps its record.
 
     Args:
-        speed: Of the run, as a multiple of real time, ≥ 0.001; infinite for as fast as it goes.
-        port: Of the page, on this machine only; 7007 by default, or any free one.
-        believe: Makes the robot that the controller is to believe from the length of its object
-            [m]; without it that stays as it is.
-        believed_length: That of the object at first [m].
-        patience: How long to wait for the page to be opened before the run starts [s].
+        speed: Speed of the run, as a multiple of real time, ≥ 0.001; infinite for no waiting.
+        port: Port of the page, on this machine only; 7007 by default, or any free one.
+        believe: Function from the length of the object [m] to the robot that the controller
+            believes; without it that does not change.
+        believed_length: Initial believed length of the object [m].
+        patience: Time to wait for the page to be opened before the run starts [s].
 
     Attributes:
         url: Address of the page; None before the run has begun.
@@ -315,11 +315,11 @@ def _require_near(way: Array, far: float, words: str) -> None:
 
 
 class PageServer:
-    """Serves a page from a thread of its own, to those who know its address.
+    """A server of a page, in a thread of its own, for clients that know its address.
 
     The address holds a key, so that no other program or page on this machine finds it. Messages
-    of pages are commands, {"what": value}: of each kind the latest is kept until it is asked for.
-    What makes the page is called whenever a browser asks for it, the greeting once it is there.
+    of pages are commands, {"what": value}: the latest of each kind is kept until it is read. The
+    function for the page is called at each request, the one for the greeting once it is open.
     """
 
     def __init__(
@@ -348,13 +348,13 @@ class PageServer:
             self._loop.call_soon_threadsafe(self._broadcast, message)
 
     def received(self) -> list[tuple[str, Any]]:
-        """Return the latest command of each kind, its name and value, since this was asked last."""
+        """Return name and value of the latest command of each kind since the last call."""
         with self._lock:
             commands, self._commands = list(self._commands.values()), {}
         return commands
 
     def close(self) -> None:
-        """Stop serving, after what was sent has left."""
+        """Stop serving, after all messages were sent."""
         if self._thread.is_alive():
             self._loop.call_soon_threadsafe(self._closing.set)
             self._thread.join(_CLOSING)

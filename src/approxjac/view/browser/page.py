@@ -1,4 +1,4 @@
-"""Runs as pages: one HTML file with all that it needs inside; and an index of those in a folder."""
+"""Runs as pages, each one self-contained HTML file, and an index of those in a folder."""
 
 from __future__ import annotations
 
@@ -46,14 +46,14 @@ _ROOM = 0.35  # to all sides, for targets of a live page that are yet to come, o
 def save_page(run: Trajectory, path: str | Path, title: str | None = None) -> Path:
     """Write a run as a page for a web browser, the arm in motion and its plots; return the path.
 
-    The page is one file that needs nothing else, no network either. It shows at most 60 instants a
-    second and 1000 in all, the first and the last among them; torques and shares of limits are the
-    largest since the instant shown before.
+    The page is one self-contained file that needs no network. It shows at most 60 instants a
+    second and 1000 in all, including the first and the last; torques and shares of limits are the
+    largest since the last instant shown.
 
     Args:
         run: The run.
         path: File to write.
-        title: Of the page; says whose arm it is by default.
+        title: Title of the page; by default it names the arm.
 
     Raises:
         InvalidInputError: A run without `scene`, or a file that cannot be written.
@@ -73,7 +73,7 @@ def save_page(run: Trajectory, path: str | Path, title: str | None = None) -> Pa
 def show(run: Trajectory, title: str | None = None) -> Path:
     """Open a run's page (`save_page`) in a web browser; return the temporary file that holds it.
 
-    Where there is no browser, a line is printed that says where the page is.
+    Without a browser, the page's path is printed.
     """
     handle, name = tempfile.mkstemp(".html", "approxjac-")
     os.close(handle)
@@ -322,8 +322,8 @@ def write_index(folder: str | Path, title: str = "Runs to look at") -> Path:
     other PNGs among the pages.
 
     Args:
-        folder: With pages that `save_page` wrote.
-        title: Of the index.
+        folder: Folder with pages from `save_page`.
+        title: Title of the index.
 
     Raises:
         InvalidInputError: A folder without such pages, or that cannot be written to.

@@ -105,7 +105,7 @@ class Stage:
 
     @property
     def differs(self) -> bool:
-        """Return True where the believed arm or camera differs from the true one."""
+        """True if the believed arm or camera differs from the true one."""
         if "believed" not in self.robots:
             return False
         parts = []
@@ -120,14 +120,14 @@ class Stage:
 
     @property
     def floor(self) -> float:
-        """Return the height of the lowest frame that does not move [m]."""
+        """Height of the lowest frame that does not move [m]."""
         frames = self.scene.truth.model.frames
         fixed = [frame.placement for frame in frames if frame.parentJoint == 0]
         return min(float(placed.translation[2]) for placed in fixed)
 
     @property
     def camera_points(self) -> Array:
-        """Return where cameras in the world stand, and corners of their images, (n, 3) [m]."""
+        """Positions of cameras in the world and corners of their images, shape (n, 3) [m]."""
         views = [camera for camera in self.cameras if camera["mount"] is None]
         corners = [np.vstack([camera["apex"], _image_corners(camera)]) for camera in views]
         return np.concatenate([np.zeros((0, 3)), *corners])
@@ -301,10 +301,10 @@ def frame_points(robot: Robot, q: Array) -> Array:
 
 
 def viewpoint(moving: Array, points: Array, size: float) -> dict[str, Any]:
-    """Return from where to look at moving points (n, 3), with others (N, 3) in view [m].
+    """Return a viewpoint for moving points (n, 3), with other points (N, 3) in view [m].
 
-    That is the direction along which what moves, and with less weight the rest, spreads least,
-    turned a little; and the outermost points, farther out by how thick an arm of a size [m] is.
+    It looks, a little turned, along the direction in which the moving points, and with less weight
+    the others, spread least; and it holds the outermost points, with a margin for an arm's `size`.
     """
     spread = np.cov(moving.T) + 0.15 * np.cov(points.T)
     direction = np.linalg.eigh(spread)[1][:, 0]
