@@ -398,6 +398,16 @@ def test_the_self_test_passes_for_every_arm(arm, tmp_path):
 
 
 @needs_compiler
+def test_the_self_test_passes_where_the_camera_does_not_see_every_configuration(tmp_path):
+    arm = aj.load_robot("two_link")
+    beside = aj.PinholeCamera.looking_at((2.0, 0.0, 0.3), (0.2, 0.1, 0.0), 600.0, (640, 480))
+    task = aj.ImageTask(arm, beside)
+    aj.export_c(aj.SetpointController(task, velocity=DifferentiatedVelocity()), tmp_path)
+    compiled(tmp_path, "-O1", "selftest.c", "-o", "selftest")
+    subprocess.run([tmp_path / "selftest"], check=True, stdout=subprocess.DEVNULL)
+
+
+@needs_compiler
 @pytest.mark.skipif(shutil.which("nm") is None, reason="no nm here")
 @pytest.mark.parametrize(
     "case",

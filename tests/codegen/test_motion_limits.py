@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import approxjac as aj
 from approxjac.codegen.step import compiled
 from approxjac.controllers import CartesianSpeed, Limit, Wall
+from approxjac.interface import LimitStatus
 from approxjac.simulation.simulate import SampledLoop
 
 
@@ -81,6 +82,32 @@ def test_compiled_steps_are_those_of_python(name, rng):
     assert "FREE" in seen
     assert "INFEASIBLE" in seen or name == "no proof"
     assert seen & {"PROOF_KEPT", "LIMITED"}
+
+
+@pytest.mark.parametrize(
+    ("proof", "limit"),
+    [(True, {"rate": 900.0}), (False, {"rate": 900.0}), (False, {"velocity": 0.5})],
+)
+def test_what_joints_at_no_limit_learn_is_learnt_in_compiled_steps(proof, limit, rng):
+    arm = aj.load_robot("two_link")
+    task = aj.PositionTask(arm)
+    law = aj.SetpointController(task, gravity=aj.AdaptiveGravity(arm))
+    plain = aj.TorqueLimited(law, aj.Limits(effort=40.0, **limit), proof=proof)
+    quick, learnt = compiled(plain), 0
+    for _ in range(100):
+        q = arm.random_configuration(rng)
+        measured = aj.Measurement(0.0, q, 0.6 * rng.normal(size=2), task.value(q))
+        state = plain.initial_state(measured)
+        if "rate" in limit:  # the torque before is at the limit of the first motor
+            state[-2:] = 39.9, 0.0
+        target = measured.x + 0.03 * rng.normal(size=2)
+        (after, answer), (same, _) = (
+            each.step(state, measured, target, 1e-3) for each in (plain, quick)
+        )
+        assert_allclose(same, after, rtol=1e-6, atol=1e-9)
+        gives_up = answer.limit_status in (LimitStatus.PROOF_GIVEN_UP, LimitStatus.LIMITED)
+        learnt += gives_up and (after[: law.resting] != state[: law.resting]).any()
+    assert learnt
 
 
 def test_another_period_and_a_clock_that_jumps_are_judged_as_in_python():

@@ -40,9 +40,9 @@ def export_c(controller: Controller, folder: str | PathLike[str]) -> Path:
     made from.
 
     A step in C is a step in Python, to rounding, and the same bits wherever the compiler contracts
-    and reorders nothing. But what Python raises an error for has a status below zero; and where
-    gravity is learnt and the few sweeps that keep it within its bounds do not end, learning rests
-    for that step, for which V̇ ≤ −W is not claimed.
+    and reorders nothing. But what Python raises an error for has a status below zero; and learning
+    rests in a step where the few sweeps that keep gravity within its bounds do not end, or where
+    limits give the proof up and in Python the other joints learn: V̇ ≤ −W is not claimed there.
 
     Args:
         controller: Any that takes symbols, as those that `compiled` takes.
@@ -153,8 +153,10 @@ def _recorded(step: SampledStep, dt: float) -> list[Record]:
     for k in range(_RECORDED):
         q, v = robot.random_configuration(rng), rng.normal(scale=0.5, size=robot.nv)
         x = task.value(q) + rng.normal(scale=0.02, size=task.n_x)
-        target = x + rng.normal(scale=0.02 if k % 2 else 0.5, size=task.n_x)
+        seen = np.where(np.isfinite(x), x, task._origin)  # or there would be no target
+        target = seen + rng.normal(scale=0.02 if k % 2 else 0.5, size=task.n_x)
         if k == 0:
+            x = seen
             state = step.initial_state(Measurement(0.0, q, v, x, 0.0))
         if k % _LOST == _LOST - 1:
             x = np.full(task.n_x, np.nan)

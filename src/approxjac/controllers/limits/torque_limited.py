@@ -367,9 +367,11 @@ class TorqueLimited(ControllerWrapper):
         if hasattr(after, "arm_of"):
             goes_on = functools.reduce(operator.or_, [status == each for each in _GOES_ON])
             rests = law.complement(goes_on)
-            if self._looks_ahead:  # what joints at no limit learn is left to Python
+            if self._looks_ahead or self._has_rate:  # what joints at no limit learn is for Python
+                learns = (answer.status == _LEARNS[0]) | (answer.status == _LEARNS[1])
+                learns &= (status == _GIVEN_UP) | (status == _LIMITED)
                 is_beyond = law.any_of(np.abs(answer.torque) > self._upper)
-                law.leave(rests & (status == _GIVEN_UP) & law.complement(is_beyond))
+                law.leave(learns & law.complement(is_beyond))
             return np.concatenate([law.select(rests, state[:p], after[:p]), after[p:]])
         if status in _GOES_ON:
             return after
