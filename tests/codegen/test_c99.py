@@ -191,6 +191,18 @@ class InC:
         return status, np.array(kept[: self.n_state]), found
 
 
+@pytest.fixture(scope="module")
+def in_c_of(tmp_path_factory):
+    """A case in C, made once, and the folder of its files."""
+
+    @functools.cache
+    def made(case):
+        folder = tmp_path_factory.mktemp("case")
+        return InC(built(case)[0], folder), folder
+
+    return made
+
+
 def law_of(step):
     """The law inside of limits."""
     return getattr(step.controller, "_law", step.controller)
@@ -202,7 +214,7 @@ def draws(step, count, seed=0, at_bounds=0.1):
     task, robot, rng = law.task, law.task.robot, np.random.default_rng(seed)
     q = np.array([robot.random_configuration(rng) for _ in range(min(count, 500))])
     q = q[rng.integers(len(q), size=count)]
-    singular = singular_configurations(task, rng)
+    singular = singular_configurations(task)
     where = rng.random(count) < 0.1
     q[where] = singular[rng.integers(len(singular), size=where.sum())]
     v = rng.normal(size=(count, robot.nv)) * 10.0 ** rng.uniform(-3.0, 0.5, size=(count, 1))
@@ -236,11 +248,12 @@ def draws(step, count, seed=0, at_bounds=0.1):
     }  # fmt: skip
 
 
-def singular_configurations(task, rng, count=40):
+@functools.cache
+def singular_configurations(task):
     """Configurations that minimize σ_min of J, from random ones, and next to them."""
     from scipy.optimize import minimize
 
-    robot, found = task.robot, []
+    robot, rng, found = task.robot, np.random.default_rng(8), []
 
     def at(motion):
         return pin.integrate(robot.model, robot.neutral(), motion)
@@ -278,9 +291,9 @@ def assert_same_bits(controller, step, in_c, count, seed=0):
 
 @needs_compiler
 @pytest.mark.parametrize("case", some("limits", "posture", "away from stops", "ur5 (5), sine"))
-def test_it_gives_the_bits_of_numpy(case, tmp_path):
+def test_it_gives_the_bits_of_numpy(case, in_c_of):
     controller, step = built(case)
-    seen = assert_same_bits(controller, step, InC(controller, tmp_path), 1000)
+    seen = assert_same_bits(controller, step, in_c_of(case)[0], 1000)
     statuses, limits = {status for status, _ in seen}, {limit for _, limit in seen}
     assert {"OK", "MEASUREMENT_LOST"} <= statuses
     if isinstance(step.controller.task, aj.PositionTask):
@@ -339,7 +352,7 @@ def test_at_singular_configurations_it_is_the_controller(case):
     """There a preferred posture fades out, and Ĵ⁺ is damped: to rounding at rank loss itself."""
     controller, step = built(case)
     given, task = draws(step, 100, seed=8, at_bounds=0.0), step.controller.task
-    singular = singular_configurations(task, np.random.default_rng(8))
+    singular = singular_configurations(task)
     given["q"] = singular[np.arange(100) % len(singular)]
     given["x"] = np.array([task.value(q) for q in given["q"]])
     given["target"] = np.roll(given["x"], 1, axis=0)
@@ -366,11 +379,11 @@ def assert_is_the_controller(controller, step, given):
 @needs_compiler
 @pytest.mark.parametrize("compiler", COMPILERS)
 @pytest.mark.parametrize("case", some("panda (6), limits", "kinova (6), limits"))
-def test_the_self_test_passes_and_sanitizers_find_nothing(case, compiler, tmp_path):
-    aj.export_c(built(case)[0], tmp_path)
-    compiled(tmp_path, "-O1", *SANITIZED, "selftest.c", "-o", "selftest", compiler=compiler)
+def test_the_self_test_passes_and_sanitizers_find_nothing(case, compiler, in_c_of):
+    _, folder = in_c_of(case)
+    compiled(folder, "-O1", *SANITIZED, "selftest.c", "-o", "selftest", compiler=compiler)
     output = subprocess.run(
-        [tmp_path / "selftest"], capture_output=True, text=True, check=True
+        [folder / "selftest"], capture_output=True, text=True, check=True
     ).stdout
     assert output == "50 of 50 steps to the bit; largest difference of a torque 0\n"
 
@@ -413,11 +426,11 @@ def test_the_self_test_passes_where_the_camera_does_not_see_every_configuration(
     "case",
     ["panda (6), limits", pytest.param("kinova (5), (29)", marks=pytest.mark.study)],
 )
-def test_it_needs_no_heap_and_little_of_libm(case, tmp_path):
-    aj.export_c(built(case)[0], tmp_path)
-    compiled(tmp_path, "-O0", "-fno-builtin", "-c", "-o", "controller.o")
+def test_it_needs_no_heap_and_little_of_libm(case, in_c_of):
+    _, folder = in_c_of(case)
+    compiled(folder, "-O0", "-fno-builtin", "-c", "-o", "controller.o")
     lines = subprocess.run(
-        ["nm", "controller.o"], cwd=tmp_path, capture_output=True, text=True, check=True
+        ["nm", "controller.o"], cwd=folder, capture_output=True, text=True, check=True
     ).stdout.splitlines()
     symbols = {kind: {line.split()[-1] for line in lines if f" {kind} " in line} for kind in "UBDT"}
     assert symbols["U"] <= {"sqrt", "fabs", "floor", "_GLOBAL_OFFSET_TABLE_", "memset", "memcpy"}
@@ -441,9 +454,10 @@ def test_cmake_builds_it_and_runs_the_self_test(tmp_path):
 
 
 @needs_compiler
-def test_what_is_no_number_is_refused_with_a_safe_torque(tmp_path):
-    controller, step = built("panda (28), limits, away from stops")
-    in_c, given = InC(controller, tmp_path), draws(step, 5, seed=3)
+def test_what_is_no_number_is_refused_with_a_safe_torque(in_c_of):
+    _, step = built("panda (28), limits, away from stops")
+    in_c, folder = in_c_of("panda (28), limits, away from stops")
+    given = draws(step, 5, seed=3)
     row = {name: given[name][2].copy() for name in INPUTS} | {"dt": 1e-3}
     row["state"] = step.initial_state(Measurement(0.0, row["q"], row["v"], row["x"]))
 
@@ -454,7 +468,7 @@ def test_what_is_no_number_is_refused_with_a_safe_torque(tmp_path):
         else:
             wrong[name] = np.append(value, row[name][1:])
         status, after, found = in_c.step(*wrong.values())
-        assert status == header_number(tmp_path, f"REFUSED_{name.upper()}")
+        assert status == header_number(folder, f"REFUSED_{name.upper()}")
         assert np.isfinite(found["torque"]).all()
         return after, found["torque"]
 
@@ -473,27 +487,27 @@ def test_what_is_no_number_is_refused_with_a_safe_torque(tmp_path):
     refused("dt", 0.0)
     for name, value in (("v", 1e308), ("state", 1e308)):
         status, after, found = in_c.step(*{**row, name: np.full(len(row[name]), value)}.values())
-        assert status == header_number(tmp_path, "REFUSED_OVERFLOW")
+        assert status == header_number(folder, "REFUSED_OVERFLOW")
         assert not found["torque"].any()
 
 
 @needs_compiler
-def test_continuous_joints_off_the_unit_circle_are_refused(tmp_path):
-    controller, step = built("kinova (6), limits")
-    in_c, given = InC(controller, tmp_path), draws(step, 3)
+def test_continuous_joints_off_the_unit_circle_are_refused(in_c_of):
+    in_c, folder = in_c_of("kinova (6), limits")
+    given = draws(built("kinova (6), limits")[1], 3)
     row = [given[name][0] for name in INPUTS]
     assert in_c.step(*row, 1e-3)[0] >= 0
     row[1] = row[1] * 1.01
     status, _, found = in_c.step(*row, 1e-3)
-    assert status == header_number(tmp_path, "REFUSED_Q")
+    assert status == header_number(folder, "REFUSED_Q")
     assert not found["torque"].any()
 
 
 @needs_compiler
-def test_a_first_x_that_is_lost_starts_no_law_that_differentiates_it(tmp_path):
+def test_a_first_x_that_is_lost_starts_no_law_that_differentiates_it(in_c_of):
     for case, starts in (("ur5 (5), sine", False), ("kinova (6), limits", True)):
         controller, step = built(case)
-        in_c, robot = InC(controller, tmp_path / case[:7]), controller.task.robot
+        in_c, robot = in_c_of(case)[0], controller.task.robot
         first = Measurement(0.0, robot.neutral(), np.zeros(robot.nv), np.array([np.nan, 0.0, 0.0]))
         assert (in_c.init(first) is not None) == starts
         seen = first._replace(x=np.array([1.0, 0.0, 0.0]))

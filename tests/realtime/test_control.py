@@ -236,7 +236,7 @@ def test_a_few_periods_without_q_are_bridged(plant, controller):
             return measured
 
     driver = driver_of(plant, Blinking)
-    found = run(driver, controller)
+    found = run(driver, controller, 0.2)
     assert found.fault is None
     assert_array_equal(driver.sent[100], driver.sent[99])
     assert_array_equal(driver.sent[102], driver.sent[99])
@@ -298,8 +298,8 @@ def test_a_path_is_followed(plant, controller):
     driver = driver_of(plant)
     center = goal(plant, (-0.05, 0.0, 0.0))
     path = aj.Circle(center, 0.05, 4.0)
-    found = control(driver, controller, path, 3.2, tolerances=tolerating())
-    assert_allclose(found.x_d[3000], path.at(3.0).x)
+    found = control(driver, controller, path, 2.4, tolerances=tolerating())
+    assert_allclose(found.x_d[2300], path.at(2.3).x)
     assert found.error_norm[2000:].max() < 0.02
 
 

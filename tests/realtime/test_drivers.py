@@ -40,8 +40,8 @@ class Lists(Wrapped):
 
 @pytest.mark.parametrize("kind", [SameArrays, Lists])
 def test_arrays_of_a_driver_may_be_any(plant, controller, kind):
-    found = run(driver_of(plant, kind), controller)
-    assert_array_equal(found.q, run(driver_of(plant), controller).q)
+    found = run(driver_of(plant, kind), controller, 0.3)
+    assert_array_equal(found.q, run(driver_of(plant), controller, 0.3).q)
     assert found.fault is None
 
 

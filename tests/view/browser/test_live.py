@@ -568,7 +568,7 @@ def test_a_flood_of_messages_does_not_hold_up_a_run(panda):
     def act(pages, running):
         with ThreadPoolExecutor() as pool:
             flooding = pool.submit(asyncio.run, flood(pages.url))
-            time.sleep(1.0)
+            time.sleep(0.3)
             assert len(running.live._server._commands) <= 32
             steps = running._loop.step
             latest = time.perf_counter() + 10.0  # on a busy machine; on a quiet one it is 0.05 s
