@@ -80,6 +80,16 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(20261121)
 
 
+@pytest.fixture
+def blank_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For tests that look at what is written beside pictures: drawing both takes a second."""
+    from approxjac.view.style import StyledFigure
+
+    monkeypatch.setattr(
+        StyledFigure, "savefig", lambda figure, path, **_: Path(path).write_bytes(b"blank")
+    )
+
+
 # -- a real browser for pages: Chromium without a window, which may not use the network ----------
 
 ARGUMENTS = (

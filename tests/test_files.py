@@ -50,6 +50,7 @@ def test_files_that_belong_together_come_together(tmp_path):
         pass
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_a_command_that_breaks_off_leaves_the_files_of_the_one_before(tmp_path, monkeypatch):
     words = ["simulate", "two_link", "--duration", "0.5", "--out", str(tmp_path)]
     main(words)

@@ -7,6 +7,7 @@ import pytest
 from approxjac.cli import main
 from approxjac.scenario import Scenario
 
+pytestmark = pytest.mark.usefixtures("blank_pictures")
 HOME = [0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7]
 TOML = f"""
 robot = "panda"

@@ -44,6 +44,7 @@ def test_truth_and_belief_are_two_robots_that_differ_as_the_scenario_says():
     assert built.law.gravity.robot == belief == built.believe(0.1)
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_it_converges_and_says_so(done, tmp_path):
     assert done.converged
     assert done.reason == ""
@@ -470,6 +471,7 @@ LEARNS = {
 PARTS = ("tool", "origins", "camera")
 
 
+@pytest.mark.usefixtures("blank_pictures")
 @pytest.mark.parametrize(
     "controller",
     [
