@@ -41,7 +41,7 @@ def _cache(tmp_path_factory: pytest.TempPathFactory) -> None:
 
 
 WHOLE = MachineCode.of
-OPTIMISED = ("test_graph.py", "test_lanes.py", "test_loops.py", "test_machine_code.py")
+OPTIMISED = ("test_graph.py", "test_loops.py", "test_machine_code.py")
 
 
 def _quickly(text: str, features: str, effort: int = 0) -> MachineCode:

@@ -20,7 +20,7 @@ from approxjac.law import Sine
 from approxjac.robots import Dynamics
 from approxjac.stability.rollouts import setting as rollout_setting
 
-SHORT = {"runs": 24, "duration": 1.0, "dt": 2e-3}
+SHORT = {"runs": 12, "duration": 1.0, "dt": 2e-3}
 
 
 def study(arm, axes="xyz", *, learns=False, **options):
@@ -168,7 +168,7 @@ def test_more_runs_than_a_compiled_loop_was_made_for():
 def test_divergence():
     loop = study("panda", gains=aj.Gains(1e8, 1e6, 1.0))
     ours, python = (rolled(*loop, engine=engine, **SHORT) for engine in ("lanes", "python"))
-    assert ours.n_diverged == python.n_diverged == 24
+    assert ours.n_diverged == python.n_diverged == 12
     require_agreement(ours, python)
 
 
@@ -319,7 +319,7 @@ def test_regular_parts_of_a_box(name):
     )
     assert ours.setting.engine == "lanes"
     require_agreement(ours, python)
-    assert 0 < ours.columns["stayed"].sum() < 24
+    assert 0 < ours.columns["stayed"].sum() < 12
     plain = rolled(*loop, **SHORT)
     assert ours.n_left != plain.n_left
 
