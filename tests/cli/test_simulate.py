@@ -5,6 +5,7 @@ import json
 import pytest
 
 from approxjac.cli import main
+from approxjac.robots import load_robot
 from approxjac.scenario import Scenario
 
 pytestmark = pytest.mark.usefixtures("blank_pictures")
@@ -113,3 +114,28 @@ def test_a_path_has_a_short_option(tmp_path, words, target):
     assert main(["simulate", "panda", *words, *run]) in (0, 1)
     expected = Scenario("panda", run={"target": target, "duration": 0.01})
     assert Scenario.load(saved) == expected
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ([], {"speed": 1.0, "port": None, "believed_length": 0.0}),
+        (["--speed", "3", "--port", "7123", "--believed-length", "0.15"],
+         {"speed": 3.0, "port": 7123, "believed_length": 0.15}),
+    ],
+)  # fmt: skip
+def test_a_run_is_shown_as_the_options_say(tmp_path, monkeypatch, words, expected):
+    class Shown(Exception):
+        def __init__(self, believe, **given):
+            self.believed, self.given = believe(0.25), given
+
+    def run(built, progress, observer):
+        raise observer
+
+    monkeypatch.setattr("approxjac.view.LiveView", Shown)
+    monkeypatch.setattr("approxjac.scenario.run_scenario", run)
+    with pytest.raises(Shown) as caught:
+        main(["simulate", "two_link", "--view", *words, "--out", str(tmp_path)])
+    assert caught.value.given == expected
+    arm, usual = load_robot("two_link"), Scenario("two_link")
+    assert caught.value.believed == arm.with_object(0.25, usual.believed.object.mass)

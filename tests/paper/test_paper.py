@@ -1,5 +1,6 @@
 """The reproduction contract: THEORY.md, section 4. Figure 1 is Eq. (23), Eq. (24), Eq. (25)."""
 
+import dataclasses
 import math
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from numpy.testing import assert_allclose
 import approxjac as aj
 from approxjac.errors import UnknownNameError
 from approxjac.paper import experiments as paper
+from approxjac.paper import verdicts
 from approxjac.robots import Dynamics
 
 # figure: max Re λ, ‖e‖/‖e(0)‖ at 5, 20, 60, 120 s, verdict, as THEORY.md prints them
@@ -148,6 +150,40 @@ def test_a_verdict_needs_linearization_and_run(results):
     assert paper.Reproduction(stable.experiment, stable.run, stable.local, None).verdict == "stable"
 
 
+FALLING = np.exp(-0.05 * np.arange(80.0))
+
+
+@pytest.mark.parametrize(
+    ("norm", "settles"),
+    [
+        (FALLING, True),
+        (np.exp(-1e-3 * np.arange(80.0)), False),  # by 2 % in a quarter
+        (np.append(FALLING[:70], np.full(10, 1.5 * FALLING[65])), False),  # and rises at the end
+        (np.append(1.0, 9.0 * FALLING[1:20].repeat(5)[:79]), False),  # but not below its start
+        (np.append(FALLING[:60], np.linspace(0.0, 9e-7, 20)), True),  # what is all but gone
+        (np.append(FALLING[:60], np.linspace(0.0, 2e-6, 20)), False),
+    ],
+)
+def test_an_error_has_died_down_where_each_part_of_its_end_says_so(usual, norm, settles):
+    error = np.outer(norm, [0.6, -0.8])
+    run = dataclasses.replace(usual.run, t=np.arange(80.0), error=error)
+    assert dataclasses.replace(usual, run=run).settles == settles
+
+
+@pytest.mark.parametrize("inertia", ["rod", "point-mass"])
+def test_an_arm_that_is_believed_as_it_is_has_the_inertia_of_the_true_one(inertia, rng):
+    """Of Figures 3 to 5 the camera alone is wrong; friction is that of both joints."""
+    plant, controller = paper.build(
+        paper.EXPERIMENTS[4], paper.Setup(inertia=inertia, friction=0.4)
+    )
+    belief = Dynamics(controller.task.robot)
+    for q in rng.uniform(-3.0, 3.0, (3, 2)):
+        assert_allclose(belief.M(q), plant.dynamics.M(q))
+        assert_allclose(belief.g(q), plant.dynamics.g(q), atol=1e-12)
+        assert_allclose(controller.gravity.torque(q), plant.dynamics.g(q), atol=1e-12)
+    assert_allclose(plant.friction, [0.4, 0.4])
+
+
 def test_a_limit_cycle_is_not_called_stable():
     """A large start makes any early quarter look worse than a limit cycle that goes on."""
     setup = paper.Setup(
@@ -272,3 +308,18 @@ def test_point_masses_have_the_same_gravity_and_another_inertia(rng):
 def test_bad_setups_are_refused(changes, error, text):
     with pytest.raises(error, match=text):
         paper.Setup(**changes)
+
+
+def test_the_cross_in_a_figure_is_where_the_target_has_the_tip(usual, tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(verdicts.view, "save_figure", lambda figure, stem: drawn.append(figure))
+    setup = paper.Setup(duration=2.0)
+    truth = paper.build_arm()
+    verdicts.write_result(usual, setup, truth, tmp_path)
+    lines = {line.get_label(): np.array(line.get_data()).T for line in drawn[0].axes[1].lines}
+    (l1, l2, lo), (q1, q2) = paper.LENGTHS, setup.target
+    tip = l1 * np.exp(1j * q1) + (l2 + lo) * np.exp(1j * (q1 + q2))
+    assert_allclose(lines["target"], [[tip.real, tip.imag]], atol=1e-12)
+    start = l1 * np.exp(1j * setup.start[0]) + (l2 + lo) * np.exp(1j * sum(setup.start))
+    assert_allclose(lines["path of object_tip"][0], [start.real, start.imag], atol=1e-12)
+    assert aj.Trajectory.load(tmp_path / "fig4.npz").t[-1] == 2.0

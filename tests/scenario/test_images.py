@@ -4,6 +4,7 @@ import json
 import math
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
@@ -109,6 +110,18 @@ def test_the_believed_camera_differs_as_the_scenario_says():
     back = R.T @ (p_hat - p)
     assert_allclose(back[:2], 0.0, atol=1e-12)
     assert back[2] < -0.3
+
+
+def test_all_errors_of_a_camera_are_along_and_about_its_own_axes():
+    """First it is rolled, then turned in the axes that it has then; moved along the true ones."""
+    wrong = {"roll": 0.3, "rotation": (0.1, -0.2, 0.05), "shift": (0.02, -0.03, 0.01)}
+    built = build_scenario(camera(believed={"camera": wrong}))
+    (R, p), (R_hat, p_hat) = (
+        task.camera.placement() for task in (built.plant.sensor, built.law.task)
+    )
+    turned = pin.exp3(np.array([0.0, 0.0, 0.3])) @ pin.exp3(np.array(wrong["rotation"]))
+    assert_allclose(R.T @ R_hat, turned, atol=1e-12)
+    assert_allclose(R.T @ (p_hat - p), wrong["shift"], atol=1e-12)
 
 
 def test_the_controller_never_sees_the_truth():

@@ -110,6 +110,12 @@ def test_a_pose_has_errors_of_two_units():
     assert summary["final_error_m"] < 5e-3
     assert summary["final_error_rad"] < 5e-3
     assert len(summary["target"]) == 7
+    assert summary["start_error_m"] == pytest.approx(0.03)
+    assert summary["start_error_rad"] == pytest.approx(0.2, rel=1e-3)
+    for k in (0, -1):
+        error = result.run.error[k]
+        sizes = {"m": np.linalg.norm(error[:3]), "rad": np.linalg.norm(error[3:])}
+        assert result.errors_at(k) == pytest.approx(sizes)
 
 
 def test_stacked_frames_and_the_target_of_a_configuration():
@@ -329,6 +335,31 @@ def test_what_limits_did_is_told(limited):
     assert torque == pytest.approx(limited.run.tau[:, 0] / (0.7 * 87.0))
 
 
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize("joint", [0, 4])
+def test_what_a_run_did_at_most_is_told_of_every_joint_to_both_sides(limited, side, joint):
+    """At some instant within the run: torques, speeds, and how far it went beyond its stops."""
+    arm, own = aj.load_robot("panda"), dataclasses.replace
+    stop = arm.position_limits[int(side > 0.0)][joint]
+    middle = len(limited.run.t) // 2
+
+    def told(**changes):
+        columns = {name: np.zeros_like(getattr(limited.run, name)) for name in ("tau", "v")}
+        columns["q"] = np.tile(HOME, (len(limited.run.t), 1))
+        for name, value in changes.items():
+            columns[name][middle, joint] = value
+        return own(limited, run=own(limited.run, **columns)).summary()
+
+    effort, speed = limited.built.limits.effort[joint], arm.velocity_limits[joint]
+    found = told(tau=1.3 * side * effort, v=0.4 * side * speed, q=stop + 0.02 * side)
+    assert found["peak_torque_ratio"] == pytest.approx(1.3)
+    assert found["limits"]["largest_torque_violation"] == pytest.approx(0.3 * effort)
+    assert found["limits"]["peak_speed_ratio"] == pytest.approx(0.4)
+    assert found["joint_limit_excess"] == pytest.approx(0.02)
+    within = told()
+    assert within["joint_limit_excess"] == within["limits"]["largest_torque_violation"] == 0.0
+
+
 def test_a_torque_rate_is_kept():
     rated = {"limits": "urdf", "torque_rate": 500.0, "settling_time": 0.4}
     result = run_scenario(reach(controller=rated, run={**FAR, "duration": 0.2}))
@@ -419,6 +450,8 @@ def test_a_path_begins_where_the_task_starts_and_is_followed(path):
     summary = result.summary()
     assert summary["largest_error_m"] == result.run.error_norm.max()
     assert 0.0 < summary["rms_error_m"] < summary["largest_error_m"]
+    last = result.run.error_norm[-(len(result.run.t) // 4) :]
+    assert summary["last_quarter_rms_error_m"] == pytest.approx(np.sqrt(np.mean(last**2)))
     told = report.text(result)
     assert "\nerror " not in told  # which begins with 0: the path begins where the arm is
     strayed = f"up to {1e3 * summary['largest_error_m']:.3g} mm from the path, "

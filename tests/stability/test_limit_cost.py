@@ -8,7 +8,10 @@ import pytest
 
 import approxjac as aj
 from approxjac.formatting import plain
+from approxjac.stability.certificates.certificate import sampled_test
 from approxjac.stability.certificates.limit_cost import limit_cost
+from approxjac.stability.certificates.matrix_form import MatrixForm, best_weights
+from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.report.report import of_limits
 
 Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
@@ -132,3 +135,61 @@ def test_where_gravity_is_learnt_the_limiter_keeps_this_V_by_itself():
     assert report.limits.protects
     assert report.limits.level == 0.0
     assert "certified" not in {row.name for row in of_limits(report.limits)}
+
+
+@pytest.fixture(scope="module")
+def posed():
+    """A loop of two units on an arm that weighs something, its limits, samples and their cost."""
+    arm = aj.load_robot("ur5")
+    law = aj.SetpointController(aj.PoseTask(arm), aj.Gains((400.0,) * 3 + (40.0,) * 3, 40.0, 5.0))
+    limiter = aj.TorqueLimited(law, aj.Limits(effort=arm.effort_limits))
+    loop = ClosedLoop(law, arm, aj.JointBox.around(arm, (0.0, -1.2, 1.4, -1.0, -1.5, 0.0), 0.5))
+    samples = loop.draw(40, np.random.default_rng(0))
+    return law, limiter, samples, limit_cost(loop, limiter, samples, None, None)
+
+
+def test_clipped_are_starts_at_which_the_law_asks_some_motor_for_too_much(posed):
+    law, limiter, samples, cost = posed
+    asked = []
+    for q, x, x_d in zip(samples.q, samples.x, samples.x_d, strict=True):
+        here = aj.Measurement(0.0, q, np.zeros(len(q)), x)
+        asked.append(law.evaluate(law.initial_state(here), here, x_d).torque)
+    beyond = np.abs(asked) > limiter.limits.effort
+    assert beyond.any(axis=0).sum() > 1  # one motor here, another one there
+    assert cost.clipped == beyond.any(axis=1).mean() < 1.0
+
+
+def test_an_error_of_each_unit_has_a_bound_of_its_own(posed):
+    """To either side and beside the weight; for larger errors some motor has too little."""
+    law, limiter, samples, cost = posed
+    units = np.array(law.task.units)
+    weight = [np.abs(aj.Plant(law.task.robot).dynamics.g(q)) for q in samples.q]
+    assert set(cost.free) == {"m", "rad"}
+    for unit, free in cost.free.items():
+        pull = samples.J_hat.mT * np.where(units == unit, law.diagonals.kp, 0.0)
+        share = (weight + free * np.linalg.norm(pull, axis=2)) / limiter.limits.effort
+        assert share.max() == pytest.approx(1.0)
+
+
+def test_speeds_that_a_filter_keeps_count_with_the_inertia_of_where_they_were():
+    """Of a filtered q̇ the arm may have been anywhere, light or heavy, when it was as fast."""
+    arm = aj.load_robot("two_link").with_object(0.5, 2.0, axis="x")
+    task = aj.PositionTask(arm, axes="xz")
+    law = aj.SetpointController(task, aj.Gains(30.0, 20.0, 5.0))
+    limiter = aj.TorqueLimited(law, aj.Limits(effort=130.0))
+    loop = ClosedLoop(law, arm, aj.JointBox.around(arm, (0.3, 1.2), 0.4))
+    samples = loop.draw(24, np.random.default_rng(0))
+    form = MatrixForm(samples, loop.setting)
+    latency = aj.Latency(2e-3, velocity_filter=4e-3)
+    sampled = sampled_test(loop, best_weights(form, "free"), form, form, latency)
+    assert sampled.certified
+    cost = limit_cost(loop, limiter, samples, sampled, None)
+    speed = sampled.speed * np.sqrt(cost.level / sampled.level)  # |q̇|_M and |s|_U at most
+    room = 130.0 - np.abs([aj.Plant(arm).dynamics.g(q) for q in samples.q])
+    kp, kv, damping = law.diagonals
+    D = (samples.J_hat.mT * kv) @ samples.J_hat + np.diag(damping)
+    damped = np.sqrt(np.einsum("nij,kjl,nil->nki", D, np.linalg.inv(samples.M), D))
+    pull, U = samples.J_hat.mT * kp, sampled.weights.block(loop.setting.c_bar)
+    pulled = np.sqrt(np.einsum("nij,jk,nik->ni", pull, np.linalg.inv(U), pull))
+    assert 0.0 < cost.level < sampled.level
+    assert (speed * (damped + pulled[:, None]) <= room[:, None] * (1.0 + 1e-9)).all()

@@ -34,6 +34,37 @@ def test_the_torque_of_each_joint_is_drawn(run):
     assert ax.get_ylabel() == r"$\tau$ [N m]"
 
 
+def test_each_torque_is_drawn_as_the_share_of_its_own_limit(run):
+    """To both sides, as lines of limits are; without a line where none is known."""
+    ax = view.plot_torque(run, limits=np.array([20.0, 5.0]))
+    lines = {line.get_label(): line.get_ydata() for line in ax.get_lines()}
+    assert_allclose(lines["joint1"], run.tau[:, 0] / 20.0)
+    assert_allclose(lines["joint2"], run.tau[:, 1] / 5.0)
+    levels = [line.get_ydata()[0] for line in ax.get_lines() if len(set(line.get_ydata())) == 1]
+    assert sorted(levels) == [-1.0, 1.0]
+    ax = view.plot_torque(run, limits=np.array([np.inf, 5.0]))
+    lines = {line.get_label(): line.get_ydata() for line in ax.get_lines()}
+    assert np.isnan(lines["joint1"]).all()
+    assert_allclose(lines["joint2"], run.tau[:, 1] / 5.0)
+
+
+def test_shares_are_drawn_over_their_own_parameter():
+    """x along the axis of x: values, what belongs to them, the controller's own, and scales."""
+    x, y = np.array([0.1, 1.0, 10.0]), np.array([2.0, 4.0])
+    shares = np.array([[0.1, 0.2, 0.3], [0.4, np.nan, 0.6]])  # by y, and then by x
+    ax = view.plot_shares(x, y, shares, labels=("a", "kv"), own=(0.7, 3.0))
+    (star,) = (line for line in ax.get_lines() if line.get_label() == "as given")
+    assert (list(star.get_xdata()), list(star.get_ydata())) == ([0.7], [3.0])
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("a", "kv")
+    assert (ax.get_xscale(), ax.get_yscale()) == ("log", "linear")
+    (mesh,) = ax.collections
+    shown = mesh.get_array().reshape(shares.shape)
+    assert_allclose(shown.filled(np.nan), shares)
+    assert mesh.get_clim() == (0.0, 1.0)
+    across = mesh.get_coordinates()[0, :, 0]
+    assert all(low < value < high for low, value, high in zip(across, x, across[1:], strict=False))
+
+
 def test_the_path_is_that_of_the_true_tip(run):
     robot = aj.load_robot("two_link")
     ax = view.plot_path(run, robot)

@@ -1,11 +1,18 @@
 """Walking the nodes of a robot gives Pinocchio's placement of every link."""
 
+from itertools import pairwise
+
 import numpy as np
 import pinocchio as pin
+import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
 from approxjac.view.tree import Tree, joint_positions
+
+
+INERTIAL = """<inertial><mass value="1"/>
+  <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>"""
 
 
 def placements(tree, positions):
@@ -54,6 +61,27 @@ def test_a_mimic_joint_moves_and_is_driven_by_its_leader():
     assert len(moving) == 2
     assert_allclose([found[joint.column] for joint in moving], 0.03)
     assert {tree.drivers[joint.child] for joint in moving} == {arm.nv - 1}
+
+
+@pytest.mark.parametrize("multiplier", [-2.0, 0.5])
+@pytest.mark.parametrize("leader", ["j1", "j2"])
+def test_a_mimic_joint_is_driven_by_its_leader_whichever_way_it_turns(leader, multiplier):
+    names = ("base", "a", "b", "c")
+    text = "".join(f'<link name="{name}">{INERTIAL}</link>' for name in names)
+    for k, (parent, child) in enumerate(pairwise(names), 1):
+        mimic = f'<mimic joint="{leader}" multiplier="{multiplier}" offset="0.1"/>' * (k == 3)
+        text += f'''<joint name="j{k}" type="revolute"><parent link="{parent}"/>
+          <child link="{child}"/><origin xyz="0.1 0 0.2"/><axis xyz="0 1 0"/>
+          <limit lower="-2" upper="2" effort="5" velocity="1"/>{mimic}</joint>'''
+    arm = aj.Robot(f'<robot name="coupled">{text}</robot>')
+    tree = Tree(arm, "true")
+    assert tree.drivers == {"base": -1, "a": 0, "b": 1, "c": int(leader[1]) - 1}
+    q = np.array([[0.3, -0.4]])
+    (found,) = joint_positions(arm, q)
+    columns = {joint.name: joint.column for joint in tree.joints}
+    expected = {"j1": 0.3, "j2": -0.4}
+    expected["j3"] = multiplier * expected[leader] + 0.1
+    assert {name: found[column] for name, column in columns.items()} == pytest.approx(expected)
 
 
 def test_continuous_joints_do_not_jump():

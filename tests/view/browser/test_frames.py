@@ -107,6 +107,14 @@ def test_errors_are_in_display_units(scene, q):
     assert_allclose(found["error"], 2.0)
 
 
+def test_each_error_of_a_pose_is_in_the_display_unit_of_its_own(panda, q):
+    task = aj.PoseTask(panda)
+    scene = Scene(panda, panda, task, task, panda.effort_limits)
+    x = np.array([task.value(row) for row in q])
+    found = columns(scene, q, x, x, error=np.tile([0.002, 0, 0, 0.1, 0, 0.2], (4, 1)))["error"]
+    assert_allclose(found, np.tile([2.0, 0, 0, np.degrees(0.1), 0, np.degrees(0.2)], (4, 1)))
+
+
 @pytest.mark.parametrize("depth", ["believed", "measured"])
 def test_images_are_those_of_both_cameras(scene, depth):
     camera = aj.PinholeCamera.looking_at((0.4, 0.0, 0.4), (2.0, -0.5, 0.7), 600.0, (640, 480))
@@ -215,6 +223,23 @@ def test_no_link_has_the_name_of_a_shape(two_link):
     joints = {tuple(joint["path"]) for joint in data["joints"]["true"]}
     assert len(links) == len(data["links"])
     assert not links & joints
+
+
+def test_the_floor_is_where_the_lowest_part_that_stands_is():
+    """Of an arm on a pedestal, and of one that hangs; wherever its moving parts are."""
+    for below, above in ((-0.4, 0.7), (-0.1, -0.6)):
+        text = "".join(f'<link name="{name}"/>' for name in ("world", "foot", "base"))
+        text += """<link name="arm"><inertial><mass value="1"/>
+          <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
+        for name, parent, child, z in (("f", "world", "foot", below), ("m", "foot", "base", above)):
+            text += f'''<joint name="{name}" type="fixed"><parent link="{parent}"/>
+              <child link="{child}"/><origin xyz="0 0 {z}"/></joint>'''
+        text += """<joint name="j" type="revolute"><parent link="base"/><child link="arm"/>
+          <origin xyz="0 0 -3"/><axis xyz="0 1 0"/>
+          <limit lower="-2" upper="2" effort="5" velocity="1"/></joint>"""
+        arm = aj.Robot(f'<robot name="standing">{text}</robot>')
+        stage = Stage(Scene(arm, None, None, None, arm.effort_limits))
+        assert stage.floor == pytest.approx(min(below, below + above))
 
 
 def test_what_a_tracker_tells_is_drawn_in_the_world(panda):

@@ -110,6 +110,24 @@ def test_what_the_page_says_of_the_run(run):
     assert facts["not measured"] == "10 % of the time"
 
 
+def test_the_page_of_a_pose_has_an_error_of_each_unit_and_of_each_object(panda):
+    """And says of what it holds how long that is and how long it is believed to be."""
+    bare = aj.Robot(panda.urdf.replace("/visual/", "/gone/"), tip=panda.tip)  # quickly drawn
+    truth, belief = bare.with_object(0.2), bare.with_object(0.05)
+    plant = aj.Plant(truth, aj.PoseTask(truth))
+    away = np.array([0.03, 0.0, 0.04, 0.1, 0.0, 0.0])
+    x_d = plant.sensor.displaced(plant.sensor.value(START), away)
+    law = aj.SetpointController(aj.PoseTask(belief))
+    pose = aj.simulate(plant, law, x_d, START, 0.002, dt=1e-3)
+    facts = data_of(page(pose))["facts"]
+    errors = [said.partition(" → ") for name, said in facts if name == "error"]
+    assert [(first, last.split()[1]) for first, _, last in errors] == [
+        ("50", "mm"),
+        ("5.73", "deg"),
+    ]
+    assert ["object", "0.2 m long, believed 0.05 m"] in facts
+
+
 def test_the_page_says_what_held_for_most_of_the_time(run):
     """Also statuses of two kinds whose numbers are the same."""
     for status in (*aj.Status, *aj.LimitStatus):

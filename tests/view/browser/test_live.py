@@ -8,6 +8,7 @@ import socket
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 from urllib.error import HTTPError
 from urllib.parse import urlsplit
 from urllib.request import Request, urlopen
@@ -479,6 +480,44 @@ def with_pages(arm, act, **options):
         running.ended()
     finally:
         running.stop()
+
+
+@pytest.mark.parametrize("axes", ["xyz", "zx", "y"])
+def test_a_point_moves_each_axis_of_the_task_to_its_own_place(panda, axes):
+    sensor = aj.PositionTask(panda, axes=axes)
+    loop = SimpleNamespace(plant=aj.Plant(panda, sensor), target=sensor.value(START))
+    place = np.array([0.4, -0.1, 0.5])
+    found = live_module._target(loop, "point", place, 1.0)
+    assert_array_equal(found, [place["xyz".index(axis)] for axis in axes])
+    assert_array_equal(loop.target, sensor.value(START))  # the run's own is left as it is
+    for axis in range(3):
+        for side in (-1.0, 1.0):
+            far = np.where(np.arange(3) == axis, 2.01 * side, 0.1)  # of an arm of 1 m
+            with pytest.raises(aj.InvalidInputError, match="target must be at most 2 m from the"):
+                live_module._target(loop, "point", far, 1.0)
+
+
+def test_a_pixel_moves_the_image_of_its_point_alone(panda):
+    camera = aj.PinholeCamera.looking_at((0.4, 0.0, 0.4), (2.0, -0.5, 0.7), 600.0, (640, 480))
+    image = aj.ImageTask(panda, camera, points=[[0.0, 0.0, 0.0], [0.0, 0.1, 0.0]])
+    sensor = aj.StackedTask(aj.PositionTask(panda, axes="z"), image)
+    loop = SimpleNamespace(plant=aj.Plant(panda, sensor), target=sensor.value(START))
+    found = live_module._target(loop, "pixel", np.array([1.0, 300.0, 200.0]), 1.0)
+    assert_array_equal(found, [*loop.target[:3], 300.0, 200.0])
+    for wrong in (-1.0, 2.0, 0.5):
+        with pytest.raises(aj.InvalidInputError, match=f"there is no point {wrong:g} in an image"):
+            live_module._target(loop, "pixel", np.array([wrong, 300.0, 200.0]), 1.0)
+
+
+def test_a_run_goes_on_at_its_speed_from_where_it_is(panda):
+    """Whatever its speed was before: what is over counts for nothing."""
+    live, loop = view.LiveView(speed=4.0), SimpleNamespace(t=2.0)
+    for speed in (4.0, 0.5):
+        live._speed = speed
+        began = time.perf_counter()
+        live._begin(loop)
+        due = live._origin + (loop.t + 0.3) / speed
+        assert due - began == pytest.approx(0.3 / speed, abs=0.05)
 
 
 def test_what_a_page_sends_cannot_hurt(panda):
