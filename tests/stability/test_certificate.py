@@ -123,6 +123,33 @@ def test_c0_and_c1_bound_what_eq_15_says(panda):
             s = samples.s[i]
             taken = s @ G[i].T @ (setting.B * v) - v @ N[i] @ v
             assert abs(taken) <= found.c0 * v @ v + found.c1 * s @ s
+    for i in range(20):  # and where both terms are as large as they get
+        alone = theorem1(samples.take(np.array([i])), setting)
+        values, vectors = np.linalg.eigh(N[i])
+        v = vectors[:, np.abs(values).argmax()]
+        s = -np.sign(v @ N[i] @ v) * (G[i].T @ (setting.B * v)) / (2.0 * alone.c1)
+        taken = abs(s @ G[i].T @ (setting.B * v) - v @ N[i] @ v)
+        assert taken <= (alone.c0 * v @ v + alone.c1 * s @ s) * (1.0 + 1e-9)
+
+
+def test_friction_damps_as_much_as_damping_that_is_added():
+    """In continuous time, joint by joint: constants, margins and the decay near targets."""
+    arm = aj.load_robot("two_link")
+    truth, belief = arm.with_object(0.15, axis="x"), arm.with_object(0.0, axis="x")
+    task, box = aj.PositionTask(belief, axes="xz"), aj.JointBox.around(arm, (0.4, 1.2), 0.3)
+    found = []
+    for friction, damping in (((0.9, 0.3), (1.0, 2.0)), (0.0, (1.9, 2.3)), (0.0, (1.0, 2.0))):
+        law_ = aj.SetpointController(task, aj.Gains(60.0, 20.0, damping))
+        loop = ClosedLoop(law_, aj.Plant(truth, task.on(truth), friction), box)
+        samples = loop.draw(20, np.random.default_rng(0))
+        first = theorem1(samples, loop.setting)
+        margins = best_weights(MatrixForm(samples, loop.setting), "free").margins
+        decay = loop.local_test(samples.truth, samples.q).decay_rates
+        found.append(np.concatenate([[first.allowed_p, first.c0, first.c1], margins, decay]))
+    natural, added, without = found
+    assert_allclose(natural, added, rtol=1e-9)
+    assert (np.abs(natural - without)[:3] > 1e-3 * np.abs(without[:3])).all()
+    assert np.abs(natural - without)[-20:].max() > 1e-2
 
 
 # -- the matrix form ------------------------------------------------------------------------

@@ -50,6 +50,24 @@ def test_over_parameters_each_point_is_what_rollouts_say(plane):
     assert_array_equal(swapped.share, drawn.share.T)
 
 
+@pytest.mark.parametrize("names", [("a", "kv"), ("kv", "a"), ("kv", "damping"), ("damping", "a")])
+def test_the_gains_of_a_point_are_those_of_both_of_its_parameters(plane, names):
+    """a is k_p/k_v of that point, whatever its K_v is; what is not named stays as it is."""
+    values = dict.fromkeys(names, (0.5, 3.0))
+    drawn = study(*plane, **SHORT | {"duration": 4e-3}).map(
+        values, 1, execution=Execution(engine="python")
+    )
+    kp, kv, damping = plane[0].diagonals
+    assert len(drawn.points) == 4
+    for point, runs in drawn.points.items():
+        at = dict(zip(names, point, strict=True))
+        found = runs.setting.controller.diagonals
+        times = at.get("kv", 1.0)
+        assert_allclose(found.kv, times * kv)
+        assert_allclose(found.kp, at["a"] * found.kv if "a" in at else times * kp)
+        assert_allclose(found.damping, at.get("damping", 1.0) * damping)
+
+
 def test_over_one_parameter_it_has_a_line_for_each_value(plane):
     """Points begin alike: they differ by what was changed, and not by what was drawn."""
     drawn = study(*plane, **SHORT).map({"error": SCALES}, 8)

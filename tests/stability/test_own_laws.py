@@ -1,5 +1,7 @@
 """Laws of one's own: V along their runs, their linearisation, rollouts and limits."""
 
+from dataclasses import replace
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -280,6 +282,43 @@ def test_near_targets_an_image_is_late_by_half_the_time_between_them_too():
         as_age = rates(image_age=age + 0.02)
         assert_allclose(rates(image_age=age, image_period=0.04), as_age, rtol=1e-12)
         assert (np.abs(rates(image_age=age) - as_age) > 1e-3 * as_age).all()
+
+
+def test_targets_that_only_some_robots_attain_are_told_of_the_robots_that_do():
+    """Of tools that are long enough. No verdict is good that leaves the others out."""
+    study = study_of(TaskSpacePD, reach=0.6, target=(2.2, 0.0), seed=2)
+    report = study.report(20)
+    near = report.rows[4]
+    local, lengths = report.local, [report.setting.start(k).values[0] for k in range(20)]
+    attains = [k for k, length in enumerate(lengths) if length >= 0.2]
+    assert 0 < len(attains) < 20
+    assert attains[0] > 0
+    assert local.truth.tolist() == attains
+    for k, q in zip(local.truth, local.q, strict=True):
+        plant = report.setting.start(k).plant
+        assert_allclose(plant.sensor.value(q), [2.2, 0.0], atol=1e-8)
+    (left_out,) = near.figures["refused"].values()
+    assert (left_out, near.figures["targets"]) == (20 - len(attains), len(attains))
+    assert local.stable
+    assert near.verdict == "not stable"
+    assert not report.passed
+    slowest = study.uncertainty.describe([lengths[attains[local.worst]]])
+    assert near.figures["worst_truth"] == slowest
+    assert near.figures["decay"] == local.decay_rates.min()
+
+
+def test_targets_are_looked_at_with_each_lag_of_the_loop():
+    """All of them at once: a period, torques that are late, a filter, and old x."""
+    late = aj.Latency(4e-3, torque_delay=8e-3, velocity_filter=0.02, image_age=0.04)
+    study = replace(study_of(TaskSpacePD), latency=late)
+    local = study.report(20).local
+    sensing = aj.Sensing(x_delay=0.04, velocity_filter=0.02)
+    rates = []
+    for k, q in zip(local.truth[:3], local.q, strict=False):
+        given = study.setting().start(k).plant
+        plant = aj.Plant(given.robot, given.sensor, sensing=sensing, actuator_delay=8e-3)
+        rates.append(aj.local_stability(plant, study.controller, q, 4e-3).decay_rate)
+    assert_allclose(local.decay_rates[:3], rates)
 
 
 def test_a_report_finds_what_speaks_against_a_law():

@@ -235,6 +235,29 @@ def test_a_target_is_looked_at_where_it_is_attained(tools, box):
         sensor = tools.plant(found.loop.values[t]).sensor
         assert_allclose(sensor.value(q), target, atol=1e-8)
     assert set(found.local.truth) == set(range(len(found.loop.values)))
+    # the worst of them is told, and not a sample of the same place
+    worst, k = by_name(found)["worst", "near targets"].figures, found.local.worst
+    assert worst["worst_truth"] == found.describe_truth(found.local.truth[k])
+    assert_array_equal(worst["worst_q"], found.local.q[k])
+
+
+@pytest.mark.parametrize("decay", [2.0, 0.5])
+@pytest.mark.parametrize(
+    ("latency", "frame"),
+    [
+        (Latency(2e-3), 2e-3),
+        (Latency(1e-3, image_period=0.02), 0.02),
+        (Latency(5e-3, torque_delay=0.01, image_period=0.015), 0.015),
+    ],
+)
+def test_what_dies_out_between_frames_does_so_in_the_time_of_a_frame(report, latency, frame, decay):
+    radii = np.exp(-np.array([3.0, 1.0, 2.0]) * decay * frame)
+    told = replace(report, latency=latency, spectral_radii=radii)
+    vars(told)["attraction"] = None  # which takes its time
+    figures = by_name(told)["sampled", "near targets"].figures
+    assert figures["decay"] == pytest.approx(decay)
+    assert figures["frame"] == pytest.approx(frame)
+    assert (figures["targets"], figures["unstable"]) == (3, 0)
 
 
 def test_gravity_that_is_not_exact_certifies_nothing():

@@ -92,16 +92,23 @@ def test_late_images_are_certified(arm, kp, kv, least):
 # -- what it rests on -----------------------------------------------------------------------------
 
 
-def errors_of_frames(period, age, *, on_samples):
-    """What makes w_x of ṡ where frames are taken every so many samples and wait for the next."""
+def times_of_frames(period, age, delay, *, on_samples):
+    """Times, and when the x was taken that the torque then is of: frames wait for a sample."""
     fine = 20
     t = (np.arange(16 * fine) + 0.5) / fine
-    sample, edges = np.floor(t), np.arange(16 * fine) / fine
+    sample = np.floor(t - delay)
     if on_samples:  # as of `Sensing`
         seen = sample - math.ceil(age - 1e-9)
         taken = np.ceil(np.floor(seen / period + 1e-6) * period - 1e-9)
     else:
         taken = np.floor((sample - age) / period + 1e-9) * period
+    return t, taken
+
+
+def errors_of_frames(t, taken):
+    """What makes w_x of ṡ."""
+    fine = round(1.0 / (t[1] - t[0]))
+    edges = np.arange(len(t)) / fine
 
     def reached(times):
         return np.clip((times[:, np.newaxis] - edges) * fine, 0.0, 1.0) / fine
@@ -111,14 +118,18 @@ def errors_of_frames(period, age, *, on_samples):
 
 @pytest.mark.parametrize("on_samples", [False, True])
 @pytest.mark.parametrize(
-    ("period", "age"),
-    [(1.02, 0.0), (1.1, 0.0), (3.1, 0.0), (1.05, 1.0), (2.2, 1.1), (0.7, 0.0), (3.0, 2.0)],
-)
-def test_the_gain_of_frames_holds_for_every_signal(period, age, on_samples):
+    ("period", "age", "delay"),
+    [(1.02, 0.0, 0.0), (1.1, 0.0, 0.0), (3.1, 0.0, 0.0), (1.05, 1.0, 0.0), (2.2, 1.1, 0.0),
+     (0.7, 0.0, 0.0), (3.0, 2.0, 0.0), (3.0, 1.3, 0.0), (1.0, 2.5, 0.0), (3.0, 0.0, 2.0),
+     (1.1, 0.0, 3.0), (2.0, 1.5, 1.0)],
+)  # fmt: skip
+def test_the_gain_of_frames_holds_for_every_signal(period, age, delay, on_samples):
     """Also where frames fall between samples, which 2/π (period + sample) does not bound."""
-    errors = errors_of_frames(period, age, on_samples=on_samples)
-    hold = Hold.of(Latency(1.0, image_period=period, image_age=age))
-    assert np.linalg.norm(errors, 2) <= hold.frames
+    t, taken = times_of_frames(period, age, delay, on_samples=on_samples)
+    hold = Hold.of(Latency(1.0, delay, image_period=period, image_age=age))
+    assert np.linalg.norm(errors_of_frames(t, taken), 2) <= hold.frames
+    assert (t - taken).max() <= hold.age
+    assert hold.span >= 1.0 + delay
 
 
 @pytest.mark.parametrize("lag", [0.01, 1.0, 4.0])
@@ -163,3 +174,22 @@ def test_gravity_counts_where_velocities_are_filtered():
     assert heavy.form.turning.gravity > 0.0
     assert exact.form.turning.gravity == 0.0
     assert heavy.form._b > heavy.form.hold.gain * heavy.form.turning.curvature * heavy.speed
+
+
+def test_whatever_turns_faster_leaves_less_of_the_margin():
+    """Each rate at which samples turn counts where torques are late, x is old and q̇ filtered."""
+    robot = aj.load_robot("two_link")
+    law = aj.SetpointController(aj.PositionTask(robot), aj.Gains(60.0, 20.0, 5.0))
+    box = aj.JointBox.around(robot, (0.3, 1.2), 0.1)
+    late = Latency(1e-3, 1e-3, velocity_filter=2e-3, image_period=4e-3, image_age=2e-3)
+    test = certificate((law, aj.Plant(robot), box), late, n=16)
+    form, weights = test.form, test.weights
+    assert test.margin > 0.0
+    for name, size in form.turning._asdict().items():
+        assert size > 0.0, name
+        slow, fast = (
+            form.changed(turning=form.turning._replace(**{name: share * size}))
+            for share in (0.0, 3.0)
+        )
+        for one, other in ((slow, form), (form, fast)):
+            assert (one.margins(weights) > other.margins(weights)).all(), name

@@ -1,5 +1,6 @@
 """Suggestions are of loops that pass as they run, and damping may have the arm's shape."""
 
+import functools
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -70,6 +71,29 @@ def test_suggested_gains_follow_the_latency(tools, box):
     loop = ClosedLoop(law_of(tools, found.found.gains), tools, box)
     assert loop.spectral_radii(loop.draw(60, np.random.default_rng(7)), late).max() < 1.0
     assert str(found).startswith("gains: found, passing with slowest decay [1/s] ")
+
+
+def test_a_candidate_is_judged_by_the_slowest_and_heaviest_robot_as_it_is_sampled():
+    """At a posture, where what is drawn does not matter: of all corners, late, to both sides."""
+    arm, plane = aj.load_robot("two_link"), functools.partial(aj.PositionTask, axes="xz")
+    tool = {"object_length": (0.0, 0.6), "object_mass": (0.0, 2.0), "object_axis": "x"}
+    errors = aj.Uncertainty(arm, plane, **tool)
+    weightless = aj.Uncertainty(arm.with_gravity((0.0, 0.0, 0.0)), plane, **tool)
+    late, limits = aj.Latency(period=0.04, torque_delay=0.04), np.array([70.0, 20.0])
+    law = aj.SetpointController(errors.believed_task(), aj.Gains(60.0, 20.0, 1.0))
+    for q in (np.array([0.4, 1.2]), np.array([2.7, -1.2])):
+        study = aj.Study(law, errors, aj.JointBox.around(arm, q, 1e-7), latency=late)
+        first = study.gains(3.0, test="local", configurations=20, torque_limits=limits).tried[0]
+        own = law_of(weightless, first.gains)
+        rates, shares = [], []
+        for values in errors.corners():
+            plant = weightless.plant(values)
+            plant = aj.Plant(plant.robot, plant.sensor, actuator_delay=0.04)
+            rates.append(aj.local_stability(plant, own, q, 0.04).decay_rate)
+            shares.append(np.abs(errors.plant(values).dynamics.g(q) / limits).max())
+        assert first.settling_time == pytest.approx(4.0 / min(rates), rel=1e-3)
+        assert max(rates) > 1.05 * min(rates)
+        assert first.torque_ratio == pytest.approx(max(shares), rel=1e-3)
 
 
 def test_gains_that_a_report_refuses_are_not_suggested(tools, box, monkeypatch):

@@ -10,7 +10,6 @@ from numpy.testing import assert_allclose
 import approxjac as aj
 from approxjac.view.tree import Tree, joint_positions
 
-
 INERTIAL = """<inertial><mass value="1"/>
   <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>"""
 
