@@ -9,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
+from approxjac.cli import main
 from approxjac.errors import UnknownNameError
 from approxjac.paper import experiments as paper
 from approxjac.paper import verdicts
@@ -273,6 +274,23 @@ def test_each_option_changes_what_is_simulated(option, usual):
     else:
         difference = np.abs(changed.run.q - usual.run.q).max()
         assert difference > 1e-3
+
+
+def test_options_of_the_command_are_those_of_the_setup(tmp_path, monkeypatch):
+    """Angles in degrees: first joint, second joint."""
+
+    class Asked(Exception):
+        pass
+
+    def run(experiment, setup, progress):
+        raise Asked(experiment.figure, setup)
+
+    monkeypatch.setattr(paper, "run_experiment", run)
+    words = "--figures 5 --start 30 60 --target 80 70 --duration 7 --friction 0.3 --gamma 0.005"
+    with pytest.raises(Asked) as caught:
+        main(["paper", *words.split(), "--inertia", "point-mass", "--out", str(tmp_path)])
+    start, target = (tuple(map(math.radians, each)) for each in ((30.0, 60.0), (80.0, 70.0)))
+    assert caught.value.args == (5, paper.Setup(start, target, 0.3, 0.005, "point-mass", 7.0))
 
 
 def test_friction_helps_as_the_paper_says():

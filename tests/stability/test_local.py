@@ -1,5 +1,6 @@
 """The linearisation of Eq. (9)."""
 
+import math
 import re
 
 import numpy as np
@@ -478,6 +479,30 @@ def test_gravity_that_is_not_learnt_there_is_refused(two_link, panda):
         aj.InvalidInputError, match=r"must be learnable near the target .* Adaptive"
     ):
         aj.local_stability(plant, wrong, q)
+
+
+@pytest.mark.parametrize("q", [(0.3, 0.4), (math.pi - 0.3, -0.4)], ids=["ahead", "behind"])
+def test_learnt_gravity_needs_room_to_both_sides(two_link, q):
+    """Motors that hold the weight in front and behind, and bounds above and below θ."""
+    regressor = GravityRegressor(two_link, "x")
+    plant, controller = two_link_loop(two_link)
+    weight = np.abs(plant.dynamics.g(np.array(q)))
+    theta = regressor.theta
+    for held, options in (
+        (True, {"torque_limits": 1.01 * weight}),
+        (False, {"torque_limits": 0.99 * weight}),
+        (True, {"bounds": (0.9 * theta, 1.1 * theta)}),
+        (False, {"bounds": (0.5 * theta, 0.9 * theta), "theta0": 0.7 * theta}),
+        (False, {"bounds": (1.1 * theta, 1.5 * theta), "theta0": 1.3 * theta}),
+    ):
+        learnt = aj.AdaptiveGravity(regressor, 1.0, 1.0, **options)
+        law = aj.SetpointController(controller.task, aj.Gains(60.0, 30.0), gravity=learnt)
+        if held:
+            assert not aj.local_stability(plant, law, q).singular
+            continue
+        (name, *_) = options
+        with pytest.raises(aj.InvalidInputError, match=f"{name} of AdaptiveGravity must hold"):
+            aj.local_stability(plant, law, q)
 
 
 def test_bounds_that_hold_the_parameters_change_nothing(two_link):

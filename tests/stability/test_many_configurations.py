@@ -1,5 +1,7 @@
 """Many configurations at once, compared with one after the other."""
 
+import functools
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -15,6 +17,7 @@ from approxjac.tasks import CombinedTask, NonsingularTask, PoseTrackerTask, Trac
 from approxjac.tasks.analysis import jacobian_gradient
 from approxjac.tasks.frame_tasks import FrameKinematics
 
+PLANE = functools.partial(aj.PositionTask, axes="xz")
 Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.0])
 CAMERA = aj.PinholeCamera.looking_at((0.4, 0.0, 0.4), (2.0, -1.0, 1.0), 600.0, (640, 480))
 
@@ -46,6 +49,26 @@ def require_same_terms(arm, frame, rng):
     found = traced.at(traced.numbers([plant] * 10), q, x_d)
     each = [vars(terms_alone(plant, plant.dynamics, task, *at)) for at in zip(q, x_d, strict=True)]
     require_same(vars(found), {name: [row[name] for row in each] for name in each[0]})
+
+
+def test_what_is_near_a_sample_has_its_true_robot_and_its_target():
+    """Not those of another one; and is in the region, about as far away as is said."""
+    arm = aj.load_robot("two_link")
+    errors = aj.Uncertainty(arm, PLANE, object_length=(0.0, 0.4), object_axis="x")
+    box = aj.JointBox.around(arm, (0.4, 1.2), 0.3)
+    loop = ClosedLoop(aj.SetpointController(errors.believed_task()), errors, box)
+    rng = np.random.default_rng(0)
+    samples = loop.draw(20, rng, inside=4)
+    for k in (0, 7, len(samples) - 1):
+        near = loop.near(samples, k, 6, 0.1, rng)
+        assert (near.truth == samples.truth[k]).all()
+        sensor = loop.plants[samples.truth[k]].sensor
+        for q, x, x_d, e in zip(near.q, near.x, near.x_d, near.e, strict=True):
+            assert_allclose(x, sensor.value(q))
+            assert_allclose(x_d, samples.x_d[k])
+            assert_allclose(e, x - samples.x_d[k], atol=1e-12)
+            assert box.contains(q)
+        assert 0.0 < np.abs(near.q - samples.q[k]).max() < 0.5 * 0.6
 
 
 class Distance(aj.Task):

@@ -44,6 +44,21 @@ def test_box_holds_its_bounds_and_no_more(panda):
     assert_allclose(drawn.mean(axis=0), 0.0, atol=0.02)
 
 
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize("name", ["two_link", "kinova"])
+def test_a_box_ends_at_each_bound_of_each_joint(name, side):
+    """Lower and upper bounds that differ, and joints that turn without end."""
+    arm = aj.load_robot(name)
+    lower, upper = -0.1 - 0.02 * np.arange(arm.nv), 0.3 + 0.01 * np.arange(arm.nv)
+    center = np.linspace(0.2, 1.4, arm.nv)
+    box = aj.JointBox(arm, lower, upper, center)
+    q = arm.configuration(center)
+    for joint, bounds in enumerate(zip(lower, upper, strict=True)):
+        way = bounds[int(side > 0.0)] * np.eye(arm.nv)[joint]
+        assert box.contains(np.array(pin.integrate(arm.model, q, 0.999 * way)))
+        assert not box.contains(np.array(pin.integrate(arm.model, q, 1.001 * way)))
+
+
 def test_a_box_may_be_one_posture(panda):
     box = aj.JointBox.around(panda, Q, 0.0)
     assert_array_equal(box.sample(3, np.random.default_rng(0)), [Q, Q, Q])

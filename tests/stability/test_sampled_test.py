@@ -9,6 +9,7 @@ import pytest
 import approxjac as aj
 from approxjac.controllers import Latency
 from approxjac.law import Linear
+from approxjac.stability.certificates.attraction import attraction
 from approxjac.stability.certificates.certificate import largest, sampled_test
 from approxjac.stability.certificates.matrix_form import Hold, MatrixForm, best_weights
 from approxjac.stability.loop.closed_loop import ClosedLoop
@@ -174,6 +175,59 @@ def test_gravity_counts_where_velocities_are_filtered():
     assert heavy.form.turning.gravity > 0.0
     assert exact.form.turning.gravity == 0.0
     assert heavy.form._b > heavy.form.hold.gain * heavy.form.turning.curvature * heavy.speed
+
+
+@pytest.fixture(scope="module")
+def exact():
+    """A loop whose model is exact, around a posture; its certificate."""
+    robot = aj.load_robot("two_link")
+    law = aj.SetpointController(aj.PositionTask(robot, axes="xz"), aj.Gains(60.0, 20.0, 5.0))
+    box = aj.JointBox.around(robot, (0.4, 1.2), 0.2)
+    return robot, law, box, certificate((law, aj.Plant(robot, law.task), box), Latency(1e-3), n=16)
+
+
+def test_a_function_is_checked_where_it_was_not_chosen(exact):
+    """It fails there, and what it was chosen on does not make up for that."""
+    robot, law, box, test = exact
+    assert (test.certified, test.violations) == (True, 0)
+    turned = robot.with_kinematic_error(rotations={"joint1": (0.0, 1.8, 0.0)})
+    loop, other = (
+        ClosedLoop(law, aj.Plant(each, law.task.on(each)), box) for each in (robot, turned)
+    )
+    form, fresh = (
+        MatrixForm(each.draw(n, np.random.default_rng(0)), loop.setting)
+        for each, n in ((loop, 16), (other, 9))
+    )
+    known = best_weights(form, "free")
+    found = sampled_test(loop, known, form, form.take(slice(4)).join(fresh), Latency(1e-3))
+    assert found.margin > 0.0
+    assert found.checked == 13
+    assert found.violations == (found.form.take(slice(16, None)).margins(found.weights) <= 0).sum()
+    assert 0 < found.violations <= 9
+    assert not found.certified
+    assert found.reason == "violated"
+
+
+@pytest.mark.parametrize("below", [1.0, 1e-3])
+@pytest.mark.parametrize("at", [None, (0.4, 1.2)])
+def test_starts_that_stay_are_starts_that_are_certified(exact, below, at):
+    """To any target of the same middle part of the region, or to the one that is given."""
+    robot, law, box, test = exact
+    target = None if at is None else law.task.value(np.array(at))
+    loop = ClosedLoop(law, aj.Plant(robot, law.task), box, target)
+    test = test.below(below * test.level)
+    found = attraction(loop, test, np.random.default_rng(0))
+    assert 0.0 < found.radius < 0.2
+    starts, ends = found.radius * np.random.default_rng(1).choice([-1.0, 1.0], (2, 40, 2))
+    x_d = [law.task.value(box.center + end) for end in ends] if at is None else [target] * 40
+    e = np.array([law.task.value(box.center + q) for q in starts]) - np.array(x_d)
+    energy = test.weights.at_rest(e, law.saturation)
+    assert (energy <= test.level * 1.01).all()
+    assert np.linalg.norm(e, axis=1).max() == pytest.approx(found.error, rel=0.02)
+    travel = found.travel * np.sqrt(found.weights.at_rest(e, law.saturation).max())
+    assert (found.radius + travel <= 0.2 * 1.01).all()
+    if below < 1.0:  # it is what is certified that ends them
+        assert energy.max() > 0.9 * test.level
 
 
 def test_whatever_turns_faster_leaves_less_of_the_margin():

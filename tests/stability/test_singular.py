@@ -9,7 +9,11 @@ import approxjac as aj
 from approxjac.controllers import NoGravity
 from approxjac.robots import GravityRegressor
 from approxjac.stability import JointBox, RegularPart
+from approxjac.stability.loop.configurations import inverse_kinematics
 from approxjac.stability.search import suggested_gains
+
+INERTIAL = """<inertial><mass value="1"/>
+  <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>"""
 
 
 @pytest.fixture(scope="module")
@@ -63,6 +67,33 @@ def test_a_redundant_arm_is_singular_in_fewer_postures():
         20
     )
     assert report.singular_q is None
+
+
+def test_a_stop_bars_the_way_on_either_side_alike():
+    """Mirrored starts have mirrored ways to mirrored targets; the other joints go on."""
+    text = f'<link name="l0">{INERTIAL}</link>'
+    for k in (1, 2, 3):
+        text += f'''<link name="l{k}">{INERTIAL}</link><joint name="j{k}" type="revolute">
+          <parent link="l{k - 1}"/><child link="l{k}"/><origin xyz="{0.4 * (k > 1)} 0 0"/>
+          <axis xyz="0 -1 0"/><limit lower="-1.2" upper="1.2" effort="5" velocity="1"/></joint>'''
+    text += """<link name="tip"/><joint name="t" type="fixed"><parent link="l3"/>
+      <child link="tip"/><origin xyz="0.4 0 0"/></joint>"""
+    arm = aj.Robot(f'<robot name="three">{text}</robot>', tip="tip")
+    task, rng, barred, attained = aj.PositionTask(arm, axes="xz"), np.random.default_rng(0), 0, 0
+    for q0, q in rng.uniform(-1.2, 1.2, (30, 2, 3)):
+        x_d = task.value(q)
+        free = inverse_kinematics(task, x_d, q0)
+        one = inverse_kinematics(task, x_d, q0, within_limits=True)
+        other = inverse_kinematics(task, x_d * [1.0, -1.0], -q0, within_limits=True)
+        assert (one is None) == (other is None)
+        if free is not None and np.abs(free).max() > 1.2:
+            barred += 1
+            attained += one is not None
+        if one is not None:
+            np.testing.assert_allclose(other, -one, atol=1e-6)
+            np.testing.assert_allclose(task.value(one), x_d, atol=1e-8)
+            assert np.abs(one).max() <= 1.2
+    assert 0 < attained < barred
 
 
 def test_nor_does_tolerance_or_a_suggestion(straight, monkeypatch):

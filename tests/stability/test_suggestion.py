@@ -96,6 +96,30 @@ def test_a_candidate_is_judged_by_the_slowest_and_heaviest_robot_as_it_is_sample
         assert first.torque_ratio == pytest.approx(max(shares), rel=1e-3)
 
 
+def test_torques_at_the_start_are_those_of_the_law_that_carries_the_weight(monkeypatch):
+    """Towards the target, and against gravity: whichever of both is in whose way."""
+    draw, drawn = ClosedLoop.draw, []
+
+    def drawing(loop, *args, **options):
+        drawn.append((loop, draw(loop, *args, **options)))
+        return drawn[-1][1]
+
+    monkeypatch.setattr(ClosedLoop, "draw", drawing)
+    arm, plane = aj.load_robot("two_link"), functools.partial(aj.PositionTask, axes="xz")
+    errors = aj.Uncertainty(arm, plane, object_mass=(0.0, 2.0), object_axis="x")
+    law = aj.SetpointController(errors.believed_task(), aj.Gains(60.0, 20.0, 1.0))
+    limits = np.array([50.0, 30.0])
+    study = aj.Study(law, errors, aj.JointBox.around(arm, (0.4, 1.2), 0.6))
+    first = study.gains(1.0, test="local", configurations=20, torque_limits=limits).tried[0]
+    own = aj.SetpointController(law.task, first.gains, gravity=aj.NoGravity(law.task.robot))
+    ((loop, samples),), shares = drawn, []
+    for t, q, x, x_d in zip(samples.truth, samples.q, samples.x, samples.x_d, strict=True):
+        torque = own.evaluate(np.zeros(0), aj.Measurement(0.0, q, np.zeros(2), x), x_d).torque
+        weight = errors.plant(loop.values[t]).dynamics.g(q)
+        shares.append(np.abs(torque + weight) / limits)
+    assert first.torque_ratio == pytest.approx(np.max(shares), rel=1e-9)
+
+
 def test_gains_that_a_report_refuses_are_not_suggested(tools, box, monkeypatch):
     """The first that meet the demands in continuous time are passed over."""
     refused = []

@@ -319,6 +319,16 @@ def test_primitives_have_their_size_where_their_origin_is(geometry, size):
     assert 0.94 * full < volume < 1.0001 * full
 
 
+def test_a_mesh_is_scaled_before_it_is_placed(tmp_path):
+    """Along each of its own axes; the place of its origin is in metres of the link."""
+    trimesh.creation.box((0.2, 0.4, 0.6)).export(tmp_path / "box.stl")
+    origin = '<origin xyz="1 2 3" rpy="0 0 1.5707963267948966"/>'
+    mesh = f'<mesh filename="{tmp_path / "box.stl"}" scale="2 0.5 1"/>'
+    (shape,) = look_of(visual(mesh, origin)).shapes["arm"]
+    half = np.array([0.1, 0.2, 0.3])  # of 0.4, 0.2 and 0.6, turned by a quarter
+    assert_allclose(bounds(shape.vertices), [[1, 2, 3] - half, [1, 2, 3] + half], atol=1e-6)
+
+
 def test_an_object_reaches_from_its_parent_to_its_tip():
     arm = aj.load_robot("two_link")
     look = robot_look(arm.with_object(0.2, 0.5, radius=0.03, axis="z"))
