@@ -232,6 +232,41 @@ def test_friction_can_meet_condition_23():
     assert paper.jacobian_bound(paper.Setup(friction=150.0)).condition_23_met
 
 
+def test_the_summary_and_the_table_are_of_what_was_run(results):
+    """Each figure by its own numbers, whichever are asked for and in whichever order."""
+    setup = paper.Setup(friction=0.1)
+    bound = paper.jacobian_bound(setup)
+    summary = verdicts.summary([results[f] for f in (8, 3, 6)], bound, setup)
+    figures = summary["figures"]
+    assert list(figures) == ["fig1", "fig8", "fig3", "fig6"]
+    assert summary["setup"] == dataclasses.asdict(setup)
+    for figure in (3, 6, 8):
+        found, result = figures[f"fig{figure}"], results[figure]
+        own = paper.EXPERIMENTS[figure]
+        assert (found["kp"], found["kv"], found["paper"]) == (own.kp, own.kv, own.paper_says)
+        assert found["believed"]["lengths"] == own.lengths
+        for name in ("focal_length", "distance", "roll"):
+            assert found["believed"]["camera"][name] == getattr(own.camera, name)
+            assert summary["truth"]["camera"][name] == getattr(paper.CAMERA, name)
+        assert found["max_real_eigenvalue"] == result.local.max_real_eigenvalue
+        assert found["error_ratio"] == {f"{t:g}": r for t, r in result.error_ratios.items()}
+        assert (found["verdict"], found["agrees_with_paper"]) == (result.verdict, True)
+        assert (found["gravity"] == "known") == ("theta_hat" not in found) == (figure != 8)
+    assert figures["fig8"]["theta_hat"] == results[8].theta_hat.tolist()
+    for name, value in dataclasses.asdict(bound).items():
+        assert figures["fig1"][name] == value
+    lines = verdicts.table([results[3], results[8]], bound).splitlines()
+    assert lines[0] == "verdicts: 2 of 2 as in the paper"
+    row = next(line for line in lines if line.startswith("3 ")).split()
+    printed = [f"{r:.4f}" for r in results[3].error_ratios.values()]
+    assert row[-8:] == [*printed, "unstable", "“an", "unstable", "response”"]
+    wrong = dataclasses.replace(results[3], experiment=paper.EXPERIMENTS[4])
+    told = verdicts.table([wrong, results[8]], None)
+    assert told.startswith("verdicts: 1 of 2 as in the paper")
+    assert "(differs)" in told
+    assert f"Figure 4: {wrong.reason}" in " ".join(told.split())
+
+
 @pytest.mark.parametrize("elbow", [0.0, math.pi])
 def test_a_singular_target_is_never_called_stable_by_the_linearization(elbow):
     setup = paper.Setup(target=(0.3, elbow), duration=2.0)

@@ -79,6 +79,40 @@ def test_noise_and_dropouts_are_of_the_seed():
             assert np.array_equal(*pair, equal_nan=True) == (not errors)
 
 
+def target(**goal):
+    built = build_scenario(Scenario("two_link", run={"target": goal, "duration": 8.0}))
+    return built.target, built.plant.sensor.value(built.q0)
+
+
+def test_a_target_and_a_path_are_where_they_are_said_to_be():
+    """A path takes the time, or has the speed, that is said."""
+    away = np.array([0.05, -0.1])
+    found, start = target(offset=tuple(away))
+    assert_allclose(found, start + away)
+    assert_allclose(target(at=(0.9, 0.8))[0], [0.9, 0.8])
+    line, start = target(line={"offset": tuple(away), "duration": 3.0})
+    for t, share in ((0.0, 0.0), (1.5, 0.5), (3.0, 1.0), (9.0, 1.0)):
+        assert_allclose(line.at(t).x, start + share * away, atol=1e-12)
+    circle, start = target(circle={"radius": 0.07, "period": 5.0})
+    around = np.array([circle.at(t).x for t in np.linspace(0.0, 5.0, 41)])
+    assert_allclose(around[[0, -1]], [start, start], atol=1e-12)
+    middle = 0.5 * (around[0] + around[20])
+    assert_allclose(np.linalg.norm(around - middle, axis=1), 0.07)
+    center = tuple(start + [0.1, 0.0])
+    circle, _ = target(circle={"radius": 0.07, "center": center})
+    assert_allclose(0.5 * (circle.at(0.0).x + circle.at(2.0).x), center, atol=1e-12)  # half of 4 s
+    points = np.array([start + away, start + away + [0.0, 0.1]])
+    given = {"points": tuple(points.ravel()), "speed": 0.1, "acceleration": 0.4}
+    way, _ = target(waypoints=given)
+    t = np.linspace(0.0, way.duration, 1001)
+    x = np.array([way.at(each).x for each in t])
+    for point in (start, *points):
+        assert np.linalg.norm(x - point, axis=1).min() < 1e-4
+    speed = np.linalg.norm(np.diff(x, axis=0), axis=1) / t[1]
+    assert speed.max() == pytest.approx(0.1, rel=1e-3)
+    assert np.diff(speed).max() / t[1] == pytest.approx(0.4, rel=1e-2)
+
+
 # -- the law ----------------------------------------------------------------------------
 
 

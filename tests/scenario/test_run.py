@@ -56,6 +56,10 @@ def test_it_converges_and_says_so(done, tmp_path):
     limits = aj.load_robot("panda").effort_limits
     assert_allclose(summary["peak_torque_ratio"], np.abs(done.run.tau / limits).max())
     assert_allclose(summary["start_error_m"], 0.05 * math.sqrt(3.0))
+    ends = {"start": done.run.x[0], "end": done.run.x[-1], "target": done.run.x_d[-1]}
+    ends |= {"q_start": done.run.q[0], "q_end": done.run.q[-1]}
+    for name, values in ends.items():
+        assert_allclose(summary[name], values, err_msg=name)
     assert set(summary["limits"]["status_counts"]) == {"FREE"}
     again = aj.Trajectory.load(tmp_path / "run.npz")
     assert np.array_equal(again.q, done.run.q)

@@ -1,0 +1,71 @@
+"""What is drawn of a scene, worked out without a browser: cameras, and what differs."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import approxjac as aj
+from approxjac.cameras import PlanarCamera
+from approxjac.simulation.trajectory import Scene
+from approxjac.tasks import FrameKinematics
+from approxjac.view.browser.stage import Stage
+
+ROOM = aj.PinholeCamera.looking_at((0.8, 0.1, 0.6), (1.0, -3.0, 1.2), 500.0, (640, 480))
+TURNED = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # looks along x
+ON_ARM = aj.PinholeCamera((400.0, 450.0), (640, 480), (0.1, 0.05, -0.02), TURNED, mount="link1")
+PLANE = PlanarCamera(0.05, 3.0, 0.4, (0.002, -0.001))
+
+
+def stage_of(arm, sensor=None, belief=None, task=None):
+    return Stage(Scene(arm, belief, sensor, task, arm.effort_limits))
+
+
+@pytest.mark.parametrize("camera", [ROOM, ON_ARM, PLANE], ids=["room", "arm", "plane"])
+def test_a_point_lies_behind_its_image_as_it_is_drawn(two_link, camera, rng):
+    """On the line of sight through its pixel, in the axes of what carries the camera."""
+    carried = camera.mount is not None
+    points = rng.uniform(-0.5, 0.5, (4, 3)) + [3.0, 0.0, 0.0] if carried else [[0.1, 0.0, 0.2]]
+    sensor = aj.ImageTask(two_link, camera, points=points)
+    (drawn,) = stage_of(two_link, sensor).cameras
+    assert drawn["role"] == "true"
+    assert drawn["mount"] == camera.mount
+    for q in ([0.1, 1.0], [-0.2, -0.7]):
+        q, images = np.array(q), sensor.value(np.array(q)).reshape(-1, 2)
+        tip = FrameKinematics(two_link, two_link.tip)
+        R, p = tip.placement(q)
+        places = np.array(points) if carried else np.array(points) @ R.T + p
+        if carried:
+            R, p = FrameKinematics(two_link, camera.mount).placement(q)
+            places = (places - p) @ R
+        for place, image in zip(places, images, strict=True):
+            a, b = (image - drawn["low"]) / (drawn["high"] - drawn["low"])
+            spot = drawn["corner"] + a * drawn["right"] + b * drawn["down"]
+            sight, way = spot - drawn["apex"], place - drawn["apex"]
+            along = way @ sight / (np.linalg.norm(way) * np.linalg.norm(sight))
+            assert along == pytest.approx(1.0, abs=1e-9)
+
+
+def test_what_is_believed_wrongly_differs(two_link):
+    arm = aj.load_robot("two_link").with_object(0.5, 0.5, radius=0.0, axis="x")
+    task = aj.PositionTask(arm, axes="xz")
+    assert not stage_of(arm).differs
+    assert not stage_of(arm, task, arm, task).differs
+    for wrong in (
+        arm.with_kinematic_error({"joint2": (0.0, 0.0, 1e-3)}),
+        arm.with_kinematic_error(rotations={"joint2": (0.0, 1e-3, 0.0)}),
+        aj.load_robot("two_link").with_object(0.4, 0.5, radius=0.0, axis="x"),
+        aj.load_robot("two_link"),
+    ):
+        assert stage_of(arm, belief=wrong).differs
+    for camera in (ROOM.with_error(shift=(0.0, 0.0, 1e-2)), ROOM.with_error(focal_factor=1.01)):
+        tasks = (aj.ImageTask(arm, each) for each in (ROOM, camera))
+        assert stage_of(arm, next(tasks), arm, next(tasks)).differs
+    assert not stage_of(arm, aj.ImageTask(arm, ROOM), arm, aj.ImageTask(arm, ROOM)).differs
+
+
+def test_cameras_in_the_world_are_in_view_and_carried_ones_are_not(two_link):
+    room = stage_of(two_link, aj.ImageTask(two_link, ROOM))
+    assert_allclose(room.camera_points[0], [1.0, -3.0, 1.2])
+    assert room.camera_points.shape == (5, 3)
+    carried = stage_of(two_link, aj.ImageTask(two_link, ON_ARM, points=[[2.0, 0.0, 0.0]]))
+    assert carried.camera_points.shape == (0, 3)
