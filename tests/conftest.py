@@ -11,7 +11,7 @@ import approxjac as aj
 from approxjac.codegen.backends.machine_code import MachineCode
 
 IN_CI = bool(os.environ.get("CI"))
-settings.register_profile("default", deadline=None, derandomize=IN_CI, max_examples=20)
+settings.register_profile("default", deadline=None, derandomize=IN_CI, max_examples=10)
 settings.load_profile("default")
 settings.register_profile("many", deadline=None, derandomize=IN_CI, max_examples=200)  # for CI
 # For mutants: that a test fails is all that counts, so the example need not become small.

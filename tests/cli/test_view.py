@@ -1,6 +1,8 @@
 """`approxjac view`, and `simulate --view`."""
 
 import asyncio
+import contextlib
+import io
 import json
 import os
 import signal
@@ -18,19 +20,13 @@ from approxjac.cli import main
 from approxjac.scenario import Scenario
 
 
-def run(*arguments):
-    return subprocess.run(
-        [sys.executable, "-m", "approxjac", *arguments], capture_output=True, text=True, check=False
-    )
-
-
 @pytest.fixture(scope="module")
 def reached(tmp_path_factory):
     """A short run, as `simulate` leaves it."""
     out = tmp_path_factory.mktemp("reached")
-    process = run("simulate", "two_link", "--duration", "0.5", "--out", str(out))
-    assert process.returncode in (0, 1), process.stderr
-    assert f"See it move: approxjac view {out / 'run.npz'}" in process.stdout
+    with contextlib.redirect_stdout(io.StringIO()) as told:
+        assert main(["simulate", "two_link", "--duration", "0.5", "--out", str(out)]) in (0, 1)
+    assert f"See it move: approxjac view {out / 'run.npz'}" in told.getvalue()
     return out
 
 

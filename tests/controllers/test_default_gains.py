@@ -157,7 +157,7 @@ def settling_shares(name, settling_time):
                 controller,
                 task.value(start) + 0.07 * direction,
                 start,
-                8 * settling_time,
+                4 * settling_time,
                 dt=dt,
                 record_every=5 * dt,
                 computation=aj.simulation.Computation("semi_implicit_euler"),

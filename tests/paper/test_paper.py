@@ -185,6 +185,7 @@ def test_an_arm_that_is_believed_as_it_is_has_the_inertia_of_the_true_one(inerti
     assert_allclose(plant.friction, [0.4, 0.4])
 
 
+@pytest.mark.study
 def test_a_limit_cycle_is_not_called_stable():
     """A large start makes any early quarter look worse than a limit cycle that goes on."""
     setup = paper.Setup(

@@ -92,7 +92,7 @@ def test_yourdfpy(saved, rng):
     assert_allclose(sum(masses), robot.mass + fixed, rtol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["two_link", "panda"])
+@pytest.mark.parametrize("name", ["two_link", pytest.param("panda", marks=pytest.mark.study)])
 def test_meshcat(name, tmp_path, rng):
     from pinocchio.visualize import MeshcatVisualizer
 

@@ -135,6 +135,7 @@ def test_of_late_loops_some_are_unstable_by_the_gravity_that_they_hold():
     assert all(loops()[k].rate() < 0.0 for k in (2, 7, 11))
 
 
+@pytest.mark.study
 def test_a_report_of_such_a_loop_does_not_certify_it():
     """It would have: the certificate asks for more than is true, but not of this."""
     late = loops()[4]

@@ -402,6 +402,7 @@ def test_tolerance_of_a_tool_is_larger_for_sharper_tests(tools, box):
     assert "object length" in found["matrix"].worst_text
 
 
+@pytest.mark.study
 def test_tolerated_camera_roll_is_where_the_eigenvalues_say():
     """Two-link with Figure 4's gains: beyond the told angle the exact linearisation is unstable."""
     arm = paper.build_arm().with_gravity((0.0, 0.0, 0.0))
@@ -517,6 +518,7 @@ def test_suggest_refuses(tools, small_box):
 # -- what a saturated error hides -----------------------------------------------------------
 
 
+@pytest.mark.study
 def test_a_saturated_error_is_looked_at_where_it_is_not():
     """With a small γ, drawn errors are all beyond it, where s is flat; motions end where it is not.
 

@@ -17,6 +17,7 @@ def small(monkeypatch):
         monkeypatch.setattr(attacks, name, value)
 
 
+@pytest.mark.study
 def test_nothing_contradicts_a_few_certificates(small):
     outcomes = [study.attack((number, 5, 16)) for number in (0, 10)]
     assert all(o.latency and o.radius > 0.0 for o in outcomes)

@@ -587,6 +587,7 @@ def test_without_the_key_of_its_address_nobody_is_served(panda):
     with_pages(panda, act)
 
 
+@pytest.mark.study
 def test_a_flood_of_messages_does_not_hold_up_a_run(panda):
     """Of each kind of wish the latest is obeyed; a page that sends too many waits, not the run."""
     sent, done = 143_000, threading.Event()
