@@ -7,6 +7,7 @@ from scipy.linalg import block_diag
 
 import approxjac as aj
 from approxjac.controllers import DifferentiatedVelocity
+from approxjac.controllers.setpoint import Reach
 from approxjac.robots import Dynamics, GravityRegressor
 
 START = np.array([0.0, -0.4, 0.3, -1.9, 0.2, 1.6, 0.4])
@@ -281,6 +282,19 @@ def test_learning_stands_still_where_the_target_is_out_of_reach(arms, axes):
             answer = rate_at(controller, START, np.zeros(7), x + shift, theta, target)
             assert (answer.status is aj.Status.OUT_OF_REACH) is far
             assert (answer.state_rate == 0.0).all() == far
+
+
+@pytest.mark.parametrize("axes", ["xyz", "zx"])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_the_reach_is_around_the_first_joint(panda, axes, side):
+    """By a tool more than the stretched arm: of a Panda 0.333 m above the floor."""
+    task = aj.PositionTask(panda, axes=axes)
+    origin, most = panda.reach_bound(task.frame)
+    assert origin == pytest.approx([0.0, 0.0, 0.333])
+    up = np.where(np.array(list(axes)) == "z", side, 0.0)
+    for distance, is_far in ((1.17 * most, False), (1.19 * most, True)):
+        target = origin[["xyz".index(axis) for axis in axes]] + distance * up
+        assert Reach(task).is_exceeded(START, task.value(START) - target) == is_far
 
 
 def test_the_differentiator_goes_on_while_learning_stands_still(arms):

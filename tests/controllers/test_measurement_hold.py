@@ -166,6 +166,17 @@ def test_an_x_that_does_not_change_is_too_old_once_the_image_must_have_moved(tas
     assert loop.step(LOST).status is Status.MEASUREMENT_HELD
 
 
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_each_coordinate_may_move_as_far_to_either_side_and_no_other_counts(task, axis, side):
+    x, unseen = task.value(START), np.where(np.arange(3) == axis, 4.25e-3, np.inf)
+    J = task.jacobian(START)
+    v = np.linalg.pinv(J) @ np.where(np.arange(3) == axis, side * 0.5, 3.0)  # 0.5 mm a step
+    loop = Loop(aj.HeldMeasurement(LAW, unseen), x, x + 0.05, v=v)
+    said = [loop.step(x).status, *(loop.step(LOST).status for _ in range(9))]
+    assert said == [Status.OK] + 8 * [Status.MEASUREMENT_HELD] + [Status.MEASUREMENT_LOST]
+
+
 def test_what_counts_is_the_net_displacement(task):
     """A tremble of some millimetres a sample adds up to nothing."""
     x = task.value(START)

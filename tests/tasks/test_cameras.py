@@ -416,3 +416,15 @@ def test_bad_calibrations_are_refused(changes, text):
     given = {"K": K, "distortion": (), "rvec": (0.0, 0.0, 0.0), "tvec": (0.0, 0.0, 0.0)}
     with pytest.raises(aj.InvalidInputError, match=text):
         aj.PinholeCamera.from_opencv(**{**given, **changes, "size": (640, 480)})
+
+
+def test_a_camera_with_the_numbers_of_another_one_shows_what_that_does(rng):
+    """As one whose calibration is not known until a run begins."""
+    one = aj.PinholeCamera.looking_at((0.4, 0.0, 0.4), (2.0, -1.0, 1.0), 600.0, (640, 480))
+    other = aj.PinholeCamera.looking_at((0.3, 0.2, 0.1), (-2.0, 1.0, 2.0), 500.0, (640, 480))
+    same = one.with_numbers(other.numbers)
+    for r in rng.uniform(-0.3, 0.3, (5, 3)):
+        assert_allclose(same.in_camera(r), other.in_camera(r))
+        assert_allclose(same.project(r), other.project(r))
+        assert_allclose(same.interaction(r), other.interaction(r))
+        assert_allclose(same.locate(same.project(r), same.in_camera(r)[2]), r, atol=1e-9)

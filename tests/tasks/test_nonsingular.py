@@ -271,3 +271,19 @@ def test_one_coordinate_keeps_its_rank_too(two_link):
     assert np.linalg.norm(path[-1]) > 0.1
     steps = np.linalg.norm(np.diff(path, axis=0), axis=(1, 2))
     assert steps.max() < 0.01
+
+
+def test_of_an_image_with_depths_the_bent_arm_has_what_was_measured_too(panda, rng):
+    q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+    camera = aj.PinholeCamera.looking_at((0.4, 0.0, 0.4), (2.0, -1.0, 1.0), 600.0, (640, 480))
+    points = ((0.0, 0.0, 0.0), (0.05, 0.0, 0.02))
+    images = aj.ImageTask(panda, camera, points=points, depth="measured")
+    designed = NonsingularTask(images, {"panda_joint4": 0.3}, ratio=0.9)
+    bent, x = q + 0.3 * np.eye(7)[3], images.value(q) * 1.1
+    J, moved = images.jacobian(q, x), images.jacobian(bent, x)
+    U, values, _ = np.linalg.svd(J, full_matrices=False)
+    weights = np.maximum(0.0, 1.0 - (values / (0.9 * values[0])) ** 2)
+    assert weights.max() > 0.5
+    expected = J + U @ np.diag(weights) @ U.T @ (moved - J)
+    assert_allclose(designed.jacobian(q, x), expected, rtol=1e-6, atol=1e-6 * values[0])
+    assert np.abs(moved - images.jacobian(bent)).max() > 0.01 * values[0]

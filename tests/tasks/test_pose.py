@@ -13,7 +13,8 @@ import approxjac as aj
 from approxjac.controllers import DifferentiatedVelocity
 from approxjac.errors import UnknownNameError
 from approxjac.robots import Dynamics
-from approxjac.tasks import NonsingularTask
+from approxjac.tasks import NonsingularTask, PoseTrackerTask, TrackerTask
+from approxjac.tasks.analysis import place_of
 
 
 @functools.cache
@@ -284,3 +285,9 @@ def test_repr_names_robot_and_frame(panda):
     assert repr(aj.PoseTask(panda, "panda_link5")) == "PoseTask('panda', 'panda_link5')"
     with pytest.raises(UnknownNameError, match="frame 'tcp' not in panda"):
         aj.PoseTask(panda, "tcp")
+
+
+@pytest.mark.parametrize("kind", [TrackerTask, PoseTrackerTask])
+def test_a_value_in_the_axes_of_a_tracker_has_its_place_in_the_world(panda, rng, kind):
+    task, q = kind(panda, (0.4, -0.7, 1.1), (2.0, -1.0, 0.5)), panda.random_configuration(rng)
+    assert_allclose(place_of(task, task.value(q)), aj.PositionTask(panda).value(q))

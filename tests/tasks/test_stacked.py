@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
+from approxjac.tasks.analysis import with_error
 
 
 @pytest.fixture
@@ -113,3 +114,40 @@ def test_the_elbow_is_placed_while_the_tip_reaches_its_target(panda):
     assert np.abs(run.error[0]).min() > 0.01
     assert np.abs(run.error[-1]).max() < 1e-4
     assert run.task_labels == ("1.x", "1.y", "1.z", "2.y")
+
+
+@pytest.fixture
+def watched(panda):
+    """Two images with depths in x that no error has, and a position behind them."""
+    camera = aj.PinholeCamera.looking_at((0.4, 0.0, 0.4), (2.0, -1.0, 1.0), 600.0, (640, 480))
+    points = ((0.0, 0.0, 0.0), (0.05, 0.0, 0.02))
+    images = aj.ImageTask(panda, camera, points=points, depth="measured")
+    height = aj.PositionTask(panda, "panda_link4", axes="z")
+    return aj.StackedTask(height, images, aj.PositionTask(panda, axes="x"))
+
+
+def test_each_part_of_x_is_in_its_own_coordinates_of_the_error(panda, watched, stacked, rng):
+    """So that one of them can be lost, and held, without the others."""
+    q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+    for task, parts in ((watched, 4), (stacked, 2)):
+        x, seen = task.value(q), np.zeros(task.m)
+        assert len(task._parts) == parts
+        for entries, rows in task._parts:
+            lost = x.copy()
+            lost[entries] = np.nan
+            own = np.isnan(task.error(lost, x))
+            assert np.flatnonzero(own).tolist() == list(range(task.m))[rows]
+            seen += own
+        assert_allclose(seen, 1.0)
+
+
+def test_what_is_in_no_error_stays_as_it_was_measured(watched, rng):
+    q, other = np.array(
+        [[0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7], [0.1, -0.4, 0.1, -1.9, 0, 1.5, 0.6]]
+    )
+    x, x_d, e = watched.value(q), watched.value(other), rng.normal(size=watched.m)
+    value = with_error(watched, x, x_d, e)
+    assert_allclose(watched.error(value, x_d), e)
+    depths = [3, 6]
+    assert_allclose(value[depths], x[depths])
+    assert np.abs(x[depths] - x_d[depths]).min() > 1e-3
