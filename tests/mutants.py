@@ -908,6 +908,145 @@ MUTANTS = [
         "position(np.array(setup.start))",
         "tests/paper/test_paper.py",
     ),
+    # -- and more of the same rooms
+    (
+        "frames at any rate", "controllers/learning/estimator.py",
+        "passed = is_old | ((since > 0.0) & (since < _CLOSEST - _ROUND_OFF))",
+        "passed = is_old", GATE,
+    ),
+    (
+        "frames count since the first one", "controllers/learning/estimator.py",
+        "                time[0] = own.t\n",
+        "", GATE,
+    ),
+    (
+        "gate remembers what was before", "controllers/learning/estimator.py",
+        "fresh = {\"frames\", \"gate\", \"time\", *rates, *spins}",
+        "fresh = {\"frames\", \"time\", *rates, *spins}", GATE,
+    ),
+    (
+        "easing faster than the period", "controllers/learning/estimator.py",
+        "np.minimum(_SMOOTHING, 0.5 / dt)",
+        "_SMOOTHING", GATE,
+    ),
+    (
+        "frame of the later configuration", "controllers/learning/estimator.py",
+        "moved(robot, begins, share * motion_between(robot, begins, ends))",
+        "moved(robot, begins, motion_between(robot, begins, ends))", GATE,
+    ),
+    (
+        "covariance of a known tracker turned back", "controllers/learning/positions.py",
+        "            T[self._n_u :, self._n_u :] = self._R\n",
+        "            T[self._n_u :, self._n_u :] = self._R.T\n", GATE,
+    ),
+    (
+        "covariance of an offset turned back", "controllers/learning/positions.py",
+        "        T[n:P, n:P] = R\n",
+        "        T[n:P, n:P] = R.T\n", GATE,
+    ),
+    (
+        "covariance of a turn of the wrong sign", "controllers/learning/positions.py",
+        "T[n:P, P:] = -R.dot((law",
+        "T[n:P, P:] = R.dot((law", GATE,
+    ),
+    (
+        "commands change as in a millisecond", "controllers/tracking.py",
+        "self._dt, self._change = dt, dt * self.acceleration",
+        "self._dt, self._change = dt, 1e-3 * self.acceleration",
+        "tests/controllers/test_tracking.py",
+    ),
+    (
+        "lag without an end", "controllers/tracking.py",
+        "lag = np.minimum(np.maximum(lag, 0.0), _LONGEST_LAG)",
+        "lag = np.maximum(lag, 0.0)", "tests/controllers/test_tracking.py",
+    ),
+    (
+        "first command from rest", "controllers/tracking.py",
+        "state[self._end :] = np.where(np.isfinite(v), v, 0.0)",
+        "state[self._end :] = 0.0", "tests/controllers/test_tracking.py",
+    ),
+    (
+        "stops beside continuous joints by q", "controllers/tracking.py",
+        "motion = q if self._neutral is None else motion_between(self._robot, self._neutral, q)",
+        "motion = q[: len(v)]", "tests/controllers/test_tracking.py",
+    ),
+    (
+        "self-motion by the rate of an angle", "controllers/tracking.py",
+        "rate = np.where(self._continuous, a * c + b * s, 1.0) * v",
+        "rate = v", "tests/controllers/test_tracking.py",
+    ),
+    (
+        "motion without its rotors", "controllers/adaptive_dynamics.py",
+        "return state, middle + self.rotor_inertia * a_r - apart,",
+        "return state, middle - apart,", "tests/controllers/test_tracking.py",
+    ),
+    (
+        "next speed as in a millisecond", "controllers/limits/torque_limited.py",
+        "self._period = np.array(dt)",
+        "self._period = np.array(1e-3)", "tests/controllers/test_prediction.py",
+    ),
+    (
+        "residual forgets as in a millisecond", "controllers/limits/torque_limited.py",
+        "np.array(1.0 - rate * dt)",
+        "np.array(1.0 - rate * 1e-3)", "tests/controllers/test_prediction.py",
+    ),
+    (
+        "reach around the base", "controllers/setpoint.py",
+        "- e[:k] - self._origin",
+        "- e[:k]", "tests/controllers/test_adaptive_gravity.py",
+    ),
+    (
+        "speed of a target uncombined", "controllers/setpoint.py",
+        "v_d = self._combination.dot(\n                    as_vector",
+        "v_d = np.eye(len(self._combination)).dot(\n                    as_vector",
+        "tests/controllers/test_setpoint.py",
+    ),
+    (
+        "task's torque of another state", "controllers/setpoint.py",
+        "at.state[self.resting :]) / self._lag",
+        "at.state[: self.task.m]) / self._lag", "tests/controllers/test_setpoint.py",
+    ),
+    (
+        "measured velocity not relative", "law/steps.py",
+        "(dot(J_hat, v) if x_dot is None else x_dot) - v_d",
+        "(dot(J_hat, v) - v_d if x_dot is None else x_dot)", "tests/controllers/test_setpoint.py",
+    ),
+    (
+        "push from stops at any rate", "controllers/posture.py",
+        "rate * gains.damping",
+        "gains.damping", "tests/controllers/test_posture.py",
+    ),
+    (
+        "moved unseen to one side", "law/steps.py",
+        "abs(far) > end",
+        "far > end", "tests/controllers/test_measurement_hold.py",
+    ),
+    (
+        "depths of another entry", "tasks/wrapped.py",
+        "[at.start + i for task",
+        "[i for task", "tests/tasks/test_stacked.py",
+    ),
+    (
+        "parts in entries of x", "tasks/wrapped.py",
+        "(_moved(part, at.start), _moved(coordinates, own.start))",
+        "(_moved(part, at.start), _moved(coordinates, at.start))", "tests/tasks/test_stacked.py",
+    ),
+    (
+        "place by the inverse turn", "tasks/task.py",
+        "(own - self.placed[1]) @ self.placed[0]",
+        "(own - self.placed[1]) @ self.placed[0].T", "tests/tasks/test_pose.py",
+    ),
+    (
+        "bent image as believed", "tasks/wrapped.py",
+        "bent = self.task.jacobian(moved(self.robot, q, self._bend), x)",
+        "bent = self.task.jacobian(moved(self.robot, q, self._bend))",
+        "tests/tasks/test_nonsingular.py",
+    ),
+    (
+        "numbers of a camera but for its axes", "cameras/camera.py",
+        "        vars(other).update(_R_t=other._R.T)\n",
+        "", "tests/tasks/test_cameras.py",
+    ),
 ]  # fmt: skip
 
 

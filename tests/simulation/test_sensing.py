@@ -305,6 +305,16 @@ def test_the_velocity_filter_has_its_time_constant(position, T):
     assert_allclose(ratio[-1], 1.0, atol=1e-4)
 
 
+@pytest.mark.parametrize("T", [0.0, 5e-4, 2e-3])
+@pytest.mark.parametrize("dt", [1e-3, 4e-3])
+def test_a_filter_shorter_than_a_sample_does_not_overshoot(position, T, dt):
+    """T q̈ + q̇ = Δq/dt with q̈ over the sample before: each leaves T/(T + dt) of what is off."""
+    v = np.linspace(-0.5, 0.7, 7)
+    seen = readings(aj.Sensing(velocity_filter=T), moving(position, START, v, 9, dt), position, dt)
+    for k, reading in enumerate(seen):
+        assert_allclose(reading.v, v * (1.0 - (T / (T + dt)) ** k), atol=1e-10)
+
+
 def test_the_velocity_filter_smooths_noise(position):
     """White noise σ on q makes √2 σ/dt as plain differences, and about σ/T where dt ≪ T."""
     sigma, dt = 1e-5, 1e-3
@@ -745,6 +755,33 @@ def test_frames_of_a_long_run_stay_in_time(plane):
     shown = [read(aj.Measurement(k * dt, q, v, np.full(2, float(k)))).x[0] for k in range(count)]
     assert_array_equal(shown, frames(7.4925, count, dt))
     assert len(np.unique(shown)) == math.floor((count - 1) * 0.74925) + 1
+
+
+@pytest.mark.parametrize("rate", [None, 30.0, 100.0, 470.0])
+@pytest.mark.parametrize("late", [0, 1, 7, 40])
+def test_what_is_lost_or_frozen_is_so_from_its_first_instant_to_before_its_last(pair, rate, late):
+    """By the time at which a frame is taken, and of one part where there is one; in exact numbers.
+
+    Ends are instants at which a frame is taken, and at which none is.
+    """
+    lost, of_part, frozen, dt, count = (0.03, 0.06), (0.08, 0.105), (0.13, 0.16), 1e-3, 260
+    sensing = aj.Sensing(
+        x_rate=rate, x_delay=late * dt, x_lost=[lost, (*of_part, 1)], x_frozen=[frozen]
+    )
+    seen = readings(sensing, numbered(pair, count), pair)
+    shown, images = np.arange(count) if rate is None else frames(rate, count), {}
+    last = 0
+    for k in range(count):
+        if shown[k] == k and not 130 <= k < 160:
+            last = k
+        images[k] = last
+    for k, reading in enumerate(seen):
+        number = images[max(k - late, 0)]
+        expected = np.full(4, np.nan if 30 <= number < 60 else float(number))
+        if 80 <= number < 105:
+            expected[3] = np.nan
+        assert_array_equal(reading.x, expected, err_msg=f"at sample {k}")
+        assert reading.t_x == pytest.approx(number * dt)
 
 
 def test_between_frames_the_last_one_is_read_again_to_the_bit(position):
