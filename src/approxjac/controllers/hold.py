@@ -77,6 +77,7 @@ class HeldMeasurement(ControllerWrapper):
         memory = np.append(self._origin, np.zeros(self._memory - len(self._origin)))
         return np.concatenate([self.controller.initial_state(measurement), memory])
 
+    @np.errstate(over="ignore", invalid="ignore")  # an overflow is a named error
     def step(
         self, state: Array, measurement: Measurement, target: Target | Array, dt: float
     ) -> tuple[Array, Evaluation]:
@@ -87,32 +88,33 @@ class HeldMeasurement(ControllerWrapper):
             InvalidInputError: As the controller; t_x is not finite, or the output has no Ĵ.
         """
         inner, memory = self._split(state)
-        t_x = getattr(measurement, "t_x", None)
+        require("measurement", measurement, Measurement, "Measurement(t, q, v, x)")
+        t, q, v, x, t_x = measurement
         if not hasattr(state, "arm_of"):
-            require("measurement", measurement, Measurement, "Measurement(t, q, v, x)")
-            require_array("x", measurement.x, len(self._origin), self.controller.task)
+            require_array("x", x, len(self._origin), self.controller.task)
             t_x = time_of_x(t_x)
-        x = measurement.x
-        with np.errstate(over="ignore", invalid="ignore"):  # an overflow is a named error
-            # numbers may be no measurement all the same, such as a quaternion of zeros
-            errors = x if self._measured._subtracts else self._measured.error(x, self._origin)
-            taken, knows_time = (0.0, False) if t_x is None else (t_x, True)
-            if hasattr(t_x, "graph"):  # a symbol, NaN where it is not known
-                knows_time = t_x == t_x
-            held = law.hold_step(memory, x, errors, taken, knows_time, self._parts, self._most)
-            after, answer = self.controller.step(inner, measurement._replace(x=held.x), target, dt)
-            if answer.J_hat is None:
-                raise InvalidInputError(
-                    f"controller must answer with J_hat, which says how far the image moves, "
-                    f"got {self.controller!r}, which has none",
-                    given=self.controller,
-                )
-            rate = answer.J_hat.dot(measurement.v)
-            motion = dt * (rate if self._uncombined is None else self._uncombined.dot(rate))
-            memory = law.hold_moved(held, motion)
+        # numbers may be no measurement all the same, such as a quaternion of zeros
+        errors = x if self._measured._subtracts else self._measured.error(x, self._origin)
+        taken, knows_time = (0.0, False) if t_x is None else (t_x, True)
+        if hasattr(t_x, "graph"):  # a symbol, NaN where it is not known
+            knows_time = t_x == t_x
+        held = law.hold_step(memory, x, errors, taken, knows_time, self._parts, self._most)
+        used = Measurement(t, q, v, held.x, measurement.t_x)
+        after, answer = self.controller.step(inner, used, target, dt)
+        if answer.J_hat is None:
+            raise InvalidInputError(
+                f"controller must answer with J_hat, which says how far the image moves, "
+                f"got {self.controller!r}, which has none",
+                given=self.controller,
+            )
+        rate = answer.J_hat.dot(v)
+        motion = dt * (rate if self._uncombined is None else self._uncombined.dot(rate))
+        memory = law.hold_moved(held, motion)
         is_held = law.complement(held.is_new) & (answer.status == _OK)
         status = law.select(is_held, _HELD, answer.status)
-        return self._joined(after, memory, measurement), answer._replace(status=status)
+        if status is not answer.status:
+            answer = answer._replace(status=status)
+        return self._joined(after, memory, measurement), answer
 
     def __repr__(self) -> str:
         return f"HeldMeasurement({self.controller!r}, unseen={self.unseen.tolist()})"

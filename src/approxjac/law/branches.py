@@ -18,6 +18,8 @@ from approxjac.validation import Array
 
 Values = TypeVar("Values", bound=tuple[Any, ...])
 
+_KNOWN = bool, np.bool_
+
 
 def select(condition: Any, a: Any, b: Any) -> Any:
     """Return a where a condition holds, b elsewhere: numbers, or arrays of the same shape.
@@ -36,7 +38,7 @@ def select(condition: Any, a: Any, b: Any) -> Any:
 
 def complement(condition: Any) -> Any:
     """Return the opposite of a condition."""
-    return not condition if isinstance(condition, bool | np.bool_) else ~condition
+    return not condition if isinstance(condition, _KNOWN) else ~condition
 
 
 def is_finite(x: Any) -> Any:
@@ -73,26 +75,22 @@ def array(values: Any) -> Any:
 
 def any_of(conditions: Any) -> Any:
     """Return True if any of some conditions (…) holds."""
-    if not conditions.dtype.hasobject:
-        return bool(conditions.any())
     return functools.reduce(operator.or_, conditions.ravel().tolist(), False)
 
 
 def all_of(conditions: Any) -> Any:
     """Return True if all of some conditions (…) hold."""
-    if not conditions.dtype.hasobject:
-        return bool(conditions.all())
     return functools.reduce(operator.and_, conditions.ravel().tolist(), True)
 
 
 def surely(condition: Any) -> bool:
     """Return True if a condition is known to hold; False for a symbol."""
-    return isinstance(condition, bool | np.bool_) and bool(condition)
+    return isinstance(condition, _KNOWN) and bool(condition)
 
 
 def alter(condition: Any, values: Array, change: Callable[[Array], None]) -> None:
     """Call `change` to modify an array in place where a condition, usually False, holds."""
-    if isinstance(condition, bool | np.bool_):
+    if isinstance(condition, _KNOWN):
         if condition:
             change(values)
         return
@@ -106,7 +104,7 @@ def choose(condition: Any, then: Callable[[], Values], otherwise: Callable[[], V
 
     Both return tuples of as many numbers and arrays, of the same shapes. Usually it is False.
     """
-    if isinstance(condition, bool | np.bool_):
+    if isinstance(condition, _KNOWN):
         return then() if condition else otherwise()
     chosen: Values = condition.choose(then, otherwise)
     return chosen

@@ -114,7 +114,8 @@ def approach_speed(left: Array, fastest: Array, approach: float | Array, knee: A
     """
     signed = approach * left
     speed = np.abs(signed)
-    braked = np.sqrt(knee * (2.0 * np.maximum(speed, knee) - knee))
+    faster = np.maximum(speed, knee)
+    braked = np.sqrt(knee * (faster + faster - knee))
     return np.copysign(np.minimum(np.minimum(speed, braked), fastest), signed)
 
 
@@ -122,17 +123,18 @@ class JointRange(NamedTuple):
     """Allowed positions of joints and the speed bounds near their ends."""
 
     ends: Array  # smallest and largest positions, shape (2, n_v), infinite where there is none
-    fastest: Array  # largest speeds, shape (n_v,)
+    fastest: Array  # largest speeds, shape (2, n_v): NumPy takes its time for another shape
     approach: Array  # κ [1/s]
-    knee: Array  # a/κ with the deceleration a that each joint is sure of, shape (n_v,)
+    knee: Array  # a/κ with the deceleration a that each joint is sure of, shape (2, n_v)
 
     @classmethod
     def of(
         cls, ends: Any, fastest: Any, approach: float, deceleration: Array | float
     ) -> JointRange:
         """Return a range with a deceleration, which may be infinite."""
-        knee = np.minimum(deceleration, _FAR) / approach
-        return cls(np.asarray(ends), np.asarray(fastest), np.array(approach), knee)
+        both = np.zeros(np.shape(ends))
+        knee = both + np.minimum(deceleration, _FAR) / approach
+        return cls(np.asarray(ends), both + fastest, np.array(approach), knee)
 
 
 def speed_bounds(motion: Array, joints: JointRange) -> Array:

@@ -108,7 +108,9 @@ def is_near_singular(G: Array, singular_ratio: float = SINGULAR_RATIO, scale: fl
         squares = np.asanyarray(np.linalg.eigvalsh(G))
         return (gram_damping(squares.min(), squares.max(), singular_ratio, scale),)
 
-    may_be = may_be_singular(G, singular_ratio, scale)
+    _, may_be = regular_solver(G, singular_ratio, scale)
+    if may_be is False:
+        return False
     damping: Any = choose(may_be, by_eigenvalues, lambda: (0.0,))[0]
     return bool(damping > 0.0) if isinstance(damping, float) else damping > 0.0
 

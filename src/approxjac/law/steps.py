@@ -6,10 +6,10 @@ A controller checks its arguments, collects the terms of the believed robot and 
 
 from __future__ import annotations
 
-import functools
 import math
-import operator
 from collections.abc import Sequence
+from functools import reduce
+from operator import and_, or_
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -148,18 +148,18 @@ def hold_step(
     kept, n = memory.tolist(), len(x)
     last, t_last, p, seen = kept[:n], kept[n], kept[n + 1 : -len(parts)], kept[-len(parts) :]
     measured, apart, was_seen = x.tolist(), errors.tolist(), [each > 0.0 for each in seen]
-    later = knows_time & ((t_x > t_last) | complement(_any(was_seen)))
+    later = knows_time & ((t_x > t_last) | complement(reduce(or_, was_seen)))
     used, moved, known, stands = list[Any](), list[Any](), list[Any](), list[tuple[slice, Any]]()
     remembered, any_new = list[Any](), False
     for (entries, rows), ever in zip(parts, was_seen, strict=True):
         here, before, own = measured[entries], last[entries], p[rows]
         new = later
         if knows_time is not True:
-            differs = complement(_all([a == b for a, b in zip(here, before, strict=True)]))
+            differs = complement(reduce(and_, [a == b for a, b in zip(here, before, strict=True)]))
             new = select(knows_time, later, differs)
         never = complement(ever)
         is_new = all_finite(here + apart[rows]) & (never | new)
-        is_far = _any([abs(far) > end for far, end in zip(own, most[rows], strict=True)])
+        is_far = reduce(or_, [abs(far) > end for far, end in zip(own, most[rows], strict=True)])
         is_old = complement(is_new) & (never | is_far)
         now = _each(is_new, here, before)
         remembered += now
@@ -184,12 +184,6 @@ def hold_moved(held: HoldStep, motion: Array) -> Array:
 
 
 def _each(condition: Any, a: list[Any], b: list[Any]) -> list[Any]:
+    if condition is True or condition is False:
+        return a if condition else b
     return [select(condition, *pair) for pair in zip(a, b, strict=True)]
-
-
-def _any(conditions: Sequence[Any]) -> Any:
-    return functools.reduce(operator.or_, conditions, False)
-
-
-def _all(conditions: Sequence[Any]) -> Any:
-    return functools.reduce(operator.and_, conditions, True)

@@ -28,7 +28,8 @@ from approxjac.validation import Array, as_number, require
 _FREE, _LIMITED = LimitStatus.FREE, LimitStatus.LIMITED  # members of an enum are slow to look up
 _INFEASIBLE, _FAILED = LimitStatus.INFEASIBLE, LimitStatus.SOLVER_FAILED
 _KEPT, _GIVEN_UP = LimitStatus.PROOF_KEPT, LimitStatus.PROOF_GIVEN_UP
-_GOES_ON = _FREE, _KEPT, LimitStatus.EXCEEDED  # V̇ ≤ −W holds
+_EXCEEDED = LimitStatus.EXCEEDED
+_GOES_ON = _FREE, _KEPT, _EXCEEDED  # V̇ ≤ −W holds
 _LEARNS = Status.OK, Status.NEAR_SINGULAR  # of the law, where there is something to learn from
 _UNKNOWN, _KNOWN = 0.1, 0.3  # times the rate of samples, or of the lag: how fast damping may be
 _BEYOND = 1e-3  # a limit of speed (as a share) or position [rad or m], which has a status
@@ -60,7 +61,6 @@ class AccelerationObserver:
         self.dynamics, self.has_weight = controller.believed_dynamics()
         self._n = robot.nv
         self._dt, self._rate, self._share = dt, np.array(rate), np.array(1.0 - rate * dt)
-        self._half = 0.5 * dt
         self._period = np.array(dt)
         self.nothing = np.concatenate([[_NEVER], np.zeros(2 * robot.nv)])  # before the first period
 
@@ -73,7 +73,7 @@ class AccelerationObserver:
     def residual(self, memory: Array, measurement: Measurement) -> Array:
         """Return the updated r, shape (n_v,) [rad/s² or m/s²]."""
         n = self._n
-        r, is_due = memory[n + 1 :], abs(measurement.t - memory[0]) <= self._half
+        r, is_due = memory[n + 1 :], abs(measurement.t - memory[0]) <= 0.5 * self._dt
         apart = measurement.v - memory[1 : n + 1]
         residual: Array = law.select(is_due, self._share * r + self._rate * apart, r)
         return residual
@@ -88,7 +88,7 @@ class AccelerationObserver:
         expected = measurement.v + self._period * f
         memory = np.concatenate([[measurement.t + self._dt], expected, residual])
         # what is absurd must not make the next period's prediction overflow
-        kept: Array = law.select(np.abs(memory).max() < HUGE, memory, self.nothing)
+        kept: Array = law.select(law.length(memory) < HUGE, memory, self.nothing)
         return kept
 
 
@@ -281,7 +281,7 @@ class TorqueLimited(ControllerWrapper):
         traced = hasattr(state, "arm_of")
         if self._looks_ahead and not traced and dt != self._dt:
             require_dt(dt, self._dt)
-        state, memory = self._split(state)
+        state, memory = self._split(state) if self._memory else (state, self._kept)
         after, answer = self._law.step(state, measurement, target, dt)
         wanted, g, lower, upper = answer.torque, answer.gravity, self._lower, self._upper
         if g is None:
@@ -306,6 +306,7 @@ class TorqueLimited(ControllerWrapper):
             after = np.concatenate([after, memory, torque] if self._has_rate else [after, memory])
         return after, Evaluation(torque, *answer[1:6], status, slack, answer.reference)
 
+    @np.errstate(over="ignore", invalid="ignore")  # what overflows has a status
     def limited(
         self,
         answer: Evaluation,
@@ -329,25 +330,25 @@ class TorqueLimited(ControllerWrapper):
             return law.braked(M_inv, bounds, lower, upper, rest, hold, solver)
 
         residual = rows = None
-        with np.errstate(over="ignore", invalid="ignore"):  # what overflows has a status
-            if self._looks_ahead:
-                measurement = self._prediction.timed(memory, measurement)
-                residual = self._prediction.residual(memory, measurement)
-                rows = self.rows(measurement)
-            torque, f, slack, verdict, is_free = law.limit_step(
-                asked, output, self._weight, forward, M_inv, rows, residual, brakes,
-                self._solver.minimum,
-            )  # fmt: skip
-            if residual is not None:
-                memory = self._prediction.expecting(measurement, f, residual)
+        if self._looks_ahead:
+            measurement = self._prediction.timed(memory, measurement)
+            residual = self._prediction.residual(memory, measurement)
+            rows = self.rows(measurement)
+        torque, f, slack, verdict, is_free = law.limit_step(
+            asked, output, self._weight, forward, M_inv, rows, residual, brakes,
+            self._solver.minimum,
+        )  # fmt: skip
+        if residual is not None:
+            memory = self._prediction.expecting(measurement, f, residual)
+        exceeds = rows is not None and self.is_exceeded(measurement)
+        free = law.select(exceeds, _EXCEEDED, _FREE)
+        if law.surely(is_free > 0.0):  # which is usual
+            return torque, free, 0.0, memory
         # without x, or without Ĵ⁺, there is no V
         is_proven = self.proof and self._law.is_proven(answer)
         status = law.select(is_proven, law.select(slack == 0.0, _KEPT, _GIVEN_UP), _LIMITED)
-        failed = law.select(verdict > 1, LimitStatus.SOLVER_FAILED, LimitStatus.INFEASIBLE)
+        failed = law.select(verdict > 1, _FAILED, _INFEASIBLE)
         status = law.select(verdict > 0, failed, status)
-        free: Any = _FREE
-        if rows is not None:
-            free = law.select(self.is_exceeded(measurement), LimitStatus.EXCEEDED, _FREE)
         unknown = 0.0 if hasattr(measurement.q, "arm_of") else math.nan  # C answers with numbers
         slack = law.select(is_free > 0.0, 0.0, law.select(is_proven, slack, unknown))
         return torque, law.select(is_free > 0.0, free, status), slack, memory
@@ -399,14 +400,15 @@ class TorqueLimited(ControllerWrapper):
         bounds = law.acceleration_bounds(v, speeds, self._braking, self._jerk)
         if self._acceleration is not None:
             bounds = np.minimum(np.maximum(bounds, -self._acceleration), self._acceleration)
-        low, high = bounds
         if not self.motion_limits:
-            return law.Rows(low, high)
+            return law.Rows(*bounds)
         terms = self._terms(q, v)
         more = [limit.rows(terms, v, self._dt) for limit in self.motion_limits]
         E, lows, highs = zip(*(map(law.array, each) for each in more), strict=True)
         return law.Rows(
-            np.concatenate([low, *lows]), np.concatenate([high, *highs]), np.concatenate(E)
+            np.concatenate([bounds[0], *lows]),
+            np.concatenate([bounds[1], *highs]),
+            np.concatenate(E),
         )
 
     def is_exceeded(self, measurement: Measurement) -> Any:
