@@ -2,6 +2,7 @@
 
 import ctypes
 import functools
+import itertools
 import re
 import shutil
 import subprocess
@@ -455,52 +456,64 @@ def test_cmake_builds_it_and_runs_the_self_test(tmp_path):
 
 @needs_compiler
 def test_what_is_no_number_is_refused_with_a_safe_torque(in_c_of):
+    """Whichever entry it is; and whatever is refused, the state stays to the bit."""
     _, step = built("panda (28), limits, away from stops")
     in_c, folder = in_c_of("panda (28), limits, away from stops")
     given = draws(step, 5, seed=3)
     row = {name: given[name][2].copy() for name in INPUTS} | {"dt": 1e-3}
     row["state"] = step.initial_state(Measurement(0.0, row["q"], row["v"], row["x"]))
 
-    def refused(name, value):
-        wrong = dict(row)
-        if name == "dt":
-            wrong["dt"] = value
-        else:
-            wrong[name] = np.append(value, row[name][1:])
+    def refused(name, why=None, **changes):
+        """Return torque and answer of a step of which some argument is changed."""
+        wrong = row | changes
         status, after, found = in_c.step(*wrong.values())
-        assert status == header_number(folder, f"REFUSED_{name.upper()}")
+        assert status == header_number(folder, f"REFUSED_{(why or name).upper()}")
+        assert after.tobytes() == np.asarray(wrong["state"]).tobytes() or why == "target"
         assert np.isfinite(found["torque"]).all()
-        return after, found["torque"]
+        return found
 
-    for value in (np.nan, np.inf, -np.inf):
+    def refused_for_good(name, why=None, **changes):
+        found = refused(name, why, **changes)
+        assert not any(found[each].any() for each in found if each != "status")
+
+    lost = in_c.step(*{**row, "x": np.full(3, np.nan)}.values())
+    for place, value in itertools.product((0, -1), (np.nan, np.inf, -np.inf)):
         for name in ("q", "v", "state"):
-            after, torque = refused(name, value)
-            assert not torque.any()
-            assert name == "state" or (after == row["state"]).all()
-        after, torque = refused("target", value)
-        lost = in_c.step(*{**row, "x": np.full(3, np.nan)}.values())
-        assert torque.tobytes() == lost[2]["torque"].tobytes()
-        after, torque = refused("dt", value)
-        assert torque.tobytes() == in_c.step(*row.values())[2]["torque"].tobytes()
-        assert (after == row["state"]).all()
-    refused("q", 1e7)
-    refused("dt", 0.0)
-    for name, value in (("v", 1e308), ("state", 1e308)):
-        status, after, found = in_c.step(*{**row, name: np.full(len(row[name]), value)}.values())
-        assert status == header_number(folder, "REFUSED_OVERFLOW")
-        assert not found["torque"].any()
+            refused_for_good(name, **{name: entry(row[name], place, value)})
+        found = refused("target", "target", target=entry(row["target"], place, value))
+        assert found["torque"].tobytes() == lost[2]["torque"].tobytes()
+    usual = in_c.step(*row.values())[2]["torque"]
+    for value in (np.nan, np.inf, -np.inf, 0.0, -1e-3):
+        assert refused("dt", dt=value)["torque"].tobytes() == usual.tobytes()
+    for place, value in itertools.product((0, -1), (1.1e6, -1.1e6)):
+        refused_for_good("q", q=entry(row["q"], place, value))
+    # the next state alone overflows in the last of these
+    for name in ("v", "state"):
+        refused_for_good(name, "overflow", **{name: np.full(len(row[name]), 1e308)})
+    refused_for_good("dt", "overflow", dt=1e308)
+    assert in_c.step(*{**row, "dt": 1e300}.values())[0] >= 0
+
+
+def entry(array, place, value):
+    changed = array.copy()
+    changed[place] = value
+    return changed
 
 
 @needs_compiler
 def test_continuous_joints_off_the_unit_circle_are_refused(in_c_of):
-    in_c, folder = in_c_of("kinova (6), limits")
-    given = draws(built("kinova (6), limits")[1], 3)
-    row = [given[name][0] for name in INPUTS]
-    assert in_c.step(*row, 1e-3)[0] >= 0
-    row[1] = row[1] * 1.01
-    status, _, found = in_c.step(*row, 1e-3)
-    assert status == header_number(folder, "REFUSED_Q")
-    assert not found["torque"].any()
+    controller, step = built("kinova (6), limits")
+    (in_c, folder), given = in_c_of("kinova (6), limits"), draws(step, 3)
+    state, q, *rest = (given[name][0] for name in INPUTS)
+    pairs = [joint.idx_q for joint in controller.task.robot.model.joints[1:] if joint.nq == 2]
+    for i, size in itertools.product(pairs, (1.0, 1.0009, 0.9991, 1.0011, 0.9989, 0.0, -1.0)):
+        off = np.where((np.arange(len(q)) == i) | (np.arange(len(q)) == i + 1), size * q, q)
+        status, _, found = in_c.step(state, off, *rest, 1e-3)
+        if abs(abs(size) - 1.0) < 1e-3:
+            assert status >= 0
+        else:
+            assert status == header_number(folder, "REFUSED_Q")
+            assert not found["torque"].any()
 
 
 @needs_compiler
@@ -562,13 +575,23 @@ def test_what_depends_on_time_is_that_of_python(case, panda, tmp_path):
         state = after
         seen.add(expected.status.name)
     assert len(seen) > 1
-    for t, t_x in ((np.nan, 0.0), (np.inf, 0.0), (1.0, np.inf), (1.0, 2.5)):
-        if case == "held" and t_x == 0.0:  # it looks at t_x alone
+    x = truth.value(start)  # anything that is known: whether it is new depends on its time
+    for t_x in (-np.inf, None, now.t, -np.inf):
+        later = now._replace(t=now.t + 1e-3, x=x, t_x=t_x)
+        after, expected = controller.step(state, later, target, 1e-3)
+        status, found, answer = in_c.step(state, *later[1:4], target, 1e-3, later.t, t_x)
+        assert status == expected.status
+        np.testing.assert_allclose(found, after, rtol=1e-9, atol=1e-9)
+        first = in_c.init(later._replace(t_x=t_x))
+        np.testing.assert_allclose(first, controller.initial_state(later), rtol=1e-12, atol=1e-12)
+    for t, t_x in ((np.nan, 0.0), (np.inf, 0.0), (-np.inf, -1.0), (1.0, np.inf), (1.0, 2.001)):
+        if case == "held" and t_x <= 0.0:  # it looks at t_x alone
             continue
         status, found, answer = in_c.step(state, q, v, x, target, 1e-3, t, t_x)
         assert status == header_number(tmp_path, "REFUSED_T")
         assert not answer["torque"].any()
         np.testing.assert_array_equal(found, state)
+    assert in_c.step(state, q, v, x, target, 1e-3, 1.0, 1.999)[0] >= 0
 
 
 def test_the_header_says_what_it_was_made_from(tmp_path):

@@ -1,6 +1,7 @@
 """What drivers and threads do that a loop must stand: arrays, hangs, slow brakes, two arms."""
 
 import gc
+import math
 import os
 import signal
 import sys
@@ -43,6 +44,20 @@ def test_arrays_of_a_driver_may_be_any(plant, controller, kind):
     found = run(driver_of(plant, kind), controller, 0.3)
     assert_array_equal(found.q, run(driver_of(plant), controller, 0.3).q)
     assert found.fault is None
+
+
+def test_an_x_that_was_taken_never_is_one_whose_time_is_not_known(plant, controller):
+    runs = []
+    for t_x in (None, -math.inf):
+
+        class Timeless(Wrapped):
+            def read(self, t_x=t_x):
+                return super().read()._replace(t_x=t_x)
+
+        runs.append(run(driver_of(plant, Timeless), controller, 0.05))
+        assert runs[-1].fault is None
+    for name in ("q", "x", "error"):
+        assert_array_equal(getattr(runs[1], name), getattr(runs[0], name))
 
 
 def test_what_a_mask_hides_is_not_measured(plant, controller):

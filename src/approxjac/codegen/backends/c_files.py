@@ -122,7 +122,7 @@ def _t_checks(step: SampledStep) -> str:
     """Return the lines that refuse a time that is none."""
     wrong = ["!is_finite(&now->t, 1)"] if "t" in step.asked else []
     if "t_x" in step.asked:
-        wrong += ["fabs(now->t_x) > DBL_MAX", "now->t_x - now->t > 1.0"]
+        wrong += ["now->t_x > DBL_MAX", "now->t_x - now->t > 1.0"]
     if not wrong:
         return ""
     refused = f"return refused(answer, {identifier(step.controller.task.robot.name).upper()}"
@@ -244,7 +244,7 @@ def _fields(step: SampledStep) -> dict[str, str]:
         "q": f"joint positions [{_units_of_q(step)}]",
         "v": f"joint velocities [{speeds}]",
         "x": f"task value [{x_units}]; where a number is not finite, {lost}",
-        "t_x": "when x was taken, by the clock of t [s]; NAN where it is not known",
+        "t_x": "when x was taken, by the clock of t [s]; NAN or -INFINITY where it is not known",
         "target": f"task value [{x_units}]",
         "target_v": f"its rate [{rates}], and the rate of that",
     }

@@ -29,8 +29,8 @@ enum {
 
 /* What happened in a step. Below zero: it was refused, see the torque of each. */
 typedef enum {
-    /* t or t_x is not finite (NAN is a t_x that is not known), or t_x is more than 1 s after t, as
-       by another clock: the torque is zero, the state stays; stop the robot */
+    /* t is not finite, or t_x is INFINITY or more than 1 s after t, as by another clock: the torque
+       is zero, the state stays; stop the robot */
     ${PREFIX}_REFUSED_T = -7,
     /* dt is not positive or not finite: the torque is that of the law, the state stays */
     ${PREFIX}_REFUSED_DT = -6,
