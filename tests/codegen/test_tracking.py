@@ -1,6 +1,7 @@
 """The tracking law compiled: the same steps as in NumPy, whatever is measured."""
 
 import copy
+import itertools
 import pickle
 
 import numpy as np
@@ -48,6 +49,13 @@ def pair(task, unknown=("tool", "origins", "camera"), **options):
     """The same law in NumPy and compiled."""
     kinematics = aj.AdaptiveKinematics(task, unknown=unknown, **options)
     plain = aj.TrackingController(task, kinematics=kinematics)
+    return plain, compiled(plain)
+
+
+@pytest.fixture(scope="module")
+def of_two_links():
+    """The law of a small arm in NumPy and compiled."""
+    plain = aj.TrackingController(aj.PositionTask(aj.load_robot("two_link").with_object(0.5)))
     return plain, compiled(plain)
 
 
@@ -305,10 +313,26 @@ def test_known_kinematics_dynamics_poses_and_velocities_are_covered(two_link, ur
     assert asked == []
 
 
-def test_an_answer_is_the_users_to_keep(two_link, rng):
-    task = aj.PositionTask(two_link)
-    ours = compiled(aj.TrackingController(task))
-    measurements = list(slow_motion(task, rng, 3))
+def test_the_rates_of_a_target_are_those_of_its_own_step(of_two_links, rng):
+    """Whatever rates the target of the step before had, ẋ_d or ẍ_d alone, or none."""
+    plain, ours = of_two_links
+    m = plain.task.m
+    (measurement,) = slow_motion(plain.task, rng, 1)
+    state, x = plain.initial_state(measurement), measurement.x
+    kinds = [(None, None), (1, None), (None, 1), (1, 1)]
+    torques = []
+    for before, rates in itertools.product(kinds, kinds):
+        for kind in (before, rates):
+            target = aj.Target(x, *(each and 0.3 * np.arange(1.0, m + 1.0) for each in kind))
+            expected = plain.step(state, measurement, target, DT)
+            assert_same(ours.step(state, measurement, target, DT), expected)
+        torques.append(expected[1].torque.tobytes())
+    assert len(set(torques)) == len(kinds)
+
+
+def test_an_answer_is_the_users_to_keep(of_two_links, rng):
+    _, ours = of_two_links
+    measurements = list(slow_motion(ours.task, rng, 3))
     state = ours.initial_state(measurements[0])
     given = state.copy()
     after, answer = ours.step(state, measurements[0], measurements[0].x, DT)

@@ -18,6 +18,7 @@ DT = 1e-3
 PANDA = aj.load_robot("panda")
 TRUTH = PANDA.with_object(0.2, 0.5, axis="x")
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+UR5 = np.array([0.2, -1.2, 1.4, -1.0, -1.0, 0.3])
 
 
 def motion(t, size=0.3, rate=2.0):
@@ -352,3 +353,78 @@ def test_at_125_hz_a_joint_that_stands_is_found_in_as_many_milliseconds():
     )  # fmt: skip
     assert fault is Fault.COMMAND_UNANSWERED
     assert t < 0.13
+
+
+# -- each joint, each direction, another arm and another period ------------------------------------
+
+ARMS = {"panda": (PANDA, START, DT), "ur5": (aj.load_robot("ur5"), UR5, 8e-3)}
+ACCURATE = Accuracy(q=1e-9, v=1e-9, x=1e-5, tool=0.0, jacobian=0.0, x_period=1.0)
+
+
+def glided(arm, v, reference=None, periods=4):
+    """The faults that a watch finds of joints at a steady velocity, and what it says of the last.
+
+    The former are of measurements, the latter of commands.
+    """
+    robot, q, dt = ARMS[arm]
+    watch = FaultWatch(robot, dt, ACCURATE, robot.velocity_limits, 0.02, reference is not None)
+    found = []
+    for k in range(periods):
+        measurement = aj.Measurement(k * dt, q + k * dt * v, v, np.zeros(3))
+        looked = watch.look(measurement, 10.0 + k * dt)
+        commanded = watch.commanded(np.zeros(robot.nv), reference)
+        found += [each for each in (looked, commanded) if each is not None]
+    return found, watch.detail
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_each_joint_is_too_fast_in_either_direction(arm):
+    robot = ARMS[arm][0]
+    for j, name in enumerate(robot.joint_names):
+        for sign in (1.0, -1.0):
+            v = sign * robot.velocity_limits * (np.arange(robot.nv) == j)
+            assert glided(arm, 0.99 * v) == ([], "")
+            found, detail = glided(arm, 1.01 * v)
+            assert set(found) == {Fault.TOO_FAST}
+            assert detail.startswith(f"{name}: {abs(1.01 * v[j]):.3g} rad/s, at most ")
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_each_joint_is_faster_than_it_is_led_to_be_in_either_direction(arm):
+    """By 15 % of its largest speed, or 0.4 rad/s, beyond the joint and the fastest of all."""
+    robot = ARMS[arm][0]
+    beyond = np.maximum(0.15 * robot.velocity_limits, 0.4)
+    for j, name in enumerate(robot.joint_names):
+        here, sign = np.arange(robot.nv) == j, 1.0 if j % 2 else -1.0
+        for led in (0.0, 0.1, -0.1):  # the joint itself, and so also all of them
+            most = beyond[j] + 3.0 * abs(led)
+            assert glided(arm, sign * 0.99 * most * here, led * here) == ([], "")
+            found, detail = glided(arm, sign * 1.01 * most * here, led * here)
+            assert set(found) == {Fault.TOO_FAST}
+            assert detail.startswith(f"{name}: ")
+    assert glided(arm, np.full(robot.nv, 0.99 * beyond.min()), None) == ([], "")
+
+
+@pytest.mark.parametrize("arm", ARMS)
+@pytest.mark.parametrize("late", [0.0, 0.096])
+def test_x_is_held_against_the_joints_when_it_was_taken(arm, late):
+    """With all else known to the bit, its time may not be off by as much as it is late."""
+    robot, start, dt = ARMS[arm]
+    task, phases = aj.PositionTask(robot), np.arange(robot.nv)
+
+    def moved(t):
+        return start + 0.5 * np.sin(4.0 * t + phases), 2.0 * np.cos(4.0 * t + phases)
+
+    def first_fault(stamp):
+        watch = SensorWatch(task, dt, ACCURATE, np.full(3, 0.01), False)
+        for t in dt * np.arange(round(0.6 / dt)):
+            x = task.value(moved(t - late)[0])
+            if fault := watch.look(aj.Measurement(t, *moved(t), x, stamp(t)), x):
+                return fault
+        return None
+
+    assert first_fault(lambda t: t - late) is None
+    for other in [0.0, 0.192] if late else [0.096]:
+        found = first_fault(lambda t, other=other: t - other)
+        assert found in (Fault.SENSOR_JUMPED, Fault.SENSOR_DISAGREES)
+    assert (first_fault(lambda t: None) is None) is (late == 0.0)
