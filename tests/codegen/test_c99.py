@@ -592,6 +592,16 @@ def test_what_depends_on_time_is_that_of_python(case, panda, tmp_path):
         assert not answer["torque"].any()
         np.testing.assert_array_equal(found, state)
     assert in_c.step(state, q, v, x, target, 1e-3, 1.0, 1.999)[0] >= 0
+    if case in ("tracking", "velocity"):  # the others ask for no rates
+        whole = in_c.step(state, q, v, x, np.full(3, np.nan), 1e-3, now.t, now.t)
+        assert whole[0] == header_number(tmp_path, "REFUSED_TARGET")
+        assert np.isfinite(whole[2]["torque"]).all()
+        for name, place in itertools.product("xva", (0, -1)):
+            wrong = entry(getattr(target, name), place, np.inf)
+            found = in_c.step(state, q, v, x, target._replace(**{name: wrong}), 1e-3, now.t, now.t)
+            assert found[0] == whole[0]
+            np.testing.assert_array_equal(found[1], whole[1])
+            np.testing.assert_array_equal(found[2]["torque"], whole[2]["torque"])
 
 
 def test_the_header_says_what_it_was_made_from(tmp_path):

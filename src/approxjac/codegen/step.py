@@ -169,8 +169,7 @@ class _MachineCode:
         J_shape, m, shapes = (task.m, task.robot.nv), (task._measured.m,), (
             q_in.shape, v_in.shape, x_in.shape, target_in.shape, state_in.shape
         )  # fmt: skip
-        no_rate = np.zeros(len(state_in))
-        no_rate.flags.writeable = False
+        own_rate = np.zeros(0) if "rate" in place else None  # of a law without a state
         limit_statuses = {float(each): each for each in LimitStatus}
         limited = float(LimitStatus.LIMITED)
         statuses = {float(each): each for each in Status}
@@ -220,9 +219,7 @@ class _MachineCode:
                 status, limit, slack, usual = found[verdict_at].tolist()
                 if not usual:
                     return None
-                rate = None
-                if has_rate:
-                    rate = found[own_rate_at] if state.size else no_rate
+                rate = found[own_rate_at] if state.size and has_rate else own_rate
                 return found, made(Evaluation, (
                     found[torque_at], rate, statuses[status], found[e_at],
                     found[J_at].reshape(J_shape) if has_J else None,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -66,7 +65,7 @@ def read(driver: Driver, task: Task) -> Measurement:
     robot = task.robot
     if q.shape == (robot.nv,) and robot.nq != robot.nv:
         q = np.array(pin.integrate(robot.model, robot.neutral(), q))
-    measured = Measurement(float(t), q, v, x, None if t_x == -math.inf else t_x)
+    measured = Measurement(float(t), q, v, x, None if t_x == -np.inf else t_x)
     if (q.shape, v.shape, x.shape) != ((robot.nq,), (robot.nv,), (task.n_x,)):
         raise InvalidInputError(
             f"driver must read q, q̇ and x with {robot.nq}, {robot.nv} and {task.n_x} numbers, "

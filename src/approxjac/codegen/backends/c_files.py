@@ -26,7 +26,6 @@ from approxjac.tasks import PoseTask, Task
 from approxjac.validation import Array, require
 
 _LINE = 96
-
 _RECORDED = 50  # steps of the self-test
 _LOST = 10  # x is, every so many steps
 _OFF_CIRCLE = 1e-3  # what Robot.configuration takes, too
@@ -110,6 +109,9 @@ def _source(step: SampledStep) -> dict[str, str]:
     return {
         "lines": "\n".join(lines),
         "stores": "\n".join(stores),
+        "nowhere": textwrap.fill(
+            ", ".join(["NAN"] * step.sizes["x"]), 80, subsequent_indent=" " * 9
+        ),
         "helpers": templates.POWER_OF_TWO if "power_of_two" in "".join(lines + first) else "",
         "q_checks": _q_checks(step),
         "first": "\n".join([*first, "    (void)now;"]),

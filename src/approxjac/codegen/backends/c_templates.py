@@ -180,6 +180,8 @@ $first
 ${prefix}_status ${prefix}_step(${prefix}_state *state, const ${prefix}_measurement *now,
     const ${prefix}_target *target, double dt, ${prefix}_answer *answer)
 {
+    static const ${prefix}_target nowhere = {
+        {$nowhere}, {0.0}, {0.0}};
     double after[$stored];
     int i, is_target, is_dt;
     if (!is_configuration(now->q)) {
@@ -193,7 +195,7 @@ $t_checks    if (!is_finite(state->values, N_STATE)) {
     }
     is_target = is_finite(target->x, ${PREFIX}_N_X)$rate_checks;
     is_dt = dt > 0.0 && dt <= DBL_MAX;
-    evaluate(now, target, state->values, is_dt ? dt : 0.0, answer, after);
+    evaluate(now, is_target ? target : &nowhere, state->values, is_dt ? dt : 0.0, answer, after);
     if (!is_finite(answer->torque, ${PREFIX}_N_V) || !is_finite(after, N_STATE)) {
         return refused(answer, ${PREFIX}_REFUSED_OVERFLOW);
     }
