@@ -19,6 +19,7 @@ from approxjac.errors import ControlError, InvalidInputError
 from approxjac.interface import LimitStatus
 from approxjac.realtime import Fault, RobotRun, SimulatedDriver, control
 from approxjac.realtime.control import require_near
+from approxjac.realtime.robot_loop import RobotLoop
 from approxjac.view.browser.page import _legend, page
 
 
@@ -259,17 +260,121 @@ def test_where_x_is_seen_again_the_target_begins_there(plant, controller):
         driver_of(plant, Blind),
         controller,
         2.2,
-        tolerances=tolerating(max_blind_motion=0.05),
+        tolerances=tolerating(max_blind_motion=0.05, timeout=0.035),  # each time
     )
     assert found.fault is None
     is_lost = np.isnan(found.x_measured).any(axis=1)
     assert is_lost.sum() == sum(end - begin for begin, end in lost)
     again = np.flatnonzero(is_lost[:-1] & ~is_lost[1:]) + 1
+    for (begin, end), k in zip(lost, again, strict=True):  # meanwhile the last one stands there
+        last = np.broadcast_to(found.x[k - 1 - (end - begin)], (end - begin, 3))
+        assert_array_equal(found.x[k - (end - begin) : k], last)
     assert_allclose(found.x_d[again], found.x[again], atol=1e-12)
     steps = np.abs(np.diff(found.x_d, axis=0)).max(axis=1)
     assert np.delete(steps, again - 1).max() < 1.001e-3 * 0.2
     assert_allclose(found.x_d[-1], goal(plant))
     assert_allclose(found.x[-1], goal(plant), atol=1e-4)
+
+
+def test_a_target_that_comes_to_rest_stays_there(plant, controller, monkeypatch):
+    """Whether somebody moves it meanwhile, or x is lost and seen again."""
+
+    class Blind(Wrapped):
+        def read(self):
+            measured = super().read()
+            if 210 <= len(self.sent) < 230:
+                return measured._replace(x=np.full(3, np.nan))
+            return measured
+
+    advance = RobotLoop.advance
+
+    def halting(loop):
+        if loop.step == 200:
+            loop.halt()
+        elif loop.step in (205, 240):
+            loop.aim_at(goal(plant, (0.2, 0.2, 0.2)))
+            loop.halt()
+        return advance(loop)
+
+    monkeypatch.setattr(RobotLoop, "advance", halting)
+    found = run(driver_of(plant, Blind), controller)
+    assert found.fault is None
+    assert 0.5 < found.t[-1] < 1.19
+    assert_array_equal(found.x_d[501:], np.broadcast_to(found.x_d[501], found.x_d[501:].shape))
+    way = found.x_d[200:] - found.x_d[199]
+    v = (found.x_d[199] - found.x_d[198]) / 1e-3
+    assert_allclose(way[-1], 0.15 * v, atol=1e-3)
+    task = controller.task
+    faster = task.jacobian(found.q[199]) @ found.v[199] - v
+    ways = found.error[199], 0.15 * v, 0.3 * faster, np.full(3, 6.0 * 2e-3)
+    assert found.stop_bound == pytest.approx(sum(map(np.linalg.norm, ways)), rel=0.02)
+    gone = np.linalg.norm(found.x_measured[199:] - found.x[199], axis=1)
+    assert found.stop_distance == pytest.approx(np.nanmax(gone), rel=1e-6)
+
+
+def test_a_braking_fault_in_a_controlled_stop_brakes_at_once(plant, controller):
+    class Jumping(Wrapped):
+        def read(self):
+            measured = super().read()
+            jump = 0.02 * (len(self.sent) >= 80)
+            return measured._replace(q=measured.q + jump)
+
+    limiting = Limiting(controller, 500 * [LimitStatus.PROOF_GIVEN_UP])
+    driver = driver_of(plant, Jumping)
+    found = run(driver, limiting, tolerances=tolerating(timeout=0.02))
+    assert found.fault is Fault.POSITION_JUMPED
+    assert "; braked at once (LIMITS: " in found.ended
+    assert len(driver.sent) == 80
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_each_coordinate_may_be_astray_in_either_direction(plant, controller, axis, side):
+    here = np.arange(3) == axis
+
+    class Moved(Wrapped):
+        def read(self):
+            measured = super().read()
+            away = 0.1 * side * here * (len(self.sent) >= 20)
+            return measured._replace(x=measured.x + away)
+
+    unsure = aj.realtime.Accuracy(x=1.0)
+    tolerances = tolerating(max_error=np.where(here, 0.05, 1.0), accuracy=unsure)
+    found = run(driver_of(plant, Moved), controller, 0.1, tolerances=tolerances)
+    assert found.fault is Fault.ASTRAY
+    assert found.t[-1] == pytest.approx(0.02)
+    assert re.search(rf"\({'xyz'[axis]}.*: 0\.\d* m, at most 0\.05\)", found.ended)
+
+
+def test_a_joint_is_no_faster_than_the_robot_allows(plant, controller):
+    driver = driver_of(plant)
+    driver.limits = dataclasses.replace(driver.limits, velocity=0.1)
+    found = run(driver, controller)
+    assert found.fault is Fault.TOO_FAST
+    assert 0.1 < np.abs(found.v[-1]).max() < 0.2
+
+
+def test_x_is_held_against_what_the_present_controller_believes(plant, controller, monkeypatch):
+    """The one that it begins with knows the tool, the one that goes on does not."""
+    gravity = aj.AdaptiveGravity(plant.robot)
+    law = aj.SetpointController(aj.PositionTask(plant.robot), gravity=gravity)
+    knowing = aj.TorqueLimited(law, aj.Limits.of(plant.robot))
+    advance, begun = RobotLoop.advance, []
+
+    def exchanging(loop):
+        if loop.step == begun[-1]:
+            loop.exchange(controller)
+        return advance(loop)
+
+    monkeypatch.setattr(RobotLoop, "advance", exchanging)
+    exact = aj.realtime.Accuracy(x=2e-4, tool=0.0, jacobian=0.0)
+    faults = []
+    for step in (1000, 50):
+        begun.append(step)
+        found = run(driver_of(plant), knowing, 0.2, tolerances=tolerating(accuracy=exact))
+        faults.append(found.fault)
+    assert faults == [None, Fault.SENSOR_DISAGREES]
+    assert found.t[-1] > 0.05
 
 
 class Limiting(Around):
@@ -416,9 +521,16 @@ def test_the_usual_noise_of_x_is_in_the_unit_of_the_task(panda):
 def test_the_error_is_that_to_the_target_when_x_was_taken(plant, controller):
     late = aj.Plant(plant.robot, plant.sensor, sensing=aj.Sensing(x_delay=0.03))
     path = aj.Circle(goal(plant, (-0.05, 0.0, 0.0)), 0.05, 2.0)
-    found = control(driver_of(late), controller, path, 0.6, tolerances=tolerating())
-    true = np.array([plant.sensor.value(q) for q in found.q]) - found.x_d
-    assert_allclose(found.error[100:], true[70:-30], atol=1e-8)
+
+    class Between(Wrapped):
+        def read(self):
+            measured = super().read()
+            return measured._replace(t_x=measured.t_x - 3e-4)
+
+    found = control(driver_of(late, Between), controller, path, 0.5, tolerances=tolerating())
+    then = 0.7 * found.x_d[70:-30] + 0.3 * found.x_d[69:-31]
+    true = np.array([plant.sensor.value(q) for q in found.q[70:-30]])
+    assert_allclose(found.error[100:], true - then, atol=1e-8)
     moved = found.x_d[30:] - found.x_d[:-30]
     assert np.linalg.norm(moved, axis=1).max() > 4e-3  # by which it would be off otherwise
 
@@ -438,12 +550,14 @@ def test_a_page_of_a_robot_speaks_of_beliefs_not_of_truth(plant, controller, tmp
 
 REFUSED = {
     "limits": "controller must keep the robot's limits of effort",
+    "one motor": "controller must keep the robot's limits of effort",
     "falls": "the controller must compensate gravity, such as by AdaptiveGravity",
     "adds": "the controller must leave gravity to the robot, which adds its own",
     "adds to T": "or a driver that takes it off, as FrankaDriver(gravity=robot)",
     "beyond": "limits, got panda_joint4 at 0.1 rad, limits -3.072 and -0.0698",
     "degrees": "q must be in radians: it is 111.",
     "moving": "the arm must be at rest",
+    "moving back": "the arm must be at rest",
     "blind": "x must be known before the arm moves",
     "clock": "the clock of the driver must go on",
     "two clocks": "t_x must be by the clock of t, got Measurement(",
@@ -461,6 +575,7 @@ def test_what_may_not_begin_is_refused_and_sends_nothing(plant, controller, pand
     belief = controller.task.robot
     changed = {
         "moving": lambda m: m._replace(v=np.full(7, 0.1)),
+        "moving back": lambda m: m._replace(v=-0.1 * (np.arange(7) == 6)),
         "blind": lambda m: m._replace(x=np.full(3, np.nan)),
         "clock": lambda m: m._replace(t=1.0),
         "beyond": lambda m: m._replace(q=np.append(START[:3], [0.1, *START[4:]])),
@@ -478,6 +593,9 @@ def test_what_may_not_begin_is_refused_and_sends_nothing(plant, controller, pand
     driver = driver_of(aj.Plant(plant.robot, plant.sensor, adds_gravity=adds), Changed)
     if what == "limits":
         controller = controller.controller
+    elif what == "one motor":
+        efforts = belief.effort_limits * np.where(np.arange(7) == 6, 0.99, 1.0)
+        driver.limits = aj.Limits(effort=efforts)
     elif what == "falls":
         law = aj.SetpointController(controller.task, gravity=aj.NoGravity(belief))
         controller = aj.TorqueLimited(law, aj.Limits.of(belief))

@@ -16,8 +16,9 @@ from rehearsal import START, Around, Wrapped, driver_of, goal, run
 import approxjac as aj
 from approxjac.errors import ControlError, InvalidInputError
 from approxjac.realtime import Fault, Scheduling, SimulatedDriver, Tolerances, control
+from approxjac.realtime.driver import two_clocks
 from approxjac.realtime.robot_loop import RobotLoop
-from approxjac.realtime.scheduling import undisturbed
+from approxjac.realtime.scheduling import Pace, undisturbed
 
 
 class SameArrays(Wrapped):
@@ -250,3 +251,25 @@ def test_gravity_is_added_once(plant):
     assert SimulatedDriver(adds).adds_gravity
     with pytest.raises(InvalidInputError, match="adds_gravity must be of a robot with the joints"):
         aj.Plant(arm, adds_gravity=aj.load_robot("xarm7"))
+
+
+def test_periods_that_were_missed_are_left_out():
+    """Of all periods that are counted, the last has begun, and none comes twice."""
+    dt, count = 0.01, 0
+    pace, begun = Pace(dt), time.perf_counter()
+    for pause in (0.0, 0.035, 0.0, 0.0, 0.021, 0.0):
+        time.sleep(pause)
+        periods = pace.wait()
+        count += periods
+        passed = time.perf_counter() - begun
+        assert periods >= 1 + math.floor(pause / dt + 1e-9) * (pause > 0.0) - (pause > 0.0)
+        assert count * dt <= passed + 1e-3
+    assert count * dt > passed - dt - 0.05  # of a busy machine
+
+
+@pytest.mark.parametrize("dt", [1e-3, 8e-3])
+def test_x_may_be_stamped_later_than_its_state_by_little(dt):
+    for ahead, clocks in ((-5.0, 1), (0.0, 1), (0.009 + dt, 1), (0.011 + dt, 2), (1.0, 2)):
+        measured = aj.Measurement(100.0, START, START, START[:3], 100.0 + ahead)
+        assert bool(two_clocks(measured, dt)) is (clocks == 2)
+    assert not two_clocks(measured._replace(t_x=None), dt)

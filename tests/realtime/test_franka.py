@@ -172,6 +172,30 @@ def test_velocities_keep_acceleration_jerk_and_the_speeds_near_joint_ends(client
     assert (np.abs(client.sent) < 0.25).all()
 
 
+def test_velocities_lead_no_joint_to_either_end(client, rng):
+    """Whatever is wished for; and towards an end no faster than the robot can brake."""
+    driver = FrankaDriver("robot", seen, command="velocity")
+    low, high = driver.limits.position
+    braking = np.array([6.0, 2.585, 3.5, 4.0, 17.0, 5.5, 17.0])  # of the arm's URDF
+    offset = np.array([0.3, 0.2, 0.2, 0.3, 0.35, 0.35, 0.35])
+    for k in range(3000):
+        if k % 100 == 0:
+            wanted = rng.uniform(-9.0, 9.0, 7)
+        driver.read()
+        driver.send(wanted)
+        reached = client.q + 1e-3 * client.sent
+        assert (low < reached).all()
+        assert (reached < high).all()
+        client.q = reached
+    for side, end in ((-1.0, low), (1.0, high)):
+        client.q, client.sent, client.acceleration = end - side * 0.1, np.zeros(7), np.zeros(7)
+        for _ in range(1000):
+            driver.read()
+            driver.send(np.full(7, 9.0 * side))
+        most = np.sqrt(2.0 * braking * 0.1) - offset
+        np.testing.assert_allclose(client.sent, side * most, atol=2e-3)
+
+
 def test_brake_ends_it_until_somebody_recovers_it(client):
     driver = FrankaDriver("robot", seen)
     driver.brake()  # there is nothing to stop yet

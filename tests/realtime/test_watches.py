@@ -4,10 +4,10 @@ import math
 
 import faults as study
 import numpy as np
+import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pinocchio import exp3
 
 import approxjac as aj
 from approxjac.realtime import Accuracy, Fault
@@ -30,8 +30,11 @@ def motion(t, size=0.3, rate=2.0):
     )
 
 
-def watched(change=None, seconds=0.6, noise=0.0, dt=DT, accuracy=None, sent=None):
-    """The first fault that a watch finds in the motion, as `change` alters it, and when."""
+def watched(change=None, seconds=0.6, noise=0.0, dt=DT, accuracy=None, sent=None, side=1.0):
+    """The first fault that a watch finds in the motion, as `change` alters it, and when.
+
+    With a `side` of −1 all joints move, and are pushed, the other way.
+    """
     accuracy = accuracy or Accuracy(q=1e-5, v=1e-3)
     watch = FaultWatch(PANDA, dt, accuracy, PANDA.velocity_limits, 0.02, False)
     rng = np.random.default_rng(0)
@@ -42,10 +45,11 @@ def watched(change=None, seconds=0.6, noise=0.0, dt=DT, accuracy=None, sent=None
         v = v + noise * 1e-3 * rng.standard_normal(7)
         m = aj.Measurement(t, q, v, np.zeros(3))
         m = m if change is None else change(m)
+        m = m._replace(q=START + side * (m.q - START), v=side * m.v)
         fault = watch.look(m, 10.0 + t)
         if fault is not None:
             return fault, t
-        watch.commanded(np.zeros(7) if sent is None else sent(t), None)
+        watch.commanded(side * (np.zeros(7) if sent is None else sent(t)), None)
     return None, seconds
 
 
@@ -104,10 +108,12 @@ BROKEN = {
 
 @pytest.mark.parametrize("what", BROKEN)
 def test_what_is_broken_is_found_within_20_ms(what):
+    """Just as soon where all joints move the other way."""
     broken, faults = BROKEN[what]
     fault, t = watched(from_then(broken))
     assert fault in faults
     assert 0.2 <= t <= (0.4 if what == "too fast" else 0.22)
+    assert watched(from_then(broken), side=-1.0) == (fault, t)
 
 
 def test_an_arm_that_runs_faster_than_its_clock_is_found():
@@ -122,19 +128,24 @@ def test_a_joint_that_does_not_answer_its_torque_is_found():
 
     assert watched(stands)[0] is None  # it may stand still
     pushed = PANDA.effort_limits * (np.arange(7) == 1)
-    fault, t = watched(stands, sent=lambda t: min(t, 0.2) * pushed)
-    assert fault is Fault.COMMAND_UNANSWERED
-    assert 0.09 < t < 0.12  # a tenth of its largest torque
+    for side in (1.0, -1.0):
+        fault, t = watched(stands, sent=lambda t: min(t, 0.2) * pushed, side=side)
+        assert fault is Fault.COMMAND_UNANSWERED
+        assert 0.09 < t < 0.12  # a tenth of its largest torque
 
 
 def test_speed_that_grows_and_grows_is_found():
-    fault, t = watched(
-        lambda m: m._replace(
+    """Just as soon in the other direction."""
+
+    def grows(m):
+        return m._replace(
             q=START + 1e-3 * (math.exp(m.t / 0.06) - 1.0) * np.ones(7),
             v=1e-3 / 0.06 * math.exp(m.t / 0.06) * np.ones(7),
         )
-    )
+
+    fault, t = watched(grows)
     assert fault in (Fault.SPEED_GREW, Fault.VELOCITY_JUMPED)
+    assert watched(grows, side=-1.0) == (fault, t)
     assert 1e-3 / 0.06 * math.exp(t / 0.06) < 0.6 * PANDA.velocity_limits.max()
 
 
@@ -160,7 +171,8 @@ MOVING = np.array([1.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0])  # joints that carry the 
 def looked(change, seconds=0.6, rate=60.0, age=0.03, noise=3e-4, **options):
     """The first fault that the watch over x finds while the joints move, and when."""
     task, sensor = aj.PositionTask(PANDA.with_object(0.0)), aj.PositionTask(TRUTH)
-    accuracy = Accuracy(q=1e-5, v=1e-3, x=noise, x_period=1.0 / rate)
+    tool = options.get("tool", 0.25)
+    accuracy = Accuracy(q=1e-5, v=1e-3, x=noise, x_period=1.0 / rate, tool=tool)
     watch = SensorWatch(task, DT, accuracy, np.full(3, 0.01), options.get("is_learnt", False))
     rng, x, t_x, taken = np.random.default_rng(0), np.full(3, math.nan), 0.0, []
     for k in range(round(seconds / DT)):
@@ -223,7 +235,7 @@ def test_no_tool_within_its_bound_raises_an_alarm_whatever_else_is_known(kind, t
     }  # fmt: skip
     belief = made[kind](PANDA)
     link = FrameKinematics(PANDA, "panda_link5" if kind == "elbow" else PANDA.tip)
-    axes = exp3(TRACKER) if kind == "tracker" else np.eye(3)
+    axes = pin.exp3(TRACKER) if kind == "tracker" else np.eye(3)
     accuracy = Accuracy(x=1e-9, x_period=0.02, tool=0.25, jacobian=1e-9)
     watch = SensorWatch(belief, DT, accuracy, np.full(belief.m, 0.01), False)
     rates = 3.0 * np.random.default_rng(seed).random(7)
@@ -236,8 +248,11 @@ def test_no_tool_within_its_bound_raises_an_alarm_whatever_else_is_known(kind, t
 
 
 def test_a_sensor_that_is_learnt_may_be_turned():
+    """And what it sees be neither longer than the motion of the tip nor shorter."""
     assert looked(lambda t, x: TURN @ x, is_learnt=True)[0] is None
     assert looked(lambda t, x: 1e3 * x, is_learnt=True)[0] is Fault.SENSOR_JUMPED
+    shrunk = looked(lambda t, x: 0.4 * x, is_learnt=True, tool=0.0)[0]
+    assert shrunk in (Fault.SENSOR_JUMPED, Fault.SENSOR_DISAGREES)
 
 
 @pytest.mark.parametrize("noise", [0.0, 3e-4])
@@ -357,7 +372,11 @@ def test_at_125_hz_a_joint_that_stands_is_found_in_as_many_milliseconds():
 
 # -- each joint, each direction, another arm and another period ------------------------------------
 
-ARMS = {"panda": (PANDA, START, DT), "ur5": (aj.load_robot("ur5"), UR5, 8e-3)}
+KINOVA = aj.load_robot("kinova")  # with joints that turn without end
+ARMS = {
+    "panda": (PANDA, START, DT), "ur5": (aj.load_robot("ur5"), UR5, 8e-3),
+    "kinova": (KINOVA, KINOVA.random_configuration(np.random.default_rng(0)), 2e-3),
+}  # fmt: skip
 ACCURATE = Accuracy(q=1e-9, v=1e-9, x=1e-5, tool=0.0, jacobian=0.0, x_period=1.0)
 
 
@@ -370,7 +389,8 @@ def glided(arm, v, reference=None, periods=4):
     watch = FaultWatch(robot, dt, ACCURATE, robot.velocity_limits, 0.02, reference is not None)
     found = []
     for k in range(periods):
-        measurement = aj.Measurement(k * dt, q + k * dt * v, v, np.zeros(3))
+        moved = pin.integrate(robot.model, q, k * dt * v)
+        measurement = aj.Measurement(k * dt, moved, v, np.zeros(3))
         looked = watch.look(measurement, 10.0 + k * dt)
         commanded = watch.commanded(np.zeros(robot.nv), reference)
         found += [each for each in (looked, commanded) if each is not None]
@@ -396,13 +416,75 @@ def test_each_joint_is_faster_than_it_is_led_to_be_in_either_direction(arm):
     beyond = np.maximum(0.15 * robot.velocity_limits, 0.4)
     for j, name in enumerate(robot.joint_names):
         here, sign = np.arange(robot.nv) == j, 1.0 if j % 2 else -1.0
-        for led in (0.0, 0.1, -0.1):  # the joint itself, and so also all of them
-            most = beyond[j] + 3.0 * abs(led)
-            assert glided(arm, sign * 0.99 * most * here, led * here) == ([], "")
-            found, detail = glided(arm, sign * 1.01 * most * here, led * here)
+        for led in (0.05 * here, -0.05 * here, 0.05 * np.roll(here, 1)):
+            most = beyond[j] + 2.0 * abs(led[j]) + 0.05
+            assert glided(arm, sign * 0.99 * most * here, led) == ([], "")
+            found, detail = glided(arm, sign * 1.01 * most * here, led)
             assert set(found) == {Fault.TOO_FAST}
             assert detail.startswith(f"{name}: ")
     assert glided(arm, np.full(robot.nv, 0.99 * beyond.min()), None) == ([], "")
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_what_a_joint_was_led_to_fades(arm):
+    """By e in 0.5 s: a joint that stays fast is too fast then, at any period."""
+    robot, q, dt = ARMS[arm]
+    watch = FaultWatch(robot, dt, ACCURATE, robot.velocity_limits, 0.02, False)
+    v = -0.55 * (np.arange(robot.nv) == 0)
+    for k in range(1000):
+        measurement = aj.Measurement(k * dt, pin.integrate(robot.model, q, k * dt * v), v, v[:3])
+        assert watch.look(measurement, 10.0 + k * dt) is None
+        led = 0.1 * v / 0.55 if k == 0 else 0.0 * v
+        if watch.commanded(np.zeros(robot.nv), led) is Fault.TOO_FAST:
+            break
+    beyond = max(0.15 * robot.velocity_limits[0], 0.4)
+    assert k * dt == pytest.approx(0.5 * math.log(0.3 / (0.55 - beyond)), abs=1.5 * dt)
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_each_encoder_may_freeze_in_either_direction(arm):
+    """One that is slow enough for its motor to stop it within two periods."""
+    robot, q, dt = ARMS[arm]
+    for j, name in enumerate(robot.joint_names):
+        for sign in (1.0, -1.0):
+            watch = FaultWatch(robot, dt, ACCURATE, robot.velocity_limits, 0.02, False)
+            v, faults = sign * 30.5 * dt * (np.arange(robot.nv) == j), []
+            for k in range(20):
+                moved = pin.integrate(robot.model, q, min(k, 5) * dt * v)
+                measurement = aj.Measurement(k * dt, moved, v * (k <= 5), np.zeros(3))
+                faults.append(watch.look(measurement, 10.0 + k * dt))
+                if faults[-1]:
+                    break
+            assert faults == [None] * (len(faults) - 1) + [Fault.ENCODER_FROZEN]
+            assert k == 13  # q of 5 comes eight times more
+            assert watch.detail.startswith(f"{name}: 8 times")
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_filter_of_velocities_that_is_known_raises_no_alarm(side):
+    """Late by its time constant, whether joints become faster or slower."""
+    accuracy = Accuracy(q=1e-5, v=1e-3, velocity_filter=0.01)
+    late = lambda m: m._replace(v=motion(m.t - 0.014)[1])  # noqa: E731
+    assert watched(late, 2.0, accuracy=accuracy, side=side)[0] is None
+    assert watched(late, 2.0, side=side)[0] is Fault.VELOCITY_DISAGREES
+
+
+@pytest.mark.parametrize("arm", ARMS)
+@pytest.mark.parametrize("by_velocity", [True, False])
+def test_each_joint_answers_within_a_while_where_it_is_led_either_way(arm, by_velocity):
+    """By its command, or its reference: by 0.02 rad, but for 30 ms at least."""
+    robot, q, dt = ARMS[arm]
+    still = aj.Measurement(0.0, q, np.zeros(robot.nv), np.zeros(3))
+    for j, name in enumerate(robot.joint_names):
+        for rate in (0.2, -0.2) if j < 2 else (0.2 * (-1.0) ** j,):
+            watch = FaultWatch(robot, dt, Accuracy(), robot.velocity_limits, 0.02, by_velocity)
+            led, stands = rate * (np.arange(robot.nv) == j), np.zeros(robot.nv)
+            for k in range(200):
+                if watch.look(still._replace(t=k * dt), 10.0 + k * dt) is not None:
+                    break
+                watch.commanded(*((led, None) if by_velocity else (stands, led)))
+            assert k * dt == pytest.approx(0.1, abs=3.0 * dt)
+            assert watch.detail == f"{name}: it was led {0.2 * k * dt:.3g} rad"
 
 
 @pytest.mark.parametrize("arm", ARMS)
@@ -413,7 +495,8 @@ def test_x_is_held_against_the_joints_when_it_was_taken(arm, late):
     task, phases = aj.PositionTask(robot), np.arange(robot.nv)
 
     def moved(t):
-        return start + 0.5 * np.sin(4.0 * t + phases), 2.0 * np.cos(4.0 * t + phases)
+        way, v = 0.5 * np.sin(4.0 * t + phases), 2.0 * np.cos(4.0 * t + phases)
+        return pin.integrate(robot.model, start, way), v
 
     def first_fault(stamp):
         watch = SensorWatch(task, dt, ACCURATE, np.full(3, 0.01), False)
@@ -428,3 +511,48 @@ def test_x_is_held_against_the_joints_when_it_was_taken(arm, late):
         found = first_fault(lambda t, other=other: t - other)
         assert found in (Fault.SENSOR_JUMPED, Fault.SENSOR_DISAGREES)
     assert (first_fault(lambda t: None) is None) is (late == 0.0)
+
+
+def clocked(times, read_at=None):
+    """The faults that a watch finds in readings of an arm at rest, at times of its clock."""
+    watch = FaultWatch(PANDA, DT, Accuracy(), PANDA.velocity_limits, 0.02, False)
+    reads = times if read_at is None else read_at
+    rest = START, np.zeros(7), np.zeros(3)
+    return [
+        watch.look(aj.Measurement(t, *rest), 10.0 + now)
+        for t, now in zip(times, reads, strict=True)
+    ]
+
+
+def test_a_clock_may_stand_still_for_less_than_five_periods_whenever_it_does():
+    times = DT * np.arange(60.0)
+    for begin in (10, 20, 30):  # four readings in vain, each time
+        times[begin : begin + 4] = times[begin - 1]
+    assert not any(clocked(times))
+    times[40:45] = times[39]
+    faults = clocked(times)
+    assert faults.index(Fault.CLOCK_STOOD_STILL) == 44
+    assert not any(faults[:44])
+
+
+@pytest.mark.parametrize("missed", [0.019, 0.021])
+def test_a_state_that_comes_late_is_told_from_a_clock_that_jumps(missed):
+    """Late is what took that long by this machine's clock, too."""
+    times = DT * np.arange(60.0)
+    times[40:] += missed
+    late, jumped = clocked(times), clocked(times, DT * np.arange(60.0))
+    told = [None, None] if missed < 0.02 else [Fault.TORQUE_LATE, Fault.CLOCK_JUMPED]
+    assert [late[40], jumped[40]] == told
+    assert not any(late[:40] + late[41:])
+
+
+def test_a_jump_while_the_clock_stands_still_is_found():
+    watch, (q, v) = FaultWatch(PANDA, DT, Accuracy(), PANDA.velocity_limits, 0.02, False), motion(0)
+    faults = []
+    for k in range(30):
+        t = DT * (k - (k >= 20))  # 19 and 20 have the same time
+        moved = q + t * v + 0.02 * (k >= 20) * (np.arange(7) == 4)
+        faults.append(watch.look(aj.Measurement(t, moved, v, np.zeros(3)), 10.0 + t))
+    assert faults.index(Fault.POSITION_JUMPED) == 21
+    assert not any(faults[:21])
+    assert watch.detail == "" or watch.detail.startswith("panda_joint5: ")
