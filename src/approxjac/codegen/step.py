@@ -145,10 +145,8 @@ class _MachineCode:
         flat = buffer[0, :, 0]
         run = LlvmLanes(program, width=1).bound(buffer, np.zeros((1, 1, 1)))
         place = {name: slice(at, at + size) for name, (at, size) in program.rows.items()}
-        takes_rates, asked = (
-            "target_v" in place,
-            program.graph.asked([*chain(*program.stepped.values())]),
-        )
+        takes_rates = "target_v" in place
+        asked = program.graph.asked([*chain(*program.stepped.values())])
         none, first = slice(0, 0), place["torque"].start
         q_in, v_in, x_in, target_in, state_in, v_d_in, a_d_in = (
             flat[place.get(name, none)]

@@ -170,8 +170,7 @@ def sampled_step(controller: Controller) -> SampledStep:
     task, robot = controller.task, controller.task.robot
     graph, sizes = Graph(), laws.argument_sizes(controller)
     given = {name: inputs(graph, name, size) for name, size in sizes.items()}
-    t_x = given["t_x"]
-    given["t_x"] = np.where(t_x == -math.inf, np.nan, t_x)  # as `time_of_x` has it
+    given["t_x"] = np.where(given["t_x"] == -math.inf, np.nan, given["t_x"])  # never: not known
     after, answer, left = laws.stepped_from(controller, given)
     p = controller.law.resting
     after[:p] = law.select(left, given["state"][:p], after[:p])

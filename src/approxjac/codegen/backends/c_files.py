@@ -109,9 +109,7 @@ def _source(step: SampledStep) -> dict[str, str]:
     return {
         "lines": "\n".join(lines),
         "stores": "\n".join(stores),
-        "nowhere": textwrap.fill(
-            ", ".join(["NAN"] * step.sizes["x"]), 80, subsequent_indent=" " * 9
-        ),
+        "nowhere": ", ".join(["NAN"] * step.sizes["x"]),
         "helpers": templates.POWER_OF_TWO if "power_of_two" in "".join(lines + first) else "",
         "q_checks": _q_checks(step),
         "first": "\n".join([*first, "    (void)now;"]),

@@ -180,8 +180,7 @@ $first
 ${prefix}_status ${prefix}_step(${prefix}_state *state, const ${prefix}_measurement *now,
     const ${prefix}_target *target, double dt, ${prefix}_answer *answer)
 {
-    static const ${prefix}_target nowhere = {
-        {$nowhere}, {0.0}, {0.0}};
+    static const ${prefix}_target nowhere = {{$nowhere}, {0.0}, {0.0}};
     double after[$stored];
     int i, is_target, is_dt;
     if (!is_configuration(now->q)) {
