@@ -91,15 +91,15 @@ class Lanes:
     """Closed loops that differ in their true robots, starts and targets.
 
     Args:
-        controller: The law, with what is around it.
+        controller: The law with its wrappers.
         plant: A true robot, with its sensor and friction.
-        examples: Runs that differ in all that will ever differ.
-        region: Where runs are to stay.
+        examples: Runs that differ in every number that may differ later.
+        region: Region that runs should stay in.
         dt: Sampling time [s].
         steps: Number of steps of a run.
         tolerance: Error below which a task counts as done.
-        integrator: Of the plant: one of `INTEGRATORS`.
-        path: Where the target of all runs moves, in place of their own; None is at rest.
+        integrator: Integrator of the plant: one of `INTEGRATORS`.
+        path: Path of the target of all runs, in place of their own; None is at rest.
     """
 
     def __init__(

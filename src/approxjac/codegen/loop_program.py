@@ -36,11 +36,11 @@ _FINITE = 1e200  # sum of squares, beyond which a run has diverged
 
 
 def require_covered(controller: Controller, plant: Plant) -> None:
-    """Refuse a closed loop of which no code can be made.
+    """Check that code can be generated for a closed loop.
 
     Raises:
-        InvalidInputError: A controller or a sensor that takes no symbols, or another plant than
-            those covered.
+        InvalidInputError: A controller or a sensor that cannot be traced, or a plant that is not
+            covered.
     """
     laws.require_covered(controller)
     tasks.frames(plant.sensor)

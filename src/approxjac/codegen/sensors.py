@@ -1,4 +1,4 @@
-"""`Senses`: what real sensors and late motors make of a run, on symbols and step by step."""
+"""`Senses`: real sensors and late motors of a run, on symbols and step by step."""
 
 from __future__ import annotations
 

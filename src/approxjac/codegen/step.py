@@ -1,4 +1,4 @@
-"""One step of a law as a program, and `compiled`: a law whose usual steps are machine code."""
+"""One step of a law as a program, and `compiled`: a law whose regular steps are machine code."""
 
 from __future__ import annotations
 
@@ -69,17 +69,17 @@ def step_program(controller: Controller, *, may_lose: bool) -> Program:
 
 
 def compiled(controller: Controller) -> Any:
-    """Return a controller that computes the same to rounding, with its usual steps as machine code.
+    """Return an equivalent controller (to rounding) whose usual steps are machine code.
 
-    A usual step is one whose status is OK, or that of a held x. Any other step (x lost, Ĵ near a
-    singular pose, torques beyond the limits where gravity is learnt, limits that no torque keeps,
+    A usual step is one whose status is OK, or that of a held x. Any other step (x lost, Ĵ near
+    singular, torques beyond the limits where gravity is learnt, limits that no torque keeps,
     wrong arguments) runs in Python, from the beginning. All steps of a `TrackingController` are
-    usual. Where limits of speed, position or motion act, torques agree with Python's to 1e-6 of
+    usual. While limits of speed, position or motion act, torques agree with Python's to 1e-6 of
     their size.
 
-    It takes any controller whose step runs on symbols, that is, computes with NumPy and never
-    branches on a value: your own, too, or one with a task, camera, saturation or gravity of your
-    own. The error names what does not.
+    It accepts any controller whose step can be traced, that is, computes with NumPy and never
+    branches on a value, also with your own task, camera, saturation or gravity. The error names
+    the method that cannot be traced.
 
     It needs llvmlite (`pip install 'approxjac[fast]'`). Building takes some tenths of a second; a
     copy in another process is built again.
@@ -91,7 +91,7 @@ def compiled(controller: Controller) -> Any:
         A controller of the same kind.
 
     Raises:
-        InvalidInputError: A controller that takes no symbols.
+        InvalidInputError: The controller cannot be traced.
         MissingPackageError: llvmlite is not installed.
     """
     if isinstance(controller, _MachineCode):

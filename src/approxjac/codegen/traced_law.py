@@ -1,4 +1,4 @@
-"""A controller on symbols: its own step, whatever it is, run on numbers that are not known yet."""
+"""A controller on symbols: any controller's own step, run on symbols."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def stepped(
 
 
 def on_symbols(controller: Controller) -> Any:
-    """Return a controller whose step takes symbols, as far as ours is concerned."""
+    """Return a controller with this library's parts changed to accept symbols."""
     if isinstance(controller, TorqueLimited):
         _require_limiter(controller)
     return _with_parts(controller, on_symbols)
@@ -74,7 +74,7 @@ def _require_limiter(limiter: TorqueLimited) -> None:
 
 
 def with_gains(controller: Controller, diagonals: Diagonals) -> Controller:
-    """Return a controller whose law has gains that are not known yet."""
+    """Return a controller whose law has symbolic gains."""
     own = {} if controller.diagonals is None else {"diagonals": diagonals}
     return _with_parts(controller, lambda part: with_gains(part, diagonals), **own)
 
@@ -141,20 +141,20 @@ def stepped_from(
 
 
 def predicts(controller: Controller) -> bool:
-    """Return whether a law controls what it predicts, so that a step without x is usual, too."""
+    """Return True if a law controls a prediction, so that a step without x is usual, too."""
     return controller.law.kinematics is not None
 
 
 def is_ours(controller: Controller) -> bool:
-    """Return whether a controller is one of this library, which takes a `Target`, too."""
+    """Return True for a controller of this library, which also accepts a `Target`."""
     return type(controller).__module__.startswith("approxjac.")
 
 
 def require_covered(controller: Controller) -> None:
-    """Refuse a controller of which no code can be made.
+    """Check that code can be generated for a controller.
 
     Raises:
-        InvalidInputError: It takes no symbols.
+        InvalidInputError: It cannot be traced.
     """
     graph, sizes = Graph(), argument_sizes(controller)
     stepped_from(controller, {name: inputs(graph, name, size) for name, size in sizes.items()})

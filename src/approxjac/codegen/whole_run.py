@@ -36,13 +36,13 @@ _COLUMNS = (
 def whole_run(
     loop: SampledLoop, stride: int, progress: Callable[[float], None], *, must: bool
 ) -> tuple[Trajectory | None, str]:
-    """Return a run that machine code carried out; or None, and why it did not.
+    """Return a run carried out by machine code, or None, and a text on it.
 
     Args:
-        loop: At the beginning.
-        stride: Which steps are recorded: each so many, and the last.
-        progress: Called now and then with the time reached [s].
-        must: Make code of a short run, too, and raise an error where that is not possible.
+        loop: The loop at its start.
+        stride: Number of steps between recorded ones; the last is recorded, too.
+        progress: Function called now and then with the time reached [s].
+        must: Whether to compile a short run, too, and raise an error if that is not possible.
     """
     try:
         code = _loop_of(loop, must)

@@ -1,4 +1,4 @@
-"""Stability before you run: the paper's conditions for any arm, and sharper tests."""
+"""Stability tests before a run: the paper's conditions for any arm, and sharper ones."""
 
 from approxjac.stability.certificates.lyapunov import LyapunovValue, lyapunov
 from approxjac.stability.errors.region import JointBox, Region, RegularPart

@@ -1,4 +1,4 @@
-"""`Row`: a finding of a report, and all of them as text and as JSON has them."""
+"""`Row`: a finding of a report, and renderers for text and JSON."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class Row(NamedTuple):
     """A finding of a report.
 
     Attributes:
-        part: Of the report: "verdict", "about", "beware", "sampled", "limits", "continuous",
+        part: Part of the report: "verdict", "about", "beware", "sampled", "limits", "continuous",
             "worst", "rollouts" or "other law".
-        name: What was tested.
-        verdict: In a word or two; empty where there is none.
-        figures: Name → number, array, flag or name that it rests on.
+        name: Name of the test.
+        verdict: A word or two; "" if there is none.
+        figures: Name → number, array, flag or name that support it.
         text: The figures as a sentence.
     """
 
@@ -39,7 +39,7 @@ class Row(NamedTuple):
 
 
 def as_text(rows: Sequence[Row]) -> str:
-    """Return all of a report: the verdict, what it means and is about, and the figures."""
+    """Return a report as text: the verdict, its meaning and scope, and the figures."""
     lines = [line for row in rows if row.part == "verdict" for line in wrapped(row.text)]
     for part, title in _PARTS.items():
         if block := [row for row in rows if row.part == part]:
@@ -58,7 +58,7 @@ def as_lines(rows: Sequence[Row]) -> list[str]:
 
 
 def as_json(rows: Iterable[Row]) -> dict[str, Any]:
-    """Return rows as JSON has them: part → name → verdict and figures."""
+    """Return rows for JSON: part → name → verdict and figures."""
     parts: dict[str, Any] = {}
     for row in rows:
         verdict = {"verdict": row.verdict} if row.verdict else {}

@@ -33,7 +33,7 @@ _DURATION = 10.0  # of a run [s]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StudiedLoop:
-    """A closed loop, the errors that it may meet, and where. Its attributes are those of `Study`.
+    """A closed loop with possible errors and a region. Its attributes are those of `Study`.
 
     Raises:
         InvalidInputError: Numbers out of range, or arguments of the wrong kind.
@@ -72,24 +72,25 @@ class StudiedLoop:
         execution: Execution | None = None,
         progress: Progress = None,
     ) -> StabilityReport | OtherLawReport:
-        """Tell before anything moves whether the loop is stable, and by how much.
+        """Report, before anything moves, whether the loop is stable, and its margins.
 
         Half of the configurations, 1000 at most, find the worst cases and choose the Lyapunov
-        functions, with a closer look around the worst of them; the others check what was chosen.
-        With `TorqueLimited` certified are those starts whose motions its efforts never limit.
+        functions, with more samples near the worst; the others check the choice. For
+        `TorqueLimited` it certifies starts whose motions never reach the effort limits.
 
-        A law that no certificate is for, such as one of your own, is linearised at targets of the
-        region, and its report says so: an `OtherLawReport`.
+        A law without certificates, such as your own, is linearised at targets of the region, in
+        an `OtherLawReport`.
 
         Args:
-            configurations: How many to draw, ≥ 20, corners and inside of the errors half each.
-            runs: How many rollouts to add; none by default.
-            execution: How and where these are carried out.
-            progress: Called with what is being done and the share of it; True shows a bar.
+            configurations: Number of configurations, ≥ 20, half at corners and half inside of the
+                error box.
+            runs: Number of rollouts to add; none by default.
+            execution: Engine and executor of the rollouts.
+            progress: Function called with the current work and the share done; True shows a bar.
 
         Raises:
             InvalidInputError: A task whose Jacobian uses the measured x, an empty region or one
-                that a true camera sees nothing of, a target that no configuration of a true robot
+                that a true camera does not see, a target that no configuration of a true robot
                 attains, or numbers out of range.
         """
         controller, timing, seed = self.controller, self.timing, self.seed
@@ -115,23 +116,23 @@ class StudiedLoop:
     ) -> Rollouts:
         """Simulate the sampled closed loop from random starts, with random true robots.
 
-        Run k draws all of its own from `numpy.random.default_rng([seed, k])`. So the result is the
-        same whatever carries out the runs, more runs of the same seed begin with the same ones, and
-        studies that differ in gains alone are asked the same.
+        Run k uses the generator `numpy.random.default_rng([seed, k])`. So results do not depend on
+        the executor, more runs of a seed begin with the same ones, and studies that differ only in
+        gains have the same starts and true robots.
 
         Args:
-            n: How many, ≥ 1.
-            failures: ≥ 1: end with so many runs that do not converge; none of them by default. The
-                interval holds all the same.
-            execution: How and where they are carried out.
-            progress: Called with "rollouts" and the share that is done; True shows a bar.
+            n: Number of runs, ≥ 1.
+            failures: Stop after this number ≥ 1 of runs that do not converge; never by default.
+                The interval is valid nevertheless.
+            execution: Engine and executor.
+            progress: Function called with "rollouts" and the share done; True shows a bar.
 
         Raises:
             UnknownNameError: No such engine.
-            MissingPackageError: Lanes are asked for, and llvmlite is not there.
-            InvalidInputError: Numbers out of range, lanes where they do not cover the loop, another
-                task than the sensor's, a region of which a true camera sees nothing, or what cannot
-                be sent to the processes of an executor.
+            MissingPackageError: Lanes are requested, and llvmlite is not installed.
+            InvalidInputError: Numbers out of range, lanes do not cover the loop, another task than
+                the sensor's, a region that a true camera does not see, or objects that cannot be
+                sent to the processes of an executor.
         """
         n = as_integer("n", n, 1)
         failures = None if failures is None else as_integer("failures", failures, 1)
@@ -145,25 +146,25 @@ class StudiedLoop:
 
     @property
     def timing(self) -> Latency:
-        """When the loop measures and acts."""
+        """Latency of the loop."""
         return self.latency or self.controller.latency or Latency()
 
     @property
     def errors(self) -> Uncertainty:
-        """The uncertainty, which must be one for what draws true robots.
+        """The uncertainty, for tests that draw true robots.
 
         Raises:
-            InvalidInputError: It is one true robot.
+            InvalidInputError: `uncertainty` is a single true robot.
         """
         require("uncertainty", self.uncertainty, Uncertainty, "an Uncertainty")
         assert isinstance(self.uncertainty, Uncertainty)
         return self.uncertainty
 
     def loop(self) -> ClosedLoop:
-        """Return the closed loop that certificates are of.
+        """Return the closed loop for certificates.
 
         Raises:
-            InvalidInputError: A controller that there are none of, or what it does not fit.
+            InvalidInputError: A controller without certificates, or that does not fit the loop.
         """
         law: Any = self.controller.limited_law or self.controller
         return ClosedLoop(law, self.uncertainty, self.region, self.target)  # type: ignore[arg-type]
@@ -172,7 +173,7 @@ class StudiedLoop:
         """Return the setting of all rollouts, in Python.
 
         Raises:
-            InvalidInputError: What rollouts refuse.
+            InvalidInputError: The errors of `rollouts`.
         """
         uncertainty, controller = self.errors, self.controller
         timing, sensing = self.timing, self.sensing
@@ -201,7 +202,7 @@ class StudiedLoop:
 
 
 def telling(progress: Progress) -> Callable[[str, float], None]:
-    """Return a function of the name of a part of the work and the share that is done."""
+    """Return a function that reports the name of the current work and the share done."""
     require("progress", progress, _PROGRESS, "a function of what is done and its share, or True")
     if progress is not True:
         return progress or (lambda what, share: None)

@@ -1,4 +1,4 @@
-"""`Study`: a controller with the errors that it may meet, and all that is asked of its loop."""
+"""`Study`: a controller with possible errors, and all tests of its loop."""
 
 from __future__ import annotations
 
@@ -9,26 +9,24 @@ from approxjac.stability.studied_loop import StudiedLoop
 
 
 class Study(StudiedLoop):
-    """A closed loop, the errors that it may meet, and where: what its tests have in common.
+    """A closed loop with possible errors and a region, for all its tests.
 
     Attributes:
-        controller: The controller with its believed robot. Certificates are of law (6) or (28), and
-            of `TorqueLimited` around it.
-        uncertainty: How the true robot may differ. A report takes one true robot besides, as a
-            `Plant`, or as a `Robot` on which the controller's own task is measured.
-        region: Where starts, at rest, and targets are, as far as the true robot's sensor sees; the
-            joint limits without near-singular configurations by default.
-        target: x_d of all, shape (n_x,) [unit of the task], for rollouts also what moves; by
-            default the values of other configurations of the region, so that answers are of all.
-        latency: When the loop measures and acts; by default that of the controller, or 1 kHz with
-            ideal sensors.
-        sensing: How measurements of rollouts differ from the truth; by default as late as
-            `latency` says, and exact.
-        duration: Of a rollout, a whole number of periods [s]; about 10 by default.
+        controller: The controller with its believed robot. Certificates are for law (6) or (28),
+            also inside `TorqueLimited`.
+        uncertainty: Set of true robots. A report also takes a single true robot, as a `Plant`, or
+            as a `Robot` on which the controller's own task is measured.
+        region: Region of starts (at rest) and targets, as far as the true robot's sensor sees
+            them; by default the joint limits without near-singular configurations.
+        target: x_d of all, shape (n_x,) [unit of the task], for rollouts also a moving target; by
+            default targets are the values of configurations of the region.
+        latency: Latency of the loop; by default the controller's, or 1 kHz with ideal sensors.
+        sensing: Sensor errors of rollouts; by default none but the delays of `latency`.
+        duration: Duration of a rollout, a whole number of periods [s]; about 10 by default.
         accuracy: > 0; a rollout converged if ‖e‖ is below it at every recorded instant of the last
             tenth [unit of the task]; by default 1 mm, 1 mrad or 0.5 px, or three times the sensor's
             noise if that is more.
-        seed: Of all drawing, ≥ 0.
+        seed: Seed of all random draws, ≥ 0.
 
     Raises:
         InvalidInputError: Numbers out of range, or arguments of the wrong kind.

@@ -1,4 +1,4 @@
-"""`ArmNumbers`: what a robot's model holds, as plain arrays, and with as many zeros as it can."""
+"""`ArmNumbers`: the numbers of a robot's model as plain arrays, with as many zeros as possible."""
 
 from __future__ import annotations
 
@@ -101,14 +101,12 @@ class Structure(NamedTuple):
 
 
 class Reduced(NamedTuple):
-    """The numbers of N arms in axes whose z is that of each joint, with bodies that act alike.
+    """The numbers of N arms in axes whose z is each joint's axis, with equivalent bodies.
 
-    What lies on the axis that a joint turns about is the same for the link that carries the joint,
-    wherever the joint is, and the joint itself does not feel it. So it is moved to that link, and
-    the base takes all the mass of an arm whose joints turn. Links that slide keep their mass and
-    its moments, and pass on what resists turns. What is left has zeros that fold away.
-
-    Placements are as those of `ArmNumbers`.
+    Mass on the axis of a revolute joint moves with the link that carries the joint, and exerts no
+    torque about it. So it is moved to that link, and finally to the base. Links of prismatic joints
+    keep mass and first moments, and pass on their second moments. The result has many zeros, which
+    are folded away. Placements are those of `ArmNumbers`.
     """
 
     rotations: Array  # shape (N, n, 3, 3)

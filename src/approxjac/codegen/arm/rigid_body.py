@@ -58,7 +58,7 @@ Wrench = tuple[Symbols, Symbols]
 
 
 def force(body: Body, a: Symbols, U: Symbols) -> Wrench:
-    """Return what a link alone needs to accelerate as a + U r."""
+    """Return the force and moment that accelerate a link alone as a + U r."""
     m, h, S = body
     # ∫ r × U r dm
     turning = symbols([
@@ -125,7 +125,7 @@ class Arm:
 
     @contextmanager
     def standing_in(self, graph: Graph) -> Iterator[None]:
-        """Let this be what terms of its robot are computed of, in place of the robot's numbers."""
+        """Use this arm for terms of its robot, in place of the robot's numbers."""
         graph.arms.insert(0, self)
         try:
             yield
@@ -273,7 +273,7 @@ class Configured:
         return self._placements[joint][0][:, 2]
 
     def origin(self, joint: int) -> Symbols:
-        """Return where a joint begins in the world, where it slides as far as it does, (3,) [m]."""
+        """Return the origin of a joint's moving frame in the world, shape (3,) [m]."""
         return self._placements[joint][1] if joint >= 0 else _NOTHING
 
     def axes(self, joint: int) -> Symbols:
@@ -326,7 +326,7 @@ class Configured:
         return self.torque([force(body, each.a, each.gradient) for body, each in moved])
 
     def motions(self, v: Symbols, a: Symbols, base: Symbols) -> list[Motion]:
-        """Return how each link moves, with q̇ and q̈ (n_v,) and the acceleration of the base."""
+        """Return the motion of each link for q̇ and q̈ (n_v,) and the base's acceleration."""
         v, a = self.arm.robot.mimic_joints.v(v), self.arm.robot.mimic_joints.v(a)
         still = Motion(_NOTHING, _NOTHING, base, None)
         motions: list[Motion] = []
@@ -344,7 +344,7 @@ class Configured:
         return motions
 
     def torque(self, forces: list[Wrench]) -> Symbols:
-        """Return what holds forces on each link and their moments, shape (n_v,) [N m or N]."""
+        """Return the joint torques that balance wrenches on the links, shape (n_v,) [N m or N]."""
         forces, tau = forces.copy(), _zeros(self._n)
         for j in reversed(range(self._n)):
             f, moment = forces[j]

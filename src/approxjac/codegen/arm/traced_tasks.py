@@ -38,7 +38,7 @@ def _probed(task: Task) -> tuple[str, ...]:
 
 
 def traced(name: str, given: Any, computed: Callable[[], Any]) -> Any:
-    """Return what is computed on symbols by something of a user's, such as a task.
+    """Return the result of a user's object, such as a task, on symbols.
 
     Raises:
         InvalidInputError: It does not take symbols.
@@ -64,7 +64,7 @@ def _place(error: Exception) -> str:
 
 
 def may_lose(task: Task) -> bool:
-    """Return whether a sensor may not see what it measures."""
+    """Return True if a sensor may lose its measurement."""
     return any(True for _ in _cameras(task)) or type(task)._seen is not Task._seen
 
 
@@ -134,7 +134,7 @@ def jacobian(task: Task, here: Configured, x: Symbols | None = None) -> Symbols:
 
 
 def seen(sensor: Task, x: Symbols) -> Symbols:
-    """Return what a sensor delivers of x (n_x,), shape (n_x,); NaN what it cannot see."""
+    """Return x (n_x,) as a sensor delivers it, with NaN where it cannot see."""
     return symbols(traced("task", sensor, lambda: sensor._seen(x)))
 
 

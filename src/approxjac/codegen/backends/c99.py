@@ -40,7 +40,7 @@ _TEMPLATES = {
 
 
 def constant(value: float) -> str:
-    """Return a number as C writes it, to the last bit."""
+    """Return a number as an exact C literal."""
     if math.isnan(value):
         return "NAN"
     if math.isinf(value):
@@ -128,7 +128,7 @@ class SampledStep(NamedTuple):
 
     @property
     def asked(self) -> set[str]:
-        """Names of the inputs that it looks at."""
+        """Names of the inputs that it uses."""
         return self.graph.asked([*chain(*self.outputs.values()), *self.first])
 
     def in_numpy(self) -> Callable[..., dict[str, Array]]:
@@ -146,7 +146,7 @@ class SampledStep(NamedTuple):
         return step
 
     def initial_state(self, measurement: Measurement) -> Array:
-        """Return the state before the first step, to the bit that of C."""
+        """Return the state before the first step, bit-identical to C's."""
         t_x = math.nan if measurement.t_x is None else measurement.t_x
         given = {name: np.zeros((size, 1)) for name, size in self.sizes.items()}
         for name, value in measurement._replace(t_x=t_x)._asdict().items():
@@ -162,10 +162,11 @@ def _rows_of(function: Callable[..., Any], given: dict[str, Array]) -> list[Arra
 def sampled_step(controller: Controller) -> SampledStep:
     """Return one step of a controller.
 
-    x may be lost. Where the sweeps that keep what is learnt within its bounds do not end, it rests.
+    x may be lost. If the sweeps that keep learnt numbers within bounds do not converge, learning
+    pauses.
 
     Raises:
-        InvalidInputError: A controller that takes no symbols.
+        InvalidInputError: The controller cannot be traced.
     """
     task, robot = controller.task, controller.task.robot
     graph, sizes = Graph(), laws.argument_sizes(controller)

@@ -1,4 +1,4 @@
-"""`export_c`: a controller as C99 that anyone can read, build and call."""
+"""`export_c`: a controller as readable C99 code."""
 
 from __future__ import annotations
 
@@ -35,23 +35,23 @@ def export_c(controller: Controller, folder: str | PathLike[str]) -> Path:
     """Write a controller as plain C99: no allocation, no library but libm, re-entrant.
 
     The folder gets controller.h and controller.c, a selftest.c that calls them with recorded steps,
-    and a CMakeLists.txt. The header says what to call, in which units, and what the controller was
-    made from.
+    and a CMakeLists.txt. The header documents functions, units and the controller's origin.
 
-    A step in C is a step in Python, to rounding, and the same bits wherever the compiler contracts
-    and reorders nothing. But what Python raises an error for has a status below zero; and learning
-    rests in a step where the few sweeps that keep gravity within its bounds do not end, or where
-    limits give the proof up and in Python the other joints learn: V̇ ≤ −W is not claimed there.
+    A step in C equals a step in Python to rounding, and is bit-identical on all machines if the
+    compiler neither contracts nor reorders. But Python's errors are statuses below zero; and
+    learning pauses in a step where the few sweeps that keep gravity within its bounds do not
+    converge, or where limits give up the proof and in Python the other joints learn: V̇ ≤ −W is
+    not claimed there.
 
     Args:
-        controller: Any that takes symbols, as those that `compiled` takes.
-        folder: Where to write; made if it is not there.
+        controller: Any controller that can be traced, as for `compiled`.
+        folder: Folder to write to; created if missing.
 
     Returns:
         The folder.
 
     Raises:
-        InvalidInputError: A controller that is not covered, or a folder that cannot be made.
+        InvalidInputError: The controller cannot be traced, or the folder not be created.
     """
     require("controller", controller, Controller, "a controller such as SetpointController(task)")
     require("folder", folder, (str, PathLike), "a folder")
@@ -202,7 +202,7 @@ def _braced(parts: list[str]) -> str:
 
 
 def words(controller: Controller, step: SampledStep) -> dict[str, str]:
-    """Return the names, sizes and texts that stand in several files."""
+    """Return the names, sizes and texts for the files' templates."""
     task, robot = controller.task, controller.task.robot
     prefix, n_state = identifier(robot.name), len(step.first)
     tau = joined("N" if unit == "m" else "N m" for unit in robot.joint_units)
@@ -261,13 +261,13 @@ def _said(text: str) -> str:
 
 
 def identifier(name: str) -> str:
-    """Return a name as C takes it."""
+    """Return a name as a valid C identifier."""
     found = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_").lower()
     return found if found[:1].isalpha() else f"arm_{found}".rstrip("_")
 
 
 def pairs(step: SampledStep) -> list[int]:
-    """Return where (cos, sin) of continuous joints stand in q."""
+    """Return the indices of (cos, sin) of continuous joints in q."""
     joints = list(step.controller.task.robot.model.joints)[1:]
     return [joint.idx_q for joint in joints if joint.nq == 2]
 

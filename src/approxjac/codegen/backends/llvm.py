@@ -1,4 +1,4 @@
-"""Programs as vectors of LLVM: one run a lane, as many lanes as the machine's vectors have."""
+"""Programs as vectors of LLVM: one run per lane of the machine's vectors."""
 
 from __future__ import annotations
 
@@ -96,9 +96,9 @@ class LlvmLanes:
 
     Args:
         program: The program.
-        width: Runs a vector; by default those that fill one of this machine.
-        features: Of the processor to compile for; those of this one by default.
-        effort: Of LLVM, from 0 to 3.
+        width: Runs per vector; by default the width of this machine's vectors.
+        features: Features of the processor to compile for; by default this one's.
+        effort: Optimization level of LLVM, from 0 to 3.
 
     Raises:
         MissingPackageError: llvmlite is not installed.

@@ -1,10 +1,9 @@
-"""Machine code of a text in LLVM's language, which is kept for the next one that is the same.
+"""Machine code of a text in LLVM's language, cached for later use.
 
-What code is made of is its text, the processor, and the versions of this library and of llvmlite:
-the same ones get the code that there is, of this process or of an earlier one on this machine. It
-is kept in a folder `approxjac` among the user's caches, or where the environment variable
-APPROXJAC_CACHE says; "0" or "off" keep it nowhere. Files are written whole or not at all, and carry
-a digest: what is damaged is compiled again.
+The key of the cache is the text, the processor, and the versions of this library and of llvmlite.
+Code is cached in memory and in a folder `approxjac` among the user's caches, or the folder in the
+environment variable APPROXJAC_CACHE; "0" or "off" is no folder. Files are written atomically and
+have a digest: a damaged one is compiled again.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ class MachineCode:
     """The function `run` of a text, which lives as long as this does.
 
     Attributes:
-        address: Where it begins.
+        address: Address of the function.
     """
 
     _known: ClassVar[OrderedDict[str, MachineCode]] = OrderedDict()
@@ -46,9 +45,9 @@ class MachineCode:
 
     @classmethod
     def of(cls, text: str, features: str, effort: int = 2) -> MachineCode:
-        """Return that of a text, for this processor with some of its features.
+        """Return the code of a text, for this processor with some of its features.
 
-        With an effort of 0 it is compiled ten times as fast, and runs a few times as long.
+        With `effort` 0 it compiles ten times as fast, and runs a few times as long.
 
         Raises:
             MissingPackageError: llvmlite is not installed.
@@ -89,7 +88,7 @@ def _compiled(llvm: Any, machine: Any, text: str) -> bytes:
 
 
 def cache_folder() -> Path | None:
-    """Return where machine code is kept for the next process, or None."""
+    """Return the folder of the cache, or None."""
     chosen = os.environ.get(_SWITCH)
     if chosen is not None:
         return None if chosen.strip().lower() in _OFF else Path(chosen).expanduser()

@@ -1,4 +1,4 @@
-"""Programs on NumPy's arrays, operation by operation: what the others are compared with."""
+"""Programs on NumPy's arrays, operation by operation: the reference for other backends."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Tracing: arithmetic on numbers that are not known yet, and the programs made of it."""
+"""Tracing: arithmetic on symbols, and the programs made of it."""

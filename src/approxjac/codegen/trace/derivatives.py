@@ -1,4 +1,4 @@
-"""Derivatives of what a graph computes, by forward differentiation."""
+"""Derivatives of a graph's results, by forward differentiation."""
 
 from __future__ import annotations
 

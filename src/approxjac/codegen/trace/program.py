@@ -1,4 +1,4 @@
-"""`Program`: what is done in each step of many runs, and what is kept of each from step to step."""
+"""`Program`: the operations of a step of many runs, and their memory from step to step."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ class Program:
         return self.graph.input(STEP, 1)[0]
 
     def step(self, values: Mapping[str, Any]) -> None:
-        """Say what is kept after a step; what was not kept before it is an answer."""
+        """Declare the numbers kept after a step; those not kept before it are outputs."""
         for name, value in values.items():
             numbers = symbols(value).ravel().tolist()
             if name not in self.rows and name not in self.histories:
@@ -145,7 +145,7 @@ class Program:
             self.stepped[name] = numbers
 
     def record(self, values: Mapping[str, Number]) -> None:
-        """Say which numbers follow a step that is recorded, of what is known before it.
+        """Declare the numbers that change in recorded steps, from those known before the step.
 
         A time, `RECORDED`, says which steps are: 1.0 of those. Of others they stay as they are.
         """

@@ -1,11 +1,11 @@
-"""Numbers that are not known yet, arrays of them, and the graph of what is done with them.
+"""Symbols for numbers, arrays of them, and the graph of operations on them.
 
-`Scalar` stands for a number, `SymbolArray` for an array, which the functions of `law` take for one
-of NumPy's. What is done with them is written into their `Graph`, where constants are folded and
-equal operations stand once. All operations are those of IEEE 754 that are rounded correctly (and
-moves of bits), so that whatever carries them out computes the same bits. Sine and cosine, tanh and
-exp, whose last bits differ from machine to machine, are made of those: sine and cosine within two
-units of the last place, tanh within four.
+`Scalar` stands for a number, `SymbolArray` for an array, which the functions of `law` accept like
+NumPy's. Operations on them are recorded in their `Graph`, where constants are folded and equal
+operations are shared. All operations are correctly rounded ones of IEEE 754 (and moves of bits), so
+that all backends compute the same bits. Sine and cosine, tanh and exp, whose last bits differ from
+machine to machine, are made of those: sine and cosine within two units of the last place, tanh
+within four.
 """
 
 from __future__ import annotations
@@ -66,10 +66,10 @@ _COMMUTES = frozenset({"add", "multiply", "equal", "and", "or"})
 
 
 class Graph:
-    """Operations in an order in which they can be carried out.
+    """Operations in an order of execution.
 
-    Where it `is_finite`, all numbers are taken to be finite, so that nothing is computed to find
-    out. What is computed does not hold where it is `left`.
+    If `is_finite`, all numbers are assumed to be finite, without checks. Results are invalid where
+    `left` is True.
     """
 
     def __init__(self, is_finite: bool = False) -> None:
@@ -634,10 +634,10 @@ _choices = np.frompyfunc(select, 3, 1)
 
 
 class SymbolArray(np.ndarray):
-    """An array of `Scalar`s, and of numbers that are known.
+    """An array of `Scalar`s and numbers.
 
-    It does what NumPy's arrays do, as far as that is arithmetic. What would have to know a value,
-    such as `if`, is a TypeError: a choice is `np.where`.
+    It supports the arithmetic of NumPy's arrays. Operations that need a value, such as `if`, raise
+    a TypeError: use `np.where` for choices.
     """
 
     __array_priority__ = 1.0  # so that the product with an array of numbers is one of symbols
@@ -876,7 +876,7 @@ def _where(condition: Any, a: Any, b: Any) -> Any:
 
 
 def symbols(values: Any) -> Symbols:
-    """Return numbers, known or not, as an array."""
+    """Return numbers or symbols as an array."""
     return np.array(values, dtype=object).view(SymbolArray)
 
 

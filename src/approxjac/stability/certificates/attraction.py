@@ -29,14 +29,14 @@ _UNSEEN = 1.1  # times the most that samples travel
 class Attraction:
     """Starts at rest from which a certified motion stays in a box of configurations.
 
-    |qᵢ(t) − qᵢ(0)| ≤ `travel`ᵢ √V(0) at all times, from a rate at which a V of its own dies out.
+    |qᵢ(t) − qᵢ(0)| ≤ `travel`ᵢ √V(0) at all times, because V of its own decays at a known rate.
 
     Attributes:
-        travel: Shape (n_v,) [rad/√J or m/√J].
-        rate: ρ of that rate [1/s].
-        weights: Of the V that has it.
-        radius: Starts at rest, and targets of configurations, within so much of the middle of the
-            box in every joint never leave it [rad or m].
+        travel: Bound above, shape (n_v,) [rad/√J or m/√J].
+        rate: ρ, with V ≤ V(0) exp(−2ρt) [1/s].
+        weights: Weights of that V.
+        radius: If start (at rest) and target configuration are within this distance of the middle
+            of the box in every joint, the motion never leaves the box [rad or m].
         error: Largest ‖e‖ of such starts [units of the task].
     """
 
@@ -51,7 +51,7 @@ class Attraction:
 
 
 def attraction(loop: ClosedLoop, test: SampledTest, rng: np.random.Generator) -> Attraction | None:
-    """Return starts that stay; None where there are none, or of a region that is no box."""
+    """Return starts that stay; None if there are none, or the region is no box."""
     box, saturation, form = loop.region, loop.controller.saturation, slower(test.form)
     if not test.certified or not isinstance(box, JointBox) or not test.level:
         return None
@@ -95,7 +95,7 @@ def attraction(loop: ClosedLoop, test: SampledTest, rng: np.random.Generator) ->
 
 
 def slower(form: SampledForm) -> SampledForm:
-    """Return a form of the slower motions that are asked whether they stay."""
+    """Return the form of the slower motions that are tested for staying."""
     return form.with_speed(_SLOWER * form.speed)
 
 
@@ -136,7 +136,7 @@ def _farthest(
 def travels(form: SampledForm, weights: Weights, rate: float) -> Array:
     """Return `Attraction.travel` by each sample, shape (N, n_v); infinite where F − ρP ⊁ 0.
 
-    Errors are as large as the function lets them be.
+    Errors are the largest that V allows.
     """
     decay = rate, _largest_ratio(form, weights)
     faster = form.changed(most_s=form.largest_s(weights), decay=decay)

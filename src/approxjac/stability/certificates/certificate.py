@@ -48,10 +48,10 @@ class MatrixTest:
     """Verdict of the matrix form over a region with one family of Lyapunov functions.
 
     Attributes:
-        family: The functions that were tried.
-        weights: The one with the largest margin.
+        family: The family of functions.
+        weights: Weights of the function with the largest margin.
         margins: Its margin in each sample that it was chosen on, shape (N,).
-        checked: Number of further samples, drawn independently, that it was checked in.
+        checked: Number of further, independent samples that it was checked on.
         violations: Number of these in which its margin is not positive.
     """
 
@@ -67,7 +67,7 @@ class MatrixTest:
 
     @property
     def margin(self) -> float:
-        """Share of the designed dissipation that is left in the worst sample, at most 1."""
+        """Share of the designed dissipation left in the worst sample, at most 1."""
         return float(self.margins.min())
 
     @property
@@ -97,12 +97,12 @@ class MatrixTest:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SampledTest(MatrixTest):
-    """Verdict of the form that is held and late, over a region.
+    """Verdict of the matrix form of the sampled, late loop over a region.
 
     Attributes:
-        latency: Of the loop that it speaks of.
+        latency: Latency of the loop.
         level: c [J]: motions that begin with V ≤ c stay below v̄.
-        form: What it rests on; the samples that it was chosen on come first.
+        form: The form at all samples; those that the function was chosen on come first.
     """
 
     latency: Latency
@@ -111,23 +111,23 @@ class SampledTest(MatrixTest):
 
     @property
     def reason(self) -> str:
-        """Return why it is not certified: "violated", or "too slow" a loop; empty where it is."""
+        """Reason why it is not certified: "violated" or "too slow"; "" if it is."""
         if self.certified:
             return ""
         return "violated" if self.margin > 0.0 else "too slow"
 
     @property
     def speed(self) -> float:
-        """v̄ of `law.sampled_form`: √(q̇ᵀMq̇) stays below it along the motions meant here [√J]."""
+        """v̄ of `law.sampled_form`: bound of √(q̇ᵀMq̇) along the certified motions [√J]."""
         return self.form.speed
 
     @cached_property
     def certified_error(self) -> Array:
-        """Largest error of one task coordinate to start from at rest, others being zero, (m,)."""
+        """Largest start error of each task coordinate alone, at rest, shape (m,)."""
         return largest_errors(self.form.setting.saturation, self.weights.w, self.level)
 
     def below(self, level: float) -> SampledTest:
-        """Return this of motions that begin with V ≤ level only, if that is less than its own."""
+        """Return this test for motions with V(0) ≤ level [J], if that is less than its own."""
         return replace(self, level=min(level, self.level))
 
     def largest_period(self) -> float:
@@ -147,7 +147,7 @@ class SampledTest(MatrixTest):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Theorem1:
-    """The constants of Theorem 1 over a region, and what they allow.
+    """The constants of Theorem 1 over a region, and the p that they allow.
 
     Attributes:
         p: Largest ‖Jᵀ − Ĵᵀ‖, eq. (7), with ∂e/∂q for J where e is not x − x_d.
@@ -158,7 +158,7 @@ class Theorem1:
         c0: c₀ of eq. (15); it mixes units as (18) does.
         c1: c₁ of eq. (15).
         setting: Gains and damping.
-        worst: Index of the sample that each constant comes from, by its name.
+        worst: Name of a constant → index of the sample that it comes from.
     """
 
     p: float
@@ -184,12 +184,12 @@ class Theorem1:
 
     @property
     def alpha_max(self) -> float:
-        """The α that (14) allows [1/s]."""
+        """The largest α that (14) allows [1/s]."""
         return law.largest_alpha(self.setting.kv, self.setting.c_bar, self.lambda_m)
 
     @property
     def alpha(self) -> float:
-        """The α that allows the largest p, or that gravity is learnt with [1/s]."""
+        """The α that allows the largest p, or that of learnt gravity [1/s]."""
         at = self.setting
         if at.fixed_alpha is not None:
             return at.fixed_alpha
@@ -226,7 +226,7 @@ _BELOW = 0.999  # (14) is strict
 
 
 def constants(samples: Samples, setting: Setting) -> dict[str, Array]:
-    """Return each constant as it is for each sample alone, shape (N,), by name."""
+    """Return each constant for each sample alone, shape (N,), by name."""
     J, J_hat, kv, B = samples.J, samples.J_hat, setting.kv, setting.B
     D = law.dissipation(J_hat, kv, B)
     G, dG = law.cross_weight_pinv(J_hat, samples.dJ_hat, setting.weight)
@@ -270,7 +270,7 @@ def theorem1(samples: Samples, setting: Setting) -> Theorem1:
 
 
 def refine_constants(loop: ClosedLoop, samples: Samples, rng: np.random.Generator) -> Samples:
-    """Add samples from around the worst of each constant of Theorem 1."""
+    """Add samples near the worst of each constant of Theorem 1."""
     values = constants(samples, loop.setting)
     more: list[Samples] = []
     for name in CONSTANTS:
@@ -301,7 +301,7 @@ def _first_largest(values: Array) -> int:
 def refine_weights(
     loop: ClosedLoop, form: MatrixForm, family: Family, rng: np.random.Generator
 ) -> tuple[MatrixForm, Best]:
-    """Choose a Lyapunov function, with a closer look around its worst sample."""
+    """Choose a Lyapunov function, with more samples near its worst one."""
     best = best_weights(form, family)
     worst, k, least = form.samples, int(best.margins.argmin()), float(best.margins.min())
     for _ in range(_REFINED):
@@ -327,7 +327,7 @@ def smallest_family(form: MatrixForm, families: Sequence[Family]) -> tuple[Best,
 
 
 def margin(test: str, samples: Samples, setting: Setting) -> float:
-    """Return the margin of "theorem1" or "matrix" on samples, without a closer look."""
+    """Return the margin of "theorem1" or "matrix" on given samples."""
     if test == "theorem1":
         return theorem1(samples, setting).margin
     best, _ = smallest_family(MatrixForm(samples, setting), setting.families)
@@ -352,8 +352,8 @@ def sampled_test(
 ) -> SampledTest:
     """Choose a function that certifies a loop of known gravity with a latency, for starts at rest.
 
-    v̄ is such that all samples may be started from, or less where that is not certified. `known`,
-    and the forms at samples to choose it on and to check it on, are of continuous time.
+    v̄ is large enough for starts at all samples, or less if that is not certified. `known`, and the
+    forms to choose it on and to check it on, are those of continuous time.
     """
     setting, n = loop.setting, len(chosen.samples)
     form = chosen.join(fresh)

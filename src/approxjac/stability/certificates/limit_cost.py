@@ -1,4 +1,4 @@
-"""`LimitCost`: what limits of effort cost a loop: where they act, and what is proven then."""
+"""`LimitCost`: where effort limits act on a loop, and what is proven then."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ _FAR = 1e9  # an error at which a saturation that is bounded has its bound
 
 @dataclass(frozen=True, eq=False)
 class LimitCost:
-    """Cost of limits of effort: where they act in a region, and what is proven there.
+    """Cost of effort limits: where they act in a region, and what is proven there.
 
     Attributes:
-        clipped: Share of the samples, taken as at rest, whose torque is beyond the efforts.
-        free: For each unit of the task the error at rest up to which no torque at any sample is
-            beyond the efforts, whatever its direction, those of other units being zero [units of
-            the task]. Infinite where none ever is, 0 where motors cannot hold the arm.
-        level: Certified motions that begin with V ≤ this never ask for more than the efforts [J];
-            0 of what is not certified.
+        clipped: Share of the samples, taken as at rest, whose torque is beyond the limits.
+        free: Unit of the task → error at rest, in any direction, up to which no sample's torque is
+            beyond the limits, with no error in other units [units of the task]. Infinite if none
+            ever is, 0 if motors cannot hold the arm.
+        level: Certified motions that begin with V ≤ this never exceed the limits [J]; 0 if
+            nothing is certified.
         holds: Whether motors can hold the arm at all samples.
-        protects: Whether the limiter keeps the very V of the report falling.
+        protects: Whether the limiter keeps the report's own V falling.
         proof: Whether the limiter keeps any V falling.
     """
 
@@ -41,7 +41,7 @@ class LimitCost:
 
     @property
     def verdict(self) -> str:
-        """The proof where torques are limited, in a few words."""
+        """Short text on the proof where torques are limited."""
         if not self.holds:
             return "cannot hold"
         if not self.proof:

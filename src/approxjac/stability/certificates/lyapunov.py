@@ -49,11 +49,11 @@ def lyapunov(
         alpha: α of (10) [1/s]; the controller's by default.
         state: Controller state, needed where gravity is learnt, shape (n_state,).
         theta: True θ, needed where gravity is learnt: that of the controller's regressor, shape
-            (p,), as `GravityRegressor.fit` finds it, or with the constant task force and joint
-            torques that are learnt beside it, which are 0 if not given.
+            (p,), as from `GravityRegressor.fit`, or followed by the constant task force and joint
+            torques, which are 0 if not given.
 
     Raises:
-        InvalidInputError: A law that V is not of, or a plant that is not ideal; learnt gravity
+        InvalidInputError: A law without this V, or a plant that is not ideal; learnt gravity
             without `state` and `theta`, or with another α; another task than the sensor's, or one
             whose Jacobian uses the measured x; a q that the sensor does not see; a singular Ĵ.
     """

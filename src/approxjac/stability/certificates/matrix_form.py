@@ -1,9 +1,8 @@
 """Test 2: the matrix form with free potential, a linear matrix inequality over many samples.
 
-Solved by cutting planes: with a dozen unknowns and thousands of small matrices, an eigenvalue
-decomposition of all of them and a linear program of the few directions that matter (HiGHS, through
-SciPy) take less than a conic solver takes to read the problem. The answer is the best to within
-`_PRECISION`; round-off alone may lead to another one within it.
+It is solved by cutting planes: with a dozen unknowns and thousands of small matrices, eigenvalue
+decompositions and a linear program of the few relevant directions (HiGHS, through SciPy) are faster
+than a conic solver. The result is optimal to within `_PRECISION`; round-off may change it by that.
 """
 
 from __future__ import annotations
@@ -60,7 +59,7 @@ class Weights(NamedTuple):
     coupling: Array | float = 0.0  # Ω, symmetric with a diagonal of zeros, shape (m, m)
 
     def plus(self, share: float, other: Weights) -> Weights:
-        """Return these weights and a share of others."""
+        """Return these weights plus a share of others."""
         return Weights(*(mine + share * its for mine, its in zip(self, other, strict=True)))  # type: ignore[arg-type]
 
     def at_rest(self, e: Array, saturation: law.Saturation) -> Array:
@@ -91,14 +90,14 @@ class Setting:
 
     @property
     def alpha(self) -> float:
-        """α, or its natural size where it is free, half the mean rate k_p/k_v [1/s]."""
+        """α, or if it is free its typical size, half the mean rate k_p/k_v [1/s]."""
         if self.fixed_alpha is not None:
             return self.fixed_alpha
         return 0.5 * float(np.mean(self.kp / self.kv))
 
     @property
     def families(self) -> tuple[Family, ...]:
-        """Families that apply, as (29) learns along q̇ + αĴ⁺s(e), which G then has to match."""
+        """Families that apply: with learnt gravity G has to match αĴ⁺ of (29)."""
         return FAMILIES if self.fixed_alpha is None else ("paper", "free")
 
 
@@ -283,8 +282,8 @@ class _OfSamples(NamedTuple):
 def best_weights(form: MatrixForm, family: Family, known: Best | None = None) -> Best:
     """Choose the Lyapunov function of a family whose least margin is largest.
 
-    The worst samples are gathered until no other one is worse. `known` is the best without the
-    last ones of the samples, to go on from.
+    The worst samples are collected until no other one is worse. `known` is the best for the first
+    samples, to start from.
     """
     return best_of(form, form.unknowns(family), known)
 
@@ -314,7 +313,7 @@ def best_of(form: MatrixForm, unknowns: FamilyNumbers, known: Best | None = None
 
 
 def on_more(form: MatrixForm, family: Family, known: Best) -> Best:
-    """Return the best of a family on more samples: another one only where a new one is worse."""
+    """Return the best of a family on more samples; it changes only if a new one is worse."""
     before = len(known.margins)
     if before == len(form.samples):
         return known
@@ -412,15 +411,15 @@ def _along(v: Array, A0: Array, A1: Array, which: tuple[Indices, ...]) -> Array:
 
 
 class Hold(NamedTuple):
-    """Bounds on what holds and delays amount to.
+    """Bounds on the effect of holds and delays.
 
     Attributes:
-        gain: γ of the torque, or of its part with D_c where x comes in frames [s].
-        span: Longest time that a torque is out of date [s].
-        lag: Mean age of q̇ that a filter makes of it [s].
-        frames: γ_x of x that comes in frames [s]; None where x is read with the rest.
-        age: Longest time that x is out of date [s].
-        turned: γ of what q alone makes of the torque while q̇ is that old [s].
+        gain: γ of the torque, or of its part with D_c if x comes in frames [s].
+        span: Longest age of an acting torque [s].
+        lag: Mean age of a filtered q̇ [s].
+        frames: γ_x of x in frames [s]; None if x is read at each sample.
+        age: Longest age of x [s].
+        turned: γ of the torque's change with q alone while q̇ is that old [s].
     """
 
     gain: float
@@ -453,7 +452,7 @@ class Hold(NamedTuple):
 
 
 class Turning(NamedTuple):
-    """Largest rates at which samples turn: of `law.sampled_form`.
+    """Largest rates of change of the samples' matrices, see `law.sampled_form`.
 
     Attributes:
         curvature: κ.
@@ -471,20 +470,20 @@ class Turning(NamedTuple):
 
 
 class SampledForm(MatrixForm):
-    """The form of a loop that runs with a latency, for motions with |q̇|_M ≤ v̄.
+    """The matrix form of a loop with a latency, for motions with |q̇|_M ≤ v̄.
 
     Its weights have a multiplier and, where x comes in frames or q̇ through a filter, X.
 
     Args:
-        form: That of continuous time, where it is evaluated.
+        form: The form in continuous time, at the same samples.
         friction: Diagonal of the arm's own part of B, shape (n_v,).
-        hold: That of the loop.
+        hold: `Hold` of the loop.
         speed: v̄ [√J].
-        most_s: s̄, at least |s(e)| along these motions; it counts where x comes in frames.
-        turning: Of these samples and of others; of these by default.
+        most_s: s̄, a bound of |s(e)| along these motions, used if x comes in frames.
+        turning: `Turning` of these and possibly other samples; by default of these.
 
     Attributes:
-        decay: ρ, with which F − ρP is in place of F and gains are those of e^(ρt)(z, w), so that
+        decay: ρ, for which F − ρP replaces F and gains are those of e^(ρt)(z, w), so that
             V e^(2ρt) never rises, and the largest S(e)/s(e)² [1/s, –].
     """
 
@@ -541,7 +540,7 @@ class SampledForm(MatrixForm):
         return None if x is None else x * sampled_form.growth(self.decay[0], self.hold.age)
 
     def elsewhere(self, samples: Samples) -> SampledForm:
-        """Return this at other samples of the same region."""
+        """Return this form at other samples of the same region."""
         form, friction = MatrixForm(samples, self.setting), self._friction
         return SampledForm(form, friction, self.hold, self.speed, self.most_s, self.turning)
 
@@ -586,7 +585,7 @@ class SampledForm(MatrixForm):
         return other
 
     def is_possible(self) -> bool:
-        """True if some multiplier may do: the hold is not beyond what this can certify."""
+        """True if some multiplier may exist: the hold is not too long for this form."""
         return self._gain * (1.0 + self._b) * self._fastest**2 < 1.0
 
     @property
@@ -610,7 +609,7 @@ class SampledForm(MatrixForm):
         return FamilyNumbers(numbers.fixed, [*numbers.basis, *more], start, least)
 
     def best_multiplier(self, weights: Weights) -> Best:
-        """Choose the multiplier, and X, of a function that is known."""
+        """Choose the multiplier, and X, of a given function."""
         fixed, none = weights._replace(multiplier=0.0, X=0.0), np.zeros(0)
         return best_of(self, self._with_multipliers(FamilyNumbers(fixed, [], none, none)))
 
@@ -660,7 +659,7 @@ class SampledForm(MatrixForm):
         return self._form(weights, *self._decrease(weights))
 
     def largest_s(self, weights: Weights) -> float:
-        """Largest |s(e)| of motions that begin with V ≤ `level`; infinite where V bounds none.
+        """Return the largest |s(e)| of motions with V(0) ≤ `level`; infinite without a bound.
 
         V ≥ ½ (1 − σ²) sᵀ(2c̄W + Ω)s.
         """
@@ -668,6 +667,6 @@ class SampledForm(MatrixForm):
         return self.speed / math.sqrt(least) if least > 0.0 else math.inf
 
     def level(self, weights: Weights) -> float:
-        """c [J]: from V ≤ c on, |q̇|_M stays below v̄."""
+        """Return c [J]: with V(0) ≤ c, |q̇|_M stays below v̄."""
         share = float(self._kinetic(weights, self.cross_weight(weights)).max())  # σ² < 1
         return 0.5 * (1.0 - share) * self.speed**2

@@ -1,4 +1,4 @@
-"""Regions of joint space: where the stability tests look."""
+"""Regions of joint space for stability tests."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _TRIES = 1000
 
 
 class Region(ABC):
-    """A set of configurations that can be drawn from.
+    """A set of configurations that can be sampled.
 
     Attributes:
         robot: A robot with the joints of the configurations.
@@ -42,10 +42,10 @@ class Region(ABC):
 
     @abstractmethod
     def contains(self, q: Array) -> bool:
-        """Return whether a configuration (nq,) belongs to the region."""
+        """Return True if a configuration (nq,) belongs to the region."""
 
     def near(self, q: Array, size: float, rng: np.random.Generator) -> Array:
-        """Return a configuration of the region about `size` spreads away from one of its own, q."""
+        """Return a configuration of the region about `size` spreads away from q, one of its own."""
         for _ in range(20):
             moved = self._moved(q, size * self.spread * rng.standard_normal(self.robot.nv))
             if self.contains(moved):
@@ -68,9 +68,8 @@ class JointBox(Region):
         robot: True or believed.
         lower: Smallest motion from `center`, a number or shape (n_v,) [rad or m]; by default the
             lower joint limits, where `center` must not be given.
-        upper: Largest motion from `center`; by default the upper joint limits. Of a range wider
-            than a turn or than 2 m, or without limits, `Robot.random_configuration` tells the part
-            that is used.
+        upper: Largest motion from `center`; by default the upper joint limits. Ranges wider than a
+            turn or 2 m, or without limits, are reduced to `Robot.usual_range`.
         center: Configuration that motions are counted from, shape (nq,); all joints at zero by
             default.
 
@@ -195,13 +194,13 @@ class RegularPart(Region):
 
 
 def require_setpoint(controller: SetpointController) -> None:
-    """Refuse anything else, such as a controller that limits it or holds measurements for it."""
+    """Raise an InvalidInputError for anything else, such as a wrapper around one."""
     wanted = "a SetpointController, which learns no Jacobian (controller.law is within wrappers)"
     require("controller", controller, SetpointController, wanted)
 
 
 def require_law(controller: SetpointController, *, posture: bool = False) -> None:
-    """Refuse a controller whose torque is not that of the laws (6) or (28), or has a posture's."""
+    """Raise an InvalidInputError unless the torque is that of law (6) or (28), without posture."""
     require_setpoint(controller)
     kind, laws = type(controller), "the conditions are those of the laws (6) and (28)"
     names = ("evaluate", "step")
@@ -221,7 +220,7 @@ def require_law(controller: SetpointController, *, posture: bool = False) -> Non
 
 
 def uncovered(controller: Controller) -> str:
-    """Return why no certificate is for a controller, or for the law within its limits; or ""."""
+    """Return why there is no certificate for a controller, or its limited law; or ""."""
     law: Any = controller.limited_law or controller
     try:
         require_law(law)
@@ -231,7 +230,7 @@ def uncovered(controller: Controller) -> str:
 
 
 def require_seen(name: str, q: Array, sensor: Task) -> None:
-    """Raise if a sensor does not see a configuration (nq,)."""
+    """Raise an InvalidInputError if a sensor does not see x at a configuration (nq,)."""
     if not sees(sensor, q):
         raise InvalidInputError(
             f"{name} must be a configuration that the sensor sees, or no law acts there, got "

@@ -35,7 +35,7 @@ _TURN = 2.0 * math.pi * (1.0 + 1e-9)
 
 
 class Coordinate(NamedTuple):
-    """One number that is not known: what is believed of it, and the range that it may be in."""
+    """One uncertain number: its believed value and its range."""
 
     name: str
     unit: str
@@ -44,13 +44,13 @@ class Coordinate(NamedTuple):
     high: float
 
     def scaled(self, factor: float) -> Coordinate:
-        """Shrunk or grown about what is believed, which it always holds; exact for 0 and 1."""
+        """Return it with its range scaled about the believed value; exact for 0 and 1."""
         believed = self.believed
         low, high = (factor * end + (1.0 - factor) * believed for end in (self.low, self.high))
         return self._replace(low=min(low, believed), high=max(high, believed))
 
     def ends(self) -> tuple[float, ...]:
-        """The ends of the range, or of the pieces that two ends of an angle can stand for.
+        """Return the ends of the range, for wide ranges of angles also those of equal pieces.
 
         Between the ends of δ, a rotation is a convex combination of theirs times at most
         1/cos(δ/2): 1.08 for 45°, but without bound towards half a turn.
@@ -139,25 +139,25 @@ def spoken(name: str) -> str:
 class Uncertainty:
     """A box of errors: how the true robot may differ from the one that the controller believes.
 
-    Each range that is given is one uncertain coordinate, in the order of the attributes below,
-    and x, y, z within a joint. The truth is any point of the box (errors are independent), the
-    values (d,) of these coordinates; so is the belief. Everything else is certain.
+    Each given range is one uncertain coordinate, in the order of the attributes below, and x, y, z
+    within a joint. The truth is any point of the box, values (d,) of these coordinates (errors are
+    independent); so is the belief. Everything else is certain.
 
-    An object is held if any length or mass of one is given; then the belief holds it too.
+    If any length or mass of an object is given, the true and the believed arm hold one.
 
     Attributes:
         arm: The believed arm, without the object.
-        task: Makes the task of a robot, or with a camera that of both, such as
-            `functools.partial(PositionTask, axes="xz")`; `PositionTask` or `ImageTask` by default.
-            (A function that is to go to other processes must not be a lambda.)
+        task: Function from a robot, or from robot and camera, to a task, such as
+            `functools.partial(PositionTask, axes="xz")`; by default `PositionTask` or `ImageTask`.
+            (A lambda cannot be sent to other processes.)
         object_length: Smallest and largest true length of the object [m].
         object_mass: Smallest and largest true mass of the object [kg].
-        believed_length: Length of the object that is believed, ≥ 0 [m].
-        believed_mass: Mass of the object that is believed, ≥ 0 [kg].
-        object_axis: Axis of the tip's frame that the object points along; by default as of
+        believed_length: Believed length of the object, ≥ 0 [m].
+        believed_mass: Believed mass of the object, ≥ 0 [kg].
+        object_axis: Axis of the tip's frame that the object points along; by default as in
             `Robot.with_object`.
-        joint_shifts: Joint name → how far its true origin may be from the believed one to either
-            side along each axis of the parent link, shape (3,) [m]; an axis with 0 is certain.
+        joint_shifts: Joint name → largest error of its origin to either side along each axis of
+            the parent link, shape (3,) [m]; an axis with 0 is certain.
         joint_rotations: Joint name → the same for the rotation vector in the joint's own frame,
             shape (3,) [rad].
         camera: The believed camera, if the task is an image. The next three ranges are of its
@@ -165,18 +165,18 @@ class Uncertainty:
         focal_length: Smallest and largest true focal length: of a `PlanarCamera` [m], f_x of a
             `PinholeCamera` [px] (f_y along with it).
         distance: Smallest and largest true distance of a `PlanarCamera` [m]; of a
-            `PinholeCamera` how far back along its optical axis it may truly stand from where it
-            is believed to be [m], with 0 believed.
+            `PinholeCamera` the shift back along its optical axis from the believed position [m],
+            with 0 believed.
         roll: Smallest and largest true roll about the optical axis [rad]: of a `PinholeCamera`
             relative to the believed one, with 0 believed.
         friction: Viscous friction B ≥ 0 of the true joints, which is certain, a number or shape
             (n_v,) [N m s/rad or N s/m].
-        factor: What the ranges above are shrunk or grown by, about what is believed; see `scaled`.
+        factor: Factor that scales the ranges about the believed values; see `scaled`.
 
     Raises:
-        InvalidInputError: Ranges that are reversed, not finite, do not hold what is believed, or
-            are of an angle beyond a full turn; objects or cameras in the box that cannot exist;
-            ranges of a camera without a camera; a task that is none of a robot (and a camera).
+        InvalidInputError: Ranges that are reversed, not finite, without the believed value, or of
+            an angle beyond a full turn; impossible objects or cameras in the box; ranges of a
+            camera without a camera; or an invalid function `task`.
         UnknownNameError: No such joint; a range that the camera's calibration does not have.
 
     Example:
@@ -264,7 +264,7 @@ class Uncertainty:
 
     @property
     def d(self) -> int:
-        """Number of uncertain coordinates; 0 where the belief is the truth."""
+        """Number of uncertain coordinates; 0 if the belief is the truth."""
         return len(self._coordinates)
 
     @cached_property
@@ -287,7 +287,7 @@ class Uncertainty:
         return np.array([known.high for known in self._coordinates])
 
     def scaled(self, factor: float) -> Uncertainty:
-        """Return a box of the same coordinates, shrunk or grown about what is believed.
+        """Return the box with all ranges scaled about the believed values.
 
         Raises:
             InvalidInputError: A factor < 0, or so large that some robots cannot exist.
@@ -296,7 +296,7 @@ class Uncertainty:
         return replace(self, factor=self.factor * factor)
 
     def largest_scale(self, bound: float) -> float:
-        """The largest factor ≤ bound: robots can exist, a focal length keeps ≥ 1/10 of its own."""
+        """Return the largest valid factor ≤ bound; a focal length keeps ≥ 1/10 of its own."""
         for name, _, believed, least, _ in self._coordinates:
             if name == "camera focal_length" and least < believed:
                 bound = min(bound, max(1.0, (1.0 - _LEAST_FOCAL) * believed / (believed - least)))
@@ -311,14 +311,13 @@ class Uncertainty:
         return low
 
     def corners(self, limit: int = 64) -> Array:
-        """Return the corners of the box, or a selection where they are many; shape (k, d).
+        """Return the corners of the box, or a selection if they are many; shape (k, d).
 
-        A coordinate whose range has no width counts as having one end. The range of an angle that
-        is wider than 45° is cut into equal pieces, whose ends count too: two ends stand for no
-        more, and those of a full turn are the same robot. If the corners are at most `limit`, these
-        are all of them. Otherwise they are, without repetition: the points with one coordinate at
-        an end and the others at what is believed (whatever the limit), and random corners of a
-        fixed seed, up to `limit` points in all.
+        A coordinate without width has one end. The range of an angle wider than 45° is cut into
+        equal pieces, whose ends count too. If there are more than `limit` corners, the result is,
+        without repetition: the points with one coordinate at an end and the others at their
+        believed values (whatever the limit), and random corners of a fixed seed, up to `limit`
+        points in all.
 
         Raises:
             InvalidInputError: A limit that is no integer ≥ 1.
@@ -345,12 +344,12 @@ class Uncertainty:
 
     @property
     def makes_the_robots(self) -> bool:
-        """Return whether this class makes true robots, so that they differ in numbers only."""
+        """True unless a subclass makes its own robots, which may differ in more than numbers."""
         own = type(self)
         return (own.plant, own.robot) == (Uncertainty.plant, Uncertainty.robot)
 
     def belief(self) -> Robot:
-        """Return the believed robot, holding the object that is believed."""
+        """Return the believed robot, with the believed object."""
         return self._perturbation.base
 
     def believed_task(self) -> Task:
@@ -358,7 +357,7 @@ class Uncertainty:
         return self._task_of(self.belief(), self.camera)
 
     def robot(self, values: Sequence[float] | Array) -> Robot:
-        """Return the true robot at some values, the believed one itself where nothing is wrong."""
+        """Return the true robot at values (d,); without errors the believed one itself."""
         believed, uncertain = self._of_robot
         at = believed.copy()
         for place, value in zip(uncertain, self._checked(values).tolist(), strict=False):
@@ -387,9 +386,9 @@ class Uncertainty:
         return plant
 
     def moving(self) -> Uncertainty:
-        """Return this set with one robot that moves: `plant` is good until it is asked again.
+        """Return a copy whose `plant` changes one robot in place, valid until the next call.
 
-        For many that are looked at one after the other: it takes a third of the time.
+        For many robots in sequence it takes a third of the time.
         """
         moving = copy.copy(self)
         vars(moving)["_perturbation"] = self._perturbation.moving()
@@ -397,16 +396,16 @@ class Uncertainty:
 
     @cached_property
     def nominal(self) -> Plant:
-        """The true robot where nothing is wrong: the believed one, with its sensor and friction."""
+        """The plant without errors: the believed robot, with its sensor and friction."""
         return Plant(self.belief(), self.believed_task(), self.friction)
 
     def describe(self, values: Sequence[float] | Array) -> str:
-        """Return values (d,) in words, such as "object length 0.3 m, camera roll 0.349 rad"."""
+        """Describe values (d,), such as "object length 0.3 m, camera roll 0.349 rad"."""
         words = map(_in_words, self.names, self._checked(values), self.units)
         return ", ".join(words) or "no error"
 
     def describe_box(self) -> str:
-        """Return the ranges in words, such as "object length 0 to 0.3 m"."""
+        """Describe the ranges, such as "object length 0 to 0.3 m"."""
         shown = []
         for name, unit, _, low, high in self._coordinates:
             ends = (0.0 if abs(end) < _NONE * (high - low) else end for end in (low, high))

@@ -56,10 +56,10 @@ _SINGULAR = 1e-9  # σ_min as a share of σ_max at which Ĵ⁺ cannot be compute
 
 
 class ClosedLoop:
-    """A controller on one or several true robots, with the region and target that are analysed.
+    """A controller on one or several true robots, with the region and target to analyse.
 
-    It draws configurations and targets that the true robot's sensor sees, and true robots from the
-    inside of the errors besides their corners. The arguments are those of `Study`.
+    It draws configurations and targets that the true robot's sensor sees, and true robots at
+    the corners and inside of the error box. The arguments are those of `Study`.
 
     Attributes:
         corners: Values of the uncertain coordinates at the corners, shape (k, d).
@@ -100,7 +100,7 @@ class ClosedLoop:
         self._attained: list[list[Array]] = []
 
     def scaled(self, factor: float) -> ClosedLoop:
-        """Return the loop with the errors of its `Uncertainty` shrunk or grown."""
+        """Return the loop with scaled errors of its `Uncertainty`."""
         assert isinstance(self.truth, Uncertainty)
         scaled = ClosedLoop(self.controller, self.truth.scaled(factor), self.region, self.target)
         vars(scaled)["_traced"] = self._traced
@@ -129,13 +129,13 @@ class ClosedLoop:
 
     @property
     def integral_terms(self) -> list[str]:
-        """Parts of what is learnt that can take up gravity that no parameters explain."""
+        """Names of learnt parts that can absorb gravity that no parameters explain."""
         learning, parts = self.controller.adaptation, ("task force", "joint torques")
         sizes = (0, 0) if learning is None else learning.sizes[1:]
         return [part for part, size in zip(parts, sizes, strict=True) if size]
 
     def require_gravity(self) -> None:
-        """Raise if gravity is neither compensated exactly nor can be learnt."""
+        """Raise an InvalidInputError if gravity is neither exact nor learnable."""
         error = self.gravity_error(self.region.sample(5, np.random.default_rng(0)))
         if error > EXACT_GRAVITY:
             raise InvalidInputError(
@@ -148,8 +148,8 @@ class ClosedLoop:
     def singular_configuration(self, samples: Samples) -> Array | None:
         """Return a configuration (nq,) of the region where Ĵ loses rank, or None if none is found.
 
-        No sample hits it, and no test holds there: Ĵᵀ K_p s = 0 for some s ≠ 0, so the arm may
-        stand still away from its target. Margins do not show it: they are relative to sym(K_pĴG).
+        Samples miss it, and no test holds there: Ĵᵀ K_p s = 0 for some s ≠ 0, so the arm may
+        rest away from its target. Margins do not show it: they are relative to sym(K_pĴG).
         """
         task = self.controller.task
         q = least_regular(task, self.parts, samples)
@@ -157,9 +157,9 @@ class ClosedLoop:
         return q if size <= _VANISHING * vanishing(task) else None
 
     def damped_configuration(self, samples: Samples) -> Array | None:
-        """Return a configuration (nq,) where the Ĵ⁺ that learning uses is damped, if one is found.
+        """Return a configuration (nq,) where the Ĵ⁺ of learning is damped, or None.
 
-        V of learnt gravity has the law's own G = αĴ⁺, and the conditions are of an exact one.
+        V of learnt gravity has the law's own G = αĴ⁺, and the conditions assume an exact one.
         """
         if self.controller.adaptation is None:
             return None
@@ -167,14 +167,14 @@ class ClosedLoop:
         return q if self.controller.pinv.is_damped(self.controller.task.jacobian(q)) else None
 
     def draw(self, n: int, rng: np.random.Generator, inside: int = 0) -> Samples:
-        """Draw n samples, or more to have every corner as often.
+        """Draw n samples, or more so that every corner has as many.
 
-        With `inside` ≥ 1, about half of them are of new true robots, drawn from inside of the
-        errors, each of which so many samples share. Those of one robot are not independent: 1 is
-        for samples that are to bound a share.
+        With `inside` ≥ 1, about half of them are of new true robots from inside the error box, each
+        with this number of samples. Samples of one robot are not independent: use 1 to bound a
+        share.
 
-        A third of them have e = 0, a third small errors of all sizes, and a third those between two
-        configurations, where a saturated s(e) is flat.
+        A third of them have e = 0, a third small errors of all sizes, and a third errors between
+        two configurations, at which a saturated s(e) is flat.
         """
         truths, drawn = self._drawn(n, rng, inside)
         n = len(truths)
@@ -340,7 +340,7 @@ class ClosedLoop:
         return truths, self.seen(truths, self.region.sample(len(truths), rng), rng)
 
     def seen(self, truths: Indices, drawn: Array, rng: np.random.Generator) -> Array:
-        """Configurations of the region, with others for those that their true robot misses."""
+        """Return the configurations, with those replaced that their robot's sensor does not see."""
         pairs = zip(truths.tolist(), drawn, strict=True)
         for t in dict.fromkeys(t for t, q in pairs if not sees(self.parts[t].sensor, q)):
             drawn[truths == t] = self.parts[t].replace_unseen(drawn[truths == t], rng)

@@ -107,14 +107,14 @@ def linear_loops(
 
 
 def continuous_matrix(loop: LinearLoop) -> Array:
-    """A of ż = A z with z = (δq, q̇, δθ̂), shape (N, 2 n_v + p, 2 n_v + p)."""
+    """Return A of ż = A z with z = (δq, q̇, δθ̂), shape (N, 2 n_v + p, 2 n_v + p)."""
     M, _, J, J_hat, J_hat_pinv, kp, kv, friction, damping, Z, L, alpha = loop
     B = friction + damping
     return law.closed_loop_matrix(M, J, J_hat, kp, kv, B, (Z, L, alpha * J_hat_pinv))
 
 
 def sampled_matrix(loop: LinearLoop, timing: Timing) -> Array:
-    """A of z(k+1) = A z(k) from one frame of x to the next, as `simulate` runs, to first order.
+    """Return A of z(k+1) = A z(k), the loop of `simulate` from frame to frame, to first order.
 
     z is that of `law.frame_map`, and A of shape (N, k, k).
     """
@@ -142,10 +142,10 @@ def sampled_matrix(loop: LinearLoop, timing: Timing) -> Array:
 
 
 def equilibria(loop: LinearLoop, unseen: Array, timing: Timing | None = None) -> Array:
-    """Directions in which the equilibria with e = 0 continue, as columns of the state z.
+    """Return the directions of the manifold of equilibria with e = 0, as columns of the state z.
 
-    Self-motion, along which the held torque follows gravity, and of the continuous loop changes of
-    θ̂ that no joint feels at the target, of which `unseen` is a basis, shape (N, p, p − rank Z).
+    They are the self-motion, along which the held torque follows gravity, and for the continuous
+    loop changes of θ̂ without torque at the target, with basis `unseen` (N, p, p − rank Z).
     """
     (N, m, n), p = loop.J.shape, loop.Z.shape[-1]
     self_motion = np.linalg.svd(loop.J)[2][:, m:].mT
@@ -165,7 +165,7 @@ def damping_ratios(values: NDArray[np.complex128], dead_time: float) -> Array:
     """Return the smallest −Re λ/|λ| of λ (…, k), at most 1; shape (…).
 
     Modes that fall to a tenth within the dead time are not counted: every delay has such modes, as
-    many as samples, and nobody sees them.
+    many as samples.
     """
     sizes = np.abs(values)
     lasting = (values.real * dead_time > -math.log(10.0)) & (sizes != 0.0)
@@ -272,11 +272,11 @@ class LocalStability:
             self-motion attains the target.
         unseen_parameters: Number p − rank Z of eigenvalues left out because so many combinations
             of the learnt parameters exert no torque at the target.
-        singular: Whether more eigenvalues are zero than that, as where J or Ĵ loses rank at the
-            target. Then the linearisation decides nothing.
+        singular: Whether further eigenvalues are zero, as if J or Ĵ loses rank at the target. Then
+            the linearisation decides nothing.
         dt: Sampling time [s], or None for the continuous loop.
-        dead_time: Longest time until the sampled loop has answered a motion, hold and delays
-            together [s]; 0 for the continuous loop.
+        dead_time: Longest time from a motion to the end of the torque that responds to it, with
+            hold and delays [s]; 0 for the continuous loop.
     """
 
     eigenvalues: NDArray[np.complex128]
@@ -293,7 +293,7 @@ class LocalStability:
 
     @property
     def decay_rate(self) -> float:
-        """Rate at which the slowest error dies out [1/s]; negative where one grows."""
+        """Decay rate of the slowest error [1/s]; negative if one grows."""
         return -self.max_real_eigenvalue
 
     @property
@@ -306,7 +306,7 @@ class LocalStability:
 
     @property
     def stable(self) -> bool:
-        """Return whether every error near the target dies out."""
+        """True if every error near the target decays."""
         return not self.singular and self.max_real_eigenvalue < 0.0
 
     def __repr__(self) -> str:
@@ -350,12 +350,11 @@ def local_stability(
             samples. None is the continuous loop.
 
     Raises:
-        InvalidInputError: Gravity that is not exact near `q_target` and cannot become so by
-            learning, or θ̂ that stands still there; another controller that does not rest there, is
-            not smooth, depends on the time or has no rate without dt; another task than the
-            sensor's; a `q_target` that the sensor does not see; a plant with Coulomb friction,
-            frames, noise, rounding, dropouts or torque limits; delays or a filter of q̇ without dt,
-            or of very many samples.
+        InvalidInputError: Gravity is not exact near `q_target` and cannot be learnt, or adaptation
+            is paused there; another controller does not rest there, is not smooth, depends on time
+            or has no rate without dt; another task than the sensor's; a `q_target` that the sensor
+            does not see; a plant with Coulomb friction, frames, noise, rounding, dropouts or torque
+            limits; delays or a filter of q̇ without dt, or of very many samples.
     """
     require("plant", plant, Plant, "a Plant")
     require_fit(plant, controller, controller.dt if dt is None else dt)
@@ -448,7 +447,7 @@ class LocalTest:
 
     @property
     def stable(self) -> bool:
-        """Return whether all are."""
+        """True if all configurations are stable."""
         return bool((self.decay_rates > 0.0).all())
 
 
@@ -506,7 +505,7 @@ def _require_gravity(plant: Plant, controller: SetpointController, q: Array) -> 
 def gravity_error(
     law: SetpointController, plants: Sequence[Plant], q: Sequence[Array] | Array, g: Array
 ) -> float:
-    """Return the largest of true g (k, N, n_v) at q (N, nq) not compensated or learnt."""
+    """Return the largest part of true g (k, N, n_v) at q (N, nq) not compensated or learnt."""
     if law.adaptation is None:
         torque = law.gravity.torque  # type: ignore[union-attr]
         return float(np.abs(g - np.array([np.array(torque(at)) for at in q])).max())

@@ -26,15 +26,15 @@ _MOST_TARGETS = 200
 
 @dataclass(frozen=True, eq=False, repr=False)
 class OtherLawReport:
-    """Findings about a controller that no certificate is for: nothing is proven of it.
+    """Findings about a controller without certificates: nothing is proven of it.
 
     Attributes:
-        setting: The controller, the errors, and what is drawn of them.
-        latency: When the loop measures and acts.
+        setting: The controller, the errors, and their random draws.
+        latency: Latency of the loop.
         reason: Why no certificate covers it.
-        local: The loop as it is sampled, late, to first order at targets of the region.
-        refused: How many other targets were left out, by the reason.
-        rollouts: Or None if they were not asked for.
+        local: Linearisation of the sampled loop with its delays at targets of the region.
+        refused: Reason → number of targets left out.
+        rollouts: The rollouts, or None if not requested.
     """
 
     setting: RolloutSetting
@@ -46,13 +46,13 @@ class OtherLawReport:
 
     @property
     def passed(self) -> bool:
-        """True if all tests that apply pass: no proof, but nothing speaks against it."""
+        """True if all tests that apply pass: no proof, but no contradiction."""
         verdicts = {row.verdict for row in self.rows}
         return not verdicts & {"not stable", "fail"} and bool(verdicts & {"stable", "pass"})
 
     @cached_property
     def rows(self) -> list[Row]:
-        """The findings: what was tested, its verdict and figures."""
+        """The findings: test, verdict and figures."""
         none = {"reason": self.reason}
         certificates = Row("other law", "certificates", "not applicable", none, self.reason)
         about = {

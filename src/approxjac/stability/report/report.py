@@ -72,31 +72,30 @@ _CHOOSE = 1000  # samples at most that functions are chosen on: more of them che
 class StabilityReport:
     """Findings of the tests about a controller.
 
-    The word "certified" is about the sampled loop with its delays. Theorem 1 and the matrix
-    form are about continuous time. All three are sufficient conditions that sampling found to hold;
-    that a region has no other configuration where they fail is not proven, only bounded
-    (`MatrixTest.violating_at_most`). They speak of motions that stay in the region.
+    "Certified" refers to the sampled loop with its delays, Theorem 1 and the matrix form to
+    continuous time. All are sufficient conditions, checked at random samples; that they hold at all
+    other configurations of the region is not proven, but the share of violations is bounded
+    (`MatrixTest.violating_at_most`). They apply to motions that stay in the region.
 
     Attributes:
         loop: The closed loop: controller, truth, region and target.
-        latency: When it measures and acts.
-        samples: What all but the local test and the rollouts were evaluated on; those that the
-            Lyapunov functions were chosen on come first.
-        sampled: The loop as it runs, or None where gravity is learnt, which it does not cover.
+        latency: Latency of the loop.
+        samples: Samples of all tests but the local one and rollouts; those that the Lyapunov
+            functions were chosen on come first.
+        sampled: Matrix form of the sampled loop, or None with learnt gravity, not covered by it.
         theorem1: Test 1, in continuous time.
         matrix: Test 2 in continuous time by family, from the smallest to the first that certifies.
         local: Test 3, in continuous time.
-        spectral_radii: By what errors near targets are multiplied from one frame of x to the next
-            at most, in the exact linearisation of the sampled loop with its delays, shape (k,);
-            below 1 where it is stable.
-        rollouts: Test 4, or None if it was not asked for.
+        spectral_radii: Spectral radii of the exact linearisation of the sampled loop with its
+            delays, from one frame of x to the next, at targets, shape (k,); below 1 if stable.
+        rollouts: Test 4, or None if not requested.
         gravity_error: Largest gravity torque in the region that the controller neither
             compensates nor can learn [N m or N]. All tests but the rollouts take it as zero.
-        singular_q: A configuration of the region where Ĵ loses rank, shape (nq,), with which
-            nothing certifies the region; None if none was found.
+        singular_q: A configuration of the region where Ĵ loses rank, shape (nq,), which prevents
+            any certificate; None if none was found.
         damped_q: The same where the Ĵ⁺ of learning is damped, which no certificate covers.
-        seed: Of all drawing.
-        limits: What limits of torques cost; None of a controller without them.
+        seed: Seed of all random draws.
+        limits: Cost of torque limits; None without them.
     """
 
     loop: ClosedLoop
@@ -126,15 +125,15 @@ class StabilityReport:
 
     @property
     def certified_by(self) -> str | None:
-        """Return "sampled form" if that certifies the sampled loop, else None; see `reason`."""
+        """Name of the test that certifies the sampled loop, "sampled form", or None."""
         return None if self.reason else "sampled form"
 
     @property
     def passed(self) -> bool:
         """True if it is certified as far as there are certificates.
 
-        Where gravity is learnt there is none of the sampled loop: the one in continuous time has
-        to do, with nothing that contradicts it.
+        With learnt gravity there is none for the sampled loop: then the one in continuous time
+        counts, if nothing contradicts it.
         """
         return self.reason in ("", "learnt")
 
@@ -152,7 +151,7 @@ class StabilityReport:
 
     @property
     def certifying(self) -> Weights | None:
-        """The V that certifies; None if none does."""
+        """Weights of the V that certifies; None if none does."""
         if not self.passed:
             return None
         test: MatrixTest | None = self.sampled
@@ -162,11 +161,10 @@ class StabilityReport:
 
     @property
     def reason(self) -> str:
-        """The reason why the sampled loop is not certified; empty where it is.
+        """The reason why the sampled loop is not certified; "" if it is.
 
-        A contradiction; "violated", "too slow" or "none" of the Lyapunov functions found; or
-        "learnt" or "learnt, none" where gravity is learnt, which has certificates in continuous
-        time only.
+        It is a `contradiction`; "violated", "too slow" or "none" (no Lyapunov function); or, with
+        learnt gravity, "learnt" or "learnt, none" (certificates in continuous time only).
         """
         if self.contradiction:
             return self.contradiction
@@ -177,7 +175,7 @@ class StabilityReport:
 
     @property
     def contradiction(self) -> str:
-        """A finding that no certificate can stand beside; empty where there is none."""
+        """A finding that contradicts any certificate; "" if there is none."""
         rollouts = self.rollouts
         reasons = {
             "gravity": not self.gravity_is_exact,
@@ -199,14 +197,14 @@ class StabilityReport:
 
     @cached_property
     def attraction(self) -> Attraction | None:
-        """Starts that never leave the region; None where nothing is certified, or it is no box."""
+        """Starts that never leave the region; None without a certificate, or if it is no box."""
         if self.sampled is None or self.reason:
             return None
         return attraction(self.loop, self.sampled, np.random.default_rng(self.seed))
 
     @cached_property
     def rows(self) -> list[Row]:
-        """The findings: of which part of the report, what was tested, its verdict and figures."""
+        """The findings: part of the report, test, verdict and figures."""
         rows = [_verdict(self), _covers(self), *_about(self), *_beware(self), *_sampled(self)]
         rows += [] if self.limits is None else of_limits(self.limits)
         rows += _continuous(self)

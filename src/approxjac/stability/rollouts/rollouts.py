@@ -1,4 +1,4 @@
-"""`Rollouts`: many simulated runs, carried out in portions, with an exact confidence interval."""
+"""`Rollouts`: many simulated runs, in portions, with an exact confidence interval."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ _EXECUTOR: Any = (Executor, NoneType)
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Rollouts:
-    """Outcome of all runs. Its text is a sentence that says so.
+    """Outcome of all runs, printed as a sentence.
 
     Attributes:
         columns: Field of `Rollout` → its values in all runs, shape (N, …), in the order of the
-            index. `numpy.savez(file, **columns)` keeps them.
-        setting: What all runs share: `setting.uncertainty`, `setting.accuracy`, `setting.engine` …
+            index. `numpy.savez(file, **columns)` saves them.
+        setting: Setting of all runs: `setting.uncertainty`, `setting.accuracy`, `setting.engine` …
     """
 
     columns: dict[str, Array]
@@ -53,7 +53,7 @@ class Rollouts:
         )
 
     def replay(self, index: int) -> Trajectory:
-        """Simulate a run again, in Python, with all that it records.
+        """Simulate a run again, in Python, and return its full record.
 
         Raises:
             InvalidInputError: No such run.
@@ -98,7 +98,7 @@ class Rollouts:
 
     @property
     def worst(self) -> Rollout:
-        """The run with the largest final error, which is one that diverged if any did."""
+        """The run with the largest final error, a diverged one if any did."""
         return self.runs[int(self.columns["final_error"].argmax())]
 
     def __repr__(self) -> str:
@@ -106,7 +106,7 @@ class Rollouts:
 
     @cached_property
     def rows(self) -> list[Row]:
-        """The findings: what became of the runs, its verdict and figures."""
+        """The findings: outcome of the runs, verdict and figures."""
         (low, high), worst, setting, n = self.interval, self.worst, self.setting, self.n
         unit = joined(setting.controller.task.units)
         converged = {
@@ -147,7 +147,7 @@ class Rollouts:
 
 
 def clopper_pearson(successes: int, runs: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Exact confidence interval for a probability, after Clopper and Pearson (1934).
+    """Return the exact confidence interval of a probability, after Clopper and Pearson (1934).
 
     Whatever the probability is, the interval holds it in at least the share `confidence` of all
     samples; each end is missed in at most half of the rest.
@@ -164,19 +164,19 @@ def clopper_pearson(successes: int, runs: int, confidence: float = 0.95) -> tupl
 
 @dataclass(frozen=True)
 class Execution:
-    """How and where many runs are carried out. What comes of them does not depend on it.
+    """Engine and executor of many runs. Results do not depend on it, except for rounding.
 
     Attributes:
-        engine: "lanes" traces the closed loop and carries out many runs at once in the machine's
-            vectors, some hundred times as fast; "python" runs `simulate`, with anything. By default
-            lanes where they cover the loop and llvmlite is there (the extra `fast`);
-            `Rollouts.setting` says which, and why. They differ by rounding.
-        executor: What carries out portions of the runs, such as a `ThreadPoolExecutor` (for lanes),
-            a `ProcessPoolExecutor` or Dask's `client.get_executor()`, the user's to shut down; this
+        engine: "lanes" traces the closed loop and carries out many runs at once in SIMD vectors,
+            some hundred times as fast; "python" runs `simulate`, which can run everything. By
+            default lanes if they cover the loop and llvmlite is installed (the extra `fast`);
+            `Rollouts.setting` has the engine and the reason. They differ by rounding.
+        executor: Executor of portions of the runs, such as a `ThreadPoolExecutor` (for lanes), a
+            `ProcessPoolExecutor` or Dask's `client.get_executor()`, which the user shuts down; this
             thread by default. Each portion has its own copies.
 
     Raises:
-        InvalidInputError: What is no executor.
+        InvalidInputError: `executor` is no executor.
     """
 
     engine: Engine | None = None
@@ -193,9 +193,9 @@ def carried_out(
     execution: Execution,
     tell: Callable[[float], None],
 ) -> list[dict[str, Array]]:
-    """Return the columns of the runs of some settings, whoever carries them out.
+    """Return the columns of the runs of some settings.
 
-    Each ends with its so many-th run that does not converge, if `failures` are given.
+    Each setting stops after `failures` runs that do not converge, if that is given.
     """
     executor = execution.executor
     shared = max(1, math.ceil(len(settings) * runs / _CHUNKS))

@@ -1,4 +1,4 @@
-"""`RolloutSetting`: what all rollouts share, and how they run, one by one or in lanes."""
+"""`RolloutSetting`: the common setting of rollouts, and how they run, one by one or in lanes."""
 
 from __future__ import annotations
 
@@ -40,19 +40,19 @@ class Rollout:
     """One run.
 
     Attributes:
-        index: k, from 0. Seed and index decide all that is drawn.
+        index: k, from 0. Seed and index determine all random draws.
         values: True values of the uncertain coordinates, shape (d,).
         q0: Start, at rest, shape (nq,).
         target: x_d at the beginning, shape (n_x,).
         final_error: ‖e‖ at the end [unit of the task]; infinite if the run diverged, or ended
             behind the camera, where there is no image.
-        settling_time: First recorded time from which on ‖e‖ is below the tolerance at every
+        settling_time: First recorded time from which on ‖e‖ is below the accuracy at every
             recorded instant [s]; NaN if it is not at the end.
-        peak_torque: Largest torque asked for at a recorded instant, as a share of its motor's
+        peak_torque: Largest commanded torque at a recorded instant, as a share of its motor's
             limit; NaN if the run diverged.
-        peak_speed: Largest speed of a joint there, as a share of its limit; NaN if it diverged.
-        converged: Whether it is at every recorded instant of the last tenth.
-        diverged: Whether the simulation could not be carried to its end.
+        peak_speed: Largest joint speed, likewise, as a share of its limit; NaN if it diverged.
+        converged: Whether ‖e‖ is below it at every recorded instant of the last tenth.
+        diverged: Whether the simulation could not be completed.
         stayed: Whether all recorded configurations are in the region; False if the run diverged.
     """
 
@@ -95,24 +95,24 @@ class Start:
 
 @dataclass(frozen=True, eq=False)
 class RolloutSetting:
-    """Setting that all runs share.
+    """The common setting of all runs.
 
     Attributes:
         controller: The controller.
-        uncertainty: What the true robots are drawn from.
-        region: Where starts and targets are drawn.
-        target: x_d of all, shape (n_x,), or what moves; or None.
-        duration: Of each run [s].
+        uncertainty: Set of true robots to draw from.
+        region: Region of starts and targets.
+        target: x_d of all, shape (n_x,), or a moving target; None draws them.
+        duration: Duration of each run [s].
         dt: Sampling time [s].
         accuracy: Error below which a task counts as done [unit of the task].
-        seed: Of the drawing.
-        sensing: How measurements differ from the truth, or None.
-        actuator_delay: Time from a torque to its effect [s].
+        seed: Seed of all random draws.
+        sensing: Sensor errors, or None.
+        actuator_delay: Time from a torque command to its effect [s].
         engine: "lanes" or "python".
-        reason: Why it is not lanes; empty where it is, or where Python was asked for.
-        key: What the compiled loop is known by.
-        alike: Controllers and errors of settings with the same compiled loop, which differ in all
-            that differs between them.
+        reason: Reason for Python; "" for lanes, or if Python was requested.
+        key: Key of the compiled loop.
+        alike: Controllers and errors of settings that share the compiled loop, which differ in
+            every number that may differ between them.
     """
 
     controller: Controller
@@ -131,7 +131,7 @@ class RolloutSetting:
     alike: tuple[tuple[Controller, Uncertainty], ...] = ()
 
     def with_engine(self, engine: str | None, runs: int) -> RolloutSetting:
-        """Return this with an engine: the one that is asked for, or the fastest that covers it."""
+        """Return this with the requested engine, or the fastest that covers it."""
         if engine is not None and engine not in _ENGINES:
             raise UnknownNameError("engine", engine, "rollouts", _ENGINES)
         if engine == "python":
@@ -195,7 +195,7 @@ class RolloutSetting:
         return max(1, round(self.duration / self.dt / _RECORDS))
 
     def start(self, index: int) -> Start:
-        """Draw the begin of a run, from a generator of its own."""
+        """Draw the start of a run, from a generator of its own."""
         rng = np.random.default_rng([self.seed, index])
         values = self.uncertainty.sample(rng)
         plant = self.uncertainty.plant(values)._sensed(self.sensing, self.actuator_delay)

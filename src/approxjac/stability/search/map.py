@@ -37,10 +37,10 @@ class StabilityMap:
     `view.plot_shares(m.x, m.y, m.share, labels=m.names)` draws one of two.
 
     Attributes:
-        names: Of the parameters: along x, and along y if there are two.
-        values: Of each, shape (N_x,) and (N_y,).
-        points: Values of the parameters → the runs there; none where grown errors have a camera
-            look elsewhere.
+        names: Names of the parameters: along x, and along y if there are two.
+        values: Values of each, shape (N_x,) and (N_y,).
+        points: Values of the parameters → the runs there; missing if with scaled errors a camera
+            sees nothing.
     """
 
     names: tuple[str, ...]
@@ -107,18 +107,18 @@ def stability_map(
 ) -> StabilityMap:
     """Carry out rollouts over a grid of one or two parameters.
 
-    Each point has the same n runs, but for what was changed.
+    Each point has the same n runs, except for the changed parameters.
 
     Args:
         study: The study.
-        over: "error", "a", "kv" or "damping" (see `PARAMETERS`) → values: numbers that grow,
-            > 0 of gains, ≥ 0 of "error".
+        over: "error", "a", "kv" or "damping" (see `PARAMETERS`) → increasing values, > 0 for gains,
+            ≥ 0 for "error".
         n: Runs at each point.
-        execution: How and where they are carried out.
-        progress: Called with "map" and the share that is done; True shows a bar.
+        execution: Engine and executor.
+        progress: Function called with "map" and the share done; True shows a bar.
 
     Raises:
-        InvalidInputError: Values that are no growing numbers, or what rollouts refuse.
+        InvalidInputError: Values that do not increase, or the errors of rollouts.
         UnknownNameError: No such parameter.
     """
     n, execution = as_integer("n", n, 1), Execution() if execution is None else execution
@@ -162,7 +162,7 @@ def _with_gains(controller: Controller, at: Mapping[str, float]) -> SetpointCont
 
 
 def own_values(controller: SetpointController) -> dict[str, float]:
-    """Return parameter → where a controller and its errors are themselves."""
+    """Return parameter → a controller's own value."""
     kp, kv, _ = controller.diagonals
     return {"error": 1.0, "a": float(np.mean(kp / kv)), "kv": 1.0, "damping": 1.0}
 
@@ -180,7 +180,7 @@ def _is_seen(setting: RolloutSetting, runs: int) -> bool:
 
 
 def require_parameters(names: Sequence[str]) -> None:
-    """Refuse what is no parameter of a map."""
+    """Raise an UnknownNameError for a name that is no parameter of a map."""
     for name in names:
         if name not in PARAMETERS:
             raise UnknownNameError("parameter", name, "the map", PARAMETERS)

@@ -29,7 +29,7 @@ _SETTLED = 4.0  # time constants until 2 % are left
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Candidate:
-    """Gains, and how they meet the three demands."""
+    """Gains, and their figures for the three requirements."""
 
     gains: Gains
     # of the chosen test, at most 0 where the sampled loop fails; NaN where both others do
@@ -38,7 +38,7 @@ class Candidate:
     settling_time: float  # to 2 % of a small error in the worst case [s]; inf if not stable
 
     def met(self, settling_time: float) -> tuple[bool, bool, bool]:
-        """Return whether the test, the torque and the time [s] are as demanded."""
+        """Return whether the test, the torque and the time [s] meet the requirements."""
         return self.margin > 0.0, self.torque_ratio <= 1.0, self.settling_time <= settling_time
 
     def __str__(self) -> str:
@@ -50,13 +50,13 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Suggestion:
-    """Answer of `Study.gains`.
+    """Result of `Study.gains`.
 
     Attributes:
-        test: The test that had to pass, and the sampled loop besides.
-        found: The gentlest gains that meet all demands; None if none do.
+        test: The test that had to pass, besides the sampled loop.
+        found: The lowest gains that meet all requirements; None if none do.
         tried: All candidates that were tried.
-        settling_time: The time that was demanded [s].
+        settling_time: The required settling time [s].
     """
 
     test: Test
@@ -95,20 +95,20 @@ def suggested_gains(
 ) -> Suggestion:
     """Find gains of law (6) that pass a test, with gravity that is known exactly.
 
-    Three demands: the test passes for every configuration drawn, and the sampled loop by a
-    report or, of "local", by its exact linearisation; the torque of a start at rest, gravity
-    compensated, is within the limits; and a small error settles to 2 % in the wanted time with
-    every true robot: a far reach takes longer. Tried are multiples of the default gains, from
-    gentle to strong, with K_p so that the believed arm settles in time.
+    There are three requirements: the test passes for every configuration drawn, and the sampled
+    loop by a report or, for "local", by its exact linearisation; the torque at a start at rest,
+    gravity compensated, is within the limits; and a small error settles to 2 % in time with every
+    true robot (a far reach takes longer). Candidates are multiples of the default gains, from low
+    to high, with K_p such that the believed arm settles in time.
 
     Args:
         study: The study.
-        settling_time: Wanted > 0 [s].
+        settling_time: Required settling time > 0 [s].
         test: The test to pass: "theorem1", "matrix" or "local".
-        torque_limits: A number or shape (n_v,), infinite where there is none [N m or N]; the
+        torque_limits: A number or shape (n_v,), infinite for no limit [N m or N]; the
             arm's effort limits by default.
-        configurations: How many to draw.
-        progress: Called with "gains" and the share that is done; True shows a bar.
+        configurations: Number of configurations to draw.
+        progress: Function called with "gains" and the share done; True shows a bar.
 
     Raises:
         InvalidInputError: Numbers out of range, or an empty region.

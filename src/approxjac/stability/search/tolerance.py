@@ -1,4 +1,4 @@
-"""`Tolerance`: how much larger or smaller errors may be before each test gives way."""
+"""`Tolerance`: the largest scale of the errors at which each test passes."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ class Tolerance:
 
     Attributes:
         test: The test.
-        scale: The largest scale at which it passed, with the test passing at all the smaller
-            ones that bisection tried; 0 if it does not even pass without errors.
+        scale: The largest scale at which it passed, as at all smaller ones that bisection tried;
+            0 if it fails even without errors.
         fails_at: The smallest scale at which it failed, or a true robot does not attain the target
-            in the region, or hardly sees it; infinite if none did, up to `largest`.
+            in the region, or hardly sees it; infinite if none up to `largest`.
         worst: The true values that fail there, shape (d,); those at `scale` if nothing fails.
         uncertainty: The set at `scale`.
     """
@@ -55,7 +55,7 @@ class Tolerance:
 
     @property
     def worst_text(self) -> str:
-        """`worst` in words; empty if nothing fails."""
+        """`worst` as text; "" if nothing fails."""
         return self.uncertainty.describe(self.worst) if np.isfinite(self.fails_at) else ""
 
     def __repr__(self) -> str:
@@ -85,19 +85,19 @@ def tolerances(
 ) -> dict[Test, Tolerance]:
     """Find the largest scaling of the errors for which each test still passes.
 
-    By bisection, with the same configurations at every scale. Functions are not checked in
-    others, so a report may find a little less. A test might pass again beyond a gap.
+    It bisects, with the same configurations at every scale. Functions are not checked on further
+    samples, so a report may tolerate a little less. A test might pass again beyond a gap.
 
     Args:
         study: The study.
-        tests: "theorem1", "matrix" (neither where Ĵ uses x), "local" or "rollouts".
-        largest: Scale at most > 0; less where robots beyond it cannot exist.
-        precision: Of the scale, relative, > 0.
-        draws: Of configurations, 400 by default, or rollouts at each scale, 100 by default.
-        progress: Called with "tolerance" and the share that is done; True shows a bar.
+        tests: "theorem1", "matrix" (both only if Ĵ does not use x), "local" or "rollouts".
+        largest: Largest scale > 0; less if robots beyond it cannot exist.
+        precision: Relative precision of the scale, > 0.
+        draws: Number of configurations, 400 by default, or of rollouts per scale, 100 by default.
+        progress: Function called with "tolerance" and the share done; True shows a bar.
 
     Raises:
-        InvalidInputError: Numbers out of range, or what a report refuses.
+        InvalidInputError: Numbers out of range, or the errors of a report.
         UnknownNameError: No such test.
     """
     uncertainty, tell = study.errors, telling(progress)
