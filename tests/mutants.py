@@ -24,6 +24,9 @@ FIGURES = "tests/controllers/test_documented_figures.py"
 STARTS = "tests/realtime/test_fast_starts.py"
 FORM = "tests/law/test_sampled_form.py"
 BOUNDS = "tests/controllers/test_learning_bounds.py"
+WATCHES = "tests/realtime/test_watches.py"
+CONTROL = "tests/realtime/test_control.py"
+DRIVERS = "tests/realtime/test_drivers.py"
 GATE = "tests/controllers/test_gate.py"
 
 # name, file, text that is there once, text instead, tests that must fail
@@ -206,7 +209,7 @@ MUTANTS = [
     ),
     (
         "residual of a period too much", "controllers/limits/torque_limited.py",
-        "self._half = 0.5 * dt", "self._half = 0.0", "tests/controllers/test_prediction.py",
+        "<= 0.5 * self._dt", "<= 0.0 * self._dt", "tests/controllers/test_prediction.py",
     ),
     (
         "residual dropped", "controllers/limits/torque_limited.py",
@@ -214,8 +217,7 @@ MUTANTS = [
     ),
     (
         "learning rests where the proof is kept", "controllers/limits/torque_limited.py",
-        "_GOES_ON = _FREE, _KEPT, LimitStatus.EXCEEDED",
-        "_GOES_ON = _FREE, LimitStatus.EXCEEDED", PERIODS,
+        "_GOES_ON = _FREE, _KEPT, _EXCEEDED", "_GOES_ON = _FREE, _EXCEEDED", PERIODS,
     ),
     (
         "joints at their lower torque learn", "controllers/limits/torque_limited.py",
@@ -456,8 +458,8 @@ MUTANTS = [
     ),
     (
         "way to a stop too fast", "law/limits.py",
-        "np.maximum(speed, knee) - knee)",
-        "np.maximum(speed, knee) + knee)", "tests/controllers/test_limits.py",
+        "(faster + faster - knee)",
+        "(faster + faster + knee)", "tests/controllers/test_limits.py",
     ),
     (
         "towards a stop faster than a joint may", "law/limits.py",
@@ -1046,6 +1048,196 @@ MUTANTS = [
         "numbers of a camera but for its axes", "cameras/camera.py",
         "        vars(other).update(_R_t=other._R.T)\n",
         "", "tests/tasks/test_cameras.py",
+    ),
+    # -- the loop on a robot, and compiled steps: each joint, each direction, other periods
+    (
+        "too fast backwards", "realtime/watches.py",
+        "share = np.abs(v) / most", "share = v / most", WATCHES,
+    ),
+    (
+        "late x held against the joints of now", "realtime/watches.py",
+        "instant = self._instant(t if t_x is None else t_x)", "instant = self._instant(t)", WATCHES,
+    ),
+    (
+        "proof given up for long", "realtime/robot_loop.py",
+        "voids = status >= LimitStatus.PROOF_GIVEN_UP",
+        "voids = status > LimitStatus.PROOF_GIVEN_UP", CONTROL,
+    ),
+    (
+        "eased in anew each period", "realtime/robot_loop.py",
+        "  # from where it is seen again\n            self._blind = False",
+        "  # from where it is seen again", CONTROL,
+    ),
+    (
+        "C: a state that overflows", "codegen/backends/c_templates.py",
+        " || !is_finite(after, N_STATE)", "", "tests/codegen/test_c99.py",
+    ),
+    (
+        "compiled: a rate of an earlier target", "codegen/step.py",
+        "                where[:] = 0.0\n                return True",
+        "                return True", "tests/codegen/test_tracking.py",
+    ),
+    (
+        "C: a time of never is refused", "codegen/backends/c_files.py",
+        '"now->t_x > DBL_MAX"', '"fabs(now->t_x) > DBL_MAX"', "tests/codegen/test_c99.py",
+    ),
+    (
+        "C: a time of never is known", "codegen/backends/c99.py",
+        "== -math.inf, np.nan, given", "== -math.inf, -np.inf, given", "tests/codegen/test_c99.py",
+    ),
+    (
+        "lost time is not at a stretch", "realtime/robot_loop.py",
+        "self._lost = self._lost + 1 if lost else 0", "self._lost = self._lost + lost", CONTROL,
+    ),
+    (
+        "astray in one direction", "realtime/robot_loop.py",
+        "if (np.abs(error) > self._max_error).any():",
+        "if (error > self._max_error).any():", CONTROL,
+    ),
+    (
+        "a fault that stops hides one that brakes", "realtime/robot_loop.py",
+        "if self.fault is None or (fault is not None and self.fault.stops and not fault.stops):",
+        "if self.fault is None:", CONTROL,
+    ),
+    (
+        "another controller is watched as the first", "realtime/robot_loop.py",
+        "super().exchange(controller)\n        self._watch_sensor()",
+        "super().exchange(controller)", CONTROL,
+    ),
+    (
+        "target moves while the arm is brought to rest", "realtime/robot_loop.py",
+        "        if not self.halting:\n            self.path = path",
+        "        if True:\n            self.path = path", CONTROL,
+    ),
+    (
+        "efforts of all motors at once", "realtime/robot_loop.py",
+        "if (own > most * (1.0 + 1e-9)).any():", "if (own > most * (1.0 + 1e-9)).all():", CONTROL,
+    ),
+    (
+        "speeds that the robot allows", "realtime/robot_loop.py",
+        "np.minimum(robot.velocity_limits, fastest)", "robot.velocity_limits", CONTROL,
+    ),
+    (
+        "stop without what is faster", "realtime/robot_loop.py",
+        "faster = task.jacobian(self.truth.q) @ self.truth.v - velocity",
+        "faster = 0.0 * velocity", CONTROL,
+    ),
+    (
+        "way of a stop by its end", "realtime/robot_loop.py",
+        "self.stop_distance = max(self.stop_distance, way)", "self.stop_distance = way", CONTROL,
+    ),
+    (
+        "eased in while the arm is brought to rest", "realtime/robot_loop.py",
+        "if self._blind and sees and not self.halting:", "if self._blind and sees:", CONTROL,
+    ),
+    (
+        "target of the wrong neighbour", "realtime/robot_loop.py",
+        "(1.0 - share) * error(x, x_d[before]) + share * error(x, x_d[after])",
+        "share * error(x, x_d[before]) + (1.0 - share) * error(x, x_d[after])", CONTROL,
+    ),
+    (
+        "x is not kept while it is lost", "realtime/robot_loop.py",
+        "seen = measurement if sees else self.truth", "seen = measurement", CONTROL,
+    ),
+    (
+        "at rest in one direction", "realtime/control.py",
+        "moves = np.abs(measured.v).max() > _AT_REST",
+        "moves = measured.v.max() > _AT_REST", CONTROL,
+    ),
+    (
+        "q and its rate disagree in one direction", "realtime/watches.py",
+        "beyond = np.abs(q_way - v_way) - slack", "beyond = q_way - v_way - slack", WATCHES,
+    ),
+    (
+        "q jumps in one direction", "realtime/watches.py",
+        "off, sudden = np.abs(way - mean), np.abs(v - before)",
+        "off, sudden = way - mean, np.abs(v - before)", WATCHES,
+    ),
+    (
+        "rates jump in one direction", "realtime/watches.py",
+        "off, sudden = np.abs(way - mean), np.abs(v - before)",
+        "off, sudden = np.abs(way - mean), v - before", WATCHES,
+    ),
+    (
+        "motion the other way round", "realtime/watches.py",
+        "pin.difference(self._model, last.q, q)", "pin.difference(self._model, q, last.q)", WATCHES,
+    ),
+    (
+        "pushed in one direction", "realtime/watches.py",
+        "led, pushed = np.abs(self._way), np.abs(self._command - self._held_by)",
+        "led, pushed = np.abs(self._way), self._command - self._held_by", WATCHES,
+    ),
+    (
+        "led in one direction", "realtime/watches.py",
+        "led, pushed = np.abs(self._way), np.abs(self._command - self._held_by)",
+        "led, pushed = self._way, np.abs(self._command - self._held_by)", WATCHES,
+    ),
+    (
+        "clock that stood still once", "realtime/watches.py",
+        "        self._still = 0\n        way", "        way", WATCHES,
+    ),
+    (
+        "what came while the clock stood still", "realtime/watches.py",
+        "self._last = last._replace(t=t)", "self._last = measurement", WATCHES,
+    ),
+    (
+        "lag of a filter in one direction", "realtime/watches.py",
+        "self._lag * np.abs(v - speed)", "self._lag * (v - speed)", WATCHES,
+    ),
+    (
+        "frozen in one direction", "realtime/watches.py",
+        "moved_before = np.abs(before) > self._v_noise",
+        "moved_before = before > self._v_noise", WATCHES,
+    ),
+    (
+        "speed grows in one direction", "realtime/watches.py",
+        "np.max((np.abs(v) - self._led) / self._fastest)",
+        "np.max((v - self._led) / self._fastest)", WATCHES,
+    ),
+    (
+        "what a joint was led to for ever", "realtime/watches.py",
+        "self._fades * self._recent, self._led + led", "self._recent, self._led + led", WATCHES,
+    ),
+    (
+        "joints share no motion", "realtime/watches.py",
+        "self._led = led + led.max()", "self._led = led + led", WATCHES,
+    ),
+    (
+        "motions of a learnt sensor may be short", "realtime/watches.py",
+        "off = np.abs(self._sizes(seen) - self._sizes(believed))",
+        "off = self._sizes(seen) - self._sizes(believed)", WATCHES,
+    ),
+    (
+        "lower ends of joints", "realtime/franka.py",
+        "low = _INSIDE - np.minimum(_SPEED, _towards(q - _LOW))",
+        "low = _INSIDE - np.minimum(_SPEED, _towards(_HIGH - q))", "tests/realtime/test_franka.py",
+    ),
+    (
+        "periods made up for", "realtime/scheduling.py",
+        "self._due += (1 + missed) * self._dt", "self._due += self._dt", DRIVERS,
+    ),
+    (
+        "clocks a thousand times apart", "realtime/driver.py",
+        "dt + _AHEAD)", "dt + 1e3 * _AHEAD)", DRIVERS,
+    ),
+    (
+        "C: rates of a target unchecked", "codegen/backends/c_files.py",
+        '"rate_checks": "".join(finite)', '"rate_checks": ""', "tests/codegen/test_c99.py",
+    ),
+    (
+        "C: law of a target that is none", "codegen/backends/c_templates.py",
+        "is_target ? target : &nowhere", "target", "tests/codegen/test_c99.py",
+    ),
+    (
+        "C: circles of a small radius", "codegen/backends/c_files.py",
+        'f"fabs(sqrt(q[{i}] * q[{i}] + q[{i + 1}] * q[{i + 1}]) - 1.0) <= {_OFF_CIRCLE!r}"',
+        'f"sqrt(q[{i}] * q[{i}] + q[{i + 1}] * q[{i + 1}]) - 1.0 <= {_OFF_CIRCLE!r}"',
+        "tests/codegen/test_c99.py",
+    ),
+    (
+        "C: angles of one side", "codegen/backends/c_files.py",
+        'f"fabs(q[{i}]) <= {LARGEST_ANGLE!r}"',
+        'f"q[{i}] <= {LARGEST_ANGLE!r}"', "tests/codegen/test_c99.py",
     ),
 ]  # fmt: skip
 
