@@ -205,7 +205,7 @@ def test_limits_are_the_share_and_the_rate_that_are_said():
 def studied(**parts):
     analysis = {"object_length": (0.0, 0.2), "object_mass": (0.1, 1.0), "around": AROUND}
     scenario = Scenario(
-        "two_link", true={"friction": 0.7, "object": {"length": 0.0, "mass": 0.0, "axis": "x"}},
+        "two_link", true={"friction": 0.7, "object": {"length": 0.0, "mass": 0.0, "axis": "z"}},
         believed={"object": {"length": 0.1, "mass": 0.3}}, sensor=SEEN, **LATE,
         run={"duration": 1.501, "seed": 7}, stability=analysis | {"radius": 0.07},
         controller={"gravity": "believed"},
@@ -220,11 +220,11 @@ def study():
 
 def test_a_study_is_of_the_robots_that_may_be_true(study):
     errors, arm = study.uncertainty, aj.load_robot("two_link")
-    assert errors.belief() == arm.with_object(0.1, 0.3, axis="x")
+    assert errors.belief() == arm.with_object(0.1, 0.3, axis="z")
     assert study.controller.law.task.robot == errors.belief()
     for values in ([0.0, 0.1], [0.2, 1.0]):
         plant = errors.plant(values)
-        assert plant.robot == arm.with_object(*values, axis="x")
+        assert plant.robot == arm.with_object(*values, axis="z")
         assert_array_equal(plant.friction, [0.7] * 2)
     exact = studied(controller={"gravity": "exact"})  # which is then not felt
     assert not exact.uncertainty.plant([0.2, 1.0]).robot.gravity.any()
