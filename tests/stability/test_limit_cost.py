@@ -1,7 +1,7 @@
 """A report of a controller within limits: where they act, and what is certified then."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -192,4 +192,6 @@ def test_speeds_that_a_filter_keeps_count_with_the_inertia_of_where_they_were():
     pull, U = samples.J_hat.mT * kp, sampled.weights.block(loop.setting.c_bar)
     pulled = np.sqrt(np.einsum("nij,jk,nik->ni", pull, np.linalg.inv(U), pull))
     assert 0.0 < cost.level < sampled.level
+    failed = replace(sampled, violations=1)
+    assert limit_cost(loop, limiter, samples, failed, None).level == 0.0
     assert (speed * (damped + pulled[:, None]) <= room[:, None] * (1.0 + 1e-9)).all()

@@ -481,6 +481,15 @@ def test_gravity_that_is_not_learnt_there_is_refused(two_link, panda):
         aj.local_stability(plant, wrong, q)
 
 
+def test_a_target_that_decides_nothing_is_not_stable():
+    """Of many targets one that is singular, or grows, is the worst, and speaks against all."""
+    q = np.arange(8.0).reshape(4, 2)
+    for worst, share in ((0.0, 0.75), (-0.1, 0.75), (0.1, 1.0)):
+        rates = np.array([1.0, 2.0, worst, 3.0])
+        found = targets_module.LocalTest(rates, np.ones(4), q, np.arange(4))
+        assert (found.share, found.worst, found.stable) == (share, 2, share == 1.0)
+
+
 @pytest.mark.parametrize("q", [(0.3, 0.4), (math.pi - 0.3, -0.4)], ids=["ahead", "behind"])
 def test_learnt_gravity_needs_room_to_both_sides(two_link, q):
     """Motors that hold the weight in front and behind, and bounds above and below θ."""

@@ -346,6 +346,13 @@ def test_tolerance_of_ones_own_law_is_by_rollouts_and_near_targets(kind):
     assert found["local"].scale > 0.5
 
 
+@pytest.mark.parametrize("largest", [0.3, 1.5, 3.0])
+def test_what_never_fails_is_tolerated_up_to_the_most_that_is_tried(largest):
+    found = study_of(TaskSpacePD).tolerance(["local"], draws=3, largest=largest)["local"]
+    assert (found.scale, found.fails_at, found.worst_text) == (largest, np.inf, "")
+    assert found.uncertainty.high == pytest.approx([0.1 * largest])
+
+
 def test_a_held_law_within_limits_has_no_certificate_but_a_report():
     def held(task):
         law = aj.SetpointController(task, aj.Gains(60.0, 20.0, 1.0))

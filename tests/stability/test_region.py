@@ -59,6 +59,14 @@ def test_a_box_ends_at_each_bound_of_each_joint(name, side):
         assert not box.contains(np.array(pin.integrate(arm.model, q, 1.001 * way)))
 
 
+def test_near_is_a_share_of_the_width_along_each_joint():
+    arm = aj.load_robot("two_link")
+    box, rng = aj.JointBox(arm, (-0.01, -0.5), (0.02, 1.5)), np.random.default_rng(0)
+    middle = box.center
+    away = np.array([box.near(middle, 0.04, rng) for _ in range(400)]) - middle
+    assert_allclose(away.std(axis=0), 0.04 * np.array([0.03, 2.0]), rtol=0.15)
+
+
 def test_a_box_may_be_one_posture(panda):
     box = aj.JointBox.around(panda, Q, 0.0)
     assert_array_equal(box.sample(3, np.random.default_rng(0)), [Q, Q, Q])

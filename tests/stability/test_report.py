@@ -257,6 +257,7 @@ def test_what_dies_out_between_frames_does_so_in_the_time_of_a_frame(report, lat
     figures = by_name(told)["sampled", "near targets"].figures
     assert figures["decay"] == pytest.approx(decay)
     assert figures["frame"] == pytest.approx(frame)
+    assert told.rows[0].figures["late"] == (latency != Latency(latency.period))
     assert (figures["targets"], figures["unstable"]) == (3, 0)
 
 

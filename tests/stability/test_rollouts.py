@@ -166,6 +166,20 @@ def test_what_became_of_them(controller, uncertainty, serial):
     assert [run.final_error for run in left.runs] == [run.final_error for run in serial.runs]
 
 
+@pytest.mark.parametrize("size", [0.5, math.inf])
+def test_the_worst_run_is_the_one_that_ends_farthest_off(serial, size):
+    for k in range(5):
+        error = np.where(np.arange(5) == k, size, 0.01 * np.arange(5))
+        columns = serial.columns | {"final_error": error, "diverged": np.isinf(error)}
+        found = dataclasses.replace(serial, columns=columns)
+        row = next(row for row in found.rows if row.name == "worst")
+        assert (found.worst.index, row.verdict) == (k, f"run {k}")
+        assert row.figures["error"] == size
+        assert row.figures["diverged"] == math.isinf(size)
+        values = serial.columns["values"][k]
+        assert row.figures["values"] == serial.setting.uncertainty.describe(values)
+
+
 def test_torques_that_no_motor_has_are_told(serial):
     def told(*peaks):
         columns = serial.columns | {"peak_torque": np.array(peaks), "diverged": np.isnan(peaks)}
@@ -233,6 +247,13 @@ def test_by_default_they_converge_to_what_the_unit_and_the_noise_allow(controlle
     assert aj.Study(controller, uncertainty, REGION).setting().accuracy == 1e-3
     noisy = aj.Sensing(x_noise=2e-3)
     assert aj.Study(controller, uncertainty, REGION, sensing=noisy).setting().accuracy == 6e-3
+
+
+@pytest.mark.parametrize("dt", [1e-3, 3e-3, 7e-3])
+def test_by_default_they_last_some_ten_seconds_in_whole_periods(controller, uncertainty, dt):
+    setting = study(controller, uncertainty, REGION, dt=dt).setting()
+    assert setting.steps * dt == pytest.approx(setting.duration, rel=1e-12)
+    assert setting.duration == pytest.approx(10.0, abs=dt)
 
 
 def test_known_intervals():

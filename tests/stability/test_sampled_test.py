@@ -142,7 +142,12 @@ def test_the_gain_of_a_filter_holds_for_every_signal(lag):
     for k in range(1, n):
         seen[k] = (1.0 - a) * seen[k - 1] + a * means[k - 1]
     errors = np.repeat(seen, fine, axis=0) - passed
-    assert np.linalg.norm(errors, 2) <= Hold.of(Latency(1.0, velocity_filter=lag)).gain
+    hold = Hold.of(Latency(1.0, velocity_filter=lag))
+    assert np.linalg.norm(errors, 2) <= hold.gain
+    # the mean age of q̇ when it is seen, and while it is held; what q makes of the torque is of now
+    j, a = np.arange(400), 1.0 / (1.0 + lag)
+    age = float((a * (1.0 - a) ** j) @ (j + 0.5))
+    assert (hold.lag, hold.turned) == pytest.approx((age, age + 0.5))
 
 
 @pytest.mark.parametrize("latency", [Latency(1e-3), LATE_IMAGES])
