@@ -119,7 +119,7 @@ def test_camera_of_the_two_link_arm():
     assert judge.draw_map(result) is not None
 
 
-def test_rollouts_are_of_the_loop_that_runs():
+def test_rollouts_are_of_the_loop_that_runs(tmp_path):
     scenario = Scenario(
         "two_link",
         sensor={"noise": 2e-3, "rate": 50.0, "delay": 0.04, "dropout": 0.1, "velocity_filter": 0.0},
@@ -154,6 +154,57 @@ def test_rollouts_are_of_the_loop_that_runs():
     assert "the least and most of 4 points over error and a error 0, a " in shown
     assert shown.count("with 95 % confidence") == 2
     assert shown.endswith(f"The map is {Path('out') / 'map.png'}")
+    require_written(result, tmp_path)
+
+
+def require_written(result, folder):
+    """The files have what was found, each as itself; and no map of another run stays."""
+    (folder / "map.png").write_bytes(b"of another arm")
+    judge.write(dataclasses.replace(result, map=None), folder)
+    assert {path.name for path in folder.iterdir()} == {"summary.json", "scenario.toml"}
+    assert Scenario.load(folder / "scenario.toml") == result.scenario
+    found, written = judge.summary(result), json.loads((folder / "summary.json").read_text("utf-8"))
+    assert written["map"] is None
+    assert written["tolerance"] == found["tolerance"]
+    assert list(found["tolerance"]) == list(result.tolerances)
+    for test, tolerance in result.tolerances.items():
+        fails = tolerance.fails_at if np.isfinite(tolerance.fails_at) else None
+        assert found["tolerance"][test] == {
+            "scale": tolerance.scale, "fails_at": fails, "worst": tolerance.worst_text,
+            "errors": tolerance.uncertainty.describe_box(),
+        }  # fmt: skip
+    grid = result.map
+    assert found["map"]["share"] == grid.share.tolist()
+    assert found["map"]["intervals"] == grid.intervals.tolist()
+    assert (found["map"]["x"], found["map"]["y"]) == (grid.x.tolist(), grid.y.tolist())
+    law = result.report.loop.controller
+    assert found["gains"]["kp"] == law.diagonals.kp.tolist()
+    own = np.mean(law.diagonals.kp / law.diagonals.kv)
+    axes = judge.draw_map(result).axes[:3]
+    for ax, share in zip(
+        axes, (grid.intervals[..., 0], grid.share, grid.intervals[..., 1]), strict=True
+    ):
+        (star,) = (line for line in ax.get_lines() if line.get_label() == "as given")
+        assert (*star.get_xdata(), *star.get_ydata()) == pytest.approx((1.0, own))
+        shown = ax.collections[0].get_array().reshape(share.shape)
+        np.testing.assert_allclose(shown, share)
+
+
+@pytest.mark.parametrize(("longest", "most"), [(0.3, 3.0), (5.0, 2.0)])
+def test_a_map_is_of_errors_that_robots_can_have(longest, most):
+    """An object of at most 10 m; and the report's own point is one of the map's."""
+    arm = aj.load_robot("two_link").with_gravity((0.0, 0.0, 0.0))
+    errors = aj.Uncertainty(arm, object_length=(0.0, longest), object_axis="x")
+    law = aj.SetpointController(errors.believed_task(), aj.Gains(60.0, 20.0, 1.0))
+    loop = aj.Study(law, errors, aj.JointBox.around(arm, (0.5, 1.2), 0.1)).loop()
+    scales = judge._values("error", loop, errors, 5)
+    assert (scales[0], scales[-1]) == pytest.approx((0.0, most), rel=1e-4)
+    assert 1.0 in scales
+    for name, own in (("a", 3.0), ("kv", 1.0), ("damping", 1.0)):
+        values = judge._values(name, loop, errors, 6)
+        assert (values[0], values[-1]) == pytest.approx((0.1 * own, 10.0 * own))
+        assert np.isclose(values, own).sum() == 1
+        assert (np.diff(values) > 0.0).all()
 
 
 @pytest.mark.parametrize(

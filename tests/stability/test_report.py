@@ -342,6 +342,26 @@ def test_a_gravity_of_ones_own_is_judged_by_what_it_returns():
     assert "gravity by Weak" in by_name(report)["about", "law"].figures["law"]
 
 
+@pytest.mark.parametrize("mass", [0.0, 1.5])
+def test_gravity_is_off_by_the_most_of_all_robots_where_each_stands(mass):
+    """A tool of any length that weighs nothing is compensated by the arm alone, everywhere."""
+    arm = aj.load_robot("two_link")
+    tools = aj.Uncertainty(
+        arm, object_length=(0.0, 0.4), object_axis="x",
+        object_mass=(0.0, mass) if mass else None, believed_mass=0.0,
+    )  # fmt: skip
+    law = aj.SetpointController(tools.believed_task(), aj.Gains(60.0, 20.0, 1.0))
+    loop = ClosedLoop(law, tools, aj.JointBox.around(arm, Q2, 1.0))
+    drawn = loop.region.sample(6, np.random.default_rng(0))
+    off = [
+        np.abs(tools.plant(values).dynamics.g(q) - law.gravity.torque(q)).max()
+        for values in tools.corners()
+        for q in drawn
+    ]
+    assert_allclose(loop.gravity_error(drawn), max(off), atol=1e-9)
+    assert (max(off) > 1.0) == (mass > 0.0)
+
+
 def test_progress_tells_what_is_being_done(report, seen):
     assert {"configurations", "matrix form", "local"} <= {what for what, _ in seen}
     assert all(0.0 <= share <= 1.0 for _, share in seen)
