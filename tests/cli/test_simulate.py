@@ -1,6 +1,7 @@
 """`approxjac simulate`: files and options say the same, and what becomes of them."""
 
 import json
+from types import SimpleNamespace
 
 import pytest
 
@@ -139,3 +140,30 @@ def test_a_run_is_shown_as_the_options_say(tmp_path, monkeypatch, words, expecte
     assert caught.value.given == expected
     arm, usual = load_robot("two_link"), Scenario("two_link")
     assert caught.value.believed == arm.with_object(0.25, usual.believed.object.mass)
+
+
+@pytest.mark.parametrize(("words", "dt"), [([], "continuous"), (["--view"], 1e-3)])
+def test_what_is_shown_are_steps_and_nothing_else_is_changed(tmp_path, monkeypatch, words, dt):
+    class Ran(Exception):
+        pass
+
+    def run(built, progress, observer):
+        raise Ran(built.scenario.loop.dt)
+
+    monkeypatch.setattr("approxjac.scenario.run_scenario", run)
+    continuous = ["--loop.dt", "continuous", "--limits", "none", "--out", str(tmp_path)]
+    with pytest.raises(Ran) as caught:
+        main(["simulate", "two_link", *continuous, *words])
+    assert caught.value.args == (dt,)
+
+
+@pytest.mark.parametrize(
+    ("failed", "converged", "code"), [(True, False, 1), (False, True, 0), (False, False, 0)]
+)
+def test_the_exit_code_tells_a_failure(tmp_path, monkeypatch, failed, converged, code):
+    """Not what is too late to judge, which has neither converged nor failed."""
+    result = SimpleNamespace(failed=failed, converged=converged)
+    monkeypatch.setattr("approxjac.scenario.run_scenario", lambda *_: result)
+    for name in ("write", "text"):
+        monkeypatch.setattr(f"approxjac.scenario.outcome.{name}", lambda *_: "")
+    assert main(["simulate", "two_link", "--out", str(tmp_path)]) == code

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -11,10 +12,12 @@ from approxjac.cameras import PlanarCamera
 from approxjac.controllers import Latency, tuned
 from approxjac.scenario import Scenario, build_scenario, run_scenario
 from approxjac.scenario.judge import prepare
+from approxjac.tasks import FrameKinematics
 
 LATE = {"loop": {"dt": 4e-3, "actuator_delay": 8e-3}}
 SEEN = {"rate": 50.0, "delay": 0.03, "velocity_filter": 3e-3}
 AROUND = (0.5, 1.2)
+UR5 = (0.0, -1.2, 1.4, -1.0, -1.5, 0.0)
 
 
 # -- the plant --------------------------------------------------------------------------
@@ -63,6 +66,22 @@ def test_a_planar_camera_is_believed_with_the_errors_that_are_said(given, f):
         found = {name: value for name, (value, _) in task.camera.calibration.items()}
         expected = {name: value for name, (value, _) in camera.calibration.items()}
         assert found == pytest.approx(expected)
+
+
+def test_a_tracker_measures_in_the_axes_that_are_said():
+    """x = R p + b; the controller does not know of it."""
+    turned, offset = np.array([0.2, -0.4, 1.0]), np.array([0.1, -0.05, 0.05])
+    tracker = {"tracker": {"rotation": tuple(turned), "offset": tuple(offset)}}
+    for kind, plain in (("position", aj.PositionTask), ("pose", aj.PoseTask)):
+        goal = {"start": UR5, "target": {"configuration": UR5}}
+        built = build_scenario(Scenario("ur5", true=tracker, task={"kind": kind}, run=goal))
+        robot, q = built.plant.robot, np.array([0.1, -1.2, 1.1, -0.8, -1.4, 0.3])
+        R, p = pin.exp3(turned), FrameKinematics(robot, robot.tip).placement(q)
+        x = built.plant.sensor.value(q)
+        assert_allclose(x[:3], R @ p[1] + offset, atol=1e-12)
+        if kind == "pose":
+            assert_allclose(pin.Quaternion(x[3:]).matrix(), R @ p[0], atol=1e-9)
+        assert type(built.law.task) is plain
 
 
 def test_noise_and_dropouts_are_of_the_seed():

@@ -124,6 +124,28 @@ def test_all_errors_of_a_camera_are_along_and_about_its_own_axes():
     assert_allclose(R.T @ (p_hat - p), wrong["shift"], atol=1e-12)
 
 
+@pytest.mark.parametrize("mount", [None, "forearm_link"])
+def test_a_camera_is_as_it_is_said_to_be_and_depths_are_believed_with_a_factor(mount):
+    """In the room the depth of what it looks at is constant; on the arm, that at the goal."""
+    given = {"focal_length": 333.0, "size": (320, 240), "distortion": ()}
+    if mount is None:
+        given |= {"position": (1.7, -0.8, 1.1), "looking_at": (0.5, 0.0, 0.5)}
+        depth = np.linalg.norm(np.subtract(given["position"], given["looking_at"]))
+    else:
+        given, depth = given | {"position": (0.02, -0.04, 0.03), "mount": mount}, 0.35
+    built = build_scenario(camera(
+        "ur5", true=BARE | {"camera": given}, task={"depth": "constant"},
+        believed={"camera": {"depth_factor": 1.5}},
+    ))  # fmt: skip
+    own = built.plant.sensor.camera
+    assert (own.mount, own.size, own.focal_length) == (mount, (320, 240), (333.0, 333.0))
+    R, p = own.placement()
+    assert_allclose(p, given["position"])
+    if mount is None:
+        assert_allclose(np.cross(R[:, 2], np.subtract(given["looking_at"], p)), 0.0, atol=1e-9)
+    assert_allclose(built.law.task.depth, 1.5 * depth, rtol=1e-9)
+
+
 def test_the_controller_never_sees_the_truth():
     """Two truths, one belief, one measurement: the torque is the same to the bit."""
     stand = {"position": (1.7, -0.8, 1.1), "looking_at": (0.5, 0.0, 0.5)}

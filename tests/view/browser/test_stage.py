@@ -1,14 +1,17 @@
 """What is drawn of a scene, worked out without a browser: cameras, and what differs."""
 
+import base64
+
 import numpy as np
 import pytest
+import umsgpack
 from numpy.testing import assert_allclose
 
 import approxjac as aj
 from approxjac.cameras import PlanarCamera
 from approxjac.simulation.trajectory import Scene
 from approxjac.tasks import FrameKinematics
-from approxjac.view.browser.stage import Stage
+from approxjac.view.browser.stage import Stage, grid
 
 ROOM = aj.PinholeCamera.looking_at((0.8, 0.1, 0.6), (1.0, -3.0, 1.2), 500.0, (640, 480))
 TURNED = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # looks along x
@@ -69,3 +72,33 @@ def test_cameras_in_the_world_are_in_view_and_carried_ones_are_not(two_link):
     assert room.camera_points.shape == (5, 3)
     carried = stage_of(two_link, aj.ImageTask(two_link, ON_ARM, points=[[2.0, 0.0, 0.0]]))
     assert carried.camera_points.shape == (0, 3)
+
+
+def commands_of(listed):
+    return [umsgpack.unpackb(base64.b64decode(each)) for each in listed]
+
+
+def test_links_of_another_length_have_a_rod_and_objects_have_none():
+    """An object is as long as it is drawn."""
+    arm = aj.load_robot("two_link")
+    truth = arm.with_object(0.5, axis="x")
+
+    def rods(belief):
+        paths = [
+            each["path"] for each in commands_of(stage_of(truth, belief=belief).data()["commands"])
+        ]
+        return [path.split("/")[-2] for path in paths if "bone_" in path]
+
+    assert rods(truth) == rods(arm.with_object(0.2, axis="x")) == []
+    longer = truth.with_kinematic_error({"joint2": (0.1, 0.0, 0.0)})
+    assert rods(longer) == ["link link1"]
+
+
+def test_the_grid_lies_on_the_floor_below_all_points():
+    points = np.array([[0.3, -0.9, 1.0], [0.1, 0.2, 2.0]])
+    (drawn,) = commands_of(grid(points, -0.4))
+    (geometry,) = drawn["object"]["geometries"]
+    array = geometry["data"]["attributes"]["position"]["array"]
+    lines = np.frombuffer(array.data, "<f4").reshape(-1, 3)
+    assert_allclose(lines[:, 2], -0.4)
+    assert (np.abs(lines[:, :2]).max(axis=0) >= 0.9).all()
