@@ -61,12 +61,18 @@ def pytest_collection():
         gc.enable()
 
 
-# Files that take long. A worker gets whole files: these come first, so that in the end both have
-# something to do.
+# Files that take long, the longest first. A worker gets whole files: these come first, so that in
+# the end both have something to do.
 LONG = (
-    "cli", "test_long_run.py", "test_examples.py", "browser", "docs",
-    "README.md",
+    "test_examples.py", "test_attack_certificate.py", "cli", "test_long_run.py", "browser", "docs",
+    "README.md", "test_fuzz_steps.py", "test_watches.py",
 )  # fmt: skip
+
+
+def _place(item: pytest.Item) -> int:
+    """Return where the file of a test comes among the long ones, or after them."""
+    parts = item.path.relative_to(ROOT).parts
+    return min((LONG.index(part) for part in parts if part in LONG), default=len(LONG))
 
 
 @pytest.hookimpl(tryfirst=True)  # before tests are deselected by their markers
@@ -80,4 +86,4 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             python = getattr(item, "example", None) and item.example.parsed.lstrip()[:1] != "$"
             if item.path.name != "README.md" or not python:
                 item.add_marker(pytest.mark.study)
-    items.sort(key=lambda item: not set(LONG) & set(item.path.relative_to(ROOT).parts))
+    items.sort(key=_place)

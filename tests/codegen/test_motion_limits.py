@@ -1,5 +1,6 @@
 """Limits of speed, position, rate and motion in compiled steps, whole runs and C."""
 
+import functools
 import subprocess
 from dataclasses import replace
 
@@ -152,15 +153,26 @@ def test_a_whole_run_is_that_of_python(panda, monkeypatch):
         assert_allclose(getattr(found, part), getattr(expected, part), atol=1e-5, err_msg=part)
 
 
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    """Limiters by name, in Python and in C, and the folders of these; each is written once."""
+
+    @functools.cache
+    def exported_(name):
+        controller, folder = limiter(name), tmp_path_factory.mktemp(name)
+        return controller, InC(controller, folder), folder
+
+    return exported_
+
+
 @needs_compiler
 @pytest.mark.study
 @pytest.mark.parametrize("name", ["URDF", "rate", "motion"])
-def test_in_C_they_are_those_of_python(name, tmp_path, rng):
+def test_in_C_they_are_those_of_python(name, exported, rng):
     """Also where no torque keeps them: there C brakes by itself."""
-    controller = limiter(name)
-    in_c, seen = InC(controller, tmp_path), set()
-    assert "what the controller keeps" in (tmp_path / "controller.h").read_text("utf-8")
-    apart = []
+    controller, in_c, folder = exported(name)
+    assert "what the controller keeps" in (folder / "controller.h").read_text("utf-8")
+    apart, seen = [], set()
     for measurements, target in steps(controller, 60, rng):
         state, kept = controller.initial_state(measurements[0]), in_c.init(measurements[0])
         for measurement in measurements:
@@ -180,8 +192,8 @@ def test_in_C_they_are_those_of_python(name, tmp_path, rng):
 
 @needs_compiler
 @pytest.mark.study
-def test_the_self_test_of_all_limits_passes(tmp_path):
-    folder = aj.export_c(limiter("rate"), tmp_path)
+def test_the_self_test_of_all_limits_passes(exported):
+    _, _, folder = exported("rate")
     made = "cc -std=c99 -O1 -ffp-contract=off selftest.c controller.c -lm -o selftest && ./selftest"
     run = subprocess.run(made, shell=True, cwd=folder, capture_output=True, text=True)
     assert run.returncode == 0, run.stdout + run.stderr

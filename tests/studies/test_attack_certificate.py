@@ -39,7 +39,8 @@ def test_what_contradicts_is_told(small):
 
 
 @pytest.mark.study
-def test_nothing_contradicts_the_certificates_of_other_setups():
+def test_nothing_contradicts_the_certificates_of_other_setups(monkeypatch):
+    monkeypatch.setattr(study, "INNER", 6)  # so few are traced once, and half as many as by hand
     outcomes = [study.attack((number, 7, 200)) for number in range(22)]
     assert sum(o.latency is not None for o in outcomes) >= 10
     assert not [text for o in outcomes for text in o.counterexamples()]
