@@ -10,7 +10,7 @@ import subprocess
 import numpy as np
 import pinocchio as pin
 import pytest
-from own_parts import of_ones_own
+from own_parts import Springs, of_ones_own
 
 import approxjac as aj
 from approxjac.codegen.backends.c99 import sampled_step
@@ -417,6 +417,13 @@ def test_the_self_test_passes_where_the_camera_does_not_see_every_configuration(
     beside = aj.PinholeCamera.looking_at((2.0, 0.0, 0.3), (0.2, 0.1, 0.0), 600.0, (640, 480))
     task = aj.ImageTask(arm, beside)
     aj.export_c(aj.SetpointController(task, velocity=DifferentiatedVelocity()), tmp_path)
+    compiled(tmp_path, "-O1", "selftest.c", "-o", "selftest")
+    subprocess.run([tmp_path / "selftest"], check=True, stdout=subprocess.DEVNULL)
+
+
+@needs_compiler
+def test_the_self_test_passes_for_a_law_of_ones_own_that_has_no_torque_without_x(panda, tmp_path):
+    aj.export_c(Springs(aj.PositionTask(panda)), tmp_path)
     compiled(tmp_path, "-O1", "selftest.c", "-o", "selftest")
     subprocess.run([tmp_path / "selftest"], check=True, stdout=subprocess.DEVNULL)
 

@@ -51,6 +51,37 @@ def test_a_task_has_thirteen_public_members_and_three_make_one(panda):
     assert aj.Task.__abstractmethods__ == {"value", "jacobian", "on"}
 
 
+class Unseen(Distance):
+    """Nowhere, as far as its Jacobian says."""
+
+    def jacobian(self, q, x=None):
+        return super().jacobian(q) * np.nan
+
+
+class Short(Distance):
+    """Without a row for the height."""
+
+    def jacobian(self, q, x=None):
+        return super().jacobian(q)[:1]
+
+
+class Listed(Distance):
+    """A value that is no array."""
+
+    def value(self, q):
+        return super().value(q).tolist()
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [(Unseen, "jacobian .* finite"), (Short, r"jacobian .*\(2, 7\)"), (Listed, "value .* array")],
+)
+@pytest.mark.parametrize("law", [aj.SetpointController, aj.TrackingController])
+def test_one_that_is_written_wrongly_is_refused_by_the_method(kind, said, law, panda):
+    with pytest.raises(aj.InvalidInputError, match=said):
+        law(kind(panda))
+
+
 def test_it_is_brought_to_its_target_in_spite_of_a_wrong_tool(loop):
     plant, controller, sensor = loop
     start = pin.integrate(plant.robot.model, Q, np.full(7, 0.1))

@@ -10,7 +10,7 @@ import numpy as np
 from approxjac.errors import InvalidInputError
 from approxjac.tasks.image import ImageTask
 from approxjac.tasks.task import Feature, Task
-from approxjac.validation import Array, require
+from approxjac.validation import Array, as_array, require
 
 FINE = {"m": 1e-3, "rad": 1e-3, "px": 0.5}
 """Errors that count as none, by the unit of a task."""
@@ -67,6 +67,12 @@ def require_controllable(task: Task) -> None:
             f"CombinedTask.balanced(task, x_d) makes {most} of them",
             given=task,
         )
+    q = task.robot.random_configuration(np.random.default_rng(0))
+    x, J = task.value(q), task.jacobian(q)
+    for what, each in (("value", x), ("jacobian", J)):
+        require(f"{what} of the task", each, np.ndarray, f"an array for {task!r}")
+    as_array("value of the task", np.nan_to_num(x), (task.n_x,))  # NaN is not seen
+    as_array("jacobian of the task", J, (m, nv))
 
 
 def features(task: Task | None) -> tuple[Feature, ...]:

@@ -167,8 +167,10 @@ def _recorded(step: SampledStep, dt: float) -> list[Record]:
         }  # fmt: skip
         columns = {name: value[:, np.newaxis] for name, value in given.items()}
         answer = function(**columns, state=state[:, np.newaxis], dt=np.array([[dt]]))
-        found.append(given | {name: value.ravel() for name, value in answer.items()})
-        state = found[-1]["after"]
+        if np.isfinite(answer["torque"]).all() and np.isfinite(answer["after"]).all():
+            # a law of one's own may have none where x is lost, which C refuses
+            found.append(given | {name: value.ravel() for name, value in answer.items()})
+            state = found[-1]["after"]
     return found
 
 
