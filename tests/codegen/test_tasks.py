@@ -10,8 +10,10 @@ from approxjac.cameras import PlanarCamera, tag_corners
 from approxjac.codegen.arm import traced_tasks as tasks
 from approxjac.codegen.arm.rigid_body import Arm
 from approxjac.codegen.backends.numpy_lanes import numpy_function
+from approxjac.codegen.step import compiled
 from approxjac.codegen.trace.program import Program
 from approxjac.codegen.trace.symbols import arctangent, inputs
+from approxjac.controllers import KnownKinematics
 from approxjac.errors import InvalidInputError
 from approxjac.tasks import (
     CombinedTask,
@@ -225,6 +227,22 @@ def test_tasks_and_cameras_of_ones_own_are_those_of_python(panda, rng):
         right = np.array([task.jacobian(*each) for each in zip(q, x, strict=True)])
         np.testing.assert_allclose(jacobian, right, rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(error, x - x[::-1], rtol=0, atol=1e-15)
+
+
+def test_a_tracking_law_follows_a_task_of_ones_own_compiled(panda, rng):
+    task = Range(panda, (0.0, 1.0, 0.0))
+    plain = aj.TrackingController(task, kinematics=KnownKinematics(task))
+    quick = compiled(plain)
+    for fast in (0.0, 0.3, 1.0) * 10:
+        q, v = panda.random_configuration(rng), fast * rng.normal(size=7)
+        measured = aj.Measurement(0.0, q, v, task.value(q), 0.0)
+        target = aj.Target(measured.x + 0.02, 0.1 * rng.normal(size=2))
+        state = plain.initial_state(measured)
+        torque, same = (
+            each.step(state, measured, target, 1e-3)[1].torque for each in (plain, quick)
+        )
+        # what is a difference of Jacobians, 1e-5 apart, has their rounding a hundred thousand times
+        np.testing.assert_allclose(same, torque, rtol=0, atol=1e-9 * np.abs(torque).max())
 
 
 def test_what_branches_on_a_value_is_named(panda):

@@ -108,6 +108,7 @@ def first_state(
     after, answer = stepped
     require("the controller's answer", answer, Evaluation, "an Evaluation")
     require("the controller's state", after, np.ndarray, "an array")
+    require("the controller's torque", answer.torque, np.ndarray, "an array")
     learnt = controller.learnt(state)
     require("learnt of the controller", learnt, np.ndarray, "an array")
     if len(learnt) != len(controller.parameters):

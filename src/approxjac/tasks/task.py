@@ -7,14 +7,16 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 
+from approxjac import law
 from approxjac.cameras.camera import Camera
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import joined, spaced
 from approxjac.robots import Robot
+from approxjac.robots.traced import arm_of, moved
 from approxjac.validation import Array, Immutable, Saved, as_array, as_vector, require
 
+_STILL = 1e-250  # a speed at which nothing moves [rad/s or m/s]
 _DIFFERENCE = 1e-5  # of q, either way, from which a rate is taken [rad or m]
 
 
@@ -115,13 +117,12 @@ class Task(Immutable, Saved, ABC):
 
         By default a central difference, with a relative error of about 1e-9.
         """
-        q, v = self.robot.configuration(q), as_vector("v", v, self.robot.nv)
-        speed = float(np.linalg.norm(v))
-        if speed == 0.0:
-            return np.zeros((self.m, self.robot.nv))
-        step = _DIFFERENCE / speed
-        moved = [np.array(pin.integrate(self.robot.model, q, h * v)) for h in (step, -step)]
-        after, before = map(self.jacobian, moved)
+        is_known = type(q) is np.ndarray or arm_of(self.robot, q) is None
+        if is_known:
+            q, v = self.robot.configuration(q), as_vector("v", v, self.robot.nv)
+        speed = np.linalg.norm(v) if is_known else law.length(v)
+        step = _DIFFERENCE / np.maximum(speed, _STILL)
+        after, before = (self.jacobian(moved(self.robot, q, h * v)) for h in (step, -step))
         return (after - before) / (2.0 * step)
 
     def error(self, x: Array, x_d: Array) -> Array:
