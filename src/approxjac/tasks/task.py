@@ -123,7 +123,7 @@ class Task(Immutable, Saved, ABC):
         speed = np.linalg.norm(v) if is_known else law.length(v)
         step = _DIFFERENCE / np.maximum(speed, _STILL)
         after, before = (self.jacobian(moved(self.robot, q, h * v)) for h in (step, -step))
-        return (after - before) / (2.0 * step)
+        return np.asanyarray((after - before) / (2.0 * step))
 
     def error(self, x: Array, x_d: Array) -> Array:
         """Return the error e (m,) of a value to a target, both (n_x,); NaN if x is lost."""
