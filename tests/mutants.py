@@ -1208,6 +1208,22 @@ MUTANTS = [
         "off = self._sizes(seen) - self._sizes(believed)", WATCHES,
     ),
     (
+        "way of the joints by milliseconds", "realtime/watches.py",
+        "self._path += self._dt * math.hypot", "self._path += 1e-3 * math.hypot", WATCHES,
+    ),
+    (
+        "share of the Jacobian squared", "realtime/watches.py",
+        "self._share * self._norms * max", "self._share**2 * self._norms * max", WATCHES,
+    ),
+    (
+        "blind as far as astray", "realtime/faults.py",
+        "self.max_blind_motion, task, _BLIND)", "self.max_blind_motion, task, _ERROR)", WATCHES,
+    ),
+    (
+        "late commands brake at once", "realtime/faults.py",
+        "(Fault.TORQUE_LATE, Fault.LIMITS)", "(Fault.LIMITS,)", WATCHES,
+    ),
+    (
         "lower ends of joints", "realtime/franka.py",
         "low = _INSIDE - np.minimum(_SPEED, _towards(q - _LOW))",
         "low = _INSIDE - np.minimum(_SPEED, _towards(_HIGH - q))", "tests/realtime/test_franka.py",

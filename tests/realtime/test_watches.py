@@ -556,3 +556,54 @@ def test_a_jump_while_the_clock_stands_still_is_found():
     assert faults.index(Fault.POSITION_JUMPED) == 21
     assert not any(faults[:21])
     assert watch.detail == "" or watch.detail.startswith("panda_joint5: ")
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_a_change_of_velocity_is_judged_by_the_period(arm):
+    """By 5 % of a joint's largest speed in a millisecond, to either side."""
+    robot, q, dt = ARMS[arm]
+    for share, fault in ((0.049, None), (-0.049, None), (0.051, 1), (-0.051, 1)):
+        watch = FaultWatch(robot, dt, ACCURATE, robot.velocity_limits, 0.02, False)
+        step = abs(share) * dt / 1e-3
+        faults, way, before = [], np.zeros(robot.nv), np.zeros(robot.nv)
+        for k in range(30):
+            size = math.copysign(step * min(k, math.floor(0.9 / step)), share)
+            v = size * robot.velocity_limits
+            way, before = way + 0.5 * dt * (v + before), v
+            moved = pin.integrate(robot.model, q, way)
+            measurement = aj.Measurement(k * dt, moved, v, np.zeros(3))
+            faults.append(watch.look(measurement, 10.0 + k * dt))
+        if fault is None:
+            assert not any(faults)
+        else:
+            assert faults.index(Fault.VELOCITY_JUMPED) == fault
+            assert not any(faults[:fault])
+
+
+@pytest.mark.parametrize("dt", [1e-3, 8e-3])
+@pytest.mark.parametrize("error", [-0.4, -0.1, 0.1, 0.4])
+def test_motions_may_be_off_by_a_share_of_the_way(dt, error):
+    """By 15 % of Ĵ along the way of the joints, at any period."""
+    robot, q, _ = ARMS["ur5"]
+    task, rate = aj.PositionTask(robot), np.array([0.0, 0.6, 0.0, 0.0, 0.0, 0.0])
+    accuracy = Accuracy(x=1e-5, tool=0.0, jacobian=0.15, x_period=1.0)
+    watch, begun = SensorWatch(task, dt, accuracy, np.full(3, 0.01), False), task.value(q)
+    found = set()
+    for t in dt * np.arange(round(0.4 / dt)):
+        x = begun + (1.0 + error) * (task.value(q + t * rate) - begun)
+        found.add(watch.look(aj.Measurement(t, q + t * rate, rate, x, t), x))
+    assert (found == {None}) is (abs(error) < 0.15)
+    assert found <= {None, Fault.SENSOR_JUMPED, Fault.SENSOR_DISAGREES}
+
+
+def test_tolerances_are_in_the_units_of_the_task():
+    usual = aj.realtime.Tolerances().for_task(aj.PoseTask(PANDA), 1e-3)
+    np.testing.assert_array_equal(usual.max_error, [0.15] * 3 + [0.5] * 3)
+    np.testing.assert_array_equal(usual.max_blind_motion, [0.01] * 3 + [0.04] * 3)
+    np.testing.assert_array_equal(usual.accuracy.x, [2e-3] * 6)
+    given = aj.realtime.Tolerances(max_error=0.3, max_blind_motion=[0.1, 0.2, 0.3])
+    given = given.for_task(aj.PositionTask(PANDA), 1e-3)
+    np.testing.assert_array_equal(given.max_error, [0.3] * 3)
+    np.testing.assert_array_equal(given.max_blind_motion, [0.1, 0.2, 0.3])
+    stopping = {fault for fault in Fault if fault.stops}
+    assert stopping == {Fault.TORQUE_LATE, Fault.LIMITS}  # all others brake at once
