@@ -262,9 +262,8 @@ def test_periods_that_were_missed_are_left_out():
         periods = pace.wait()
         count += periods
         passed = time.perf_counter() - begun
-        assert periods >= 1 + math.floor(pause / dt + 1e-9) * (pause > 0.0) - (pause > 0.0)
+        assert periods >= max(1, math.floor(pause / dt))
         assert count * dt <= passed + 1e-3
-    assert count * dt > passed - dt - 0.05  # of a busy machine
 
 
 @pytest.mark.parametrize("dt", [1e-3, 8e-3])
