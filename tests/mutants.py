@@ -28,6 +28,7 @@ WATCHES = "tests/realtime/test_watches.py"
 CONTROL = "tests/realtime/test_control.py"
 DRIVERS = "tests/realtime/test_drivers.py"
 GATE = "tests/controllers/test_gate.py"
+INSTANTS = "tests/simulation/test_instants.py"
 
 # name, file, text that is there once, text instead, tests that must fail
 MUTANTS = [
@@ -1254,6 +1255,49 @@ MUTANTS = [
         "C: angles of one side", "codegen/backends/c_files.py",
         'f"fabs(q[{i}]) <= {LARGEST_ANGLE!r}"',
         'f"q[{i}] <= {LARGEST_ANGLE!r}"', "tests/codegen/test_c99.py",
+    ),
+    # -- what belongs to which instant of a run
+    (
+        "filter by explicit steps", "simulation/sensing.py",
+        "v + dt / (time_constant + dt) * (slope - v)",
+        "v + dt / max(time_constant, dt) * (slope - v)",
+        "tests/simulation/test_sensing.py",
+    ),
+    (
+        "servo's torque without an end below", "simulation/plant.py",
+        "return np.asarray(np.minimum(np.maximum(tau, -limits), limits))",
+        "return np.asarray(np.minimum(tau, limits))",
+        INSTANTS,
+    ),
+    (
+        "target of the sample before", "simulation/simulate.py",
+        "target_at(self.path, self.step * self.dt)",
+        "target_at(self.path, (self.step - 1) * self.dt)",
+        INSTANTS,
+    ),
+    (
+        "delays cut to whole samples", "simulation/simulate.py",
+        "self._late = round(min(delay / self._h, _FOREVER))",
+        "self._late = int(min(delay / self._h, _FOREVER))",
+        INSTANTS,
+    ),
+    (
+        "numbers of another law", "simulation/trajectory.py",
+        "learnt[: self._controllers[-1][0]] = np.nan",
+        "pass",
+        INSTANTS,
+    ),
+    (
+        "V of the measured error", "simulation/trajectory.py",
+        "x, x_d = run.x[k], run.x_d[k]",
+        "x, x_d = run.x_measured[k], run.x_d[k]",
+        INSTANTS,
+    ),
+    (
+        "small error an instant early", "simulation/trajectory.py",
+        "above[-1] + 1",
+        "above[-1]",
+        INSTANTS,
     ),
 ]  # fmt: skip
 

@@ -16,9 +16,9 @@ from approxjac.errors import (
     TrajectoryFileError,
     UnknownNameError,
 )
-from approxjac.robots import GravityRegressor
+from approxjac.robots import Dynamics, GravityRegressor
 from approxjac.simulation import Computation, InitialState
-from approxjac.simulation.plant import INTEGRATORS
+from approxjac.simulation.plant import INTEGRATORS, holdable
 
 
 class ConstantTorque(OwnController):
@@ -548,3 +548,17 @@ def test_damaged_files_are_always_a_named_error(short_run, tmp_path):
         except TrajectoryFileError:
             refused += 1
     assert refused > 150
+
+
+@pytest.mark.parametrize("side", [0.0, np.pi])
+def test_a_configuration_is_held_well_if_no_motor_takes_more_than_seven_tenths(two_link, side):
+    """To either side: stretched out to the left the torques are those of the right, turned."""
+    dynamics, q = Dynamics(two_link), np.array([side, 0.0])
+    g = np.abs(dynamics.g(q))
+    assert g.min() > 1.0
+    for i in range(2):
+        effort = np.full(2, 1e3)
+        effort[i] = g[i] / 0.69
+        assert holdable(dynamics, q, effort)
+        effort[i] = g[i] / 0.71
+        assert not holdable(dynamics, q, effort)
