@@ -1,6 +1,7 @@
 """The shape of the package: which folder may import which, and what an import costs."""
 
 import ast
+import functools
 import subprocess
 import sys
 from collections import Counter
@@ -64,9 +65,14 @@ ALLOWED = {
 }  # fmt: skip
 
 
+@functools.cache
+def parsed(path):
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
 def imports_of(path):
     """Absolute names of everything that a file imports, wherever in the file."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(parsed(path)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -124,7 +130,7 @@ MODULES = {
 
 def imported_at_once(path):
     """Modules of ours that a file imports at its top, or there for type checkers."""
-    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+    for node in parsed(path).body:
         for each in node.body if isinstance(node, ast.If) else [node]:
             if isinstance(each, ast.ImportFrom):
                 for alias in each.names:
@@ -150,7 +156,7 @@ def test_no_name_is_used_twice():
     classes = Counter(
         node.name
         for path in FILES
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in ast.walk(parsed(path))
         if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
     )
     assert {name for name, n in classes.items() if n > 1} == set()
