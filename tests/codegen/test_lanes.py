@@ -114,7 +114,9 @@ def starts_of(loop, n):
     return starts[0].plant, [start.begun(controller) for start in starts]
 
 
-@pytest.mark.parametrize("name", ["known gravity", "learnt gravity"])
+@pytest.mark.parametrize(
+    "name", ["known gravity", pytest.param("learnt gravity", marks=pytest.mark.study)]
+)
 def test_the_same_bits_in_numpy(name):
     """The oracle; with what is rare."""
     loop = STUDIES[name]()
@@ -134,6 +136,7 @@ def digest(runs):
     return b"".join(column.tobytes() for column in runs.columns.values())
 
 
+@pytest.mark.study
 def test_the_same_bits_whatever_carries_them_out(monkeypatch):
     """Threads, processes, portions of other sizes."""
     loop = study("ur5", learns=True)

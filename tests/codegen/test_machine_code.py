@@ -174,6 +174,7 @@ def answer(process):
     return (compiled, read), q
 
 
+@pytest.mark.study
 def test_a_second_start_compiles_nothing(tmp_path):
     first, race = started(tmp_path / "a"), started(tmp_path / "a")  # of one folder, at once
     ((compiled, read), q), (others, same) = answer(first), answer(race)

@@ -508,17 +508,14 @@ LEARNS = {
 PARTS = ("tool", "origins", "camera")
 
 
+@pytest.mark.study
 @pytest.mark.usefixtures("blank_pictures")
 @pytest.mark.parametrize(
     "controller",
     [
         pytest.param({"law": "tracking", "unknown": PARTS}, id="tracking law"),
-        pytest.param({"unknown": PARTS}, id="set-point law", marks=pytest.mark.study),
-        pytest.param(
-            {"law": "tracking", "unknown": PARTS, "command": "velocity"},
-            id="velocities",
-            marks=pytest.mark.study,
-        ),
+        pytest.param({"unknown": PARTS}, id="set-point law"),
+        pytest.param({"law": "tracking", "unknown": PARTS, "command": "velocity"}, id="velocities"),
     ],
 )
 def test_kinematics_that_are_learnt_follow_a_circle(tmp_path, controller):

@@ -265,6 +265,7 @@ def test_it_comes_back_from_the_limits_it_is_driven_against_by_random_targets():
     assert hits >= 3
 
 
+@pytest.mark.study
 def test_a_limit_may_hold_the_arm_up_for_long():
     """The law knows of no limits: it slides along this one, and is late."""
     target, back = (1.3, 0.1, 0.5), X0 + 0.05
