@@ -281,8 +281,8 @@ MESHES = {
     "index.obj": (lambda: b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4000000000\n", "cannot be read"),
     "digits.obj": (lambda: b"v " + b"1" * 10**6 + b" 0 0\nf 1 1 1\n", "holds no triangles"),
     "bomb.dae": (zipped, "it is an archive"),
-    "bomb.3mf": (zipped, "stl, obj, dae, ply, off are read, not '.3mf'"),
-    "bomb.zip": (zipped, "are read, not '.zip'"),
+    "bomb.3mf": (zipped, "one of stl, obj, dae, ply, off, not '.3mf'"),
+    "bomb.zip": (zipped, "must be one of stl, obj, dae, ply, off, not '.zip'"),
     "copies.dae": (multiplied, "its nodes are copied"),
     "entities.dae": (
         lambda: ball("dae").replace(

@@ -1,6 +1,6 @@
 """Reach in MuJoCo with real sensing, with a slow camera, and with joints that stick.
 
-All defaults, and a tool that nobody told the controller of. MuJoCo stops the joints at
+All defaults, and an unmodelled tool. MuJoCo stops the joints at
 their ends, but where friction is looked at. docs/studies/reaching.md has what came out.
 
     python examples/studies/reach_mujoco.py --out results/reach_mujoco

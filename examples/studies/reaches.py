@@ -1,4 +1,4 @@
-"""Reaches of the studies: random starts and targets of an arm with a tool that nobody told it of.
+"""Reaches of the studies: random starts and targets of an arm with an unmodelled tool.
 
 They are scenarios with all defaults, run as `approxjac simulate` runs them.
 """

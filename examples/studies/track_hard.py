@@ -4,7 +4,7 @@ The setups are those of tracks.py: tool, joint origins and tracker unknown, x wi
 Hz and 30 ms late. Beyond that, each by its name in --kinds:
 
 - real: in MuJoCo, with rotors of 0.1 kg m² at each joint, Coulomb friction of 2 % of the effort and
-  viscous friction of 1 N m s/rad that nobody told of, q̇ from differences of encoders (10 µrad, 5
+  unmodelled viscous friction of 1 N m s/rad, q̇ from differences of encoders (10 µrad, 5
   ms), torques 2 ms late, and the limits of the URDF kept by `TorqueLimited`.
 - velocity: commands of joint velocities at 125 Hz, to a servo of 30 ms lag and 8 ms delay; q̇ from
   differences of encoders (10 ms).

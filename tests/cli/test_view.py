@@ -70,7 +70,7 @@ def test_what_is_no_run_is_a_clear_error(reached, tmp_path, capsys):
         assert message in error
         assert error.count("\n") == 1
     assert main(["view", str(reached), "--out", str(tmp_path / "no" / "page.html")]) == 2
-    assert "--out must be a file in a folder that there is" in capsys.readouterr().err
+    assert "--out must be a file in an existing folder" in capsys.readouterr().err
 
 
 async def watch_and_stop(url):

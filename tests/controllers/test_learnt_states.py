@@ -152,7 +152,7 @@ def test_a_limiter_around_a_law_that_learns_no_kinematics_says_so(task):
         ({"delay": 30}, r"delay must be a finite number >= 0 and <= 1 \[s\], got 30"),
         ({"noise": 2}, r"noise must be a finite number > 0 and <= 0\.37\d* \[m\], got 2"),
         ({"angle_noise": 3}, r"angle_noise must .* <= 1 \[rad\], got 3"),
-        ({"unknown": ("tool",), "sd": {"camera": 0.1}}, "sd must be of what is unknown, tool, got"),
+        ({"unknown": ("tool",), "sd": {"camera": 0.1}}, "unknown parameters, tool, got"),
         ({"unknown": "tool", "sd": {"orientation": 0.1}}, "got one of orientation"),
         ({"unknown": "tool", "sd": {"offset": 0.1}}, "got one of offset"),
     ],

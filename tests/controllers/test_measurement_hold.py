@@ -538,7 +538,7 @@ def test_a_law_of_ones_own_steps_forward_in_time(task, dt):
 
 def test_a_controller_without_a_jacobian_is_refused_when_it_answers(task):
     loop = Loop(aj.HeldMeasurement(Alone(task), 0.1), np.zeros(3), np.zeros(3))
-    with pytest.raises(aj.InvalidInputError, match="controller must answer with J_hat, which says"):
+    with pytest.raises(aj.InvalidInputError, match="J_hat"):
         loop.step(np.zeros(3))
 
 

@@ -61,7 +61,7 @@ def test_a_page_says_why_a_robots_run_ended(plant, controller):
     text = page(found)
     assert '<p id="alarm" role="alert"></p>' in text
     assert "ended: its time was over: brought to rest" in text.split("<title>")[0]
-    why = "SENSOR_FROZEN: the joints move, and x does not; braked at once"
+    why = "SENSOR_FROZEN: the joints move, but x does not; braked at once"
     text = page(dataclasses.replace(found, fault_name="SENSOR_FROZEN", ended=why), "Monday")
     assert f'<p id="alarm" role="alert">{why}</p>' in text
     assert "<title>SENSOR_FROZEN: Monday</title>" in text

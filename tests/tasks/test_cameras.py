@@ -331,9 +331,7 @@ def test_bad_pinhole_cameras_are_refused(arguments, text):
 
 def test_a_view_that_has_no_direction_or_no_up_is_refused():
     for target, position in (((1, 1, 1), (1, 1, 1)), ((1, 1, 0), (1, 1, 2))):
-        with pytest.raises(
-            aj.InvalidInputError, match="target must be away from position, and not"
-        ):
+        with pytest.raises(aj.InvalidInputError, match="target must not be at position"):
             aj.PinholeCamera.looking_at(target, position, 500.0, (640, 480))
 
 

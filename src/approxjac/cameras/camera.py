@@ -340,8 +340,8 @@ class PinholeCamera(Camera):
         right = np.cross(view, as_array("up", up, (3,)))
         if not np.linalg.norm(right) > 1e-9 * max(1.0, float(np.linalg.norm(view))):
             raise InvalidInputError(
-                f"target must be away from position, and not along up, which has no place in the "
-                f"image then, got target {looking_at!r} from {position!r} with up {up!r}",
+                f"target must not be at position, nor along up from it, "
+                f"got target {looking_at!r} from {position!r} with up {up!r}",
                 given=looking_at,
             )
         x, z = right / np.linalg.norm(right), view / np.linalg.norm(view)

@@ -26,9 +26,7 @@ def view(
     from approxjac.view.browser.page import open_browser
 
     if out is not None and not out.parent.is_dir():
-        raise InvalidInputError(
-            f"--out must be a file in a folder that there is, got {out}", given=out
-        )
+        raise InvalidInputError(f"--out must be a file in an existing folder, got {out}", given=out)
     path = _run_file(Path(run))
     beside = path.with_name(path.name.removesuffix(".npz") + ".html")
     page = save_page(Trajectory.load(path), out or beside, title)

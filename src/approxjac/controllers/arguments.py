@@ -160,8 +160,8 @@ def chosen_deviations(
         if kind not in used:
             some = ", ".join(each for each in usual if each in used)
             raise InvalidInputError(
-                f"sd must be of what is unknown, {some}, got one of {kind}, which is taken for "
-                "true; say in unknown what may be wrong",
+                f"sd must be of unknown parameters, {some}, got one of {kind}, which is taken as "
+                "known; add it to unknown",
                 given=sd,
             )
     return {

@@ -195,8 +195,7 @@ class Controller(ABC):
             InvalidInputError: The controller cannot.
         """
         raise InvalidInputError(
-            f"controller must be able to take another task for its belief to be changed, got "
-            f"{self!r}",
+            f"controller must have a method with_task for its belief to be changed, got {self!r}",
             given=self,
         )
 

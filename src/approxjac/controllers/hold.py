@@ -103,7 +103,7 @@ class HeldMeasurement(ControllerWrapper):
         after, answer = self.controller.step(inner, used, target, dt)
         if answer.J_hat is None:
             raise InvalidInputError(
-                f"controller must answer with J_hat, which says how far the image moves, "
+                f"controller must return an Evaluation with J_hat, to predict how x moves, "
                 f"got {self.controller!r}, which has none",
                 given=self.controller,
             )

@@ -112,9 +112,9 @@ class TrackingController(Immutable, Controller):
 
     Args:
         task: The task of the believed robot.
-        kinematics: Kinematics that predict z, for the same dt. By default, for positions and poses,
-            `AdaptiveKinematics` of tool and joint origins; `KnownKinematics` takes the believed
-            arm's as true.
+        kinematics: Kinematics that predict z, for the same dt. By default `AdaptiveKinematics` of
+            tool and joint origins, and `AdaptiveCamera` for images of a `PinholeCamera`;
+            `KnownKinematics` takes the believed arm's as true.
         dynamics: Source of the feedforward torque Y_d â; `AdaptiveDynamics` of the believed robot
             by default, or `ModelDynamics`.
         posture: Rest configuration q_rest of a redundant arm's self-motion, shape (nq,); by default
@@ -472,8 +472,8 @@ def _usual_kinematics(task: Task, dt: float) -> Kinematics:
         planar = isinstance(task.camera, PlanarCamera)
         return AdaptiveKinematics(task, dt=dt) if planar else AdaptiveCamera(task, dt=dt)
     raise InvalidInputError(
-        f"kinematics must be given for {task!r}: what is learnt by itself are positions, poses "
-        "and images; KnownKinematics(task) takes the believed arm for true",
+        f"kinematics must be given for {task!r}, as defaults are for positions, poses and images; "
+        "KnownKinematics(task) takes the believed arm as true",
         given=task,
     )
 

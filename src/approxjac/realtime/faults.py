@@ -26,29 +26,29 @@ class Fault(enum.Enum):
     POSITION_JUMPED = "q jumped further than a joint can move in a period"
     VELOCITY_JUMPED = "q̇ jumped further than the motors can change it in a period"
     VELOCITY_DISAGREES = (
-        "q̇ is not the rate of q: a sign, a unit, a joint that stands still in one of them, or a "
-        "clock that runs at another pace than the arm"
+        "q̇ is not the rate of q: check signs, units, a joint that moves in only one of them, and "
+        "the rate of the robot's clock"
     )
-    ENCODER_FROZEN = "q of a joint that moved stands still from one period to the next"
+    ENCODER_FROZEN = "q of a moving joint stopped changing from one period to the next"
     COMMAND_UNANSWERED = "a joint does not move under a command that must move it"
     SENSOR_JUMPED = (
         "x jumped further than the tip can move; Accuracy(x=..., x_period=...) allows more noise "
         "or a longer period"
     )
     SENSOR_DISAGREES = (
-        "x does not move as the joints do: its axes, its unit, or an encoder; Accuracy(x=..., "
-        "x_period=...) allows more noise or a longer period"
+        "x does not move as the joints do: check its axes and unit, and the encoders; "
+        "Accuracy(x=..., x_period=...) allows more noise or a longer period"
     )
-    SENSOR_FROZEN = "the joints move, and x does not"
-    CLOCK_STOOD_STILL = "the robot's clock stands still: its state is an old one"
+    SENSOR_FROZEN = "the joints move, but x does not"
+    CLOCK_STOOD_STILL = "the robot's clock does not advance: its state is old"
     CLOCK_JUMPED = "the clock of the robot, or that of x, jumped"
-    READ_HUNG = "the driver or the controller did not come back in time"
+    READ_HUNG = "a call of the driver or the controller did not return in time"
     TORQUE_LATE = "a command was sent too late"
-    TOO_FAST = "a joint is faster than it may be"
+    TOO_FAST = "a joint exceeds its speed limit"
     SPEED_GREW = "the joints become faster and faster"
     ASTRAY = "the error to the moving target is too large"
     BLIND = "x was lost for too long"
-    LIMITS = "limits held the torque back from what keeps the proof for too long"
+    LIMITS = "limits reduced the torque and gave up the proof for too long"
     FAILED = "the driver or the controller raised an error"
 
     @property

@@ -55,7 +55,7 @@ def read_mesh(path: Path) -> Any:
     trimesh = package_of("view", "trimesh")
     kind, size = path.suffix.lower().removeprefix("."), path.stat().st_size
     if kind not in _READ:
-        raise ValueError(f"of meshes {', '.join(_READ)} are read, not {path.suffix[:20]!r}")
+        raise ValueError(f"its type must be one of {', '.join(_READ)}, not {path.suffix[:20]!r}")
     if size > _MOST:
         raise ValueError(f"it has {size} bytes, more than {_MOST}")
     with path.open("rb") as file:

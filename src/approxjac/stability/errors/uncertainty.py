@@ -437,8 +437,8 @@ class Uncertainty:
             return Perturbation(self.arm, joints=self._joints)
         if "object_tip" in self.arm.frame_names:
             raise InvalidInputError(
-                "arm must be the bare arm, as the set itself puts the object into its hand "
-                f"(object_length, object_mass), got one that holds one: {self.arm!r}",
+                "arm must be without an object, which is added by object_length and object_mass, "
+                f"got one that holds one: {self.arm!r}",
                 given=self.arm,
             )
         held = self.believed_length, self.believed_mass

@@ -465,7 +465,7 @@ def _timing(plant: Plant, dt: float | None) -> Timing | None:
         raise InvalidInputError(
             f"the delays must be at most some {_MOST_STATES // plant.robot.nv} samples in all, got "
             f"x_delay = {x_delay:g} s and actuator_delay = {plant.actuator_delay:g} s with "
-            f"dt = {dt:g} s; a larger dt tells the same",
+            f"dt = {dt:g} s; take a larger dt",
             given=dt,
         )
     return Timing(
