@@ -1299,6 +1299,11 @@ MUTANTS = [
         "above[-1]",
         INSTANTS,
     ),
+    (
+        "covariance of a camera's turn of the wrong sign", "controllers/learning/learnt_camera.py",
+        '{"rad": -1.0, "px": learnt}', '{"rad": 1.0, "px": learnt}',
+        "tests/controllers/test_adaptive_camera.py",
+    ),
 ]  # fmt: skip
 
 

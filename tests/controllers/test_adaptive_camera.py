@@ -438,3 +438,44 @@ def test_wrong_tasks_are_told(panda, room, hand):
         AdaptiveCamera(aj.ImageTask(robot, camera, "base_link", [(0.5, 0.0, 0.0)]))
     with pytest.raises(UnknownNameError, match="offset"):
         AdaptiveCamera(room[1], sd={"offset": 0.1})
+
+
+def test_where_an_image_was_seen_it_is_known_well_although_no_number_is(panda):
+    """The covariance of x̂ by that of tool, camera and focal length, which belong together."""
+    points = ((0.0, 0.0, 0.0), (0.1, 0.0, 0.05))
+    images = aj.ImageTask(panda, CAMERA, points=points)
+    kinematics = AdaptiveCamera(images, ("tool", "camera", "focal_length"))
+    rng, state, frames = np.random.default_rng(1), None, 40
+    for k in range(frames):
+        q = START + 0.01 * rng.standard_normal(7)
+        seen = aj.Measurement(k / 30.0, q, 0.0 * q, images.value(q), k / 30.0)
+        state = kinematics.initial_state(seen) if state is None else state
+        state = kinematics.step(state, seen, 1.0 / 30.0)
+    report, camera, model = (
+        kinematics.report(state), kinematics.camera(state), kinematics.regressor,
+    )  # fmt: skip
+    tool = kinematics.learnt(state)[:3]
+    R, _ = camera.placement()
+
+    def image(q, change):
+        theta = model.theta.copy()
+        theta[-3:] = tool + change[:3]
+        moved = camera.with_error(
+            shift=R.T @ change[3:6], rotation=change[6:9],
+            focal_factor=1.0 + change[9] / camera.focal_length[0],
+        )  # fmt: skip
+        places = model.position(q, theta).reshape(-1, 3)
+        return np.concatenate([moved.project(place) for place in places])
+
+    def sd_of_x(q):
+        h = 1e-5
+        J = np.array([image(q, h * each) - image(q, -h * each) for each in np.eye(10)]).T / (2 * h)
+        return np.sqrt(np.diag(J @ report.covariance @ J.T)), J
+
+    assert len(report.covariance) == 10
+    (known, J), (elsewhere, _) = sd_of_x(START), sd_of_x(START + 0.3)
+    assert known.max() < 1.5 * kinematics.noise / np.sqrt(frames)
+    assert elsewhere.max() > 5.0 * known.max()
+    for part in (slice(0, 3), slice(3, 6), slice(6, 9)):  # none of which is known as well alone
+        alone = J[:, part] @ report.covariance[part, part] @ J[:, part].T
+        assert np.sqrt(np.diag(alone)).min() > 10.0 * known.max()
