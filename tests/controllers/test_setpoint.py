@@ -648,3 +648,13 @@ def test_v_is_not_known_where_the_error_is_not(panda, rng):
         answer = controller.evaluate(state, aj.Measurement(0.0, q, v, seen), x)
         values.append(controller.lyapunov(Instant(q, v, answer.e, x, state, answer, dynamics)))
     assert_allclose(values, [0.5 * v @ dynamics.M(q) @ v, np.nan])
+
+
+@pytest.mark.parametrize(("torque", "said"), [([0.0] * 6, r"\(7,\)"), ([np.nan] * 7, "finite")])
+def test_gravity_of_ones_own_that_is_no_torque_of_the_arm_is_refused(torque, said, panda):
+    class Own(aj.controllers.ModelGravity):
+        def torque(self, q):
+            return np.array(torque)
+
+    with pytest.raises(aj.InvalidInputError, match=rf"torque\(q\).*{said}"):
+        aj.SetpointController(aj.PositionTask(panda), gravity=Own(panda))

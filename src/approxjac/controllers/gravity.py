@@ -328,6 +328,9 @@ def require_gravity(gravity: Gravity, task: Task) -> None:
             f"({', '.join(robot.joint_names)}), got {gravity.robot!r}",
             given=gravity,
         )
+    if isinstance(gravity, ModelGravity | RegressorGravity):  # which may be a class of one's own
+        q = robot.random_configuration(np.random.default_rng(0))
+        as_array(f"torque(q) of {gravity!r}", gravity.torque(q), (robot.nv,), "N m or N")
 
 
 def describe_gravity(gravity: Gravity, believed: Robot) -> str:

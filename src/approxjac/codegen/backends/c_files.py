@@ -171,6 +171,9 @@ def _recorded(step: SampledStep, dt: float) -> list[Record]:
             # a law of one's own may have none where x is lost, which C refuses
             found.append(given | {name: value.ravel() for name, value in answer.items()})
             state = found[-1]["after"]
+    if not found:
+        message = f"controller must answer with a finite torque, got none of {step.controller!r}"
+        raise InvalidInputError(message, given=step.controller)
     return found
 
 
