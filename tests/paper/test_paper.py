@@ -364,6 +364,23 @@ def test_bad_setups_are_refused(changes, error, text):
         paper.Setup(**changes)
 
 
+@pytest.mark.parametrize("friction", [0.0, 50.0])
+def test_figure_1_is_of_the_bound_that_it_is_given(friction, tmp_path, monkeypatch):
+    """Both curves of (23) through their crossing, and Figure 4's own p."""
+    drawn = []
+    monkeypatch.setattr(verdicts.view, "save_figure", lambda figure, stem: drawn.append(figure))
+    bound = paper.jacobian_bound(paper.Setup(friction=friction))
+    verdicts.write_bound(bound, tmp_path)
+    (ax,) = drawn[0].axes
+    velocity, position, crossing, own = ax.lines
+    alpha = math.sqrt(bound.lambda_2)
+    assert_allclose(np.ravel(crossing.get_data()), [alpha, alpha])
+    for line, numerator in ((velocity, lambda a: bound.lambda_2), (position, lambda a: a * alpha)):
+        a, p = line.get_data()
+        assert_allclose(p, 2.0 * numerator(a) / (a + alpha))
+    assert_allclose(own.get_ydata(), bound.p_of_figure_4)
+
+
 def test_the_cross_in_a_figure_is_where_the_target_has_the_tip(usual, tmp_path, monkeypatch):
     drawn = []
     monkeypatch.setattr(verdicts.view, "save_figure", lambda figure, stem: drawn.append(figure))

@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
-from approxjac.view.tree import Tree, joint_positions
+from approxjac.view.tree import Tree, held_objects, joint_positions
 
 INERTIAL = """<inertial><mass value="1"/>
   <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>"""
@@ -81,6 +81,13 @@ def test_a_mimic_joint_is_driven_by_its_leader_whichever_way_it_turns(leader, mu
     expected = {"j1": 0.3, "j2": -0.4}
     expected["j3"] = multiplier * expected[leader] + 0.1
     assert {name: found[column] for name, column in columns.items()} == pytest.approx(expected)
+
+
+def test_an_object_is_as_long_as_it_is_whichever_way_it_points(two_link):
+    arm = aj.load_robot("two_link")
+    for axis in ("x", "-y", (0.0, 1.0, 1.0)):
+        assert held_objects(arm.with_object(0.3, axis=axis)) == pytest.approx({"object": 0.3})
+    assert held_objects(arm) == {}
 
 
 def test_continuous_joints_do_not_jump():

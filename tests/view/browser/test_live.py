@@ -22,6 +22,7 @@ from tornado.websocket import websocket_connect
 
 import approxjac as aj
 from approxjac import view
+from approxjac.cameras import PlanarCamera
 from approxjac.controllers import RegressorGravity
 from approxjac.robots import GravityRegressor
 from approxjac.scenario import build_scenario, run_scenario
@@ -507,6 +508,17 @@ def test_a_pixel_moves_the_image_of_its_point_alone(panda):
     for wrong in (-1.0, 2.0, 0.5):
         with pytest.raises(aj.InvalidInputError, match=f"there is no point {wrong:g} in an image"):
             live_module._target(loop, "pixel", np.array([wrong, 300.0, 200.0]), 1.0)
+
+
+def test_an_image_may_be_moved_about_where_the_base_appears():
+    arm = aj.load_robot("two_link")
+    sensor = aj.ImageTask(arm, PlanarCamera(0.05, 3.0, offset=(0.5, -0.2)))
+    loop = SimpleNamespace(plant=aj.Plant(arm, sensor), target=sensor.value([0.3, 0.8]))
+    moved = live_module._target(loop, "pixel", np.array([0.0, 0.51, -0.21]), 1.0)
+    assert_allclose(moved, [0.51, -0.21])
+    for far in ([0.0, 0.0], [0.56, -0.2], [0.5, -0.26]):
+        with pytest.raises(aj.InvalidInputError, match="from where the base appears"):
+            live_module._target(loop, "pixel", np.array([0.0, *far]), 1.0)
 
 
 def test_a_run_goes_on_at_its_speed_from_where_it_is(panda):

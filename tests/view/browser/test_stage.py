@@ -11,6 +11,7 @@ import approxjac as aj
 from approxjac.cameras import PlanarCamera
 from approxjac.simulation.trajectory import Scene
 from approxjac.tasks import FrameKinematics
+from approxjac.view.browser.page import _image, _plots
 from approxjac.view.browser.stage import Stage, grid
 
 ROOM = aj.PinholeCamera.looking_at((0.8, 0.1, 0.6), (1.0, -3.0, 1.2), 500.0, (640, 480))
@@ -32,6 +33,8 @@ def test_a_point_lies_behind_its_image_as_it_is_drawn(two_link, camera, rng):
     (drawn,) = stage_of(two_link, sensor).cameras
     assert drawn["role"] == "true"
     assert drawn["mount"] == camera.mount
+    if camera is PLANE:  # stands where the pinhole camera that sees the same does
+        assert_allclose(np.abs(drawn["apex"]), [0.0, 3.0 - 0.05, 0.0], atol=1e-12)
     for q in ([0.1, 1.0], [-0.2, -0.7]):
         q, images = np.array(q), sensor.value(np.array(q)).reshape(-1, 2)
         tip = FrameKinematics(two_link, two_link.tip)
@@ -72,6 +75,21 @@ def test_cameras_in_the_world_are_in_view_and_carried_ones_are_not(two_link):
     assert room.camera_points.shape == (5, 3)
     carried = stage_of(two_link, aj.ImageTask(two_link, ON_ARM, points=[[2.0, 0.0, 0.0]]))
     assert carried.camera_points.shape == (0, 3)
+
+
+def test_plots_and_images_are_in_the_units_and_borders_of_what_they_show(two_link):
+    """An image as wide as its camera's; torques of joints that turn, and forces of others."""
+    scene = Scene(two_link, None, aj.ImageTask(two_link, ROOM), None, np.full(2, np.inf))
+    image = _image(scene)
+    assert image["border"] == [-0.5, -0.5, 639.5, 479.5]
+    assert (image["unit"], image["down"], image["points"]) == ("px", True, 1)
+    planar = _image(Scene(two_link, None, aj.ImageTask(two_link, PLANE), None, np.full(2, np.inf)))
+    assert (planar["border"], planar["down"], planar["unit"]) == (None, False, "mm")
+    units = {plot["column"]: plot["unit"] for plot in _plots(scene, ["u", "v"], ("px", "px"))}
+    assert (units["error"], units["torque"]) == ("error [px]", "τ [N m]")
+    limited = Scene(two_link, None, None, None, np.array([9.0, np.inf]))
+    (torque,) = (p for p in _plots(limited, ["x"], ("m",)) if p["column"] == "torque")
+    assert (torque["unit"], torque["lines"]) == ("τ / limit", [-1.0, 1.0])
 
 
 def commands_of(listed):
