@@ -9,7 +9,7 @@ from own_controller import OwnController
 
 import approxjac as aj
 from approxjac.robots import Dynamics
-from approxjac.simulation.plant import JointStops
+from approxjac.simulation.plant import JointStops, _complementary
 
 # mimic and prismatic joints; continuous ones; a wrist of 1e-5 kg m^2 and less; planar
 NAMES = ("panda", "tiago_arm", "kinova", "so101", "two_link")
@@ -174,3 +174,16 @@ def test_joints_without_limits_have_no_stops():
 def test_a_plant_without_stops_says_so():
     assert "joint_limits=False" in repr(plant_of(ARMS["panda"], joint_limits=False))
     assert "joint_limits" not in repr(plant_of(ARMS["panda"]))
+
+
+def test_pushes_end_where_rounding_decides_who_is_held():
+    """Numbers of a run that diverges, for which pivoting goes round in a circle."""
+    A = np.array([
+        [4723368538089741.0, -1575121343.121469, 396640500957657.75],
+        [-1575121343.121469, 525.2774755533669, -132269356.83012931],
+        [396640500957657.75, -132269356.83012931, 33307518930878.867],
+    ])  # fmt: skip
+    b = [1.3599486791494726, 91615.71563256241, 439087.7523436748]
+    push = _complementary(A, np.array(b))
+    assert np.isfinite(push).all()
+    assert (push >= 0.0).all()

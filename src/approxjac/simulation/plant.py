@@ -36,6 +36,7 @@ _INNER = 0.8  # share of each joint's range that they are drawn from
 _HOLDABLE = 0.7  # of the effort limits
 _SHORTEST = 1e-3  # lag of a servo; a run goes on in steps of at most that [s]
 _RATE = 200.0  # natural frequency of a joint on its stop, critically damped [rad/s]
+_PIVOTS = 1000
 _GIVES_WAY = 0.01  # at most under the whole torque of its motor [rad or m]
 _STOP_DRAWN = 50  # configurations, for the usual inertia of a joint
 
@@ -187,13 +188,14 @@ def _complementary(A: Array, b: Array) -> Array:
     """Return p ≥ 0 with Ap ≥ b, one of them an equality in each entry, by Murty's pivoting."""
     held = np.zeros(len(b), dtype=bool)
     rounding = 1e-12 * np.abs(b).max()
-    while True:
+    for _ in range(_PIVOTS):  # without end where a diverging run makes rounding decide
         p = np.zeros(len(b))
         p[held] = np.linalg.solve(A[np.ix_(held, held)], b[held])
         wrong = np.where(held, p < 0.0, A @ p < b - rounding)
         if not wrong.any():
             return p
         held[wrong.argmax()] ^= True
+    return np.maximum(p, 0.0)
 
 
 class Friction(NamedTuple):
