@@ -345,7 +345,7 @@ def test_usual_numbers_are_always_answered(controller, data):
 
     q = pin.integrate(robot.model, robot.neutral(), drawn(robot.nv))
     # values of the task, so that there is a quaternion in a pose
-    x, target = (task.displaced(task._origin, drawn(task.m)) for _ in range(2))
+    x, target = (task.displaced(task.origin, drawn(task.m)) for _ in range(2))
     measurement = aj.Measurement(0.0, q, drawn(robot.nv), x)
     answer = checked(controller, drawn(n_state(controller)), measurement, target)
     assert answer is not None

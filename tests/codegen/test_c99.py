@@ -150,8 +150,8 @@ class InC:
 
         class Target(ctypes.Structure):
             _fields_ = (
-                ("x", double * task.n_x), ("v", double * task._measured.m),
-                ("a", double * task._measured.m),
+                ("x", double * task.n_x), ("v", double * task.measured.m),
+                ("a", double * task.measured.m),
             )  # fmt: skip
 
         class Answer(ctypes.Structure):
@@ -244,8 +244,8 @@ def draws(step, count, seed=0, at_bounds=0.1):
     return {
         "q": q, "v": v, "x": x, "target": target, "state": state, "dt": np.full((count, 1), 1e-3),
         "t": np.zeros((count, 1)), "t_x": np.full((count, 1), np.nan),
-        "target_v": np.zeros((count, task._measured.m)),
-        "target_a": np.zeros((count, task._measured.m)),
+        "target_v": np.zeros((count, task.measured.m)),
+        "target_a": np.zeros((count, task.measured.m)),
     }  # fmt: skip
 
 

@@ -51,7 +51,7 @@ def measured(task, rng, size=0.1, q=None):
     """A state of the arm, and a target that is as far away as `size`."""
     robot = task.robot
     q = robot.random_configuration(rng) if q is None else q
-    x = task._measured._seen(task.value(q))
+    x = task.measured.visible(task.value(q))
     near = np.where(np.isfinite(x), x, 0.0)
     if task.units == ("px",) * task.m:
         near = np.clip(near, 100.0, 400.0)  # within the image

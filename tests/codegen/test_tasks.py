@@ -131,7 +131,7 @@ def test_value_jacobian_and_error_are_those_of_the_task(kind, rng):
     x = exact + 0.01 * rng.normal(size=exact.shape) * (10.0 if "image" in kind else 1.0)
     x_d = np.roll(exact, 1, axis=0)
     seen, value, jacobian, error = evaluated(task, q, x, x_d)
-    right = np.array([task._seen(each) for each in exact])
+    right = np.array([task.visible(each) for each in exact])
     np.testing.assert_allclose(seen, right, rtol=1e-12, atol=1e-12 * np.nanmax(np.abs(exact)))
     np.testing.assert_allclose(value, exact, rtol=1e-12, atol=1e-12 * np.nanmax(np.abs(exact)))
     right = np.array([task.jacobian(*each) for each in zip(q, x, strict=True)])

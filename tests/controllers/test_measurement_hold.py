@@ -222,8 +222,8 @@ def test_before_anything_is_seen_x_is_lost(task, kind, unseen):
 
 
 def test_any_first_x_is_one_that_was_seen_even_where_others_are_measured_from(task):
-    loop = Loop(aj.HeldMeasurement(aj.SetpointController(task), 0.1), task._origin, task._origin)
-    assert loop.step(task._origin).status is Status.OK
+    loop = Loop(aj.HeldMeasurement(aj.SetpointController(task), 0.1), task.origin, task.origin)
+    assert loop.step(task.origin).status is Status.OK
     assert loop.step(LOST).status is Status.MEASUREMENT_HELD
 
 

@@ -706,7 +706,7 @@ class Blind(aj.PositionTask):
 
     wall = 0.0
 
-    def _seen(self, x):
+    def visible(self, x):
         return x if x[0] <= self.wall else np.full(3, np.nan)
 
 
@@ -961,7 +961,7 @@ def test_noise_and_rounding_leave_what_is_not_seen_unseen_and_the_rest_as_it_is(
     for hand in (aj.PositionTask(panda), aj.PoseTask(panda)):
         both = aj.StackedTask(hand, elbow)
         truths = still(both, START, 100)
-        for entries, _ in both._parts:
+        for entries, _ in both.parts:
             hidden = []
             for truth in truths:
                 x = truth.x.copy()

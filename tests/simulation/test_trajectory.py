@@ -185,14 +185,14 @@ MOUNTED = aj.PinholeCamera(500.0, (640, 480), mount="panda_hand")
 )
 def test_every_kind_of_task_is_kept(panda, task_of, tmp_path):
     truth, belief = panda.with_object(0.2, 0.5), panda.with_object(0.0)
-    sensor, task = task_of(truth)._measured, task_of(belief)
+    sensor, task = task_of(truth).measured, task_of(belief)
     controller = aj.SetpointController(task)
     x_d = sensor.value(START)
     run = aj.simulate(aj.Plant(truth, sensor), controller, x_d, START, 0.002, dt=1e-3)
     again = aj.Trajectory.load(run.save(tmp_path / "run"))
     for kept, given in ((again.scene.sensor, sensor), (again.scene.task, task)):
         assert_allclose(kept.value(START), given.value(START), rtol=1e-13)
-        assert kept._measured.labels == given._measured.labels
+        assert kept.measured.labels == given.measured.labels
         for a, b in zip(features(kept), features(given), strict=True):
             assert (a.entries, a.frame, a.axes) == (b.entries, b.frame, b.axes)
             assert type(a.camera) is type(b.camera)

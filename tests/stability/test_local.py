@@ -104,7 +104,7 @@ def test_eigenvalues_are_those_of_the_flow_with_cameras(panda, points, depth, ca
         assert np.abs(expected - eigenvalue).min() < 1e-7 * scale
     if depth not in ("believed", "measured"):  # the depth that is taken is no truth
         J = plant.sensor.jacobian(ON_VIEW)
-        assert np.abs(plant.sensor._sensor_jacobian(ON_VIEW) - J).max() > 10.0
+        assert np.abs(plant.sensor.sensor_jacobian(ON_VIEW) - J).max() > 10.0
 
 
 @pytest.mark.parametrize("view", [VIEWS[0], VIEWS[2]])

@@ -144,8 +144,8 @@ def test_samples_are_what_each_configuration_gives_alone(name, rng):
     plants = [loop.plants[t] for t in samples.truth]
     each = list(zip(plants, samples.q, samples.x_d, strict=True))
     e = [p.sensor.error(p.sensor.value(q), x_d) for p, q, x_d in each]
-    J = [p.sensor._sensor_jacobian(q) for p, q, _ in each]
-    J_e = [p.sensor._error_jacobian(*at) for (p, *_), *at in zip(each, e, J, strict=True)]
+    J = [p.sensor.sensor_jacobian(q) for p, q, _ in each]
+    J_e = [p.sensor.error_jacobian(*at) for (p, *_), *at in zip(each, e, J, strict=True)]
     expected = {
         "M": [p.dynamics.M(q) for p, q, _ in each],
         "dM": [p.dynamics.M_gradient(q) for p, q, _ in each],

@@ -30,7 +30,7 @@ def loop(task=None, **ranges):
 
 def seen(plants, truths, values):
     return all(
-        np.isfinite(plants[t].sensor._seen(x)).all() for t, x in zip(truths, values, strict=True)
+        np.isfinite(plants[t].sensor.visible(x)).all() for t, x in zip(truths, values, strict=True)
     )
 
 
@@ -143,7 +143,7 @@ def test_rollouts_start_and_end_in_view():
     for run in found.runs:
         sensor = errors.plant(run.values).sensor
         assert sees(sensor, run.q0)
-        assert np.isfinite(sensor._seen(run.target)).all()
+        assert np.isfinite(sensor.visible(run.target)).all()
         assert run.converged
 
 

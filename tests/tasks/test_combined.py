@@ -35,11 +35,11 @@ def test_error_and_jacobian_are_combined_and_values_are_not(image, C, rng):
     assert_array_equal(task.value(other), x)
     assert_allclose(task.error(x, x_d), C @ (x - x_d))
     assert_allclose(task.jacobian(Q), C @ image.jacobian(Q))
-    assert_allclose(task._sensor_jacobian(Q), C @ image._sensor_jacobian(Q))
+    assert_allclose(task.sensor_jacobian(Q), C @ image.sensor_jacobian(Q))
     v = rng.normal(size=7)
     assert_allclose(task.jacobian_dot(Q, v), C @ image.jacobian_dot(Q, v))
     assert_allclose(uncombined(task) @ task.jacobian(Q) @ v, image.jacobian(Q) @ v)
-    assert task._measured is image
+    assert task.measured is image
     assert task.labels == ("c1", "c2", "c3", "c4")
     assert set(task.units) == {"px"}
     e = rng.normal(size=4)
@@ -53,7 +53,7 @@ def test_of_a_pose_the_error_is_combined_too(panda, rng):
     task = CombinedTask(pose, C)
     h, other = 1e-6, pin.integrate(panda.model, Q, 0.3 * rng.normal(size=7))
     x_d = pose.value(Q)
-    J_e = task._error_jacobian(task.error(task.value(other), x_d), task.jacobian(other))
+    J_e = task.error_jacobian(task.error(task.value(other), x_d), task.jacobian(other))
     columns = [
         (
             task.error(task.value(pin.integrate(panda.model, other, h * unit)), x_d)
@@ -196,7 +196,7 @@ def test_stacked_and_designed_tasks_take_what_is_measured(image, rng):
     designed = NonsingularTask(CombinedTask(image, C), {"panda_joint4": 0.2})
     v = rng.normal(size=7)
     for task, sensor in ((stacked, aj.StackedTask(image, posture)), (designed, image)):
-        assert task._measured.labels == sensor.labels
+        assert task.measured.labels == sensor.labels
         if task is stacked:
             assert_allclose(uncombined(task) @ task.jacobian(Q) @ v, sensor.jacobian(Q) @ v)
         else:  # as the design has it

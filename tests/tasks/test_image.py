@@ -73,7 +73,7 @@ def test_jacobian_rates_by_differences_of_order_four_on_every_arm_and_camera(arm
     robot = arm.with_object(0.2, 0.5)
     q, v = arm.random_configuration(rng), rng.uniform(-1, 1, arm.nv)
     for task in cases(robot, q):
-        if task._uses_x:
+        if task.uses_x:
             continue
         steps = (h, -h, 2 * h, -2 * h)
         a, b, aa, bb = (task.jacobian(pin.integrate(arm.model, q, s * v)) for s in steps)
@@ -92,7 +92,7 @@ def test_values_are_projections_of_the_points(panda, rng):
     assert task.labels == ("u1", "v1", "u2", "v2", "u3", "v3")
     assert task.units == ("px",) * 6
     assert set(task.units) == {"px"}
-    assert [task.value(q)[x] for x, _ in task._parts][1] == pytest.approx(expected[1])
+    assert [task.value(q)[x] for x, _ in task.parts][1] == pytest.approx(expected[1])
     assert watching(panda, q).labels == ("u", "v")
     assert_allclose(task.depths(q), [task.camera.in_camera(R @ x + p)[2] for x in POINTS])
 
@@ -123,15 +123,15 @@ def test_an_exact_depth_gives_the_exact_jacobian(panda, rng):
 def test_a_sensor_moves_by_the_depths_that_are_so(panda, rng, depth):
     q = panda.random_configuration(rng)
     exact, sensor = watching(panda, q, points=2), watching(panda, q, points=2, depth=depth)
-    assert_allclose(sensor._sensor_jacobian(q), exact.jacobian(q))
+    assert_allclose(sensor.sensor_jacobian(q), exact.jacobian(q))
     position = aj.PositionTask(panda, axes="z")
     stacked = aj.StackedTask(sensor, position)
-    assert_allclose(stacked._sensor_jacobian(q)[:4], exact.jacobian(q))
-    assert_allclose(stacked._sensor_jacobian(q)[4:], position.jacobian(q))
+    assert_allclose(stacked.sensor_jacobian(q)[:4], exact.jacobian(q))
+    assert_allclose(stacked.sensor_jacobian(q)[4:], position.jacobian(q))
     designed = NonsingularTask(sensor, {"panda_joint4": 0.3})
-    assert_allclose(designed._sensor_jacobian(q), exact.jacobian(q))
+    assert_allclose(designed.sensor_jacobian(q), exact.jacobian(q))
     with pytest.raises(aj.InvalidInputError, match=r"q must have shape \(7,\)"):
-        sensor._sensor_jacobian(q[:3])
+        sensor.sensor_jacobian(q[:3])
 
 
 def test_all_points_must_be_seen(panda, rng):
@@ -167,7 +167,7 @@ def test_lost_images_are_replaced_by_what_the_belief_sees(panda, rng, depth):
     x = task.value(q)
     x[:2] += 30.0
     partly = x.copy()
-    partly[task._parts[1][0]] = np.nan
+    partly[task.parts[1][0]] = np.nan
     expected = task.jacobian(q, x)
     assert_allclose(task.jacobian(q, partly), expected)  # the second one was the belief's own
     assert_allclose(task.jacobian(q, np.full(task.n_x, np.nan)), task.jacobian(q))
@@ -190,9 +190,9 @@ def test_a_depth_that_is_none_is_taken_as_the_belief_has_it(panda, rng, depth):
 def test_the_believed_depth_needs_no_measurement(panda, rng):
     q = panda.random_configuration(rng)
     task = watching(panda, q)
-    assert not task._uses_x
+    assert not task.uses_x
     assert_array_equal(task.jacobian(q, rng.normal(size=2)), task.jacobian(q))
-    assert watching(panda, q, depth=1.0)._uses_x
+    assert watching(panda, q, depth=1.0).uses_x
 
 
 def test_stacked_with_other_tasks(panda, rng):
@@ -203,13 +203,13 @@ def test_stacked_with_other_tasks(panda, rng):
     x = stack.value(q)
     assert stack.labels == ("1.z", "2.u1", "2.v1", "2.u2", "2.v2")
     assert (stack.n_x, stack.m) == (7, 5)
-    assert stack._uses_x
-    assert stack._parts == (
+    assert stack.uses_x
+    assert stack.parts == (
         (slice(0, 1), slice(0, 1)), (slice(1, 4), slice(1, 3)), (slice(4, 7), slice(3, 5)),
     )  # fmt: skip
     assert_allclose(stack.jacobian(q, x)[1:], image.jacobian(q, x[1:]))
     x[1] = 1e5
-    seen = stack._seen(x)
+    seen = stack.visible(x)
     assert_array_equal(np.isnan(seen), [False, True, True, True, False, False, False])
 
 

@@ -147,11 +147,11 @@ def test_all_else_is_that_of_the_task(panda, rng):
     assert_allclose(designed.value(q), pose.value(q), atol=0)
     e = pose.error(x, x_d)
     assert_allclose(designed.error(x, x_d), e, atol=0)
-    assert_allclose(designed._origin, pose._origin, atol=0)
+    assert_allclose(designed.origin, pose.origin, atol=0)
     assert_allclose(designed.displaced(x, e), pose.displaced(x, e), atol=0)
     assert_allclose(
-        designed._error_jacobian(e, pose.jacobian(q)),
-        pose._error_jacobian(e, pose.jacobian(q)),
+        designed.error_jacobian(e, pose.jacobian(q)),
+        pose.error_jacobian(e, pose.jacobian(q)),
         atol=0,
     )
     assert repr(designed) == f"NonsingularTask({pose!r}, bend={{'panda_joint4': 0.3}})"

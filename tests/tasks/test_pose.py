@@ -189,8 +189,8 @@ def test_the_error_to_where_it_was_displaced_from_is_the_displacement(x, displac
 @given(displacements)
 def test_the_origin_is_no_rotation(displacement):
     task = panda_pose()
-    assert_allclose(task.target(task._origin), [0, 0, 0, 0, 0, 0, 1])
-    x = task.displaced(task._origin, displacement)
+    assert_allclose(task.target(task.origin), [0, 0, 0, 0, 0, 0, 1])
+    x = task.displaced(task.origin, displacement)
     assert_allclose(x[:3], displacement[:3])
     R = pin.XYZQUATToSE3(x).rotation
     assert_allclose(R, pin.exp3(displacement[3:]), atol=1e-14)
@@ -198,7 +198,7 @@ def test_the_origin_is_no_rotation(displacement):
 
 def error_rate(error, velocity):
     """ė where the geometric Jacobian gives a velocity and an angular velocity."""
-    return panda_pose()._error_jacobian(error, velocity[:, np.newaxis])[:, 0]
+    return panda_pose().error_jacobian(error, velocity[:, np.newaxis])[:, 0]
 
 
 @given(displacements, vectors, vectors)
@@ -273,10 +273,10 @@ def test_law_5_is_for_what_subtracts(panda):
         NonsingularTask(position, bend),
         aj.StackedTask(position, aj.PositionTask(panda, "panda_link4", "z")),
     ):
-        assert task._subtracts
+        assert task.subtracts
         aj.SetpointController(task, gains, velocity=differentiated)
     for task in (pose, NonsingularTask(pose, bend), aj.StackedTask(pose)):
-        assert not task._subtracts
+        assert not task.subtracts
         with pytest.raises(aj.InvalidInputError, match=r"law \(5\) .* whose error is x - x_d"):
             aj.SetpointController(task, gains, velocity=differentiated)
 

@@ -37,9 +37,9 @@ def test_everything_is_that_of_the_parts_one_after_the_other(panda, parts, stack
     assert_allclose(J[1:], pose.jacobian(q), atol=0)
     assert_allclose(J_dot[:1], height.jacobian_dot(q, v), atol=0)
     assert_allclose(J_dot[1:], pose.jacobian_dot(q, v), atol=0)
-    rate = stacked._error_jacobian(error, J) @ v
+    rate = stacked.error_jacobian(error, J) @ v
     assert_allclose(rate[:1], height.jacobian(q) @ v, atol=1e-15)
-    assert_allclose(rate[1:], pose._error_jacobian(error[1:], pose.jacobian(q)) @ v, atol=1e-15)
+    assert_allclose(rate[1:], pose.error_jacobian(error[1:], pose.jacobian(q)) @ v, atol=1e-15)
     assert not np.allclose(rate[4:], (J @ v)[4:])  # the rotation vector has a rate of its own
 
 
@@ -57,7 +57,7 @@ def test_displaced_values_have_the_displacement_as_their_error(panda, stacked, r
         x = stacked.value(panda.random_configuration(rng))
         displacement = rng.uniform(-1.5, 1.5, 7)
         assert_allclose(stacked.error(stacked.displaced(x, displacement), x), displacement, 1e-12)
-    assert_allclose(stacked._origin, [0, 0, 0, 0, 0, 0, 0, 1])
+    assert_allclose(stacked.origin, [0, 0, 0, 0, 0, 0, 0, 1])
 
 
 def test_a_stack_of_stacks_is_as_good_as_one(panda, parts, rng):
@@ -131,8 +131,8 @@ def test_each_part_of_x_is_in_its_own_coordinates_of_the_error(panda, watched, s
     q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
     for task, parts in ((watched, 4), (stacked, 2)):
         x, seen = task.value(q), np.zeros(task.m)
-        assert len(task._parts) == parts
-        for entries, rows in task._parts:
+        assert len(task.parts) == parts
+        for entries, rows in task.parts:
             lost = x.copy()
             lost[entries] = np.nan
             own = np.isnan(task.error(lost, x))

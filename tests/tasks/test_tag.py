@@ -101,7 +101,7 @@ def test_a_tag_reaches_its_place_in_the_image_and_nothing_is_singular(panda, opt
     law = aj.SetpointController(task, aj.default_gains(task, settling_time=1.5))
     law = aj.HeldMeasurement(law, unseen=60.0)
     start = Q + AWAY
-    assert np.isfinite(sensor._seen(sensor.value(start))).all()
+    assert np.isfinite(sensor.visible(sensor.value(start))).all()
     plant = aj.Plant(panda, sensor, torque_limits=panda.effort_limits)
     run = aj.simulate(
         plant,
@@ -150,7 +150,7 @@ def test_a_target_moves_in_the_image(panda):
         state, answer = held.step(state, measured, moving, 1e-3)
         assert np.isfinite(answer.torque).all()
     stacked = aj.StackedTask(task, aj.PositionTask(panda, "panda_link4", axes="z"))
-    assert (stacked.m, stacked._measured.m) == (7, 9)
+    assert (stacked.m, stacked.measured.m) == (7, 9)
     held = aj.HeldMeasurement(aj.SetpointController(stacked), unseen=[30.0] * 8 + [0.1])
     measured = aj.Measurement(0.0, Q, v, stacked.value(Q))
     state = held.initial_state(measured)
@@ -211,15 +211,15 @@ def test_corners_in_the_right_order_are_accepted_with_a_wrong_camera(panda):
     sensor = tag_in_view(panda)
     x = sensor.value(Q)
     for nothing in (np.zeros(8), np.full(8, 1e200), np.tile([1e300, -1e300], 4), x * np.inf):
-        assert not sensor._is_mirrored(nothing, x)
-        assert not sensor._is_mirrored(the_other_way(x), nothing)
+        assert not sensor.is_mirrored(nothing, x)
+        assert not sensor.is_mirrored(the_other_way(x), nothing)
     for roll in (80.0, -170.0):
         task = CombinedTask(believed(sensor, roll, 1.5), np.eye(6, 8))
         held(task).initial_state(at(Q, x))
         lost = np.where(np.arange(8) < 2, np.nan, the_other_way(x))
         held(task).initial_state(at(Q, lost))  # nothing to compare
     steep = tag_in_view(panda, tilt=78.0)  # nearly edge on
-    assert not steep._is_mirrored(steep.value(Q), the_other_way(steep.value(Q)))
+    assert not steep.is_mirrored(steep.value(Q), the_other_way(steep.value(Q)))
     eye = aj.PinholeCamera(600.0, (640, 480), position=(0.05, 0.0, 0.0), mount=panda.tip)
     R, p = aj.tasks.FrameKinematics(panda, panda.tip).placement(Q)
     pose = np.eye(4)
@@ -230,7 +230,7 @@ def test_corners_in_the_right_order_are_accepted_with_a_wrong_camera(panda):
     with pytest.raises(aj.InvalidInputError, match="as if in a mirror"):
         held(wrong).initial_state(at(Q, the_other_way(image.value(Q))))
     crossed = aj.ImageTask(panda, sensor.camera, points=sensor.points[[0, 2, 1, 3]])
-    assert not crossed._is_mirrored(crossed.value(Q), the_other_way(crossed.value(Q)))
+    assert not crossed.is_mirrored(crossed.value(Q), the_other_way(crossed.value(Q)))
 
 
 @pytest.mark.study

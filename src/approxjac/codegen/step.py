@@ -164,7 +164,7 @@ class _MachineCode:
         has_rate, has_gravity, has_J = (name in place for name in ("rate", "gravity", "J_hat"))
         verdict_at = slice(place["status"].start - first, place["usual"].stop - first)
         learnt_at = slice(law.resting, law.resting + getattr(law.kinematics, "n_state", 0))
-        J_shape, m, shapes = (task.m, task.robot.nv), (task._measured.m,), (
+        J_shape, m, shapes = (task.m, task.robot.nv), (task.measured.m,), (
             q_in.shape, v_in.shape, x_in.shape, target_in.shape, state_in.shape
         )  # fmt: skip
         own_rate = np.zeros(0) if "rate" in place else None  # of a law without a state

@@ -99,7 +99,7 @@ def first_state(controller: Controller) -> Array:
     task, robot = controller.task, controller.task.robot
     q = robot.neutral()
     x = task.value(q)
-    x = np.where(np.isfinite(x), x, task._origin)
+    x = np.where(np.isfinite(x), x, task.origin)
     return controller.initial_state(Measurement(0.0, q, np.zeros(robot.nv), x, 0.0))
 
 
@@ -117,7 +117,7 @@ def argument_sizes(controller: Controller) -> dict[str, int]:
         "state": len(first_state(controller)), "dt": 1, "t": 1, "t_x": 1,
     }  # fmt: skip
     if is_ours(controller):
-        sizes |= dict.fromkeys(("target_v", "target_a"), task._measured.m)
+        sizes |= dict.fromkeys(("target_v", "target_a"), task.measured.m)
     return sizes
 
 

@@ -77,7 +77,7 @@ def is_lost(
     require_finite(q, v, target, state, task)
     if np.isfinite(e).all():
         return False
-    if np.isfinite(x).all() and task._subtracts:
+    if np.isfinite(x).all() and task.subtracts:
         raise MeasurementError(
             f"the error overflows: x = {x.tolist()} is beyond what the law can be evaluated at",
             given=x,

@@ -61,11 +61,11 @@ class HeldMeasurement(ControllerWrapper):
         self._require_measured(controller)
         task = controller.task
         self.controller = controller
-        self._measured = task._measured  # whose parts are lost one by one
+        self._measured = task.measured  # whose parts are lost one by one
         m = self._measured.m
         self.unseen = as_limits("unseen", unseen, m, unit=joined(self._measured.units))
-        self._parts, self._most = task._parts, self.unseen.tolist()
-        self._origin = task._origin
+        self._parts, self._most = task.parts, self.unseen.tolist()
+        self._origin = task.origin
         self._uncombined = uncombined(task)
         self._memory = task.n_x + 1 + m + len(self._parts)
 
@@ -94,7 +94,7 @@ class HeldMeasurement(ControllerWrapper):
             require_array("x", x, len(self._origin), self.controller.task)
             t_x = time_of_x(t_x)
         # numbers may be no measurement all the same, such as a quaternion of zeros
-        errors = x if self._measured._subtracts else self._measured.error(x, self._origin)
+        errors = x if self._measured.subtracts else self._measured.error(x, self._origin)
         taken, knows_time = (0.0, False) if t_x is None else (t_x, True)
         if hasattr(t_x, "graph"):  # a symbol, NaN where it is not known
             knows_time = t_x == t_x

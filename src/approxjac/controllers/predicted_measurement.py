@@ -99,7 +99,7 @@ class PredictedMeasurement(ControllerWrapper):
     def initial_state(self, measurement: Measurement) -> Array:
         """Return the state before the first step."""
         if not hasattr(getattr(measurement, "q", None), "arm_of"):  # or it is of symbols
-            require_arrays(np.zeros(0), measurement, self.task._origin, self.task, 0)
+            require_arrays(np.zeros(0), measurement, self.task.origin, self.task, 0)
         return self._started(self.kinematics.initial_state(measurement), measurement)
 
     def resumed(self, state: Array, measurement: Measurement) -> Array:
@@ -112,7 +112,7 @@ class PredictedMeasurement(ControllerWrapper):
         return fresh
 
     def _started(self, known: Array, measurement: Measurement) -> Array:
-        seen, _ = self._predicted(known, measurement, Target(self.task._origin))
+        seen, _ = self._predicted(known, measurement, Target(self.task.origin))
         return np.concatenate([self.controller.initial_state(seen), known])
 
     def step(
@@ -171,7 +171,7 @@ class PredictedMeasurement(ControllerWrapper):
 class _WithJacobian(Task):
     """A task with X = (its error, Ĵ row by row), so that a law takes the Ĵ that comes with x."""
 
-    _uses_x = True
+    uses_x = True
 
     def __init__(self, task: Task) -> None:
         super().__init__(task.robot, task.labels, task.units, task.m * (1 + task.robot.nv))
@@ -179,7 +179,7 @@ class _WithJacobian(Task):
 
     def value(self, q: Array) -> Array:
         plain = self._plain
-        z = plain.error(plain.value(q), plain._origin)
+        z = plain.error(plain.value(q), plain.origin)
         return np.concatenate([z, plain.jacobian(q).ravel()])
 
     def jacobian(self, q: Array, x: Array | None = None) -> Array:

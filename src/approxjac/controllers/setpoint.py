@@ -161,7 +161,7 @@ class SetpointController(Immutable, Controller):
         self.gain_values = self.diagonals._asdict()
         require_saturation(self.saturation, task)
         require_damping(self.gains, self.diagonals, task)
-        if velocity is not None and not task._subtracts:
+        if velocity is not None and not task.subtracts:
             raise InvalidInputError(
                 f"law (5) differentiates x and needs a task whose error is x - x_d, got {task!r}",
                 given=velocity,
@@ -182,7 +182,7 @@ class SetpointController(Immutable, Controller):
         self._pull = None
         if posture is not None:
             self._pull = posture.torque(task, self.diagonals, slow_rate(task, self.diagonals))
-        self.reach, self._subtracts = Reach(task), task._subtracts  # as most do
+        self.reach, self._subtracts = Reach(task), task.subtracts  # as most do
         self._combination = analysis.combination(task)  # a target moves as what is measured does
         self._continuous = robot.nq != robot.nv
         self._no_rate = np.zeros(self.resting + (0 if velocity is None else task.m))

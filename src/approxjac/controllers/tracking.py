@@ -307,7 +307,7 @@ class TrackingController(Immutable, Controller):
         """Return a target and a measurement that the law can be evaluated with, or refuse."""
         task = self.task
         target = with_rates(
-            target if isinstance(target, Target) else Target(target), task._measured.m
+            target if isinstance(target, Target) else Target(target), task.measured.m
         )
         x_d = target.x
         q, v, x = require_arrays(state, measurement, x_d, task, self.n_state)
@@ -318,7 +318,7 @@ class TrackingController(Immutable, Controller):
             measurement = measurement._replace(x=np.where(x * x < HUGE, x, math.nan))
         if self._continuous:
             task.robot.configuration(q)
-        if not task._subtracts:
+        if not task.subtracts:
             task.target(x_d)
         return target, measurement
 

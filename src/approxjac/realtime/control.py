@@ -134,7 +134,7 @@ def control(
     """
     require("driver", driver, Driver, "a Driver, with read, send and brake")
     # the robot as it is believed to be, which takes what the controller commands
-    task, robot = controller.task._measured, controller.task.robot
+    task, robot = controller.task.measured, controller.task.robot
     servo = VelocityServo() if controller.command == "velocity" else None
     adds = robot if driver.adds_gravity and servo is None else None
     plant = Plant(robot, task, adds_gravity=adds, servo=servo)

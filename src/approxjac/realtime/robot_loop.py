@@ -74,7 +74,7 @@ class RobotLoop(Loop):
         fastest = np.asarray(driver.limits.for_joints(robot.nv).velocity)
         self._begun = first.t
         self.truth = self.measurement = self._timed(first)
-        self._ease(first.x, np.zeros(controller.task._measured.m))
+        self._ease(first.x, np.zeros(controller.task.measured.m))
         self._aim()
         self.state = first_state(plant, controller, self._wanted, self.measurement, self.dt, state)
         self._control()
@@ -145,7 +145,7 @@ class RobotLoop(Loop):
 
     def _halt(self) -> None:
         self.halting = True
-        task, velocity = self.controller.task._measured, self._velocity
+        task, velocity = self.controller.task.measured, self._velocity
         stop = Halt(task, self.step * self.dt, self.target, velocity, _HALT)
         error = task.error(self.truth.x, self.target)
         faster = task.jacobian(self.truth.q) @ self.truth.v - velocity
@@ -173,7 +173,7 @@ class RobotLoop(Loop):
         self._sensor = SensorWatch(task, self.dt, accuracy, blind, self.learns_sensor)
 
     def _ease(self, x: Array, velocity: Array) -> None:
-        task, now = self.controller.task._measured, self.step * self.dt
+        task, now = self.controller.task.measured, self.step * self.dt
         self._eased = Eased(task, self.path, now, x, velocity, self._speeds)
 
     def trajectory(self) -> Trajectory:
@@ -199,14 +199,14 @@ class RobotLoop(Loop):
     @property
     def _velocity(self) -> Array:
         v = self._wanted.v
-        return np.zeros(self.controller.task._measured.m) if v is None else v
+        return np.zeros(self.controller.task.measured.m) if v is None else v
 
     def _aim(self) -> None:
         self._wanted = self._eased.at(self.step * self.dt)
         self.target = x_of(self._wanted)
 
     def _look(self, measurement: Measurement) -> None:
-        x, task = measurement.x, self.controller.task._measured
+        x, task = measurement.x, self.controller.task.measured
         sees = bool(np.isfinite(x).all())
         if self._blind and sees and not self.halting:
             self._ease(x, np.zeros(task.m))  # from where it is seen again

@@ -252,10 +252,10 @@ class SensorWatch:
     def __init__(
         self, task: Task, dt: float, accuracy: Accuracy, unseen: Array, is_learnt: bool
     ) -> None:
-        self._task, self._dt, self._unseen = task._measured, dt, unseen
+        self._task, self._dt, self._unseen = task.measured, dt, unseen
         self._is_learnt, self._tool = is_learnt, accuracy.tool
         # a task of several ends has no one tip; its tool counts as known then
-        tip, self._turn, features = task.robot.tip, np.eye(3), self._task._features
+        tip, self._turn, features = task.robot.tip, np.eye(3), self._task.features
         units = list(self._task.units)
         # positions along all axes, in the axes of a tracker where one is believed
         self._is_spatial = len(features) == 1 and features[0].axes == "xyz"

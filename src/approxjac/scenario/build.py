@@ -213,7 +213,7 @@ def _target(
         return sensor.value(draw())
     if isinstance(sensor, ImageTask) and "px" in sensor.units:  # a target has no depths
         images = coordinates("at", goal.at)
-        return sensor.target(with_error(sensor, sensor.value(draw()), sensor._origin, images))
+        return sensor.target(with_error(sensor, sensor.value(draw()), sensor.origin, images))
     return sensor.target(goal.at)
 
 

@@ -384,7 +384,7 @@ class Plant(Immutable):
     def require_task(self, task: Task) -> None:
         """Raise an InvalidInputError if a task's errors are not in the sensor's coordinates."""
         self._require_same(task, self.sensor, task)
-        origin = self.sensor._origin
+        origin = self.sensor.origin
         for unit in np.eye(task.m):
             x = self.sensor.displaced(origin, unit)
             ours, theirs = self.sensor.error(x, origin), task.error(x, origin)
@@ -397,7 +397,7 @@ class Plant(Immutable):
 
     def require_measured(self, task: Task) -> None:
         """Raise an InvalidInputError if a task is for another x than the sensor measures."""
-        self._require_same(task, self.sensor._measured, task._measured)
+        self._require_same(task, self.sensor.measured, task.measured)
 
     def _require_same(self, task: Task, sensor: Task, wanted: Task) -> None:
         if self.robot.nv != task.robot.nv:
@@ -490,7 +490,7 @@ class Plant(Immutable):
     def measure(self, t: float, q: Array, v: Array) -> Measurement:
         """Return the measurement of ideal sensors at t [s]; x is NaN where it is not seen."""
         q, v = self.robot.configuration(q), as_vector("v", v, self.robot.nv)
-        return Measurement(t, q, v, self.sensor._seen(self.sensor.value(q)), t)
+        return Measurement(t, q, v, self.sensor.visible(self.sensor.value(q)), t)
 
     def __repr__(self) -> str:
         shown = [repr(self.robot.name), repr(self.sensor)]

@@ -174,7 +174,7 @@ def imaged(task: Task, x: Array, noise: Array | None, quantum: Array) -> Array:
     if noise is not None:
         x = task.displaced(x, noise)
     if quantum.any():
-        origin = task._origin
+        origin = task.origin
         x = with_error(task, x, origin, rounded(task.error(x, origin), quantum))
     return x
 
@@ -192,7 +192,7 @@ def filtered(v: Array, slope: Array, time_constant: float, dt: float) -> Array:
 
 def lost_entries(sensing: Sensing, task: Task) -> list[slice]:
     """Return the entries of x that are lost in each of the intervals `x_lost`."""
-    parts = task._parts
+    parts = task.parts
     wrong = [i for _, _, *part in sensing.x_lost for i in part if i >= len(parts)]
     if wrong:
         raise InvalidInputError(

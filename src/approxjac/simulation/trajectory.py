@@ -522,7 +522,7 @@ class Record:
 
 def _errors(sensor: Task, x: Array, x_d: Array) -> Array:
     """Return the task errors of values (N, n_x), shape (N, m)."""
-    if sensor._subtracts:
+    if sensor.subtracts:
         return np.asarray(x - x_d)
     return np.array([sensor.error(*pair) for pair in zip(x, x_d, strict=True)])
 

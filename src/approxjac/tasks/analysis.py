@@ -32,13 +32,13 @@ def jacobian_gradient(task: Task, q: Array) -> Array:
 def with_error(task: Task, x: Array, x_d: Array, e: Array) -> Array:
     """Return the value whose error to x_d is e (m,); entries without an error as in x; (n_x,)."""
     value = task.displaced(x_d, e)
-    value[task._untold] = x[task._untold]
+    value[task.ignored] = x[task.ignored]
     return value
 
 
 def combination(task: Task) -> Array:
     """Return the matrix from errors of the measured value to those of the task."""
-    measured, origin = task._measured, task._origin
+    measured, origin = task.measured, task.origin
     if measured is task:
         return np.eye(task.m)
     units = [measured.displaced(origin, unit) for unit in np.eye(measured.m)]
@@ -47,7 +47,7 @@ def combination(task: Task) -> Array:
 
 def uncombined(task: Task) -> Array | None:
     """Return the matrix from a task's errors to the smallest measured ones; None for I."""
-    return None if task._measured is task else np.asarray(np.linalg.pinv(combination(task)))
+    return None if task.measured is task else np.asarray(np.linalg.pinv(combination(task)))
 
 
 def controllable_coordinates(task: Task) -> int:
@@ -77,7 +77,7 @@ def require_controllable(task: Task) -> None:
 
 def features(task: Task | None) -> tuple[Feature, ...]:
     """Return the features that a task follows; none for a user's own task."""
-    return () if task is None else task._features
+    return () if task is None else task.features
 
 
 def place_of(task: Task, x: Array) -> Array | None:
@@ -93,7 +93,7 @@ def image_feature(task: Task | None) -> Feature | None:
 
 def require_unmirrored(task: Task, name: str, x: Array, like: Array, whose: str) -> None:
     """Raise an InvalidInputError if a value's points run in the opposite sense to another's."""
-    if task._is_mirrored(x, like):
+    if task.is_mirrored(x, like):
         raise InvalidInputError(
             f"{name} must have its points in the task's order: they run round the other way than "
             f"in {whose}, as if in a mirror; pupil-apriltags' corners are to be reversed, "
@@ -110,9 +110,9 @@ def require_as_believed(task: Task, q: Array, x: Array) -> None:
 
 def sees(task: Task, q: Array) -> bool:
     """Return True if a sensor delivers all of a task's value at q (nq,)."""
-    if type(task)._seen is Task._seen:
+    if type(task).visible is Task.visible:
         return True
-    return bool(np.isfinite(task._seen(task.value(q))).all())
+    return bool(np.isfinite(task.visible(task.value(q))).all())
 
 
 def seen_configurations(task: Task, count: int) -> list[Array]:
@@ -140,7 +140,7 @@ def vanishing(task: Task) -> float:
 
 def require_jacobian_of_q(task: Task, what: str) -> None:
     """Raise an InvalidInputError if a task's Jacobian uses the measured x."""
-    if task._uses_x:
+    if task.uses_x:
         raise InvalidInputError(
             f"{what} is for a task whose Jacobian depends on q only and has a rate, such as an "
             f"ImageTask with depth='believed', got {task!r}; local_stability and rollouts are for "

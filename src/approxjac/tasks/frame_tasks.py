@@ -197,7 +197,7 @@ class _FrameTask(Task):
         super().__init__(robot, labels, units, n_x)
         self.frame = robot.tip_or(frame)
         self._frame = FrameKinematics(robot, self.frame)
-        self._features = (Feature(slice(0, self.n_x), self.frame, "".join(labels[:3])),)
+        self.features = (Feature(slice(0, self.n_x), self.frame, "".join(labels[:3])),)
 
     def jacobian(self, q: Array, x: Array | None = None) -> Array:
         return self._of_error(self._frame.jacobian(q))
@@ -286,7 +286,7 @@ class PoseTask(_FrameTask):
     def __init__(self, robot: Robot, frame: str | None = None) -> None:
         labels = ("x", "y", "z", "rx", "ry", "rz")
         super().__init__(robot, frame, labels, ("m",) * 3 + ("rad",) * 3, 7)
-        self._origin = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])  # no rotation
+        vars(self).update(origin=np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]))  # no rotation
 
     def value(self, q: Array) -> Array:
         return self._frame.pose(q)
@@ -304,7 +304,7 @@ class PoseTask(_FrameTask):
     def on(self, robot: Robot) -> PoseTask:
         return PoseTask(robot, self.frame)
 
-    def _error_jacobian(self, e: Array, J: Array) -> Array:
+    def error_jacobian(self, e: Array, J: Array) -> Array:
         rates = pin.Jlog3(pin.exp3(e[3:])).T  # φ̇ = rates ω, as ω is in world axes
         return np.concatenate([J[:3], rates @ J[3:]])
 
@@ -326,8 +326,8 @@ class _Tracked(_FrameTask):
         self.rotation = as_array("rotation", rotation, (3,), "rad")
         self.offset = as_array("offset", offset, (3,), "m")
         self._R: Array = pin.exp3(self.rotation)
-        (feature,) = self._features
-        self._features = (feature._replace(placed=(self._R, self.offset)),)
+        (feature,) = self.features
+        vars(self).update(features=(feature._replace(placed=(self._R, self.offset)),))
 
     def value(self, q: Array) -> Array:
         return self._R @ self._frame.position(q) + self.offset

@@ -48,7 +48,7 @@ class ImageTask(Task):
     """
 
     _kind = "image"
-    _overdetermined = True
+    overdetermined = True
 
     def __init__(
         self,
@@ -72,22 +72,24 @@ class ImageTask(Task):
         k = len(self.points)
         self.depth = _depth(depth, k)
         measured = isinstance(self.depth, str) and self.depth == "measured"
-        self._uses_x = not isinstance(self.depth, str) or measured
-        if self._uses_x:
+        self.uses_x = not isinstance(self.depth, str) or measured
+        if self.uses_x:
             require("camera of a task with depths", camera, PinholeCamera, "a PinholeCamera")
         self._stride = n = 3 if measured else 2  # entries of x for each point
         numbers = range(1, k + 1) if k > 1 else [""]
         labels = [f"{label}{number}" for number in numbers for label in camera.labels]
         super().__init__(robot, labels, (camera.unit,) * (2 * k), n * k)
-        self._subtracts = not measured
         self._roundness = _roundness(self.points) if isinstance(camera, PinholeCamera) else 0.0
-        self._untold = list(range(2, n * k, 3)) if measured else []
-        self._parts = tuple((slice(n * i, n * i + n), slice(2 * i, 2 * i + 2)) for i in range(k))
+        vars(self).update(
+            subtracts=not measured,
+            ignored=list(range(2, n * k, 3)) if measured else [],
+            parts=tuple((slice(n * i, n * i + n), slice(2 * i, 2 * i + 2)) for i in range(k)),
+        )
         if frame is not None or camera.mount is None:
             frame = robot.tip_or(frame)
         self.frame = frame
         self._kinematics = PointKinematics(robot, self.points, frame, camera.mount)
-        self._features = (Feature(slice(0, n * k), frame, "", camera, self.points),)
+        self.features = (Feature(slice(0, n * k), frame, "", camera, self.points),)
         if camera.mount is not None and _joint_of(robot, frame) == _joint_of(robot, camera.mount):
             watched = "the world" if frame is None else repr(frame)
             raise InvalidInputError(
@@ -112,7 +114,7 @@ class ImageTask(Task):
             entries = [part for pair in zip(entries, depths, strict=True) for part in pair]
         return np.concatenate(entries)
 
-    def _seen(self, x: Array) -> Array:
+    def visible(self, x: Array) -> Array:
         points = x.reshape(-1, self._stride)
         lost = np.full(self._stride, np.nan)
         return np.concatenate(
@@ -122,7 +124,7 @@ class ImageTask(Task):
             ]
         )
 
-    def _is_mirrored(self, x: Array, other: Array) -> bool:
+    def is_mirrored(self, x: Array, other: Array) -> bool:
         if not self._roundness:
             return False
         a, b = (_turn(self._images(each)) for each in (x, other))  # NaN of what is lost
@@ -131,7 +133,7 @@ class ImageTask(Task):
 
     def target(self, x_d: object) -> Array:
         target = super().target(x_d)
-        outside = np.nonzero(~np.isfinite(self._images(self._seen(target))).all(axis=1))[0]
+        outside = np.nonzero(~np.isfinite(self._images(self.visible(target))).all(axis=1))[0]
         if len(outside):
             size = getattr(self.camera, "size", None)
             where = "" if size is None else f" of {size[0]} x {size[1]} px"
@@ -148,9 +150,9 @@ class ImageTask(Task):
         return np.array([self._pinhole.in_camera(r)[2] for r in self._kinematics.positions(q)])
 
     def jacobian(self, q: Array, x: Array | None = None) -> Array:
-        return self._jacobian(q, self._located(q, x) if self._uses_x else None)
+        return self._jacobian(q, self._located(q, x) if self.uses_x else None)
 
-    def _sensor_jacobian(self, q: Array) -> Array:
+    def sensor_jacobian(self, q: Array) -> Array:
         return self._jacobian(q, None)  # at the depths that are so
 
     def _jacobian(self, q: Array, at: Array | None) -> Array:
@@ -161,7 +163,7 @@ class ImageTask(Task):
         return np.vstack([self.camera.interaction(p) @ A for p, A in zip(r, J, strict=True)])
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:
-        if self._uses_x:
+        if self.uses_x:
             raise InvalidInputError(
                 f"the rate of a Jacobian that uses the measured x is not known: it takes "
                 f"depth='believed', got {self!r}",
@@ -199,7 +201,7 @@ class ImageTask(Task):
             k = len(self.points)
             shown += f", {listed(self.points) if k == 1 else f'{k} points'}"
         depth = self.depth if isinstance(self.depth, str) else short(self.depth)
-        return f"{shown}, depth={depth})" if self._uses_x else f"{shown})"
+        return f"{shown}, depth={depth})" if self.uses_x else f"{shown})"
 
 
 def _joint_of(robot: Robot, frame: str | None) -> int:

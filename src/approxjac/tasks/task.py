@@ -57,20 +57,26 @@ class Task(Immutable, Saved, ABC):
     Attributes:
         m: Number of task coordinates: of the error, and rows of the Jacobian.
         n_x: Length of a value X, and of a target.
+        uses_x: Whether the Jacobian depends on the measured x besides q.
+        features: Frames and points that the task follows, to draw them.
+        subtracts: Whether the error is x − x_d.
+        origin: A value that errors of others may be taken to, shape (n_x,).
+        overdetermined: Whether there may be more coordinates than joints, to be combined.
+        ignored: Entries of x that no error depends on.
+        parts: Parts of x that are measured or lost at once, such as a point of an image: entries of
+            x, and of the error.
 
     Raises:
         InvalidInputError: Labels and units of different lengths, or more of them than joints.
     """
 
-    # for this package's own tasks, as is all else with an underscore
-    _uses_x = False  # the Jacobian depends on the measured x, and not on q only
-    _features: tuple[Feature, ...] = ()  # what it follows, part by part, to draw it
-    _subtracts: bool  # the error is x − x_d
-    _origin: Array  # a value to measure others from
-    _overdetermined = False  # it may have more coordinates than there are joints, to be combined
-    _untold: list[int]  # entries of x that are in no error
-    # what is measured at once, such as a point of an image: entries of x, and of the error
-    _parts: tuple[tuple[slice, slice], ...]
+    uses_x = False
+    features: tuple[Feature, ...] = ()
+    subtracts: bool
+    origin: Array
+    overdetermined = False
+    ignored: list[int]
+    parts: tuple[tuple[slice, slice], ...]
 
     def __init__(
         self, robot: Robot, labels: Sequence[str], units: Sequence[str], n_x: int | None = None
@@ -82,7 +88,7 @@ class Task(Immutable, Saved, ABC):
                 f"units must be one for each of the labels {tuple(labels)}, got {tuple(units)}",
                 given=units,
             )
-        if m > robot.nv and not self._overdetermined:  # Ĵ⁺ would not exist
+        if m > robot.nv and not self.overdetermined:  # Ĵ⁺ would not exist
             raise InvalidInputError(
                 f"a task must have at most as many coordinates as the robot has joints "
                 f"(m <= n_v), got m = {m} for {robot.name} with n_v = {robot.nv}",
@@ -91,8 +97,12 @@ class Task(Immutable, Saved, ABC):
         self.robot = robot
         self.labels, self.units = tuple(labels), tuple(units)
         self.m, self.n_x = m, m if n_x is None else n_x
-        own = {"_subtracts": type(self).error is Task.error, "_origin": np.zeros(self.n_x)}
-        vars(self).update(own, _untold=[], _parts=((slice(0, self.n_x), slice(0, m)),))
+        vars(self).update(
+            subtracts=type(self).error is Task.error,
+            origin=np.zeros(self.n_x),
+            ignored=[],
+            parts=((slice(0, self.n_x), slice(0, m)),),
+        )
 
     @abstractmethod
     def value(self, q: Array) -> Array:
@@ -152,22 +162,22 @@ class Task(Immutable, Saved, ABC):
     __reduce__ = object.__reduce__  # type: ignore[assignment]  # what a task is made of copies itself: `FrameKinematics`
 
     @property
-    def _measured(self) -> Task:
+    def measured(self) -> Task:
         """The task whose value x is and whose sensor the plant has; this one, unless combined."""
         return self
 
-    def _seen(self, x: Array) -> Array:
+    def visible(self, x: Array) -> Array:
         """Return a value x (n_x,) as a sensor delivers it: NaN in parts that it cannot see."""
         return x
 
-    def _is_mirrored(self, x: Array, other: Array) -> bool:
+    def is_mirrored(self, x: Array, other: Array) -> bool:
         """Return True if points run round the other way in one value (n_x,) than in another."""
         return False
 
-    def _sensor_jacobian(self, q: Array) -> Array:
+    def sensor_jacobian(self, q: Array) -> Array:
         """Return `jacobian` without what a controller is to assume in it; shape (m, n_v)."""
         return self.jacobian(q)
 
-    def _error_jacobian(self, e: Array, J: Array) -> Array:
+    def error_jacobian(self, e: Array, J: Array) -> Array:
         """Return ∂e/∂q where the error is e (m,) and the Jacobian is J; shape (m, n_v)."""
         return J

@@ -34,22 +34,25 @@ class WrappedTask(Task):
         super().__init__(tasks[0].robot, labels, units, sum(task.n_x for task in tasks))
         entries = _one_after_the_other([task.n_x for task in tasks])
         rows = _one_after_the_other([task.m for task in tasks])
-        measured = _one_after_the_other([task._measured.m for task in tasks])
+        measured = _one_after_the_other([task.measured.m for task in tasks])
         self.tasks = tuple(tasks)
         self._each = list(zip(tasks, entries, rows, strict=True))
-        self._uses_x = any(task._uses_x for task in tasks)
-        self._subtracts = all(task._subtracts for task in tasks)
-        self._origin = np.concatenate([task._origin for task in tasks])
-        self._untold = [at.start + i for task, at, _ in self._each for i in task._untold]
-        self._parts = tuple(
+        self.uses_x = any(task.uses_x for task in tasks)
+        parts = tuple(
             (_moved(part, at.start), _moved(coordinates, own.start))
             for (task, at, _), own in zip(self._each, measured, strict=True)
-            for part, coordinates in task._parts
+            for part, coordinates in task.parts
         )
-        self._features = tuple(
+        vars(self).update(
+            subtracts=all(task.subtracts for task in tasks),
+            origin=np.concatenate([task.origin for task in tasks]),
+            ignored=[at.start + i for task, at, _ in self._each for i in task.ignored],
+            parts=parts,
+        )
+        self.features = tuple(
             feature._replace(entries=_moved(feature.entries, at.start))
             for task, at, _ in self._each
-            for feature in task._features
+            for feature in task.features
         )
 
     def value(self, q: Array) -> Array:
@@ -68,20 +71,20 @@ class WrappedTask(Task):
         return target
 
     @property
-    def _measured(self) -> Task:
-        return self.tasks[0]._measured
+    def measured(self) -> Task:
+        return self.tasks[0].measured
 
-    def _seen(self, x: Array) -> Array:
-        return np.concatenate([task._seen(x[i]) for task, i, _ in self._each])
+    def visible(self, x: Array) -> Array:
+        return np.concatenate([task.visible(x[i]) for task, i, _ in self._each])
 
-    def _is_mirrored(self, x: Array, other: Array) -> bool:
-        return any(task._is_mirrored(x[i], other[i]) for task, i, _ in self._each)
+    def is_mirrored(self, x: Array, other: Array) -> bool:
+        return any(task.is_mirrored(x[i], other[i]) for task, i, _ in self._each)
 
-    def _sensor_jacobian(self, q: Array) -> Array:
-        return np.concatenate([task._sensor_jacobian(q) for task in self.tasks])
+    def sensor_jacobian(self, q: Array) -> Array:
+        return np.concatenate([task.sensor_jacobian(q) for task in self.tasks])
 
-    def _error_jacobian(self, e: Array, J: Array) -> Array:
-        return np.concatenate([task._error_jacobian(e[i], J[i]) for task, _, i in self._each])
+    def error_jacobian(self, e: Array, J: Array) -> Array:
+        return np.concatenate([task.error_jacobian(e[i], J[i]) for task, _, i in self._each])
 
     def _saved(self) -> dict[str, Any] | None:
         return self.tasks[0]._saved()  # what the law changes is no affair of a picture
@@ -115,7 +118,7 @@ class StackedTask(WrappedTask):
                     f"tasks must be of one robot, got {tasks[0].robot!r} and {task.robot!r}",
                     given=tasks,
                 )
-        self._overdetermined = any(task._overdetermined for task in tasks)
+        self.overdetermined = any(task.overdetermined for task in tasks)
         super().__init__(tasks, [f"{i + 1}.{at}" for i, t in enumerate(tasks) for at in t.labels])
 
     def jacobian(self, q: Array, x: Array | None = None) -> Array:
@@ -129,8 +132,8 @@ class StackedTask(WrappedTask):
         return StackedTask(*(task.on(robot) for task in self.tasks))
 
     @property
-    def _measured(self) -> Task:
-        plain = [task._measured for task in self.tasks]
+    def measured(self) -> Task:
+        plain = [task.measured for task in self.tasks]
         same = all(a is b for a, b in zip(plain, self.tasks, strict=True))
         return self if same else StackedTask(*plain)
 
@@ -193,7 +196,7 @@ class CombinedTask(WrappedTask):
         super().__init__((task,), labels, (joined(task.units),) * k)
         self.task = task
         self._inverse = np.linalg.inv(self.C) if k == task.m else np.linalg.pinv(self.C)
-        self._subtracts = False
+        vars(self).update(subtracts=False)
 
     @classmethod
     def balanced(cls, task: Task, target: object) -> CombinedTask:
@@ -253,12 +256,12 @@ class CombinedTask(WrappedTask):
     def on(self, robot: Robot) -> CombinedTask:
         return CombinedTask(self.task.on(robot), self.C)
 
-    def _sensor_jacobian(self, q: Array) -> Array:
-        return np.asarray(self.C @ self.task._sensor_jacobian(q))
+    def sensor_jacobian(self, q: Array) -> Array:
+        return np.asarray(self.C @ self.task.sensor_jacobian(q))
 
-    def _error_jacobian(self, e: Array, J: Array) -> Array:
+    def error_jacobian(self, e: Array, J: Array) -> Array:
         inverse = self._inverse
-        return np.asarray(self.C @ self.task._error_jacobian(inverse @ e, inverse @ J))
+        return np.asarray(self.C @ self.task.error_jacobian(inverse @ e, inverse @ J))
 
     def __repr__(self) -> str:
         return f"CombinedTask({self.task!r}, C of shape {self.C.shape})"
@@ -268,7 +271,7 @@ def _nearer(task: Task, x_d: Array, q: Array) -> tuple[Array, float]:
     """Return the configuration that damped least squares lead to, and the error's size there."""
     e = task.error(task.value(q), x_d)
     for _ in range(_STEPS):
-        J = task._error_jacobian(e, task.jacobian(q, task.value(q)))
+        J = task.error_jacobian(e, task.jacobian(q, task.value(q)))
         damping = _DAMPED * np.linalg.norm(J, 2)
         step = -J.T @ np.linalg.solve(J @ J.T + damping**2 * np.eye(task.m), e)
         step /= max(1.0, float(np.abs(step).max()) / _LONGEST)

@@ -65,7 +65,7 @@ def _place(error: Exception) -> str:
 
 def may_lose(task: Task) -> bool:
     """Return True if a sensor may lose its measurement."""
-    return any(True for _ in _cameras(task)) or type(task)._seen is not Task._seen
+    return any(True for _ in _cameras(task)) or type(task).visible is not Task.visible
 
 
 def _cameras(of: Any, seen: set[int] | None = None) -> Iterator[Camera]:
@@ -135,7 +135,7 @@ def jacobian(task: Task, here: Configured, x: Symbols | None = None) -> Symbols:
 
 def seen(sensor: Task, x: Symbols) -> Symbols:
     """Return x (n_x,) as a sensor delivers it, with NaN where it cannot see."""
-    return symbols(traced("task", sensor, lambda: sensor._seen(x)))
+    return symbols(traced("task", sensor, lambda: sensor.visible(x)))
 
 
 def error(task: Task, x: Symbols, x_d: Symbols) -> Symbols:

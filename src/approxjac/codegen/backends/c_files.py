@@ -149,11 +149,11 @@ def _recorded(step: SampledStep, dt: float) -> list[Record]:
     """Return steps at random configurations, one after the other, with what they answer."""
     task, rng = step.controller.task, np.random.default_rng(0)
     robot, function, found, state = task.robot, step.in_numpy(), list[Record](), np.zeros(0)
-    m = task._measured.m
+    m = task.measured.m
     for k in range(_RECORDED):
         q, v = robot.random_configuration(rng), rng.normal(scale=0.5, size=robot.nv)
         x = task.value(q) + rng.normal(scale=0.02, size=task.n_x)
-        seen = np.where(np.isfinite(x), x, task._origin)  # or there would be no target
+        seen = np.where(np.isfinite(x), x, task.origin)  # or there would be no target
         target = seen + rng.normal(scale=0.02 if k % 2 else 0.5, size=task.n_x)
         if k == 0:
             x = seen
@@ -222,7 +222,7 @@ def words(controller: Controller, step: SampledStep) -> dict[str, str]:
         "nv": str(robot.nv),
         "n_x": str(task.n_x),
         "m": str(task.m),
-        "m_x": str(task._measured.m),
+        "m_x": str(task.measured.m),
         "n_state": str(n_state),
         "stored": str(max(n_state, 1)),
         "made_from": _comment(_made_from(controller, step)),
@@ -243,7 +243,7 @@ def _fields(step: SampledStep) -> dict[str, str]:
     lost = "the torque is damping and gravity, nothing is learnt"
     if law.kinematics is not None:
         lost = "the predicted one takes its place"
-    rates = joined(f"{unit}/s" for unit in task._measured.units)
+    rates = joined(f"{unit}/s" for unit in task.measured.units)
     texts = {
         "t": "time [s]",
         "q": f"joint positions [{_units_of_q(step)}]",

@@ -143,7 +143,7 @@ class KnownKinematics(Kinematics):
 
     def __init__(self, task: Task) -> None:
         require("task", task, Task, "a task of the believed robot, such as PositionTask(robot)")
-        if task._uses_x:
+        if task.uses_x:
             raise InvalidInputError(
                 f"task must have a Jacobian that depends on q only, such as an ImageTask with "
                 f"depth='believed', got {task!r}",
@@ -151,8 +151,8 @@ class KnownKinematics(Kinematics):
             )
         self.task = task
         self._combination = combination(task)  # a target moves as what is measured does
-        own = type(task)._sensor_jacobian is not Task._sensor_jacobian
-        self._exact = task._subtracts and not own  # ż = Ĵq̇ − ẋ_d
+        own = type(task).sensor_jacobian is not Task.sensor_jacobian
+        self._exact = task.subtracts and not own  # ż = Ĵq̇ − ẋ_d
         self._none = np.zeros(task.m)
         self._none.flags.writeable = False
 
@@ -166,8 +166,8 @@ class KnownKinematics(Kinematics):
             for rate in (x_d_dot, x_d_ddot)
         )
         if not self._exact:
-            x_dot = task._sensor_jacobian(q).dot(v)
-            drift = x_dot - x_d_dot if task._subtracts else self._rate(x, x_dot, x_d, x_d_dot)
+            x_dot = task.sensor_jacobian(q).dot(v)
+            drift = x_dot - x_d_dot if task.subtracts else self._rate(x, x_dot, x_d, x_d_dot)
             drift = drift + x_d_dot - J.dot(v)
         return PredictedError(z, J, task.jacobian_dot(q, v), x_d_dot, x_d_ddot, drift)
 

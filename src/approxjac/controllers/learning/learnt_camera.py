@@ -388,7 +388,7 @@ def _require_image(task: Any) -> None:
     is_image = isinstance(task, ImageTask) and isinstance(camera, PinholeCamera)
     if is_image and not task.m > controllable_coordinates(task) == 6:
         require_controllable(task)
-        if not task._uses_x and (camera.mount is None or task.frame is None):
+        if not task.uses_x and (camera.mount is None or task.frame is None):
             return
     raise InvalidInputError(
         "task must be an ImageTask of the believed robot with a PinholeCamera (AdaptiveKinematics "

@@ -71,7 +71,7 @@ def lyapunov(
     kp, kv, damping = controller.diagonals
     e = sensor.error(sensor.value(q), target)
     s = controller.saturation.s(e)
-    J_e, J_hat = sensor._error_jacobian(e, sensor._sensor_jacobian(q)), task.jacobian(q)
+    J_e, J_hat = sensor.error_jacobian(e, sensor.sensor_jacobian(q)), task.jacobian(q)
     sizes = np.linalg.svd(J_hat, compute_uv=False)
     if sizes[-1] <= 1e-7 * sizes[0]:
         raise InvalidInputError(

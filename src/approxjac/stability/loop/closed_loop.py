@@ -216,7 +216,7 @@ class ClosedLoop:
     def terms(self, truths: Indices, configurations: Array, x_d: Array | None = None) -> Terms:
         """Return the terms of true robots (N,) at configurations (N, nq), of targets (N, n_x)."""
         task = self.controller.task
-        x_d = np.repeat(task._origin[None], len(truths), axis=0) if x_d is None else x_d
+        x_d = np.repeat(task.origin[None], len(truths), axis=0) if x_d is None else x_d
         if self._traced is not None:
             try:
                 if new := self.plants[len(self._numbers) :]:
@@ -259,8 +259,8 @@ class ClosedLoop:
                 given=configurations,
             )
         J_e, sensor = at.J, self.plants[0].sensor
-        if not sensor._subtracts:
-            J_e = np.array([sensor._error_jacobian(*each) for each in zip(at.e, at.J, strict=True)])
+        if not sensor.subtracts:
+            J_e = np.array([sensor.error_jacobian(*each) for each in zip(at.e, at.J, strict=True)])
         s, slope = saturation.s(at.e), saturation.ds(at.e)
         return Samples(
             **vars(at), truth=truths, q=configurations, x_d=x_d, J_e=J_e, s=s, slope=slope

@@ -36,7 +36,7 @@ def inverse_kinematics(
     low, high = sensor.robot.position_limits if within_limits else (-math.inf, math.inf)
     for _ in range(_STEPS):
         q = np.array(pin.integrate(model, neutral, motion))
-        e, J = sensor.error(sensor.value(q), x_d), sensor._sensor_jacobian(q)
+        e, J = sensor.error(sensor.value(q), x_d), sensor.sensor_jacobian(q)
         size = float(np.linalg.norm(J, 2))
         error = float(np.linalg.norm(e))
         if error <= _EXACT * size:

@@ -81,7 +81,7 @@ def linear_loop(plant: Plant, controller: SetpointController, q: Array) -> Linea
     """
     sensor, dynamics = plant.sensor, plant.dynamics
     terms = (
-        q, dynamics.M(q), dynamics.g_gradient(q), sensor._sensor_jacobian(q),
+        q, dynamics.M(q), dynamics.g_gradient(q), sensor.sensor_jacobian(q),
         controller.task.jacobian(q, sensor.value(q)),
     )  # fmt: skip
     return linear_loops(controller, plant.friction, *(np.array([each]) for each in terms))

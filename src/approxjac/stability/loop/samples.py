@@ -107,7 +107,7 @@ class TracedTerms:
         here, believed = self._arm.at(q), Arm.known(task.robot).at(q)
         x = tasks.value(own, here)
         with self._arm.standing_in(program.graph):
-            J = symbols(tasks.traced("task", sensor, lambda: own._sensor_jacobian(q)))
+            J = symbols(tasks.traced("task", sensor, lambda: own.sensor_jacobian(q)))
         J_hat, M, g = tasks.jacobian(task, believed, x), here.M(), here.gravity()
         ways = []
         for joint in own_joints(robot.model).values():
@@ -117,7 +117,7 @@ class TracedTerms:
         def gradient(of: Symbols) -> Symbols:
             return np.stack([rates(of, way) for way in ways])
 
-        dJ_hat = np.zeros((robot.nv, *J_hat.shape)) if task._uses_x else gradient(J_hat)
+        dJ_hat = np.zeros((robot.nv, *J_hat.shape)) if task.uses_x else gradient(J_hat)
         terms = Terms(x, tasks.error(own, x, x_d), J, J_hat, dJ_hat, M, gradient(M), g, gradient(g))
         self._shapes = {name: np.shape(each) for name, each in vars(terms).items()}
         program.step(vars(terms))
@@ -134,10 +134,10 @@ class TracedTerms:
         """Refuse sensors that are made in another way than that of the first true robot."""
         robot = task.robot
         drawn = [robot.random_configuration(np.random.default_rng(k)) for k in range(len(plants))]
-        x_d = np.tile(task._origin, (len(plants), 1))
+        x_d = np.tile(task.origin, (len(plants), 1))
         terms = self.at(self.numbers(plants), np.array(drawn), x_d)
         for plant, q, x, J in zip(plants, drawn, terms.x, terms.J, strict=True):
-            for one, other in ((x, plant.sensor.value(q)), (J, plant.sensor._sensor_jacobian(q))):
+            for one, other in ((x, plant.sensor.value(q)), (J, plant.sensor.sensor_jacobian(q))):
                 if not np.allclose(one, other, _ALIKE, _ALIKE, equal_nan=True):
                     raise ValueError(f"{plant.sensor!r} is not like {plants[0].sensor!r}")
 
@@ -197,8 +197,8 @@ def terms_alone(plant: Plant, dynamics: Dynamics, task: Task, q: Array, x_d: Arr
     """Return the terms of one true robot at one configuration, each without the axis N."""
     sensor, shape = plant.sensor, (task.robot.nv, task.m, task.robot.nv)
     x = sensor.value(q)
-    dJ_hat = np.zeros(shape) if task._uses_x else jacobian_gradient(task, q)
+    dJ_hat = np.zeros(shape) if task.uses_x else jacobian_gradient(task, q)
     return Terms(
-        x, sensor.error(x, x_d), sensor._sensor_jacobian(q), task.jacobian(q, x), dJ_hat,
+        x, sensor.error(x, x_d), sensor.sensor_jacobian(q), task.jacobian(q, x), dJ_hat,
         dynamics.M(q), dynamics.M_gradient(q), dynamics.g(q), dynamics.g_gradient(q),
     )  # fmt: skip
