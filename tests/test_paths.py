@@ -118,6 +118,7 @@ def rms(run):
     return float(np.sqrt((run.error_norm[late] ** 2).mean()))
 
 
+@pytest.mark.study
 def test_feed_forward_follows_a_circle_more_closely(loop):
     plant, law, circle = loop
     options = {"q0": START, "duration": 6.0, "record_every": 0.02}

@@ -305,7 +305,9 @@ def test_it_gives_the_bits_of_numpy(case, in_c_of):
 
 
 @needs_compiler
-@pytest.mark.parametrize("k", range(8))
+@pytest.mark.parametrize(
+    "k", [pytest.param(k, marks=() if k in (0, 2, 6) else pytest.mark.study) for k in range(8)]
+)
 def test_what_is_ones_own_is_the_same_in_c(panda, k, tmp_path, rng):
     """200 steps of a task's, a saturation's, gravity's and a law's of one's own, and a held x.
 
@@ -567,7 +569,9 @@ TIMED = {
 
 
 @needs_compiler
-@pytest.mark.parametrize("case", TIMED)
+@pytest.mark.parametrize(
+    "case", [k if k == "held" else pytest.param(k, marks=pytest.mark.study) for k in TIMED]
+)
 def test_what_depends_on_time_is_that_of_python(case, panda, tmp_path):
     """A moving target, and a camera of 50 Hz, 20 ms late, that loses x for a while."""
     controller = TIMED[case](panda.with_object(0.0))

@@ -129,6 +129,7 @@ def test_another_period_and_a_clock_that_jumps_are_judged_as_in_python():
         assert_allclose(*after, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.study
 def test_a_whole_run_is_that_of_python(panda, monkeypatch):
     """Into a wall, with the limits of the URDF and a rate."""
     truth, belief = panda.with_object(0.1, 0.5, axis="x"), panda.with_object(0.0, 0.5, axis="x")

@@ -189,6 +189,7 @@ def test_steps_are_the_same_to_rounding(kind, rng, asked):
     assert [plain.step(*each)[1].status for each in asked].count(aj.Status.OK) == 0
 
 
+@pytest.mark.study
 def test_a_whole_circle_is_the_same(ur5):
     true = ur5.with_object(0.2, mass=1.0)
     sensor = TrackerTask(true, rotation=(0.0, 0.0, 1.0), offset=(0.1, 0.0, 0.0))
@@ -295,6 +296,7 @@ def test_made_from_one_it_is_compiled_too(two_link, rng, asked):
     assert_allclose(own[1].torque, expected[1].torque, rtol=0, atol=1e-10)
 
 
+@pytest.mark.study
 def test_known_kinematics_dynamics_poses_and_velocities_are_covered(two_link, ur5, rng, asked):
     position = aj.PositionTask(two_link)
     T = aj.TrackingController

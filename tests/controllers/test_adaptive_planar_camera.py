@@ -53,7 +53,7 @@ def rms(task, moves, seconds):
 @pytest.mark.parametrize(
     ("roll", "moves"),
     [
-        pytest.param(roll, moves, marks=[] if (roll, moves) == (180.0, True) else pytest.mark.study)
+        pytest.param(roll, moves, marks=pytest.mark.study)
         for roll in (60.0, 120.0, 180.0)
         for moves in (False, True)
     ],

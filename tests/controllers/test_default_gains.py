@@ -168,6 +168,7 @@ def settling_shares(name, settling_time):
     return np.array(shares)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("name", among(*STARTS))
 def test_one_rule_settles_arms_of_every_size(name):
     """Measured: the median is 1.1 to 1.4 times the wanted time, all are 0.7 to 2.2 times."""

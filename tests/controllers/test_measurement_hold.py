@@ -350,6 +350,7 @@ def reach(controller, sensing, duration=4.0, offset=(0.1, -0.15, 0.16), seed=0, 
     return aj.simulate(plant, controller, target, START, duration, **options)
 
 
+@pytest.mark.study
 def test_a_camera_that_hangs_in_mid_motion_stops_the_arm_and_it_goes_on_after(task):
     held = aj.HeldMeasurement(aj.SetpointController(task), 0.1)
     camera = {"x_rate": 30.0, "x_delay": 0.03, "x_noise": 1e-4}

@@ -67,6 +67,7 @@ def test_a_set_point_is_reached_although_the_believed_jacobian_points_elsewhere(
     assert reached.error_norm.max() < 2.0 * reached.error_norm[0]
 
 
+@pytest.mark.study
 def test_within_limits_and_without_x(panda):
     """The torque stays within limits; where x is lost, x̂ goes on."""
     plant = tracker_far_off(panda, x_lost=((1.5, 2.5),))

@@ -150,6 +150,7 @@ def test_while_the_proof_is_given_up_the_dynamics_rest(panda):
     assert (unlimited != state).any()
 
 
+@pytest.mark.study
 def test_payload_rotors_and_friction_are_learnt():
     """As good as the exact model's circle after a few seconds; the model as it is stays behind."""
     belief, q0 = aj.load_robot("panda"), STARTS["panda"]

@@ -142,6 +142,7 @@ def test_the_rate_is_a_third_of_what_the_lag_of_x_allows_at_most():
     assert "as x is 401 ms late" in str(chosen)
 
 
+@pytest.mark.study
 def test_what_is_later_is_not_faster():
     """Mostly: of 38 random pairs one is, as filtered q̇ gets gains that an old x suits better."""
     later = [

@@ -40,7 +40,7 @@ class Lists(Wrapped):
         return m._replace(q=m.q.tolist(), v=m.v.tolist(), x=m.x.tolist())
 
 
-@pytest.mark.parametrize("kind", [SameArrays, Lists])
+@pytest.mark.parametrize("kind", [SameArrays, pytest.param(Lists, marks=pytest.mark.study)])
 def test_arrays_of_a_driver_may_be_any(plant, controller, kind):
     found = run(driver_of(plant, kind), controller, 0.3)
     assert_array_equal(found.q, run(driver_of(plant), controller, 0.3).q)

@@ -122,6 +122,7 @@ LARGE = {
 }
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("name", LARGE)
 def test_what_is_large_loads_and_is_written_quickly(name, tmp_path):
     text, options = LARGE[name]

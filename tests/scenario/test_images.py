@@ -54,7 +54,7 @@ def test_a_redundant_arm_brings_two_points_to_within_the_noise(done):
             {"task": {"depth": "measured"}, "run": {"seed": 1, "duration": 7.0}},
             marks=pytest.mark.study,
         ),
-        ("ur5", {"true": IN_HAND, "run": {"duration": 5.0}}),
+        pytest.param("ur5", {"true": IN_HAND, "run": {"duration": 5.0}}, marks=pytest.mark.study),
         ("two_link", {"believed": NEARLY, "run": {"duration": 8.0}}),  # joints as coordinates
     ],
 )
@@ -70,6 +70,7 @@ def test_law_5_differentiates_the_image_and_approaches():
     assert result.errors[-1].max() < 0.3 * result.errors[0].max()
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(
     "outage",
     [{"lost": (0.3, 1.3), "lost_part": 1}, {"lost": (0.3, 1.3)}, {"frozen": (0.3, 1.3)}],

@@ -102,6 +102,7 @@ def test_the_rest_is_learnt_of_a_robot_that_adds_its_own_gravity():
         build_scenario(made(gravity="learn_residual", law="tracking"))
 
 
+@pytest.mark.study
 def test_a_pose_has_errors_of_two_units():
     result = run_scenario(reach(
         task={"kind": "pose"}, controller={"gravity": "exact"},

@@ -179,6 +179,7 @@ def test_the_same_measurement_gives_the_same_torque(controller, rng):
     assert_array_equal(answers[0].state_rate, answers[1].state_rate)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("height", [0.3, -0.05], ids=["free", "contact"])
 def test_a_run_is_mujocos_own_stepping(above_floor, height):
     """`mj_step` with its Euler integrator and its warm start, under the same torques."""

@@ -123,6 +123,7 @@ def digest(found):
     return b"".join(column.tobytes() for column in columns)
 
 
+@pytest.mark.study
 def test_the_same_bits_whatever_carries_it_out(plane, monkeypatch):
     """Threads, processes, portions of other sizes."""
     own = functools.partial(study(*plane, **SHORT).map, {"damping": DAMPING, "error": SCALES}, 40)
@@ -141,6 +142,7 @@ def test_the_same_bits_whatever_carries_it_out(plane, monkeypatch):
     assert digest(own()) == expected
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("learns", [False, True])
 def test_one_compiled_loop_for_all_points(plane, learns, monkeypatch):
     """Gains and scales are numbers of it; without errors, too."""

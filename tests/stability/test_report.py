@@ -178,6 +178,7 @@ def test_what_was_chosen_is_checked_elsewhere(report):
             assert "confidence" in row.text
 
 
+@pytest.mark.study
 def test_report_repeats_bit_by_bit():
     arm = aj.load_robot("two_link").with_gravity((0.0, 0.0, 0.0))
     tools, box = aj.Uncertainty(arm, object_length=(0.0, 0.3)), aj.JointBox.around(arm, Q2, 0.3)

@@ -49,6 +49,7 @@ def test_so_no_test_certifies_a_region_with_such_a_posture(straight, configurati
     assert report.summary()["beware"]["rank"]["q"] == report.singular_q.tolist()
 
 
+@pytest.mark.study
 def test_the_regular_part_of_the_region_is_certified(straight):
     plant, controller, target, q0 = straight
     box = JointBox.around(plant.robot, q0, 0.45)

@@ -353,6 +353,7 @@ def test_an_angle_beyond_a_full_turn_is_refused():
     assert_allclose(lenses.scaled(lenses.largest_scale(10.0)).low, 0.005)  # 0 is of no lens
 
 
+@pytest.mark.study
 def test_a_camera_that_may_be_rolled_any_way_is_not_certified():
     # the ends of (0, 2 pi) are the same robot, which is the believed one
     rolls = aj.Uncertainty(WEIGHTLESS, camera=PlanarCamera(0.05, 3.0), roll=(0.0, 2.0 * np.pi))

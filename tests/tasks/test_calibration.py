@@ -35,7 +35,9 @@ def test_where_it_stands_is_told_as_opencv_tells_it():
             id="tangential",
             marks=pytest.mark.study,
         ),
-        pytest.param({"fisheye": True, "focal_length": 220.0}, id="fisheye"),
+        pytest.param(
+            {"fisheye": True, "focal_length": 220.0}, id="fisheye", marks=pytest.mark.study
+        ),
     ],
 )
 def test_a_camera_is_learnt_through_its_lens(panda, options):

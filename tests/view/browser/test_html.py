@@ -163,6 +163,7 @@ def test_a_page_is_of_the_robot_that_was_loaded(tmp_path):
     assert "<title>xarm7, " in page(again)
 
 
+@pytest.mark.study
 def test_a_page_of_a_panda_is_small(panda):
     truth, belief = panda.with_object(0.2, 0.5, axis="x"), panda.with_object(0.0)
     plant = aj.Plant(truth, aj.PositionTask(truth))
