@@ -85,7 +85,7 @@ robots panda --tip panda_hnad | --tip | 'panda_hnad' | panda_hand
 robots --tip tool0 | --tip, --base and --free need a robot | got none
 view | view needs the run.npz | got none
 view x.npz | x.npz | Trajectory.save
-view file --out nowhere/page.html | --out | got nowhere/page.html | a folder that there is
+view file --out nowhere/page.html | --out | got nowhere/page.html | an existing folder
 export panda --gravity none --effort-only --folder file | --folder | got file | can be made
 """
 CASES = [[part.strip() for part in line.split(" | ")] for line in CASES.strip().splitlines()]

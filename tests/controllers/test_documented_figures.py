@@ -103,7 +103,7 @@ def test_the_saturation_is_an_eighth_of_a_usual_distance_where_motors_have_no_li
 @pytest.mark.parametrize("age", [0.0, 0.02])
 def test_the_motors_shares_are_those_of_the_page(age):
     """Where motors decide γ: the share of them that force and gravity ask for, at its quantile."""
-    (share,) = documented("control.md", r"for at most ([\d.]+) % of the motors' torques")
+    (share,) = documented("control.md", r"need at most ([\d.]+) % of the motors' torques")
     task = aj.PositionTask(weak(effort=0.7, velocity=1e3))
     latency = Latency(1e-6, image_age=age)
     chosen, robot = tuned(task, latency), task.robot
@@ -123,7 +123,7 @@ def test_the_motors_shares_are_those_of_the_page(age):
 
 
 def test_the_joints_speeds_are_those_of_the_page():
-    (share,) = documented("control.md", r"and for ([\d.]+) % of the joints' speeds in half of them")
+    (share,) = documented("control.md", r"and ([\d.]+) % of the joints' speeds in half of them")
     task = aj.PositionTask(weak(effort=100.0, velocity=0.1))
     chosen = tuned(task)
     fastest = []

@@ -528,7 +528,7 @@ def test_a_run_goes_on_at_its_speed_from_where_it_is(panda):
         live._speed = speed
         began = time.perf_counter()
         live._begin(loop)
-        due = live.origin + (loop.t + 0.3) / speed
+        due = live._origin + (loop.t + 0.3) / speed
         assert due - began == pytest.approx(0.3 / speed, abs=0.05)
 
 
