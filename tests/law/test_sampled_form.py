@@ -1,5 +1,7 @@
 """The form of the loop that runs: its rate of torque, and its lemma on signals."""
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -190,3 +192,21 @@ def test_the_margin_is_that_of_the_whole_form():
     assert np.isfinite(margin)
     assert abs(least) <= 1e-6 * np.abs(F).max()
     assert np.linalg.eigvalsh(F - (margin + 1e-3) * Y)[0] < 0.0
+
+
+@pytest.mark.parametrize("turns", [-0.8, 0.3, 2.0])
+def test_the_curvature_of_one_joint_is_exact(turns):
+    """Of one coordinate D_c M^-1 C(q, v)v - dD_c[v]v is a number times v^2, with C = M'/2.
+
+    Both parts have signs: where they cancel the bound is small, where they add up it is large.
+    """
+    M, dM, J, kv, damping, friction = 1.7, 0.9, 0.6, 3.0, 0.4, 0.2
+    D_c = J * kv * J + damping
+    D = D_c + friction
+    quadratic = 0.5 * D_c * dM / M - 2.0 * kv * J * turns
+    found = sampled_form.torque_curvature(
+        np.array([[M]]), np.array([[[dM]]]), np.array([[D]]), np.array([[D_c]]),
+        np.array([[J]]), np.array([[[turns]]]), np.array([kv]),
+    )  # fmt: skip
+    # |u|_{1/D} = |quadratic| v^2 / sqrt(D), |v|_M |v|_D = sqrt(M D) v^2
+    np.testing.assert_allclose(found, abs(quadratic) / (D * math.sqrt(M)), rtol=1e-9)

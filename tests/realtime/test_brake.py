@@ -3,7 +3,10 @@
 import signal
 import time
 
-from approxjac.realtime.brake import Brake, Watchdog
+import numpy as np
+import pytest
+
+from approxjac.realtime.brake import Brake, HungError, Watchdog
 
 
 class Slow:
@@ -23,3 +26,25 @@ def test_no_alarm_comes_after_the_loop(request):
             time.sleep(1e-3)
     time.sleep(0.2)
     assert not strays  # a user has no handler: this would have ended the process
+
+
+class Robot:
+    def __init__(self):
+        self.sent = []
+
+    def send(self, command):
+        self.sent.append(command)
+
+    def brake(self):
+        pass
+
+
+def test_a_command_after_the_brake_ends_the_loop():
+    """It is not sent, and whoever sends it may not go on as if it had been."""
+    robot = Robot()
+    brake = Brake(robot)
+    brake.send(np.zeros(2))
+    brake.close()
+    with pytest.raises(HungError):
+        brake.send(np.ones(2))
+    assert len(robot.sent) == 1

@@ -9,7 +9,7 @@ import pytest
 import approxjac as aj
 from approxjac.codegen import whole_run
 from approxjac.errors import InvalidInputError, UnknownNameError
-from approxjac.simulation import Trajectory
+from approxjac.simulation import Computation, InitialState, Trajectory
 
 
 @pytest.fixture
@@ -127,3 +127,23 @@ def test_loops_that_are_kept_are_few(loop):
             computation=aj.simulation.Computation(engine="compiled"),
         )
     assert len(whole_run._loops) <= whole_run._KEPT
+
+
+@pytest.mark.parametrize("record_every", [1e-3, 5e-3])
+def test_a_compiled_run_begins_with_the_velocity_of_its_start(record_every):
+    robot = aj.load_robot("two_link")
+    task, q0, v0 = aj.PositionTask(robot, axes="xz"), np.array([0.4, 0.9]), np.array([0.5, -0.8])
+    plant, law = aj.Plant(robot, task), aj.SetpointController(task)
+    target = task.value(q0 + 0.2)
+    python, run = (
+        aj.simulate(
+            plant, law, target, InitialState(q0, v0), 0.1, record_every=record_every,
+            computation=Computation(engine=engine),
+        )
+        for engine in ("python", "compiled")
+    )  # fmt: skip
+    np.testing.assert_array_equal(run.v[0], v0)
+    for name in ("q", "v", "x", "tau", "error"):
+        np.testing.assert_allclose(
+            getattr(run, name), getattr(python, name), rtol=0, atol=1e-10, err_msg=name
+        )

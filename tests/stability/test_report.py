@@ -630,3 +630,34 @@ def test_a_law_of_ones_own_is_not_certified_as_the_one_it_is_derived_from():
     for test in tests:
         with pytest.raises(aj.InvalidInputError, match="Pushed has another evaluate; rollouts"):
             test(law, errors, region)
+
+
+def test_the_worst_case_of_theorem_1_is_that_with_the_largest_jacobian_error():
+    robot = aj.load_robot("two_link")
+    errors = aj.Uncertainty(robot, object_length=(0.0, 0.3), believed_length=0.1)
+    law = aj.SetpointController(errors.believed_task(), aj.Gains(50.0, 20.0, 1.0))
+    box = aj.JointBox.around(robot, np.array([0.4, 0.9]), 0.3)
+    report = aj.Study(law, errors, box).report(40)
+    (row,) = [row for row in report.rows if (row.part, row.name) == ("worst", "Theorem 1")]
+    worst, samples = report.theorem1.worst, report.samples
+    largest = np.linalg.norm(samples.J_e - samples.J_hat, 2, axis=(1, 2))
+    k = worst["p"]
+    assert np.isclose(largest[k], largest.max(), rtol=1e-9)
+    assert not np.allclose(samples.q[k], samples.q[worst["b_J"]])  # or this tells nothing
+    np.testing.assert_array_equal(row.figures["worst_q"], robot.angles(samples.q[k]))
+    assert row.figures["worst_truth"] == report.describe_truth(int(samples.truth[k]))
+
+
+@pytest.mark.parametrize("radii", [(0.5, 1.5), (1.5, 0.5), (0.5, 1.0, 0.9)])
+def test_a_loop_that_grows_at_one_target_is_unstable(radii):
+    """However stable it is at all others."""
+    robot = aj.load_robot("two_link")
+    task, q = aj.PositionTask(robot, axes="xz"), np.array([0.4, 0.9])
+    law = aj.SetpointController(task, aj.Gains(50.0, 20.0, 1.0))
+    plant, box = aj.Plant(robot, task), aj.JointBox.around(robot, q, 0.05)
+    report = aj.Study(law, plant, box).report(20)
+    assert report.contradiction == ""
+    some = replace(report, spectral_radii=np.array(radii))
+    assert some.contradiction == some.reason == "unstable"
+    assert some.certified_by is None
+    assert not some.passed

@@ -228,7 +228,8 @@ class Plant(Immutable):
             [N m s/rad or N s/m]. Damping in the URDF is not used.
         sensing: Sensor errors, such as noise and delay; none by default. Needs dt in `simulate`.
         actuator_delay: Time from a command to its effect [s], beside that of a servo, rounded to
-            whole samples; until the first one takes effect the robot is held. Needs dt.
+            whole samples, or beside a servo to whole steps of it; until the first one takes effect
+            the robot is held. Needs dt.
         torque_limits: Largest motor torque, a number or shape (n_v,) [N m or N], at which commands
             are clipped; infinite is no limit. Nothing is clipped by default.
         joint_limits: Whether the joints stop at `Robot.position_limits`, see `JointStops`. A

@@ -109,7 +109,7 @@ class LlvmLanes:
         program: Program,
         width: int | None = None,
         features: str | None = None,
-        effort: int = 2,
+        effort: int = 1,
     ) -> None:
         llvm = package_of("fast", "llvmlite.binding")
         features = features or llvm.get_host_cpu_features().flatten()

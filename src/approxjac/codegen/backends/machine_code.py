@@ -44,7 +44,7 @@ class MachineCode:
             raise RuntimeError("machine code has no function run")
 
     @classmethod
-    def of(cls, text: str, features: str, effort: int = 2) -> MachineCode:
+    def of(cls, text: str, features: str, effort: int = 1) -> MachineCode:
         """Return the code of a text, for this processor with some of its features.
 
         With `effort` 0 it compiles ten times as fast, and runs a few times as long.
