@@ -16,6 +16,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 SRC = "src/approxjac/"
+WITHOUT = "not (browser or site or every_arm or wire or long)"
 COPIED = ("src", "tests", "docs", "urdf", "conftest.py", "pyproject.toml")
 
 GRAVITY = "tests/stability/test_with_gravity.py"
@@ -1509,7 +1510,7 @@ def fails(copy: Path, tests: str) -> bool:
     """Return whether the tests of a copy find its fault."""
     command = [
         sys.executable, "-m", "pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider",
-        "--hypothesis-profile=mutants", *tests.split(),
+        "--hypothesis-profile=mutants", "-m", WITHOUT, *tests.split(),
     ]  # fmt: skip
     environment = os.environ | {
         "PYTHONPATH": str(copy / "src"), "OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1",

@@ -49,6 +49,7 @@ def reach(tmp_path):
     return path
 
 
+@pytest.mark.study
 def test_a_file_says_the_same_as_options(reach, tmp_path, capsys):
     assert main(["simulate", str(reach), "--out", str(tmp_path / "a")]) == 0
     assert "converged\nerror " in capsys.readouterr().out

@@ -119,6 +119,7 @@ def test_camera_of_the_two_link_arm():
     assert judge.draw_map(result) is not None
 
 
+@pytest.mark.study
 def test_rollouts_are_of_the_loop_that_runs(tmp_path):
     scenario = Scenario(
         "two_link",
@@ -322,6 +323,7 @@ def test_bad_input_is_one_clear_line(tmp_path, capsys, options, text):
     assert text in error
 
 
+@pytest.mark.study
 def test_without_errors_there_is_nothing_to_scale(tmp_path, capsys):
     quick = ["--around", *AROUND, "--configurations", "20", "--runs", "0"]
     assert stability(tmp_path, "panda", *quick) == 0

@@ -30,6 +30,7 @@ def reached(tmp_path_factory):
     return out
 
 
+@pytest.mark.study
 def test_a_run_becomes_a_page(reached, tmp_path, capsys):
     for given in (reached, reached / "run.npz"):
         page = tmp_path / f"{given.name}.html"

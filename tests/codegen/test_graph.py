@@ -92,6 +92,7 @@ def test_functions_are_within_some_units_of_the_last_place(graph):
         assert np.abs(ours - known(far)).max() <= 2.3e-16
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("m", [1, 2, 3, 4, 6])
 def test_damped_solutions_are_those_of_the_law(graph, m, rng):
     """Far from singular, near to it and at it."""

@@ -238,6 +238,7 @@ def test_what_a_derived_uncertainty_does_is_not_taken_for_what_ours_does(panda):
     assert many.setting.reason.startswith(text)
 
 
+@pytest.mark.study
 def test_what_is_ones_own_runs_in_lanes_as_in_python(panda):
     class Faint(HeldMeasurement):
         def step(self, *arguments):

@@ -349,6 +349,7 @@ def test_an_answer_is_the_users_to_keep(of_two_links, rng):
 # -- loops ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("unknown", [("tool", "offset"), ("origins", "camera")])
 def test_many_runs_at_once_are_those_of_simulate(two_link, unknown):
     """With noise, seldom and late frames, lost ones, and a first one that comes late."""

@@ -58,6 +58,7 @@ def test_with_known_kinematics_it_is_the_law_itself(panda, rng, axes):
         assert_allclose(found.e, wanted.e, atol=1e-15)
 
 
+@pytest.mark.study
 def test_a_set_point_is_reached_although_the_believed_jacobian_points_elsewhere(panda):
     """By 100° of the tracker, with a tool and origins that are wrong, too."""
     plant = tracker_far_off(panda)

@@ -291,6 +291,7 @@ def test_self_motion_is_drawn_to_a_posture_the_short_way_round(rng):
     assert_allclose(rest.velocity(wanted, v)[0], np.zeros(6), atol=1e-15)
 
 
+@pytest.mark.study
 def test_joints_that_turn_a_whole_turn_are_drawn_nowhere():
     """The middle of their ranges would be an arm that is stretched out."""
     ur5 = aj.load_robot("ur5")

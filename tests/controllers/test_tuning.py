@@ -166,6 +166,7 @@ def before(arm, gains, alpha):
     return np.minimum(3.0 * alpha / np.median(lack.max(axis=1)) * D, (10.0 * alpha) ** 2 / swings)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("name", ["panda", "ur5"])
 @pytest.mark.parametrize("latency", [SENSORS, CAMERA], ids=["sensors", "camera"])
 def test_the_check_refuses_what_diverges_and_passes_what_the_rule_chose(name, latency):

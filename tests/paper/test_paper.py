@@ -197,6 +197,7 @@ def test_a_limit_cycle_is_not_called_stable():
     assert result.verdict == "unstable"
 
 
+@pytest.mark.study
 def test_learnt_gravity_needs_the_linearization_too():
     """The run of Figure 8 dies down at the other elbow; at the posture meant it would grow."""
     result = paper.run_experiment(
@@ -278,6 +279,7 @@ def test_a_singular_target_is_never_called_stable_by_the_linearization(elbow):
     assert paper.jacobian_bound(setup).lambda_2 == pytest.approx(0.0, abs=1e-12)
 
 
+@pytest.mark.study
 def test_error_ratios_do_not_depend_on_the_duration():
     usual = paper.run_experiment(paper.EXPERIMENTS[4], paper.Setup(duration=20.0))
     odd = paper.run_experiment(paper.EXPERIMENTS[4], paper.Setup(duration=77.7))

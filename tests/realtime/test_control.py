@@ -67,6 +67,7 @@ def test_a_page_says_why_a_robots_run_ended(plant, controller):
     assert "<title>SENSOR_FROZEN: Monday</title>" in text
 
 
+@pytest.mark.study
 def test_long_runs_keep_their_last_second(plant, controller, monkeypatch):
     monkeypatch.setattr("approxjac.realtime.robot_loop._ROWS", 20)
     found = run(driver_of(plant), controller, 2.0)
@@ -416,6 +417,7 @@ def test_limits_that_keep_the_proof_or_void_it_for_a_while_are_no_fault(plant, c
     assert set(LimitStatus) <= set(found.limit_status.tolist())
 
 
+@pytest.mark.study
 def test_an_observer_sees_it_and_moves_the_target(plant, controller):
     second = goal(plant, (0.0, 0.1, 0.0))
     seen, moved = [], []
@@ -446,6 +448,7 @@ def test_an_observer_that_fails_stops_no_arm(plant, controller):
     assert run(driver_of(plant), controller, 0.3, observer=observe).fault is None
 
 
+@pytest.mark.study
 def test_a_path_is_followed(plant, controller):
     driver = driver_of(plant)
     center = goal(plant, (-0.05, 0.0, 0.0))

@@ -228,6 +228,7 @@ def test_late_is_more_than_a_period(plant, controller):
         )
 
 
+@pytest.mark.study
 def test_targets_may_turn_round_in_mid_motion(plant, controller, monkeypatch):
     """Joints that share a motion go on swinging for a while: that is not too fast."""
     first = goal(plant)

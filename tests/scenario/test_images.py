@@ -184,6 +184,7 @@ def test_a_start_and_a_target_may_be_given():
         assert_allclose(images, [[300.0, 200.0], [320.0, 250.0]])
 
 
+@pytest.mark.study
 def test_it_writes_everything(done, tmp_path):
     report.write(done, tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {
@@ -268,6 +269,7 @@ def test_a_camera_that_is_turned_half_around_is_learnt(law):
     assert kinematics.noise == built.scenario.sensor.noise
 
 
+@pytest.mark.study
 def test_points_of_the_world_are_learnt_where_the_camera_is_carried():
     built = build_scenario(camera("ur5", believed=NEARLY, true=IN_HAND, controller=LEARNS))
     assert built.law.kinematics.unknown == ("points", "camera", "focal_length")

@@ -561,6 +561,7 @@ def test_what_does_not_explain_an_image_is_said_to_be_its_center_or_distortion(p
     assert "do not explain x: others are (of a camera\nalso center and lens)" in str(learnt)
 
 
+@pytest.mark.study
 def test_a_pose_is_learnt_from_a_tracker():
     """The tool's orientation with its position, and one rotation of the tracker for both."""
     target = {"offset": (0.05, -0.1, 0.1, 0.2, 0.0, 0.3)}

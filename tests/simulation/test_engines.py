@@ -50,6 +50,7 @@ def test_an_engine_that_is_none(loop):
         aj.simulate(*loop, 0.1, computation=aj.simulation.Computation(engine="gpu"))
 
 
+@pytest.mark.study
 def test_a_run_in_python_says_what_is_not_compiled(loop, two_link, monkeypatch):
     plant, law, target, q = loop
     noisy = aj.Plant(two_link, plant.sensor, actuator_delay=2e-3)

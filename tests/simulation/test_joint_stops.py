@@ -98,6 +98,7 @@ def test_the_energy_of_a_run_into_stops_never_grows(integrator, name, seed):
     )
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("name", "share", "friction", "integrator"),
     [("panda", 1.0, 0.1, "rk4"), ("so101", 0.01, 1e-3, "semi_implicit_euler")],

@@ -232,6 +232,7 @@ def pressed(plant, controller, target, duration=10.0, back=X0, dt=2e-3):
     )
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("target", [(-0.6, 0.0, 0.4)])
 def test_joint_limits_hold_and_the_controller_recovers(target):
     without = aj.Plant(TRUTH, SENSOR, 0.1, joint_limits=False)
@@ -293,6 +294,7 @@ def touching(plant, configurations):
     return np.array(deepest)
 
 
+@pytest.mark.study
 def test_a_target_under_the_floor(above_floor, controller):
     depth = 0.05
     low = np.array([X0[0], X0[1], -depth])

@@ -50,6 +50,7 @@ def kept(report, law, arm, tools, box):
     return aj.Study(limiter, tools, box).report(60)
 
 
+@pytest.mark.study
 def test_certified_are_fewer_starts(report, kept):
     assert report.limits is None
     assert report.certified_by == kept.certified_by == "sampled form"

@@ -116,6 +116,7 @@ def test_gravity_that_is_left_out_is_said_to_be_known(tools):
     assert "gravity known exactly: the arm is taken without it" in " ".join(str(law).split())
 
 
+@pytest.mark.study
 def test_report_says_at_once_for_which_starts_it_holds(report):
     """Those of which staying is proven, against the usual ones, of which it is assumed."""
     stays, usual = report.attraction, np.linalg.norm(usual_errors(report), axis=1)
@@ -145,6 +146,7 @@ def test_the_headline_says_what_is_only_assumed(report):
     assert unproven.verdict().endswith("as long as the arm stays in the region")
 
 
+@pytest.mark.study
 def test_report_says_what_no_test_knows_of():
     """Joints beyond their limits, and times that are no whole periods."""
     arm = aj.load_robot("ur5").with_gravity((0.0, 0.0, 0.0))
@@ -495,6 +497,7 @@ def small_box(weightless):
     return aj.JointBox.around(weightless, Q, 0.05)
 
 
+@pytest.mark.study
 def test_suggested_gains_meet_what_was_asked(tools, small_box, monkeypatch):
     monkeypatch.setattr(search, "_TARGETS", 8)
     found = aj.Study(controller_of(tools), tools, small_box).gains(2.0, configurations=20)

@@ -131,6 +131,7 @@ def test_more_runs_begin_with_the_same_ones(controller, uncertainty, serial):
     assert (other.runs[0].q0 != few.runs[0].q0).all()
 
 
+@pytest.mark.study
 def test_portions_hold_every_run_once(controller, uncertainty):
     done = []
     with ThreadPoolExecutor(2) as pool:
@@ -327,6 +328,7 @@ def test_a_region_is_what_has_its_methods():
 # -- until so many do not converge --------------------------------------------------------------
 
 
+@pytest.mark.study
 def test_it_ends_with_a_failure(controller, uncertainty):
     """As if the runs after it had not been asked for."""
     options = SHORT | {"runs": 30, "seed": 1, "accuracy": 0.01}

@@ -97,6 +97,7 @@ def look(arm):
     return robot_look(arm)
 
 
+@pytest.mark.study
 def test_arms_look_as_pinocchio_shows_them(arm, look):
     assert look.missing == []
     assert set(look.shapes) <= set(arm.frame_names)

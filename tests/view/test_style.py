@@ -144,6 +144,7 @@ def test_the_look_does_not_depend_on_the_users_settings_or_on_who_saves(run, tmp
     assert set(display.format(own)[0]) == {"text/plain"}  # those of users are left alone
 
 
+@pytest.mark.study
 def test_pictures_of_long_rough_runs_are_small(run, image_run, seen, tmp_path):
     t = np.linspace(0.0, 10.0, 10_001)
     rough = rng.normal(size=(len(t), 7))

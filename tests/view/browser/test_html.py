@@ -128,6 +128,7 @@ def test_the_page_of_a_pose_has_an_error_of_each_unit_and_of_each_object(panda):
     assert ["object", "0.2 m long, believed 0.05 m"] in facts
 
 
+@pytest.mark.study
 def test_the_page_says_what_held_for_most_of_the_time(run):
     """Also statuses of two kinds whose numbers are the same."""
     for status in (*aj.Status, *aj.LimitStatus):
