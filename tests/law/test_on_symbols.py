@@ -1,5 +1,7 @@
 """What a step is made of: on numbers, and on symbols that become those numbers later."""
 
+from itertools import chain
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -9,6 +11,7 @@ from approxjac.codegen.backends.numpy_lanes import numpy_function
 from approxjac.codegen.trace.symbols import Graph, inputs, symbols
 from approxjac.law.branches import all_finite, is_finite, leave, surely
 from approxjac.law.limits import largest, within
+from approxjac.law.tracking import within_speeds
 
 
 def altered(condition, x):
@@ -48,6 +51,7 @@ STEPS = {
     ],
     "largest": lambda x: [largest(x.tolist(), 0.5)],
     "array": lambda x: law.array([x[0], 2.0, x[1]]),
+    "within speeds": lambda x: [*chain(*within_speeds(x, 2.0 * x[::-1], np.ones(3)))],
 }
 MATRICES = {
     "angle": lambda x: [law.products.angle(x[0], x[1])],
