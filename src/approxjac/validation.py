@@ -9,6 +9,7 @@ import copy
 import inspect
 import math
 from collections.abc import Mapping
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any, ClassVar, Self
 
@@ -252,7 +253,8 @@ class Immutable:
         return _built, (type(self), *given)
 
     def __setattr__(self, name: str, value: Any) -> None:
-        is_given = name in self.__dict__ or isinstance(getattr(type(self), name, None), property)
+        derived = isinstance(getattr(type(self), name, None), (property, cached_property))
+        is_given = name in self.__dict__ or derived
         if is_given and not name.startswith("_"):
             kind = type(self).__name__
             raise InvalidInputError(

@@ -35,7 +35,7 @@ def study(arm, axes="xyz", *, learns=False, **options):
     task = errors.believed_task()
     gravity = aj.AdaptiveGravity(task.robot) if learns else None
     controller = aj.SetpointController(task, gravity=gravity, **options)
-    low, high = task.robot.usual_range()
+    low, high = task.robot.usual_range
     half = 0.48 * (high - low)
     return controller, errors, aj.JointBox(task.robot, -half, half, 0.5 * (low + high))
 

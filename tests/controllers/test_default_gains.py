@@ -197,3 +197,9 @@ def test_what_has_no_regular_posture_is_refused(panda):
     pendulum = aj.PositionTask(aj.load_robot("double_pendulum"), axes="xz")  # it moves in yz
     with pytest.raises(aj.InvalidInputError, match="task must not be singular everywhere for gai"):
         aj.default_gains(pendulum)
+
+
+@pytest.mark.parametrize("settling_time", [5e-324, 1e-60])
+def test_times_too_short_for_any_gains_are_refused(two_link, settling_time):
+    with pytest.raises(aj.InvalidInputError, match="settling_time must be a finite number > 1e-50"):
+        aj.SetpointController(aj.PositionTask(two_link), settling_time=settling_time)

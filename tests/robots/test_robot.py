@@ -496,3 +496,14 @@ def test_an_arm_of_one_joint_reaches_its_target(learnt):
     plant = aj.Plant(robot, aj.PositionTask(robot, axes="z"))
     run = aj.simulate(plant, controller, (0.2,), (0.3,), 8.0, dt=5e-3)
     assert abs(run.error[-1, 0]) < 1e-3
+
+
+@pytest.mark.parametrize("name", ["position_limits", "usual_range"])
+def test_ranges_that_are_computed_once_cannot_be_changed(name):
+    robot = aj.load_robot("ur5")
+    limits = getattr(robot, name)
+    assert limits is getattr(robot, name)
+    with pytest.raises(ValueError, match="read-only"):
+        limits[0][0] = 0.0
+    with pytest.raises(aj.InvalidInputError, match=f"{name} of a Robot cannot be changed"):
+        setattr(aj.load_robot("panda"), name, limits)

@@ -36,7 +36,7 @@ def plant_of(robot, **options):
 
 def near_limits(robot, rng):
     """A configuration with every joint within 0.05 of one of its limits, inside or outside."""
-    low, high = robot.usual_range()
+    low, high = robot.usual_range
     motion = np.where(rng.random(robot.nv) < 0.5, low, high) + rng.uniform(-0.05, 0.05, robot.nv)
     return np.asarray(pin.integrate(robot.model, robot.neutral(), motion))
 
@@ -167,7 +167,7 @@ def test_joints_without_limits_have_no_stops():
     assert unlimited.any()
     q = near_limits(robot, np.random.default_rng(0))
     assert (JointStops(robot).torque(q, 10.0 * np.ones(robot.nv))[unlimited] == 0.0).all()
-    middle = 0.5 * np.sum(robot.usual_range(), axis=0)
+    middle = 0.5 * np.sum(robot.usual_range, axis=0)
     wound = np.where(unlimited, 100.0, middle)
     assert not JointStops(robot).touched(pin.integrate(robot.model, robot.neutral(), wound))
 

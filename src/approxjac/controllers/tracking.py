@@ -403,7 +403,7 @@ class RestConfiguration:
         self._second = self._first + self._continuous
         self._none = np.zeros(robot.nv) if robot.nv <= task.m or rate == 0.0 else None
         if q is None:
-            lower, upper = robot.usual_range()
+            lower, upper = robot.usual_range
             whole = np.where(np.array(robot.joint_units) == "m", 2.0, 2.0 * np.pi)
             self._pull[upper - lower > _WHOLE * whole] = 0.0
             middle = 0.5 * (lower + upper)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -165,23 +165,24 @@ class Robot(Immutable):
         limits = self.model.upperVelocityLimit
         return np.where(limits > 0.0, limits, np.inf)
 
-    @property
+    @cached_property
     def position_limits(self) -> tuple[Array, Array]:
-        """Lower and upper joint limits, each of shape (n_v,) [rad or m].
+        """Lower and upper joint limits, each of shape (n_v,) [rad or m]. Read-only.
 
         Infinite where none is known: continuous joints, and limits of zero width.
         """
         at = [joint.idx_q for joint in self._joints.values()]
         low, high = self.model.lowerPositionLimit[at], self.model.upperPositionLimit[at]
         known = np.array([joint.nq == 1 for joint in self._joints.values()]) & (low < high)
-        return np.where(known, low, -np.inf), np.where(known, high, np.inf)
+        return _read_only(np.where(known, low, -np.inf), np.where(known, high, np.inf))
 
     def neutral(self) -> Array:
         """Return the configuration with every joint at zero, shape (nq,)."""
         return np.array(pin.neutral(self.model))
 
+    @cached_property
     def usual_range(self) -> tuple[Array, Array]:
-        """Return the range that random configurations cover, as two offsets (n_v,) [rad or m].
+        """The range that random configurations cover, as two offsets (n_v,) [rad or m]. Read-only.
 
         It is that of the joint limits; of a wider or unlimited range, the turn or 2 m nearest to 0.
         """
@@ -189,11 +190,12 @@ class Robot(Immutable):
         reach = np.where(np.array(self.joint_units) == "m", 1.0, np.pi)
         wide = upper - lower > 2.0 * reach
         middle = np.maximum(lower + reach, np.minimum(0.0, upper - reach))
-        return np.where(wide, middle - reach, lower), np.where(wide, middle + reach, upper)
+        lower, upper = np.where(wide, middle - reach, lower), np.where(wide, middle + reach, upper)
+        return _read_only(lower, upper)
 
     def random_configuration(self, rng: np.random.Generator) -> Array:
         """Draw a configuration uniformly within `usual_range`, shape (nq,) [rad or m]."""
-        motion = rng.uniform(*self.usual_range())
+        motion = rng.uniform(*self.usual_range)
         return np.array(pin.integrate(self.model, self.neutral(), motion))
 
     def configuration(self, q: Sequence[float] | Array, name: str = "q") -> Array:
@@ -472,6 +474,11 @@ class Robot(Immutable):
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Robot:
         return self  # it never changes
+
+
+def _read_only(lower: Array, upper: Array) -> tuple[Array, Array]:
+    lower.flags.writeable = upper.flags.writeable = False
+    return lower, upper
 
 
 # -- the Pinocchio model of a URDF -------------------------------------------------------

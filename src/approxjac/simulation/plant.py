@@ -338,7 +338,7 @@ class Plant(Immutable):
         """
         robot, sensor, rng = self.robot, self.sensor, np.random.default_rng(0)
         effort = np.minimum(robot.effort_limits, self.motor_limits)
-        low, high = robot.usual_range()
+        low, high = robot.usual_range
         middle, half = 0.5 * (low + high), 0.5 * _INNER * (high - low)
         motions = (middle + half * rng.uniform(-1.0, 1.0, robot.nv) for _ in range(_DRAWN))
         drawn = (np.array(pin.integrate(robot.model, robot.neutral(), each)) for each in motions)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import functools
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,8 @@ _FEW = 0.1  # as a share of them, which is too few to know what is usual
 _NO_DAMPING = 1e-9  # instead of none, which would divide by zero
 
 
-class SampleConfigurations(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class SampleConfigurations:
     """Configurations in which a task is seen and regular, with Ĵ and M̂ of the believed arm."""
 
     q: Array  # shape (k, nq)
@@ -29,6 +31,39 @@ class SampleConfigurations(NamedTuple):
     M_inv: Array  # their inverses
     # which coordinates have the same unit, unit by unit, each of shape (m,)
     groups: tuple[np.ndarray[Any, np.dtype[np.bool_]], ...]
+
+    @functools.cached_property
+    def mobility(self) -> Array:
+        """Ĵ M⁻¹ Ĵᵀ at each configuration, shape (k, m, m)."""
+        return self.J_hat @ self.M_inv @ self.J_hat.mT
+
+    @functools.cached_property
+    def inertia(self) -> Array:
+        """Inertia Λ along each task coordinate, 1 / (Ĵ M⁻¹ Ĵᵀ)ᵢᵢ, by unit; shape (m,)."""
+        along = 1.0 / np.diagonal(self.mobility, axis1=1, axis2=2)
+        return self.by_unit(np.median(along, axis=0))
+
+    @functools.cached_property
+    def inertia_in_joints(self) -> float:
+        """λ_max[Ĵᵀ Λ Ĵ], the median over configurations."""
+        root = self.J_hat * np.sqrt(self.inertia)[:, None]
+        return float(np.median(np.linalg.norm(root, 2, axis=(1, 2)) ** 2))
+
+    @functools.cached_property
+    def largest_mobility(self) -> list[float]:
+        """The largest eigenvalue of Ĵ M⁻¹ Ĵᵀ among coordinates of each unit."""
+        blocks = (self.mobility[:, group][:, :, group] for group in self.groups)
+        return [float(np.linalg.norm(block, 2, axis=(1, 2)).max()) for block in blocks]
+
+    @functools.cached_property
+    def joint_inertia(self) -> Array:
+        """Mᵢᵢ of each joint, the median over configurations; shape (n_v,)."""
+        return np.asarray(np.median(np.diagonal(self.M, axis1=1, axis2=2), axis=0))
+
+    @functools.cached_property
+    def largest_joint_mobility(self) -> Array:
+        """(M⁻¹)ᵢᵢ of each joint, the largest of all configurations; shape (n_v,)."""
+        return np.asarray(np.diagonal(self.M_inv, axis1=1, axis2=2).max(axis=0))
 
     def felt_damping(self, damping: Array) -> Array:
         """Return the damping of B_c (n_v,) along task coordinates, 1 / (Ĵ B_c⁻¹ Ĵᵀ)ᵢᵢ.

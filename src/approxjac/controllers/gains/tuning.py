@@ -75,24 +75,25 @@ def default_gains(task: Task, settling_time: float = 1.0, bandwidth: float = 100
             configuration.
     """
     require_controllable(task)
-    rate = _SETTLED / as_number("settling_time", settling_time, unit="s", above=_NO_TIME)
-    fastest = 0.5 * as_number("bandwidth", bandwidth, unit="1/s", above=0.0)
+    return _gains_at(
+        _SETTLED / as_number("settling_time", settling_time, unit="s", above=_NO_TIME),
+        task,
+        0.5 * as_number("bandwidth", bandwidth, unit="1/s", above=0.0),
+    )
+
+
+def _gains_at(rate: float, task: Task, fastest: float) -> Gains:
+    """Return the gains of `default_gains` at a rate r and half a bandwidth [1/s]."""
     postures = sample_configurations(task)
-    J = postures.J_hat
-    mobility = J @ postures.M_inv @ J.mT
-    inertia = np.median(1.0 / np.diagonal(mobility, axis1=1, axis2=2), axis=0)
-    kv = 4.0 * rate * postures.by_unit(inertia)
-    largest = np.linalg.norm(J * np.sqrt(kv)[:, None], 2, axis=(1, 2)) ** 2
-    quieting = _DAMPING_SHARE * float(np.median(largest))
+    kv = 4.0 * rate * postures.inertia
+    quieting = _DAMPING_SHARE * 4.0 * rate * postures.inertia_in_joints
     angles = np.array(task.units) == "rad"
     kv[angles] = np.maximum(kv[angles], 2.0 * quieting)
-    for group in postures.groups:
+    for group, mobility in zip(postures.groups, postures.largest_mobility, strict=True):
         # M⁻¹JᵀK_vJ has the eigenvalues of K_v times the mobility
-        fastest_mode = np.linalg.norm(mobility[:, group][:, :, group], 2, axis=(1, 2)).max()
-        kv[group] = np.minimum(kv[group], fastest / fastest_mode)
-    own = np.median(np.diagonal(postures.M, axis1=1, axis2=2), axis=0)
-    most = fastest / np.diagonal(postures.M_inv, axis1=1, axis2=2).max(axis=0)
-    damping = np.minimum(rate * own + quieting, most)
+        kv[group] = np.minimum(kv[group], fastest / mobility)
+    damping = rate * postures.joint_inertia + quieting
+    damping = np.minimum(damping, fastest / postures.largest_joint_mobility)
     return Gains(kp=rate * (kv + postures.felt_damping(damping)), kv=kv, damping=damping)
 
 
@@ -265,8 +266,7 @@ class _Arm:
         metric = S[:, None] * C * S + _RIDGE * np.eye(len(S))
         L = S[:, None] * np.linalg.inv(metric) * S
         L *= 0.5 * share / largest(Z @ L @ Z.mT)
-        own = np.median(np.diagonal(self.postures.M, axis1=1, axis2=2), axis=0)
-        joint_torque = 0.25 * gains.damping**2 / own
+        joint_torque = 0.25 * gains.damping**2 / self.postures.joint_inertia
         joint_torque = joint_torque * min(1.0, 0.5 * share / largest(np.diag(joint_torque)))
         # of each parameter, the size whose torque alone is what a motor has, RMS
         usual = np.sqrt((np.concatenate([Z, J.mT], axis=2) ** 2).mean(axis=0))
@@ -426,10 +426,13 @@ def _rates(
         rate = slow_rate(arm.task, gains.diagonals(m, nv))
         return [rate], lambda _: gains, f"settling time {_SETTLED / rate:.3g} s by given gains"
 
+    require_controllable(arm.task)
+
     @functools.cache
     def of_rate(rate: float) -> Gains:
-        return default_gains(arm.task, _SETTLED / rate, 1.0 / latency.of_velocity)
+        return _gains_at(rate, arm.task, 0.5 / latency.of_velocity)
 
+    @functools.cache
     def time(rate: float) -> float:
         diagonals = of_rate(rate).diagonals(m, nv)
         gamma = arm.saturation(diagonals, latency)
@@ -443,7 +446,7 @@ def _rates(
         if first == allowed[-1] != _RATES[-1]:
             why += f", as x is {1e3 * latency.of_position:.3g} ms late"
     else:
-        first = _SETTLED / as_number("settling_time", settling_time, unit="s", above=0.0)
+        first = _SETTLED / as_number("settling_time", settling_time, unit="s", above=_NO_TIME)
         why = f"settling time {settling_time:g} s as asked"
     # the same steps whatever is first, so that what is later is never faster
     step = math.floor(math.log(first / _RATES[-1]) / math.log(_SLOWER)) + 1

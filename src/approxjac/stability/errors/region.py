@@ -95,7 +95,7 @@ class JointBox(Region):
         self.center = robot.neutral() if center is None else robot.configuration(center, "center")
         self._whole = lower is None
         if lower is None or upper is None:
-            self.lower, self.upper = robot.usual_range()
+            self.lower, self.upper = robot.usual_range
         else:
             self.lower = as_entries("lower", lower, robot.nv)
             self.upper = as_entries("upper", upper, robot.nv)
