@@ -6,6 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from types import NoneType
 from typing import Any, Self
 
@@ -227,7 +228,7 @@ class PinholeCamera(Camera):
         if shape_of(self.distortion) != (0,):
             k = tuple(as_array("distortion", self.distortion, ("k",)).tolist())
         require("fisheye", self.fisheye, bool, "True or False")
-        lens = (Fisheye if self.fisheye else Lens)(k)
+        lens = _lens(self.fisheye, k)
         as_number("near", self.near, unit="m", above=0.0)
         require("mount", self.mount, (str, NoneType), "the name of a frame, or None for the world")
         own = vars(self)  # frozen once it is built
@@ -235,8 +236,7 @@ class PinholeCamera(Camera):
         own.update(position=tuple(p.tolist()), rotation=tuple(map(tuple, R.tolist())))
         own.update(center=tuple(c.tolist()), distortion=k)
         own.update(_f=f, _c=c, _p=p, _R=R, _R_t=R.T.copy(), _lens=lens)
-        border = self._border()
-        rays = np.array([lens.ray(x) for x in (border - c) / f])
+        border, rays = _border(lens, tuple(f.tolist()), tuple(c.tolist()), self.size)
         is_lost = np.isnan(rays).any(axis=1)
         own["_sees_all"] = not is_lost.any()
         if is_lost.any() and not self.fisheye:  # which alone may show a round image
@@ -479,18 +479,28 @@ class PinholeCamera(Camera):
             shown.append(f"mount={self.mount!r}")
         return f"PinholeCamera({', '.join(shown)})"
 
-    def _border(self) -> Array:
-        """Return points of the edges [px], among them those whose rays reach farthest; (n, 2)."""
-        count = 2 if self._lens.is_straight else _ON_AN_EDGE
-        (left, right), (top, bottom) = ends = [(-0.5, n - 0.5) for n in self.size]
-        along = [
-            np.append(np.linspace(*end, count), np.clip(c, *end))
-            for end, c in zip(ends, self._c, strict=True)
-        ]
-        return np.array(
-            [(u, v) for u in along[0] for v in (top, bottom)]
-            + [(u, v) for u in (left, right) for v in along[1]]
-        )
+
+@lru_cache(maxsize=64)
+def _lens(fisheye: bool, coefficients: tuple[float, ...]) -> Lens:
+    return (Fisheye if fisheye else Lens)(coefficients)
+
+
+@lru_cache(maxsize=64)  # a camera is often built again with another pose
+def _border(
+    lens: Lens, f: tuple[float, ...], c: tuple[float, ...], size: tuple[int, int]
+) -> tuple[Array, Array]:
+    """Return points of the edges [px], among them those with the longest rays, and rays; (n, 2)."""
+    count = 2 if lens.is_straight else _ON_AN_EDGE
+    (left, right), (top, bottom) = ends = [(-0.5, n - 0.5) for n in size]
+    along = [
+        np.append(np.linspace(*end, count), np.clip(middle, *end))
+        for end, middle in zip(ends, c, strict=True)
+    ]
+    border = np.array(
+        [(u, v) for u in along[0] for v in (top, bottom)]
+        + [(u, v) for u in (left, right) for v in along[1]]
+    )
+    return border, np.array([lens.ray(x) for x in (border - c) / f])
 
 
 def _between(value: float, low: float, high: float) -> float:
