@@ -1,5 +1,6 @@
 """Rehearsals of the loop on a robot, with drivers that tests break."""
 
+import gc
 import math
 
 import numpy as np
@@ -47,6 +48,7 @@ def tolerating(**options):
 def run(driver, controller, duration=1.0, **options):
     plant = driver.driver.plant
     options = {"tolerances": tolerating(), **options}
+    gc.freeze()  # or collecting what other tests loaded takes longer than many a run
     return control(driver, controller, goal(plant), duration, **options)
 
 

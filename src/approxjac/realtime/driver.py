@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 import pinocchio as pin
@@ -60,8 +60,7 @@ def read(driver: Driver, task: Task) -> Measurement:
         InvalidInputError: q, q̇ or x with another number of entries.
     """
     t, *arrays, t_x = driver.read()
-    masked = (np.ma.asarray(each, np.float64) for each in arrays)
-    q, v, x = (np.array(np.ma.filled(each, np.nan)) for each in masked)
+    q, v, x = map(_filled, arrays)
     robot = task.robot
     if q.shape == (robot.nv,) and robot.nq != robot.nv:
         q = np.array(pin.integrate(robot.model, robot.neutral(), q))
@@ -78,3 +77,10 @@ def read(driver: Driver, task: Task) -> Measurement:
 def two_clocks(measurement: Measurement, dt: float) -> str:
     """Return an error text if x was taken after t, which proves two clocks, else ""."""
     return from_another_clock(measurement.t, measurement.t_x, dt + _AHEAD)
+
+
+def _filled(values: Any) -> Array:
+    """Return a copy of an array, with NaN for its masked entries."""
+    if type(values) is not np.ndarray:
+        values = np.ma.filled(np.ma.asarray(values, np.float64), np.nan)
+    return np.array(values, np.float64)
