@@ -24,9 +24,10 @@ _SPEED = np.array([2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26])
 # The robot takes 1000 N m/s, 10 rad/s² and 5000 rad/s³. It may have got a command late that counts
 # as lost for its state: what is sent next then differs from it by two or three times these.
 _TORQUE_RATE, _ACCELERATION, _JERK = 500.0, 7.0, 1000.0
-# speed at a distance d from a joint's end: √(2ad) less an offset; from the arm's URDF
-_BRAKING = np.array([6.0, 2.585, 3.5, 4.0, 17.0, 5.5, 17.0])
-_OFFSET = np.array([0.3, 0.2, 0.2, 0.3, 0.35, 0.35, 0.35])
+# Speed at a distance d from a joint's end: √(2ad) less an offset, from the arm's URDF. There a is
+# 17 of joints 5 and 7, more than commands may brake with. Speeds lag by a · _ACCELERATION / _JERK.
+_BRAKING = np.array([6.0, 2.585, 3.5, 4.0, 6.0, 5.5, 6.0])
+_OFFSET = np.array([0.3, 0.2, 0.2, 0.3, 0.35, 0.35, 0.35]) + _BRAKING * _ACCELERATION / _JERK
 _INSIDE = 1e-3  # rad/s within these speeds, for what is lost in rounding
 
 Sensor = Callable[[float, Array], "Array | tuple[Array, float]"]
@@ -214,9 +215,12 @@ class FrankaDriver:
         low = _INSIDE - np.minimum(_SPEED, _towards(q - _LOW))
         most = _JERK * _DT
         change = np.minimum(np.maximum((velocity - before) / _DT - a, -most), most)
-        upper = np.minimum(_JERK / _ACCELERATION * (high - before), _ACCELERATION)
-        lower = np.maximum(_JERK / _ACCELERATION * (low - before), -_ACCELERATION)
-        return np.asarray(before + _DT * np.maximum(np.minimum(a + change, upper), lower))
+        upper, lower = (
+            _JERK / _ACCELERATION * (high - before),
+            _JERK / _ACCELERATION * (low - before),
+        )
+        a = np.maximum(np.minimum(a + change, upper), lower)
+        return np.asarray(before + _DT * np.minimum(np.maximum(a, -_ACCELERATION), _ACCELERATION))
 
     @contextmanager
     def _named(self, what: str) -> Iterator[None]:
