@@ -355,11 +355,18 @@ def test_a_joint_is_no_faster_than_the_robot_allows(plant, controller):
     assert 0.1 < np.abs(found.v[-1]).max() < 0.2
 
 
-def test_x_is_held_against_what_the_present_controller_believes(plant, controller, monkeypatch):
-    """The one that it begins with knows the tool, the one that goes on does not."""
+@pytest.fixture
+def knowing(plant):
+    """A controller that knows the tool."""
     gravity = aj.AdaptiveGravity(plant.robot)
     law = aj.SetpointController(aj.PositionTask(plant.robot), gravity=gravity)
-    knowing = aj.TorqueLimited(law, aj.Limits.of(plant.robot))
+    return aj.TorqueLimited(law, aj.Limits.of(plant.robot))
+
+
+def test_x_is_held_against_what_the_present_controller_believes(
+    plant, controller, knowing, monkeypatch
+):
+    """The one that it begins with knows the tool, the one that goes on does not."""
     advance, begun = RobotLoop.advance, []
 
     def exchanging(loop):
@@ -376,6 +383,42 @@ def test_x_is_held_against_what_the_present_controller_believes(plant, controlle
         faults.append(found.fault)
     assert faults == [None, Fault.SENSOR_DISAGREES]
     assert found.t[-1] > 0.05
+
+
+class LearnsSensor(Around):
+    """A controller that learns a sensor's pose, too."""
+
+    @property
+    def kinematics(self):
+        return aj.AdaptiveKinematics(self.task, ("camera",))
+
+
+@pytest.mark.parametrize("exchanged", [False, True])
+def test_a_turned_sensor_is_taken_while_the_present_controller_learns_it(
+    plant, knowing, monkeypatch, exchanged
+):
+    class Turned(Wrapped):
+        """A sensor that is turned by 0.4 rad about where the tip begins."""
+
+        def read(self):
+            m = super().read()
+            x0, (c, s) = plant.sensor.value(START), (np.cos(0.4), np.sin(0.4))
+            return m._replace(x=x0 + [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]] @ (m.x - x0))
+
+    advance, loops = RobotLoop.advance, []
+
+    def exchanging(loop):
+        loops.append(loop)
+        if loop.step == 20 and exchanged:
+            loop.exchange(knowing)
+        return advance(loop)
+
+    monkeypatch.setattr(RobotLoop, "advance", exchanging)
+    exact = aj.realtime.Accuracy(x=2e-4, tool=0.0, jacobian=0.0)
+    learning, tolerances = LearnsSensor(knowing), tolerating(accuracy=exact)
+    found = run(driver_of(plant, Turned), learning, 0.2, tolerances=tolerances)
+    assert loops[-1].learns_sensor is not exchanged
+    assert found.fault is (Fault.SENSOR_DISAGREES if exchanged else None)
 
 
 class Limiting(Around):

@@ -82,8 +82,6 @@ class RobotLoop(Loop):
             robot, self.dt, tolerances.accuracy, np.minimum(robot.velocity_limits, fastest),
             tolerances.max_period, driver.command == "velocity",
         )  # fmt: skip
-        kinematics = controller.kinematics
-        self.learns_sensor = kinematics is not None and bool(kinematics.names)
         self._watch_sensor()
         self.fault: Fault | None = None
         self.detail = ""
@@ -169,7 +167,8 @@ class RobotLoop(Loop):
 
     def _watch_sensor(self) -> None:
         accuracy, blind = self._tolerances.accuracy, np.asarray(self._tolerances.max_blind_motion)
-        task = self.controller.task
+        task, kinematics = self.controller.task, self.controller.kinematics
+        self.learns_sensor = kinematics is not None and bool(kinematics.names)
         self._sensor = SensorWatch(task, self.dt, accuracy, blind, self.learns_sensor)
 
     def _ease(self, x: Array, velocity: Array) -> None:
