@@ -569,6 +569,30 @@ TIMED = {
 
 
 @needs_compiler
+@pytest.mark.parametrize("command", ["torque", "velocity"])
+def test_without_a_target_a_tracking_law_learns_nothing(command, tmp_path):
+    """The joints come to rest; what is kept of time and frames is that of an x that is lost."""
+    controller = tracking(aj.load_robot("two_link"), command=command)
+    in_c, task = InC(controller, tmp_path), controller.task
+    q, v, t = np.array([0.4, 0.9]), np.array([0.1, -0.2]), 0.0
+    x = task.value(q)
+    state = controller.initial_state(Measurement(t, q, v, x, t))
+    for _ in range(30):  # of one image; the next one is 1 cm beside
+        state = in_c.step(state, q, v, x, x, 1e-3, t, 0.0)[1]
+        t += 1e-3
+    p, end = controller.resting, controller.resting + controller.kinematics.n_state
+    nowhere, lost = np.full(2, np.nan), np.full(2, np.nan)
+    status, after, answer = in_c.step(state, q, v, x + 0.01, nowhere, 1e-3, t, t)
+    assert status == header_number(tmp_path, "REFUSED_TARGET")
+    expected, _ = controller.step(state, Measurement(t, q, v, lost, t), x, 1e-3)
+    np.testing.assert_array_equal(after[:p], state[:p])
+    np.testing.assert_allclose(after[p:end], expected[p:end], rtol=1e-12, atol=1e-12)
+    seen = controller.step(state, Measurement(t, q, v, x + 0.01, t), x, 1e-3)[0]
+    assert np.abs(seen[p:end] - after[p:end]).max() > 1e-6
+    assert np.isfinite(answer["torque"]).all()
+
+
+@needs_compiler
 @pytest.mark.parametrize(
     "case", [k if k == "held" else pytest.param(k, marks=pytest.mark.study) for k in TIMED]
 )

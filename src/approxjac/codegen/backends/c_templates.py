@@ -34,7 +34,8 @@ typedef enum {
     ${PREFIX}_REFUSED_T = -7,
     /* dt is not positive or not finite: the torque is that of the law, the state stays */
     ${PREFIX}_REFUSED_DT = -6,
-    /* a number of the target is not finite: torque and state are those of an x that is lost */
+    /* a number of the target is not finite: x counts as lost, the joints come to rest, nothing is
+       learnt */
     ${PREFIX}_REFUSED_TARGET = -5,
     /* the torque or the next state overflows: the torque is zero, the state stays */
     ${PREFIX}_REFUSED_OVERFLOW = -4,
@@ -181,6 +182,7 @@ ${prefix}_status ${prefix}_step(${prefix}_state *state, const ${prefix}_measurem
     const ${prefix}_target *target, double dt, ${prefix}_answer *answer)
 {
     static const ${prefix}_target nowhere = {{$nowhere}, {0.0}, {0.0}};
+    ${prefix}_measurement blind;
     double after[$stored];
     int i, is_target, is_dt;
     if (!is_configuration(now->q)) {
@@ -193,6 +195,13 @@ $t_checks    if (!is_finite(state->values, N_STATE)) {
         return refused(answer, ${PREFIX}_REFUSED_STATE);
     }
     is_target = is_finite(target->x, ${PREFIX}_N_X)$rate_checks;
+    if (!is_target) {
+        blind = *now;
+        for (i = 0; i < ${PREFIX}_N_X; ++i) {
+            blind.x[i] = NAN;
+        }
+        now = &blind;
+    }
     is_dt = dt > 0.0 && dt <= DBL_MAX;
     evaluate(now, is_target ? target : &nowhere, state->values, is_dt ? dt : 0.0, answer, after);
     if (!is_finite(answer->torque, ${PREFIX}_N_V) || !is_finite(after, N_STATE)) {
