@@ -138,9 +138,10 @@ def chosen_kinds(unknown: Any, valid: Sequence[str]) -> tuple[str, ...]:
         kinds = (unknown,) if isinstance(unknown, str) else tuple(unknown)
     except TypeError:
         kinds = ()
-    if not kinds or any(kind not in valid for kind in kinds):
+    if not kinds or any(not isinstance(kind, str) or kind not in valid for kind in kinds):
+        given = " ".join(repr(unknown).split())  # an array has lines
         raise InvalidInputError(
-            f"unknown must be one or more of {', '.join(valid)}, got {unknown!r}", given=unknown
+            f"unknown must be one or more of {', '.join(valid)}, got {given}", given=unknown
         )
     return kinds
 

@@ -29,6 +29,7 @@ from approxjac.validation import Array, Immutable, as_array, as_number, as_vecto
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)
 WORLD = pin.Convention.WORLD  # members of Pinocchio's enums are slow to look up
+_FAR = 1e6  # a locked joint is from zero [rad or m]
 _MOST_MOVING = 150  # Pinocchio's scratch memory grows with the cube of it
 
 
@@ -395,6 +396,7 @@ class Robot(Immutable):
 
         Raises:
             UnknownNameError: Not a moving joint of this robot.
+            InvalidInputError: A position that is no number, or beyond 1e6 rad or m.
         """
         require("positions", positions, Mapping, "a mapping from joint names to positions")
         moving = list(self.mimic_joints.model.names)[1:]
@@ -402,7 +404,13 @@ class Robot(Immutable):
         for joint, position in positions.items():
             if joint not in moving:
                 raise UnknownNameError("moving joint", joint, self.name, moving)
-            locked[joint] = as_number(f"position of {joint}", position, unit="rad or m")
+            locked[joint] = as_number(
+                f"position of {joint}",
+                position,
+                unit="rad or m",
+                minimum=-_FAR,
+                most=_FAR,
+            )
         return self._changed(with_locked_joints(self.tree, locked))
 
     def with_gravity(self, gravity: Sequence[float] | Array) -> Robot:

@@ -187,7 +187,7 @@ def require_parameters(names: Sequence[str]) -> None:
 
 
 def _values(name: str, given: Sequence[float] | Array) -> Array:
-    values = as_array(f"values of {name}", given, (np.size(given),))
+    values = as_array(f"values of {name}", given, ("k",))
     wanted, low = (" >= 0", 0.0) if name == "error" else (" > 0", np.nextafter(0.0, 1.0))
     if len(values) < 2 or values[0] < low or not (np.diff(values) > 0.0).all():
         raise InvalidInputError(
