@@ -61,6 +61,18 @@ def test_the_task_torque_of_law_5_has_the_measured_velocity(panda):
     assert_allclose(run.task_torque, run.tau + 1.5 * run.v, atol=1e-9)
 
 
+def test_some_instants_are_those_of_all(panda, tmp_path):
+    run = reach(panda, setpoint)[-1]
+    for name in ("V", "task_torque"):
+        some = run.at(name, [7, -1])
+        assert name not in vars(run)
+        assert_array_equal(some, getattr(run, name)[[7, -1]])
+        assert_array_equal(some, run.at(name, [7, -1]))
+    loaded = aj.Trajectory.load(run.save(tmp_path / "run.npz"))
+    for name in ("V", "task_torque"):
+        assert_array_equal(loaded.at(name, [7, -1]), run.at(name, [7, -1]))
+
+
 def test_limiters_show_the_torque_that_the_law_wants(panda):
     limits = aj.Limits(effort=10.0)
     _, _, free = reach(panda, setpoint)

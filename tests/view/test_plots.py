@@ -171,7 +171,7 @@ def test_learnt_parameters_are_drawn_beside_the_true_ones(run):
     scene = dataclasses.replace(run.scene, parameters={"a": "kg", "b": "kg m"})
     learnt = dataclasses.replace(
         run, learnt=np.outer(run.t, [1.0, 2.0]), scene=scene,
-        derived=lambda run, name: lambda state: np.full(2, np.nan),
+        derived=lambda run, name, at: lambda state: np.full(2, np.nan),
     )  # fmt: skip
     ax = view.plot_parameters(learnt, truth={"a": 0.9, "b": 1.9})
     lines = {line.get_label(): line for line in ax.get_lines()}

@@ -50,7 +50,7 @@ def plots(run, image_run, arm, seen):
     scene = dataclasses.replace(run.scene, parameters={"a": "kg", "b": "kg m"})
     learnt = dataclasses.replace(
         run, learnt=np.outer(run.t, [1.0, 2.0]), scene=scene,
-        derived=lambda run, name: lambda state: np.full(2, np.nan),
+        derived=lambda run, name, at: lambda state: np.full(2, np.nan),
     )  # fmt: skip
     belief = aj.load_robot("panda")
     tracking = aj.TrackingController(aj.PositionTask(belief))

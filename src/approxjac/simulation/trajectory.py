@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import zipfile
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 
@@ -136,7 +137,8 @@ class Trajectory:
         joint_names, joint_units: In the order of v and τ; "rad", or "m" for prismatic joints.
         task_labels, task_units: Of the task coordinates, length m.
         scene: Robots and tasks, to draw the run; None if unknown.
-        derived: Function that computes other quantities on demand, by name.
+        derived: Function of a run, a name and indices of instants, which computes other quantities
+            on demand.
         ended: Reason why a run on a robot ended, as text; "" for others.
         fault_name: Name of the `Fault` that ended it; "" without one.
         engine: "machine code" or "Python" for a simulated run, and why; "" for others.
@@ -161,7 +163,7 @@ class Trajectory:
     task_labels: tuple[str, ...]
     task_units: tuple[str, ...]
     scene: Scene | None = None
-    derived: Callable[[Trajectory, str], Any] = field(kw_only=True)
+    derived: Callable[[Trajectory, str, Any], Any] = field(kw_only=True)
     ended: str = field(default="", kw_only=True)
     fault_name: str = field(default="", kw_only=True)
     engine: str = field(default="", kw_only=True)
@@ -181,12 +183,17 @@ class Trajectory:
     @cached_property
     def task_torque(self) -> Array:
         """The part of the law's torque that acts on the task, (N, n_v); NaN where unknown."""
-        return np.asarray(self.derived(self, "task_torque"))
+        return np.asarray(self.derived(self, "task_torque", slice(None)))
 
     @cached_property
     def V(self) -> Array:
         """The controller's Lyapunov function of the true arm, shape (N,) [J]; NaN without one."""
-        return np.asarray(self.derived(self, "V"))
+        return np.asarray(self.derived(self, "V", slice(None)))
+
+    def at(self, name: Literal["V", "task_torque"], instants: Any) -> Array:
+        """Return `V` or `task_torque` at some instants, by their indices, without the others."""
+        known = vars(self).get(name)
+        return np.asarray(self.derived(self, name, instants) if known is None else known[instants])
 
     @cached_property
     def V_dot(self) -> Array:
@@ -202,12 +209,12 @@ class Trajectory:
 
     def learnt_sd(self, k: int) -> Array:
         """Return the standard deviations of `learnt[k]`, shape (p,); NaN for runs from files."""
-        return np.asarray(self.derived(self, "learnt_sd")(self.state[k]))
+        return np.asarray(self.derived(self, "learnt_sd", k)(self.state[k]))
 
     @cached_property
     def law(self) -> str:
         """The controllers as text, with dt and the version; "" for files without them."""
-        return str(self.derived(self, "law"))
+        return str(self.derived(self, "law", slice(None)))
 
     @property
     def target(self) -> Array:
@@ -294,11 +301,14 @@ class Trajectory:
                 kept[name] = tuple(text) if isinstance(text, list) else text
             derived = {name: kept.pop(name) for name in (*_DERIVED, "law")}
             unknown = np.full(kept["learnt"].shape[-1], np.nan)
-            derived["learnt_sd"] = lambda state: unknown
+            others = {"law": derived.pop("law"), "learnt_sd": lambda state: unknown}
             kept["scene"] = kept["scene"] and Scene.from_dict(kept["scene"])
             own = {f.name: kept[f.name] for f in fields(cls) if f.name in kept}
-            run = cls(**own, derived=lambda _, name: derived[name])
-            run._require_fit(derived["law"])
+            own["derived"] = lambda _, name, at: (
+                derived[name][at] if name in derived else others[name]
+            )
+            run = cls(**own)
+            run._require_fit(others["law"])
             return run
         except FileNotFoundError as error:
             raise TrajectoryFileError(
@@ -494,7 +504,7 @@ class Record:
         controllers = [controller for _, controller in self._controllers]
         return list(zip(starts, [*starts[1:], count], controllers, strict=True))
 
-    def _derive(self, run: Trajectory, name: str) -> Any:
+    def _derive(self, run: Trajectory, name: str, instants: Any) -> Any:
         """Return a derived quantity of `Trajectory` by its name, by the controllers that ran."""
         if name == "law":
             return self._law()
@@ -502,21 +512,21 @@ class Record:
             return self._controllers[-1][1].learnt_sd
         e, J_hat = self._columns[len(_RECORDED) :]
         plant, values = self._plant, []
-        for start, end, controller in self._spans(len(run.t)):
-            error = controller.task.error
-            derived = controller.lyapunov if name == "V" else controller.task_torque
-            for k in range(start, end):
-                answer = Evaluation(
-                    run.tau[k], None, Status(run.status[k]), e[k],
-                    None if np.isnan(J_hat[k]).all() else J_hat[k], None,
-                    LimitStatus(run.limit_status[k]), run.slack[k],
-                )  # fmt: skip
-                x, x_d = run.x[k], run.x_d[k]
-                at = Instant(
-                    run.q[k], run.v[k], error(x, x_d), x_d, run.state[k], answer, plant.dynamics,
-                    plant.adds_gravity,
-                )  # fmt: skip
-                values.append(derived(at))
+        starts, controllers = zip(*self._controllers, strict=True)
+        for k in np.arange(len(run.t))[instants].tolist():
+            controller = controllers[bisect_right(starts, k) - 1]
+            answer = Evaluation(
+                run.tau[k], None, Status(run.status[k]), e[k],
+                None if np.isnan(J_hat[k]).all() else J_hat[k], None,
+                LimitStatus(run.limit_status[k]), run.slack[k],
+            )  # fmt: skip
+            x, x_d = run.x[k], run.x_d[k]
+            at = Instant(
+                run.q[k], run.v[k], controller.task.error(x, x_d), x_d, run.state[k], answer,
+                plant.dynamics, plant.adds_gravity,
+            )  # fmt: skip
+            derive = controller.lyapunov if name == "V" else controller.task_torque
+            values.append(derive(at))
         return np.array(values)
 
 

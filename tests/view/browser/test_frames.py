@@ -20,6 +20,13 @@ TARGET = np.array([0.5, -0.1, 0.6])
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 
 
+class AtInstants(SimpleNamespace):
+    """What is shown of a run."""
+
+    def at(self, name, instants):
+        return getattr(self, name)[instants]
+
+
 def columns(scene, q, x, x_d, **given):
     n, nv = len(q), scene.truth.nv
     rest = {
@@ -29,7 +36,7 @@ def columns(scene, q, x, x_d, **given):
     }  # fmt: skip
     shown = rest | given
     units = ("m",) * 3 if scene.sensor is None else scene.sensor.units
-    run = SimpleNamespace(q=q, x_measured=x, x_d=x_d, task_units=units, **shown)
+    run = AtInstants(q=q, x_measured=x, x_d=x_d, task_units=units, **shown)
     return RunFrames(scene).columns(run)
 
 
@@ -213,7 +220,7 @@ def instant(task, q, task_torque):
     }  # fmt: skip
     instants = {name: row[np.newaxis] for name, row in rows.items()}
     nothing = np.zeros((len(instants["t"]), 0))
-    return SimpleNamespace(task_units=task.units, learnt=nothing, **instants)
+    return AtInstants(task_units=task.units, learnt=nothing, **instants)
 
 
 def test_no_link_has_the_name_of_a_shape(two_link):

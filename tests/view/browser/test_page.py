@@ -322,7 +322,7 @@ def test_a_controller_that_tells_no_belief(reach, show):
     scene = dataclasses.replace(reach.scene, belief=None, task=None)
     nothing = np.full_like(reach.task_torque, np.nan)
     unknown = {"task_torque": nothing, "V": nothing[:, 0]}
-    run = dataclasses.replace(reach, scene=scene, derived=lambda run, name: unknown[name])
+    run = dataclasses.replace(reach, scene=scene, derived=lambda run, name, at: unknown[name][at])
     page = show(run)
     seek(page, reach.t[-1])
     titles = page.locator(".plot h2").all_inner_texts()

@@ -63,13 +63,13 @@ class RunFrames:
         error, tau, limits = run.error[kept], _peaks(run.tau, kept), self.scene.torque_limits
         share = tau / np.where(np.isfinite(limits), limits, np.nan)
         tip = np.array([self._true.positions(row)[0] for row in q]).reshape(-1, 3)
-        believed_tip, force = self._believed_tip(q, run.task_torque[kept])
+        believed_tip, force = self._believed_tip(q, run.at("task_torque", kept))
         learnt = learnt_tips(self.scene, q, run.learnt[kept])
         if learnt is not None:
             believed_tip = learnt
         return {
             "t": run.t[kept],
-            "V": run.V[kept],
+            "V": run.at("V", kept),
             "error": error * [display_unit(unit)[1] for unit in run.task_units],
             "torque": share if np.isfinite(limits).any() else tau,
             "load": np.abs(share),
