@@ -296,7 +296,7 @@ def test_without_llvmlite(monkeypatch):
     assert told.endswith("engine in Python as llvmlite is not installed")
 
     with pytest.warns(UserWarning, match=r"20000 runs .* 10 min .*approxjac\[fast\]"):
-        aj.Study(*loop, duration=0.5).setting().with_engine(None, 20_000)
+        rollout_setting.with_engine([aj.Study(*loop, duration=0.5).setting()], None, 20_000)
 
     def missing(extra, name):
         raise MissingPackageError("no", given=name)

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import approxjac as aj
 from approxjac.codegen.lanes import Lanes
 from approxjac.stability import Execution
-from approxjac.stability.rollouts.setting import sharing
+from approxjac.stability.rollouts import setting as rollout_setting
 
 SHORT = {"duration": 1.0, "dt": 4e-3, "accuracy": 0.05}
 DAMPING, SCALES = (0.2, 2.0), (0.5, 1.0)
@@ -167,6 +167,20 @@ def test_one_compiled_loop_for_all_points(plane, learns, monkeypatch):
             assert_allclose(runs.columns[name], column, rtol=1e-9, atol=1e-12, err_msg=name)
 
 
+def test_the_law_of_a_map_is_tried_once_for_all_points(plane, monkeypatch):
+    """And not at all, once its loop is compiled."""
+    tried = []
+    check = rollout_setting.require_covered
+    monkeypatch.setattr(
+        rollout_setting, "require_covered", lambda *loop: (tried.append(loop), check(*loop))[1]
+    )
+    over = {"kv": (0.5, 0.75), "error": (0.0, 0.9)}  # nowhere else, as loops are kept
+    for _ in range(2):
+        found = study(*plane, **SHORT | {"duration": 4e-3}).map(over, 1)
+        assert [runs.setting.engine for runs in found.points.values()] == 4 * ["lanes"]
+        assert len(tried) == 1
+
+
 def test_what_follows_from_gains_has_a_loop_of_its_own(plane):
     """Limits, as their proof takes gains; errors of another scale share one."""
     law, errors, region = plane
@@ -176,13 +190,17 @@ def test_what_follows_from_gains_has_a_loop_of_its_own(plane):
         for k in DAMPING
     ]
 
-    def of(law, errors):
-        return study(law, errors, region, **SHORT).setting().with_engine(None, 4)
-
-    assert [each.alike for each in sharing([of(each, errors) for each in limited])] == [(), ()]
-    scaled = sharing([of(limited[0], errors.scaled(scale)) for scale in SCALES])
-    assert [len(each.alike) for each in scaled] == [1, 1]
-    assert scaled[0].key == scaled[1].key
+    settings = [
+        study(law, errors.scaled(scale), region, **SHORT).setting()
+        for law in limited
+        for scale in SCALES
+    ]
+    found = rollout_setting.with_engine(settings, None, 4)
+    keys = [each.key for each in found]
+    assert keys[0] == keys[1] != keys[2] == keys[3]
+    ((law, largest),) = found[0].alike
+    assert law is limited[0]
+    assert largest.factor == max(SCALES)
 
 
 # -- what else simulates ------------------------------------------------------------------------

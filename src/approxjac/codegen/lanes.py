@@ -100,6 +100,10 @@ class Lanes:
         tolerance: Error below which a task counts as done.
         integrator: Integrator of the plant: one of `INTEGRATORS`.
         path: Path of the target of all runs, in place of their own; None is at rest.
+
+    Attributes:
+        program: The program of a step.
+        frames: Frames that the sensor looks at.
     """
 
     def __init__(
@@ -126,6 +130,7 @@ class Lanes:
         loop = TracedLoop(
             program, controller, plant, numbers, target, dt, integrator, given, senses
         )
+        self.frames = tuple(loop.truth.frames)
         self._truth, before = loop.truth, {name: program.kept(name, 1)[0] for name in OUTCOME}
         program.step(loop.after | {
             "diverged": select(loop.diverged, 1.0, before["diverged"]),

@@ -22,7 +22,7 @@ from approxjac.stability.loop.closed_loop import ClosedLoop, usual_region
 from approxjac.stability.report.other_laws import OtherLawReport, near_targets
 from approxjac.stability.report.report import StabilityReport, report_of
 from approxjac.stability.rollouts.rollouts import Execution, Rollouts, carried_out
-from approxjac.stability.rollouts.setting import RolloutSetting
+from approxjac.stability.rollouts.setting import RolloutSetting, with_engine
 from approxjac.tasks.analysis import fine_error
 from approxjac.validation import Array, as_integer, as_number, require
 
@@ -137,7 +137,7 @@ class StudiedLoop:
         n = as_integer("n", n, 1)
         failures = None if failures is None else as_integer("failures", failures, 1)
         execution = Execution() if execution is None else execution
-        setting = self.setting().with_engine(execution.engine, n)
+        (setting,) = with_engine([self.setting()], execution.engine, n)
         tell = partial(telling(progress), "rollouts")
         (columns,) = carried_out([setting], n, failures, execution, tell)
         return Rollouts(columns, setting)

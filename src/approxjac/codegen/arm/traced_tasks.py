@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from traceback import walk_tb
 from typing import Any
 
@@ -14,6 +14,8 @@ from approxjac.codegen.trace.symbols import Graph, Symbols, inputs, symbols
 from approxjac.errors import InvalidInputError
 from approxjac.tasks import Task
 from approxjac.validation import Array
+
+_HOLDERS = (Camera, Task, tuple, list)  # of what may be a camera
 
 
 def frames(task: Task) -> tuple[str, ...]:
@@ -65,20 +67,25 @@ def _place(error: Exception) -> str:
 
 def may_lose(task: Task) -> bool:
     """Return True if a sensor may lose its measurement."""
-    return any(True for _ in _cameras(task)) or type(task).visible is not Task.visible
+    return bool(_cameras(task)) or type(task).visible is not Task.visible
 
 
-def _cameras(of: Any, seen: set[int] | None = None) -> Iterator[Camera]:
+def _cameras(of: Task) -> list[Camera]:
     """Return the cameras of a task and of all that it is made of, each once."""
-    seen = set() if seen is None else seen
-    if id(of) in seen:
-        return
-    seen.add(id(of))
-    if isinstance(of, Camera):
-        yield of
-    elif isinstance(of, Task | tuple | list):
-        for part in vars(of).values() if isinstance(of, Task) else of:
-            yield from _cameras(part, seen)
+    found: list[Camera] = []
+    seen: set[int] = set()
+    waiting: list[Any] = [of]
+    while waiting:
+        part = waiting.pop()
+        if id(part) in seen:
+            continue
+        seen.add(id(part))
+        if isinstance(part, Camera):
+            found.append(part)
+            continue
+        parts = [*vars(part).values()] if isinstance(part, Task) else part
+        waiting += [each for each in reversed(parts) if isinstance(each, _HOLDERS)]
+    return found
 
 
 def numbers(sensors: Sequence[Task]) -> dict[str, Array]:

@@ -9,6 +9,7 @@ import pickle
 import threading
 import uuid
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -130,45 +131,29 @@ class RolloutSetting:
     key: str = ""
     alike: tuple[tuple[Controller, Uncertainty], ...] = ()
 
-    def with_engine(self, engine: str | None, runs: int) -> RolloutSetting:
-        """Return this with the requested engine, or the fastest that covers it."""
-        if engine is not None and engine not in _ENGINES:
-            raise UnknownNameError("engine", engine, "rollouts", _ENGINES)
-        if engine == "python":
-            return self
-        try:
-            if not self.uncertainty.makes_the_robots:
-                raise InvalidInputError(
-                    "uncertainty must be one whose plant and robot are those of Uncertainty for "
-                    f"lanes, got {type(self.uncertainty).__name__}: {self.uncertainty!r}",
-                    given=self.uncertainty,
-                )
-            require_covered(
-                self.controller, self.uncertainty.nominal._sensed(self.sensing, self.actuator_delay)
+    def _require_covered(self) -> None:
+        """Check that lanes cover the runs.
+
+        Raises:
+            InvalidInputError: They do not.
+        """
+        if not self.uncertainty.makes_the_robots:
+            raise InvalidInputError(
+                "uncertainty must be one whose plant and robot are those of Uncertainty for "
+                f"lanes, got {type(self.uncertainty).__name__}: {self.uncertainty!r}",
+                given=self.uncertainty,
             )
-            self._box()
-        except InvalidInputError as error:
-            if engine is not None:
-                raise
-            return replace(self, reason=str(error))
-        if engine is not None:
-            package_of("fast", "llvmlite")
-        elif importlib.util.find_spec("llvmlite") is None:
-            seconds = _PER_STEP * self.steps * runs
-            if seconds > _LONG:
-                warnings.warn(
-                    f"{runs} runs of {self.duration:g} s take Python about {seconds / 60.0:.0f} "
-                    f"min of one core, and machine code some {max(seconds / 300.0, 1.0):.0f} s: "
-                    "pip install 'approxjac[fast]'",
-                    stacklevel=3,
-                )
-            return replace(self, reason="llvmlite is not installed")
-        setting = replace(self, engine="lanes")
+        require_covered(
+            self.controller, self.uncertainty.nominal._sensed(self.sensing, self.actuator_delay)
+        )
+        self._box()
+
+    def _own_key(self) -> str:
+        """Return what the compiled loop of this alone is known by."""
         try:
-            key = hashlib.sha256(pickle.dumps(setting)).hexdigest()
+            return hashlib.sha256(pickle.dumps(self)).hexdigest()
         except (pickle.PicklingError, AttributeError, TypeError):
-            key = uuid.uuid4().hex  # for the threads of this process
-        return replace(setting, key=key)
+            return uuid.uuid4().hex  # for the threads of this process
 
     def _box(self) -> Box:
         """Return the region as lanes take it, or refuse it."""
@@ -253,11 +238,10 @@ class RolloutSetting:
         """Return runs in lanes, as columns; those that lanes leave are runs in Python."""
         lanes, starts, begun = _lanes_of(self), [], []
         moving = replace(self, uncertainty=self.uncertainty.moving())
-        frames = tasks.frames(self.uncertainty.nominal.sensor)
         for index in indices:
             start = moving.start(index)
             starts.append((index, start.values, start.q, start.target))
-            begun.append(start.begun(self.controller, frames))
+            begun.append(start.begun(self.controller, lanes.frames))
         last: dict[str, Any] = lanes.run(begun, self.every)
         diverged, last_bad = last["diverged"] > 0.0, last["last_bad"]
         settled = (last_bad < self.steps) & ~diverged
@@ -279,20 +263,65 @@ class RolloutSetting:
         return columns
 
 
-def sharing(settings: list[RolloutSetting]) -> list[RolloutSetting]:
+def with_engine(
+    settings: Sequence[RolloutSetting], engine: str | None, runs: int
+) -> list[RolloutSetting]:
+    """Return settings with the requested engine, or the fastest that covers them.
+
+    Args:
+        settings: Settings that differ in gains or scale at most, so that what covers the first
+            covers all.
+        engine: "lanes", "python" or None.
+        runs: Number of runs of each.
+    """
+    if engine is not None and engine not in _ENGINES:
+        raise UnknownNameError("engine", engine, "rollouts", _ENGINES)
+    if engine == "python" or not settings:
+        return [*settings]
+    found = _sharing([replace(each, engine="lanes") for each in settings])
+    try:
+        if found[0].key not in _lanes:
+            found[0]._require_covered()
+    except InvalidInputError as error:
+        if engine is not None:
+            raise
+        return [replace(each, reason=str(error)) for each in settings]
+    if engine is not None:
+        package_of("fast", "llvmlite")
+    elif importlib.util.find_spec("llvmlite") is None:
+        runs *= len(settings)
+        seconds = _PER_STEP * found[0].steps * runs
+        if seconds > _LONG:
+            warnings.warn(
+                f"{runs} runs of {found[0].duration:g} s take Python about {seconds / 60.0:.0f} "
+                f"min of one core, and machine code some {max(seconds / 300.0, 1.0):.0f} s: "
+                "pip install 'approxjac[fast]'",
+                stacklevel=3,
+            )
+        return [replace(each, reason="llvmlite is not installed") for each in settings]
+    return found
+
+
+def _sharing(settings: list[RolloutSetting]) -> list[RolloutSetting]:
     """Return settings that differ in scale alone, or in gains that all grow, with one loop.
 
     In code, gains are numbers like others; but limits and postures follow from them.
     """
-    first, last = settings[0].controller, settings[-1].controller
-    if first is not last and not (type(first) is SetpointController and first.posture is None):
-        return settings
-    if settings[0].engine != "lanes":
-        return settings
-    errors = max((each.uncertainty for each in settings), key=lambda each: each.factor)
-    alike = tuple((law, errors) for law in dict.fromkeys((first, last)))
-    key = settings[0].key + settings[-1].key
-    return [replace(each, key=key, alike=alike) for each in settings]
+    groups: dict[int, list[int]] = {}
+    for k, each in enumerate(settings):
+        law = each.controller
+        gains_are_numbers = type(law) is SetpointController and law.posture is None
+        groups.setdefault(0 if gains_are_numbers else id(law), []).append(k)
+    found = settings.copy()
+    for group in groups.values():
+        ends = dict.fromkeys((settings[group[0]], settings[group[-1]]))
+        errors = max((settings[k].uncertainty for k in group), key=lambda each: each.factor)
+        laws = dict.fromkeys(each.controller for each in ends)
+        alike = tuple((law, errors) for law in laws)
+        key = "".join(each._own_key() for each in ends)
+        for k in group:
+            found[k] = replace(found[k], key=key, alike=alike)
+    return found
 
 
 def _judged(t: Array, error: Array, tolerance: float) -> tuple[float, bool]:
@@ -315,7 +344,7 @@ def _lanes_of(setting: RolloutSetting) -> Lanes:
             while len(_lanes) >= _COMPILED:
                 del _lanes[next(iter(_lanes))]
             examples = []
-            for law, errors in setting.alike or ((setting.controller, setting.uncertainty),):
+            for law, errors in setting.alike:
                 one = replace(setting, controller=law, uncertainty=errors)
                 starts = [one.start(index) for index in range(_EXAMPLES)]
                 frames = tasks.frames(errors.nominal.sensor)

@@ -17,7 +17,7 @@ from approxjac.formatting import percent, rows, wrapped
 from approxjac.stability.errors.region import require_setpoint
 from approxjac.stability.loop.configurations import UnattainedError
 from approxjac.stability.rollouts.rollouts import Execution, Rollouts, carried_out
-from approxjac.stability.rollouts.setting import RolloutSetting, sharing
+from approxjac.stability.rollouts.setting import RolloutSetting, with_engine
 from approxjac.stability.studied_loop import Progress, StudiedLoop, telling
 from approxjac.validation import Array, as_array, as_integer, require
 
@@ -132,19 +132,21 @@ def stability_map(
     settings: dict[tuple[float, ...], RolloutSetting] = {}
     scales = axes.get("error", np.ones(1)).tolist()
     errors = {scale: study.errors.scaled(scale) for scale in scales}
+    laws: dict[tuple[float, ...], Controller] = {}
     for point in itertools.product(*(each.tolist() for each in axes.values())):
         at = dict(zip(axes, point, strict=True))
-        scale = at.pop("error", 1.0)
-        law = _with_gains(study.controller, at) if at else study.controller
-        own = replace(study, controller=law, uncertainty=errors[scale]).setting()
+        scale, gains = at.pop("error", 1.0), tuple(at.values())
+        if gains not in laws:
+            laws[gains] = _with_gains(study.controller, at) if at else study.controller
+        own = replace(study, controller=laws[gains], uncertainty=errors[scale]).setting()
         if scale <= 1.0 or _is_seen(own, n):
-            settings[point] = own.with_engine(execution.engine, n)
-    together = sharing([*settings.values()]) if settings else []
+            settings[point] = own
+    together = with_engine([*settings.values()], execution.engine, n)
     tell = partial(telling(progress), "map")
     columns = carried_out(together, n, None, execution, tell) if together else []
     points = {
         point: Rollouts(each, setting)
-        for (point, setting), each in zip(settings.items(), columns, strict=True)
+        for point, setting, each in zip(settings, together, columns, strict=True)
     }
     return StabilityMap(tuple(axes), tuple(axes.values()), points)
 
