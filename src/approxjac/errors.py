@@ -71,6 +71,10 @@ class DriverError(ApproxJacError, RuntimeError):
     """A robot that refuses a command, stopped by itself or cannot be reached, in its own words."""
 
 
+class ControllerError(ApproxJacError, RuntimeError):
+    """A controller or limit, usually of your own, that fails in a step or returns no answer."""
+
+
 class SimulationError(ApproxJacError, RuntimeError):
     """A simulation that could not be completed."""
 
@@ -85,6 +89,12 @@ class MissingPackageError(ApproxJacError, ImportError):
 
 class TrajectoryFileError(ApproxJacError, ValueError):
     """A file that is missing, cannot be written or does not hold a trajectory."""
+
+
+def failed(what: str, t: float, error: Exception) -> ControllerError:
+    """Return the error of something that raised another one in the step at t [s]."""
+    kind = "" if isinstance(error, ApproxJacError) else f"{type(error).__name__}: "
+    return ControllerError(f"{what} failed at t = {t:g} s: {kind}{error}", given=error)
 
 
 _NEEDED_BY = {

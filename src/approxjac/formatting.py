@@ -28,6 +28,11 @@ def listed(values: Any) -> str:
         return repr(values)
 
 
+def one_line(value: Any) -> str:
+    """Return the repr of a value on one line; that of an array has several."""
+    return " ".join(repr(value).split())
+
+
 def numbers(values: Any) -> str:
     """Format numbers to four digits, separated by spaces; as one if all are equal."""
     entries = numbers_of(values).split()

@@ -1,6 +1,7 @@
 """Limits of motion: `Wall`, `CartesianSpeed`, accelerations, and one of the user's own."""
 
 import copy
+import re
 from dataclasses import replace
 from functools import partial
 
@@ -281,6 +282,37 @@ def test_rows_that_are_none_are_refused(panda, rows):
     law = aj.SetpointController(aj.PositionTask(panda))
     with pytest.raises(aj.InvalidInputError, match=r"shape \(k, 7\)"):
         aj.TorqueLimited(law, Wrong(rows))
+
+
+@pytest.mark.parametrize(
+    ("rows", "text"),
+    [
+        (
+            lambda: (np.zeros((1, 6)), *np.zeros((2, 1))),
+            r"at t = 0.05 s must return A of shape \(k, 2\).*got \(",
+        ),
+        (lambda: None, "at t = 0.05 s must .* got None"),
+        (lambda: 1.0 / 0.0, "failed at t = 0.05 s: ZeroDivisionError: float division by zero"),
+    ],
+)
+def test_rows_that_go_wrong_in_a_run_are_named_with_the_time(rows, text):
+    class Later(Limit):
+        def __repr__(self):
+            return "Later()"
+
+        def rows(self, terms, v, dt):
+            return rows() if is_late else (np.zeros((1, 2)), -np.ones(1), np.ones(1))
+
+    is_late = False
+    task = aj.PositionTask(aj.load_robot("two_link"))
+    limiter = aj.TorqueLimited(aj.SetpointController(task), Later())
+    q = np.array([0.4, 0.9])
+    seen = aj.Measurement(0.05, q, np.zeros(2), task.value(q))
+    state = limiter.step(limiter.initial_state(seen), seen, seen.x, 1e-3)[0]
+    is_late = True
+    with pytest.raises(aj.errors.ControllerError, match=r"rows of Later\(\)") as caught:
+        limiter.step(state, seen, seen.x, 1e-3)
+    assert re.search(text, str(caught.value))
 
 
 def test_what_is_no_limit_is_refused(panda):

@@ -11,6 +11,7 @@ from scipy.integrate import cumulative_simpson
 
 import approxjac as aj
 from approxjac.errors import (
+    ControllerError,
     InvalidInputError,
     SimulationError,
     TrajectoryFileError,
@@ -467,6 +468,68 @@ class Stateless(Faulty):
 
     def step(self, state, measurement, target, dt):
         return (), self.evaluate(state, measurement, target)
+
+
+class Late(ConstantTorque):
+    """A controller whose step goes wrong at 50 ms."""
+
+    def __init__(self, step):
+        super().__init__(PLANE, (0.0, 0.0))
+        self.late = step
+
+    def step(self, state, measurement, target, dt):
+        after, answer = state, self.evaluate(state, measurement, target)
+        return (after, answer) if measurement.t < 0.05 else self.late(after, answer)
+
+    def __repr__(self):
+        return "Late()"
+
+
+def fails():
+    raise LookupError("no such gain")
+
+
+@pytest.mark.parametrize(
+    ("late", "text"),
+    [
+        (
+            lambda s, a: (s, a._replace(torque=np.zeros(3))),
+            r"torque must have shape \(2,\), got sha",
+        ),
+        (lambda s, a: (s, a._replace(torque=[0, 0])), r"torque must be an array, got \[0, 0\]"),
+        (
+            lambda s, a: (s, a._replace(torque=a.torque * np.nan)),
+            r"torque must be finite, got \[nan",
+        ),
+        (lambda s, a: (np.zeros(1), a), r"state must have shape \(0,\), got shape \(1,\)"),
+        (lambda s, a: None, r"must return \(state, Evaluation\), got None"),
+        (lambda s, a: fails(), "LookupError: no such gain"),
+        (lambda s, a: aj.load_robot(3), "source must be .*, got 3"),
+    ],
+)
+def test_a_step_that_goes_wrong_in_a_run_is_named_with_the_time(late, text):
+    """And is no divergence."""
+    plant = plant_of(aj.load_robot("two_link"))
+    with pytest.raises(ControllerError, match=rf"step of Late\(\) failed at t = 0.05 s: .*{text}"):
+        aj.simulate(plant, Late(late), (0.5, 1.2), (0.3, 0.8), 0.1, dt=0.01)
+
+
+@pytest.mark.parametrize(
+    ("late", "text"),
+    [
+        (lambda a: a._replace(torque=np.zeros(3)), r"got \(\(3,\), \(0,\)\) at t = 0\.0[56]"),
+        (lambda a: fails(), r"failed at t = 0\.0[56]\d* s: LookupError: no such gain"),
+    ],
+)
+def test_an_evaluation_that_goes_wrong_in_continuous_time_is_named_too(late, text):
+    class Own(Faulty):
+        def evaluate(self, state, measurement, target):
+            answer = super().evaluate(state, measurement, target)
+            return late(answer) if measurement.t > 0.05 else answer
+
+    plant = plant_of(aj.load_robot("two_link"))
+    with pytest.raises(ControllerError, match=rf"evaluate of .*Own.* {text}"):
+        aj.simulate(plant, Own(), (0.5, 1.2), (0.3, 0.8), 0.1, dt=None)
 
 
 def test_a_step_has_to_return_an_array():

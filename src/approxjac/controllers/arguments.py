@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from approxjac.errors import InvalidInputError, MeasurementError, UnknownNameError
+from approxjac.formatting import one_line
 from approxjac.interface import Measurement, Target
 from approxjac.tasks import Task
 from approxjac.validation import Array, as_number, as_vector, require
@@ -139,10 +140,8 @@ def chosen_kinds(unknown: Any, valid: Sequence[str]) -> tuple[str, ...]:
     except TypeError:
         kinds = ()
     if not kinds or any(not isinstance(kind, str) or kind not in valid for kind in kinds):
-        given = " ".join(repr(unknown).split())  # an array has lines
-        raise InvalidInputError(
-            f"unknown must be one or more of {', '.join(valid)}, got {given}", given=unknown
-        )
+        message = f"unknown must be one or more of {', '.join(valid)}, got {one_line(unknown)}"
+        raise InvalidInputError(message, given=unknown)
     return kinds
 
 

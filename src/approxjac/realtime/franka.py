@@ -215,11 +215,8 @@ class FrankaDriver:
         low = _INSIDE - np.minimum(_SPEED, _towards(q - _LOW))
         most = _JERK * _DT
         change = np.minimum(np.maximum((velocity - before) / _DT - a, -most), most)
-        upper, lower = (
-            _JERK / _ACCELERATION * (high - before),
-            _JERK / _ACCELERATION * (low - before),
-        )
-        a = np.maximum(np.minimum(a + change, upper), lower)
+        rate = _JERK / _ACCELERATION
+        a = np.maximum(np.minimum(a + change, rate * (high - before)), rate * (low - before))
         return np.asarray(before + _DT * np.minimum(np.maximum(a, -_ACCELERATION), _ACCELERATION))
 
     @contextmanager

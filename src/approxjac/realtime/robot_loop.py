@@ -24,7 +24,7 @@ from approxjac.simulation.plant import Plant
 from approxjac.simulation.simulate import Loop, Wanted, first_state, target_at, wanted_of, x_of
 from approxjac.simulation.trajectory import Record, Trajectory
 from approxjac.tasks import Task
-from approxjac.validation import Array, as_vector
+from approxjac.validation import Array
 
 _ROWS = 60_000  # recorded at most
 _TAIL = 1000  # periods before the end of which each is recorded
@@ -118,7 +118,6 @@ class RobotLoop(Loop):
             self._look(measurement)
             if not self._brakes():
                 self._control()
-                self.tau = as_vector("the controller's command", self.tau, self.plant.robot.nv)
                 self._judge()
         fault = self._watch.commanded(self.tau, self.answer.reference)
         self._note(fault, self._watch.detail)

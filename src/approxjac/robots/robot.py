@@ -405,11 +405,7 @@ class Robot(Immutable):
             if joint not in moving:
                 raise UnknownNameError("moving joint", joint, self.name, moving)
             locked[joint] = as_number(
-                f"position of {joint}",
-                position,
-                unit="rad or m",
-                minimum=-_FAR,
-                most=_FAR,
+                f"position of {joint}", position, unit="rad or m", minimum=-_FAR, most=_FAR
             )
         return self._changed(with_locked_joints(self.tree, locked))
 

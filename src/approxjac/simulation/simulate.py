@@ -14,12 +14,15 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from approxjac.controllers.arguments import overflow
 from approxjac.controllers.controller import Controller
 from approxjac.errors import (
+    ControllerError,
     InvalidInputError,
     MeasurementError,
     SimulationError,
     UnknownNameError,
+    failed,
     package_of,
 )
 from approxjac.formatting import short_fields
@@ -34,6 +37,7 @@ from approxjac.validation import Array, as_array, as_integer, as_number, require
 _STEP = 1e-3  # of the arm under a servo, at most [s]
 _TINY = 1e-6  # of a step: more than round-off, less than anyone means
 _FOREVER = 1e15  # steps
+_DIVERGED = 1e6  # rad, m and their rates, with which no arm moves
 Wanted = Target | TargetPath | Array
 """A target that has been checked: an array at rest, a `Target`, or a path."""
 
@@ -100,15 +104,9 @@ def first_state(
     if given is not None:
         state = as_array("state", given, state.shape)
     state = as_array("the controller's initial_state", state, (np.size(state),))
-    stepped = controller.step(state, measurement, wanted, dt)
-    if not (isinstance(stepped, tuple) and len(stepped) == 2):
-        raise InvalidInputError(
-            f"step of a controller must return (state, Evaluation), got {stepped!r}", given=stepped
-        )
-    after, answer = stepped
-    require("the controller's answer", answer, Evaluation, "an Evaluation")
-    require("the controller's state", after, np.ndarray, "an array")
-    require("the controller's torque", answer.torque, np.ndarray, "an array")
+    require_answer(
+        plant, controller, state, measurement, controller.step(state, measurement, wanted, dt)
+    )
     learnt = controller.learnt(state)
     require("learnt of the controller", learnt, np.ndarray, "an array")
     if len(learnt) != len(controller.parameters):
@@ -117,6 +115,21 @@ def first_state(
             f"returns, got {controller.parameters!r}",
             given=controller,
         )
+    return state
+
+
+def require_answer(
+    plant: Plant, controller: Controller, state: Array, measurement: Measurement, stepped: Any
+) -> None:
+    """Raise an InvalidInputError if what a step returned is no state and answer."""
+    if not (isinstance(stepped, tuple) and len(stepped) == 2):
+        raise InvalidInputError(
+            f"step of a controller must return (state, Evaluation), got {stepped!r}", given=stepped
+        )
+    after, answer = stepped
+    require("the controller's answer", answer, Evaluation, "an Evaluation")
+    require("the controller's state", after, np.ndarray, "an array")
+    require("the controller's torque", answer.torque, np.ndarray, "an array")
     checked: dict[str, tuple[Any, tuple[int, ...]]] = {
         plant.command: (answer.torque, (plant.robot.nv,)),
         "state": (after, state.shape),
@@ -127,7 +140,6 @@ def first_state(
         checked["e"] = answer.e, (controller.task.m,)
     for name, (value, shape) in checked.items():
         as_array(f"the controller's {name}", value, shape)
-    return state
 
 
 def require_fit(plant: Plant, controller: Controller, dt: float | None) -> None:
@@ -269,14 +281,35 @@ class Loop:
         self.target = x_of(self._wanted)
 
     def _control(self) -> None:
-        self._after, answer = self.controller.step(
-            self.state, self.measurement, self._wanted, self.dt
-        )
-        if not math.isfinite(math.hypot(*self._after.tolist())):
-            as_array("state", self._after, self._after.shape)
-        # a controller may use one buffer for all its torques, and `aim_at` asks it once more
-        self.answer = answer._replace(torque=answer.torque.copy())
-        self.tau = self.answer.torque
+        controller, state, measurement = self.controller, self.state, self.measurement
+        try:
+            stepped = controller.step(state, measurement, self._wanted, self.dt)
+        except Exception as error:
+            raise _error_of(controller, measurement, error) from error
+        try:
+            self._after, answer = stepped
+            # a controller may use one buffer for all its torques, and `aim_at` asks it once more
+            self.answer = answer._replace(torque=answer.torque.copy())
+            self.tau = self.answer.torque
+            fits = self._after.shape == state.shape and self.tau.shape == measurement.v.shape
+            fits = fits and math.isfinite(math.hypot(*self._after.tolist(), *self.tau.tolist()))
+        except (AttributeError, TypeError, ValueError):
+            fits = False
+        if not fits:
+            try:
+                require_answer(self.plant, controller, state, measurement, stepped)
+            except InvalidInputError as error:
+                raise _error_of(controller, measurement, error) from error
+
+
+def _error_of(controller: Controller, measurement: Measurement, error: Exception) -> Exception:
+    """Return the error of a step that raised one: a MeasurementError of a loop that diverged."""
+    _, q, v, *_ = measurement
+    if isinstance(error, ControllerError | MeasurementError):
+        return error
+    if math.hypot(*q.tolist(), *v.tolist()) > _DIVERGED:
+        return overflow(measurement)
+    return failed(f"step of {controller!r}", measurement.t, error)
 
 
 class MovingArm:
@@ -468,6 +501,7 @@ def simulate(
     Raises:
         InvalidInputError: Wrong shapes, or numbers that are not finite or out of range.
         SimulationError: The closed loop diverged, or the integration failed.
+        ControllerError: A step of the controller failed, or returned what is no answer.
     """
     require("plant", plant, Plant, "a Plant (the first argument; the controller is the second)")
     if dt is not None:
@@ -577,8 +611,17 @@ def _continuous(
         try:
             measurement = plant.measure(t, pin.integrate(model, q0, z[:n]), v)
             answer = controller.evaluate(z[2 * n :], measurement, target_at(wanted, t))
+            shapes = np.shape(answer.torque), np.shape(answer.state_rate)  # type: ignore[arg-type]
         except (InvalidInputError, MeasurementError) as error:
             raise diverged(t, duration, error) from error
+        except Exception as error:
+            raise failed(f"evaluate of {controller!r}", t, error) from error
+        if shapes != (v.shape, z[2 * n :].shape):
+            raise ControllerError(
+                f"evaluate of {controller!r} must return torque and state_rate of shapes "
+                f"{v.shape} and {z[2 * n :].shape}, got {shapes} at t = {t:g} s",
+                given=answer,
+            )
         return np.concatenate(
             [v, plant.acceleration(measurement.q, v, answer.torque), answer.state_rate]
         )

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from approxjac import law
-from approxjac.errors import InvalidInputError
+from approxjac.errors import ControllerError, InvalidInputError, failed
+from approxjac.formatting import one_line
 from approxjac.robots import Robot
 from approxjac.tasks.frame_tasks import FrameKinematics
 from approxjac.validation import Array, as_array, as_number, require
@@ -189,15 +190,43 @@ def require_rows(limit: Any, terms: LimitTerms, dt: float) -> None:
     """
     require("limits", limit, Limit, "Limits(...), a Limit such as Wall(...), or a list of them")
     rows = limit.rows(terms, terms.v, dt)
+    A, low, high = _shaped(rows, terms) or (np.array(np.nan), 0.0, 0.0)
+    if not (np.isfinite(A).all() and np.all(low <= high)):
+        raise InvalidInputError(f"rows of {limit!r} {_wanted(rows, terms)}", given=limit)
+
+
+def rows_at(limit: Limit, terms: LimitTerms, dt: float, t: float) -> tuple[Array, Array, Array]:
+    """Return the rows of a limit in the step at t [s].
+
+    Raises:
+        ControllerError: They fail or have wrong shapes.
+    """
+    if hasattr(terms.q, "arm_of"):  # symbols
+        A, low, high = map(law.array, limit.rows(terms, terms.v, dt))
+        return A, low, high
+    try:
+        rows = limit.rows(terms, terms.v, dt)
+    except Exception as error:
+        raise failed(f"rows of {limit!r}", t, error) from error
+    shaped = _shaped(rows, terms)
+    if shaped is None:
+        message = f"rows of {limit!r} at t = {t:g} s {_wanted(rows, terms)}"
+        raise ControllerError(message, given=limit)
+    return shaped
+
+
+def _wanted(rows: Any, terms: LimitTerms) -> str:
+    return (
+        f"must return A of shape (k, {terms.robot.nv}), low and high of shape (k,), with low <= "
+        f"high, got {one_line(rows)}"
+    )
+
+
+def _shaped(rows: Any, terms: LimitTerms) -> tuple[Array, Array, Array] | None:
+    """Return rows as arrays, None of wrong shapes."""
     try:
         A, low, high = (np.asarray(each, dtype=float) for each in rows)
-        fits = A.shape == (len(low), terms.robot.nv) and low.shape == high.shape == (len(low),)
-        fits = fits and bool(np.isfinite(A).all()) and bool((low <= high).all())
     except (TypeError, ValueError):
-        fits = False
-    if not fits:
-        raise InvalidInputError(
-            f"rows of {limit!r} must return A of shape (k, {terms.robot.nv}), low and high of "
-            f"shape (k,), with low <= high, got {rows!r}",
-            given=limit,
-        )
+        return None
+    fits = A.shape == (low.size, terms.robot.nv) and low.shape == high.shape == (low.size,)
+    return (A, low, high) if fits else None

@@ -15,7 +15,7 @@ from approxjac import law
 from approxjac.controllers.arguments import HUGE, require_dt
 from approxjac.controllers.controller import Controller
 from approxjac.controllers.gains.sample_configurations import quickest, usual_inertias
-from approxjac.controllers.limits.limit import Limit, LimitTerms, require_rows
+from approxjac.controllers.limits.limit import Limit, LimitTerms, require_rows, rows_at
 from approxjac.controllers.limits.limits import Limits, sure_deceleration
 from approxjac.controllers.limits.quadratic_program import Solver
 from approxjac.controllers.wrapper import ControllerWrapper
@@ -395,7 +395,7 @@ class TorqueLimited(ControllerWrapper):
 
     def rows(self, measurement: Measurement) -> law.Rows:
         """Return the bounds of motion at a configuration and speed."""
-        _, q, v, *_ = measurement
+        t, q, v, *_ = measurement
         speeds = law.speed_bounds(self._positions(q), self._joints)
         bounds = law.acceleration_bounds(v, speeds, self._braking, self._jerk)
         if self._acceleration is not None:
@@ -403,8 +403,8 @@ class TorqueLimited(ControllerWrapper):
         if not self.motion_limits:
             return law.Rows(*bounds)
         terms = self._terms(q, v)
-        more = [limit.rows(terms, v, self._dt) for limit in self.motion_limits]
-        E, lows, highs = zip(*(map(law.array, each) for each in more), strict=True)
+        more = [rows_at(limit, terms, self._dt, t) for limit in self.motion_limits]
+        E, lows, highs = zip(*more, strict=True)
         return law.Rows(
             np.concatenate([bounds[0], *lows]),
             np.concatenate([bounds[1], *highs]),
