@@ -26,8 +26,8 @@ from approxjac.tasks import PoseTask, Task
 from approxjac.validation import Array, require
 
 _LINE = 96
-_RECORDED = 50  # steps of the self-test
-_LOST = 10  # x is, every so many steps
+_RUNS, _STEPS = 10, 5  # of the self-test
+_LOST = 2  # the step in which x is, in every other run
 _OFF_CIRCLE = 1e-3  # what Robot.configuration takes, too
 
 
@@ -146,31 +146,39 @@ _MEASURED, _WANTED = ("t", "q", "v", "x", "t_x"), ("target", "target_v", "target
 
 
 def _recorded(step: SampledStep, dt: float) -> list[Record]:
-    """Return steps at random configurations, one after the other, with what they answer."""
+    """Return runs from random configurations, step by step, with what is answered."""
     task, rng = step.controller.task, np.random.default_rng(0)
-    robot, function, found, state = task.robot, step.in_numpy(), list[Record](), np.zeros(0)
-    m = task.measured.m
-    for k in range(_RECORDED):
-        q, v = robot.random_configuration(rng), rng.normal(scale=0.5, size=robot.nv)
-        x = task.value(q) + rng.normal(scale=0.02, size=task.n_x)
-        seen = np.where(np.isfinite(x), x, task.origin)  # or there would be no target
-        target = seen + rng.normal(scale=0.02 if k % 2 else 0.5, size=task.n_x)
-        if k == 0:
-            x = seen
-            state = step.initial_state(Measurement(0.0, q, v, x, 0.0))
-        if k % _LOST == _LOST - 1:
-            x = np.full(task.n_x, np.nan)
-        rates = rng.normal(scale=0.1, size=(2, m)) * (k % 2)
-        given = {
-            "t": np.array([k * dt]), "q": q, "v": v, "x": x, "t_x": np.array([k * dt]),
-            "target": target, "target_v": rates[0], "target_a": rates[1],
-        }  # fmt: skip
-        columns = {name: value[:, np.newaxis] for name, value in given.items()}
-        answer = function(**columns, state=state[:, np.newaxis], dt=np.array([[dt]]))
-        if np.isfinite(answer["torque"]).all() and np.isfinite(answer["after"]).all():
-            # a law of one's own may have none where x is lost, which C refuses
-            found.append(given | {name: value.ravel() for name, value in answer.items()})
-            state = found[-1]["after"]
+    robot, m, function = task.robot, task.measured.m, step.in_numpy()
+    runs: list[list[Record]] = [[] for _ in range(_RUNS)]
+    states = np.zeros((len(step.first), _RUNS))
+    for k in range(_STEPS):
+        given = []
+        for run in range(_RUNS):
+            q, v = robot.random_configuration(rng), rng.normal(scale=0.5, size=robot.nv)
+            x = task.value(q) + rng.normal(scale=0.02, size=task.n_x)
+            seen = np.where(np.isfinite(x), x, task.origin)  # or there would be no target
+            target = seen + rng.normal(scale=0.02 if run % 2 else 0.5, size=task.n_x)
+            if k == 0:
+                x = seen
+                states[:, run] = step.initial_state(Measurement(0.0, q, v, x, 0.0))
+            if k == _LOST and run % 2:
+                x = np.full(task.n_x, np.nan)
+            rates = rng.normal(scale=0.1, size=(2, m)) * (run % 2)
+            now = np.array([k * dt])
+            given.append({
+                "t": now, "q": q, "v": v, "x": x, "t_x": now,
+                "target": target, "target_v": rates[0], "target_a": rates[1],
+            })  # fmt: skip
+        columns = {name: np.stack([each[name] for each in given], 1) for name in given[0]}
+        answer = function(**columns, state=states, dt=np.full((1, _RUNS), dt))
+        for run, own in enumerate(given):
+            own |= {name: value[:, run] for name, value in answer.items()}
+            # a law of one's own may have no answer where x is lost, which C refuses
+            if np.isfinite(own["torque"]).all() and np.isfinite(own["after"]).all():
+                states[:, run] = own["after"]
+                if k == 0 or runs[run]:
+                    runs[run].append(own | {"begins": np.array([k == 0])})
+    found = [record for run in runs for record in run]
     if not found:
         message = f"controller must answer with a finite torque, got none of {step.controller!r}"
         raise InvalidInputError(message, given=step.controller)
@@ -187,7 +195,7 @@ def _rows(records: list[Record]) -> str:
             *(_braced([_of(record, name) for name in names]) for names in (_MEASURED, _WANTED)),
             *(_of(record, name) for name in ("torque", "after")),
             constant(float(record["slack"][0])),
-            *(str(int(record[name][0])) for name in ("status", "limit_status")),
+            *(str(int(record[name][0])) for name in ("status", "limit_status", "begins")),
         ]
         rows.append("    {" + ",\n     ".join(parts) + "}")
     return ",\n".join(rows)
