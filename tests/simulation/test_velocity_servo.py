@@ -264,7 +264,7 @@ def test_what_is_for_torques_refuses_a_servo(panda):
 
 def test_a_command_that_is_not_finite_ends_the_run(panda):
     plant = aj.Plant(panda, servo=VelocityServo())
-    with pytest.raises(aj.errors.ControllerError, match="t = 0.051 s: .*velocity must be finite"):
+    with pytest.raises(aj.errors.ControllerError, match=r"t = 0.051 s: .*velocity must be finite"):
         driven(plant, lambda t: np.full(7, np.nan if t > 0.05 else 0.0), START)
 
 
