@@ -28,8 +28,8 @@ def simulate(
         scenario: The scenario.
         view: Show the run in the browser while it goes on; there the target and the believed length
             can be changed, and the run paused or stopped.
-        speed: Of the run with --view, as a multiple of real time; 1 by default.
-        port: Of the page with --view, on this machine; 7007 by default, or any free one.
+        speed: Speed of the run with --view, as a multiple of real time; 1 by default.
+        port: Port of the page with --view on this machine; 7007 by default, or any free one.
         out: Folder for the pictures, run.npz, summary.json and scenario.toml.
     """
     from approxjac.scenario import build_scenario, run_scenario

@@ -19,7 +19,7 @@ def view(
     Args:
         run: A run.npz that simulate, paper or Trajectory.save wrote, or a folder with one.
         out: The page, such as page.html; beside the run by default, and then it is opened too.
-        title: Of the page; by default what the run is of.
+        title: Title of the page; by default the robot and task of the run.
     """
     from approxjac.simulation import Trajectory
     from approxjac.view import save_page

@@ -31,7 +31,7 @@ class Object:
         length: Length of the object, from the arm's tip to its own, m.
         mass: Mass of the object, kg.
         axis: Direction in the tip's axes, such as z, -x or 0,1,1; outward by default.
-        radius: Of the cylinder, m; 0.01 by default, or that of the true object.
+        radius: Radius of the cylinder, m; 0.01 by default, or that of the true object.
     """
 
     length: float = at_least(0.0)
@@ -52,13 +52,13 @@ class CameraRecord:
     Attributes:
         kind: "pinhole", in px; or "planar", the paper's, parallel to a plane, in m on its sensor.
         mount: Frame of the arm that carries it, "tip" for the arm's own; the world by default.
-        position: Of the camera in the world, or relative to its mount, m.
+        position: Position of the camera in the world, or relative to its mount, m.
         looking_at: Point that a camera in the world looks at, m.
-        focal_length: In px, 600 by default; of a planar camera in m, 0.05 by default.
-        size: Width and height, px.
-        distortion: Radial distortion (k1 k2 k3), of which the controller knows nothing.
-        distance: Of a planar camera from the plane, m.
-        roll: Of a planar camera about its optical axis, rad.
+        focal_length: Focal length, px, 600 by default; of a planar camera m, 0.05 by default.
+        size: Width and height of the image, px.
+        distortion: Radial distortion (k1 k2 k3), unknown to the controller.
+        distance: Distance of a planar camera from the plane, m.
+        roll: Rotation of a planar camera about its optical axis, rad.
     """
 
     kind: Literal["pinhole", "planar"] = "pinhole"
@@ -77,7 +77,7 @@ class CameraError:
     """Errors of the believed camera, which is otherwise the true one without distortion.
 
     Attributes:
-        roll: About its optical axis, rad.
+        roll: Error of the rotation about the optical axis, rad.
         focal_factor: Focal length as a multiple of the true one.
         depth_factor: Depth of the scene as a multiple of the true one.
         shift: Further error of its position, along its own axes (right, down, forward), m.
@@ -109,15 +109,15 @@ class Truth:
     """The truth, which only the plant gets to see.
 
     Attributes:
-        object: Held by the arm.
+        object: Object that the arm holds.
         shifts: Errors of the URDF's joint origins, m, such as panda_joint4 0 0.01 0.
         rotations: Errors of the URDF's joint axes, as rotation vectors, rad.
         friction: Viscous friction of every joint, N m s/rad.
         coulomb: Coulomb friction of every joint, N m.
-        camera: Of an image task.
-        tracker: Measures x in axes of its own, which targets are in, too; the world's by default.
-        servo: Of a robot that takes joint velocities.
-        engine: Simulates the robot.
+        camera: Camera of an image task.
+        tracker: Tracker with axes of its own, for x and targets; the world's by default.
+        servo: Velocity servo of a robot that takes joint velocities.
+        engine: Simulator of the robot.
         floor: Height of a floor, m, for the engine mujoco.
     """
 
@@ -138,7 +138,7 @@ class Belief:
     """The belief of the controller.
 
     Attributes:
-        object: Held by the arm.
+        object: Object that the arm holds.
         shifts: Errors of the believed joint origins, m, such as panda_joint4 0 0.01 0.
         rotations: Errors of the believed joint axes, as rotation vectors, rad.
         camera: Errors of the believed camera of an image task.
@@ -181,9 +181,9 @@ class Sensor:
         rate: Frames of x a second, Hz; one a step by default.
         delay: Age of x when it arrives, s.
         dropout: Probability that a frame of x is lost, 0 to 1.
-        lost: Time from which and to which x is lost, such as 2 3, s.
-        lost_part: Part of x that is lost then, such as a point of an image, 1 for the first.
-        frozen: Time from which and to which the sensor delivers the same x, s.
+        lost: Start and end of the time in which x is lost, such as 2 3, s.
+        lost_part: Part of x that is lost then, such as a point of an image; 1 is the first.
+        frozen: Start and end of the time in which the sensor repeats one x, s.
         q_noise: Standard deviation of noise on the encoders, rad or m.
         q_quantum: Steps of the encoders, rad or m.
         velocity_filter: Time constant of q̇ from differences of q, s; exact by default.
@@ -213,8 +213,8 @@ class ControllerChoice:
             "tool" where the points are.
         command: "torque", or "velocity" for robots that take joint velocities (law "tracking").
         differentiator: Time constant of Ẋ from the differentiated x, s: law (5), or law (6).
-        gravity: Compensated as learnt (law (28)), as it truly is, as believed, or not at all; or
-            the residual is learnt, of a robot that adds the believed arm's by itself (Franka, UR).
+        gravity: Gravity that is compensated: learnt (law (28)), the true one, the believed one or
+            none; or a learnt residual, for robots that add the believed arm's (Franka, UR).
         integral_action: Learn a task force and joint torques; by default if gravity is learnt.
         settling_time: Time to settle, s; by default as short as arm, motors and latency allow.
         kp: Gain K_p, one number or one a task coordinate; by the rule of default gains.
@@ -222,11 +222,11 @@ class ControllerChoice:
         damping: Added joint damping, one number or one a joint; by the rule of default gains.
         gamma: Saturation of the error by γ sin(e/γ), in the unit of the task; by default the tanh
             of the rule, or none with gains that are given.
-        posture_stiffness: Draws the self-motion back to the start, N m/rad; 0 does not.
-        limits: Kept limits: the "urdf" ones; a number of times its effort limits, then the motors'
-            too; or "none", as in continuous control.
+        posture_stiffness: Stiffness that draws the self-motion to the start, N m/rad; 0 is none.
+        limits: Limits to keep: those of the "urdf"; a multiple of its effort limits, then the
+            motors' too; or "none", as in continuous control.
         torque_rate: Largest change of a torque within limits, N m/s; any by default.
-        unseen: Motion for which the x that was last seen will do, m, rad or px; none by default.
+        unseen: Largest motion for which the last x is held, m, rad or px; none by default.
     """
 
     law: Literal["setpoint", "tracking"] = "setpoint"
@@ -252,7 +252,7 @@ class LoopRecord:
 
     Attributes:
         dt: Sampling time of control, s; "continuous" integrates one differential equation.
-        actuator_delay: From a command to its effect, s.
+        actuator_delay: Time from a command to its effect, s.
     """
 
     dt: float | Literal["continuous"] = above(1e-3)
@@ -266,7 +266,7 @@ class CirclePath:
     Attributes:
         radius: Radius of the circle, m; no circle by default.
         period: Time of one turn, s.
-        center: In m; by default such that the circle begins where the task starts.
+        center: Center of the circle, m; by default the circle begins where the task starts.
     """
 
     radius: float | None = above(None)
@@ -280,7 +280,7 @@ class LinePath:
 
     Attributes:
         offset: Offset of the line's end from its start, m; no line by default.
-        duration: Of the way, s.
+        duration: Time from start to end, s.
     """
 
     offset: Numbers | None = None
@@ -304,7 +304,7 @@ class WaypointPath:
 
 @dataclass(frozen=True)
 class Goal:
-    """The target, said in one of these ways; a list of numbers in a file is `at`.
+    """The target, given in one of these ways; a list of numbers in a file is `at`.
 
     Attributes:
         at: Target: position (m), pose (x y z qx qy qz qw), images (u v of each point); random by
@@ -326,7 +326,7 @@ class Goal:
 
 @dataclass(frozen=True)
 class Run:
-    """From where, where to, and for how long.
+    """Start, target and duration of a run.
 
     Attributes:
         start: Joint positions, rad or m, or "random" by the seed; far from singular by default.
@@ -358,12 +358,12 @@ class Analysis:
         focal_length: Smallest and largest true focal length of the camera, px or m.
         distance: Smallest and largest true distance of a planar camera, or error of it, m.
         roll: Smallest and largest true roll of the camera, of a pinhole one its error, rad.
-        around: Joint positions, one a joint, rad or m: the region is within the radius of them.
-        radius: Of the region: of each joint, around such positions, rad or m.
+        around: Center of the region, one position a joint, rad or m; `radius` is its size.
+        radius: Largest distance of each joint from the center of the region, rad or m.
         sigma_min: Leave out configurations where σ_min of the believed Jacobian is smaller, m/rad.
         target: The one target; by default all targets within the region.
-        configurations: How many configurations are drawn.
-        runs: How many rollouts are made, with the sensors, delays, duration and tolerance of a run.
+        configurations: Number of configurations that are drawn.
+        runs: Number of rollouts, with the sensors, delays, duration and tolerance of a run.
         map: Two parameters of the stability map, of error, a, kv and damping.
         map_points: Values of each parameter of the map; 0 draws no map.
         map_runs: Rollouts at each point of the map.
