@@ -47,7 +47,7 @@ def numbers_of(values: Any) -> str:
 def shares(counts: Mapping[Any, int]) -> str:
     """Return the share of instants with each outcome as text, such as "ok 98 %, …"."""
     total = sum(counts.values())
-    return ", ".join(f"{each.words} {100.0 * n / total:.3g} %" for each, n in counts.items())
+    return ", ".join(f"{each.label} {100.0 * n / total:.3g} %" for each, n in counts.items())
 
 
 def short_fields(record: Any) -> str:

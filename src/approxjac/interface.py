@@ -28,7 +28,7 @@ class _Outcome(enum.IntEnum):
         return self.name
 
     @property
-    def words(self) -> str:
+    def label(self) -> str:
         """The name as text, such as "near singular"."""
         return "ok" if self.name == "OK" else self.name.lower().replace("_", " ")
 

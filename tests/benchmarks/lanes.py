@@ -44,7 +44,7 @@ def study(learns, **late):
     region = aj.JointBox.around(task.robot, q, 0.3)
     whole = RolloutSetting(law, errors, region, None, 1.0, DT, 1e-3, 0, **late)
     starts = [whole.start(index) for index in range(LANES)]
-    begun = [each.begun(law) for each in starts]
+    begun = [each.lane_start(law) for each in starts]
     return law, starts[0], begun, Box(region.center, region.lower, region.upper)
 
 

@@ -17,7 +17,7 @@ from turns import table
 
 import approxjac as aj
 from approxjac.codegen.backends.llvm import LlvmLanes
-from approxjac.codegen.lanes import Begun, Box, Lanes
+from approxjac.codegen.lanes import Box, Lanes, LaneStart
 
 OFF = ["-std=c99", "-O2", "-ffp-contract=off"]
 
@@ -62,7 +62,7 @@ def in_lanes(errors, law):
     plants = [aj.Plant(robot, aj.PositionTask(robot)) for robot in robots]
     q = np.zeros(law.task.robot.nv)
     x = law.task.value(q)
-    begun = [Begun.of(law, plant, q, x) for plant in plants]
+    begun = [LaneStart.of(law, plant, q, x) for plant in plants]
     box = Box(q, q - 1.0, q + 1.0)
     start = time.process_time()
     lanes = Lanes(law, plants[0], begun, box, 1e-3, 100, 1e-3)

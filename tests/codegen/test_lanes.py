@@ -111,7 +111,7 @@ def starts_of(loop, n):
     controller, errors, region = loop
     whole = rollout_setting.RolloutSetting(controller, errors, region, None, 1.0, 1e-3, 1e-3, 0)
     starts = [whole.start(index) for index in range(n)]
-    return starts[0].plant, [start.begun(controller) for start in starts]
+    return starts[0].plant, [start.lane_start(controller) for start in starts]
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from random_trees import random_tree
 
 import approxjac as aj
 from approxjac.codegen.arm.rigid_body import Arm, LearntBodies
-from approxjac.codegen.lanes import Begun, Box, Lanes
+from approxjac.codegen.lanes import Box, Lanes, LaneStart
 from approxjac.codegen.step import compiled
 from approxjac.codegen.trace.program import Program
 from approxjac.codegen.trace.symbols import inputs
@@ -361,7 +361,7 @@ def test_many_runs_at_once_are_those_of_simulate(two_link, unknown):
     plants = [aj.Plant(each, task.on(each), sensing=sensing) for each in truths]
     targets = [each.sensor.value(start) + [0.05, 0.02] for each in plants]
     starts = [
-        Begun.of(law, plant, start, target, seed=k)
+        LaneStart.of(law, plant, start, target, seed=k)
         for k, (plant, target) in enumerate(zip(plants, targets, strict=True))
     ]
     region = Box(start, np.full(2, -9.0), np.full(2, 9.0))

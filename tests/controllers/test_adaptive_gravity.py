@@ -143,7 +143,7 @@ def test_what_is_learnt_is_told_in_words(arms):
     _, belief, regressor, theta = arms
     task = aj.PositionTask(belief)
     learns = aj.SetpointController(task, gravity=aj.AdaptiveGravity(regressor)).adaptation
-    told = learns.words(np.array([*theta, 0.0, -3.0, 0.0, *np.zeros(5), 0.25, 0.0]), task)
+    told = learns.describe(np.array([*theta, 0.0, -3.0, 0.0, *np.zeros(5), 0.25, 0.0]), task)
     assert told.startswith(
         "to compensate, beside the believed arm's weight: a load on the last link of +1 kg"
     )
@@ -151,7 +151,7 @@ def test_what_is_learnt_is_told_in_words(arms):
     assert "+0.25 N m (torque of panda_joint6)" in told
     only_gravity = aj.AdaptiveGravity(regressor, L=0.1)
     learns = aj.SetpointController(task, gravity=only_gravity).adaptation
-    assert "force" not in learns.words(theta, task)
+    assert "force" not in learns.describe(theta, task)
 
 
 # -- bounds ---------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from approxjac.errors import ControlError, InvalidInputError
 from approxjac.realtime import Fault, Scheduling, SimulatedDriver, Tolerances, control
 from approxjac.realtime.driver import two_clocks
 from approxjac.realtime.robot_loop import RobotLoop
-from approxjac.realtime.scheduling import Pace, undisturbed
+from approxjac.realtime.scheduling import Pace, real_time
 
 
 class SameArrays(Wrapped):
@@ -183,7 +183,7 @@ def test_an_observer_cannot_exchange_the_limits_away(plant, controller):
 
 def test_two_arms_leave_the_interpreter_as_it_was():
     before = sys.getswitchinterval(), gc.isenabled(), gc.get_freeze_count()
-    first, second = undisturbed(Scheduling()), undisturbed(Scheduling())
+    first, second = real_time(Scheduling()), real_time(Scheduling())
     first.__enter__()
     second.__enter__()
     first.__exit__(None, None, None)

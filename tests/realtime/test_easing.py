@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
-from approxjac.realtime.robot_loop import Eased, Halt
+from approxjac.realtime.robot_loop import BlendedTarget, Halt
 
 PANDA = aj.load_robot("panda")
 TASK = aj.PositionTask(PANDA)
@@ -19,7 +19,7 @@ numbers = st.lists(st.floats(-0.3, 0.3), min_size=3, max_size=3)
 @given(offset=numbers, velocity=numbers, begin=st.floats(0.0, 3.0), r=st.floats(0.01, 0.99))
 def test_rates_are_those_of_the_target(offset, velocity, begin, r):
     x = CIRCLE.at(begin).x + offset
-    eased = Eased(TASK, CIRCLE, begin, x, np.array(velocity), SPEED)
+    eased = BlendedTarget(TASK, CIRCLE, begin, x, np.array(velocity), SPEED)
     first = eased.at(begin)
     assert_allclose(first.x, x, atol=1e-12)
     assert_allclose(first.v, velocity, atol=1e-12)
@@ -36,7 +36,7 @@ def test_rates_are_those_of_the_target(offset, velocity, begin, r):
 @given(offset=numbers)
 def test_it_is_no_faster_than_it_may_be(offset):
     x = np.array([0.5, 0.0, 0.5])
-    eased = Eased(TASK, x, 0.0, x + offset, np.zeros(3), SPEED)
+    eased = BlendedTarget(TASK, x, 0.0, x + offset, np.zeros(3), SPEED)
     targets = [eased.at(t) for t in np.linspace(0.0, 0.999 * eased.duration, 50)]
     speeds = [0.0 if each.v is None else np.abs(each.v).max() for each in targets]
     assert max(speeds) <= 0.2 + 1e-12
@@ -46,7 +46,7 @@ def test_poses_turn_on_the_shortest_way():
     task = aj.PoseTask(PANDA)
     q = PANDA.neutral() + [0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7]
     x, goal = task.value(q), task.value(q + 0.3)
-    eased = Eased(task, goal, 0.0, x, np.zeros(6), np.array([0.2] * 3 + [0.5] * 3))
+    eased = BlendedTarget(task, goal, 0.0, x, np.zeros(6), np.array([0.2] * 3 + [0.5] * 3))
     errors = [task.error(eased.at(t).x, goal) for t in np.linspace(0.0, eased.duration, 20)]
     assert_allclose(eased.at(0.0).x, x, atol=1e-9)
     assert_array_equal(eased.at(eased.duration).x, goal)

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 import approxjac as aj
 from approxjac.realtime import Tolerances
 from approxjac.realtime.brake import Brake, HungError, Watchdog
-from approxjac.realtime.robot_loop import Eased, Halt
+from approxjac.realtime.robot_loop import BlendedTarget, Halt
 
 SPEED = np.array([0.2, 0.2, 0.1])
 FAST = [np.array([0.0, 0.0, 0.0]), np.array([1.5, 0.0, 0.0]), np.array([-0.3, 0.8, 0.9])]
@@ -38,7 +38,7 @@ def test_a_fast_start_is_slowed_down_gently(velocity, offset):
     """
     goal = np.array([0.5, 0.1, 0.4])
     begin = goal + offset * np.array([1.0, -0.6, 0.3])
-    eased = Eased(task(), goal, 0.0, begin, velocity, SPEED)
+    eased = BlendedTarget(task(), goal, 0.0, begin, velocity, SPEED)
     times = np.linspace(1e-4, eased.duration - 1e-4, 400)
     speeds, accelerations = rates(eased, times)
     assert_allclose(speeds[0], velocity, atol=2e-2)  # it begins as fast as the tip moves
@@ -57,11 +57,11 @@ def test_a_fast_path_is_joined_from_its_own_speed(velocity):
     path = aj.Line((0.3, 0.0, 0.4), (0.9, 0.3, 0.4), 0.5)
     begin = 0.05
     own = path.at(begin).v
-    eased = Eased(task(), path, begin, path.at(begin).x, own, SPEED)
+    eased = BlendedTarget(task(), path, begin, path.at(begin).x, own, SPEED)
     for t in np.linspace(begin, begin + 0.3, 20):
         assert_allclose(eased.at(t).x, path.at(t).x, atol=1e-9)
-    relative = Eased(task(), path, begin, path.at(begin).x, own + velocity, SPEED)
-    alone = Eased(task(), path.at(begin).x, begin, path.at(begin).x, velocity, SPEED)
+    relative = BlendedTarget(task(), path, begin, path.at(begin).x, own + velocity, SPEED)
+    alone = BlendedTarget(task(), path.at(begin).x, begin, path.at(begin).x, velocity, SPEED)
     assert_allclose(relative.duration, alone.duration, rtol=1e-9)
     assert relative.duration >= 0.2
 
@@ -71,7 +71,7 @@ def test_from_period_to_period_the_target_moves_by_what_it_may(dt):
     """At rest at first: no step of it is longer than `speed` dt, and the longest is nearly that."""
     goal = np.array([0.5, 0.1, 0.4])
     begin = goal + np.array([0.2, -0.1, 0.02])
-    eased = Eased(task(), goal, 1.0, begin, np.zeros(3), SPEED)
+    eased = BlendedTarget(task(), goal, 1.0, begin, np.zeros(3), SPEED)
     times = np.arange(1.0, 1.0 + eased.duration + 2 * dt, dt)
     steps = np.abs(np.diff([eased.at(t).x for t in times], axis=0)).max(axis=0)
     assert (steps <= SPEED * dt * (1.0 + 1e-9)).all()

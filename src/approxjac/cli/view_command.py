@@ -19,7 +19,7 @@ def view(
     Args:
         run: A run.npz that simulate, paper or Trajectory.save wrote, or a folder with one.
         out: The page, such as page.html; beside the run by default, and then it is opened too.
-        title: Title of the page; by default the robot and task of the run.
+        title: Title of the page; by default it names the arm.
     """
     from approxjac.simulation import Trajectory
     from approxjac.view import save_page

@@ -17,7 +17,7 @@ from approxjac.codegen.arm.rigid_body import Arm
 from approxjac.codegen.backends.llvm import LlvmLanes
 from approxjac.codegen.backends.numpy_lanes import NumpyLanes
 from approxjac.codegen.loop_program import TracedLoop
-from approxjac.codegen.sensors import Senses
+from approxjac.codegen.sensors import TracedSensing
 from approxjac.codegen.trace.program import Block, Program
 from approxjac.codegen.trace.symbols import Condition, Number, Scalar, Symbols, select, symbols
 from approxjac.controllers.controller import Controller
@@ -50,7 +50,7 @@ class Box(NamedTuple):
     sigma_min: float = 0.0  # smallest singular value that the task's Jacobian must have
 
 
-class Begun(NamedTuple):
+class LaneStart(NamedTuple):
     """Numbers that lanes keep of a run that begins, which are few beside its plant."""
 
     q: Array  # configuration, at rest, shape (nq,)
@@ -71,7 +71,7 @@ class Begun(NamedTuple):
         target: Array,
         seed: int = 0,
         frames: tuple[str, ...] | None = None,
-    ) -> Begun:
+    ) -> LaneStart:
         """Return that of a plant at rest.
 
         `frames` are those that its sensor looks at, where they are known: to find them takes as
@@ -110,7 +110,7 @@ class Lanes:
         self,
         controller: Controller,
         plant: Plant,
-        examples: Sequence[Begun],
+        examples: Sequence[LaneStart],
         region: Box,
         dt: float,
         steps: int,
@@ -122,13 +122,13 @@ class Lanes:
         m = controller.task.m
         numbers, sensors, others = _stacked(examples)
         given = {name: program.given(name, each) for name, each in (others | sensors).items()}
-        self._senses = senses = Senses(plant, dt, steps, path)
-        target = senses.target(program) or Target(given["target"])
+        self._sensing = sensing = TracedSensing(plant, dt, steps, path)
+        target = sensing.target(program) or Target(given["target"])
         if "gains" in given:
             own = Diagonals(*np.split(given["gains"], (m, 2 * m)))
             controller = laws.with_gains(controller, own)
         loop = TracedLoop(
-            program, controller, plant, numbers, target, dt, integrator, given, senses
+            program, controller, plant, numbers, target, dt, integrator, given, sensing
         )
         self.frames = tuple(loop.truth.frames)
         self._truth, before = loop.truth, {name: program.kept(name, 1)[0] for name in OUTCOME}
@@ -151,7 +151,7 @@ class Lanes:
         """The program, compiled when it first runs; `NumpyLanes` may take its place."""
         return LlvmLanes(self.program)
 
-    def packed(self, starts: Sequence[Begun]) -> tuple[Array, Array]:
+    def packed(self, starts: Sequence[LaneStart]) -> tuple[Array, Array]:
         """Return what is kept of some runs before their first step, and what stays, as vectors."""
         program, width = self.program, self.compiled.width
         kept = np.zeros((len(starts), program.n_rows))
@@ -159,12 +159,12 @@ class Lanes:
         columns["q"][:] = [start.q for start in starts]
         columns["state"][:] = [start.state for start in starts]
         columns["last_bad"][:] = -1.0
-        self._senses.begun(program, kept, np.array([start.holding for start in starts]))
+        self._sensing.start(program, kept, np.array([start.holding for start in starts]))
         numbers, sensors, others = _stacked(starts)
         named = self._truth.named(numbers) | sensors | others
         return _packed(kept, width), _packed(program.filled(named), width)
 
-    def run(self, starts: Sequence[Begun], every: int) -> dict[str, Array]:
+    def run(self, starts: Sequence[LaneStart], every: int) -> dict[str, Array]:
         """Return the outcome of some runs: the names of `OUTCOME`, each with an array (N,).
 
         Args:
@@ -173,8 +173,8 @@ class Lanes:
         """
         kept, parameters = self.packed(starts)
         program, width = self.program, self.compiled.width
-        draws = self._senses.drawn(program, [start.seed for start in starts], width)
-        times = self._senses.times(program, every)
+        draws = self._sensing.drawn(program, [start.seed for start in starts], width)
+        times = self._sensing.times(program, every)
         for first in range(0, len(times), _BLOCK):
             now = times[first : first + _BLOCK]
             block = Block(first, now, draws(first, first + len(now)))
@@ -184,7 +184,7 @@ class Lanes:
 
 
 def _stacked(
-    starts: Sequence[Begun],
+    starts: Sequence[LaneStart],
 ) -> tuple[ArmNumbers, dict[str, Array], dict[str, Array]]:
     """Return numbers of robots, of sensors, and others by name, each with an axis in front."""
     sensors = {

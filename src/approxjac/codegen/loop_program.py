@@ -13,7 +13,7 @@ from approxjac.codegen import traced_law as laws
 from approxjac.codegen.arm import traced_tasks as tasks
 from approxjac.codegen.arm.arm_numbers import ArmNumbers
 from approxjac.codegen.arm.rigid_body import Arm, moved
-from approxjac.codegen.sensors import Senses
+from approxjac.codegen.sensors import TracedSensing
 from approxjac.codegen.trace.program import Program
 from approxjac.codegen.trace.symbols import (
     LARGEST_ANGLE,
@@ -70,7 +70,7 @@ class TracedLoop:
         dt: Sampling time [s].
         integrator: One of `INTEGRATORS`.
         sensor: Numbers of the sensor that differ from run to run, by their names.
-        senses: Sensors and motors as they really are; None is ideal.
+        sensing: Sensors and motors as they really are; None is ideal.
     """
 
     truth: Arm  # the true arms
@@ -93,7 +93,7 @@ class TracedLoop:
         dt: float,
         integrator: str,
         sensor: Mapping[str, Symbols] | None = None,
-        senses: Senses | None = None,
+        sensing: TracedSensing | None = None,
     ) -> None:
         _require_plain(plant)
         robot, self._plant, self._dt = plant.robot, plant, dt
@@ -107,21 +107,21 @@ class TracedLoop:
         self.error = tasks.error(plant.sensor, value, target.x)
         may_lose = tasks.may_lose(plant.sensor)
         self.left = False
-        if senses is None:
+        if sensing is None:
             count = program.kept("count", 1)[0]
             measurement, kept = Measurement(count * dt, q, v, x, count * dt), {"count": count + 1.0}
         else:
             truth = Measurement(program.k * dt, q, v, x)
-            measurement, kept = senses.measured(program, truth)
-            state, self.left = _begun(program, controller, state, measurement)
-            may_lose = may_lose or senses.may_lose
+            measurement, kept = sensing.measured(program, truth)
+            state, self.left = _initial_state(program, controller, state, measurement)
+            may_lose = may_lose or sensing.may_lose
         program.graph.is_finite = not may_lose
         wanted = target.x if target.v is None else target
         after, self.answer, unfinished = laws.stepped(controller, state, measurement, wanted, dt)
         program.graph.is_finite = False
         acting = self.answer.torque
-        if senses is not None:
-            acting, late = senses.acting(program, acting)
+        if sensing is not None:
+            acting, late = sensing.acting(program, acting)
             kept |= late
         q_end, v_end = self._advanced(acting, integrator)
         touched, wrong = self._touched(q_end), False
@@ -198,13 +198,13 @@ class TracedLoop:
         return moved(plant.robot, self.q, dt * v_end), v_end, select(wrong, 1.0, 0.0)
 
 
-def _begun(
+def _initial_state(
     program: Program, controller: Controller, state: Symbols, measurement: Measurement
 ) -> tuple[Symbols, Condition]:
     """Return a state that begins with the first x, where it does, and whether that is lost."""
     if controller.kinematics is not controller.law.kinematics:
         return state, False
-    first = laws.begun(controller.law, measurement._replace(t=0.0, t_x=0.0))
+    first = laws.initial_state(controller.law, measurement._replace(t=0.0, t_x=0.0))
     at = [i for i, each in enumerate(first.tolist()) if isinstance(each, Scalar)]
     if not at:
         return state, False

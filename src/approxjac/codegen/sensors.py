@@ -1,4 +1,4 @@
-"""`Senses`: real sensors and late motors of a run, on symbols and step by step."""
+"""`TracedSensing`: real sensors and late motors of a run, on symbols and step by step."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from approxjac.validation import Array
 _IMAGE, _TORQUE = "image", "late_torque"
 
 
-class Senses:
+class TracedSensing:
     """Sensors and motors of all runs of a plant: noise, rounding, lateness, dropouts.
 
     As `SensorReadings` and `MovingArm` have them. Time decides which frame arrives, so that is
@@ -126,7 +126,7 @@ class Senses:
         self._times |= dict.fromkeys((f"{_TORQUE}.from", f"{_TORQUE}.to"), self._k % self.late)
         return program.history(_TORQUE, len(torque), self.late), {_TORQUE: torque}
 
-    def begun(self, program: Program, kept: Array, holding: Array) -> None:
+    def start(self, program: Program, kept: Array, holding: Array) -> None:
         """Let what is kept of runs (N, rows) begin: with the torques (N, n_v) that hold them."""
         if self.late:
             at, size = program.histories[_TORQUE]

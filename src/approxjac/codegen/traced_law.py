@@ -103,7 +103,7 @@ def first_state(controller: Controller) -> Array:
     return controller.initial_state(Measurement(0.0, q, np.zeros(robot.nv), x, 0.0))
 
 
-def begun(controller: Controller, measurement: Measurement) -> Symbols:
+def initial_state(controller: Controller, measurement: Measurement) -> Symbols:
     """Return what `Controller.initial_state` does."""
     own = getattr(controller, "ordinary", controller)
     return symbols(traced("controller", own, lambda: on_symbols(own).initial_state(measurement)))

@@ -267,7 +267,7 @@ class Adaptation(NamedTuple):
         """Return θ = (θ_g, 0, 0), shape (P,), from θ_g (p,): the true constant forces are zero."""
         return np.pad(theta, (0, sum(self.sizes[1:])))
 
-    def words(self, theta_hat: Array, task: Task) -> str:
+    def describe(self, theta_hat: Array, task: Task) -> str:
         """Describe a θ̂ (P,): the load that acts most like it, and constant forces."""
         of_gravity, *constant = np.split(theta_hat - self.theta0, np.cumsum(self.sizes)[:-1])
         mass, *moments = self.regressor.payload(of_gravity)

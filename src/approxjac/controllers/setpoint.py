@@ -13,7 +13,7 @@ from approxjac import law
 from approxjac.controllers.arguments import FLOAT64, HUGE, is_lost, overflow, require_arrays
 from approxjac.controllers.controller import Controller, Instant
 from approxjac.controllers.gains.gains import Diagonals, Gains, Latency
-from approxjac.controllers.gains.sample_configurations import quickest
+from approxjac.controllers.gains.sample_configurations import max_damping_rate
 from approxjac.controllers.gains.tuning import (
     UNKNOWN_TOOL,
     Tuning,
@@ -231,7 +231,7 @@ class SetpointController(Immutable, Controller):
     def describe_learnt(self, state: Array) -> str:
         """Describe the gravity that a state has learnt; "" if none."""
         learning = self.adaptation
-        return "" if learning is None else learning.words(self.learnt(state), self.task)
+        return "" if learning is None else learning.describe(self.learnt(state), self.task)
 
     def learnt(self, state: Array) -> Array:
         """Return θ̂ (…, p) of a state, or of a series of states (…, n_state)."""
@@ -303,7 +303,7 @@ class SetpointController(Immutable, Controller):
 
     def damping_rate(self, inertias: Array) -> float:
         """Return the rate of joint damping by B_c [1/s]."""
-        return quickest(inertias, self.diagonals.damping)
+        return max_damping_rate(inertias, self.diagonals.damping)
 
     def believed_dynamics(self) -> tuple[Dynamics, bool]:
         """Return the believed dynamics, and True (with gravity) if gravity is learnt."""

@@ -21,7 +21,7 @@ from approxjac.realtime.brake import Brake, HungError, Watchdog
 from approxjac.realtime.driver import Driver, read, two_clocks
 from approxjac.realtime.faults import Fault, Tolerances, task_bounds
 from approxjac.realtime.robot_loop import RobotLoop, require_able
-from approxjac.realtime.scheduling import Scheduling, StopSignals, undisturbed
+from approxjac.realtime.scheduling import Scheduling, StopSignals, real_time
 from approxjac.robots import Dynamics
 from approxjac.simulation.plant import Plant, VelocityServo
 from approxjac.simulation.simulate import Loop, Observer, require_fit, require_start, wanted_of
@@ -163,7 +163,7 @@ def control(
             controller.step(loop.state, loop.measurement, loop._wanted, driver.dt)
         if observer is not None:
             held.enter_context(ObserverThread(loop, observer))
-        held.enter_context(undisturbed(scheduling or Scheduling()))
+        held.enter_context(real_time(scheduling or Scheduling()))
         error: BaseException | None = None
         watchdog, why = Watchdog(brake, _HANGS * tolerances.max_period), ""
         try:

@@ -51,7 +51,7 @@ class RobotLoop(Loop):
     """
 
     _wanted: Target
-    _eased: Eased | Halt
+    _blended: BlendedTarget | Halt
     _knows_truth = False
 
     def __init__(
@@ -72,9 +72,9 @@ class RobotLoop(Loop):
         self.between_steps = threading.Lock()
         self._max_error = np.asarray(tolerances.max_error)
         fastest = np.asarray(driver.limits.for_joints(robot.nv).velocity)
-        self._begun = first.t
+        self._t_first = first.t
         self.truth = self.measurement = self._timed(first)
-        self._ease(first.x, np.zeros(controller.task.measured.m))
+        self._blend(first.x, np.zeros(controller.task.measured.m))
         self._aim()
         self.state = first_state(plant, controller, self._wanted, self.measurement, self.dt, state)
         self._control()
@@ -146,7 +146,7 @@ class RobotLoop(Loop):
         stop = Halt(task, self.step * self.dt, self.target, velocity, _HALT)
         error = task.error(self.truth.x, self.target)
         faster = task.jacobian(self.truth.q) @ self.truth.v - velocity
-        self._eased, self._stopped_at = stop, self.truth.x
+        self._blended, self._stopped_at = stop, self.truth.x
         ways = error, stop.distance, _HALT * faster, 6.0 * np.asarray(self._tolerances.accuracy.x)
         self.stop_bound = float(sum(np.linalg.norm(way) for way in ways))
         self.stop_distance = 0.0
@@ -156,7 +156,7 @@ class RobotLoop(Loop):
         path = wanted_of(self.plant.sensor, target, self.step * self.dt)
         if not self.halting:
             self.path = path
-            self._ease(self.target, self._velocity)
+            self._blend(self.target, self._velocity)
 
     def exchange(self, controller: Controller) -> None:
         """Replace the controller from the next step on."""
@@ -170,9 +170,9 @@ class RobotLoop(Loop):
         self.learns_sensor = kinematics is not None and bool(kinematics.names)
         self._sensor = SensorWatch(task, self.dt, accuracy, blind, self.learns_sensor)
 
-    def _ease(self, x: Array, velocity: Array) -> None:
+    def _blend(self, x: Array, velocity: Array) -> None:
         task, now = self.controller.task.measured, self.step * self.dt
-        self._eased = Eased(task, self.path, now, x, velocity, self._speeds)
+        self._blended = BlendedTarget(task, self.path, now, x, velocity, self._speeds)
 
     def trajectory(self) -> Trajectory:
         """Return the record, including every last period; errors are at the time x was taken."""
@@ -191,7 +191,7 @@ class RobotLoop(Loop):
     def _timed(self, measurement: Measurement) -> Measurement:
         t_x = measurement.t_x
         return measurement._replace(
-            t=measurement.t - self._begun, t_x=None if t_x is None else t_x - self._begun
+            t=measurement.t - self._t_first, t_x=None if t_x is None else t_x - self._t_first
         )
 
     @property
@@ -200,14 +200,14 @@ class RobotLoop(Loop):
         return np.zeros(self.controller.task.measured.m) if v is None else v
 
     def _aim(self) -> None:
-        self._wanted = self._eased.at(self.step * self.dt)
+        self._wanted = self._blended.at(self.step * self.dt)
         self.target = x_of(self._wanted)
 
     def _look(self, measurement: Measurement) -> None:
         x, task = measurement.x, self.controller.task.measured
         sees = bool(np.isfinite(x).all())
         if self._blind and sees and not self.halting:
-            self._ease(x, np.zeros(task.m))  # from where it is seen again
+            self._blend(x, np.zeros(task.m))  # from where it is seen again
             self._blind = False
         self._aim()
         seen = measurement if sees else self.truth
@@ -313,7 +313,7 @@ def require_able(driver: Driver, controller: Controller) -> None:
         )
 
 
-class Eased:
+class BlendedTarget:
     """A target's path with an initial offset that goes to zero with minimum jerk.
 
     It begins at x (n_x,) with a velocity in the error coordinates of the task (m,) [unit/s], and

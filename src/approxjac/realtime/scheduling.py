@@ -1,4 +1,4 @@
-"""`undisturbed`: run a loop without interruptions by the interpreter and the system."""
+"""`real_time`: run a loop without interruptions by the interpreter and the system."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Scheduling:
 
 
 @contextmanager
-def undisturbed(scheduling: Scheduling) -> Iterator[None]:
+def real_time(scheduling: Scheduling) -> Iterator[None]:
     """Run a block without garbage collection and with short switching times of threads.
 
     Raises:

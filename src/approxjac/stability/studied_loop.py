@@ -95,7 +95,7 @@ class StudiedLoop:
         """
         controller, timing, seed = self.controller, self.timing, self.seed
         count = as_integer("configurations", configurations, 20)
-        tell = telling(progress)
+        tell = progress_report(progress)
         reason = uncovered(controller)
         loop = None if reason else self.loop()
         many = self.rollouts(runs, execution=execution, progress=tell) if runs else None
@@ -138,7 +138,7 @@ class StudiedLoop:
         failures = None if failures is None else as_integer("failures", failures, 1)
         execution = Execution() if execution is None else execution
         (setting,) = with_engine([self.setting()], execution.engine, n)
-        tell = partial(telling(progress), "rollouts")
+        tell = partial(progress_report(progress), "rollouts")
         (columns,) = carried_out([setting], n, failures, execution, tell)
         return Rollouts(columns, setting)
 
@@ -201,7 +201,7 @@ class StudiedLoop:
         )  # fmt: skip
 
 
-def telling(progress: Progress) -> Callable[[str, float], None]:
+def progress_report(progress: Progress) -> Callable[[str, float], None]:
     """Return a function that reports the name of the current work and the share done."""
     require("progress", progress, _PROGRESS, "a function of what is done and its share, or True")
     if progress is not True:

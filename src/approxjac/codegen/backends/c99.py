@@ -185,5 +185,5 @@ def sampled_step(controller: Controller) -> SampledStep:
         name: symbols(zeros[name] if value is None else value).ravel().tolist()
         for name, value in outputs.items()
     }
-    first = laws.begun(controller, laws.measured(given))
+    first = laws.initial_state(controller, laws.measured(given))
     return SampledStep(graph, flat, controller, sizes, first.tolist())

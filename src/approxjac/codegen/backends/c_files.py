@@ -56,7 +56,7 @@ def export_c(controller: Controller, folder: str | PathLike[str]) -> Path:
     require("controller", controller, Controller, "a controller such as SetpointController(task)")
     require("folder", folder, (str, PathLike), "a folder")
     step = sampled_step(controller)
-    named = words(controller, step)
+    named = template_values(controller, step)
     dt = controller.dt or (controller.latency or Latency()).period
     records = _recorded(step, dt)
     filled = {
@@ -214,7 +214,7 @@ def _braced(parts: list[str]) -> str:
 # -- words of a controller about itself ------------------------------------------------------------
 
 
-def words(controller: Controller, step: SampledStep) -> dict[str, str]:
+def template_values(controller: Controller, step: SampledStep) -> dict[str, str]:
     """Return the names, sizes and texts for the files' templates."""
     task, robot = controller.task, controller.task.robot
     prefix, n_state = identifier(robot.name), len(step.first)

@@ -117,7 +117,7 @@ def usual_inertias(robot: Robot) -> Array:
     return np.array([M(robot.random_configuration(rng)) for _ in range(_CONFIGURATIONS)])
 
 
-def quickest(inertias: Array, damping: Array) -> float:
+def max_damping_rate(inertias: Array, damping: Array) -> float:
     """Return the largest eigenvalue of M⁻¹D over configurations, D diagonal of shape (n_v,)."""
     root = np.sqrt(damping)
     scaled = root[:, np.newaxis] * np.linalg.inv(inertias) * root

@@ -279,7 +279,7 @@ class Estimator(Kinematics):
 
     @abstractmethod
     def _aim(self, state: Array, q: Array, dt: float) -> None:
-        """Set the rates at which the smoothed estimates follow, in place, as `_eased` says."""
+        """Set the rates of the smoothed estimates in place, by `_smoothing_rate`."""
 
     @abstractmethod
     def _covariance(self, state: Array) -> tuple[Array, float]:
@@ -370,7 +370,7 @@ class Estimator(Kinematics):
         state[self._at["integral"]] = state[self._at["averaged"]] = 0.0
 
     @staticmethod
-    def _eased(dt: float, away: Any, *turns: Array) -> Any:
+    def _smoothing_rate(dt: float, away: Any, *turns: Array) -> Any:
         """Return the rate β of what is smoothed, or a slower one if x̂ is `away` [m], or turned."""
         rate = _EASED_SPEED / np.maximum(away, 1e-9)
         rate = np.minimum(rate, np.minimum(_SMOOTHING, 0.5 / dt))

@@ -306,7 +306,7 @@ class AdaptiveCamera(Estimator):
         )
         beside = np.abs(ray - smooth_ray).max() * max(float(c[:, 2].max()), self._camera.near)
         turn = law.rotation_log(R.dot(smooth_R.T))
-        rate = self._eased(dt, beside, turn)
+        rate = self._smoothing_rate(dt, beside, turn)
         u_dot, spin = rate * (u - smooth_u), rate * turn
         moved = H.dot(u_dot).dot(smooth_R.T) + smooth_r.dot(law.cross_matrix(spin).dot(smooth_R).T)
         state[at["u_dot"]], state[at["R_spin"]] = u_dot, spin

@@ -360,7 +360,7 @@ class AdaptiveKinematics(Estimator):
             now, goal = smooth_R.dot(R_f), R.dot(R_f).dot(T_goal)
             goal = law.rotation_exp(integral[n_p:] / self._length).dot(goal)
             turns.append(law.rotation_log(goal.dot(now.dot(T).T)))
-        rate = self._eased(dt, law.length(away), *turns)
+        rate = self._smoothing_rate(dt, law.length(away), *turns)
         if self._is_pose:
             state[at["T_spin"]] = rate * now.T.dot(turns[-1] - turn)
         state[at["u_dot"]] = u_dot = rate * (u - smooth_u)

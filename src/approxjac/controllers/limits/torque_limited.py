@@ -14,7 +14,7 @@ import numpy as np
 from approxjac import law
 from approxjac.controllers.arguments import HUGE, require_dt
 from approxjac.controllers.controller import Controller
-from approxjac.controllers.gains.sample_configurations import quickest, usual_inertias
+from approxjac.controllers.gains.sample_configurations import max_damping_rate, usual_inertias
 from approxjac.controllers.limits.limit import Limit, LimitTerms, require_rows, rows_at
 from approxjac.controllers.limits.limits import Limits, sure_deceleration
 from approxjac.controllers.limits.quadratic_program import Solver
@@ -203,7 +203,7 @@ class TorqueLimited(ControllerWrapper):
         self.solver, self._solver, self._brakes = solver, Solver(solver), Solver()
         lightest = 1.0 / np.diagonal(np.linalg.inv(inertias), axis1=1, axis2=2).max(axis=0)
         self._weight = 1.0 / lightest  # R
-        self._rho = self.braking / quickest(inertias, 1.0 / self._weight)
+        self._rho = self.braking / max_damping_rate(inertias, 1.0 / self._weight)
         own = np.median([np.diag(M) for M in inertias], axis=0)
         self._jerk = self._rate / own if self._has_rate else None
         self._neutral = None if robot.nq == robot.nv else robot.neutral()
@@ -252,14 +252,14 @@ class TorqueLimited(ControllerWrapper):
 
     def initial_state(self, measurement: Measurement) -> Array:
         """Return the state before the first step; errors are those of the controller."""
-        return self._begun(self._law.initial_state(measurement), measurement)
+        return self._with_memory(self._law.initial_state(measurement), measurement)
 
     def resumed(self, state: Array, measurement: Measurement) -> Array:
         """Return an initial state with the learnt numbers of another state."""
         state = super().resumed(state, measurement)
-        return self._begun(state[: len(state) - self._memory], measurement)
+        return self._with_memory(state[: len(state) - self._memory], measurement)
 
-    def _begun(self, state: Array, measurement: Measurement) -> Array:
+    def _with_memory(self, state: Array, measurement: Measurement) -> Array:
         before = np.zeros(0)
         if self._has_rate:
             before = np.full(len(self._rate), _UNSET)

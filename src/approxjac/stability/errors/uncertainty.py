@@ -123,14 +123,14 @@ def _camera_range(camera: Camera | None, name: str, given: Any) -> list[Coordina
     return _as_range(name, given, *camera.calibration[name], of="camera ")
 
 
-def _in_words(name: str, value: float, unit: str) -> str:
+def _described(name: str, value: float, unit: str) -> str:
     """A coordinate at a value, such as "camera roll 0.349 rad (20.0 deg)"."""
     value += 0.0  # of -0 makes 0
     degrees = f" ({math.degrees(value):.1f} deg)" if unit == "rad" else ""
-    return f"{spoken(name)} {value:.3g} {unit}{degrees}"
+    return f"{label_of(name)} {value:.3g} {unit}{degrees}"
 
 
-def spoken(name: str) -> str:
+def label_of(name: str) -> str:
     """Return the name of a coordinate or parameter as text; joints keep theirs."""
     return name.replace("object_", "object ").replace("focal_length", "focal length")
 
@@ -401,7 +401,7 @@ class Uncertainty:
 
     def describe(self, values: Sequence[float] | Array) -> str:
         """Describe values (d,), such as "object length 0.3 m, camera roll 0.349 rad"."""
-        words = map(_in_words, self.names, self._checked(values), self.units)
+        words = map(_described, self.names, self._checked(values), self.units)
         return ", ".join(words) or "no error"
 
     def describe_box(self) -> str:
@@ -409,8 +409,8 @@ class Uncertainty:
         shown = []
         for name, unit, _, low, high in self._coordinates:
             ends = (0.0 if abs(end) < _NONE * (high - low) else end for end in (low, high))
-            least, most = (_in_words("", end, unit).strip() for end in ends)
-            shown.append(f"{spoken(name)} {least.removesuffix(f' {unit}')} to {most}")
+            least, most = (_described("", end, unit).strip() for end in ends)
+            shown.append(f"{label_of(name)} {least.removesuffix(f' {unit}')} to {most}")
         return ", ".join(shown) or "no error"
 
     def _checked(self, values: Sequence[float] | Array) -> Array:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from approxjac.codegen.arm import traced_tasks as tasks
-from approxjac.codegen.lanes import Begun, Box, Lanes
+from approxjac.codegen.lanes import Box, Lanes, LaneStart
 from approxjac.codegen.loop_program import require_covered
 from approxjac.controllers import SetpointController
 from approxjac.controllers.controller import Controller
@@ -89,9 +89,11 @@ class Start:
     target: Array
     seed: int  # of noise and dropouts
 
-    def begun(self, controller: Controller, frames: tuple[str, ...] | None = None) -> Begun:
+    def lane_start(
+        self, controller: Controller, frames: tuple[str, ...] | None = None
+    ) -> LaneStart:
         """Return the numbers that lanes keep of it, whose sensor looks at some frames."""
-        return Begun.of(controller, self.plant, self.q, self.target, self.seed, frames)
+        return LaneStart.of(controller, self.plant, self.q, self.target, self.seed, frames)
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,7 +243,7 @@ class RolloutSetting:
         for index in indices:
             start = moving.start(index)
             starts.append((index, start.values, start.q, start.target))
-            begun.append(start.begun(self.controller, lanes.frames))
+            begun.append(start.lane_start(self.controller, lanes.frames))
         last: dict[str, Any] = lanes.run(begun, self.every)
         diverged, last_bad = last["diverged"] > 0.0, last["last_bad"]
         settled = (last_bad < self.steps) & ~diverged
@@ -348,7 +350,7 @@ def _lanes_of(setting: RolloutSetting) -> Lanes:
                 one = replace(setting, controller=law, uncertainty=errors)
                 starts = [one.start(index) for index in range(_EXAMPLES)]
                 frames = tasks.frames(errors.nominal.sensor)
-                examples += [each.begun(law, frames) for each in starts]
+                examples += [each.lane_start(law, frames) for each in starts]
             _lanes[setting.key] = Lanes(
                 law, starts[0].plant, examples, setting._box(), setting.dt, setting.steps,
                 setting.accuracy,

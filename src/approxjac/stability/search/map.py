@@ -18,7 +18,7 @@ from approxjac.stability.errors.region import require_setpoint
 from approxjac.stability.loop.configurations import UnattainedError
 from approxjac.stability.rollouts.rollouts import Execution, Rollouts, carried_out
 from approxjac.stability.rollouts.setting import RolloutSetting, with_engine
-from approxjac.stability.studied_loop import Progress, StudiedLoop, telling
+from approxjac.stability.studied_loop import Progress, StudiedLoop, progress_report
 from approxjac.validation import Array, as_array, as_integer, require
 
 PARAMETERS = {
@@ -142,7 +142,7 @@ def stability_map(
         if scale <= 1.0 or _is_seen(own, n):
             settings[point] = own
     together = with_engine([*settings.values()], execution.engine, n)
-    tell = partial(telling(progress), "map")
+    tell = partial(progress_report(progress), "map")
     columns = carried_out(together, n, None, execution, tell) if together else []
     points = {
         point: Rollouts(each, setting)

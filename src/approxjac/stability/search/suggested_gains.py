@@ -17,7 +17,7 @@ from approxjac.stability.certificates.certificate import margin
 from approxjac.stability.loop.closed_loop import SHARED
 from approxjac.stability.loop.linearization import Timing
 from approxjac.stability.search.tolerance import TESTS, Test
-from approxjac.stability.studied_loop import Progress, StudiedLoop, telling
+from approxjac.stability.studied_loop import Progress, StudiedLoop, progress_report
 from approxjac.validation import Array, as_limits, as_number
 
 _RATES = (1.0, 1.5, 2.5, 4.0)  # of the position gain, times what settles the believed arm
@@ -115,7 +115,7 @@ def suggested_gains(
         UnknownNameError: No such test.
     """
     uncertainty, latency, seed = study.errors, study.timing, study.seed
-    tell = telling(progress)
+    tell = progress_report(progress)
     if test not in TESTS:
         raise UnknownNameError("test", test, "the tests", TESTS)
     settling_time = as_number("settling_time", settling_time, unit="s", above=0.0)

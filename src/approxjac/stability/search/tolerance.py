@@ -17,7 +17,7 @@ from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.closed_loop import SHARED, ClosedLoop
 from approxjac.stability.loop.configurations import UnattainedError
 from approxjac.stability.report.other_laws import near_targets
-from approxjac.stability.studied_loop import Progress, StudiedLoop, telling
+from approxjac.stability.studied_loop import Progress, StudiedLoop, progress_report
 from approxjac.validation import Array, as_number
 
 Test = Literal["theorem1", "matrix", "local", "rollouts"]
@@ -100,7 +100,7 @@ def tolerances(
         InvalidInputError: Numbers out of range, or the errors of a report.
         UnknownNameError: No such test.
     """
-    uncertainty, tell = study.errors, telling(progress)
+    uncertainty, tell = study.errors, progress_report(progress)
     reason = uncovered(study.controller)
     if reason and (without := set(tests) - {"local", "rollouts"}):
         raise InvalidInputError(

@@ -141,9 +141,9 @@ def _facts(run: Trajectory) -> list[tuple[str, str]]:
         else:
             facts.append(("error", f"{first} → {last} {unit}"))
     counts = {"not measured": int((~np.isfinite(run.x_measured).all(axis=1)).sum())}
-    counts |= {s.words: n for s, n in run.status_counts().items() if s not in _USUAL}
+    counts |= {s.label: n for s, n in run.status_counts().items() if s not in _USUAL}
     limited = run.limit_status_counts().items()
-    counts |= {f"limits: {s.words}": n for s, n in limited if s not in _USUAL_LIMITS}
+    counts |= {f"limits: {s.label}": n for s, n in limited if s not in _USUAL_LIMITS}
     for name, count in counts.items():
         if count:
             facts.append((name, f"{percent(count / len(run.t), 0)} % of the time"))

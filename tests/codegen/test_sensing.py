@@ -174,7 +174,7 @@ def test_the_same_bits_in_numpy():
         controller, errors, region, None, 0.3, 1e-3, 1e-3, 0, ALL["sensing"], 0.006
     )
     starts = [whole.start(index) for index in range(9)]
-    begun, box = [each.begun(controller) for each in starts], whole._box()
+    begun, box = [each.lane_start(controller) for each in starts], whole._box()
     assert isinstance(box, Box)
     engines = (NumpyLanes, LlvmLanes, lambda p: LlvmLanes(p, 2, "+sse2"))
     lanes, found = Lanes(controller, starts[0].plant, begun, box, 1e-3, 300, 0.3), []

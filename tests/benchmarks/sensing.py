@@ -2,7 +2,7 @@
 
 The loop of `lanes.py`, of a second; what is drawn, and the generators that draw it, are included.
 
-    OMP_NUM_THREADS=1 python tests/benchmarks/senses.py
+    OMP_NUM_THREADS=1 python tests/benchmarks/sensing.py
 """
 
 import lanes
