@@ -548,7 +548,7 @@ MUTANTS = [
     ),
     (
         "lag learns while its command is limited", "controllers/tracking.py",
-        "return law.select(law.all_of(sent == wanted), lag, state), sent", "return lag, sent",
+        "return law.select(law.all_equal(sent, wanted), lag, state), sent", "return lag, sent",
         "tests/controllers/test_tracking.py",
     ),
     (

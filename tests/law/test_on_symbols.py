@@ -37,6 +37,9 @@ def passes(x):
 
 
 STEPS = {
+    "all_equal": lambda x: [
+        law.select(law.all_equal(*pair), x[1], x[2]) for pair in ((x, x), (x, x * x))
+    ],
     "select": lambda x: [law.select(x[0] > 0.0, x[1], x[2])],
     "complement": lambda x: [law.select(law.complement(x[0] > 0.0), 1.0, 2.0)],
     "is_finite": lambda x: [law.select(is_finite(x), 1.0, 0.0)],

@@ -94,6 +94,29 @@ def test_bad_states_are_refused_everywhere(panda):
         dynamics.inverse(good, good, np.full(7, np.nan))
 
 
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
+def test_each_number_that_is_not_finite_is_refused_by_forward_dynamics(arm, rng, wrong):
+    dynamics = Dynamics(arm)
+    v, tau = rng.uniform(-1, 1, (2, arm.nv))
+    good = {"q": arm.random_configuration(rng), "v": v, "tau": tau}
+    for name, value in good.items():
+        for i in range(len(value)):
+            bad = value.copy()
+            bad[i] = wrong
+            with pytest.raises(aj.InvalidInputError, match=rf"^{name} must be finite"):
+                dynamics.forward(**{**good, name: bad})
+
+
+def test_forward_dynamics_take_other_numbers_than_doubles(panda):
+    q, dynamics = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.5, 0.5]), Dynamics(panda)
+    v, tau = np.arange(7), np.arange(7.0)[::-1]
+    expected = dynamics.forward(q, v.astype(float), tau.copy())
+    for given in ((q.astype(np.float32), v, tau), (q.tolist(), v, tau), (q, v[:, None].T[0], tau)):
+        assert np.array_equal(dynamics.forward(*given), expected)
+    with pytest.raises(aj.InvalidInputError, match=r"v must have shape \(7,\), got shape \(7, 1\)"):
+        dynamics.forward(q, v[:, None].astype(float), tau)
+
+
 def test_lists_of_numbers_are_taken(panda):
     q = [0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7]
     assert_allclose(aj.PositionTask(panda).value(q), aj.PositionTask(panda).value(np.array(q)))

@@ -40,6 +40,8 @@ def require_arrays(
 
 def require_array(name: str, value: Array, size: int, task: Task) -> None:
     """Raise an InvalidInputError unless a value is a float vector of the task's size."""
+    if type(value) is np.ndarray and value.shape == (size,) and value.dtype is FLOAT64:
+        return  # the quick way
     is_array = isinstance(value, np.ndarray) and not isinstance(value, np.ma.MaskedArray)
     if is_array and value.shape == (size,) and value.dtype == FLOAT64:
         return
@@ -64,11 +66,11 @@ def require_array(name: str, value: Array, size: int, task: Task) -> None:
 
 def with_rates(target: Target, m: int) -> Target:
     """Return a target with ẋ_d and ẍ_d, if any, checked to be finite vectors (m,)."""
-    rates = zip("va", target[1:], strict=True)
-    return Target(
-        target.x,
-        *(None if u is None else as_vector(f"{name} of the target", u, m) for name, u in rates),
-    )
+    x, v, a = target
+    if v is None and a is None:
+        return target
+    v = None if v is None else as_vector("v of the target", v, m)
+    return Target(x, v, None if a is None else as_vector("a of the target", a, m))
 
 
 def is_lost(

@@ -144,8 +144,11 @@ class Controller(ABC):
         if not (isinstance(dt, float) and 0.0 < dt < math.inf):
             dt = as_number("dt", dt, unit="s", above=0.0)
         try:
+            rate = answer.state_rate
+            if type(rate) is np.ndarray and rate.shape == state.shape == (0,):  # as of many laws
+                return state, answer
             if dt <= 1.0 and math.hypot(*state.tolist()) < _HUGE:  # errstate takes its time
-                return state + dt * np.asarray(answer.state_rate), answer
+                return state + dt * np.asarray(rate), answer
             with np.errstate(over="ignore"):  # an overflow is a named error
                 after = state + dt * np.asarray(answer.state_rate)
         except (AttributeError, TypeError, ValueError):

@@ -460,7 +460,7 @@ class VelocityCommand:
         sent = np.minimum(np.maximum(sent, before - self._change), before + self._change)
         lag = state + self._dt * law.servo_lag_rate(_LAG_GAIN, w, v - v_r)
         lag = np.minimum(np.maximum(lag, 0.0), _LONGEST_LAG)
-        return law.select(law.all_of(sent == wanted), lag, state), sent
+        return law.select(law.all_equal(sent, wanted), lag, state), sent
 
 
 def _usual_kinematics(task: Task, dt: float) -> Kinematics:

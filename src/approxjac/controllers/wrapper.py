@@ -104,7 +104,7 @@ class ControllerWrapper(Immutable, Controller):
         """Return a state of these parts, or refuse a memory that a measurement made overflow."""
         if not hasattr(memory, "arm_of") and not math.isfinite(math.hypot(*memory.tolist())):
             raise overflow(measurement)
-        return np.concatenate([inner, memory])
+        return np.concatenate([inner, memory]) if len(inner) else memory
 
     def _split(self, state: Array) -> tuple[Array, Array]:
         """Return the state of the controller inside, and the memory.

@@ -11,6 +11,7 @@ from approxjac.law.adaptation import passive_output as passive_output
 from approxjac.law.adaptation import swept_within_bounds as swept_within_bounds
 from approxjac.law.adaptation import theta_hat_rate as theta_hat_rate
 from approxjac.law.adaptation import within_bounds as within_bounds
+from approxjac.law.branches import all_equal as all_equal
 from approxjac.law.branches import all_of as all_of
 from approxjac.law.branches import alter as alter
 from approxjac.law.branches import any_of as any_of

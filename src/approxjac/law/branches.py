@@ -83,6 +83,11 @@ def all_of(conditions: Any) -> Any:
     return functools.reduce(operator.and_, conditions.ravel().tolist(), True)
 
 
+def all_equal(a: Any, b: Any) -> Any:
+    """Return True if all entries of two vectors are equal."""
+    return all_of(a == b) if a.dtype.hasobject or b.dtype.hasobject else a.tolist() == b.tolist()
+
+
 def surely(condition: Any) -> bool:
     """Return True if a condition is known to hold; False for a symbol."""
     return isinstance(condition, _KNOWN) and bool(condition)

@@ -67,8 +67,7 @@ def regular_solver(
     """
     if len(G) <= 3:
         rows, determinant, bound, trace = adjugate(G.tolist())
-        regular = trace > 3.0 * scale * scale  # of which the largest eigenvalue is a third
-        regular = regular & (bound > singular_ratio**2 * trace * trace * trace)
+        regular = is_surely_regular(bound, trace, singular_ratio, scale)
         return lambda b: array(solution(rows, determinant, b.tolist())), complement(regular)
     if type(G) is np.ndarray:
         return lambda b: b, True
@@ -78,9 +77,17 @@ def regular_solver(
     return partial(np.linalg.solve, G), complement(regular & (inverse_trace > 0.0))
 
 
+def is_surely_regular(bound: Any, trace: Any, singular_ratio: float, scale: float) -> Any:
+    """Return True where σ_min is surely large enough, of the bound and the trace of `adjugate`."""
+    large = trace > 3.0 * scale * scale  # of which the largest eigenvalue is a third
+    return large & (bound > singular_ratio**2 * trace * trace * trace)
+
+
 def may_be_singular(G: Array, singular_ratio: float, scale: float) -> Any:
     """Return False where σ_min of J is surely above a share of σ_max and the scale, of G = J Jᵀ."""
-    return regular_solver(G, singular_ratio, scale)[1]
+    if len(G) > 3:
+        return regular_solver(G, singular_ratio, scale)[1]
+    return complement(is_surely_regular(*adjugate(G.tolist())[2:], singular_ratio, scale))
 
 
 def damping_rate(
@@ -108,7 +115,7 @@ def is_near_singular(G: Array, singular_ratio: float = SINGULAR_RATIO, scale: fl
         squares = np.asanyarray(np.linalg.eigvalsh(G))
         return (gram_damping(squares.min(), squares.max(), singular_ratio, scale),)
 
-    _, may_be = regular_solver(G, singular_ratio, scale)
+    may_be = may_be_singular(G, singular_ratio, scale)
     if may_be is False:
         return False
     damping: Any = choose(may_be, by_eigenvalues, lambda: (0.0,))[0]

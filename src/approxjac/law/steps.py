@@ -150,7 +150,7 @@ def hold_step(
     measured, apart, was_seen = x.tolist(), errors.tolist(), [each > 0.0 for each in seen]
     later = knows_time & ((t_x > t_last) | complement(reduce(or_, was_seen)))
     used, moved, known, stands = list[Any](), list[Any](), list[Any](), list[tuple[slice, Any]]()
-    remembered, any_new = list[Any](), False
+    remembered, any_new, all_new = list[Any](), False, True
     for (entries, rows), ever in zip(parts, was_seen, strict=True):
         here, before, own = measured[entries], last[entries], p[rows]
         new = later
@@ -168,8 +168,9 @@ def hold_step(
         known.append(select(is_new | ever, 1.0, 0.0))
         stands.append((rows, is_old))
         any_new = any_new | is_new
+        all_new = all_new and is_new is True
     remembered.append(select(any_new & later, t_x, t_last))
-    return HoldStep(array(used), remembered, moved, known, stands, any_new)
+    return HoldStep(x if all_new else array(used), remembered, moved, known, stands, any_new)
 
 
 def hold_moved(held: HoldStep, motion: Array) -> Array:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -34,6 +36,8 @@ class Dynamics:
         self._mimic_joints = robot.mimic_joints
         self._all = robot.mimic_joints.model
         self._all_data = self._data if self._all is self._model else self._all.createData()
+        self._is_plain = self._all is self._model and robot.nq == robot.nv
+        self._aba = partial(pin.aba, self._model, self._data)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.robot,)  # a copy has scratch memory of its own
@@ -89,6 +93,15 @@ class Dynamics:
         """Return q̈ under the torque τ, shape (n_v,) [rad/s² or m/s²]."""
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
             return np.asanyarray(arm.forward(v, tau))
+        if (  # the quick way
+            self._is_plain
+            and type(q) is type(v) is type(tau) is np.ndarray
+            and q.shape == v.shape == tau.shape == self._zero.shape
+            and q.dtype is v.dtype is tau.dtype is self._zero.dtype
+        ):
+            a = np.array(self._aba(q, v, tau, WORLD))
+            if math.isfinite(math.hypot(*a.tolist())):  # or one of them is not
+                return a
         q, v, tau = self._q(q), self._v(v), self._v(tau, "tau")
         if self._mimic_joints.G is not None:
             bias = pin.rnea(self._model, self._data, q, v, self._zero)

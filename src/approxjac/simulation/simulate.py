@@ -289,7 +289,7 @@ class Loop:
         try:
             self._after, answer = stepped
             # a controller may use one buffer for all its torques, and `aim_at` asks it once more
-            self.answer = answer._replace(torque=answer.torque.copy())
+            self.answer = type(answer)._make((answer.torque.copy(), *answer[1:]))
             self.tau = self.answer.torque
             fits = self._after.shape == state.shape and self.tau.shape == measurement.v.shape
             fits = fits and math.isfinite(math.hypot(*self._after.tolist(), *self.tau.tolist()))

@@ -67,7 +67,10 @@ class FrameKinematics:
 
     def position(self, q: Array) -> Array:
         """Return the position of the frame's origin in the world, shape (3,) [m]."""
-        return self.placement(q)[1]
+        if type(q) is not np.ndarray:  # it may be of symbols
+            return self.placement(q)[1]
+        self._placement(q)
+        return self._placed[1].copy()
 
     def placement(self, q: Array) -> tuple[Array, Array]:
         """Return the rotation (3, 3) of the frame's axes in the world's, and `position`."""

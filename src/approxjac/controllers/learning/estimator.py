@@ -548,7 +548,7 @@ class Frames:
         taken_before, head, seen = numbers[n], numbers[: n + 4], np.abs(x) < _FARTHEST
         known, knows_time = np.where(seen, x, 0.0), t_x <= t + _AHEAD
         # a clock that is ahead is wrong, and would say of one frame that it is always new
-        is_old = law.select(knows_time, t_x <= taken_before, law.all_of(known == numbers[:n]))
+        is_old = law.select(knows_time, t_x <= taken_before, law.all_equal(known, numbers[:n]))
         is_old = is_old & (taken_before > _LONG_AGO)
         if law.surely(is_old):
             return None, False

@@ -63,6 +63,7 @@ class AccelerationObserver:
         self._dt, self._rate, self._share = dt, np.array(rate), np.array(1.0 - rate * dt)
         self._period = np.array(dt)
         self.nothing = np.concatenate([[_NEVER], np.zeros(2 * robot.nv)])  # before the first period
+        self.nothing.flags.writeable = False
 
     def timed(self, memory: Array, measurement: Measurement) -> Measurement:
         """Return a measurement, at the expected time if its t does not advance."""
@@ -283,7 +284,8 @@ class TorqueLimited(ControllerWrapper):
             require_dt(dt, self._dt)
         state, memory = self._split(state) if self._memory else (state, self._kept)
         after, answer = self._law.step(state, measurement, target, dt)
-        wanted, g, lower, upper = answer.torque, answer.gravity, self._lower, self._upper
+        wanted, rate, of_law, e, J_hat, gravity, _, _, reference = answer
+        g, lower, upper = gravity, self._lower, self._upper
         if g is None:
             g = self._law.gravity_torque(state, measurement.q)
         if self._has_rate:
@@ -293,7 +295,7 @@ class TorqueLimited(ControllerWrapper):
             with np.errstate(over="ignore"):  # no bound at all, of an absurd rate or dt
                 lower, upper = law.rate_bounds(within, self._rate, dt, lower, upper)
         torque: Array = np.minimum(np.maximum(wanted, lower), upper)
-        is_free = law.all_of(torque == wanted)
+        is_free = law.all_equal(torque, wanted)
         status, slack = _FREE, 0.0
         if is_free is not True or self._looks_ahead:
             asked = law.AskedTorque(wanted, lower, upper, torque, law.complement(is_free))
@@ -302,9 +304,11 @@ class TorqueLimited(ControllerWrapper):
                 after = self._rested(after, state, measurement, answer, torque, status, dt)
         if traced:  # what overflows has to show
             torque = np.where(np.abs(wanted) <= _LARGEST, torque, wanted)
-        if self._memory:
-            after = np.concatenate([after, memory, torque] if self._has_rate else [after, memory])
-        return after, Evaluation(torque, *answer[1:6], status, slack, answer.reference)
+        if self._has_rate:
+            after = np.concatenate([after, memory, torque])
+        elif self._memory:
+            after = np.concatenate([after, memory]) if len(after) else memory
+        return after, Evaluation(torque, rate, of_law, e, J_hat, gravity, status, slack, reference)
 
     @np.errstate(over="ignore", invalid="ignore")  # what overflows has a status
     def limited(
