@@ -13,7 +13,7 @@ from approxjac.stability.certificates.attraction import slower, travels
 from approxjac.stability.certificates.matrix_form import Hold, MatrixForm, SampledForm
 from approxjac.stability.errors.region import Region
 from approxjac.stability.loop.closed_loop import SHARED, ClosedLoop
-from approxjac.stability.rollouts.setting import RolloutSetting
+from approxjac.stability.rollouts.setting import RolloutSetting, with_engine
 
 OF_EACH = 5  # linearisations of a true robot
 STEPS = 600  # of a recorded run [periods]
@@ -151,7 +151,7 @@ def in_lanes(controller, errors, region, latency, radius, runs, seed):
         controller, errors, region, latency=latency, sensing=as_sensed(latency), seed=seed,
         duration=steps * latency.period,
     )  # fmt: skip
-    setting = study.setting().with_engine(None, runs)
+    (setting,) = with_engine([study.setting()], None, runs)
     inside = aj.JointBox.around(errors.arm, region.center, radius) if radius else region
     fields = {name: getattr(setting, name) for name in RolloutSetting.__dataclass_fields__}
     columns = Within(**fields, starts=inside).columns(range(runs))

@@ -38,9 +38,11 @@ def test_what_contradicts_is_told(small):
     assert "Counterexamples: 6." in study.table([fine, broken])
 
 
-@pytest.mark.study
-def test_nothing_contradicts_the_certificates_of_other_setups(monkeypatch):
+@pytest.mark.parametrize(
+    "first", [pytest.param(0, marks=pytest.mark.study), pytest.param(11, marks=pytest.mark.long)]
+)
+def test_nothing_contradicts_the_certificates_of_other_setups(monkeypatch, first):
     monkeypatch.setattr(study, "INNER", 6)  # so few are traced once, and half as many as by hand
-    outcomes = [study.attack((number, 7, 200)) for number in range(22)]
-    assert sum(o.latency is not None for o in outcomes) >= 10
+    outcomes = [study.attack((number, 7, 200)) for number in range(first, first + 11)]
+    assert sum(o.latency is not None for o in outcomes) >= 5
     assert not [text for o in outcomes for text in o.counterexamples()]
