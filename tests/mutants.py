@@ -349,7 +349,7 @@ MUTANTS = [
     ),
     (
         "stop without its damping", "simulation/plant.py",
-        "per_speed = self.stiffness * dt + self.damping", "per_speed = self.stiffness * dt",
+        "slowed, self.stiffness * dt + self.damping", "slowed, self.stiffness * dt",
         FIGURES,
     ),
     (

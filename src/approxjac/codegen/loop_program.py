@@ -170,10 +170,7 @@ class TracedLoop:
         assert stops is not None
         free = self.v + dt * self._here.forward(self.v, torque - plant.friction_torque(self.v))
         M_inv = self._here.factors.solve(symbols(np.eye(nv)))
-        depth, side = stops.depth(self.q)
-        outward = side * free
-        slowed = dt * side[:, np.newaxis] * M_inv * side
-        per_speed = stops.stiffness * dt + stops.damping
+        depth, side, outward, slowed, per_speed = stops.contact(self.q, free, M_inv, dt)
         b = stops.stiffness / per_speed * depth + outward
         nothing = symbols(np.zeros(nv))
 

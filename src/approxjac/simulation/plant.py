@@ -162,16 +162,24 @@ class JointStops:
         push = self.stiffness * np.maximum(depth, 0.0) + self.damping * side * v
         return np.where(depth > 0.0, -side * np.maximum(push, 0.0), 0.0)
 
+    def contact(
+        self, q: Array, v: Array, M_inv: Array, dt: float
+    ) -> tuple[Array, Array, Array, Array, Array]:
+        """Return the terms of a step that ends at v (n_v,) without stops, on numbers or symbols.
+
+        δ and its side; v outwards; what a unit of each push takes of that, (n_v, n_v); and p by δ̇.
+        """
+        depth, side = self.depth(q)
+        slowed = dt * side[:, np.newaxis] * M_inv * side
+        return depth, side, side * v, slowed, self.stiffness * dt + self.damping
+
     def held_torque(self, q: Array, v: Array, M_inv: Array, dt: float) -> Array:
         """Return the stops' constant torque (n_v,) over a step dt [s] of semi-implicit Euler.
 
         p has δ and δ̇ of the end of the step (implicit Euler), so that no step adds energy. v is
         the velocity (n_v,) that the step would end with without stops.
         """
-        depth, side = self.depth(q)
-        v = side * v  # outwards
-        slowed = dt * side[:, np.newaxis] * M_inv * side  # v by a unit of each push
-        per_speed = self.stiffness * dt + self.damping
+        depth, side, v, slowed, per_speed = self.contact(q, v, M_inv, dt)
         push = np.zeros(len(v))
         touching = np.zeros(len(v), dtype=bool)
         while True:
