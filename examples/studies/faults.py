@@ -210,7 +210,7 @@ class Broken:
         """Brake, and note when."""
         if self.braked_at is None:
             if self.hung_at is not None:  # the arm went on with the last command meanwhile
-                self.driver.go_on(time.perf_counter() - self.hung_at)
+                self.driver.advance(time.perf_counter() - self.hung_at)
             self.braked_at = self.state()
         self.driver.brake()
 

@@ -125,7 +125,7 @@ def test_a_rehearsed_arm_is_brought_to_rest_and_braked_at_any_period(dt):
     assert np.abs(seen[0]).max() < 0.06
     assert driver.braked
     q = driver.q.copy()
-    driver.go_on(10 * dt)
+    driver.advance(10 * dt)
     assert (driver.q == q).all()
     assert not driver.v.any()
     assert np.abs(np.diff(found.x_d, axis=0)).max() <= 0.2 * dt * (1.0 + 1e-6)

@@ -48,7 +48,7 @@ def require_covered(controller: Controller, plant: Plant) -> None:
 
 
 def _require_plain(plant: Plant) -> None:
-    """Refuse another plant than those covered."""
+    """Raise an InvalidInputError for a plant that is not covered."""
     more = (plant.servo, plant.torque_limits, plant.adds_gravity)
     if type(plant) is not Plant or any(part is not None for part in more):
         raise InvalidInputError(
@@ -160,10 +160,10 @@ class TracedLoop:
         return law.any_of(symbols(beyond))
 
     def _held(self, torque: Symbols) -> tuple[Symbols, Symbols, Number]:
-        """Return what `Plant.advance` does at stops, as `JointStops.held_torque` has it.
+        """Return q and v after a step at stops, as by `JointStops.held_torque`.
 
-        Which joints press on their stops is found in a few guesses, each from the last one. Returns
-        q and v, and 1 where the last guess was wrong, else 0.
+        Which joints press on their stops is found in a few guesses, each from the last one. The
+        third result is 1 where the last guess was wrong, else 0.
         """
         plant, dt = self._plant, self._dt
         stops, nv = plant.stops, plant.robot.nv
@@ -198,7 +198,7 @@ class TracedLoop:
 def _initial_state(
     program: Program, controller: Controller, state: Symbols, measurement: Measurement
 ) -> tuple[Symbols, Condition]:
-    """Return a state that begins with the first x, where it does, and whether that is lost."""
+    """Return the state, set by the first x in the first step, and whether that x is lost."""
     if controller.kinematics is not controller.law.kinematics:
         return state, False
     first = laws.initial_state(controller.law, measurement._replace(t=0.0, t_x=0.0))

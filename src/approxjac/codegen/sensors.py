@@ -29,15 +29,14 @@ _IMAGE, _TORQUE = "image", "late_torque"
 class TracedSensing:
     """Sensors and motors of all runs of a plant: noise, rounding, lateness, dropouts.
 
-    As `SensorReadings` and `MovingArm` have them. Time decides which frame arrives, so that is
-    the same in all runs; what is random is drawn beforehand, from the generators of each run.
+    As in `SensorReadings` and `MovingArm`. Which frame arrives depends on time only and is the same
+    in all runs; random numbers are drawn beforehand, from the generators of each run.
 
     Args:
         plant: The plant.
         dt: Sampling time [s].
         steps: Number of steps of a run.
-        path: Where the target of all runs moves, or None.
-
+        path: Path of the target of all runs, or None.
     """
 
     late: int  # by how many steps torques are late
@@ -67,7 +66,7 @@ class TracedSensing:
         self._is_now = self._is_taken & (self._kept_at == self._read_at)
 
     def measured(self, program: Program, truth: Measurement) -> tuple[Measurement, dict[str, Any]]:
-        """Return what is measured of the truth, x as the sensor delivers it, and what is kept."""
+        """Return the measurement of the truth, and the numbers to keep."""
         t, q, v, x, _ = truth
         sensing, robot = self._sensing, self._sensor.robot
         sensor = self._sensor
@@ -109,7 +108,7 @@ class TracedSensing:
         return program.timed(name, int(np.size(values)) // len(self._k))
 
     def target(self, program: Program) -> Target | None:
-        """Return the target, where that of all runs moves."""
+        """Return the target of this step if all runs have the same path, else None."""
         if not self._targets:
             return None
         x_d, v_d = self._timed(program, "target", [each.x for each in self._targets]), None
@@ -120,20 +119,20 @@ class TracedSensing:
         return Target(x_d, v_d)
 
     def acting(self, program: Program, torque: Symbols) -> tuple[Symbols, dict[str, Any]]:
-        """Return the torque that acts when one is asked for, and what is kept of the latter."""
+        """Return the torque that acts when one is commanded, and the commands to keep."""
         if not self.late:
             return torque, {}
         self._times |= dict.fromkeys((f"{_TORQUE}.from", f"{_TORQUE}.to"), self._k % self.late)
         return program.history(_TORQUE, len(torque), self.late), {_TORQUE: torque}
 
     def start(self, program: Program, kept: Array, holding: Array) -> None:
-        """Let what is kept of runs (N, rows) begin: with the torques (N, n_v) that hold them."""
+        """Set the kept numbers (N, rows) before the first step, with holding torques (N, n_v)."""
         if self.late:
             at, size = program.histories[_TORQUE]
             kept[:, at : at + size * self.late] = np.tile(holding, self.late)
 
     def times(self, program: Program, every: int) -> Array:
-        """Return what is the same in all runs of the steps of a program, shape (steps, times).
+        """Return the numbers of each step that all runs share, shape (steps, times).
 
         Each so many steps, and the last, are recorded.
         """
@@ -169,6 +168,6 @@ class TracedSensing:
 
 
 def _draw(seed: int, name: str) -> Callable[[tuple[int, int]], Array]:
-    """Return what draws numbers of a kind in the run of a seed."""
+    """Return the function that draws numbers of a kind for the run of a seed."""
     own = generator(seed, name)
     return own.random if name == "x_dropout" else own.standard_normal

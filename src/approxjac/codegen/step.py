@@ -132,7 +132,7 @@ class _MachineCode:
         return compiled(self.ordinary._rebuilt(**changes))
 
     def _build(self) -> None:
-        """Make `evaluate` and `step` of this.
+        """Set the compiled `evaluate` and `step`.
 
         They are variables: methods that looked attributes up would take twice as long.
         """
@@ -175,7 +175,7 @@ class _MachineCode:
         own_dt, any_dt = controller.dt, controller.dt is None
 
         def put(rate: Array | None, where: Array) -> bool:
-            """Write down ẋ_d or ẍ_d; return whether it is a vector, or None."""
+            """Copy ẋ_d or ẍ_d to its place; return True if it is a valid vector, or None."""
             if rate is None:
                 where[:] = 0.0
                 return True
@@ -185,7 +185,7 @@ class _MachineCode:
             return True
 
         def answer(state: Array, measurement: Measurement, target: Target | Array) -> Any:
-            """Return what a usual step is answered with, or None."""
+            """Return the output of a usual step, or None of another."""
             try:
                 t, q, v, x, t_x = measurement
                 x_d, v_d, a_d = (target, None, None) if type(target) is array else target

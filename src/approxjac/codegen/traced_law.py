@@ -25,7 +25,7 @@ def stepped(
     target: Target | Array,
     dt: Any,
 ) -> tuple[Symbols, Evaluation, Condition]:
-    """Return what `Controller.step` does, and whether that is left to Python.
+    """Return `Controller.step` of symbols, and whether the step is left to Python.
 
     Args:
         controller: Any controller.
@@ -95,7 +95,7 @@ def _with_parts(
 
 
 def first_state(controller: Controller) -> Array:
-    """Return a state before a first step, at some measurement, whose length is that of all."""
+    """Return the state before a first step at some measurement, for its length."""
     task, robot = controller.task, controller.task.robot
     q = robot.neutral()
     x = task.value(q)
@@ -104,7 +104,7 @@ def first_state(controller: Controller) -> Array:
 
 
 def initial_state(controller: Controller, measurement: Measurement) -> Symbols:
-    """Return what `Controller.initial_state` does."""
+    """Return `Controller.initial_state` of symbols."""
     own = getattr(controller, "ordinary", controller)
     return symbols(traced("controller", own, lambda: on_symbols(own).initial_state(measurement)))
 

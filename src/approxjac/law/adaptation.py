@@ -100,13 +100,13 @@ def swept_within_bounds(
     own_size = _inverse(side * (side * (L if L.ndim == 1 else L.diagonal())))
 
     def of_motor(i: Any, values: tuple[Any]) -> tuple[tuple[Any], tuple[Any, ...]]:
-        """Return rows of N, N L and so on of what a motor has to hold."""
+        """Return the rows of N, N L, … of torques that a motor has to hold."""
         row = take(beyond, i) * take(Y, i)
         turned = row * L if L.ndim == 1 else dot(row, L)
         return values, (row, turned, _inverse(dot(row, turned)), dot(row, rate))
 
     def own(r: Array, multipliers: Array) -> tuple[Array, Array]:
-        """Return the rate and multipliers after a turn of each parameter's own bound."""
+        """Return the rate and multipliers after a sweep over each parameter's own bound."""
         if L.ndim == 1:
             after = np.maximum(multipliers + (side * r) * own_size, 0.0)
             return r - (after - multipliers) * own_lead, after
@@ -188,7 +188,7 @@ def _nonnegative(F: Array, c: Array) -> Array:
 
 
 def forgotten_information(Lambda: Array, Lambda_0: Array, share: float) -> Array:
-    """Return Λ ← (1 − λT)Λ + λTΛ₀: forget a share λT of what was learnt, and never the prior Λ₀.
+    """Return Λ ← (1 − λT)Λ + λTΛ₀: forget a share λT of the data, never the prior Λ₀.
 
     Implements Theorem A's forgetting, in samples. Λ and Λ₀ are (P, P); Λ ≥ Λ₀ stays so.
     """
@@ -204,7 +204,7 @@ def information(Lambda: Array, H: Array, weight: float) -> Array:
 
 
 def correction(Lambda: Array, H: Array, weight: float, innovation: Array) -> Array:
-    """Return ΔΘ̂ = Λ⁻¹HᵀR⁻¹ε with ε = x − HΘ̂ (m,) and Λ that has the frame already; shape (P,).
+    """Return ΔΘ̂ = Λ⁻¹HᵀR⁻¹ε with ε = x − HΘ̂ (m,) and Λ that includes the frame; shape (P,).
 
     Implements Theorem A's gain, in samples. H is (m, P), R⁻¹ = weight I.
     """
@@ -212,7 +212,7 @@ def correction(Lambda: Array, H: Array, weight: float, innovation: Array) -> Arr
 
 
 def V1(Lambda: Array, Delta: Array) -> float:
-    """Return V₁ = ½ΔᵀΛΔ of the error Δ = Θ − Θ̂ (P,) of what is learnt.
+    """Return V₁ = ½ΔᵀΛΔ of the estimation error Δ = Θ − Θ̂ (P,).
 
     Implements V₁ of Theorem A.
     """

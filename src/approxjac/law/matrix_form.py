@@ -33,7 +33,7 @@ from approxjac.validation import Array
 
 
 def dissipation(J_hat: Array, kv: Array, B: Array) -> Array:
-    """Return D = ĴᵀK_vĴ + B, what damps the closed loop. Implements Eq. (9), its damping."""
+    """Return D = ĴᵀK_vĴ + B, the damping of the closed loop. Implements Eq. (9), its damping."""
     return J_hat.mT @ (kv[:, None] * J_hat) + np.diag(B)
 
 

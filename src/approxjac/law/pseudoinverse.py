@@ -60,7 +60,7 @@ def damped_solver(
 def regular_solver(
     G: Array, singular_ratio: float, scale: float
 ) -> tuple[Callable[[Array], Array], Any]:
-    """Return b ↦ G⁻¹b, and whether J may be near singular, where it is not to be used.
+    """Return b ↦ G⁻¹b, and whether J may be near singular, so that it must not be used.
 
     In closed form up to three rows, three times as fast as LAPACK through NumPy. Of more rows of
     numbers the eigenvalues tell, which take no longer than a solution.
@@ -155,7 +155,7 @@ def adjugate(G: list[list[float]]) -> tuple[Rows, float, float, float]:
 
 
 def solution(rows: Rows, determinant: float, b: list[float]) -> tuple[float, ...]:
-    """Return w = G⁻¹b of the adjugate and the determinant of G."""
+    """Return w = G⁻¹b from the adjugate and the determinant of G."""
     if len(b) == 1:
         return (b[0] / determinant,)
     b0, b1 = b[0] / determinant, b[1] / determinant

@@ -185,7 +185,7 @@ def turned(quaternion: list[float], phi: list[float]) -> tuple[float, float, flo
 
 
 def _share(above: float, below: float, is_some: bool, otherwise: float) -> float:
-    """Return a quotient, or what it is where there is nothing below."""
+    """Return a quotient, or a given value where the denominator is 0."""
     if is_some is False:
         return otherwise
     share: float = select(is_some, above / below, otherwise)
@@ -215,7 +215,7 @@ def nearest_rotation(A: Array) -> Array:
 
 
 def _by_quaternion(A: Array) -> Array:
-    """Return the nearest rotation of symbols: the quaternion that makes pᵀKp largest (Davenport).
+    """Return the nearest rotation of symbols, by the quaternion that maximizes pᵀKp (Davenport).
 
     K's largest eigenvalue is at most √3‖A‖, from where Newton's method goes down to it.
     """
@@ -262,7 +262,7 @@ def _minors(K: Array) -> list[list[Any]]:
 
 
 def rotations_everywhere(d: int) -> Array:
-    """Return rotations such that any other one is within 45° of one of them, shape (k, d, d)."""
+    """Return rotations that are within 45° of every rotation, shape (k, d, d)."""
     if d == 2:
         return np.array([rotation_exp(np.array([a])) for a in np.arange(12) * math.pi / 6.0])
     # the icosahedral group's 60 rotations: products of two of its turns
@@ -279,13 +279,13 @@ def rotations_everywhere(d: int) -> Array:
 
 
 def explained(M: Array, h: Array, A: Array) -> Any:
-    """Return ½wᵀMw + hᵀw of w = vec A, which `best_rotation` makes large."""
+    """Return ½wᵀMw + hᵀw of w = vec A, which `best_rotation` maximizes."""
     w = A.ravel()
     return w.dot(0.5 * M.dot(w) + h)
 
 
 def most_explained(M: Array, h: Array, rotations: Array) -> Array:
-    """Return the one of some rotations (k, d²), flat, of which `explained` is largest."""
+    """Return the rotation among some (k, d²), flat, that maximizes `explained`."""
     if not M.dtype.hasobject:
         values = rotations.dot(h) + 0.5 * (rotations.dot(M) * rotations).sum(axis=1)
         return np.asarray(rotations[int(np.argmax(values))])
@@ -301,7 +301,7 @@ def most_explained(M: Array, h: Array, rotations: Array) -> Array:
 
 
 def best_rotation(M: Array, h: Array, A: Array) -> Array:
-    """Return the rotation (d, d) that makes ½wᵀMw + hᵀw largest, w = vec A, near A.
+    """Return the rotation (d, d) near A that maximizes ½wᵀMw + hᵀw, w = vec A.
 
     Newton's method on the rotations A ← exp([δ]ₓ)A. Where the function is not concave along δ, or
     does not rise, A ← the rotation nearest to Mw + h, which never lowers it as M ≥ 0.

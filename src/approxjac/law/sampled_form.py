@@ -30,10 +30,10 @@ _FEW = 100  # of a stack, that tell which bound is the best
 
 
 def hold_gain(period: float, late: float) -> float:
-    """Return γ = late + 2/π · period [s], of what is held between samples and acts late.
+    """Return γ = late + 2/π · period [s] of a signal that is held between samples and delayed.
 
-    What is held starts each period without an error: Wirtinger's inequality with one free end has
-    2/π of the longest period. Being late adds its own time, as ∫|u(t) − u(t − d)|² ≤ d²∫|u̇|².
+    The error of a held signal starts each period at 0: Wirtinger's inequality with one free end has
+    2/π of the longest period. A delay adds itself, as ∫|u(t) − u(t − d)|² ≤ d²∫|u̇|².
     """
     return late + 2.0 * period / math.pi
 
@@ -52,7 +52,7 @@ def growth(rate: float, span: float, lag: float = 0.0) -> float:
 
 
 class TorqueRate(NamedTuple):
-    """u̇ = T z + U w + T_x w_x, but for what is quadratic in q̇."""
+    """u̇ = T z + U w + T_x w_x, without the terms quadratic in q̇."""
 
     T: Array  # shape (…, n_v, n_v + m)
     U: Array  # shape (…, n_v, n_v)
@@ -99,7 +99,7 @@ def damping_rate_of_torque(
 def torque_curvature(
     M: Array, dM: Array, D: Array, D_c: Array, J_hat: Array, dJ_hat: Array, kv: Array
 ) -> Array:
-    """Return κ, (…): what of u̇ is quadratic in q̇ is at most κ |q̇|_M |q̇|_D in the norm of D⁻¹.
+    """Return κ, (…): the part of u̇ quadratic in q̇ is at most κ |q̇|_M |q̇|_D in the norm of D⁻¹.
 
     D_cM⁻¹C(q, q̇)q̇ − ∂D_c[q̇]q̇, whose tensor is bounded by `tensor_bound`.
     """
@@ -143,7 +143,7 @@ def tensor_bound(tensor: Array) -> Array:
 
 
 def _norms(tensor: Array) -> Array:
-    """Spectral norms of the matrices with the rows of the third axis from behind."""
+    """Spectral norms of the tensors unfolded along the third axis from the end."""
     rows = tensor.reshape(*tensor.shape[:-2], -1)
     return np.asarray(np.sqrt(np.maximum(np.linalg.eigvalsh(rows @ rows.mT)[..., -1], 0.0)))
 
@@ -160,7 +160,7 @@ def held_form(
     b: float,
     frames: tuple[Array, Array, float] | None = None,
 ) -> Array:
-    """Return F, (…, N, N): ∫zᵀQz − yᵀw of the loop that runs is at least that of (z, w)ᵀF(z, w).
+    """Return F, (…, N, N): ∫zᵀQz − yᵀw of the sampled loop is at least ∫(z, w)ᵀF(z, w).
 
     Affine in (Q, G), in the multiplier λ and in X.
 

@@ -68,7 +68,7 @@ class SimulatedDriver(MovingArm):
             measured = self._period()
         return measured
 
-    def go_on(self, duration: float) -> None:
+    def advance(self, duration: float) -> None:
         """Simulate for a duration [s] with the last command, as while the loop does not read."""
         for _ in range(round(duration / self.dt)):
             self._period()

@@ -74,7 +74,7 @@ class Structure(NamedTuple):
 
     @classmethod
     def of(cls, robot: Robot, frames: Sequence[str]) -> Structure:
-        """Return that of a robot with some of its frames.
+        """Return the structure of a robot with some of its frames.
 
         Raises:
             UnknownNameError: No such frame.
@@ -120,7 +120,7 @@ class Reduced(NamedTuple):
 
 
 def reduced(numbers: ArmNumbers, structure: Structure) -> Reduced:
-    """Return numbers of N arms with as many zeros as they can have.
+    """Return numbers of N arms in the axes that give the most zeros.
 
     Each arm's depend on itself alone, to the last bit.
     """
@@ -205,7 +205,7 @@ def _outer(a: Array, b: Array) -> Array:
 
 
 def _tidy(numbers: Array) -> Array:
-    """Return entries of placements with 0 and ±1 where round-off is beside them.
+    """Return entries of placements with exact 0 and ±1 in place of nearly so.
 
     Such as cos(π/2) = 6e-17, of which hundreds of operations of a Panda would come; what is
     computed stays within 1e-13.
@@ -215,6 +215,6 @@ def _tidy(numbers: Array) -> Array:
 
 
 def _without_dust(numbers: Array) -> Array:
-    """Return numbers of each arm with 0 for what is nothing but round-off beside its largest."""
+    """Return numbers of each arm with 0 for those that are round-off of its largest."""
     largest = np.abs(numbers).max(axis=tuple(range(1, numbers.ndim)), keepdims=True)
     return np.where(np.abs(numbers) <= _ROUND_OFF * largest, 0.0, numbers)

@@ -57,7 +57,7 @@ def traced(name: str, given: Any, computed: Callable[[], Any]) -> Any:
 
 
 def _place(error: Exception) -> str:
-    """Return the method in which it failed: the last one of a user's, or of this library's."""
+    """Return the method that failed: the last one of a user's, else of this library's."""
     frames = [frame for frame, _ in walk_tb(error.__traceback__) if "self" in frame.f_locals]
     ours = [f for f in frames if not f.f_globals["__name__"].startswith("approxjac.codegen")]
     own = [f for f in ours if not f.f_globals["__name__"].startswith("approxjac.")]
@@ -71,7 +71,7 @@ def may_lose(task: Task) -> bool:
 
 
 def _cameras(of: Task) -> list[Camera]:
-    """Return the cameras of a task and of all that it is made of, each once."""
+    """Return the cameras of a task and of its parts, each once."""
     found: list[Camera] = []
     seen: set[int] = set()
     waiting: list[Any] = [of]
@@ -109,7 +109,7 @@ def with_numbers(sensor: Task, given: Mapping[str, Symbols]) -> Task:
 
 
 def _replaced(of: Any, changed: Mapping[int, Camera]) -> Any:
-    """Return an object with other cameras in all that it is made of; itself without any."""
+    """Return an object with the cameras in its parts replaced; itself without any."""
     if isinstance(of, Camera):
         return changed[id(of)]
     if isinstance(of, tuple | list):

@@ -85,7 +85,7 @@ def _filled(text: str, named: dict[str, str]) -> str:
 
 
 def _source(step: SampledStep) -> dict[str, str]:
-    """Return what only the source has."""
+    """Return the template values of controller.c."""
     lines, flat = Writer(step.graph, LANGUAGE).lines([*chain(*step.outputs.values())])
     prefix, nv = identifier(step.controller.task.robot.name), step.controller.task.robot.nv
     places = {
@@ -211,7 +211,7 @@ def _braced(parts: list[str]) -> str:
     return f"{{{', '.join(parts)}}}"
 
 
-# -- words of a controller about itself ------------------------------------------------------------
+# -- the description of a controller --------------------------------------------------------------
 
 
 def template_values(controller: Controller, step: SampledStep) -> dict[str, str]:
@@ -286,7 +286,7 @@ def pairs(step: SampledStep) -> list[int]:
 
 
 def _made_from(controller: Controller, step: SampledStep) -> Iterator[tuple[str, str]]:
-    """Return what a controller was made from: name, text."""
+    """Return rows on the origin of a controller: name, text."""
     import approxjac
 
     task, robot = controller.task, controller.task.robot
@@ -312,7 +312,7 @@ def _comment(parts: Iterator[tuple[str, str]]) -> str:
 
 
 def _plain(text: str) -> str:
-    """Return a text that ends no comment and begins none."""
+    """Return a text without the start or end of a C comment."""
     return " ".join(text.split()).replace("*/", "* /").replace("/*", "/ *")
 
 

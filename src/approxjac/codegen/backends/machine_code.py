@@ -70,7 +70,7 @@ class MachineCode:
 
 
 def _made(llvm: Any, machine: Any, name: str, text: str) -> bytes:
-    """Return the code of a text, from the folder if it is there; else it is compiled."""
+    """Return the code of a text, from the cache if it is there, else compiled."""
     folder = cache_folder()
     if folder is None:
         return _compiled(llvm, machine, text)
@@ -106,7 +106,7 @@ def cache_folder() -> Path | None:
 
 
 def _digest(llvm: Any, text: str, features: str, effort: int) -> str:
-    """Return what code is made of, as a name of a file."""
+    """Return the file name of code: a digest of all that it depends on."""
     import llvmlite
 
     import approxjac
@@ -119,7 +119,7 @@ def _digest(llvm: Any, text: str, features: str, effort: int) -> str:
 
 
 def _read(path: Path) -> bytes | None:
-    """Return the code of a file, or None where there is none that is whole."""
+    """Return the code in a file, or None if it is missing or damaged."""
     try:
         with path.open("rb") as file:
             data = file.read(_ON_DISK)
@@ -133,7 +133,7 @@ def _read(path: Path) -> bytes | None:
 
 
 def _write(path: Path, code: bytes) -> None:
-    """Keep code; where that cannot be, it is compiled again the next time."""
+    """Write code to the cache; if that fails, it is compiled again next time."""
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         with replaced(path) as unfinished:
@@ -149,5 +149,5 @@ def _write(path: Path, code: bytes) -> None:
 
 
 def _signed(path: Path, code: bytes) -> bytes:
-    """Return a digest of code and of what it was made of, so that no file stands in for another."""
+    """Return a digest of code and its source, so that no file is taken for another."""
     return hashlib.sha256(path.stem.encode() + code).digest()

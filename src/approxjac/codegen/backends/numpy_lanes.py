@@ -47,7 +47,7 @@ def numpy_function(graph: Graph, outputs: list[Number]) -> Callable[..., list[An
 
 
 class _Run:
-    """What a graph computes of some inputs."""
+    """An evaluation of a graph for some inputs."""
 
     def __init__(self, graph: Graph, schedule: Schedule, given: dict[str, Any]) -> None:
         self._nodes, self._schedule, self._given = graph.nodes, schedule, given
@@ -59,7 +59,7 @@ class _Run:
         }
 
     def carry_out(self, region: Scope) -> None:
-        """Compute what is in a scope."""
+        """Evaluate a scope."""
         values, known = self.values, set()
         for place in region.places:
             operation, arguments, value = self._nodes[place]
