@@ -76,7 +76,7 @@ def as_vector(name: str, value: Any, size: int, unit: str = "") -> Array:
     """
     if (
         type(value) is ndarray
-        and value.dtype is _FLOAT64
+        and value.dtype == _FLOAT64
         and value.shape == (size,)
         and math.isfinite(math.hypot(*value.tolist()))  # overflows without a warning
     ):
