@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from approxjac import law
-from approxjac.errors import ControllerError, InvalidInputError, failed
+from approxjac.errors import InvalidInputError, failed
 from approxjac.formatting import one_line
 from approxjac.robots import Robot
 from approxjac.tasks.frame_tasks import FrameKinematics
@@ -189,10 +189,7 @@ def require_rows(limit: Any, terms: LimitTerms, dt: float) -> None:
         InvalidInputError: It is no limit, or its rows have wrong shapes or bounds.
     """
     require("limits", limit, Limit, "Limits(...), a Limit such as Wall(...), or a list of them")
-    rows = limit.rows(terms, terms.v, dt)
-    A, low, high = _shaped(rows, terms) or (np.array(np.nan), 0.0, 0.0)
-    if not (np.isfinite(A).all() and np.all(low <= high)):
-        raise InvalidInputError(f"rows of {limit!r} {_wanted(rows, terms)}", given=limit)
+    _as_rows(limit, limit.rows(terms, terms.v, dt), terms, is_first=True)
 
 
 def rows_at(limit: Limit, terms: LimitTerms, dt: float, t: float) -> tuple[Array, Array, Array]:
@@ -205,28 +202,26 @@ def rows_at(limit: Limit, terms: LimitTerms, dt: float, t: float) -> tuple[Array
         A, low, high = map(law.array, limit.rows(terms, terms.v, dt))
         return A, low, high
     try:
-        rows = limit.rows(terms, terms.v, dt)
+        return _as_rows(limit, limit.rows(terms, terms.v, dt), terms)
     except Exception as error:
-        raise failed(f"rows of {limit!r}", t, error) from error
-    shaped = _shaped(rows, terms)
-    if shaped is None:
-        message = f"rows of {limit!r} at t = {t:g} s {_wanted(rows, terms)}"
-        raise ControllerError(message, given=limit)
-    return shaped
+        raise failed(f"limit {limit!r}", t, error) from error
 
 
-def _wanted(rows: Any, terms: LimitTerms) -> str:
-    return (
-        f"must return A of shape (k, {terms.robot.nv}), low and high of shape (k,), with low <= "
-        f"high, got {one_line(rows)}"
-    )
-
-
-def _shaped(rows: Any, terms: LimitTerms) -> tuple[Array, Array, Array] | None:
-    """Return rows as arrays, None of wrong shapes."""
+def _as_rows(
+    limit: Limit, rows: Any, terms: LimitTerms, is_first: bool = False
+) -> tuple[Array, Array, Array]:
+    nv = terms.robot.nv
     try:
         A, low, high = (np.asarray(each, dtype=float) for each in rows)
+        fits = A.shape == (low.size, nv) and low.shape == high.shape == (low.size,)
+        if is_first:
+            fits = fits and bool(np.isfinite(A).all() and (low <= high).all())
     except (TypeError, ValueError):
-        return None
-    fits = A.shape == (low.size, terms.robot.nv) and low.shape == high.shape == (low.size,)
-    return (A, low, high) if fits else None
+        fits = False
+    if not fits:
+        raise InvalidInputError(
+            f"rows of {limit!r} must return A of shape (k, {nv}), low and high of shape (k,), with "
+            f"low <= high, got {one_line(rows)}",
+            given=limit,
+        )
+    return A, low, high
