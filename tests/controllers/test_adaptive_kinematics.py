@@ -379,7 +379,7 @@ def test_a_tool_that_slips_is_learnt_anew(turned_run, panda, truth):
     run = follow(kinematics, truth, R, spoil=spoil, look=look, seconds=4.5)
     assert np.mean(seen) < 5e-3
     assert kinematics.report(run.state).restarts == 1
-    assert "begun anew 1 times" in str(kinematics.report(run.state))
+    assert "restarted 1 times" in str(kinematics.report(run.state))
 
 
 def test_noise_beyond_what_was_told_is_seen(belief, truth):

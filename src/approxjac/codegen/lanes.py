@@ -51,7 +51,7 @@ class Box(NamedTuple):
 
 
 class LaneStart(NamedTuple):
-    """Numbers that lanes keep of a run that begins, which are few beside its plant."""
+    """The numbers of the start of a run that lanes keep."""
 
     q: Array  # configuration, at rest, shape (nq,)
     target: Array  # x_d, shape (n_x,)
@@ -72,7 +72,7 @@ class LaneStart(NamedTuple):
         seed: int = 0,
         frames: tuple[str, ...] | None = None,
     ) -> LaneStart:
-        """Return that of a plant at rest.
+        """Return the start of a plant at rest.
 
         `frames` are those that its sensor looks at, where they are known: to find them takes as
         long as many steps.

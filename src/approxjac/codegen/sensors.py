@@ -90,9 +90,9 @@ class TracedSensing:
                     row[self._lost[interval]] = 1.0
             x = np.where(self._timed(program, "lost", lost) > 0.0, np.nan, x)
         if not self._is_now.all():
-            kept[_IMAGE], nobody = x, int(self._kept_at.max()) + 1  # reads that place
-            image = program.history(_IMAGE, len(x), nobody + 1)
-            goes_to = np.where(self._is_taken, self._kept_at, nobody)
+            kept[_IMAGE], unread = x, int(self._kept_at.max()) + 1
+            image = program.history(_IMAGE, len(x), unread + 1)
+            goes_to = np.where(self._is_taken, self._kept_at, unread)
             self._times |= {f"{_IMAGE}.from": self._read_at, f"{_IMAGE}.to": goes_to}
             x = np.where(self._timed(program, "now", self._is_now) > 0.0, x, image)
         if sensing.x_dropout > 0.0:

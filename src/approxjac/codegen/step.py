@@ -26,10 +26,9 @@ _USUAL = (Status.OK, Status.MEASUREMENT_HELD)
 def step_program(controller: Controller, *, may_lose: bool) -> Program:
     """Return the program of one step of a controller.
 
-    What is kept are its arguments, as `argument_sizes` has them, and what it answers with: the
-    fields of its `Evaluation`, but for its rate as "rate", "after" (the state after the step),
-    "left" (all that does not hold) and "usual" (it holds, all numbers are small, and the status is
-    that of a usual step).
+    Its kept rows are the arguments (see `argument_sizes`) and the outputs: the fields of the
+    `Evaluation`, with `state_rate` as "rate", "after" (the next state), "left" (1 if the step is
+    left to Python) and "usual" (1 if it is not, all numbers are small and the status is usual).
 
     Args:
         controller: The controller.

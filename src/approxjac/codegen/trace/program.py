@@ -40,11 +40,11 @@ class Block(NamedTuple):
 class Program:
     """Steps of many runs that differ in numbers only, each a column of an array.
 
-    Declare what there is with `kept`, `history`, `given`, `timed` and `drawn`, compute with what
-    they return, and say with `step` and `record` what follows.
+    Declare inputs with `kept`, `history`, `given`, `timed` and `drawn`, compute with the symbols
+    that they return, and set the outputs with `step` and `record`.
 
-    Each name has its place, from 0, and how many numbers it is of: rows of what is kept and of
-    parameters, numbers of times and of draws; of a history those of each of its places.
+    Each name has its first index, from 0, and its size: in rows of kept numbers and of parameters,
+    in numbers of times and of draws; a history has that of each of its places.
     """
 
     def __init__(self) -> None:

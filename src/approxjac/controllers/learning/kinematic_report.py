@@ -75,7 +75,7 @@ class KinematicReport(NamedTuple):
     def __str__(self) -> str:
         width = max(len(row.name) for row in self.rows)
         head = f"{'':{width}}  {'believed':>10} {'learnt':>10} {'sd':>9} {'seen':>6}"
-        since = f", begun anew {self.restarts} times" if self.restarts else ""
+        since = f", restarted {self.restarts} times" if self.restarts else ""
         lines = [f"learnt from {self.seconds:.1f} s of frames{since}", head]
         for row in self.rows:
             said = f"{100.0 * row.share:5.0f} %" if row.is_seen else "not seen"
