@@ -68,9 +68,7 @@ class Circle:
         c, s = self.radius * math.cos(rate * t), self.radius * math.sin(rate * t)
         u, w = self._plane  # type: ignore[attr-defined]  # set above
         return Target(
-            self.center + (c * u + s * w),
-            rate * (c * w - s * u),
-            -(rate**2) * (c * u + s * w),
+            self.center + (c * u + s * w), rate * (c * w - s * u), -(rate**2) * (c * u + s * w)
         )
 
 

@@ -8,9 +8,7 @@ from approxjac.scenario import Scenario
 
 
 def export(
-    scenario: Scenario,
-    effort_only: bool = False,
-    folder: Path = Path("results/export"),
+    scenario: Scenario, effort_only: bool = False, folder: Path = Path("results/export")
 ) -> int:
     """Write the controller of a scenario as plain C99, with a self-test.
 

@@ -60,10 +60,7 @@ def paper(
     bound = None
     results = []
     experiments = [study.EXPERIMENTS[f] for f in sorted(set(figures)) if f != 1]
-    with (
-        together(out) as folder,
-        time_bar(max(1, len(experiments)) * duration, "figure 1") as bar,
-    ):
+    with together(out) as folder, time_bar(max(1, len(experiments)) * duration, "figure 1") as bar:
         if 1 in figures:
             bar.set_description("figure 1")
             bound = study.jacobian_bound(setup)

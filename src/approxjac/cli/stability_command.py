@@ -10,11 +10,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.scenario import Scenario
 
 
-def stability(
-    scenario: Scenario,
-    jobs: int = 1,
-    out: Path = Path("results/stability"),
-) -> int:
+def stability(scenario: Scenario, jobs: int = 1, out: Path = Path("results/stability")) -> int:
     """Tell whether a controller is stable before anything moves, and by how much.
 
     Example: approxjac stability panda --object-length 0 0.3 --around 0 -0.5 0 -2 0 1.6 0.7

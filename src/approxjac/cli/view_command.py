@@ -7,11 +7,7 @@ from pathlib import Path
 from approxjac.errors import InvalidInputError
 
 
-def view(
-    run: str,
-    out: Path | None = None,
-    title: str | None = None,
-) -> int:
+def view(run: str, out: Path | None = None, title: str | None = None) -> int:
     """Make a page of a run, to see in a browser and to keep: one file that needs no network.
 
     Example: approxjac view results/simulate --out page.html

@@ -183,9 +183,7 @@ class Lanes:
         return {name: columns[:, program.rows[name][0]] for name in OUTCOME}
 
 
-def _stacked(
-    starts: Sequence[LaneStart],
-) -> tuple[ArmNumbers, dict[str, Array], dict[str, Array]]:
+def _stacked(starts: Sequence[LaneStart]) -> tuple[ArmNumbers, dict[str, Array], dict[str, Array]]:
     """Return numbers of robots, of sensors, and others by name, each with an axis in front."""
     sensors = {
         name: np.concatenate([start.sensor[name] for start in starts]) for name in starts[0].sensor

@@ -33,13 +33,7 @@ from approxjac.controllers.posture import AwayFromStops, Posture
 from approxjac.controllers.pseudoinverse import Pseudoinverse, singular_ratio
 from approxjac.controllers.saturation import describe_saturation, require_saturation
 from approxjac.errors import InvalidInputError, MeasurementError
-from approxjac.interface import (
-    Evaluation,
-    LimitStatus,
-    Measurement,
-    Status,
-    Target,
-)
+from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
 from approxjac.law import Linear, Saturation, Tanh
 from approxjac.robots import Dynamics, GravityRegressor, Robot
 from approxjac.tasks import PoseTask, PositionTask, Task, analysis

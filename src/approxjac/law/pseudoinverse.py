@@ -91,11 +91,7 @@ def may_be_singular(G: Array, singular_ratio: float, scale: float) -> Any:
 
 
 def damping_rate(
-    J: Array,
-    J_dot: Array,
-    ends: Array,
-    singular_ratio: float = SINGULAR_RATIO,
-    scale: float = 0.0,
+    J: Array, J_dot: Array, ends: Array, singular_ratio: float = SINGULAR_RATIO, scale: float = 0.0
 ) -> Any:
     """Return d(λ²)/dt of `damped_solver` where λ > 0, along a motion of J (m, n_v) with rate J'.
 

@@ -16,11 +16,7 @@ import numpy as np
 
 from approxjac.law.branches import all_finite, array, choose, complement, select
 from approxjac.law.products import dot
-from approxjac.law.pseudoinverse import (
-    SINGULAR_RATIO,
-    damped_gram_solve,
-    is_near_singular,
-)
+from approxjac.law.pseudoinverse import SINGULAR_RATIO, damped_gram_solve, is_near_singular
 from approxjac.law.torque import estimated_velocity_torque, gravity, measured_velocity_torque
 from approxjac.validation import Array
 

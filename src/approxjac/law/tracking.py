@@ -14,12 +14,7 @@ import numpy as np
 
 from approxjac.law.branches import choose, complement, is_finite, select
 from approxjac.law.products import dot, root
-from approxjac.law.pseudoinverse import (
-    SINGULAR_RATIO,
-    damped_solver,
-    damping_rate,
-    regular_solver,
-)
+from approxjac.law.pseudoinverse import SINGULAR_RATIO, damped_solver, damping_rate, regular_solver
 from approxjac.validation import Array
 
 

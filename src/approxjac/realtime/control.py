@@ -192,10 +192,7 @@ def control(
 
 
 def _run(
-    loop: RobotLoop,
-    watchdog: Watchdog,
-    signals: StopSignals,
-    stop: threading.Event | None,
+    loop: RobotLoop, watchdog: Watchdog, signals: StopSignals, stop: threading.Event | None
 ) -> str:
     """Run to the end, and return why it ended."""
     why = ""

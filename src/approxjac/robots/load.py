@@ -21,13 +21,7 @@ from approxjac.errors import (
 )
 from approxjac.robots.meshes import share_dir
 from approxjac.robots.robot import STANDARD_GRAVITY, Robot
-from approxjac.robots.urdf import (
-    MOST_TEXT,
-    Urdf,
-    leader_of,
-    likely_tips,
-    with_locked_joints,
-)
+from approxjac.robots.urdf import MOST_TEXT, Urdf, leader_of, likely_tips, with_locked_joints
 from approxjac.validation import Array, require
 
 

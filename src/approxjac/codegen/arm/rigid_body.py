@@ -15,13 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from approxjac.codegen.arm.arm_numbers import ArmNumbers, Reduced, Structure, arm_numbers, reduced
-from approxjac.codegen.trace.symbols import (
-    Graph,
-    Number,
-    Scalar,
-    Symbols,
-    symbols,
-)
+from approxjac.codegen.trace.symbols import Graph, Number, Scalar, Symbols, symbols
 from approxjac.law import products
 from approxjac.law.factors import Factors
 from approxjac.robots import GravityRegressor, KinematicRegressor, Robot
