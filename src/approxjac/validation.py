@@ -44,16 +44,14 @@ def as_array(name: str, value: Any, shape: tuple[int | str, ...], unit: str = ""
     try:
         array = _floats(value)
     except (TypeError, ValueError) as error:
-        raise InvalidInputError(
-            f"{name} must be numbers of shape {wanted}{suffix}, got {value!r}", given=value
-        ) from error
+        message = f"{name} must be numbers of shape {wanted}{suffix}, got {value!r}"
+        raise InvalidInputError(message, given=value) from error
     fits = array.ndim == len(shape) and all(
         n == k or (n and isinstance(k, str)) for n, k in zip(array.shape, shape, strict=True)
     )
     if not fits:
-        raise InvalidInputError(
-            f"{name} must have shape {wanted}{suffix}, got shape {array.shape}", given=value
-        )
+        message = f"{name} must have shape {wanted}{suffix}, got shape {array.shape}"
+        raise InvalidInputError(message, given=value)
     if not np.isfinite(array).all():
         wrong = array.size - int(np.isfinite(array).sum())
         given = array.tolist() if array.size <= _MANY else f"{wrong} of {array.size} that are not"
@@ -118,18 +116,16 @@ def as_number(
     if isinstance(value, bool | str | bytes) or not (
         math.isfinite(number) and minimum <= number <= most and number > above
     ):
-        raise InvalidInputError(
-            f"{name} must be a finite number{bound}{suffix}, got {value!r}", given=value
-        )
+        message = f"{name} must be a finite number{bound}{suffix}, got {value!r}"
+        raise InvalidInputError(message, given=value)
     return number
 
 
 def as_integer(name: str, value: Any, minimum: int) -> int:
     """Return `value` if it is an integer >= `minimum`."""
     if type(value) is not int or value < minimum:
-        raise InvalidInputError(
-            f"{name} must be an integer >= {minimum}, got {value!r}", given=value
-        )
+        message = f"{name} must be an integer >= {minimum}, got {value!r}"
+        raise InvalidInputError(message, given=value)
     return value
 
 
@@ -195,9 +191,8 @@ def shape_of(value: Any) -> tuple[int, ...]:
 def axis_rows(name: str, axes: str) -> list[int]:
     """Return the rows of the world axes that a text such as "xz" names."""
     if not isinstance(axes, str) or not axes or len(set(axes)) != len(axes):
-        raise InvalidInputError(
-            f"{name} must name each axis once, such as 'xyz' or 'xz', got {axes!r}", given=axes
-        )
+        message = f"{name} must name each axis once, such as 'xyz' or 'xz', got {axes!r}"
+        raise InvalidInputError(message, given=axes)
     for letter in axes:
         if letter not in "xyz":
             raise UnknownNameError("axis", letter, name, "xyz")
@@ -208,9 +203,8 @@ def plane_rows(plane: str) -> list[int]:
     """Return the rows of the two world axes of a plane such as "xz"."""
     rows = axis_rows("plane", plane)
     if len(rows) != 2:
-        raise InvalidInputError(
-            f"plane must name two world axes, such as 'xz', got {plane!r}", given=plane
-        )
+        message = f"plane must name two world axes, such as 'xz', got {plane!r}"
+        raise InvalidInputError(message, given=plane)
     return rows
 
 
@@ -257,10 +251,8 @@ class Immutable:
         is_given = name in self.__dict__ or derived
         if is_given and not name.startswith("_"):
             kind = type(self).__name__
-            raise InvalidInputError(
-                f"{name} of a {kind} cannot be changed once it is built; build a new {kind}",
-                given=value,
-            )
+            message = f"{name} of a {kind} cannot be changed once it is built; build a new {kind}"
+            raise InvalidInputError(message, given=value)
         object.__setattr__(self, name, value)
 
 

@@ -210,9 +210,8 @@ class PinholeCamera(Camera):
         focal = (self.focal_length,) * 2 if is_scalar(self.focal_length) else self.focal_length
         f = as_array("focal_length", focal, (2,), "px")
         if not (f > 0.0).all():
-            raise InvalidInputError(
-                f"focal_length must be > 0 [px], got {self.focal_length!r}", given=self.focal_length
-            )
+            message = f"focal_length must be > 0 [px], got {self.focal_length!r}"
+            raise InvalidInputError(message, given=self.focal_length)
         size = as_array("size", self.size, (2,), "px")
         if not (size >= 1.0).all() or (size != np.round(size)).any():
             raise InvalidInputError(
@@ -301,9 +300,8 @@ class PinholeCamera(Camera):
         k = as_array("K", K, (3, 3), "px")
         f, c = (k[0, 0], k[1, 1]), (k[0, 2], k[1, 2])
         if (k != [[f[0], 0.0, c[0]], [0.0, f[1], c[1]], [0.0, 0.0, 1.0]]).any():
-            raise InvalidInputError(
-                f"K must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got {k.tolist()}", given=K
-            )
+            message = f"K must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got {k.tolist()}"
+            raise InvalidInputError(message, given=K)
         coefficients: Any = () if distortion is None else np.ravel(distortion)
         if len(coefficients) == 3:  # of which the last would be taken for k₃
             raise InvalidInputError(
@@ -536,9 +534,8 @@ def as_pose(name: str, value: object) -> tuple[Array, Array]:
     """Return rotation (3, 3) and position (3,) of a homogeneous matrix (4, 4) [m]."""
     pose = as_array(name, value, (4, 4), "m")
     if np.abs(pose[3] - [0.0, 0.0, 0.0, 1.0]).max() > _ORTHONORMAL:
-        raise InvalidInputError(
-            f"{name} must have the last row (0, 0, 0, 1), got {pose[3].tolist()}", given=value
-        )
+        message = f"{name} must have the last row (0, 0, 0, 1), got {pose[3].tolist()}"
+        raise InvalidInputError(message, given=value)
     return as_rotation(pose[:3, :3], name, "axes"), np.array(pose[:3, 3])
 
 

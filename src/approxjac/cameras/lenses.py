@@ -56,10 +56,8 @@ class Lens:
                 given=coefficients,
             )
         if max(map(abs, given), default=0.0) > _LARGEST:
-            raise InvalidInputError(
-                f"distortion must have coefficients of at most {_LARGEST:g}, got {given}",
-                given=coefficients,
-            )
+            message = f"distortion must have coefficients of at most {_LARGEST:g}, got {given}"
+            raise InvalidInputError(message, given=coefficients)
         if len(given) <= 3:  # only radial
             k1, k2, k3 = (*given, 0.0, 0.0, 0.0)[:3]
             given = [k1, k2, 0.0, 0.0, k3]

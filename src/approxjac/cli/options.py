@@ -152,9 +152,8 @@ def read(
             raise UnknownNameError("option", name, f"{command} --help-all", near)
         if option.hint is bool:
             if given:
-                raise InvalidInputError(
-                    f"{name} takes no value, got {' '.join(given)}", given=given
-                )
+                message = f"{name} takes no value, got {' '.join(given)}"
+                raise InvalidInputError(message, given=given)
             values[option.key], names[option.key] = True, name
             continue
         try:
@@ -223,9 +222,8 @@ def make_folder(out: Path) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InvalidInputError(
-            f"--out must be a folder that can be made, got {out}: {reason(error)}", given=out
-        ) from error
+        message = f"--out must be a folder that can be made, got {out}: {reason(error)}"
+        raise InvalidInputError(message, given=out) from error
 
 
 def time_bar(total: float, what: str, disable: bool | None = None) -> tqdm[Any]:

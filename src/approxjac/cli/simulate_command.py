@@ -37,10 +37,8 @@ def simulate(
 
     for name, value in (("speed", speed), ("port", port)):
         if value is not None and not view:
-            raise InvalidInputError(
-                f"--{name} is for a run that is shown with --view, got {value:g} without",
-                given=value,
-            )
+            message = f"--{name} is for a run that is shown with --view, got {value:g} without"
+            raise InvalidInputError(message, given=value)
     if view and scenario.loop.dt == "continuous":  # what is shown are steps
         scenario = scenario.with_values({"loop": {"dt": 1e-3}})
     built = build_scenario(scenario)

@@ -37,8 +37,6 @@ def _run_file(run: Path) -> Path:
     files = sorted(run.glob("*.npz")) if run.is_dir() else [run]
     if len(files) != 1:
         names = ", ".join(path.name for path in files) or "none"
-        raise InvalidInputError(
-            f"RUN must be a file, or a folder with one run (.npz), got {run} with {names}",
-            given=run,
-        )
+        message = f"RUN must be a file, or a folder with one run (.npz), got {run} with {names}"
+        raise InvalidInputError(message, given=run)
     return files[0]

@@ -43,9 +43,8 @@ def stepped(
         "controller", controller, lambda: controller.step(state, measurement, target, dt)
     )
     if not isinstance(answer, Evaluation):
-        raise InvalidInputError(
-            f"step must return a state and an Evaluation, got {answer!r}", given=answer
-        )
+        message = f"step must return a state and an Evaluation, got {answer!r}"
+        raise InvalidInputError(message, given=answer)
     after = symbols(after)
     named: dict[str, Any] = {
         name: None if value is None else symbols(value) for name, value in answer._asdict().items()

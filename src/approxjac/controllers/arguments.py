@@ -28,9 +28,8 @@ def require_arrays(
     try:
         _, q, v, x, _ = measurement
     except (TypeError, ValueError):
-        raise InvalidInputError(
-            f"measurement must be Measurement(t, q, v, x), got {measurement!r}", given=measurement
-        ) from None
+        message = f"measurement must be Measurement(t, q, v, x), got {measurement!r}"
+        raise InvalidInputError(message, given=measurement) from None
     named = {"q": q, "v": v, "x": x, "target": target, "state": state}
     sizes = task.robot.nq, task.robot.nv, task.n_x, task.n_x, n_state
     for (name, value), size in zip(named.items(), sizes, strict=True):

@@ -358,7 +358,6 @@ def _adaptation_gain(L: Any, p: int) -> Array:
     as_diagonal("L", np.abs(matrix).max(), p)  # not beyond what gains may be
     asymmetry = np.abs(matrix - matrix.T).max()
     if asymmetry > 1e-9 * np.abs(matrix).max() or np.linalg.eigvalsh(matrix)[0] <= 0.0:
-        raise InvalidInputError(
-            f"L must be symmetric positive definite, got {matrix.tolist()}", given=L
-        )
+        message = f"L must be symmetric positive definite, got {matrix.tolist()}"
+        raise InvalidInputError(message, given=L)
     return matrix

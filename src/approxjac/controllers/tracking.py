@@ -166,9 +166,8 @@ class TrackingController(Immutable, Controller):
         self._rest = RestConfiguration(task, posture, gains.self_motion)
         require("command", command, str, '"torque" or "velocity"')
         if command not in ("torque", "velocity"):
-            raise InvalidInputError(
-                f'command must be "torque" or "velocity", got {command!r}', given=command
-            )
+            message = f'command must be "torque" or "velocity", got {command!r}'
+            raise InvalidInputError(message, given=command)
         self.command = command
         limits = Limits.of(robot).for_joints(robot.nv)
         self.gain_values = {"alpha": self.alpha, "kappa": self.kappa}
@@ -203,9 +202,8 @@ class TrackingController(Immutable, Controller):
             ("dynamics", self.dynamics, self.dynamics.robot.joint_names == names),
         ):
             if not fits:
-                raise InvalidInputError(
-                    f"{name} must be of the task {task!r}, got {part!r}", given=part
-                )
+                message = f"{name} must be of the task {task!r}, got {part!r}"
+                raise InvalidInputError(message, given=part)
 
     def initial_state(self, measurement: Measurement) -> Array:
         """Return the state before the first step.

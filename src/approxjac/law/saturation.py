@@ -86,9 +86,8 @@ class _Bounded:
     def __post_init__(self) -> None:
         gamma = as_array("gamma", self.gamma, shape_of(self.gamma), "unit of the task")
         if not (gamma > 0.0).all():
-            raise InvalidInputError(
-                f"gamma must be > 0 [unit of the task], got {gamma.tolist()}", given=self.gamma
-            )
+            message = f"gamma must be > 0 [unit of the task], got {gamma.tolist()}"
+            raise InvalidInputError(message, given=self.gamma)
         object.__setattr__(self, "_gamma", gamma)
         object.__setattr__(self, "gamma", gamma if gamma.ndim else float(gamma))
 

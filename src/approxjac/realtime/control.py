@@ -298,10 +298,8 @@ def require_at_rest(driver: Driver, task: Task, timeout: float) -> Measurement:
     for count in range(max(_READS, math.ceil(timeout / driver.dt))):
         measured = read(driver, task)
         if not measured.t > last:
-            raise InvalidInputError(
-                f"the clock of the driver must go on, got {measured.t!r} s after {last!r} s",
-                given=measured,
-            )
+            message = f"the clock of the driver must go on, got {measured.t!r} s after {last!r} s"
+            raise InvalidInputError(message, given=measured)
         last = measured.t
         if count + 1 >= _READS and np.isfinite(measured.x).all():
             break
@@ -352,10 +350,8 @@ def require_held(driver: Driver, controller: Controller, q: Array, answer: Evalu
     """Raise an InvalidInputError if the first command would not hold the believed arm."""
     robot = controller.task.robot
     if answer.limit_status in (LimitStatus.INFEASIBLE, LimitStatus.SOLVER_FAILED):
-        raise InvalidInputError(
-            f"the limits do not hold the arm as it stands: {answer.limit_status.message}",
-            given=answer,
-        )
+        message = f"the limits do not hold the arm as it stands: {answer.limit_status.message}"
+        raise InvalidInputError(message, given=answer)
     if driver.command != "torque" or answer.gravity is None:
         return
     most = np.asarray(driver.limits.for_joints(robot.nv).effort)

@@ -74,9 +74,8 @@ class KinematicRegressor:
         frames = [robot.tip_or(frame)] if frame is None or isinstance(frame, str) else list(frame)
         self.frames = tuple(robot.tip_or(name) for name in frames)
         if points is not None and len(frames) > 1:
-            raise InvalidInputError(
-                f"points must be those of one frame, got frames {self.frames}", given=points
-            )
+            message = f"points must be those of one frame, got frames {self.frames}"
+            raise InvalidInputError(message, given=points)
         known = np.zeros((len(frames), 3))
         if points is not None:
             known = as_array("points", points, ("k", 3), "m")
@@ -88,10 +87,8 @@ class KinematicRegressor:
         placed = [model.frames[self._frame_id(name)] for name in self.frames]
         for name, each in zip(self.frames, placed, strict=True):
             if each.parentJoint == 0:
-                raise InvalidInputError(
-                    f"frame must be one that a joint moves, got {name!r} of {robot.name}",
-                    given=frame,
-                )
+                message = f"frame must be one that a joint moves, got {name!r} of {robot.name}"
+                raise InvalidInputError(message, given=frame)
         paths = [list(model.supports[each.parentJoint])[1:] for each in placed]
         joints = sorted({joint for path in paths for joint in path})
         self._n = n = len(joints)

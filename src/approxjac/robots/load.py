@@ -122,9 +122,8 @@ def locked_joints(source: str | Path, robot: Robot) -> tuple[str, ...]:
 def _find(source: str | Path) -> tuple[str, Path | None, NamedRobot | None]:
     """Return the URDF text that a source means, its file, and what is known of it by name."""
     if not isinstance(source, str | Path):
-        raise InvalidInputError(
-            f"source must be a name, a path or URDF text, got {source!r}", given=source
-        )
+        message = f"source must be a name, a path or URDF text, got {source!r}"
+        raise InvalidInputError(message, given=source)
     text = str(source).removeprefix("\ufeff")
     if isinstance(source, str) and text.lstrip().startswith("<"):
         return text, None, None
@@ -156,9 +155,8 @@ def _read(path: Path) -> str:
     """Return the text of a file, in the encoding that it declares."""
     try:
         if (size := path.stat().st_size) > MOST_TEXT:
-            raise UrdfError(
-                f"URDF file {path} must have at most {MOST_TEXT} bytes, got {size}", given=path
-            )
+            message = f"URDF file {path} must have at most {MOST_TEXT} bytes, got {size}"
+            raise UrdfError(message, given=path)
         data = path.read_bytes()
         declared = re.match(rb"<\?xml[^>]*encoding=[\"']([\w.-]+)", data)
         return data.decode(declared.group(1).decode() if declared else "utf-8-sig")
@@ -226,10 +224,8 @@ def _chain(urdf: Urdf, base: str | None, tip: str) -> set[str]:
         joints.add(parent_joints[link].name)
         link = parent_joints[link].parent
     if start is not None and link != start:
-        raise InvalidInputError(
-            f"base must carry the tip {tip!r} of {urdf.name}, got {base!r}, which does not",
-            given=base,
-        )
+        message = f"base must carry the tip {tip!r} of {urdf.name}, got {base!r}, which does not"
+        raise InvalidInputError(message, given=base)
     return joints
 
 

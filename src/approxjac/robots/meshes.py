@@ -132,7 +132,6 @@ def _to_stl(mesh: Path, stl: Path) -> Path:
         with replaced(stl) as unfinished:
             read.export(unfinished)
     except Exception as error:  # each of trimesh's readers raises its own
-        raise UrdfError(
-            f"collision mesh {mesh} cannot be converted to {stl}: {error}", given=mesh
-        ) from error
+        message = f"collision mesh {mesh} cannot be converted to {stl}: {error}"
+        raise UrdfError(message, given=mesh) from error
     return stl

@@ -330,9 +330,8 @@ class Robot(Immutable):
             raise UnknownNameError("link", parent, self.name, self.tree.links)
         along = direction(self.outward_axis(parent) if axis is None else axis)
         if not isinstance(name, str) or not name.isprintable() or not name or " " in name:
-            raise InvalidInputError(
-                f"name must be a text without spaces, such as 'object', got {name!r}", given=name
-            )
+            message = f"name must be a text without spaces, such as 'object', got {name!r}"
+            raise InvalidInputError(message, given=name)
         for new in (name, f"{name}_tip", f"{name}_joint", f"{name}_tip_joint"):
             if new in self._frames or new == "universe":
                 raise InvalidInputError(
@@ -435,9 +434,8 @@ class Robot(Immutable):
         try:
             write_text(path, urdf.text)
         except OSError as error:
-            raise InvalidInputError(
-                f"path must be a file that can be written, got {path}: {error}", given=path
-            ) from error
+            message = f"path must be a file that can be written, got {path}: {error}"
+            raise InvalidInputError(message, given=path) from error
         return path
 
     # -- Python -------------------------------------------------------------------------

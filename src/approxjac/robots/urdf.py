@@ -64,17 +64,15 @@ class Urdf:
     def parse(cls, text: str, source: str) -> Urdf:
         """Parse a URDF text; raise a UrdfError if it is no XML or no valid URDF."""
         if len(text) > MOST_TEXT:
-            raise UrdfError(
-                f"{source} must have at most {MOST_TEXT} characters, got {len(text)}", given=source
-            )
+            message = f"{source} must have at most {MOST_TEXT} characters, got {len(text)}"
+            raise UrdfError(message, given=source)
         try:
             root = _tree(text)
         except (ValueError, etree.XMLSyntaxError) as error:  # a ValueError of lone surrogates
             raise UrdfError(f"{source} is not well-formed XML: {error}", given=text) from error
         if root.tag != "robot":
-            raise UrdfError(
-                f"{source} must have <robot> as its root element, got <{root.tag}>", given=text
-            )
+            message = f"{source} must have <robot> as its root element, got <{root.tag}>"
+            raise UrdfError(message, given=text)
         for element in root.iter(etree.Element):
             if "xacro" in element.tag:
                 raise UrdfError(
@@ -343,9 +341,8 @@ def as_size(name: str, value: Any, unit: str = "m") -> float:
     number = as_number(name, value, unit=unit, minimum=0.0)
     most, such = (_LONGEST, "200 mm are 0.2") if unit == "m" else (_HEAVIEST, "500 g are 0.5")
     if number > most:
-        raise InvalidInputError(
-            f"{name} must be at most {most:g} [{unit}], got {number:g}; {such}", given=value
-        )
+        message = f"{name} must be at most {most:g} [{unit}], got {number:g}; {such}"
+        raise InvalidInputError(message, given=value)
     return number
 
 

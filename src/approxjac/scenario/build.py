@@ -185,10 +185,8 @@ def _target(
     ways = {"line": line.offset, "circle": circle.radius, "waypoints": waypoints.points}
     way = [name for name, value in ways.items() if value is not None]
     if way and len(start) != sensor.m:
-        raise InvalidInputError(
-            f"run.target.{way[0]} is a path of a task whose error is x - x_d, got {sensor!r}",
-            given=goal,
-        )
+        message = f"run.target.{way[0]} is a path of a task whose error is x - x_d, got {sensor!r}"
+        raise InvalidInputError(message, given=goal)
 
     def coordinates(name: str, values: Numbers, count: int = sensor.m) -> Array:
         return numbers(f"run.target.{name}", values, count, joined(sensor.units))

@@ -82,14 +82,12 @@ class Scenario:
         except FileNotFoundError as error:
             raise InvalidInputError(f"{path} does not exist", given=path) from error
         except (OSError, ValueError, RecursionError) as error:  # lists in lists, long numbers
-            raise InvalidInputError(
-                f"{path} cannot be read as TOML: {error}", given=path
-            ) from error
+            message = f"{path} cannot be read as TOML: {error}"
+            raise InvalidInputError(message, given=path) from error
         robot = table.get("robot")
         if not isinstance(robot, str):
-            raise InvalidInputError(
-                f'{path} must name a robot, such as robot = "panda", got {robot!r}', given=path
-            )
+            message = f'{path} must name a robot, such as robot = "panda", got {robot!r}'
+            raise InvalidInputError(message, given=path)
         return cls(robot).with_values(table, str(path))
 
     def with_values(self, table: Table, where: str = "") -> Scenario:

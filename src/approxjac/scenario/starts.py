@@ -68,9 +68,8 @@ def is_regular(sensor: Task, task: Task, q: Array, ratio: float = REGULAR) -> bo
 def numbers(key: str, values: tuple[float, ...], count: int, unit: str) -> Array:
     """Return the `count` numbers of a key as an array."""
     if len(values) != count:
-        raise InvalidInputError(
-            f"{key} must be {count} numbers [{unit}], got {len(values)}", given=values
-        )
+        message = f"{key} must be {count} numbers [{unit}], got {len(values)}"
+        raise InvalidInputError(message, given=values)
     return as_array(key, values, (count,), unit)
 
 

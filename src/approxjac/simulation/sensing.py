@@ -213,10 +213,8 @@ def _intervals(name: str, value: Any, *, parts: bool) -> tuple[Any, ...]:
             raise TypeError
     except (TypeError, ValueError):
         wanted = "(start, end) or (start, end, part)" if parts else "(start, end)"
-        raise InvalidInputError(
-            f"{name} must be intervals {wanted}, such as [(1.0, 2.5)] [s], got {value!r}",
-            given=value,
-        ) from None
+        message = f"{name} must be intervals {wanted}, such as [(1.0, 2.5)] [s], got {value!r}"
+        raise InvalidInputError(message, given=value) from None
     checked = []
     for start, end, *part in intervals:
         start = as_number(f"start of {name}", start, unit="s")

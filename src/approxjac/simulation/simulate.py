@@ -123,9 +123,8 @@ def require_answer(
 ) -> None:
     """Raise an InvalidInputError if what a step returned is no state and answer."""
     if not (isinstance(stepped, tuple) and len(stepped) == 2):
-        raise InvalidInputError(
-            f"step of a controller must return (state, Evaluation), got {stepped!r}", given=stepped
-        )
+        message = f"step of a controller must return (state, Evaluation), got {stepped!r}"
+        raise InvalidInputError(message, given=stepped)
     after, answer = stepped
     require("the controller's answer", answer, Evaluation, "an Evaluation")
     require("the controller's state", after, np.ndarray, "an array")
@@ -253,10 +252,8 @@ class Loop:
         try:
             self.controller.step(self.state, self.measurement, wanted, self.dt)
         except MeasurementError as error:
-            raise InvalidInputError(
-                f"target must not make the controller overflow, got {x_of(wanted).tolist()}",
-                given=target,
-            ) from error
+            message = f"target must not make the controller overflow, got {x_of(wanted).tolist()}"
+            raise InvalidInputError(message, given=target) from error
         self.path = path
         self.target = x_of(wanted)
 
@@ -519,9 +516,8 @@ def simulate(
     reason = "" if observer is None else "an observer"
     reason = "dt=None" if dt is None else reason
     if engine == "compiled" and reason:
-        raise InvalidInputError(
-            f'engine must be "python" or None for {reason}, got {engine!r}', given=engine
-        )
+        message = f'engine must be "python" or None for {reason}, got {engine!r}'
+        raise InvalidInputError(message, given=engine)
     # a loop that diverges overflows before the error says so
     with np.errstate(over="ignore", invalid="ignore"):
         if dt is None:
@@ -573,14 +569,12 @@ def whole(name: str, part: float, total: float, *, of: str = "duration") -> int:
     """Return total/part, or raise an InvalidInputError if that is no integer."""
     part = as_number(name, part, unit="s", above=0.0)
     if part < 1e-9 * total:
-        raise InvalidInputError(
-            f"{name} must be at least 1e-9 of {of} = {total:g} [s], got {part:g}", given=part
-        )
+        message = f"{name} must be at least 1e-9 of {of} = {total:g} [s], got {part:g}"
+        raise InvalidInputError(message, given=part)
     count = round(total / part)
     if count < 1 or abs(count * part - total) > 1e-9 * total:
-        raise InvalidInputError(
-            f"{of} must be a whole number of {name} = {part:g} [s], got {total:g}", given=total
-        )
+        message = f"{of} must be a whole number of {name} = {part:g} [s], got {total:g}"
+        raise InvalidInputError(message, given=total)
     return count
 
 

@@ -281,9 +281,8 @@ class Trajectory:
             with replaced(path) as unfinished, unfinished.open("wb") as file:
                 np.savez_compressed(file, texts=np.array(json.dumps(texts)), **arrays)
         except OSError as error:
-            raise TrajectoryFileError(
-                f"path must be a file that can be written, got {path}: {reason(error)}", given=path
-            ) from error
+            message = f"path must be a file that can be written, got {path}: {reason(error)}"
+            raise TrajectoryFileError(message, given=path) from error
         return path
 
     @classmethod
@@ -311,14 +310,12 @@ class Trajectory:
             run._require_fit(others["law"])
             return run
         except FileNotFoundError as error:
-            raise TrajectoryFileError(
-                f"trajectory file {path} does not exist", given=path
-            ) from error
+            message = f"trajectory file {path} does not exist"
+            raise TrajectoryFileError(message, given=path) from error
         except Exception as error:  # NumPy, zipfile, zlib and json each raise their own
             why = str(error) if zipfile.is_zipfile(path) else "it is no .npz file"
-            raise TrajectoryFileError(
-                f"{path} is not a trajectory written by Trajectory.save: {why}", given=path
-            ) from error
+            message = f"{path} is not a trajectory written by Trajectory.save: {why}"
+            raise TrajectoryFileError(message, given=path) from error
 
     def _require_fit(self, law: object) -> None:
         """Raise a ValueError if what a file kept does not fit together."""

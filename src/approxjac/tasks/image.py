@@ -215,9 +215,8 @@ def _points(points: object) -> Array:
     for i, point in enumerate(array):
         same = np.linalg.norm(array[:i] - point, axis=1) < _APART
         if same.any():
-            raise InvalidInputError(
-                f"points must be different ones, got {point.tolist()} twice", given=points
-            )
+            message = f"points must be different ones, got {point.tolist()} twice"
+            raise InvalidInputError(message, given=points)
     spread = np.linalg.svd(array - array.mean(axis=0), compute_uv=False)
     if len(array) > 2 and spread[1] < _APART:
         raise InvalidInputError(
@@ -254,7 +253,6 @@ def _depth(depth: object, k: int) -> str | Array:
     if not isinstance(depth, str):
         return as_diagonal("depth", depth, k, unit="m")
     if depth not in ("believed", "measured"):
-        raise InvalidInputError(
-            f"depth must be 'believed', 'measured' or numbers > 0 [m], got {depth!r}", given=depth
-        )
+        message = f"depth must be 'believed', 'measured' or numbers > 0 [m], got {depth!r}"
+        raise InvalidInputError(message, given=depth)
     return depth

@@ -147,9 +147,8 @@ class Task(Immutable, Saved, ABC):
         """Return a target as a read-only array (n_x,), or raise an InvalidInputError."""
         target = as_array("target", x_d, (self.n_x,), joined(self.units))
         if not (np.abs(self.error(target, target)) < 1e-6).all():
-            raise InvalidInputError(
-                f"target must be a value of {self!r}, got {target.tolist()}", given=x_d
-            )
+            message = f"target must be a value of {self!r}, got {target.tolist()}"
+            raise InvalidInputError(message, given=x_d)
         return target
 
     def describe(self) -> str:

@@ -114,10 +114,8 @@ class StackedTask(WrappedTask):
         for task in tasks:
             require("each of tasks", task, Task, "a task, such as PositionTask(robot)")
             if task.robot != tasks[0].robot:
-                raise InvalidInputError(
-                    f"tasks must be of one robot, got {tasks[0].robot!r} and {task.robot!r}",
-                    given=tasks,
-                )
+                message = f"tasks must be of one robot, got {tasks[0].robot!r} and {task.robot!r}"
+                raise InvalidInputError(message, given=tasks)
         self.overdetermined = any(task.overdetermined for task in tasks)
         super().__init__(tasks, [f"{i + 1}.{at}" for i, t in enumerate(tasks) for at in t.labels])
 
@@ -327,10 +325,8 @@ class NonsingularTask(WrappedTask):
                 f"bend of {joint}", displacement, unit=unit, minimum=-most, most=most
             )
         if not offset.any():
-            raise InvalidInputError(
-                f"bend must displace at least one joint of {robot.name}, got {dict(bend)}",
-                given=bend,
-            )
+            message = f"bend must displace at least one joint of {robot.name}, got {dict(bend)}"
+            raise InvalidInputError(message, given=bend)
         self._bend = offset
         self._scale = vanishing(task)
 

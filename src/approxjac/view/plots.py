@@ -221,9 +221,8 @@ def plot_parameters(
     truth = truth or {}
     known = list(run.parameters)
     if not known:
-        raise InvalidInputError(
-            f"run must be one in which something was learnt, got {run!r}", given=run
-        )
+        message = f"run must be one in which something was learnt, got {run!r}"
+        raise InvalidInputError(message, given=run)
     usual = [name for name in known if name.startswith(_USUAL)] or known
     chosen = usual if names is None else list(names)
     for name in chosen:

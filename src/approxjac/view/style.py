@@ -158,7 +158,6 @@ def save_figure(figure: Figure, stem: str | Path) -> list[Path]:
             figure.savefig(png, dpi=_DPI)
             figure.savefig(svg, dpi=_DPI, metadata={"Date": None})  # dpi: of what is pixels
     except OSError as error:
-        raise InvalidInputError(
-            f"stem must name files that can be written, got {stem}: {reason(error)}", given=stem
-        ) from error
+        message = f"stem must name files that can be written, got {stem}: {reason(error)}"
+        raise InvalidInputError(message, given=stem) from error
     return paths

@@ -71,9 +71,8 @@ def export_c(controller: Controller, folder: str | PathLike[str]) -> Path:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InvalidInputError(
-            f"folder must be one that can be made, got {folder}: {reason(error)}", given=folder
-        ) from error
+        message = f"folder must be one that can be made, got {folder}: {reason(error)}"
+        raise InvalidInputError(message, given=folder) from error
     with together(path) as unfinished:
         for name, text in filled.items():
             write_text(unfinished / name, text)

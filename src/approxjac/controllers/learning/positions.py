@@ -484,9 +484,8 @@ def _seen(task: Any) -> tuple[list[tuple[str, str]], tuple[float, Array, Array] 
     if not any(is_tracked):
         return points, None
     if not all(is_tracked) or len({(*each.rotation, *each.offset) for each in parts}) > 1:
-        raise InvalidInputError(
-            f"task must be of one tracker, with one rotation and offset, got {task!r}", given=task
-        )
+        message = f"task must be of one tracker, with one rotation and offset, got {task!r}"
+        raise InvalidInputError(message, given=task)
     return points, (1.0, law.rotation_exp(parts[0].rotation), parts[0].offset)
 
 

@@ -134,9 +134,8 @@ class Wall(Limit):
         self.point, normal = as_array("point", point, (3,)), as_array("normal", normal, (3,))
         length = float(np.linalg.norm(normal))
         if not length > 0.0:
-            raise InvalidInputError(
-                f"normal must have a direction, got {normal.tolist()}", given=normal
-            )
+            message = f"normal must have a direction, got {normal.tolist()}"
+            raise InvalidInputError(message, given=normal)
         self.normal = normal / length
         self.margin = as_number("margin", margin, unit="m", minimum=0.0)
         self.frames = tuple(frames)

@@ -160,9 +160,8 @@ class TorqueLimited(ControllerWrapper):
         )
         require("controller", controller, Controller, wanted)
         if controller.law is not controller:
-            raise InvalidInputError(
-                f"controller must be {wanted}, got {controller!r}", given=controller
-            )
+            message = f"controller must be {wanted}, got {controller!r}"
+            raise InvalidInputError(message, given=controller)
         if controller.command != "torque":
             raise InvalidInputError(
                 f'controller must command torques to be limited, got command="velocity" of '

@@ -466,10 +466,8 @@ class Uncertainty:
             task = self._make_task(*given)
         except TypeError as error:
             of = "" if camera is None else " and a camera, such as ImageTask"
-            raise InvalidInputError(
-                f"task must be a function of a robot{of}, got {self.task!r}: {error}",
-                given=self.task,
-            ) from error
+            message = f"task must be a function of a robot{of}, got {self.task!r}: {error}"
+            raise InvalidInputError(message, given=self.task) from error
         require("what task makes of a robot", task, Task, "a task, such as PositionTask(robot)")
         return task
 

@@ -60,10 +60,8 @@ class Rollouts:
             SimulationError: It diverges.
         """
         if not 0 <= as_integer("index", index, 0) < self.n:
-            raise InvalidInputError(
-                f"index must be one of the {self.n} runs, 0 to {self.n - 1}, got {index}",
-                given=index,
-            )
+            message = f"index must be one of the {self.n} runs, 0 to {self.n - 1}, got {index}"
+            raise InvalidInputError(message, given=index)
         return self.setting.simulated(self.setting.start(int(self.columns["index"][index])))
 
     @property

@@ -124,9 +124,8 @@ def stability_map(
     n, execution = as_integer("n", n, 1), Execution() if execution is None else execution
     require("over", over, Mapping, "a dict of one or two parameters and their values")
     if len(over) not in (1, 2):
-        raise InvalidInputError(
-            f"over must have one or two parameters, got {list(over)}", given=over
-        )
+        message = f"over must have one or two parameters, got {list(over)}"
+        raise InvalidInputError(message, given=over)
     require_parameters(tuple(over))
     axes = {name: _values(name, each) for name, each in over.items()}
     settings: dict[tuple[float, ...], RolloutSetting] = {}

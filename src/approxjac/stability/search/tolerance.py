@@ -111,9 +111,8 @@ def tolerances(
     loop = None if reason else study.loop()
     region = study.region if loop is None else loop.region
     if uncertainty.d == 0:
-        raise InvalidInputError(
-            f"uncertainty must have a range to scale, got {uncertainty!r}", given=uncertainty
-        )
+        message = f"uncertainty must have a range to scale, got {uncertainty!r}"
+        raise InvalidInputError(message, given=uncertainty)
     for test in set(tests) - set(_WORDS):
         raise UnknownNameError("test", test, "the tests", _WORDS)
     largest = uncertainty.largest_scale(as_number("largest", largest, above=0.0))

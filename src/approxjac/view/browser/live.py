@@ -435,6 +435,5 @@ def _bound(port: int | None) -> socket.socket:
         else:
             listening.setblocking(False)
             return listening
-    raise InvalidInputError(
-        f"port must be free, or left out for any that is, got {port}: {reason}", given=port
-    )
+    message = f"port must be free, or left out for any that is, got {port}: {reason}"
+    raise InvalidInputError(message, given=port)

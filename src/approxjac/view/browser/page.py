@@ -64,9 +64,8 @@ def save_page(run: Trajectory, path: str | Path, title: str | None = None) -> Pa
     try:
         write_text(path, text)
     except (OSError, ValueError) as error:
-        raise InvalidInputError(
-            f"path must be a file that can be written, got {path}: {reason(error)}", given=path
-        ) from error
+        message = f"path must be a file that can be written, got {path}: {reason(error)}"
+        raise InvalidInputError(message, given=path) from error
     return path
 
 
@@ -348,10 +347,8 @@ def write_index(folder: str | Path, title: str = "Runs to look at") -> Path:
         index = folder / "index.html"
         write_text(index, _filled("index.html", parts))
     except OSError as error:
-        raise InvalidInputError(
-            f"folder must be one that can be read and written, got {folder}: {reason(error)}",
-            given=folder,
-        ) from error
+        message = f"folder must be one that can be read and written, got {folder}: {reason(error)}"
+        raise InvalidInputError(message, given=folder) from error
     return index
 
 
