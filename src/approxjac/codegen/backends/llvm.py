@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import re
 import struct
 from collections.abc import Callable
 from itertools import chain, count
@@ -15,32 +14,32 @@ from approxjac.errors import package_of
 from approxjac.validation import Array
 
 _TEMPLATES = {
-    "add": "fadd D {0}, {1}",
-    "subtract": "fsub D {0}, {1}",
-    "multiply": "fmul D {0}, {1}",
-    "divide": "fdiv D {0}, {1}",
-    "negative": "fneg D {0}",
-    "absolute": "call D @llvm.fabs.N(D {0})",
-    "sqrt": "call D @llvm.sqrt.N(D {0})",
-    "floor": "call D @llvm.floor.N(D {0})",
-    "power": "call D @power(D {0})",
-    "less": "fcmp olt D {0}, {1}",
-    "less_equal": "fcmp ole D {0}, {1}",
-    "equal": "fcmp oeq D {0}, {1}",
-    "and": "and B {0}, {1}",
-    "or": "or B {0}, {1}",
-    "not": "xor B {0}, TRUE",
-    "select": "select B {0}, D {1}, D {2}",
+    "add": "fadd $D {0}, {1}",
+    "subtract": "fsub $D {0}, {1}",
+    "multiply": "fmul $D {0}, {1}",
+    "divide": "fdiv $D {0}, {1}",
+    "negative": "fneg $D {0}",
+    "absolute": "call $D @llvm.fabs.$N($D {0})",
+    "sqrt": "call $D @llvm.sqrt.$N($D {0})",
+    "floor": "call $D @llvm.floor.$N($D {0})",
+    "power": "call $D @power($D {0})",
+    "less": "fcmp olt $D {0}, {1}",
+    "less_equal": "fcmp ole $D {0}, {1}",
+    "equal": "fcmp oeq $D {0}, {1}",
+    "and": "and $B {0}, {1}",
+    "or": "or $B {0}, {1}",
+    "not": "xor $B {0}, $TRUE",
+    "select": "select $B {0}, $D {1}, $D {2}",
 }
 _DECLARED = """
-declare D @llvm.fabs.N(D)
-declare D @llvm.sqrt.N(D)
-declare D @llvm.floor.N(D)
-define internal D @power(D %a) alwaysinline {
-  %bits = bitcast D %a to I
-  %moved = shl I %bits, SHIFT
-  %power = bitcast I %moved to D
-  ret D %power
+declare $D @llvm.fabs.$N($D)
+declare $D @llvm.sqrt.$N($D)
+declare $D @llvm.floor.$N($D)
+define internal $D @power($D %a) alwaysinline {
+  %bits = bitcast $D %a to $I
+  %moved = shl $I %bits, $SHIFT
+  %power = bitcast $I %moved to $D
+  ret $D %power
 }
 """
 _RUN = """
@@ -55,9 +54,9 @@ entry:
 group:
   %g = phi i64 [ 0, %entry ], [ %g_next, %group_end ]
   %at = mul i64 %g, {rows}
-  %s = getelementptr D, ptr %kept, i64 %at
+  %s = getelementptr $D, ptr %kept, i64 %at
   %from = mul i64 %g, {parameters}
-  %p = getelementptr D, ptr %given, i64 %from
+  %p = getelementptr $D, ptr %given, i64 %from
   br label %step
 step:
   %k = phi i64 [ %first, %group ], [ %k_next, %step_end ]
@@ -67,10 +66,10 @@ step:
   %of_group = mul i64 %g, %steps
   %of_step = add i64 %of_group, %i
   %of_draws = mul i64 %of_step, {n_draws}
-  %d = getelementptr D, ptr %draws, i64 %of_draws
+  %d = getelementptr $D, ptr %draws, i64 %of_draws
   %number_0 = sitofp i64 %k to double
-  %number_1 = insertelement D undef, double %number_0, i64 0
-  %number = shufflevector D %number_1, D undef, ZERO
+  %number_1 = insertelement $D undef, double %number_0, i64 0
+  %number = shufflevector $D %number_1, $D undef, $ZERO
 {step}
   br label %step_end
 step_end:
@@ -145,7 +144,7 @@ def _source(program: Program, width: int) -> str:
     constants: dict[str, str] = {}
     written = count()
 
-    def pointer(base: str, at: int, kind: str = "D") -> str:
+    def pointer(base: str, at: int, kind: str = "$D") -> str:
         """Return a pointer to a row."""
         name = f"%pointer{len(pointers)}"
         pointers.append(f"  {name} = getelementptr {kind}, ptr {base}, i64 {at}")
@@ -167,12 +166,12 @@ def _source(program: Program, width: int) -> str:
 
     def read(name: str, i: int) -> str:
         if name == STEP:
-            return "bitcast D %number to D"
+            return "bitcast $D %number to $D"
         if name not in program.times:
-            return f"load D, ptr {place(name, i, 'from')}, align 8"
+            return f"load $D, ptr {place(name, i, 'from')}, align 8"
         number = time(name, i)
-        pointers.append(f"  {number}.one = insertelement D undef, double {number}, i64 0")
-        return f"shufflevector D {number}.one, D undef, ZERO"
+        pointers.append(f"  {number}.one = insertelement $D undef, double {number}, i64 0")
+        return f"shufflevector $D {number}.one, $D undef, $ZERO"
 
     for name, (start, size) in program.histories.items():
         for way in ("from", "to"):
@@ -181,7 +180,7 @@ def _source(program: Program, width: int) -> str:
                 f"  {at}.number = fptosi double {time(f'{name}.{way}', 0)} to i64",
                 f"  {at}.of = mul i64 {at}.number, {size}",
                 f"  {at}.row = add i64 {at}.of, {start}",
-                f"  {at} = getelementptr D, ptr %s, i64 {at}.row",
+                f"  {at} = getelementptr $D, ptr %s, i64 {at}.row",
             ]
 
     def constant(value: float) -> str:
@@ -192,7 +191,7 @@ def _source(program: Program, width: int) -> str:
         label: str, condition: str, lines: list[str], results: list[tuple[str, str, str]]
     ) -> list[str]:
         return [
-            f"  %any{label} = bitcast B {condition} to i{width}",
+            f"  %any{label} = bitcast $B {condition} to i{width}",
             f"  %is{label} = icmp ne i{width} %any{label}, 0",
             f"  br label %before{label}",
             f"before{label}:",
@@ -201,11 +200,11 @@ def _source(program: Program, width: int) -> str:
             *lines,
             f"  br label %end{label}",
             f"end{label}:",
-            *(f"  {name}.rare = select B {condition}, D {a}, D {b}" for name, a, b in results),
+            *(f"  {name}.rare = select $B {condition}, $D {a}, $D {b}" for name, a, b in results),
             f"  br label %after{label}",
             f"after{label}:",
             *(
-                f"  {name} = phi D [ {name}.rare, %end{label} ], [ {b}, %before{label} ]"
+                f"  {name} = phi $D [ {name}.rare, %end{label} ], [ {b}, %before{label} ]"
                 for name, _, b in results
             ),
         ]
@@ -215,28 +214,28 @@ def _source(program: Program, width: int) -> str:
             ones = ", ".join(each[1:-1].split(", ")[0] for each in numbers)
             constants[name] = f"@{name} = internal constant [{len(numbers)} x double] [{ones}]"
             return []
-        allocated.append(f"  %{name} = alloca D, i64 {len(numbers)}, align 8")
+        allocated.append(f"  %{name} = alloca $D, i64 {len(numbers)}, align 8")
         return [line for i, each in enumerate(numbers) for line in stored(f"%{name}", i, each)]
 
     def stored(array: str, i: int, number: str) -> list[str]:
         """Return the lines that write a number to a place of an array."""
         at = f"%to{next(written)}"
         return [
-            f"  {at} = getelementptr D, ptr {array}, i64 {i}",
-            f"  store D {number}, ptr {at}, align 8",
+            f"  {at} = getelementptr $D, ptr {array}, i64 {i}",
+            f"  store $D {number}, ptr {at}, align 8",
         ]
 
     def loop(label: str, loop: Passes, lines: list[str], going: Going, rows: Rows) -> list[str]:
         s, y, i = f"%s{label}", f"%y{label}", f"%i{label}"
         for name, size in ((s, loop.n), (y, loop.times * loop.m)):
-            allocated.append(f"  {name} = alloca D, i64 {size}, align 8")
+            allocated.append(f"  {name} = alloca $D, i64 {size}, align 8")
         collected = [
             line
             for at, each in rows
             for line in (
                 f"  {i}.at{at} = add i64 {i}.row, {at}",
-                f"  {i}.to{at} = getelementptr D, ptr {y}, i64 {i}.at{at}",
-                f"  store D {each}, ptr {i}.to{at}, align 8",
+                f"  {i}.to{at} = getelementptr $D, ptr {y}, i64 {i}.at{at}",
+                f"  store $D {each}, ptr {i}.to{at}, align 8",
             )
         ]
         return [
@@ -261,19 +260,19 @@ def _source(program: Program, width: int) -> str:
     def spread(name: str, number: str) -> list[str]:
         """Return the lines that make a number of all runs a vector."""
         return [
-            f"  {name}.one = insertelement D undef, double {number}, i64 0",
-            f"  {name} = shufflevector D {name}.one, D undef, ZERO",
+            f"  {name}.one = insertelement $D undef, double {number}, i64 0",
+            f"  {name} = shufflevector $D {name}.one, $D undef, $ZERO",
         ]
 
     def taken(name: str, array: str, i: str, apart: int, first: int) -> list[str]:
-        base, kind = (f"@{array}", "double") if array in constants else (f"%{array}", "D")
+        base, kind = (f"@{array}", "double") if array in constants else (f"%{array}", "$D")
         read = [
             f"  {name}.of = mul i64 %{i}, {apart}",
             f"  {name}.at = add i64 {name}.of, {first}",
             f"  {name}.from = getelementptr {kind}, ptr {base}, i64 {name}.at",
         ]
-        if kind == "D":
-            return [*read, f"  {name} = load D, ptr {name}.from, align 8"]
+        if kind == "$D":
+            return [*read, f"  {name} = load $D, ptr {name}.from, align 8"]
         same = f"  {name}.same = load double, ptr {name}.from, align 8"
         return [*read, same, *spread(name, f"{name}.same")]
 
@@ -290,8 +289,8 @@ def _source(program: Program, width: int) -> str:
         table=table,
         loop=loop,
         cell=lambda name, array, i: [
-            f"  {name}.from = getelementptr D, ptr %{array}, i64 {i}",
-            f"  {name} = load D, ptr {name}.from, align 8",
+            f"  {name}.from = getelementptr $D, ptr %{array}, i64 {i}",
+            f"  {name} = load $D, ptr {name}.from, align 8",
         ],
         taken=taken,
         number=number,
@@ -300,7 +299,7 @@ def _source(program: Program, width: int) -> str:
     lines, names = Writer(program.graph, language).lines([*flat])
     places = [(name, i) for name, numbers in program.stepped.items() for i in range(len(numbers))]
     stores = [
-        f"  store D {value}, ptr {place(*at, 'to')}, align 8"
+        f"  store $D {value}, ptr {place(*at, 'to')}, align 8"
         for at, value in zip(places, names, strict=True)
     ]
     run = _RUN.format(
@@ -316,14 +315,16 @@ def _source(program: Program, width: int) -> str:
 
 
 def _filled(text: str, width: int) -> str:
-    """Return a text with its types, words in capitals, written out."""
+    """Return a text with its types, words like $D, written out."""
     words = {
-        "D": f"<{width} x double>",
-        "B": f"<{width} x i1>",
-        "I": f"<{width} x i64>",
-        "N": f"v{width}f64",
-        "TRUE": f"<{', '.join(['i1 true'] * width)}>",
-        "ZERO": f"<{width} x i32> zeroinitializer",
-        "SHIFT": f"<{', '.join(['i64 52'] * width)}>",
+        "$D": f"<{width} x double>",
+        "$B": f"<{width} x i1>",
+        "$I": f"<{width} x i64>",
+        "$N": f"v{width}f64",
+        "$TRUE": f"<{', '.join(['i1 true'] * width)}>",
+        "$ZERO": f"<{width} x i32> zeroinitializer",
+        "$SHIFT": f"<{', '.join(['i64 52'] * width)}>",
     }
-    return re.sub(r"\b(D|B|I|N|TRUE|ZERO|SHIFT)\b", lambda found: words[found[0]], text)
+    for word, meant in words.items():
+        text = text.replace(word, meant)
+    return text

@@ -245,7 +245,9 @@ class Schedule:
                 first[nodes[place].value] = place
 
         def use(place: int, region: Scope) -> None:
-            users[place] = region.shared(users.get(place))
+            other = users.get(place)
+            if other is not region:
+                users[place] = region.shared(other)
 
         for place in wanted:
             use(place, self.whole)
@@ -284,6 +286,7 @@ class Schedule:
     def _needs(self) -> dict[int, frozenset[int]]:
         """Return for each operation the loops whose passes it differs between."""
         needs: dict[int, frozenset[int]] = {}
+        nothing: frozenset[int] = frozenset()
         for place in self.places:
             operation, arguments, value = self._nodes[place]
             if operation in ("state", "index"):
@@ -293,7 +296,10 @@ class Schedule:
                 own = self.parts[place]
                 starts = [arguments[part] for part in own if part < value.n]
                 arguments = (*starts, *(arguments[value.n + part] for part in own))
-            found: frozenset[int] = frozenset().union(*(needs[each] for each in arguments))
+            found = nothing
+            for each in arguments:
+                if needs[each]:  # which few do
+                    found = found | needs[each]
             needs[place] = found - {value.number} if operation == "loop" else found
         return needs
 

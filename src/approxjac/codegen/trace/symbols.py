@@ -96,10 +96,18 @@ class Graph:
 
     def apply(self, operation: str, *numbers: Number) -> Scalar:
         """Return the result of an operation that is written down."""
-        places = tuple(map(self.place, numbers))
-        if operation in _COMMUTES:
-            places = tuple(sorted(places))
-        return self._scalar(Node(operation, places))
+        places = tuple([
+            each.place if type(each) is Scalar and each.graph is self else self.place(each)
+            for each in numbers
+        ])  # fmt: skip
+        if operation in _COMMUTES and places[0] > places[1]:
+            places = places[::-1]
+        key = operation, places
+        place = self._known.get(key)
+        if place is None:
+            place = self._known[key] = len(self.nodes)
+            self.nodes.append(Node(operation, places))
+        return Scalar(self, place)
 
     def rare(
         self, condition: Condition, values: Sequence[Number], others: Sequence[Number]
