@@ -528,7 +528,8 @@ class Frames:
     def remember(self, numbers: Array, measurement: Measurement) -> Any:
         """Store the configuration if it is time; return whether it was, or t did not change."""
         t, q, *_ = measurement
-        since = t - numbers[-self._width]  # since the last one that is remembered
+        (last,) = numbers[-self._width : 1 - self._width].tolist()
+        since = t - last  # since the last one that is remembered
 
         def shift(numbers: Array) -> None:
             ring = self._ring(numbers)
@@ -545,7 +546,8 @@ class Frames:
         """Return a frame (None if it is surely old) and whether it is new, and store it."""
         n, (t, _, _, x, _) = self._n_x, measurement
         t_x: Any = measurement.t_x
-        taken_before, head, seen = numbers[n], numbers[: n + 4], np.abs(x) < _FARTHEST
+        head, seen = numbers[: n + 4], np.abs(x) < _FARTHEST
+        (taken_before,) = numbers[n : n + 1].tolist()  # a number of Python is quicker than NumPy's
         known, knows_time = np.where(seen, x, 0.0), t_x <= t + _AHEAD
         # a clock that is ahead is wrong, and would say of one frame that it is always new
         is_old = law.select(knows_time, t_x <= taken_before, law.all_equal(known, numbers[:n]))
