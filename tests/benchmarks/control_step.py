@@ -105,10 +105,10 @@ def laws(name):
     found.append(Law("(6), `TorqueLimited`, held", aj.HeldMeasurement(limited, 0.05)))
     exact = KnownKinematics(task)
     for title, options in (
-        ("T, exact model", {"kinematics": exact, "dynamics": ModelDynamics(robot)}),
-        ("T, learnt dynamics", {"kinematics": exact}),
-        ("T, all learnt, a frame each step", {}),
-        ("T, velocities", {"kinematics": exact, "command": "velocity"}),
+        ("tracking, exact model", {"kinematics": exact, "dynamics": ModelDynamics(robot)}),
+        ("tracking, learnt dynamics", {"kinematics": exact}),
+        ("tracking, all learnt, a frame each step", {}),
+        ("tracking, velocities", {"kinematics": exact, "command": "velocity"}),
     ):
         found.append(Law(title, aj.TrackingController(task, **options)))
     found.append(_image_law(robot, middle))
