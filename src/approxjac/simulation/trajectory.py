@@ -487,19 +487,12 @@ class Record:
 
     def _learnt(self, states: Array) -> Array:
         """Return the learnt numbers of the last controller by each state, shape (N, p)."""
-        controller = self._controllers[-1][1]
-        learnt = np.array(controller.learnt(states))
-        learnt[: self._controllers[-1][0]] = np.nan
-        for start, end, before in self._spans(len(states)):
-            if before.parameters == controller.parameters:
-                learnt[start:end] = before.learnt(states[start:end])
+        starts, controllers = zip(*self._controllers, strict=True)
+        learnt: Array = np.full_like(controllers[-1].learnt(states), np.nan)
+        for controller, start, end in zip(controllers, starts, [*starts[1:], None], strict=True):
+            if controller.parameters == controllers[-1].parameters:
+                learnt[start:end] = controller.learnt(states[start:end])
         return learnt
-
-    def _spans(self, count: int) -> list[tuple[int, int, Controller]]:
-        """Return from where to where which controller ran."""
-        starts = [start for start, _ in self._controllers]
-        controllers = [controller for _, controller in self._controllers]
-        return list(zip(starts, [*starts[1:], count], controllers, strict=True))
 
     def _derive(self, run: Trajectory, name: str, instants: Any) -> Any:
         """Return a derived quantity of `Trajectory` by its name, by the controllers that ran."""
