@@ -201,6 +201,14 @@ def test_the_same_bits_on_vectors_of_any_width(width, features):
     np.testing.assert_array_equal(kept_after(lanes, p, (0, 1, 128, 301)), expected)
 
 
+def test_the_same_bits_where_a_block_is_cut(monkeypatch):
+    """LLVM's code of many operations is cut into blocks, in what is rare, too."""
+    p = program()
+    expected = kept_after(NumpyLanes(p), p)
+    monkeypatch.setattr("approxjac.codegen.backends.llvm._PART", 3)
+    np.testing.assert_array_equal(kept_after(LlvmLanes(p, 4), p), expected)
+
+
 def test_what_does_not_differ_is_a_constant():
     p = program()
     assert list(p.parameters) == ["stiffness"]

@@ -133,6 +133,8 @@ def test_a_loop_has_the_bits_of_an_unrolled_one(case, monkeypatch):
     np.testing.assert_array_equal(carried_out(NumpyLanes(looped), looped), expected)
     for width in (1, 2, 8):
         np.testing.assert_array_equal(carried_out(LlvmLanes(looped, width), looped), expected)
+    monkeypatch.setattr("approxjac.codegen.backends.llvm._PART", 3)  # cut in loops, too
+    np.testing.assert_array_equal(carried_out(LlvmLanes(looped, 4), looped), expected)
     plain = [[float(a) for a in case(row[:N], row[N : 2 * N])] for row in columns(looped)]
     at, size = looped.rows["found"]
     np.testing.assert_allclose(expected[:, at : at + size], plain, rtol=1e-14, atol=1e-15)

@@ -86,6 +86,7 @@ end:
 }}
 """
 _WIDE = "+avx512f"
+_PART = 1000  # operations between branches, as LLVM takes long to find registers in long blocks
 
 
 class LlvmLanes:
@@ -142,7 +143,15 @@ def _source(program: Program, width: int) -> str:
     pointers: list[str] = []
     allocated: list[str] = []
     constants: dict[str, str] = {}
-    written = count()
+    written, operations = count(), count(1)
+
+    def assigned(name: str, text: str, _: bool) -> str:
+        """Return the line of an operation, now and then at the beginning of a block."""
+        line, n = f"  {name} = {text}", next(operations)
+        if n % _PART:
+            return line
+        goes_on = f"  %goes{n} = icmp sge i64 %i, 0\n  br i1 %goes{n}, label %part{n}, label %end"
+        return f"{goes_on}\npart{n}:\n{line}"
 
     def pointer(base: str, at: int, kind: str = "$D") -> str:
         """Return a pointer to a row."""
@@ -282,7 +291,7 @@ def _source(program: Program, width: int) -> str:
     language = Language(
         templates=_TEMPLATES,
         variable="%v",
-        assigned=lambda name, text, _: f"  {name} = {text}",
+        assigned=assigned,
         read=read,
         constant=constant,
         rare=rare,
