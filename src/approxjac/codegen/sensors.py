@@ -151,7 +151,10 @@ class TracedSensing:
         Of the next steps, from one number to another, it returns what `Block.draws` has.
         """
         drawn_at = {"x_noise": self._is_taken, "x_dropout": self._is_new}
-        draws = {name: [_draw(seed, name) for seed in seeds] for name in program.draws}
+        draws = {}
+        for name in program.draws:
+            kind = "random" if name == "x_dropout" else "standard_normal"
+            draws[name] = [getattr(generator(seed, name), kind) for seed in seeds]
 
         def block(first: int, end: int) -> Array:
             found = np.zeros((-(-len(seeds) // width), end - first, program.n_draws, width))
@@ -165,9 +168,3 @@ class TracedSensing:
             return found
 
         return block
-
-
-def _draw(seed: int, name: str) -> Callable[[tuple[int, int]], Array]:
-    """Return the function that draws numbers of a kind for the run of a seed."""
-    own = generator(seed, name)
-    return own.random if name == "x_dropout" else own.standard_normal

@@ -26,10 +26,8 @@ def length(x: Array) -> Any:
 
 def angle(y: Any, x: Any) -> Any:
     """Return the angle of (x, y) from −π to π [rad], for numbers or symbols."""
-    return math.atan2(y, x) if isinstance(y, float) and isinstance(x, float) else _of(y, x)
-
-
-def _of(y: Any, x: Any) -> Any:
+    if isinstance(y, float) and isinstance(x, float):
+        return math.atan2(y, x)
     return y.arctan2(x) if hasattr(y, "arctan2") else x.angle_from(y)
 
 

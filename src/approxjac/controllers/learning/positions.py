@@ -251,7 +251,9 @@ class AdaptiveKinematics(Estimator):
             return P
         start, end = self._n_theta, self._n_u
         M = np.eye(len(P))
-        M[start : start + 3, start:end] = _turn_of(Theta[start:end])
+        tangents = law.tangents(_rotation_of(Theta[start:end])).reshape(3, 3, 3)
+        # the rotation vector that small changes of the nine turn T by
+        M[start : start + 3, start:end] = 0.5 * tangents.transpose(1, 0, 2).reshape(9, 3).T
         M = np.delete(M, slice(start + 3, end), axis=0)
         return np.asarray(M.dot(P).dot(M.T))
 
@@ -670,9 +672,3 @@ def _reduced(N: Array, a: Array, B: Array, E: Array) -> tuple[Array, Array, Arra
 def _rotation_of(numbers: Array) -> Array:
     """Return T of the nine numbers vec(Tᵀ), shape (3, 3)."""
     return law.nearest_rotation(numbers.reshape(3, 3).T)
-
-
-def _turn_of(numbers: Array) -> Array:
-    """Return the rotation vector that small changes of the nine turn T by, a map (3, 9)."""
-    tangents = law.tangents(_rotation_of(numbers)).reshape(3, 3, 3)
-    return 0.5 * tangents.transpose(1, 0, 2).reshape(9, 3).T

@@ -84,17 +84,13 @@ class StabilityMap:
         texts = {}
         for at in shown:
             named = zip(self.names, at, strict=True)
-            texts[", ".join(f"{name} {value:.4g}" for name, value in named)] = _outcome(
-                self.points[at]
-            )
+            runs, point = self.points[at], ", ".join(f"{name} {value:.4g}" for name, value in named)
+            low, high = map(percent, runs.interval)
+            of_runs = f"{percent(runs.share)} % of {runs.n}"
+            texts[point] = f"{of_runs}, with 95 % confidence {low} to {high} %"
         which = "" if len(self.names) == 1 else f"the least and most of {len(self.points)} points "
         heading = f"converged: {which}over {' and '.join(self.names)}"
         return "\n".join([*wrapped(heading), *rows(texts, 2)])
-
-
-def _outcome(runs: Rollouts) -> str:
-    low, high = map(percent, runs.interval)
-    return f"{percent(runs.share)} % of {runs.n}, with 95 % confidence {low} to {high} %"
 
 
 def stability_map(

@@ -123,10 +123,6 @@ def _thinned(t: Array, q: Array) -> Any:
     return np.unique(np.concatenate([[0], nearest, [len(t) - 1]]))
 
 
-def _visible(error: float) -> str:
-    return "below 0.001" if 0.0 < error < 1e-3 else short(error)
-
-
 def _facts(run: Trajectory) -> list[tuple[str, str]]:
     """List the end of the run and its unusual events, each a name and a text."""
     facts = [("ended", run.ended)] if run.ended and not run.fault_name else []
@@ -134,7 +130,8 @@ def _facts(run: Trajectory) -> list[tuple[str, str]]:
     errors = run.error * np.array(factors)
     for unit in dict.fromkeys(shown):
         norms = np.linalg.norm(errors[:, [name == unit for name in shown]], axis=1)
-        first, last, largest = map(_visible, (norms[0], norms[-1], np.nanmax(norms)))
+        sizes = norms[0], norms[-1], np.nanmax(norms)
+        first, last, largest = ("below 0.001" if 0.0 < e < 1e-3 else short(e) for e in sizes)
         if (run.x_d != run.x_d[0]).any():  # a path begins where the arm is
             facts.append(("error", f"up to {largest} {unit}, {last} at the end"))
         else:
