@@ -8,9 +8,10 @@ import turns
 
 import approxjac as aj
 from approxjac.robots import GravityRegressor
+from approxjac.simulation import Computation
 
 ROUNDS, DURATION, DT = 3, 5.0, 1e-3
-COMPILED = "`Plant`, compiled"
+COMPILED = "`Plant`, the loop compiled"
 HEADS = ("robot", "plant", "law (6), steps/s", "law (28), (29), steps/s", "control's share of (6)")
 
 
@@ -26,12 +27,12 @@ def runs(name):
     }
     plant = aj.Plant(robot, task)
     plants = {"`Plant`": plant, COMPILED: plant, "`MujocoPlant`": aj.MujocoPlant(robot, task)}
-    compiled = {kind: aj.codegen.compiled(law) for kind, law in controllers.items()}
     target = task.value(q0) + 0.05
 
     def simulated(name, kind):
-        law = (compiled if name == COMPILED else controllers)[kind]
-        return lambda: aj.simulate(plants[name], law, target, q0, DURATION, dt=DT)
+        engine = Computation(engine="compiled" if name == COMPILED else "python")
+        given = plants[name], controllers[kind], target, q0, DURATION
+        return lambda: aj.simulate(*given, dt=DT, computation=engine)
 
     found = {(plant, kind): simulated(plant, kind) for plant in plants for kind in controllers}
     step, steps = control_step.our_step(controllers["known"]), round(DURATION / DT)

@@ -21,7 +21,7 @@ import step_pieces
 import turns
 
 OUT = Path(__file__).parents[2] / "docs" / "tables" / "speed.md"
-PACKAGES = ("numpy", "pin", "numba", "mujoco", "pin-pink")
+PACKAGES = ("numpy", "pin", "llvmlite", "mujoco", "pin-pink")
 
 
 def machine():
