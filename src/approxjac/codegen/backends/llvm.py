@@ -86,7 +86,7 @@ end:
 }}
 """
 _WIDE = "+avx512f"
-_PART = 1000  # operations between branches, as LLVM takes long to find registers in long blocks
+_PART = 300  # operations between branches, as LLVM takes long to find registers in long blocks
 
 
 class LlvmLanes:
