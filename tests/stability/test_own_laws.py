@@ -1,5 +1,8 @@
 """Laws of one's own: V along their runs, their linearisation, rollouts and limits."""
 
+import functools
+import sys
+import types
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +18,7 @@ from approxjac.stability.loop import linearization as local_module
 from approxjac.stability.report.other_laws import near_targets
 
 GOAL = np.array([0.5, 1.2])
+PLANE = functools.partial(aj.PositionTask, axes="xz")
 
 
 def two_link_loop(kind, dt=None, **options):
@@ -381,3 +385,47 @@ def test_what_a_controller_does_not_tell_has_a_default_or_a_named_error(panda):
     assert law.law is law
     assert not law.is_continuous
     assert law.learnt(np.zeros(3)).shape == (0,)
+
+
+REDEFINED = """
+class Own:
+    c_bar = 0.5
+
+    def s(self, e):
+        return gamma * np.tanh(e / gamma)
+
+    def S(self, e):
+        return gamma**2 * np.log(np.cosh(e / gamma))
+
+    def ds(self, e):
+        return 1.0 - np.tanh(e / gamma) ** 2
+"""
+
+
+@pytest.mark.parametrize("how", ["simulate", "rollouts"])
+def test_what_a_notebook_defines_anew_is_compiled_anew(how):
+    """Of the same name, and with numbers of its module that have changed."""
+    arm = aj.load_robot("two_link")
+    errors = aj.Uncertainty(arm, PLANE, object_length=(0.0, 0.2))
+    q, found = np.radians([40.0, 60.0]), {}
+    module = sys.modules.setdefault("a_notebook", types.ModuleType("a_notebook"))
+    for gamma in (0.05, 0.5):
+        vars(module).update(gamma=gamma, np=np, __name__="a_notebook")
+        exec(REDEFINED, vars(module))
+        task = errors.believed_task()
+        controller = aj.SetpointController(task, saturation=module.Own())
+        for engine in ("python", "compiled" if how == "simulate" else "lanes"):
+            if how == "simulate":
+                computation = aj.simulation.Computation(engine=engine)
+                plant, x_d = errors.plant([0.2]), np.array([0.5, 1.5])
+                run = aj.simulate(plant, controller, x_d, q, 0.2, dt=1e-3, computation=computation)
+                found[gamma, engine] = run.q[-1]
+            else:
+                region = aj.JointBox.around(arm, q, 0.2)
+                study = aj.Study(controller, errors, region, duration=0.2)
+                runs = study.rollouts(2, execution=aj.stability.Execution(engine=engine))
+                found[gamma, engine] = runs.columns["final_error"]
+    (slow, slow_code), (fast, fast_code) = ([*found.values()][k : k + 2] for k in (0, 2))
+    assert np.abs(slow - fast).max() > 1e-3
+    assert_allclose(slow_code, slow, rtol=1e-9)
+    assert_allclose(fast_code, fast, rtol=1e-9)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import pickle
 from collections.abc import Callable
 
 import numpy as np
@@ -12,7 +11,7 @@ from approxjac.codegen import traced_law as laws
 from approxjac.codegen.arm import traced_tasks as tasks
 from approxjac.codegen.arm.arm_numbers import ArmNumbers, arm_numbers
 from approxjac.codegen.backends.llvm import LlvmLanes
-from approxjac.codegen.loop_program import TracedLoop
+from approxjac.codegen.loop_program import TracedLoop, loop_key
 from approxjac.codegen.trace.program import Block, Program
 from approxjac.codegen.trace.symbols import select
 from approxjac.controllers.controller import Controller
@@ -79,10 +78,7 @@ def _loop_of(loop: SampledLoop, must: bool) -> _Loop | None:
             why = f'engine must be "python" or None for {which}, got "compiled"' if must else which
             raise InvalidInputError(why, given="compiled")
     given = law, plant, loop.dt, loop.integrator
-    try:  # what may have been changed since is compared by its value
-        key = pickle.dumps(given)
-    except (pickle.PicklingError, AttributeError, TypeError):
-        return _Loop(*given)
+    key = loop_key(*given)
     found = _loops.get(key)
     if found is None:
         found = _loops[key] = _Loop(*given)

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 import importlib.util
 import math
-import pickle
 import threading
-import uuid
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -17,7 +14,7 @@ import numpy as np
 
 from approxjac.codegen.arm import traced_tasks as tasks
 from approxjac.codegen.lanes import Box, Lanes, LaneStart
-from approxjac.codegen.loop_program import require_covered
+from approxjac.codegen.loop_program import loop_key, require_covered
 from approxjac.controllers import SetpointController
 from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError, SimulationError, UnknownNameError, package_of
@@ -130,7 +127,7 @@ class RolloutSetting:
     actuator_delay: float = 0.0
     engine: str = "python"
     reason: str = ""
-    key: str = ""
+    key: bytes = b""
     alike: tuple[tuple[Controller, Uncertainty], ...] = ()
 
     def _require_covered(self) -> None:
@@ -149,13 +146,6 @@ class RolloutSetting:
             self.controller, self.uncertainty.nominal._sensed(self.sensing, self.actuator_delay)
         )
         self._box()
-
-    def _own_key(self) -> str:
-        """Return what the compiled loop of this alone is known by."""
-        try:
-            return hashlib.sha256(pickle.dumps(self)).hexdigest()
-        except (pickle.PicklingError, AttributeError, TypeError):
-            return uuid.uuid4().hex  # for the threads of this process
 
     def _box(self) -> Box:
         """Return the region as lanes take it, or refuse it."""
@@ -320,7 +310,7 @@ def _sharing(settings: list[RolloutSetting]) -> list[RolloutSetting]:
         errors = max((settings[k].uncertainty for k in group), key=lambda each: each.factor)
         laws = dict.fromkeys(each.controller for each in ends)
         alike = tuple((law, errors) for law in laws)
-        key = "".join(each._own_key() for each in ends)
+        key = loop_key(*ends)
         for k in group:
             found[k] = replace(found[k], key=key, alike=alike)
     return found
@@ -335,7 +325,7 @@ def _judged(t: Array, error: Array, tolerance: float) -> tuple[float, bool]:
     return settling, bool(below[last_tenth].all())
 
 
-_lanes: dict[str, Lanes] = {}
+_lanes: dict[bytes, Lanes] = {}
 _compiling = threading.Lock()
 
 
