@@ -72,4 +72,4 @@ for ax in (left, middle):
     view.legend_below(ax)
 view.plot_torque(run, right, limits=truth.effort_limits)
 print(*view.save_figure(figure, out / "panda_pose"), sep="\n")
-print(view.save_page(run, out / "panda_pose.html"))
+print(view.save_page(run, out / "panda_pose.html", "A Panda turns an unknown 15 cm tool"))

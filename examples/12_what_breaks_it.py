@@ -93,13 +93,13 @@ SHARE, MM, SPEED = "error left, share of the first", "error left [mm]", "largest
 PANELS = [  # what is made worse, by how much, a curve for each of, what is shown; test up to there
     (rolled, "unknown roll [°]", range(0, 101, 10), {"a = 1 1/s": 1, "a = 8 1/s": 8}, SHARE, 120),
     (late, "age of x [ms]", range(0, 321, 40), {"settling in 0.5 s": 0.5, "1 s": 1.0}, SHARE, 400),
-    (damped, "sampling period [ms]", range(3, 25, 2), {"usual damping": 1, "x 4": 4}, SPEED, 40),
+    (damped, "sampling period [ms]", range(3, 25, 2), {"usual damping": 1, "× 4": 4}, SPEED, 40),
     (tilted, "axes off by [°]", range(0, 41, 5), {"θ fitted": False, "θ learnt": True}, MM, 0),
     (loaded, "unknown payload [kg]", [0, 0.1, 0.3, 1, 3], {"g believed": 0, "g learnt": 1}, MM, 0),
     (weak, "share of the motors' torques [–]", [0.2, 0.25, 0.28, 0.3, 0.35],
      {"clipped": False, "limited by the QP": True}, MM, 0),
 ]  # fmt: skip
-figure, axes = view.new_figure(3, 2, title="After 6 s; at the edge: diverged; dashed: local test")
+figure, axes = view.new_figure(3, 2, title="After 6 s; top edge: diverged; dashed: local test")
 for ax, (make, name, values, curves, shown, limit) in zip(axes, PANELS, strict=True):
     for color, (label, setting) in zip(view.SERIES, curves.items(), strict=False):
         y = [left(*make(value, setting), NEAR if limit else FAR, shown) for value in values]
@@ -112,9 +112,12 @@ for ax, (make, name, values, curves, shown, limit) in zip(axes, PANELS, strict=T
             ax.semilogy(values, np.clip(y, 1e-6, 1e4), "o-", color=color, markersize=3, label=label)
             if limit:
                 ax.axvline(low, color=color, linestyle="--", linewidth=1.0)
-        print(name, label, f"stable up to {low:.4g}" if limit else "", [f"{e:.2g}" for e in y])
+        points = ", ".join(f"{value:g}: {e:.2g}" for value, e in zip(values, y, strict=True))
+        print(f"{name}, {label} → {shown}: {points}", f"(stable up to {low:.4g})" if limit else "")
     ax.set(xlabel=name, ylabel=shown, ylim=(5e-7, 2e4))
     view.legend_below(ax)
 print(*view.save_figure(figure, out / "what_breaks_it"), sep="\n")
 truly, law, dt = tilted(30, True)  # one of them in motion: each axis off by 30°
-print(view.save_page(aj.simulate(truly, law, tip, FAR, dt=dt), out / "what_breaks_it.html"))
+title = "Each joint axis of the believed arm is off by 30°"
+run = aj.simulate(truly, law, tip, FAR, dt=dt)
+print(view.save_page(run, out / "what_breaks_it.html", title))

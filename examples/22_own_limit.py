@@ -61,7 +61,7 @@ heights = {
     name: 1e3 * np.array([elbow.value(q)[2] - table for q in run.q]) for name, run in runs.items()
 }
 for name, run in runs.items():
-    print(f"{name}: the elbow is at least {heights[name].min():+.1f} mm above the table\n{run}")
+    print(f"{name}: the elbow is at least {heights[name].min():.1f} mm above the table\n{run}")
 
 region = aj.JointBox.around(arm, start, 0.05)
 many = aj.Study(limited, errors, region, target=target, duration=5.0).rollouts(100)

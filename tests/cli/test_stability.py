@@ -72,6 +72,18 @@ def test_pictures_are_drawn(certified):
         assert picture.std() > 0.05  # something is on it
 
 
+def test_what_was_reported_is_kept_where_the_map_is_interrupted(tmp_path, monkeypatch, capsys):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(aj.Study, "map", interrupted)
+    options = "--object-length", "0", "0.1", "--around", *AROUND, "--radius", "0.1", *QUICK
+    assert stability(tmp_path, "panda", *options) == 130
+    printed = capsys.readouterr().out.rstrip("\n")
+    assert printed.startswith("certified: ")
+    assert (tmp_path / "report.txt").read_text(encoding="utf-8").rstrip("\n") == printed
+
+
 @pytest.mark.study
 def test_it_repeats_bit_by_bit(certified, tmp_path):
     _, out = certified

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from approxjac.cli.options import make_folder
 from approxjac.errors import InvalidInputError
+from approxjac.files import write_text
 from approxjac.scenario import Scenario
 
 
@@ -21,7 +22,7 @@ def stability(scenario: Scenario, jobs: int = 1, out: Path = Path("results/stabi
     Args:
         scenario: The scenario.
         jobs: How many processes share the rollouts.
-        out: Folder for map.png and .svg, summary.json and scenario.toml.
+        out: Folder for report.txt, map.png and .svg, summary.json and scenario.toml.
     """
     from concurrent.futures import ProcessPoolExecutor
     from contextlib import nullcontext
@@ -32,6 +33,11 @@ def stability(scenario: Scenario, jobs: int = 1, out: Path = Path("results/stabi
         raise InvalidInputError(f"jobs must be >= 1, got {jobs}", given=jobs)
     study = judge.prepare(scenario)
     make_folder(out)
+
+    def report(text: object) -> None:  # before rollouts for a map, which take longest
+        write_text(out / "report.txt", f"{text}\n")
+        print(text, end="\n\n", flush=True)
+
     pool = ProcessPoolExecutor(jobs) if jobs > 1 else nullcontext()
     with pool as executor:
         result = judge.analyse(
@@ -39,7 +45,7 @@ def stability(scenario: Scenario, jobs: int = 1, out: Path = Path("results/stabi
             study,
             executor,
             sys.stderr.isatty(),
-            lambda report: print(report, end="\n\n", flush=True),
+            report,
         )
     judge.write(result, out)
     if follows := judge.consequences(result, out):

@@ -78,8 +78,7 @@ def _loop_of(loop: SampledLoop, must: bool) -> _Loop | None:
             why = f'engine must be "python" or None for {which}, got "compiled"' if must else which
             raise InvalidInputError(why, given="compiled")
     given = law, plant, loop.dt, loop.integrator
-    key = loop_key(*given)
-    found = _loops.get(key)
+    found = _loops.get(key := loop_key(*given))
     if found is None:
         found = _loops[key] = _Loop(*given)
         if len(_loops) > _KEPT:

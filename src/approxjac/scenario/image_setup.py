@@ -95,7 +95,9 @@ def image_scene(
 def _scene_in_world(truth: Robot, belief: Robot, scenario: Scenario) -> Scene:
     """Return the tasks of a camera in the world that watches points of the object."""
     given, factor = scenario.true.camera, scenario.believed.camera.depth_factor
-    reach = _reach(truth)
+    rng, kinematics = np.random.default_rng(0), FrameKinematics(truth, truth.tip_or(None))
+    tips = [kinematics.position(truth.random_configuration(rng)) for _ in range(200)]
+    reach = float(np.max(np.linalg.norm(tips, axis=1)))  # from the world's origin
     middle = _MIDDLE * reach if given.looking_at is None else np.array(given.looking_at)
     position = middle + _AWAY * reach * _FRONT / np.linalg.norm(_FRONT)
     position = position if given.position is None else np.array(given.position)
@@ -165,13 +167,6 @@ def _points(scenario: Scenario) -> Array:
     """Return points of an object: its tip, one beside it, one off their line; shape (k, 3)."""
     pattern = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.7, 0.5, math.sqrt(0.75)]])
     return scenario.task.spread * pattern[: scenario.task.points]
-
-
-def _reach(robot: Robot) -> float:
-    """Return how far from the world's origin the tip gets in random configurations [m]."""
-    rng, kinematics = np.random.default_rng(0), FrameKinematics(robot, robot.tip_or(None))
-    tips = [kinematics.position(robot.random_configuration(rng)) for _ in range(200)]
-    return float(np.max(np.linalg.norm(tips, axis=1)))
 
 
 # -- what is usable ---------------------------------------------------------------------

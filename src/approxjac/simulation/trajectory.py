@@ -462,9 +462,10 @@ class Record:
             run[name] = run[name].astype(np.int64)
         for k in np.flatnonzero(~np.isfinite(x).all(axis=1)):  # a record has what no sensor sees
             x[k] = sensor.value(q[k])
+        each = zip(x, x_d, strict=True)
         return Trajectory(
             **run,
-            error=_errors(sensor, x, x_d),
+            error=x - x_d if sensor.subtracts else np.array([sensor.error(*pair) for pair in each]),
             robot_name=robot.name,
             joint_names=robot.joint_names,
             joint_units=robot.joint_units,
@@ -518,13 +519,6 @@ class Record:
             derive = controller.lyapunov if name == "V" else controller.task_torque
             values.append(derive(at))
         return np.array(values)
-
-
-def _errors(sensor: Task, x: Array, x_d: Array) -> Array:
-    """Return the task errors of values (N, n_x), shape (N, m)."""
-    if sensor.subtracts:
-        return np.asarray(x - x_d)
-    return np.array([sensor.error(*pair) for pair in zip(x, x_d, strict=True)])
 
 
 def scene_of(plant: Plant, controller: Controller) -> Scene:

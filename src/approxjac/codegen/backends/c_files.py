@@ -251,9 +251,12 @@ def _fields(step: SampledStep) -> dict[str, str]:
     if law.kinematics is not None:
         lost = "the predicted one takes its place"
     rates = joined(f"{unit}/s" for unit in task.measured.units)
+    units = joined(task.robot.joint_units)
+    if found := [f"q[{i}], q[{i + 1}]" for i in pairs(step)]:
+        units += f"; (cos, sin) of continuous joints: {' and '.join(found)}"
     texts = {
         "t": "time [s]",
-        "q": f"joint positions [{_units_of_q(step)}]",
+        "q": f"joint positions [{units}]",
         "v": f"joint velocities [{speeds}]",
         "x": f"task value [{x_units}]; where a number is not finite, {lost}",
         "t_x": "when x was taken, by the clock of t [s]; NAN or -INFINITY where it is not known",
@@ -322,14 +325,6 @@ def _enumeration(prefix: str, outcomes: type[Status] | type[LimitStatus]) -> str
         lines.append(_said(_plain(outcome.message)))
         lines.append(f"    {prefix.upper()}_{outcome.name} = {outcome.value},")
     return "\n".join(lines).rstrip(",")
-
-
-def _units_of_q(step: SampledStep) -> str:
-    units = joined(step.controller.task.robot.joint_units)
-    found = [f"q[{i}], q[{i + 1}]" for i in pairs(step)]
-    if not found:
-        return units
-    return f"{units}; (cos, sin) of continuous joints: {' and '.join(found)}"
 
 
 def _units_of_x(task: Task) -> str:

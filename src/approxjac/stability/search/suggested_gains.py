@@ -164,7 +164,11 @@ def suggested_gains(
         return replace(candidate, margin=left if report.passed else min(left, 0.0))
 
     tried: list[Candidate] = []
-    grid = sorted(itertools.product(_RATES, _STIFFNESS, _DAMPING), key=_strength)
+    # gentle gains first: by how far they are from the default ones together
+    grid = sorted(
+        itertools.product(_RATES, _STIFFNESS, _DAMPING),
+        key=lambda f: (f[0] * max(f[1], 1.0 / f[1]) * f[2] ** 0.5, f[0]),
+    )
     for k, (rate, stiffness, damping) in enumerate(grid):
         kv, added = stiffness * np.asarray(base.kv), damping * np.asarray(base.damping)
         kp = rate * position_gains(task, kv, added, settling_time)
@@ -175,9 +179,3 @@ def suggested_gains(
             if all(tried[-1].met(settling_time)):
                 return Suggestion(test, tried[-1], tuple(tried), settling_time)
     return Suggestion(test, None, tuple(tried), settling_time)
-
-
-def _strength(factors: tuple[float, float, float]) -> tuple[float, float]:
-    """Gentle gains first: by how far they are from the default ones together."""
-    rate, stiffness, damping = factors
-    return rate * max(stiffness, 1.0 / stiffness) * damping**0.5, rate
