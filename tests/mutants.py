@@ -1284,8 +1284,8 @@ MUTANTS = [
     ),
     (
         "numbers of another law", "simulation/trajectory.py",
-        "learnt[: self._controllers[-1][0]] = np.nan",
-        "pass",
+        "if controller.parameters == controllers[-1].parameters:",
+        "if True:",
         INSTANTS,
     ),
     (
