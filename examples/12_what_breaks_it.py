@@ -1,8 +1,7 @@
 """What breaks it: a Panda with an unknown tool, made worse until it fails.
 
-You will see: six ways to fail, as curves of what is left after 6 s: a camera rolled too far, a
-measurement that is late, damping faster than it is sampled; joint axes that point elsewhere, a
-payload neither known nor learnt, weak motors. Dashed: where the local test predicts failure.
+You will see: six ways to fail, from a camera rolled too far to weak motors, as curves of what is
+left after 6 s. Dashed: where the local test predicts failure.
 
 You will learn: what the limits of the law look like, and which of them can be predicted.
 
@@ -75,7 +74,7 @@ def weak(share, proof):
     """Motors with a share of their torques."""
     law, urdf = aj.SetpointController(task, gravity=known), aj.Limits.of(belief, share)
     kept = urdf if proof else aj.Limits(urdf.effort)
-    return plant, aj.TorqueLimited(law, kept, proof=proof), 1e-3
+    return plant, aj.TorqueLimited(law, kept, proof=bool(proof)), 1e-3
 
 
 def left(truly, law, dt, start, shown):
@@ -96,8 +95,7 @@ PANELS = [  # what is made worse, by how much, a curve for each of, what is show
     (damped, "sampling period [ms]", range(3, 25, 2), {"usual damping": 1, "× 4": 4}, SPEED, 40),
     (tilted, "axes off by [°]", range(0, 41, 5), {"θ fitted": False, "θ learnt": True}, MM, 0),
     (loaded, "unknown payload [kg]", [0, 0.1, 0.3, 1, 3], {"g believed": 0, "g learnt": 1}, MM, 0),
-    (weak, "share of the motors' torques [–]", [0.2, 0.25, 0.28, 0.3, 0.35],
-     {"clipped": False, "limited by the QP": True}, MM, 0),
+    (weak, "share of torques [–]", [0.2, 0.25, 0.28, 0.3, 0.35], {"clipped": 0, "QP": 1}, MM, 0),
 ]  # fmt: skip
 figure, axes = view.new_figure(3, 2, title="After 6 s; top edge: diverged; dashed: local test")
 for ax, (make, name, values, curves, shown, limit) in zip(axes, PANELS, strict=True):
@@ -118,6 +116,5 @@ for ax, (make, name, values, curves, shown, limit) in zip(axes, PANELS, strict=T
     view.legend_below(ax)
 print(*view.save_figure(figure, out / "what_breaks_it"), sep="\n")
 truly, law, dt = tilted(30, True)  # one of them in motion: each axis off by 30°
-title = "Each joint axis of the believed arm is off by 30°"
 run = aj.simulate(truly, law, tip, FAR, dt=dt)
-print(view.save_page(run, out / "what_breaks_it.html", title))
+print(view.save_page(run, out / "what_breaks_it.html", "Each believed joint axis is off by 30°"))
