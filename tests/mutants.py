@@ -1414,10 +1414,10 @@ MUTANTS = [
         "tests/view/test_tree.py",
     ),
     (
-        "torques in newtons", "view/browser/page.py",
-        'kinds = {"rad": "N m", "m": "N"}.items()',
-        'kinds = {"rad": "N", "m": "N m"}.items()',
-        "tests/view/browser/test_stage.py",
+        "velocities in newton metres", "simulation/trajectory.py",
+        'return _TORQUE[joint] if self.command_kind == "torque" else f"{joint}/s"',
+        "return _TORQUE[joint]",
+        "tests/simulation/test_velocity_servo.py",
     ),
     (
         "grid at the origin", "view/browser/stage.py",

@@ -19,7 +19,7 @@ from approxjac.realtime.control import RobotRun
 from approxjac.robots.meshes import find_mesh
 from approxjac.view.look import load_mesh
 
-ARRAYS = ("t", "q", "v", "x", "x_d", "error", "tau", "state", "status", "slack", "V")
+ARRAYS = ("t", "q", "v", "x", "x_d", "error", "command", "tau", "state", "status", "slack", "V")
 
 
 @functools.cache

@@ -20,7 +20,9 @@ from approxjac.interface import LimitStatus
 from approxjac.realtime import Fault, RobotRun, SimulatedDriver, control
 from approxjac.realtime.control import require_near
 from approxjac.realtime.robot_loop import RobotLoop
-from approxjac.view.browser.page import _legend, page
+from approxjac.view import plot_run, plot_torque
+from approxjac.view.browser.frames import RunFrames
+from approxjac.view.browser.page import _legend, _plots, page
 
 
 def test_it_brings_the_tip_there_and_brakes(plant, controller):
@@ -714,6 +716,31 @@ def test_a_robot_that_adds_gravity_is_led_by_what_is_left(plant, panda):
     assert found.error_norm[-1] < 1e-3
     e = found.error[0]  # as it is believed, nothing is left to learn
     assert found.V[0] == pytest.approx(law.diagonals[0] @ law.saturation.S(e), rel=1e-3)
+
+
+def test_the_record_of_commanded_velocities_has_no_torques(by_velocities, tmp_path):
+    plant, law = by_velocities
+    driver = driver_of(plant, dt=8e-3)
+    found = run(driver, law, 0.4)
+    assert_array_equal(found.command, driver.sent[: len(found.t)])
+    assert np.abs(found.command).max() > 0.01
+    assert np.isnan(found.tau).all()
+    for each in (found, RobotRun.load(found.save(tmp_path / "run.npz"))):
+        assert (each.command_kind, each.units["command"], each.has_torque) == (
+            "velocity", "rad/s", False,
+        )  # fmt: skip
+        assert re.search(r"velocity +at most [0-9.]+ rad/s \(panda_joint\d\)", str(each))
+        assert "N m" not in str(each)
+        assert "torque" not in str(each)
+    _, axes = plot_run(found)
+    assert_array_equal(axes[1].get_lines()[0].get_ydata(), found.command[:, 0])
+    assert "rad/s" in axes[1].get_ylabel()
+    with pytest.raises(InvalidInputError, match="plot_command"):
+        plot_torque(found)
+    plots = {plot["column"]: plot["unit"] for plot in _plots(found.scene, found)}
+    assert plots["command"] == "q̇ [rad/s]"
+    assert "torque" not in plots
+    assert_array_equal(RunFrames(found.scene).columns(found)["command"], found.command)
 
 
 def test_velocities_are_commanded(by_velocities):

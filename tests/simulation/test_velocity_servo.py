@@ -268,6 +268,21 @@ def test_a_command_that_is_not_finite_ends_the_run(panda):
         driven(plant, lambda t: np.full(7, np.nan if t > 0.05 else 0.0), START)
 
 
+def test_commands_and_the_torques_of_the_servo_are_recorded(panda):
+    plant = aj.Plant(panda, servo=VelocityServo(lag=0.03, delay=0.0, period=8e-3))
+    law = aj.TrackingController(aj.PositionTask(panda), dt=8e-3, command="velocity")
+    run = aj.simulate(plant, law, plant.sensor.value(START) + 0.05, START, 0.08, dt=8e-3)
+    state = law.initial_state(plant.measure(0.0, START, np.zeros(7)))
+    for at in range(len(run.t)):
+        seen = plant.measure(run.t[at], run.q[at], run.v[at])
+        state, answer = law.step(state, seen, run.target, 8e-3)
+        assert_array_equal(run.command[at], answer.torque)
+        assert_array_equal(run.tau[at], plant.applied(run.q[at], run.v[at], answer.torque))
+    assert (run.units["command"], run.units["tau"]) == ("rad/s", "N m")
+    assert "rad/s" in str(run)
+    assert "N m" in str(run)
+
+
 # -- and without ------------------------------------------------------------------------
 
 

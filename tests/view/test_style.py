@@ -60,6 +60,7 @@ def plots(run, image_run, arm, seen):
     decay = x[None, :] - 0.2 * y[:, None]
     return {
         "plot_error": lambda ax: view.plot_error(run, ax),
+        "plot_command": lambda ax: view.plot_command(run, ax),
         "plot_torque": lambda ax: view.plot_torque(run, ax),
         "plot_torque, limits": lambda ax: view.plot_torque(run, ax, limits=arm.effort_limits),
         "plot_slack": lambda ax: view.plot_slack(run, ax),
@@ -79,7 +80,7 @@ def plots(run, image_run, arm, seen):
 
 
 NAMES = (
-    "plot_error", "plot_torque", "plot_torque, limits", "plot_slack", "plot_path",
+    "plot_error", "plot_command", "plot_torque", "plot_torque, limits", "plot_slack", "plot_path",
     "plot_parameters", "plot_image",
     "plot_shares", "plot_parameters, bands",
 )  # fmt: skip

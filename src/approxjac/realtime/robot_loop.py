@@ -119,12 +119,13 @@ class RobotLoop(Loop):
             if not self._brakes():
                 self._control()
                 self._judge()
-        fault = self._watch.commanded(self.tau, self.answer.reference)
+        command = self.answer.torque
+        fault = self._watch.commanded(command, self.answer.reference)
         self._note(fault, self._watch.detail)
         if self._brakes():
             return False
         # without q and q̇ the last command goes out once more, which no limit has to object to
-        self._brake.send(self.tau)
+        self._brake.send(command)
         now = time.perf_counter()
         self.gaps[self.step], self.works[self.step] = now - self._sent, now - self._read
         self._sent = now

@@ -364,6 +364,8 @@ def text(result: RunResult) -> str:
         else f"{asks} {100.0 * torque:.0f} % of the limits{with_own}",
         "law's status": shares(run.status_counts()),
     }
+    if run.command_kind == "velocity":
+        lines["velocity"] = run.describe_command()
     if learnt := law.describe_learnt(run.state[-1]):
         lines["learnt"] = learnt
     if (kinematics := result.kinematics) is not None:

@@ -205,7 +205,8 @@ class Loop:
         measurement: Measurement that the controller gets.
         state: State of the controller before this step, shape (n_state,).
         answer: Output of the controller.
-        tau: Torque at this instant, the controller's or that of the plant's servo, shape (n_v,).
+        tau: Torque at this instant: the controller's, or that of a simulated servo; NaN for a robot
+            that takes velocities, shape (n_v,).
         stopped: Whether an observer stopped it.
     """
 
@@ -287,9 +288,10 @@ class Loop:
             self._after, answer = stepped
             # a controller may use one buffer for all its torques, and `aim_at` asks it once more
             self.answer = type(answer)._make((answer.torque.copy(), *answer[1:]))
-            self.tau = self.answer.torque
-            fits = self._after.shape == state.shape and self.tau.shape == measurement.v.shape
-            fits = fits and math.isfinite(math.hypot(*self._after.tolist(), *self.tau.tolist()))
+            command = self.answer.torque
+            self.tau = command if self.plant.servo is None else np.full_like(command, np.nan)
+            fits = self._after.shape == state.shape and command.shape == measurement.v.shape
+            fits = fits and math.isfinite(math.hypot(*self._after.tolist(), *command.tolist()))
         except (AttributeError, TypeError, ValueError):
             fits = False
         if not fits:

@@ -35,6 +35,7 @@ _COLUMNS = {  # the axis of each array beside time, "" without one, and its unit
     "x_measured": ("n_x", "{task}"),
     "x_d": ("n_x", "{task}"),
     "error": ("m", "{task}"),
+    "command": ("n_v", "{command}"),
     "tau": ("n_v", "{torque}"),
     "state": ("n_state", ""),
     "learnt": ("p", ""),
@@ -127,12 +128,15 @@ class Trajectory:
         x_measured: Measured task value, NaN where it was lost, shape (N, n_x).
         x_d: Target, shape (N, n_x).
         error: True error of x to the target, shape (N, m).
-        tau: Torque that the controller commanded, or that the plant's servo applied, (N, n_v).
+        command: Command of the controller, torques or joint velocities by `command_kind`, (N, n_v).
+        tau: Torque: the command itself, or that of the simulated servo that follows it; NaN for a
+            robot that takes velocities, shape (N, n_v).
         state: Controller state, shape (N, n_state).
         learnt: Learnt numbers, in the order of `parameters`, shape (N, p).
         status: `Status` at these instants, shape (N,).
         limit_status: `LimitStatus` at these instants, shape (N,).
         slack: σ, the power that limits add to V̇, NaN where unknown, shape (N,) [W].
+        command_kind: "torque" or "velocity", as `Controller.command`.
         robot_name: Name of the true robot.
         joint_names, joint_units: In the order of v and τ; "rad", or "m" for prismatic joints.
         task_labels, task_units: Of the task coordinates, length m.
@@ -151,12 +155,14 @@ class Trajectory:
     x_measured: Array
     x_d: Array
     error: Array
+    command: Array
     tau: Array
     state: Array
     learnt: Array
     status: np.ndarray[Any, np.dtype[np.int64]]
     limit_status: np.ndarray[Any, np.dtype[np.int64]]
     slack: Array
+    command_kind: str
     robot_name: str
     joint_names: tuple[str, ...]
     joint_units: tuple[str, ...]
@@ -229,12 +235,23 @@ class Trajectory:
     @property
     def units(self) -> Mapping[str, str]:
         """Array name → unit; those of different kinds of joints joined by "or"."""
-        kinds = [{"joint": joint, "torque": _TORQUE[joint]} for joint in _TORQUE]
-        kinds = [kind for kind in kinds if kind["joint"] in self.joint_units]
+        kinds = [
+            {"joint": joint, "torque": torque, "command": self._commanded_in(joint)}
+            for joint, torque in _TORQUE.items()
+            if joint in self.joint_units
+        ]
         return {
             name: joined(unit.format(task=self.task_unit, **kind) for kind in kinds)
             for name, (_, unit) in _COLUMNS.items()
         }
+
+    def _commanded_in(self, joint: str) -> str:
+        return _TORQUE[joint] if self.command_kind == "torque" else f"{joint}/s"
+
+    @property
+    def has_torque(self) -> bool:
+        """True if `tau` is known."""
+        return bool(np.isfinite(self.tau).any())
 
     @property
     def error_norm(self) -> Array:
@@ -321,6 +338,7 @@ class Trajectory:
         """Raise a ValueError if what a file kept does not fit together."""
         names, units = self.joint_names + self.task_labels, self.joint_units + self.task_units
         texts = (*names, *units, self.robot_name, self.ended, self.fault_name, self.engine, law)
+        texts += (self.command_kind,)
         lengths = {"n_v": len(self.joint_names), "m": len(self.task_labels)}
         bodies = []
         if self.scene is not None:
@@ -336,6 +354,7 @@ class Trajectory:
             (all(isinstance(text, str) for text in texts), "its names or its law are no texts"),
             (len(self.joint_units) == lengths["n_v"], "its joints and their units differ"),
             (len(self.task_units) == lengths["m"], "its coordinates and their units differ"),
+            (self.command_kind in ("torque", "velocity"), "its commands are of no known kind"),
             (set(self.joint_units) <= set(_TORQUE), "joints have other units than rad or m"),
             (all(body.nv == lengths["n_v"] for body in bodies), "its scene has other joints"),
             (set(np.unique(self.status)) <= set(Status), "it has an unknown status"),
@@ -347,18 +366,19 @@ class Trajectory:
                 raise ValueError(why)
 
     def __str__(self) -> str:
-        """Return the error first, then the largest torque, and what was wrong meanwhile."""
+        """Return the error first, then the largest command, and what was wrong meanwhile."""
         return "\n".join([*wrapped(self._error_line()), *rows(self._figures(), 2)])
 
     def _figures(self) -> dict[str, str]:
         """Return names and figures to print below the error."""
-        k = int(np.abs(self.tau).max(axis=0).argmax())
-        unit = _TORQUE[self.joint_units[k]]
-        figures = {
-            "run": f"{self.robot_name}, {self.t[-1]:g} s, {len(self.t)} samples",
-            "torque": f"at most {np.abs(self.tau[:, k]).max():.3g} {unit} ({self.joint_names[k]})",
-            "law's status": shares(self.status_counts()),
-        }
+        figures = {"run": f"{self.robot_name}, {self.t[-1]:g} s, {len(self.t)} samples"}
+        if self.command_kind == "velocity":
+            figures["velocity"] = self.describe_command()
+        if self.has_torque:
+            figures["torque"] = self._largest(
+                self.tau, [_TORQUE[unit] for unit in self.joint_units]
+            )
+        figures["law's status"] = shares(self.status_counts())
         if (self.limit_status != LimitStatus.UNLIMITED).any():
             figures["limits' status"] = shares(self.limit_status_counts())
         if self.at_stops:
@@ -376,6 +396,15 @@ class Trajectory:
         if len(above) and above[-1] < last:
             error += f", below 1 % of the start from {self.t[above[-1] + 1]:.3g} s on"
         return error
+
+    def describe_command(self) -> str:
+        """Describe the largest command, with its unit and joint."""
+        return self._largest(self.command, [self._commanded_in(unit) for unit in self.joint_units])
+
+    def _largest(self, values: Array, units: Sequence[str]) -> str:
+        peaks = np.abs(values).max(axis=0)
+        k = int(peaks.argmax())
+        return f"at most {peaks[k]:.3g} {units[k]} ({self.joint_names[k]})"
 
     def describe_stops(self) -> str:
         """Describe the joints that were at their stops, and for how long; "" if none was."""
@@ -399,7 +428,8 @@ def _npz(path: str | Path) -> Path:
 
 
 _RECORDED = (
-    "t", "q", "v", "x", "x_measured", "x_d", "tau", "state", "status", "limit_status", "slack",
+    "t", "q", "v", "x", "x_measured", "x_d", "command", "tau", "state", "status", "limit_status",
+    "slack",
 )  # fmt: skip  # and then e and Ĵ, of which the rest is derived
 
 
@@ -426,13 +456,14 @@ class Record:
     ) -> None:
         """Record one instant: the truth, the controller's x, state and output, the torque."""
         t, q, v, x, _ = truth
-        _, _, status, e, J_hat, _, limit_status, slack, _ = answer
+        command, _, status, e, J_hat, _, limit_status, slack, _ = answer
         if J_hat is None:
             J_hat = np.full((len(e), len(v)), np.nan)
         if not self._controllers or self._controllers[-1][1] is not controller:
             self._controllers.append((self._count, controller))
         row: tuple[Any, ...] = (
-            t, q, v, x, x_measured, target, tau, state, status, limit_status, slack, e, J_hat,
+            t, q, v, x, x_measured, target, command, tau, state, status, limit_status, slack, e,
+            J_hat,
         )  # fmt: skip
         if not self._columns:
             self._columns = tuple(np.empty((self._capacity, *np.shape(value))) for value in row)
@@ -465,6 +496,7 @@ class Record:
         each = zip(x, x_d, strict=True)
         return Trajectory(
             **run,
+            command_kind=plant.command,
             error=x - x_d if sensor.subtracts else np.array([sensor.error(*pair) for pair in each]),
             robot_name=robot.name,
             joint_names=robot.joint_names,
@@ -507,7 +539,7 @@ class Record:
         for k in np.arange(len(run.t))[instants].tolist():
             controller = controllers[bisect_right(starts, k) - 1]
             answer = Evaluation(
-                run.tau[k], None, Status(run.status[k]), e[k],
+                run.command[k], None, Status(run.status[k]), e[k],
                 None if np.isnan(J_hat[k]).all() else J_hat[k], None,
                 LimitStatus(run.limit_status[k]), run.slack[k],
             )  # fmt: skip

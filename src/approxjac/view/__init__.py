@@ -7,6 +7,7 @@ package_of("study", "matplotlib")  # for its error
 from approxjac.view.browser.live import LiveView
 from approxjac.view.browser.page import save_page, show, write_index
 from approxjac.view.plots import (
+    plot_command,
     plot_error,
     plot_image,
     plot_parameters,
@@ -24,6 +25,7 @@ __all__ = [
     "LiveView",
     "legend_below",
     "new_figure",
+    "plot_command",
     "plot_error",
     "plot_image",
     "plot_parameters",

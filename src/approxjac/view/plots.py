@@ -60,8 +60,16 @@ def plot_torque(
 
     With effort `limits`, shape (n_v,) [N m or N], infinite where none is known, each torque is
     drawn as a share of its limit.
+
+    Raises:
+        InvalidInputError: A run on a robot that takes velocities, whose torque is not known.
     """
     _require_run(run)
+    if not run.has_torque:
+        message = (
+            f"run must have torques, got {run!r} on a robot that takes velocities: plot_command"
+        )
+        raise InvalidInputError(message, given=run)
     tau, label = run.tau, rf"$\tau$ [{run.units['tau']}]"
     with styled(ax) as ax:
         if limits is not None and np.isfinite(limits).any():
@@ -72,6 +80,17 @@ def plot_torque(
                 ax.axhline(side, color=COLORS["neutral"], linewidth=1.0, linestyle="--", label=name)
         _over_time(ax, run, tau, run.joint_names)
         ax.set(ylabel=label, title=title)
+    return ax
+
+
+def plot_command(run: Trajectory, ax: Axes | None = None, *, title: str | None = None) -> Axes:
+    """Draw the command for each joint against time: torques, or velocities."""
+    _require_run(run)
+    symbol = r"$\tau$" if run.command_kind == "torque" else r"$\dot q$"
+    with styled(ax) as ax:
+        _over_time(ax, run, run.command, run.joint_names)
+        usual = f"Commanded {run.command_kind} of each joint"
+        ax.set(ylabel=f"{symbol} [{run.units['command']}]", title=usual if title is None else title)
     return ax
 
 
@@ -166,11 +185,11 @@ def plot_path(
 
 
 def plot_run(run: Trajectory) -> tuple[Figure, list[Axes]]:
-    """Return a new figure with the task error and the torques of a run, and its two axes."""
+    """Return a new figure with the task error and the commands of a run, and its two axes."""
     _require_run(run)
-    figure, axes = new_figure(2, title=f"{run.robot_name}: error and torque")
+    figure, axes = new_figure(2, title=f"{run.robot_name}: error and {run.command_kind}")
     plot_error(run, axes[0])
-    plot_torque(run, axes[1])
+    plot_command(run, axes[1])
     return figure, axes
 
 

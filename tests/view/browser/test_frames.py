@@ -36,7 +36,8 @@ def columns(scene, q, x, x_d, **given):
     }  # fmt: skip
     shown = rest | given
     units = ("m",) * 3 if scene.sensor is None else scene.sensor.units
-    run = AtInstants(q=q, x_measured=x, x_d=x_d, task_units=units, **shown)
+    shown |= {"task_units": units, "command_kind": "torque"}
+    run = AtInstants(q=q, x_measured=x, x_d=x_d, **shown)
     return RunFrames(scene).columns(run)
 
 
@@ -220,7 +221,8 @@ def instant(task, q, task_torque):
     }  # fmt: skip
     instants = {name: row[np.newaxis] for name, row in rows.items()}
     nothing = np.zeros((len(instants["t"]), 0))
-    return AtInstants(task_units=task.units, learnt=nothing, **instants)
+    kind = {"task_units": task.units, "command_kind": "torque"}
+    return AtInstants(learnt=nothing, **kind, **instants)
 
 
 def test_no_link_has_the_name_of_a_shape(two_link):

@@ -1,6 +1,7 @@
 """What is drawn of a scene, worked out without a browser: cameras, and what differs."""
 
 import base64
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -79,16 +80,22 @@ def test_cameras_in_the_world_are_in_view_and_carried_ones_are_not(two_link):
 
 def test_plots_and_images_are_in_the_units_and_borders_of_what_they_show(two_link):
     """An image as wide as its camera's; torques of joints that turn, and forces of others."""
+
+    def shown(*labels, unit):
+        run = {"task_labels": labels, "task_units": (unit,) * len(labels)}
+        run |= {"units": {"tau": "N m", "command": "N m"}}
+        return SimpleNamespace(command_kind="torque", has_torque=True, **run)
+
     scene = Scene(two_link, None, aj.ImageTask(two_link, ROOM), None, np.full(2, np.inf))
     image = _image(scene)
     assert image["border"] == [-0.5, -0.5, 639.5, 479.5]
     assert (image["unit"], image["down"], image["points"]) == ("px", True, 1)
     planar = _image(Scene(two_link, None, aj.ImageTask(two_link, PLANE), None, np.full(2, np.inf)))
     assert (planar["border"], planar["down"], planar["unit"]) == (None, False, "mm")
-    units = {plot["column"]: plot["unit"] for plot in _plots(scene, ["u", "v"], ("px", "px"))}
+    units = {plot["column"]: plot["unit"] for plot in _plots(scene, shown("u", "v", unit="px"))}
     assert (units["error"], units["torque"]) == ("error [px]", "τ [N m]")
     limited = Scene(two_link, None, None, None, np.array([9.0, np.inf]))
-    (torque,) = (p for p in _plots(limited, ["x"], ("m",)) if p["column"] == "torque")
+    (torque,) = (p for p in _plots(limited, shown("x", unit="m")) if p["column"] == "torque")
     assert (torque["unit"], torque["lines"]) == ("τ / limit", [-1.0, 1.0])
 
 

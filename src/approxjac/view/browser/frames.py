@@ -46,12 +46,13 @@ class RunFrames:
 
         Args:
             run: A run of the scene.
-            kept: Indices of the instants to show, shape (N,); all by default. Torques are the
-                largest since the instant kept before.
+            kept: Indices of the instants to show, shape (N,); all by default. Torques and commands
+                are the largest since the instant kept before.
 
         Returns:
             t, V [J]; error in display units (N, m); torque, as a share of its limit (NaN without
-            one) if any limit is known, else in N m or N (N, n_v); load, |τ|/limit (N, n_v);
+            one) if any limit is known, else in N m or N (N, n_v); command, where it is of joint
+            velocities (N, n_v) [rad/s or m/s]; load, |τ|/limit (N, n_v);
             at_limit, 1 for joints at a position limit (N, n_v); joints, all positions (N, n_all);
             tip, believed_tip (the learnt one, if it is learnt), measured and target (N, 3) [m],
             NaN where there is no such position; force at the believed tip that corresponds to
@@ -67,20 +68,25 @@ class RunFrames:
         learnt = learnt_tips(self.scene, q, run.learnt[kept])
         if learnt is not None:
             believed_tip = learnt
-        return {
-            "t": run.t[kept],
-            "V": run.at("V", kept),
-            "error": error * [display_unit(unit)[1] for unit in run.task_units],
-            "torque": share if np.isfinite(limits).any() else tau,
-            "load": np.abs(share),
-            "at_limit": self._at_limit(q),
-            "joints": joint_positions(self.scene.truth, q),
-            "tip": tip,
-            "measured": self._position(x_measured, tip),
-            "target": self._position(x_d, tip),
-            "believed_tip": believed_tip,
-            "force": force,
-        } | self._images(q, x_measured, x_d)
+        velocities = {"command": _peaks(run.command, kept)} if run.command_kind != "torque" else {}
+        return (
+            {
+                "t": run.t[kept],
+                "V": run.at("V", kept),
+                "error": error * [display_unit(unit)[1] for unit in run.task_units],
+                "torque": share if np.isfinite(limits).any() else tau,
+                "load": np.abs(share),
+                "at_limit": self._at_limit(q),
+                "joints": joint_positions(self.scene.truth, q),
+                "tip": tip,
+                "measured": self._position(x_measured, tip),
+                "target": self._position(x_d, tip),
+                "believed_tip": believed_tip,
+                "force": force,
+            }
+            | velocities
+            | self._images(q, x_measured, x_d)
+        )
 
     def _believed_tip(self, q: Array, task_torque: Array) -> tuple[Array, Array]:
         """Return the believed tip and the force there that equals a torque, (N, 3) each."""
@@ -131,12 +137,12 @@ class RunFrames:
         return images
 
 
-def _peaks(tau: Array, kept: Any) -> Array:
-    """Return each joint's largest |τ| since the instant kept before, with its sign, (n, n_v)."""
-    peaks = tau[kept]
+def _peaks(commands: Array, kept: Any) -> Array:
+    """Return each joint's largest command since the instant kept before, by size, (n, n_v)."""
+    peaks = commands[kept]
     for i, (first, last) in enumerate(pairwise(kept), start=1):
-        part = tau[first + 1 : last + 1]
-        peaks[i] = part[np.abs(part).argmax(axis=0), np.arange(tau.shape[1])]
+        part = commands[first + 1 : last + 1]
+        peaks[i] = part[np.abs(part).argmax(axis=0), np.arange(commands.shape[1])]
     return np.asarray(peaks)
 
 

@@ -195,7 +195,7 @@ def page_data(
         "size": stage.size,
         "view": viewpoint(moving, points, stage.size),
         "image": image,
-        "plots": _plots(scene, list(run.task_labels), run.task_units),
+        "plots": _plots(scene, run),
         "jointNames": list(truth.joint_names),
         # base64 of little-endian float32, which the page reads without parsing
         "columns": {
@@ -270,23 +270,25 @@ def _legend(scene: Scene, tip: str, image: bool) -> list[tuple[str, str, str, st
     return [(what, COLORS[role], mark, words) for what, role, mark, words in entries]
 
 
-def _plots(scene: Scene, labels: list[str], units: Sequence[str]) -> list[dict[str, Any]]:
+def _plots(scene: Scene, run: Trajectory) -> list[dict[str, Any]]:
     """Return the plots beside the scene; names, units and colours as in `approxjac.view`."""
-    shown = joined(display_unit(unit)[0] for unit in units)
+    shown = joined(display_unit(unit)[0] for unit in run.task_units)
     known = bool(np.isfinite(scene.torque_limits).any())
-    kinds = {"rad": "N m", "m": "N"}.items()
-    torque = joined(name for unit, name in kinds if unit in scene.truth.joint_units)
     joints = list(scene.truth.joint_names)
     # panda_joint1 is joint1 here, where there is little room
     first = joints[0].partition("_")[0] + "_"
     if all(name.startswith(first) for name in joints):
         joints = [name.removeprefix(first) for name in joints]
     plots = [
-        ("error", "Task error of each coordinate", f"error [{shown}]", labels, [0.0]),
-        ("torque", "Torque of each joint", "τ / limit" if known else f"τ [{torque}]", joints,
-         [-1.0, 1.0] if known else []),
+        ("error", "Task error of each coordinate", f"error [{shown}]",
+         list(run.task_labels), [0.0]),
+        ("command", "Commanded velocity of each joint", f"q̇ [{run.units['command']}]", joints, []),
+        ("torque", "Torque of each joint", "τ / limit" if known else f"τ [{run.units['tau']}]",
+         joints, [-1.0, 1.0] if known else []),
         ("V", "Lyapunov function", "V [J]", ["V"], []),
     ]  # fmt: skip
+    unknown = ["command"] * (run.command_kind == "torque") + ["torque"] * (not run.has_torque)
+    plots = [plot for plot in plots if plot[0] not in unknown]
     names = ("column", "title", "unit", "labels", "lines")
     return [dict(zip(names, plot, strict=True)) | {"colours": SERIES} for plot in plots]
 
