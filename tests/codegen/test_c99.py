@@ -27,11 +27,21 @@ from approxjac.robots import GravityRegressor
 
 STATUSES = tuple(aj.Status)
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
+OF_C_AND_CPP = {"gcc": "g++", "clang": "clang++"}
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"]
 SANITIZED = ["-g1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 EXACT = "-ffp-contract=off"
 NAMES = "controller.h", "controller.c", "selftest.c", "CMakeLists.txt"
 CAMERA = aj.PinholeCamera.looking_at((0.4, 0.0, 0.4), (2.0, -1.0, 1.0), 600.0, (640, 480))
+OPTIONS = (
+    "-O0", "-O3", "-Os", "-Ofast", "-ffast-math", "-ffinite-math-only", "-fno-honor-nans",
+    "-fno-honor-infinities", "-ffp-model=fast", "-ffp-model=strict", "-funsafe-math-optimizations",
+    "-fassociative-math -fno-signed-zeros -fno-trapping-math", "-freciprocal-math",
+    "-fno-signed-zeros", "-fno-trapping-math", "-fapprox-func", "-frounding-math", "-march=native",
+    "-march=native -ffp-contract=fast", "-ffp-contract=off -march=native", "-mfpmath=387",
+    "-mfpmath=both", "-ffast-math -fno-finite-math-only", "-fno-math-errno", "-fno-builtin",
+    "-fshort-enums", "-ffloat-store", "-funroll-loops -O3", "-flto",
+)  # fmt: skip
 INPUTS = "state", "q", "v", "x", "target"
 needs_compiler = pytest.mark.skipif(not COMPILERS, reason="no gcc and no clang here")
 
@@ -389,6 +399,95 @@ def test_the_self_test_passes_and_sanitizers_find_nothing(case, compiler, in_c_o
         [folder / "selftest"], capture_output=True, text=True, check=True
     ).stdout
     assert output == "50 of 50 steps to the bit; largest difference of a torque 0\n"
+
+
+def is_refused(folder, compiler, options):
+    """Whether a compiler refuses the controller because of its options, at a line of its own."""
+    command = [compiler, *STRICT, *options.split(), "-fsyntax-only", "controller.c"]
+    made = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    return made.returncode != 0 and "compile this with" in made.stderr
+
+
+def self_test(folder, compiler, options):
+    """Compile controller and self-test with some options; return how the self-test ends."""
+    compiled(folder, *options.split(), "selftest.c", "-o", "selftest", compiler=compiler)
+    return subprocess.run([folder / "selftest"], capture_output=True, text=True)
+
+
+@needs_compiler
+@pytest.mark.parametrize("compiler", COMPILERS)
+@pytest.mark.parametrize("options", ["-ffinite-math-only", "-ffast-math", "-Ofast"])
+def test_options_that_drop_comparisons_with_nan_are_refused(options, compiler, in_c_of):
+    _, folder = in_c_of("panda (6), limits")
+    assert is_refused(folder, compiler, options)
+    assert not is_refused(folder, compiler, "-O2")
+
+
+@pytest.mark.skipif("clang" not in COMPILERS, reason="no clang here")
+@pytest.mark.parametrize(
+    "options",
+    ["-fno-honor-nans", pytest.param("-funsafe-math-optimizations", marks=pytest.mark.study)],
+)
+def test_options_of_clang_without_a_macro_are_refused_at_each_step(options, tmp_path):
+    aj.export_c(law_6(aj.load_robot("two_link")), tmp_path)
+    assert "see REFUSED_BUILD" in self_test(tmp_path, "clang", f"-O1 {options}").stdout
+    main = """#include "controller.h"
+        int main(void) {
+            two_link_state state = {{0.0}};
+            two_link_measurement now = {0.0, {0.4, 0.9}, {0.0, 0.0}, {1.0, 1.0}, 0.0};
+            two_link_target target = {{1.0, 1.0}, {0.0, 0.0}, {0.0, 0.0}};
+            two_link_answer answer;
+            int is_begun = two_link_init(&state, &now);
+            int status = two_link_step(&state, &now, &target, 1e-3, &answer);
+            int is_zero = answer.torque[0] == 0.0 && answer.torque[1] == 0.0;
+            return is_begun || status != TWO_LINK_REFUSED_BUILD || !is_zero;
+        }
+    """
+    (tmp_path / "main.c").write_text(main.rstrip(" "))
+    compiled(tmp_path, "-O1", options, "main.c", "-o", "main", compiler="clang")
+    subprocess.run([tmp_path / "main"], check=True)
+
+
+@needs_compiler
+@pytest.mark.study
+@pytest.mark.parametrize("compiler", COMPILERS)
+@pytest.mark.parametrize("case", ["ur5 (5), sine"])
+def test_every_option_is_refused_or_survived(case, compiler, in_c_of):
+    """With others, too, no number that is not finite gets through, and torques are the same."""
+    _, folder = in_c_of(case)
+    for options in OPTIONS:
+        command = [compiler, "-Werror", *options.split(), "-E", "-x", "c", "/dev/null"]
+        if subprocess.run(command, capture_output=True).returncode:
+            continue  # which this compiler does not have
+        if is_refused(folder, compiler, options):
+            assert "fast" in options or "math" in options
+            continue
+        made = self_test(folder, compiler, f"-O1 {options}")
+        if "see REFUSED_BUILD" in made.stdout:
+            assert compiler == "clang", options
+            assert "math" in options or "nans" in options
+            continue
+        assert "not refused" not in made.stdout, options
+        assert float(made.stdout.split()[-1]) < 1e-11, options
+
+
+@needs_compiler
+@pytest.mark.parametrize("compiler", COMPILERS)
+@pytest.mark.parametrize("standard", ["c++11", pytest.param("c++17", marks=pytest.mark.study)])
+@pytest.mark.parametrize(
+    "case", ["two_link", *(pytest.param(each, marks=pytest.mark.study) for each in CASES)]
+)
+def test_it_is_cpp_too(case, standard, compiler, tmp_path):
+    name = OF_C_AND_CPP[compiler]
+    if shutil.which(name) is None:
+        pytest.skip(f"no {name} here")
+    known = case in CASES
+    aj.export_c(built(case)[0] if known else law_6(aj.load_robot("two_link")), tmp_path)
+    strict = [f"-std={standard}", "-x", "c++", *STRICT[1:], EXACT, "-O1"]
+    command = [name, *strict, "controller.c", "selftest.c", "-o", "selftest", "-lm"]
+    made = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert made.returncode == 0, made.stderr[:2000]
+    subprocess.run([tmp_path / "selftest"], check=True, stdout=subprocess.DEVNULL)
 
 
 @needs_compiler

@@ -147,7 +147,8 @@ def test_c_has_the_bits_of_numpy(case, tmp_path):
     lines, names = Writer(program.graph, language).lines(program.stepped["found"])
     stores = [f"    found[{i}] = {name};" for i, name in enumerate(names)]
     head = ["#include <math.h>", "void step(const double *x, const double *y, double *found)", "{"]
-    helper = "#include <stdint.h>\n" + POWER_OF_TWO if "power_of_two" in str(lines) else ""
+    needed = "#include <stdint.h>\n#include <string.h>\n" + POWER_OF_TWO
+    helper = needed if "power_of_two" in str(lines) else ""
     (tmp_path / "a.c").write_text("\n".join([helper, *head, *lines, *stores, "}"]))
     command = ["gcc", "-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror"]
     subprocess.run(

@@ -40,12 +40,12 @@ _TEMPLATES = {
 
 
 def constant(value: float) -> str:
-    """Return a number as an exact C literal."""
+    """Return a number as a C literal, which is exact: the shortest decimal that is read as it."""
     if math.isnan(value):
         return "NAN"
     if math.isinf(value):
         return "INFINITY" if value > 0.0 else "(-INFINITY)"
-    text = repr(value) if value == int(value) and abs(value) < 1e6 else value.hex()
+    text = repr(value)  # as C++ has no hexadecimal ones before C++17
     return f"({text})" if text.startswith("-") else text
 
 

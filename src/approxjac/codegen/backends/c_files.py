@@ -32,16 +32,16 @@ _OFF_CIRCLE = 1e-3  # what Robot.configuration takes, too
 
 
 def export_c(controller: Controller, folder: str | PathLike[str]) -> Path:
-    """Write a controller as plain C99: no allocation, no library but libm, re-entrant.
+    """Write a controller as plain C99 that is C++11, too: no allocation, only libm, re-entrant.
 
     The folder gets controller.h and controller.c, a selftest.c that calls them with recorded steps,
     and a CMakeLists.txt. The header documents functions, units and the controller's origin.
 
     A step in C equals a step in Python to rounding, and is bit-identical on all machines if the
-    compiler neither contracts nor reorders. But Python's errors are statuses below zero; and
-    learning pauses in a step where the few sweeps that keep gravity within its bounds do not
-    converge, or where limits give up the proof and in Python the other joints learn: V̇ ≤ −W is
-    not claimed there.
+    compiler neither contracts nor reorders; options that drop NaN are refused. But Python's errors
+    are statuses below zero; and learning pauses in a step where the few sweeps that keep gravity
+    within its bounds do not converge, or where limits give up the proof and in Python the other
+    joints learn: V̇ ≤ −W is not claimed there.
 
     Args:
         controller: Any controller that can be traced, as for `compiled`.
@@ -225,6 +225,7 @@ def template_values(controller: Controller, step: SampledStep) -> dict[str, str]
     return {
         "prefix": prefix,
         "PREFIX": prefix.upper(),
+        "is_finite": templates.IS_FINITE,
         "nq": str(robot.nq),
         "nv": str(robot.nv),
         "n_x": str(task.n_x),

@@ -29,6 +29,9 @@ enum {
 
 /* What happened in a step. Below zero: it was refused, see the torque of each. */
 typedef enum {
+    /* the compiler's options reorder sums or drop comparisons with NaN, as parts of -ffast-math do:
+       the torque is zero, the state stays */
+    ${PREFIX}_REFUSED_BUILD = -8,
     /* t is not finite, or t_x is INFINITY or more than 1 s after t, as by another clock: the torque
        is zero, the state stays; stop the robot */
     ${PREFIX}_REFUSED_T = -7,
@@ -96,7 +99,8 @@ typedef struct {
 
 /* Set the state before the first step from the first measurement.
  *
- * Returns 1; or 0 where the state needs a number of it that is not finite, and is not usable.
+ * Returns 1; or 0 where the state needs a number of it that is not finite, and is not usable, or
+ * where every step is refused as REFUSED_BUILD.
  */
 int ${prefix}_init(${prefix}_state *state, const ${prefix}_measurement *now);
 
@@ -126,9 +130,13 @@ $made_from
 #include <float.h>
 #include <math.h>
 #include <stdint.h>
+#include <string.h>
 
-#ifdef __FAST_MATH__
-#error "-ffast-math takes out the checks for numbers that are not finite"
+#if defined(__FAST_MATH__) || defined(__ASSOCIATIVE_MATH__) || defined(_M_FP_FAST) \\
+    || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__ > 0)
+#error "compile this without -ffast-math, -Ofast, -ffinite-math-only and -fassociative-math"
+#elif defined(FLT_EVAL_METHOD) && FLT_EVAL_METHOD == 2
+#error "compile this with -msse2 -mfpmath=sse: the x87 does not round to double"
 #endif
 
 /* With no fused multiply-adds the bits are the same everywhere. gcc does not know this pragma, but
@@ -137,28 +145,29 @@ $made_from
 #pragma STDC FP_CONTRACT OFF
 #endif
 
+/* Does not compile where a double, or a constant, has other than 64 bits. */
+typedef char has_64_bits[sizeof(double) == 8 && sizeof(1.0) == 8 ? 1 : -1];
+
 #define N_STATE ${PREFIX}_N_STATE
 $helpers
-static int is_finite(const double *values, int size)
+$is_finite
+/* Whether comparisons know NaN, and sums are made as written: options such as -fno-honor-nans have
+   no macro to test. Adding 1.5 * 2^52 rounds to an integer. */
+static int is_as_written(void)
 {
-    int i;
-    for (i = 0; i < size; ++i) {
-        if (!(fabs(values[i]) <= DBL_MAX)) {
-            return 0;
-        }
-    }
-    return 1;
+    static const volatile double values[] = {NAN, 0.25};
+    const double nan = values[0], rounded = (values[1] + 6755399441055744.0) - 6755399441055744.0;
+    return nan != nan && !(fabs(nan) < INFINITY) && rounded == 0.0;
 }
 
 static int is_configuration(const double *q)
 {
-    return $q_checks;
+    return is_finite(q, ${PREFIX}_N_Q) && $q_checks;
 }
 
 static ${prefix}_status refused(${prefix}_answer *answer, ${prefix}_status status)
 {
-    static const ${prefix}_answer zero;
-    *answer = zero;
+    memset(answer, 0, sizeof *answer);
     answer->status = status;
     return status;
 }
@@ -175,7 +184,7 @@ $stores
 int ${prefix}_init(${prefix}_state *state, const ${prefix}_measurement *now)
 {
 $first
-    return is_finite(state->values, N_STATE);
+    return is_as_written() && is_finite(state->values, N_STATE);
 }
 
 ${prefix}_status ${prefix}_step(${prefix}_state *state, const ${prefix}_measurement *now,
@@ -185,6 +194,9 @@ ${prefix}_status ${prefix}_step(${prefix}_state *state, const ${prefix}_measurem
     ${prefix}_measurement blind;
     double after[$stored];
     int i, is_target, is_dt;
+    if (!is_as_written()) {
+        return refused(answer, ${PREFIX}_REFUSED_BUILD);
+    }
     if (!is_configuration(now->q)) {
         return refused(answer, ${PREFIX}_REFUSED_Q);
     }
@@ -202,7 +214,7 @@ $t_checks    if (!is_finite(state->values, N_STATE)) {
         }
         now = &blind;
     }
-    is_dt = dt > 0.0 && dt <= DBL_MAX;
+    is_dt = is_finite(&dt, 1) && dt > 0.0;
     evaluate(now, is_target ? target : &nowhere, state->values, is_dt ? dt : 0.0, answer, after);
     if (!is_finite(answer->torque, ${PREFIX}_N_V) || !is_finite(after, N_STATE)) {
         return refused(answer, ${PREFIX}_REFUSED_OVERFLOW);
@@ -224,10 +236,28 @@ $t_checks    if (!is_finite(state->values, N_STATE)) {
 POWER_OF_TWO = """
 static double power_of_two(double shifted)
 {
-    union { double number; uint64_t bits; } both;
-    both.number = shifted;
-    both.bits <<= 52;
-    return both.number;
+    uint64_t bits;
+    memcpy(&bits, &shifted, sizeof bits);
+    bits <<= 52;
+    memcpy(&shifted, &bits, sizeof bits);
+    return shifted;
+}
+"""
+
+IS_FINITE = """\
+/* Looks at bits, as some options let compilers drop comparisons with NaN. */
+static int is_finite(const double *values, int size)
+{
+    const uint64_t exponent = (uint64_t)0x7ff << 52;
+    uint64_t bits;
+    int i;
+    for (i = 0; i < size; ++i) {
+        memcpy(&bits, &values[i], sizeof bits);
+        if ((bits & exponent) == exponent) {
+            return 0;
+        }
+    }
+    return 1;
 }
 """
 
@@ -239,6 +269,7 @@ SELFTEST = """\
 #include "controller.h"
 
 #include <math.h>
+#include <stdint.h>
 #include <stdio.h>
 #include <string.h>
 
@@ -253,30 +284,49 @@ static const record records[] = {
 $records
 };
 
-static int is_zero(const double *values, int size)
+$is_finite
+/* A step's arguments, of which each is a number. */
+typedef struct {
+    ${prefix}_measurement now;
+    ${prefix}_target target;
+    ${prefix}_state state;
+    double dt;
+} arguments;
+
+/* Returns how many numbers of a step's arguments, from `first` on, are not refused with a status
+   where they are not finite, or whatever the status (0) give a torque or a state that is none. */
+static int taken(const arguments *usual, const double *first, int size, int status)
 {
-    int i;
-    for (i = 0; i < size; ++i) {
-        if (values[i] != 0.0) {
-            return 0;
-        }
+    static const double wrong[] = {NAN, INFINITY, -INFINITY};
+    const size_t start = (size_t)((const char *)first - (const char *)usual);
+    ${prefix}_answer answer;
+    int i, k, found = 0;
+    for (i = 0; i < 3 * size; ++i) {
+        arguments given = *usual;
+        memcpy((char *)&given + start + sizeof(double) * (size_t)(i / 3), &wrong[i % 3],
+            sizeof(double));
+        k = ${prefix}_step(&given.state, &given.now, &given.target, given.dt, &answer);
+        found += (status && k != status && k != ${PREFIX}_REFUSED_OVERFLOW)
+            || !is_finite(answer.torque, ${PREFIX}_N_V)
+            || (k != ${PREFIX}_REFUSED_STATE
+                && !is_finite(given.state.values, ${PREFIX}_N_STATE));
     }
-    return 1;
+    return found;
 }
 
 int main(void)
 {
     ${prefix}_state state;
     ${prefix}_answer answer;
-    int failed = 0, i, k;
+    arguments usual;
+    int failed = 0, i, k, wrong;
     const int count = (int)(sizeof records / sizeof records[0]);
     double largest = 0.0;
-    ${prefix}_measurement bad = records[0].now;
     for (k = 0; k < count; ++k) {
         const record *r = &records[k];
         int status, is_same;
         if (r->begins && !${prefix}_init(&state, &r->now)) {
-            printf("init failed\\n");
+            printf("init failed; a cause may be the compiler's options: see REFUSED_BUILD\\n");
             return 1;
         }
         status = ${prefix}_step(&state, &r->now, &r->target, $dt, &answer);
@@ -291,12 +341,22 @@ int main(void)
     }
     printf("%d of %d steps to the bit; largest difference of a torque %g\\n", count - failed, count,
         largest);
-    bad.q[${PREFIX}_N_Q - 1] = NAN;
-    if (${prefix}_step(&state, &bad, &records[0].target, $dt, &answer) != ${PREFIX}_REFUSED_Q
-            || !is_zero(answer.torque, ${PREFIX}_N_V)) {
-        printf("a q that is not finite was not refused\\n");
-        ++failed;
+    usual.now = records[0].now;
+    usual.target = records[0].target;
+    usual.dt = $dt;
+    ${prefix}_init(&usual.state, &usual.now);
+    wrong = taken(&usual, usual.now.q, ${PREFIX}_N_Q, ${PREFIX}_REFUSED_Q)
+        + taken(&usual, usual.now.v, ${PREFIX}_N_V, ${PREFIX}_REFUSED_V)
+        + taken(&usual, usual.state.values, ${PREFIX}_N_STATE, ${PREFIX}_REFUSED_STATE)
+        + taken(&usual, usual.target.x, ${PREFIX}_N_X, ${PREFIX}_REFUSED_TARGET)
+        + taken(&usual, &usual.dt, 1, ${PREFIX}_REFUSED_DT)
+        + taken(&usual, &usual.now.t, 1, 0) + taken(&usual, &usual.now.t_x, 1, 0)
+        + taken(&usual, usual.now.x, ${PREFIX}_N_X, 0)
+        + taken(&usual, usual.target.v, 2 * ${PREFIX}_M_X, 0);
+    if (wrong) {
+        printf("%d numbers that are not finite were not refused\\n", wrong);
     }
+    failed += wrong;
     return failed != 0;
 }
 """
