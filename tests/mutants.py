@@ -1188,8 +1188,8 @@ MUTANTS = [
     ),
     (
         "frozen in one direction", "realtime/watches.py",
-        "moved_before = np.abs(before) > self._v_noise",
-        "moved_before = before > self._v_noise", WATCHES,
+        "stops = (sudden > self._v_stop) & (np.abs(before) > self._v_noise)",
+        "stops = (sudden > self._v_stop) & (before > self._v_noise)", WATCHES,
     ),
     (
         "speed grows in one direction", "realtime/watches.py",

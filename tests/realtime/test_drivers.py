@@ -14,9 +14,9 @@ from numpy.testing import assert_array_equal
 from rehearsal import START, Around, Wrapped, driver_of, goal, run
 
 import approxjac as aj
-from approxjac.errors import ControlError, InvalidInputError
+from approxjac.errors import ApproxJacError, ControlError, InvalidInputError
 from approxjac.realtime import Fault, Scheduling, SimulatedDriver, Tolerances, control
-from approxjac.realtime.driver import two_clocks
+from approxjac.realtime.driver import read, two_clocks
 from approxjac.realtime.robot_loop import RobotLoop
 from approxjac.realtime.scheduling import Pace, real_time
 
@@ -70,6 +70,147 @@ def test_what_a_mask_hides_is_not_measured(plant, controller):
     driver = driver_of(plant, Masked)
     assert run(driver, controller).fault is Fault.JOINTS_UNKNOWN
     assert len(driver.sent) == 103
+
+
+def odd(**parts):
+    return lambda m: m._replace(**parts)
+
+
+ODD = {  # what a driver may answer, and what the error says of it
+    "nothing": (lambda m: None, "must be a Measurement"),
+    "a tuple": (tuple, "must be a Measurement"),
+    "too few": (lambda m: tuple(m)[:3], "must be a Measurement"),
+    "its class": (lambda m: aj.Measurement, "must be a Measurement"),
+    "t None": (odd(t=None), "t of a measurement must be a finite number"),
+    "t text": (odd(t="0.1"), "t of a measurement must be a finite number"),
+    "t bool": (odd(t=True), "t of a measurement must be a finite number"),
+    "t NaN": (odd(t=math.nan), "t of a measurement must be a finite number"),
+    "t complex": (odd(t=1j), "t of a measurement must be a finite number"),
+    "t array": (odd(t=np.zeros(2)), "t of a measurement must be a finite number"),
+    "t_x NaN": (odd(t_x=math.nan), "t_x of a measurement must be a finite number"),
+    "t_x infinite": (odd(t_x=math.inf), "t_x of a measurement must be a finite number"),
+    "t_x text": (odd(t_x="now"), "t_x of a measurement must be a finite number"),
+    "q None": (odd(q=None), "q of a measurement must be an array of real numbers"),
+    "q complex": (lambda m: m._replace(q=m.q + 0j), "q of a .* real numbers, .* got .*0.j"),
+    "q text": (odd(q=["a"] * 7), "q of a measurement must be an array of real numbers"),
+    "v bool": (lambda m: m._replace(v=m.v > 9.0), "v of a measurement must be .* real numbers"),
+    "v a dict": (odd(v={"a": 1.0}), "v of a measurement must be an array of real numbers"),
+    "v ragged": (odd(v=[[0.0], [0.0, 1.0]]), "v of a measurement must be .* real numbers"),
+    "x None": (odd(x=None), "x of a measurement must be .* real numbers, NaN where unknown"),
+    "x objects": (odd(x=np.array([None] * 3)), "x of a measurement must be .* real numbers"),
+    "x a number": (odd(x=0.5), r"got shapes \(7,\), \(7,\), \(\)"),
+    "x a column": (lambda m: m._replace(x=m.x[:, None]), r"got shapes .* \(3, 1\)"),
+    "q too long": (lambda m: m._replace(q=np.zeros(8)), r"got shapes \(8,\)"),
+}
+
+
+@pytest.mark.parametrize("what", ODD)
+def test_what_is_no_measurement_is_refused_by_name(plant, controller, what):
+    """Before the run begins nothing is sent; in its midst the arm is braked."""
+    spoil, message = ODD[what]
+
+    class Odd(Wrapped):
+        after = 0
+
+        def read(self):
+            m = super().read()
+            return spoil(m) if len(self.sent) >= self.after else m
+
+    driver = driver_of(plant, Odd)
+    with pytest.raises(InvalidInputError, match=message):
+        run(driver, controller, 0.1)
+    assert (len(driver.sent), driver.brakes) == (0, 1)
+    driver = driver_of(plant, Odd)
+    driver.after = 20
+    with pytest.raises(ControlError, match=message) as caught:
+        run(driver, controller, 0.1)
+    assert caught.value.given.fault is Fault.FAILED
+    assert (len(driver.sent), driver.brakes) == (20, 1)
+
+
+@pytest.mark.parametrize("odd", [None, "text", (1.0,), [[0.0], [0.0, 1.0]], 1j, np.zeros((2, 2))])
+def test_an_odd_measurement_prints_itself(odd):
+    assert repr(aj.Measurement(odd, odd, odd, odd, odd)).startswith("Measurement(t=")
+
+
+@pytest.mark.parametrize(
+    "kind", [list, tuple, np.float32, np.longdouble, np.ma.array], ids=lambda kind: kind.__name__
+)
+def test_numbers_of_any_kind_are_read_as_copies_that_nobody_changes(panda, kind):
+    task = aj.PositionTask(panda)
+    given = np.arange(7.0), np.zeros(7), np.arange(3.0)
+    cast = kind if kind in (list, tuple, np.ma.array) else lambda a: a.astype(kind)
+
+    class Own:
+        def read(self):
+            return aj.Measurement(np.float32(1.0), *map(cast, given), np.int64(1))
+
+    seen = read(Own(), task)
+    for name, own in zip("qvx", given, strict=True):
+        copied = getattr(seen, name)
+        assert_array_equal(copied, own)
+        assert copied.dtype == np.float64
+        assert not copied.flags.writeable
+        assert not np.shares_memory(copied, own)
+    assert (seen.t, seen.t_x) == (1.0, 1)
+
+
+def test_whole_numbers_are_numbers(panda):
+    task = aj.PositionTask(panda)
+
+    class Whole:
+        def read(self):
+            return aj.Measurement(0, np.arange(7), np.zeros(7, np.uint8), [1, 2, 3])
+
+    assert_array_equal(read(Whole(), task).q, np.arange(7.0))
+
+
+@pytest.mark.parametrize("huge", [1e30, 1e200, 1e308])
+@pytest.mark.parametrize("name", ["t", "q", "v", "x", "t_x"])
+def test_numbers_beyond_all_bounds_end_a_run_by_name(plant, controller, name, huge):
+    class Huge(Wrapped):
+        def read(self):
+            m = super().read()
+            if len(self.sent) < 20:
+                return m
+            return m._replace(**{name: huge + 0.0 * np.asarray(getattr(m, name))[()]})
+
+    driver = driver_of(plant, Huge)
+    found = run(driver, controller, 0.1)
+    assert found.fault is not None
+    assert found.fault is not Fault.FAILED
+    assert driver.brakes == 1
+    assert np.isfinite(driver.sent).all()
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        ({"dt": None}, "dt of the driver must be a finite number > 0"),
+        ({"dt": 0.0}, "dt of the driver must be a finite number > 0"),
+        ({"limits": None}, "limits of the driver must be"),
+        ({"command": "position"}, "command of the controller must be 'position'"),
+    ],
+)
+def test_what_a_driver_says_of_itself_is_checked(plant, controller, parts, message):
+    driver = driver_of(plant)
+    vars(driver).update(parts)
+    with pytest.raises(InvalidInputError, match=message):
+        run(driver, controller, 0.1)
+    assert not driver.sent
+
+
+@pytest.mark.parametrize("huge", [1e30, 1e308, math.nan, None, "state"])
+def test_a_state_that_is_none_is_refused(plant, controller, huge):
+    first = np.asarray(controller.initial_state(plant.measure(0.0, START, np.zeros(7))))
+    state = huge if huge in (None, "state") else np.full_like(first, huge)
+    if huge is None:
+        state = [None] * len(first)
+    driver = driver_of(plant)
+    with pytest.raises(ApproxJacError) as caught:
+        run(driver, controller, 0.1, state=state)
+    assert not isinstance(caught.value, ControlError)
+    assert not driver.sent
 
 
 def test_arrays_of_another_shape_end_a_run(plant, controller):

@@ -95,6 +95,8 @@ BROKEN = {
     "NaN": (lambda m, old: m._replace(q=entry(m.q, 5, math.nan)), {Fault.JOINTS_UNKNOWN}),
     "old state": (lambda m, old: old, {Fault.CLOCK_STOOD_STILL}),
     "clock jumps": (lambda m, old: m._replace(t=m.t + 0.5), {Fault.CLOCK_JUMPED}),
+    "clock is set forward": (lambda m, old: m._replace(t=m.t + 0.015), {Fault.CLOCK_JUMPED}),
+    "clock is set back": (lambda m, old: m._replace(t=m.t - 0.015), {Fault.CLOCK_JUMPED}),
     "clock goes back": (lambda m, old: m._replace(t=m.t - 0.1), {Fault.CLOCK_JUMPED}),
     "too fast": (
         lambda m, old: m._replace(
@@ -326,6 +328,39 @@ def test_coarse_encoders_and_noisy_tachometers_at_rest_are_no_fault():
         return m._replace(q=START, v=noise)
 
     assert watched(rests, seconds=2.0, accuracy=Accuracy(q=1e-4, v=0.01))[0] is None
+
+
+COARSE = 2.0 * math.pi / 2**12  # rad, of an encoder of 12 bits
+
+
+def quantised(m):
+    return m._replace(q=np.round(m.q / COARSE) * COARSE)
+
+
+@pytest.mark.parametrize("size", [0.3, 0.02])
+def test_coarse_encoders_of_moving_joints_are_no_fault(size):
+    """Where joints turn round, q is the same for many periods, whatever noise q̇ has."""
+    rng, accuracy = np.random.default_rng(0), Accuracy(q=COARSE / math.sqrt(12.0), v=0.01)
+    watch = FaultWatch(PANDA, DT, accuracy, PANDA.velocity_limits, 0.02, False)
+    for k in range(2000):
+        q, v = motion(k * DT, size, rate=3.0)
+        m = aj.Measurement(k * DT, q, v + 0.01 * rng.standard_normal(7), np.zeros(3))
+        assert watch.look(quantised(m), k * DT) is None
+        assert watch.commanded(0.1 * PANDA.effort_limits * np.sin(3.0 * k * DT), v) is None
+
+
+@pytest.mark.parametrize(("moves", "fault"), [(0.004, None), (0.0, Fault.COMMAND_UNANSWERED)])
+def test_a_joint_that_moves_less_than_a_step_of_its_encoder_may_be_led_elsewhere(moves, fault):
+    """A redundant arm follows its reference at the tip, not with each joint."""
+    accuracy = Accuracy(q=COARSE / math.sqrt(12.0), v=0.01)
+    watch = FaultWatch(PANDA, DT, accuracy, PANDA.velocity_limits, 0.02, False)
+    found = None
+    for k in range(1000):
+        t = k * DT
+        v = np.full(7, moves)
+        found = found or watch.look(quantised(aj.Measurement(t, START + t * v, v, np.zeros(3))), t)
+        watch.commanded(np.zeros(7), np.full(7, 0.15))
+    assert found is fault
 
 
 def test_speed_that_grows_as_the_target_leads_is_no_fault():

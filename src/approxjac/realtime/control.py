@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from approxjac.controllers import Limits
 from approxjac.controllers.controller import Controller
 from approxjac.errors import ControlError, InvalidInputError
 from approxjac.formatting import listed
@@ -134,6 +135,8 @@ def control(
     """
     require("driver", driver, Driver, "a Driver, with read, send and brake")
     # the robot as it is believed to be, which takes what the controller commands
+    as_number("dt of the driver", driver.dt, unit="s", above=0.0)
+    require("limits of the driver", driver.limits, Limits, "Limits(...)")
     task, robot = controller.task.measured, controller.task.robot
     servo = VelocityServo() if controller.command == "velocity" else None
     adds = robot if driver.adds_gravity and servo is None else None

@@ -1,4 +1,4 @@
-"""`Driver`: the interface of a robot to the loop, and `read`, which copies its arrays."""
+"""`Driver`: the interface of a robot to the loop, and `read`, which checks its measurements."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.controllers import Limits
-from approxjac.controllers.arguments import from_another_clock
+from approxjac.controllers.arguments import FLOAT64, from_another_clock, time_of_x
 from approxjac.errors import InvalidInputError
+from approxjac.formatting import one_line
 from approxjac.interface import Measurement
 from approxjac.tasks import Task
-from approxjac.validation import Array
+from approxjac.validation import Array, as_number, require
 
 _AHEAD = 0.01  # s, and a period: by which x may be stamped later than the state it comes with
 
@@ -52,19 +53,25 @@ class Driver(Protocol):
 
 
 def read(driver: Driver, task: Task) -> Measurement:
-    """Return a copy of the next measurement, as drivers may reuse their arrays.
+    """Return the next measurement with read-only copies, as drivers may reuse their arrays.
 
-    Masked entries become NaN, angles of continuous joints (cos, sin).
+    Masked entries become NaN, angles of continuous joints (cos, sin), a t_x of −inf None.
 
     Raises:
-        InvalidInputError: q, q̇ or x with another number of entries.
+        InvalidInputError: No `Measurement`; a t or t_x that is no finite number; q, q̇ or x that are
+            no real numbers, or another number of them.
     """
-    t, *arrays, t_x = driver.read()
-    q, v, x = map(_filled, arrays)
+    given = driver.read()
+    wanted = "a Measurement(t, q, v, x, t_x)"
+    require("what read() of the driver returns", given, Measurement, wanted)
+    t, t_x = as_number("t of a measurement", given.t, unit="s"), time_of_x(given.t_x)
+    t_x = None if t_x is None else float(t_x)
+    q, v, x = (_copied(name, getattr(given, name)) for name in "qvx")
     robot = task.robot
     if q.shape == (robot.nv,) and robot.nq != robot.nv:
         q = np.array(pin.integrate(robot.model, robot.neutral(), q))
-    measured = Measurement(float(t), q, v, x, None if t_x == -np.inf else t_x)
+        q.flags.writeable = False
+    measured = Measurement(t, q, v, x, t_x)
     if (q.shape, v.shape, x.shape) != ((robot.nq,), (robot.nv,), (task.n_x,)):
         raise InvalidInputError(
             f"driver must read q, q̇ and x with {robot.nq}, {robot.nv} and {task.n_x} numbers, "
@@ -79,8 +86,17 @@ def two_clocks(measurement: Measurement, dt: float) -> str:
     return from_another_clock(measurement.t, measurement.t_x, dt + _AHEAD)
 
 
-def _filled(values: Any) -> Array:
-    """Return a copy of an array, with NaN for its masked entries."""
-    if type(values) is not np.ndarray:
-        values = np.ma.filled(np.ma.asarray(values, np.float64), np.nan)
-    return np.array(values, np.float64)
+def _copied(name: str, values: Any) -> Array:
+    """Return a read-only copy of real numbers, with NaN for masked ones; refuse anything else."""
+    if type(values) is not np.ndarray or values.dtype is not FLOAT64:
+        try:
+            given = np.ma.asarray(values)
+        except ValueError:  # a ragged list
+            given = np.ma.asarray(None)
+        if given.dtype.kind not in "fiu":
+            message = f"{name} of a measurement must be an array of real numbers, NaN where unknown"
+            raise InvalidInputError(f"{message}, got {one_line(values)}", given=values)
+        values = np.ma.filled(given.astype(np.float64), np.nan)
+    copied = np.array(values)
+    copied.flags.writeable = False
+    return copied

@@ -70,7 +70,8 @@ class Accuracy:
     """Accuracy of the sensors and of the believed arm: errors within it are no fault.
 
     Attributes:
-        q: Standard deviation of q, including encoder steps, a number or (n_v,) [rad or m].
+        q: Standard deviation of q, a number or (n_v,) [rad or m]; that of an encoder's step is its
+            size/√12, 4.4e-4 rad for 12 bits.
         v: Standard deviation of q̇, likewise [rad/s or m/s].
         velocity_filter: Time constant of the filter of q̇ [s].
         x: Standard deviation of x, a number or (m,) [unit of the task]; 2 mm, 2 mrad and 1 px by

@@ -108,7 +108,7 @@ class RobotLoop(Loop):
     def _period(self, measurement: Measurement) -> bool:
         self.measurement = measurement
         fault = self._watch.look(measurement, self._read)
-        known = bool(np.isfinite(measurement.q).all() and np.isfinite(measurement.v).all())
+        known = math.isfinite(math.hypot(*measurement.q.tolist(), *measurement.v.tolist()))
         self._note(fault, self._watch.detail)
         if fault is None and known:
             self._note(self._sensor.look(measurement, self.target))

@@ -27,6 +27,7 @@ _WAY = 0.02  # rad or m, which a joint is led to go and goes no bit of it
 _STOPPED = 30.0  # rad/s², by which no joint stops by itself
 _REPEATS = 8  # readings of q to the bit, after which a joint that moved is taken for frozen
 _STANDS = 0.03  # s, for which q of a joint is the same to the bit where it is at rest
+_FINE = 1e-4  # rad or m, standard deviation of q with which the two before are so small
 _REMEMBERED = 200  # readings of both clocks
 _TORQUE = {"rad": "N m", "m": "N"}
 _FASTER = 0.15  # of its largest speed, by which a joint may be faster than it is led to be
@@ -55,19 +56,20 @@ class FaultWatch:
         self._model, self._is_vector = robot.model, robot.nq == n
         self._dt, self._fastest, self._late = dt, fastest, late
         self._names, self._units, self.detail = robot.joint_names, robot.joint_units, ""
-        self._q_noise = _SIGMAS * np.sqrt(2.0) * np.broadcast_to(np.asarray(accuracy.q, float), n)
+        sd = np.broadcast_to(np.asarray(accuracy.q, float), n)
+        self._q_noise = _SIGMAS * np.sqrt(2.0) * sd
         self._v_noise = _SIGMAS * np.broadcast_to(np.asarray(accuracy.v, float), n)
         self._lag = 1.5 * accuracy.velocity_filter + 0.5 * dt
         known = np.where(np.isfinite(fastest), fastest, 3.0)
         self._q_jump = self._q_noise + 0.6 * dt * known
         self._v_jump = np.sqrt(2.0) * self._v_noise + _SUDDEN * known * (dt / 1e-3)
-        self._v_stop = np.maximum(0.5 * np.sqrt(2.0) * self._v_noise, _STOPPED * dt)
-        # motion of q, ∫q̇, way, each since the beginning; and q̇
-        nothing = np.zeros((3, n)), np.zeros(n)
-        self._past: deque[tuple[Array, Array]] = deque([nothing], maxlen=_WINDOWS[-1] + 1)
+        self._v_stop = np.maximum(np.sqrt(2.0) * self._v_noise, _STOPPED * dt)
+        # motion of q, ∫q̇, way, each since the beginning; q̇; and the time since the one before
+        nothing = np.zeros((3, n)), np.zeros(n), dt
+        self._past: deque[tuple[Array, Array, float]] = deque([nothing], maxlen=_WINDOWS[-1] + 1)
         self._unknown = self._still = 0
         self._repeats = np.zeros(n)
-        self._halted = np.zeros(n, dtype=bool)
+        self._halted = np.zeros(n)  # the speed at which a joint stopped, else 0
         self._last: Measurement | None = None
         # a command that a joint at rest must answer: a change of torque, or a way
         self._commands_velocity = commands_velocity
@@ -75,7 +77,9 @@ class FaultWatch:
         stiction = 0.05 * robot.effort_limits if usual else np.asarray(accuracy.stiction, float)
         self._answered = np.full(n, np.inf) if commands_velocity else 2.0 * stiction
         self._way, self._asked, self._stood = np.zeros((3, n))
-        self._stands = max(_REPEATS, round(_STANDS / dt))
+        coarse = np.maximum(1.0, sd / _FINE)  # a slow joint takes long from step to step
+        self._stands = np.maximum(_REPEATS, np.round(_STANDS * coarse / dt))
+        self._most_led = _WAY * coarse
         self._command, self._held_by, self._led, self._recent = np.zeros((4, n))
         self._fades = math.exp(-dt / _FADES)
         self._faster = np.maximum(_FASTER * fastest, [_SLOW[unit] for unit in self._units])
@@ -144,13 +148,13 @@ class FaultWatch:
         mean = (0.5 * elapsed) * (v + before)
         off, sudden = np.abs(way - mean), np.abs(v - before)
         moved = self._past[-1][0] + (way, mean, np.abs(mean))
-        self._past.append((moved, v))
+        self._past.append((moved, v, elapsed))
         # first what has a cause in this period alone
         if (off > self._q_jump * periods).any():
             j = int(np.argmax(off / self._q_jump))
             # a q̇ that does not belong to q is off as much in every period
             if not abs(way[j]) > self._q_jump[j] + self._dt * self._fastest[j]:
-                return self._disagrees(j, way[j], elapsed * v[j], elapsed)
+                return self._disagrees(j, way, elapsed * v, self._q_jump, 1)
             message = f"by {way[j]:.3g} {self._units[j]} in {1e3 * elapsed:.3g} ms"
             return self._fault(Fault.POSITION_JUMPED, j, message)
         if (sudden > self._v_jump * (periods + missed)).any():
@@ -159,7 +163,7 @@ class FaultWatch:
             return self._fault(Fault.VELOCITY_JUMPED, j, message)
         for window in _WINDOWS:
             if len(self._past) > window:
-                sums, speed = self._past[-1 - window]
+                sums, speed, _ = self._past[-1 - window]
                 q_way, v_way, path = moved - sums
                 slack = (
                     self._q_noise + _SHARE * path + self._lag * np.abs(v - speed)
@@ -168,20 +172,33 @@ class FaultWatch:
                 beyond = np.abs(q_way - v_way) - slack
                 if (beyond > 0.0).any():
                     j = int(np.argmax(beyond))
-                    return self._disagrees(j, q_way[j], v_way[j], window * self._dt)
+                    return self._disagrees(j, q_way, v_way, slack, window)
         # a joint that stops from one period to the next, and then has the same q again and again
         same = way == 0.0
-        moved_before = np.abs(before) > self._v_noise
-        self._halted = (self._halted | ((sudden > self._v_stop) & moved_before)) & same
-        self._repeats = np.where(self._halted, self._repeats + 1.0, 0.0)
-        if (self._repeats >= _REPEATS).any():
-            j = int(self._repeats.argmax())
+        stops = (sudden > self._v_stop) & (np.abs(before) > self._v_noise)
+        halted = np.maximum(self._halted, np.where(stops, np.abs(before), 0.0))
+        self._halted = np.where(same, halted, 0.0)
+        self._repeats = np.where(self._halted > 0.0, self._repeats + 1.0, 0.0)
+        # unless it may be on its way to the next step of the encoder
+        frozen = self._repeats * self._dt * self._halted > self._q_noise
+        frozen &= self._repeats >= _REPEATS
+        if frozen.any():
+            j = int(frozen.argmax())
             return self._fault(Fault.ENCODER_FROZEN, j, f"{_REPEATS} times the same q")
         return self._unanswered(same)
 
-    def _disagrees(self, j: int, way: float, mean: float, elapsed: float) -> Fault:
-        ways = f"{way:.3g} {self._units[j]} by q and {mean:.3g} by q̇"
-        message = f"moved {ways} in {1e3 * elapsed:.3g} ms"
+    def _disagrees(self, j: int, way: Array, mean: Array, slack: Array, window: int) -> Fault:
+        """Return whose fault it is that q and ∫q̇ moved differently: q̇'s, or one step of t."""
+        recent = pairwise(list(self._past)[-1 - window :])
+        (before, *_), (after, _, odd) = max(recent, key=lambda two: abs(two[1][2] - self._dt))
+        off = way - mean + (1.0 - self._dt / odd) * (after - before)[1]
+        if abs(odd - self._dt) > 0.5 * self._dt and (np.abs(off) <= slack).all():
+            self.detail = (
+                f"by {1e3 * odd:.3g} ms, in which the arm moved as in {1e3 * self._dt:.3g}"
+            )
+            return Fault.CLOCK_JUMPED
+        ways = f"{way[j]:.3g} {self._units[j]} by q and {mean[j]:.3g} by q̇"
+        message = f"moved {ways} in {1e3 * window * self._dt:.3g} ms"
         return self._fault(Fault.VELOCITY_DISAGREES, j, message)
 
     def _unanswered(self, same: Array) -> Fault | None:
@@ -189,13 +206,13 @@ class FaultWatch:
         self._way = np.where(same, self._way + self._dt * self._asked, 0.0)
         self._held_by = np.where(same, self._held_by, self._command)
         led, pushed = np.abs(self._way), np.abs(self._command - self._held_by)
-        unanswered = (led > _WAY) | (pushed > self._answered)
+        unanswered = (led > self._most_led) | (pushed > self._answered)
         unanswered &= self._stood >= self._stands
         if not unanswered.any():
             return None
         j = int(unanswered.argmax())
         message = f"its torque changed by {pushed[j]:.3g} {_TORQUE[self._units[j]]}"
-        if led[j] > _WAY:
+        if led[j] > self._most_led[j]:
             message = f"it was led {led[j]:.3g} {self._units[j]}"
         return self._fault(Fault.COMMAND_UNANSWERED, j, message)
 
@@ -320,9 +337,10 @@ class SensorWatch:
         return None
 
     def _instant(self, taken: float) -> tuple[float, Array, float] | None:
-        back = round((self._past[-1][0] - taken) / self._dt)
-        if not 0 <= back < len(self._past):
+        periods = (self._past[-1][0] - taken) / self._dt
+        if not -0.5 <= periods < len(self._past) - 0.5:
             return None  # from before the run, or by a clock that nobody knows
+        back = round(periods)
         near = self._past[-1 - back]
         if abs(near[0] - taken) > 2.0 * self._dt:  # periods were missed
             near = min(self._past, key=lambda each: abs(each[0] - taken))
