@@ -6,6 +6,7 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from arms import ARMS
 from hypothesis import Phase, settings
@@ -13,6 +14,7 @@ from hypothesis import Phase, settings
 import approxjac as aj
 from approxjac.codegen.backends.machine_code import MachineCode
 from approxjac.controllers import setpoint
+from approxjac.robots import robot as robots
 
 IN_CI = bool(os.environ.get("CI"))
 settings.register_profile("default", deadline=None, derandomize=IN_CI, max_examples=10)
@@ -90,6 +92,24 @@ def _once(rule):
 
 
 setpoint.tuned = _once(setpoint.tuned)  # `tuned` itself, as tests of it call it, stays as it is
+
+
+def _copied(build):
+    """Return a function that builds the model of a URDF once and then copies it, which is quick."""
+    known = {}
+
+    def build_model(urdf):
+        key = urdf.text, urdf.source
+        if key not in known:
+            known[key] = build(urdf)
+        model, mimic_joints = pin.Model(known[key][0]), known[key][1]
+        independent = model if mimic_joints.G is None else pin.Model(mimic_joints.model)
+        return model, mimic_joints._replace(model=independent)
+
+    return build_model
+
+
+robots.build_model = _copied(robots.build_model)
 
 
 @pytest.fixture(scope="session", params=ARMS)

@@ -61,6 +61,7 @@ class Urdf:
         self._text = text  # that it was read from, if it was
 
     @classmethod
+    @functools.lru_cache(maxsize=8)  # arms are often loaded again
     def parse(cls, text: str, source: str) -> Urdf:
         """Parse a URDF text; raise a UrdfError if it is no XML or no valid URDF."""
         if len(text) > MOST_TEXT:
