@@ -372,8 +372,8 @@ def test_the_same_seed_gives_the_same_bits(panda):
 def test_another_seed_gives_another_run(panda):
     first, other = closed_loop(panda, EVERYTHING, 7), closed_loop(panda, EVERYTHING, 8)
     assert [name for name in FIELDS if not same(first, other, name)] == [
-        "q", "v", "x", "x_measured", "error", "tau", "state", "learnt", "status", "task_torque",
-        "V",
+        "q", "v", "x", "x_measured", "error", "command", "tau", "state", "learnt", "status",
+        "task_torque", "V",
     ]  # fmt: skip
 
 
