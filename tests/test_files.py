@@ -1,5 +1,9 @@
 """Files are written whole or not at all."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -65,6 +69,50 @@ def test_a_command_that_breaks_off_leaves_the_files_of_the_one_before(tmp_path, 
     monkeypatch.setattr("approxjac.scenario.outcome.write_text", full)  # the last file of all
     assert main([*words, "--seed", "3"]) == 2
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == kept
+
+
+def test_a_full_disk_is_an_error_that_names_the_file(tmp_path):
+    """As a write gives it, without a name; also where another error's text has the file's name."""
+
+    def write():
+        with together(tmp_path) as folder:
+            write_text(folder / "a", "of those that belong together")
+            with replaced(folder / "b") as unfinished:
+                unfinished.write_text("half")
+                raise OSError(28, "No space left on device")
+
+    with pytest.raises(OSError, match="No space left") as raised:
+        write()
+    assert raised.value.filename == str(tmp_path / "b")
+    with (
+        pytest.raises(aj.InvalidInputError, match="got ") as invalid,
+        together(tmp_path) as folder,
+    ):
+        raise aj.InvalidInputError(f"path must be writable, got {folder / 'c'}")
+    assert str(invalid.value).endswith(str(tmp_path / "c"))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.study
+@pytest.mark.skipif(os.name != "posix", reason="limits of a file's size are POSIX")
+@pytest.mark.parametrize(
+    "words",
+    ["simulate two_link --duration 0.05", "export two_link", "stability two_link", "paper"],
+)
+def test_a_command_on_a_full_disk_names_a_file_and_leaves_none(words, tmp_path):
+    import resource
+
+    option = "--folder" if words.startswith("export") else "--out"
+    run = subprocess.run(
+        [sys.executable, "-m", "approxjac", *words.split(), option, "made"],
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000)),
+        cwd=tmp_path, capture_output=True, text=True, env={**os.environ, "APPROXJAC_CACHE": "off"},
+    )  # fmt: skip
+    assert run.returncode == 2
+    assert "File too large" in run.stderr
+    assert "made/" in run.stderr
+    assert "Traceback" not in run.stderr
+    assert list((tmp_path / "made").iterdir()) == []
 
 
 def test_a_folder_is_not_replaced(tmp_path):

@@ -7,49 +7,58 @@ The names most programs need are here. Returned types and rarely used classes ar
 modules that define them: `aj.stability.RegularPart`, `aj.cameras.Camera`, `aj.view.plot_run`.
 """
 
-import importlib
-import sys
-from typing import TYPE_CHECKING, Any
-
-from approxjac import law
-from approxjac.cameras import PinholeCamera
-from approxjac.controllers import (
-    AdaptiveGravity,
-    AdaptiveKinematics,
-    Controller,
-    Gains,
-    HeldMeasurement,
-    Latency,
-    Limits,
-    NoGravity,
-    SetpointController,
-    TorqueLimited,
-    TrackingController,
-    default_gains,
-)
-from approxjac.errors import InvalidInputError
-from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
-from approxjac.paths import Circle, Line, Waypoints
-from approxjac.robots import Robot, load_robot
-from approxjac.simulation import MujocoPlant, Plant, Sensing, Trajectory, simulate
-from approxjac.tasks import ImageTask, PoseTask, PositionTask, StackedTask, Task
-
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from approxjac import codegen as codegen
+    from approxjac import law, stability, view
     from approxjac import realtime as realtime
-    from approxjac import stability, view
+    from approxjac.cameras import PinholeCamera
     from approxjac.codegen.backends.c_files import export_c
+    from approxjac.controllers import (
+        AdaptiveGravity,
+        AdaptiveKinematics,
+        Controller,
+        Gains,
+        HeldMeasurement,
+        Latency,
+        Limits,
+        NoGravity,
+        SetpointController,
+        TorqueLimited,
+        TrackingController,
+        default_gains,
+    )
+    from approxjac.errors import InvalidInputError
+    from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
+    from approxjac.paths import Circle, Line, Waypoints
     from approxjac.realtime.control import control
+    from approxjac.robots import Robot, load_robot
     from approxjac.scenario import Scenario
+    from approxjac.simulation import MujocoPlant, Plant, Sensing, Trajectory
+    from approxjac.simulation.simulate import simulate
     from approxjac.stability.errors.region import JointBox
     from approxjac.stability.errors.uncertainty import Uncertainty
     from approxjac.stability.loop.linearization import local_stability
     from approxjac.stability.study import Study
+    from approxjac.tasks import ImageTask, PoseTask, PositionTask, StackedTask, Task
 
 __version__ = "0.1.0"
 
-_LAZY = ("codegen", "realtime", "stability", "view")  # modules that many programs never need
-_FROM = {"Scenario": "scenario", "control": "realtime", "export_c": "codegen"}
+# Names and modules are loaded when they are asked for: Ctrl-C may end a command before that.
+_FROM = {
+    "cameras": ("PinholeCamera",),
+    "codegen": ("export_c",),
+    "errors": ("InvalidInputError",),
+    "interface": ("Evaluation", "LimitStatus", "Measurement", "Status", "Target"),
+    "paths": ("Circle", "Line", "Waypoints"),
+    "realtime": ("control",),
+    "robots": ("Robot", "load_robot"),
+    "scenario": ("Scenario",),
+    "simulation": ("MujocoPlant", "Plant", "Sensing", "Trajectory", "simulate"),
+    "stability": ("JointBox", "Study", "Uncertainty", "local_stability"),
+    "tasks": ("ImageTask", "PoseTask", "PositionTask", "StackedTask", "Task"),
+}
+_MODULE_OF = {name: module for module, names in _FROM.items() for name in names}
 _MODULES = ("cameras", "controllers", "errors", "robots", "simulation", "tasks")  # of further names
 
 __all__ = [
@@ -102,13 +111,16 @@ __all__ = [
 
 if not TYPE_CHECKING:  # or no name would be unknown to type checkers
 
-    def __getattr__(name: str) -> Any:
-        """Load modules of `_LAZY` and the names of `_FROM` and `stability` when asked for."""
-        if name in _LAZY:
+    def __getattr__(name: str) -> object:
+        """Load a module, or the name of one; all others of `__all__` are of `controllers`."""
+        import importlib.util
+        import sys
+
+        if name in __all__ and name not in ("law", "stability", "view"):
+            module = importlib.import_module(f"approxjac.{_MODULE_OF.get(name, 'controllers')}")
+            value = getattr(module, name)
+        elif not name.startswith("_") and importlib.util.find_spec(f"approxjac.{name}"):
             value = importlib.import_module(f"approxjac.{name}")
-        elif name in __all__:
-            module = _FROM.get(name, "stability")
-            value = getattr(importlib.import_module(f"approxjac.{module}"), name)
         else:
             # with these Python adds what was meant
             where = {"name": name, "obj": sys.modules[__name__]}

@@ -23,10 +23,27 @@ def replaced(path: Path) -> Iterator[Path]:
     # of one name's length, and of its ending, which tells some writers the format
     unfinished = path.with_name(f".{uuid.uuid4().hex[:16]}{path.suffix}")
     try:
-        yield unfinished
-        unfinished.replace(path)
+        with _naming(path, unfinished):
+            yield unfinished
+            unfinished.replace(path)
     finally:
         unfinished.unlink(missing_ok=True)
+
+
+@contextmanager
+def _naming(path: Path, unfinished: Path) -> Iterator[None]:
+    """Let errors name the file or folder that the user knows, also those that name none."""
+    try:
+        yield
+    except Exception as error:
+        old, new = str(unfinished), str(path)
+        if isinstance(error, OSError) and error.errno is not None:
+            error.filename = str(error.filename or old).replace(old, new)
+        else:
+            error.args = tuple(
+                each.replace(old, new) if isinstance(each, str) else each for each in error.args
+            )
+        raise
 
 
 @contextmanager
@@ -37,13 +54,11 @@ def together(folder: Path) -> Iterator[Path]:
     """
     unfinished = folder / f".{uuid.uuid4().hex[:16]}"
     try:
-        unfinished.mkdir()
-    except OSError as error:  # which names the folder that the user knows
-        raise OSError(error.errno, error.strerror, str(folder)) from error
-    try:
-        yield unfinished
-        for path in sorted(unfinished.iterdir()):
-            path.replace(folder / path.name)
+        with _naming(folder, unfinished):
+            unfinished.mkdir()
+            yield unfinished
+            for path in sorted(unfinished.iterdir()):
+                path.replace(folder / path.name)
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
 

@@ -84,6 +84,14 @@ paper --duration -1 | --duration | got -1.0 | > 0 [s]
 robots panda --tip panda_hnad | --tip | 'panda_hnad' | panda_hand
 robots --tip tool0 | --tip, --base and --free need a robot | got none
 view | view needs the run.npz | got none
+simulate two_link --out "" | --out must be a path | got nothing
+stability two_link --out "" | --out must be a path | got nothing
+paper --out "" | --out must be a path | got nothing
+export two_link --folder "" | --folder must be a path | got nothing
+view file --out "" | --out must be a path | got nothing
+view "" | view needs the run.npz | got none
+robots "" | robots needs the name | got none
+simulate "" | simulate needs the name of an arm | got none
 view x.npz | x.npz | Trajectory.save
 view file --out nowhere/page.html | --out | got nowhere/page.html | an existing folder
 export panda --gravity none --effort-only --folder file | --folder | got file | can be made
@@ -103,7 +111,7 @@ def test_the_error_is_one_line_with_option_value_and_what_is_valid(
     for name, text in files.items():
         (tmp_path / name).write_text(text, encoding="utf-8")
     words, *parts = case
-    assert main(words.split()) == 2
+    assert main([word.strip('"') for word in words.split()]) == 2
     message = capsys.readouterr().err
     assert message.startswith("approxjac: ")
     assert message.count("\n") == 1

@@ -1,13 +1,18 @@
 """The command line as a whole: help, exit codes, output."""
 
 import fcntl
+import importlib
 import os
 import pty
+import signal
 import struct
 import subprocess
 import sys
 import termios
+import time
+from contextlib import suppress
 
+import numpy as np
 import pytest
 
 import approxjac as aj
@@ -123,6 +128,53 @@ def test_a_reader_that_has_seen_enough_is_no_error():
         process.stdout.close()
         assert process.stderr.read() == b""
         assert process.wait() in (0, 128 + 13)  # all was written, or nobody read it
+
+
+@pytest.mark.parametrize("name", ["stdout", "stderr"])
+def test_a_stream_that_a_shell_closed_is_no_error(name, monkeypatch):
+    monkeypatch.setattr(sys, name, None)
+    assert main(["robots", "two_link"]) == 0
+    assert main(["robots", "none"]) == 2
+    getattr(sys, name).close()
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
+def test_an_output_that_is_full_is_one_line_with_exit_code_2(monkeypatch, capsys):
+    with suppress(OSError), open("/dev/full", "w") as full:
+        monkeypatch.setattr(sys, "stdout", full)
+        assert main(["robots", "two_link"]) == 2
+        assert capsys.readouterr().err == "approxjac: No space left on device: standard output\n"
+        monkeypatch.setattr(sys, "stderr", full)
+        assert main(["robots", "none"]) == 2
+
+
+@pytest.mark.study
+def test_an_interrupt_in_an_import_or_in_a_command_is_one_line_with_exit_code_130(tmp_path):
+    """At any time from the first import of ours on; before, it is Python's own start."""
+    start = (
+        "import sys, approxjac.__main__ as command; print('begun', flush=True);"
+        "sys.argv = ['approxjac', *'simulate two_link --duration 200 --out made'.split()];"
+        "sys.exit(command.main())"
+    )
+    for wait in np.linspace(0.0, 2.0, 20):
+        words = [sys.executable, "-c", start]
+        pipes = dict.fromkeys(("stdout", "stderr"), subprocess.PIPE)
+        with subprocess.Popen(words, cwd=tmp_path, text=True, **pipes) as process:
+            process.stdout.readline()
+            time.sleep(wait)
+            process.send_signal(signal.SIGINT)
+            assert process.stderr.read().strip() == "approxjac: stopped", wait
+            assert process.wait() == 130
+        assert not (tmp_path / "made").exists() or not [*(tmp_path / "made").iterdir()]
+
+
+def test_an_interrupt_while_commands_are_imported_is_told_as_later_ones(monkeypatch, capsys):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("approxjac.cli.main", interrupted)
+    assert importlib.import_module("approxjac.__main__").main() == 130
+    assert capsys.readouterr().err.strip() == "approxjac: stopped"
 
 
 def test_a_bar_says_what_it_does_how_long_it_took_and_how_long_it_will():

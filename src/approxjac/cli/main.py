@@ -5,12 +5,14 @@ Exit codes: 0 all is well, 1 a verdict fell short, 2 bad input.
 
 from __future__ import annotations
 
+import errno
 import inspect
 import io
 import os
 import sys
 import warnings
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
@@ -43,6 +45,9 @@ _NAMES = {float: "N", int: "N", str: "NAME", Path: "PATH"}
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # a shell closed it, by >&-
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # a terminal that cannot show λ shows "?"
     warnings.showwarning = _warned
@@ -56,8 +61,8 @@ def main(arguments: list[str] | None = None) -> int:
     except ApproxJacError as error:
         return _complain(error)
     except OSError as error:  # a full disk, a file that is a folder, …
-        where = f": {error.filename}" if error.filename else ""
-        return _complain(f"{error.strerror or error}{where}")
+        where = error.filename or ("standard output" if error.errno == errno.ENOSPC else "")
+        return _complain(f"{error.strerror or error}{where and ': '}{where}")
 
 
 def _run(arguments: list[str]) -> int:
@@ -82,9 +87,9 @@ def _run(arguments: list[str]) -> int:
         taken = meaning or "options alone"
         given = " ".join(words[:count])
         raise InvalidInputError(f"{chosen} takes {taken}; got {given}", given=given)
-    if name[:1] not in ("", "[") and not count:
-        raise InvalidInputError(f"{chosen} needs {meaning}; got none before options", given="")
     source = "".join(words[:count])
+    if not source and (count or name[:1] not in ("", "[")):
+        raise InvalidInputError(f"{chosen} needs {meaning}; got none before options", given="")
     values, names = read(chosen, words[count:], options)
     try:
         return _called(command, source, values)
@@ -107,7 +112,8 @@ def _called(command: Callable[..., int], source: str, values: dict[str, Any]) ->
 
 def _complain(message: object) -> int:
     """Print what is wrong, and return the exit code of bad input."""
-    print(f"approxjac: {message}", file=sys.stderr)
+    with suppress(OSError):  # of a stderr that nobody reads, or that is full
+        print(f"approxjac: {message}", file=sys.stderr, flush=True)
     return 2
 
 

@@ -73,7 +73,7 @@ def value_of(hint: Any, value: Any, key: str, where: str = "") -> Any:
     """Return a value converted to a field's type, or raise an error that names its key."""
     with suppress(*WRONG_TYPE):
         return converted(hint, value)
-    given = (" ".join(value) or "nothing") if isinstance(value, Words) else repr(value)
+    given = (" ".join(value).strip() or "nothing") if isinstance(value, Words) else repr(value)
     raise InvalidInputError(f"{key} must be {wanted(hint)}, got {given}{_in(where)}", given=value)
 
 
@@ -107,7 +107,7 @@ def converted(hint: Any, value: Any) -> Any:
         return int(value)
     if hint in (str, bool, type(None)) and isinstance(value, hint):
         return value
-    if hint in (str, Path) and isinstance(value, str | os.PathLike):
+    if hint in (str, Path) and isinstance(value, str | os.PathLike) and (hint is str or value):
         return hint(os.fspath(value))
     if origin is Literal and isinstance(value, str) and value in inner:
         return value
