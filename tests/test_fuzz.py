@@ -476,11 +476,11 @@ class Corrupted(aj.Controller):
         # measured: 0.03 m for positions, 0.08 m stacked, 0.16 (m and rad) for the pose
         ("(6), sine", 0.1),
         ("(28), bounds", 0.1),
-        ("stacked", 0.25),
-        ("pose", 0.5),
+        pytest.param("stacked", 0.25, marks=pytest.mark.study),
+        pytest.param("pose", 0.5, marks=pytest.mark.study),
         # these remember nonsense, in the differentiator and in θ̂ that nothing stops: only finite
-        ("(5)", np.inf),
-        ("(28), unlimited", np.inf),
+        pytest.param("(5)", np.inf, marks=pytest.mark.study),
+        pytest.param("(28), unlimited", np.inf, marks=pytest.mark.study),
         ("tracking", np.inf),
     ],
 )

@@ -21,7 +21,9 @@ def test_terms_of_every_arm(arm, rng):
     require_agreement(errors)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize(
+    "seed", [*range(5), *(pytest.param(k, marks=pytest.mark.study) for k in range(5, 20))]
+)
 def test_terms_of_random_trees(seed):
     rng = np.random.default_rng(seed)
     text, frames = random_tree(rng)
@@ -33,7 +35,7 @@ def test_terms_of_random_trees(seed):
     require_agreement(largest_errors([robot], frames, regressor, rng))
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.study)])
 def test_terms_of_many_joints(seed):
     rng = np.random.default_rng(seed)
     text, frames = random_tree(rng, 18)

@@ -138,7 +138,7 @@ STUDIES = {
         {"sensing": Sensing(x_rate=60.0, x_lost=[(0.1, 0.2, 1), (0.15, 0.3, 0)])},
     ),
 }
-BY_DEFAULT = ("a circle", "all, (5)", "held")
+BY_DEFAULT = ("all, (5)",)
 
 
 @pytest.mark.parametrize(

@@ -82,7 +82,7 @@ STUDIES = {
         of=lambda task: aj.tasks.CombinedTask.balanced(task, task.value(BENT)),
     ),
 }
-BY_DEFAULT = ("pose", "planar camera", "lost at times", "in the hand")
+BY_DEFAULT = ("planar camera", "lost at times")
 
 
 @pytest.mark.parametrize(

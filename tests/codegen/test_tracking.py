@@ -132,7 +132,9 @@ def test_terms_of_every_arm(arm, rng):
     assert_terms(arm, [arm.tip], rng)
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize(
+    "seed", [*range(3), *(pytest.param(k, marks=pytest.mark.study) for k in range(3, 10))]
+)
 def test_terms_of_random_trees(seed):
     rng = np.random.default_rng(seed)
     text, frames = random_tree(rng)
@@ -162,7 +164,7 @@ def law_of(kind):
     }[kind]
 
 
-SOME = ("continuous joints", "in the plane")
+SOME = ("in the plane",)
 KINDS = (
     "camera turned", "tool", "camera known", "five rows", "continuous joints",
     "in the plane", "mimic joints",

@@ -303,6 +303,7 @@ def test_the_torque_knows_nothing_but_the_measurement(room, law):
 # -- sensors as they are ---------------------------------------------------------------------
 
 
+@pytest.mark.study
 def test_points_that_jump_or_are_lost_do_not_spoil_what_was_learnt(room_run, room):
     def spoil(t, x):
         if 2.5 < t < 2.59:
@@ -343,6 +344,7 @@ def test_a_camera_that_was_moved_is_learnt_anew(room_run, room):
     assert_allclose(aj.ImageTask(robot, camera).value(place), x, atol=3.0)
 
 
+@pytest.mark.study
 def test_the_age_of_x_is_told_by_the_delay_where_x_does_not_tell_it(room):
     told, wrong = (
         follow(AdaptiveCamera(room[1], delay=delay), room[0], START, tells_t_x=False)
@@ -365,7 +367,9 @@ def test_nothing_that_is_measured_makes_a_state_that_is_not_finite(room, x):
     assert np.isfinite(kinematics.learnt(state)).all()
 
 
-@pytest.mark.parametrize("case", ["room", "hand", "known"])
+@pytest.mark.parametrize(
+    "case", ["room", *(pytest.param(k, marks=pytest.mark.study) for k in ("hand", "known"))]
+)
 def test_nothing_that_is_seen_makes_a_prediction_that_is_not_finite(case, room, hand, rng):
     """Images from anywhere, of arms anywhere: no estimate is right, and all are finite."""
     task = hand[2] if case == "hand" else room[1]

@@ -121,7 +121,7 @@ def test_explicit_ones_are_kept(arms):
         filled(joint_torque=-1.0)
 
 
-@pytest.mark.parametrize("from_zero", [False, True])
+@pytest.mark.parametrize("from_zero", [pytest.param(False, marks=pytest.mark.study), True])
 def test_with_default_gains_an_unknown_payload_is_learnt(arms, from_zero):
     """To < 1 mm in 10 s from the believed θ̂(0), and from none at all; dt = 2 ms.
 
@@ -163,7 +163,7 @@ def gains(arms):
     return aj.default_gains(aj.PositionTask(arms[1]))
 
 
-@pytest.mark.parametrize("metric", ["diagonal", "full"])
+@pytest.mark.parametrize("metric", ["diagonal", pytest.param("full", marks=pytest.mark.study)])
 def test_theta_stays_within_its_bounds_to_one_step(arms, gains, metric):
     """Tight ones: the target is reached, but far more slowly."""
     _, belief, regressor, theta = arms

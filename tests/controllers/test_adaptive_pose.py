@@ -368,7 +368,11 @@ def test_nothing_that_is_measured_makes_a_state_that_is_not_finite(belief, x):
         assert np.abs(kinematics.learnt(state)).max() < 10.0
 
 
-@pytest.mark.parametrize("unknown", [("tool", "origins", "camera"), "origins"], ids=str)
+@pytest.mark.parametrize(
+    "unknown",
+    [pytest.param(("tool", "origins", "camera"), marks=pytest.mark.study), "origins"],
+    ids=str,
+)
 def test_nonsense_is_answered_finitely_or_refused(panda, unknown):
     """One number in half of the steps is absurd; the state goes on from what came before."""
     task, rng, refused = aj.PoseTask(panda), np.random.default_rng(3), 0

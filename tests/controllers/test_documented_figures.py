@@ -154,7 +154,9 @@ def test_forces_and_torques_are_learnt_as_the_page_says():
     assert_allclose(chosen.learning.task_force, 0.5)
 
 
-@pytest.mark.parametrize("name", ["panda", "ur5", "three_joint"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("panda", marks=pytest.mark.study), "ur5", "three_joint"]
+)
 def test_what_was_chosen_is_stable_with_all_of_it_larger(name):
     """Of an arm of 70 % of the inertia, which is as if gains were larger by as much.
 

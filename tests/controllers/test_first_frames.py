@@ -29,7 +29,10 @@ def law_of(task, kind, **arguments):
     return aj.TrackingController(task, kinematics=kinematics, command=kind)
 
 
-@pytest.mark.parametrize("kind", ["torque", "velocity", "set-point"])
+@pytest.mark.parametrize(
+    "kind",
+    ["torque", *(pytest.param(k, marks=pytest.mark.study) for k in ("velocity", "set-point"))],
+)
 def test_the_arm_waits_for_the_first_x_and_then_begins_as_if_it_had_been_there(task, kind):
     """Of a tracker two metres off, whose x is lost for 0.1 s, with the target where the arm is."""
     truth = task.robot.with_object(0.2, 0.5, axis="y")
@@ -171,7 +174,7 @@ def test_frames_that_become_too_old_are_said_to_teach_nothing_any_more(task):
     ("clock", "clock_of_x"),
     [
         (lambda _: 0.0, lambda _: None),
-        (lambda _: 0.0, lambda t: t),
+        pytest.param(lambda _: 0.0, lambda t: t, marks=pytest.mark.study),
         (lambda t: 0.016 * (t // 0.016), lambda t: 0.016 * (t // 0.016)),
     ],
     ids=["none at all", "only of x", "coarse"],

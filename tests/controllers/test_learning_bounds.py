@@ -251,7 +251,7 @@ def test_what_is_learnt_asks_for_no_more_than_the_motors_have(name):
     assert min(seen_sides.values()) > 3
 
 
-@pytest.mark.parametrize("name", ["panda", "three_joint"])
+@pytest.mark.parametrize("name", ["panda", pytest.param("three_joint", marks=pytest.mark.study)])
 def test_a_run_out_of_reach_winds_nothing_up(name):
     """A target that is far away, with limits: what is learnt stays within its bounds."""
     arm = heavy(name)

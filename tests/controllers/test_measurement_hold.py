@@ -375,6 +375,7 @@ def test_a_camera_that_hangs_in_mid_motion_stops_the_arm_and_it_goes_on_after(ta
     assert usual.error_norm[-1] < 1e-3
 
 
+@pytest.mark.study
 def test_without_holding_an_arm_cannot_tell_a_camera_that_hangs(task):
     """What it is for: the law goes on pulling towards a target that it has long passed."""
     sensing = aj.Sensing(x_rate=30.0, x_delay=0.03, x_noise=1e-4, x_frozen=[(0.15, 2.0)])
@@ -430,7 +431,10 @@ def test_noise_of_encoders_does_not_add_up(task):
     assert np.abs(run.state[:, 4:7]).max() < 1e-3
 
 
-@pytest.mark.parametrize("kind", ["learnt gravity", "law (5)", "limited"])
+@pytest.mark.parametrize(
+    "kind",
+    [*(pytest.param(k, marks=pytest.mark.study) for k in ("learnt gravity", "law (5)")), "limited"],
+)
 def test_targets_are_reached_with_a_camera_at_30_hz(task, kind):
     controller = INSIDE[kind]
     held = aj.HeldMeasurement(controller, 0.1)

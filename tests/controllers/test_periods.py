@@ -36,6 +36,15 @@ def dt(request):
     return request.param
 
 
+# for runs of many steps: a longer period is soon done, and shows what depends on it
+OF_RUNS = pytest.mark.parametrize(
+    "dt",
+    [pytest.param(dt, marks=[] if dt == 5e-3 else pytest.mark.study) for dt in PERIODS],
+    indirect=True,
+    ids=lambda dt: f"{1e3 * dt:g}ms",
+)
+
+
 @pytest.fixture(params=["panda", "three_joint"])
 def arm(request):
     return heavy(request.param)
@@ -91,6 +100,7 @@ def test_the_torque_before_counts_within_the_efforts(arm, dt):
 # -- speeds and positions -------------------------------------------------------------------------
 
 
+@OF_RUNS
 @pytest.mark.parametrize("gravity", ["known", "learnt"])
 def test_speeds_stay_within_their_limits(arm, dt, gravity):
     """With enough torque; learnt weight is wrong by a tool, which periods show."""
@@ -143,6 +153,7 @@ def test_the_way_to_a_limit_of_speed_is_gone_by_the_share_that_braking_allows(ar
     assert ((ahead > high - 1e-6) | (ahead < low + 1e-6)).any()  # and it brakes no more
 
 
+@OF_RUNS
 def test_a_joint_comes_to_its_limit_no_faster_than_it_may(arm, dt):
     """At a distance d with κd, and never through it, while the law pulls on.
 
@@ -232,6 +243,7 @@ def too_fast(seed, dt, hurried):
     return answer, M_inv, without, bounds, effort
 
 
+@OF_RUNS
 @pytest.mark.parametrize("hurried", [[0], [1, 3], [5, 0]])
 def test_joints_that_need_it_most_are_braked_first_and_the_others_kept(dt, hurried):
     """Independently, by linear programs: which joints can be kept, and how near the first comes.
@@ -315,6 +327,7 @@ def test_an_x_is_too_old_once_the_image_must_have_moved(arm, dt, inside):
             assert_array_equal(answers[bridged].torque, answers[1].torque)
 
 
+@OF_RUNS
 def test_a_held_law_stops_on_time_in_a_run(dt):
     """A camera that hangs: the believed motion since the last frame is `unseen`, and a step."""
     arm = heavy("three_joint")
@@ -395,6 +408,7 @@ def test_the_reference_is_no_faster_than_joints_may_move(arm, dt):
     assert_allclose(seen[0][1], seen[-1][1], atol=0.05)
 
 
+@OF_RUNS
 def test_a_circle_is_followed_at_any_period(dt):
     """With the tool's weight unknown: learnt while it moves."""
     arm = heavy("three_joint")
@@ -494,6 +508,7 @@ def test_the_next_run_begins_with_the_weight_that_was_learnt(dt):
     assert_array_equal(controller.learnt(controller.resumed(state, now))[:p], learnt)
 
 
+@OF_RUNS
 def test_a_predicted_measurement_is_learnt_from_period_by_period(dt):
     """The same law on x̂ at any period: a tool of 10 cm that nobody told of is found."""
     arm = heavy("three_joint")

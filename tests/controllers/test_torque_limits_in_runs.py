@@ -41,14 +41,15 @@ def test_the_rate_is_kept_over_a_run(panda):
     assert run.error_norm[-1] < 0.5 * run.error_norm[0]
 
 
-def test_speeds_stay_within_their_limits_where_the_model_is_exact(panda):
+@pytest.mark.parametrize("targets", [1, pytest.param(3, marks=pytest.mark.study)])
+def test_speeds_stay_within_their_limits_where_the_model_is_exact(panda, targets):
     """With enough torque and the true dynamics, the next step is what the rows predict."""
     limits = aj.Limits(velocity=0.5, position=panda.position_limits)
     limited = aj.TorqueLimited(law_of(panda), limits)
     plant = aj.Plant(panda, sensor=aj.PositionTask(panda))
     rng = np.random.default_rng(3)
     q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
-    for _ in range(3):
+    for _ in range(targets):
         x_d = plant.sensor.value(q0) + rng.uniform(-0.4, 0.4, 3)
         run = aj.simulate(
             plant,
@@ -120,7 +121,9 @@ def test_a_joint_beyond_its_limit_comes_back(panda):
     assert run.q[-1, 3] <= high[3] + 1e-3
 
 
-@pytest.mark.parametrize(("joint", "beyond"), [(1, 0.5), (5, 1.5)])
+@pytest.mark.parametrize(
+    ("joint", "beyond"), [(1, 0.5), pytest.param(5, 1.5, marks=pytest.mark.study)]
+)
 def test_a_joint_far_beyond_its_limit_comes_back_no_faster_than_it_may(panda, joint, beyond):
     _, high = panda.position_limits
     limited = aj.TorqueLimited(law_of(panda))

@@ -174,7 +174,17 @@ def test_payload_rotors_and_friction_are_learnt():
     assert np.abs(torque - true).max() < 0.2 * before
 
 
-@pytest.mark.parametrize("kind", ["pose", "continuous", "stacked", "combined", "planar", "coupled"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "pose",
+        "planar",
+        *(
+            pytest.param(kind, marks=pytest.mark.study)
+            for kind in ("continuous", "stacked", "combined", "coupled")
+        ),
+    ],
+)
 def test_other_tasks_and_arms_are_followed(kind):
     panda, kinova, q0 = aj.load_robot("panda"), aj.load_robot("kinova"), STARTS["panda"]
     position = aj.PositionTask(panda)
@@ -382,7 +392,7 @@ def test_by_default_tool_and_origins_are_learnt(panda):
     assert len(learnt) == controller.resting + len(controller.kinematics.names)
 
 
-@pytest.mark.parametrize("command", ["torque", "velocity"])
+@pytest.mark.parametrize("command", ["torque", pytest.param("velocity", marks=pytest.mark.study)])
 def test_nonsense_is_answered_finitely_or_refused_while_kinematics_learn(panda, command):
     """One number in some of the steps is absurd; the state goes on from what came before."""
     task, q0, rng = aj.PositionTask(panda), STARTS["panda"], np.random.default_rng(3)
@@ -444,7 +454,14 @@ def test_velocity_commands_stay_within_limits(panda):
     assert answer.torque[3] >= -5e-3 - 1e-12  # towards a stop that is 1 mrad away
 
 
-@pytest.mark.parametrize(("lag", "delay"), [(0.03, 0.008), (0.01, 0.0), (0.05, 0.02)])
+@pytest.mark.parametrize(
+    ("lag", "delay"),
+    [
+        (0.03, 0.008),
+        pytest.param(0.01, 0.0, marks=pytest.mark.study),
+        pytest.param(0.05, 0.02, marks=pytest.mark.study),
+    ],
+)
 def test_the_lag_of_a_servo_is_learnt(lag, delay):
     """Delay and half a period count as lag; without it the circle is 3 mm behind."""
     robot, q0 = aj.load_robot("ur5"), STARTS["ur5"]
@@ -710,6 +727,7 @@ def test_what_an_arm_carries_is_learnt_at_one_rate_whatever_it_weighs(name):
     assert (alone <= np.maximum(60.0, at_20) * (1.0 + 1e-9)).all()
 
 
+@pytest.mark.study
 def test_a_light_arm_learns_the_weight_of_its_object():
     """50 g in the jaws of 500 g: 1.8 mm RMS with the gain of a Panda, and more later on."""
     arm = aj.load_robot("so101")

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
@@ -31,7 +31,6 @@ def test_eq_22_is_an_equality_at_the_p_that_is_allowed(alpha, lambda1, c0, c1):
     assert_allclose(alpha * 3.0 - 0.5 * position * largest, alpha * c1)
 
 
-@settings(max_examples=200, deadline=None)
 @given(
     st.lists(st.floats(1.0, 1e4), min_size=2, max_size=2),
     st.lists(st.floats(1.0, 1e4), min_size=2, max_size=2),

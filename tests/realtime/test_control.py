@@ -96,7 +96,13 @@ def test_a_controlled_stop_stays_within_its_bound(plant, controller):
     assert 1e-3 < found.stop_distance < found.stop_bound < 0.1
 
 
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "SIGINT",
+        *(pytest.param(k, marks=pytest.mark.study) for k in ("SIGTERM", "SIGHUP", "SIGQUIT")),
+    ],
+)
 def test_a_signal_brings_it_to_rest(plant, controller, name):
     class Signalled(Wrapped):
         def read(self):

@@ -9,13 +9,13 @@ import pinocchio as pin
 import pytest
 import umsgpack
 import yourdfpy
+from arms import ARMS
 from lxml import etree
 from numpy.testing import assert_allclose
 
 import approxjac as aj
 from approxjac.errors import UrdfError
 from approxjac.robots import Dynamics
-from approxjac.robots.load import NAMED
 
 OBJECTS = {
     "rod": {"length": 0.5, "mass": 0.5, "radius": 0.0, "axis": "x"},
@@ -29,7 +29,7 @@ OBJECTS = {
 
 @pytest.fixture(
     params=[("panda", kind) for kind in sorted(OBJECTS)]
-    + [(name, "cylinder") for name in sorted(NAMED)]
+    + [pytest.param((arm.values[0], "cylinder"), marks=arm.marks) for arm in ARMS]
     + [("two_link", "rod")],
     ids="-".join,
 )

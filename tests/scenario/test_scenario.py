@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import approxjac as aj
@@ -54,7 +54,6 @@ def records(record):
     return st.builds(lambda **given: dataclasses.replace(record, **given), **fields)
 
 
-@settings(max_examples=25, deadline=None)
 @given(records(Scenario("panda")))
 def test_what_a_scenario_prints_makes_the_same_scenario(tmp_path_factory, scenario):
     path = scenario.save(tmp_path_factory.getbasetemp() / "scenario.toml")

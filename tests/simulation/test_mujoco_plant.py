@@ -84,7 +84,7 @@ def test_accelerations_are_pinocchios_for_every_named_arm(arm, rng):
     assert_same_accelerations(arm, rng)
 
 
-@pytest.mark.parametrize("mass", [0.0, 0.5])
+@pytest.mark.parametrize("mass", [pytest.param(0.0, marks=pytest.mark.study), 0.5])
 def test_accelerations_with_an_object(arm, mass, rng):
     assert_same_accelerations(arm.with_object(0.2, mass, axis=(1.0, -2.0, 0.5)), rng)
 
@@ -143,7 +143,9 @@ def test_the_same_inputs_give_the_same_bits_whatever_came_before(above_floor, rn
 # -- closed loop ------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("integrator", ["rk4", "semi_implicit_euler"])
+@pytest.mark.parametrize(
+    "integrator", [pytest.param("rk4", marks=pytest.mark.study), "semi_implicit_euler"]
+)
 def test_closed_loops_agree_to_1e_12(controller, integrator):
     arguments = (X0 + [0.10, -0.15, 0.16], Q0, 2.0)
     ours, theirs = (

@@ -421,7 +421,7 @@ def test_a_run_that_explodes_is_a_named_error(dt, text):
         )
 
 
-@pytest.mark.parametrize("dt", [None, 0.05])
+@pytest.mark.parametrize("dt", [pytest.param(None, marks=pytest.mark.study), 0.05])
 def test_a_loop_that_is_too_stiff_is_a_named_error_not_a_blame(dt):
     """The user's input is fine; it is the sampled loop, or the law itself, that diverges."""
     robot = aj.load_robot("ur5")

@@ -161,8 +161,7 @@ def test_friction_damps_as_much_as_damping_that_is_added():
         (3, {"paper": False, "free": False, "wide": False, "full": False}),
         (4, {"paper": False, "free": True, "wide": True, "full": True}),
         (5, {"paper": False, "free": False, "wide": True, "full": True}),
-        (6, {"paper": True, "free": True, "wide": True, "full": True}),
-        (7, {"paper": True, "free": True, "wide": True, "full": True}),
+        *(pytest.param(n, dict.fromkeys(FAMILIES, True), marks=pytest.mark.study) for n in (6, 7)),
     ],
 )
 def test_the_papers_figures_at_their_target(figure, certified):
@@ -230,6 +229,7 @@ def test_a_general_optimiser_finds_nothing_better():
         assert -answer.fun <= found.margins.min() + 0.01
 
 
+@pytest.mark.study
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10**6))
 def test_no_unstable_target_is_certified(seed):

@@ -33,7 +33,9 @@ def test_terms_of_every_arm(arm, rng):
     require_same_terms(arm, arm.tip, rng)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize(
+    "seed", [*range(4), *(pytest.param(k, marks=pytest.mark.study) for k in range(4, 12))]
+)
 def test_terms_of_random_trees(seed):
     rng = np.random.default_rng(seed)
     text, (frame, _) = random_tree(rng)
@@ -119,6 +121,7 @@ TASKS = {
     ),
     "nonsingular": lambda robot: NonsingularTask(aj.PositionTask(robot), {"panda_joint4": 0.2}),
 }
+SIMILAR = ("two axes", "elbow", "tracker", "pose tracker", "derived", "combined")
 
 
 def closed_loop(make, learns=False):
@@ -137,7 +140,10 @@ def closed_loop(make, learns=False):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("name", TASKS)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.study if name in SIMILAR else []) for name in TASKS],
+)
 def test_samples_are_what_each_configuration_gives_alone(name, rng):
     loop = closed_loop(TASKS[name])
     samples, task = loop.draw(16, rng), loop.controller.task

@@ -340,7 +340,7 @@ def test_a_report_finds_what_speaks_against_a_law():
     assert "hold the arm at rest at the target" in why
 
 
-@pytest.mark.parametrize("kind", [TaskSpacePD, WindingUpNot])
+@pytest.mark.parametrize("kind", [TaskSpacePD, pytest.param(WindingUpNot, marks=pytest.mark.study)])
 def test_tolerance_of_ones_own_law_is_by_rollouts_and_near_targets(kind):
     study = study_of(kind, reach=0.3)
     with pytest.raises(aj.InvalidInputError, match='tests must be "local" or "rollouts", got'):

@@ -62,7 +62,13 @@ def test_the_panda_at_1_khz(arm):
     assert test.certified_error.min() > 0.25
 
 
-@pytest.mark.parametrize(("damping", "length"), [(2.0, 0.0), (5.0, 0.2), (20.0, 0.2)])
+@pytest.mark.parametrize(
+    ("damping", "length"),
+    [
+        *(pytest.param(*each, marks=pytest.mark.study) for each in ((2.0, 0.0), (5.0, 0.2))),
+        (20.0, 0.2),
+    ],
+)
 def test_the_period_certified_at_a_posture_is_a_quarter_of_pi_of_the_exact_one(
     arm, damping, length
 ):
@@ -83,7 +89,10 @@ def test_the_period_certified_at_a_posture_is_a_quarter_of_pi_of_the_exact_one(
     assert 0.75 < largest(certified, 0.5 * exact) / exact < 0.25 * math.pi + 0.01
 
 
-@pytest.mark.parametrize(("kp", "kv", "least"), [(400.0, 80.0, 0.0), (50.0, 50.0, 0.28)])
+@pytest.mark.parametrize(
+    ("kp", "kv", "least"),
+    [(400.0, 80.0, 0.0), pytest.param(50.0, 50.0, 0.28, marks=pytest.mark.study)],
+)
 def test_late_images_are_certified(arm, kp, kv, least):
     test = certificate(panda(arm, 5.0, kp, kv), LATE_IMAGES, n=120)
     assert test.certified
@@ -150,7 +159,9 @@ def test_the_gain_of_a_filter_holds_for_every_signal(lag):
     assert (hold.lag, hold.turned) == pytest.approx((age, age + 0.5))
 
 
-@pytest.mark.parametrize("latency", [Latency(1e-3), LATE_IMAGES])
+@pytest.mark.parametrize(
+    "latency", [Latency(1e-3), pytest.param(LATE_IMAGES, marks=pytest.mark.study)]
+)
 def test_states_below_the_level_are_as_slow_and_near_as_assumed(arm, latency):
     test = certificate(panda(arm, 5.0), latency, n=60)
     form, weights, rng = test.form, test.weights, np.random.default_rng(1)
@@ -213,7 +224,7 @@ def test_a_function_is_checked_where_it_was_not_chosen(exact):
     assert found.reason == "violated"
 
 
-@pytest.mark.parametrize("below", [1.0, 1e-3])
+@pytest.mark.parametrize("below", [pytest.param(1.0, marks=pytest.mark.study), 1e-3])
 @pytest.mark.parametrize("at", [None, (0.4, 1.2)])
 def test_starts_that_stay_are_starts_that_are_certified(exact, below, at):
     """To any target of the same middle part of the region, or to the one that is given."""

@@ -120,7 +120,9 @@ def test_the_truth_at_what_is_believed_is_the_belief(panda, everything, rng):
             assert_array_equal(plant.sensor.value(q), task.value(q))
 
 
-@pytest.mark.parametrize("name", ["two_link", "ur5", "pr2_left_arm"])
+@pytest.mark.parametrize(
+    "name", ["two_link", "ur5", pytest.param("pr2_left_arm", marks=pytest.mark.study)]
+)
 def test_a_robot_that_moves_is_each_of_the_others(name, rng):
     arm = aj.load_robot(name)
     errors = aj.Uncertainty(

@@ -3,6 +3,7 @@
 import sys
 from typing import NamedTuple
 
+import arms
 import coal
 import numpy as np
 import pinocchio as pin
@@ -97,6 +98,13 @@ def look(arm):
     return robot_look(arm)
 
 
+MANY_MESHES = ("kinova", "panda", "tiago_arm")  # which take a second to simplify
+ARMS = [
+    pytest.param(arm.id, marks=pytest.mark.study) if arm.id in MANY_MESHES else arm
+    for arm in arms.ARMS
+]
+
+
 @pytest.mark.study
 def test_arms_look_as_pinocchio_shows_them(arm, look):
     assert look.missing == []
@@ -119,6 +127,7 @@ def test_arms_look_as_pinocchio_shows_them(arm, look):
         assert_allclose(bounds(shown.vertices), expected, atol=max(0.005, 0.02 * size))
 
 
+@pytest.mark.parametrize("arm", ARMS, indirect=True)
 def test_arms_are_light(arm, look):
     shapes = [shape for shapes in look.shapes.values() for shape in shapes]
     for shape in shapes:
