@@ -1415,8 +1415,8 @@ MUTANTS = [
     ),
     (
         "velocities in newton metres", "simulation/trajectory.py",
-        'return _TORQUE[joint] if self.command_kind == "torque" else f"{joint}/s"',
-        "return _TORQUE[joint]",
+        'command = torque if self.command_kind == "torque" else f"{joint}/s"',
+        "command = torque",
         "tests/simulation/test_velocity_servo.py",
     ),
     (

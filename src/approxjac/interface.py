@@ -116,15 +116,11 @@ class Measurement(NamedTuple):
 
     def __repr__(self) -> str:
         q, v, x = listed(self.q), listed(self.v), listed(self.x)
-        taken = "" if self.t_x is None else f", t_x={_seconds(self.t_x)}"
-        return f"Measurement(t={_seconds(self.t)}, q={q}, v={v}, x={x}{taken})"
-
-
-def _seconds(t: Any) -> str:
-    try:
-        return f"{t:g} s"
-    except (TypeError, ValueError):  # a measurement that is refused still has to be printed
-        return repr(t)
+        try:
+            taken = "" if self.t_x is None else f", t_x={self.t_x:g} s"
+            return f"Measurement(t={self.t:g} s, q={q}, v={v}, x={x}{taken})"
+        except (TypeError, ValueError):  # one that is refused still has to be printed
+            return f"Measurement(t={self.t!r}, q={q}, v={v}, x={x}, t_x={self.t_x!r})"
 
 
 class Target(NamedTuple):

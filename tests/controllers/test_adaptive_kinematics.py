@@ -158,6 +158,39 @@ def test_the_learnt_robot_says_where_x_is(turned_run, truth, rng):
         assert_allclose(turn @ found.value(q) + offset, x, atol=8e-3)
 
 
+def test_how_x_is_predicted_to_move_is_as_uncertain_as_what_was_learnt(turned_run, truth, rng):
+    """By the regressor's columns of each number, and a tracker that is turned a bit more."""
+    kinematics, R, run = turned_run
+    (turn, _), q_0, sensor = camera(kinematics, run.state), run.q, aj.PositionTask(truth)
+    P, regressor = kinematics.report(run.state).covariance, kinematics.regressor
+    moved = [kinematics.names.index(name) for name in regressor.names]
+    believed = aj.PositionTask(kinematics.robot(run.state))
+    sd = kinematics.motion_sd(run.state, q_0)
+    assert_allclose(sd(q_0), 0.0, atol=1e-12)
+    for q in q_0 + 0.2 * rng.standard_normal((10, 7)):
+        way = turn @ (believed.value(q) - believed.value(q_0))
+        J = np.zeros((3, len(P)))
+        J[:, moved] = turn @ (regressor.Y(q) - regressor.Y(q_0))
+        J[:, -3:] = -law.cross_matrix(way)
+        assert_allclose(sd(q), np.sqrt(np.diag(J @ P @ J.T)), rtol=1e-6, atol=1e-9)
+        true = R @ (sensor.value(q) - sensor.value(q_0))
+        assert (np.abs(true - way) < 3.0 * sd(q)).all()
+
+
+def test_of_a_pose_the_turn_is_as_uncertain_as_the_tracker(belief):
+    task = aj.PoseTask(belief)
+    kinematics = AdaptiveKinematics(task, unknown=("tool", "camera"), sd={"camera": 0.1})
+    before, after = START, START + 0.3
+    state = kinematics.initial_state(aj.Measurement(0.0, START, np.zeros(7), task.value(START)))
+    link = aj.tasks.FrameKinematics(belief, belief.tip)
+    W = link.placement(after)[0] @ link.placement(before)[0].T
+    expected = 0.1 * np.linalg.norm(np.eye(3) - W, axis=1)
+    assert_allclose(kinematics.motion_sd(state, before)(after)[3:], expected, rtol=1e-6)
+    known = AdaptiveKinematics(task, unknown=("tool",))
+    state = known.initial_state(aj.Measurement(0.0, START, np.zeros(7), task.value(START)))
+    assert_allclose(known.motion_sd(state, before)(after)[3:], 0.0, atol=1e-12)
+
+
 @pytest.mark.parametrize(
     "unknown",
     [

@@ -285,6 +285,74 @@ def test_where_x_is_seen_again_the_target_begins_there(plant, controller):
     assert_allclose(found.x[-1], goal(plant), atol=1e-4)
 
 
+def losing(begin, end=math.inf):
+    """A driver that loses x between two commands."""
+
+    class Losing(Wrapped):
+        def read(self):
+            m = super().read()
+            is_lost = begin <= len(self.sent) < end
+            return m._replace(x=np.full(3, np.nan)) if is_lost else m
+
+    return Losing
+
+
+def test_blind_says_what_ran_out(plant, controller):
+    """The way that x has moved, or the time."""
+    found = run(driver_of(plant, losing(200)), controller)
+    assert found.fault is Fault.BLIND
+    way = float(re.search(r"it moved by ([0-9.]+) m, at most 0.01 m", found.ended)[1])
+    assert 0.01 <= way < 0.0105
+    found = run(driver_of(plant, losing(1500)), controller, 3.0, tolerances=tolerating(timeout=0.3))
+    assert found.fault is Fault.BLIND
+    assert "(for 0.301 s, at most 0.3 s)" in found.ended
+
+
+def test_what_holds_x_may_go_on_for_as_far_as_it_was_told(plant, controller):
+    """And by default the loop lets it; a bound that is given holds."""
+    held = aj.HeldMeasurement(controller, unseen=0.03)
+    for options, bound in (({}, 0.03 * math.sqrt(3.0)), ({"max_blind_motion": 0.02}, 0.02)):
+        driver = driver_of(plant, losing(200))
+        found = run(driver, held, 2.0, tolerances=tolerating(timeout=0.5, **options))
+        assert found.fault is Fault.BLIND
+        task = controller.task
+        ways = [np.linalg.norm(task.value(q) - task.value(found.q[199])) for q in found.q[199:]]
+        assert 0.95 * bound < max(ways) < bound
+        assert f"at most {bound:.3g} m" in found.ended
+
+
+@pytest.mark.parametrize(("unknown", "bridges"), [("tool", True), ("camera", False)])
+def test_a_law_that_predicts_x_goes_on_as_far_as_what_it_learnt_reaches(
+    by_velocities, unknown, bridges
+):
+    """Along a circle, with a tool of 20 cm that a frame shows, or a tracker turned by anything."""
+    plant, law = by_velocities
+    if not bridges:
+        kinematics = aj.AdaptiveKinematics(law.task, unknown=("tool", unknown), dt=8e-3)
+        law = aj.TrackingController(law.task, kinematics=kinematics, dt=8e-3, command="velocity")
+    begin = 50
+    tip = plant.sensor.value(START)
+    circle = aj.Circle(tip + [-0.08, 0.0, 0.05], radius=0.08, period=4.0)
+    driver = driver_of(plant, losing(begin, begin + 75), dt=8e-3)  # 0.6 s
+    found = control(driver, law, circle, 2.0, tolerances=tolerating())
+    lost = np.isnan(found.x_measured).any(axis=1)
+    tips = np.array([plant.sensor.value(q) for q in found.q])
+    way = np.linalg.norm(np.diff(tips[lost], axis=0), axis=1).sum()
+    errors = np.linalg.norm(tips - found.x_d, axis=1)
+    if bridges:
+        assert found.fault is None
+        assert lost.sum() == 75
+        assert way > 0.05
+        assert errors[lost].max() < 2e-3
+    else:
+        assert found.fault is Fault.BLIND
+        assert lost.sum() < 75
+        assert re.search(
+            r"may differ from what is predicted by 0\.01\d* m, at most 0\.01 m", found.ended
+        )
+        assert errors[lost].max() < 0.01 + errors[begin]
+
+
 def test_a_target_that_comes_to_rest_stays_there(plant, controller, monkeypatch):
     """Whether somebody moves it meanwhile, or x is lost and seen again."""
 

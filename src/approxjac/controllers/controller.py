@@ -77,6 +77,8 @@ class Controller(ABC):
         parameters: Names and units of the numbers that `learnt` returns, in their order.
         kinematics: Known or learnt kinematics that predict the controlled error; None if it
             controls the measured one.
+        unseen: Largest motion of x without a new one for which it goes on, in each coordinate of
+            what is measured [unit of the task]; None if it does not count it.
         alpha: α of `passive_output` [1/s].
         diagonals: Gains of its task and joints, if any.
         gain_values: Gains by name.
@@ -95,6 +97,7 @@ class Controller(ABC):
     limits: Limits | None = None
     parameters: Mapping[str, str] = MappingProxyType({})
     kinematics: Kinematics | None = None
+    unseen: Array | None = None
     alpha: float = 1.0
     diagonals: Diagonals | None = None
     gain_values: Mapping[str, Any] = MappingProxyType({})

@@ -55,6 +55,7 @@ class HeldMeasurement(ControllerWrapper):
         InvalidInputError: No such controller, or numbers that are not > 0.
     """
 
+    unseen: Array = np.zeros(0)  # its own, not that of the controller inside
     _what = "goes on with the last x that was seen while the arm moves it by less than the bound"
 
     def __init__(self, controller: Controller, unseen: float | Sequence[float] | Array) -> None:

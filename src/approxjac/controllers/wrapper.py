@@ -51,6 +51,7 @@ class ControllerWrapper(Immutable, Controller):
     limits: Limits | None = _inner("limits")
     parameters: Mapping[str, str] = _inner("parameters")
     kinematics: Kinematics | None = _inner("kinematics")
+    unseen: Array | None = _inner("unseen")
     gain_values: Mapping[str, Any] = _inner("gain_values")
     law: Controller = _inner("law")
     needs_solver: bool = _inner("needs_solver")

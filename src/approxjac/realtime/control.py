@@ -151,7 +151,7 @@ def control(
     require("stop", stop, (threading.Event, NoneType), "a threading.Event")
     require("observer", observer, (Callable, NoneType), "a function of a Loop")  # type: ignore[arg-type]
     speeds = task_bounds("speed", speed, task, _SPEED, "/s")
-    tolerances = (tolerances or Tolerances()).for_task(task, driver.dt)
+    tolerances = (tolerances or Tolerances()).for_task(task, driver.dt, controller.unseen)
     brake, signals = Brake(driver), StopSignals()
     with contextlib.ExitStack() as held:
         held.enter_context(signals)  # a signal that comes while this begins is looked at, too

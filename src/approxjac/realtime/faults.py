@@ -47,7 +47,7 @@ class Fault(enum.Enum):
     TOO_FAST = "a joint exceeds its speed limit"
     SPEED_GREW = "the joints become faster and faster"
     ASTRAY = "the error to the moving target is too large"
-    BLIND = "x was lost for too long"
+    BLIND = "x was lost for too long, or while the arm moved too far"
     LIMITS = "limits reduced the torque and gave up the proof for too long"
     FAILED = "the driver or the controller raised an error"
 
@@ -119,8 +119,10 @@ class Tolerances:
         accuracy: Accuracy of the sensors and of Ĵ.
         max_error: Largest error to the moving target, a number or shape (m,) [unit of the task];
             0.15 m, 0.5 rad and 150 px by default.
-        max_blind_motion: Largest believed motion of x while it is lost, a number or shape (m,)
-            [unit of the task]; 0.01 m, 0.04 rad and 10 px by default.
+        max_blind_motion: Largest motion of x while it is lost, as believed, a number or shape (m,)
+            [unit of the task]; 0.01 m, 0.04 rad and 10 px by default, or what a `HeldMeasurement`
+            goes on for, if that is more. Where positions are predicted by `AdaptiveKinematics`, it
+            is the largest error of that: three standard deviations of what was learnt.
         timeout: Longest time for which x may be lost (also at the start) or limits may give up the
             proof, and which a controlled stop may take [s].
         max_period: Longest time between commands, by the robot's clock, more than one period [s];
@@ -142,14 +144,18 @@ class Tolerances:
         as_number("timeout", self.timeout, unit="s", above=0.0)
         as_number("max_period", self.max_period, unit="s", above=0.0)
 
-    def for_task(self, task: Task, dt: float) -> Tolerances:
-        """Return them filled in for each coordinate of a task and a period of dt [s]."""
+    def for_task(self, task: Task, dt: float, unseen: Array | None = None) -> Tolerances:
+        """Return them filled in for each coordinate of a task, a period of dt [s], and `unseen`."""
         as_number("max_period", self.max_period, unit="s", above=dt)
+        blind = task_bounds("max_blind_motion", self.max_blind_motion, task, _BLIND)
+        if self.max_blind_motion is None and unseen is not None:
+            # as far as a motion goes that is within it in each coordinate
+            blind = np.maximum(blind, math.sqrt(task.m) * unseen)
         return replace(
             self,
             accuracy=self.accuracy.for_units(task.units),
             max_error=task_bounds("max_error", self.max_error, task, _ERROR),
-            max_blind_motion=task_bounds("max_blind_motion", self.max_blind_motion, task, _BLIND),
+            max_blind_motion=blind,
         )
 
 

@@ -7,6 +7,7 @@ import math
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -111,7 +112,8 @@ class RobotLoop(Loop):
         known = math.isfinite(math.hypot(*measurement.q.tolist(), *measurement.v.tolist()))
         self._note(fault, self._watch.detail)
         if fault is None and known:
-            self._note(self._sensor.look(measurement, self.target))
+            fault = self._sensor.look(measurement, self.target, self._motion_sd)
+            self._note(fault, self._sensor.detail)
             if message := two_clocks(measurement, self.dt):
                 self._note(Fault.CLOCK_JUMPED, message)
         if known and not self._brakes():
@@ -171,6 +173,13 @@ class RobotLoop(Loop):
         self.learns_sensor = kinematics is not None and bool(kinematics.names)
         self._sensor = SensorWatch(task, self.dt, accuracy, blind, self.learns_sensor)
 
+    def _motion_sd(self, q: Array) -> Callable[[Array], Array] | None:
+        """Return how well the motion of x from q is predicted, see `Kinematics.motion_sd`."""
+        if not self.learns_sensor:
+            return None
+        kinematics, known = self.controller.kinematics_of(self.state)
+        return kinematics.motion_sd(known, q)
+
     def _blend(self, x: Array, velocity: Array) -> None:
         task, now = self.controller.task.measured, self.step * self.dt
         self._blended = BlendedTarget(task, self.path, now, x, velocity, self._speeds)
@@ -227,13 +236,15 @@ class RobotLoop(Loop):
 
     def _judge(self) -> None:
         lost = self.answer.status in _LOST
-        self._lost = self._lost + 1 if lost else 0
         self._blind = self._blind or lost
+        lost = lost or not np.isfinite(self.measurement.x).all()
+        self._lost = self._lost + 1 if lost else 0
         status = self.answer.limit_status
         voids = status >= LimitStatus.PROOF_GIVEN_UP and status is not LimitStatus.EXCEEDED
         self._limited = self._limited + 1 if voids else 0
         if self._lost * self.dt > self._tolerances.timeout:
-            self._note(Fault.BLIND)
+            since, most = self._lost * self.dt, self._tolerances.timeout
+            self._note(Fault.BLIND, f"for {since:.3g} s, at most {most:.3g} s")
         elif self._limited * self.dt > self._tolerances.timeout:
             self._note(Fault.LIMITS)
 

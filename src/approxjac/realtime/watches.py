@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -68,7 +69,6 @@ class FaultWatch:
         nothing = np.zeros((3, n)), np.zeros(n), dt
         self._past: deque[tuple[Array, Array, float]] = deque([nothing], maxlen=_WINDOWS[-1] + 1)
         self._unknown = self._still = 0
-        self._repeats = np.zeros(n)
         self._halted = np.zeros(n)  # the speed at which a joint stopped, else 0
         self._last: Measurement | None = None
         # a command that a joint at rest must answer: a change of torque, or a way
@@ -178,10 +178,10 @@ class FaultWatch:
         stops = (sudden > self._v_stop) & (np.abs(before) > self._v_noise)
         halted = np.maximum(self._halted, np.where(stops, np.abs(before), 0.0))
         self._halted = np.where(same, halted, 0.0)
-        self._repeats = np.where(self._halted > 0.0, self._repeats + 1.0, 0.0)
+        self._stood = np.where(same, self._stood + 1.0, 0.0)
         # unless it may be on its way to the next step of the encoder
-        frozen = self._repeats * self._dt * self._halted > self._q_noise
-        frozen &= self._repeats >= _REPEATS
+        frozen = self._stood * self._dt * self._halted > self._q_noise
+        frozen &= self._stood >= _REPEATS
         if frozen.any():
             j = int(frozen.argmax())
             return self._fault(Fault.ENCODER_FROZEN, j, f"{_REPEATS} times the same q")
@@ -202,7 +202,6 @@ class FaultWatch:
         return self._fault(Fault.VELOCITY_DISAGREES, j, message)
 
     def _unanswered(self, same: Array) -> Fault | None:
-        self._stood = np.where(same, self._stood + 1.0, 0.0)
         self._way = np.where(same, self._way + self._dt * self._asked, 0.0)
         self._held_by = np.where(same, self._held_by, self._command)
         led, pushed = np.abs(self._way), np.abs(self._command - self._held_by)
@@ -236,7 +235,11 @@ _KEPT = 512  # periods for which q is remembered: frames may be as old
 _SPANS = (0.03, 0.06, 0.12, 0.25)  # over which frames are compared [s]
 _APART = 4e-3  # s, between frames that are kept
 _FRAMES = 3.0  # periods of x for which the same one may be read
+_SURELY = 3.0  # standard deviations, by which what is predicted may be off
 _IMAGE = 0.5  # share of Ĵ by which an image may move otherwise than is believed
+
+
+MotionSd = Callable[[Array], Callable[[Array], Array] | None]
 
 
 class _Frame(NamedTuple):
@@ -263,7 +266,8 @@ class SensorWatch:
     singular value. (R' − R) d is perpendicular to the axis about which the link has turned: along
     it, the tool explains no error. Coordinates of different units are checked separately. If the
     kinematics are learnt, the sensor may be rotated, so that lengths of motions are compared. While
-    x is lost, the tip may move by `unseen` (m,) at most.
+    x is lost, it may move by `unseen` (m,) at most, or its prediction be off by as much. `detail`
+    says of a lost x by how much.
     """
 
     def __init__(
@@ -297,19 +301,24 @@ class SensorWatch:
         self._last: _Frame | None = None
         self._seen = -math.inf
         self._q_seen: Array | None = None  # in the last period in which there was an x
+        self._sd: Callable[[Array], Array] | None = None  # of the motion since that is predicted
+        self.detail, self._units = "", units
 
-    def look(self, measurement: Measurement, x_d: Array) -> Fault | None:
-        """Return the fault of x, with target x_d (n_x,), assuming that q and q̇ are right."""
+    def look(
+        self, measurement: Measurement, x_d: Array, motion_sd: MotionSd = lambda q: None
+    ) -> Fault | None:
+        """Return the fault of x, with target x_d (n_x,), assuming that q and q̇ are right.
+
+        `motion_sd` is `Kinematics.motion_sd` of a law that predicts x.
+        """
+        self.detail = ""
         t, q, v, x, t_x = measurement
         self._path += self._dt * math.hypot(*v.tolist())
         self._past.append((t, q, self._path))
         last = self._last
         if not math.isfinite(math.hypot(*x.tolist())):
-            if self._q_seen is None:
-                return None
-            way = self._task.error(self._task.value(q), self._task.value(self._q_seen))
-            return Fault.BLIND if (self._sizes(way / self._unseen) > 1.0).any() else None
-        self._q_seen = q
+            return None if self._q_seen is None else self._lost(q, self._q_seen, motion_sd)
+        self._q_seen, self._sd = q, None
         if last is not None and (x == last.x).all():  # repeated, whatever t_x says
             if t - self._seen <= self._longest:
                 return None
@@ -335,6 +344,23 @@ class SensorWatch:
             if old is not None and self._is_still(frame, old):
                 return Fault.SENSOR_FROZEN
         return None
+
+    def _lost(self, q: Array, q_seen: Array, motion_sd: MotionSd) -> Fault | None:
+        way, what = self._task.error(self._task.value(q), self._task.value(q_seen)), "moved by"
+        beyond = self._sizes(way / self._unseen)
+        if (beyond > 1.0).any():
+            # what is learnt stays the same until x is seen again
+            self._sd = self._sd or motion_sd(q_seen)
+            if self._sd is not None:
+                way, what = _SURELY * self._sd(q), "may differ from what is predicted by"
+                beyond = self._sizes(way / self._unseen)
+        if not (beyond > 1.0).any():
+            return None
+        group = self._groups[int(beyond.argmax())]
+        size, unit = math.hypot(*way[group].tolist()), self._units[group[0]]
+        most = f"at most {size / beyond.max():.3g} {unit} (max_blind_motion)"
+        self.detail = f"since it was seen it {what} {size:.3g} {unit}, {most}"
+        return Fault.BLIND
 
     def _instant(self, taken: float) -> tuple[float, Array, float] | None:
         periods = (self._past[-1][0] - taken) / self._dt

@@ -365,7 +365,7 @@ def text(result: RunResult) -> str:
         "law's status": shares(run.status_counts()),
     }
     if run.command_kind == "velocity":
-        lines["velocity"] = run.describe_command()
+        lines["velocity"] = run.describe_largest("command")
     if learnt := law.describe_learnt(run.state[-1]):
         lines["learnt"] = learnt
     if (kinematics := result.kinematics) is not None:

@@ -235,18 +235,13 @@ class Trajectory:
     @property
     def units(self) -> Mapping[str, str]:
         """Array name → unit; those of different kinds of joints joined by "or"."""
-        kinds = [
-            {"joint": joint, "torque": torque, "command": self._commanded_in(joint)}
-            for joint, torque in _TORQUE.items()
-            if joint in self.joint_units
-        ]
-        return {
-            name: joined(unit.format(task=self.task_unit, **kind) for kind in kinds)
-            for name, (_, unit) in _COLUMNS.items()
-        }
+        kinds = [joint for joint in _TORQUE if joint in self.joint_units]
+        return {name: joined(self._unit(name, joint) for joint in kinds) for name in _COLUMNS}
 
-    def _commanded_in(self, joint: str) -> str:
-        return _TORQUE[joint] if self.command_kind == "torque" else f"{joint}/s"
+    def _unit(self, name: str, joint: str) -> str:
+        torque, task = _TORQUE[joint], self.task_unit
+        command = torque if self.command_kind == "torque" else f"{joint}/s"
+        return _COLUMNS[name][1].format(task=task, joint=joint, torque=torque, command=command)
 
     @property
     def has_torque(self) -> bool:
@@ -338,7 +333,6 @@ class Trajectory:
         """Raise a ValueError if what a file kept does not fit together."""
         names, units = self.joint_names + self.task_labels, self.joint_units + self.task_units
         texts = (*names, *units, self.robot_name, self.ended, self.fault_name, self.engine, law)
-        texts += (self.command_kind,)
         lengths = {"n_v": len(self.joint_names), "m": len(self.task_labels)}
         bodies = []
         if self.scene is not None:
@@ -373,11 +367,9 @@ class Trajectory:
         """Return names and figures to print below the error."""
         figures = {"run": f"{self.robot_name}, {self.t[-1]:g} s, {len(self.t)} samples"}
         if self.command_kind == "velocity":
-            figures["velocity"] = self.describe_command()
+            figures["velocity"] = self.describe_largest("command")
         if self.has_torque:
-            figures["torque"] = self._largest(
-                self.tau, [_TORQUE[unit] for unit in self.joint_units]
-            )
+            figures["torque"] = self.describe_largest("tau")
         figures["law's status"] = shares(self.status_counts())
         if (self.limit_status != LimitStatus.UNLIMITED).any():
             figures["limits' status"] = shares(self.limit_status_counts())
@@ -397,14 +389,12 @@ class Trajectory:
             error += f", below 1 % of the start from {self.t[above[-1] + 1]:.3g} s on"
         return error
 
-    def describe_command(self) -> str:
-        """Describe the largest command, with its unit and joint."""
-        return self._largest(self.command, [self._commanded_in(unit) for unit in self.joint_units])
-
-    def _largest(self, values: Array, units: Sequence[str]) -> str:
-        peaks = np.abs(values).max(axis=0)
+    def describe_largest(self, name: Literal["command", "tau"]) -> str:
+        """Describe the largest command or torque, with its unit and joint."""
+        peaks = np.abs(getattr(self, name)).max(axis=0)
         k = int(peaks.argmax())
-        return f"at most {peaks[k]:.3g} {units[k]} ({self.joint_names[k]})"
+        unit = self._unit(name, self.joint_units[k])
+        return f"at most {peaks[k]:.3g} {unit} ({self.joint_names[k]})"
 
     def describe_stops(self) -> str:
         """Describe the joints that were at their stops, and for how long; "" if none was."""

@@ -118,6 +118,13 @@ class Kinematics(Immutable, ABC):
         """Return the standard deviations of `learnt`, shape (p,)."""
         return np.array([row.sd for row in self.report(state).rows] if self.names else [])
 
+    def motion_sd(self, state: Array, q_0: Array) -> Callable[[Array], Array] | None:
+        """Return q → standard deviation (m,) [unit of the task] of the predicted motion from q_0.
+
+        It is that of what a state has learnt. By default None, for kinematics that do not know.
+        """
+        return None
+
     def robot(self, state: Array) -> Robot:
         """Return the believed robot with the tool and joint origins that a state has learnt.
 

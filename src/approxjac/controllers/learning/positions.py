@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -442,6 +442,34 @@ class AdaptiveKinematics(Estimator):
         return PredictedError(law.rotation_log(E), J, J_dot, x_d_dot, x_d_ddot, drift)
 
     # -- what was learnt -----------------------------------------------------------------
+
+    def motion_sd(self, state: Array, q_0: Array) -> Callable[[Array], Array]:
+        """Return q → standard deviation (m,) of the predicted motion of x from q_0.
+
+        x = R(o + Hu) + b moves by RΔp, Δp = Δo + ΔHu, and by R ΔH δu + [φ]ₓRΔp more where u and R
+        are off by δu and φ; an orientation by W = RΔR_fRᵀ, and by φ − Wφ more, whatever the tool's.
+        """
+        P, u = self.report(state).covariance, self.learnt(state)[: self._n_theta]
+        R = self._estimator.estimate(state[self._at["sums"]])[1]
+        (H_0, o_0), n_p, spin = self._moved.at(q_0), self._n_p, len(state[self._at["R_spin"]])
+
+        def sd(q: Array) -> Array:
+            H, o = self._moved.at(q)
+            both = np.column_stack([H - H_0, o - o_0 + (H - H_0).dot(u)])[self._rows]
+            if self._is_turned:
+                both = (R @ both.reshape(-1, self._d, both.shape[1])).reshape(both.shape)
+            J = np.zeros((self.task.m, len(P)))
+            J[:n_p, : len(u)] = both[:, :-1]
+            if spin:
+                ways = both[:, -1].reshape(-1, self._d)
+                moved = np.einsum("sij,kj->kis", law.generators(self._d), ways)
+                J[:n_p, -spin:] = moved.reshape(n_p, spin)
+                if self._is_pose:
+                    W = R.dot(self._frame(q)).dot(self._frame(q_0).T).dot(R.T)
+                    J[n_p:, -spin:] = np.eye(3) - W
+            return np.asarray(self._size * np.sqrt(np.maximum((J.dot(P) * J).sum(axis=1), 0.0)))
+
+        return sd
 
     def _is_state(self, state: Array) -> bool:
         sums = state[self._at["sums"]]
