@@ -189,6 +189,7 @@ def open_page(browser):
         )
         viewport = {"width": size[0], "height": size[1]}
         page = browser.new_page(viewport=viewport, reduced_motion=motion)
+        page.wait_for_function = functools.partial(wait_for, page)
         page.on("console", lambda message: wrong.append(f"{message.type}: {message.text}"))
         page.on("pageerror", lambda error: wrong.append(f"error: {error}"))
         page.on(
@@ -208,6 +209,14 @@ def open_page(browser):
         page.goto(url)
         opened.append(page)
         return page
+
+    def wait_for(page, condition, timeout=30_000):
+        """Playwright's own evaluates a text inside of a page, which its security policy forbids."""
+        for _ in range(timeout // 50):
+            if page.evaluate(condition):
+                return
+            page.wait_for_timeout(50)
+        raise TimeoutError(condition)
 
     yield open_
     for page in opened:

@@ -2,6 +2,7 @@
 
 import base64
 import dataclasses
+import hashlib
 import json
 import re
 import sys
@@ -14,7 +15,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import approxjac as aj
 from approxjac import view
 from approxjac.view.browser.frames import _peaks
-from approxjac.view.browser.page import _thinned, page
+from approxjac.view.browser.page import _thinned, page, policy_of
 
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 
@@ -59,6 +60,32 @@ def test_a_title_may_be_anything_and_cannot_end_the_script(run):
     assert data_of(text)["title"] == title
     assert text.count("alert(1)") == 3  # title, heading, data
     assert "<script>alert" not in text
+
+
+def test_its_policy_allows_its_own_scripts_and_nothing_of_the_network(run):
+    text = page(run, '{{policy}} Policy" content="')
+    policy = dict(part.split(" ", 1) for part in policy_of(text).split("; "))
+    scripts = re.findall("<script>(.*?)</script>", text, re.DOTALL)
+    hashes = [base64.b64encode(hashlib.sha256(each.encode()).digest()) for each in scripts]
+    assert policy["script-src"].split() == [f"'sha256-{each.decode()}'" for each in hashes]
+    assert policy["default-src"] == policy["form-action"] == "'none'"
+    assert "connect-src" not in policy
+    assert "http" not in policy_of(text)
+    assert text.index("Content-Security-Policy") < text.index("<style>")
+
+
+@pytest.mark.browser
+def test_a_script_that_was_put_into_a_page_does_not_run(run, tmp_path, browser):
+    text, put = page(run), "<script>document.title = 'put in'</script>"
+    path = tmp_path / "changed.html"
+    path.write_text(text.replace("<h1>", f'{put}<img src="http://127.0.0.1:9/x"><h1>', 1), "utf-8")
+    opened, said = browser.new_page(), []
+    opened.on("console", lambda message: said.append(message.text))
+    opened.goto(path.as_uri())
+    assert opened.title() != "put in"
+    opened.close()
+    for directive in ("script-src", "img-src"):
+        assert any(directive in each for each in said)
 
 
 def test_columns_are_those_of_the_run(run):

@@ -8,6 +8,7 @@ from PIL import Image
 
 import approxjac as aj
 from approxjac import view
+from approxjac.view.browser.page import policy_of
 
 PAGE = """<!doctype html><head><meta name="generator" content="approxjac">
 <meta name="description" content="error: 3 &lt; 4"><title>{}</title></head>"""
@@ -28,6 +29,7 @@ def test_it_links_the_pages_of_runs_in_their_order(tmp_path):
     assert "<b>Run &amp; fig9.html</b><p>error: 3 &lt; 4</p>" in text
     assert re.findall(r'<img src="(.*?)"', text) == ["fig9.png"]
     assert view.write_index(tmp_path).read_text(encoding="utf-8").count("<li>") == 5
+    assert "script-src 'none'" in policy_of(text)
 
 
 def test_pictures_without_a_page_stand_among_the_pages(tmp_path, open_page):

@@ -580,6 +580,18 @@ def test_only_this_machine_by_its_own_name_is_served(panda):
     with_pages(panda, act)
 
 
+def test_it_is_served_with_the_policy_of_its_page_and_in_no_frame(panda):
+    def act(pages, _):
+        with urlopen(pages.url) as answer:
+            policy, text = answer.headers["Content-Security-Policy"], answer.read().decode()
+        own, _, frames = policy.rpartition("; ")
+        assert f'http-equiv="Content-Security-Policy" content="{own}"' in text
+        assert "connect-src ws://127.0.0.1:* ws://localhost:*;" in own
+        assert frames == "frame-ancestors 'none'"
+
+    with_pages(panda, act)
+
+
 def test_without_the_key_of_its_address_nobody_is_served(panda):
     def act(pages, _):
         bare = Pages(f"http://127.0.0.1:{port_of(pages.url)}/")

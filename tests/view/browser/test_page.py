@@ -362,6 +362,10 @@ def rows_of(run, every=100):
         SimpleNamespace(
             task_labels=run.task_labels,
             task_units=run.task_units,
+            command_kind=run.command_kind,
+            has_torque=run.has_torque,
+            units=run.units,
+            at=lambda name, _, i=i: getattr(run, name)[i : i + 1],
             **{name: getattr(run, name)[i : i + 1] for name in names},
         )
         for i in range(0, len(run.t), every)

@@ -28,7 +28,7 @@ from approxjac.simulation.trajectory import Record, scene_of
 from approxjac.tasks.analysis import features, image_feature
 from approxjac.validation import Array, as_array, as_number
 from approxjac.view.browser.frames import RunFrames
-from approxjac.view.browser.page import asset, document, open_browser, page_data
+from approxjac.view.browser.page import asset, document, open_browser, page_data, policy_of
 from approxjac.view.browser.stage import Stage
 
 _FRAME = 1.0 / 30.0  # between pictures [s]
@@ -382,8 +382,12 @@ class PageServer:
 
         class Page(self._web.RequestHandler):  # type: ignore[misc, name-defined]
             def get(self) -> None:
+                text = outer._page()
                 self.set_header("Cache-Control", "no-store")
-                self.finish(outer._page())
+                self.set_header("Referrer-Policy", "no-referrer")  # the address holds the key
+                policy = f"{policy_of(text)}; frame-ancestors 'none'"
+                self.set_header("Content-Security-Policy", policy)
+                self.finish(text)
 
         class Socket(self._websocket.WebSocketHandler):  # type: ignore[misc, name-defined]
             def open(self, *_: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import json
 import os
 import re
@@ -39,6 +40,12 @@ _RATE = 60.0  # frames of a second, at most
 _FRAMES = 1000  # of a run, at most
 _HEAD = 4000  # characters of a page in which its name stands
 _MARK = '<meta name="generator" content="approxjac">'
+# what a page may do: run the scripts that stand in it, and show pictures beside it
+_POLICY = (
+    "default-src 'none'; base-uri 'none'; form-action 'none'; img-src 'self' file: data:; "
+    "style-src 'unsafe-inline'"  # MeshCat sets styles
+)
+_LIVE = "; connect-src ws://127.0.0.1:* ws://localhost:*"
 _SCRIPTS = ("uPlot.iife.min.js", "scene.js", "plots.js", "image.js", "page.js")
 _ROOM = 0.35  # to all sides, for targets of a live page that are yet to come, of the arm's size
 
@@ -231,7 +238,7 @@ def document(data: Mapping[str, Any], *scripts: str) -> str:
         "licences": "\n\n".join(licences).replace("<", "(").replace(">", ")"),
         "scripts": "\n".join(f"<script>{part}</script>" for part in ended),
     }
-    return _filled("page.html", parts)
+    return _filled("page.html", parts, _LIVE if scripts else "")
 
 
 def asset(name: str) -> str:
@@ -240,10 +247,19 @@ def asset(name: str) -> str:
     return file.read_text(encoding="utf-8")
 
 
-def _filled(template: str, parts: Mapping[str, str]) -> str:
-    """Return an asset with parts in place of their names, {{name}}."""
+def policy_of(page: str) -> str:
+    """Return the Content-Security-Policy that a page states."""
+    return page.partition('Policy" content="')[2].partition('"')[0]
+
+
+def _filled(template: str, parts: Mapping[str, str], connect: str = "") -> str:
+    """Return an asset with parts in place of their names, {{name}}, and a policy on connections."""
     # all at once: parts are not looked at again
-    return re.sub(r"{{(\w+)}}", lambda name: parts[name[1]], asset(template))
+    text = re.sub(r"{{(\w+)}}", lambda name: parts.get(name[1], name[0]), asset(template))
+    scripts = re.findall("<script>(.*?)</script>", text, re.DOTALL)
+    hashes = [base64.b64encode(hashlib.sha256(each.encode()).digest()) for each in scripts]
+    allowed = " ".join(f"'sha256-{each.decode()}'" for each in hashes) or "'none'"
+    return text.replace("{{policy}}", f"{_POLICY}{connect}; script-src {allowed}", 1)
 
 
 def _legend(scene: Scene, tip: str, image: bool) -> list[tuple[str, str, str, str]]:
