@@ -17,3 +17,10 @@ def among(*names):
 
 
 ARMS = among(*sorted(NAMED))
+# by default two of them: for tests that take long on each
+FEW = [
+    arm
+    if arm.marks or arm.id in REPRESENTATIVE[::4]
+    else pytest.param(arm.id, marks=pytest.mark.study, id=arm.id)
+    for arm in ARMS
+]

@@ -79,8 +79,8 @@ def test_what_was_reported_is_kept_where_the_map_is_interrupted(tmp_path, monkey
     monkeypatch.setattr(aj.Study, "map", interrupted)
     one = partialmethod(aj.Study.tolerance, tests=("local",))  # the certificates take seconds
     monkeypatch.setattr(aj.Study, "tolerance", one)
-    options = "--object-length", "0", "0.1", "--around", *AROUND, "--radius", "0.1", *QUICK
-    assert stability(tmp_path, "panda", *options) == 130
+    options = "--object-length", "0", "0.05", "--around", "30", "60", "--radius", "0.1", *QUICK
+    assert stability(tmp_path, "two_link", *options) == 130
     printed = capsys.readouterr().out.rstrip("\n")
     assert printed.startswith("certified: ")
     assert (tmp_path / "report.txt").read_text(encoding="utf-8").rstrip("\n") == printed

@@ -58,7 +58,7 @@ def steps(controller, count, rng):
 
 @pytest.mark.parametrize(
     "name",
-    [n if n in ("URDF", "motion") else pytest.param(n, marks=pytest.mark.study) for n in LIMITERS],
+    [n if n == "motion" else pytest.param(n, marks=pytest.mark.study) for n in LIMITERS],
 )
 def test_compiled_steps_are_those_of_python(name, rng):
     """To the accuracy of two solvers; what no torque keeps is left to Python, to the bit."""

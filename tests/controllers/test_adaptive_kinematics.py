@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pinocchio as pin
 import pytest
+from arms import FEW
 from numpy.testing import assert_allclose
 
 import approxjac as aj
@@ -495,6 +496,7 @@ def test_nothing_that_is_measured_makes_a_state_that_is_not_finite(belief, x):
         ("tool", "origins", "camera"),
     ],
 )
+@pytest.mark.parametrize("arm", FEW, indirect=True)
 def test_any_arm_learns_and_bears_any_measurement(arm, unknown, rng):
     """x̂ is x after six seconds of any motion; and no measurement makes anything not finite."""
     kinematics = AdaptiveKinematics(arm, unknown)

@@ -176,14 +176,14 @@ def test_near_a_singular_posture_it_fades_out_and_still_leaves_the_task_alone():
     plain = aj.SetpointController(task, gains)
     kept = aj.SetpointController(task, gains, posture=Posture(np.zeros(7), 10.0))
     pulls, faded = [], 0
-    for step in np.linspace(-0.2, 0.2, 4001):
+    for step in np.linspace(-0.2, 0.2, 2001):
         q = singular + step * direction
         measurement = aj.Measurement(0.0, q, still, task.value(q))
         answers = [c.evaluate(np.zeros(0), measurement, task.value(q)) for c in (kept, plain)]
         pulls.append(answers[0].torque - answers[1].torque)
         assert np.abs(answers[0].J_hat @ pulls[-1]).max() < 1e-12
         faded += answers[0].status is aj.Status.NEAR_SINGULAR
-    assert faded > 100
+    assert faded > 50
     sizes = np.linalg.norm(pulls, axis=1)
     assert sizes.min() < 0.05 * sizes.max()
     assert np.linalg.norm(np.diff(pulls, axis=0), axis=1).max() < 0.02 * sizes.max()
@@ -231,7 +231,7 @@ def test_an_arm_that_stands_at_a_stop_leaves_it_and_keeps_its_target(panda):
     distances = {}
     for posture in (None, AwayFromStops()):
         controller = aj.SetpointController(task, posture=posture)
-        run = aj.simulate(plant, controller, task.value(q0), q0, 6.0, dt=2e-3)
+        run = aj.simulate(plant, controller, task.value(q0), q0, 4.0, dt=2e-3)
         assert run.error_norm[-1] < 1e-3
         distances[posture] = panda.position_limits[1][5] - run.q[-1][5]
     assert distances[None] < 0.05 < 0.2 < distances[AwayFromStops()]

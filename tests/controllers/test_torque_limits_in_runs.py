@@ -86,7 +86,7 @@ def test_a_joint_driven_into_its_limit_stops_at_it_without_chatter(panda, tool):
         limited,
         [0.0, -0.1, -0.5],
         q0,
-        6.0,
+        4.0,
         dt=DT,
         computation=aj.simulation.Computation("semi_implicit_euler"),
     )

@@ -95,7 +95,7 @@ class Watched:
         self.statuses.append(loop.answer.limit_status)
 
 
-def watched_run(dt, limits=None, duration=1.0):
+def watched_run(dt, limits=None, duration=0.5):
     """A circle with an object of 1 kg that nobody told of."""
     belief, q0 = aj.load_robot("panda"), STARTS["panda"]
     truth = belief.with_object(0.2, 1.0, axis="x")

@@ -42,8 +42,8 @@ class Lists(Wrapped):
 
 @pytest.mark.parametrize("kind", [SameArrays, pytest.param(Lists, marks=pytest.mark.study)])
 def test_arrays_of_a_driver_may_be_any(plant, controller, kind):
-    found = run(driver_of(plant, kind), controller, 0.3)
-    assert_array_equal(found.q, run(driver_of(plant), controller, 0.3).q)
+    found = run(driver_of(plant, kind), controller, 0.1)
+    assert_array_equal(found.q, run(driver_of(plant), controller, 0.1).q)
     assert found.fault is None
 
 
@@ -318,7 +318,7 @@ def test_an_observer_cannot_exchange_the_limits_away(plant, controller):
             except InvalidInputError as error:
                 refused.append(str(error))
 
-    run(driver_of(plant), controller, 0.3, observer=observe)
+    run(driver_of(plant), controller, 0.05, observer=observe)
     assert "must keep the robot's limits of effort" in refused[0]
 
 

@@ -472,7 +472,7 @@ def test_a_path_begins_where_the_task_starts_and_is_followed(path):
             {"controller": {"gravity": "none", "limits": "none"}},
             "stands at the joint stops of",
         ),
-        (2.0, {"sensor": {"dropout": 1.0}}, "the measurement of x is lost"),
+        (0.5, {"sensor": {"dropout": 1.0}}, "the measurement of x is lost"),
         (
             1.0,
             {"controller": {"gravity": "exact", "kp": 1.0, "kv": 1.0, "damping": 0.1}},

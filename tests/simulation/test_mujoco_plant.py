@@ -7,6 +7,7 @@ import sys
 import mujoco
 import numpy as np
 import pytest
+from arms import FEW
 from numpy.testing import assert_array_equal
 
 import approxjac as aj
@@ -84,6 +85,7 @@ def test_accelerations_are_pinocchios_for_every_named_arm(arm, rng):
     assert_same_accelerations(arm, rng)
 
 
+@pytest.mark.parametrize("arm", FEW, indirect=True)
 @pytest.mark.parametrize("mass", [pytest.param(0.0, marks=pytest.mark.study), 0.5])
 def test_accelerations_with_an_object(arm, mass, rng):
     assert_same_accelerations(arm.with_object(0.2, mass, axis=(1.0, -2.0, 0.5)), rng)

@@ -198,7 +198,7 @@ def test_a_run_decays_at_the_rate_that_is_told():
     plant, law = two_link_loop(WindingUpNot)
     local = aj.local_stability(plant, law, GOAL, 2e-3)
     x_d = plant.sensor.value(GOAL)
-    run = aj.simulate(plant, law, x_d, GOAL + 0.01, 16.0, dt=2e-3, record_every=0.1)
+    run = aj.simulate(plant, law, x_d, GOAL + 0.01, 12.0, dt=2e-3, record_every=0.1)
     late = (run.t > 6.0) & (run.error_norm > 1e-12)
     rate = -np.polyfit(run.t[late], np.log(run.error_norm[late]), 1)[0]
     assert_allclose(rate, local.decay_rate, rtol=0.05)

@@ -224,7 +224,7 @@ def test_inertias_along_pixels_and_metres_do_not_compare(image):
     parts = aj.StackedTask(CombinedTask.balanced(image, image.value(Q)), height)
     start = pin.integrate(image.robot.model, Q, np.full(7, 0.05))
     run = aj.simulate(
-        aj.Plant(image.robot, stack), aj.SetpointController(parts), stack.value(Q), start, 4.0,
+        aj.Plant(image.robot, stack), aj.SetpointController(parts), stack.value(Q), start, 3.0,
         dt=2e-3,
     )  # fmt: skip
     assert np.abs(run.error[-1]).max() < 0.5

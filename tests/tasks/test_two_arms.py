@@ -48,7 +48,7 @@ def test_two_wrong_arms_reach_two_targets_at_once():
     wrong = task.value(START) - plant.sensor.value(START)
     assert np.abs(wrong).max() > 0.02  # of what is believed of the tips
     target = plant.sensor.value(START) + [0.05, -0.05, 0.1, -0.05, 0.05, 0.1]
-    run = aj.simulate(plant, law, target, START, 8.0, dt=1e-3)
+    run = aj.simulate(plant, law, target, START, 6.0, dt=1e-3)
     assert run.error_norm[0] > 0.17
     assert run.error_norm[-1] < 1e-3
     assert set(run.status_counts()) <= {aj.Status.OK, aj.Status.OUT_OF_REACH}
@@ -61,7 +61,7 @@ def test_one_arm_does_not_wait_for_the_other():
     robot = aj.load_robot(URDF)
     plant, law = aj.Plant(robot, tips(robot), 0.2), aj.SetpointController(tips(robot))
     target = plant.sensor.value(START) + [0.05, -0.05, 0.1, 0.0, 0.0, 0.0]
-    run = aj.simulate(plant, law, target, START, 4.0, dt=1e-3)
+    run = aj.simulate(plant, law, target, START, 3.0, dt=1e-3)
     assert np.abs(run.error[-1]).max() < 1e-3
     assert np.abs(run.x[:, 3:] - run.x[0, 3:]).max() < 1e-3
     J = law.task.jacobian(START)

@@ -275,7 +275,7 @@ def test_the_believed_tip_moves_onto_the_true_one_while_it_is_learnt(panda, law)
         controller = aj.TorqueLimited(aj.SetpointController(task), aj.Limits.of(panda))
         controller = PredictedMeasurement(controller, kinematics)
     x_d = plant.sensor.value(START) + [0.1, 0.1, 0.0]
-    run = aj.simulate(plant, controller, x_d, START, 1.0, dt=1e-3, record_every=0.01)
+    run = aj.simulate(plant, controller, x_d, START, 0.6, dt=1e-3, record_every=0.01)
     scene = Scene.from_dict(run.scene.to_dict())
     shown = RunFrames(scene).columns(run)
     apart = np.linalg.norm(shown["believed_tip"] - shown["tip"], axis=1)
