@@ -286,7 +286,9 @@ def controller(request):
 
 
 # few examples by default, many in CI: pytest --hypothesis-profile=many tests/test_fuzz.py
+COUNT = settings.default.max_examples
 FUZZ = settings(
+    max_examples=COUNT if COUNT > 10 else COUNT // 2,
     deadline=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )

@@ -301,7 +301,7 @@ def assert_same_bits(controller, step, in_c, count, seed=0):
 
 
 @needs_compiler
-@pytest.mark.parametrize("case", some("panda (6), limits", "posture", "away from stops"))
+@pytest.mark.parametrize("case", some("pose, limits", "posture"))
 def test_it_gives_the_bits_of_numpy(case, in_c_of):
     controller, step = built(case)
     seen = assert_same_bits(controller, step, in_c_of(case)[0], 1000)
@@ -353,7 +353,7 @@ def test_it_gives_the_bits_of_numpy_over_a_million_steps(case, compiler, tmp_pat
         assert_same_bits(controller, step, in_c, 10_000, seed + 1)
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", some("limits", "posture", "stops", "(29)"))
 def test_it_is_the_controller(case):
     """The same torques, states and statuses as those of the controller in Python."""
     controller, step = built(case)
@@ -390,7 +390,10 @@ def assert_is_the_controller(controller, step, given):
 
 
 @needs_compiler
-@pytest.mark.parametrize("compiler", COMPILERS)
+@pytest.mark.parametrize(
+    "compiler",
+    [pytest.param(k, marks=[] if k == "gcc" else pytest.mark.study) for k in COMPILERS],
+)
 @pytest.mark.parametrize("case", some("panda (6), limits"))
 def test_the_self_test_passes_and_sanitizers_find_nothing(case, compiler, in_c_of):
     _, folder = in_c_of(case)

@@ -122,7 +122,15 @@ def test_a_pose_is_followed_with_a_turned_tool_and_tracker(turned_run):
         assert np.linalg.norm(rotation_log(rotation_exp(found) @ rotation_exp(true).T)) < 0.03
 
 
-@pytest.mark.parametrize("unknown", [("tool", "origins"), "tool", ("origins", "offset")], ids=str)
+@pytest.mark.parametrize(
+    "unknown",
+    [
+        ("tool", "origins"),
+        pytest.param("tool", marks=pytest.mark.study),
+        ("origins", "offset"),
+    ],
+    ids=str,
+)
 def test_with_a_known_tracker_the_tool_is_an_average(belief, truth, panda, unknown):
     """A tool that is not unknown is taken as believed, but for an integral of what is left."""
     sensor = aj.PoseTask(truth)

@@ -474,6 +474,7 @@ def test_the_lag_of_a_servo_is_learnt(lag, delay):
     assert learnt == pytest.approx([lag + delay + 0.5 * dt], abs=4e-3)
 
 
+@pytest.mark.study
 def test_noise_of_the_velocity_is_no_lag():
     """Encoders of 12 bits, whose differences are noisy, delay q̇ by their filter and no more."""
     robot, q0, dt = aj.load_robot("ur5"), STARTS["ur5"], 8e-3

@@ -225,7 +225,7 @@ def test_a_function_is_checked_where_it_was_not_chosen(exact):
 
 
 @pytest.mark.parametrize("below", [pytest.param(1.0, marks=pytest.mark.study), 1e-3])
-@pytest.mark.parametrize("at", [None, (0.4, 1.2)])
+@pytest.mark.parametrize("at", [None, pytest.param((0.4, 1.2), marks=pytest.mark.study)])
 def test_starts_that_stay_are_starts_that_are_certified(exact, below, at):
     """To any target of the same middle part of the region, or to the one that is given."""
     robot, law, box, test = exact

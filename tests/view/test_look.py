@@ -136,6 +136,7 @@ def test_arms_are_light(arm, look):
     assert max(len(shape.faces) for shape in shapes) <= many_parts * 2500
 
 
+@pytest.mark.study
 def test_the_panda_keeps_its_form(panda):
     """Both ways between what is in the files and what is shown, where 2 mm is little."""
     from scipy.spatial import cKDTree
