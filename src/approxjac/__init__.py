@@ -9,7 +9,6 @@ modules that define them: `aj.stability.RegularPart`, `aj.cameras.Camera`, `aj.v
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from approxjac import codegen as codegen
     from approxjac import law, stability, view
     from approxjac import realtime as realtime
     from approxjac.cameras import PinholeCamera
@@ -58,7 +57,6 @@ _FROM = {
     "stability": ("JointBox", "Study", "Uncertainty", "local_stability"),
     "tasks": ("ImageTask", "PoseTask", "PositionTask", "StackedTask", "Task"),
 }
-_MODULE_OF = {name: module for module, names in _FROM.items() for name in names}
 _MODULES = ("cameras", "controllers", "errors", "robots", "simulation", "tasks")  # of further names
 
 __all__ = [
@@ -117,14 +115,14 @@ if not TYPE_CHECKING:  # or no name would be unknown to type checkers
         import sys
 
         if name in __all__ and name not in ("law", "stability", "view"):
-            module = importlib.import_module(f"approxjac.{_MODULE_OF.get(name, 'controllers')}")
-            value = getattr(module, name)
+            where = next((each for each, names in _FROM.items() if name in names), "controllers")
+            value = getattr(importlib.import_module(f"approxjac.{where}"), name)
         elif not name.startswith("_") and importlib.util.find_spec(f"approxjac.{name}"):
             value = importlib.import_module(f"approxjac.{name}")
         else:
             # with these Python adds what was meant
-            where = {"name": name, "obj": sys.modules[__name__]}
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}", **where)
+            known = {"name": name, "obj": sys.modules[__name__]}
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}", **known)
         globals()[name] = value
         return value
 

@@ -45,9 +45,8 @@ _NAMES = {float: "N", int: "N", str: "NAME", Path: "PATH"}
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
-    for name in ("stdout", "stderr"):
-        if getattr(sys, name) is None:  # a shell closed it, by >&-
-            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115
+    sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115 - a shell closed it, by >&-
+    sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # a terminal that cannot show λ shows "?"
     warnings.showwarning = _warned

@@ -384,7 +384,6 @@ class PageServer:
             def get(self) -> None:
                 text = outer._page()
                 self.set_header("Cache-Control", "no-store")
-                self.set_header("Referrer-Policy", "no-referrer")  # the address holds the key
                 policy = f"{policy_of(text)}; frame-ancestors 'none'"
                 self.set_header("Content-Security-Policy", policy)
                 self.finish(text)
