@@ -65,9 +65,11 @@ def _quickly(text: str, features: str, effort: int = 0) -> MachineCode:
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Let LLVM optimise for studies and where machine code is what is tested.
 
-    Elsewhere it takes six times as long as it saves; the bits are the same.
+    Elsewhere it takes six times as long as it saves, also where many laws are compiled for some
+    steps each; the bits are the same.
     """
-    optimised = item.path.name in OPTIMISED or item.get_closest_marker("study") is not None
+    is_study = item.get_closest_marker("study") is not None and item.path.parent.name != "codegen"
+    optimised = item.path.name in OPTIMISED or is_study
     MachineCode.of = WHOLE if optimised else _quickly
 
 
