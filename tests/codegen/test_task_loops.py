@@ -104,10 +104,8 @@ def test_runs_are_those_of_python(name):
         assert any(aj.Status.MEASUREMENT_LOST in run.status for run in runs)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(k, marks=() if k == "lost at times" else pytest.mark.study) for k in STUDIES],
-)
+@pytest.mark.study
+@pytest.mark.parametrize("name", STUDIES)
 def test_one_whole_run_is_that_of_python(name, monkeypatch):
     controller, known, region = STUDIES[name]()
     few = rolled(controller, known, region, engine="python", **SHORT | {"runs": 1})

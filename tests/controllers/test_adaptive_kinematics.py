@@ -408,6 +408,7 @@ def test_what_is_not_explained_stays_so_when_learning_begins_anew(belief, panda)
     assert "do not explain x" in str(reports[1])
 
 
+@pytest.mark.study
 def test_a_tool_that_slips_is_learnt_anew(turned_run, panda, truth):
     """By 3 cm, which no gate keeps out: residuals contradict what is remembered."""
     kinematics, R, _ = turned_run

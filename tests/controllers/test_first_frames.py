@@ -175,7 +175,11 @@ def test_frames_that_become_too_old_are_said_to_teach_nothing_any_more(task):
     [
         (lambda _: 0.0, lambda _: None),
         pytest.param(lambda _: 0.0, lambda t: t, marks=pytest.mark.study),
-        (lambda t: 0.016 * (t // 0.016), lambda t: 0.016 * (t // 0.016)),
+        pytest.param(
+            lambda t: 0.016 * (t // 0.016),
+            lambda t: 0.016 * (t // 0.016),
+            marks=pytest.mark.study,
+        ),
     ],
     ids=["none at all", "only of x", "coarse"],
 )

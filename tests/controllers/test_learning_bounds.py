@@ -93,7 +93,7 @@ def test_near_a_singular_pose_gravity_is_learnt_all_the_same():
     assert np.isfinite(answer.state_rate).all()
 
 
-@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("side", [1.0, pytest.param(-1.0, marks=pytest.mark.study)])
 def test_a_joint_at_its_torque_to_either_side_counts_as_locked(side):
     """One joint is held back by its speed, another one asks for nearly all that its motor has.
 

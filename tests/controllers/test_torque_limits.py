@@ -190,7 +190,13 @@ def test_clipping_breaks_what_the_QP_keeps(panda, rng):
     assert broken > 5
 
 
-@pytest.mark.parametrize("v_d", [None, np.array([0.3, -0.2, 0.1])], ids=["at rest", "on a path"])
+@pytest.mark.parametrize(
+    "v_d",
+    [
+        pytest.param(None, id="at rest", marks=pytest.mark.study),
+        pytest.param(np.array([0.3, -0.2, 0.1]), id="on a path"),
+    ],
+)
 @pytest.mark.parametrize(("scale", "speed"), [(0.4, 0.5), (4.0, 0.05)])
 def test_where_the_proof_is_given_up_joints_at_a_limit_do_not_learn(panda, scale, speed, v_d, rng):
     """There learning is that of an arm whose joints at a limit are locked: y = q̇ + α(ĴP)⁺s(e).

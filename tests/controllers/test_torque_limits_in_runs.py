@@ -201,7 +201,7 @@ def test_a_target_far_out_of_reach_makes_no_torque_chatter(name, tool):
         limited,
         x_d,
         q0,
-        2.0,
+        1.2,
         dt=DT,
         computation=aj.simulation.Computation("semi_implicit_euler"),
     )

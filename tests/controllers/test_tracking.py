@@ -177,11 +177,10 @@ def test_payload_rotors_and_friction_are_learnt():
 @pytest.mark.parametrize(
     "kind",
     [
-        "pose",
         "planar",
         *(
             pytest.param(kind, marks=pytest.mark.study)
-            for kind in ("continuous", "stacked", "combined", "coupled")
+            for kind in ("pose", "continuous", "stacked", "combined", "coupled")
         ),
     ],
 )

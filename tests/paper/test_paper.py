@@ -115,7 +115,7 @@ def pinhole(planar):
 
 @pytest.mark.parametrize(
     "figure",
-    [pytest.param(n, marks=[] if n in (4, 8) else pytest.mark.study) for n in paper.EXPERIMENTS],
+    [pytest.param(n, marks=[] if n == 4 else pytest.mark.study) for n in paper.EXPERIMENTS],
 )
 def test_a_pinhole_camera_gives_the_same_numbers(results, figure):
     """Section 5.1 through the general code: gains are those of an error in px, runs the same."""
@@ -389,6 +389,7 @@ def test_figure_1_is_of_the_bound_that_it_is_given(friction, tmp_path, monkeypat
     assert_allclose(own.get_ydata(), bound.p_of_figure_4)
 
 
+@pytest.mark.study
 def test_the_cross_in_a_figure_is_where_the_target_has_the_tip(usual, tmp_path, monkeypatch):
     drawn = []
     monkeypatch.setattr(verdicts.view, "save_figure", lambda figure, stem: drawn.append(figure))

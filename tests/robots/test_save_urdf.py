@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 import umsgpack
 import yourdfpy
-from arms import ARMS
+from arms import FEW
 from lxml import etree
 from numpy.testing import assert_allclose
 
@@ -29,7 +29,7 @@ OBJECTS = {
 
 @pytest.fixture(
     params=[("panda", kind) for kind in sorted(OBJECTS)]
-    + [pytest.param((arm.values[0], "cylinder"), marks=arm.marks) for arm in ARMS]
+    + [pytest.param((arm.id, "cylinder"), marks=arm.marks) for arm in FEW]
     + [("two_link", "rod")],
     ids="-".join,
 )

@@ -467,10 +467,11 @@ def test_a_path_begins_where_the_task_starts_and_is_followed(path):
 @pytest.mark.parametrize(
     ("duration", "parts", "reason"),
     [
-        (
+        pytest.param(
             4.0,
             {"controller": {"gravity": "none", "limits": "none"}},
             "stands at the joint stops of",
+            marks=pytest.mark.study,
         ),
         (0.5, {"sensor": {"dropout": 1.0}}, "the measurement of x is lost"),
         (

@@ -80,6 +80,7 @@ def assert_same_accelerations(robot, rng, friction=0.3):
 # -- accelerations ----------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("arm", FEW, indirect=True)
 def test_accelerations_are_pinocchios_for_every_named_arm(arm, rng):
     """MuJoCo opens all of them."""
     assert_same_accelerations(arm, rng)

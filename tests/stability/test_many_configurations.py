@@ -121,7 +121,7 @@ TASKS = {
     ),
     "nonsingular": lambda robot: NonsingularTask(aj.PositionTask(robot), {"panda_joint4": 0.2}),
 }
-SIMILAR = ("two axes", "elbow", "tracker", "pose tracker", "derived", "combined")
+SIMILAR = ("two axes", "elbow", "pose", "tracker", "derived", "combined", "stacked")
 
 
 def closed_loop(make, learns=False):
@@ -166,7 +166,10 @@ def test_samples_are_what_each_configuration_gives_alone(name, rng):
 
 
 @pytest.mark.parametrize("timing", [None, Timing(0.002, 2, 3, 0.004)], ids=["continuous", "late"])
-@pytest.mark.parametrize("learns", [False, True], ids=["(6)", "(28)"])
+@pytest.mark.parametrize(
+    "learns",
+    [pytest.param(False, id="(6)", marks=pytest.mark.study), pytest.param(True, id="(28)")],
+)
 def test_targets_are_what_each_gives_alone(learns, timing, rng):
     loop = closed_loop(aj.PositionTask, learns)
     truths, q = loop.targets(12, rng)

@@ -74,21 +74,9 @@ def test_report_says_what_each_test_says(report):
     in_time = MatrixForm(report.samples.take(slice(len(sampled.margins))), report.loop.setting)
     assert (sampled.margins <= in_time.margins(sampled.weights) + 1e-12).all()
     assert sampled.margin > 0.0
-    worst, latency = report.samples.take(np.argsort(-report.spectral_radii)[:60]), report.latency
-
-    def stable(**other):
-        return bool((report.loop.spectral_radii(worst, replace(latency, **other)) < 1.0).all())
-
-    certified = sampled.largest_period()
-    exact = largest(lambda period: stable(period=period), latency.period)
-    delay = sampled.largest_delay()
-    exact_delay = largest(lambda delay: stable(torque_delay=delay), latency.period)
-    assert 0.3 <= delay / exact_delay <= 1.0
-    assert 0.6 <= certified / exact <= math.pi / 4.0 + 0.02
-    assert certified >= 5e-4
-    assert [test.certified for test in report.matrix.values()] == [True]  # none wider was needed
     assert report.local.stable
     assert report.local.decay_rates.min() > 0.5
+    assert [test.certified for test in report.matrix.values()] == [True]  # none wider was needed
     text = str(report)
     assert text.splitlines()[0] == report.verdict() == report.rows[0].text
     assert max(map(len, text.splitlines())) <= 100
@@ -109,6 +97,23 @@ def test_report_says_what_each_test_says(report):
         assert rows[part, "near targets"].figures["unstable"] == 0
     assert rows["sampled", "matrix form"].figures["margin"] == sampled.margin
     assert_array_equal(report.rows[1].figures["certified_error"], sampled.certified_error)
+
+
+@pytest.mark.study
+def test_periods_and_delays_are_certified_up_to_a_share_of_what_is_stable(report):
+    sampled = report.sampled
+    worst, latency = report.samples.take(np.argsort(-report.spectral_radii)[:60]), report.latency
+
+    def stable(**other):
+        return bool((report.loop.spectral_radii(worst, replace(latency, **other)) < 1.0).all())
+
+    certified = sampled.largest_period()
+    exact = largest(lambda period: stable(period=period), latency.period)
+    delay = sampled.largest_delay()
+    exact_delay = largest(lambda delay: stable(torque_delay=delay), latency.period)
+    assert 0.3 <= delay / exact_delay <= 1.0
+    assert 0.6 <= certified / exact <= math.pi / 4.0 + 0.02
+    assert certified >= 5e-4
 
 
 def test_gravity_that_is_left_out_is_said_to_be_known(tools):

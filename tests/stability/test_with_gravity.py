@@ -23,11 +23,8 @@ def heavy(name):
     return HeavyArm(name)
 
 
-# six and seven joints take longer, and are certified in other files, too
-ARMS = [
-    pytest.param(name, marks=[pytest.mark.study] if name in ("panda", "ur5") else [])
-    for name in NAMES
-]
+# more joints take longer, and seven of them are certified in other files, too
+ARMS = [pytest.param(name, marks=[] if name == "two_link" else pytest.mark.study) for name in NAMES]
 
 
 @pytest.fixture(params=ARMS)
@@ -79,7 +76,7 @@ def test_V_falls_by_the_margin_at_least_along_the_true_dynamics(arm, gravity):
 
 
 @pytest.mark.parametrize("name", ARMS)
-@pytest.mark.parametrize("period", [0.5e-3, 2e-3])
+@pytest.mark.parametrize("period", [pytest.param(0.5e-3, marks=pytest.mark.study), 2e-3])
 def test_motions_from_the_level_are_as_slow_as_assumed_and_end_at_the_target(name, period):
     """Of the loop that runs: from any state with V = c, √(q̇ᵀMq̇) stays below v̄, and V below c.
 
@@ -131,7 +128,7 @@ def test_the_level_is_that_of_the_slowest_bound(arm):
 
 
 @pytest.mark.parametrize("dt", [0.5e-3, 2e-3, 5e-3])
-@pytest.mark.parametrize("name", ["two_link", "three_joint"])
+@pytest.mark.parametrize("name", ["two_link", pytest.param("three_joint", marks=pytest.mark.study)])
 @pytest.mark.parametrize("gravity", ["known", "learnt"])
 def test_spectral_radii_are_those_of_the_simulated_steps(name, dt, gravity):
     """The multipliers of the map of one step of `simulate`, by differences, near a target."""
@@ -183,7 +180,10 @@ def test_what_acts_is_out_of_date_by_the_period_and_all_delays(late, age):
 # -- weight that is held for a period -------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["panda", "ur5", "three_joint"])
+@pytest.mark.parametrize(
+    "name",
+    [*(pytest.param(k, marks=pytest.mark.study) for k in ("panda", "ur5")), "three_joint"],
+)
 def test_the_rate_of_the_torque_has_that_of_the_weight(name):
     """u̇ of u = −Ĵᵀ K_p e − D_c q̇ + g along the true motion, by differences; slow, so that
     what is quadratic in q̇ is nothing.

@@ -216,6 +216,7 @@ def test_depths_of_a_target_are_not_used_to_balance(image):
     assert_array_equal(*found)
 
 
+@pytest.mark.study
 def test_inertias_along_pixels_and_metres_do_not_compare(image):
     height = aj.PositionTask(image.robot, "panda_link4", "z")
     stack = aj.StackedTask(image, height)

@@ -40,6 +40,7 @@ def tips(robot):
     return aj.StackedTask(aj.PositionTask(robot, "left_tip"), aj.PositionTask(robot, "right_tip"))
 
 
+@pytest.mark.study
 def test_two_wrong_arms_reach_two_targets_at_once():
     believed = aj.load_robot(URDF)
     truth = believed.with_kinematic_error(SHIFTS)
