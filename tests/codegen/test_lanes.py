@@ -329,6 +329,7 @@ def test_regular_parts_of_a_box(name):
     assert ours.n_left != plain.n_left
 
 
+@pytest.mark.study
 def test_a_region_that_is_regular_where_the_task_is():
     """What is rare in the step is needed again where it is recorded, beyond that block."""
     arm = aj.load_robot("ur5")

@@ -211,6 +211,7 @@ def test_the_same_bits_whatever_carries_them_out(monkeypatch):
     assert test_lanes.digest(rolled(*loop, **options)) == expected
 
 
+@pytest.mark.study
 def test_a_compiled_law_runs_in_python_with_real_sensors(two_link):
     controller = aj.SetpointController(aj.PositionTask(two_link))
     plant = aj.Plant(two_link, controller.task, sensing=Sensing(x_noise=1e-3), actuator_delay=2e-3)

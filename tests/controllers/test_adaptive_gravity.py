@@ -163,7 +163,8 @@ def gains(arms):
     return aj.default_gains(aj.PositionTask(arms[1]))
 
 
-@pytest.mark.parametrize("metric", ["diagonal", pytest.param("full", marks=pytest.mark.study)])
+@pytest.mark.study
+@pytest.mark.parametrize("metric", ["diagonal", "full"])
 def test_theta_stays_within_its_bounds_to_one_step(arms, gains, metric):
     """Tight ones: the target is reached, but far more slowly."""
     _, belief, regressor, theta = arms

@@ -342,6 +342,7 @@ def test_a_state_goes_in_and_another_comes_out(turned_run):
 # -- sensors as they are ---------------------------------------------------------------------
 
 
+@pytest.mark.study
 def test_a_tracker_that_jumps_does_not_spoil_what_was_learnt(turned_run, belief, truth):
     def spoil(t, x):
         return x + [0.3, -0.2, 0.1] if 2.5 < t < 2.549 or t < 0.049 else x
@@ -433,6 +434,7 @@ def test_a_tool_that_slips_is_learnt_anew(turned_run, panda, truth):
     assert "restarted 1 times" in str(kinematics.report(run.state))
 
 
+@pytest.mark.study
 def test_noise_beyond_what_was_told_is_seen(belief, truth):
     R = rotation_exp(TURN)
     kinematics = AdaptiveKinematics(belief)

@@ -422,6 +422,7 @@ def simulated(plant, controller, target, seconds, dt=2e-3):
     )  # fmt: skip
 
 
+@pytest.mark.study
 def test_law_t_reaches_a_pose_and_goes_on_without_x(belief, sensor):
     plant = plant_of(sensor, x_lost=((1.7, 1.95),))
     task, dt = aj.PoseTask(belief), 2e-3

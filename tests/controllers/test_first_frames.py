@@ -156,6 +156,7 @@ def test_a_clock_of_x_that_is_another_one_is_refused(task):
             law.step(law.initial_state(seen), seen, seen.x, DT)
 
 
+@pytest.mark.study
 def test_frames_that_become_too_old_are_said_to_teach_nothing_any_more(task):
     law = law_of(task, "torque", delay=0.03)
     x, state, said = task.value(START), None, []

@@ -391,7 +391,7 @@ def test_one_feature_is_hidden_for_a_second(panda):
     apart = aj.StackedTask(aj.PositionTask(panda, axes="xy"), aj.PositionTask(panda, axes="z"))
     sensing = aj.Sensing(x_rate=60.0, x_noise=1e-5, x_lost=[(0.2, 1.2, 1)])
     held = aj.HeldMeasurement(aj.SetpointController(apart), 0.05)
-    run = reach(held, sensing, 5.0)
+    run = reach(held, sensing, 3.5)
     lost = run.status == Status.MEASUREMENT_LOST
     assert 0.2 < run.t[lost][0] < 0.6
     assert run.t[lost][-1] == pytest.approx(1.2, abs=0.02)
@@ -419,6 +419,7 @@ def test_at_rest_an_image_that_does_not_change_is_no_fault(task):
     assert Status.MEASUREMENT_LOST not in run.status_counts()
 
 
+@pytest.mark.study
 def test_noise_of_encoders_does_not_add_up(task):
     """q̇ from differences of q with 0.1 mrad of noise, for 4 s in front of a frozen image.
 

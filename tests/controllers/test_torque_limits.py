@@ -470,7 +470,7 @@ def test_the_rows_bound_the_acceleration_that_the_believed_arm_predicts(panda, r
 def test_the_proof_pulls_no_joint_faster_than_it_may_move(panda, rng):
     """ρ is less where −αĴ⁺s(e) is beyond a limit of speed."""
     highest, slowed = [], []
-    for _ in range(40):
+    for _ in range(20):
         measurement, target = some_measurement(panda, rng, speed=1.0, error=0.9)
         try:
             problem, limited, answer = recorded(

@@ -121,9 +121,8 @@ def test_a_joint_beyond_its_limit_comes_back(panda):
     assert run.q[-1, 3] <= high[3] + 1e-3
 
 
-@pytest.mark.parametrize(
-    ("joint", "beyond"), [(1, 0.5), pytest.param(5, 1.5, marks=pytest.mark.study)]
-)
+@pytest.mark.study
+@pytest.mark.parametrize(("joint", "beyond"), [(1, 0.5), (5, 1.5)])
 def test_a_joint_far_beyond_its_limit_comes_back_no_faster_than_it_may(panda, joint, beyond):
     _, high = panda.position_limits
     limited = aj.TorqueLimited(law_of(panda))
@@ -185,10 +184,8 @@ def alternating(tau, effort):
     "name",
     among("panda", "z1", "talos_arm"),
 )
-@pytest.mark.parametrize(
-    "tool",
-    [pytest.param(0.0, id="exact", marks=pytest.mark.study), pytest.param(0.1, id="unknown")],
-)
+@pytest.mark.study
+@pytest.mark.parametrize("tool", [0.0, 0.1], ids=["exact", "unknown"])
 def test_a_target_far_out_of_reach_makes_no_torque_chatter(name, tool):
     robot = aj.load_robot(name)
     truth, belief = robot.with_object(tool, 2.0 * tool, axis="x"), robot.with_object(0.0)

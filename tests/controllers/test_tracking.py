@@ -56,14 +56,8 @@ def panda_law(panda):
 # -- runs -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("name", "moves"),
-    [
-        pytest.param("panda", True, marks=pytest.mark.study),
-        ("ur5", True),
-        pytest.param("panda", False, marks=pytest.mark.study),
-    ],
-)
+@pytest.mark.study
+@pytest.mark.parametrize(("name", "moves"), [("panda", True), ("ur5", True), ("panda", False)])
 def test_with_the_exact_model_a_target_is_reached_and_followed(name, moves):
     robot, q0 = aj.load_robot(name), STARTS[name]
     task = aj.PositionTask(robot)
@@ -400,7 +394,7 @@ def test_nonsense_is_answered_finitely_or_refused_while_kinematics_learn(panda, 
     limited = aj.TorqueLimited(law_) if command == "torque" else law_
     state, refused = limited.initial_state(measured(task, q0)), 0
     absurd = [np.nan, np.inf, -np.inf, 5e-324, 1e16, -1e29, 1e31, 1e154, -1e308]
-    for k in range(600):
+    for k in range(300):
         q, v = q0 + 0.1 * rng.normal(size=7), 0.3 * rng.normal(size=7)
         told = {"q": q, "v": v, "x": task.value(q) + 0.01 * rng.normal(size=3)}
         if rng.random() < 0.5:
@@ -415,7 +409,7 @@ def test_nonsense_is_answered_finitely_or_refused_while_kinematics_learn(panda, 
             assert np.isfinite(answer.torque).all()
             assert np.isfinite(after).all()
             state = after
-    assert 50 < refused < 250
+    assert 25 < refused < 125
 
 
 def test_other_tasks_need_kinematics(panda):

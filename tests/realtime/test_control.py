@@ -820,6 +820,7 @@ def test_the_record_of_commanded_velocities_has_no_torques(by_velocities, tmp_pa
     assert_array_equal(RunFrames(found.scene).columns(found)["command"], found.command)
 
 
+@pytest.mark.study
 def test_velocities_are_commanded(by_velocities):
     plant, law = by_velocities
     found = run(driver_of(plant, dt=8e-3), law, 4.0)

@@ -348,7 +348,7 @@ def quantised(m):
     return m._replace(q=np.round(m.q / COARSE) * COARSE)
 
 
-@pytest.mark.parametrize("size", [0.3, 0.02])
+@pytest.mark.parametrize("size", [0.3, pytest.param(0.02, marks=pytest.mark.study)])
 def test_coarse_encoders_of_moving_joints_are_no_fault(size):
     """Where joints turn round, q is the same for many periods, whatever noise q̇ has."""
     rng, accuracy = np.random.default_rng(0), Accuracy(q=COARSE / math.sqrt(12.0), v=0.01)

@@ -985,7 +985,8 @@ def test_noise_and_rounding_leave_what_is_not_seen_unseen_and_the_rest_as_it_is(
             assert_array_equal(parts, whole)
 
 
-@pytest.mark.parametrize("dt", [None, pytest.param(1e-3, marks=pytest.mark.study)])
+@pytest.mark.study
+@pytest.mark.parametrize("dt", [None, 1e-3])
 def test_a_run_goes_on_where_the_sensor_sees_nothing(panda, dt, tmp_path):
     """On its way to the target the arm enters the blind zone, and damping stops it there."""
     sensor = Blind(panda)

@@ -171,6 +171,7 @@ def test_the_papers_figures_at_their_target(figure, certified):
     assert {family: margin > 0.0 for family, margin in margins.items()} == certified
 
 
+@pytest.mark.study
 def test_a_larger_family_has_a_larger_margin():
     form = MatrixForm(*on_panda(0.2, 5.0, n=60))
     paper_, free, wide, full = (best_weights(form, family).margins.min() for family in FAMILIES)

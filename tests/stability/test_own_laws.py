@@ -194,6 +194,7 @@ def test_what_cannot_be_linearised_says_why(kind, dt, text):
         aj.local_stability(plant, law, GOAL, dt)
 
 
+@pytest.mark.study
 def test_a_run_decays_at_the_rate_that_is_told():
     plant, law = two_link_loop(WindingUpNot)
     local = aj.local_stability(plant, law, GOAL, 2e-3)

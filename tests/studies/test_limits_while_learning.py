@@ -21,7 +21,8 @@ def harsh(robot, monkeypatch):
     study.arm.cache_clear()
 
 
-@pytest.mark.parametrize("robot", [pytest.param("xarm7", marks=pytest.mark.study), "ur5"])
+@pytest.mark.study
+@pytest.mark.parametrize("robot", ["xarm7", "ur5"])
 def test_speeds_and_positions_are_kept_while_what_is_learnt_is_wrong(robot, monkeypatch):
     harsh(robot, monkeypatch)
     kind = KIND._replace(robot=robot)
