@@ -476,9 +476,14 @@ def test_every_option_is_refused_or_survived(case, compiler, in_c_of):
 
 @needs_compiler
 @pytest.mark.parametrize("compiler", COMPILERS)
-@pytest.mark.parametrize("standard", ["c++11", pytest.param("c++17", marks=pytest.mark.study)])
 @pytest.mark.parametrize(
-    "case", ["two_link", *(pytest.param(each, marks=pytest.mark.study) for each in CASES)]
+    ("case", "standard"),
+    [
+        ("two_link", "c++11"),
+        pytest.param("two_link", "c++17", marks=pytest.mark.study),
+        *(pytest.param(each, "c++11", marks=pytest.mark.study) for each in CASES),
+        *(pytest.param(each, "c++17", marks=pytest.mark.long) for each in CASES),
+    ],
 )
 def test_it_is_cpp_too(case, standard, compiler, tmp_path):
     name = OF_C_AND_CPP[compiler]
