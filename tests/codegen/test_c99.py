@@ -28,6 +28,7 @@ from approxjac.robots import GravityRegressor
 STATUSES = tuple(aj.Status)
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
 OF_C_AND_CPP = {"gcc": "g++", "clang": "clang++"}
+OF_CLANG = (pytest.mark.study, pytest.mark.long)  # where gcc runs by default, and in CI
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"]
 SANITIZED = ["-g1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 EXACT = "-ffp-contract=off"
@@ -391,10 +392,15 @@ def assert_is_the_controller(controller, step, given):
 
 @needs_compiler
 @pytest.mark.parametrize(
-    "compiler",
-    [pytest.param(k, marks=[] if k == "gcc" else pytest.mark.study) for k in COMPILERS],
+    ("case", "compiler"),
+    [
+        pytest.param(
+            each.values[0], k, marks=each.marks if k == "gcc" else OF_CLANG[bool(each.marks)]
+        )
+        for each in some("panda (6), limits")
+        for k in COMPILERS
+    ],
 )
-@pytest.mark.parametrize("case", some("panda (6), limits"))
 def test_the_self_test_passes_and_sanitizers_find_nothing(case, compiler, in_c_of):
     _, folder = in_c_of(case)
     compiled(folder, "-O1", *SANITIZED, "selftest.c", "-o", "selftest", compiler=compiler)
