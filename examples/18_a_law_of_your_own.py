@@ -39,11 +39,11 @@ class SpringAndIntegral(aj.Controller):
         self.parameters = {f"force along {axis}": "N" for axis in task.labels}
         self.model = aj.robots.Dynamics(task.robot)
 
-    def initial_state(self, measurement):
+    def begin(self, measurement):
         """Begin with f = 0."""
         return np.zeros(self.task.m)
 
-    def step(self, f, measurement, target, dt):
+    def advance(self, f, measurement, target, dt):
         """Return f after dt, and the torque."""
         _, q, v, x, _ = measurement
         e, J = self.task.error(x, target), self.task.jacobian(q, x)

@@ -37,13 +37,13 @@ class WindingUpNot(aj.Controller):
         self.kp, self.ki, self.kd, self.damping, self.most = kp, ki, kd, damping, most
         self.parameters = {f"force along {label}": "N" for label in task.labels}
 
-    def initial_state(self, measurement):
+    def begin(self, measurement):
         return np.zeros(self.task.m)
 
     def learnt(self, state):
         return state
 
-    def step(self, state, measurement, target, dt):
+    def advance(self, state, measurement, target, dt):
         _, q, v, x, _ = measurement
         e, J_hat = self.task.error(x, target), self.task.jacobian(q, x)
         force = -self.kp * e - self.kd * J_hat @ v + state

@@ -56,10 +56,10 @@ class Firmer(aj.SetpointController):
 class Springs(aj.Controller):
     """A law of one's own in samples: the force on the task before last is kept."""
 
-    def initial_state(self, measurement):
+    def begin(self, measurement):
         return np.zeros(3)
 
-    def step(self, state, measurement, target, dt):
+    def advance(self, state, measurement, target, dt):
         _, q, v, x, _ = measurement
         e = self.task.error(x, target)
         force = 0.5 * (state - 300.0 * e)

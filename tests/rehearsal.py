@@ -60,8 +60,8 @@ class Around(aj.controllers.ControllerWrapper):
     def __init__(self, controller):
         self.controller = controller
 
-    def initial_state(self, measurement):
-        return self.controller.initial_state(measurement)
+    def begin(self, measurement):
+        return self.controller.begin(measurement)
 
-    def step(self, state, measurement, target, dt):
-        return self.controller.step(state, measurement, target, dt)
+    def advance(self, state, measurement, target, dt):
+        return self.controller.advance(state, measurement, target, dt)

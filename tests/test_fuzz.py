@@ -439,10 +439,10 @@ class Corrupted(aj.Controller):
     def task(self):
         return self.controller.task
 
-    def initial_state(self, measurement):
-        return self.controller.initial_state(measurement)
+    def begin(self, measurement):
+        return self.controller.begin(measurement)
 
-    def step(self, state, measurement, target, dt):
+    def advance(self, state, measurement, target, dt):
         told = {**measurement._asdict(), "target": target}
         absurd = self.rng.random() < 0.2
         if absurd:
@@ -460,7 +460,7 @@ class Corrupted(aj.Controller):
             told[name] = value
         target = told.pop("target")
         try:
-            state, answer = self.controller.step(state, aj.Measurement(**told), target, dt)
+            state, answer = self.controller.advance(state, aj.Measurement(**told), target, dt)
         except aj.errors.ApproxJacError:
             assert absurd
             self.refused += 1
@@ -577,7 +577,7 @@ class Still(aj.Controller):
 
     command = "velocity"
 
-    def step(self, state, measurement, target, dt):
+    def advance(self, state, measurement, target, dt):
         e = measurement.x - target
         return state, aj.Evaluation(np.zeros(7), None, aj.Status.OK, e)
 

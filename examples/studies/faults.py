@@ -223,15 +223,15 @@ class Raising(aj.controllers.ControllerWrapper):
     def __init__(self, controller, at):
         self.controller, self.at = controller, at
 
-    def initial_state(self, measurement):
+    def begin(self, measurement):
         """Return that of the controller inside."""
-        return self.controller.initial_state(measurement)
+        return self.controller.begin(measurement)
 
-    def step(self, state, measurement, target, dt):
+    def advance(self, state, measurement, target, dt):
         """Step the controller inside, or raise an error."""
         if measurement.t >= self.at:
             raise ZeroDivisionError("a bug")
-        return self.controller.step(state, measurement, target, dt)
+        return self.controller.advance(state, measurement, target, dt)
 
 
 def prepared(arm, sensing=None):

@@ -37,7 +37,7 @@ class OperationalSpace(Controller):
         self.frequency, self.integral_time, self.speed = frequency, integral_time, speed
         self.dynamics = aj.robots.Dynamics(task.robot)
 
-    def initial_state(self, measurement):
+    def begin(self, measurement):
         """Return the integral of e before the first step."""
         return np.zeros(self.task.m)
 

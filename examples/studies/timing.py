@@ -40,14 +40,14 @@ class Stepped(aj.controllers.ControllerWrapper):
     def __init__(self, controller):
         self.controller, self.took = controller, []
 
-    def initial_state(self, measurement):
+    def begin(self, measurement):
         """Return that of the controller inside."""
-        return self.controller.initial_state(measurement)
+        return self.controller.begin(measurement)
 
-    def step(self, state, measurement, target, dt):
+    def advance(self, state, measurement, target, dt):
         """Step the controller inside."""
         begun = time.perf_counter()
-        stepped = self.controller.step(state, measurement, target, dt)
+        stepped = self.controller.advance(state, measurement, target, dt)
         self.took.append(time.perf_counter() - begun)
         return stepped
 
@@ -55,11 +55,11 @@ class Stepped(aj.controllers.ControllerWrapper):
 class Collecting(Stepped):
     """One that lets garbage be collected, as an ordinary program does."""
 
-    def step(self, state, measurement, target, dt):
+    def advance(self, state, measurement, target, dt):
         """Step the controller inside."""
         if not gc.isenabled():
             gc.enable()
-        return super().step(state, measurement, target, dt)
+        return super().advance(state, measurement, target, dt)
 
 
 def busy():

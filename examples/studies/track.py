@@ -94,13 +94,13 @@ class WithoutTime(ControllerWrapper):
     def __init__(self, controller):
         self.controller, self._memory = controller, 0
 
-    def initial_state(self, measurement):
+    def begin(self, measurement):
         """Return that of the controller."""
-        return self.controller.initial_state(measurement._replace(t_x=None))
+        return self.controller.begin(measurement._replace(t_x=None))
 
-    def step(self, state, measurement, target, dt):
+    def advance(self, state, measurement, target, dt):
         """Return what the controller does."""
-        return self.controller.step(state, measurement._replace(t_x=None), target, dt)
+        return self.controller.advance(state, measurement._replace(t_x=None), target, dt)
 
 
 def run_case(case):

@@ -60,6 +60,20 @@ class Status(_Outcome):
         "no prediction exists, such as for a point that the believed camera does not see: the "
         "joints are brought to rest, adaptation of the dynamics paused"
     )
+    # a bad sample, with the last command in place of the law's, and nothing learnt
+    JOINTS_UNKNOWN = "q, q̇ or t is not finite: the last command once more"
+    POSITION_JUMPED = "q jumped farther than a joint can move: the last command once more"
+    VELOCITY_JUMPED = (
+        "q̇ jumped farther than motors and loads can change it: the last command once more"
+    )
+    VELOCITY_DISAGREES = "q̇ is not the rate of q: the last command once more"
+    STATE_REPEATED = "q and q̇ of a moving arm are the same again: the last command once more"
+    CLOCK_JUMPED = "the clock stands, or jumped: the last command once more"
+    SENSOR_JUMPED = "x jumped farther than the arm moved, or is from the future: it counts as lost"
+    STOPPED = (
+        "too many bad samples in a row: the arm is held where it stops, until the controller "
+        "begins anew"
+    )
 
 
 class LimitStatus(_Outcome):

@@ -217,6 +217,7 @@ class Immutable:
 
     _given: tuple[tuple[Any, ...], dict[str, Any]]
     _changes: Mapping[str, Any] = MappingProxyType({})  # of arguments, without building it anew
+    _carried: tuple[str, ...] = ()  # attributes that a copy has, too
 
     def __new__(cls, *given: Any, **named: Any) -> Self:
         """Keep what it is built from, whatever its class takes."""
@@ -240,11 +241,15 @@ class Immutable:
 
     def _rebuilt(self, **changes: Any) -> Self:
         """Return an object built from the same arguments but for some."""
-        return type(self)(**self._arguments | changes)
+        return _built(type(self), (), self._arguments | changes, self._carries)
+
+    @property
+    def _carries(self) -> dict[str, Any]:
+        return {name: vars(self)[name] for name in self._carried if name in vars(self)}
 
     def __reduce__(self) -> tuple[Any, ...]:
         given = ((), self._arguments) if self._changes else self._given
-        return _built, (type(self), *given)
+        return _built, (type(self), *given, self._carries)
 
     def __setattr__(self, name: str, value: Any) -> None:
         derived = isinstance(getattr(type(self), name, None), (property, cached_property))
@@ -256,8 +261,12 @@ class Immutable:
         object.__setattr__(self, name, value)
 
 
-def _built(kind: type[Immutable], given: tuple[Any, ...], named: dict[str, Any]) -> Immutable:
-    return kind(*given, **named)
+def _built(
+    kind: type[Any], given: tuple[Any, ...], named: dict[str, Any], carried: dict[str, Any]
+) -> Any:
+    found = kind(*given, **named)
+    vars(found).update(carried)
+    return found
 
 
 def _as_it_is(value: Any) -> Any:

@@ -240,13 +240,13 @@ def test_what_a_derived_uncertainty_does_is_not_taken_for_what_ours_does(panda):
 @pytest.mark.study
 def test_what_is_ones_own_runs_in_lanes_as_in_python(panda):
     class Faint(HeldMeasurement):
-        def step(self, *arguments):
-            state, answer = super().step(*arguments)
+        def advance(self, *arguments):
+            state, answer = super().advance(*arguments)
             return state, answer._replace(torque=0.9 * answer.torque)
 
     class Weak(aj.TorqueLimited):
-        def step(self, *arguments):
-            state, answer = super().step(*arguments)
+        def advance(self, *arguments):
+            state, answer = super().advance(*arguments)
             return state, answer._replace(torque=0.5 * answer.torque)
 
     class Along(aj.PositionTask):
@@ -257,7 +257,7 @@ def test_what_is_ones_own_runs_in_lanes_as_in_python(panda):
             return Along(robot, self.frame, self.axes)
 
     class Springs(aj.Controller):
-        def step(self, state, measurement, target, dt):
+        def advance(self, state, measurement, target, dt):
             t, q, v, x, _ = measurement
             e = self.task.error(x, target)
             torque = -np.dot(50.0 * np.tanh(e) + 0.1 * t, self.task.jacobian(q)) - 5.0 * v

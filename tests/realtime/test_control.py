@@ -504,8 +504,8 @@ class Limiting(Around):
         super().__init__(controller)
         self.schedule = schedule
 
-    def step(self, state, measurement, target, dt):
-        after, answer = self.controller.step(state, measurement, target, dt)
+    def advance(self, state, measurement, target, dt):
+        after, answer = self.controller.advance(state, measurement, target, dt)
         k = round((measurement.t - 0.05) / dt)
         said = self.schedule[k] if 0 <= k < len(self.schedule) else LimitStatus.FREE
         return after, answer._replace(limit_status=said)

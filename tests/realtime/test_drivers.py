@@ -273,8 +273,8 @@ def test_nothing_is_sent_once_the_watchdog_brakes(plant, controller, in_thread):
 class Spoiling(Around):
     """Its commands become NaN."""
 
-    def step(self, state, measurement, target, dt):
-        after, answer = self.controller.step(state, measurement, target, dt)
+    def advance(self, state, measurement, target, dt):
+        after, answer = self.controller.advance(state, measurement, target, dt)
         worse = answer.torque * np.nan if measurement.t > 0.05 else answer.torque
         return after, answer._replace(torque=worse)
 

@@ -20,13 +20,13 @@ class Counting(OwnController):
         super().__init__(task)
         self.parameters, self.torque, self.told = {name: "N"}, np.array(torque), []
 
-    def initial_state(self, measurement):
+    def begin(self, measurement):
         return np.zeros(1)
 
     def learnt(self, state):
         return state
 
-    def step(self, state, measurement, target, dt):
+    def advance(self, state, measurement, target, dt):
         self.told.append((measurement.t, target))
         e = measurement.x - (target.x if isinstance(target, aj.Target) else target)
         return state + 1.0, aj.Evaluation(self.torque, None, aj.Status.OK, e)

@@ -175,8 +175,8 @@ def test_a_target_that_is_moved_leaves_the_torque_of_its_step(panda):
             self.controller = controller
             self.buffer = np.zeros(7)
 
-        def initial_state(self, measurement):
-            return self.controller.initial_state(measurement)
+        def begin(self, measurement):
+            return self.controller.begin(measurement)
 
         def evaluate(self, state, measurement, target):
             answer = self.controller.evaluate(state, measurement, target)

@@ -466,7 +466,7 @@ class Wordless(Faulty):
 class Stateless(Faulty):
     """A controller that steps into something that is no array."""
 
-    def step(self, state, measurement, target, dt):
+    def advance(self, state, measurement, target, dt):
         return (), self.evaluate(state, measurement, target)
 
 
@@ -477,7 +477,7 @@ class Late(ConstantTorque):
         super().__init__(PLANE, (0.0, 0.0))
         self.late = step
 
-    def step(self, state, measurement, target, dt):
+    def advance(self, state, measurement, target, dt):
         after, answer = state, self.evaluate(state, measurement, target)
         return (after, answer) if measurement.t < 0.05 else self.late(after, answer)
 

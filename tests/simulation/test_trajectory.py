@@ -104,8 +104,8 @@ def test_a_wrapper_of_ones_own_may_have_any_state(panda):
             super().__init__(task)
             self.controller = setpoint(task)
 
-        def initial_state(self, measurement):
-            return np.append(7.0, self.controller.initial_state(measurement))
+        def begin(self, measurement):
+            return np.append(7.0, self.controller.begin(measurement))
 
         def evaluate(self, state, measurement, target):
             answer = self.controller.evaluate(state[1:], measurement, target)

@@ -35,7 +35,7 @@ class Told(Controller):
         super().__init__(task)
         self.velocity, self.told = velocity, []
 
-    def step(self, state, measurement, target, dt):
+    def advance(self, state, measurement, target, dt):
         self.told.append(measurement)
         e = measurement.x - target
         return state, aj.Evaluation(self.velocity(measurement.t), None, aj.Status.OK, e)
@@ -50,7 +50,7 @@ class ResolvedRate(Controller):
         super().__init__(task)
         self.gain = gain
 
-    def step(self, state, measurement, target, dt):
+    def advance(self, state, measurement, target, dt):
         e = self.task.error(measurement.x, target)
         J_hat = self.task.jacobian(measurement.q, measurement.x)
         velocity = -self.gain * np.linalg.pinv(J_hat) @ e

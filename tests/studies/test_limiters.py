@@ -29,11 +29,11 @@ class Changed(aj.Controller):
     def __init__(self, controller, change):
         self.controller, self.change, self.task = controller, change, controller.task
 
-    def initial_state(self, measurement):
-        return self.controller.initial_state(measurement)
+    def begin(self, measurement):
+        return self.controller.begin(measurement)
 
-    def step(self, state, measurement, target, dt):
-        state, answer = self.controller.step(state, measurement, target, dt)
+    def advance(self, state, measurement, target, dt):
+        state, answer = self.controller.advance(state, measurement, target, dt)
         return state, self.change(answer)
 
 

@@ -78,7 +78,8 @@ class LaneStart(NamedTuple):
         long as many steps.
         """
         x = plant.sensor.value(q)
-        state = controller.initial_state(Measurement(0.0, q, np.zeros(plant.robot.nv), x))
+        begin = controller.begin if plant.is_exact else controller.initial_state
+        state = begin(Measurement(0.0, q, np.zeros(plant.robot.nv), x))
         frames = tasks.frames(plant.sensor) if frames is None else frames
         numbers = arm_numbers(plant.robot, frames)
         holding = plant.dynamics.g(q) if plant.actuator_delay > 0.0 else np.zeros(plant.robot.nv)

@@ -127,7 +127,9 @@ class TracedLoop:
         self.truth = Arm(program.given, "truth", robot, tasks.frames(plant.sensor), numbers)
         self.q = q = program.kept("q", robot.nq)
         self.v = v = program.kept("v", robot.nv)
-        state = program.kept("state", len(laws.first_state(controller)))
+        rests = sensing is None or plant.is_exact  # the guard does, as nothing can be wrong
+        first = controller.size if rests else len(laws.first_state(controller))
+        state = program.kept("state", first)
         self._here = self.truth.at(q)
         value = tasks.value(plant.sensor, self._here, sensor)
         self.x = x = tasks.seen(plant.sensor, value)

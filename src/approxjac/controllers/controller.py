@@ -13,6 +13,7 @@ import numpy as np
 
 from approxjac.controllers.gains.gains import Diagonals, Latency
 from approxjac.controllers.gains.tuning import Tuning
+from approxjac.controllers.guard import USUAL, Guard, SampleGuard
 from approxjac.controllers.learning.estimator import Kinematics
 from approxjac.controllers.learning.kinematic_report import KinematicReport
 from approxjac.controllers.limits.limits import Limits
@@ -21,7 +22,7 @@ from approxjac.formatting import spaced, wrapped
 from approxjac.interface import Evaluation, Measurement, Target
 from approxjac.robots import Dynamics, Robot
 from approxjac.tasks import Task
-from approxjac.validation import Array, as_number
+from approxjac.validation import Array, as_number, require
 
 _HUGE = 1e300  # below it no finite rate makes a state overflow within a second
 
@@ -58,13 +59,14 @@ class Instant(NamedTuple):
 class Controller(ABC):
     """Anything that turns measurements into joint torques or velocities, step by step.
 
-    Derive from it and write `step`; or, for a law in continuous time, `evaluate`, of which `step`
-    is an Euler step. All else has a default to override: the Lyapunov function (`lyapunov`),
-    learnt numbers (`learnt`, `parameters`), and how limits may change the torque
-    (`passive_output`, `is_proven`).
+    Derive from it and write `advance` (and `begin`, if it has a state); or, for a law in continuous
+    time, `evaluate`, of which `advance` is an Euler step. All else has a default to override: the
+    Lyapunov function (`lyapunov`), learnt numbers (`learnt`, `parameters`), and how limits may
+    change the torque (`passive_output`, `is_proven`).
 
     A controller has no memory: its state is a flat array, an argument and a result of each step, so
-    that a run can be stopped, saved and continued.
+    that a run can be stopped, saved and continued. It is the state of `begin`, followed by that of
+    its `Guard`, which keeps bad samples from `advance`.
 
     Attributes:
         task: The task of the believed robot.
@@ -84,6 +86,7 @@ class Controller(ABC):
         gain_values: Gains by name.
         resting: Number of leading state entries that pause when limits give up the proof.
         needs_solver: Whether its limits may need a solver, which takes time.
+        guard: Bounds of good samples; None is without, see `guarded`.
 
     Args:
         task: The task of the believed robot.
@@ -103,6 +106,18 @@ class Controller(ABC):
     gain_values: Mapping[str, Any] = MappingProxyType({})
     resting: int = 0
     needs_solver: bool = False
+    guard: Guard | None = USUAL
+    _carried = ("guard",)
+
+    def __init_subclass__(cls, **given: Any) -> None:
+        super().__init_subclass__(**given)
+        for name, hook in (("step", "advance"), ("initial_state", "begin")):
+            if name in cls.__dict__ and cls.__module__.partition(".")[0] != "approxjac":
+                raise InvalidInputError(
+                    f"{name} of {cls.__name__} must be called {hook}, which Controller.{name} "
+                    "calls with guarded samples",
+                    given=cls,
+                )
 
     def __init__(self, task: Task) -> None:
         self.task = task
@@ -121,15 +136,66 @@ class Controller(ABC):
     # -- the loop -------------------------------------------------------------------------------
 
     def initial_state(self, measurement: Measurement) -> Array:
-        """Return the state before the first step, shape (n_state,)."""
-        return np.zeros(0)
+        """Return the state before the first step, shape (n_state,).
+
+        Raises the errors of `begin`.
+        """
+        own, guard = self.begin(measurement), self._sample_guard
+        return own if guard is None else np.concatenate([own, guard.first])
 
     def step(
         self, state: Array, measurement: Measurement, target: Target | Array, dt: float
     ) -> tuple[Array, Evaluation]:
-        """Return the state after a step, and its output.
+        """Return the state after a step, and its output; a sample that is refused has a status.
 
-        By default an Euler step of the rate from `evaluate`.
+        A state of `begin`, without the memory of the guard, is stepped without it.
+
+        Args:
+            state: State before the step, shape (n_state,).
+            measurement: The measurement.
+            target: Desired task value: x_d, shape (n_x,), or a `Target` that moves.
+            dt: Time for which the torque is held [s].
+
+        Raises the errors of `advance`.
+        """
+        guard, n = self._sample_guard, self.size
+        if guard is None or len(state) != n + len(guard.first):
+            return self.advance(state, measurement, target, dt)
+        return guard.step(self, state[:n], state[n:], measurement, target, dt)
+
+    def guarded(self, guard: Guard | None) -> Self:
+        """Return this controller with other bounds of good samples; None accepts all."""
+        if guard is not None:
+            require("guard", guard, Guard, "Guard(q=..., lag=...) or None")
+        found: Self = object.__new__(type(self))
+        kept = {name: value for name, value in vars(self).items() if name != "_sample_guard"}
+        vars(found).update(kept, guard=guard)
+        return found
+
+    @functools.cached_property
+    def _sample_guard(self) -> SampleGuard | None:
+        return None if self.guard is None else SampleGuard(self.guard, self)
+
+    @functools.cached_property
+    def size(self) -> int:
+        """Length of the state of `begin`."""
+        robot, task = self.task.robot, self.task
+        x = task.value(q := robot.neutral())
+        x = np.where(np.isfinite(x), x, task.origin)
+        return len(self.begin(Measurement(0.0, q, np.zeros(robot.nv), x, 0.0)))
+
+    # -- what a law of your own writes ----------------------------------------------------------
+
+    def begin(self, measurement: Measurement) -> Array:
+        """Return the state before the first step; by default none, shape (0,)."""
+        return np.zeros(0)
+
+    def advance(
+        self, state: Array, measurement: Measurement, target: Target | Array, dt: float
+    ) -> tuple[Array, Evaluation]:
+        """Return the state after a step, and its output, of a sample that is taken as good.
+
+        By default an Euler step of the rate from `evaluate`. States are those of `begin`.
 
         Args:
             state: State before the step, shape (n_state,).
@@ -173,7 +239,7 @@ class Controller(ABC):
             InvalidInputError: The controller is discrete.
         """
         raise InvalidInputError(
-            f"controller must have a step(state, measurement, target, dt), or an "
+            f"controller must have an advance(state, measurement, target, dt), or an "
             f"evaluate(state, measurement, target) of a law in continuous time, got {self!r}",
             given=self,
         )
@@ -235,7 +301,9 @@ class Controller(ABC):
                 the controller learns no kinematics.
         """
         self.kinematics_of(state)
-        return state
+        fresh = self.initial_state(measurement)
+        fresh[: self.size] = state[: self.size]
+        return fresh
 
     def kinematics_of(self, state: Array) -> tuple[Kinematics, Array]:
         """Return the learnt kinematics, and their part of a state.

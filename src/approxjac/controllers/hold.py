@@ -70,16 +70,16 @@ class HeldMeasurement(ControllerWrapper):
         self._uncombined = uncombined(task)
         self._memory = task.n_x + 1 + m + len(self._parts)
 
-    def initial_state(self, measurement: Measurement) -> Array:
+    def begin(self, measurement: Measurement) -> Array:
         """Return the state before the first step, without any x.
 
         Raises the controller's errors, such as that of law (5) if the first x is lost.
         """
         memory = np.append(self._origin, np.zeros(self._memory - len(self._origin)))
-        return np.concatenate([self.controller.initial_state(measurement), memory])
+        return np.concatenate([self.controller.begin(measurement), memory])
 
     @np.errstate(over="ignore", invalid="ignore")  # an overflow is a named error
-    def step(
+    def advance(
         self, state: Array, measurement: Measurement, target: Target | Array, dt: float
     ) -> tuple[Array, Evaluation]:
         """Return the state after a step, and the controller's output for this x or the last one.
@@ -101,7 +101,7 @@ class HeldMeasurement(ControllerWrapper):
             knows_time = t_x == t_x
         held = law.hold_step(memory, x, errors, taken, knows_time, self._parts, self._most)
         used = Measurement(t, q, v, held.x, measurement.t_x)
-        after, answer = self.controller.step(inner, used, target, dt)
+        after, answer = self.controller.advance(inner, used, target, dt)
         if answer.J_hat is None:
             raise InvalidInputError(
                 f"controller must return an Evaluation with J_hat, to predict how x moves, "

@@ -19,7 +19,7 @@ from approxjac.interface import Evaluation, Measurement, Status, Target
 from approxjac.robots import Robot
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import features
-from approxjac.validation import Array, as_vector, require
+from approxjac.validation import Array, require
 
 _OK, _PREDICTED = Status.OK, Status.PREDICTED  # members of an enum are slow to look up
 _LOST = Status.MEASUREMENT_LOST
@@ -74,8 +74,8 @@ class PredictedMeasurement(ControllerWrapper):
 
     def learnt(self, state: Array) -> Array:
         """Return the learnt numbers of the law, then of the kinematics, shape (…, p)."""
-        n = state.shape[-1] - self._memory
-        parts = [self.controller.learnt(state[..., :n]), self.kinematics.learnt(state[..., n:])]
+        n, end = self.controller.size, self.size
+        parts = [self.controller.learnt(state[..., :n]), self.kinematics.learnt(state[..., n:end])]
         return np.concatenate(parts, axis=-1)
 
     @property
@@ -96,7 +96,7 @@ class PredictedMeasurement(ControllerWrapper):
             given=task,
         )
 
-    def initial_state(self, measurement: Measurement) -> Array:
+    def begin(self, measurement: Measurement) -> Array:
         """Return the state before the first step."""
         if not hasattr(getattr(measurement, "q", None), "arm_of"):  # or it is of symbols
             require_arrays(np.zeros(0), measurement, self.task.origin, self.task, 0)
@@ -105,17 +105,17 @@ class PredictedMeasurement(ControllerWrapper):
     def resumed(self, state: Array, measurement: Measurement) -> Array:
         """Return an initial state with the learnt numbers of another state."""
         fresh = self.initial_state(measurement)
-        inner, known = self._split(as_vector("state", state, len(fresh)))
-        fresh = self._started(self.kinematics.resumed(known, measurement), measurement)
+        inner, known = self._split(state)
+        fresh[: self.size] = self._started(self.kinematics.resumed(known, measurement), measurement)
         p = self.controller.learnt(inner).shape[-1]
         fresh[:p] = inner[:p]
         return fresh
 
     def _started(self, known: Array, measurement: Measurement) -> Array:
         seen, _ = self._predicted(known, measurement, Target(self.task.origin))
-        return np.concatenate([self.controller.initial_state(seen), known])
+        return np.concatenate([self.controller.begin(seen), known])
 
-    def step(
+    def advance(
         self, state: Array, measurement: Measurement, target: Target | Array, dt: float
     ) -> tuple[Array, Evaluation]:
         """Return the state after a step, and the output for the predicted error.
@@ -141,7 +141,7 @@ class PredictedMeasurement(ControllerWrapper):
                 # nothing is predicted before x was seen once
                 z = law.select(now == _LOST, np.full(len(z), math.nan), z)
                 seen = seen._replace(x=np.concatenate([z, seen.x[len(z) :]]))
-                after, answer = self.controller.step(inner, seen, origin, dt)
+                after, answer = self.controller.advance(inner, seen, origin, dt)
                 known = known.copy()
                 self.kinematics.correct(known, measurement, dt)
         except (ArithmeticError, np.linalg.LinAlgError):

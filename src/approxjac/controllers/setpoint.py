@@ -202,7 +202,7 @@ class SetpointController(Immutable, Controller):
             alpha=alpha,
         )  # fmt: skip
 
-    def initial_state(self, measurement: Measurement) -> Array:
+    def begin(self, measurement: Measurement) -> Array:
         """Return the state before the first evaluation: θ̂(0), and the first measured x for law (5).
 
         Raises:

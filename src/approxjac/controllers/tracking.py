@@ -205,7 +205,7 @@ class TrackingController(Immutable, Controller):
                 message = f"{name} must be of the task {task!r}, got {part!r}"
                 raise InvalidInputError(message, given=part)
 
-    def initial_state(self, measurement: Measurement) -> Array:
+    def begin(self, measurement: Measurement) -> Array:
         """Return the state before the first step.
 
         Raises:
@@ -226,13 +226,13 @@ class TrackingController(Immutable, Controller):
 
     def resumed(self, state: Array, measurement: Measurement) -> Array:
         """Return an initial state with the learnt numbers of another state."""
-        state = as_vector("state", state, self.n_state)
+        state = as_vector("state", state[: self.n_state], self.n_state)
         fresh, (p, end) = self.initial_state(measurement), (self.resting, self._end)
         fresh[:p] = state[:p]
         fresh[p:end] = self.kinematics.resumed(state[p:end], measurement)
         return fresh
 
-    def step(
+    def advance(
         self, state: Array, measurement: Measurement, target: Target | Array, dt: float
     ) -> tuple[Array, Evaluation]:
         """Return the state after a step, and its output with a torque (or a velocity).
@@ -266,7 +266,7 @@ class TrackingController(Immutable, Controller):
     def evolve(
         self, state: Array, measurement: Measurement, target: Target
     ) -> tuple[Array, Evaluation]:
-        """Do the work of `step`, with checked arguments or symbols."""
+        """Do the work of `advance`, with checked arguments or symbols."""
         _, q, v, x, _ = measurement
         p, end, dt = self.resting, self._end, self.dt
         known = state[p:end]
@@ -332,7 +332,7 @@ class TrackingController(Immutable, Controller):
 
     def kinematics_of(self, state: Array) -> tuple[Kinematics, Array]:
         """Return the kinematics, and their part of a state."""
-        state = as_vector("state", state, self.n_state)
+        state = as_vector("state", state[: self.n_state], self.n_state)
         return self.kinematics, state[self.resting : self._end]
 
     def with_task(self, task: Task) -> Self:

@@ -18,7 +18,7 @@ from approxjac.controllers.limits.limits import Limits
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement
 from approxjac.tasks import Task
-from approxjac.validation import Array, Immutable, as_vector, require
+from approxjac.validation import Array, Immutable, require
 
 
 def _inner(name: str) -> Any:
@@ -80,10 +80,10 @@ class ControllerWrapper(Immutable, Controller):
 
     def resumed(self, state: Array, measurement: Measurement) -> Array:
         fresh = self.initial_state(measurement)
-        inner = self.controller.resumed(
-            self._split(as_vector("state", state, len(fresh)))[0], measurement
-        )
-        return np.concatenate([inner, fresh[len(inner) :]])
+        inner = self._split(state)[0]
+        n = len(inner)
+        fresh[:n] = self.controller.resumed(inner, measurement)[:n]
+        return fresh
 
     def kinematics_of(self, state: Array) -> tuple[Kinematics, Array]:
         return self.controller.kinematics_of(self._split(state)[0])
@@ -113,17 +113,18 @@ class ControllerWrapper(Immutable, Controller):
         Raises:
             InvalidInputError: A state that is no such array, or a memory that is not finite.
         """
-        least = self._memory
+        n, end = self.controller.size, self.controller.size + self._memory
         if hasattr(state, "arm_of"):  # symbols
-            return state[: len(state) - least], state[len(state) - least :]
+            return state[:n], state[n:end]
         is_vector = type(state) is np.ndarray and state.ndim == 1 and state.dtype == FLOAT64
-        if not is_vector or len(state) < least:
+        if not is_vector or len(state) < end:
             raise InvalidInputError(
                 "state must be an array of float64 as initial_state and step return it, with the "
-                f"{least} numbers of {type(self).__name__} last, got {state!r}",
+                f"{n} numbers of the controller inside and {self._memory} of "
+                f"{type(self).__name__}, got {state!r}",
                 given=state,
             )
-        inner, memory = state[: len(state) - least], state[len(state) - least :]
+        inner, memory = state[:n], state[n:end]
         if not math.isfinite(math.hypot(*memory.tolist())):
             raise InvalidInputError(f"state must be finite, got {state.tolist()}", given=state)
         return inner, memory

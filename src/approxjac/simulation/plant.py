@@ -505,6 +505,11 @@ class Plant(Immutable):
         a: Array = self._aba(q, v, tau, WORLD)
         return a
 
+    @property
+    def is_exact(self) -> bool:
+        """True if its sensors are ideal: then a guard has nothing to do, and rests."""
+        return self.sensing is None and type(self).measure is Plant.measure
+
     def measure(self, t: float, q: Array, v: Array) -> Measurement:
         """Return the measurement of ideal sensors at t [s]; x is NaN where it is not seen."""
         q, v = self.robot.configuration(q), as_vector("v", v, self.robot.nv)

@@ -98,11 +98,18 @@ def first_state(
     measurement: Measurement,
     dt: float,
     given: Array | None = None,
+    *,
+    rests: bool = False,
 ) -> Array:
-    """Return a controller's first state, after a trial step that checks the controller."""
+    """Return a controller's first state, after a trial step that checks the controller.
+
+    Where its guard `rests`, it is without its memory.
+    """
     state = controller.initial_state(measurement)
     if given is not None:
-        state = as_array("state", given, state.shape)
+        size = controller.size if np.size(given) != len(state) else len(state)
+        own = as_array("state", given, (size,))[: controller.size]
+        state = np.concatenate([own, state[controller.size :]])  # a guard begins anew
     state = as_array("the controller's initial_state", state, (np.size(state),))
     require_answer(
         plant, controller, state, measurement, controller.step(state, measurement, wanted, dt)
@@ -115,7 +122,7 @@ def first_state(
             f"returns, got {controller.parameters!r}",
             given=controller,
         )
-    return state
+    return state[: controller.size] if rests else state
 
 
 def require_answer(
@@ -134,7 +141,7 @@ def require_answer(
         "state": (after, state.shape),
     }
     if controller.is_continuous:
-        checked["state_rate"] = answer.state_rate, state.shape
+        checked["state_rate"] = answer.state_rate, (controller.size,)
     if np.isfinite(measurement.x).all():  # a lost x has no error
         checked["e"] = answer.e, (controller.task.m,)
     for name, (value, shape) in checked.items():
@@ -261,7 +268,10 @@ class Loop:
     def exchange(self, controller: Controller) -> None:
         """Replace the controller from the next step on; the new one gets the current state."""
         require_fit(self.plant, controller, self.dt)
-        state = first_state(self.plant, controller, self._wanted, self.measurement, self.dt)
+        rests = len(self.state) == self.controller.size
+        state = first_state(
+            self.plant, controller, self._wanted, self.measurement, self.dt, rests=rests
+        )
         if state.shape != self.state.shape:
             raise InvalidInputError(
                 f"controller must have a state of length {len(self.state)}, as the one before, got "
@@ -395,7 +405,8 @@ class SampledLoop(Loop):
         self._arm = MovingArm(plant, q, v, dt, integrator, seed)
         self._aim()
         self.truth, self.measurement = self._arm.sense()
-        self.state = first_state(plant, controller, self._wanted, self.measurement, dt, state)
+        now, rests = (self._wanted, self.measurement, dt, state), plant.is_exact
+        self.state = first_state(plant, controller, *now, rests=rests)
         self._control()
 
     def advance(self) -> None:
@@ -625,7 +636,8 @@ def _continuous(
         )
 
     times, truth = np.linspace(0.0, duration, count + 1), plant.measure(0.0, q0, v0)
-    state = first_state(plant, controller, target_at(wanted, 0.0), truth, 1.0, given)
+    first = target_at(wanted, 0.0)
+    state = first_state(plant, controller, first, truth, 1.0, given, rests=True)
     start_of = np.concatenate([np.zeros(n), v0, state])
     rtol, atol = computation.rtol, computation.atol
     solved = solve_ivp(flow, (0.0, duration), start_of, "LSODA", times, rtol=rtol, atol=atol)

@@ -428,7 +428,7 @@ def test_a_controller_that_cannot_believe_anything_else_is_refused(panda):
     plant, own, target = parts(panda)
 
     class Nothing(aj.Controller):
-        def step(self, state, measurement, target, dt):
+        def advance(self, state, measurement, target, dt):
             e = measurement.x - target
             return state, aj.Evaluation(np.zeros(7), np.zeros(0), aj.Status.OK, e)
 

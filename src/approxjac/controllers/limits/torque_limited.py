@@ -250,14 +250,16 @@ class TorqueLimited(ControllerWrapper):
         """Whether a solver may be called; otherwise the minimum has a closed form."""
         return self._looks_ahead
 
-    def initial_state(self, measurement: Measurement) -> Array:
+    def begin(self, measurement: Measurement) -> Array:
         """Return the state before the first step; errors are those of the controller."""
-        return self._with_memory(self._law.initial_state(measurement), measurement)
+        return self._with_memory(self._law.begin(measurement), measurement)
 
     def resumed(self, state: Array, measurement: Measurement) -> Array:
         """Return an initial state with the learnt numbers of another state."""
         state = super().resumed(state, measurement)
-        return self._with_memory(state[: len(state) - self._memory], measurement)
+        n = self.controller.size
+        state[n : self.size] = self._with_memory(state[:n], measurement)[n:]
+        return state
 
     def _with_memory(self, state: Array, measurement: Measurement) -> Array:
         before = np.zeros(0)
@@ -268,7 +270,7 @@ class TorqueLimited(ControllerWrapper):
                 before = np.where(np.isfinite(g), g, before)
         return np.concatenate([state, self._kept, before])
 
-    def step(
+    def advance(
         self, state: Array, measurement: Measurement, target: Target | Array, dt: float
     ) -> tuple[Array, Evaluation]:
         """Return the state after a step, and a torque within the limits.
@@ -282,7 +284,7 @@ class TorqueLimited(ControllerWrapper):
         if self._looks_ahead and not traced and dt != self._dt:
             require_dt(dt, self._dt)
         state, memory = self._split(state) if self._memory else (state, self._kept)
-        after, answer = self._law.step(state, measurement, target, dt)
+        after, answer = self._law.advance(state, measurement, target, dt)
         wanted, rate, of_law, e, J_hat, gravity, _, _, reference = answer
         g, lower, upper = gravity, self._lower, self._upper
         if g is None:

@@ -397,8 +397,8 @@ def _by_differences(
     law, dt = controller.law, None if timing is None else timing.dt
     if law is not controller and law.task is controller.task:
         here = plant.measure(0.0, q, np.zeros(plant.robot.nv))
-        state, step = controller.initial_state(here), controller.dt or dt or 1e-3
-        _, answer = controller.step(state, here, plant.sensor.value(q), step)
+        state, step = controller.begin(here), controller.dt or dt or 1e-3
+        _, answer = controller.advance(state, here, plant.sensor.value(q), step)
         if answer.limit_status in (LimitStatus.UNLIMITED, LimitStatus.FREE):
             return local_stability(plant, law, q, dt)
         raise InvalidInputError(
@@ -538,7 +538,7 @@ def numerical_stability(
     """
     model, sensor, n = plant.robot.model, plant.sensor, plant.robot.nv
     still = np.zeros(n)
-    state = controller.initial_state(plant.measure(0.0, q, still))
+    state = controller.begin(plant.measure(0.0, q, still))
     if len(state) > _MOST_NUMBERS:
         raise InvalidInputError(
             f"controller must have a state of at most {_MOST_NUMBERS} numbers to be linearised "
@@ -554,7 +554,7 @@ def numerical_stability(
         if dt is None:
             given = controller.evaluate(state, measurement, x_d)
             return np.array(given.torque), np.asarray(given.state_rate)
-        after, given = controller.step(state, measurement, x_d, dt)
+        after, given = controller.advance(state, measurement, x_d, dt)
         return np.array(given.torque), np.asarray((after - state) / dt)
 
     q, state = _resting(plant, controller, answer, q, state)

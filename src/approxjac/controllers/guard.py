@@ -1,0 +1,251 @@
+"""`Guard`: which samples a controller accepts, and what it does without one."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from approxjac import law
+from approxjac.controllers.gains.sample_configurations import max_damping_rate, usual_inertias
+from approxjac.controllers.limits.limits import Limits
+from approxjac.formatting import joined, short_fields
+from approxjac.interface import Evaluation, Measurement, Status, Target
+from approxjac.law.guard import (
+    UNSEEN,
+    GuardBounds,
+    GuardMemory,
+    Judged,
+    QuickGuard,
+    Sample,
+    first_memory,
+    judged,
+    remembered,
+    stop_torque,
+)
+from approxjac.robots import Dynamics, Robot
+from approxjac.robots.traced import motion_between
+from approxjac.tasks.analysis import uncombined
+from approxjac.validation import Array, as_diagonal, as_integer, as_limits, as_number, shape_of
+
+if TYPE_CHECKING:
+    from approxjac.controllers.controller import Controller
+
+_X = {"m": 0.03, "rad": 0.1, "px": 30.0}
+_PAYLOAD = 1.5  # times the acceleration that the believed inertia allows
+_OFTEN = 0.9  # of the configurations have less
+_PUSHED = 0.1  # of the motors' torques: what else may act
+_LEAST = 10.0  # rad/s² or m/s²
+_FASTEST = 20.0  # rad/s or m/s, where no limit is known
+_CHANGE = 2.0  # times the largest speed, of a period
+_SOONEST = 0.1  # s, in which a commanded velocity goes from the fastest to zero
+_SERVO = 2e-3  # s, in which joints that take velocities reach theirs
+_BRIDGED = 0.02  # s, at most
+_STOPS = 100.0  # 1/s, the largest rate of damping in a stop
+_STIFF = 20.0  # 1/s, its stiffness over its damping
+_KINDS = (
+    Status.OK, Status.JOINTS_UNKNOWN, Status.POSITION_JUMPED, Status.VELOCITY_JUMPED,
+    Status.VELOCITY_DISAGREES, Status.STATE_REPEATED, Status.CLOCK_JUMPED, Status.SENSOR_JUMPED,
+)  # fmt: skip
+_OFFSET = float(_KINDS[1]) - 1.0
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Guard:
+    """Bounds of the samples that a controller accepts; `controller.guarded(...)` sets them.
+
+    A sample of q, q̇ and t that no motion of the arm explains is refused: the last command goes out
+    once more, and nothing that the controller remembers changes. The status says why. After
+    `periods` in a row the controller stops the arm (`Status.STOPPED`): it damps the joints and
+    holds them where they are, with gravity compensated, until it begins anew with `initial_state`
+    or `resumed`. Bounds follow from the last good sample, the torque sent, the inertia of the
+    believed robot, and the errors below; see "The guard" in the documentation. A value of x that
+    jumps farther than twice what the arm has moved by is treated as lost, and one refused for
+    0.25 s ends in a stop, too.
+
+    Attributes:
+        q: Error of a change of q between two samples, a number or (n_v,) [rad or m]: the step of
+            its encoder and noise. By default that of an encoder of 12 bits, whose differences
+            give q̇.
+        x: Error of a change of x, a number or (m,) [unit of the task]; 0.03 m, 0.1 rad and 30 px by
+            default.
+        lag: Largest lag of q̇, such as the time constant of its filter [s].
+        periods: Periods in a row that are bridged by the last command, for 20 ms at most.
+
+    Raises:
+        InvalidInputError: Numbers that are negative or not finite.
+    """
+
+    q: float | Sequence[float] | Array = 2.0 * math.pi / 4096
+    x: float | Sequence[float] | Array | None = None
+    lag: float = 5e-3
+    periods: int = 5
+    __repr__ = short_fields
+
+    def __post_init__(self) -> None:
+        as_diagonal("q", self.q, math.prod(shape_of(self.q)), positive=False)
+        as_number("lag", self.lag, unit="s", minimum=0.0)
+        as_integer("periods", self.periods, 1)
+
+
+USUAL = Guard()
+
+
+class SampleGuard:
+    """A guard of one controller: it lets its samples pass or replaces them.
+
+    Args:
+        guard: The bounds.
+        controller: The controller, whose torques limit those of a stop.
+
+    Attributes:
+        first: Its memory before the first sample.
+    """
+
+    def __init__(self, guard: Guard, controller: Controller) -> None:
+        task = controller.task
+        robot, measured = task.robot, task.measured
+        n, m = robot.nv, measured.m
+        self._robot, self._measured, self._uncombined = robot, measured, uncombined(task)
+        self._takes_torque = controller.command == "torque"
+        fastest = np.where(np.isfinite(robot.velocity_limits), robot.velocity_limits, _FASTEST)
+        self._reach, self._push, self._damping = _usual(robot)
+        if (own := controller.law.diagonals) is not None:
+            self._damping = np.maximum(self._damping, own.damping)
+        self._stiffness = _STIFF * self._damping
+        if not self._takes_torque:
+            self._push = np.maximum(self._push, fastest / _SERVO)
+        noise = [_X.get(unit, math.inf) for unit in measured.units]
+        if guard.x is not None:
+            noise = as_limits("x of a guard", guard.x, m, unit=joined(measured.units)).tolist()
+        q_noise = 2.0 * as_diagonal("q of a guard", guard.q, n, positive=False)
+        self._bounds = GuardBounds(
+            q_noise.tolist(), guard.lag, (_CHANGE * fastest).tolist(), self._push, self._reach,
+            noise, tuple(measured.parts), float(guard.periods), _BRIDGED,
+        )  # fmt: skip
+        self.first = first_memory(robot.neutral().tolist(), task.origin.tolist(), self._bounds)
+        self._ends = ends = GuardMemory.ends(robot.nq, n, task.n_x, len(measured.parts))
+        self._quick = QuickGuard(self._bounds, ends, robot.nq, n)
+        self._subtracts = robot.nq == n
+        self.first.flags.writeable = False
+        kept = (controller.limits or Limits()).for_joints(n)
+        self._effort, self._rate = np.asarray(kept.effort), np.asarray(kept.rate)
+        if not self._takes_torque:
+            self._rate = fastest / _SOONEST
+
+    def step(
+        self,
+        controller: Controller,
+        state: Array,
+        memory: Array,
+        measurement: Measurement,
+        target: Target | Array,
+        dt: float,
+    ) -> tuple[Array, Evaluation]:
+        """Do the work of `Controller.step`, with its state in two parts."""
+        t, q, v, x, t_x = measurement
+        traced = hasattr(memory, "arm_of")
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):
+                before, seen = memory[4 : self._ends[1]], memory[self._ends[8] : self._ends[9]]
+                way = q - before if self._subtracts else motion_between(self._robot, before, q)
+                x_way = x - seen if self._measured.subtracts else self._measured.error(x, seen)
+                quick = None if traced else self._quick.judged(memory, measurement, way, x_way, dt)
+                if quick is None:
+                    kept = GuardMemory.of(memory.tolist(), self._ends)
+                    taken = math.nan if t_x is None else t_x
+                    x_way = law.array(x_way)
+                    sample = Sample(
+                        t,
+                        *(each.tolist() for each in (q, v, x)),
+                        taken,
+                        way.tolist(),
+                        x_way.tolist(),
+                    )
+                    found = judged(kept, sample, dt, self._bounds)
+        except (AttributeError, IndexError, TypeError, ValueError):
+            controller.advance(state, measurement, target, dt)  # which says what is wrong
+            raise
+        if quick is not None:
+            after, answer = controller.advance(state, measurement, target, dt)
+            parts = answer.torque, self._push_of(answer), self._J_of(answer)
+            memory = self._quick.answered(quick, v, dt, *parts)
+            return np.concatenate([after, memory]) if len(after) else memory, answer
+        passed, is_bad, stops = measurement, found.kind > 0, found.stops > 0
+        if is_bad is True and kept.t <= 0.5 * UNSEEN:
+            controller.advance(state, measurement, target, dt)  # there is no good sample yet
+        is_changed = is_bad | stops | found.refuses_x
+        if is_changed is not False:
+            unknown = None if t_x is None or isinstance(t_x, float) else math.nan
+            t, t_x = law.select(is_bad, kept.t + dt, t), law.select(is_changed, unknown, t_x)
+            passed = Measurement(t, *map(law.array, (found.q, found.v, found.x)), t_x)
+        after, answer = controller.advance(state, passed, target, dt)
+        after = law.select(is_bad | stops, state, after)
+        command, gravity = answer.torque, answer.gravity
+
+        def halted() -> tuple[Array]:
+            g = 0.0 * command
+            if self._takes_torque:
+                g = controller.gravity_torque(state, passed.q) if gravity is None else gravity
+            return (self._halted(found, kept, g, dt),)
+
+        if is_changed is not False:
+            (halt,) = law.choose(stops, halted, lambda: (command,))
+            command = law.select(is_bad, law.array(kept.command), command)
+            command = law.select(stops, halt, command)
+        answer = answer._replace(torque=command)
+        J_hat, sizes, push = self._J_of(answer), None, self._push_of(answer).tolist()
+        if J_hat is not None:
+            sizes = [law.length(J_hat[rows].ravel()) for _, rows in self._bounds.parts]
+        memory = remembered(kept, found, sample, dt, command.tolist(), push, sizes).joined()
+        if is_changed is not False:
+            status = law.select(found.refuses_x, Status.SENSOR_JUMPED, answer.status)
+            name = _KINDS[found.kind] if type(found.kind) is int else found.kind + _OFFSET
+            status = law.select(stops, Status.STOPPED, law.select(is_bad, name, status))
+            answer = answer._replace(status=status)
+        return np.concatenate([after, memory]) if len(after) else memory, answer
+
+    def _halted(self, found: Judged, kept: GuardMemory, gravity: Array, dt: Any) -> Array:
+        """Return the command of a stop, within the controller's limits, shape (n_v,)."""
+        change = dt * self._rate
+        halt = 0.0 * gravity
+        if self._takes_torque:
+            halt = stop_torque(found, kept, gravity, self._damping, self._stiffness)
+            halt = np.minimum(np.maximum(halt, -self._effort), self._effort)
+        before = law.array(kept.command)
+        return np.minimum(np.maximum(halt, before - change), before + change)
+
+    def _push_of(self, answer: Evaluation) -> Array:
+        """Return |q̈| that may be after a torque or a velocity, (n_v,)."""
+        torque, gravity = answer.torque, answer.gravity
+        if not self._takes_torque:
+            return self._push
+        net = np.abs(torque if gravity is None else torque - gravity)
+        push: Array = self._push + self._reach.dot(net)
+        return push
+
+    def _J_of(self, answer: Evaluation) -> Array | None:
+        """Return Ĵ of what is measured, if there is any."""
+        J_hat = answer.J_hat
+        if J_hat is None or self._uncombined is None:
+            return J_hat
+        return self._uncombined.dot(J_hat)
+
+
+@functools.lru_cache(maxsize=32)
+def _usual(robot: Robot) -> tuple[Array, Array, Array]:
+    """Return |q̈| for each torque, |q̈| without, and the damping of a stop, (n_v,)."""
+    inertias, dynamics = usual_inertias(robot), Dynamics(robot)
+    mobility = _PAYLOAD * np.quantile(np.abs(np.linalg.inv(inertias)), _OFTEN, axis=0)
+    rng = np.random.default_rng(0)
+    weights = np.array([dynamics.g(robot.random_configuration(rng)) for _ in range(len(inertias))])
+    weight = np.abs(weights).max(axis=0)
+    effort = np.where(np.isfinite(robot.effort_limits), robot.effort_limits, 2.0 * weight)
+    light = 1.0 / np.diagonal(np.linalg.inv(inertias), axis1=1, axis2=2).max(axis=0)
+    damping = light * (_STOPS / max_damping_rate(inertias, light))
+    push = np.linalg.norm(mobility * (_PUSHED * effort), axis=1)
+    return mobility, np.maximum(push, _LEAST), damping
