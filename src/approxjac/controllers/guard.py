@@ -113,7 +113,7 @@ class SampleGuard:
         self._robot, self._measured, self._uncombined = robot, measured, uncombined(task)
         self._takes_torque = controller.command == "torque"
         fastest = np.where(np.isfinite(robot.velocity_limits), robot.velocity_limits, _FASTEST)
-        self._reach, self._push, self._damping = _usual(robot)
+        self._reach, self._push, self._damping = usual_accelerations(robot)
         if (own := controller.law.diagonals) is not None:
             self._damping = np.maximum(self._damping, own.damping)
         self._stiffness = _STIFF * self._damping
@@ -237,7 +237,7 @@ class SampleGuard:
 
 
 @functools.lru_cache(maxsize=32)
-def _usual(robot: Robot) -> tuple[Array, Array, Array]:
+def usual_accelerations(robot: Robot) -> tuple[Array, Array, Array]:
     """Return |q̈| for each torque, |q̈| without, and the damping of a stop, (n_v,)."""
     inertias, dynamics = usual_inertias(robot), Dynamics(robot)
     mobility = _PAYLOAD * np.quantile(np.abs(np.linalg.inv(inertias)), _OFTEN, axis=0)

@@ -15,6 +15,7 @@ from approxjac import law
 from approxjac.controllers.arguments import HUGE, require_dt
 from approxjac.controllers.controller import Controller
 from approxjac.controllers.gains.sample_configurations import max_damping_rate, usual_inertias
+from approxjac.controllers.guard import usual_accelerations
 from approxjac.controllers.limits.limit import Limit, LimitTerms, require_rows, rows_at
 from approxjac.controllers.limits.limits import Limits, sure_deceleration
 from approxjac.controllers.limits.quadratic_program import Solver
@@ -39,6 +40,7 @@ _FAR = 1e100  # a deceleration that stands for infinity
 _TRIAL = 1.0  # speed of joints at which limits are asked for their rows first [rad/s or m/s]
 _UNSET, _SET = 1e20, 1e19  # a torque before that is not known yet, and what is surely known
 _LARGEST = np.finfo(float).max
+_EXPLAINED = 5.0  # times what a guard takes for granted
 _NEVER = 1e20  # [s], a time that is never measured
 
 
@@ -48,6 +50,9 @@ class AccelerationObserver:
     In each period q̇ changes by (f + r₁) dt, and r follows r₁ at a given rate [1/s]. It is a rate at
     which damping may act: delays and filters that allow that damping allow r, and noise of q̇ causes
     no more torque than with that damping.
+
+    r is at most what half of all motors' efforts can cause, more than payloads and friction do, so
+    that a bad q̇ is soon forgotten.
 
     Limits have to be kept while gravity is learnt: then f has the believed arm's weight, whatever
     was learnt; otherwise it has the gravity that the controller compensates.
@@ -62,6 +67,7 @@ class AccelerationObserver:
         self._n = robot.nv
         self._dt, self._rate, self._share = dt, np.array(rate), np.array(1.0 - rate * dt)
         self._period = np.array(dt)
+        self._most = _EXPLAINED * usual_accelerations(robot)[1]
         self.nothing = np.concatenate([[_NEVER], np.zeros(2 * robot.nv)])  # before the first period
         self.nothing.flags.writeable = False
 
@@ -76,7 +82,9 @@ class AccelerationObserver:
         n = self._n
         r, is_due = memory[n + 1 :], abs(measurement.t - memory[0]) <= 0.5 * self._dt
         apart = measurement.v - memory[1 : n + 1]
-        residual: Array = law.select(is_due, self._share * r + self._rate * apart, r)
+        follows = self._share * r + self._rate * apart
+        follows = np.minimum(np.maximum(follows, -self._most), self._most)
+        residual: Array = law.select(is_due, follows, r)
         return residual
 
     def forward(self, measurement: Measurement, gravity: Array, torque: Array) -> Array:
