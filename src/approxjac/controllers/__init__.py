@@ -16,6 +16,7 @@ from approxjac.controllers.gravity import Gravity as Gravity
 from approxjac.controllers.gravity import ModelGravity as ModelGravity
 from approxjac.controllers.gravity import NoGravity as NoGravity
 from approxjac.controllers.gravity import RegressorGravity as RegressorGravity
+from approxjac.controllers.guard import Guard as Guard
 from approxjac.controllers.hold import HeldMeasurement as HeldMeasurement
 from approxjac.controllers.learning.estimator import Kinematics as Kinematics
 from approxjac.controllers.learning.estimator import KnownKinematics as KnownKinematics

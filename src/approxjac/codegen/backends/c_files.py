@@ -22,6 +22,8 @@ from approxjac.errors import InvalidInputError
 from approxjac.files import reason, together, write_text
 from approxjac.formatting import joined
 from approxjac.interface import LimitStatus, Measurement, Status
+from approxjac.law.guard import UNSEEN
+from approxjac.robots.traced import moved
 from approxjac.tasks import PoseTask, Task
 from approxjac.validation import Array, require
 
@@ -113,6 +115,7 @@ def _source(step: SampledStep) -> dict[str, str]:
         "q_checks": _q_checks(step),
         "first": "\n".join([*first, "    (void)now;"]),
         "t_checks": _t_checks(step),
+        "is_bridged": _is_bridged(step),
         "rate_checks": "".join(finite),
     }
 
@@ -125,7 +128,14 @@ def _t_checks(step: SampledStep) -> str:
     if not wrong:
         return ""
     refused = f"return refused(answer, {identifier(step.controller.task.robot.name).upper()}"
-    return f"    if ({' || '.join(wrong)}) {{\n        {refused}_REFUSED_T);\n    }}\n"
+    condition = f"!is_bridged && ({' || '.join(wrong)})"
+    return f"    if ({condition}) {{\n        {refused}_REFUSED_T);\n    }}\n"
+
+
+def _is_bridged(step: SampledStep) -> str:
+    """Return whether a guard's memory has a good sample."""
+    size = step.controller.size
+    return f"state->values[{size}] > {0.5 * UNSEEN!r}" if len(step.first) > size else "0"
 
 
 def _q_checks(step: SampledStep) -> str:
@@ -145,16 +155,24 @@ _MEASURED, _WANTED = ("t", "q", "v", "x", "t_x"), ("target", "target_v", "target
 
 
 def _recorded(step: SampledStep, dt: float) -> list[Record]:
-    """Return runs from random configurations, step by step, with what is answered."""
+    """Return runs from random configurations, step by step, with what is answered.
+
+    In the last step of every third run q̇ is wrong, which a guard finds.
+    """
     task, rng = step.controller.task, np.random.default_rng(0)
     robot, m, function = task.robot, task.measured.m, step.in_numpy()
     runs: list[list[Record]] = [[] for _ in range(_RUNS)]
-    states = np.zeros((len(step.first), _RUNS))
+    states, places = np.zeros((len(step.first), _RUNS)), list[Array]()
     for k in range(_STEPS):
         given = []
         for run in range(_RUNS):
-            q, v = robot.random_configuration(rng), rng.normal(scale=0.5, size=robot.nv)
-            x = task.value(q) + rng.normal(scale=0.02, size=task.n_x)
+            v = np.sin(np.arange(robot.nv) + run + 1e-3 * k)
+            if k == 0:
+                places.append(robot.random_configuration(rng))
+            else:
+                places[run] = moved(robot, places[run], dt * v)
+            q, v = places[run], v + 1e3 * (k == _STEPS - 1 and run % 3 == 0)
+            x = task.value(q) + rng.normal(scale=0.002, size=task.n_x)
             seen = np.where(np.isfinite(x), x, task.origin)  # or there would be no target
             target = seen + rng.normal(scale=0.02 if run % 2 else 0.5, size=task.n_x)
             if k == 0:

@@ -32,8 +32,8 @@ typedef enum {
     /* the compiler's options reorder sums or drop comparisons with NaN, as parts of -ffast-math do:
        the torque is zero, the state stays */
     ${PREFIX}_REFUSED_BUILD = -8,
-    /* t is not finite, or t_x is INFINITY or more than 1 s after t, as by another clock: the torque
-       is zero, the state stays; stop the robot */
+    /* a first t is not finite, or a first t_x is INFINITY or more than 1 s after t, as by another
+       clock: the torque is zero, the state stays; stop the robot */
     ${PREFIX}_REFUSED_T = -7,
     /* dt is not positive or not finite: the torque is that of the law, the state stays */
     ${PREFIX}_REFUSED_DT = -6,
@@ -44,10 +44,10 @@ typedef enum {
     ${PREFIX}_REFUSED_OVERFLOW = -4,
     /* a number of the state is not finite: the torque is zero; call init again */
     ${PREFIX}_REFUSED_STATE = -3,
-    /* a joint velocity is not finite: the torque is zero, the state stays; stop the robot */
+    /* a first joint velocity is not finite: the torque is zero, the state stays; stop the robot */
     ${PREFIX}_REFUSED_V = -2,
-    /* q is not finite, an angle is beyond 1e6 rad, or (cos, sin) are off the unit circle: the
-       torque is zero, the state stays; stop the robot */
+    /* a first q is not finite, an angle is beyond 1e6 rad, or (cos, sin) are off the unit circle:
+       the torque is zero, the state stays; stop the robot */
     ${PREFIX}_REFUSED_Q = -1,
 $statuses
 } ${prefix}_status;
@@ -193,20 +193,26 @@ ${prefix}_status ${prefix}_step(${prefix}_state *state, const ${prefix}_measurem
     static const ${prefix}_target nowhere = {{$nowhere}, {0.0}, {0.0}};
     ${prefix}_measurement blind;
     double after[$stored];
-    int i, is_target, is_dt;
+    int i, is_target, is_dt, is_bridged;
     if (!is_as_written()) {
         return refused(answer, ${PREFIX}_REFUSED_BUILD);
     }
-    if (!is_configuration(now->q)) {
-        return refused(answer, ${PREFIX}_REFUSED_Q);
-    }
-    if (!is_finite(now->v, ${PREFIX}_N_V)) {
-        return refused(answer, ${PREFIX}_REFUSED_V);
-    }
-$t_checks    if (!is_finite(state->values, N_STATE)) {
+    if (!is_finite(state->values, N_STATE)) {
         return refused(answer, ${PREFIX}_REFUSED_STATE);
     }
-    is_target = is_finite(target->x, ${PREFIX}_N_X)$rate_checks;
+    is_bridged = $is_bridged; /* bad samples are, once there was a good one */
+    if (!is_configuration(now->q)) {
+        if (!is_bridged) {
+            return refused(answer, ${PREFIX}_REFUSED_Q);
+        }
+        blind = *now;
+        blind.q[0] = NAN;
+        now = &blind;
+    }
+    if (!is_bridged && !is_finite(now->v, ${PREFIX}_N_V)) {
+        return refused(answer, ${PREFIX}_REFUSED_V);
+    }
+$t_checks    is_target = is_finite(target->x, ${PREFIX}_N_X)$rate_checks;
     if (!is_target) {
         blind = *now;
         for (i = 0; i < ${PREFIX}_N_X; ++i) {

@@ -1,0 +1,278 @@
+"""Bad samples in a running loop: what they do to the motion, to what is learnt, and their names."""
+
+import dataclasses
+import functools
+import math
+
+import numpy as np
+import pytest
+
+import approxjac as aj
+from approxjac.codegen.step import compiled
+from approxjac.controllers import (
+    AdaptiveKinematics,
+    DifferentiatedVelocity,
+    Guard,
+    HeldMeasurement,
+    PredictedMeasurement,
+)
+from approxjac.errors import InvalidInputError, MeasurementError
+from approxjac.simulation.plant import INTEGRATORS
+
+DT = 1e-3
+STEP = INTEGRATORS["semi_implicit_euler"]
+BELIEF = aj.load_robot("panda").with_object(0.1, 0.3, axis="x")
+TRUTH = aj.load_robot("panda").with_object(0.2, 0.5, axis="x")
+PLANT = aj.Plant(TRUTH, aj.PositionTask(TRUTH))
+START = PLANT.ready_configuration()
+GOAL = PLANT.sensor.value(START) + [-0.1, 0.1, -0.1]
+
+
+class Spring(aj.Controller):
+    """A law of one's own, which says nothing of gravity."""
+
+    def evaluate(self, state, measurement, target):
+        _, q, v, x, _ = measurement
+        e, J = self.task.error(x, target), self.task.jacobian(q, x)
+        force = 300.0 * np.nan_to_num(e) + 60.0 * J @ v
+        torque = self.gravity_torque(state, q) - J.T @ force - 3.0 * v
+        return aj.Evaluation(torque, np.zeros(0), aj.Status.OK, e, J)
+
+
+def _controllers():
+    task = aj.PositionTask(BELIEF)
+    law, limits = aj.SetpointController(task), aj.Limits.of(BELIEF)
+    learnt = aj.SetpointController(task, gravity=aj.AdaptiveGravity(BELIEF))
+    limited, tracking = aj.TorqueLimited(law, limits), aj.TrackingController(task)
+    slow = dataclasses.replace(limits, rate=1000.0)
+    return {
+        "law": law,
+        "learnt": learnt,
+        "differentiated": aj.SetpointController(task, velocity=DifferentiatedVelocity(0.01)),
+        "tracking": tracking,
+        "velocity": aj.TrackingController(task, command="velocity"),
+        "predicted": PredictedMeasurement(law, AdaptiveKinematics(task, dt=DT)),
+        "limited": limited,
+        "limited, learnt": aj.TorqueLimited(learnt, limits),
+        "limited, tracking": aj.TorqueLimited(tracking, limits),
+        "limited, rate": aj.TorqueLimited(law, slow),
+        "held": HeldMeasurement(law, 0.02),
+        "held, limited": HeldMeasurement(limited, 0.02),
+        "predicted, limited": PredictedMeasurement(limited, AdaptiveKinematics(task, dt=DT)),
+        "own": Spring(task),
+        "own, limited": aj.TorqueLimited(Spring(task), limits),
+    }
+
+
+CONTROLLERS = _controllers()
+OF_JOINTS = ["wrap", "wrap of q", "spike", "freeze", "NaN", "NaN of q", "sign", "clock", "set back"]
+OF_JOINTS += ["clock of 15 ms", "swapped", "unit", "unit of v"]
+OF_X = ["spike of x", "NaN of x", "stamp", "old stamp", "unit of x"]
+
+
+def spoilt(kind, m, last):
+    """Return a measurement in which something is wrong; `last` was the last good one."""
+    t, q, v, x, t_x = m
+    first, q_first = np.eye(1, len(v), 4)[0], np.eye(1, len(q), 4)[0]
+    changes = {
+        "wrap": {"v": v + 2.0 * math.pi / DT * first},
+        "wrap of q": {"q": q + 2.0 * math.pi * q_first},
+        "spike": {"v": v - 20.0 * first},
+        "freeze": {"q": last.q, "v": last.v},
+        "NaN": {"v": np.where(first > 0.0, np.nan, v)},
+        "NaN of q": {"q": np.where(q_first > 0.0, np.inf, q)},
+        "sign": {"v": -v},
+        "clock": {"t": t + 10.0, "t_x": t_x + 10.0},
+        "set back": {"t": t - 10.0, "t_x": t_x - 10.0},
+        "clock of 15 ms": {"t": t + 0.015, "t_x": t_x + 0.015},
+        "swapped": {"q": q[[0, 3, 2, 1, 4, 5, 6]], "v": v[[0, 3, 2, 1, 4, 5, 6]]},
+        "unit": {"q": np.degrees(q), "v": np.degrees(v)},
+        "unit of v": {"v": np.degrees(v)},
+        "spike of x": {"x": x + [0.0, 0.5, 0.0]},
+        "NaN of x": {"x": np.full(3, np.nan)},
+        "stamp": {"t_x": t_x + 10.0},
+        "old stamp": {"t_x": t_x - 10.0},
+        "unit of x": {"x": 1e3 * x},
+    }
+    return m._replace(**changes[kind])
+
+
+class Loop:
+    """A loop in which the samples from `at` on are spoilt, `count` of them."""
+
+    def __init__(self, controller, duration, kind=None, count=0, at=0.1, goal=GOAL):
+        q, v, most = START, np.zeros(7), TRUTH.effort_limits
+        truth = last = PLANT.measure(0.0, q, v)._replace(t_x=0.0)
+        state, first = controller.initial_state(truth), round(at / DT)
+        self.statuses, self.states, speeds, errors, self.full = [], [], [], [], 0
+        for k in range(round(duration / DT)):
+            truth = PLANT.measure(k * DT, q, v)._replace(t_x=k * DT)
+            is_bad = kind is not None and first <= k < first + count
+            told = spoilt(kind, truth, last) if is_bad else truth
+            last = last if is_bad else truth
+            state, answer = controller.step(state, told, goal, DT)
+            assert np.isfinite(answer.torque).all()
+            assert np.isfinite(state).all()
+            self.states.append(state)
+            self.statuses.append(answer.status)
+            if controller.command == "velocity":
+                v = answer.torque  # a servo that follows at once
+                q = q + DT * v
+            else:
+                torque = np.clip(answer.torque, -most, most)
+                self.full += bool((np.abs(answer.torque) >= 0.999 * most).any())
+                q, v = PLANT.advance(q, v, torque, DT, STEP)
+            speeds.append(np.abs(v).max())
+            errors.append(np.linalg.norm(truth.x - goal))
+        self.speeds, self.errors = np.array(speeds), np.array(errors)
+
+
+@functools.cache
+def clean(name, duration):
+    return Loop(CONTROLLERS[name], duration)
+
+
+def require_as_clean(name, kind, duration=0.6):
+    usual, found = clean(name, duration), Loop(CONTROLLERS[name], duration, kind, 1)
+    assert found.speeds.max() <= 1.5 * usual.speeds.max() + 0.1
+    assert found.full <= usual.full + 3
+    assert found.errors[-1] <= 1.2 * usual.errors[-1] + 1e-4
+    return found
+
+
+@pytest.mark.parametrize("kind", ["wrap", "swapped", "sign", "clock of 15 ms", "stamp", "NaN"])
+def test_one_bad_sample_leaves_the_motion_as_it_was(kind):
+    require_as_clean("limited, learnt", kind, 0.3)
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("kind", OF_JOINTS + OF_X)
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_one_bad_sample_leaves_the_motion_of_any_law_as_it_was(name, kind):
+    require_as_clean(name, kind)
+
+
+NAMES = {
+    "wrap": "VELOCITY_JUMPED",
+    "wrap of q": "POSITION_JUMPED",
+    "freeze": "STATE_REPEATED",
+    "NaN": "JOINTS_UNKNOWN",
+    "set back": "CLOCK_JUMPED",
+    "unit": "POSITION_JUMPED",
+}
+
+
+def require_stopped(name, kind, count):
+    found = Loop(CONTROLLERS[name], 0.5, kind, count)
+    assert found.statuses[99] is not aj.Status.STOPPED
+    if kind in NAMES:
+        assert found.statuses[100].name == NAMES[kind]
+    assert found.statuses[-1] is aj.Status.STOPPED
+    assert found.speeds[-1] < 0.3
+    return found
+
+
+@pytest.mark.parametrize("kind", NAMES)
+def test_ten_bad_samples_in_a_row_end_in_a_stop_with_their_name(kind):
+    require_stopped("limited", kind, 10)
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("count", [10, 100])
+@pytest.mark.parametrize("kind", [each for each in OF_JOINTS if each != "sign"])
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_bad_samples_in_a_row_end_in_a_stop_of_any_law(name, kind, count):
+    require_stopped(name, kind, count)
+
+
+@pytest.mark.parametrize("name", ["limited, learnt", "limited, tracking", "predicted"])
+def test_no_memory_moves_while_samples_are_bad(name):
+    controller = CONTROLLERS[name]
+    found = Loop(controller, 0.11, "wrap", 5)
+    size = controller.size
+    for state in found.states[100:105]:
+        np.testing.assert_array_equal(state[:size], found.states[99][:size])
+    assert not np.array_equal(found.states[105][:size], found.states[99][:size])
+
+
+@pytest.mark.parametrize("name", ["law", "limited", "tracking", "held, limited"])
+@pytest.mark.parametrize("kind", ["wrap", "NaN of q", "clock", "spike of x", "swapped"])
+def test_compiled_steps_judge_as_those_of_python(name, kind):
+    """Machine code leaves what is rare to Python, and has the same memory."""
+    controller = CONTROLLERS[name]
+    in_python, quick = (Loop(each, 0.12, kind, 7) for each in (controller, compiled(controller)))
+    assert in_python.statuses == quick.statuses
+    for a, b in zip(in_python.states[::10], quick.states[::10], strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-9)
+
+
+def test_a_stopped_arm_stays_until_the_controller_begins_anew():
+    controller = CONTROLLERS["limited"]
+    found = Loop(controller, 0.6, "wrap", 8)
+    assert set(found.statuses[110:]) == {aj.Status.STOPPED}
+    again = Loop(controller, 0.1)
+    assert set(again.statuses) == {aj.Status.OK}
+
+
+def test_a_first_sample_that_is_none_is_an_error():
+    law = CONTROLLERS["law"]
+    measured = PLANT.measure(0.0, START, np.zeros(7))
+    state = law.initial_state(measured)
+    with pytest.raises(MeasurementError, match="q must be finite"):
+        law.step(state, measured._replace(q=np.nan * START), GOAL, DT)
+
+
+def test_an_x_that_is_refused_for_long_ends_in_a_stop():
+    found = Loop(CONTROLLERS["held"], 0.5, "spike of x", 400)
+    assert found.statuses[100] is aj.Status.SENSOR_JUMPED
+    assert found.statuses[-1] is aj.Status.STOPPED
+    brief = Loop(CONTROLLERS["held"], 0.5, "spike of x", 200)
+    assert brief.statuses[-1] is aj.Status.OK
+
+
+def test_without_a_guard_a_bad_sample_reaches_the_law():
+    law = CONTROLLERS["limited"].guarded(None)
+    found = Loop(law, 0.3, "wrap", 1)
+    assert set(found.statuses) == {aj.Status.OK}
+    assert found.states[0].size == law.size
+    with pytest.raises(InvalidInputError, match="guard must be"):
+        law.guarded(3)
+
+
+def test_a_guard_stays_with_copies_of_its_controller():
+    import copy
+
+    law = CONTROLLERS["limited"].guarded(Guard(q=1e-5))
+    for other in (copy.deepcopy(law), law.with_task(law.task), compiled(law)):
+        assert other.guard.q == 1e-5
+    assert compiled(law).guarded(None).guard is None
+
+
+def test_a_law_of_ones_own_must_name_its_methods_so_that_they_are_guarded():
+    with pytest.raises(InvalidInputError, match="must be called advance"):
+
+        class Old(aj.Controller):
+            def step(self, state, measurement, target, dt):
+                return state, None
+
+
+def noisy(controller, bits, dt, v_filter, duration, seed=0):
+    """Return the statuses of a run with real sensors on a path."""
+    sensing = aj.Sensing(
+        q_quantum=2.0 * math.pi / 2**bits, velocity_filter=v_filter, x_noise=2e-3, x_delay=0.02,
+        x_rate=60.0,
+    )  # fmt: skip
+    plant = aj.Plant(TRUTH, aj.PositionTask(TRUTH), sensing=sensing)
+    path = aj.Circle(PLANT.sensor.value(START) + [0.0, 0.05, 0.0], 0.05, 2.0, normal="x")
+    run = aj.simulate(plant, controller, path, START, duration, dt=dt, seed=seed)
+    return set(run.status.tolist())
+
+
+@pytest.mark.parametrize("bits", [12, 20])
+def test_no_good_sample_of_a_coarse_encoder_is_refused(bits):
+    task = aj.PositionTask(BELIEF)
+    law = aj.SetpointController(task, latency=aj.controllers.Latency(velocity_filter=5e-3))
+    assert not {*map(int, BAD)} & noisy(law, bits, DT, 5e-3, 0.5)
+
+
+BAD = [each for each in aj.Status if each >= aj.Status.JOINTS_UNKNOWN]
