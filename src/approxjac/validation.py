@@ -217,7 +217,6 @@ class Immutable:
 
     _given: tuple[tuple[Any, ...], dict[str, Any]]
     _changes: Mapping[str, Any] = MappingProxyType({})  # of arguments, without building it anew
-    _carried: tuple[str, ...] = ()  # attributes that a copy has, too
 
     def __new__(cls, *given: Any, **named: Any) -> Self:
         """Keep what it is built from, whatever its class takes."""
@@ -245,7 +244,9 @@ class Immutable:
 
     @property
     def _carries(self) -> dict[str, Any]:
-        return {name: vars(self)[name] for name in self._carried if name in vars(self)}
+        """The attributes that a copy has besides: those that `_carried` names, if set."""
+        carried = getattr(self, "_carried", ())
+        return {name: vars(self)[name] for name in carried if name in vars(self)}
 
     def __reduce__(self) -> tuple[Any, ...]:
         given = ((), self._arguments) if self._changes else self._given

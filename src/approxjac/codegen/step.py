@@ -16,6 +16,7 @@ from approxjac.codegen.trace.program import Program
 from approxjac.codegen.trace.symbols import Scalar, select, symbols
 from approxjac.controllers.arguments import FLOAT64, HUGE, time_of_x
 from approxjac.controllers.controller import Controller
+from approxjac.controllers.guard import Guard
 from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
 from approxjac.validation import Array, require
 
@@ -126,6 +127,10 @@ class _MachineCode:
 
     def __repr__(self) -> str:
         return f"compiled({self.ordinary!r})"
+
+    def guarded(self, guard: Guard | None) -> Any:
+        """Return this controller with other bounds of good samples; None accepts all."""
+        return compiled(self.ordinary.guarded(guard))
 
     def _rebuilt(self, **changes: Any) -> Any:
         return compiled(self.ordinary._rebuilt(**changes))
