@@ -240,7 +240,8 @@ class Immutable:
 
     def _rebuilt(self, **changes: Any) -> Self:
         """Return an object built from the same arguments but for some."""
-        return _built(type(self), (), self._arguments | changes, self._carries)
+        found: Self = _built(type(self), (), self._arguments | changes, self._carries)
+        return found
 
     @property
     def _carries(self) -> dict[str, Any]:

@@ -13,6 +13,7 @@ import numpy as np
 from approxjac import law
 from approxjac.controllers.gains.sample_configurations import max_damping_rate, usual_inertias
 from approxjac.controllers.limits.limits import Limits
+from approxjac.errors import InvalidInputError
 from approxjac.formatting import joined, short_fields
 from approxjac.interface import Evaluation, Measurement, Status, Target
 from approxjac.law.guard import (
@@ -158,18 +159,13 @@ class SampleGuard:
                 if quick is None:
                     kept = GuardMemory.of(memory.tolist(), self._ends)
                     taken = math.nan if t_x is None else t_x
-                    x_way = law.array(x_way)
-                    sample = Sample(
-                        t,
-                        *(each.tolist() for each in (q, v, x)),
-                        taken,
-                        way.tolist(),
-                        x_way.tolist(),
-                    )
+                    ways = way.tolist(), law.array(x_way).tolist()
+                    sample = Sample(t, q.tolist(), v.tolist(), x.tolist(), taken, *ways)
                     found = judged(kept, sample, dt, self._bounds)
-        except (AttributeError, IndexError, TypeError, ValueError):
+        except (ArithmeticError, AttributeError, IndexError, TypeError, ValueError) as error:
             controller.advance(state, measurement, target, dt)  # which says what is wrong
-            raise
+            message = f"measurement must hold times [s] and arrays of floats, got {measurement!r}"
+            raise InvalidInputError(message, given=measurement) from error
         if quick is not None:
             after, answer = controller.advance(state, measurement, target, dt)
             parts = answer.torque, self._push_of(answer), self._J_of(answer)
@@ -182,7 +178,8 @@ class SampleGuard:
         if is_changed is not False:
             unknown = None if t_x is None or isinstance(t_x, float) else math.nan
             t, t_x = law.select(is_bad, kept.t + dt, t), law.select(is_changed, unknown, t_x)
-            passed = Measurement(t, *map(law.array, (found.q, found.v, found.x)), t_x)
+            q, v, x = map(law.array, (found.q, found.v, found.x))
+            passed = Measurement(t, q, v, x, t_x)
         after, answer = controller.advance(state, passed, target, dt)
         after = law.select(is_bad | stops, state, after)
         command, gravity = answer.torque, answer.gravity
@@ -217,7 +214,8 @@ class SampleGuard:
             halt = stop_torque(found, kept, gravity, self._damping, self._stiffness)
             halt = np.minimum(np.maximum(halt, -self._effort), self._effort)
         before = law.array(kept.command)
-        return np.minimum(np.maximum(halt, before - change), before + change)
+        command: Array = np.minimum(np.maximum(halt, before - change), before + change)
+        return command
 
     def _push_of(self, answer: Evaluation) -> Array:
         """Return |q̈| that may be after a torque or a velocity, (n_v,)."""
@@ -233,7 +231,8 @@ class SampleGuard:
         J_hat = answer.J_hat
         if J_hat is None or self._uncombined is None:
             return J_hat
-        return self._uncombined.dot(J_hat)
+        uncombined: Array = self._uncombined.dot(J_hat)
+        return uncombined
 
 
 @functools.lru_cache(maxsize=32)

@@ -85,7 +85,8 @@ class GuardMemory(NamedTuple):
 
     def joined(self) -> Array:
         """Return it as an array."""
-        return array([*self[:4], *chain.from_iterable(self[4:])])
+        joined: Array = array([*self[:4], *chain.from_iterable(self[4:])])
+        return joined
 
 
 def first_memory(q: list[float], x: list[float], bounds: GuardBounds) -> Array:
