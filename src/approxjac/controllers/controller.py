@@ -159,7 +159,7 @@ class Controller(ABC):
         Raises the errors of `advance`.
         """
         guard, n = self._sample_guard, self.size
-        if guard is None or len(state) != n + len(guard.first):
+        if guard is None or getattr(state, "shape", None) != (n + len(guard.first),):
             return self.advance(state, measurement, target, dt)
         return guard.step(self, state[:n], state[n:], measurement, target, dt)
 
@@ -279,7 +279,7 @@ class Controller(ABC):
     # -- what is learnt -------------------------------------------------------------------------
 
     def learnt(self, state: Array) -> Array:
-        """Return the learnt numbers (…, p) of a state, or of a series of states (…, n_state)."""
+        """Return the learnt numbers (…, p) of a state of `begin`, or of a series of those."""
         return state[..., :0]
 
     def describe_learnt(self, state: Array) -> str:

@@ -6,7 +6,7 @@ import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -30,11 +30,9 @@ from approxjac.law.guard import (
 )
 from approxjac.robots import Dynamics, Robot
 from approxjac.robots.traced import motion_between
+from approxjac.tasks import Task
 from approxjac.tasks.analysis import uncombined
 from approxjac.validation import Array, as_diagonal, as_integer, as_limits, as_number, shape_of
-
-if TYPE_CHECKING:
-    from approxjac.controllers.controller import Controller
 
 _X = {"m": 0.03, "rad": 0.1, "px": 30.0}
 _PAYLOAD = 1.5  # times the acceleration that the believed inertia allows
@@ -96,6 +94,23 @@ class Guard:
 USUAL = Guard()
 
 
+class _Guarded(Protocol):
+    """What a guard asks of its `Controller`."""
+
+    task: Task
+    command: Literal["torque", "velocity"]
+    limits: Limits | None
+
+    @property
+    def law(self) -> Any: ...
+
+    def advance(
+        self, state: Array, measurement: Measurement, target: Target | Array, dt: float
+    ) -> tuple[Array, Evaluation]: ...
+
+    def gravity_torque(self, state: Array, q: Array) -> Array: ...
+
+
 class SampleGuard:
     """A guard of one controller: it lets its samples pass or replaces them.
 
@@ -107,7 +122,7 @@ class SampleGuard:
         first: Its memory before the first sample.
     """
 
-    def __init__(self, guard: Guard, controller: Controller) -> None:
+    def __init__(self, guard: Guard, controller: _Guarded) -> None:
         task = controller.task
         robot, measured = task.robot, task.measured
         n, m = robot.nv, measured.m
@@ -140,7 +155,7 @@ class SampleGuard:
 
     def step(
         self,
-        controller: Controller,
+        controller: _Guarded,
         state: Array,
         memory: Array,
         measurement: Measurement,

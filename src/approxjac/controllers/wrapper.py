@@ -61,7 +61,7 @@ class ControllerWrapper(Immutable, Controller):
         return [*self.controller.describe(), self._what or f"within {type(self).__name__}"]
 
     def learnt(self, state: Array) -> Array:
-        return self.controller.learnt(state)
+        return self.controller.learnt(state[..., : self.controller.size])
 
     def with_task(self, task: Task) -> Self:
         return self._rebuilt(controller=self.controller.with_task(task))

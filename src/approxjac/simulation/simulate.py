@@ -114,7 +114,7 @@ def first_state(
     require_answer(
         plant, controller, state, measurement, controller.step(state, measurement, wanted, dt)
     )
-    learnt = controller.learnt(state)
+    learnt = controller.learnt(state[: controller.size])
     require("learnt of the controller", learnt, np.ndarray, "an array")
     if len(learnt) != len(controller.parameters):
         raise InvalidInputError(

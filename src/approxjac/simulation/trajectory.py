@@ -511,10 +511,11 @@ class Record:
     def _learnt(self, states: Array) -> Array:
         """Return the learnt numbers of the last controller by each state, shape (N, p)."""
         starts, controllers = zip(*self._controllers, strict=True)
-        learnt: Array = np.full_like(controllers[-1].learnt(states), np.nan)
+        last = controllers[-1]
+        learnt: Array = np.full_like(last.learnt(states[:, : last.size]), np.nan)
         for controller, start, end in zip(controllers, starts, [*starts[1:], None], strict=True):
-            if controller.parameters == controllers[-1].parameters:
-                learnt[start:end] = controller.learnt(states[start:end])
+            if controller.parameters == last.parameters:
+                learnt[start:end] = controller.learnt(states[start:end, : controller.size])
         return learnt
 
     def _derive(self, run: Trajectory, name: str, instants: Any) -> Any:
@@ -522,7 +523,8 @@ class Record:
         if name == "law":
             return self._law()
         if name == "learnt_sd":
-            return self._controllers[-1][1].learnt_sd
+            last = self._controllers[-1][1]
+            return lambda state: last.learnt_sd(state[: last.size])
         e, J_hat = self._columns[len(_RECORDED) :]
         plant, values = self._plant, []
         starts, controllers = zip(*self._controllers, strict=True)
@@ -533,9 +535,9 @@ class Record:
                 None if np.isnan(J_hat[k]).all() else J_hat[k], None,
                 LimitStatus(run.limit_status[k]), run.slack[k],
             )  # fmt: skip
-            x, x_d = run.x[k], run.x_d[k]
+            x, x_d, state = run.x[k], run.x_d[k], run.state[k, : controller.size]
             at = Instant(
-                run.q[k], run.v[k], controller.task.error(x, x_d), x_d, run.state[k], answer,
+                run.q[k], run.v[k], controller.task.error(x, x_d), x_d, state, answer,
                 plant.dynamics, plant.adds_gravity,
             )  # fmt: skip
             derive = controller.lyapunov if name == "V" else controller.task_torque
