@@ -295,7 +295,8 @@ def test_the_torque_knows_nothing_but_the_measurement(room, law):
     once, again = (controller.step(state, measurement, x_d, 1e-3) for _ in range(2))
     assert np.array_equal(once[1].torque, again[1].torque)
     assert np.array_equal(once[0], again[0])
-    lost = measurement._replace(t=1e-3, x=np.full(2, np.nan))
+    later = START + 1e-3 * measurement.v
+    lost = measurement._replace(t=1e-3, q=later, x=np.full(2, np.nan))
     state, answer = controller.step(once[0], lost, x_d, 1e-3)
     assert np.isfinite(answer.torque).all()
     assert answer.status is aj.Status.PREDICTED

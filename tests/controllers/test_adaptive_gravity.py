@@ -307,7 +307,7 @@ def test_the_differentiator_goes_on_while_learning_stands_still(arms):
         velocity=DifferentiatedVelocity(0.01),
     )
     measurement = aj.Measurement(0.0, START, np.zeros(7), np.full(3, 0.5))
-    state = controller.initial_state(measurement)
+    state = controller.begin(measurement)
     p = len(state) - 3
     state[p:] -= 0.002
     answer = controller.evaluate(state, measurement, np.zeros(3))
@@ -349,7 +349,7 @@ def test_it_learns_no_weight_that_the_motors_cannot_hold(panda, rng):
     controller = law.with_limiter(effort)  # which never rests, so that it is bounds that are seen
     learning = controller.adaptation
     measurement = aj.Plant(panda).measure(0.0, panda.random_configuration(rng), np.zeros(7))
-    theta0 = controller.initial_state(measurement)
+    theta0 = controller.begin(measurement)
     Y = learning.Y(measurement.q, task.jacobian(measurement.q))
     beyond = 0
     for _ in range(50):
@@ -385,7 +385,5 @@ def test_motors_that_are_stronger_than_the_urdf_says_may_be_asked_for_more(panda
         state = controller.initial_state(measurement)
         after, answer = controller.step(state, measurement, x, 1e-3)
         assert (np.abs(answer.gravity) > panda.effort_limits).any()
-        free = law.with_limiter(np.full(7, np.inf)).evaluate(
-            law.initial_state(measurement), measurement, x
-        )
+        free = law.with_limiter(np.full(7, np.inf)).evaluate(law.begin(measurement), measurement, x)
         assert_allclose(controller.learnt(after) - controller.learnt(state), 1e-3 * free.state_rate)

@@ -384,7 +384,8 @@ def test_nothing_that_is_measured_makes_a_state_that_is_not_finite(belief, x):
 def test_nonsense_is_answered_finitely_or_refused(panda, unknown):
     """One number in half of the steps is absurd; the state goes on from what came before."""
     task, rng, refused = aj.PoseTask(panda), np.random.default_rng(3), 0
-    controller = aj.TrackingController(task, kinematics=AdaptiveKinematics(task, unknown))
+    law = aj.TrackingController(task, kinematics=AdaptiveKinematics(task, unknown))
+    controller = law.guarded(None)  # which would refuse most of it
     state = controller.initial_state(aj.Measurement(0.0, HOME, np.zeros(7), task.value(HOME)))
     for k in range(200):
         q, v = HOME + 0.1 * rng.normal(size=7), 0.3 * rng.normal(size=7)

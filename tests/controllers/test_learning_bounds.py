@@ -40,7 +40,7 @@ def test_what_is_learnt_rests_where_there_is_nothing_to_learn_from(arm):
         ),
     )  # fmt: skip
     now = seen(arm, v=2e-3 * np.cos(np.arange(arm.bare.nv)))
-    state = law.initial_state(now)
+    state = law.begin(now)
     usual = law.evaluate(state, now, now.x + 1e-4)
     assert usual.status is Status.OK
     assert (usual.state_rate != 0.0).any()
@@ -77,7 +77,7 @@ def test_one_torque_beyond_its_limit_to_either_side_is_saturated(side):
     for share, saturated in ((0.99, False), (1.01, True)):
         # along the way of the column alone: τ₀ = k_p |J₀|² · size
         x_d = now.x + side * share * 3.0 / arm.kp / (turn @ turn) * turn
-        answer = law.evaluate(law.initial_state(now), now, x_d)
+        answer = law.evaluate(law.begin(now), now, x_d)
         assert_allclose(answer.torque[0], side * share * 3.0, rtol=1e-6)
         assert (answer.status is Status.TORQUE_SATURATED) == saturated
         assert answer.state_rate.any() != saturated

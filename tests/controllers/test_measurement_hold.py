@@ -54,13 +54,16 @@ KINDS = ["known gravity", "learnt gravity", "law (5)", "limited", "clipped"]
 
 
 class Loop:
-    """A controller that is stepped as a robot does, its state carried along."""
+    """A controller that is stepped as a robot does, its state carried along.
+
+    At one q, with a q̇ that no guard would believe.
+    """
 
     def __init__(self, held, x, target, q=START, v=V):
-        self.held, self.target = held, np.array(target)
+        self.held, self.target = held.guarded(None), np.array(target)
         self.q, self.v = q, v
-        self.state = held.initial_state(self.measured(x))
-        self.inner = len(held.controller.initial_state(self.measured(x)))
+        self.state = self.held.initial_state(self.measured(x))
+        self.inner = held.controller.size
         self.before = self.state
 
     def measured(self, x, t_x=None):
@@ -520,19 +523,25 @@ def test_a_bad_measurement_is_refused(task, changes):
     measurement = loop.measured(np.zeros(3))._replace(**changes)
     with pytest.raises(aj.InvalidInputError):
         loop.held.step(loop.state, measurement, loop.target, DT)
+    held = aj.HeldMeasurement(LAW, 0.1)
+    with pytest.raises(aj.InvalidInputError):
+        held.step(held.initial_state(loop.measured(np.zeros(3))), measurement, loop.target, DT)
 
 
 def test_bad_states_and_things_that_are_no_measurement_are_refused(task):
-    held = aj.HeldMeasurement(LAW, 0.1)
-    loop = Loop(held, np.zeros(3), np.zeros(3))
-    good = loop.measured(np.zeros(3))
+    held, target = aj.HeldMeasurement(LAW, 0.1), np.zeros(3)
+    good = aj.Measurement(0.0, START, V, np.zeros(3))
     for state in (np.zeros(3), None, np.full(8, np.nan)):
         with pytest.raises(aj.InvalidInputError, match="state must"):
-            held.step(state, good, loop.target, DT)
-    with pytest.raises(aj.InvalidInputError, match=r"measurement must be Measurement\(t, q, v, x"):
-        held.step(loop.state, None, loop.target, DT)
-    with pytest.raises(MeasurementError, match="q must be finite"):
-        held.step(loop.state, good._replace(q=np.full(7, np.nan)), loop.target, DT)
+            held.step(state, good, target, DT)
+    for each in (held, held.guarded(None)):
+        state = each.initial_state(good)
+        with pytest.raises(
+            aj.InvalidInputError, match=r"measurement must be Measurement\(t, q, v, x"
+        ):
+            each.step(state, None, target, DT)
+        with pytest.raises(MeasurementError, match="q must be finite"):
+            each.step(state, good._replace(q=np.full(7, np.nan)), target, DT)
 
 
 @pytest.mark.parametrize("dt", [0.0, -1e-3, np.nan, np.inf, "1e-3"])

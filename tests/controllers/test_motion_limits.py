@@ -308,7 +308,8 @@ def test_rows_that_go_wrong_in_a_run_are_named_with_the_time(rows, text):
     limiter = aj.TorqueLimited(aj.SetpointController(task), Later())
     q = np.array([0.4, 0.9])
     seen = aj.Measurement(0.05, q, np.zeros(2), task.value(q))
-    state = limiter.step(limiter.initial_state(seen), seen, seen.x, 1e-3)[0]
+    before = seen._replace(t=0.049)
+    state = limiter.step(limiter.initial_state(before), before, seen.x, 1e-3)[0]
     is_late = True
     with pytest.raises(
         aj.errors.ControllerError, match=r"limit Later\(\) failed at t = 0\.05 s"

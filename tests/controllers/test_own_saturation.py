@@ -294,7 +294,7 @@ def test_a_saturation_that_fails_on_the_way_is_an_error_and_no_torque():
     controller = aj.SetpointController(task, saturation=Gap(0.1))
     x = task.value(q)
     measurement = aj.Measurement(0.0, q, np.zeros(7), x)
-    state = controller.initial_state(measurement)
+    state = controller.begin(measurement)
     assert np.isfinite(controller.evaluate(state, measurement, x - 0.02).torque).all()
     with pytest.raises(MeasurementError, match="the torque overflows or is no number"):
         controller.evaluate(state, measurement, x - 0.0123)

@@ -76,7 +76,7 @@ def expected_torque(controller, measurement, x_dot_hat, g):
 def test_torque_is_the_law(panda, law, rng):
     controller = controllers(panda)[law]
     measurement = near(panda, rng)
-    answer = controller.evaluate(controller.initial_state(measurement), measurement, TARGET)
+    answer = controller.evaluate(controller.begin(measurement), measurement, TARGET)
     x_dot_hat = controller.task.jacobian(measurement.q) @ measurement.v
     g = np.zeros(7) if law == "(6), no gravity" else Dynamics(panda).g(measurement.q)
     assert_allclose(answer.torque, expected_torque(controller, measurement, x_dot_hat, g))
@@ -87,7 +87,7 @@ def test_torque_is_the_law(panda, law, rng):
 def test_law_5_differentiates_the_measured_value(panda, rng):
     controller = controllers(panda)["(5)"]
     measurement = state_of(panda, rng)
-    state = controller.initial_state(measurement)
+    state = controller.begin(measurement)
     assert_allclose(state, measurement.x)
     behind = state - 0.002
     answer = controller.evaluate(behind, measurement, TARGET)
@@ -100,7 +100,7 @@ def test_law_5_differentiates_the_measured_value(panda, rng):
 def test_the_differentiator_converges_to_the_velocity_of_a_ramp(panda, rng):
     controller = controllers(panda)["(5)"]
     measurement = state_of(panda, rng)
-    state, dt, slope = controller.initial_state(measurement), 1e-4, np.array([0.1, -0.2, 0.3])
+    state, dt, slope = controller.begin(measurement), 1e-4, np.array([0.1, -0.2, 0.3])
     for k in range(1000):
         x = measurement.x + slope * k * dt
         rate = controller.evaluate(state, measurement._replace(x=x), TARGET).state_rate
@@ -119,7 +119,7 @@ def test_adaptation_is_eq_29(panda, rng):
             aj.PositionTask(panda), aj.Gains(400, 80, 1.0), gravity=gravity
         )
         measurement = near(panda, rng)
-        state = controller.initial_state(measurement)
+        state = controller.begin(measurement)
         assert np.array_equal(state, np.zeros(12))
         answer = controller.evaluate(state, measurement, TARGET)
         J_hat = controller.task.jacobian(measurement.q)
@@ -132,7 +132,7 @@ def test_adaptation_is_eq_29(panda, rng):
 
 def behind(controller, measurement):
     """A first state, of which the differentiator of law (5) has an x from 2 mm away."""
-    state = controller.initial_state(measurement)
+    state = controller.begin(measurement)
     if controller.velocity is not None:
         state[-3:] -= [0.002, -0.001, 0.003]
     return state
@@ -230,12 +230,12 @@ def test_a_jacobian_near_a_singular_one_is_reported(two_link, bend):
 def test_the_differentiator_goes_on_while_the_measurement_is_lost(panda, rng):
     controller = controllers(panda)["(5)"]
     measurement = state_of(panda, rng)
-    state = controller.initial_state(measurement)
+    state = controller.begin(measurement)
     lost = measurement._replace(x=np.full(3, np.nan))
     rate = controller.evaluate(state, lost, TARGET).state_rate
     assert_allclose(rate, controller.task.jacobian(measurement.q) @ measurement.v)
     with pytest.raises(MeasurementError, match=r"the first x must be finite for law \(5\)"):
-        controller.initial_state(lost)
+        controller.begin(lost)
 
 
 def test_a_saturation_of_the_wrong_length_is_refused(panda):
@@ -251,7 +251,7 @@ def test_a_saturation_of_the_wrong_length_is_refused(panda):
 def test_the_same_inputs_give_the_same_outputs(controller, rng):
     robot = controller.task.robot
     measurements = [state_of(robot, rng) for _ in range(5)]
-    states = [controller.initial_state(m) for m in measurements]
+    states = [controller.begin(m) for m in measurements]
     first = [controller.evaluate(s, m, TARGET) for s, m in zip(states, measurements, strict=True)]
     kept = [(a.torque.copy(), a.state_rate.copy()) for a in first]
     again = [
@@ -269,7 +269,7 @@ def test_the_torque_never_depends_on_the_true_robot(controller, rng):
     panda = controller.task.robot
     q, v = panda.random_configuration(rng), rng.uniform(-1, 1, 7)
     x = aj.PositionTask(panda).value(q)
-    state = controller.initial_state(aj.Measurement(0.0, q, v, x))
+    state = controller.begin(aj.Measurement(0.0, q, v, x))
     answers = []
     for length in (0.0, 0.1, 0.2):
         truth = panda.with_object(length, 0.5 * length).with_kinematic_error(
@@ -331,7 +331,7 @@ def test_the_studys_torques_are_bit_identical_when_the_truth_changes(figure, rng
     """Whatever truth stands beside it, the same belief and measurement give the same bits."""
     plant, controller = paper.build(paper.EXPERIMENTS[figure], paper.Setup())
     measurement = plant.measure(0.0, rng.uniform(-1, 1, 2), rng.uniform(-1, 1, 2))
-    state = controller.initial_state(measurement)
+    state = controller.begin(measurement)
     target = np.array([-0.02, 0.02])
     before = controller.evaluate(state, measurement, target)
     for lengths in ((1.1, 0.9, 0.3), (0.8, 1.2, 0.7)):
@@ -352,7 +352,7 @@ def test_the_studys_torques_are_bit_identical_when_the_truth_changes(figure, rng
 def test_a_lost_measurement_leaves_damping_and_gravity(controller, value, rng):
     robot = controller.task.robot
     measurement = state_of(robot, rng)
-    state = controller.initial_state(measurement)
+    state = controller.begin(measurement)
     lost = measurement._replace(x=np.array([0.1, value, 0.2]))
     answer = controller.evaluate(state, lost, TARGET)
     assert answer.status is aj.Status.MEASUREMENT_LOST
@@ -375,14 +375,14 @@ def test_a_joint_state_that_is_not_finite_is_a_named_error(controller, name, val
     bad[2] = value
     with pytest.raises(MeasurementError, match=rf"{name} must be finite, got \[.*{value}.*stop"):
         controller.evaluate(
-            controller.initial_state(measurement), measurement._replace(**{name: bad}), TARGET
+            controller.begin(measurement), measurement._replace(**{name: bad}), TARGET
         )
 
 
 @pytest.mark.parametrize("size", [1e100, 1e200, 1e308])
 def test_absurd_but_finite_numbers_give_a_finite_torque_or_a_named_error(controller, size, rng):
     measurement = state_of(controller.task.robot, rng)
-    state = controller.initial_state(measurement)
+    state = controller.begin(measurement)
     for name in ("v", "x"):
         absurd = measurement._replace(**{name: np.full_like(getattr(measurement, name), size)})
         try:
@@ -408,7 +408,7 @@ def test_an_error_that_overflows_is_named(panda, rng):
 def test_wrong_shapes_are_named(panda, rng):
     controller = controllers(panda)["(28)"]
     good = state_of(panda, rng)
-    state = controller.initial_state(good)
+    state = controller.begin(good)
     cases = [
         ((state, good._replace(q=np.zeros(6)), TARGET), r"q must be an array of shape \(7,\) of"),
         ((state, good._replace(v=np.zeros(8)), TARGET), r"v must be an array of shape \(7,\) of"),

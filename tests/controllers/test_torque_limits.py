@@ -83,7 +83,7 @@ def test_whatever_comes_in_the_torque_is_within_the_limits(name, seed, speed, er
     hold = np.clip(limited.controller.gravity_torque(state, measurement.q), -effort, effort)
     assert (np.abs(answer.torque - hold) <= 2000.0 * DT * (1 + 1e-9)).all()
     assert np.isfinite(after).all()
-    assert_array_equal(after[-robot.nv :], answer.torque)
+    assert_array_equal(after[limited.size - robot.nv : limited.size], answer.torque)
     assert answer.limit_status is not aj.LimitStatus.UNLIMITED
     claimed = answer.limit_status in (aj.LimitStatus.FREE, aj.LimitStatus.PROOF_KEPT)
     assert answer.slack == 0.0 if claimed else not answer.slack < 0.0
@@ -103,7 +103,7 @@ def test_a_free_torque_is_that_of_the_law_to_the_bit(panda, rng):
         if answer.limit_status is aj.LimitStatus.FREE:
             free += 1
             assert_array_equal(answer.torque, plain.torque)
-            assert_array_equal(after[: len(plain_after)], plain_after)
+            assert_array_equal(after[: law.size], plain_after[: law.size])
             assert answer.slack == 0.0
     assert free > 25
 
@@ -366,12 +366,12 @@ def test_the_differentiator_of_law_5_goes_on_while_learning_stands_still(panda, 
     limited = aj.TorqueLimited(law, effort_only(panda, 0.1), proof=False)
     measurement, target = some_measurement(panda, rng, error=1.0)
     state = limited.initial_state(measurement)
-    behind = state.copy()
-    behind[-3:] -= 0.01
+    behind, p = state.copy(), limited.size - 3
+    behind[p : p + 3] -= 0.01
     after, answer = limited.step(behind, measurement, target, DT)
     assert answer.limit_status is aj.LimitStatus.LIMITED
-    assert_array_equal(after[:-3], behind[:-3])
-    assert_allclose((after - behind)[-3:] / DT, 0.5)
+    assert_array_equal(after[:p], behind[:p])
+    assert_allclose((after - behind)[p : p + 3] / DT, 0.5)
 
 
 # -- the QP -------------------------------------------------------------------------------------
@@ -692,7 +692,9 @@ def test_a_first_state_has_the_torque_that_holds_the_arm(panda, rng):
     limited = aj.TorqueLimited(learning(panda), aj.Limits(rate=100.0))
     measurement, _ = some_measurement(panda, rng)
     state = limited.initial_state(measurement)
-    assert_allclose(state[-7:], Dynamics(panda).g(measurement.q), atol=1e-9)
+    assert_allclose(
+        state[limited.size - 7 : limited.size], Dynamics(panda).g(measurement.q), atol=1e-9
+    )
 
 
 def test_the_first_torque_needs_q(panda):

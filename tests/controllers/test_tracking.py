@@ -331,10 +331,10 @@ def test_the_torque_does_not_depend_on_the_true_robot(panda_law, panda):
     again, same = panda_law.step(state, measurement, target, 1e-3)
     assert_array_equal(answer.torque, same.torque)
     assert_array_equal(after, again)
-    moved = measurement._replace(x=measurement.x + 1.0)
+    moved, n = measurement._replace(x=measurement.x + 1.0), panda_law.size
     other, elsewhere = panda_law.step(state, moved, target, 1e-3)
     assert_array_equal(elsewhere.torque, answer.torque)
-    assert_array_equal(other, after)
+    assert_array_equal(other[:n], after[:n])
     assert_allclose(elsewhere.e, answer.e + 1.0)
 
 
@@ -392,6 +392,7 @@ def test_nonsense_is_answered_finitely_or_refused_while_kinematics_learn(panda, 
     kinematics = AdaptiveKinematics(task, delay=2e-3)
     law_ = TrackingController(task, kinematics=kinematics, command=command)
     limited = aj.TorqueLimited(law_) if command == "torque" else law_
+    limited = limited.guarded(None)  # which would refuse most of it
     state, refused = limited.initial_state(measured(task, q0)), 0
     absurd = [np.nan, np.inf, -np.inf, 5e-324, 1e16, -1e29, 1e31, 1e154, -1e308]
     for k in range(300):
@@ -426,13 +427,14 @@ def test_velocity_commands_stay_within_limits(panda):
     controller = known(task, command="velocity", dt=4e-3)
     assert controller.command == "velocity"
     state = controller.initial_state(measured(task, q0))
-    assert len(state) == 8
+    assert controller.size == 8
     path, q, before = circle(task, q0), q0, np.zeros(7)
     most = np.minimum(sure_deceleration(panda, panda.effort_limits), 10.0 * panda.velocity_limits)
     errors = []
     for k in range(1500):
         target = path.at(k * 4e-3)
-        state, answer = controller.step(state, measured(task, q, before), target, 4e-3)
+        now = measured(task, q, before)._replace(t=k * 4e-3)
+        state, answer = controller.step(state, now, target, 4e-3)
         assert (np.abs(answer.torque - before) <= 4e-3 * most + 1e-12).all()
         assert (np.abs(answer.torque) <= panda.velocity_limits).all()
         before = answer.torque

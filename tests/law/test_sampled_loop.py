@@ -64,7 +64,8 @@ def test_it_maps_the_state_as_simulate_does(samples, age, late, T):
         plant, controller, x_d, Q + [2e-6, -1e-6], frames * samples * DT, dt=DT, record_every=DT
     )
     J_hat = controller.task.jacobian(Q)
-    learnt = run.state[:, -4:-2] @ J_hat + run.state[:, -2:]
+    own = run.state[:, : controller.size]
+    learnt = own[:, -4:-2] @ J_hat + own[:, -2:]
     w, a = np.zeros_like(run.q), DT / (T + DT)
     for k in range(1, len(run.t)):  # q̇ is that of differences, filtered, 0 at first
         seen = a / DT * (run.q[k - 1] - Q) + w[k - 1] if k > 1 else np.zeros(2)

@@ -184,6 +184,12 @@ class Controller(ABC):
         x = np.where(np.isfinite(x), x, task.origin)
         return len(self.begin(Measurement(0.0, q, np.zeros(robot.nv), x, 0.0)))
 
+    def _own_part(self, state: Array) -> Array:
+        """Return a state without the guard's memory, if it has just that."""
+        guard, n = self._sample_guard, self.size
+        whole = n + (0 if guard is None else len(guard.first))
+        return state[:n] if getattr(state, "shape", None) == (whole,) else state
+
     # -- what a law of your own writes ----------------------------------------------------------
 
     def begin(self, measurement: Measurement) -> Array:

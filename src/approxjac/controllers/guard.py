@@ -163,9 +163,9 @@ class SampleGuard:
         dt: float,
     ) -> tuple[Array, Evaluation]:
         """Do the work of `Controller.step`, with its state in two parts."""
-        t, q, v, x, t_x = measurement
         traced = hasattr(memory, "arm_of")
         try:
+            t, q, v, x, t_x = measurement
             with np.errstate(over="ignore", invalid="ignore"):
                 before, seen = memory[4 : self._ends[1]], memory[self._ends[8] : self._ends[9]]
                 way = q - before if self._subtracts else motion_between(self._robot, before, q)
@@ -187,7 +187,7 @@ class SampleGuard:
             memory = self._quick.answered(quick, v, dt, *parts)
             return np.concatenate([after, memory]) if len(after) else memory, answer
         passed, is_bad, stops = measurement, found.kind > 0, found.stops > 0
-        if is_bad is True and kept.t <= 0.5 * UNSEEN:
+        if (is_bad is True or found.refuses_x is True) and kept.t <= 0.5 * UNSEEN:
             controller.advance(state, measurement, target, dt)  # there is no good sample yet
         is_changed = is_bad | stops | found.refuses_x
         if is_changed is not False:

@@ -226,7 +226,7 @@ class TrackingController(Immutable, Controller):
 
     def resumed(self, state: Array, measurement: Measurement) -> Array:
         """Return an initial state with the learnt numbers of another state."""
-        state = as_vector("state", state[: self.n_state], self.n_state)
+        state = as_vector("state", self._own_part(state), self.n_state)
         fresh, (p, end) = self.initial_state(measurement), (self.resting, self._end)
         fresh[:p] = state[:p]
         fresh[p:end] = self.kinematics.resumed(state[p:end], measurement)
@@ -332,7 +332,7 @@ class TrackingController(Immutable, Controller):
 
     def kinematics_of(self, state: Array) -> tuple[Kinematics, Array]:
         """Return the kinematics, and their part of a state."""
-        state = as_vector("state", state[: self.n_state], self.n_state)
+        state = as_vector("state", self._own_part(state), self.n_state)
         return self.kinematics, state[self.resting : self._end]
 
     def with_task(self, task: Task) -> Self:

@@ -116,8 +116,9 @@ class ControllerWrapper(Immutable, Controller):
         n, end = self.controller.size, self.controller.size + self._memory
         if hasattr(state, "arm_of"):  # symbols
             return state[:n], state[n:end]
+        state = self._own_part(state)
         is_vector = type(state) is np.ndarray and state.ndim == 1 and state.dtype == FLOAT64
-        if not is_vector or len(state) < end:
+        if not is_vector or len(state) != self.size:
             raise InvalidInputError(
                 "state must be an array of float64 as initial_state and step return it, with the "
                 f"{n} numbers of the controller inside and {self._memory} of "
