@@ -126,6 +126,8 @@ def test_what_makes_no_sense_has_an_error_with_a_name(panda, law):
     for other in (state[:-1], np.append(state, 0.0), np.nan * state):
         with pytest.raises(InvalidInputError, match="state must"):
             controller.resumed(other, good)
+        with pytest.raises(InvalidInputError, match="state must"):
+            controller.step(other, good, x, 1e-3)
 
 
 @pytest.mark.study
