@@ -251,7 +251,8 @@ def draws(step, count, seed=0, at_bounds=0.1):
             inside = lower + (upper - lower) * rng.uniform(0.1, 0.9, size=(count, p))
             state[:, :p] = np.where(np.isfinite(upper - lower), inside, state[:, :p])
     if law.velocity is not None:
-        state[:, p:] = np.where(np.isfinite(x), x, 0.0) + 0.01 * rng.normal(size=x.shape)
+        seen = np.where(np.isfinite(x), x, 0.0)
+        state[:, p : law.size] = seen + 0.01 * rng.normal(size=x.shape)
     return {
         "q": q, "v": v, "x": x, "target": target, "state": state, "dt": np.full((count, 1), 1e-3),
         "t": np.zeros((count, 1)), "t_x": np.full((count, 1), np.nan),
@@ -513,7 +514,8 @@ def test_it_is_cpp_too(case, standard, compiler, tmp_path):
     ],
 )
 def test_a_law_without_a_state_is_compiled_without_a_warning(level, tmp_path):
-    aj.export_c(built("panda (6)")[0], tmp_path)
+    aj.export_c(built("panda (6)")[0].guarded(None), tmp_path)
+    assert header_number(tmp_path, "N_STATE") == 0
     compiled(tmp_path, level, "-Wconversion", "-Wshadow", "-c", "-o", "controller.o")
 
 
@@ -631,6 +633,82 @@ def test_a_next_state_that_overflows_alone_is_refused(in_c_of):
     assert refused > 0
 
 
+def bridged_motion(task, dt):
+    """Samples of a motion with bad ones among them, which do not end: t, q, v, x, and status."""
+    robot, rng = task.robot, np.random.default_rng(5)
+    q, own = robot.random_configuration(rng), {"x": np.full(task.n_x, np.nan)}
+    bad = {
+        10: ("JOINTS_UNKNOWN", lambda now: now._replace(q=entry(now.q, -1, np.nan))),
+        15: ("JOINTS_UNKNOWN", lambda now: now._replace(v=entry(now.v, 0, np.inf))),
+        20: ("JOINTS_UNKNOWN", lambda now: now._replace(t=np.nan)),
+        25: ("VELOCITY_JUMPED", lambda now: now._replace(v=now.v + 1e3)),
+        30: ("JOINTS_UNKNOWN", lambda now: now._replace(v=np.full(robot.nv, 1e308))),
+        35: ("CLOCK_JUMPED", lambda now: now._replace(t=now.t - dt)),
+        40: ("SENSOR_JUMPED", lambda now: now._replace(x=now.x + 5.0)),
+        45: (None, lambda now: now._replace(**own)),
+    }
+    for k in range(80):
+        v = 0.3 * np.cos(np.arange(robot.nv) + k * dt)
+        now, status = Measurement(k * dt, q, v, task.value(q) + 1e-4 * rng.normal(size=3)), None
+        if k in bad:
+            status, change = bad[k]
+            now = change(now)
+        elif k >= 60:
+            now, status = now._replace(v=v + 1e3), "VELOCITY_JUMPED" if k < 65 else "STOPPED"
+        yield now, status
+        q = pin.integrate(robot.model, q, dt * v)
+
+
+@needs_compiler
+@pytest.mark.parametrize("case", some("panda (6), limits", "away from stops", "(5), (29)"))
+def test_bad_samples_are_bridged_as_in_python(case, in_c_of):
+    """The statuses and torques of Python, the bits of NumPy, and what is learnt stays."""
+    controller, step = built(case)
+    in_c, function, task = in_c_of(case)[0], step.in_numpy(), controller.task
+    state = before = None
+    for now, status in bridged_motion(task, 1e-3):
+        t, q, v, x, _ = now
+        if state is None:
+            state, target = controller.initial_state(now), x + 0.01
+        after, expected = controller.step(state, now, target, 1e-3)
+        assert status in (None, expected.status.name)
+        number, found, answer = in_c.step(state, q, v, x, target, 1e-3, t)
+        assert number == expected.status
+        scale = 1.0 + np.abs(expected.torque).max()
+        np.testing.assert_allclose(answer["torque"] / scale, expected.torque / scale, atol=1e-9)
+        np.testing.assert_allclose(found, after, rtol=1e-9, atol=1e-9)
+        given = {"t": [t], "q": q, "v": v, "x": x, "t_x": [np.nan], "target": target}
+        given |= {"state": state, "dt": [1e-3]}
+        given |= {name: np.zeros(task.m) for name in ("target_v", "target_a")}
+        of_numpy = function(**{name: np.reshape(each, (-1, 1)) for name, each in given.items()})
+        assert found.tobytes() == of_numpy["after"][:, 0].tobytes()
+        assert answer["torque"].tobytes() == of_numpy["torque"][:, 0].tobytes()
+        if status not in (None, "STOPPED", "SENSOR_JUMPED"):
+            assert answer["torque"].tobytes() == before.tobytes()
+            np.testing.assert_array_equal(found[: controller.size], state[: controller.size])
+        state, before = found, answer["torque"]
+
+
+@needs_compiler
+def test_a_wrong_period_gets_the_torque_of_the_law_however_often(in_c_of):
+    """Though the clock runs on meanwhile: nothing is bridged without a period."""
+    case = "panda (28), limits, away from stops"
+    (in_c, folder), controller = in_c_of(case), built(case)[0]
+    motion = [now for now, _ in bridged_motion(controller.task, 1e-3)][:9]
+    own = controller.size
+    t, q, v, x, _ = motion[0]
+    state, target = in_c.init(motion[0]), x + 0.01
+    state = in_c.step(state, q, v, x, target, 1e-3, t)[1]
+    for t, q, v, x, _ in motion[1:]:
+        fresh = np.concatenate([state[:own], in_c.init(motion[0])[own:]])
+        expected = in_c.step(fresh, q, v, x, target, 1e-3, t)[2]["torque"]
+        for dt in (0.0, np.nan):
+            status, after, answer = in_c.step(state, q, v, x, target, dt, t)
+            assert status == header_number(folder, "REFUSED_DT")
+            np.testing.assert_array_equal(after, state)
+            np.testing.assert_array_equal(answer["torque"], expected)
+
+
 def entry(array, place, value):
     changed = array.copy()
     changed[place] = value
@@ -688,11 +766,11 @@ def test_without_a_target_a_tracking_law_learns_nothing(command, tmp_path):
     controller = tracking(aj.load_robot("two_link"), command=command)
     in_c, task = InC(controller, tmp_path), controller.task
     q, v, t = np.array([0.4, 0.9]), np.array([0.1, -0.2]), 0.0
-    x = task.value(q)
+    x, move = task.value(q), 1e-3 * v
     state = controller.initial_state(Measurement(t, q, v, x, t))
     for _ in range(30):  # of one image; the next one is 1 cm beside
         state = in_c.step(state, q, v, x, x, 1e-3, t, 0.0)[1]
-        t += 1e-3
+        t, q = t + 1e-3, q + move
     p, end = controller.resting, controller.resting + controller.kinematics.n_state
     nowhere, lost = np.full(2, np.nan), np.full(2, np.nan)
     status, after, answer = in_c.step(state, q, v, x + 0.01, nowhere, 1e-3, t, t)
@@ -747,14 +825,17 @@ def test_what_depends_on_time_is_that_of_python(case, panda, tmp_path):
         np.testing.assert_allclose(found, after, rtol=1e-9, atol=1e-9)
         first = in_c.init(later._replace(t_x=t_x))
         np.testing.assert_allclose(first, controller.initial_state(later), rtol=1e-12, atol=1e-12)
+    begun = in_c.init(now)
     for t, t_x in ((np.nan, 0.0), (np.inf, 0.0), (-np.inf, -1.0), (1.0, np.inf), (1.0, 2.001)):
-        if case == "held" and t_x <= 0.0:  # it looks at t_x alone
-            continue
-        status, found, answer = in_c.step(state, q, v, x, target, 1e-3, t, t_x)
+        status, found, answer = in_c.step(begun, q, v, x, target, 1e-3, t, t_x)
         assert status == header_number(tmp_path, "REFUSED_T")
         assert not answer["torque"].any()
-        np.testing.assert_array_equal(found, state)
-    assert in_c.step(state, q, v, x, target, 1e-3, 1.0, 1.999)[0] >= 0
+        np.testing.assert_array_equal(found, begun)
+        status, found, answer = in_c.step(state, q, v, x, target, 1e-3, t, t_x)
+        assert STATUSES[status] in (aj.Status.JOINTS_UNKNOWN, aj.Status.CLOCK_JUMPED)
+        assert answer["torque"].any()
+        np.testing.assert_array_equal(found[: controller.size], state[: controller.size])
+    assert in_c.step(begun, q, v, x, target, 1e-3, 1.0, 1.999)[0] >= 0
     if case in ("tracking", "velocity"):  # the others ask for no rates
         whole = in_c.step(state, q, v, x, np.full(3, np.nan), 1e-3, now.t, now.t)
         assert whole[0] == header_number(tmp_path, "REFUSED_TARGET")

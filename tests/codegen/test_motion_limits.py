@@ -100,7 +100,7 @@ def test_what_joints_at_no_limit_learn_is_learnt_in_compiled_steps(proof, limit,
         measured = aj.Measurement(0.0, q, 0.6 * rng.normal(size=2), task.value(q))
         state = plain.initial_state(measured)
         if "rate" in limit:  # the torque before is at the limit of the first motor
-            state[-2:] = 39.9, 0.0
+            state[plain.size - 2 : plain.size] = 39.9, 0.0
         target = measured.x + 0.03 * rng.normal(size=2)
         (after, answer), (same, _) = (
             each.step(state, measured, target, 1e-3) for each in (plain, quick)

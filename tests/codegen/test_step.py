@@ -2,6 +2,7 @@
 
 import copy
 import functools
+import itertools
 import pickle
 import subprocess
 import sys
@@ -112,7 +113,7 @@ def test_on_every_arm_it_is_the_same_law(arm, name, rng, asked):
     usual = 0
     for _ in range(20):
         measurement, target = measured(task, rng)
-        state = plain.initial_state(measurement)
+        state = plain.begin(measurement)
         state *= rng.uniform(0.5, 1.5, len(state))
         expected = plain.evaluate(state, measurement, target)
         assert_same(ours.evaluate(state, measurement, target), expected)
@@ -196,7 +197,7 @@ def test_every_kind_of_controller(kind, rng, asked):
         first = measurement
         if plain.velocity is not None:  # which begins with a whole x
             first = measurement._replace(x=np.where(np.isfinite(measurement.x), measurement.x, 0.0))
-        state = plain.initial_state(first)
+        state = plain.begin(first)
         state += 0.2 * rng.normal(size=len(state))
         expected = plain.evaluate(state, measurement, target)
         assert_same(ours.evaluate(state, measurement, target), expected)
@@ -212,7 +213,7 @@ def test_usual_steps_are_compiled_whatever_the_arrays_are(panda, name, rng, aske
     task = aj.PositionTask(panda)
     _, ours = pair(task, **LAWS[name](task))
     measurement, target = measured(task, rng, 0.01, BENT)
-    state = ours.initial_state(measurement)
+    state = ours.begin(measurement)
     expected = ours.evaluate(state, measurement, target)
     assert expected.status is aj.Status.OK
 
@@ -283,7 +284,7 @@ def test_an_answer_is_the_users_to_keep(panda, rng):
     task = aj.PositionTask(panda)
     _, ours = pair(task, gravity=learning(panda))
     measurement, target = measured(task, rng, 0.01, BENT)
-    state = ours.initial_state(measurement)
+    state = ours.begin(measurement)
     first = ours.evaluate(state, measurement, target)
     kept = copy.deepcopy(first)
     after, _ = ours.step(state, measurement, target, 1e-3)
@@ -301,7 +302,7 @@ def test_what_is_not_usual_is_answered_as_in_numpy(rng):
     for options in ({}, {"gravity": learnt}, {"saturation": Sine(0.05)}):
         plain, ours = pair(task, aj.Gains(400.0, 80.0), **options)
         measurement, target = measured(task, rng)
-        state = plain.initial_state(measurement)
+        state = plain.begin(measurement)
         for change in (
             {"x": np.full(2, np.nan)},
             {"x": np.array([0.1, np.inf])},
@@ -374,7 +375,7 @@ def test_what_is_wrong_is_refused_with_the_same_words(panda, rng):
         task = aj.PositionTask(robot)
         plain, ours = pair(task, firm, gravity=gravity)
         good, target = measured(task, rng)
-        state = plain.initial_state(good)
+        state = plain.begin(good)
         n, p = robot.nv, len(state)
         for arguments in (
             (state, good._replace(q=good.q[:-1]), target),
@@ -402,11 +403,12 @@ def test_what_is_wrong_is_refused_with_the_same_words(panda, rng):
                 ours.evaluate(*arguments)
             assert str(refused.value) == str(expected.value)
             cases += 1
-        for dt in (0.0, -1.0, np.nan, "1", None):
+        states = state, plain.initial_state(good)  # without a guard, and with one
+        for begun, dt in itertools.product(states, (0.0, -1.0, np.nan, "1", None)):
             with pytest.raises(aj.InvalidInputError) as expected:
-                plain.step(state, good, target, dt)
+                plain.step(begun, good, target, dt)
             with pytest.raises(aj.InvalidInputError) as refused:
-                ours.step(state, good, target, dt)
+                ours.step(begun, good, target, dt)
             assert str(refused.value) == str(expected.value)
     assert cases == 36
 
@@ -448,7 +450,7 @@ def test_a_rate_that_overflows_is_a_named_error(panda):
     measurement = aj.Measurement(0.0, BENT, np.full(7, 1e300), task.value(BENT))
     for controller in pair(task, aj.Gains(1.0, 1e-290, 1e-290), gravity=gravity):
         with pytest.raises(MeasurementError, match="the torque overflows or is no number"):
-            controller.evaluate(controller.initial_state(measurement), measurement, measurement.x)
+            controller.evaluate(controller.begin(measurement), measurement, measurement.x)
 
 
 @pytest.mark.parametrize(
@@ -497,7 +499,7 @@ def test_made_from_one_it_is_compiled_too(panda, rng, asked):
     )
     measurement, target = measured(task, rng, 0.01, BENT)
     for own, other in made:
-        state = other.initial_state(measurement)
+        state = other.begin(measurement)
         expected = other.evaluate(state, measurement, target)
         assert_same(own.evaluate(state, measurement, target), expected)
     assert asked == []
@@ -541,7 +543,10 @@ def test_an_x_without_its_time_is_held_as_in_python(panda, rng):
     measurement, target = measured(plain.task, rng, 0.05, BENT)
     state, statuses = plain.initial_state(measurement), []
     for k in range(4):
-        moved = measurement._replace(x=measurement.x + 1e-3 * (k // 2))
+        moved = measurement._replace(
+            t=1e-3 * k, q=measurement.q + 1e-3 * k * measurement.v,
+            x=measurement.x + 1e-3 * (k // 2),
+        )  # fmt: skip
         after, expected = plain.step(state, moved, target, 1e-3)
         found, answer = compiled(plain).step(state, moved, target, 1e-3)
         assert_allclose(found, after, rtol=0, atol=1e-12)
@@ -590,12 +595,12 @@ def test_nothing_else_loads_llvmlite():
 def test_a_program_that_may_lose_x_knows_it(panda):
     """As C code needs it, which cannot ask Python."""
     plain = aj.SetpointController(aj.ImageTask(panda, NEAR, points=SQUARE), gravity=learning(panda))
-    program = step_program(plain, may_lose=True)
+    program = step_program(plain.guarded(None), may_lose=True)
     buffer = np.zeros((4, program.n_rows, 1))
     place = {name: slice(at, at + size) for name, (at, size) in program.rows.items()}
     x = plain.task.value(BENT)
     measurement = aj.Measurement(0.0, BENT, np.full(7, 0.1), x)
-    state = plain.initial_state(measurement)
+    state = plain.begin(measurement)
     target, lost = x + 0.1, np.where(np.arange(6) == 2, np.nan, x)
     for name, each in (("q", BENT), ("v", measurement.v), ("target", target), ("state", state)):
         buffer[:, place[name], 0] = each
@@ -691,7 +696,7 @@ def test_learning_stops_at_the_motors_as_that_of_the_ordinary_law(panda, rng):
     seen = 0
     for _ in range(30):
         measurement, target = measured(task, rng)
-        state = plain.initial_state(measurement)
+        state = plain.begin(measurement)
         expected = plain.evaluate(state, measurement, target)
         # within the bounds by a few sweeps, which end where nothing is beyond them by 1e-12
         assert_same(quick.evaluate(state, measurement, target), expected, rates=1e-9)

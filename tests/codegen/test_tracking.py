@@ -34,14 +34,14 @@ def ur5():
 @pytest.fixture
 def asked(monkeypatch):
     """Steps in which a compiled controller asked the ordinary way."""
-    steps, ordinary = [], aj.TrackingController.step
+    steps, ordinary = [], aj.TrackingController.advance
 
     def counted(controller, *arguments):
         if type(controller) is not aj.TrackingController:
             steps.append(arguments)
         return ordinary(controller, *arguments)
 
-    monkeypatch.setattr(aj.TrackingController, "step", counted)
+    monkeypatch.setattr(aj.TrackingController, "advance", counted)
     return steps
 
 
@@ -207,7 +207,7 @@ def test_a_whole_circle_is_the_same(ur5):
 
 def test_what_is_seldom_is_answered_as_in_numpy(ur5, rng, asked):
     task = aj.PositionTask(ur5)
-    plain, ours = pair(task)
+    plain, ours = (each.guarded(None) for each in pair(task))  # no motion is like these
     measurements = list(slow_motion(task, rng, 40))
     state = plain.initial_state(measurements[0])
     for each in measurements[:-1]:
@@ -245,16 +245,17 @@ def test_what_is_wrong_is_refused_with_the_same_words(ur5, rng):
     plain, ours = pair(task)
     (usual,) = slow_motion(task, rng, 1)
     state, target = plain.initial_state(usual), usual.x
+    own = state[: plain.size]  # which no guard looks at
     wrong = [
         (state, usual, target, 2e-3),
         (state[1:], usual, target, DT),
         (np.where(np.arange(len(state)) == 5, np.nan, state), usual, target, DT),
-        (np.where(np.arange(len(state)) == len(state) - 1, np.inf, state), usual, target, DT),
+        (np.where(np.arange(len(state)) == plain.size - 1, np.inf, state), usual, target, DT),
         (state, usual._replace(q=np.full(6, np.nan)), target, DT),
         (state, usual._replace(v=[0.0] * 6), target, DT),
         (state, usual._replace(x=usual.x.astype(np.float32)), target, DT),
         (state, usual._replace(t_x="now"), target, DT),
-        (state, usual._replace(t_x=usual.t + 2.0), target, DT),  # two clocks
+        (own, usual._replace(t_x=usual.t + 2.0), target, DT),  # two clocks
         (state, usual, target * np.nan, DT),
         (state, usual, aj.Target(target, np.zeros(2)), DT),
         (state, usual, aj.Target(target, None, np.full(3, np.inf)), DT),

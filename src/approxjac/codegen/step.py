@@ -107,7 +107,7 @@ def compiled(controller: Controller) -> Any:
 class _MachineCode:
     """Part of a compiled controller that is machine code, in the variables `_MADE`."""
 
-    _MADE = ("evaluate", "step")
+    _MADE = ("evaluate", "advance", "step")
 
     def __init_subclass__(cls) -> None:
         if _MachineCode not in cls.__bases__:
@@ -136,13 +136,24 @@ class _MachineCode:
         return compiled(self.ordinary._rebuilt(**changes))
 
     def _build(self) -> None:
-        """Set the compiled `evaluate` and `step`.
+        """Set the compiled `evaluate`, `advance` and `step`.
 
         They are variables: methods that looked attributes up would take twice as long.
         """
         controller = self.ordinary
         usually: Any = super()
-        ordinary, ordinary_step = usually.evaluate, usually.step
+        evaluate, advance = self._made(controller.guarded(None), usually.advance)
+        step = advance
+        if controller.guard is not None:
+            _, step = self._made(controller, usually.step)
+        vars(self).update(advance=advance, step=step)
+        if controller.is_continuous:
+            vars(self)["evaluate"] = evaluate
+
+    def _made(self, controller: Controller, ordinary_step: Any) -> tuple[Any, Any]:
+        """Return `evaluate` and a step of a controller, which is one of `ordinary_step`, too."""
+        usually: Any = super()
+        ordinary = usually.evaluate
         predicts, law, task = laws.predicts(controller), controller.law, controller.task
         program = step_program(controller, may_lose=predicts)
         buffer = np.zeros((1, program.n_rows, 1))
@@ -245,9 +256,7 @@ class _MachineCode:
                 return ordinary_step(state, measurement, target, dt)
             return found[0][after_at], found[1]
 
-        vars(self).update(step=step)
-        if controller.is_continuous:
-            vars(self)["evaluate"] = evaluate
+        return evaluate, step
 
 
 @functools.cache

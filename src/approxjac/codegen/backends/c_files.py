@@ -115,9 +115,8 @@ def _source(step: SampledStep) -> dict[str, str]:
         "q_checks": _q_checks(step),
         "first": "\n".join([*first, "    (void)now;"]),
         "t_checks": _t_checks(step),
-        "is_bridged": _is_bridged(step),
         "rate_checks": "".join(finite),
-    }
+    } | _guarded(step)
 
 
 def _t_checks(step: SampledStep) -> str:
@@ -132,10 +131,24 @@ def _t_checks(step: SampledStep) -> str:
     return f"    if ({condition}) {{\n        {refused}_REFUSED_T);\n    }}\n"
 
 
-def _is_bridged(step: SampledStep) -> str:
-    """Return whether a guard's memory has a good sample."""
-    size = step.controller.size
-    return f"state->values[{size}] > {0.5 * UNSEEN!r}" if len(step.first) > size else "0"
+def _guarded(step: SampledStep) -> dict[str, str]:
+    """Return what a step does because of a guard, whose memory begins with a time."""
+    at, never = step.controller.size, constant(0.5 * UNSEEN)
+    if len(step.first) == at:
+        return {"is_bridged": "0", "unguarded": "", "is_unseen": ""}
+    lines = f"""\
+    double unseen[N_STATE];
+    if (!is_dt) {{ /* the law answers, as to a first sample */
+        memcpy(unseen, kept, sizeof unseen);
+        unseen[{at}] = {constant(UNSEEN)};
+        kept = unseen;
+    }}
+"""
+    return {
+        "is_bridged": f"kept[{at}] > {never}",
+        "unguarded": lines,
+        "is_unseen": f"\n        || after[{at}] < {never}",
+    }
 
 
 def _q_checks(step: SampledStep) -> str:
@@ -353,12 +366,16 @@ def _units_of_x(task: Task) -> str:
 
 
 def _state_words(step: SampledStep) -> str:
-    law, n = step.controller.law, len(step.first)
+    law, size, n = step.controller.law, step.controller.size, len(step.first)
     if n == 0:
-        return "This law has none; C has no empty structures."
+        return "/* What goes from step to step. This law has none; C has no empty structures. */"
     p, filtered = law.resting, 0 if getattr(law, "velocity", None) is None else law.task.n_x
     of, end = "gravity" if law.kinematics is None else "motion", p + filtered
     parts = [f"[0] to [{p - 1}] are what is learnt of {of}"] if p else []
     parts += [f"[{p}] to [{end - 1}] are x, filtered"] if filtered else []
-    parts += [f"[{end}] to [{n - 1}] are what the controller keeps"] if n > end else []
-    return f"{'; '.join(parts)}."
+    parts += [f"[{end}] to [{size - 1}] are what the controller keeps"] if size > end else []
+    parts += [f"[{size}] to [{n - 1}] are the last good sample and what tells bad ones"] * (
+        n > size
+    )
+    text = f"/* What goes from step to step. {'; '.join(parts)}. */"
+    return "\n".join(textwrap.wrap(text, _LINE, subsequent_indent="   "))

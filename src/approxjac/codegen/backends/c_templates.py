@@ -59,7 +59,7 @@ typedef enum {
 $limit_statuses
 } ${prefix}_limit_status;
 
-/* What goes from step to step. $state_words */
+$state_words
 typedef struct {
     double values[$stored];
 } ${prefix}_state;
@@ -193,6 +193,7 @@ ${prefix}_status ${prefix}_step(${prefix}_state *state, const ${prefix}_measurem
     static const ${prefix}_target nowhere = {{$nowhere}, {0.0}, {0.0}};
     ${prefix}_measurement blind;
     double after[$stored];
+    const double *kept = state->values;
     int i, is_target, is_dt, is_bridged;
     if (!is_as_written()) {
         return refused(answer, ${PREFIX}_REFUSED_BUILD);
@@ -200,7 +201,8 @@ ${prefix}_status ${prefix}_step(${prefix}_state *state, const ${prefix}_measurem
     if (!is_finite(state->values, N_STATE)) {
         return refused(answer, ${PREFIX}_REFUSED_STATE);
     }
-    is_bridged = $is_bridged; /* bad samples are, once there was a good one */
+    is_dt = is_finite(&dt, 1) && dt > 0.0;
+    is_bridged = is_dt && $is_bridged; /* bad samples are, once there was a good one */
     if (!is_configuration(now->q)) {
         if (!is_bridged) {
             return refused(answer, ${PREFIX}_REFUSED_Q);
@@ -220,9 +222,8 @@ $t_checks    is_target = is_finite(target->x, ${PREFIX}_N_X)$rate_checks;
         }
         now = &blind;
     }
-    is_dt = is_finite(&dt, 1) && dt > 0.0;
-    evaluate(now, is_target ? target : &nowhere, state->values, is_dt ? dt : 0.0, answer, after);
-    if (!is_finite(answer->torque, ${PREFIX}_N_V) || !is_finite(after, N_STATE)) {
+$unguarded    evaluate(now, is_target ? target : &nowhere, kept, is_dt ? dt : 0.0, answer, after);
+    if (!is_finite(answer->torque, ${PREFIX}_N_V) || !is_finite(after, N_STATE)$is_unseen) {
         return refused(answer, ${PREFIX}_REFUSED_OVERFLOW);
     }
     if (!is_target) {
