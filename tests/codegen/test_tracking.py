@@ -245,7 +245,6 @@ def test_what_is_wrong_is_refused_with_the_same_words(ur5, rng):
     plain, ours = pair(task)
     (usual,) = slow_motion(task, rng, 1)
     state, target = plain.initial_state(usual), usual.x
-    own = state[: plain.size]  # which no guard looks at
     wrong = [
         (state, usual, target, 2e-3),
         (state[1:], usual, target, DT),
@@ -255,7 +254,7 @@ def test_what_is_wrong_is_refused_with_the_same_words(ur5, rng):
         (state, usual._replace(v=[0.0] * 6), target, DT),
         (state, usual._replace(x=usual.x.astype(np.float32)), target, DT),
         (state, usual._replace(t_x="now"), target, DT),
-        (own, usual._replace(t_x=usual.t + 2.0), target, DT),  # two clocks
+        (state, usual._replace(t_x=usual.t + 2.0), target, DT),  # two clocks
         (state, usual, target * np.nan, DT),
         (state, usual, aj.Target(target, np.zeros(2)), DT),
         (state, usual, aj.Target(target, None, np.full(3, np.inf)), DT),
