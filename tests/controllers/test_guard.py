@@ -277,3 +277,21 @@ def test_no_good_sample_of_a_coarse_encoder_is_refused(bits):
 
 
 BAD = [each for each in aj.Status if each >= aj.Status.JOINTS_UNKNOWN]
+
+
+def test_a_stopped_arm_resumes_with_what_was_learnt():
+    controller = CONTROLLERS["limited, learnt"]
+    found = Loop(controller, 0.2, "wrap", 8)
+    now = PLANT.measure(0.0, START, np.zeros(7))
+    state = controller.resumed(found.states[-1], now)
+    np.testing.assert_array_equal(controller.learnt(state), controller.learnt(found.states[-1]))
+    assert controller.step(state, now, GOAL, DT)[1].status is aj.Status.OK
+
+
+@pytest.mark.parametrize("entry", [0, 3, 5, 12])
+def test_a_memory_of_the_guard_that_is_not_finite_is_refused(entry):
+    law = CONTROLLERS["law"]
+    state = law.initial_state(PLANT.measure(0.0, START, np.zeros(7)))
+    state[entry] = np.nan
+    with pytest.raises(InvalidInputError, match="state must be finite"):
+        law.step(state, PLANT.measure(0.0, START, np.zeros(7)), GOAL, DT)

@@ -22,7 +22,7 @@ from approxjac.formatting import spaced, wrapped
 from approxjac.interface import Evaluation, Measurement, Target
 from approxjac.robots import Dynamics, Robot
 from approxjac.tasks import Task
-from approxjac.validation import Array, as_number, require
+from approxjac.validation import Array, as_number, as_vector, require
 
 _HUGE = 1e300  # below it no finite rate makes a state overflow within a second
 
@@ -303,12 +303,10 @@ class Controller(ABC):
         `simulate(..., q0=InitialState(state=...))`.
 
         Raises:
-            InvalidInputError: A state of another controller, a measurement of the wrong shapes, or
-                the controller learns no kinematics.
+            InvalidInputError: A state of another controller, or a measurement of the wrong shapes.
         """
-        self.kinematics_of(state)
         fresh = self.initial_state(measurement)
-        fresh[: self.size] = state[: self.size]
+        fresh[: self.size] = as_vector("state", self._own_part(state), self.size)
         return fresh
 
     def kinematics_of(self, state: Array) -> tuple[Kinematics, Array]:

@@ -186,6 +186,9 @@ class SampleGuard:
             parts = answer.torque, self._push_of(answer), self._J_of(answer)
             memory = self._quick.answered(quick, v, dt, *parts)
             return np.concatenate([after, memory]) if len(after) else memory, answer
+        if not traced and not np.isfinite(memory).all():
+            message = f"state must be finite, got {memory.tolist()} of the guard"
+            raise InvalidInputError(message, given=memory)
         passed, is_bad, stops = measurement, found.kind > 0, found.stops > 0
         if (is_bad is True or found.refuses_x is True) and kept.t <= 0.5 * UNSEEN:
             controller.advance(state, measurement, target, dt)  # there is no good sample yet
