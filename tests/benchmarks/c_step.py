@@ -22,23 +22,26 @@ MAIN = """
 #include <stdio.h>
 #include <time.h>
 static const struct {
-    @p_measurement now;
+    @p_measurement first, now;
     @p_target target;
 } inputs[] = {
 @inputs
 };
 int main(void)
 {
-    @p_state state;
+    static @p_state states[@count];
     @p_answer answer;
     struct timespec a, b;
     double sum = 0.0;
     int i, k;
-    @p_init(&state, &inputs[0].now);
+    for (i = 0; i < @count; ++i) {
+        @p_init(&states[i], &inputs[i].first);
+        @p_step(&states[i], &inputs[i].first, &inputs[i].target, 1e-3, &answer);
+    }
     clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &a);
     for (k = 0; k < @rounds; ++k) {
         for (i = 0; i < @count; ++i) {
-            @p_state next = state;
+            @p_state next = states[i];
             @p_step(&next, &inputs[i].now, &inputs[i].target, 1e-3, &answer);
             sum += answer.torque[0];
         }
@@ -52,13 +55,19 @@ int main(void)
 
 
 def inputs_of(task, rng):
-    """Configurations of slow motion, not far from their targets."""
+    """Two samples of slow motion each, of which the second is timed, not far from a target."""
     found = []
     for _ in range(COUNT):
         q, v = task.robot.random_configuration(rng), rng.uniform(-0.5, 0.5, task.robot.nv)
-        x = task.value(q)
-        found.append((q, v, x, x + 0.05 * rng.normal(size=task.n_x)))
+        x, later = task.value(q), q + 1e-3 * v
+        target = x + 0.05 * rng.normal(size=task.n_x)
+        now = aj.Measurement(1e-3, later, v + 1e-4, task.value(later))
+        found.append((aj.Measurement(0.0, q, v, x), now, target))
     return found
+
+
+def _braced(numbers):
+    return f"{{{', '.join(float(each).hex() for each in numbers)}}}"
 
 
 class InC:
@@ -67,10 +76,12 @@ class InC:
     def __init__(self, controller, inputs, folder):
         aj.export_c(controller, folder)
         rows = []
-        for row in inputs:
-            parts = (", ".join(float(each).hex() for each in part) for part in row)
-            q, v, x, target = (f"{{{part}}}" for part in parts)
-            rows.append(f"{{{{0.0, {q}, {v}, {x}, 0.0}}, {{{target}}}}}")
+        for first, now, target in inputs:
+            samples = (
+                f"{{{t!r}, {_braced(q)}, {_braced(v)}, {_braced(x)}, 0.0}}"
+                for t, q, v, x, _ in (first, now)
+            )
+            rows.append(f"{{{', '.join(samples)}, {{{_braced(target)}}}}}")
         words = {
             "inputs": ",\n".join(rows),
             "p": controller.task.robot.name,
@@ -100,13 +111,15 @@ def row(name, controller, law, rng, folder):
     """Name, times of a step [µs], shares, and size [kB]."""
     inputs = inputs_of(controller.task, rng)
     in_c = InC(controller, inputs, folder)
-    in_python = [(aj.Measurement(0.0, q, v, x), target) for q, v, x, target in inputs]
-    state = controller.initial_state(in_python[0][0])
+    in_python = [
+        (controller.step(controller.initial_state(first), first, target, 1e-3)[0], now, target)
+        for first, now, target in inputs
+    ]
     steps = {"plain": controller}
     if law is controller:
         steps["compiled"] = aj.codegen.compiled(law)
     calls = {
-        kind: (lambda measurement, target, step=each.step: step(state, measurement, target, 1e-3))
+        kind: (lambda *arguments, step=each.step: step(*arguments, 1e-3))
         for kind, each in steps.items()
     }
     times = {kind: 1e6 * t for kind, t in medians(calls, in_python, TURNS).items()}

@@ -134,7 +134,7 @@ def our_step(controller):
     x_d, measurement = np.zeros(controller.task.n_x), aj.Measurement
     first = measurement(0.0, controller.task.robot.neutral(), np.zeros(1), x_d)
     first = first._replace(v=np.zeros(controller.task.robot.nv))
-    state = controller.initial_state(first)
+    state = controller.begin(first)  # no motion has these samples: without a guard
     if isinstance(controller, ControllerWrapper | aj.TrackingController):
         step = controller.step
         return lambda q, v, x: step(state, measurement(0.0, q, v, x), x_d, 1e-3)[1]

@@ -45,7 +45,7 @@ def rows():
     for name, controller in found.items():
         x = np.full(controller.task.n_x, 200.0)
         measurement = aj.Measurement(0.0, Q, np.full(7, 0.1), x)
-        state = controller.initial_state(measurement)
+        state = controller.begin(measurement)
         steps[name] = partial(controller.step, state, measurement, x.copy(), 1e-3)
     taken = turns.medians(steps, [()] * STEPS, ROUNDS)
     return [(name, 1e6 * each, each / taken["position"]) for name, each in taken.items()]

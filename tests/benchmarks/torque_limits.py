@@ -60,7 +60,7 @@ def step_table(law, limits, inputs):
             law.step(np.zeros(0), measurement, target, 1e-3)
             alone.append(clock() - start)
         for name, limiter in limiters.items():
-            problems, state = limiter._solver.problems, limiter.initial_state(inputs[0][0])
+            problems, state = limiter._solver.problems, limiter.begin(inputs[0][0])
             for measurement, target in inputs:
                 problems.clear()
                 start = clock()
@@ -89,7 +89,7 @@ def problems_of(law, limits, inputs):
     limiter = aj.TorqueLimited(law, limits)
     limiter._solver = watched = Watched()
     for measurement, target in inputs:
-        limiter.step(limiter.initial_state(measurement), measurement, target, 1e-3)
+        limiter.step(limiter.begin(measurement), measurement, target, 1e-3)
     return watched.problems[:PROBLEMS]
 
 

@@ -22,6 +22,7 @@ from approxjac.controllers import (
     Posture,
     RegressorGravity,
 )
+from approxjac.controllers.guard import SampleGuard
 from approxjac.errors import InvalidInputError, MeasurementError, MissingPackageError
 from approxjac.law import Sine, Tanh, theta_hat_rate
 from approxjac.robots import GravityRegressor
@@ -707,3 +708,26 @@ def test_learning_stops_at_the_motors_as_that_of_the_ordinary_law(panda, rng):
         )  # fmt: skip
         seen += not np.allclose(expected.state_rate, unbounded) and (np.abs(g) > low).any()
     assert seen > 5
+
+
+@pytest.mark.parametrize("t_x", [None, 0.0])
+def test_good_samples_of_a_motion_are_usual_steps_with_the_guard(panda, t_x, monkeypatch, rng):
+    plain, ours = pair(aj.PositionTask(panda), gravity=learning(panda))
+    (_, q, v, x, _), target = measured(plain.task, rng, 0.01, BENT)
+    state, asked = plain.initial_state(aj.Measurement(0.0, q, v, x)), []
+    ordinary = SampleGuard.step
+
+    def counted(guard, controller, *arguments):
+        asked.append(controller)
+        return ordinary(guard, controller, *arguments)
+
+    monkeypatch.setattr(SampleGuard, "step", counted)
+    for k in range(20):
+        there = q + 1e-3 * k * v
+        now = aj.Measurement(1e-3 * k, there, v + 1e-4 * k, plain.task.value(there), t_x)
+        after, expected = plain.step(state, now, target, 1e-3)
+        found, answer = ours.step(state, now, target, 1e-3)
+        assert_same(answer, expected)
+        assert_allclose(found, after, rtol=1e-12, atol=1e-12)
+        state = after
+    assert asked == [plain] * 20

@@ -142,16 +142,20 @@ class _MachineCode:
         """
         controller = self.ordinary
         usually: Any = super()
-        evaluate, advance = self._made(controller.guarded(None), usually.advance)
+        knows_nan = controller.kinematics is not None  # for a t_x that is not known
+        bare = controller.guarded(None)
+        evaluate, advance, asks = self._made(bare, usually.advance, knows_nan)
         step = advance
-        if controller.guard is not None:
-            _, step = self._made(controller, usually.step)
+        if controller.guard is not None:  # which knows NaN
+            _, step, _ = self._made(controller, usually.step, knows_nan or not asks)
         vars(self).update(advance=advance, step=step)
         if controller.is_continuous:
             vars(self)["evaluate"] = evaluate
 
-    def _made(self, controller: Controller, ordinary_step: Any) -> tuple[Any, Any]:
-        """Return `evaluate` and a step of a controller, which is one of `ordinary_step`, too."""
+    def _made(
+        self, controller: Controller, ordinary_step: Any, knows_nan: bool
+    ) -> tuple[Any, Any, bool]:
+        """Return `evaluate`, a step that else is `ordinary_step`, and whether it asks for t_x."""
         usually: Any = super()
         ordinary = usually.evaluate
         predicts, law, task = laws.predicts(controller), controller.law, controller.task
@@ -170,7 +174,6 @@ class _MachineCode:
         rates_in = flat[place["target_v"].start : first] if takes_rates else v_d_in
         dt_at, t_at, t_x_at = (place[name].start for name in ("dt", "t", "t_x"))
         asks_t, asks_t_x = "t" in asked, "t_x" in asked
-        knows_nan = controller.kinematics is not None  # for a t_x that is not known
         answered = flat[first:]
         torque_at, after_at, own_rate_at, e_at, gravity_at, J_at, reference_at = (
             slice(place[name].start - first, place[name].stop - first) if name in place else none
@@ -256,7 +259,7 @@ class _MachineCode:
                 return ordinary_step(state, measurement, target, dt)
             return found[0][after_at], found[1]
 
-        return evaluate, step
+        return evaluate, step, asks_t_x
 
 
 @functools.cache
