@@ -182,7 +182,7 @@ def test_the_same_measurement_gives_the_same_torque(controller, rng):
     """Nothing but the measurement reaches a controller, whatever plant it comes from."""
     ours, theirs = aj.Plant(TRUTH, SENSOR), aj.MujocoPlant(TRUTH, SENSOR)
     q, v, _ = random_state(TRUTH, rng)
-    state = controller.initial_state(ours.measure(0.0, q, v))
+    state = controller.begin(ours.measure(0.0, q, v))
     answers = [controller.evaluate(state, p.measure(0.0, q, v), X0) for p in (ours, theirs)]
     assert_array_equal(answers[0].torque, answers[1].torque)
     assert_array_equal(answers[0].state_rate, answers[1].state_rate)

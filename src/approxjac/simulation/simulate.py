@@ -111,10 +111,10 @@ def first_state(
         own = as_array("state", given, (size,))[: controller.size]
         state = np.concatenate([own, state[controller.size :]])  # a guard begins anew
     state = as_array("the controller's initial_state", state, (np.size(state),))
-    require_answer(
-        plant, controller, state, measurement, controller.step(state, measurement, wanted, dt)
-    )
-    learnt = controller.learnt(state[: controller.size])
+    own = state[: controller.size]
+    stepped = controller.advance(own, measurement, wanted, dt)
+    require_answer(plant, controller, own, measurement, stepped)
+    learnt = controller.learnt(own)
     require("learnt of the controller", learnt, np.ndarray, "an array")
     if len(learnt) != len(controller.parameters):
         raise InvalidInputError(
@@ -122,7 +122,7 @@ def first_state(
             f"returns, got {controller.parameters!r}",
             given=controller,
         )
-    return state[: controller.size] if rests else state
+    return own if rests else state
 
 
 def require_answer(
