@@ -151,7 +151,7 @@ def test_the_law_acts_on_the_motion_relative_to_that_of_the_target(loop):
     relative = v - np.linalg.pinv(J_hat) @ J_hat @ v
     assert_allclose(answer.torque, still.torque - law.diagonals.damping * relative, atol=1e-9)
     learner = aj.SetpointController(law.task, gravity=aj.AdaptiveGravity(law.task.robot))
-    state, x_d = learner.initial_state(here), x + [0.02, -0.01, 0.03]
+    state, x_d = learner.begin(here), x + [0.02, -0.01, 0.03]
     along = learner.evaluate(state, here, aj.Target(x_d, J_hat @ v))
     at_rest = learner.evaluate(state, here._replace(v=relative), x_d)
     assert_allclose(along.torque, at_rest.torque, atol=1e-9)

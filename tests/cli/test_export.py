@@ -3,6 +3,7 @@
 import approxjac as aj
 from approxjac.cli import main
 from approxjac.codegen.backends.c99 import constant
+from approxjac.law.guard import UNSEEN
 from approxjac.scenario import Scenario, build_scenario
 
 LEARNS = ("--controller.law", "tracking", "--controller.unknown", "tool", "origins", "camera")
@@ -43,8 +44,10 @@ def test_what_a_robot_adds_by_itself_is_left_to_it(tmp_path):
         assert f"&r->target, {constant(0.002)}, &answer)" in test
     source = (tmp_path / "learn_residual" / "controller.c").read_text(encoding="utf-8")
     start = source.partition("_init(")[2].partition("return")[0]
-    firsts = [line for line in start.splitlines() if "state->values" in line]
+    learnt, guard, _ = start.partition(constant(UNSEEN))
+    firsts = [line for line in learnt.splitlines()[:-1] if "state->values" in line]
     assert firsts
+    assert guard
     assert all("= 0.0;" in line for line in firsts)
 
 

@@ -154,7 +154,7 @@ def test_clipped_are_starts_at_which_the_law_asks_some_motor_for_too_much(posed)
     asked = []
     for q, x, x_d in zip(samples.q, samples.x, samples.x_d, strict=True):
         here = aj.Measurement(0.0, q, np.zeros(len(q)), x)
-        asked.append(law.evaluate(law.initial_state(here), here, x_d).torque)
+        asked.append(law.evaluate(law.begin(here), here, x_d).torque)
     beyond = np.abs(asked) > limiter.limits.effort
     assert beyond.any(axis=0).sum() > 1  # one motor here, another one there
     assert cost.clipped == beyond.any(axis=1).mean() < 1.0

@@ -146,7 +146,7 @@ def test_the_sampled_matrix_tells_every_sample_of_a_run(name, options, learns, r
     for part, actual in (
         (told[:, :n], np.array([pin.difference(model, q_target, q) for q in run.q])),
         (told[:, n : 2 * n], run.v),
-        (told[:, 2 * n : 3 * n], (run.state - theta) @ loop.Z[0].T),
+        (told[:, 2 * n : 3 * n], (run.state[:, : len(theta)] - theta) @ loop.Z[0].T),
     ):
         scale = np.abs(actual).max(initial=0.0)
         assert_allclose(part, actual, atol=1e-3 * scale)

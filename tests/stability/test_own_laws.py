@@ -372,7 +372,7 @@ def test_a_held_law_within_limits_has_no_certificate_but_a_report():
 def test_what_a_controller_does_not_tell_has_a_default_or_a_named_error(panda):
     task = aj.PositionTask(panda)
     law, here = OwnController(task), aj.Plant(panda).measure(0.0, panda.neutral(), np.zeros(7))
-    with pytest.raises(aj.InvalidInputError, match=r"must have a step\(state, measurement, target"):
+    with pytest.raises(aj.InvalidInputError, match=r"must have an advance\(state, measurement"):
         aj.simulate(aj.Plant(panda), law, task.value(panda.neutral()), duration=0.01)
     for use in (
         lambda: law.with_task(task),
