@@ -139,7 +139,7 @@ class Tally:
         if loop.controller is not self.law:
             if loop.step % EVERY:
                 return
-            state = loop.state[: len(self.law.initial_state(loop.measurement))]
+            state = loop.state[: self.law.size]
             torque = self.law.step(state, loop.measurement, loop.target, loop.dt)[1].torque
         self.asked = max(self.asked, float(np.max(np.abs(torque) / self.motors)))
 

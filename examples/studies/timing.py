@@ -97,9 +97,10 @@ def run_once(minutes, compiled, out, priority=None, collects=False):
     cold = np.array(stepped.took[100:])
     m = aj.Measurement(0.0, START, np.zeros(7), plant.sensor.value(START))
     state, warm = controller.initial_state(m), []
-    for _ in range(5000):
+    for k in range(5000):
+        m = m._replace(t=1e-3 * k)
         begun = time.perf_counter()
-        controller.step(state, m, path.at(0.0), 1e-3)
+        state, _ = controller.step(state, m, path.at(0.0), 1e-3)
         warm.append(time.perf_counter() - begun)
     return run, cold, np.array(warm)
 

@@ -48,7 +48,7 @@ def run(controller, plant, target, q, v, latency, steps, rng):
     acting = {t: k for k, t in enumerate(later)}
     events = np.unique(np.concatenate([ticks, later, seen]))
     events = events[events <= ticks[-1]]
-    goal, state = aj.Target(np.asarray(target)), controller.initial_state(plant.measure(0.0, q, v))
+    goal, state = aj.Target(np.asarray(target)), controller.begin(plant.measure(0.0, q, v))
     images, asked, seen_at = {}, [], set(seen)
     before, slope, records, tau = q, v, [], np.zeros_like(v)
     for start, end in pairwise(events):

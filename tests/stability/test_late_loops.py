@@ -47,7 +47,7 @@ class Late:
         theta = len(z) - (2 + self.steps) * n
         q, v = pin.integrate(model, self.q, z[:n]), z[n : 2 * n]
         late = z[2 * n + theta :].reshape(self.steps, n)
-        start = self.law.initial_state(robot.measure(0.0, self.q, 0.0 * v))
+        start = self.law.begin(robot.measure(0.0, self.q, 0.0 * v))
         state = start + z[2 * n : 2 * n + theta]
         answered = self.law.step(
             state, robot.measure(0.0, q, v), self.target, float(self.latency.period)
@@ -75,7 +75,7 @@ class Late:
     def multipliers(self):
         """The eigenvalues of the simulated period, differentiated numerically."""
         n = len(self.q)
-        state = self.law.initial_state(self.plant.measure(0.0, self.q, np.zeros(n)))
+        state = self.law.begin(self.plant.measure(0.0, self.q, np.zeros(n)))
         units, h = np.eye((2 + self.steps) * n + len(state)), 1e-5
         A = np.array([(self.after(h * u) - self.after(-h * u)) / (2.0 * h) for u in units]).T
         return np.linalg.eigvals(A)

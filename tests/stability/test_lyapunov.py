@@ -60,7 +60,7 @@ def assert_v_dot_is_minus_w(plant, controller, target, alpha, samples, h, theta=
         singular = np.linalg.svd(controller.task.jacobian(q), compute_uv=False)
         if singular[-1] < 0.15 * singular[0]:
             continue  # Ĵ⁺ is damped near singular poses, and the identity is for the exact one
-        state = controller.initial_state(plant.measure(0.0, q, v))
+        state = controller.begin(plant.measure(0.0, q, v))
         state = state + rng.normal(size=state.shape)
         W = value(q, v, state).W
         assert v_dot(value, step, q, v, state, h) == pytest.approx(-W, rel=1e-6)
@@ -171,7 +171,7 @@ def test_theta_of_the_regressor_means_that_no_constant_forces_are_there():
     controller = aj.SetpointController(aj.PositionTask(belief), gravity=aj.AdaptiveGravity(belief))
     theta = controller.adaptation.regressor.fit(truth)[0]
     q, v, target = truth.neutral(), np.full(7, 0.1), plant.sensor.value(truth.neutral()) + 0.1
-    state = controller.initial_state(plant.measure(0.0, q, v)) + 0.5
+    state = controller.begin(plant.measure(0.0, q, v)) + 0.5
 
     def V(theta):
         return lyapunov(plant, controller, q, v, target, state=state, theta=theta).V

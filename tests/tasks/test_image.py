@@ -225,7 +225,7 @@ def test_what_is_out_of_view_is_lost_and_the_arm_is_damped(panda, rng):
         measured = aj.Plant(panda, sensor).measure(0.0, q, np.zeros(7))
         assert np.isnan(measured.x).all()
         controller = aj.SetpointController(task)
-        state = controller.initial_state(measured)
+        state = controller.begin(measured)
         answer = controller.evaluate(state, measured, np.array([320.0, 240.0]))
         assert answer.status is aj.Status.MEASUREMENT_LOST
         assert_allclose(answer.torque, Dynamics(panda).g(q))

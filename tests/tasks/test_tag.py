@@ -186,7 +186,7 @@ def test_a_triangle_may_be_seen_from_either_side(panda):
     sensor = tag_in_view(panda, count=3)
     law = aj.SetpointController(believed(sensor, 30.0, 1.2), aj.Gains(50.0, 10.0, 1.0))
     behind = at(Q, the_other_way(sensor.value(Q)))
-    assert np.isfinite(law.evaluate(law.initial_state(behind), behind, behind.x).torque).all()
+    assert np.isfinite(law.evaluate(law.begin(behind), behind, behind.x).torque).all()
 
 
 def test_corners_as_rows_are_told_how_to_become_a_vector_in_few_words(panda):
