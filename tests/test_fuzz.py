@@ -215,7 +215,7 @@ def n_state(controller):
     """Length of a controller's state."""
     task, q = controller.task, controller.task.robot.neutral()
     start = aj.Measurement(0.0, q, np.zeros(task.robot.nv), task.value(q))
-    return len(controller.initial_state(start))
+    return len(controller.begin(start))
 
 
 def arguments(controller):

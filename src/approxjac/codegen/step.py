@@ -153,7 +153,7 @@ class _MachineCode:
             vars(self)["evaluate"] = evaluate
 
     def _made(
-        self, controller: Controller, ordinary_step: Any, knows_nan: bool
+        self, controller: Any, ordinary_step: Any, knows_nan: bool
     ) -> tuple[Any, Any, bool]:
         """Return `evaluate`, a step that else is `ordinary_step`, and whether it asks for t_x."""
         usually: Any = super()

@@ -13,7 +13,7 @@ import numpy as np
 from approxjac import law
 from approxjac.controllers.gains.sample_configurations import max_damping_rate, usual_inertias
 from approxjac.controllers.limits.limits import Limits
-from approxjac.errors import InvalidInputError
+from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.formatting import joined, short_fields
 from approxjac.interface import Evaluation, Measurement, Status, Target
 from approxjac.law.guard import (
@@ -46,6 +46,8 @@ _SERVO = 2e-3  # s, in which joints that take velocities reach theirs
 _BRIDGED = 0.02  # s, at most
 _STOPS = 100.0  # 1/s, the largest rate of damping in a stop
 _STIFF = 20.0  # 1/s, its stiffness over its damping
+_MOST = 1e15  # N m or N
+_ABSURD = 1e100
 _KINDS = (
     Status.OK, Status.JOINTS_UNKNOWN, Status.POSITION_JUMPED, Status.VELOCITY_JUMPED,
     Status.VELOCITY_DISAGREES, Status.STATE_REPEATED, Status.CLOCK_JUMPED, Status.SENSOR_JUMPED,
@@ -186,8 +188,10 @@ class SampleGuard:
             parts = answer.torque, self._push_of(answer), self._J_of(answer)
             memory = self._quick.answered(quick, v, dt, *parts)
             return np.concatenate([after, memory]) if len(after) else memory, answer
-        if not traced and not np.isfinite(memory).all():
-            message = f"state must be finite, got {memory.tolist()} of the guard"
+        if not traced and not np.abs(memory).max() < _ABSURD:
+            message = (
+                f"state must be finite, and below {_ABSURD:.0e}, got {memory.tolist()} of the guard"
+            )
             raise InvalidInputError(message, given=memory)
         passed, is_bad, stops = measurement, found.kind > 0, found.stops > 0
         if (is_bad is True or found.refuses_x is True) and kept.t <= 0.5 * UNSEEN:
@@ -200,7 +204,8 @@ class SampleGuard:
             passed = Measurement(t, q, v, x, t_x)
         after, answer = controller.advance(state, passed, target, dt)
         after = law.select(is_bad | stops, state, after)
-        command, gravity = answer.torque, answer.gravity
+        command = torque = answer.torque
+        gravity = answer.gravity
 
         def halted() -> tuple[Array]:
             g = 0.0 * command
@@ -217,6 +222,9 @@ class SampleGuard:
         if J_hat is not None:
             sizes = [law.length(J_hat[rows].ravel()) for _, rows in self._bounds.parts]
         memory = remembered(kept, found, sample, dt, command.tolist(), push, sizes).joined()
+        if not traced and not np.isfinite(memory).all() and np.isfinite(torque).all():
+            message = f"what is remembered of {measurement!r} overflows in a step of {dt!r} s"
+            raise MeasurementError(message, given=measurement)
         if is_changed is not False:
             status = law.select(found.refuses_x, Status.SENSOR_JUMPED, answer.status)
             name = _KINDS[found.kind] if type(found.kind) is int else found.kind + _OFFSET
@@ -224,6 +232,7 @@ class SampleGuard:
             answer = answer._replace(status=status)
         return np.concatenate([after, memory]) if len(after) else memory, answer
 
+    @np.errstate(over="ignore", invalid="ignore")  # of an absurd dt, which `step` finds
     def _halted(self, found: Judged, kept: GuardMemory, gravity: Array, dt: Any) -> Array:
         """Return the command of a stop, within the controller's limits, shape (n_v,)."""
         change = dt * self._rate
@@ -240,7 +249,7 @@ class SampleGuard:
         torque, gravity = answer.torque, answer.gravity
         if not self._takes_torque:
             return self._push
-        net = np.abs(torque if gravity is None else torque - gravity)
+        net = np.minimum(np.abs(torque if gravity is None else torque - gravity), _MOST)
         push: Array = self._push + self._reach.dot(net)
         return push
 

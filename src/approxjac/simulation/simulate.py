@@ -32,7 +32,7 @@ from approxjac.simulation.sensing import SensorReadings
 from approxjac.simulation.trajectory import Record, Trajectory
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import require_unmirrored
-from approxjac.validation import Array, as_array, as_integer, as_number, require
+from approxjac.validation import Array, as_array, as_integer, as_number, require, shape_of
 
 _STEP = 1e-3  # of the arm under a servo, at most [s]
 _TINY = 1e-6  # of a step: more than round-off, less than anyone means
@@ -107,7 +107,7 @@ def first_state(
     """
     state = controller.initial_state(measurement)
     if given is not None:
-        size = controller.size if np.size(given) != len(state) else len(state)
+        size = len(state) if shape_of(given) == state.shape else controller.size
         own = as_array("state", given, (size,))[: controller.size]
         state = np.concatenate([own, state[controller.size :]])  # a guard begins anew
     state = as_array("the controller's initial_state", state, (np.size(state),))
