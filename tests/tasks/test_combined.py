@@ -121,7 +121,7 @@ def test_held_measurements_count_in_pixels(image):
     v = np.full(7, 0.5)
     for C in (np.eye(4), np.diag([1e-3, 1e3, 1.0, 1.0])):
         task = CombinedTask(image, C)
-        held = aj.HeldMeasurement(aj.SetpointController(task), unseen=20.0)
+        held = aj.HeldMeasurement(aj.SetpointController(task), unseen=20.0).guarded(None)
         measured = aj.Measurement(0.0, Q, v, x_d + 50.0)
         state = held.initial_state(measured)
         bridged, status = -1, aj.Status.OK
