@@ -152,9 +152,7 @@ class _MachineCode:
         if controller.is_continuous:
             vars(self)["evaluate"] = evaluate
 
-    def _made(
-        self, controller: Any, ordinary_step: Any, knows_nan: bool
-    ) -> tuple[Any, Any, bool]:
+    def _made(self, controller: Any, ordinary_step: Any, knows_nan: bool) -> tuple[Any, Any, bool]:
         """Return `evaluate`, a step that else is `ordinary_step`, and whether it asks for t_x."""
         usually: Any = super()
         ordinary = usually.evaluate
