@@ -660,7 +660,9 @@ def bridged_motion(task, dt):
 
 
 @needs_compiler
-@pytest.mark.parametrize("case", some("panda (6), limits", "away from stops", "(5), (29)"))
+@pytest.mark.parametrize(
+    "case", ["panda (6), limits", "panda (28), limits, away from stops", "kinova (5), (29)"]
+)
 def test_bad_samples_are_bridged_as_in_python(case, in_c_of):
     """The statuses and torques of Python, the bits of NumPy, and what is learnt stays."""
     controller, step = built(case)
