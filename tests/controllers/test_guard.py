@@ -146,10 +146,17 @@ def test_one_bad_sample_leaves_the_motion_as_it_was(kind):
 
 
 @pytest.mark.study
+@pytest.mark.parametrize("kind", ["wrap of q", "sign", "set back", "unit", "unit of x"])
+@pytest.mark.parametrize("name", ["tracking", "predicted, limited", "own, limited", "velocity"])
+def test_one_bad_sample_leaves_the_motion_of_other_laws_as_it_was(name, kind):
+    require_as_clean(name, kind, 0.3)
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("kind", OF_JOINTS + OF_X)
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_one_bad_sample_leaves_the_motion_of_any_law_as_it_was(name, kind):
-    require_as_clean(name, kind)
+    require_as_clean(name, kind, 1.1)
 
 
 NAMES = {
@@ -177,7 +184,7 @@ def test_ten_bad_samples_in_a_row_end_in_a_stop_with_their_name(kind):
     require_stopped("limited", kind, 10)
 
 
-@pytest.mark.study
+@pytest.mark.long
 @pytest.mark.parametrize("count", [10, 100])
 @pytest.mark.parametrize("kind", [each for each in OF_JOINTS if each != "sign"])
 @pytest.mark.parametrize("name", CONTROLLERS)
@@ -201,8 +208,8 @@ def test_compiled_steps_judge_as_those_of_python(kind):
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("name", ["law", "limited, learnt", "tracking", "held, limited"])
-@pytest.mark.parametrize("kind", ["wrap", "NaN of q", "clock", "spike of x", "swapped"])
+@pytest.mark.parametrize("name", ["tracking", "held, limited"])
+@pytest.mark.parametrize("kind", ["NaN of q", "clock", "swapped"])
 def test_compiled_steps_of_any_law_judge_as_those_of_python(name, kind):
     require_the_same(name, kind)
 
