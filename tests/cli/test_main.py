@@ -152,7 +152,9 @@ def test_an_output_that_is_full_is_one_line_with_exit_code_2(monkeypatch, capsys
 def test_an_interrupt_in_an_import_or_in_a_command_is_one_line_with_exit_code_130(tmp_path):
     """At any time from the first import of ours on; before, it is Python's own start."""
     start = (
-        "import sys, approxjac.__main__ as command; print('begun', flush=True);"
+        # a shell's background ignores it
+        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler);"
+        "import approxjac.__main__ as command; print('begun', flush=True);"
         "sys.argv = ['approxjac', *'simulate two_link --duration 5000 --out made'.split()];"
         "sys.exit(command.main())"
     )
