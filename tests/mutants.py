@@ -215,7 +215,7 @@ MUTANTS = [
     ),
     (
         "residual dropped", "controllers/limits/torque_limited.py",
-        "self._share * r + self._rate * apart, r)", "r, r)", PERIODS,
+        "follows = self._share * r + self._rate * apart", "follows = r", PERIODS,
     ),
     (
         "learning rests where the proof is kept", "controllers/limits/torque_limited.py",
@@ -1284,14 +1284,14 @@ MUTANTS = [
     ),
     (
         "numbers of another law", "simulation/trajectory.py",
-        "if controller.parameters == controllers[-1].parameters:",
+        "if controller.parameters == last.parameters:",
         "if True:",
         INSTANTS,
     ),
     (
         "V of the measured error", "simulation/trajectory.py",
-        "x, x_d = run.x[k], run.x_d[k]",
-        "x, x_d = run.x_measured[k], run.x_d[k]",
+        "x, x_d, state = run.x[k], run.x_d[k],",
+        "x, x_d, state = run.x_measured[k], run.x_d[k],",
         INSTANTS,
     ),
     (
