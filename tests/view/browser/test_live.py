@@ -188,7 +188,7 @@ def test_the_arm_follows_a_target_moved_in_the_page(panda, open_page, start):
 def test_the_run_of_a_robot_is_shown_and_its_target_moved(panda, open_page):
     plant, controller, target = parts(panda)
     limited = aj.TorqueLimited(controller, aj.Limits(effort=panda.effort_limits))
-    driver = aj.realtime.SimulatedDriver(plant, START)
+    driver = aj.realtime.SimulatedDriver(plant, START, pace=0.1)  # on a busy machine, too
     live, stop = view.LiveView(patience=30.0), threading.Event()
     with ThreadPoolExecutor() as pool:
         running = pool.submit(
