@@ -17,6 +17,15 @@ from approxjac.controllers import (
     PredictedMeasurement,
 )
 from approxjac.errors import InvalidInputError, MeasurementError
+from approxjac.law.guard import (
+    GuardBounds,
+    GuardMemory,
+    QuickGuard,
+    Sample,
+    first_memory,
+    judged,
+    remembered,
+)
 from approxjac.simulation.plant import INTEGRATORS
 
 DT = 1e-3
@@ -312,3 +321,103 @@ def test_a_memory_of_the_guard_that_is_not_finite_is_refused(entry):
     state[entry] = np.nan
     with pytest.raises(InvalidInputError, match="state must be finite"):
         law.step(state, PLANT.measure(0.0, START, np.zeros(7)), GOAL, DT)
+
+
+class Twins:
+    """Both forms of a guard with random bounds, which see the same samples of a moving arm."""
+
+    def __init__(self, seed):
+        self.rng = rng = np.random.default_rng(seed)
+        self.n, self.parts = n, parts = int(rng.choice([1, 2, 3, 7])), int(rng.integers(1, 4))
+        self.m, self.dt = 3 * parts, 10.0 ** rng.uniform(-3.5, -1.5)
+        each = tuple((slice(i, i + 3), slice(i, i + 3)) for i in range(0, self.m, 3))
+        x_noise = [float(rng.choice([0.03, math.inf], p=[0.8, 0.2]))] * self.m
+        self.step, lag = 10.0 ** rng.uniform(-5.0, -2.0, n), float(rng.choice([0.0, 1e-3, 0.02]))
+        most, push = rng.uniform(1.0, 40.0, n).tolist(), rng.uniform(1.0, 1e3, n)
+        self.bounds = GuardBounds(
+            (rng.choice([2.0, 60.0]) * self.step).tolist(),
+            lag,
+            most,
+            push,
+            np.zeros((n, n)),
+            x_noise,
+            each,
+            5.0,
+            0.02,
+        )
+        self.ends = GuardMemory.ends(n, n, self.m, parts)
+        self.quick = QuickGuard(self.bounds, self.ends, n, n)
+        self.memory = first_memory([0.0] * n, [0.0] * self.m, self.bounds)
+        self.x, self.last, self.t = np.zeros(self.m), None, rng.choice([0.0, 1e6, -1e3])
+        self.motion = (
+            10.0 ** rng.uniform(-5.0, 0.0, n),
+            rng.uniform(0.1, 5.0, n),
+            rng.uniform(0, 6.0, n),
+        )
+        if seed[1] == 0:  # at rest, until the guard takes no later time
+            self.t, self.dt, self.motion[0][:] = 1e15 - 9.0, 0.5, 0.0
+        self.noise = 10.0 ** rng.uniform(-3.0, 0.0)
+
+    def sample(self):
+        """Return the next t, q, v, x and t_x: one in three is slightly wrong."""
+        rng, n, dt = self.rng, self.n, self.dt
+        self.t += dt * (1.0 + 0.1 * rng.standard_normal())
+        size, rate, phase = self.motion
+        angle, noise = rate * self.t + phase, self.noise * rng.standard_normal((2, n))
+        q = np.round(size * np.sin(angle) / self.step + 0.1 * noise[0]) * self.step
+        v = size * rate * np.cos(angle) + 0.1 * noise[1] * self.step / dt
+        if rng.random() < 0.3:
+            self.x = 0.02 * np.sin(self.t + np.arange(self.m))
+        x, t_x = self.x.copy(), rng.choice([None, self.t - 0.02])
+        wrong, off = rng.choice(30), 10.0 ** rng.uniform(-1.0, 2.0) * self.step[0]
+        q[0], v[0] = q[0] + off * (wrong == 0), v[0] + off / dt * (wrong == 1)
+        v[0], v = (1.0 - 2.0 * (wrong == 2)) * v[0], (1.0 - 2.0 * (wrong == 3)) * v
+        if wrong == 4 and self.last is not None:
+            q, v = self.last
+        self.t += dt * rng.uniform(-1.0, 3.0) * (wrong == 5)
+        x[0] = {6: np.nan, 7: np.inf, 8: x[0] + 0.1}.get(wrong, x[0])
+        t_x = {9: self.t + rng.choice([dt + 0.009, dt + 0.011]), 8: math.nan}.get(wrong, t_x)
+        self.last = q, v
+        return self.t, q, v, x, t_x
+
+    def advance(self):
+        """Compare both forms; return whether the sample is good, and was judged quickly."""
+        (t, q, v, x, t_x), dt = self.sample(), self.dt
+        seen, n, rng = self.memory[self.ends[8] : self.ends[9]], self.n, self.rng
+        with np.errstate(invalid="ignore"):
+            way, x_way = q - self.memory[4 : 4 + n], x - seen
+        kept = GuardMemory.of(self.memory.tolist(), self.ends)
+        rows = [each.tolist() for each in (q, v, x)]
+        taken = math.nan if t_x is None else t_x
+        sample = Sample(t, *rows, taken, way.tolist(), x_way.tolist())
+        found = judged(kept, sample, dt, self.bounds)
+        command, push = rng.standard_normal(n), self.bounds.push * rng.uniform(1.0, 9.0, n)
+        J = None if rng.random() < 0.1 else rng.standard_normal((self.m, n))
+        sizes = J if J is None else [math.hypot(*J[i : i + 3].ravel()) for i in range(0, self.m, 3)]
+        told = command.tolist(), push.tolist(), sizes
+        self.memory, before = remembered(kept, found, sample, dt, *told).joined(), self.memory
+        after = self.quick.judged(before, (t, q, v, x, t_x), way, x_way, dt)
+        is_good = not (found.kind or found.stops or found.refuses_x)
+        if after is not None:
+            assert is_good
+            np.testing.assert_array_equal(found.x, x)
+            after = self.quick.answered(after, v, dt, command, push, J)
+            np.testing.assert_array_equal(after, self.memory)
+        if found.stops:
+            self.memory = first_memory([0.0] * n, [0.0] * self.m, self.bounds)
+        return is_good, after is not None
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_quick_form_of_a_guard_has_the_memory_of_the_full_one_to_the_bit(seed):
+    twins = [Twins([seed, i]) for i in range(5)]
+    looked = np.array([each.advance() for each in twins for _ in range(150)])
+    assert looked.sum(axis=0).min() > 20
+
+
+def test_runs_in_which_no_sample_is_judged_quickly_are_the_same_to_the_bit(monkeypatch):
+    loops = [Loop(CONTROLLERS["limited, learnt"], 0.12, "sign", 1)]
+    monkeypatch.setattr(QuickGuard, "judged", lambda *given: None)
+    loops.append(Loop(CONTROLLERS["limited, learnt"], 0.12, "sign", 1))
+    np.testing.assert_array_equal(loops[0].states, loops[1].states)
+    assert loops[0].statuses == loops[1].statuses

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from approxjac.law.branches import all_finite, array, complement, select
-from approxjac.law.products import root
+from approxjac.law.products import length, root
 from approxjac.validation import Array
 
 UNSEEN = -1e20  # [s], the time before a first sample
@@ -27,6 +27,7 @@ _IMPACT = 1.0  # times its speed, by which an arm that hits something may change
 _LEARNS, _AT_MOST = 0.05, 0.02  # s, in which the noise of q comes to be known, or 50 periods
 _STEP, _FINEST = 0.3, 1.0 / 512.0  # of a step of q, and of the largest noise: the least
 _LEFT, _TURNS = 0.04, 0.1  # q̇ that changed its sign: what is left of ‖q̇‖², at such a speed
+_STRAIGHT = (_TURNS * (2.0 - math.sqrt(_LEFT))) ** 2  # ‖Δq̇‖² up to which it has not
 _MEMORY = 0.05  # s, over which q is compared with the integral of q̇
 _SHARE = 0.2  # of the way, by which that may be off
 _FADES = 0.02  # s, in which a torque that was sent acts at last
@@ -303,9 +304,9 @@ class QuickGuard:
     def __init__(self, bounds: GuardBounds, ends: list[int], nq: int, nv: int) -> None:
         self._q, self._joints = slice(4, 4 + nq), slice(ends[1], ends[8])
         self._x, self._moved = slice(ends[8], ends[9]), slice(ends[9], ends[10])
-        self._shape, self._parts, self._x_noise = (7, nv), bounds.parts, min(bounds.x) ** 2
+        self._shape, self._parts, self._x_noise = (7, nv), bounds.parts, min(_FAR, *bounds.x) ** 2
         self._coarse, self._most = np.array(bounds.q), np.array(bounds.fastest)
-        self._finest = _FINEST * self._coarse
+        self._finest, self._share = _FINEST * self._coarse, _SHARE + bounds.lag * 4.0 / _MEMORY
 
     def judged(
         self,
@@ -321,31 +322,37 @@ class QuickGuard:
         last good one.
         """
         t, q, v, x, t_x = sample
-        before, bad, kind, blind = memory[:4].tolist()
-        since = t - before
-        if bad or kind or blind or not _SOON * dt <= since <= _MISSED * dt:
+        last, bad, kind, blind = memory[:4].tolist()
+        since = t - last
+        if bad or kind or blind or not _SOON * dt <= since <= _MISSED * dt or t >= _OLDEST:
             return None
         if t_x is not None and t_x - t > dt + _AHEAD:
             return None
         known = memory[self._joints].reshape(self._shape)
-        sudden, mean = v - known[0], (0.5 * since) * (v + known[0])
-        off, fade = way - mean, max(1.0 - since / _MEMORY, 0.0)
+        before, half, r = known[0], 0.5 * since, known[4]
+        sudden, both, noise = v - before, v + before, np.minimum(4.0 * r, self._coarse)
+        mean, fade = half * both, max(1.0 - since / _MEMORY, 0.0)
+        off = way - mean
+        drift, path = fade * known[1] + off, fade * known[2] + np.abs(mean)
         # less than what `judged` asks for, so that |Δq − h q̇| is within its bound
-        drift, r = fade * known[1] + off, known[4]
-        noise = np.minimum(4.0 * r, self._coarse)
-        most = 0.5 * noise + (0.5 * since) * np.minimum(since * known[3], self._most)
+        most = 0.5 * noise + half * np.minimum(since * known[3], self._most)
         size, far = np.abs(off), np.abs(way)
         if not (
-            (size <= most).all() and ((0.5 * since) * np.abs(sudden) <= most).all()
-            and (np.abs(drift) <= noise).all() and x_way.dot(x_way) <= self._x_noise
-            and sudden.dot(sudden) <= 2.0 * known[0].dot(known[0]) + _TURNS * _TURNS
+            (size <= most).all() and (half * np.abs(sudden) <= most).all()
+            and (np.abs(drift) <= noise + self._share * path).all()
+            and x_way.dot(x_way) <= self._x_noise
             and (sudden.any() or v.dot(v) <= _STILL * _STILL)
         ):  # fmt: skip
             return None
+        if sudden.dot(sudden) > _STRAIGHT:
+            unit = 1.0 / (2.0 * noise / since + _TURNS)
+            left, one = unit * both, unit * before
+            if left.dot(left) < _LEFT * one.dot(one) > _LEFT:
+                return None
         after = memory.copy()
         after[0], after[self._q] = t, q
         now = after[self._joints].reshape(self._shape)
-        now[0], now[1], now[2] = v, drift, fade * known[2] + np.abs(mean)
+        now[0], now[1], now[2] = v, drift, path
         finer, changes = 1.0 - min(since / _LEARNS, _AT_MOST), far > 0.0
         least = np.maximum(_STEP * known[5], self._finest)
         now[4] = np.maximum(np.where(changes, finer * r, r), np.maximum(size, least))
@@ -368,8 +375,7 @@ class QuickGuard:
         if J_hat is None:
             moved[:] = _FAR
             return after
-        speed = dt * math.sqrt(v.dot(v))
+        speed = dt * root(sum([each * each for each in v.tolist()], 0.0))
         for i, (_, rows) in enumerate(self._parts):
-            J = J_hat[rows].ravel()
-            moved[i] = min(moved[i] + speed * math.sqrt(J.dot(J)), _FAR)
+            moved[i] = min(moved[i] + speed * length(J_hat[rows].ravel()), _FAR)
         return after
