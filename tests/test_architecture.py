@@ -18,7 +18,7 @@ ALLOWED = {
     "errors": set(),
     "files": set(),
     "formatting": set(),
-    "validation": {"errors"},
+    "validation": {"errors", "formatting"},
     "interface": {"errors", "formatting", "tasks", "validation"},
     "paths": {"errors", "formatting", "interface", "validation"},
     "robots": {"errors", "files", "validation"},

@@ -20,17 +20,25 @@ def short(value: Any) -> str:
     return entries[0] if len(set(entries)) == 1 else listed(value)
 
 
+def shown(value: Any) -> str:
+    """Return the repr of a value, or its type where that fails: what is refused is printed."""
+    try:
+        return repr(value)
+    except Exception:
+        return f"<{type(value).__name__}>"
+
+
 def listed(values: Any) -> str:
     """Format numbers to four digits as a list; anything else by its repr."""
     try:
         return f"[{', '.join(f'{entry:.4g}' for entry in np.ravel(values))}]"
-    except (TypeError, ValueError):  # a record that is refused still has to be printed
-        return repr(values)
+    except (TypeError, ValueError, OverflowError):
+        return shown(values)
 
 
 def one_line(value: Any) -> str:
     """Return the repr of a value on one line; that of an array has several."""
-    return " ".join(repr(value).split())
+    return " ".join(shown(value).split())
 
 
 def numbers(values: Any) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import enum
 from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
-from approxjac.formatting import listed
+from approxjac.formatting import listed, shown
 from approxjac.validation import Array
 
 
@@ -133,8 +133,9 @@ class Measurement(NamedTuple):
         try:
             taken = "" if self.t_x is None else f", t_x={self.t_x:g} s"
             return f"Measurement(t={self.t:g} s, q={q}, v={v}, x={x}{taken})"
-        except (TypeError, ValueError):  # one that is refused still has to be printed
-            return f"Measurement(t={self.t!r}, q={q}, v={v}, x={x}, t_x={self.t_x!r})"
+        except (TypeError, ValueError, OverflowError):
+            t, t_x = shown(self.t), shown(self.t_x)
+            return f"Measurement(t={t}, q={q}, v={v}, x={x}, t_x={t_x})"
 
 
 class Target(NamedTuple):

@@ -18,6 +18,7 @@ from numpy import ndarray
 from numpy.typing import NDArray
 
 from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.formatting import shown
 
 Array = NDArray[np.float64]
 _FLOAT64 = np.dtype(np.float64)
@@ -44,7 +45,7 @@ def as_array(name: str, value: Any, shape: tuple[int | str, ...], unit: str = ""
     try:
         array = _floats(value)
     except (TypeError, ValueError) as error:
-        message = f"{name} must be numbers of shape {wanted}{suffix}, got {value!r}"
+        message = f"{name} must be numbers of shape {wanted}{suffix}, got {shown(value)}"
         raise InvalidInputError(message, given=value) from error
     fits = array.ndim == len(shape) and all(
         n == k or (n and isinstance(k, str)) for n, k in zip(array.shape, shape, strict=True)
@@ -116,7 +117,7 @@ def as_number(
     if isinstance(value, bool | str | bytes) or not (
         math.isfinite(number) and minimum <= number <= most and number > above
     ):
-        message = f"{name} must be a finite number{bound}{suffix}, got {value!r}"
+        message = f"{name} must be a finite number{bound}{suffix}, got {shown(value)}"
         raise InvalidInputError(message, given=value)
     return number
 
@@ -124,7 +125,7 @@ def as_number(
 def as_integer(name: str, value: Any, minimum: int) -> int:
     """Return `value` if it is an integer >= `minimum`."""
     if type(value) is not int or value < minimum:
-        message = f"{name} must be an integer >= {minimum}, got {value!r}"
+        message = f"{name} must be an integer >= {minimum}, got {shown(value)}"
         raise InvalidInputError(message, given=value)
     return value
 
@@ -154,7 +155,7 @@ def as_limits(name: str, value: Any, size: int, *, unit: str) -> Array:
     if not (array > 0.0).all():
         raise InvalidInputError(
             f"{name} must be numbers > 0 [{unit}], one{f' or {size}' if size > 1 else ''}, "
-            f"infinite where there is no limit, got {value!r}",
+            f"infinite where there is no limit, got {shown(value)}",
             given=value,
         )
     array.flags.writeable = False
@@ -164,7 +165,7 @@ def as_limits(name: str, value: Any, size: int, *, unit: str) -> Array:
 def require(name: str, value: Any, kind: type | tuple[type, ...], wanted: str) -> None:
     """Raise an InvalidInputError if an argument is not of the type `kind`."""
     if isinstance(value, type) or not isinstance(value, kind):  # a class may look like a protocol
-        given = f"the class {value.__name__}" if isinstance(value, type) else repr(value)
+        given = f"the class {value.__name__}" if isinstance(value, type) else shown(value)
         if inspect.isroutine(value) and "<" not in value.__name__:
             given = f"the function {value.__name__}; did you mean {value.__name__}()?"
         raise InvalidInputError(f"{name} must be {wanted}, got {given}", given=value)

@@ -1,6 +1,8 @@
 """Bad samples in a running loop: what they do to the motion, to what is learnt, and their names."""
 
 import dataclasses
+import decimal
+import fractions
 import functools
 import math
 
@@ -421,3 +423,44 @@ def test_runs_in_which_no_sample_is_judged_quickly_are_the_same_to_the_bit(monke
     loops.append(Loop(CONTROLLERS["limited, learnt"], 0.12, "sign", 1))
     np.testing.assert_array_equal(loops[0].states, loops[1].states)
     assert loops[0].statuses == loops[1].statuses
+
+
+class Nameless:
+    """An object that cannot even be printed."""
+
+    def __repr__(self):
+        raise RuntimeError("no repr")
+
+
+@pytest.mark.parametrize("name", ["law", "tracking", "predicted", "limited", "held"])
+def test_what_is_no_measurement_is_a_named_error_of_every_law(name):
+    good = PLANT.measure(0.0, START, np.zeros(7))._replace(t_x=0.0)
+    odd = [good._replace(t=t) for t in (None, "0", [0.0], 10**400, Nameless())]
+    odd += [tuple(good), list(good), Nameless(), good._replace(x=Nameless())]
+    for law in (CONTROLLERS[name], CONTROLLERS[name].guarded(None)):
+        state = law.initial_state(good)
+        for each in odd:
+            with pytest.raises(InvalidInputError):
+                law.step(state, each, GOAL, DT)
+        for t_x in ("0", [0.0], Nameless()):
+            with pytest.raises(InvalidInputError, match="t_x"):
+                law.initial_state(good._replace(t_x=t_x))
+        for dt in (None, "0.001", Nameless()):
+            with pytest.raises(InvalidInputError, match="dt must be"):
+                law.step(state, good, GOAL, dt)
+        for target in (1e308 * GOAL, Nameless()):
+            with pytest.raises(InvalidInputError, match="target must be"):
+                law.step(state, good, target, DT)
+        with pytest.raises(InvalidInputError, match="state must be"):
+            law.step(Nameless(), good, GOAL, DT)
+
+
+@pytest.mark.parametrize("kind", [decimal.Decimal, fractions.Fraction, np.float32, int])
+def test_times_may_be_of_any_kind_of_numbers(kind):
+    law = CONTROLLERS["held"]
+    good = PLANT.measure(2.0, START, np.zeros(7))._replace(t_x=2.0)
+    state, usual = law.step(law.initial_state(good), good, GOAL, 1.0)
+    same = good._replace(t=kind(2), t_x=kind(2))
+    after, answer = law.step(law.initial_state(same), same, GOAL, kind(1))
+    np.testing.assert_array_equal(after, state)
+    np.testing.assert_array_equal(answer.torque, usual.torque)

@@ -12,6 +12,7 @@ import approxjac as aj
 from approxjac.controllers import DifferentiatedVelocity, Latency, tuned
 from approxjac.controllers.gains.sample_configurations import sample_configurations
 from approxjac.controllers.gains.tuning import Learning, _Arm, slow_rate
+from approxjac.errors import InvalidInputError
 from approxjac.robots import Dynamics, GravityRegressor
 from approxjac.scenario import build_scenario
 from approxjac.scenario.build import latency_of
@@ -255,3 +256,15 @@ def test_a_long_tool_without_mass_is_no_reason_for_slow_gains(name, length):
     chosen = tuned(aj.PositionTask(belief), regressor=GravityRegressor(belief))
     assert chosen.stable
     assert chosen.rate >= 6.0
+
+
+def test_arms_without_joint_damping_learn_gravity_where_the_task_damps_all_joints(panda):
+    flat = aj.load_robot("double_pendulum")
+    law = aj.SetpointController(
+        position_task(flat), aj.Gains(100.0, 10.0, 0.0), gravity=aj.AdaptiveGravity(flat)
+    )
+    assert np.isfinite(law.adaptation.L).all()
+    with pytest.raises(InvalidInputError, match="damping must be > 0"):
+        aj.SetpointController(
+            position_task(panda), aj.Gains(100.0, 10.0, 0.0), gravity=aj.AdaptiveGravity(panda)
+        )

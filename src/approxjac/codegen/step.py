@@ -209,6 +209,8 @@ class _MachineCode:
                     (q.shape, v.shape, x.shape, x_d.shape, state.shape) == shapes
                     and q.dtype is v.dtype is x.dtype is x_d.dtype is state.dtype is float64
                     # what a mask hides is not measured
+                    and type(measurement) is Measurement
+                    and isinstance(t, float)
                     and type(q) is type(v) is type(x) is type(x_d) is type(state) is array
                 ):
                     return None

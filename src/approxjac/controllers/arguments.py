@@ -21,15 +21,21 @@ _NEARLY = 1e-3  # of a rotation, with the round-off of days
 _NUMBERS = (list, tuple, int, float)
 
 
+def as_measurement(value: Any) -> Measurement:
+    """Return a `Measurement` with times that are floats, or symbols; raise for anything else."""
+    require("measurement", value, Measurement, "Measurement(t, q, v, x)")
+    t, q, _, _, t_x = value
+    if hasattr(q, "arm_of"):
+        return value  # type: ignore[no-any-return]
+    t = t if isinstance(t, float) else as_number("t of a measurement", t, unit="s")
+    return value._replace(t=t, t_x=t_x if t_x is None or isinstance(t_x, float) else time_of_x(t_x))  # type: ignore[no-any-return]
+
+
 def require_arrays(
     state: Array, measurement: Measurement, target: Array, task: Task, n_state: int
 ) -> tuple[Array, Array, Array]:
     """Return q, v and x; raise an InvalidInputError if an argument is no array of its size."""
-    try:
-        _, q, v, x, _ = measurement
-    except (TypeError, ValueError):
-        message = f"measurement must be Measurement(t, q, v, x), got {measurement!r}"
-        raise InvalidInputError(message, given=measurement) from None
+    _, q, v, x, _ = as_measurement(measurement)
     named = {"q": q, "v": v, "x": x, "target": target, "state": state}
     sizes = task.robot.nq, task.robot.nv, task.n_x, task.n_x, n_state
     for (name, value), size in zip(named.items(), sizes, strict=True):
@@ -72,21 +78,6 @@ def with_rates(target: Target, m: int) -> Target:
     return Target(x, v, None if a is None else as_vector("a of the target", a, m))
 
 
-def is_lost(
-    q: Array, v: Array, x: Array, target: Array, state: Array, e: Array, task: Task
-) -> bool:
-    """Return True if x is lost; raise an error if anything else is not finite."""
-    require_finite(q, v, target, state, task)
-    if np.isfinite(e).all():
-        return False
-    if np.isfinite(x).all() and task.subtracts:
-        raise MeasurementError(
-            f"the error overflows: x = {x.tolist()} is beyond what the law can be evaluated at",
-            given=x,
-        )
-    return True
-
-
 def require_finite(q: Array, v: Array, target: Array, state: Array, task: Task) -> None:
     """Raise an error if an argument other than x is not finite."""
     for name, value in (("q", q), ("v", v)):
@@ -98,7 +89,9 @@ def require_finite(q: Array, v: Array, target: Array, state: Array, task: Task) 
             )
     if not np.isfinite(state).all():
         raise InvalidInputError(f"state must be finite, got {state.tolist()}", given=state)
-    task.target(target)
+    if (np.abs(task.target(target)) > HUGE).any():
+        message = f"target must be at most {HUGE:.0e}, got {target.tolist()}"
+        raise InvalidInputError(message, given=target)
 
 
 def time_of_x(t_x: Any) -> float | None:

@@ -11,6 +11,7 @@ from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 
+from approxjac.controllers.arguments import as_measurement
 from approxjac.controllers.gains.gains import Diagonals, Latency
 from approxjac.controllers.gains.tuning import Tuning
 from approxjac.controllers.guard import USUAL, Guard, SampleGuard
@@ -140,7 +141,7 @@ class Controller(ABC):
 
         Raises the errors of `begin`.
         """
-        own, guard = self.begin(measurement), self._sample_guard
+        own, guard = self.begin(as_measurement(measurement)), self._sample_guard
         return own if guard is None else np.concatenate([own, guard.first])
 
     def step(
@@ -158,6 +159,10 @@ class Controller(ABC):
 
         Raises the errors of `advance`.
         """
+        if not (type(measurement) is Measurement and type(measurement.t) is type(dt) is float):
+            measurement = as_measurement(measurement)
+            if not hasattr(state, "arm_of"):  # or they are symbols
+                dt = as_number("dt", dt, unit="s", above=0.0)
         guard, n = self._sample_guard, self.size
         if guard is None or getattr(state, "shape", None) != (n + len(guard.first),):
             return self.advance(state, measurement, target, dt)

@@ -10,7 +10,13 @@ from typing import Self
 import numpy as np
 
 from approxjac import law
-from approxjac.controllers.arguments import overflow, require_arrays, require_finite, with_rates
+from approxjac.controllers.arguments import (
+    HUGE,
+    overflow,
+    require_arrays,
+    require_finite,
+    with_rates,
+)
 from approxjac.controllers.controller import Controller
 from approxjac.controllers.learning.estimator import Kinematics
 from approxjac.controllers.wrapper import ControllerWrapper
@@ -128,7 +134,7 @@ class PredictedMeasurement(ControllerWrapper):
         if not hasattr(state, "arm_of"):
             x_d = task.target(target.x)
             q, v, _ = require_arrays(state, measurement, x_d, task, len(state))
-            if not math.isfinite(math.hypot(*q.tolist(), *v.tolist())):
+            if not math.hypot(*q.tolist(), *v.tolist(), *x_d.tolist()) < HUGE:
                 require_finite(q, v, x_d, state, task)
             target = with_rates(target._replace(x=x_d), task.m)
             self.kinematics.check(known, measurement, dt)

@@ -10,7 +10,13 @@ from typing import Any, Self
 import numpy as np
 
 from approxjac import law
-from approxjac.controllers.arguments import FLOAT64, HUGE, is_lost, overflow, require_arrays
+from approxjac.controllers.arguments import (
+    FLOAT64,
+    HUGE,
+    overflow,
+    require_arrays,
+    require_finite,
+)
 from approxjac.controllers.controller import Controller, Instant
 from approxjac.controllers.gains.gains import Diagonals, Gains, Latency
 from approxjac.controllers.gains.sample_configurations import max_damping_rate
@@ -386,7 +392,8 @@ class SetpointController(Immutable, Controller):
                     return answer
         with np.errstate(over="ignore", invalid="ignore"):  # an overflow is a named error
             e = x - target if self._subtracts else self.task.error(x, target)
-            lost = is_lost(q, v, x, target, state, e, self.task)
+            require_finite(q, v, target, state, self.task)
+            lost = not np.isfinite(e).all()
             self.task.robot.configuration(q)
             try:
                 answer = self._answer(q, v, x, e, state, None if lost else v_d, lost)

@@ -16,6 +16,7 @@ from approxjac.controllers.gains.tuning import Tuning
 from approxjac.controllers.learning.estimator import Kinematics
 from approxjac.controllers.limits.limits import Limits
 from approxjac.errors import InvalidInputError
+from approxjac.formatting import shown
 from approxjac.interface import Measurement
 from approxjac.tasks import Task
 from approxjac.validation import Array, Immutable, require
@@ -122,7 +123,7 @@ class ControllerWrapper(Immutable, Controller):
             raise InvalidInputError(
                 "state must be an array of float64 as initial_state and step return it, with the "
                 f"{n} numbers of the controller inside and {self._memory} of "
-                f"{type(self).__name__}, got {state!r}",
+                f"{type(self).__name__}, got {shown(state)}",
                 given=state,
             )
         inner, memory = state[:n], state[n:end]

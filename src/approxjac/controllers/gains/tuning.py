@@ -251,11 +251,15 @@ class _Arm:
         J, Z = self.postures.J_hat, self.Z
         # W = D⁻¹ M D⁻¹: learning at a rate P and motion make an oscillator, damped where WP is
         # small. Its root turns products into symmetric matrices.
-        root = np.linalg.solve(D, np.linalg.cholesky(self.postures.M))
+        try:
+            root = np.linalg.solve(D, np.linalg.cholesky(self.postures.M))
+        except np.linalg.LinAlgError:
+            message = f"damping must be > 0 for gravity to be learnt, got {listed(gains.damping)}"
+            raise InvalidInputError(message, given=gains) from None
 
         def largest(P: Array) -> float:
             values = np.linalg.eigvalsh(root.mT @ P @ root)[:, -1]
-            return float(np.quantile(values, 0.95))
+            return max(float(np.quantile(values, 0.95)), 1e-300)  # 0 without damping
 
         most = 0.6 * max(share, 0.35)
         task_force = 0.5 * gains.kp
