@@ -228,7 +228,6 @@ class Immutable:
 
     @property
     def _arguments(self) -> dict[str, Any]:
-        """The arguments of the constructor by their names."""
         given, named = self._given
         signature = inspect.signature(type(self))
         bound = signature.bind(*given, **named)
@@ -240,7 +239,6 @@ class Immutable:
         return {**arguments, **self._changes}
 
     def _rebuilt(self, **changes: Any) -> Self:
-        """Return an object built from the same arguments but for some."""
         found: Self = _built(type(self), (), self._arguments | changes, self._carries)
         return found
 
@@ -273,7 +271,6 @@ def _built(
 
 
 def _as_it_is(value: Any) -> Any:
-    """Return an argument that a user cannot change afterwards."""
     return copy.copy(value) if isinstance(value, _CHANGEABLE) else value
 
 

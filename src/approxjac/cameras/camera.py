@@ -502,14 +502,12 @@ def _border(
 
 
 def _between(value: float, low: float, high: float) -> float:
-    """Return a number, or the nearest one between two others."""
     value = law.select(value > low, value, low)
     within: float = law.select(value < high, value, high)
     return within
 
 
 def _short(values: Any) -> str:
-    """Return numbers to four digits, in brackets."""
     return f"({', '.join(f'{value:.4g}' for value in np.ravel(values))})"
 
 

@@ -153,7 +153,6 @@ class Lens:
         return u, v
 
     def _flat_slopes(self, x: float, y: float) -> tuple[float, float, float, float]:
-        """Return the derivatives of `_flat`, row by row."""
         rho = x * x + y * y
         factor, twice = self._factors(rho)
         a, b, d = factor + twice * x * x, twice * x * y, factor + twice * y * y
@@ -249,7 +248,6 @@ class Fisheye(Lens):
 
 
 def _sum(coefficients: Sequence[float], s: float) -> float:
-    """Return c₀ + c₁s + c₂s² + … by Horner's scheme."""
     *others, value = coefficients
     for each in reversed(others):
         value = each + s * value
@@ -303,7 +301,6 @@ def _tilt(tau_x: float, tau_y: float) -> Array:
 
 
 def _moved(H: Array, u: float, v: float) -> tuple[float, float]:
-    """Return the image of a point under a homography (3, 3)."""
     (h00, h01, h02), (h10, h11, h12), (h20, h21, h22) = H.tolist()
     depth = h20 * u + h21 * v + h22
     return (h00 * u + h01 * v + h02) / depth, (h10 * u + h11 * v + h12) / depth

@@ -97,7 +97,6 @@ def _run(arguments: list[str]) -> int:
 
 
 def _called(command: Callable[..., int], source: str, values: dict[str, Any]) -> int:
-    """Call a command with what was typed, and with its scenario where it takes one."""
     kinds, values = get_type_hints(command), dict(values)
     own = {
         name: value_of(kinds[name], values.pop(name), name)
@@ -110,7 +109,6 @@ def _called(command: Callable[..., int], source: str, values: dict[str, Any]) ->
 
 
 def _complain(message: object) -> int:
-    """Print what is wrong, and return the exit code of bad input."""
     with suppress(OSError):  # of a stderr that nobody reads, or that is full
         print(f"approxjac: {message}", file=sys.stderr, flush=True)
     return 2
@@ -175,13 +173,11 @@ def _help_of(command: Callable[..., int], options: Sequence[Option], every: bool
 
 
 def _paragraphs(command: Callable[..., int]) -> list[str]:
-    """Return the paragraphs of a command's docstring before its arguments."""
     text = inspect.cleandoc(command.__doc__ or "").partition("\nArgs:")[0]
     return [part.strip() for part in text.split("\n\n")]
 
 
 def _text(option: Option) -> str:
-    """Return what an option is for, and its default where the text has none."""
     default = option.default
     if default in (None, "", (), False) or default == {} or "default" in option.help:
         return option.help
@@ -189,7 +185,6 @@ def _text(option: Option) -> str:
 
 
 def _entry(name: str, text: str, indent: int) -> list[str]:
-    """Return a name with a text beside it, or below where the name is long."""
     indent = min(indent, width() // 2)
     if len(name) + 4 > indent:
         return [f"  {name}", *wrapped(text, " " * indent)]
@@ -197,7 +192,6 @@ def _entry(name: str, text: str, indent: int) -> list[str]:
 
 
 def _values(hint: Any) -> str:
-    """Return the value of an option as its help shows it."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin in (Union, UnionType):
         return "|".join(_values(kind) for kind in inner if kind is not type(None))

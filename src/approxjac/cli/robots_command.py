@@ -39,7 +39,6 @@ def robots(
 
 
 def _table() -> str:
-    """Return all arms that load by name: joints, n_v, n_q, tip and moving mass."""
     lines = [("name", "nv", "nq", "joints", "suggested tip", "kg")]
     missing = []
     for name in robot_names():
@@ -58,7 +57,6 @@ def _table() -> str:
 
 
 def _details(source: str, tip: str | None, base: str | None, free: Sequence[str]) -> str:
-    """Return one robot: its joints with their kinds and limits, and those that are locked."""
     robot = load_robot(source, tip=tip, base=base, free=free)
     joints = [("joint", "kind", "limits", "effort")]
     (lower, upper), efforts = robot.position_limits, robot.effort_limits
@@ -85,6 +83,5 @@ def _details(source: str, tip: str | None, base: str | None, free: Sequence[str]
 
 
 def _kinds(robot: Robot) -> str:
-    """Return the joints by kind, such as "1 prismatic, 7 revolute"."""
     kinds = Counter(robot.tree.joints[name].type for name in robot.joint_names)
     return ", ".join(f"{count} {kind}" for kind, count in kinds.items())

@@ -33,7 +33,6 @@ def view(run: str, out: Path | None = None, title: str | None = None) -> int:
 
 
 def _run_file(run: Path) -> Path:
-    """Return the file of a run, where its folder may have been given."""
     files = sorted(run.glob("*.npz")) if run.is_dir() else [run]
     if len(files) != 1:
         names = ", ".join(path.name for path in files) or "none"

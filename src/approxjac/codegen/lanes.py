@@ -196,7 +196,6 @@ def _stacked(starts: Sequence[LaneStart]) -> tuple[ArmNumbers, dict[str, Array],
 
 
 def _outside(q: Symbols, plant: Plant, box: Box) -> Condition:
-    """Return whether a configuration (nq,) is not in a box."""
     found: list[Condition] = []
     for joint in list(plant.robot.model.joints)[1:]:
         if not joint.nv:

@@ -75,7 +75,6 @@ def require_covered(controller: Controller, plant: Plant) -> None:
 
 
 def _require_plain(plant: Plant) -> None:
-    """Raise an InvalidInputError for a plant that is not covered."""
     more = (plant.servo, plant.torque_limits, plant.adds_gravity)
     if type(plant) is not Plant or any(part is not None for part in more):
         raise InvalidInputError(
@@ -178,7 +177,6 @@ class TracedLoop:
         return INTEGRATORS[integrator](acceleration, motion, self.q, self.v, torque, self._dt)
 
     def _touched(self, q: Symbols) -> Condition:
-        """Return what `JointStops.touched` does."""
         if self._plant.stops is None:
             return False
         beyond = [

@@ -264,5 +264,4 @@ class _MachineCode:
 
 @functools.cache
 def _kind_of(kind: type[Controller]) -> type:
-    """Return the class of compiled controllers of a kind."""
     return type(f"_Compiled{kind.__name__}", (_MachineCode, kind), {"__module__": __name__})

@@ -64,7 +64,6 @@ def on_symbols(controller: Controller) -> Any:
 
 
 def _require_limiter(limiter: TorqueLimited) -> None:
-    """Refuse a limiter with a solver of the user's own, where it needs one."""
     if limiter.needs_solver and limiter.solver is not None:
         raise InvalidInputError(
             f"solver must be None to make code of a limiter that needs one, got {limiter.solver!r}",
@@ -81,7 +80,6 @@ def with_gains(controller: Controller, diagonals: Diagonals) -> Controller:
 def _with_parts(
     controller: Controller, changed: Callable[[Controller], Controller], **own: Any
 ) -> Controller:
-    """Return a controller, without machine code, with other ones inside of it."""
     controller = getattr(controller, "ordinary", controller)
     for name, part in vars(controller).items():
         if isinstance(part, Controller):

@@ -51,7 +51,6 @@ def require_saturation(saturation: Saturation, task: Task) -> None:
 
 
 def _value(saturation: Saturation, name: str, e: Array) -> Array:
-    """Return s(e), S(e) or ds(e), of the shape of e."""
     e.flags.writeable = False
     try:
         value = np.asarray(getattr(saturation, name)(e), dtype=np.float64)

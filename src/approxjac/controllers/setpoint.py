@@ -193,7 +193,6 @@ class SetpointController(Immutable, Controller):
     def _tuned(
         self, gains: Gains | None, latency: Latency | None, settling_time: float | None
     ) -> Tuning | None:
-        """Return the gains, saturation and learning that the rule chooses, if it chooses any."""
         gravity, alpha, regressor = self.gravity, None, None
         if isinstance(gravity, AdaptiveGravity) and gravity.wants_rule:
             alpha, regressor = gravity.alpha, gravity.regressor
@@ -337,7 +336,6 @@ class SetpointController(Immutable, Controller):
         return self._with(task=task)
 
     def _with(self, **changes: Any) -> Self:
-        """Return this controller with what it has, chosen by the rule or given, but for changes."""
         gravity = self.gravity if self.adaptation is None else self.adaptation
         has = {"gains": self.gains, "saturation": self.saturation, "gravity": gravity}
         return self._rebuilt(**has | changes)

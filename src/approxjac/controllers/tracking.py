@@ -294,7 +294,6 @@ class TrackingController(Immutable, Controller):
     def _reference(
         self, known: Array, q: Array, v: Array, target: Target, waits: Any = False
     ) -> tuple[Array, Array, Array, Any, Any]:
-        """Return Ĵ and what `law.reference_step` does."""
         predicted = self.kinematics.predict(known, q, v, target)
         null = self._rest.velocity(q, v)
         return predicted.J, *law.reference_step(predicted, v, null, waits, self._gains)
@@ -302,7 +301,6 @@ class TrackingController(Immutable, Controller):
     def _checked(
         self, state: Array, measurement: Measurement, target: Target | Array
     ) -> tuple[Target, Measurement]:
-        """Return a target and a measurement that the law can be evaluated with, or refuse."""
         task = self.task
         target = with_rates(
             target if isinstance(target, Target) else Target(target), task.measured.m
@@ -462,7 +460,6 @@ class VelocityCommand:
 
 
 def _usual_kinematics(task: Task, dt: float) -> Kinematics:
-    """Return kinematics that learn: tool and joint origins; of an image the camera as well."""
     parts = task.tasks if isinstance(task, StackedTask) else (task,)
     if isinstance(task, PoseTask) or all(isinstance(part, PositionTask) for part in parts):
         return AdaptiveKinematics(task, unknown=("tool", "origins"), dt=dt)
@@ -477,7 +474,6 @@ def _usual_kinematics(task: Task, dt: float) -> Kinematics:
 
 
 def _usual_speeds(task: Task) -> list[float]:
-    """Return the largest speeds of a task's coordinates [unit of the task/s], length m."""
     known = {} if isinstance(task, ImageTask) else _SPEEDS  # of a sensor's metres nothing is
     if set(task.units) <= set(known):
         return [known[unit] for unit in task.units]

@@ -91,7 +91,6 @@ class ControllerWrapper(Immutable, Controller):
 
     @staticmethod
     def _require_measured(controller: Controller) -> None:
-        """Refuse a controller of something else than the measured x."""
         wanted = "a controller with a task, such as SetpointController(task)"
         require("controller", controller, Controller, wanted)
         if controller.law.kinematics is not None:

@@ -150,7 +150,6 @@ def swept_within_bounds(
 
 
 def _inverse(sizes: Any) -> Any:
-    """Return 1 / a of each a > 0, 0 of others."""
     return np.where(sizes > 0.0, 1.0 / np.where(sizes > 0.0, sizes, 1.0), 0.0)
 
 

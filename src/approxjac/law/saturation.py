@@ -151,6 +151,5 @@ class Tanh(_Bounded):
 
 
 def _within(u: Array) -> Array:
-    """The angle u, kept between −π/2 and π/2."""
     clipped: Array = np.minimum(np.maximum(u, _BOTTOM), _TOP)
     return clipped  # np.clip costs five times as much

@@ -197,7 +197,6 @@ def control(
 def _run(
     loop: RobotLoop, watchdog: Watchdog, signals: StopSignals, stop: threading.Event | None
 ) -> str:
-    """Run to the end, and return why it ended."""
     why = ""
     # a stop at the end of time takes some periods more
     while loop.step < len(loop.gaps):

@@ -87,7 +87,6 @@ def two_clocks(measurement: Measurement, dt: float) -> str:
 
 
 def _copied(name: str, values: Any) -> Array:
-    """Return a read-only copy of real numbers, with NaN for masked ones; refuse anything else."""
     if type(values) is not np.ndarray or values.dtype is not FLOAT64:
         try:
             given = np.ma.asarray(values)

@@ -188,7 +188,6 @@ class FrankaDriver:
         self._braked = False
 
     def _connect(self) -> None:
-        """Connect, and set its collision thresholds."""
         with self._named("connect"):
             self._robot = self._franka.Robot(*self._address)
         self._is_lost = False
@@ -199,7 +198,6 @@ class FrankaDriver:
             self._state = self._robot.read_once()
 
     def _within_rate(self, torque: Array) -> Array:
-        """Return torques within efforts, and their rate of the last that the robot got."""
         before, change = np.array(self._state.tau_J_d), _TORQUE_RATE * _DT
         low, high = np.maximum(before - change, -_EFFORT), np.minimum(before + change, _EFFORT)
         return np.asarray(np.minimum(np.maximum(torque, low), high))
@@ -221,7 +219,6 @@ class FrankaDriver:
 
     @contextmanager
     def _named(self, what: str) -> Iterator[None]:
-        """Turn errors of the client into ours."""
         try:
             yield
         except self._errors as error:

@@ -174,7 +174,6 @@ class RobotLoop(Loop):
         self._sensor = SensorWatch(task, self.dt, accuracy, blind, self.learns_sensor)
 
     def _motion_sd(self, q: Array) -> Callable[[Array], Array] | None:
-        """Return how well the motion of x from q is predicted, see `Kinematics.motion_sd`."""
         if not self.learns_sensor:
             return None
         kinematics, known = self.controller.kinematics_of(self.state)
@@ -389,7 +388,6 @@ class Halt:
 
 
 def _complete(task: Task, target: Target | Array) -> tuple[Array, Array, Array]:
-    """Return x, v and a of a target, 0 where it has no rates."""
     if not isinstance(target, Target):
         target = Target(target)
     still = np.zeros(task.m)

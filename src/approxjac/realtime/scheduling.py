@@ -70,7 +70,6 @@ def real_time(scheduling: Scheduling) -> Iterator[None]:
 
 
 def _set(scheduling: Scheduling) -> tuple[set[int], int, os.sched_param] | None:
-    """Ask the system, and return what was before."""
     cpu, priority = scheduling.cpu, scheduling.priority
     if cpu is None and priority is None:
         return None

@@ -377,13 +377,11 @@ class GravityRegressor(_TorqueRegressor):
         return load
 
     def _samples(self, robot: Robot, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Return Z of this robot and g of another, stacked over random configurations."""
         dynamics, configurations = Dynamics(robot), anywhere(robot, rng)
         Z = np.vstack([self.Z(q) for q in configurations])
         return Z, np.concatenate([dynamics.g(q) for q in configurations])
 
     def _error(self, robot: Robot, theta: Array, rng: np.random.Generator) -> float:
-        """Return the largest error of Z θ over new configurations, relative to the largest g."""
         Z, g = self._samples(robot, rng)
         return float(np.abs(Z @ theta - g).max() / max(np.abs(g).max(), 1e-300))
 

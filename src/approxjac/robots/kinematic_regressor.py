@@ -230,7 +230,6 @@ class KinematicRegressor:
         return frame if frame in self.robot.tree.links else joints[frame].child
 
     def _placement(self, frame: str) -> pin.SE3:
-        """Return the placement of a frame on the link that moves it."""
         return self._model.frames[self._frame_id(frame)].placement
 
     def _frame_id(self, frame: str) -> int:
@@ -251,7 +250,6 @@ class KinematicRegressor:
         return np.concatenate([q, theta]).take(self._from_q)
 
     def _positions(self) -> Array:
-        """Return the positions of all points, (3k,) [m], where they are placed."""
         update, (model, data) = pin.updateFramePlacement, (self._freed, self._data)
         return np.concatenate([update(model, data, point).translation for point in self._points])
 
@@ -262,6 +260,5 @@ class KinematicRegressor:
         return each[0] if len(each) == 1 else np.concatenate(each)
 
     def _along_joints(self, J: Array) -> Array:
-        """Return the columns of the robot's own joints, (3k, n_v)."""
         J = J.take(self._of_joints, 1)
         return J if self._plain else np.asarray(J.dot(self._columns))

@@ -120,7 +120,6 @@ def locked_joints(source: str | Path, robot: Robot) -> tuple[str, ...]:
 
 
 def _find(source: str | Path) -> tuple[str, Path | None, NamedRobot | None]:
-    """Return the URDF text that a source means, its file, and what is known of it by name."""
     if not isinstance(source, str | Path):
         message = f"source must be a name, a path or URDF text, got {source!r}"
         raise InvalidInputError(message, given=source)
@@ -152,7 +151,6 @@ def urdf_path(entry: NamedRobot) -> Path:
 
 
 def _read(path: Path) -> str:
-    """Return the text of a file, in the encoding that it declares."""
     try:
         if (size := path.stat().st_size) > MOST_TEXT:
             message = f"URDF file {path} must have at most {MOST_TEXT} bytes, got {size}"
@@ -204,7 +202,6 @@ def _lock_off_chain(
 
 
 def _names(free: str | Sequence[str], moving: list[str], urdf: Urdf) -> list[str]:
-    """Return the joints that `free` names."""
     require("free", free, Sequence, "names of joints, or 'all'")
     names = [free] if isinstance(free, str) else list(free)
     if names == ["all"]:
@@ -216,7 +213,6 @@ def _names(free: str | Sequence[str], moving: list[str], urdf: Urdf) -> list[str
 
 
 def _chain(urdf: Urdf, base: str | None, tip: str) -> set[str]:
-    """Return all joints between two links."""
     parent_joints = {joint.child: joint for joint in urdf.joints.values()}
     link, start = _link(urdf, tip), None if base is None else _link(urdf, base)
     joints = set()

@@ -258,7 +258,6 @@ def _faults(root: Any) -> Iterator[str]:
 
 
 def _attribute_faults(owner: Any) -> Iterator[str]:
-    """Say what of a <link> or <joint> is missing, or no number."""
     name = owner.get("name")
     if not name:
         yield f"a <{owner.tag}> has no name"
@@ -280,7 +279,6 @@ def _attribute_faults(owner: Any) -> Iterator[str]:
 
 
 def _joint_faults(joint: UrdfJoint, links: set[str]) -> Iterator[str]:
-    """Say what is wrong with one joint and its <limit>."""
     name, kind = joint.name, joint.type
     for link in (joint.parent, joint.child):
         if link not in links:
@@ -438,7 +436,6 @@ def _set_origin(joint: Any, placement: pin.SE3) -> None:
 
 
 def _origin(placement: pin.SE3) -> Any:
-    """Return the <origin> of a placement."""
     # + 0 makes 0 of -0
     numbers = placement.translation + 0.0, pin.rpy.matrixToRpy(placement.rotation) + 0.0
     xyz, rpy = (" ".join(map(str, each)) for each in numbers)

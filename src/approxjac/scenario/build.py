@@ -154,7 +154,6 @@ def holding(arm: Robot, held: Object, shifts: Vectors, rotations: Vectors) -> Ro
 
 
 def _tasks(truth: Robot, belief: Robot, scenario: Scenario) -> tuple[Task, Task]:
-    """Return the sensor of the true robot and the believed task, without a pinhole camera."""
     chosen, given, wrong = scenario.task, scenario.true.camera, scenario.believed.camera
     if chosen.kind == "image":
         f, z, roll = given.focal_length or _PLANAR_FOCAL_LENGTH, given.distance, given.roll
@@ -305,7 +304,6 @@ def _gravity(truth: Robot, belief: Robot, kind: str, integral_action: bool | Non
 
 
 def _kinematics(scenario: Scenario, task: Task) -> Kinematics:
-    """Return the kinematics that learn what a scenario says to be unknown."""
     unknown, noise = scenario.controller.unknown, scenario.sensor.noise
     rest: dict[str, Any] = {"delay": scenario.sensor.delay, "dt": sampling_time(scenario)}
     if not isinstance(task, ImageTask):

@@ -186,7 +186,6 @@ def _in(where: str) -> str:
 
 
 def _table_of(record: Any, value: Any, key: str) -> Table:
-    """Return the table that a value is for a field that is a record."""
     if isinstance(value, type(record)):
         return dict(vars(value))
     if isinstance(record, Goal) and isinstance(value, Sequence | np.ndarray):

@@ -142,7 +142,6 @@ def _scene_in_hand(
 def _scene(
     sensor: ImageTask, belief: Robot, believed: PinholeCamera, depth: str, constant: float | Array
 ) -> Scene:
-    """Return the sensor and the believed task, with depths from the source that is chosen."""
     points = sensor.points
     if depth == "measured":
         sensor = ImageTask(sensor.robot, sensor.camera, points=points, depth=depth)
@@ -151,7 +150,6 @@ def _scene(
 
 
 def _believed(camera: PinholeCamera, scenario: Scenario, back: float) -> PinholeCamera:
-    """Return the believed camera: no distortion, and the errors of the scenario."""
     wrong = scenario.believed.camera
     off = camera.with_error(
         shift=np.array(wrong.shift) - [0.0, 0.0, back],
@@ -189,7 +187,6 @@ def _usual_ratio(usual: list[tuple[ImageTask, Array]]) -> float:
 
 
 def _is_usable(scene: Scene, q: Array, ratio: float) -> bool:
-    """Return True if a configuration can be a start or a goal."""
     sensor, robot = scene[0], scene[0].robot
     assert isinstance(sensor.camera, PinholeCamera)  # the scenes above have no other
     images, size = _images(sensor, q), np.array(sensor.camera.size)
@@ -202,7 +199,6 @@ def _is_usable(scene: Scene, q: Array, ratio: float) -> bool:
 
 
 def _images(sensor: ImageTask, q: Array) -> Array:
-    """Return the image of each point, shape (k, 2) [px]; NaN where it has none."""
     return np.asarray(sensor.value(q).reshape(len(sensor.points), -1)[:, :2])
 
 

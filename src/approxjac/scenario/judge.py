@@ -129,7 +129,6 @@ def analyse(
 
 
 def _truth(arm: Robot, built: BuiltScenario, analysis: Analysis) -> Uncertainty | Plant:
-    """Return what may be true: the ranges of errors, or the true robot where none are given."""
     ranges = [each.name for each in fields(Uncertainty) if hasattr(analysis, each.name)]
     given = {name: getattr(analysis, name) for name in ranges}
     friction, believed = built.scenario.true.friction, built.scenario.believed
@@ -164,7 +163,6 @@ def _image_task(like: ImageTask, C: Array | None, robot: Robot, camera: Camera) 
 
 
 def _region(controller: SetpointController, analysis: Analysis) -> Region | None:
-    """Return where to look, or None for the usual region."""
     belief, least = controller.task.robot, analysis.sigma_min
     region: Region | None = None if least is None else stability.JointBox(belief)
     if analysis.around is not None:
@@ -176,7 +174,6 @@ def _region(controller: SetpointController, analysis: Analysis) -> Region | None
 
 
 def _values(name: str, loop: ClosedLoop, uncertainty: Uncertainty, count: int) -> Array:
-    """Return the values of a parameter of the map."""
     shares, own = np.linspace(0.0, 1.0, count), own_values(loop.controller)[name]
     values = own * 10.0 ** (2.0 * shares - 1.0)
     if name == "error":

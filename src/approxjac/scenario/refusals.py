@@ -103,7 +103,6 @@ def _rules(scenario: Scenario) -> Iterator[Rule]:
 
 
 def _faults(scenario: Scenario) -> Iterator[tuple[Any, str]]:
-    """Say which values cannot be, or not with others."""
     dt, run, sensor, task = scenario.loop.dt, scenario.run, scenario.sensor, scenario.task
 
     def wrong(key: str, wanted: str, given: Any = None) -> tuple[Any, str]:

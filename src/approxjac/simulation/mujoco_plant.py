@@ -94,7 +94,6 @@ class MujocoPlant(Plant):
 
 
 def _mujoco_model(robot: Robot, floor: float | None, joint_limits: bool) -> mujoco.MjModel:
-    """Return MuJoCo's model of a robot above a floor, from the URDF that `save_urdf` writes."""
     mujoco = package_of("mujoco", "mujoco")
     with tempfile.TemporaryDirectory() as folder:
         path = robot.save_urdf(Path(folder) / "robot.urdf")

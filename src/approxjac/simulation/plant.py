@@ -312,7 +312,6 @@ class Plant(Immutable):
         return self._with(sensing=sensing, actuator_delay=actuator_delay)
 
     def _with(self, **changes: Any) -> Self:
-        """Return this plant with other arguments, which were checked, without building it."""
         plant = object.__new__(type(self))
         vars(plant).update(vars(self), **changes, _changes={**self._changes, **changes})
         return plant
@@ -372,7 +371,6 @@ class Plant(Immutable):
         return max(usable, key=lambda q: np.linalg.norm(sensor.jacobian(q, sensor.value(q)), -2))
 
     def _is_free(self, q: Array) -> bool:
-        """Return True where the arm touches nothing."""
         return True
 
     @property
@@ -466,7 +464,6 @@ class Plant(Immutable):
         return g if self._added is None else g - self._added.g(q)
 
     def _delivered(self, q: Array, tau: Array) -> Array:
-        """Return the motors' torque for a command, with the gravity that the robot adds."""
         if self._added is not None:
             tau = tau + self._added.g(q)
         if self.torque_limits is None:

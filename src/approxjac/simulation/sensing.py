@@ -126,7 +126,6 @@ class SensorReadings:
         return Measurement(truth.t, q, v, x, t_x)
 
     def _read_x(self, t: float, x: Array) -> tuple[Array, float]:
-        """Return the x that arrives at time t [s], and the time at which it was taken."""
         frame = self._frames.next(t)
         if frame.is_taken:
             noisy = self._x_noisy
@@ -204,7 +203,6 @@ def lost_entries(sensing: Sensing, task: Task) -> list[slice]:
 
 
 def _intervals(name: str, value: Any, *, parts: bool) -> tuple[Any, ...]:
-    """Return intervals of time as tuples of their numbers, and of the part where there is one."""
     try:
         intervals = [(start, end, *part) for start, end, *part in value]
         if not all(type(i) is int and i >= 0 for _, _, *part in intervals for i in part):
@@ -277,6 +275,5 @@ class SensorFrames:
         return SensorFrame(is_taken, self._kept_at, lost, read_at, is_new, t_x)
 
     def _within(self, t: float, intervals: Sequence[tuple[float, float]]) -> list[int]:
-        """Return the numbers of the intervals that a time [s] is in."""
         t += _TINY * self._dt
         return [i for i, (start, end) in enumerate(intervals) if start <= t < end]

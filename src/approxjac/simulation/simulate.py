@@ -600,7 +600,6 @@ def _continuous(
     count: int,
     computation: Computation,
 ) -> Trajectory:
-    """Integrate (q, v, controller state) together, and record on a grid."""
     solve_ivp = package_of("study", "scipy.integrate").solve_ivp
     model, n = plant.robot.model, plant.robot.nv
     q0, v0, given = start.checked(plant)

@@ -209,7 +209,6 @@ class _FrameTask(Task):
         return self._of_error(self._frame.jacobian_dot(q, v))
 
     def _of_error(self, J: Array) -> Array:
-        """Return the task's part of a Jacobian (6, n_v) of the frame, shape (m, n_v)."""
         return J
 
 

@@ -176,7 +176,6 @@ class ImageTask(Task):
         return ImageTask(robot, self.camera, self.frame, self.points, depth=depth)
 
     def _images(self, x: Array) -> Array:
-        """Return the image coordinates of each point of a value, shape (k, 2)."""
         return x.reshape(-1, self._stride)[:, :2]
 
     def _located(self, q: Array, x: Array | None) -> Array:
@@ -205,12 +204,10 @@ class ImageTask(Task):
 
 
 def _joint_of(robot: Robot, frame: str | None) -> int:
-    """Return the index of the joint that a frame moves with; 0 is the world."""
     return 0 if frame is None else int(robot.model.frames[robot.frame_id(frame)].parentJoint)
 
 
 def _points(points: object) -> Array:
-    """Return points as an array of shape (k, 3), no two the same and no three on one line."""
     array = as_array("points", points, ("k", 3), "m")
     for i, point in enumerate(array):
         same = np.linalg.norm(array[:i] - point, axis=1) < _APART
@@ -239,7 +236,6 @@ def _turn(images: Array) -> float:
 
 
 def _roundness(points: Array) -> float:
-    """Return |`_turn`| of points (k, 3) as seen from the front; 0 of what is no plane polygon."""
     if len(points) < 4:  # a triangle is often seen from either side
         return 0.0
     about = points - points.mean(axis=0)
@@ -249,7 +245,6 @@ def _roundness(points: Array) -> float:
 
 
 def _depth(depth: object, k: int) -> str | Array:
-    """Return the word, or the depth of each point, shape (k,) [m]."""
     if not isinstance(depth, str):
         return as_diagonal("depth", depth, k, unit="m")
     if depth not in ("believed", "measured"):

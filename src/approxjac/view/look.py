@@ -147,7 +147,6 @@ def load_mesh(path: Path) -> Trimesh:
 
 
 def _capsule(end: Any, radius: float) -> Trimesh:
-    """Return a cylinder from the origin to `end` (3,) [m] with a half ball at each."""
     mesh = creation.capsule(float(np.linalg.norm(end)), radius, count=[12, 20])
     mesh.apply_translation(-mesh.bounds.mean(axis=0))  # its place differs between versions
     mesh.apply_transform(trimesh.geometry.align_vectors([0.0, 0.0, 1.0], end))
@@ -181,6 +180,5 @@ def smooth(mesh: Trimesh) -> Trimesh:
 
 
 def _without_flat(mesh: Trimesh) -> Trimesh:
-    """Drop triangles that are there twice or have no area."""
     mesh.update_faces(mesh.unique_faces() & mesh.nondegenerate_faces())
     return mesh

@@ -194,7 +194,6 @@ def plot_run(run: Trajectory) -> tuple[Figure, list[Axes]]:
 
 
 def _tips(run: Trajectory, robot: Robot, frame: str) -> Array:
-    """Return world positions of a frame in all configurations of a run, shape (N, 3)."""
     kinematics = FrameKinematics(robot, frame)
     return np.array([kinematics.position(q) for q in run.q])
 

@@ -181,7 +181,6 @@ def reduced(numbers: ArmNumbers, structure: Structure) -> Reduced:
 
 
 def _with_z(axis: Array) -> Array:
-    """Return a rotation whose third column is an axis: of the axes x, y and z a permutation."""
     beside = np.eye(3)[(int(np.abs(axis).argmax()) + 1) % 3]
     x = beside - (beside @ axis) * axis
     x = x / np.sqrt(x @ x)

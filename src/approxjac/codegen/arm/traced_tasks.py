@@ -71,7 +71,6 @@ def may_lose(task: Task) -> bool:
 
 
 def _cameras(of: Task) -> list[Camera]:
-    """Return the cameras of a task and of its parts, each once."""
     found: list[Camera] = []
     seen: set[int] = set()
     waiting: list[Any] = [of]
@@ -109,7 +108,6 @@ def with_numbers(sensor: Task, given: Mapping[str, Symbols]) -> Task:
 
 
 def _replaced(of: Any, changed: Mapping[int, Camera]) -> Any:
-    """Return an object with the cameras in its parts replaced; itself without any."""
     if isinstance(of, Camera):
         return changed[id(of)]
     if isinstance(of, tuple | list):

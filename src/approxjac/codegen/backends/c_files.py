@@ -86,7 +86,6 @@ def _filled(text: str, named: dict[str, str]) -> str:
 
 
 def _source(step: SampledStep) -> dict[str, str]:
-    """Return the template values of controller.c."""
     lines, flat = Writer(step.graph, LANGUAGE).lines([*chain(*step.outputs.values())])
     prefix, nv = identifier(step.controller.task.robot.name), step.controller.task.robot.nv
     places = {
@@ -120,7 +119,6 @@ def _source(step: SampledStep) -> dict[str, str]:
 
 
 def _t_checks(step: SampledStep) -> str:
-    """Return the lines that refuse a time that is none."""
     wrong = ["!is_finite(&now->t, 1)"] if "t" in step.asked else []
     if "t_x" in step.asked:
         wrong += ["now->t_x > DBL_MAX", "now->t_x - now->t > 1.0"]
@@ -152,7 +150,6 @@ def _guarded(step: SampledStep) -> dict[str, str]:
 
 
 def _q_checks(step: SampledStep) -> str:
-    """Return the condition that q is a configuration."""
     of_pairs = pairs(step)
     angles = set(range(step.controller.task.robot.nq)) - {i + k for i in of_pairs for k in (0, 1)}
     holds = [f"fabs(q[{i}]) <= {LARGEST_ANGLE!r}" for i in sorted(angles)]
@@ -216,7 +213,6 @@ def _recorded(step: SampledStep, dt: float) -> list[Record]:
 
 
 def _rows(records: list[Record]) -> str:
-    """Return the records as C initializes them."""
     rows = []
     for record in records:
         if not len(record["after"]):
@@ -232,7 +228,6 @@ def _rows(records: list[Record]) -> str:
 
 
 def _of(record: Record, name: str) -> str:
-    """Return some numbers of a record as C initializes them."""
     numbers = [constant(value) for value in record[name].tolist()]
     return numbers[0] if name in ("t", "t_x") else _braced(numbers)
 
@@ -275,7 +270,6 @@ def template_values(controller: Controller, step: SampledStep) -> dict[str, str]
 
 
 def _fields(step: SampledStep) -> dict[str, str]:
-    """Return a comment for each field of a measurement and of a target."""
     task, law = step.controller.task, step.controller.law
     x_units = _units_of_x(task)
     speeds = joined(f"{unit}/s" for unit in task.robot.joint_units)
@@ -302,7 +296,6 @@ def _fields(step: SampledStep) -> dict[str, str]:
 
 
 def _said(text: str) -> str:
-    """Return a comment within an enumeration or a structure."""
     lines = textwrap.wrap(f"/* {text} */", _LINE, initial_indent=" " * 4, subsequent_indent=" " * 7)
     return "\n".join(lines)
 
@@ -320,7 +313,6 @@ def pairs(step: SampledStep) -> list[int]:
 
 
 def _made_from(controller: Controller, step: SampledStep) -> Iterator[tuple[str, str]]:
-    """Return rows on the origin of a controller: name, text."""
     import approxjac
 
     task, robot = controller.task, controller.task.robot
@@ -346,7 +338,6 @@ def _comment(parts: Iterator[tuple[str, str]]) -> str:
 
 
 def _plain(text: str) -> str:
-    """Return a text without the start or end of a C comment."""
     return " ".join(text.split()).replace("*/", "* /").replace("/*", "/ *")
 
 

@@ -139,7 +139,6 @@ class LlvmLanes:
 
 
 def _source(program: Program, width: int) -> str:
-    """Return a program in LLVM's language."""
     pointers: list[str] = []
     allocated: list[str] = []
     constants: dict[str, str] = {}
@@ -324,7 +323,6 @@ def _source(program: Program, width: int) -> str:
 
 
 def _filled(text: str, width: int) -> str:
-    """Return a text with its types, words like $D, written out."""
     words = {
         "$D": f"<{width} x double>",
         "$B": f"<{width} x i1>",

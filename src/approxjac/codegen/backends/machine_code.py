@@ -106,7 +106,6 @@ def cache_folder() -> Path | None:
 
 
 def _digest(llvm: Any, text: str, features: str, effort: int) -> str:
-    """Return the file name of code: a digest of all that it depends on."""
     import llvmlite
 
     import approxjac
@@ -119,7 +118,6 @@ def _digest(llvm: Any, text: str, features: str, effort: int) -> str:
 
 
 def _read(path: Path) -> bytes | None:
-    """Return the code in a file, or None if it is missing or damaged."""
     try:
         with path.open("rb") as file:
             data = file.read(_ON_DISK)

@@ -262,8 +262,6 @@ def _leaves_arrays(method: Callable[[Scalar, Any], Any]) -> Callable[[Scalar, An
 
 
 def _comparison(operation: str, swaps: bool = False) -> Any:
-    """Return the method of a comparison, or of that with its arguments the other way round."""
-
     def compared(self: Scalar, other: Any) -> Scalar:
         return self.graph.apply(operation, *((other, self) if swaps else (self, other)))
 
@@ -493,7 +491,6 @@ def _is_condition(number: Number) -> bool:
 
 
 def _negated(number: Scalar) -> Scalar | None:
-    """Return b of a = −b, or None."""
     node = number.graph.nodes[number.place]
     return Scalar(number.graph, node.arguments[0]) if node.operation == "negative" else None
 
@@ -727,7 +724,6 @@ def _solve(A: Any, b: Any) -> Symbols:
 
 
 def _is_same(a: Number, b: Number) -> bool:
-    """Return whether two numbers are surely the same."""
     if isinstance(a, Scalar) and isinstance(b, Scalar):
         return a.place == b.place
     return not isinstance(a, Scalar) and not isinstance(b, Scalar) and bool(a == b)
@@ -841,7 +837,6 @@ def _looped(count: int, body: Callable[[Any, Values], tuple[Values, Values]], st
 
 
 def _apply(ufunc: np.ufunc, method: str, *arguments: Any, **options: Any) -> Any:
-    """Return what a function of NumPy makes of arrays, some of which hold `Scalar`s."""
     if "out" in options:
         options["out"] = tuple(map(_plain, options["out"]))
     if ufunc is np.matmul and _is_large(*arguments):
@@ -878,7 +873,6 @@ def _product(A: Any, b: Symbols) -> Symbols:
 
 
 def _where(condition: Any, a: Any, b: Any) -> Any:
-    """Return what `numpy.where` does."""
     result = _choices(*map(_plain, (condition, a, b)))
     return result.view(SymbolArray) if isinstance(result, np.ndarray) else result
 

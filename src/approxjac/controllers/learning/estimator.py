@@ -182,7 +182,6 @@ class KnownKinematics(Kinematics):
         return f"KnownKinematics({self.task!r})"
 
     def _rate(self, x: Array, x_dot: Array, x_d: Array, x_d_dot: Array) -> Array:
-        """Return ż of an error that is no difference, such as a rotation vector; shape (m,)."""
         size = math.hypot(*x_dot.tolist(), *x_d_dot.tolist())
         if size == 0.0:
             return self._none
@@ -250,7 +249,6 @@ class Estimator(Kinematics):
     # -- what one derived from it has --------------------------------------------------------
 
     def _own(self, measurement: Measurement) -> Measurement:
-        """Return a measurement with x in the units that are learnt in."""
         return measurement
 
     def _points(self, x: Array) -> Array:
@@ -371,7 +369,6 @@ class Estimator(Kinematics):
         noted[2] += share * (0.5 * change.dot(change) / np.maximum(n, 1.0) - noted[2])
 
     def _forget(self, state: Array) -> None:
-        """Note that learning begins anew, in place."""
         noted = state[self._at["noted"]]
         noted[0], noted[1] = 0.0, noted[1] + 1.0
         state[self._at["integral"]] = state[self._at["averaged"]] = 0.0
@@ -396,7 +393,6 @@ class Estimator(Kinematics):
     # -- what was learnt -----------------------------------------------------------------
 
     def _required(self, state: Array) -> Array:
-        """Return a state of such kinematics, or refuse what is none."""
         state = as_vector("state", state, self.n_state)
         if not self._is_state(state):
             raise InvalidInputError(

@@ -247,7 +247,6 @@ class AdaptiveCamera(Estimator):
         self._follow(state)
 
     def _follow(self, state: Array) -> None:
-        """Let what is controlled be what is estimated, in place."""
         at = self._at
         estimate = self._estimator.estimate(state[at["keys"]])
         u, R, p, stretch = _parts(estimate)
@@ -256,7 +255,6 @@ class AdaptiveCamera(Estimator):
         state[at["stretch"]] = stretch
 
     def _in_order(self, estimate: Array) -> Array:
-        """Return the learnt numbers in the order of `names`."""
         u, R, p, stretch = _parts(estimate)
         f = self._f[0] * math.exp(stretch)
         return np.concatenate([u, p, law.rotation_log(self._R.dot(R.T)), [f]])[self._is_learnt]
@@ -315,7 +313,6 @@ class AdaptiveCamera(Estimator):
         state[at["b_dot"]] = rate * (state[at["integral"]] - state[at["b"]])
 
     def _smooth(self, state: Array) -> tuple[Array, Array, float]:
-        """Return the smoothed u, R and λ."""
         at = self._at
         return state[at["u"]], state[at["R"]].reshape(3, 3), float(state[at["stretch"]][0])
 
@@ -383,7 +380,6 @@ class AdaptiveCamera(Estimator):
 
 
 def _require_image(task: Any) -> None:
-    """Refuse a task whose camera cannot be learnt."""
     camera: Any = getattr(task, "camera", None)
     is_image = isinstance(task, ImageTask) and isinstance(camera, PinholeCamera)
     if is_image and not task.m > controllable_coordinates(task) == 6:
@@ -400,7 +396,6 @@ def _require_image(task: Any) -> None:
 
 
 def _parts(estimate: Array) -> tuple[Array, Array, Array, float]:
-    """Return u, R, p and λ of an estimate."""
     u, R, p = np.split(estimate[:-1], [-12, -3])
     return u, R.reshape(3, 3), p, float(estimate[-1])
 

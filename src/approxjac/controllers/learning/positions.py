@@ -235,7 +235,6 @@ class AdaptiveKinematics(Estimator):
         return np.asanyarray(reach)
 
     def _in_order(self, Theta: Array, R: Array) -> Array:
-        """Return the learnt numbers in the order of `names`."""
         n, c = self._n_theta, Theta[self._n_u :]
         parts = [Theta[:n]]
         if self._learns_T:
@@ -330,7 +329,6 @@ class AdaptiveKinematics(Estimator):
         return np.where(is_seen, self._length * law.rotation_log(R.dot(nearest)), math.nan)
 
     def _renew(self, state: Array) -> None:
-        """Begin anew where what was learnt is contradicted, as by a tool that slipped, in place."""
         at = self._at
         sums, chi = state[at["sums"]], state[at["chi"]]
         # or it was a false start, of which χ² says nothing either
@@ -373,15 +371,12 @@ class AdaptiveKinematics(Estimator):
         state[at["b_dot"]] = b_dot
 
     def _rotation(self, state: Array) -> Array:
-        """Return the smoothed rotation of the base's axes in the sensor's, (d, d)."""
         return state[self._at["R"]].reshape(self._d, self._d) if self._turns else self._R
 
     def _frame(self, q: Array) -> Array:
-        """Return R_f of the believed frame, shape (3, 3)."""
         return self._flange.placement(q)[0]
 
     def _turned(self, R: Array, p: Array) -> Array:
-        """Return R p of each point, shape (m,)."""
         return p.reshape(-1, self._d).dot(R.T).ravel() if self._is_turned else p
 
     # -- prediction ----------------------------------------------------------------------
@@ -520,7 +515,6 @@ def _seen(task: Any) -> tuple[list[tuple[str, str]], tuple[float, Array, Array] 
 
 
 def _axes(task: Task, points: list[tuple[str, str]], turns: bool) -> str:
-    """Return the axes of a point."""
     each = {axes for _, axes in points}
     if not turns:
         return "".join(axis for axis in "xyz" if axis in "".join(each))
@@ -623,7 +617,6 @@ class _UnknownRotation(_KnownRotation):
         self._everywhere = law.rotations_everywhere(self._d).reshape(-1, dd)
 
     def _split(self, numbers: Array) -> tuple[Array, Array, Array, Array, Array, Array]:
-        """Return N, a, B, E, and the estimates Θ and A."""
         a, B, E, Theta, A = (numbers[start:end] for start, end in self._parts)
         B, A = B.reshape(self._P, -1), A.reshape(self._d, self._d)
         return self.information(numbers), a, B, E, Theta, A
@@ -667,7 +660,6 @@ class _UnknownRotation(_KnownRotation):
         return np.asarray(T.dot(joint).dot(T.T))
 
     def _rotation(self, M: Array, h: Array, A: Array) -> Array:
-        """Return the best rotation near A, or one elsewhere that is better beyond doubt."""
         near = law.best_rotation(M, h, A)
         start = law.most_explained(M, h, self._everywhere)
 

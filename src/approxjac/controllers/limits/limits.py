@@ -111,7 +111,6 @@ def sure_deceleration(robot: Robot, effort: Array) -> Array:
 
 
 def _range(position: object) -> tuple[Array, Array]:
-    """Check a range of joint positions, and return it as two arrays."""
     try:
         lower, upper = (np.array(side, dtype=np.float64) for side in position)  # type: ignore[attr-defined]
         fits = lower.shape == upper.shape and lower.ndim == 1 and bool((lower < upper).all())

@@ -399,7 +399,6 @@ class TorqueLimited(ControllerWrapper):
         return after
 
     def _locked(self, measurement: Measurement, torque: Array) -> Array:
-        """Return True for joints at a limit, shape (n_v,)."""
         motion, (low, high) = self._positions(measurement.q), np.asarray(self.limits.position)
         locked = (motion < low + _AT_LIMIT) | (motion > high - _AT_LIMIT)
         locked |= np.abs(measurement.v) > _NEARLY * np.asarray(self.limits.velocity)
@@ -455,7 +454,6 @@ class TorqueLimited(ControllerWrapper):
 def _sorted(
     limits: Limits | Limit | Sequence[Limits | Limit] | None,
 ) -> tuple[Limits | None, tuple[Limit, ...]]:
-    """Return the limits of joints and motors, None of none, and those of motion."""
     listed = limits if isinstance(limits, list | tuple) else () if limits is None else (limits,)
     of_joints = [each for each in listed if isinstance(each, Limits)]
     if len(of_joints) > 1:

@@ -236,7 +236,6 @@ class MatrixForm:
         return np.asarray(np.minimum(margins, 1.0 - np.sqrt(self._kinetic(weights, G))))
 
     def _is_bounded(self, weights: Weights) -> bool:
-        """True if V at rest is positive: 2c̄W + Ω is."""
         return bool(np.linalg.eigvalsh(weights.block(self.setting.c_bar))[0] > 0.0)
 
     def _kinetic(self, weights: Weights, G: Array) -> Array:
@@ -521,7 +520,6 @@ class SampledForm(MatrixForm):
 
     @property
     def _gain(self) -> float:
-        """Γ² [s²]."""
         return (self.hold.gain * self._growth) ** 2
 
     @property
@@ -590,7 +588,6 @@ class SampledForm(MatrixForm):
 
     @property
     def _size(self) -> float:
-        """Natural size of λ: ½ at the largest γ that may do, and as 1/γ below it."""
         return _HALF / min(1.0, math.sqrt(self._gain) * self._fastest)
 
     @property

@@ -56,7 +56,6 @@ class Region(ABC):
         return np.array(pin.integrate(self.robot.model, q, motion))
 
     def _away(self, q: Array, other: Array) -> Array:
-        """Motion (n_v,) from a configuration to another one, which may be given as angles."""
         other = other if np.shape(other) == (self.robot.nq,) else self.robot.configuration(other)
         return np.asarray(pin.difference(self.robot.model, q, other))
 

@@ -69,7 +69,6 @@ class Coordinate(NamedTuple):
 
 
 def _as_range(name: str, given: Any, believed: float, unit: str, of: str = "") -> list[Coordinate]:
-    """Return the coordinate, named `of` + name, of a range (low, high), if one was given."""
     if given is None:
         return []
     wanted = f"{name} must be (smallest, largest) [{unit}]"
@@ -108,7 +107,6 @@ def _as_bounds(name: str, given: Any, arm: Robot, unit: str) -> dict[str, tuple[
 
 
 def _camera_range(camera: Camera | None, name: str, given: Any) -> list[Coordinate]:
-    """Return the coordinate of a camera's calibration, if a range of it was given."""
     if given is None:
         return []
     if camera is None:

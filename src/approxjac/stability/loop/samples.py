@@ -131,7 +131,6 @@ class TracedTerms:
         return type(self), self._given  # machine code is of this process
 
     def _require_alike(self, plants: Sequence[Plant], task: Task) -> None:
-        """Refuse sensors that are made in another way than that of the first true robot."""
         robot = task.robot
         drawn = [robot.random_configuration(np.random.default_rng(k)) for k in range(len(plants))]
         x_d = np.tile(task.origin, (len(plants), 1))

@@ -296,7 +296,6 @@ def report_of(
 
 
 def _verdict(report: StabilityReport) -> Row:
-    """The verdict on the sampled loop."""
     period, sampled, rollouts = report.latency.period, report.sampled, report.rollouts
     late = report.latency.of_position > period
     rate = 1.0 / period
@@ -462,7 +461,6 @@ def of_gravity(loop: ClosedLoop, error: float) -> Row:
 
 
 def _sampled(report: StabilityReport) -> Iterator[Row]:
-    """Rows about the loop that is sampled and late."""
     sampled, radii, frame = report.sampled, report.spectral_radii, Timing.of(report.latency).frame
     if sampled is not None:
         verdict = "holds" if sampled.certified else "does not hold"
@@ -481,7 +479,6 @@ def _sampled(report: StabilityReport) -> Iterator[Row]:
 
 
 def _figures(report: StabilityReport, test: MatrixTest) -> dict[str, Any]:
-    """Figures of a test of the matrix form."""
     names = ("margin", "share", "violations", "checked", "violating_at_most", "certified")
     return {
         **{name: getattr(test, name) for name in names},
@@ -491,7 +488,6 @@ def _figures(report: StabilityReport, test: MatrixTest) -> dict[str, Any]:
 
 
 def _case(report: StabilityReport, truth: int, q: Array) -> dict[str, Any]:
-    """Figures of one of the cases: the true robot and the configuration."""
     angles = report.loop.plants[0].robot.angles(q)
     return {"worst_truth": report.describe_truth(truth), "worst_q": angles}
 

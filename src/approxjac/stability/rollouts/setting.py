@@ -148,7 +148,6 @@ class RolloutSetting:
         self._box()
 
     def _box(self) -> Box:
-        """Return the region as lanes take it, or refuse it."""
         part = self.region
         region, task, sigma_min = part, None, 0.0
         if type(part) is RegularPart:
@@ -199,7 +198,6 @@ class RolloutSetting:
         )  # fmt: skip
 
     def _of_python(self, start: Start) -> Rollout:
-        """Return a run in Python."""
         begins = start.index, start.values, start.q, start.target
         try:
             record = self.simulated(start)

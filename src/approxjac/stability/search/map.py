@@ -147,7 +147,6 @@ def stability_map(
 
 
 def _with_gains(controller: Controller, at: Mapping[str, float]) -> SetpointController:
-    """Return a controller with the gains of some parameters of a map."""
     law: Any = controller
     require_setpoint(law)
     assert isinstance(law, SetpointController)
