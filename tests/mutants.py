@@ -1071,7 +1071,7 @@ MUTANTS = [
         "  # from where it is seen again", CONTROL,
     ),
     (
-        "C: a state that overflows", "codegen/backends/c_templates.py",
+        "C: a state that overflows", "codegen/backends/templates/controller.c.in",
         " || !is_finite(after, N_STATE)", "", "tests/codegen/test_c99.py",
     ),
     (
@@ -1243,7 +1243,7 @@ MUTANTS = [
         '"rate_checks": "".join(finite)', '"rate_checks": ""', "tests/codegen/test_c99.py",
     ),
     (
-        "C: law of a target that is none", "codegen/backends/c_templates.py",
+        "C: law of a target that is none", "codegen/backends/templates/controller.c.in",
         "is_target ? target : &nowhere", "target", "tests/codegen/test_c99.py",
     ),
     (
@@ -1498,7 +1498,7 @@ def misfit(name: str, file: str, old: str, new: str, tests: str) -> str:
         return f"there is no {', '.join(gone)}"
     texts = {
         path.relative_to(ROOT / SRC).as_posix(): path.read_text(encoding="utf-8")
-        for path in sorted((ROOT / SRC).rglob("*.py"))
+        for path in sorted((ROOT / SRC).rglob("*.[pi][yn]"))  # C's templates, too
     }
     if (count := texts.get(file, "").count(old)) == 1 and old != new:
         return ""

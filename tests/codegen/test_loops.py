@@ -8,7 +8,7 @@ import pytest
 
 from approxjac import law
 from approxjac.codegen.backends.c99 import LANGUAGE
-from approxjac.codegen.backends.c_templates import POWER_OF_TWO
+from approxjac.codegen.backends.c_files import template
 from approxjac.codegen.backends.llvm import LlvmLanes
 from approxjac.codegen.backends.numpy_lanes import NumpyLanes
 from approxjac.codegen.trace.program import Program, Writer
@@ -147,7 +147,7 @@ def test_c_has_the_bits_of_numpy(case, tmp_path):
     lines, names = Writer(program.graph, language).lines(program.stepped["found"])
     stores = [f"    found[{i}] = {name};" for i, name in enumerate(names)]
     head = ["#include <math.h>", "void step(const double *x, const double *y, double *found)", "{"]
-    needed = "#include <stdint.h>\n#include <string.h>\n" + POWER_OF_TWO
+    needed = "#include <stdint.h>\n#include <string.h>\n" + template("power_of_two.c")
     helper = needed if "power_of_two" in str(lines) else ""
     (tmp_path / "a.c").write_text("\n".join([helper, *head, *lines, *stores, "}"]))
     command = ["gcc", "-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror"]

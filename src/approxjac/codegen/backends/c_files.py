@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Iterator
+from importlib import resources
 from itertools import chain
 from os import PathLike
 from pathlib import Path
@@ -12,7 +13,6 @@ from string import Template
 
 import numpy as np
 
-from approxjac.codegen.backends import c_templates as templates
 from approxjac.codegen.backends.c99 import LANGUAGE, SampledStep, constant, sampled_step
 from approxjac.codegen.trace.program import Writer
 from approxjac.codegen.trace.symbols import LARGEST_ANGLE
@@ -61,14 +61,9 @@ def export_c(controller: Controller, folder: str | PathLike[str]) -> Path:
     named = template_values(controller, step)
     dt = controller.dt or (controller.latency or Latency()).period
     records = _recorded(step, dt)
-    filled = {
-        "controller.h": _filled(templates.HEADER, named),
-        "controller.c": _filled(templates.SOURCE, named | _source(step)),
-        "selftest.c": _filled(
-            templates.SELFTEST, named | {"records": _rows(records), "dt": constant(dt)}
-        ),
-        "CMakeLists.txt": _filled(templates.CMAKE, named),
-    }
+    named |= _source(step) | {"records": _rows(records), "dt": constant(dt)}
+    names = "controller.h", "controller.c", "selftest.c", "CMakeLists.txt"
+    filled = {name: Template(template(name)).substitute(named) for name in names}
     path = Path(folder)
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -81,8 +76,10 @@ def export_c(controller: Controller, folder: str | PathLike[str]) -> Path:
     return path
 
 
-def _filled(text: str, named: dict[str, str]) -> str:
-    return Template(text).substitute(named)
+def template(name: str) -> str:
+    """Return the text of a file, in which $names are to be filled in."""
+    file = resources.files("approxjac.codegen.backends") / "templates" / f"{name}.in"
+    return file.read_text(encoding="utf-8")
 
 
 def _source(step: SampledStep) -> dict[str, str]:
@@ -110,7 +107,7 @@ def _source(step: SampledStep) -> dict[str, str]:
         "lines": "\n".join(lines),
         "stores": "\n".join(stores),
         "nowhere": ", ".join(["NAN"] * step.sizes["x"]),
-        "helpers": templates.POWER_OF_TWO if "power_of_two" in "".join(lines + first) else "",
+        "helpers": template("power_of_two.c") if "power_of_two" in "".join(lines + first) else "",
         "q_checks": _q_checks(step),
         "first": "\n".join([*first, "    (void)now;"]),
         "t_checks": _t_checks(step),
@@ -251,7 +248,7 @@ def template_values(controller: Controller, step: SampledStep) -> dict[str, str]
     return {
         "prefix": prefix,
         "PREFIX": prefix.upper(),
-        "is_finite": templates.IS_FINITE,
+        "is_finite": template("is_finite.c"),
         "nq": str(robot.nq),
         "nv": str(robot.nv),
         "n_x": str(task.n_x),
