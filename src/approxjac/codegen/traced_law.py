@@ -58,17 +58,13 @@ def stepped(
 
 def on_symbols(controller: Controller) -> Any:
     """Return a controller with this library's parts changed to accept symbols."""
-    if isinstance(controller, TorqueLimited):
-        _require_limiter(controller)
-    return _with_parts(controller, on_symbols)
-
-
-def _require_limiter(limiter: TorqueLimited) -> None:
-    if limiter.needs_solver and limiter.solver is not None:
+    solver = controller.solver if isinstance(controller, TorqueLimited) else None
+    if controller.needs_solver and solver is not None:
         raise InvalidInputError(
-            f"solver must be None to make code of a limiter that needs one, got {limiter.solver!r}",
-            given=limiter.solver,
+            f"solver must be None to make code of a limiter that needs one, got {solver!r}",
+            given=solver,
         )
+    return _with_parts(controller, on_symbols)
 
 
 def with_gains(controller: Controller, diagonals: Diagonals) -> Controller:

@@ -206,13 +206,8 @@ class Controller(ABC):
     ) -> tuple[Array, Evaluation]:
         """Return the state after a step, and its output, of a sample that is taken as good.
 
-        By default an Euler step of the rate from `evaluate`. States are those of `begin`.
-
-        Args:
-            state: State before the step, shape (n_state,).
-            measurement: The measurement.
-            target: Desired task value: x_d, shape (n_x,), or a `Target` that moves.
-            dt: Time for which the torque is held [s].
+        By default an Euler step of the rate from `evaluate`. The arguments are those of `step`,
+        with a state of `begin`.
 
         Raises:
             InvalidInputError: As `evaluate`; dt is not positive, or the output has no rate.

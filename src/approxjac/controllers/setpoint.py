@@ -10,13 +10,7 @@ from typing import Any, Self
 import numpy as np
 
 from approxjac import law
-from approxjac.controllers.arguments import (
-    FLOAT64,
-    HUGE,
-    overflow,
-    require_arrays,
-    require_finite,
-)
+from approxjac.controllers.arguments import FLOAT64, HUGE, overflow, require_arrays, require_finite
 from approxjac.controllers.controller import Controller, Instant
 from approxjac.controllers.gains.gains import Diagonals, Gains, Latency
 from approxjac.controllers.gains.sample_configurations import max_damping_rate

@@ -140,19 +140,17 @@ class RobotLoop(Loop):
     def halt(self) -> None:
         """Bring the arm to rest with the controller, from the next period on."""
         with self.between_steps:
-            if not self.halting:
-                self._halt()
-
-    def _halt(self) -> None:
-        self.halting = True
-        task, velocity = self.controller.task.measured, self._velocity
-        stop = Halt(task, self.step * self.dt, self.target, velocity, _HALT)
-        error = task.error(self.truth.x, self.target)
-        faster = task.jacobian(self.truth.q) @ self.truth.v - velocity
-        self._blended, self._stopped_at = stop, self.truth.x
-        ways = error, stop.distance, _HALT * faster, 6.0 * np.asarray(self._tolerances.accuracy.x)
-        self.stop_bound = float(sum(np.linalg.norm(way) for way in ways))
-        self.stop_distance = 0.0
+            if self.halting:
+                return
+            self.halting, noise = True, 6.0 * np.asarray(self._tolerances.accuracy.x)
+            task, velocity = self.controller.task.measured, self._velocity
+            stop = Halt(task, self.step * self.dt, self.target, velocity, _HALT)
+            error = task.error(self.truth.x, self.target)
+            faster = task.jacobian(self.truth.q) @ self.truth.v - velocity
+            self._blended, self._stopped_at = stop, self.truth.x
+            ways = error, stop.distance, _HALT * faster, noise
+            self.stop_bound = float(sum(np.linalg.norm(way) for way in ways))
+            self.stop_distance = 0.0
 
     def aim_at(self, target: Target | TargetPath | Array) -> None:
         """Change the target, smoothly from the current one."""

@@ -41,7 +41,9 @@ class FaultWatch:
     """Consistency checks of q, q̇, the clock and commands, without a dynamic model.
 
     Thresholds come from noise, the largest joint speeds `fastest` (n_v,) and the period; two states
-    may be at most `late` [s] apart. `detail` says which joint is at fault, and by how much.
+    may be at most `late` [s] apart. They are narrower than those of `controllers.Guard`, which
+    knows no noise of q̇ and lets impacts pass, and a run ends at the first fault. `detail` says
+    which joint is at fault, and by how much.
     """
 
     def __init__(
