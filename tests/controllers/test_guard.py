@@ -1,5 +1,6 @@
 """Bad samples in a running loop: what they do to the motion, to what is learnt, and their names."""
 
+import copy
 import dataclasses
 import decimal
 import fractions
@@ -29,6 +30,7 @@ from approxjac.law.guard import (
     remembered,
 )
 from approxjac.simulation.plant import INTEGRATORS
+from approxjac.simulation.simulate import MovingArm
 
 DT = 1e-3
 STEP = INTEGRATORS["semi_implicit_euler"]
@@ -251,6 +253,24 @@ def test_a_first_sample_that_is_none_is_an_error():
         law.step(state, measured._replace(q=np.nan * START), GOAL, DT)
 
 
+def test_a_first_velocity_that_no_joint_has_is_an_error():
+    law = CONTROLLERS["law"]
+    measured = PLANT.measure(0.0, START, np.array([6283.0, *np.zeros(6)]))
+    with pytest.raises(MeasurementError, match="first q̇"):
+        law.step(law.initial_state(measured), measured, GOAL, DT)
+
+
+@pytest.mark.parametrize("kind", ["wrap of q", "swapped", "clock", "spike of x"])
+@pytest.mark.parametrize("at", [0.0, DT])
+def test_a_bad_sample_among_the_first_two_is_outvoted(kind, at):
+    usual = clean("limited", 0.3)
+    found = Loop(CONTROLLERS["limited"], 0.3, kind, 1, at)
+    assert set(found.statuses[4:]) == {aj.Status.OK}
+    assert found.speeds.max() <= 1.5 * usual.speeds.max() + 0.1
+    assert found.full <= usual.full + 3
+    assert found.errors[-1] <= 1.2 * usual.errors[-1] + 1e-4
+
+
 def test_an_x_that_is_refused_for_long_ends_in_a_stop():
     found = Loop(CONTROLLERS["held"], 0.5, "spike of x", 400)
     assert found.statuses[100] is aj.Status.SENSOR_JUMPED
@@ -269,8 +289,6 @@ def test_without_a_guard_a_bad_sample_reaches_the_law():
 
 
 def test_a_guard_stays_with_copies_of_its_controller():
-    import copy
-
     law = CONTROLLERS["limited"].guarded(Guard(q=1e-5))
     for other in (copy.deepcopy(law), law.with_task(law.task), compiled(law)):
         assert other.guard.q == 1e-5
@@ -323,6 +341,100 @@ def test_a_memory_of_the_guard_that_is_not_finite_is_refused(entry):
     state[entry] = np.nan
     with pytest.raises(InvalidInputError, match="state must be finite"):
         law.step(state, PLANT.measure(0.0, START, np.zeros(7)), GOAL, DT)
+
+
+class Adversary:
+    """A loop of an arm that no bound was tuned on, and the samples that its guard just accepts."""
+
+    def __init__(self, name, law, dt, bits):
+        belief = aj.load_robot(name)
+        truth = belief.with_object(0.05, 0.3, axis="x")
+        task, most = aj.PositionTask(belief), truth.effort_limits
+        sensing = aj.Sensing(q_quantum=2.0 * math.pi / 2**bits, velocity_filter=5e-3, x_noise=5e-4)
+        plant = aj.Plant(truth, sensing=sensing, torque_limits=most)
+        q0, latency = plant.ready_configuration(), aj.controllers.Latency(dt, velocity_filter=5e-3)
+        setpoint = aj.SetpointController(task, gravity=aj.AdaptiveGravity(belief), latency=latency)
+        limited = aj.TorqueLimited(setpoint, aj.Limits.of(belief), dt=dt)
+        self.law = compiled(
+            {
+                "limited": limited,
+                "velocity": aj.TrackingController(task, dt=dt, command="velocity"),
+            }[law]
+        )
+        if law == "velocity":
+            servo = aj.simulation.VelocityServo(lag=0.02, delay=0.0, period=dt)
+            plant = aj.Plant(truth, sensing=sensing, servo=servo)
+        self.plant, self.most, self.dt = plant, most, dt
+        rest = np.zeros(truth.nv)
+        self.arm = MovingArm(plant, q0, rest, dt, "semi_implicit_euler", 0)
+        self.told = self.arm.sense()[1]
+        self.goal = plant.sensor.value(q0 + 0.2 * np.random.default_rng(0).standard_normal(len(q0)))
+        self.state, self.statuses, self.peak, self.full = (
+            self.law.initial_state(self.told),
+            [],
+            0,
+            0,
+        )
+
+    def passes(self, told):
+        answer = self.law.step(self.state, told, self.goal, self.dt)[1]
+        return answer.status < aj.Status.JOINTS_UNKNOWN
+
+    def worst(self, way, per_v):
+        """Return the sample farthest off in q̇, with q that fits or not, that still passes."""
+        told, low, high = self.told, 0.0, 1e3
+        for _ in range(40):
+            off = 0.5 * (low + high)
+            bad = told._replace(q=told.q + per_v * off * way, v=told.v + off * way)
+            low, high = (off, high) if self.passes(bad) else (low, off)
+        return told._replace(q=told.q + per_v * low * way, v=told.v + low * way)
+
+    def advance(self, told=None):
+        step = self.law.step(self.state, told or self.told, self.goal, self.dt)
+        command, self.state = step[1].torque.copy(), step[0].copy()
+        self.statuses.append(step[1].status)
+        self.full += bool((np.abs(command) >= 0.999 * self.most).any())
+        self.arm.move(self.arm.take(command))
+        self.told = self.arm.sense()[1]
+        self.peak = max(self.peak, np.abs(self.arm.v).max())
+
+    def twin(self):
+        return copy.deepcopy(self, {id(each): each for each in (self.law, self.plant)})
+
+    def run(self, duration):
+        for _ in range(round(duration / self.dt)):
+            self.advance()
+        return self
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("dt", "bits"), [(5e-4, 17), (1e-3, 14), (2e-3, 16)])
+@pytest.mark.parametrize(
+    ("name", "law"),
+    [
+        ("xarm7", "limited"),
+        ("ur10", "limited"),
+        ("xarm7", "velocity"),
+        ("ur10", "velocity"),
+        ("z1", "velocity"),
+        ("baxter_left_arm", "velocity"),
+    ],
+)
+def test_the_worst_sample_that_passes_harms_none_of_these_arms(name, law, dt, bits):
+    begun = Adversary(name, law, dt, bits)
+    usual = begun.twin().run(0.8)
+    assert max(usual.statuses) < aj.Status.JOINTS_UNKNOWN
+    for wait in (0.05, 0.15, 0.3):
+        begun.run(wait)
+        n = len(begun.told.v)
+        for way in (*np.eye(n), -np.ones(n), np.sign(np.sin(np.arange(1.0, n + 1)))):
+            for per_v in (0.0, 0.5 * dt):
+                found = begun.twin()
+                found.advance(found.worst(way, per_v))
+                found.run(0.3)
+                assert aj.Status.STOPPED not in found.statuses
+                assert found.peak <= 1.5 * usual.peak + 0.1
+                assert found.full <= usual.full + 3
 
 
 class Twins:

@@ -18,6 +18,7 @@ from approxjac.formatting import joined, short_fields
 from approxjac.interface import Evaluation, Measurement, Status, Target
 from approxjac.law.guard import (
     UNSEEN,
+    VELOCITY,
     GuardBounds,
     GuardMemory,
     Judged,
@@ -196,6 +197,9 @@ class SampleGuard:
         passed, is_bad, stops = measurement, found.kind > 0, found.stops > 0
         if (is_bad is True or found.refuses_x is True) and kept.t <= 0.5 * UNSEEN:
             controller.advance(state, measurement, target, dt)  # there is no good sample yet
+            if found.kind == VELOCITY:
+                message = f"the first q̇ must be one that joints can have, got {v.tolist()}"
+                raise MeasurementError(message, given=v)
         is_changed = is_bad | stops | found.refuses_x
         if is_changed is not False:
             unknown = None if t_x is None or isinstance(t_x, float) else math.nan
@@ -214,9 +218,10 @@ class SampleGuard:
             return (self._halted(found, kept, g, dt),)
 
         if is_changed is not False:
-            (halt,) = law.choose(stops, halted, lambda: (command,))
+            holds = stops | found.anew  # of two samples that differ neither is to act
+            (halt,) = law.choose(holds, halted, lambda: (command,))
             command = law.select(is_bad, law.array(kept.command), command)
-            command = law.select(stops, halt, command)
+            command = law.select(holds, halt, command)
         answer = answer._replace(torque=command)
         J_hat, sizes, push = self._J_of(answer), None, self._push_of(answer).tolist()
         if J_hat is not None:

@@ -23,16 +23,17 @@ _FAR = 1e15  # a motion of x before it was first seen
 _SOON, _MISSED = 0.2, 2.5  # of a period at least and at most pass from sample to sample
 _GAPS, _GAP = 20.0, 0.05  # periods or seconds that may be missing, if the clock then runs on
 _STILL = 1e-3  # rad/s or m/s, below which a joint may have the same q and q̇ again
-_IMPACT = 1.0  # times its speed, by which an arm that hits something may change it in a period
+_IMPACT = 0.004  # s, in which an arm that hits something may lose its speed
+_WILD = 5.0  # times the largest change of q̇ that makes sense, by which none rises
 _LEARNS, _AT_MOST = 0.05, 0.02  # s, in which the noise of q comes to be known, or 50 periods
 _STEP, _FINEST = 0.3, 1.0 / 512.0  # of a step of q, and of the largest noise: the least
 _LEFT, _TURNS = 0.04, 0.1  # q̇ that changed its sign: what is left of ‖q̇‖², at such a speed
 _STRAIGHT = (_TURNS * (2.0 - math.sqrt(_LEFT))) ** 2  # ‖Δq̇‖² up to which it has not
 _MEMORY = 0.05  # s, over which q is compared with the integral of q̇
 _SHARE = 0.2  # of the way, by which that may be off
+_ADDS = 0.25  # of what it may be off, by which one sample counts at most
 _FADES = 0.02  # s, in which a torque that was sent acts at last
 _KEPT, _TIMES = 0.75, 2.0  # of the motion of x at each new one; by which times it x may move
-_SLOWER = 0.7  # per period, q̇ of a stop while it is not known
 _BLIND = 0.25  # s, after which an x that is refused again and again ends in a stop
 _AHEAD = 0.01  # s, and a period: by which x may be stamped later than the state it comes with
 _OLDEST = 1e15  # s
@@ -61,7 +62,7 @@ class GuardMemory(NamedTuple):
     t: Any  # of the last good sample [s]
     bad: Any  # periods in a row that were refused
     kind: Any  # why it stops: one of the numbers above
-    blind: Any  # s, for which x was refused
+    blind: Any  # s, for which x was refused; −1 until a second sample agrees with the first
     q: list[Any]  # of that sample
     v: list[Any]
     drift: list[Any]  # q − ∫q̇ of the last moments; in a stop, how far it has moved since
@@ -123,7 +124,8 @@ class Judged(NamedTuple):
     path: list[Any]
     noise: list[Any]
     step: list[Any]
-    way: list[Any]  # q since the last good sample
+    way: list[Any]  # q since the last sample, if both are good
+    anew: Any  # whether to compare the next sample with this bad one, as no two agreed so far
     last: list[Any]  # x, the last good one
     moved: list[Any]  # of each part of x, before it moves on
 
@@ -131,11 +133,11 @@ class Judged(NamedTuple):
 def judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBounds) -> Judged:
     """Judge a sample against the last good one.
 
-    With A = min(a(h + lag), fastest) + 2‖q̇‖ of the last good sample, h the time since and a the
+    With A = min(a(h + lag), fastest) + ‖q̇‖ of the last good sample, h the time since and a the
     acceleration that motors, loads and model errors may cause, a motion explains it if
     abs(Δq − h q̇) ≤ δ + hA, abs(Δq̇) ≤ δ/h + A (without the lag), and
     abs(Δq − h(q̇ + q̇')/2) ≤ δ + hA/2, δ the error of a change of q; the sum of the latter over the
-    last moments is bounded, too.
+    last moments is bounded, too, and so is the rise of abs(q̇), also at the first sample.
 
     dt is the period [s].
     """
@@ -145,10 +147,10 @@ def judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBounds) ->
     missed = (memory.bad > 0.0) & (since <= _larger(_GAPS * dt, _GAP))
     runs = stopped | ((since >= _SOON * dt) & (missed | (since <= _MISSED * dt)))
     h = select(stopped, (memory.bad + 1.0) * dt, select(runs, since, dt))  # in a stop periods count
-    half, per, with_lag = 0.5 * h, 1.0 / h, h + lag
+    half, per, with_lag, share = 0.5 * h, 1.0 / h, h + lag, _SHARE + lag * 4.0 / _MEMORY
     fade = _larger(1.0 - h / _MEMORY, 0.0)
-    impact = _IMPACT * root(sum((each * each for each in before), 0.0))
-    jumps = hits = apart = moves = False
+    impact = _smaller(h / _IMPACT, 1.0) * root(sum((each * each for each in before), 0.0))
+    jumps = hits = apart = moves = wild = False
     drifts, paths = list[Any](), list[Any]()
     noises, steps, left, size = list[Any](), list[Any](), 0.0, 0.0
     finer = 1.0 - _smaller(h / _LEARNS, _AT_MOST)
@@ -163,11 +165,14 @@ def judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBounds) ->
         mean = half * (v1 + v0)
         off = w - mean
         A = _smaller(a * with_lag, most) + impact
-        drift, path = fade * drift + off, fade * path + abs(mean)
-        slack = 2.0 * noise + _SHARE * path
-        slack = slack + lag * (abs(v1) + abs(v0) + (4.0 / _MEMORY) * path)
+        path = fade * path + abs(mean)
+        slack = 2.0 * noise + share * path
+        adds = _ADDS * slack  # a bad sample that passed does not make the next ones bad
+        drift = fade * drift + _larger(_smaller(off, adds), -adds)
+        slack = slack + lag * (abs(v1) + abs(v0))
         jumps = jumps | (abs(w - h * v0) > noise + h * A)
         hits = hits | (abs(v1 - v0) > noise * per + _smaller(a * h, most) + impact)
+        wild = wild | (abs(v1) > noise * per + _WILD * most + abs(v0))
         apart = apart | (abs(off) > noise + half * A)
         apart = apart | ((abs(drift) > slack) & complement(stopped))
         moves = moves | (abs(v1) > _STILL)
@@ -177,7 +182,7 @@ def judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBounds) ->
         changes, least = w != 0.0, _larger(_STEP * step, _FINEST * coarse)
         steps.append(select(changes & (abs(w) < step), abs(w), step))
         noises.append(_larger(select(changes, finer * r, r), _larger(abs(off), least)))
-    hits = hits | ((left < _LEFT * size) & (size > 1.0))  # all joints at once
+    hits = hits | wild | ((left < _LEFT * size) & (size > 1.0))  # all joints at once
     again = moves & reduce(and_, [a == b for a, b in zip(q + v, memory.q + before, strict=True)])
     known = all_finite(q + v) & (abs(t) < _OLDEST)
     kind = select(apart, DISAGREES, GOOD)
@@ -185,22 +190,24 @@ def judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBounds) ->
     kind = select(jumps, POSITION, kind)
     kind = select(again, REPEATED, kind)
     kind = select(runs, kind, CLOCK)
-    kind = select(known, select(seen, kind, GOOD), UNKNOWN)
+    kind = select(known, select(seen, kind, select(wild, VELOCITY, GOOD)), UNKNOWN)
     is_bad, was_bad = kind > 0, memory.bad > 0.0
     too_long = (memory.bad >= bounds.periods) | ((memory.bad + 1.0) * dt > bounds.bridged)
     stops = select(is_bad & was_bad & too_long, kind, 0)
     stops = select(stopped, memory.kind, select(memory.blind < _BLIND, stops, SENSOR))
     hidden = is_bad | (stops > 0)
     refuses, used, last, moved = _seen(memory, sample, hidden, dt, bounds)
-    slower = _each(stopped, [_SLOWER * each for each in before], before)
-    drifts = _each(seen, drifts, [0.0] * len(v))
+    alone, makes_sense = memory.blind < 0.0, complement(wild) & (sum(map(abs, way), 0.0) < _FAR)
+    none = [0.0] * len(v)
+    drifts = _each(seen, drifts, none)
     return Judged(
-        _each(is_bad, memory.q, q), _each(is_bad, slower, v), used, kind, stops, refuses,
+        _each(is_bad, memory.q, q), _each(is_bad, _each(stopped | alone, none, before), v),
+        used, kind, stops, refuses,
         _each(is_bad, memory.drift, drifts),
-        _each(is_bad, memory.path, _each(seen, paths, [0.0] * len(v))),
+        _each(is_bad, memory.path, _each(seen, paths, none)),
         _each(is_bad | complement(seen), memory.noise, noises),
         _each(is_bad | complement(seen), memory.step, steps),
-        _each(is_bad, [h * each for each in before], way), last, moved,
+        _each(is_bad | was_bad, none, way), is_bad & known & alone & makes_sense, last, moved,
     )  # fmt: skip
 
 
@@ -213,6 +220,7 @@ def _seen(
     the motion of each part since.
     """
     refuses, used, last, moves = False, list[Any](), list[Any](), list[Any]()
+    alone = memory.blind < 0.0
     early = (sample.t_x == sample.t_x) & (sample.t_x - sample.t > dt + _AHEAD)
     for (entries, rows), moved in zip(bounds.parts, memory.moved, strict=True):
         here, before, far = sample.x[entries], memory.x[entries], early
@@ -224,7 +232,7 @@ def _seen(
         new = complement(same | far | hidden) & there
         refuses = refuses | far
         used += _each(far | hidden, [math.nan] * len(here), here)
-        last += _each(new, here, before)
+        last += _each(new | (far & alone & complement(hidden)), here, before)
         nearer = select(moved < 0.5 * _FAR, _KEPT * moved, 0.0)
         moves.append(select(new, nearer, moved))
     return refuses & complement(hidden), used, last, moves
@@ -262,11 +270,14 @@ def remembered(
         speed = dt * root(sum((each * each for each in judged.v), 0.0))
         pairs = zip(judged.moved, sizes, strict=True)
         moves = [_smaller(moved + speed * size, _FAR) for moved, size in pairs]
-    blind = select(judged.refuses_x, memory.blind + dt, select(is_bad, memory.blind, 0.0))
+    anew, seen = judged.anew, memory.t > 0.5 * UNSEEN
+    blind = select(is_bad, memory.blind, select(seen, 0.0, -1.0))
+    blind = select(judged.refuses_x, memory.blind + dt, blind)
     return GuardMemory(
-        select(is_bad, memory.t, sample.t), select(is_bad, memory.bad + 1.0, 0.0), judged.stops,
-        blind, judged.q, judged.v, held, judged.path, push, judged.noise, judged.step, command,
-        last, moves,
+        select(is_bad & complement(anew), memory.t, sample.t),
+        select(is_bad, memory.bad + 1.0, 0.0), judged.stops, blind,
+        _each(anew, sample.q, judged.q), _each(anew, sample.v, _each(is_bad, memory.v, judged.v)),
+        held, judged.path, push, judged.noise, judged.step, command, last, moves,
     )  # fmt: skip
 
 
@@ -333,13 +344,15 @@ class QuickGuard:
         sudden, both, noise = v - before, v + before, np.minimum(4.0 * r, self._coarse)
         mean, fade = half * both, max(1.0 - since / _MEMORY, 0.0)
         off = way - mean
-        drift, path = fade * known[1] + off, fade * known[2] + np.abs(mean)
+        path = fade * known[2] + np.abs(mean)
+        slack = 2.0 * noise + self._share * path
+        drift = fade * known[1] + np.maximum(np.minimum(off, _ADDS * slack), -_ADDS * slack)
         # less than what `judged` asks for, so that |Δq − h q̇| is within its bound
         most = 0.5 * noise + half * np.minimum(since * known[3], self._most)
         size, far = np.abs(off), np.abs(way)
         if not (
             (size <= most).all() and (half * np.abs(sudden) <= most).all()
-            and (np.abs(drift) <= noise + self._share * path).all()
+            and (np.abs(drift) <= slack).all()
             and x_way.dot(x_way) <= self._x_noise
             and (sudden.any() or v.dot(v) <= _STILL * _STILL)
         ):  # fmt: skip
