@@ -111,6 +111,20 @@ class LimitStatus(_Outcome):
     )
 
 
+class Condition(_Outcome):
+    """Something that happens to an arm while it is controlled; the text says what to do."""
+
+    OSCILLATES = (
+        "it swings without end: a payload, elastic joints, friction or delay that the gains do not "
+        "take into account; lower kp and kv, or name what is there (Latency, a payload)"
+    )
+    PUSHED = "a force that the believed robot does not explain moves the tip"
+    PRESSES = "the tip met something and presses against it"
+    TOOL_CHANGED = "the weight at the tip changed: something was grasped, or dropped"
+    NOT_EXPLAINED = "x differs from what was learnt by more than noise"
+    MOTOR_WEAK = "a motor does not give the torque that it is asked for"
+
+
 class Measurement(NamedTuple):
     """All that a controller may know about the true robot at one instant.
 

@@ -74,7 +74,7 @@ class RobotRun(Trajectory):
         return f"error {self.error_norm[-1]:.3g} {self.task_unit} at the end"
 
     def _figures(self) -> dict[str, str]:
-        figures = super()._figures()
+        figures = super()._figures() | self.describe_events()
         if np.isfinite(self.stop_distance):
             figures["stop"] = (
                 f"within {self.stop_distance:.3g} {self.task_unit} "
@@ -227,6 +227,8 @@ def _run_of(loop: RobotLoop, why: str) -> RobotRun:
     scene = None if run.scene is None else replace(run.scene, knows_truth=False)
     done = slice(1, max(loop.step, 1))
     kept = {field.name: getattr(run, field.name) for field in fields(Trajectory)}
+    events, derived = tuple(loop.monitor.events), run.derived
+    kept["derived"] = lambda run, name, at: events if name == "events" else derived(run, name, at)
     return RobotRun(
         **kept | {"scene": scene, "ended": why, "fault_name": "" if fault is None else fault.name},
         stop_distance=float(loop.stop_distance),

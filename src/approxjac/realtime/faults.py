@@ -42,6 +42,7 @@ class Fault(enum.Enum):
     SENSOR_FROZEN = "the joints move, but x does not"
     CLOCK_STOOD_STILL = "the robot's clock does not advance: its state is old"
     CLOCK_JUMPED = "the clock of the robot, or that of x, jumped"
+    MOTOR_WEAK = "a motor does not give the torque that it is asked for"
     READ_HUNG = "a call of the driver or the controller did not return in time"
     TORQUE_LATE = "a command was sent too late"
     TOO_FAST = "a joint exceeds its speed limit"

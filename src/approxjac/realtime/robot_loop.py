@@ -16,11 +16,19 @@ from approxjac.controllers import Latency
 from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import listed
-from approxjac.interface import LimitStatus, Measurement, Status, Target, TargetPath
+from approxjac.interface import (
+    Condition,
+    LimitStatus,
+    Measurement,
+    Status,
+    Target,
+    TargetPath,
+)
 from approxjac.realtime.brake import Brake
 from approxjac.realtime.driver import Driver, read, two_clocks
 from approxjac.realtime.faults import Fault, Tolerances
 from approxjac.realtime.watches import FaultWatch, SensorWatch
+from approxjac.simulation.monitor import Monitor
 from approxjac.simulation.plant import Plant
 from approxjac.simulation.simulate import Loop, Wanted, first_state, target_at, wanted_of, x_of
 from approxjac.simulation.trajectory import Record, Trajectory
@@ -47,6 +55,7 @@ class RobotLoop(Loop):
         fault: The fault, or None.
         detail: Text on the fault: which joint, and by how much.
         learns_sensor: Whether the controller learns the sensor's pose.
+        monitor: The monitor, which says what happens to the arm.
         halting: Whether the arm is being brought to rest.
         between_steps: Lock held in each step, and by other threads that change the loop.
     """
@@ -83,6 +92,7 @@ class RobotLoop(Loop):
             robot, self.dt, tolerances.accuracy, np.minimum(robot.velocity_limits, fastest),
             tolerances.max_period, driver.command == "velocity",
         )  # fmt: skip
+        self.monitor = Monitor(controller, plant.adds_gravity)
         self._watch_sensor()
         self.fault: Fault | None = None
         self.detail = ""
@@ -116,6 +126,7 @@ class RobotLoop(Loop):
             self._note(fault, self._sensor.detail)
             if message := two_clocks(measurement, self.dt):
                 self._note(Fault.CLOCK_JUMPED, message)
+            self._diagnose(measurement)
         if known and not self._brakes():
             self._look(measurement)
             if not self._brakes():
@@ -136,6 +147,13 @@ class RobotLoop(Loop):
             self.state = self._after
         self.step += 1
         return not self._rests()
+
+    def _diagnose(self, measurement: Measurement) -> None:
+        answer = self.answer  # to the sample before
+        if self.monitor.look(measurement, answer.torque, answer.reference, self.state):
+            event = self.monitor.events[-1]
+            if event.condition is Condition.MOTOR_WEAK:
+                self._note(Fault.MOTOR_WEAK, f"{event.where}: {event.figure}")
 
     def halt(self) -> None:
         """Bring the arm to rest with the controller, from the next period on."""
@@ -163,6 +181,7 @@ class RobotLoop(Loop):
         """Replace the controller from the next step on."""
         require_able(self._brake.driver, controller)
         super().exchange(controller)
+        self.monitor = self.monitor.with_controller(controller)
         self._watch_sensor()
 
     def _watch_sensor(self) -> None:

@@ -1,5 +1,7 @@
 """Simulation: the true plant, its sensors, runs and their records."""
 
+from approxjac.interface import Condition
+from approxjac.simulation.monitor import Event, Monitor
 from approxjac.simulation.mujoco_plant import MujocoPlant
 from approxjac.simulation.plant import Friction, Plant, VelocityServo
 from approxjac.simulation.sensing import Sensing
@@ -8,9 +10,12 @@ from approxjac.simulation.trajectory import Trajectory
 
 __all__ = [
     "Computation",
+    "Condition",
+    "Event",
     "Friction",
     "InitialState",
     "Loop",
+    "Monitor",
     "MujocoPlant",
     "Plant",
     "Sensing",

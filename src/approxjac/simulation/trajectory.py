@@ -18,12 +18,14 @@ from approxjac.controllers.controller import Controller, Instant
 from approxjac.errors import InvalidInputError, TrajectoryFileError
 from approxjac.files import read_arrays, reason, replaced
 from approxjac.formatting import joined, rows, shares, wrapped
-from approxjac.interface import Evaluation, LimitStatus, Measurement, Status
+from approxjac.interface import Condition, Evaluation, LimitStatus, Measurement, Status
 from approxjac.robots import Robot
+from approxjac.simulation.monitor import Event, Monitor
 from approxjac.simulation.plant import Plant
 from approxjac.tasks import StackedTask, Task
 from approxjac.validation import Array, Saved, require
 
+_TOLD = 3  # events in a text
 _TOUCHES = 1e-6  # beyond a position limit; less is rounding [rad or m]
 _NUMBERS = (np.dtype(np.float64), np.dtype(np.int64))
 _TORQUE = {"rad": "N m", "m": "N"}
@@ -222,6 +224,18 @@ class Trajectory:
         """The controllers as text, with dt and the version; "" for files without them."""
         return str(self.derived(self, "law", slice(None)))
 
+    @cached_property
+    def events(self) -> tuple[Event, ...]:
+        """What happened to the arm, by a `Monitor`: of a simulated run by the recorded instants."""
+        return tuple(self.derived(self, "events", slice(None)))
+
+    def describe_events(self) -> dict[str, str]:
+        """Return the events as text, the first few by name."""
+        told = [f"{event}" for event in self.events[:_TOLD]]
+        if len(self.events) > _TOLD:
+            told.append(f"and {len(self.events) - _TOLD} more")
+        return {"events": "; ".join(told)} if told else {}
+
     @property
     def target(self) -> Array:
         """x_d at the end, shape (n_x,)."""
@@ -281,7 +295,7 @@ class Trajectory:
         """
         path = _npz(path)
         kept = {f.name: getattr(self, f.name) for f in fields(self)} | {"law": self.law}
-        kept |= {name: getattr(self, name) for name in _DERIVED}
+        kept |= {name: getattr(self, name) for name in _DERIVED} | {"events": self.events}
         kept["scene"] = self.scene and self.scene.to_dict()
         del kept["derived"]
         arrays: dict[str, Any] = {
@@ -313,6 +327,7 @@ class Trajectory:
             derived = {name: kept.pop(name) for name in (*_DERIVED, "law")}
             unknown = np.full(kept["learnt"].shape[-1], np.nan)
             others = {"law": derived.pop("law"), "learnt_sd": lambda state: unknown}
+            others["events"] = [Event(Condition(kind), *rest) for kind, *rest in kept.pop("events")]
             kept["scene"] = kept["scene"] and Scene.from_dict(kept["scene"])
             own = {f.name: kept[f.name] for f in fields(cls) if f.name in kept}
             own["derived"] = lambda _, name, at: (
@@ -518,10 +533,32 @@ class Record:
                 learnt[start:end] = controller.learnt(states[start:end, : controller.size])
         return learnt
 
+    def _events(self, run: Trajectory) -> list[Event]:
+        """Return what happened, by what the controllers knew at the recorded instants."""
+        J_hat, dt = self._columns[-1], self._dt or 0.0
+        starts, controllers = zip(*self._controllers, strict=True)
+        monitor, of = Monitor(controllers[0], self._plant.adds_gravity), 0
+        for k, (t, q, v) in enumerate(zip(run.t, run.q, run.v, strict=True)):
+            if (number := bisect_right(starts, k) - 1) != of:
+                of, monitor = number, monitor.with_controller(controllers[number])
+            controller = controllers[of]
+            before, reference = max(k - 1, 0), None
+            since, torque = t - run.t[before], run.command[before]
+            if since > 1.5 * dt:  # not each command is recorded
+                torque = 0.5 * (torque + run.command[k])
+            way = controller.task.measured.error(run.x_d[k], run.x_d[before])
+            if way.any() and np.isfinite(J_hat[k]).all() and J_hat.shape[1] == len(way):
+                reference = np.linalg.pinv(J_hat[k]) @ way / since
+            measured = Measurement(float(t), q, v, run.x_measured[k])
+            monitor.look(measured, torque, reference, run.state[k, : controller.size])
+        return monitor.events
+
     def _derive(self, run: Trajectory, name: str, instants: Any) -> Any:
         """Return a derived quantity of `Trajectory` by its name, by the controllers that ran."""
         if name == "law":
             return self._law()
+        if name == "events":
+            return self._events(run)
         if name == "learnt_sd":
             last = self._controllers[-1][1]
             return lambda state: last.learnt_sd(state[: last.size])

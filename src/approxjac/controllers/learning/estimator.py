@@ -125,6 +125,10 @@ class Kinematics(Immutable, ABC):
         """
         return None
 
+    def left_over(self, state: Array) -> Array:
+        """Return what the last x differs by from what was learnt, (m,); by default nothing."""
+        return np.zeros(0)
+
     def robot(self, state: Array) -> Robot:
         """Return the believed robot with the tool and joint origins that a state has learnt.
 
@@ -412,6 +416,11 @@ class Estimator(Kinematics):
     def learnt(self, state: Array) -> Array:
         """Return the learnt numbers (…, p) of a state, or of a series of states (…, n_state)."""
         return state[..., self._at["learnt"]]
+
+    def left_over(self, state: Array) -> Array:
+        """Return what the last x differs by from what was learnt, (m,) [unit of the task]."""
+        left: Array = state[self._at["left"]]
+        return left
 
     def report(self, state: Array) -> KinematicReport:
         """Return a report of a state: learnt numbers, standard deviations, and how well seen."""

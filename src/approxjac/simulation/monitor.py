@@ -1,0 +1,438 @@
+"""`Monitor`: what happens to an arm, by its measurements, its torques and the believed robot."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac.controllers.controller import Controller
+from approxjac.interface import Condition, Measurement
+from approxjac.robots import Dynamics, Robot
+from approxjac.tasks.frame_tasks import FrameKinematics
+from approxjac.validation import Array
+
+_GAP = 0.1  # s, after which it begins anew
+_FILTER = 0.006  # s, of the observed torque
+_TICK = 0.004  # s, from look to look at it
+_WINDOW = 25  # looks, over which causes are compared
+_BEGINS = 0.15  # s, in which the load is found before anything is named
+_EFFORT = 50.0  # N m, of a joint without a limit
+_MODEL, _INERTIA = 0.004, 0.08  # of the largest torque, and of inertial ones: what is not known
+_LOADS = np.array([3.0, 0.5, 0.5, 0.5])  # kg and kg m, which are expected at the tip
+_LEVERS = np.array([3.0, 0.2, 0.2, 0.2])  # the same, of what is grasped
+_FRICTION, _CONSTANT = 0.05, 0.03  # of the largest torque: friction, other errors
+_DRIFT = 0.1  # per √s, of these: how they change
+_OPENS = 0.02  # s of that drift a look, while something lasts
+_SURE = 16.0  # of χ² of a joint: what is no noise
+_LIKE = 30.0  # looks that tell the same
+_SOON, _SLOWLY, _LOAD = 0.01, 0.06, 0.7  # s, after which a cause is named: clear, others, a load
+_SUDDEN = 0.4  # s, within which a motor's fault shows
+_EXPLAINS, _FITS = 0.1, 0.35  # share of χ² that one motor, or a force or load, may leave
+_CLEAR = 0.06  # share that a motor may leave to be clear, where a force leaves five times that
+_WEAK = 0.4  # share of its torque that a motor lacks
+_LEAST_FORCE = 3.0  # N
+_UPRIGHT = math.cos(math.radians(50.0))  # from which on a force may be a weight
+_MEETS = 0.01  # m/s, of a tip that meets something
+_ENDS = 0.15  # s, without a disturbance
+_ABSORBED = 1.5  # s, after which what lasts is taken for a load
+_TORQUE = {"rad": "N m", "m": "N"}
+_HALF_WAVES = 6  # that are much alike
+_ALIKE, _LASTS = 1.7, 0.85  # times by which their lengths may differ; their size by the one before
+_SWINGS, _SIGMAS = 0.01, 6.0  # rad/s or m/s, and standard deviations of noise, at least
+_VISIBLE = 1e-4  # m, of the tip's motion
+_STILL, _QUICK = 1.0, 0.4  # s: since the target moved; the longest period while it does
+_COMPARED, _FRAMES = 2.0, 10  # s and frames, over which x is compared with what was learnt
+_OFTEN = 0.25  # s, from one such comparison to the next
+_UNEXPLAINED = 1.5  # χ² a degree of freedom
+
+
+class Event(NamedTuple):
+    """Something that happened to an arm in a run.
+
+    Attributes:
+        condition: What it was.
+        begin: When it began [s].
+        named: When it was known [s].
+        end: When it was over, infinite if it lasts [s].
+        where: Joint, or direction in the world.
+        figure: How large it was, with its unit.
+    """
+
+    condition: Condition
+    begin: float
+    named: float
+    end: float
+    where: str
+    figure: str
+
+    def __str__(self) -> str:
+        until = "on" if math.isinf(self.end) else f"to {self.end:.2f} s"
+        name = self.condition.label
+        text = f"{name} from {self.begin:.2f} s {until} ({self.where}: {self.figure})"
+        return f"{text}: {self.condition.message}"
+
+
+class Monitor:
+    """What happens to an arm, period by period: see `Condition`.
+
+    Torques that the believed robot does not explain are observed by its momentum [De Luca 2003].
+    A Kalman filter takes what lasts for a load at the tip, friction and constant errors. What comes
+    suddenly is compared with its possible causes: one motor that lacks a share of its torque, a
+    force at the tip, a load. Of a robot that takes velocities no torque is known, so that only
+    oscillations and an x that is not explained are found.
+
+    Args:
+        controller: The controller, which knows the believed robot and perhaps learns its
+            kinematics.
+        adds_gravity: Robot whose gravity is added to the commands by the real one; None for none.
+
+    Attributes:
+        events: What happened so far, in the order in which it was known.
+    """
+
+    def __init__(self, controller: Controller, adds_gravity: Robot | None = None) -> None:
+        robot = controller.task.robot
+        self.events: list[Event] = []
+        self._controller, self._robot, self._dynamics = controller, robot, Dynamics(robot)
+        self._adds = None if adds_gravity is None else Dynamics(adds_gravity)
+        self._tip = FrameKinematics(robot, robot.tip or robot.model.frames[-1].name)
+        self._knows_torque = controller.command == "torque"
+        known = np.isfinite(robot.effort_limits) & (robot.effort_limits > 0.0)
+        self._scale = np.where(known, robot.effort_limits, _EFFORT)
+        self._swings = [_Swing() for _ in range(robot.nv)]
+        self._t: float | None = None
+        self._begun, self._due, self._moved = 0.0, 0.0, -math.inf
+        self._noise = np.zeros(robot.nv)
+        self._active: dict[str, int] = {}  # name of a cause → its event
+        self._window: deque[_Tick] = deque(maxlen=_WINDOW)
+        self._since, self._quiet, self._speed = math.nan, 0, np.zeros(3)
+        joints = self._scale
+        sd = np.concatenate([_LOADS, *(_FRICTION * joints,) * 2, _CONSTANT * joints])
+        self._found, self._P = np.zeros(len(sd)), np.diag(sd**2)
+        self._drift = (_DRIFT * sd) ** 2
+        kinematics = controller.kinematics
+        self._learns = kinematics is not None and bool(kinematics.names)
+        self._left, self._compares = np.zeros(0), 0.0
+        self._frames: deque[tuple[float, Array, Array]] = deque()
+
+    def look(
+        self, measurement: Measurement, torque: Array, reference: Array | None, state: Array
+    ) -> bool:
+        """Look at a sample; return True if something new was found.
+
+        Args:
+            measurement: The sample.
+            torque: Command since the sample before, shape (n_v,) [N m or N].
+            reference: Desired joint velocity, shape (n_v,) [rad/s or m/s]; None is zero.
+            state: State of the controller.
+        """
+        t, q, v, _, _ = measurement
+        count, last, self._t = len(self.events), self._t, t
+        if not math.isfinite(math.hypot(*q.tolist(), *v.tolist())):
+            self._t = last
+            return False
+        if last is None or not 0.0 < t - last < _GAP:
+            self._begin(t, q, v, torque)
+        else:
+            if self._adds is not None:
+                torque = torque + self._adds.g(q)
+            self._observe(t - last, q, v, torque)
+            if t >= self._due:
+                self._due = max(self._due + _TICK, t)
+                if self._knows_torque:
+                    self._tick(t, q)
+                if self._learns:
+                    self._compare(t, q, v, state)
+            self._swing(t, q, v, reference)
+        return len(self.events) > count
+
+    def with_controller(self, controller: Controller) -> Monitor:
+        """Return a monitor of the same arm with another controller, which keeps the events."""
+        adds = None if self._adds is None else self._adds.robot
+        monitor = Monitor(controller, adds)
+        monitor.events = self.events
+        return monitor
+
+    # -- oscillations ---------------------------------------------------------------------
+
+    def _swing(self, t: float, q: Array, v: Array, reference: Array | None) -> None:
+        if reference is not None and reference.any():
+            v, self._moved = v - reference, t
+        moves = t - self._moved < _STILL
+        least = np.maximum(_SWINGS, _SIGMAS * np.sqrt(self._noise))
+        for j, (rate, small) in enumerate(zip(v.tolist(), least.tolist(), strict=True)):
+            swing, name = self._swings[j], f"swing {j}"
+            if t - swing.turned > swing.patience and name in self._active:
+                self._end(name, t)
+            if not swing.look(t, rate, small):
+                continue
+            amplitude, period = swing.size
+            if not swing.lasts or (moves and period > _QUICK):
+                if name in self._active:
+                    self._end(name, t)
+            elif name not in self._active:
+                unit, joint = self._robot.joint_units[j], self._robot.joint_names[j]
+                way = float(np.linalg.norm(self._tip.jacobian(q)[:3, j])) * amplitude
+                if way > _VISIBLE:
+                    figure = f"{amplitude:.2g} {unit} at {1.0 / period:.3g} Hz"
+                    begin = t - 0.5 * period * _HALF_WAVES
+                    self._note(name, Condition.OSCILLATES, begin, joint, figure)
+
+    # -- what was learnt ------------------------------------------------------------------
+
+    def _compare(self, t: float, q: Array, v: Array, state: Array) -> None:
+        """Compare x with what was learnt of it; see whether it is late."""
+        kinematics, known = self._controller.kinematics_of(state)
+        left = kinematics.left_over(known)
+        if not np.array_equal(left, self._left):  # a new frame
+            self._left = left
+            speed = self._controller.task.measured.jacobian(q) @ v
+            if speed.shape == left.shape:
+                self._frames.append((t, left, speed))
+        while self._frames and t - self._frames[0][0] > _COMPARED:
+            self._frames.popleft()
+        if t < self._compares or len(self._frames) < _FRAMES:
+            return
+        self._compares = t + _OFTEN
+        report = kinematics.report(known)
+        chi = report.chi_squared
+        is_off = chi > _UNEXPLAINED and report.seconds > _COMPARED
+        if not is_off:
+            if "x" in self._active and chi < 0.8 * _UNEXPLAINED:
+                self._end("x", t)
+            return
+        if "x" in self._active:
+            return
+        _, lefts, speeds = (np.array(each) for each in zip(*self._frames, strict=True))
+        along, moved = float(np.sum(lefts * speeds)), float(np.sum(speeds**2))
+        share = along**2 / max(moved * float(np.sum(lefts**2)), 1e-30)
+        where, figure = "kinematics", f"chi squared {chi:.2g} a degree of freedom"
+        if share > 0.5:
+            late = -along / moved
+            where, figure = "delay", f"x is {1e3 * late:.0f} ms later than it is stamped"
+        self._note("x", Condition.NOT_EXPLAINED, t - _COMPARED, where, figure)
+
+    # -- disturbances ---------------------------------------------------------------------
+
+    def _begin(self, t: float, q: Array, v: Array, torque: Array) -> None:
+        self._v = self._v_before = self._smooth_v = v
+        self._begun, self._due = t, t + _TICK
+        self._window.clear()
+        self._residual, self._smooth_torque = np.zeros(len(v)), torque
+        if self._knows_torque:
+            self._momentum, self._rate = self._dynamics.M(q) @ v, self._rest(q, v)
+            self._smooth_tip = self._tip.jacobian(q) @ v
+
+    def _rest(self, q: Array, v: Array) -> Array:
+        """Return Cᵀq̇ − g."""
+        rest: Array = self._dynamics.C(q, v).T @ v - self._dynamics.g(q)
+        return rest
+
+    def _observe(self, h: float, q: Array, v: Array, torque: Array) -> None:
+        odd = v - 2.0 * self._v + self._v_before
+        odd = np.minimum(odd * odd / 6.0, 9.0 * self._noise + 1e-6)
+        self._noise = self._noise + min(5.0 * h, 1.0) * (odd - self._noise)
+        self._v_before, self._v = self._v, v
+        if not self._knows_torque:
+            return
+        share = h / (h + _FILTER)
+        rest, self._M = self._rest(q, v), self._dynamics.M(q)
+        momentum = self._M @ v
+        gained = momentum - self._momentum - h * (torque + 0.5 * (rest + self._rate))
+        self._momentum, self._rate = momentum, rest
+        self._residual = self._residual + share * (gained / h - self._residual)
+        self._smooth_torque = self._smooth_torque + share * (torque - self._smooth_torque)
+        self._smooth_v = self._smooth_v + share * (v - self._smooth_v)
+        J = self._tip.jacobian(q)
+        self._smooth_tip = self._smooth_tip + share * (J @ v - self._smooth_tip)
+
+    def _tick(self, t: float, q: Array) -> None:
+        n, v, rate = len(self._residual), self._smooth_v, 1.0 / _FILTER
+        J, R, _ = self._tip.motion(q)
+        J, R = J.copy(), R.copy()
+        # a load at the tip: its mass, and its first moment in the tip's axes
+        moves = self._smooth_tip
+        speeds = rate * (J @ self._v - moves)
+        spin, turn = pin.skew(moves[3:]), pin.skew(speeds[3:])
+        pull = self._robot.gravity - speeds[:3]
+        load = np.empty((n, 4))
+        load[:, 0] = J[:3].T @ pull
+        load[:, 1:] = (-J[:3].T @ (turn + spin @ spin) - J[3:].T @ pin.skew(pull)) @ R
+        slow = np.tanh(v / 0.02)
+        H = np.concatenate([load, -np.diag(slow), -np.diag(v), -np.eye(n)], axis=1)
+        inertial = _INERTIA**2 * self._M**2 @ (rate * (self._v - v)) ** 2
+        noise = rate**2 * self._M**2 @ self._noise
+        most = 2.0 * _FRICTION * self._scale
+        stuck = (1.0 - np.abs(slow)) * np.clip(self._found[4 : 4 + n], 0.0, most)
+        variance = (_MODEL * self._scale) ** 2 + inertial + noise + stuck**2
+        self._P[np.diag_indices_from(self._P)] += _TICK * self._drift
+        PH = self._P @ H.T
+        S = H @ PH
+        S[np.diag_indices_from(S)] += variance
+        off = self._residual - H @ self._found
+        chi = float((off**2 / np.diag(S)).max())
+        is_off = chi > _SURE and t - self._begun > _BEGINS
+        if is_off or self._window:
+            if not self._window:
+                self._since, self._speed = t, moves[:3]
+            self._quiet = 0 if is_off else self._quiet + 1
+            self._window.append(
+                _Tick(off, 1.0 / np.sqrt(np.diag(S)), self._smooth_torque, J[:3], load)
+            )
+            if self._quiet * _TICK > _ENDS:
+                self._over(t)
+            else:
+                self._name(t)
+        since = t - self._since if self._window else 0.0
+        lasts = since > _ABSORBED
+        if not self._window or lasts:
+            if lasts:
+                self._P[np.diag_indices_from(self._P)] += _OPENS * self._drift
+            S[np.diag_indices_from(S)] += (_LIKE - 1.0) * variance
+            gain = np.linalg.solve(S, PH.T).T
+            self._found = self._found + gain @ off
+            self._P = self._P - gain @ PH.T
+            self._P = 0.5 * (self._P + self._P.T)
+
+    def _name(self, t: float) -> None:
+        """Name the cause that explains the last ticks, if one does."""
+        since, ticks = t - self._since, list(self._window)
+        ticks = ticks[1:] if len(ticks) > 3 else ticks
+        if len(ticks) < 3 or self._active.keys() & {"motor", "force"}:
+            return
+        off, weight, torque, J, load = (np.array(each) for each in zip(*ticks, strict=True))
+        w2 = weight**2
+        whole = float((w2 * off**2).sum())
+        # of each motor alone: the share of its torque that it lacks
+        along, size = -(w2 * off * torque).sum(axis=0), (w2 * torque**2).sum(axis=0) + 1e-12
+        shares, left = along / size, 1.0 - along**2 / (size * whole)
+        j = int(left.argmin())
+        force, left_force = _fit(J, off, w2, whole)
+        weight_at_tip, left_load = _fit(np.swapaxes(load, 1, 2), off, w2, whole, _LEVERS)
+        share = float(shares[j])
+        is_dead = share > 0.65
+        if since < _SUDDEN and share > _WEAK and left[j] < min(_EXPLAINS, 0.3 * left_force):
+            is_clear = is_dead and left[j] < _CLEAR < 0.2 * left_force
+            if since >= (_SOON if is_clear else _SLOWLY):
+                if share > 1.0 + _WEAK:
+                    what = "turns the wrong way, with"
+                else:
+                    what = "gives nothing" if is_dead else f"gives {100.0 * (1.0 - share):.0f} %"
+                    what += " of"
+                unit = _TORQUE[self._robot.joint_units[j]]
+                figure = f"it {what} {abs(torque[-1, j]):.3g} {unit}"
+                joint = self._robot.joint_names[j]
+                self._note("motor", Condition.MOTOR_WEAK, self._since, joint, figure)
+            return
+        strength, g = float(np.linalg.norm(force)), self._robot.gravity
+        if since < _SLOWLY or self._quiet or strength < _LEAST_FORCE:
+            return
+        toward = force / strength
+        before, now = float(toward @ self._speed), float(toward @ self._smooth_tip[:3])
+        upright = float(toward @ g) / max(float(np.linalg.norm(g)), 1e-9)
+        if before < -_MEETS and -0.5 < now / -before < 0.3 and upright < _UPRIGHT:
+            condition = Condition.PRESSES
+        elif abs(upright) > _UPRIGHT:
+            if since < _LOAD:
+                return
+            if left_load < _FITS:
+                figure = f"{weight_at_tip[0]:+.2g} kg"
+                self._note("force", Condition.TOOL_CHANGED, self._since, self._tip.frame, figure)
+                return
+            condition = Condition.PUSHED
+        else:
+            condition = Condition.PUSHED
+        if left_force < _FITS:
+            x, y, z = toward
+            where = f"towards ({x:.2f}, {y:.2f}, {z:.2f})"
+            self._note("force", condition, self._since, where, f"{strength:.2g} N")
+
+    def _over(self, t: float) -> None:
+        self._window.clear()
+        self._quiet = 0
+        for name in self._active.keys() & {"motor", "force"}:
+            self._end(name, t - _ENDS)
+
+    def _note(self, name: str, condition: Condition, begin: float, where: str, figure: str) -> None:
+        assert self._t is not None
+        self._active[name] = len(self.events)
+        self.events.append(Event(condition, begin, self._t, math.inf, where, figure))
+
+    def _end(self, name: str, t: float) -> None:
+        k = self._active.pop(name)
+        self.events[k] = self.events[k]._replace(end=t)
+
+
+def _fit(
+    A: Array, off: Array, w2: Array, whole: float, sd: float | Array = 100.0
+) -> tuple[Array, float]:
+    """Return the constant that explains torques best by rows A (t, k, n), and the share left.
+
+    It is about 0, with a standard deviation.
+    """
+    a = np.einsum("tin,tn,tjn->ij", A, w2, A)
+    a[np.diag_indices_from(a)] += len(off) / np.square(sd)
+    b = np.einsum("tin,tn->i", A, w2 * off)
+    best: Array = np.linalg.solve(a, b)
+    return best, 1.0 - float(b @ best) / whole
+
+
+class _Tick(NamedTuple):
+    """A look at torques that nothing explains so far."""
+
+    off: Array
+    weight: Array
+    torque: Array
+    J: Array  # of the tip's position
+    load: Array
+
+
+class _Swing:
+    """The half waves of one joint."""
+
+    def __init__(self) -> None:
+        self._sign, self._most, self.turned = 0.0, 0.0, 0.0
+        self._way, self._t = 0.0, math.nan
+        self._waves: deque[tuple[float, float, float]] = deque(maxlen=_HALF_WAVES)
+
+    def look(self, t: float, rate: float, small: float) -> bool:
+        """Add a sample; return True where the joint turned back."""
+        h = 0.0 if math.isnan(self._t) else t - self._t
+        self._t = t
+        self._most = max(self._most, abs(rate))
+        self._way += h * rate
+        if abs(rate) < small or rate * self._sign > 0.0:
+            return False
+        if self._sign != 0.0:
+            self._waves.append((self._most, t - self.turned, abs(self._way)))
+        self._sign, self._most, self.turned, self._way = math.copysign(1.0, rate), 0.0, t, 0.0
+        return True
+
+    @property
+    def lasts(self) -> bool:
+        """Whether the last half waves are much alike, and do not become smaller."""
+        if len(self._waves) < _HALF_WAVES:
+            return False
+        sizes, times, _ = zip(*self._waves, strict=True)
+        pairs = [a + b for a, b in pairwise(times)]
+        half = _HALF_WAVES // 2
+        grows = sum(sizes[half:]) >= _LASTS * sum(sizes[:half])
+        return bool(grows and max(pairs) < _ALIKE * min(pairs) and max(sizes) < 3.0 * min(sizes))
+
+    @property
+    def patience(self) -> float:
+        """Time after which it is over [s]."""
+        return 3.0 * max((time for _, time, _ in self._waves), default=math.inf)
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Amplitude [rad or m] and period [s]."""
+        if not self._waves:
+            return 0.0, math.inf
+        _, times, ways = zip(*self._waves, strict=True)
+        return 0.5 * sum(ways) / len(ways), 2.0 * sum(times) / len(times)
