@@ -15,7 +15,7 @@ import numpy as np
 from approxjac.controllers import KinematicReport
 from approxjac.files import together, write_text
 from approxjac.formatting import numbers_of, plain, rows, shares, wrapped
-from approxjac.interface import LimitStatus, Status
+from approxjac.interface import Condition, LimitStatus, Status
 from approxjac.robots import Dynamics
 from approxjac.scenario.build import BuiltScenario, build_scenario, sampling_time
 from approxjac.scenario.convert import differences, typed_as
@@ -219,6 +219,8 @@ class RunResult:
             names = ", ".join(np.array(run.joint_names)[beyond])
             where = f" at the position limits of {names}" if names else ""
             return f"held back{where}: {LimitStatus(int(run.limit_status[-1])).message}"
+        if swings := self._swings:
+            return swings
         if self.on_path:
             far = f"strays up to {self.strayed[0]:.3g} {run.task_unit} from its path"
             return f"{far}, where at most {self.tolerance:.3g} {run.task_unit} is following it"
@@ -236,6 +238,13 @@ class RunResult:
         if self._learns(last):
             return "still learning: the torque that it compensates still changes"
         return "moves on without approaching: too short a run, or not stable with these errors"
+
+    @property
+    def _swings(self) -> str:
+        """What still swings at the end; "" if nothing does."""
+        swings = [e for e in self.run.events if e.condition is Condition.OSCILLATES]
+        lasting = [f"{e.where} by {e.figure}" for e in swings if math.isinf(e.end)]
+        return f"swings without end: {', '.join(lasting)}" if lasting else ""
 
     def _learns(self, last: slice) -> bool:
         """Return True if 1 % of the position force at the end was learnt in the last quarter."""
@@ -286,6 +295,7 @@ class RunResult:
             "kinematics": learnt
             and {"chi_squared": learnt.chi_squared} | {r.name: r._asdict() for r in learnt.rows},
             "status_counts": {status.name: n for status, n in run.status_counts().items()},
+            "events": [str(event) for event in run.events],
             "scenario": asdict(built.scenario),
         }
         return {name: plain(value) for name, value in values.items()}
@@ -381,6 +391,7 @@ def text(result: RunResult) -> str:
         lines["stops"] = f"{run.describe_stops()}; up to {result.joint_limit_excess:.2g} beyond"
     if not result.on_path and (run.x_d != run.x_d[0]).any():
         lines["shown"] = "the target was moved while it ran: errors are to the target then"
+    lines |= run.describe_events()
     if built.warning:
         lines["warning"] = built.warning
     verdict = wrapped(": ".join(filter(None, (result.verdict, result.reason))))

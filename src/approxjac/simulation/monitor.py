@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from approxjac.controllers.controller import Controller
+from approxjac.errors import InvalidInputError
 from approxjac.interface import Condition, Measurement
 from approxjac.robots import Dynamics, Robot
 from approxjac.tasks.frame_tasks import FrameKinematics
@@ -23,10 +23,11 @@ _WINDOW = 25  # looks, over which causes are compared
 _BEGINS = 0.15  # s, in which the load is found before anything is named
 _EFFORT = 50.0  # N m, of a joint without a limit
 _MODEL, _INERTIA = 0.004, 0.08  # of the largest torque, and of inertial ones: what is not known
+_TURNED = 0.004  # kg m², of an unknown load about the tip
 _LOADS = np.array([3.0, 0.5, 0.5, 0.5])  # kg and kg m, which are expected at the tip
 _LEVERS = np.array([3.0, 0.2, 0.2, 0.2])  # the same, of what is grasped
-_FRICTION, _CONSTANT = 0.05, 0.03  # of the largest torque: friction, other errors
-_DRIFT = 0.1  # per √s, of these: how they change
+_FRICTION, _CONSTANT = 0.05, 0.01  # of the largest torque: friction, other errors
+_DRIFT = 0.07  # per √s, of these: how they change
 _OPENS = 0.02  # s of that drift a look, while something lasts
 _SURE = 16.0  # of χ² of a joint: what is no noise
 _LIKE = 30.0  # looks that tell the same
@@ -35,16 +36,21 @@ _SUDDEN = 0.4  # s, within which a motor's fault shows
 _EXPLAINS, _FITS = 0.1, 0.35  # share of χ² that one motor, or a force or load, may leave
 _CLEAR = 0.06  # share that a motor may leave to be clear, where a force leaves five times that
 _WEAK = 0.4  # share of its torque that a motor lacks
+_STOP = 0.01  # rad or m, so near to which a joint may be at its stop
 _LEAST_FORCE = 3.0  # N
+_LIGHTEST, _SURELY = 0.2, 2.0  # kg, and standard deviations, of a change of the mass at the tip
 _UPRIGHT = math.cos(math.radians(50.0))  # from which on a force may be a weight
 _MEETS = 0.01  # m/s, of a tip that meets something
 _ENDS = 0.15  # s, without a disturbance
 _ABSORBED = 1.5  # s, after which what lasts is taken for a load
 _TORQUE = {"rad": "N m", "m": "N"}
 _HALF_WAVES = 6  # that are much alike
-_ALIKE, _LASTS = 1.7, 0.85  # times by which their lengths may differ; their size by the one before
-_SWINGS, _SIGMAS = 0.01, 6.0  # rad/s or m/s, and standard deviations of noise, at least
-_VISIBLE = 1e-4  # m, of the tip's motion
+_ALIKE = 1.7  # times by which the lengths of two waves may differ
+_LASTS, _KEEPS = 0.25, 0.75  # s, for which it swings at least, and what is left of it then
+_SLOW = 0.5  # s, over which the speed is averaged about which a joint swings
+_SWINGS = 0.01  # rad/s or m/s, at least
+_VISIBLE, _TOOL = 1e-4, 0.1  # m, of motion, of a tool so long
+_SHAKES, _SHAKEN = 0.1, 0.1  # of the largest torque, on the average over s: else by torques
 _STILL, _QUICK = 1.0, 0.4  # s: since the target moved; the longest period while it does
 _COMPARED, _FRAMES = 2.0, 10  # s and frames, over which x is compared with what was learnt
 _OFTEN = 0.25  # s, from one such comparison to the next
@@ -70,11 +76,20 @@ class Event(NamedTuple):
     where: str
     figure: str
 
-    def __str__(self) -> str:
+    @property
+    def name(self) -> str:
+        """The condition with its place, such as "pushed, towards (1.00, 0.00, 0.00)"."""
+        return f"{self.condition.label}, {self.where}"
+
+    @property
+    def described(self) -> str:
+        """When and where it was, how large, and what to do."""
         until = "on" if math.isinf(self.end) else f"to {self.end:.2f} s"
-        name = self.condition.label
-        text = f"{name} from {self.begin:.2f} s {until} ({self.where}: {self.figure})"
-        return f"{text}: {self.condition.message}"
+        when = f"from {self.begin:.2f} s {until}"
+        return f"{when}, {self.where}: {self.figure}; {self.condition.message}"
+
+    def __str__(self) -> str:
+        return f"{self.condition.label} {self.described}"
 
 
 class Monitor:
@@ -107,7 +122,7 @@ class Monitor:
         self._swings = [_Swing() for _ in range(robot.nv)]
         self._t: float | None = None
         self._begun, self._due, self._moved = 0.0, 0.0, -math.inf
-        self._noise = np.zeros(robot.nv)
+        self._noise, self._slow, self._shakes = np.zeros((3, robot.nv))
         self._active: dict[str, int] = {}  # name of a cause → its event
         self._window: deque[_Tick] = deque(maxlen=_WINDOW)
         self._since, self._quiet, self._speed = math.nan, 0, np.zeros(3)
@@ -115,6 +130,7 @@ class Monitor:
         sd = np.concatenate([_LOADS, *(_FRICTION * joints,) * 2, _CONSTANT * joints])
         self._found, self._P = np.zeros(len(sd)), np.diag(sd**2)
         self._drift = (_DRIFT * sd) ** 2
+        self._weighed, self._lighter = math.inf, 0.0  # when, and the mass at the tip before
         kinematics = controller.kinematics
         self._learns = kinematics is not None and bool(kinematics.names)
         self._left, self._compares = np.zeros(0), 0.0
@@ -148,7 +164,7 @@ class Monitor:
                     self._tick(t, q)
                 if self._learns:
                     self._compare(t, q, v, state)
-            self._swing(t, q, v, reference)
+            self._swing(t, t - last, q, v, reference)
         return len(self.events) > count
 
     def with_controller(self, controller: Controller) -> Monitor:
@@ -160,34 +176,41 @@ class Monitor:
 
     # -- oscillations ---------------------------------------------------------------------
 
-    def _swing(self, t: float, q: Array, v: Array, reference: Array | None) -> None:
+    def _swing(self, t: float, h: float, q: Array, v: Array, reference: Array | None) -> None:
         if reference is not None and reference.any():
             v, self._moved = v - reference, t
         moves = t - self._moved < _STILL
-        least = np.maximum(_SWINGS, _SIGMAS * np.sqrt(self._noise))
-        for j, (rate, small) in enumerate(zip(v.tolist(), least.tolist(), strict=True)):
+        # what swings may move slowly meanwhile
+        share = h / (h + _SLOW)
+        self._slow = self._slow + share * (v - self._slow)
+        v = v - self._slow
+        for j, rate in enumerate(v.tolist()):
             swing, name = self._swings[j], f"swing {j}"
-            if t - swing.turned > swing.patience and name in self._active:
-                self._end(name, t)
-            if not swing.look(t, rate, small):
+            is_known = name in self._active
+            if is_known and t - swing.turned > swing.patience:
+                self._end(name, swing.turned)
+            if not swing.look(t, rate) or is_known or not swing.lasts:
                 continue
-            amplitude, period = swing.size
-            if not swing.lasts or (moves and period > _QUICK):
-                if name in self._active:
-                    self._end(name, t)
-            elif name not in self._active:
-                unit, joint = self._robot.joint_units[j], self._robot.joint_names[j]
-                way = float(np.linalg.norm(self._tip.jacobian(q)[:3, j])) * amplitude
-                if way > _VISIBLE:
-                    figure = f"{amplitude:.2g} {unit} at {1.0 / period:.3g} Hz"
-                    begin = t - 0.5 * period * _HALF_WAVES
-                    self._note(name, Condition.OSCILLATES, begin, joint, figure)
+            amplitude, period = swing.amplitude, swing.period
+            if moves and period > _QUICK:
+                continue
+            unit, joint = self._robot.joint_units[j], self._robot.joint_names[j]
+            away, turns = np.split(self._tip.jacobian(q)[:, j], 2)
+            way = np.linalg.norm(away) + _TOOL * np.linalg.norm(turns)
+            if way * amplitude > _VISIBLE or self._shakes[j] > _SHAKES * self._scale[j]:
+                figure = f"{amplitude:.2g} {unit} at {1.0 / period:.3g} Hz"
+                begin = max(t - 0.5 * period * _HALF_WAVES, 0.0)
+                self._note(name, Condition.OSCILLATES, begin, joint, figure)
 
     # -- what was learnt ------------------------------------------------------------------
 
     def _compare(self, t: float, q: Array, v: Array, state: Array) -> None:
         """Compare x with what was learnt of it; see whether it is late."""
-        kinematics, known = self._controller.kinematics_of(state)
+        try:
+            kinematics, known = self._controller.kinematics_of(state)
+        except InvalidInputError:  # a controller of a user's own that does not tell
+            self._learns = False
+            return
         left = kinematics.left_over(known)
         if not np.array_equal(left, self._left):  # a new frame
             self._left = left
@@ -248,6 +271,8 @@ class Monitor:
         self._residual = self._residual + share * (gained / h - self._residual)
         self._smooth_torque = self._smooth_torque + share * (torque - self._smooth_torque)
         self._smooth_v = self._smooth_v + share * (v - self._smooth_v)
+        shakes = np.abs(torque - self._smooth_torque) - self._shakes
+        self._shakes = self._shakes + h / (h + _SHAKEN) * shakes
         J = self._tip.jacobian(q)
         self._smooth_tip = self._smooth_tip + share * (J @ v - self._smooth_tip)
 
@@ -266,10 +291,13 @@ class Monitor:
         slow = np.tanh(v / 0.02)
         H = np.concatenate([load, -np.diag(slow), -np.diag(v), -np.eye(n)], axis=1)
         inertial = _INERTIA**2 * self._M**2 @ (rate * (self._v - v)) ** 2
+        inertial += (_TURNED * float(np.linalg.norm(speeds[3:]))) ** 2 * (J[3:] ** 2).sum(axis=0)
         noise = rate**2 * self._M**2 @ self._noise
         most = 2.0 * _FRICTION * self._scale
         stuck = (1.0 - np.abs(slow)) * np.clip(self._found[4 : 4 + n], 0.0, most)
         variance = (_MODEL * self._scale) ** 2 + inertial + noise + stuck**2
+        at_stop = self._robot.beyond_limits(q[None])[0] > -_STOP
+        variance = np.where(at_stop, variance + self._scale**2, variance)
         self._P[np.diag_indices_from(self._P)] += _TICK * self._drift
         PH = self._P @ H.T
         S = H @ PH
@@ -279,7 +307,7 @@ class Monitor:
         is_off = chi > _SURE and t - self._begun > _BEGINS
         if is_off or self._window:
             if not self._window:
-                self._since, self._speed = t, moves[:3]
+                self._since, self._speed, self._lighter = t, moves[:3], float(self._found[0])
             self._quiet = 0 if is_off else self._quiet + 1
             self._window.append(
                 _Tick(off, 1.0 / np.sqrt(np.diag(S)), self._smooth_torque, J[:3], load)
@@ -298,6 +326,8 @@ class Monitor:
             self._found = self._found + gain @ off
             self._P = self._P - gain @ PH.T
             self._P = 0.5 * (self._P + self._P.T)
+        if t > self._weighed:
+            self._weigh()
 
     def _name(self, t: float) -> None:
         """Name the cause that explains the last ticks, if one does."""
@@ -352,9 +382,21 @@ class Monitor:
             where = f"towards ({x:.2f}, {y:.2f}, {z:.2f})"
             self._note("force", condition, self._since, where, f"{strength:.2g} N")
 
+    def _weigh(self) -> None:
+        """Compare the mass at the tip with that before a disturbance that nothing explained."""
+        self._weighed = math.inf
+        mass, sd = float(self._found[0]) - self._lighter, math.sqrt(float(self._P[0, 0]))
+        if abs(mass) > max(_LIGHTEST, _SURELY * sd) and self._robot.gravity.any():
+            figure = f"{mass:+.2g} kg"
+            self._note("load", Condition.TOOL_CHANGED, self._since, self._tip.frame, figure)
+            self._active.pop("load")
+
     def _over(self, t: float) -> None:
         self._window.clear()
         self._quiet = 0
+        if not self._active.keys() & {"motor", "force"}:
+            self._P[np.diag_indices_from(self._P)] += self._drift
+            self._weighed = t + _LOAD
         for name in self._active.keys() & {"motor", "force"}:
             self._end(name, t - _ENDS)
 
@@ -393,46 +435,60 @@ class _Tick(NamedTuple):
 
 
 class _Swing:
-    """The half waves of one joint."""
+    """The half waves of one joint, as long as they are alike."""
 
     def __init__(self) -> None:
-        self._sign, self._most, self.turned = 0.0, 0.0, 0.0
-        self._way, self._t = 0.0, math.nan
-        self._waves: deque[tuple[float, float, float]] = deque(maxlen=_HALF_WAVES)
+        self._sign, self._way, self._farthest, self._t = 0.0, 0.0, 0.0, math.nan
+        self.turned = 0.0  # when it last did
+        self._times: deque[float] = deque(maxlen=4)  # of half waves
+        self._sizes: deque[float] = deque(maxlen=4)
+        self._count, self._begun, self._first = 0, math.nan, 0.0
 
-    def look(self, t: float, rate: float, small: float) -> bool:
+    def look(self, t: float, rate: float) -> bool:
         """Add a sample; return True where the joint turned back."""
-        h = 0.0 if math.isnan(self._t) else t - self._t
+        self._way += rate * (0.0 if math.isnan(self._t) else t - self._t)
         self._t = t
-        self._most = max(self._most, abs(rate))
-        self._way += h * rate
-        if abs(rate) < small or rate * self._sign > 0.0:
+        if self._way * self._sign > self._farthest * self._sign:
+            self._farthest = self._way
+        if abs(rate) < _SWINGS or rate * self._sign > 0.0:
             return False
         if self._sign != 0.0:
-            self._waves.append((self._most, t - self.turned, abs(self._way)))
-        self._sign, self._most, self.turned, self._way = math.copysign(1.0, rate), 0.0, t, 0.0
+            self._add(t)
+        self._way -= self._farthest
+        self._sign, self.turned, self._farthest = math.copysign(1.0, rate), t, self._way
         return True
+
+    def _add(self, t: float) -> None:
+        self._times.append(t - self.turned)
+        self._sizes.append(abs(self._farthest))
+        if len(self._times) < 4:
+            return
+        a, b, c, d = self._times
+        low, high = sorted((a + b, c + d))
+        size = self.amplitude
+        if high > _ALIKE * low or max(self._sizes) > 4.0 * min(self._sizes):
+            self._count = 0
+        self._count += 1
+        if self._count == 1 or (self._count > 2 * _HALF_WAVES and t - self._begun > 2.0 * _LASTS):
+            self._count, self._begun, self._first = 1, t, size
 
     @property
     def lasts(self) -> bool:
-        """Whether the last half waves are much alike, and do not become smaller."""
-        if len(self._waves) < _HALF_WAVES:
-            return False
-        sizes, times, _ = zip(*self._waves, strict=True)
-        pairs = [a + b for a, b in pairwise(times)]
-        half = _HALF_WAVES // 2
-        grows = sum(sizes[half:]) >= _LASTS * sum(sizes[:half])
-        return bool(grows and max(pairs) < _ALIKE * min(pairs) and max(sizes) < 3.0 * min(sizes))
+        """Whether it swung long enough without becoming smaller."""
+        enough = self._count + 3 >= _HALF_WAVES and self.turned - self._begun >= _LASTS
+        return enough and self.amplitude >= _KEEPS * self._first
+
+    @property
+    def amplitude(self) -> float:
+        """Amplitude of the last waves [rad or m]."""
+        return 0.5 * sum(self._sizes) / max(len(self._sizes), 1)
+
+    @property
+    def period(self) -> float:
+        """Their period [s]."""
+        return 2.0 * sum(self._times) / len(self._times) if self._times else math.inf
 
     @property
     def patience(self) -> float:
-        """Time after which it is over [s]."""
-        return 3.0 * max((time for _, time, _ in self._waves), default=math.inf)
-
-    @property
-    def size(self) -> tuple[float, float]:
-        """Amplitude [rad or m] and period [s]."""
-        if not self._waves:
-            return 0.0, math.inf
-        _, times, ways = zip(*self._waves, strict=True)
-        return 0.5 * sum(ways) / len(ways), 2.0 * sum(times) / len(times)
+        """Time without a turn after which it is over [s]."""
+        return 1.5 * self.period

@@ -112,6 +112,10 @@ def page(run: Trajectory, title: str | None = None) -> str:
     stage, kept = Stage(run.scene), _thinned(run.t, run.q)
     columns = RunFrames(run.scene).columns(run, kept)
     data = page_data(stage, run, columns, run.q[kept], title, _facts(run))
+    data["events"] = [
+        {"from": event.begin, "to": min(event.end, float(run.t[-1])), "name": f"{event.name}"}
+        for event in run.events
+    ]
     if run.fault_name:  # in the tab, in an index, and above all else
         data |= {"title": f"{run.fault_name}: {data['title']}", "alarm": run.ended}
     return document(data)
@@ -150,7 +154,7 @@ def _facts(run: Trajectory) -> list[tuple[str, str]]:
     for name, count in counts.items():
         if count:
             facts.append((name, f"{percent(count / len(run.t), 0)} % of the time"))
-    return facts
+    return facts + [(event.condition.label, event.described) for event in run.events]
 
 
 # -- what is in a page --------------------------------------------------------------------------
@@ -195,6 +199,7 @@ def page_data(
     return data | {
         "title": title or truth.name + believed,
         "facts": [*wrong, *facts],
+        "events": [],
         "tip": tip,
         "legend": _legend(scene, tip, image is not None),
         "live": live,

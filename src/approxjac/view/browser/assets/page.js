@@ -116,7 +116,7 @@ approxjac.Rows = class {
   const start = () => (rows.length ? rows.row("t", 0)[0] : 0);
   const plots = data.plots
     .filter(({ column }) => data.live || rows.columns[column].data.some(Number.isFinite))
-    .map((spec) => new approxjac.Plot(spec, part("plots"), (to) => { pause(); seek(to); }));
+    .map((spec) => new approxjac.Plot({ ...spec, events: data.events }, part("plots"), (to) => { pause(); seek(to); }));
 
   // -- what occurs is in the legend ---------------------------------------------------------
 
@@ -173,6 +173,7 @@ approxjac.Rows = class {
     const stopped = named(rows.row("at_limit", Math.round(s)), 1);
     if (saturated) said.push(`torque at its limit: ${saturated}`);
     if (stopped) said.push(`at a position limit: ${stopped}`);
+    said.push(...data.events.filter((event) => event.from <= t && t <= event.to).map((event) => event.name));
     return said.join(" · ");
   }
 

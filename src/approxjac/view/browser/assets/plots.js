@@ -51,9 +51,14 @@ approxjac.Plot = class {
     return [low - margin, high + margin];
   }
 
-  // Zero, and limits.
+  // Bands of what happened, zero, and limits.
   _lines(u) {
     u.ctx.save();
+    u.ctx.fillStyle = approxjac.theme().dark ? "#E69F0038" : "#E69F0030";
+    for (const event of this.spec.events) {
+      const [from, to] = [event.from, event.to].map((t) => Math.min(Math.max(u.valToPos(t, "x", true), u.bbox.left), u.bbox.left + u.bbox.width));
+      u.ctx.fillRect(from, u.bbox.top, Math.max(to - from, devicePixelRatio), u.bbox.height);
+    }
     u.ctx.strokeStyle = approxjac.theme().soft;
     u.ctx.lineWidth = devicePixelRatio;
     for (const line of this.spec.lines) {

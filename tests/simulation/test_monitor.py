@@ -1,0 +1,219 @@
+"""What a monitor says of an arm: each condition is caused, and named with its place and size."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import approxjac as aj
+from approxjac.interface import Measurement
+from approxjac.scenario.outcome import RunResult
+from approxjac.simulation import Condition, Monitor
+from approxjac.simulation.simulate import MovingArm
+
+DT, AT = 2e-3, 0.8
+MASS, LENGTH = 0.5, 0.1
+
+
+@pytest.fixture(scope="module")
+def belief(panda):
+    return panda.with_object(0.0)
+
+
+@pytest.fixture(scope="module")
+def controller(belief):
+    law = aj.SetpointController(aj.PositionTask(belief), gravity=aj.AdaptiveGravity(belief))
+    return law.guarded(None)
+
+
+def plant_with(arm, mass):
+    truth = arm.with_object(LENGTH, mass, axis="x")
+    return aj.Plant(truth, aj.PositionTask(truth))
+
+
+def events(arm, controller, happens=None, duration=1.6, plant=None):
+    """Let a simulated arm reach for a target, and something happen to it from AT on."""
+    plant = plant or plant_with(arm, MASS)
+    q = plant.ready_configuration()
+    moving = MovingArm(plant, q, np.zeros(arm.nv), DT, "semi_implicit_euler", 0)
+    monitor, measured = Monitor(controller), moving.sense()[1]
+    state, target = controller.initial_state(measured), measured.x + [0.06, -0.1, -0.05]
+    for _ in range(round(duration / DT)):
+        state, answer = controller.step(state, measured, target, DT)
+        torque = answer.torque
+        if happens is not None and moving.t >= AT:
+            torque = happens(moving, torque.copy())
+        moving.move(moving.take(torque))
+        measured = moving.sense()[1]
+        monitor.look(measured, answer.torque, answer.reference, state)
+    return monitor.events
+
+
+def push(force):
+    return lambda arm, torque: torque + arm.plant.sensor.jacobian(arm.q).T @ force
+
+
+def motor(j, share):
+    def happens(arm, torque):
+        torque[j] *= share
+        return torque
+
+    return happens
+
+
+def test_nothing_is_said_of_an_arm_with_a_wrong_load(panda, controller):
+    assert events(panda, controller) == []
+
+
+@pytest.mark.parametrize("share", [0.0, -1.0, 0.5])
+def test_a_weak_motor_is_named(panda, controller, share):
+    (event, *_) = events(panda, controller, motor(1, share), AT + 0.15)
+    assert event.condition is Condition.MOTOR_WEAK
+    assert event.where == panda.joint_names[1]
+    assert event.named - AT < 0.1
+    assert ("wrong way" in event.figure) == (share < 0.0)
+    if share == 0.5:
+        assert_allclose(float(event.figure.split()[2]), 50.0, atol=10.0)
+
+
+@pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)])
+def test_a_push_is_told_by_its_size_and_direction(panda, controller, direction):
+    (event, *_) = events(panda, controller, push(20.0 * np.array(direction)), AT + 0.15)
+    assert event.condition is Condition.PUSHED
+    assert event.named - AT < 0.1
+    found = np.array(event.where.partition("(")[2].rstrip(")").split(", "), dtype=float)
+    assert found @ direction > 0.9
+    assert_allclose(float(event.figure.removesuffix(" N")), 20.0, rtol=0.25)
+
+
+def test_a_push_ends(panda, controller):
+    def briefly(arm, torque):
+        return push(np.array([0.0, 20.0, 0.0]))(arm, torque) if arm.t < AT + 0.2 else torque
+
+    (event,) = events(panda, controller, briefly)
+    assert event.condition is Condition.PUSHED
+    assert_allclose(event.begin, AT, atol=0.03)
+    assert_allclose(event.end, AT + 0.2, atol=0.1)
+
+
+@pytest.mark.parametrize("mass", [0.0, 2.0])
+def test_a_load_that_is_dropped_or_grasped_is_weighed(panda, controller, mass):
+    other = plant_with(panda, mass)
+
+    def changes(arm, torque):
+        arm.plant = other
+        return torque
+
+    found = events(panda, controller, changes, AT + 1.4)
+    assert [event.condition for event in found] == [Condition.TOOL_CHANGED]
+    assert_allclose(float(found[0].figure.removesuffix(" kg")), mass - MASS, rtol=0.5)
+
+
+def test_a_tip_that_meets_a_wall_presses(panda, controller):
+    wall = []
+
+    def meets(arm, torque):
+        J, x = arm.plant.sensor.jacobian(arm.q), arm.plant.sensor.value(arm.q)
+        speed = J @ arm.v
+        if not wall:
+            wall.extend([x, speed / np.linalg.norm(speed)])
+        depth = (x - wall[0]) @ wall[1]
+        force = 2e4 * depth + 200.0 * (speed @ wall[1])
+        return torque - J.T @ (max(force, 0.0) * wall[1]) if depth > 0.0 else torque
+
+    (event, *_) = events(panda, controller, meets, AT + 0.2)
+    assert event.condition is Condition.PRESSES
+    found = np.array(event.where.partition("(")[2].rstrip(")").split(", "), dtype=float)
+    assert found @ wall[1] < -0.7
+
+
+def swinging(controller, rate, reference=None, duration=3.0):
+    """Show a monitor joints that swing as a function of time, and nothing else."""
+    robot = controller.task.robot
+    monitor, q = Monitor(controller), robot.neutral().copy()
+    state = controller.initial_state(Measurement(0.0, q, np.zeros(robot.nv), np.zeros(3)))
+    for k in range(round(duration / DT)):
+        t, v = k * DT, np.zeros(robot.nv)
+        v[3] = rate(t)
+        q = q + DT * v
+        led = None if reference is None else v * reference
+        monitor.look(Measurement(t, q, v, np.zeros(3)), np.zeros(robot.nv), led, state)
+    return [event for event in monitor.events if event.condition is Condition.OSCILLATES]
+
+
+@pytest.mark.parametrize("frequency", [1.5, 12.0, 60.0])
+def test_a_lasting_oscillation_has_its_frequency_and_amplitude(controller, frequency):
+    omega, amplitude = 2.0 * np.pi * frequency, 0.3 / frequency
+    (event,) = swinging(controller, lambda t: amplitude * omega * np.cos(omega * t))
+    assert event.where == controller.task.robot.joint_names[3]
+    size, _, _, hertz, _ = event.figure.split()
+    assert_allclose(float(size), amplitude, rtol=0.1)
+    assert_allclose(float(hertz), frequency, rtol=0.05)
+    assert event.named < max(5.0 / frequency, 0.3)
+    assert np.isinf(event.end)
+
+
+def test_a_motion_that_dies_out_or_is_led_is_no_oscillation(controller):
+    omega = 2.0 * np.pi * 4.0
+
+    def dying(t):
+        return np.exp(-5.0 * t) * np.cos(omega * t)
+
+    assert swinging(controller, dying) == []
+    assert swinging(controller, lambda t: np.cos(omega * t), reference=1.0) == []
+
+
+def test_an_oscillation_that_stops_has_an_end(controller):
+    omega = 2.0 * np.pi * 8.0
+    (event,) = swinging(controller, lambda t: np.cos(omega * t) if t < 1.5 else 0.0)
+    assert_allclose(event.end, 1.5, atol=0.5)
+
+
+def test_a_sample_that_is_not_finite_is_passed_over(controller):
+    robot = controller.task.robot
+    q, v, x = robot.neutral(), np.zeros(robot.nv), np.zeros(3)
+    monitor = Monitor(controller)
+    state = controller.initial_state(Measurement(0.0, q, v, x))
+    for k in range(200):
+        bad = np.full(robot.nv, np.nan) if k % 20 == 10 else v
+        monitor.look(
+            Measurement(k * DT, q, bad, x), controller.gravity_torque(state, q), None, state
+        )
+    assert monitor.events == []
+
+
+def test_an_x_that_drifts_is_not_explained(panda, belief):
+    law = aj.TrackingController(aj.PositionTask(belief), dt=DT).guarded(None)
+    plant = plant_with(panda, 0.0)
+    q = plant.ready_configuration()
+    moving = MovingArm(plant, q, np.zeros(belief.nv), DT, "semi_implicit_euler", 0)
+    monitor, measured = Monitor(law), moving.sense()[1]
+    state, target = law.initial_state(measured), measured.x + [0.0, 0.1, 0.0]
+    for _ in range(round(5.0 / DT)):
+        state, answer = law.step(state, measured, target, DT)
+        moving.move(moving.take(answer.torque))
+        measured = moving.sense()[1]
+        drift = 0.05 * max(measured.t - 2.5, 0.0)
+        measured = measured._replace(x=measured.x + [drift, 0.0, 0.0])
+        monitor.look(measured, answer.torque, answer.reference, state)
+    assert Condition.NOT_EXPLAINED in {event.condition for event in monitor.events}
+
+
+def test_a_run_that_swings_is_not_called_approaching(panda, belief, tmp_path):
+    plant = plant_with(panda, MASS)
+    task = aj.PositionTask(belief)
+    gains = aj.Gains(kp=300.0, kv=30.0, damping=[2.0] * 5 + [60.0, 2.0])  # too much at 2 ms
+    law = aj.SetpointController(task, gains, gravity=aj.AdaptiveGravity(belief))
+    law = aj.TorqueLimited(law, aj.Limits(effort=panda.effort_limits))
+    q0 = plant.ready_configuration()
+    target = plant.sensor.value(q0) + [0.05, 0.0, 0.0]
+    run = aj.simulate(plant, law, target, q0, 1.5, dt=DT)
+    assert {event.condition for event in run.events} == {Condition.OSCILLATES}
+    assert aj.Trajectory.load(run.save(tmp_path / "run.npz")).events == run.events
+    scenario = aj.Scenario(robot="panda")
+    built = dataclasses.replace(
+        aj.scenario.build_scenario(scenario), plant=plant, controller=law, target=target
+    )
+    result = RunResult(built, run)
+    assert result.reason.startswith("swings without end")
