@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
+from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
+from approxjac.controllers.guard import usual_accelerations
 from approxjac.interface import Measurement
 from approxjac.realtime.faults import Accuracy, Fault
 from approxjac.robots import Robot
@@ -24,6 +26,7 @@ _STILL = 5  # periods in which a clock may stand still
 _SHARE = 0.12  # of the way moved, by which ∫q̇ may be off
 _WINDOWS = (8, 24, 64)  # periods over which q is held against ∫q̇
 _SUDDEN = 0.05  # of the largest speed: by which q̇ may change in a millisecond
+_BLOW = 0.5  # of the fastest joint's speed, by which an arm that meets something may change it
 _WAY = 0.02  # rad or m, which a joint is led to go and goes no bit of it
 _STOPPED = 30.0  # rad/s², by which no joint stops by itself
 _REPEATS = 8  # readings of q to the bit, after which a joint that moved is taken for frozen
@@ -56,7 +59,7 @@ class FaultWatch:
         commands_velocity: bool,
     ) -> None:
         n = robot.nv
-        self._model, self._is_vector = robot.model, robot.nq == n
+        self._robot, self._model, self._is_vector = robot, robot.model, robot.nq == n
         self._dt, self._fastest, self._late = dt, fastest, late
         self._names, self._units, self.detail = robot.joint_names, robot.joint_units, ""
         sd = np.broadcast_to(np.asarray(accuracy.q, float), n)
@@ -88,6 +91,11 @@ class FaultWatch:
         self._peaks = [0.0] * (_STEPS + 1)  # of speed beyond that, relative to the fastest
         self._peak_until = 0.0
         self._ahead = deque([-math.inf], maxlen=_REMEMBERED)
+
+    @cached_property
+    def _mobility(self) -> Array:
+        """|q̈| for each torque, (n_v, n_v); worked out when it is first needed."""
+        return usual_accelerations(self._robot)[0]
 
     def look(self, measurement: Measurement, now: float) -> Fault | None:
         """Return the fault of a period's measurement, read at `now` by this machine's clock [s]."""
@@ -159,8 +167,13 @@ class FaultWatch:
                 return self._disagrees(j, way, elapsed * v, self._q_jump, 1)
             message = f"by {way[j]:.3g} {self._units[j]} in {1e3 * elapsed:.3g} ms"
             return self._fault(Fault.POSITION_JUMPED, j, message)
-        if (sudden > self._v_jump * (periods + missed)).any():
-            j = int(np.argmax(sudden / self._v_jump))
+        most = self._v_jump * (periods + missed)
+        if (sudden > most).any():  # a blow, or a light joint under its own torque, may do so
+            most = most + _BLOW * np.abs(before).max()
+            if not self._commands_velocity:
+                most = most + elapsed * (self._mobility @ np.abs(self._command))
+        if (sudden > most).any():
+            j = int(np.argmax(sudden / most))
             message = f"from {before[j]:.3g} to {v[j]:.3g} {self._units[j]}/s"
             return self._fault(Fault.VELOCITY_JUMPED, j, message)
         for window in _WINDOWS:

@@ -35,7 +35,7 @@ _SOON, _SLOWLY, _LOAD = 0.01, 0.06, 0.7  # s, after which a cause is named: clea
 _SUDDEN = 0.4  # s, within which a motor's fault shows
 _EXPLAINS, _FITS = 0.1, 0.35  # share of χ² that one motor, or a force or load, may leave
 _CLEAR = 0.06  # share that a motor may leave to be clear, where a force leaves five times that
-_WEAK = 0.4  # share of its torque that a motor lacks
+_WEAK, _DEAD = 0.4, 0.65  # share of its torque that a weak or a dead motor lacks
 _STOP = 0.01  # rad or m, so near to which a joint may be at its stop
 _LEAST_FORCE = 3.0  # N
 _LIGHTEST, _SURELY = 0.2, 2.0  # kg, and standard deviations, of a change of the mass at the tip
@@ -330,7 +330,7 @@ class Monitor:
             self._weigh()
 
     def _name(self, t: float) -> None:
-        """Name the cause that explains the last ticks, if one does."""
+        """Name the cause that explains the last looks, if one does."""
         since, ticks = t - self._since, list(self._window)
         ticks = ticks[1:] if len(ticks) > 3 else ticks
         if len(ticks) < 3 or self._active.keys() & {"motor", "force"}:
@@ -338,45 +338,47 @@ class Monitor:
         off, weight, torque, J, load = (np.array(each) for each in zip(*ticks, strict=True))
         w2 = weight**2
         whole = float((w2 * off**2).sum())
+        force, left_force = _fit(J, off, w2, whole)
         # of each motor alone: the share of its torque that it lacks
         along, size = -(w2 * off * torque).sum(axis=0), (w2 * torque**2).sum(axis=0) + 1e-12
         shares, left = along / size, 1.0 - along**2 / (size * whole)
         j = int(left.argmin())
-        force, left_force = _fit(J, off, w2, whole)
-        weight_at_tip, left_load = _fit(np.swapaxes(load, 1, 2), off, w2, whole, _LEVERS)
-        share = float(shares[j])
-        is_dead = share > 0.65
-        if since < _SUDDEN and share > _WEAK and left[j] < min(_EXPLAINS, 0.3 * left_force):
-            is_clear = is_dead and left[j] < _CLEAR < 0.2 * left_force
+        fits = shares[j] > _WEAK and left[j] < min(_EXPLAINS, 0.3 * left_force)
+        if since < _SUDDEN and fits:
+            is_clear = shares[j] > _DEAD and left[j] < _CLEAR < 0.2 * left_force
             if since >= (_SOON if is_clear else _SLOWLY):
-                if share > 1.0 + _WEAK:
-                    what = "turns the wrong way, with"
-                else:
-                    what = "gives nothing" if is_dead else f"gives {100.0 * (1.0 - share):.0f} %"
-                    what += " of"
-                unit = _TORQUE[self._robot.joint_units[j]]
-                figure = f"it {what} {abs(torque[-1, j]):.3g} {unit}"
-                joint = self._robot.joint_names[j]
-                self._note("motor", Condition.MOTOR_WEAK, self._since, joint, figure)
-            return
+                self._weak_motor(j, float(shares[j]), float(abs(torque[-1, j])))
+        elif since >= _SLOWLY and not self._quiet and np.linalg.norm(force) > _LEAST_FORCE:
+            carried, left_load = _fit(np.swapaxes(load, 1, 2), off, w2, whole, _LEVERS)
+            self._force(since, force, left_force, float(carried[0]), left_load)
+
+    def _weak_motor(self, j: int, share: float, torque: float) -> None:
+        gives = "nothing" if share > _DEAD else f"{100.0 * (1.0 - share):.0f} %"
+        what = "turns the wrong way, with" if share > 1.0 + _WEAK else f"gives {gives} of"
+        figure = f"it {what} {torque:.3g} {_TORQUE[self._robot.joint_units[j]]}"
+        joint = self._robot.joint_names[j]
+        self._note("motor", Condition.MOTOR_WEAK, self._since, joint, figure)
+
+    def _force(
+        self, since: float, force: Array, left_force: float, mass: float, left_load: float
+    ) -> None:
+        """Name a force at the tip [N], or a mass [kg], by the shares of χ² that they leave."""
         strength, g = float(np.linalg.norm(force)), self._robot.gravity
-        if since < _SLOWLY or self._quiet or strength < _LEAST_FORCE:
-            return
         toward = force / strength
         before, now = float(toward @ self._speed), float(toward @ self._smooth_tip[:3])
         upright = float(toward @ g) / max(float(np.linalg.norm(g)), 1e-9)
+        condition = Condition.PUSHED
         if before < -_MEETS and -0.5 < now / -before < 0.3 and upright < _UPRIGHT:
-            condition = Condition.PRESSES
-        elif abs(upright) > _UPRIGHT:
+            condition = Condition.PRESSES  # it moved towards what stopped it
+        elif abs(upright) > _UPRIGHT and not (
+            since > 2.0 * _SLOWLY and left_load > 2.0 * left_force
+        ):
             if since < _LOAD:
                 return
             if left_load < _FITS:
-                figure = f"{weight_at_tip[0]:+.2g} kg"
-                self._note("force", Condition.TOOL_CHANGED, self._since, self._tip.frame, figure)
+                condition = Condition.TOOL_CHANGED
+                self._note("force", condition, self._since, self._tip.frame, f"{mass:+.2g} kg")
                 return
-            condition = Condition.PUSHED
-        else:
-            condition = Condition.PUSHED
         if left_force < _FITS:
             x, y, z = toward
             where = f"towards ({x:.2f}, {y:.2f}, {z:.2f})"
