@@ -77,11 +77,6 @@ class Event(NamedTuple):
     figure: str
 
     @property
-    def name(self) -> str:
-        """The condition with its place, such as "pushed, towards (1.00, 0.00, 0.00)"."""
-        return f"{self.condition.label}, {self.where}"
-
-    @property
     def described(self) -> str:
         """When and where it was, how large, and what to do."""
         until = "on" if math.isinf(self.end) else f"to {self.end:.2f} s"

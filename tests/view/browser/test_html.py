@@ -14,6 +14,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac import view
+from approxjac.simulation import Condition, Event
 from approxjac.view.browser.frames import _peaks
 from approxjac.view.browser.page import _thinned, page, policy_of
 
@@ -86,6 +87,43 @@ def test_a_script_that_was_put_into_a_page_does_not_run(run, tmp_path, browser):
     opened.close()
     for directive in ("script-src", "img-src"):
         assert any(directive in each for each in said)
+
+
+def pushed(run):
+    event = Event(Condition.PUSHED, 0.3, 0.36, 0.5, "towards (1.00, 0.00, 0.00)", "20 N")
+    known = run.derived
+
+    def derived(run, name, at):
+        return (event,) if name == "events" else known(run, name, at)
+
+    return dataclasses.replace(run, derived=derived)
+
+
+def test_what_happened_is_told_with_its_time(run):
+    data = data_of(page(pushed(run)))
+    assert data["events"] == [{"from": 0.3, "to": 0.5, "name": "pushed"}]
+    told = dict(data["facts"])["pushed"]
+    assert "from 0.30 s to 0.50 s" in told
+    assert "20 N" in told
+    assert data_of(page(run))["events"] == []
+
+
+@pytest.mark.browser
+def test_what_happened_is_shaded_in_the_plots_and_told_while_it_lasts(run, tmp_path, open_page):
+    shown = open_page(view.save_page(pushed(run), tmp_path / "pushed.html"))
+    states = []
+    for t in (0.2, 0.4, 0.6):
+        shown.evaluate("t => { approxjac.pause(); approxjac.seek(t); }", t)
+        shown.wait_for_timeout(100)
+        states.append("pushed" in shown.locator("#state").inner_text())
+    assert states == [False, True, False]
+    painted = shown.evaluate("""() => {
+        const canvas = document.querySelector(".plot canvas"), { width, height } = canvas;
+        const row = canvas.getContext("2d").getImageData(0, height >> 1, width, 1).data;
+        return Array.from({ length: width }, (_, i) => row[4 * i + 3]);
+    }""")
+    runs = np.flatnonzero(np.diff(np.array(painted) > 20))
+    assert np.max(np.diff(runs)) > 0.1 * len(painted)  # a band, not only lines
 
 
 def test_columns_are_those_of_the_run(run):

@@ -36,6 +36,7 @@ from approxjac.view.tree import held_objects, learnt_regressor
 # one set for each kind: as numbers, statuses of two kinds are equal
 _USUAL = {Status.OK, Status.MEASUREMENT_HELD}
 _USUAL_LIMITS = {LimitStatus.UNLIMITED, LimitStatus.FREE}
+_NAMED = 3  # events, of which a page tells in words
 _RATE = 60.0  # frames of a second, at most
 _FRAMES = 1000  # of a run, at most
 _HEAD = 4000  # characters of a page in which its name stands
@@ -113,8 +114,8 @@ def page(run: Trajectory, title: str | None = None) -> str:
     columns = RunFrames(run.scene).columns(run, kept)
     data = page_data(stage, run, columns, run.q[kept], title, _facts(run))
     data["events"] = [
-        {"from": event.begin, "to": min(event.end, float(run.t[-1])), "name": f"{event.name}"}
-        for event in run.events
+        {"from": e.begin, "to": min(e.end, float(run.t[-1])), "name": e.condition.label}
+        for e in run.events
     ]
     if run.fault_name:  # in the tab, in an index, and above all else
         data |= {"title": f"{run.fault_name}: {data['title']}", "alarm": run.ended}
@@ -154,7 +155,7 @@ def _facts(run: Trajectory) -> list[tuple[str, str]]:
     for name, count in counts.items():
         if count:
             facts.append((name, f"{percent(count / len(run.t), 0)} % of the time"))
-    return facts + [(event.condition.label, event.described) for event in run.events]
+    return facts + [(event.condition.label, event.described) for event in run.events[:_NAMED]]
 
 
 # -- what is in a page --------------------------------------------------------------------------
