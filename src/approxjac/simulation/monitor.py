@@ -190,7 +190,7 @@ class Monitor:
             if moves and period > _QUICK:
                 continue
             unit, joint = self._robot.joint_units[j], self._robot.joint_names[j]
-            away, turns = np.split(self._tip.jacobian(q)[:, j], 2)
+            away, turns = self._tip.jacobian(q)[:, j].reshape(2, 3)
             way = np.linalg.norm(away) + _TOOL * np.linalg.norm(turns)
             if way * amplitude > _VISIBLE or self._shakes[j] > _SHAKES * self._scale[j]:
                 figure = f"{amplitude:.2g} {unit} at {1.0 / period:.3g} Hz"
@@ -293,10 +293,10 @@ class Monitor:
         variance = (_MODEL * self._scale) ** 2 + inertial + noise + stuck**2
         at_stop = self._robot.beyond_limits(q[None])[0] > -_STOP
         variance = np.where(at_stop, variance + self._scale**2, variance)
-        self._P[np.diag_indices_from(self._P)] += _TICK * self._drift
+        _diagonal(self._P)[:] += _TICK * self._drift
         PH = self._P @ H.T
         S = H @ PH
-        S[np.diag_indices_from(S)] += variance
+        _diagonal(S)[:] += variance
         off = self._residual - H @ self._found
         chi = float((off**2 / np.diag(S)).max())
         is_off = chi > _SURE and t - self._begun > _BEGINS
@@ -315,8 +315,8 @@ class Monitor:
         lasts = since > _ABSORBED
         if not self._window or lasts:
             if lasts:
-                self._P[np.diag_indices_from(self._P)] += _OPENS * self._drift
-            S[np.diag_indices_from(S)] += (_LIKE - 1.0) * variance
+                _diagonal(self._P)[:] += _OPENS * self._drift
+            _diagonal(S)[:] += (_LIKE - 1.0) * variance
             gain = np.linalg.solve(S, PH.T).T
             self._found = self._found + gain @ off
             self._P = self._P - gain @ PH.T
@@ -392,7 +392,7 @@ class Monitor:
         self._window.clear()
         self._quiet = 0
         if not self._active.keys() & {"motor", "force"}:
-            self._P[np.diag_indices_from(self._P)] += self._drift
+            _diagonal(self._P)[:] += self._drift
             self._weighed = t + _LOAD
         for name in self._active.keys() & {"motor", "force"}:
             self._end(name, t - _ENDS)
@@ -407,6 +407,12 @@ class Monitor:
         self.events[k] = self.events[k]._replace(end=t)
 
 
+def _diagonal(matrix: Array) -> Array:
+    """Return the diagonal of a matrix, to be changed in place."""
+    diagonal: Array = np.einsum("ii->i", matrix)
+    return diagonal
+
+
 def _fit(
     A: Array, off: Array, w2: Array, whole: float, sd: float | Array = 100.0
 ) -> tuple[Array, float]:
@@ -415,7 +421,7 @@ def _fit(
     It is about 0, with a standard deviation.
     """
     a = np.einsum("tin,tn,tjn->ij", A, w2, A)
-    a[np.diag_indices_from(a)] += len(off) / np.square(sd)
+    _diagonal(a)[:] += len(off) / np.square(sd)
     b = np.einsum("tin,tn->i", A, w2 * off)
     best: Array = np.linalg.solve(a, b)
     return best, 1.0 - float(b @ best) / whole
