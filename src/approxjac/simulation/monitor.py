@@ -29,6 +29,7 @@ _LEVERS = np.array([3.0, 0.2, 0.2, 0.2])  # the same, of what is grasped
 _FRICTION, _CONSTANT = 0.05, 0.01  # of the largest torque: friction, other errors
 _DRIFT = 0.07  # per √s, of these: how they change
 _OPENS = 0.02  # s of that drift a look, while something lasts
+_SLIDES = 0.02  # rad/s or m/s, from which on a joint slides
 _SURE = 16.0  # of χ² of a joint: what is no noise
 _LIKE = 30.0  # looks that tell the same
 _SOON, _SLOWLY, _LOAD = 0.01, 0.06, 0.7  # s, after which a cause is named: clear, others, a load
@@ -116,11 +117,11 @@ class Monitor:
         self._scale = np.where(known, robot.effort_limits, _EFFORT)
         self._swings = [_Swing() for _ in range(robot.nv)]
         self._t: float | None = None
-        self._begun, self._due, self._moved = 0.0, 0.0, -math.inf
+        self._begun, self._looked, self._moved = 0.0, 0.0, -math.inf
         self._noise, self._slow, self._shakes = np.zeros((3, robot.nv))
         self._active: dict[str, int] = {}  # name of a cause → its event
         self._window: deque[_Tick] = deque(maxlen=_WINDOW)
-        self._since, self._quiet, self._speed = math.nan, 0, np.zeros(3)
+        self._since, self._quiet, self._speed = math.nan, 0.0, np.zeros(3)
         joints = self._scale
         sd = np.concatenate([_LOADS, *(_FRICTION * joints,) * 2, _CONSTANT * joints])
         self._found, self._P = np.zeros(len(sd)), np.diag(sd**2)
@@ -153,10 +154,10 @@ class Monitor:
             if self._adds is not None:
                 torque = torque + self._adds.g(q)
             self._observe(t - last, q, v, torque)
-            if t >= self._due:
-                self._due = max(self._due + _TICK, t)
+            if t >= self._looked + _TICK * (1.0 - 1e-6):
                 if self._knows_torque:
-                    self._tick(t, q)
+                    self._tick(t, t - self._looked, q)
+                self._looked = t
                 if self._learns:
                     self._compare(t, q, v, state)
             self._swing(t, t - last, q, v, reference)
@@ -239,8 +240,9 @@ class Monitor:
 
     def _begin(self, t: float, q: Array, v: Array, torque: Array) -> None:
         self._v = self._v_before = self._smooth_v = v
-        self._begun, self._due = t, t + _TICK
-        self._window.clear()
+        self._begun = self._looked = t
+        self._over(t)
+        self._weighed = math.inf
         self._residual, self._smooth_torque = np.zeros(len(v)), torque
         if self._knows_torque:
             self._momentum, self._rate = self._dynamics.M(q) @ v, self._rest(q, v)
@@ -271,7 +273,43 @@ class Monitor:
         J = self._tip.jacobian(q)
         self._smooth_tip = self._smooth_tip + share * (J @ v - self._smooth_tip)
 
-    def _tick(self, t: float, q: Array) -> None:
+    def _tick(self, t: float, h: float, q: Array) -> None:
+        """Compare the observed torque with what is expected; h is the time since the last look."""
+        H, variance, J, load = self._expected(q)
+        _diagonal(self._P)[:] += h * self._drift
+        PH = self._P @ H.T
+        S = H @ PH
+        _diagonal(S)[:] += variance
+        off = self._residual - H @ self._found
+        is_off = bool((off**2 / np.diag(S)).max() > _SURE) and t - self._begun > _BEGINS
+        if is_off or self._window:
+            if not self._window:
+                self._since, self._lighter = t, float(self._found[0])
+                self._speed = self._smooth_tip[:3]
+            self._quiet = 0.0 if is_off else self._quiet + h
+            self._window.append(_Tick(off, 1.0 / np.sqrt(np.diag(S)), self._smooth_torque, J, load))
+            if self._quiet > _ENDS:
+                self._over(t)
+            else:
+                self._name(t)
+        lasts = bool(self._window) and t - self._since > _ABSORBED
+        if lasts:
+            _diagonal(self._P)[:] += _OPENS * self._drift
+        if lasts or not self._window:
+            _diagonal(S)[:] += (_LIKE - 1.0) * variance
+            gain = np.linalg.solve(S, PH.T).T
+            self._found = self._found + gain @ off
+            P = self._P - gain @ PH.T
+            self._P = 0.5 * (P + P.T)
+        if t > self._weighed:
+            self._weigh()
+
+    def _expected(self, q: Array) -> tuple[Array, Array, Array, Array]:
+        """Return what torque load, friction and errors cause, and how well that is known.
+
+        That is the derivative by the numbers that the filter finds (n_v, 4 + 3 n_v), the variance
+        of the rest (n_v,), J of the tip (3, n_v), and the derivative by the load (n_v, 4).
+        """
         n, v, rate = len(self._residual), self._smooth_v, 1.0 / _FILTER
         J, R, _ = self._tip.motion(q)
         J, R = J.copy(), R.copy()
@@ -283,46 +321,15 @@ class Monitor:
         load = np.empty((n, 4))
         load[:, 0] = J[:3].T @ pull
         load[:, 1:] = (-J[:3].T @ (turn + spin @ spin) - J[3:].T @ pin.skew(pull)) @ R
-        slow = np.tanh(v / 0.02)
-        H = np.concatenate([load, -np.diag(slow), -np.diag(v), -np.eye(n)], axis=1)
-        inertial = _INERTIA**2 * self._M**2 @ (rate * (self._v - v)) ** 2
-        inertial += (_TURNED * float(np.linalg.norm(speeds[3:]))) ** 2 * (J[3:] ** 2).sum(axis=0)
-        noise = rate**2 * self._M**2 @ self._noise
-        most = 2.0 * _FRICTION * self._scale
-        stuck = (1.0 - np.abs(slow)) * np.clip(self._found[4 : 4 + n], 0.0, most)
-        variance = (_MODEL * self._scale) ** 2 + inertial + noise + stuck**2
+        slides = np.tanh(v / _SLIDES)
+        H = np.concatenate([load, -np.diag(slides), -np.diag(v), -np.eye(n)], axis=1)
+        variance = (_MODEL * self._scale) ** 2 + rate**2 * self._M**2 @ self._noise
+        variance += _INERTIA**2 * self._M**2 @ (rate * (self._v - v)) ** 2
+        variance += (_TURNED * float(np.linalg.norm(speeds[3:]))) ** 2 * (J[3:] ** 2).sum(axis=0)
+        friction = np.clip(self._found[4 : 4 + n], 0.0, 2.0 * _FRICTION * self._scale)
+        variance += ((1.0 - np.abs(slides)) * friction) ** 2  # of a joint that stands
         at_stop = self._robot.beyond_limits(q[None])[0] > -_STOP
-        variance = np.where(at_stop, variance + self._scale**2, variance)
-        _diagonal(self._P)[:] += _TICK * self._drift
-        PH = self._P @ H.T
-        S = H @ PH
-        _diagonal(S)[:] += variance
-        off = self._residual - H @ self._found
-        chi = float((off**2 / np.diag(S)).max())
-        is_off = chi > _SURE and t - self._begun > _BEGINS
-        if is_off or self._window:
-            if not self._window:
-                self._since, self._speed, self._lighter = t, moves[:3], float(self._found[0])
-            self._quiet = 0 if is_off else self._quiet + 1
-            self._window.append(
-                _Tick(off, 1.0 / np.sqrt(np.diag(S)), self._smooth_torque, J[:3], load)
-            )
-            if self._quiet * _TICK > _ENDS:
-                self._over(t)
-            else:
-                self._name(t)
-        since = t - self._since if self._window else 0.0
-        lasts = since > _ABSORBED
-        if not self._window or lasts:
-            if lasts:
-                _diagonal(self._P)[:] += _OPENS * self._drift
-            _diagonal(S)[:] += (_LIKE - 1.0) * variance
-            gain = np.linalg.solve(S, PH.T).T
-            self._found = self._found + gain @ off
-            self._P = self._P - gain @ PH.T
-            self._P = 0.5 * (self._P + self._P.T)
-        if t > self._weighed:
-            self._weigh()
+        return H, np.where(at_stop, variance + self._scale**2, variance), J[:3], load
 
     def _name(self, t: float) -> None:
         """Name the cause that explains the last looks, if one does."""
@@ -389,13 +396,14 @@ class Monitor:
             self._active.pop("load")
 
     def _over(self, t: float) -> None:
-        self._window.clear()
-        self._quiet = 0
-        if not self._active.keys() & {"motor", "force"}:
+        named = self._active.keys() & {"motor", "force"}
+        for name in named:
+            self._end(name, t - self._quiet)
+        if self._window and not named:
             _diagonal(self._P)[:] += self._drift
             self._weighed = t + _LOAD
-        for name in self._active.keys() & {"motor", "force"}:
-            self._end(name, t - _ENDS)
+        self._window.clear()
+        self._quiet = 0.0
 
     def _note(self, name: str, condition: Condition, begin: float, where: str, figure: str) -> None:
         assert self._t is not None
