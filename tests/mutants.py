@@ -27,6 +27,7 @@ FORM = "tests/law/test_sampled_form.py"
 BOUNDS = "tests/controllers/test_learning_bounds.py"
 WATCHES = "tests/realtime/test_watches.py"
 CONTROL = "tests/realtime/test_control.py"
+MONITOR = "tests/simulation/test_monitor.py"
 DRIVERS = "tests/realtime/test_drivers.py"
 GATE = "tests/controllers/test_gate.py"
 INSTANTS = "tests/simulation/test_instants.py"
@@ -1103,8 +1104,8 @@ MUTANTS = [
     ),
     (
         "another controller is watched as the first", "realtime/robot_loop.py",
-        "super().exchange(controller)\n        self._watch_sensor()",
-        "super().exchange(controller)", CONTROL,
+        "self.monitor = self.monitor.with_controller(controller)\n        self._watch_sensor()",
+        "self.monitor = self.monitor.with_controller(controller)", CONTROL,
     ),
     (
         "target moves while the arm is brought to rest", "realtime/robot_loop.py",
@@ -1454,6 +1455,53 @@ MUTANTS = [
         "return 1 if result.failed else 0",
         "return 0 if result.converged else 1",
         "tests/cli/test_simulate.py",
+    ),
+    (
+        "monitor: power of Coriolis torques counted twice", "simulation/monitor.py",
+        "self._dynamics.C(q, v).T @ v - self._dynamics.g(q)",
+        "self._dynamics.C(q, v) @ v - self._dynamics.g(q)", MONITOR,
+    ),
+    (
+        "monitor: gravity of the robot added twice", "simulation/monitor.py",
+        "rest: Array = self._dynamics.C(q, v).T @ v - self._dynamics.g(q)",
+        "rest: Array = self._dynamics.C(q, v).T @ v + self._dynamics.g(q)", MONITOR,
+    ),
+    (
+        "monitor: a load without inertia", "simulation/monitor.py",
+        "pull = self._robot.gravity - speeds[:3]", "pull = self._robot.gravity", MONITOR,
+    ),
+    (
+        "monitor: a force has the other sign", "simulation/monitor.py",
+        "x, y, z = toward\n", "x, y, z = -toward\n", MONITOR,
+    ),
+    (
+        "monitor: a dead motor is a reversed one", "simulation/monitor.py",
+        "share > 1.0 + _WEAK", "share > 0.9", MONITOR,
+    ),
+    (
+        "monitor: what dies out lasts", "simulation/monitor.py",
+        "return enough and self.amplitude >= _KEEPS * self._first", "return enough", MONITOR,
+    ),
+    (
+        "monitor: led motion swings", "simulation/monitor.py",
+        "beyond, self._moved = v - reference, t", "self._moved = t", MONITOR,
+    ),
+    (
+        "monitor: whoever pushes presses", "simulation/monitor.py",
+        "before < -_MEETS and", "before > -1.0 and", MONITOR,
+    ),
+    (
+        "monitor: what robots add is not counted", "simulation/monitor.py",
+        "torque = torque + self._adds.g(q)", "pass", MONITOR,
+    ),
+    (
+        "monitor: nothing ends", "simulation/monitor.py",
+        "self._end(name, t - self._quiet)", "pass", MONITOR,
+    ),
+    (
+        "a weak motor goes on", "realtime/robot_loop.py",
+        "if event.condition is Condition.MOTOR_WEAK:",
+        "if event.condition is Condition.PUSHED:", "tests/realtime/test_watches.py",
     ),
 ]  # fmt: skip
 

@@ -321,8 +321,27 @@ def test_faults_in_mid_motion_brake_the_arm(arm, kind):
 def test_every_fault_brakes_every_arm(arms, kind):
     outcomes = [study.break_one(study.Case(arm, kind, 8)) for arm in arms]
     assert not any("FALSE" in outcome.fault for outcome in outcomes)
-    if kind not in study.MOTORS:
+    if kind not in study.MOTORS and kind not in study.EVENTS:
         assert study.short(outcomes) == []
+
+
+@pytest.mark.study
+@pytest.mark.parametrize(
+    ("arm", "kind", "names"),
+    [
+        ("panda", "a motor without power", {"MOTOR_WEAK"}),
+        ("panda", "a wrist rings", {"OSCILLATES"}),
+        ("kinova", "payload of 1.5 kg grasped", {"TOOL_CHANGED"}),
+        ("z1", "a motor without power", {"MOTOR_WEAK", "TOO_FAST"}),
+        ("z1", "payload of 1.5 kg grasped", {"TOOL_CHANGED"}),
+        ("xarm7", "x drifts by 2 cm/s", {"NOT_EXPLAINED", "SENSOR_DISAGREES"}),
+    ],
+)
+def test_what_happens_is_named_on_arms_that_no_threshold_was_chosen_on(arm, kind, names):
+    outcome = study.break_one(study.Case(arm, kind, 7))
+    assert outcome.fault in names
+    if "MOTOR_WEAK" in names:
+        assert outcome.after < 0.1
 
 
 @pytest.mark.study

@@ -50,9 +50,9 @@ _ALIKE = 1.7  # times by which the lengths of two waves may differ
 _LASTS, _KEEPS = 0.25, 0.75  # s, for which it swings at least, and what is left of it then
 _SLOW = 0.5  # s, over which the speed is averaged about which a joint swings
 _SWINGS = 0.01  # rad/s or m/s, at least
-_VISIBLE, _TOOL = 1e-4, 0.1  # m, of motion, of a tool so long
+_VISIBLE, _VISIBLE_LED, _TOOL = 1e-4, 2e-3, 0.1  # m, of motion, while led, of a tool so long
 _SHAKES, _SHAKEN = 0.1, 0.1  # of the largest torque, on the average over s: else by torques
-_STILL, _QUICK = 1.0, 0.4  # s: since the target moved; the longest period while it does
+_STILL, _QUICK = 0.3, 0.4  # s: since the target moved; the longest period while it does
 _COMPARED, _FRAMES = 2.0, 10  # s and frames, over which x is compared with what was learnt
 _OFTEN = 0.25  # s, from one such comparison to the next
 _UNEXPLAINED = 1.5  # χ² a degree of freedom
@@ -173,13 +173,17 @@ class Monitor:
     # -- oscillations ---------------------------------------------------------------------
 
     def _swing(self, t: float, h: float, q: Array, v: Array, reference: Array | None) -> None:
+        beyond = v
         if reference is not None and reference.any():
-            v, self._moved = v - reference, t
+            beyond, self._moved = v - reference, t
         moves = t - self._moved < _STILL
-        # what swings may move slowly meanwhile
-        share = h / (h + _SLOW)
-        self._slow = self._slow + share * (v - self._slow)
-        v = v - self._slow
+        # what swings may move slowly meanwhile, unless it is led
+        self._slow = self._slow + h / (h + _SLOW) * (v - self._slow)
+        if moves:  # both the joint and what it differs by from its reference turn back
+            least = np.minimum(np.abs(v), np.abs(beyond))
+            v = np.where(v * beyond > 0.0, np.sign(v) * least, 0.0)
+        else:
+            v = v - self._slow
         for j, rate in enumerate(v.tolist()):
             swing, name = self._swings[j], f"swing {j}"
             is_known = name in self._active
@@ -193,7 +197,8 @@ class Monitor:
             unit, joint = self._robot.joint_units[j], self._robot.joint_names[j]
             away, turns = self._tip.jacobian(q)[:, j].reshape(2, 3)
             way = np.linalg.norm(away) + _TOOL * np.linalg.norm(turns)
-            if way * amplitude > _VISIBLE or self._shakes[j] > _SHAKES * self._scale[j]:
+            visible = _VISIBLE_LED if moves else _VISIBLE
+            if way * amplitude > visible or self._shakes[j] > _SHAKES * self._scale[j]:
                 figure = f"{amplitude:.2g} {unit} at {1.0 / period:.3g} Hz"
                 begin = max(t - 0.5 * period * _HALF_WAVES, 0.0)
                 self._note(name, Condition.OSCILLATES, begin, joint, figure)
