@@ -72,7 +72,7 @@ SIZES = st.sampled_from([0.0, 1e-3, 1.0, 30.0, 1e6, 1e12])
 def test_whatever_comes_in_the_torque_is_within_the_limits(name, seed, speed, error, lost):
     robot, rng = ROBOTS[name], np.random.default_rng(seed)
     limits = replace(aj.Limits.of(robot, scale=0.4), rate=2000.0)
-    limited = aj.TorqueLimited(learning(robot), limits)
+    limited = aj.TorqueLimited(learning(robot), limits).guarded(None)  # which refuses most of it
     measurement, target = some_measurement(robot, rng, speed, error)
     state = limited.initial_state(measurement)
     if lost:
@@ -633,7 +633,7 @@ def test_a_solver_that_fails_beyond_a_joint_limit_leaves_a_torque_that_leads_bac
 def test_numbers_that_overflow_keep_no_proof(panda, rng, size, joints):
     """Without a warning: those are errors in these tests."""
     limits = aj.Limits.of(panda) if joints else aj.Limits(effort=20.0)
-    limited = aj.TorqueLimited(law_of(panda), limits)
+    limited = aj.TorqueLimited(law_of(panda), limits).guarded(None)
     measurement, target = infeasible_state(panda)
     measurement = measurement._replace(v=size * rng.normal(size=7))
     answer = first_answer(limited, measurement, target)
@@ -820,7 +820,7 @@ def test_solvers_print_nothing(rng, capfd):
     """Nor does the C inside of them, whatever becomes of the problem."""
     robot = ROBOTS["panda"]
     limits = replace(aj.Limits.of(robot, scale=0.2), rate=500.0)
-    limited = aj.TorqueLimited(learning(robot), limits)
+    limited = aj.TorqueLimited(learning(robot), limits).guarded(None)
     statuses = set()
     for size in (0.0, 1.0, 1e3, 1e9):
         for _ in range(5):
