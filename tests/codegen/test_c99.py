@@ -661,7 +661,12 @@ def bridged_motion(task, dt):
 
 @needs_compiler
 @pytest.mark.parametrize(
-    "case", ["panda (6), limits", "panda (28), limits, away from stops", "kinova (5), (29)"]
+    "case",
+    [
+        "panda (6), limits",
+        pytest.param("panda (28), limits, away from stops", marks=pytest.mark.study),
+        pytest.param("kinova (5), (29)", marks=pytest.mark.study),
+    ],
 )
 def test_bad_samples_are_bridged_as_in_python(case, in_c_of):
     """The statuses and torques of Python, the bits of NumPy, and what is learnt stays."""

@@ -183,6 +183,7 @@ def test_a_sample_that_is_not_finite_is_passed_over(controller):
     assert monitor.events == []
 
 
+@pytest.mark.study
 def test_an_x_that_drifts_is_not_explained(panda, belief):
     law = aj.TrackingController(aj.PositionTask(belief), dt=DT).guarded(None)
     plant = plant_with(panda, 0.0)

@@ -33,6 +33,7 @@ _SLIDES = 0.02  # rad/s or m/s, from which on a joint slides
 _SURE = 16.0  # of χ² of a joint: what is no noise
 _LIKE = 30.0  # looks that tell the same
 _SOON, _SLOWLY, _LOAD = 0.01, 0.06, 0.7  # s, after which a cause is named: clear, others, a load
+_REVERSED, _DEAD_FOR = 1.4, 0.013  # share, and s after which it is not still growing to that
 _SUDDEN = 0.4  # s, within which a motor's fault shows
 _EXPLAINS, _FITS = 0.1, 0.35  # share of χ² that one motor, or a force or load, may leave
 _CLEAR = 0.06  # share that a motor may leave to be clear, where a force leaves five times that
@@ -116,9 +117,11 @@ class Monitor:
         known = np.isfinite(robot.effort_limits) & (robot.effort_limits > 0.0)
         self._scale = np.where(known, robot.effort_limits, _EFFORT)
         self._swings = [_Swing() for _ in range(robot.nv)]
+        self._swinging = np.zeros(robot.nv, bool)
         self._t: float | None = None
         self._begun, self._looked, self._moved = 0.0, 0.0, -math.inf
-        self._noise, self._slow, self._shakes = np.zeros((3, robot.nv))
+        self._noise, self._slow, self._shakes, self._shaken, self._impulse = np.zeros((5, robot.nv))
+        self._v, self._v_before, self._smooth_v, self._smooth_torque = np.zeros((4, robot.nv))
         self._active: dict[str, int] = {}  # name of a cause → its event
         self._window: deque[_Tick] = deque(maxlen=_WINDOW)
         self._since, self._quiet, self._speed = math.nan, 0.0, np.zeros(3)
@@ -153,14 +156,21 @@ class Monitor:
         else:
             if self._adds is not None:
                 torque = torque + self._adds.g(q)
-            self._observe(t - last, q, v, torque)
+            h = t - last
+            odd = v - 2.0 * self._v + self._v_before
+            odd = np.minimum(odd * odd / 6.0, 9.0 * self._noise + 1e-6)
+            self._noise = self._noise + min(5.0 * h, 1.0) * (odd - self._noise)
+            self._v_before, self._v = self._v, v
+            self._impulse = self._impulse + h * torque
+            self._shaken = self._shaken + h * np.abs(torque - self._smooth_torque)
             if t >= self._looked + _TICK * (1.0 - 1e-6):
                 if self._knows_torque:
+                    self._observe(t - self._looked, q, v)
                     self._tick(t, t - self._looked, q)
                 self._looked = t
                 if self._learns:
                     self._compare(t, q, v, state)
-            self._swing(t, t - last, q, v, reference)
+            self._swing(t, h, q, v, reference)
         return len(self.events) > count
 
     def with_controller(self, controller: Controller) -> Monitor:
@@ -184,12 +194,12 @@ class Monitor:
             v = np.where(v * beyond > 0.0, np.sign(v) * least, 0.0)
         else:
             v = v - self._slow
-        for j, rate in enumerate(v.tolist()):
+        for j in np.flatnonzero((np.abs(v) >= _SWINGS) | self._swinging).tolist():
             swing, name = self._swings[j], f"swing {j}"
-            is_known = name in self._active
-            if is_known and t - swing.turned > swing.patience:
+            if self._swinging[j] and t - swing.turned > swing.patience:
                 self._end(name, swing.turned)
-            if not swing.look(t, rate) or is_known or not swing.lasts:
+                self._swinging[j] = False
+            if not swing.look(t, h, float(v[j])) or self._swinging[j] or not swing.lasts:
                 continue
             amplitude, period = swing.amplitude, swing.period
             if moves and period > _QUICK:
@@ -202,6 +212,7 @@ class Monitor:
                 figure = f"{amplitude:.2g} {unit} at {1.0 / period:.3g} Hz"
                 begin = max(t - 0.5 * period * _HALF_WAVES, 0.0)
                 self._note(name, Condition.OSCILLATES, begin, joint, figure)
+                self._swinging[j] = True
 
     # -- what was learnt ------------------------------------------------------------------
 
@@ -249,6 +260,7 @@ class Monitor:
         self._over(t)
         self._weighed = math.inf
         self._residual, self._smooth_torque = np.zeros(len(v)), torque
+        self._impulse = self._shaken = np.zeros(len(v))
         if self._knows_torque:
             self._momentum, self._rate = self._dynamics.M(q) @ v, self._rest(q, v)
             self._smooth_tip = self._tip.jacobian(q) @ v
@@ -258,25 +270,19 @@ class Monitor:
         rest: Array = self._dynamics.C(q, v).T @ v - self._dynamics.g(q)
         return rest
 
-    def _observe(self, h: float, q: Array, v: Array, torque: Array) -> None:
-        odd = v - 2.0 * self._v + self._v_before
-        odd = np.minimum(odd * odd / 6.0, 9.0 * self._noise + 1e-6)
-        self._noise = self._noise + min(5.0 * h, 1.0) * (odd - self._noise)
-        self._v_before, self._v = self._v, v
-        if not self._knows_torque:
-            return
+    def _observe(self, h: float, q: Array, v: Array) -> None:
+        """Filter the torque that changes the momentum more than motors and gravity do."""
         share = h / (h + _FILTER)
         rest, self._M = self._rest(q, v), self._dynamics.M(q)
-        momentum = self._M @ v
-        gained = momentum - self._momentum - h * (torque + 0.5 * (rest + self._rate))
+        momentum, torque = self._M @ v, self._impulse / h
+        gained = (momentum - self._momentum) / h - torque - 0.5 * (rest + self._rate)
         self._momentum, self._rate = momentum, rest
-        self._residual = self._residual + share * (gained / h - self._residual)
+        self._residual = self._residual + share * (gained - self._residual)
         self._smooth_torque = self._smooth_torque + share * (torque - self._smooth_torque)
         self._smooth_v = self._smooth_v + share * (v - self._smooth_v)
-        shakes = np.abs(torque - self._smooth_torque) - self._shakes
-        self._shakes = self._shakes + h / (h + _SHAKEN) * shakes
-        J = self._tip.jacobian(q)
-        self._smooth_tip = self._smooth_tip + share * (J @ v - self._smooth_tip)
+        self._shakes = self._shakes + h / (h + _SHAKEN) * (self._shaken / h - self._shakes)
+        self._impulse = self._shaken = np.zeros(len(v))
+        self._smooth_tip = self._smooth_tip + share * (self._tip.jacobian(q) @ v - self._smooth_tip)
 
     def _tick(self, t: float, h: float, q: Array) -> None:
         """Compare the observed torque with what is expected; h is the time since the last look."""
@@ -353,6 +359,7 @@ class Monitor:
         fits = shares[j] > _WEAK and left[j] < min(_EXPLAINS, 0.3 * left_force)
         if since < _SUDDEN and fits:
             is_clear = shares[j] > _DEAD and left[j] < _CLEAR < 0.2 * left_force
+            is_clear &= shares[j] > _REVERSED or since > _DEAD_FOR
             if since >= (_SOON if is_clear else _SLOWLY):
                 self._weak_motor(j, float(shares[j]), float(abs(torque[-1, j])))
         elif since >= _SLOWLY and not self._quiet and np.linalg.norm(force) > _LEAST_FORCE:
@@ -454,16 +461,15 @@ class _Swing:
     """The half waves of one joint, as long as they are alike."""
 
     def __init__(self) -> None:
-        self._sign, self._way, self._farthest, self._t = 0.0, 0.0, 0.0, math.nan
+        self._sign, self._way, self._farthest = 0.0, 0.0, 0.0
         self.turned = 0.0  # when it last did
         self._times: deque[float] = deque(maxlen=4)  # of half waves
         self._sizes: deque[float] = deque(maxlen=4)
         self._count, self._begun, self._first = 0, math.nan, 0.0
 
-    def look(self, t: float, rate: float) -> bool:
-        """Add a sample; return True where the joint turned back."""
-        self._way += rate * (0.0 if math.isnan(self._t) else t - self._t)
-        self._t = t
+    def look(self, t: float, h: float, rate: float) -> bool:
+        """Add a sample that holds for h [s]; return True where the joint turned back."""
+        self._way += h * rate
         if self._way * self._sign > self._farthest * self._sign:
             self._farthest = self._way
         if abs(rate) < _SWINGS or rate * self._sign > 0.0:

@@ -263,9 +263,8 @@ def test_what_a_tracker_tells_is_drawn_in_the_world(panda):
     assert_allclose(shown["target"], np.tile(there, (len(run.t), 1)), atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    "law", ["tracking law", pytest.param("set-point law", marks=pytest.mark.study)]
-)
+@pytest.mark.study
+@pytest.mark.parametrize("law", ["tracking law", "set-point law"])
 def test_the_believed_tip_moves_onto_the_true_one_while_it_is_learnt(panda, law):
     """Also of a run that was saved and loaded."""
     plant, task = aj.Plant(panda.with_object(0.2, axis="x")), aj.PositionTask(panda)
