@@ -321,7 +321,7 @@ def test_lost_measurements_are_gaps(reach, show):
 def test_a_controller_that_tells_no_belief(reach, show):
     scene = dataclasses.replace(reach.scene, belief=None, task=None)
     nothing = np.full_like(reach.task_torque, np.nan)
-    unknown = {"task_torque": nothing, "V": nothing[:, 0]}
+    unknown = {"task_torque": nothing, "V": nothing[:, 0], "events": ()}
     run = dataclasses.replace(reach, scene=scene, derived=lambda run, name, at: unknown[name][at])
     page = show(run)
     seek(page, reach.t[-1])
