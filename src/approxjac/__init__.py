@@ -9,37 +9,51 @@ modules that define them: `aj.stability.RegularPart`, `aj.cameras.Camera`, `aj.v
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from approxjac import law, stability, view
+    from approxjac import law as law
     from approxjac import realtime as realtime
-    from approxjac.cameras import PinholeCamera
-    from approxjac.codegen.backends.c_files import export_c
-    from approxjac.controllers import (
-        AdaptiveGravity,
-        AdaptiveKinematics,
-        Controller,
-        Gains,
-        HeldMeasurement,
-        Latency,
-        Limits,
-        NoGravity,
-        SetpointController,
-        TorqueLimited,
-        TrackingController,
-        default_gains,
-    )
-    from approxjac.errors import InvalidInputError
-    from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
-    from approxjac.paths import Circle, Line, Waypoints
-    from approxjac.realtime.control import control
-    from approxjac.robots import Robot, load_robot
-    from approxjac.scenario import Scenario
-    from approxjac.simulation import MujocoPlant, Plant, Sensing, Trajectory
-    from approxjac.simulation.simulate import simulate
-    from approxjac.stability.errors.region import JointBox
-    from approxjac.stability.errors.uncertainty import Uncertainty
-    from approxjac.stability.loop.linearization import local_stability
-    from approxjac.stability.study import Study
-    from approxjac.tasks import ImageTask, PoseTask, PositionTask, StackedTask, Task
+    from approxjac import stability as stability
+    from approxjac import view as view
+    from approxjac.cameras import PinholeCamera as PinholeCamera
+    from approxjac.codegen.backends.c_files import export_c as export_c
+    from approxjac.controllers import AdaptiveGravity as AdaptiveGravity
+    from approxjac.controllers import AdaptiveKinematics as AdaptiveKinematics
+    from approxjac.controllers import Controller as Controller
+    from approxjac.controllers import Gains as Gains
+    from approxjac.controllers import HeldMeasurement as HeldMeasurement
+    from approxjac.controllers import Latency as Latency
+    from approxjac.controllers import Limits as Limits
+    from approxjac.controllers import NoGravity as NoGravity
+    from approxjac.controllers import SetpointController as SetpointController
+    from approxjac.controllers import TorqueLimited as TorqueLimited
+    from approxjac.controllers import TrackingController as TrackingController
+    from approxjac.controllers import default_gains as default_gains
+    from approxjac.errors import InvalidInputError as InvalidInputError
+    from approxjac.interface import Evaluation as Evaluation
+    from approxjac.interface import LimitStatus as LimitStatus
+    from approxjac.interface import Measurement as Measurement
+    from approxjac.interface import Status as Status
+    from approxjac.interface import Target as Target
+    from approxjac.paths import Circle as Circle
+    from approxjac.paths import Line as Line
+    from approxjac.paths import Waypoints as Waypoints
+    from approxjac.realtime.control import control as control
+    from approxjac.robots import Robot as Robot
+    from approxjac.robots import load_robot as load_robot
+    from approxjac.scenario import Scenario as Scenario
+    from approxjac.simulation import MujocoPlant as MujocoPlant
+    from approxjac.simulation import Plant as Plant
+    from approxjac.simulation import Sensing as Sensing
+    from approxjac.simulation import Trajectory as Trajectory
+    from approxjac.simulation.simulate import simulate as simulate
+    from approxjac.stability.errors.region import JointBox as JointBox
+    from approxjac.stability.errors.uncertainty import Uncertainty as Uncertainty
+    from approxjac.stability.loop.linearization import local_stability as local_stability
+    from approxjac.stability.study import Study as Study
+    from approxjac.tasks import ImageTask as ImageTask
+    from approxjac.tasks import PoseTask as PoseTask
+    from approxjac.tasks import PositionTask as PositionTask
+    from approxjac.tasks import StackedTask as StackedTask
+    from approxjac.tasks import Task as Task
 
 __version__ = "0.1.0"
 
@@ -47,6 +61,20 @@ __version__ = "0.1.0"
 _FROM = {
     "cameras": ("PinholeCamera",),
     "codegen": ("export_c",),
+    "controllers": (
+        "AdaptiveGravity",
+        "AdaptiveKinematics",
+        "Controller",
+        "Gains",
+        "HeldMeasurement",
+        "Latency",
+        "Limits",
+        "NoGravity",
+        "SetpointController",
+        "TorqueLimited",
+        "TrackingController",
+        "default_gains",
+    ),
     "errors": ("InvalidInputError",),
     "interface": ("Evaluation", "LimitStatus", "Measurement", "Status", "Target"),
     "paths": ("Circle", "Line", "Waypoints"),
@@ -57,65 +85,21 @@ _FROM = {
     "stability": ("JointBox", "Study", "Uncertainty", "local_stability"),
     "tasks": ("ImageTask", "PoseTask", "PositionTask", "StackedTask", "Task"),
 }
+_SUBPACKAGES = ("law", "stability", "view")
 _MODULES = ("cameras", "controllers", "errors", "robots", "simulation", "tasks")  # of further names
 
-__all__ = [
-    "AdaptiveGravity",
-    "AdaptiveKinematics",
-    "Circle",
-    "Controller",
-    "Evaluation",
-    "Gains",
-    "HeldMeasurement",
-    "ImageTask",
-    "InvalidInputError",
-    "JointBox",
-    "Latency",
-    "LimitStatus",
-    "Limits",
-    "Line",
-    "Measurement",
-    "MujocoPlant",
-    "NoGravity",
-    "PinholeCamera",
-    "Plant",
-    "PoseTask",
-    "PositionTask",
-    "Robot",
-    "Scenario",
-    "Sensing",
-    "SetpointController",
-    "StackedTask",
-    "Status",
-    "Study",
-    "Target",
-    "Task",
-    "TorqueLimited",
-    "TrackingController",
-    "Trajectory",
-    "Uncertainty",
-    "Waypoints",
-    "control",
-    "default_gains",
-    "export_c",
-    "law",
-    "load_robot",
-    "local_stability",
-    "simulate",
-    "stability",
-    "view",
-]
+__all__ = sorted([*_SUBPACKAGES, *(name for names in _FROM.values() for name in names)])
 
 
 if not TYPE_CHECKING:  # or no name would be unknown to type checkers
 
     def __getattr__(name: str) -> object:
-        """Load a module, or the name of one; all others of `__all__` are of `controllers`."""
+        """Load a module, or the name of one."""
         import importlib.util
         import sys
 
-        if name in __all__ and name not in ("law", "stability", "view"):
-            where = next((each for each, names in _FROM.items() if name in names), "controllers")
+        where = next((each for each, names in _FROM.items() if name in names), None)
+        if where is not None:
             value = getattr(importlib.import_module(f"approxjac.{where}"), name)
         elif not name.startswith("_") and importlib.util.find_spec(f"approxjac.{name}"):
             value = importlib.import_module(f"approxjac.{name}")

@@ -1,5 +1,3 @@
 """The command `approxjac`: a file a command."""
 
-from approxjac.cli.main import main
-
-__all__ = ["main"]
+from approxjac.cli.main import main as main

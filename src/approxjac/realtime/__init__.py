@@ -1,13 +1,12 @@
 """The loop on a robot: drivers, `control`, and the faults that it detects."""
 
-from approxjac.realtime.control import RobotRun, control
-from approxjac.realtime.driver import Driver
-from approxjac.realtime.faults import Accuracy, Fault, Tolerances
-from approxjac.realtime.franka import FrankaDriver
-from approxjac.realtime.scheduling import Pace, Scheduling
-from approxjac.realtime.simulated_driver import SimulatedDriver
-
-__all__ = [
-    "Accuracy", "Driver", "Fault", "FrankaDriver", "Pace", "RobotRun", "Scheduling",
-    "SimulatedDriver", "Tolerances", "control",
-]  # fmt: skip
+from approxjac.realtime.control import RobotRun as RobotRun
+from approxjac.realtime.control import control as control
+from approxjac.realtime.driver import Driver as Driver
+from approxjac.realtime.faults import Accuracy as Accuracy
+from approxjac.realtime.faults import Fault as Fault
+from approxjac.realtime.faults import Tolerances as Tolerances
+from approxjac.realtime.franka import FrankaDriver as FrankaDriver
+from approxjac.realtime.scheduling import Pace as Pace
+from approxjac.realtime.scheduling import Scheduling as Scheduling
+from approxjac.realtime.simulated_driver import SimulatedDriver as SimulatedDriver

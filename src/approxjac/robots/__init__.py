@@ -1,18 +1,10 @@
 """Robots: arms from URDF files, attached objects and kinematic errors."""
 
-from approxjac.robots.dynamics import Dynamics, DynamicsRegressor, GravityRegressor
-from approxjac.robots.kinematic_regressor import KinematicRegressor
-from approxjac.robots.load import load_robot, robot_names
-from approxjac.robots.perturbation import Perturbation
-from approxjac.robots.robot import Robot
-
-__all__ = [
-    "Dynamics",
-    "DynamicsRegressor",
-    "GravityRegressor",
-    "KinematicRegressor",
-    "Perturbation",
-    "Robot",
-    "load_robot",
-    "robot_names",
-]
+from approxjac.robots.dynamics import Dynamics as Dynamics
+from approxjac.robots.dynamics import DynamicsRegressor as DynamicsRegressor
+from approxjac.robots.dynamics import GravityRegressor as GravityRegressor
+from approxjac.robots.kinematic_regressor import KinematicRegressor as KinematicRegressor
+from approxjac.robots.load import load_robot as load_robot
+from approxjac.robots.load import robot_names as robot_names
+from approxjac.robots.perturbation import Perturbation as Perturbation
+from approxjac.robots.robot import Robot as Robot

@@ -1,42 +1,25 @@
 """Plots of runs, of what cameras see and of stability; runs in the browser."""
 
-from approxjac.errors import package_of
+from approxjac.errors import package_of as _package_of
 
-package_of("study", "matplotlib")  # for its error
+_package_of("study", "matplotlib")  # for its error
 
-from approxjac.view.browser.live import LiveView
-from approxjac.view.browser.page import save_page, show, write_index
-from approxjac.view.plots import (
-    plot_command,
-    plot_error,
-    plot_image,
-    plot_parameters,
-    plot_path,
-    plot_run,
-    plot_shares,
-    plot_slack,
-    plot_torque,
-)
-from approxjac.view.style import COLORS, SERIES, legend_below, new_figure, save_figure, style
-
-__all__ = [
-    "COLORS",
-    "SERIES",
-    "LiveView",
-    "legend_below",
-    "new_figure",
-    "plot_command",
-    "plot_error",
-    "plot_image",
-    "plot_parameters",
-    "plot_path",
-    "plot_run",
-    "plot_shares",
-    "plot_slack",
-    "plot_torque",
-    "save_figure",
-    "save_page",
-    "show",
-    "style",
-    "write_index",
-]
+from approxjac.view.browser.live import LiveView as LiveView
+from approxjac.view.browser.page import save_page as save_page
+from approxjac.view.browser.page import show as show
+from approxjac.view.browser.page import write_index as write_index
+from approxjac.view.plots import plot_command as plot_command
+from approxjac.view.plots import plot_error as plot_error
+from approxjac.view.plots import plot_image as plot_image
+from approxjac.view.plots import plot_parameters as plot_parameters
+from approxjac.view.plots import plot_path as plot_path
+from approxjac.view.plots import plot_run as plot_run
+from approxjac.view.plots import plot_shares as plot_shares
+from approxjac.view.plots import plot_slack as plot_slack
+from approxjac.view.plots import plot_torque as plot_torque
+from approxjac.view.style import COLORS as COLORS
+from approxjac.view.style import SERIES as SERIES
+from approxjac.view.style import legend_below as legend_below
+from approxjac.view.style import new_figure as new_figure
+from approxjac.view.style import save_figure as save_figure
+from approxjac.view.style import style as style
