@@ -1463,8 +1463,8 @@ MUTANTS = [
     ),
     (
         "monitor: gravity of the robot added twice", "simulation/monitor.py",
-        "rest: Array = self._dynamics.C(q, v).T @ v - self._dynamics.g(q)",
-        "rest: Array = self._dynamics.C(q, v).T @ v + self._dynamics.g(q)", MONITOR,
+        "return self._dynamics.C(q, v).T @ v - self._dynamics.g(q)",
+        "return self._dynamics.C(q, v).T @ v + self._dynamics.g(q)", MONITOR,
     ),
     (
         "monitor: a load without inertia", "simulation/monitor.py",

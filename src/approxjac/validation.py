@@ -81,7 +81,7 @@ def as_vector(name: str, value: Any, size: int, unit: str = "") -> Array:
     ):
         return value
     if hasattr(value, "arm_of"):  # symbols, of which nothing is known yet
-        return value  # type: ignore[no-any-return]
+        return value
     return as_array(name, value, (size,), unit)
 
 
@@ -239,8 +239,7 @@ class Immutable:
         return {**arguments, **self._changes}
 
     def _rebuilt(self, **changes: Any) -> Self:
-        found: Self = _built(type(self), (), self._arguments | changes, self._carries)
-        return found
+        return _built(type(self), (), self._arguments | changes, self._carries)
 
     @property
     def _carries(self) -> dict[str, Any]:

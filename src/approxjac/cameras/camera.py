@@ -503,8 +503,7 @@ def _border(
 
 def _between(value: float, low: float, high: float) -> float:
     value = law.select(value > low, value, low)
-    within: float = law.select(value < high, value, high)
-    return within
+    return law.select(value < high, value, high)
 
 
 def _short(values: Any) -> str:

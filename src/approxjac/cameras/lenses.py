@@ -243,8 +243,7 @@ class Fisheye(Lens):
 
     def _length(self, wanted: float) -> float:
         sine, cosine = sine_and_cosine(inverse(self._bent, wanted, self.widest))
-        tangent: float = sine / cosine
-        return tangent
+        return sine / cosine
 
 
 def _sum(coefficients: Sequence[float], s: float) -> float:

@@ -26,9 +26,9 @@ def as_measurement(value: Any) -> Measurement:
     require("measurement", value, Measurement, "Measurement(t, q, v, x)")
     t, q, _, _, t_x = value
     if hasattr(q, "arm_of"):
-        return value  # type: ignore[no-any-return]
+        return value
     t = t if isinstance(t, float) else as_number("t of a measurement", t, unit="s")
-    return value._replace(t=t, t_x=t_x if t_x is None or isinstance(t_x, float) else time_of_x(t_x))  # type: ignore[no-any-return]
+    return value._replace(t=t, t_x=t_x if t_x is None or isinstance(t_x, float) else time_of_x(t_x))
 
 
 def require_arrays(

@@ -51,8 +51,7 @@ class ModelGravity(Immutable):
         """Return g(q), shape (n_v,) [N m or N]; an alias of scratch memory."""
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
             return np.asanyarray(arm.gravity())
-        g: Array = self._torque_at(q)
-        return g
+        return self._torque_at(q)
 
 
 class NoGravity(ModelGravity):

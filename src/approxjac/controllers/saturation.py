@@ -103,8 +103,7 @@ def _require_law(f: Saturation, m: int) -> None:
 
 
 def _is_between(slope: Array, ends: Array, slack: float | Array) -> Array:
-    holds: Array = (ends.min(axis=0) - slack <= slope) & (slope <= ends.max(axis=0) + slack)
-    return holds
+    return (ends.min(axis=0) - slack <= slope) & (slope <= ends.max(axis=0) + slack)
 
 
 def describe_saturation(saturation: Saturation, task: Task) -> str:

@@ -111,8 +111,7 @@ def choose(condition: Any, then: Callable[[], Values], otherwise: Callable[[], V
     """
     if isinstance(condition, _KNOWN):
         return then() if condition else otherwise()
-    chosen: Values = condition.choose(then, otherwise)
-    return chosen
+    return condition.choose(then, otherwise)
 
 
 def repeat(count: int, body: Callable[[Any, Values], Values], start: Values) -> Values:
@@ -141,7 +140,7 @@ def collect(
     for value in start:
         looped = getattr(value, "looped", None)
         if looped is not None:
-            return looped(count, body, start)  # type: ignore[no-any-return]
+            return looped(count, body, start)
     return collected(count, body, start)
 
 

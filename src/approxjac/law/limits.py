@@ -85,8 +85,7 @@ def power_zero(
     above = np.minimum(np.where(is_above, powers, power).min(), power)
     below = np.where(is_above, -_FAR, powers).max()
     share = np.maximum(above / (above - below), _LEAST)  # for what is infinitely far stays so
-    root: float = here + share * (there - here)
-    return root
+    return here + share * (there - here)
 
 
 def rate_bounds(

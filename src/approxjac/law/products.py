@@ -10,8 +10,7 @@ from approxjac.validation import Array
 
 def dot(a: Array, b: Array) -> Array:
     """Return `a @ b` of vectors and matrices, for small arrays in a third of its time."""
-    product: Array = a.dot(b)
-    return product
+    return a.dot(b)
 
 
 def root(a: Any) -> Any:

@@ -124,8 +124,7 @@ def gram_damping(least: Array, largest: Array, singular_ratio: float, scale: flo
     Eigenvalues below zero by round-off count as zero.
     """
     threshold = singular_ratio**2 * np.maximum(largest, scale**2)
-    damping: Array = np.maximum(threshold - np.maximum(least, 0.0), 0.0)
-    return damping
+    return np.maximum(threshold - np.maximum(least, 0.0), 0.0)
 
 
 def adjugate(G: list[list[float]]) -> tuple[Rows, float, float, float]:

@@ -188,8 +188,7 @@ def _share(above: float, below: float, is_some: bool, otherwise: float) -> float
     """Return a quotient, or a given value where the denominator is 0."""
     if is_some is False:
         return otherwise
-    share: float = select(is_some, above / below, otherwise)
-    return share
+    return select(is_some, above / below, otherwise)
 
 
 def nearest_rotation(A: Array) -> Array:

@@ -151,5 +151,4 @@ class Tanh(_Bounded):
 
 
 def _within(u: Array) -> Array:
-    clipped: Array = np.minimum(np.maximum(u, _BOTTOM), _TOP)
-    return clipped  # np.clip costs five times as much
+    return np.minimum(np.maximum(u, _BOTTOM), _TOP)

@@ -176,8 +176,7 @@ def hold_moved(held: HoldStep, motion: Array) -> Array:
         # a part that is too old stands still: an arm that sags back is not seen by that
         own = held.moved[rows]
         moved += _each(is_old, own, [a + b for a, b in zip(own, by[rows], strict=True)])
-    after: Array = array(held.last + moved + held.known)
-    return after
+    return array(held.last + moved + held.known)
 
 
 def _each(condition: Any, a: list[Any], b: list[Any]) -> list[Any]:

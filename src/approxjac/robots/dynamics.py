@@ -270,8 +270,7 @@ class DynamicsRegressor(_TorqueRegressor):
     def motion(self, q: Array, v: Array, v_r: Array, a_r: Array) -> LinkMotion:
         """Return the links' part of `Y_d`, of the same arguments, as products with it."""
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
-            symbolic: LinkMotion = arm.bodies(v, v_r, a_r)
-            return symbolic
+            return arm.bodies(v, v_r, a_r)
         return LinkMotion(self, q, self._links(q, v, v_r, a_r))
 
     def Z(self, q: Array) -> Array:
@@ -373,8 +372,7 @@ class GravityRegressor(_TorqueRegressor):
         It is a mass [kg] and, in that link's axes, the first moments that `moments` names [kg m].
         """
         weighted = self._held * self._usual[:, np.newaxis]
-        load: Array = np.linalg.lstsq(weighted, change * self._usual, rcond=1e-9)[0]
-        return load
+        return np.linalg.lstsq(weighted, change * self._usual, rcond=1e-9)[0]
 
     def _samples(self, robot: Robot, rng: np.random.Generator) -> tuple[Array, Array]:
         dynamics, configurations = Dynamics(robot), anywhere(robot, rng)

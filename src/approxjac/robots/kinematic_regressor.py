@@ -177,8 +177,7 @@ class KinematicRegressor:
     def motion(self, q: Array, v: Array, theta: Array, theta_dot: Array) -> PointMotion:
         """Return positions and derivatives at q (nq,), q̇ (n_v,), θ (p,) [m] and θ' (p,) [m/s]."""
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
-            symbolic: PointMotion = arm.points(self).motion(v, theta, theta_dot)
-            return symbolic
+            return arm.points(self).motion(v, theta, theta_dot)
         speeds = self.robot.mimic_joints.v(as_vector("v", v, self.robot.nv))
         rates = np.concatenate([speeds, theta_dot]).take(self._from_v)
         pin.computeJointJacobiansTimeVariation(self._freed, self._data, self._all(q, theta), rates)

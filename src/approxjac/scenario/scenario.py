@@ -95,8 +95,7 @@ class Scenario:
 
         Errors name `where` the table is from; they are those of `Scenario`.
         """
-        made: Scenario = filled(self, table, where)
-        return made
+        return filled(self, table, where)
 
     def save(self, path: str | Path) -> Path:
         """Write an equivalent scenario file, and return its path."""

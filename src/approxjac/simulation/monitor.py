@@ -267,8 +267,7 @@ class Monitor:
 
     def _rest(self, q: Array, v: Array) -> Array:
         """Return Cᵀq̇ − g."""
-        rest: Array = self._dynamics.C(q, v).T @ v - self._dynamics.g(q)
-        return rest
+        return self._dynamics.C(q, v).T @ v - self._dynamics.g(q)
 
     def _observe(self, h: float, q: Array, v: Array) -> None:
         """Filter the torque that changes the momentum more than motors and gravity do."""
@@ -429,8 +428,7 @@ class Monitor:
 
 def _diagonal(matrix: Array) -> Array:
     """Return the diagonal of a matrix, to be changed in place."""
-    diagonal: Array = np.einsum("ii->i", matrix)
-    return diagonal
+    return np.einsum("ii->i", matrix)
 
 
 def _fit(

@@ -499,8 +499,7 @@ class Plant(Immutable):
     def _forward(self, q: Array, v: Array, tau: Array) -> Array:
         if self._is_coupled:
             return self.dynamics.forward(q, v, tau)
-        a: Array = self._aba(q, v, tau, WORLD)
-        return a
+        return self._aba(q, v, tau, WORLD)
 
     @property
     def is_exact(self) -> bool:

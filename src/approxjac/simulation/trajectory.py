@@ -114,8 +114,7 @@ def _restored_task(kept: Mapping[str, Any] | None, robot: Robot | None) -> Task 
     if "camera" in given:
         camera = {**given["camera"]}
         given["camera"] = Saved._kinds[camera.pop("kind")](**camera)
-    task: Task = kind(robot, **given)
-    return task
+    return kind(robot, **given)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

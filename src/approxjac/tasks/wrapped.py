@@ -357,8 +357,7 @@ class NonsingularTask(WrappedTask):
     def _weights(self, squares: Array) -> Array:
         """Return the weight of each left singular vector, 1 where its singular value is 0."""
         threshold = self._ratio**2 * np.maximum(squares.max(), max(self._scale**2, _TINY))
-        weights: Array = np.maximum(0.0, 1.0 - np.maximum(squares, 0.0) / threshold)
-        return weights
+        return np.maximum(0.0, 1.0 - np.maximum(squares, 0.0) / threshold)
 
     def on(self, robot: Robot) -> Task:
         """Return the original task, for another robot."""

@@ -103,8 +103,7 @@ def with_numbers(sensor: Task, given: Mapping[str, Symbols]) -> Task:
     for i, camera in enumerate(_cameras(sensor)):
         named = {name: given[f"sensor.{i}{name}"] for name in camera.numbers}
         changed[id(camera)] = camera.with_numbers(named)
-    found: Task = _replaced(sensor, changed)
-    return found
+    return _replaced(sensor, changed)
 
 
 def _replaced(of: Any, changed: Mapping[int, Camera]) -> Any:
@@ -149,5 +148,4 @@ def error(task: Task, x: Symbols, x_d: Symbols) -> Symbols:
 
 
 def _graph(q: Symbols) -> Graph:
-    graph: Graph = next(each.graph for each in q.tolist() if hasattr(each, "graph"))
-    return graph
+    return next(each.graph for each in q.tolist() if hasattr(each, "graph"))

@@ -83,8 +83,7 @@ def _made(llvm: Any, machine: Any, name: str, text: str) -> bytes:
 
 
 def _compiled(llvm: Any, machine: Any, text: str) -> bytes:
-    code: bytes = machine.emit_object(llvm.parse_assembly(text))
-    return code
+    return machine.emit_object(llvm.parse_assembly(text))
 
 
 def cache_folder() -> Path | None:

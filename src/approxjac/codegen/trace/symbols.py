@@ -597,10 +597,7 @@ def _polynomial(x: Number, coefficients: Sequence[float]) -> Number:
 
 def _of_one(known: Callable[[float], float], unknown: Callable[[Scalar], Any]) -> np.ufunc:
     """Return a function of each entry, known or not."""
-    function: np.ufunc = np.frompyfunc(
-        lambda a: unknown(a) if isinstance(a, Scalar) else known(a), 1, 1
-    )
-    return function
+    return np.frompyfunc(lambda a: unknown(a) if isinstance(a, Scalar) else known(a), 1, 1)
 
 
 Symbols = Any

@@ -419,8 +419,7 @@ class Estimator(Kinematics):
 
     def left_over(self, state: Array) -> Array:
         """Return what the last x differs by from what was learnt, (m,) [unit of the task]."""
-        left: Array = state[self._at["left"]]
-        return left
+        return state[self._at["left"]]
 
     def report(self, state: Array) -> KinematicReport:
         """Return a report of a state: learnt numbers, standard deviations, and how well seen."""

@@ -669,8 +669,7 @@ class _UnknownRotation(_KnownRotation):
             return (law.select(better, other, near),)
 
         is_other = start.dot(near.ravel()) <= _SAME * self._d
-        best: Array = law.choose(is_other, elsewhere, lambda: (near,))[0]
-        return best
+        return law.choose(is_other, elsewhere, lambda: (near,))[0]
 
     def _about(self, Theta: Array, A: Array) -> Array:
         d, n = self._d, self._n_u

@@ -84,8 +84,7 @@ class AccelerationObserver:
         apart = measurement.v - memory[1 : n + 1]
         follows = self._share * r + self._rate * apart
         follows = np.minimum(np.maximum(follows, -self._most), self._most)
-        residual: Array = law.select(is_due, follows, r)
-        return residual
+        return law.select(is_due, follows, r)
 
     def forward(self, measurement: Measurement, gravity: Array, torque: Array) -> Array:
         """Return f for a torque, (n_v,) [rad/s² or m/s²]; `gravity` is the compensated one."""
@@ -97,8 +96,7 @@ class AccelerationObserver:
         expected = measurement.v + self._period * f
         memory = np.concatenate([[measurement.t + self._dt], expected, residual])
         # what is absurd must not make the next period's prediction overflow
-        kept: Array = law.select(law.length(memory) < HUGE, memory, self.nothing)
-        return kept
+        return law.select(law.length(memory) < HUGE, memory, self.nothing)
 
 
 class TorqueLimited(ControllerWrapper):
