@@ -126,7 +126,6 @@ class ModelDynamics(MotionDynamics):
         return state, middle + self.rotor_inertia * a_r - apart, self.gravity(state, q)
 
     def gravity(self, state: Array, q: Array) -> Array:
-        """Return ĝ(q) of the model."""
         return np.array(pin.computeGeneralizedGravity(self._model, self._data, q))
 
     def __repr__(self) -> str:

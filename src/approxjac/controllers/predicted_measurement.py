@@ -90,7 +90,6 @@ class PredictedMeasurement(ControllerWrapper):
         return {**self.controller.parameters, **self.kinematics.parameters}
 
     def learnt_sd(self, state: Array) -> Array:
-        """Return the standard deviations of `learnt`, shape (p,)."""
         inner, known = self._split(state)
         return np.concatenate([self.controller.learnt_sd(inner), self.kinematics.sd_of(known)])
 
@@ -103,13 +102,11 @@ class PredictedMeasurement(ControllerWrapper):
         )
 
     def begin(self, measurement: Measurement) -> Array:
-        """Return the state before the first step."""
         if not hasattr(getattr(measurement, "q", None), "arm_of"):  # or it is of symbols
             require_arrays(np.zeros(0), measurement, self.task.origin, self.task, 0)
         return self._started(self.kinematics.initial_state(measurement), measurement)
 
     def resumed(self, state: Array, measurement: Measurement) -> Array:
-        """Return an initial state with the learnt numbers of another state."""
         fresh = self.initial_state(measurement)
         inner, known = self._split(state)
         fresh[: self.size] = self._started(self.kinematics.resumed(known, measurement), measurement)
@@ -157,7 +154,6 @@ class PredictedMeasurement(ControllerWrapper):
         return self._joined(after, known, measurement), answer._replace(e=e, status=status)
 
     def kinematics_of(self, state: Array) -> tuple[Kinematics, Array]:
-        """Return the kinematics, and their part of a state."""
         return self.kinematics, self._split(state)[1]
 
     def _predicted(

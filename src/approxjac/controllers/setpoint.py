@@ -311,7 +311,6 @@ class SetpointController(Immutable, Controller):
         return _ALPHA_SHARE * slow_rate(self.task, self.diagonals)
 
     def gravity_torque(self, state: Array, q: Array) -> Array:
-        """Return the gravity torque that this law compensates, shape (n_v,) [N m or N]."""
         if self.adaptation is not None:
             Y = self.adaptation.Y(q, self.task.jacobian(q))
             return law.gravity(Y, state[: self.resting])

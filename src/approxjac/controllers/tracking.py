@@ -225,7 +225,6 @@ class TrackingController(Immutable, Controller):
         return state
 
     def resumed(self, state: Array, measurement: Measurement) -> Array:
-        """Return an initial state with the learnt numbers of another state."""
         state = as_vector("state", self._own_part(state), self.n_state)
         fresh, (p, end) = self.initial_state(measurement), (self.resting, self._end)
         fresh[:p] = state[:p]
@@ -329,7 +328,6 @@ class TrackingController(Immutable, Controller):
         return np.concatenate([np.full(self.resting, np.nan), kinematics.sd_of(known)])
 
     def kinematics_of(self, state: Array) -> tuple[Kinematics, Array]:
-        """Return the kinematics, and their part of a state."""
         state = as_vector("state", self._own_part(state), self.n_state)
         return self.kinematics, state[self.resting : self._end]
 
@@ -363,11 +361,9 @@ class TrackingController(Immutable, Controller):
         return Dynamics(self.dynamics.robot), True
 
     def gravity_torque(self, state: Array, q: Array) -> Array:
-        """Return the gravity torque that this law compensates, shape (n_v,) [N m or N]."""
         return self.dynamics.gravity(state[: self.resting], q)
 
     def describe(self) -> list[str]:
-        """Describe the law and its learning in a line, and its task."""
         kinds = [spaced(type(part).__name__) for part in (self.kinematics, self.dynamics)]
         parts = " and ".join(kinds).replace("adaptive", "learnt").replace("model", "known")
         first = f"tracking law, alpha {self.alpha:.4g}, kappa {self.kappa:.4g}; {parts}"

@@ -58,7 +58,6 @@ class ControllerWrapper(Immutable, Controller):
     needs_solver: bool = _inner("needs_solver")
 
     def describe(self) -> list[str]:
-        """Describe the controller inside, then this wrapper."""
         return [*self.controller.describe(), self._what or f"within {type(self).__name__}"]
 
     def learnt(self, state: Array) -> Array:

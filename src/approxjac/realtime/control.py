@@ -264,18 +264,15 @@ class ObserverThread(Loop):
         self._thread.join(_ANSWER)
 
     def aim_at(self, target: Any) -> None:
-        """Request another target."""
         with self._loop.between_steps:
             self._loop.aim_at(target)
 
     def exchange(self, controller: Any) -> None:
-        """Request another controller."""
         with self._loop.between_steps:
             self._loop.exchange(copy.deepcopy(controller))
         self.controller = controller
 
     def stop(self) -> None:
-        """Request a controlled stop."""
         self._loop.stop()
 
     def _show(self) -> None:

@@ -178,7 +178,6 @@ class RobotLoop(Loop):
             self._blend(self.target, self._velocity)
 
     def exchange(self, controller: Controller) -> None:
-        """Replace the controller from the next step on."""
         require_able(self._brake.driver, controller)
         super().exchange(controller)
         self.monitor = self.monitor.with_controller(controller)

@@ -126,7 +126,7 @@ class Kinematics(Immutable, ABC):
         return None
 
     def left_over(self, state: Array) -> Array:
-        """Return what the last x differs by from what was learnt, (m,); by default nothing."""
+        """Return what the last x differs by from what is learnt, (m,), in its units; or nothing."""
         return np.zeros(0)
 
     def robot(self, state: Array) -> Robot:
@@ -387,7 +387,6 @@ class Estimator(Kinematics):
         return rate
 
     def status(self, state: Array, measurement: Measurement) -> Status:
-        """Return the status of the prediction by a state; see `Kinematics`."""
         t_x: Any = math.nan if measurement.t_x is None else measurement.t_x
         is_old = self._frames.silence(state[self._at["frames"]]) > _STALE
         status: Status = law.select(is_old & (t_x == t_x), _PREDICTED, _OK)  # NaN is not known
@@ -407,22 +406,18 @@ class Estimator(Kinematics):
         return state
 
     def resumed(self, state: Array, measurement: Measurement) -> Array:
-        """Return an initial state with the learnt numbers of another state."""
         state, fresh = self._required(state), self.initial_state(measurement)
         for part in self._kept:
             fresh[part] = state[part]
         return fresh
 
     def learnt(self, state: Array) -> Array:
-        """Return the learnt numbers (…, p) of a state, or of a series of states (…, n_state)."""
         return state[..., self._at["learnt"]]
 
     def left_over(self, state: Array) -> Array:
-        """Return what the last x differs by from what was learnt, (m,) [unit of the task]."""
         return state[self._at["left"]]
 
     def report(self, state: Array) -> KinematicReport:
-        """Return a report of a state: learnt numbers, standard deviations, and how well seen."""
         at, state = self._at, self._required(state)
         learnt, (P, chi) = self.learnt(state), self._covariance(state)
         seconds, restarts, variance = state[at["noted"]].tolist()

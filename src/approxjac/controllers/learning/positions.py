@@ -477,7 +477,6 @@ class AdaptiveKinematics(Estimator):
         return covariance, float(state[self._at["chi"]][0])
 
     def robot(self, state: Array) -> Robot:
-        """Return the believed robot with the tool and joint origins that a state has learnt."""
         learnt, n = self.learnt(self._required(state)), self._n_theta
         turn = learnt[n : n + 3] if self._learns_T else None
         return self.regressor.robot_with(self._moved.theta(learnt[:n]), turn)

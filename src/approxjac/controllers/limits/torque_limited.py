@@ -248,7 +248,6 @@ class TorqueLimited(ControllerWrapper):
 
     @property
     def limited_law(self) -> Controller:
-        """The law whose torque is limited."""
         return self.controller
 
     @property
@@ -261,7 +260,6 @@ class TorqueLimited(ControllerWrapper):
         return self._with_memory(self._law.begin(measurement), measurement)
 
     def resumed(self, state: Array, measurement: Measurement) -> Array:
-        """Return an initial state with the learnt numbers of another state."""
         state = super().resumed(state, measurement)
         n = self.controller.size
         state[n : self.size] = self._with_memory(state[:n], measurement)[n:]

@@ -576,7 +576,6 @@ class SampledForm(MatrixForm):
         return turning
 
     def take(self, which: Indices | slice) -> Self:
-        """Return the matrices of some of the samples."""
         other = super().take(which)
         parts = (None if each is None else each[which] for each in self._rate)
         other._rate = sampled_form.TorqueRate(*parts)  # type: ignore[arg-type]
@@ -631,7 +630,6 @@ class SampledForm(MatrixForm):
         return F
 
     def metric(self, Y: Array) -> Array:
-        """Return Y, filled up where it is zero."""
         (m, n), whole = self.samples.J_e.shape[-2:], Y.shape[-1]
         k, filled = n + m, Y.copy()
         filled[0, :, k : k + n, k : k + n] = self._size * np.linalg.inv(self._of_samples.D)

@@ -75,11 +75,9 @@ class VisiblePart(Region):
         self.region, self.sensor, self.truth = region, sensor, truth
 
     def sample(self, n: int, rng: np.random.Generator) -> Array:
-        """Draw n configurations that are seen, shape (n, nq)."""
         return self.replace_unseen(self.region.sample(n, rng), rng)
 
     def contains(self, q: Array) -> bool:
-        """Return True if a configuration (nq,) belongs to the region and is seen."""
         return self.region.contains(q) and sees(self.sensor, q)
 
     def replace_unseen(self, drawn: Array, rng: np.random.Generator) -> Array:
@@ -106,7 +104,6 @@ class VisiblePart(Region):
         return kept
 
     def near(self, q: Array, size: float, rng: np.random.Generator) -> Array:
-        """Return a visible configuration about `size` spreads of the region away from such a q."""
         near = (self.region.near(q, size, rng) for _ in range(_NEARBY))
         return next((moved for moved in near if sees(self.sensor, moved)), q)
 
