@@ -4,7 +4,8 @@ A Panda with a tool that is truly longer and heavier, semi-implicit Euler at 1 m
 believed gravity. All take turns; runs that are many differ in tool, start and target. JAX takes
 part where it is installed (`pip install jax`, without a GPU).
 
-    OMP_NUM_THREADS=1 taskset -c 0 python tests/benchmarks/lanes.py
+    export OMP_NUM_THREADS=1 PYTHONPATH=tests/codegen
+    taskset -c 0 python tests/benchmarks/lanes.py
 """
 
 import functools
@@ -16,11 +17,12 @@ import numpy as np
 import pinocchio as pin
 import turns
 from mujoco import rollout
+from numpy_lanes import NumpyLanes
 
 import approxjac as aj
-from approxjac.codegen.backends import numpy_lanes
+from approxjac.codegen.backends import numpy_function as by_numpy
 from approxjac.codegen.backends.llvm import LlvmLanes
-from approxjac.codegen.backends.numpy_lanes import NumpyLanes, numpy_function
+from approxjac.codegen.backends.numpy_function import numpy_function
 from approxjac.codegen.lanes import Box, Lanes
 from approxjac.codegen.trace.program import RECORDED, STEP, Block
 from approxjac.robots import Dynamics
@@ -131,7 +133,7 @@ def in_jax():
     program = lanes.program
     lanes.compiled = NumpyLanes(program)
     numbers = [number for name in program.stepped for number in program.stepped[name]]
-    ours = numpy_lanes._OPERATIONS
+    ours = by_numpy._OPERATIONS
     own = {name: getattr(jax.numpy, ours[name].__name__) for name in {*ours} - {"power"}}
     own["power"] = lambda a: (a.view(jax.numpy.int64) << 52).view(jax.numpy.float64)
     ours |= own

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy_lanes import NumpyLanes
 
 from approxjac import law
 from approxjac.codegen.backends.llvm import LlvmLanes
-from approxjac.codegen.backends.numpy_lanes import NumpyLanes, numpy_function
+from approxjac.codegen.backends.numpy_function import numpy_function
 from approxjac.codegen.trace.program import Block, Program
 from approxjac.codegen.trace.symbols import Graph, eigensystem, inputs, select, symbols
 from approxjac.law.factors import Factors

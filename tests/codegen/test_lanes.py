@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from many_runs import rolled
 from numpy.testing import assert_allclose, assert_array_equal
+from numpy_lanes import NumpyLanes
 
 import approxjac as aj
-from approxjac.codegen.backends.numpy_lanes import NumpyLanes
 from approxjac.codegen.lanes import OUTCOME, Box, Lanes
 from approxjac.codegen.step import compiled
 from approxjac.controllers import CartesianSpeed, HeldMeasurement

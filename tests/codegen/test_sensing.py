@@ -9,11 +9,11 @@ import test_lanes
 import test_task_loops
 from many_runs import rolled
 from numpy.testing import assert_allclose, assert_array_equal
+from numpy_lanes import NumpyLanes
 
 import approxjac as aj
 from approxjac.codegen import compiled
 from approxjac.codegen.backends.llvm import LlvmLanes
-from approxjac.codegen.backends.numpy_lanes import NumpyLanes
 from approxjac.codegen.lanes import OUTCOME, Box, Lanes
 from approxjac.codegen.loop_program import require_covered
 from approxjac.controllers import DifferentiatedVelocity

@@ -10,11 +10,11 @@ import sys
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from numpy_lanes import NumpyLanes
 from own_parts import Cubic, of_ones_own
 
 import approxjac as aj
 from approxjac.cameras import PlanarCamera
-from approxjac.codegen.backends.numpy_lanes import NumpyLanes
 from approxjac.codegen.step import compiled, step_program
 from approxjac.controllers import (
     AwayFromStops,

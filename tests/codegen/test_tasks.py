@@ -9,7 +9,7 @@ import approxjac as aj
 from approxjac.cameras import PlanarCamera, tag_corners
 from approxjac.codegen.arm import traced_tasks as tasks
 from approxjac.codegen.arm.rigid_body import Arm
-from approxjac.codegen.backends.numpy_lanes import numpy_function
+from approxjac.codegen.backends.numpy_function import numpy_function
 from approxjac.codegen.step import compiled
 from approxjac.codegen.trace.program import Program
 from approxjac.codegen.trace.symbols import arctangent, inputs

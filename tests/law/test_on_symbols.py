@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from approxjac import law
-from approxjac.codegen.backends.numpy_lanes import numpy_function
+from approxjac.codegen.backends.numpy_function import numpy_function
 from approxjac.codegen.trace.symbols import Graph, inputs, symbols
 from approxjac.law.branches import all_finite, is_finite, leave, surely
 from approxjac.law.limits import largest, within

@@ -8,7 +8,6 @@ from numpy.testing import assert_allclose
 from random_trees import random_tree
 
 import approxjac as aj
-from approxjac.codegen.backends.numpy_lanes import NumpyLanes
 from approxjac.robots import GravityRegressor
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.loop.linearization import Timing, linear_loop, spectrum
@@ -47,7 +46,7 @@ def require_same_terms(arm, frame, rng):
     q = np.array([arm.random_configuration(rng) for _ in range(10)])
     task, x_d = aj.PositionTask(arm, frame, "x"), np.zeros((10, 1))
     plant = aj.Plant(arm, task)
-    traced = TracedTerms([plant], task, engine=NumpyLanes)
+    traced = TracedTerms([plant], task, compiles=False)
     found = traced.at(traced.numbers([plant] * 10), q, x_d)
     each = [vars(terms_alone(plant, plant.dynamics, task, *at)) for at in zip(q, x_d, strict=True)]
     require_same(vars(found), {name: [row[name] for row in each] for name in each[0]})

@@ -15,7 +15,6 @@ from approxjac.codegen.arm import traced_tasks as tasks
 from approxjac.codegen.arm.arm_numbers import ArmNumbers, arm_numbers
 from approxjac.codegen.arm.rigid_body import Arm
 from approxjac.codegen.backends.llvm import LlvmLanes
-from approxjac.codegen.backends.numpy_lanes import NumpyLanes
 from approxjac.codegen.loop_program import TracedLoop
 from approxjac.codegen.sensors import TracedSensing
 from approxjac.codegen.trace.program import Block, Program
@@ -148,8 +147,8 @@ class Lanes:
         })  # fmt: skip
 
     @functools.cached_property
-    def compiled(self) -> LlvmLanes | NumpyLanes:
-        """The program, compiled when it first runs; `NumpyLanes` may take its place."""
+    def compiled(self) -> LlvmLanes:
+        """The program, compiled when it first runs."""
         return LlvmLanes(self.program)
 
     def packed(self, starts: Sequence[LaneStart]) -> tuple[Array, Array]:

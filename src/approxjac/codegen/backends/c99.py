@@ -12,7 +12,7 @@ import numpy as np
 
 from approxjac import law
 from approxjac.codegen import traced_law as laws
-from approxjac.codegen.backends.numpy_lanes import numpy_function
+from approxjac.codegen.backends.numpy_function import numpy_function
 from approxjac.codegen.trace.program import Going, Language, Rows
 from approxjac.codegen.trace.symbols import Graph, Number, Passes, inputs, symbols
 from approxjac.controllers.controller import Controller

@@ -122,7 +122,13 @@ class LlvmLanes:
         self._run = kind(self._code.address)
 
     def run(self, kept: Array, parameters: Array, block: Block | None = None) -> None:
-        """Take steps, in place: see `NumpyLanes.run`. Other threads go on meanwhile."""
+        """Take steps, in place. Other threads go on meanwhile.
+
+        Args:
+            kept: What is kept, shape (groups, rows, width).
+            parameters: What stays, shape (groups, parameters, width).
+            block: Which steps to take; by default one.
+        """
         first, times, draws = block or Block.plain()
         if len(kept):
             arrays = (each.ctypes.data for each in (kept, parameters, times, draws))

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import functools
 import importlib.util
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from approxjac.codegen.arm import traced_tasks as tasks
 from approxjac.codegen.arm.arm_numbers import ArmNumbers, arm_numbers
 from approxjac.codegen.arm.rigid_body import Arm
 from approxjac.codegen.backends.llvm import LlvmLanes
-from approxjac.codegen.backends.numpy_lanes import NumpyLanes
+from approxjac.codegen.backends.numpy_function import numpy_function
 from approxjac.codegen.trace.derivatives import rates
 from approxjac.codegen.trace.program import Program
 from approxjac.codegen.trace.symbols import Symbols, symbols
@@ -85,17 +86,15 @@ class TracedTerms:
     Args:
         plants: True robots and their sensors, which differ in all that will ever differ.
         task: The believed task.
-        engine: What carries it out; machine code by default, NumPy without llvmlite.
+        compiles: Whether it becomes machine code; by default where llvmlite is installed.
 
     Raises:
         InvalidInputError, TypeError, ValueError: What takes no symbols, has loops to be
             differentiated, or sensors that differ in more than numbers of cameras.
     """
 
-    def __init__(
-        self, plants: Sequence[Plant], task: Task, engine: Callable[[Program], Any] | None = None
-    ) -> None:
-        self._given = plants, task, engine
+    def __init__(self, plants: Sequence[Plant], task: Task, compiles: bool | None = None) -> None:
+        self._given = plants, task, compiles
         sensor, robot = plants[0].sensor, plants[0].robot
         self._frames = tasks.frames(sensor)
         program = self._program = Program()
@@ -121,10 +120,11 @@ class TracedTerms:
         terms = Terms(x, tasks.error(own, x, x_d), J, J_hat, dJ_hat, M, gradient(M), g, gradient(g))
         self._shapes = {name: np.shape(each) for name, each in vars(terms).items()}
         program.step(vars(terms))
-        if engine is None:
-            has_llvm = importlib.util.find_spec("llvmlite") is not None
-            engine = functools.partial(LlvmLanes, effort=0) if has_llvm else NumpyLanes
-        self._engine = engine(program)
+        if compiles is None:
+            compiles = importlib.util.find_spec("llvmlite") is not None
+        self._lanes = LlvmLanes(program, effort=0) if compiles else None
+        flat = [*chain(*program.stepped.values())]
+        self._function: Any = None if compiles else numpy_function(program.graph, flat)
         self._require_alike(plants, task)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -164,13 +164,19 @@ class TracedTerms:
         return Terms(**parts)
 
     def _portion(self, numbers: Array, columns: Array) -> Array:
-        width, (N, given) = self._engine.width, columns.shape
+        program, (N, given) = self._program, columns.shape
+        if self._lanes is None:
+            places = (program.rows, columns.T), (program.parameters, numbers.T)
+            named = {k: a[at : at + n] for each, a in places for k, (at, n) in each.items()}
+            found = np.broadcast_arrays(columns[:, 0], *self._function(**named))
+            return np.column_stack([columns, *found[1:]])
+        width = self._lanes.width
         groups = -(-N // width)
         rows = np.minimum(np.arange(groups * width), N - 1).reshape(groups, width)
-        kept = np.zeros((groups, self._program.n_rows, width))
+        kept = np.zeros((groups, program.n_rows, width))
         kept[:, :given] = columns[rows].swapaxes(1, 2)
         parameters = np.ascontiguousarray(numbers[rows].swapaxes(1, 2))
-        self._engine.run(kept, parameters)
+        self._lanes.run(kept, parameters)
         return kept.swapaxes(1, 2).reshape(groups * width, -1)[:N]
 
 

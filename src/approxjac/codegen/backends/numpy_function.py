@@ -1,16 +1,14 @@
-"""Programs on NumPy's arrays, operation by operation: the reference for other backends."""
+"""A graph on NumPy's arrays, operation by operation: the reference for other backends."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import chain
 from typing import Any
 
 import numpy as np
 
-from approxjac.codegen.trace.program import STEP, Block, Program, Schedule, Scope
+from approxjac.codegen.trace.program import Schedule, Scope
 from approxjac.codegen.trace.symbols import Graph, Number
-from approxjac.validation import Array
 
 _OPERATIONS: dict[str, Callable[..., Any]] = {
     "add": np.add,
@@ -103,51 +101,3 @@ class _Run:
             state, row = ([after.get(a + j) for j in range(k)] for a, k in ((0, n), (n, m)))
             rows += row
         return state + rows
-
-
-class NumpyLanes:
-    """A program that NumPy carries out, all runs at once."""
-
-    width = 1
-
-    def __init__(self, program: Program) -> None:
-        self._program = program
-        self._function = numpy_function(program.graph, [*chain(*program.stepped.values())])
-
-    def run(self, kept: Array, parameters: Array, block: Block | None = None) -> None:
-        """Take steps, in place.
-
-        Args:
-            kept: What is kept, shape (groups, rows, width).
-            parameters: What stays, shape (groups, parameters, width).
-            block: Which steps to take; by default one.
-        """
-        first, times, draws = block or Block.plain()
-        state, given = (np.moveaxis(a, 1, 0).reshape(a.shape[1], -1) for a in (kept, parameters))
-        state = state.copy()
-        groups, steps, n_draws, width = draws.shape
-        drawn = np.moveaxis(draws, 0, 2).reshape(steps, n_draws, groups * width)
-        for k, (now, own) in enumerate(zip(times, drawn, strict=True), first):
-            self._step(state, given, now, own, k)
-        kept[...] = np.moveaxis(state.reshape(len(state), len(kept), -1), 0, 1)
-
-    def _step(self, state: Array, given: Array, now: Array, own: Array, k: int) -> None:
-        program = self._program
-        known = (program.rows, state), (program.parameters, given), (program.draws, own)
-        values: dict[str, Any] = {STEP: [np.float64(k)]}
-        for places, array in (*known, (program.times, now)):
-            values |= {name: array[at : at + size] for name, (at, size) in places.items()}
-        goes_to = program.rows.copy()
-        for name, (start, size) in program.histories.items():
-            at, to = (start + size * int(values[f"{name}.{way}"][0]) for way in ("from", "to"))
-            values[name], goes_to[name] = state[at : at + size], (to, size)
-        computed = iter(self._function(**values))
-        rows = {name: [next(computed) for _ in each] for name, each in program.stepped.items()}
-        after = {
-            name: [np.array(np.broadcast_to(row, state.shape[1:])) for row in each]
-            for name, each in rows.items()
-        }
-        for name, each in after.items():
-            at, size = goes_to[name]
-            if size:
-                state[at : at + size] = each
