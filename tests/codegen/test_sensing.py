@@ -15,7 +15,8 @@ import approxjac as aj
 from approxjac.codegen import compiled
 from approxjac.codegen.backends.llvm import LlvmLanes
 from approxjac.codegen.lanes import OUTCOME, Box, Lanes
-from approxjac.codegen.loop_program import require_covered
+from approxjac.codegen.loop_program import TracedLoop
+from approxjac.codegen.trace.program import Program
 from approxjac.controllers import DifferentiatedVelocity
 from approxjac.simulation import Sensing, VelocityServo
 from approxjac.stability.rollouts import setting as rollout_setting
@@ -238,8 +239,9 @@ def test_what_is_refused(two_link):
     for options in (
         {"servo": VelocityServo()}, {"torque_limits": 1.0}, {"adds_gravity": two_link},
     ):  # fmt: skip
+        plant = aj.Plant(two_link, controller.task, **options)
         with pytest.raises(aj.InvalidInputError, match="without a servo, torque_limits and"):
-            require_covered(controller, aj.Plant(two_link, controller.task, **options))
+            TracedLoop(Program(), controller, plant, None, None, 1e-3, "rk4")
     loop = test_lanes.study("ur5")
     with pytest.raises(aj.InvalidInputError, match="x_noise"):
         aj.Study(*loop, sensing=Sensing(x_noise=[1.0, 2.0])).rollouts(1)

@@ -170,9 +170,10 @@ def test_one_compiled_loop_for_all_points(plane, learns, monkeypatch):
 def test_the_law_of_a_map_is_tried_once_for_all_points(plane, monkeypatch):
     """And not at all, once its loop is compiled."""
     tried = []
-    check = rollout_setting.require_covered
     monkeypatch.setattr(
-        rollout_setting, "require_covered", lambda *loop: (tried.append(loop), check(*loop))[1]
+        rollout_setting,
+        "Lanes",
+        lambda *loop, **path: (tried.append(loop), Lanes(*loop, **path))[1],
     )
     over = {"kv": (0.5, 0.75), "error": (0.0, 0.9)}  # nowhere else, as loops are kept
     for _ in range(2):

@@ -62,18 +62,6 @@ def loop_key(*parts: Any) -> bytes:
     return hashlib.sha256(stream.getvalue()).digest()
 
 
-def require_covered(controller: Controller, plant: Plant) -> None:
-    """Check that code can be generated for a closed loop.
-
-    Raises:
-        InvalidInputError: A controller or a sensor that cannot be traced, or a plant that is not
-            covered.
-    """
-    laws.require_covered(controller)
-    tasks.frames(plant.sensor)
-    _require_plain(plant)
-
-
 def _require_plain(plant: Plant) -> None:
     more = (plant.servo, plant.torque_limits, plant.adds_gravity)
     if type(plant) is not Plant or any(part is not None for part in more):
@@ -97,6 +85,10 @@ class TracedLoop:
         integrator: One of `INTEGRATORS`.
         sensor: Numbers of the sensor that differ from run to run, by their names.
         sensing: Sensors and motors as they really are; None is ideal.
+
+    Raises:
+        InvalidInputError: A controller or a sensor that cannot be traced, or a plant that is not
+            covered.
     """
 
     truth: Arm  # the true arms

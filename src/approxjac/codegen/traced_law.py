@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from approxjac.codegen.arm.traced_tasks import traced
-from approxjac.codegen.trace.symbols import Condition, Graph, Symbols, inputs, symbols
+from approxjac.codegen.trace.symbols import Condition, Symbols, symbols
 from approxjac.controllers.arguments import HUGE
 from approxjac.controllers.controller import Controller
 from approxjac.controllers.gains.gains import Diagonals
@@ -141,13 +141,3 @@ def predicts(controller: Controller) -> bool:
 def is_ours(controller: Controller) -> bool:
     """Return True for a controller of this library, which also accepts a `Target`."""
     return type(controller).__module__.startswith("approxjac.")
-
-
-def require_covered(controller: Controller) -> None:
-    """Check that code can be generated for a controller.
-
-    Raises:
-        InvalidInputError: It cannot be traced.
-    """
-    graph, sizes = Graph(), argument_sizes(controller)
-    stepped_from(controller, {name: inputs(graph, name, size) for name, size in sizes.items()})

@@ -14,7 +14,7 @@ import numpy as np
 
 from approxjac.codegen.arm import traced_tasks as tasks
 from approxjac.codegen.lanes import Box, Lanes, LaneStart
-from approxjac.codegen.loop_program import loop_key, require_covered
+from approxjac.codegen.loop_program import loop_key
 from approxjac.controllers import SetpointController
 from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError, SimulationError, UnknownNameError, package_of
@@ -130,24 +130,13 @@ class RolloutSetting:
     key: bytes = b""
     alike: tuple[tuple[Controller, Uncertainty], ...] = ()
 
-    def _require_covered(self) -> None:
-        """Check that lanes cover the runs.
-
-        Raises:
-            InvalidInputError: They do not.
-        """
+    def _box(self) -> Box:
         if not self.uncertainty.makes_the_robots:
             raise InvalidInputError(
                 "uncertainty must be one whose plant and robot are those of Uncertainty for "
                 f"lanes, got {type(self.uncertainty).__name__}: {self.uncertainty!r}",
                 given=self.uncertainty,
             )
-        require_covered(
-            self.controller, self.uncertainty.nominal._sensed(self.sensing, self.actuator_delay)
-        )
-        self._box()
-
-    def _box(self) -> Box:
         part = self.region
         region, task, sigma_min = part, None, 0.0
         if type(part) is RegularPart:
@@ -270,8 +259,7 @@ def with_engine(
         return [*settings]
     found = _sharing([replace(each, engine="lanes") for each in settings])
     try:
-        if found[0].key not in _lanes:
-            found[0]._require_covered()
+        _lanes_of(found[0])
     except InvalidInputError as error:
         if engine is not None:
             raise
@@ -328,9 +316,10 @@ _compiling = threading.Lock()
 
 
 def _lanes_of(setting: RolloutSetting) -> Lanes:
-    """Return the compiled loop of a setting, compiled once in each process."""
+    """Return the loop of a setting, made once in each process, or refuse it."""
     with _compiling:
         if setting.key not in _lanes:
+            box = setting._box()
             while len(_lanes) >= _COMPILED:
                 del _lanes[next(iter(_lanes))]
             examples = []
@@ -340,7 +329,7 @@ def _lanes_of(setting: RolloutSetting) -> Lanes:
                 frames = tasks.frames(errors.nominal.sensor)
                 examples += [each.lane_start(law, frames) for each in starts]
             _lanes[setting.key] = Lanes(
-                law, starts[0].plant, examples, setting._box(), setting.dt, setting.steps,
+                law, starts[0].plant, examples, box, setting.dt, setting.steps,
                 setting.accuracy,
                 path=None if isinstance(setting.target, np.ndarray) else setting.target,
             )  # fmt: skip
