@@ -9,8 +9,8 @@ from numpy_lanes import NumpyLanes
 
 from approxjac import law
 from approxjac.codegen.backends.c99 import LANGUAGE
-from approxjac.codegen.backends.c_files import template
 from approxjac.codegen.backends.llvm import LlvmLanes
+from approxjac.codegen.backends.templates import template
 from approxjac.codegen.trace.program import Program, Writer
 from approxjac.codegen.trace.symbols import Scalar, symbols
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Iterator
-from importlib import resources
 from itertools import chain
 from os import PathLike
 from pathlib import Path
@@ -14,6 +13,7 @@ from string import Template
 import numpy as np
 
 from approxjac.codegen.backends.c99 import LANGUAGE, SampledStep, constant, sampled_step
+from approxjac.codegen.backends.templates import template
 from approxjac.codegen.trace.program import Writer
 from approxjac.codegen.trace.symbols import LARGEST_ANGLE
 from approxjac.controllers.controller import Controller
@@ -74,12 +74,6 @@ def export_c(controller: Controller, folder: str | PathLike[str]) -> Path:
         for name, text in filled.items():
             write_text(unfinished / name, text)
     return path
-
-
-def template(name: str) -> str:
-    """Return the text of a file, in which $names are to be filled in."""
-    file = resources.files("approxjac.codegen.backends") / "templates" / f"{name}.in"
-    return file.read_text(encoding="utf-8")
 
 
 def _source(step: SampledStep) -> dict[str, str]:

@@ -6,8 +6,10 @@ import ctypes
 import struct
 from collections.abc import Callable
 from itertools import chain, count
+from string import Template
 
 from approxjac.codegen.backends.machine_code import MachineCode
+from approxjac.codegen.backends.templates import template
 from approxjac.codegen.trace.program import STEP, Block, Going, Language, Program, Rows, Writer
 from approxjac.codegen.trace.symbols import Passes
 from approxjac.errors import package_of
@@ -31,60 +33,6 @@ _TEMPLATES = {
     "not": "xor $B {0}, $TRUE",
     "select": "select $B {0}, $D {1}, $D {2}",
 }
-_DECLARED = """
-declare $D @llvm.fabs.$N($D)
-declare $D @llvm.sqrt.$N($D)
-declare $D @llvm.floor.$N($D)
-define internal $D @power($D %a) alwaysinline {
-  %bits = bitcast $D %a to $I
-  %moved = shl $I %bits, $SHIFT
-  %power = bitcast $I %moved to $D
-  ret $D %power
-}
-"""
-_RUN = """
-define void @run(
-  ptr %kept, ptr %given, ptr %times, ptr %draws,
-  i64 %groups, i64 %first, i64 %until
-) {{
-entry:
-{allocated}
-  %steps = sub i64 %until, %first
-  br label %group
-group:
-  %g = phi i64 [ 0, %entry ], [ %g_next, %group_end ]
-  %at = mul i64 %g, {rows}
-  %s = getelementptr $D, ptr %kept, i64 %at
-  %from = mul i64 %g, {parameters}
-  %p = getelementptr $D, ptr %given, i64 %from
-  br label %step
-step:
-  %k = phi i64 [ %first, %group ], [ %k_next, %step_end ]
-  %i = sub i64 %k, %first
-  %of_time = mul i64 %i, {n_times}
-  %t = getelementptr double, ptr %times, i64 %of_time
-  %of_group = mul i64 %g, %steps
-  %of_step = add i64 %of_group, %i
-  %of_draws = mul i64 %of_step, {n_draws}
-  %d = getelementptr $D, ptr %draws, i64 %of_draws
-  %number_0 = sitofp i64 %k to double
-  %number_1 = insertelement $D undef, double %number_0, i64 0
-  %number = shufflevector $D %number_1, $D undef, $ZERO
-{step}
-  br label %step_end
-step_end:
-{stores}
-  %k_next = add i64 %k, 1
-  %goes_on = icmp slt i64 %k_next, %until
-  br i1 %goes_on, label %step, label %group_end
-group_end:
-  %g_next = add i64 %g, 1
-  %has_more = icmp slt i64 %g_next, %groups
-  br i1 %has_more, label %group, label %end
-end:
-  ret void
-}}
-"""
 _WIDE = "+avx512f"
 _PART = 300  # operations between branches, as LLVM takes long to find registers in long blocks
 
@@ -316,7 +264,8 @@ def _source(program: Program, width: int) -> str:
         f"  store $D {value}, ptr {place(*at, 'to')}, align 8"
         for at, value in zip(places, names, strict=True)
     ]
-    run = _RUN.format(
+    run = Template(template("run.ll")).safe_substitute(
+        constants="\n".join(constants.values()),
         rows=program.n_rows,
         parameters=max(program.n_parameters, 1),
         n_times=program.n_times,
@@ -325,7 +274,7 @@ def _source(program: Program, width: int) -> str:
         step="\n".join(pointers + lines),
         stores="\n".join(stores),
     )
-    return _filled("\n".join([*constants.values(), _DECLARED + run]), width)
+    return _filled(run, width)
 
 
 def _filled(text: str, width: int) -> str:
