@@ -8,6 +8,7 @@ import functools
 import math
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import approxjac as aj
@@ -368,7 +369,8 @@ class Adversary:
         rest = np.zeros(truth.nv)
         self.arm = MovingArm(plant, q0, rest, dt, "semi_implicit_euler", 0)
         self.told = self.arm.sense()[1]
-        self.goal = plant.sensor.value(q0 + 0.2 * np.random.default_rng(0).standard_normal(len(q0)))
+        way = 0.2 * np.random.default_rng(0).standard_normal(truth.nv)
+        self.goal = plant.sensor.value(pin.integrate(truth.model, q0, way))
         self.state, self.statuses, self.peak, self.full = (
             self.law.initial_state(self.told),
             [],
@@ -382,12 +384,16 @@ class Adversary:
 
     def worst(self, way, per_v):
         """Return the sample farthest off in q̇, with q that fits or not, that still passes."""
-        told, low, high = self.told, 0.0, 1e3
+        low, high = 0.0, 1e3
         for _ in range(40):
             off = 0.5 * (low + high)
-            bad = told._replace(q=told.q + per_v * off * way, v=told.v + off * way)
-            low, high = (off, high) if self.passes(bad) else (low, off)
-        return told._replace(q=told.q + per_v * low * way, v=told.v + low * way)
+            low, high = (off, high) if self.passes(self.bad(off * way, per_v)) else (low, off)
+        return self.bad(low * way, per_v)
+
+    def bad(self, off, per_v):
+        told = self.told
+        q = pin.integrate(self.plant.robot.model, told.q, per_v * off)
+        return told._replace(q=q, v=told.v + off)
 
     def advance(self, told=None):
         step = self.law.step(self.state, told or self.told, self.goal, self.dt)
@@ -497,7 +503,7 @@ class Twins:
     def advance(self):
         """Compare both forms; return whether the sample is good, and was judged quickly."""
         (t, q, v, x, t_x), dt = self.sample(), self.dt
-        seen, n, rng = self.memory[self.ends[8] : self.ends[9]], self.n, self.rng
+        seen, n, rng = self.memory[self.ends[9] : self.ends[10]], self.n, self.rng
         with np.errstate(invalid="ignore"):
             way, x_way = q - self.memory[4 : 4 + n], x - seen
         kept = GuardMemory.of(self.memory.tolist(), self.ends)

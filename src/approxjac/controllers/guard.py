@@ -44,7 +44,7 @@ _FASTEST = 20.0  # rad/s or m/s, where no limit is known
 _CHANGE = 2.0  # times the largest speed, of a period
 _SOONEST = 0.1  # s, in which a commanded velocity goes from the fastest to zero
 _SERVO = 2e-3  # s, in which joints that take velocities reach theirs
-_BRIDGED = 0.02  # s, at most
+_BRIDGED, _EASES = 0.02, 0.5  # s, at most; what is left of the last command from bad to bad sample
 _STOPS = 100.0  # 1/s, the largest rate of damping in a stop
 _STIFF = 20.0  # 1/s, its stiffness over its damping
 _MOST = 1e15  # N m or N
@@ -170,7 +170,7 @@ class SampleGuard:
         try:
             t, q, v, x, t_x = measurement
             with np.errstate(over="ignore", invalid="ignore"):
-                before, seen = memory[4 : self._ends[1]], memory[self._ends[8] : self._ends[9]]
+                before, seen = memory[4 : self._ends[1]], memory[self._ends[9] : self._ends[10]]
                 way = q - before if self._subtracts else motion_between(self._robot, before, q)
                 x_way = x - seen if self._measured.subtracts else self._measured.error(x, seen)
                 quick = None if traced else self._quick.judged(memory, measurement, way, x_way, dt)
@@ -186,7 +186,7 @@ class SampleGuard:
             raise InvalidInputError(message, given=measurement) from error
         if quick is not None:
             after, answer = controller.advance(state, measurement, target, dt)
-            parts = answer.torque, self._push_of(answer), self._J_of(answer)
+            parts = answer.torque, self._push_of(answer, v), self._J_of(answer)
             memory = self._quick.answered(quick, v, dt, *parts)
             return np.concatenate([after, memory]) if len(after) else memory, answer
         if not traced and not np.abs(memory).max() < _ABSURD:
@@ -219,11 +219,13 @@ class SampleGuard:
 
         if is_changed is not False:
             holds = stops | found.anew  # of two samples that differ neither is to act
-            (halt,) = law.choose(holds, halted, lambda: (command,))
-            command = law.select(is_bad, law.array(kept.command), command)
-            command = law.select(holds, halt, command)
+            (halt,) = law.choose(is_bad | stops, halted, lambda: (command,))
+            last = law.array(kept.command)
+            eased = law.select(kept.bad > 0.0, halt + _EASES * (last - halt), last)
+            command = law.select(holds, halt, law.select(is_bad, eased, command))
         answer = answer._replace(torque=command)
-        J_hat, sizes, push = self._J_of(answer), None, self._push_of(answer).tolist()
+        J_hat, sizes = self._J_of(answer), None
+        push = self._push_of(answer, law.array(found.v)).tolist()
         if J_hat is not None:
             sizes = [law.length(J_hat[rows].ravel()) for _, rows in self._bounds.parts]
         memory = remembered(kept, found, sample, dt, command.tolist(), push, sizes).joined()
@@ -249,13 +251,14 @@ class SampleGuard:
         command: Array = np.minimum(np.maximum(halt, before - change), before + change)
         return command
 
-    def _push_of(self, answer: Evaluation) -> Array:
-        """Return |q̈| that may be after a torque or a velocity, (n_v,)."""
+    def _push_of(self, answer: Evaluation, v: Array) -> Array:
+        """Return |q̈| that a torque or a velocity may cause, (n_v,)."""
         torque, gravity = answer.torque, answer.gravity
         if not self._takes_torque:
-            return self._push
+            servo: Array = np.minimum(np.abs(torque - v) / _SERVO, _MOST)
+            return servo
         net = np.minimum(np.abs(torque if gravity is None else torque - gravity), _MOST)
-        push: Array = self._push + self._reach.dot(net)
+        push: Array = self._reach.dot(net)
         return push
 
     def _J_of(self, answer: Evaluation) -> Array | None:

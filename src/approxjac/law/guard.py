@@ -24,6 +24,7 @@ _SOON, _MISSED = 0.2, 2.5  # of a period at least and at most pass from sample t
 _GAPS, _GAP = 20.0, 0.05  # periods or seconds that may be missing, if the clock then runs on
 _STILL = 1e-3  # rad/s or m/s, below which a joint may have the same q and q̇ again
 _IMPACT = 0.004  # s, in which an arm that hits something may lose its speed
+_AT_REST = 0.1  # rad/s or m/s, of which a first q̇ is believed at most, for one period
 _WILD = 5.0  # times the largest change of q̇ that makes sense, by which none rises
 _LEARNS, _AT_MOST = 0.05, 0.02  # s, in which the noise of q comes to be known, or 50 periods
 _STEP, _FINEST = 0.3, 1.0 / 512.0  # of a step of q, and of the largest noise: the least
@@ -33,6 +34,7 @@ _MEMORY = 0.05  # s, over which q is compared with the integral of q̇
 _SHARE = 0.2  # of the way, by which that may be off
 _ADDS = 0.25  # of what it may be off, by which one sample counts at most
 _FADES = 0.02  # s, in which a torque that was sent acts at last
+_SETTLES, _USUAL, _RARE = 0.05, 3.0, 1.0 / 32.0  # s, in which it shows what |q̈| is usual
 _KEPT, _TIMES = 0.75, 2.0  # of the motion of x at each new one; by which times it x may move
 _BLIND = 0.25  # s, after which an x that is refused again and again ends in a stop
 _AHEAD = 0.01  # s, and a period: by which x may be stamped later than the state it comes with
@@ -67,7 +69,8 @@ class GuardMemory(NamedTuple):
     v: list[Any]
     drift: list[Any]  # q − ∫q̇ of the last moments; in a stop, how far it has moved since
     path: list[Any]  # ∫abs(q̇) of these
-    push: list[Any]  # |q̈| that is possible after the torques sent so far
+    push: list[Any]  # |q̈| that is possible after the torques sent so far, and usual without
+    usual: list[Any]  # the latter: what else was seen to act lately
     noise: list[Any]  # of a change of q, as far as it is known
     step: list[Any]  # least change of q that was ever seen, such as the step of its encoder
     command: list[Any]  # the last one
@@ -77,7 +80,7 @@ class GuardMemory(NamedTuple):
     @staticmethod
     def ends(nq: int, nv: int, n_x: int, parts: int) -> list[int]:
         """Return where its lists end in an array that begins with the four numbers."""
-        sizes = (4, nq, *[nv] * 7, n_x, parts)
+        sizes = (4, nq, *[nv] * 8, n_x, parts)
         return [sum(sizes[: i + 1]) for i in range(len(sizes))]
 
     @classmethod
@@ -95,7 +98,8 @@ def first_memory(q: list[float], x: list[float], bounds: GuardBounds) -> Array:
     """Return the memory before a first sample, with any q (nq,) and x (n_x,), as an array."""
     none, far = [0.0] * len(bounds.q), [_FAR] * len(bounds.parts)
     noise, step = [0.25 * each for each in bounds.q], [0.5 * each for each in bounds.q]
-    joints = none, none, none, bounds.push.tolist(), noise, step, none
+    push = (_RARE * bounds.push).tolist()
+    joints = none, none, none, push, push, noise, step, none
     return GuardMemory(UNSEEN, 0.0, 0.0, 0.0, q, *joints, x, far).joined()
 
 
@@ -122,6 +126,7 @@ class Judged(NamedTuple):
     refuses_x: Any
     drift: list[Any]  # as it is remembered
     path: list[Any]
+    usual: list[Any]
     noise: list[Any]
     step: list[Any]
     way: list[Any]  # q since the last sample, if both are good
@@ -138,6 +143,8 @@ def judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBounds) ->
     abs(Δq − h q̇) ≤ δ + hA, abs(Δq̇) ≤ δ/h + A (without the lag), and
     abs(Δq − h(q̇ + q̇')/2) ≤ δ + hA/2, δ the error of a change of q; the sum of the latter over the
     last moments is bounded, too, and so is the rise of abs(q̇), also at the first sample.
+    Of loads and model errors a first sample may show a few times what is usual; what is more needs
+    a second one, which may show all that is possible.
 
     dt is the period [s].
     """
@@ -153,11 +160,15 @@ def judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBounds) ->
     jumps = hits = apart = moves = wild = False
     drifts, paths = list[Any](), list[Any]()
     noises, steps, left, size = list[Any](), list[Any](), 0.0, 0.0
+    usuals, settles, was_bad = list[Any](), _larger(1.0 - h / _SETTLES, 0.0), memory.bad > 0.0
     finer = 1.0 - _smaller(h / _LEARNS, _AT_MOST)
-    for w, v1, v0, a, r, step, coarse, most, drift, path in zip(
-        way, v, before, memory.push, memory.noise, memory.step, bounds.q, bounds.fastest,
-        memory.drift, memory.path, strict=True,
+    for w, v1, v0, a, usual, rare, r, step, coarse, most, drift, path in zip(
+        way, v, before, memory.push, memory.usual, bounds.push.tolist(), memory.noise, memory.step,
+        bounds.q, bounds.fastest, memory.drift, memory.path, strict=True,
     ):  # fmt: skip
+        a = select(was_bad, a + rare, a)
+        shown = _smaller(_USUAL * per * abs(v1 - v0), rare)
+        usuals.append(_larger(_larger(settles * usual, _RARE * rare), shown))
         noise = _smaller(4.0 * r, coarse)
         unit = 1.0 / (2.0 * noise * per + _TURNS)
         both, one = unit * (v1 + v0), unit * v0
@@ -191,7 +202,7 @@ def judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBounds) ->
     kind = select(again, REPEATED, kind)
     kind = select(runs, kind, CLOCK)
     kind = select(known, select(seen, kind, select(wild, VELOCITY, GOOD)), UNKNOWN)
-    is_bad, was_bad = kind > 0, memory.bad > 0.0
+    is_bad = kind > 0
     too_long = (memory.bad >= bounds.periods) | ((memory.bad + 1.0) * dt > bounds.bridged)
     stops = select(is_bad & was_bad & too_long, kind, 0)
     stops = select(stopped, memory.kind, select(memory.blind < _BLIND, stops, SENSOR))
@@ -200,11 +211,14 @@ def judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBounds) ->
     alone, makes_sense = memory.blind < 0.0, complement(wild) & (sum(map(abs, way), 0.0) < _FAR)
     none = [0.0] * len(v)
     drifts = _each(seen, drifts, none)
+    if seen is not True:  # nothing has confirmed a first q̇ yet
+        v = _each(seen, v, [_larger(_smaller(each, _AT_REST), -_AT_REST) for each in v])
     return Judged(
         _each(is_bad, memory.q, q), _each(is_bad, _each(stopped | alone, none, before), v),
         used, kind, stops, refuses,
         _each(is_bad, memory.drift, drifts),
         _each(is_bad, memory.path, _each(seen, paths, none)),
+        _each(is_bad | complement(seen), memory.usual, usuals),
         _each(is_bad | complement(seen), memory.noise, noises),
         _each(is_bad | complement(seen), memory.step, steps),
         _each(is_bad | was_bad, none, way), is_bad & known & alone & makes_sense, last, moved,
@@ -255,7 +269,7 @@ def remembered(
         sample: The sample.
         dt: The period [s].
         command: The torque or velocity that is sent, n_v numbers.
-        push: |q̈| that it may cause, with all else, n_v numbers.
+        push: |q̈| that it may cause, n_v numbers.
         sizes: ‖Ĵ‖ of each part of x; None if there is no Ĵ: then x may move as it likes.
     """
     is_bad, stops, was = judged.kind > 0, judged.stops > 0, memory.kind > 0.0
@@ -264,7 +278,10 @@ def remembered(
         since = [a + b for a, b in zip(memory.drift, judged.way, strict=True)]
         held = _each(stops, _each(was, since, [0.0] * len(since)), judged.drift)
     fade = _larger(1.0 - dt / _FADES, 0.0)
-    push = [_larger(new, fade * old) for new, old in zip(push, memory.push, strict=True)]
+    push = [
+        _larger(new + usual, fade * old)
+        for new, usual, old in zip(push, judged.usual, memory.push, strict=True)
+    ]
     last, moves = judged.last, [_FAR] * len(judged.moved)
     if sizes is not None:
         speed = dt * root(sum((each * each for each in judged.v), 0.0))
@@ -276,8 +293,8 @@ def remembered(
     return GuardMemory(
         select(is_bad & complement(anew), memory.t, sample.t),
         select(is_bad, memory.bad + 1.0, 0.0), judged.stops, blind,
-        _each(anew, sample.q, judged.q), _each(anew, sample.v, _each(is_bad, memory.v, judged.v)),
-        held, judged.path, push, judged.noise, judged.step, command, last, moves,
+        _each(anew, sample.q, judged.q), _each(is_bad & complement(anew), memory.v, sample.v),
+        held, judged.path, push, judged.usual, judged.noise, judged.step, command, last, moves,
     )  # fmt: skip
 
 
@@ -313,10 +330,11 @@ class QuickGuard:
     """
 
     def __init__(self, bounds: GuardBounds, ends: list[int], nq: int, nv: int) -> None:
-        self._q, self._joints = slice(4, 4 + nq), slice(ends[1], ends[8])
-        self._x, self._moved = slice(ends[8], ends[9]), slice(ends[9], ends[10])
-        self._shape, self._parts, self._x_noise = (7, nv), bounds.parts, min(_FAR, *bounds.x) ** 2
+        self._q, self._joints = slice(4, 4 + nq), slice(ends[1], ends[9])
+        self._x, self._moved = slice(ends[9], ends[10]), slice(ends[10], ends[11])
+        self._shape, self._parts, self._x_noise = (8, nv), bounds.parts, min(_FAR, *bounds.x) ** 2
         self._coarse, self._most = np.array(bounds.q), np.array(bounds.fastest)
+        self._push, self._rare = bounds.push, _RARE * bounds.push
         self._finest, self._share = _FINEST * self._coarse, _SHARE + bounds.lag * 4.0 / _MEMORY
 
     def judged(
@@ -340,7 +358,7 @@ class QuickGuard:
         if t_x is not None and t_x - t > dt + _AHEAD:
             return None
         known = memory[self._joints].reshape(self._shape)
-        before, half, r = known[0], 0.5 * since, known[4]
+        before, half, r = known[0], 0.5 * since, known[5]
         sudden, both, noise = v - before, v + before, np.minimum(4.0 * r, self._coarse)
         mean, fade = half * both, max(1.0 - since / _MEMORY, 0.0)
         off = way - mean
@@ -367,9 +385,11 @@ class QuickGuard:
         now = after[self._joints].reshape(self._shape)
         now[0], now[1], now[2] = v, drift, path
         finer, changes = 1.0 - min(since / _LEARNS, _AT_MOST), far > 0.0
-        least = np.maximum(_STEP * known[5], self._finest)
-        now[4] = np.maximum(np.where(changes, finer * r, r), np.maximum(size, least))
-        now[5] = np.where(changes & (far < known[5]), far, known[5])
+        usual = np.maximum(max(1.0 - since / _SETTLES, 0.0) * known[4], self._rare)
+        now[4] = np.maximum(usual, np.minimum(_USUAL * (1.0 / since) * np.abs(sudden), self._push))
+        least = np.maximum(_STEP * known[6], self._finest)
+        now[5] = np.maximum(np.where(changes, finer * r, r), np.maximum(size, least))
+        now[6] = np.where(changes & (far < known[6]), far, known[6])
         moved, seen = after[self._moved], after[self._x]
         for i, (entries, _) in enumerate(self._parts):
             if (here := x[entries].tolist()) != seen[entries].tolist():
@@ -382,8 +402,8 @@ class QuickGuard:
     ) -> Array:
         """Return the memory of `judged` after a command, as in `remembered`."""
         known = after[self._joints].reshape(self._shape)
-        known[3] = np.maximum(push, max(1.0 - dt / _FADES, 0.0) * known[3])
-        known[6] = command
+        known[3] = np.maximum(push + known[4], max(1.0 - dt / _FADES, 0.0) * known[3])
+        known[7] = command
         moved = after[self._moved]
         if J_hat is None:
             moved[:] = _FAR
