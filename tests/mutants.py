@@ -717,14 +717,14 @@ MUTANTS = [
     ),
     (
         "suggestion as if it were continuous", "stability/search/suggested_gains.py",
-        "own.local_test(*targets, Timing.of(latency))",
+        "own.local_test(*targets, latency.in_samples())",
         "own.local_test(*targets)",
         "tests/stability/test_suggestion.py",
     ),
     (
         "suggestion of the fastest robot", "stability/search/suggested_gains.py",
-        "slowest = own.local_test(*targets, Timing.of(latency)).decay_rates.min()",
-        "slowest = own.local_test(*targets, Timing.of(latency)).decay_rates.max()",
+        "slowest = own.local_test(*targets, latency.in_samples()).decay_rates.min()",
+        "slowest = own.local_test(*targets, latency.in_samples()).decay_rates.max()",
         "tests/stability/test_suggestion.py",
     ),
     (

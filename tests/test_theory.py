@@ -7,8 +7,9 @@ from numpy.testing import assert_allclose
 import approxjac as aj
 from approxjac import law
 from approxjac.controllers import RegressorGravity
+from approxjac.controllers.gains.gains import Timing
 from approxjac.robots import Dynamics, GravityRegressor
-from approxjac.stability.loop.linearization import LinearLoop, Timing, sampled_matrix
+from approxjac.stability.loop.linearization import LinearLoop, sampled_matrix
 
 
 @pytest.fixture

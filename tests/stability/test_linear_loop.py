@@ -8,10 +8,10 @@ from scipy.linalg import block_diag
 
 import approxjac as aj
 from approxjac.controllers import RegressorGravity
+from approxjac.controllers.gains.gains import Timing
 from approxjac.law import Sine
 from approxjac.robots import GravityRegressor
 from approxjac.stability.loop.linearization import (
-    Timing,
     continuous_matrix,
     equilibria,
     linear_loop,
@@ -105,7 +105,7 @@ DT = 0.002
 def timing_of(plant):
     sensing = plant.sensing or aj.Sensing()
     late = (round(sensing.x_delay / DT), round(plant.actuator_delay / DT))
-    return Timing(DT, *late, sensing.velocity_filter)
+    return Timing(DT, 1, *late, sensing.velocity_filter)
 
 
 def first_state(loop, timing, dq):

@@ -8,9 +8,10 @@ from numpy.testing import assert_allclose
 from random_trees import random_tree
 
 import approxjac as aj
+from approxjac.controllers.gains.gains import Timing
 from approxjac.robots import GravityRegressor
 from approxjac.stability.loop.closed_loop import ClosedLoop
-from approxjac.stability.loop.linearization import Timing, linear_loop, spectrum
+from approxjac.stability.loop.linearization import linear_loop, spectrum
 from approxjac.stability.loop.samples import TracedTerms, terms_alone
 from approxjac.tasks import CombinedTask, NonsingularTask, PoseTrackerTask, TrackerTask
 from approxjac.tasks.analysis import jacobian_gradient
@@ -164,7 +165,9 @@ def test_samples_are_what_each_configuration_gives_alone(name, rng):
     assert len(set(samples.truth.tolist())) > 4
 
 
-@pytest.mark.parametrize("timing", [None, Timing(0.002, 2, 3, 0.004)], ids=["continuous", "late"])
+@pytest.mark.parametrize(
+    "timing", [None, Timing(0.002, 1, 2, 3, 0.004)], ids=["continuous", "late"]
+)
 @pytest.mark.parametrize(
     "learns",
     [pytest.param(False, id="(6)", marks=pytest.mark.study), pytest.param(True, id="(28)")],

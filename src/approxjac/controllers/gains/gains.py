@@ -100,12 +100,29 @@ class Latency:
         """Mean lag from x to the torque that depends on it [s]."""
         return self.period + self.torque_delay + self.image_age + 0.5 * self.image_period
 
-    def in_samples(self) -> tuple[float, int, int, int]:
-        """Return a sample time [s] and, in samples, the image period, image age and torque delay.
-
-        For long delays the samples are longer than the control period.
-        """
+    def in_samples(self) -> Timing:
+        """Return the times in whole samples, longer than the period where delays are long."""
         dt = max(self.period, 0.25 * self.torque_delay)
         frame = self.image_period or max(dt, 0.25 * self.image_age)
-        samples = max(1, round(frame / dt))
-        return dt, samples, round(self.image_age / dt), round(self.torque_delay / dt)
+        age, late = round(self.image_age / dt), round(self.torque_delay / dt)
+        return Timing(dt, max(1, round(frame / dt)), age, late, self.velocity_filter or None)
+
+
+class Timing(NamedTuple):
+    """Times at which things happen in sampled control."""
+
+    dt: float  # sampling time [s]
+    samples: int = 1  # from one frame of x to the next
+    x_late: int = 0  # samples from a frame of x to the first torque that uses it
+    torque_late: int = 0  # samples from a torque to its effect
+    velocity_filter: float | None = None  # of q̇ from differences of q [s]; None is a tachometer
+
+    @property
+    def frame(self) -> float:
+        """Time from one frame of x to the next [s]."""
+        return self.samples * self.dt
+
+    @property
+    def dead_time(self) -> float:
+        """Longest time from a motion to the end of the first torque that answers it [s]."""
+        return (self.samples + self.x_late + self.torque_late) * self.dt

@@ -337,8 +337,7 @@ class _Arm:
     ) -> bool:
         """Return True if the sampled, delayed linearisation is stable with a margin, and damped."""
         loop = law.LinearLaw(*(part[counted] for part in self.cases(gains, learning)))
-        dt, samples, age, late = latency.in_samples()
-        timing = (dt, samples, age, late, latency.velocity_filter or None)
+        timing = latency.in_samples()
         larger = loop._replace(
             stiffness=_MARGIN * loop.stiffness,
             damping=_MARGIN * loop.damping,
@@ -355,7 +354,7 @@ class _Arm:
             return False
         lag = latency.of_position
         wanted = min(_DAMPED + _LATE * slow_rate(self.task, gains) * lag, _NEARLY * attainable)
-        return self.damping_ratio(gains, multipliers, samples * dt, lag) >= wanted
+        return self.damping_ratio(gains, multipliers, timing.frame, lag) >= wanted
 
     def damping_ratio(self, gains: Diagonals, multipliers: Array, dt: float, lag: float) -> float:
         """Return the damping ratio that nine of ten cases have, of multipliers (k, n) over dt [s].

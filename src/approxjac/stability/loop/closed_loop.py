@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.controllers import Gains, Latency, SetpointController
+from approxjac.controllers.gains.gains import Timing
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Dynamics, Robot
 from approxjac.simulation import Plant
@@ -25,7 +26,6 @@ from approxjac.stability.loop.configurations import (
 from approxjac.stability.loop.linearization import (
     LocalTest,
     Spectrum,
-    Timing,
     gravity_error,
     linear_loops,
     spectrum,
@@ -285,7 +285,7 @@ class ClosedLoop:
 
     def spectral_radii(self, samples: Samples, latency: Latency) -> Array:
         """Return the spectral radii of the sampled, late loop at samples as targets, (N,)."""
-        return self._spectrum(samples.q, samples, Timing.of(latency)).spectral_radii
+        return self._spectrum(samples.q, samples, latency.in_samples()).spectral_radii
 
     def attained(self, rng: np.random.Generator) -> list[list[Array]]:
         """Return configurations of the region that attain the target, for each true robot.

@@ -12,7 +12,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from approxjac import law
-from approxjac.controllers import Controller, Latency, SetpointController
+from approxjac.controllers import Controller, SetpointController
+from approxjac.controllers.gains.gains import Timing
 from approxjac.errors import InvalidInputError
 from approxjac.interface import LimitStatus, Measurement
 from approxjac.simulation import Plant, Sensing
@@ -46,32 +47,6 @@ class LinearLoop(NamedTuple):
         """Return the parts of some of the targets."""
         own = ("M", "G", "J", "J_hat", "J_hat_pinv", "Z")
         return self._replace(**{name: getattr(self, name)[which] for name in own})
-
-
-class Timing(NamedTuple):
-    """Times at which things happen in sampled control."""
-
-    dt: float  # sampling time [s]
-    x_late: int = 0  # samples from a frame of x to the first torque that uses it
-    torque_late: int = 0  # samples from a torque to its effect
-    velocity_filter: float | None = None  # of q̇ from differences of q [s]; None is a tachometer
-    samples: int = 1  # from one frame of x to the next
-
-    @classmethod
-    def of(cls, latency: Latency) -> Timing:
-        """Return that of a loop, in whole samples."""
-        dt, samples, age, late = latency.in_samples()
-        return cls(dt, age, late, latency.velocity_filter or None, samples)
-
-    @property
-    def frame(self) -> float:
-        """Time from one frame of x to the next [s]."""
-        return self.samples * self.dt
-
-    @property
-    def dead_time(self) -> float:
-        """Longest time from a motion to the end of the first torque that answers it [s]."""
-        return (self.samples + self.x_late + self.torque_late) * self.dt
 
 
 def linear_loop(plant: Plant, controller: SetpointController, q: Array) -> LinearLoop:
@@ -128,10 +103,7 @@ def sampled_matrix(loop: LinearLoop, timing: Timing) -> Array:
         loop.alpha * loop.J_hat_pinv,
     )
     with np.errstate(over="ignore", invalid="ignore"):
-        A = law.frame_map(
-            parts, dt, timing.samples, timing.x_late, timing.torque_late, timing.velocity_filter,
-            loop.friction, loop.G,
-        )  # fmt: skip
+        A = law.frame_map(parts, *timing, loop.friction, loop.G)
     if not np.isfinite(A).all():
         raise InvalidInputError(
             f"dt must be a sampling time of control, such as 0.001 [s], got {dt:g}: the motion "
@@ -468,9 +440,8 @@ def _timing(plant: Plant, dt: float | None) -> Timing | None:
             f"dt = {dt:g} s; take a larger dt",
             given=dt,
         )
-    return Timing(
-        dt, round(x_delay / dt), round(plant.actuator_delay / dt), sensing.velocity_filter
-    )
+    late_by = round(x_delay / dt), round(plant.actuator_delay / dt)
+    return Timing(dt, 1, *late_by, sensing.velocity_filter)
 
 
 def _require_gravity(plant: Plant, controller: SetpointController, q: Array) -> None:

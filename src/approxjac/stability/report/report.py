@@ -26,7 +26,7 @@ from approxjac.stability.certificates.limit_cost import LimitCost, limit_cost
 from approxjac.stability.certificates.matrix_form import Best, Family, MatrixForm, Weights, on_more
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.closed_loop import EXACT_GRAVITY, SHARED, ClosedLoop
-from approxjac.stability.loop.linearization import LocalTest, Timing
+from approxjac.stability.loop.linearization import LocalTest
 from approxjac.stability.loop.samples import Samples
 from approxjac.stability.rollouts.rollouts import Rollouts
 from approxjac.stability.rows import Row, as_json, as_text
@@ -432,7 +432,7 @@ def _beware(report: StabilityReport) -> Iterator[Row]:
     if beyond := [n for n, far in zip(robot.joint_names, excess, strict=True) if far > _TINY]:
         text = f"the region goes beyond those of {', '.join(beyond)}, where the arm would stop"
         yield Row("beware", "joint limits", "beyond", {"joints": beyond}, text)
-    dt, _, age, late = latency.in_samples()
+    dt, _, age, late, _ = latency.in_samples()
     taken = {"period": dt, "torque_delay": late * dt, "image_age": age * dt}
     off = [abs(time - getattr(latency, name)) for name, time in taken.items()]
     if max(off) > _TINY * latency.period:
@@ -461,7 +461,7 @@ def of_gravity(loop: ClosedLoop, error: float) -> Row:
 
 
 def _sampled(report: StabilityReport) -> Iterator[Row]:
-    sampled, radii, frame = report.sampled, report.spectral_radii, Timing.of(report.latency).frame
+    sampled, radii, frame = report.sampled, report.spectral_radii, report.latency.in_samples().frame
     if sampled is not None:
         verdict = "holds" if sampled.certified else "does not hold"
         if sampled.certified and report.reason:

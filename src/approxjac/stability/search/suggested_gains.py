@@ -15,7 +15,6 @@ from approxjac.errors import UnknownNameError
 from approxjac.formatting import short_fields, wrapped
 from approxjac.stability.certificates.certificate import margin
 from approxjac.stability.loop.closed_loop import SHARED
-from approxjac.stability.loop.linearization import Timing
 from approxjac.stability.search.tolerance import TESTS, Test
 from approxjac.stability.studied_loop import Progress, StudiedLoop, progress_report
 from approxjac.validation import Array, as_limits, as_number
@@ -140,7 +139,7 @@ def suggested_gains(
         own = loop.with_gains(gains)
         pull = samples.J_hat.mT @ (own.setting.kp * samples.s)[..., None]
         ratio = float((np.abs(weight - pull[..., 0]) / limits).max())
-        slowest = own.local_test(*targets, Timing.of(latency)).decay_rates.min()
+        slowest = own.local_test(*targets, latency.in_samples()).decay_rates.min()
         time = _SETTLED / slowest if slowest > 0.0 else np.inf
         left = np.nan  # of no use where both of the others are missed
         if test != "local" and singular:
