@@ -9,6 +9,7 @@ import pinocchio as pin
 import pytest
 from arms import FEW
 from numpy.testing import assert_allclose
+from potentials import V1
 
 import approxjac as aj
 from approxjac import law
@@ -219,7 +220,7 @@ def test_a_known_camera_is_theorem_a(belief, truth):
     def look(t, q, state):
         sums, estimator = state[kinematics._at["sums"]], kinematics._estimator
         Theta, _ = estimator.estimate(sums)
-        values.append(law.V1(estimator.information(sums), true - Theta))
+        values.append(V1(estimator.information(sums), true - Theta))
 
     run = follow(kinematics, truth, noise=0.0, delay=0.0, rate=500.0, look=look, seconds=3.0)
     assert (np.diff(values) <= 1e-9 * np.array(values[:-1])).all()

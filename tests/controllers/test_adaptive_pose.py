@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from potentials import V1
 
 import approxjac as aj
 from approxjac import law
@@ -157,7 +158,7 @@ def test_a_known_tracker_is_theorem_a(belief, truth):
 
     def look(t, q, state):
         sums = state[kinematics._at["sums"]]
-        values.append(law.V1(kinematics._estimator.information(sums), true - sums[-P:]))
+        values.append(V1(kinematics._estimator.information(sums), true - sums[-P:]))
 
     follow(kinematics, sensor, Path(sensor), noise=0.0, delay=0.0, seconds=2.0, look=look)
     assert (np.diff(values) <= 1e-9 * np.array(values[:-1])).all()

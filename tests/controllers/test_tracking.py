@@ -6,9 +6,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from potentials import V2
 
 import approxjac as aj
-from approxjac import law
 from approxjac.controllers import (
     AdaptiveDynamics,
     AdaptiveKinematics,
@@ -83,7 +83,7 @@ class Watched:
         sigma, inside = v - loop.answer.reference, self.law.dynamics
         a_error = self.a - loop.state[: self.law.resting]
         M = self.dynamics.M(q)
-        self.V.append(law.tracking_potential(sigma, M, a_error, inside.gamma))
+        self.V.append(V2(sigma, M, a_error, inside.gamma))
         gain = inside.momentum(q, sigma) + self.law._added * sigma
         self.W.append(self.law.kappa * sigma @ gain)
         self.statuses.append(loop.answer.limit_status)

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from potentials import V1
 
 from approxjac import law
 
@@ -18,16 +19,16 @@ def test_v1_falls_by_what_is_said_with_each_frame_and_never_rises(rng):
     H = rng.standard_normal((3, P))
     for _ in range(300):
         H = H + 0.02 * rng.standard_normal(H.shape)
-        before = law.V1(Lambda, truth - Theta)
+        before = V1(Lambda, truth - Theta)
         Lambda = law.forgotten_information(Lambda, prior, 5e-4)
-        forgotten = law.V1(Lambda, truth - Theta)
+        forgotten = V1(Lambda, truth - Theta)
         assert forgotten <= before * (1 + 1e-12)
         innovation = H @ truth - H @ Theta
         S = np.eye(3) / weight + H @ np.linalg.solve(Lambda, H.T)
         fall = 0.5 * innovation @ np.linalg.solve(S, innovation)
         Lambda = law.information(Lambda, H, weight)
         Theta = Theta + law.correction(Lambda, H, weight, innovation)
-        assert law.V1(Lambda, truth - Theta) == pytest.approx(forgotten - fall, rel=1e-6, abs=1e-9)
+        assert V1(Lambda, truth - Theta) == pytest.approx(forgotten - fall, rel=1e-6, abs=1e-9)
         assert np.linalg.eigvalsh(Lambda - prior)[0] > -1e-6
         assert (truth - Theta) @ prior @ (truth - Theta) <= truth @ prior @ truth
 

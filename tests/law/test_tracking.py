@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from potentials import V2
 
 from approxjac import law
 
@@ -141,8 +142,6 @@ def test_v2_falls_by_what_the_gain_dissipates(rng):
     a_rate = law.dynamics_rate(gamma, Y.T @ sigma)
 
     def V(t):
-        return law.tracking_potential(
-            sigma + t * sigma_dot, M + t * M_dot, a_error - t * a_rate, gamma
-        )
+        return V2(sigma + t * sigma_dot, M + t * M_dot, a_error - t * a_rate, gamma)
 
     assert_allclose(rate_of(V), -kappa * sigma @ M_hat @ sigma, rtol=1e-7)

@@ -3,7 +3,6 @@
 Symbols are the paper's; docstrings name each departure from it, such as corrected misprints.
 """
 
-from approxjac.law.adaptation import V1 as V1
 from approxjac.law.adaptation import correction as correction
 from approxjac.law.adaptation import forgotten_information as forgotten_information
 from approxjac.law.adaptation import information as information
@@ -115,6 +114,5 @@ from approxjac.law.tracking import reference_step as reference_step
 from approxjac.law.tracking import saturated as saturated
 from approxjac.law.tracking import servo_lag_rate as servo_lag_rate
 from approxjac.law.tracking import task_velocity as task_velocity
-from approxjac.law.tracking import tracking_potential as tracking_potential
 from approxjac.law.tracking import tracking_torque as tracking_torque
 from approxjac.law.tracking import within_speeds as within_speeds

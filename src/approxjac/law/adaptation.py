@@ -208,11 +208,3 @@ def correction(Lambda: Array, H: Array, weight: float, innovation: Array) -> Arr
     Implements Theorem A's gain, in samples. H is (m, P), R⁻¹ = weight I.
     """
     return np.asanyarray(np.linalg.solve(Lambda, weight * innovation.dot(H)))
-
-
-def V1(Lambda: Array, Delta: Array) -> float:
-    """Return V₁ = ½ΔᵀΛΔ of the estimation error Δ = Θ − Θ̂ (P,).
-
-    Implements V₁ of Theorem A.
-    """
-    return 0.5 * float(Delta.dot(Lambda).dot(Delta))

@@ -1,4 +1,4 @@
-"""The tracking law: motion that follows a target, its derivative, the torque for it, and its V.
+"""The tracking law: motion that follows a target, its derivative, and the torque for it.
 
 Not of the paper: J.-J. E. Slotine and W. Li, "On the adaptive control of robot manipulators", Int.
 J. Robotics Research 6(3), 1987, on an error that kinematics predict. Shapes: z, u, ẋ_d are (m,), Ĵ
@@ -176,11 +176,3 @@ def servo_lag_rate(gamma: float, acceleration: Array, sigma: Array) -> Any:
     V̇₃ = −σᵀ(I + LD)σ.
     """
     return -gamma * dot(acceleration, sigma)
-
-
-def tracking_potential(sigma: Array, M: Array, a_error: Array, gamma: Array) -> float:
-    """Return V₂ = ½σᵀMσ + ½ãᵀΓ⁻¹ã [J], with the true M and ã = a − â.
-
-    With `tracking_torque` and `dynamics_rate`, V̇₂ = −κσᵀM̂σ.
-    """
-    return 0.5 * float(dot(sigma, dot(M, sigma)) + dot(a_error, a_error / gamma))
