@@ -40,13 +40,7 @@ def stability(scenario: Scenario, jobs: int = 1, out: Path = Path("results/stabi
 
     pool = ProcessPoolExecutor(jobs) if jobs > 1 else nullcontext()
     with pool as executor:
-        result = judge.analyse(
-            scenario,
-            study,
-            executor,
-            sys.stderr.isatty(),
-            report,
-        )
+        result = judge.analyse(scenario, study, executor, sys.stderr.isatty(), report)
     judge.write(result, out)
     if follows := judge.consequences(result, out):
         print(follows, end="\n\n")

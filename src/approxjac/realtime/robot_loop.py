@@ -16,14 +16,7 @@ from approxjac.controllers import Latency
 from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import listed
-from approxjac.interface import (
-    Condition,
-    LimitStatus,
-    Measurement,
-    Status,
-    Target,
-    TargetPath,
-)
+from approxjac.interface import Condition, LimitStatus, Measurement, Status, Target, TargetPath
 from approxjac.realtime.brake import Brake
 from approxjac.realtime.driver import Driver, read, two_clocks
 from approxjac.realtime.faults import Fault, Tolerances

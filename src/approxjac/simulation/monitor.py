@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.controllers.controller import Controller
+from approxjac.controllers.learning.kinematic_report import UNEXPLAINED
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Condition, Measurement
 from approxjac.robots import Dynamics, Robot
@@ -56,7 +57,6 @@ _SHAKES, _SHAKEN = 0.1, 0.1  # of the largest torque, on the average over s: els
 _STILL, _QUICK = 0.3, 0.4  # s: since the target moved; the longest period while it does
 _COMPARED, _FRAMES = 2.0, 10  # s and frames, over which x is compared with what was learnt
 _OFTEN = 0.25  # s, from one such comparison to the next
-_UNEXPLAINED = 1.5  # χ² a degree of freedom
 
 
 class Event(NamedTuple):
@@ -236,9 +236,9 @@ class Monitor:
         self._compares = t + _OFTEN
         report = kinematics.report(known)
         chi = report.chi_squared
-        is_off = chi > _UNEXPLAINED and report.seconds > _COMPARED
+        is_off = chi > UNEXPLAINED and report.seconds > _COMPARED
         if not is_off:
-            if "x" in self._active and chi < 0.8 * _UNEXPLAINED:
+            if "x" in self._active and chi < 0.8 * UNEXPLAINED:
                 self._end("x", t)
             return
         if "x" in self._active:

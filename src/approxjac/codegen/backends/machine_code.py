@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import sys
 import threading
 from collections import OrderedDict
 from pathlib import Path
@@ -72,12 +71,11 @@ class MachineCode:
 def _made(llvm: Any, machine: Any, name: str, text: str) -> bytes:
     """Return the code of a text, from the cache if it is there, else compiled."""
     folder = cache_folder()
-    if folder is None:
-        return _compiled(llvm, machine, text)
-    path = folder / f"{name}.code"
-    code = _read(path)
-    if code is None:
-        code = _compiled(llvm, machine, text)
+    path = None if folder is None else folder / f"{name}.code"
+    if path is not None and (code := _read(path)) is not None:
+        return code
+    code = _compiled(llvm, machine, text)
+    if path is not None:
         _write(path, code)
     return code
 
@@ -92,13 +90,8 @@ def cache_folder() -> Path | None:
     if chosen is not None:
         return None if chosen.strip().lower() in _OFF else Path(chosen).expanduser()
     try:
-        if sys.platform == "win32":
-            base = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
-        elif sys.platform == "darwin":
-            base = Path.home() / "Library" / "Caches"
-        else:
-            own = Path(os.environ.get("XDG_CACHE_HOME", ""))
-            base = own if own.is_absolute() else Path.home() / ".cache"
+        own = Path(os.environ.get("XDG_CACHE_HOME", ""))
+        base = own if own.is_absolute() else Path.home() / ".cache"
     except RuntimeError:  # there is no home
         return None
     return base / "approxjac"

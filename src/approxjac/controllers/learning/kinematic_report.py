@@ -8,7 +8,8 @@ from approxjac.validation import Array
 
 _NOT_SEEN = 0.5  # share of the prior variance below which nothing was learnt of a number
 _SILENT = 1.0  # without a frame to learn from [s]
-_UNEXPLAINED = 1.5  # χ² a degree of freedom
+UNEXPLAINED = 1.5
+"""χ² a degree of freedom, above which the unknown parameters do not explain x."""
 
 
 class LearntNumber(NamedTuple):
@@ -70,7 +71,7 @@ class KinematicReport(NamedTuple):
     @property
     def is_explained(self) -> bool:
         """True if the unknown parameters explain the measured x."""
-        return self.seconds > 0.0 and self.chi_squared <= _UNEXPLAINED
+        return self.seconds > 0.0 and self.chi_squared <= UNEXPLAINED
 
     def __str__(self) -> str:
         width = max(len(row.name) for row in self.rows)

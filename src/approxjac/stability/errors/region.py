@@ -192,15 +192,16 @@ class RegularPart(Region):
         return f"RegularPart({self.region!r}, sigma_min >= {self.sigma_min:g})"
 
 
-def require_setpoint(controller: SetpointController) -> None:
-    """Raise an InvalidInputError for anything else, such as a wrapper around one."""
+def require_setpoint(controller: Any) -> SetpointController:
+    """Return it; raise an InvalidInputError for anything else, such as a wrapper around one."""
     wanted = "a SetpointController, which learns no Jacobian (controller.law is within wrappers)"
     require("controller", controller, SetpointController, wanted)
+    return controller
 
 
-def require_law(controller: SetpointController, *, posture: bool = False) -> None:
-    """Raise an InvalidInputError unless the torque is that of law (6) or (28), without posture."""
-    require_setpoint(controller)
+def require_law(controller: Controller, *, posture: bool = False) -> SetpointController:
+    """Return it, or raise an InvalidInputError unless it is law (6) or (28), without posture."""
+    controller = require_setpoint(controller)
     kind, laws = type(controller), "the conditions are those of the laws (6) and (28)"
     names = ("evaluate", "step")
     own = [name for name in names if getattr(kind, name) is not getattr(SetpointController, name)]
@@ -216,13 +217,13 @@ def require_law(controller: SetpointController, *, posture: bool = False) -> Non
             f"velocity = {controller.velocity!r} and posture = {controller.posture!r}",
             given=controller,
         )
+    return controller
 
 
 def uncovered(controller: Controller) -> str:
     """Return why there is no certificate for a controller, or its limited law; or ""."""
-    law: Any = controller.limited_law or controller
     try:
-        require_law(law)
+        require_law(controller.limited_law or controller)
     except InvalidInputError as error:
         return str(error).split("; got ")[0].split(", got ")[0]
     return ""

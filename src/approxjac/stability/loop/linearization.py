@@ -334,9 +334,8 @@ def local_stability(
     timing = _timing(plant, dt)
     q = plant.robot.configuration(q_target, "q_target")
     require_seen("q_target", q, plant.sensor)
-    law: Any = controller
     try:
-        require_law(law)
+        law = require_law(controller)
     except InvalidInputError:
         return _by_differences(plant, controller, q, timing)
     _require_gravity(plant, law, q)

@@ -6,7 +6,6 @@ import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -147,9 +146,7 @@ def stability_map(
 
 
 def _with_gains(controller: Controller, at: Mapping[str, float]) -> SetpointController:
-    law: Any = controller
-    require_setpoint(law)
-    assert isinstance(law, SetpointController)
+    law = require_setpoint(controller)
     kp, kv, damping = law.diagonals
     times = at.get("kv", 1.0)
     own_kv = times * kv
