@@ -149,7 +149,7 @@ class SampleGuard:
         self.first = first_memory(robot.neutral().tolist(), task.origin.tolist(), self._bounds)
         self._ends = ends = GuardMemory.ends(robot.nq, n, task.n_x, len(measured.parts))
         self._quick = QuickGuard(self._bounds, ends, robot.nq, n)
-        self._subtracts = robot.nq == n
+        self._subtracts, self._command = robot.nq == n, slice(ends[8], ends[9])
         self.first.flags.writeable = False
         kept = (controller.limits or Limits()).for_joints(n)
         self._effort, self._rate = np.asarray(kept.effort), np.asarray(kept.rate)
@@ -186,7 +186,8 @@ class SampleGuard:
             raise InvalidInputError(message, given=measurement) from error
         if quick is not None:
             after, answer = controller.advance(state, measurement, target, dt)
-            parts = answer.torque, self._push_of(answer, v), self._J_of(answer)
+            push = self._push_of(answer, v, memory[self._command])
+            parts = answer.torque, push, self._J_of(answer)
             memory = self._quick.answered(quick, v, dt, *parts)
             return np.concatenate([after, memory]) if len(after) else memory, answer
         if not traced and not np.abs(memory).max() < _ABSURD:
@@ -225,7 +226,9 @@ class SampleGuard:
             command = law.select(holds, halt, law.select(is_bad, eased, command))
         answer = answer._replace(torque=command)
         J_hat, sizes = self._J_of(answer), None
-        push = self._push_of(answer, law.array(found.v)).tolist()
+        rest = 0.0 * command if gravity is None else gravity  # the arm's, before a first command
+        before = law.select(kept.t > 0.5 * UNSEEN, law.array(kept.command), rest)
+        push = self._push_of(answer, law.array(found.v), before).tolist()
         if J_hat is not None:
             sizes = [law.length(J_hat[rows].ravel()) for _, rows in self._bounds.parts]
         memory = remembered(kept, found, sample, dt, command.tolist(), push, sizes).joined()
@@ -251,14 +254,13 @@ class SampleGuard:
         command: Array = np.minimum(np.maximum(halt, before - change), before + change)
         return command
 
-    def _push_of(self, answer: Evaluation, v: Array) -> Array:
-        """Return |q̈| that a torque or a velocity may cause, (n_v,)."""
-        torque, gravity = answer.torque, answer.gravity
+    def _push_of(self, answer: Evaluation, v: Array, before: Array) -> Array:
+        """Return by how much |q̈| may change from one command to the next, (n_v,)."""
+        torque = answer.torque
         if not self._takes_torque:
             servo: Array = np.minimum(np.abs(torque - v) / _SERVO, _MOST)
             return servo
-        net = np.minimum(np.abs(torque if gravity is None else torque - gravity), _MOST)
-        push: Array = self._reach.dot(net)
+        push: Array = self._reach.dot(np.minimum(np.abs(torque - before), _MOST))
         return push
 
     def _J_of(self, answer: Evaluation) -> Array | None:

@@ -26,7 +26,7 @@ _STILL = 1e-3  # rad/s or m/s, below which a joint may have the same q and q̇ a
 _IMPACT = 0.004  # s, in which an arm that hits something may lose its speed
 _AT_REST = 0.1  # rad/s or m/s, of which a first q̇ is believed at most, for one period
 _WILD = 5.0  # times the largest change of q̇ that makes sense, by which none rises
-_LEARNS, _AT_MOST = 0.05, 0.02  # s, in which the noise of q comes to be known, or 50 periods
+_FINER = 0.92  # at each change of q: what is left of its noise, as it comes to be known
 _STEP, _FINEST = 0.3, 1.0 / 512.0  # of a step of q, and of the largest noise: the least
 _LEFT, _TURNS = 0.04, 0.1  # q̇ that changed its sign: what is left of ‖q̇‖², at such a speed
 _STRAIGHT = (_TURNS * (2.0 - math.sqrt(_LEFT))) ** 2  # ‖Δq̇‖² up to which it has not
@@ -34,7 +34,7 @@ _MEMORY = 0.05  # s, over which q is compared with the integral of q̇
 _SHARE = 0.2  # of the way, by which that may be off
 _ADDS = 0.25  # of what it may be off, by which one sample counts at most
 _FADES = 0.02  # s, in which a torque that was sent acts at last
-_SETTLES, _USUAL, _RARE = 0.05, 3.0, 1.0 / 32.0  # s, in which it shows what |q̈| is usual
+_SETTLES, _USUAL, _RARE = 0.05, 3.0, 1.0 / 128.0  # s, in which it shows what |q̈| is usual
 _KEPT, _TIMES = 0.75, 2.0  # of the motion of x at each new one; by which times it x may move
 _BLIND = 0.25  # s, after which an x that is refused again and again ends in a stop
 _AHEAD = 0.01  # s, and a period: by which x may be stamped later than the state it comes with
@@ -161,7 +161,6 @@ def judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBounds) ->
     drifts, paths = list[Any](), list[Any]()
     noises, steps, left, size = list[Any](), list[Any](), 0.0, 0.0
     usuals, settles, was_bad = list[Any](), _larger(1.0 - h / _SETTLES, 0.0), memory.bad > 0.0
-    finer = 1.0 - _smaller(h / _LEARNS, _AT_MOST)
     for w, v1, v0, a, usual, rare, r, step, coarse, most, drift, path in zip(
         way, v, before, memory.push, memory.usual, bounds.push.tolist(), memory.noise, memory.step,
         bounds.q, bounds.fastest, memory.drift, memory.path, strict=True,
@@ -192,7 +191,7 @@ def judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBounds) ->
         # only where q changes it shows how well it is known
         changes, least = w != 0.0, _larger(_STEP * step, _FINEST * coarse)
         steps.append(select(changes & (abs(w) < step), abs(w), step))
-        noises.append(_larger(select(changes, finer * r, r), _larger(abs(off), least)))
+        noises.append(_larger(select(changes, _FINER * r, r), _larger(abs(off), least)))
     hits = hits | wild | ((left < _LEFT * size) & (size > 1.0))  # all joints at once
     again = moves & reduce(and_, [a == b for a, b in zip(q + v, memory.q + before, strict=True)])
     known = all_finite(q + v) & (abs(t) < _OLDEST)
@@ -384,11 +383,11 @@ class QuickGuard:
         after[0], after[self._q] = t, q
         now = after[self._joints].reshape(self._shape)
         now[0], now[1], now[2] = v, drift, path
-        finer, changes = 1.0 - min(since / _LEARNS, _AT_MOST), far > 0.0
+        changes = far > 0.0
         usual = np.maximum(max(1.0 - since / _SETTLES, 0.0) * known[4], self._rare)
         now[4] = np.maximum(usual, np.minimum(_USUAL * (1.0 / since) * np.abs(sudden), self._push))
         least = np.maximum(_STEP * known[6], self._finest)
-        now[5] = np.maximum(np.where(changes, finer * r, r), np.maximum(size, least))
+        now[5] = np.maximum(np.where(changes, _FINER * r, r), np.maximum(size, least))
         now[6] = np.where(changes & (far < known[6]), far, known[6])
         moved, seen = after[self._moved], after[self._x]
         for i, (entries, _) in enumerate(self._parts):
