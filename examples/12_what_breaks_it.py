@@ -74,7 +74,7 @@ def weak(share, proof):
     """Motors with a share of their torques."""
     law, urdf = aj.SetpointController(task, gravity=known), aj.Limits.of(belief, share)
     kept = urdf if proof else aj.Limits(urdf.effort)
-    return plant, aj.TorqueLimited(law, kept, proof=bool(proof)), 1e-3
+    return plant, aj.TorqueLimited(law, kept, proof=bool(proof), dt=4e-3), 4e-3
 
 
 def left(truly, law, dt, start, shown):

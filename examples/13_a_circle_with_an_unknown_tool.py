@@ -33,19 +33,19 @@ q0 = np.array([0.0, -1.2, 1.6, -1.9, -1.57, 0.0])
 center = plant.sensor.value(q0) + [-0.10, 0.05, 0.05]
 circle = aj.Circle(center, radius=0.10, period=4.0, normal=(0.0, -0.8, 0.6))
 
-task = aj.PositionTask(belief)
-kinematics = aj.AdaptiveKinematics(task, unknown=("tool", "origins"), noise=2e-3, delay=0.03)
-latency = aj.Latency(image_period=1 / 60, image_age=0.03)
+task, dt = aj.PositionTask(belief), 2e-3  # s
+kinematics = aj.AdaptiveKinematics(task, unknown=("tool", "origins"), noise=2e-3, delay=0.03, dt=dt)
+latency = aj.Latency(period=dt, image_period=1 / 60, image_age=0.03)
 controllers = {
     "fixed Jacobian": aj.SetpointController(
         task, gravity=aj.AdaptiveGravity(belief), latency=latency
     ),
-    "learnt kinematics": aj.TrackingController(task, kinematics=kinematics),
+    "learnt kinematics": aj.TrackingController(task, kinematics=kinematics, dt=dt),
 }
 
 figure, axes = view.new_figure(3, title="A circle of 10 cm in 4 s, with a 20 cm tool unknown")
 for ax, (name, controller) in zip(axes, controllers.items(), strict=False):
-    run = aj.simulate(plant, controller, circle, q0, duration=10.0, dt=1e-3)
+    run = aj.simulate(plant, controller, circle, q0, duration=10.0, dt=dt)
     late = run.error_norm[run.t > 8.0]
     rms = 1e3 * np.sqrt(np.mean(late**2))
     print(f"{name}: {rms:.2f} mm RMS from 8 to 10 s")

@@ -30,13 +30,13 @@ shifts = dict(zip(belief.joint_names, ways.tolist(), strict=True))
 truth = belief.with_object(length=0.15, mass=0.3, axis="x").with_kinematic_error(shifts)
 plant = aj.Plant(truth, sensing=aj.Sensing(x_noise=1e-3, x_rate=60.0, x_delay=0.03))
 
-task = aj.PositionTask(belief)
-kinematics = aj.AdaptiveKinematics(task, unknown=("tool", "origins"), noise=1e-3, delay=0.03)
-controller = aj.TrackingController(task, kinematics=kinematics)
+task, dt = aj.PositionTask(belief), 2e-3  # s
+kinematics = aj.AdaptiveKinematics(task, unknown=("tool", "origins"), noise=1e-3, delay=0.03, dt=dt)
+controller = aj.TrackingController(task, kinematics=kinematics, dt=dt)
 q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 there = [plant.sensor.value(q0 + rng.uniform(-0.7, 0.7, 7)) for _ in range(12)]
 path = aj.Waypoints(np.array([plant.sensor.value(q0), *there]), speed=0.3, acceleration=1.0)
-run = aj.simulate(plant, controller, path, q0, duration=30.0, dt=1e-3, record_every=0.02)
+run = aj.simulate(plant, controller, path, q0, duration=30.0, dt=dt, record_every=0.02)
 
 learnt = controller.learnt_robot(run.state[-1])
 tips = {"believed": belief, "learnt": learnt}

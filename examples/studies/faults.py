@@ -75,6 +75,7 @@ HARMLESS = ("torques doubled",)  # the arm may get there all the same
 PUSH, CABLE, WALL = 20.0, 5.0, (5e3, 50.0)  # N; N/m and N s/m
 LATE = 5  # periods, by which a wrist is damped too late
 HOURS, RUNS = 2.0, 60
+LASTS = 4.0  # a run that nothing ends [s]
 KINDS = JOINTS + SENSORS + CLOCKS + DRIVERS + MOTORS + tuple(EVENTS)
 
 
@@ -359,7 +360,7 @@ def undisturbed(arm):
     driver = SimulatedDriver(plant, start_of(arm, plant), pace=math.inf)
     quiet = Broken(driver, arm, "nothing", math.inf, 0)
     goal = plant.sensor.value(driver.q) + WAY
-    control(quiet, controller, goal, 4.0, tolerances=tolerances(plant))
+    control(quiet, controller, goal, LASTS, tolerances=tolerances(plant))
     return quiet.tips
 
 
@@ -390,7 +391,7 @@ def break_one(case):
         law = aj.TrackingController(aj.PositionTask(belief))
         controller = aj.TorqueLimited(law, aj.Limits.of(belief))
     try:
-        duration = 8.0 if case.kind == "a wrist rings" else 4.0
+        duration = 2.0 * LASTS if case.kind == "a wrist rings" else LASTS
         run = control(broken, controller, goal, duration, tolerances=tolerances(plant, slow))
     except ControlError as error:
         run = error.given

@@ -148,8 +148,11 @@ def test_an_output_that_is_full_is_one_line_with_exit_code_2(monkeypatch, capsys
         assert main(["robots", "none"]) == 2
 
 
-@pytest.mark.study
-def test_an_interrupt_in_an_import_or_in_a_command_is_one_line_with_exit_code_130(tmp_path):
+@pytest.mark.parametrize(
+    "count",
+    [pytest.param(7, marks=pytest.mark.study), pytest.param(20, marks=pytest.mark.long)],
+)
+def test_an_interrupt_in_an_import_or_in_a_command_is_one_line_with_exit_code_130(count, tmp_path):
     """At any time from the first import of ours on; before, it is Python's own start."""
     start = (
         # a shell's background ignores it
@@ -158,7 +161,7 @@ def test_an_interrupt_in_an_import_or_in_a_command_is_one_line_with_exit_code_13
         "sys.argv = ['approxjac', *'simulate two_link --duration 5000 --out made'.split()];"
         "sys.exit(command.main())"
     )
-    for wait in np.linspace(0.0, 2.0, 20):
+    for wait in np.linspace(0.0, 2.0, count):
         words = [sys.executable, "-c", start]
         pipes = dict.fromkeys(("stdout", "stderr"), subprocess.PIPE)
         with subprocess.Popen(words, cwd=tmp_path, text=True, **pipes) as process:

@@ -19,6 +19,7 @@ PANDA = aj.load_robot("panda")
 TRUTH = PANDA.with_object(0.2, 0.5, axis="x")
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 UR5 = np.array([0.2, -1.2, 1.4, -1.0, -1.0, 0.3])
+SLOW = (*study.MOTORS, *study.EVENTS)
 
 
 def motion(t, size=0.3, rate=2.0):
@@ -307,22 +308,25 @@ def test_faults_in_mid_motion_brake_the_arm(arm, kind):
     assert study.table([outcome]).count("\n") == 3
 
 
-@pytest.mark.parametrize("kind", [k for k in study.KINDS if k not in study.TIMED])
 @pytest.mark.parametrize(
-    "arms",
+    ("arm", "kind"),
     [
-        pytest.param(arms, id=", ".join(arms), marks=mark)
-        for arms, mark in (
-            (list(study.STARTS)[:1], pytest.mark.study),
-            (list(study.STARTS)[1:], pytest.mark.long),
+        # which take seconds: by part in test_monitor.py, and some of them below
+        pytest.param(
+            arm,
+            kind,
+            marks=pytest.mark.long if i or kind in SLOW else pytest.mark.study,
         )
+        for i, arm in enumerate(study.STARTS)
+        for kind in study.KINDS
+        if kind not in study.TIMED
     ],
 )
-def test_every_fault_brakes_every_arm(arms, kind):
-    outcomes = [study.break_one(study.Case(arm, kind, 8)) for arm in arms]
-    assert not any("FALSE" in outcome.fault for outcome in outcomes)
-    if kind not in study.MOTORS and kind not in study.EVENTS:
-        assert study.short(outcomes) == []
+def test_every_fault_brakes_every_arm(arm, kind):
+    outcome = study.break_one(study.Case(arm, kind, 8))
+    assert "FALSE" not in outcome.fault
+    if kind not in SLOW:
+        assert study.short([outcome]) == []
 
 
 @pytest.mark.study
@@ -330,6 +334,7 @@ def test_every_fault_brakes_every_arm(arms, kind):
     ("arm", "kind", "names"),
     [
         ("panda", "a motor without power", {"MOTOR_WEAK"}),
+        ("panda", "a motor reversed", {"MOTOR_WEAK", "TOO_FAST"}),
         ("panda", "a wrist rings", {"OSCILLATES"}),
         ("kinova", "payload of 1.5 kg grasped", {"TOOL_CHANGED"}),
         ("z1", "a motor without power", {"MOTOR_WEAK", "TOO_FAST"}),
@@ -337,19 +342,28 @@ def test_every_fault_brakes_every_arm(arms, kind):
         ("xarm7", "x drifts by 2 cm/s", {"NOT_EXPLAINED", "SENSOR_DISAGREES"}),
     ],
 )
-def test_what_happens_is_named_on_arms_that_no_threshold_was_chosen_on(arm, kind, names):
+def test_what_happens_is_named_on_arms_that_no_threshold_was_chosen_on(
+    arm, kind, names, monkeypatch
+):
+    monkeypatch.setattr(study, "LASTS", 2.5)  # long enough for all of these
     outcome = study.break_one(study.Case(arm, kind, 7))
     assert outcome.fault in names
-    if "MOTOR_WEAK" in names:
+    if kind in study.MOTORS:
         assert outcome.after < 0.1
 
 
-@pytest.mark.study
-def test_a_clean_run_has_no_fault(monkeypatch):
-    monkeypatch.setattr(study, "HOURS", 60 * 15.0 / 3600.0)
+@pytest.mark.parametrize(
+    "seconds",
+    [
+        pytest.param(8.0, marks=pytest.mark.study),
+        pytest.param(60.0, marks=pytest.mark.long),
+    ],
+)
+def test_a_clean_run_has_no_fault(seconds, monkeypatch):
+    monkeypatch.setattr(study, "HOURS", study.RUNS * seconds / 3600.0)
     outcome = study.clean(study.Case("ur5", "clean", 100))
     assert outcome.fault == ""
-    assert outcome.after > 14.0
+    assert outcome.after > seconds - 1.0
 
 
 def test_a_joint_that_its_gravity_holds_still_is_not_unanswering():
