@@ -110,6 +110,11 @@ CASES = {
 }
 
 
+SMALL = {"two_link (5), sine": ("two_link", CASES["ur5 (5), sine"][1])}  # with all options
+# of which the others have the parts
+IN_CPP = {"panda (28), limits, away from stops", "panda (6), image", "ur5 (5), sine"}
+
+
 def some(*words):
     """The cases as parameters, with those by default whose names end like one of some words."""
     return [
@@ -120,7 +125,7 @@ def some(*words):
 
 @functools.cache
 def built(case):
-    robot, make = CASES[case]
+    robot, make = (CASES | SMALL)[case]
     controller = make(aj.load_robot(robot))
     return controller, sampled_step(controller)
 
@@ -459,9 +464,14 @@ def test_options_of_clang_without_a_macro_are_refused_at_each_step(options, tmp_
 
 
 @needs_compiler
-@pytest.mark.study
 @pytest.mark.parametrize("compiler", COMPILERS)
-@pytest.mark.parametrize("case", ["ur5 (5), sine"])
+@pytest.mark.parametrize(
+    "case",
+    [
+        *(pytest.param(each, marks=pytest.mark.study) for each in SMALL),
+        pytest.param("ur5 (5), sine", marks=pytest.mark.long),
+    ],
+)
 def test_every_option_is_refused_or_survived(case, compiler, in_c_of):
     """With others, too, no number that is not finite gets through, and torques are the same."""
     _, folder = in_c_of(case)
@@ -488,7 +498,12 @@ def test_every_option_is_refused_or_survived(case, compiler, in_c_of):
     [
         ("two_link", "c++11"),
         pytest.param("two_link", "c++17", marks=pytest.mark.study),
-        *(pytest.param(each, "c++11", marks=pytest.mark.study) for each in CASES),
+        *(pytest.param(each, "c++11", marks=pytest.mark.study) for each in IN_CPP),
+        *(
+            pytest.param(each, "c++11", marks=pytest.mark.long)
+            for each in CASES
+            if each not in IN_CPP
+        ),
         *(pytest.param(each, "c++17", marks=pytest.mark.long) for each in CASES),
     ],
 )

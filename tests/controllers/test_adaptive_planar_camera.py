@@ -53,9 +53,12 @@ def rms(task, moves, seconds):
 @pytest.mark.parametrize(
     ("roll", "moves"),
     [
-        pytest.param(roll, moves, marks=pytest.mark.study)
-        for roll in (60.0, 120.0, 180.0)
-        for moves in (False, True)
+        pytest.param(60.0, False, marks=pytest.mark.long),
+        pytest.param(60.0, True, marks=pytest.mark.long),
+        pytest.param(120.0, False, marks=pytest.mark.long),
+        pytest.param(120.0, True, marks=pytest.mark.study),
+        pytest.param(180.0, False, marks=pytest.mark.study),
+        pytest.param(180.0, True, marks=pytest.mark.long),
     ],
 )
 def test_any_roll_is_learnt(roll, moves):
@@ -63,8 +66,14 @@ def test_any_roll_is_learnt(roll, moves):
     assert rms(believed(roll), moves, 5)[-1] < 3e-3
 
 
-@pytest.mark.study
-@pytest.mark.parametrize("roll", [60.0, 120.0, 180.0])
+@pytest.mark.parametrize(
+    "roll",
+    [
+        pytest.param(60.0, marks=pytest.mark.long),
+        pytest.param(120.0, marks=pytest.mark.long),
+        pytest.param(180.0, marks=pytest.mark.study),
+    ],
+)
 def test_a_target_is_reached_exactly(roll):
     assert rms(believed(roll), False, 10)[-1] < 3e-5
 

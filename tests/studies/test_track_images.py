@@ -9,7 +9,12 @@ pytestmark = pytest.mark.study
 
 @pytest.mark.parametrize(
     "case",
-    [Case("room", 180.0, "circle"), Case("hand", 120.0, "target"), Case("plane", 120.0, "circle")],
+    [
+        Case("room", 180.0, "circle"),
+        Case("hand", 120.0, "target"),
+        # as in test_adaptive_planar_camera.py
+        pytest.param(Case("plane", 120.0, "circle"), marks=pytest.mark.long),
+    ],
     ids=str,
 )
 def test_images_are_followed(case):
