@@ -82,25 +82,18 @@ EXPERIMENTS: Mapping[int, Experiment] = {
 class Setup:
     """Choices that the paper leaves open; the default ones give every verdict of the paper.
 
-    Attributes:
-        start: q(0) [rad].
-        target: Configuration whose image is the target X_d [rad].
-        friction: B, the same at both joints [N m s/rad].
-        gamma: γ of s(e) = γ sin(e/γ) [m on the sensor]; None is s(e) = e.
-        inertia: Uniform rods, or point masses at the middles of the rods.
-        duration: Length of each run [s].
-
     Raises:
         InvalidInputError: Numbers out of range, or start and target with the same image.
         UnknownNameError: Another kind of inertia.
     """
 
-    start: tuple[float, float] = (math.radians(60.0), math.radians(90.0))
+    start: tuple[float, float] = (math.radians(60.0), math.radians(90.0))  # q(0) [rad]
+    # configuration whose image is the target X_d [rad]
     target: tuple[float, float] = (math.radians(90.0), math.radians(90.0))
-    friction: float = 0.0
-    gamma: float | None = None
-    inertia: Inertia = "rod"
-    duration: float = 120.0
+    friction: float = 0.0  # B, the same at both joints [N m s/rad]
+    gamma: float | None = None  # γ of s(e) = γ sin(e/γ) [m on the sensor]; None is s(e) = e
+    inertia: Inertia = "rod"  # uniform rods, or point masses at the middles of the rods
+    duration: float = 120.0  # length of each run [s]
 
     def __post_init__(self) -> None:
         start = as_array("start", self.start, (2,), "rad")

@@ -20,22 +20,15 @@ _PARTS = {
 
 
 class Row(NamedTuple):
-    """A finding of a report.
+    """A finding of a report."""
 
-    Attributes:
-        part: Part of the report: "verdict", "about", "beware", "sampled", "limits", "continuous",
-            "worst", "rollouts" or "other law".
-        name: Name of the test.
-        verdict: A word or two; "" if there is none.
-        figures: Name → number, array, flag or name that support it.
-        text: The figures as a sentence.
-    """
-
+    # part of the report: "verdict", "about", "beware", "sampled", "limits", "continuous", "worst",
+    # "rollouts" or "other law"
     part: str
-    name: str
-    verdict: str
-    figures: Mapping[str, Any]
-    text: str = ""
+    name: str  # name of the test
+    verdict: str  # a word or two; "" if there is none
+    figures: Mapping[str, Any]  # name → number, array, flag or name that support it
+    text: str = ""  # the figures as a sentence
 
 
 def as_text(rows: Sequence[Row]) -> str:

@@ -205,16 +205,12 @@ class Estimator(Kinematics):
     A *frame* is a measurement whose x is new, with the t and q at which it was taken; a *gate*
     rejects those that jump; `_correct` learns from the others; *smoothed* estimates follow the
     learnt ones, and `predict` uses them. All run on numbers and on symbols.
-
-    Attributes:
-        regressor: Points of the robot, linear in the translations of tool and joint origins.
-        noise: Standard deviation of x.
-        delay: Age of x where `Measurement.t_x` is None [s].
     """
 
+    # points of the robot, linear in the translations of tool and joint origins
     regressor: KinematicRegressor
-    noise: float
-    delay: float
+    noise: float  # standard deviation of x
+    delay: float  # age of x where `Measurement.t_x` is None [s]
     _at: dict[str, slice]
     _believed: Array  # values of `names` before the first frame, and their standard deviations
     _sd: Array

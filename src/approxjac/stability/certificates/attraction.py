@@ -30,21 +30,15 @@ class Attraction:
     """Starts at rest from which a certified motion stays in a box of configurations.
 
     |qᵢ(t) − qᵢ(0)| ≤ `travel`ᵢ √V(0) at all times, because V of its own decays at a known rate.
-
-    Attributes:
-        travel: Bound above, shape (n_v,) [rad/√J or m/√J].
-        rate: ρ, with V ≤ V(0) exp(−2ρt) [1/s].
-        weights: Weights of that V.
-        radius: If start (at rest) and target configuration are within this distance of the middle
-            of the box in every joint, the motion never leaves the box [rad or m].
-        error: Largest ‖e‖ of such starts [units of the task].
     """
 
-    travel: Array
-    rate: float
-    weights: Weights
+    travel: Array  # bound above, shape (n_v,) [rad/√J or m/√J]
+    rate: float  # ρ, with V ≤ V(0) exp(−2ρt) [1/s]
+    weights: Weights  # weights of that V
+    # if start (at rest) and target configuration are within this distance of the middle of the box
+    # in every joint, the motion never leaves the box [rad or m]
     radius: float
-    error: float
+    error: float  # largest ‖e‖ of such starts [units of the task]
 
     def __repr__(self) -> str:
         return f"Attraction(radius={self.radius:.3g}, error={self.error:.3g})"

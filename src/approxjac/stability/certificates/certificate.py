@@ -97,17 +97,11 @@ class MatrixTest:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SampledTest(MatrixTest):
-    """Verdict of the matrix form of the sampled, late loop over a region.
+    """Verdict of the matrix form of the sampled, late loop over a region."""
 
-    Attributes:
-        latency: Latency of the loop.
-        level: c [J]: motions that begin with V ≤ c stay below v̄.
-        form: The form at all samples; those that the function was chosen on come first.
-    """
-
-    latency: Latency
-    level: float
-    form: SampledForm
+    latency: Latency  # latency of the loop
+    level: float  # c [J]: motions that begin with V ≤ c stay below v̄
+    form: SampledForm  # the form at all samples; those that the function was chosen on come first
 
     @property
     def reason(self) -> str:

@@ -18,26 +18,19 @@ _FAR = 1e9  # an error at which a saturation that is bounded has its bound
 
 @dataclass(frozen=True, eq=False)
 class LimitCost:
-    """Cost of effort limits: where they act in a region, and what is proven there.
+    """Cost of effort limits: where they act in a region, and what is proven there."""
 
-    Attributes:
-        clipped: Share of the samples, taken as at rest, whose torque is beyond the limits.
-        free: Unit of the task → error at rest, in any direction, up to which no sample's torque is
-            beyond the limits, with no error in other units [units of the task]. Infinite if none
-            ever is, 0 if motors cannot hold the arm.
-        level: Certified motions that begin with V ≤ this never exceed the limits [J]; 0 if
-            nothing is certified.
-        holds: Whether motors can hold the arm at all samples.
-        protects: Whether the limiter keeps the report's own V falling.
-        proof: Whether the limiter keeps any V falling.
-    """
-
-    clipped: float
+    clipped: float  # share of the samples, taken as at rest, whose torque is beyond the limits
+    # unit of the task → error at rest, in any direction, up to which no sample's torque is beyond
+    # the limits, with no error in other units [units of the task]. Infinite if none ever is, 0 if
+    # motors cannot hold the arm
     free: dict[str, float]
+    # certified motions that begin with V ≤ this never exceed the limits [J]; 0 if nothing is
+    # certified
     level: float
-    holds: bool
-    protects: bool
-    proof: bool
+    holds: bool  # whether motors can hold the arm at all samples
+    protects: bool  # whether the limiter keeps the report's own V falling
+    proof: bool  # whether the limiter keeps any V falling
 
     @property
     def verdict(self) -> str:

@@ -410,23 +410,14 @@ def _along(v: Array, A0: Array, A1: Array, which: tuple[Indices, ...]) -> Array:
 
 
 class Hold(NamedTuple):
-    """Bounds on the effect of holds and delays.
+    """Bounds on the effect of holds and delays."""
 
-    Attributes:
-        gain: γ of the torque, or of its part with D_c if x comes in frames [s].
-        span: Longest age of an acting torque [s].
-        lag: Mean age of a filtered q̇ [s].
-        frames: γ_x of x in frames [s]; None if x is read at each sample.
-        age: Longest age of x [s].
-        turned: γ of the torque's change with q alone while q̇ is that old [s].
-    """
-
-    gain: float
-    span: float
-    lag: float
-    frames: float | None = None
-    age: float = 0.0
-    turned: float = 0.0
+    gain: float  # γ of the torque, or of its part with D_c if x comes in frames [s]
+    span: float  # longest age of an acting torque [s]
+    lag: float  # mean age of a filtered q̇ [s]
+    frames: float | None = None  # γ_x of x in frames [s]; None if x is read at each sample
+    age: float = 0.0  # longest age of x [s]
+    turned: float = 0.0  # γ of the torque's change with q alone while q̇ is that old [s]
 
     @classmethod
     def of(cls, latency: Latency) -> Hold:
@@ -451,20 +442,13 @@ class Hold(NamedTuple):
 
 
 class Turning(NamedTuple):
-    """Largest rates of change of the samples' matrices, see `law.sampled_form`.
+    """Largest rates of change of the samples' matrices, see `law.sampled_form`."""
 
-    Attributes:
-        curvature: κ.
-        damping: k_R.
-        stiffness: ē.
-        filtered: k_f, where q̇ is filtered.
-        gravity: Largest |∂g q̇| in the norm of D⁻¹ over |q̇|_D, where q̇ is filtered [1/s].
-    """
-
-    curvature: float = 0.0
-    damping: float = 0.0
-    stiffness: float = 0.0
-    filtered: float = 0.0
+    curvature: float = 0.0  # κ
+    damping: float = 0.0  # k_R
+    stiffness: float = 0.0  # ē
+    filtered: float = 0.0  # k_f, where q̇ is filtered
+    # largest |∂g q̇| in the norm of D⁻¹ over |q̇|_D, where q̇ is filtered [1/s]
     gravity: float = 0.0
 
 
