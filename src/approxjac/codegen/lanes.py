@@ -100,10 +100,6 @@ class Lanes:
         tolerance: Error below which a task counts as done.
         integrator: Integrator of the plant: one of `INTEGRATORS`.
         path: Path of the target of all runs, in place of their own; None is at rest.
-
-    Attributes:
-        program: The program of a step.
-        frames: Frames that the sensor looks at.
     """
 
     def __init__(
@@ -118,7 +114,7 @@ class Lanes:
         integrator: str = "semi_implicit_euler",
         path: Target | TargetPath | None = None,
     ) -> None:
-        self.program = program = Program()
+        self.program = program = Program()  # of a step
         m = controller.task.m
         numbers, sensors, others = _stacked(examples)
         given = {name: program.given(name, each) for name, each in (others | sensors).items()}
@@ -130,7 +126,7 @@ class Lanes:
         loop = TracedLoop(
             program, controller, plant, numbers, target, dt, integrator, given, sensing
         )
-        self.frames = tuple(loop.truth.frames)
+        self.frames = tuple(loop.truth.frames)  # that the sensor looks at
         self._truth, before = loop.truth, {name: program.kept(name, 1)[0] for name in OUTCOME}
         program.step(loop.after | {
             "diverged": select(loop.diverged, 1.0, before["diverged"]),

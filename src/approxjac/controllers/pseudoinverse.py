@@ -38,14 +38,10 @@ class Pseudoinverse:
     With a `weight` (from `tuned`), Ĵ⁺s minimizes q̇ᵀB_cq̇ over all q̇ with Ĵq̇ = s, as the arm's own
     motion towards its target does. So y of (10) is small along that motion, which disturbs learning
     less. Without one it is the Moore–Penrose inverse, as in the paper.
-
-    Attributes:
-        weight: As for `law.cross_weight_pinv`, shape (n_v,); None is I.
-        singularity: Thresholds of near singularity.
     """
 
     def __init__(self, weight: Array | None, scale: float, ratio: float) -> None:
-        self.weight = weight
+        self.weight = weight  # as for `law.cross_weight_pinv`, shape (n_v,); None is I
         inverse_root = None if weight is None else 1.0 / np.sqrt(weight)
         self.singularity = law.Singularity(ratio, scale, inverse_root)
 

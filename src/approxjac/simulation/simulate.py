@@ -321,13 +321,7 @@ class MovingArm:
     """A plant in motion: measured at each sample and moved by zero-order-held commands.
 
     Torques act after the actuator delay; velocities are also sampled at the servo's period. Until
-    the first command acts the arm is held.
-
-    Attributes:
-        q: Configuration, shape (nq,).
-        v: Velocity, shape (n_v,).
-        dt: Sampling time [s].
-        samples: Number of samples so far.
+    the first command acts the arm is held. `samples` is their number so far.
     """
 
     def __init__(

@@ -161,20 +161,15 @@ class Configured:
     """An arm at a configuration. What terms have in common is computed once.
 
     Each link has axes of its own, whose z is that of its joint. Bodies are those of `Reduced`.
-
-    Attributes:
-        structure: What it has in common with arms that differ in numbers only.
-        q_all: Configuration of all joints, shape (nq_all,).
-        weight: Acceleration of gravity in the world, shape (3,) [m/s²].
     """
 
     def __init__(self, arm: Arm, q: Symbols, numbers: Reduced | None = None) -> None:
         self.nv = arm.robot.nv
         self.arm, self.q = arm, q
-        self._numbers, self.structure = numbers or arm.numbers, arm.structure
-        numbers = self._numbers
-        self.weight = numbers.gravity
-        mimic = arm.robot.mimic_joints
+        self.structure = arm.structure  # in common with arms that differ in numbers only
+        self._numbers = numbers = numbers or arm.numbers
+        self.weight = numbers.gravity  # acceleration in the world, shape (3,) [m/s²]
+        mimic = arm.robot.mimic_joints  # and q of all joints, shape (nq_all,)
         self.q_all = q = q if mimic.A is None or mimic.b is None else mimic.A @ q + mimic.b
         self._n = len(self.structure.parents)
         spreads = numbers.spreads[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]

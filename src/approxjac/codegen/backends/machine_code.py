@@ -25,11 +25,7 @@ _OFF = ("", "0", "off", "no", "false")
 
 
 class MachineCode:
-    """The function `run` of a text, which lives as long as this does.
-
-    Attributes:
-        address: Address of the function.
-    """
+    """The function `run` of a text, at an `address`, which lives as long as this does."""
 
     _known: ClassVar[OrderedDict[str, MachineCode]] = OrderedDict()
     _lock: ClassVar[Any] = threading.RLock()

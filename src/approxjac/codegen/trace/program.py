@@ -216,21 +216,16 @@ class Scope:
 
 
 class Schedule:
-    """Where each of some operations is computed: as seldom as possible, and then as late.
-
-    Attributes:
-        places: All that is computed, in order.
-        parts: What of each loop is needed, as `Graph.reached` has it.
-        whole: What is computed in any case.
-        inside: Place of a loop, or number of a rare block → its scope.
-        indices: Number of a loop → the place of its passes' number, where that is computed with.
-    """
+    """Where each of some operations is computed: as seldom as possible, and then as late."""
 
     def __init__(self, graph: Graph, wanted: list[int]) -> None:
         self._nodes = nodes = graph.nodes
+        # all that is computed, in order, and what of each loop is needed
         self.places, self.parts = places, parts = graph.reached(wanted)
-        self.whole = Scope()
+        self.whole = Scope()  # what is computed in any case
+        # place of a loop, or number of a rare block → its scope
         self.inside: dict[tuple[str, int], Scope] = {}
+        # number of a loop → the place of its passes' number, where that is computed with
         self.indices: dict[int, set[int]] = {}
         for place in places:
             for each in nodes[place].arguments:

@@ -128,13 +128,9 @@ class Best(NamedTuple):
 
 
 class MatrixForm:
-    """Matrices that have to be positive for V to be a Lyapunov function, at many samples.
+    """Matrices that have to be positive for V to be a Lyapunov function, at many samples."""
 
-    Attributes:
-        fills: Whether `metric` differs from Y.
-    """
-
-    fills = False
+    fills = False  # whether `metric` differs from Y
 
     def __init__(self, samples: Samples, setting: Setting) -> None:
         self.samples, self.setting = samples, setting
@@ -464,10 +460,6 @@ class SampledForm(MatrixForm):
         speed: v̄ [√J].
         most_s: s̄, a bound of |s(e)| along these motions, used if x comes in frames.
         turning: `Turning` of these and possibly other samples; by default of these.
-
-    Attributes:
-        decay: ρ, for which F − ρP replaces F and gains are those of e^(ρt)(z, w), so that
-            V e^(2ρt) never rises, and the largest S(e)/s(e)² [1/s, –].
     """
 
     fills = True
@@ -483,7 +475,10 @@ class SampledForm(MatrixForm):
     ) -> None:
         self.samples, self.setting, self._of_samples = form.samples, form.setting, form._of_samples
         self.hold, self.speed, self.most_s = hold, speed, most_s
-        self.decay, self._friction = (0.0, 0.5), friction
+        self._friction = friction
+        # ρ, for which F − ρP replaces F and gains are those of e^(ρt)(z, w), so that V e^(2ρt)
+        # never rises, and the largest S(e)/s(e)² [1/s, –]
+        self.decay = 0.0, 0.5
         at, D, kp = self.samples, self._of_samples.D, self.setting.kp
         D_c = D - np.diag(friction)
         if self.hold.frames is None:
