@@ -88,9 +88,6 @@ class Controller(ABC):
         resting: Number of leading state entries that pause when limits give up the proof.
         needs_solver: Whether its limits may need a solver, which takes time.
         guard: Bounds of good samples; None is without, see `guarded`.
-
-    Args:
-        task: The task of the believed robot.
     """
 
     task: Task
