@@ -178,6 +178,7 @@ class _MachineCode:
             for name in ("torque", "after", "rate", "e", "gravity", "J_hat", "reference")
         )
         has_rate, has_gravity, has_J = (name in place for name in ("rate", "gravity", "J_hat"))
+        has_state = state_in.size > 0
         verdict_at = slice(place["status"].start - first, place["usual"].stop - first)
         learnt_at = slice(law.resting, law.resting + getattr(law.kinematics, "n_state", 0))
         J_shape, m, shapes = (task.m, task.robot.nv), (task.measured.m,), (
@@ -223,19 +224,20 @@ class _MachineCode:
                 if asks_t:
                     flat[t_at] = t
                 if asks_t_x:
-                    t_x = time_of_x(t_x)
-                    if t_x is None and not knows_nan:
-                        return None
+                    if not (type(t_x) is float and -math.inf < t_x < math.inf):
+                        t_x = time_of_x(t_x)
+                        if t_x is None and not knows_nan:
+                            return None
                     flat[t_x_at] = t_x
                 q_in[:], v_in[:], x_in[:], target_in[:] = q, v, x, x_d
-                if state.size:
+                if has_state:
                     state_in[:] = state
                 run()
                 found = answered.copy()
                 status, limit, slack, usual = found[verdict_at].tolist()
                 if not usual:
                     return None
-                rate = found[own_rate_at] if state.size and has_rate else own_rate
+                rate = found[own_rate_at] if has_state and has_rate else own_rate
                 return found, made(Evaluation, (
                     found[torque_at], rate, statuses[status], found[e_at],
                     found[J_at].reshape(J_shape) if has_J else None,
