@@ -88,30 +88,19 @@ class LaneStart(NamedTuple):
 
 
 class Lanes:
-    """Closed loops that differ in their true robots, starts and targets.
-
-    Args:
-        controller: The law with its wrappers.
-        plant: A true robot, with its sensor and friction.
-        examples: Runs that differ in every number that may differ later.
-        region: Region that runs should stay in.
-        dt: Sampling time [s].
-        steps: Number of steps of a run.
-        tolerance: Error below which a task counts as done.
-        integrator: Integrator of the plant: one of `INTEGRATORS`.
-        path: Path of the target of all runs, in place of their own; None is at rest.
-    """
+    """Closed loops that differ in their true robots, starts and targets."""
 
     def __init__(
         self,
-        controller: Controller,
-        plant: Plant,
-        examples: Sequence[LaneStart],
-        region: Box,
-        dt: float,
-        steps: int,
-        tolerance: float,
-        integrator: str = "semi_implicit_euler",
+        controller: Controller,  # the law with its wrappers
+        plant: Plant,  # a true robot, with its sensor and friction
+        examples: Sequence[LaneStart],  # runs that differ in every number that may differ later
+        region: Box,  # region that runs should stay in
+        dt: float,  # sampling time [s]
+        steps: int,  # number of steps of a run
+        tolerance: float,  # error below which a task counts as done
+        integrator: str = "semi_implicit_euler",  # integrator of the plant: one of `INTEGRATORS`
+        # path of the target of all runs, in place of their own; None is at rest
         path: Target | TargetPath | None = None,
     ) -> None:
         self.program = program = Program()  # of a step

@@ -75,17 +75,6 @@ def _require_plain(plant: Plant) -> None:
 class TracedLoop:
     """A step of a sampled loop.
 
-    Args:
-        program: Where it is written down.
-        controller: The law, with what is around it.
-        plant: One of the true robots, with its sensor, friction and lateness.
-        numbers: Of true robots, stacked, such that all differ in what ever differs.
-        target: Where x is to be; without a rate it is at rest.
-        dt: Sampling time [s].
-        integrator: One of `INTEGRATORS`.
-        sensor: Numbers of the sensor that differ from run to run, by their names.
-        sensing: Sensors and motors as they really are; None is ideal.
-
     Raises:
         InvalidInputError: A controller or a sensor that cannot be traced, or a plant that is not
             covered.
@@ -103,14 +92,16 @@ class TracedLoop:
 
     def __init__(
         self,
-        program: Program,
-        controller: Controller,
-        plant: Plant,
-        numbers: ArmNumbers,
-        target: Target,
-        dt: float,
-        integrator: str,
+        program: Program,  # where it is written down
+        controller: Controller,  # the law, with what is around it
+        plant: Plant,  # one of the true robots, with its sensor, friction and lateness
+        numbers: ArmNumbers,  # of true robots, stacked, such that all differ in what ever differs
+        target: Target,  # where x is to be; without a rate it is at rest
+        dt: float,  # sampling time [s]
+        integrator: str,  # one of `INTEGRATORS`
+        # numbers of the sensor that differ from run to run, by their names
         sensor: Mapping[str, Symbols] | None = None,
+        # sensors and motors as they really are; None is ideal
         sensing: TracedSensing | None = None,
     ) -> None:
         _require_plain(plant)

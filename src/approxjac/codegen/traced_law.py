@@ -20,19 +20,12 @@ from approxjac.validation import Array
 
 def stepped(
     controller: Controller,
-    state: Symbols,
-    measurement: Measurement,
-    target: Target | Array,
-    dt: Any,
+    state: Symbols,  # its state
+    measurement: Measurement,  # what is measured, as symbols
+    target: Target | Array,  # wanted task value, as symbols
+    dt: Any,  # sampling time [s], known or not
 ) -> tuple[Symbols, Evaluation, Condition]:
     """Return `Controller.step` of symbols, and whether the step is left to Python.
-
-    Args:
-        controller: Any controller.
-        state: Its state.
-        measurement: What is measured, as symbols.
-        target: Wanted task value, as symbols.
-        dt: Sampling time [s], known or not.
 
     Raises:
         InvalidInputError: It takes no symbols, as it branches on a value or asks Pinocchio.

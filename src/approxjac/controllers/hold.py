@@ -48,7 +48,6 @@ class HeldMeasurement(ControllerWrapper):
             stutters.
 
     Attributes:
-        controller: The controller.
         unseen: Shape (m,) [unit of the task].
 
     Raises:

@@ -80,23 +80,17 @@ def gradient(omega: Symbols, omega_dot: Symbols) -> Symbols:
 class Arm:
     """Arms with the same joints, whose numbers may differ from run to run: lengths, axes, masses.
 
-    Args:
-        given: `Program.given`.
-        name: What their numbers are called in the program.
-        robot: One of them.
-        frames: Frames that are asked for.
-        numbers: Of all of them, stacked; of that robot alone by default.
-
     Raises:
         UnknownNameError: No such frame.
     """
 
     def __init__(
         self,
-        given: Given,
-        name: str,
-        robot: Robot,
-        frames: Sequence[str],
+        given: Given,  # `Program.given`
+        name: str,  # what their numbers are called in the program
+        robot: Robot,  # one of them
+        frames: Sequence[str],  # frames that are asked for
+        # of all of them, stacked; of that robot alone by default
         numbers: ArmNumbers | None = None,
     ) -> None:
         self.name, self.robot = name, robot

@@ -42,12 +42,6 @@ class LlvmLanes:
 
     The bits are the same for any width and any machine: nothing is contracted or reordered.
 
-    Args:
-        program: The program.
-        width: Runs per vector; by default the width of this machine's vectors.
-        features: Features of the processor to compile for; by default this one's.
-        effort: Optimization level of LLVM, from 0 to 3.
-
     Raises:
         MissingPackageError: llvmlite is not installed.
     """
@@ -55,9 +49,10 @@ class LlvmLanes:
     def __init__(
         self,
         program: Program,
-        width: int | None = None,
+        width: int | None = None,  # runs per vector; by default the width of this machine's vectors
+        # features of the processor to compile for; by default this one's
         features: str | None = None,
-        effort: int = 1,
+        effort: int = 1,  # optimization level of LLVM, from 0 to 3
     ) -> None:
         llvm = package_of("fast", "llvmlite.binding")
         features = features or llvm.get_host_cpu_features().flatten()

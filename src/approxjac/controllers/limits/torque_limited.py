@@ -129,7 +129,6 @@ class TorqueLimited(ControllerWrapper):
     Attributes:
         alpha: α of y [1/s]: that of the adaptation if gravity is learnt, else 0.3 of the rate of
             the task's slow pole.
-        limits: Limits of joints and motors, with an entry for each joint.
         motion_limits: Limits of motion besides those of joints.
 
     Args:

@@ -452,25 +452,18 @@ class SampledForm(MatrixForm):
     """The matrix form of a loop with a latency, for motions with |q̇|_M ≤ v̄.
 
     Its weights have a multiplier and, where x comes in frames or q̇ through a filter, X.
-
-    Args:
-        form: The form in continuous time, at the same samples.
-        friction: Diagonal of the arm's own part of B, shape (n_v,).
-        hold: `Hold` of the loop.
-        speed: v̄ [√J].
-        most_s: s̄, a bound of |s(e)| along these motions, used if x comes in frames.
-        turning: `Turning` of these and possibly other samples; by default of these.
     """
 
     fills = True
 
     def __init__(
         self,
-        form: MatrixForm,
-        friction: Array,
-        hold: Hold,
-        speed: float,
-        most_s: float = 0.0,
+        form: MatrixForm,  # the form in continuous time, at the same samples
+        friction: Array,  # diagonal of the arm's own part of B, shape (n_v,)
+        hold: Hold,  # `Hold` of the loop
+        speed: float,  # v̄ [√J]
+        most_s: float = 0.0,  # s̄, a bound of |s(e)| along these motions, used if x comes in frames
+        # `Turning` of these and possibly other samples; by default of these
         turning: Turning | None = None,
     ) -> None:
         self.samples, self.setting, self._of_samples = form.samples, form.setting, form._of_samples
