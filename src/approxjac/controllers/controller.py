@@ -29,26 +29,16 @@ _HUGE = 1e300  # below it no finite rate makes a state overflow within a second
 
 
 class Instant(NamedTuple):
-    """The true state at one instant of a run, for analysis after the run.
+    """The true state at one instant of a run, for analysis after the run."""
 
-    Attributes:
-        q: Joint configuration, shape (nq,).
-        v: Joint velocity q̇, shape (n_v,).
-        e: True task error, shape (m,) [unit of the task].
-        x_d: Desired task value, shape (n_x,).
-        state: State of the controller before its step, shape (n_state,).
-        answer: Its output, without the rate of the state.
-        dynamics: Dynamics of the true robot.
-        adds_gravity: Robot whose gravity the true one compensates itself; None is none.
-    """
-
-    q: Array
-    v: Array
-    e: Array
-    x_d: Array
-    state: Array
-    answer: Evaluation
-    dynamics: Dynamics
+    q: Array  # joint configuration, shape (nq,)
+    v: Array  # joint velocity q̇, shape (n_v,)
+    e: Array  # true task error, shape (m,) [unit of the task]
+    x_d: Array  # desired task value, shape (n_x,)
+    state: Array  # state of the controller before its step, shape (n_state,)
+    answer: Evaluation  # its output, without the rate of the state
+    dynamics: Dynamics  # dynamics of the true robot
+    # robot whose gravity the true one compensates itself; None is none
     adds_gravity: Robot | None = None
 
     @property

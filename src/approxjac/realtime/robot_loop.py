@@ -43,14 +43,6 @@ class RobotLoop(Loop):
 
     It begins with the measurement `first`, has `steps` in all, and moves to new targets with
     `speeds` (m,) [unit/s]; tolerances have bounds for each coordinate of the task.
-
-    Attributes:
-        fault: The fault, or None.
-        detail: Text on the fault: which joint, and by how much.
-        learns_sensor: Whether the controller learns the sensor's pose.
-        monitor: The monitor, which says what happens to the arm.
-        halting: Whether the arm is being brought to rest.
-        between_steps: Lock held in each step, and by other threads that change the loop.
     """
 
     _wanted: Target
@@ -72,6 +64,7 @@ class RobotLoop(Loop):
         driver, robot = brake.driver, plant.robot
         super().__init__(plant, controller, path, driver.dt, steps)
         self._brake, self._speeds, self._tolerances = brake, speeds, tolerances
+        # held in each step, and by other threads that change the loop
         self.between_steps = threading.Lock()
         self._max_error = np.asarray(tolerances.max_error)
         fastest = np.asarray(driver.limits.for_joints(robot.nv).velocity)
@@ -85,11 +78,11 @@ class RobotLoop(Loop):
             robot, self.dt, tolerances.accuracy, np.minimum(robot.velocity_limits, fastest),
             tolerances.max_period, driver.command == "velocity",
         )  # fmt: skip
-        self.monitor = Monitor(controller, plant.adds_gravity)
+        self.monitor = Monitor(controller, plant.adds_gravity)  # of what happens to the arm
         self._watch_sensor()
         self.fault: Fault | None = None
-        self.detail = ""
-        self.halting = self._blind = False
+        self.detail = ""  # which joint, and by how much
+        self.halting = self._blind = False  # whether the arm is being brought to rest
         self._lost = self._limited = self._halted = 0
         self._sent = self._read = time.perf_counter()
         self.stop_distance = self.stop_bound = np.nan

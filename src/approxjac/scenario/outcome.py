@@ -250,9 +250,7 @@ class RunResult:
         """Return True if 1 % of the position force at the end was learnt in the last quarter."""
         run, law, q = self.run, self.built.law, self.run.q[-1]
         first, end = (law.gravity_torque(run.state[last][k], q) for k in (0, -1))
-        return bool(
-            np.linalg.norm(end - first) > 0.01 * np.linalg.norm(run.at("task_torque", [-1]))
-        )
+        return np.linalg.norm(end - first) > 0.01 * np.linalg.norm(run.at("task_torque", [-1]))
 
     # -- summary ------------------------------------------------------------------------
 

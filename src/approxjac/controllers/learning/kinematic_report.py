@@ -8,8 +8,7 @@ from approxjac.validation import Array
 
 _NOT_SEEN = 0.5  # share of the prior variance below which nothing was learnt of a number
 _SILENT = 1.0  # without a frame to learn from [s]
-UNEXPLAINED = 1.5
-"""χ² a degree of freedom, above which the unknown parameters do not explain x."""
+UNEXPLAINED = 1.5  # χ² a degree of freedom, above which x is not explained
 
 
 class LearntNumber(NamedTuple):
