@@ -16,8 +16,7 @@ from approxjac.law.branches import repeat, select
 from approxjac.law.factors import Factors
 from approxjac.validation import Array
 
-PASSES = 20
-"""Of 1 300 problems of limited steps 99 % take 13 at most."""
+PASSES = 20  # of 1 300 problems of limited steps 99 % take 13 at most
 _NONE = 1e-300
 _INACTIVE = 1e6  # times the largest violation: a bound that is further away counts as that far
 _BACK = 0.995  # share of the way to where a slack or a multiplier vanishes

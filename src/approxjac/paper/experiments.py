@@ -23,16 +23,11 @@ from approxjac.validation import Array, as_array, as_number
 Verdict = Literal["stable", "unstable"]
 Inertia = Literal["rod", "point-mass"]
 
-LENGTHS = (1.0, 1.0, 0.5)
-"""l₁, l₂ and l_o of the true arm [m]."""
-OBJECT_MASS = 0.5
-"""m_o [kg], believed too; the links' masses are in urdf/two_link.urdf."""
-CAMERA = PlanarCamera(focal_length=0.05, distance=3.0)
-"""The true camera."""
-LEARNING_GAIN, ALPHA = 0.12, 1.0
-"""L = 0.12 I and α [1/s] where gravity is learnt."""
-REPORT_TIMES = (5.0, 20.0, 60.0, 120.0)
-"""Times at which error ratios are reported [s]."""
+LENGTHS = (1.0, 1.0, 0.5)  # l₁, l₂ and l_o of the true arm [m]
+OBJECT_MASS = 0.5  # m_o [kg], believed too; the links' masses are in urdf/two_link.urdf
+CAMERA = PlanarCamera(focal_length=0.05, distance=3.0)  # the true camera
+LEARNING_GAIN, ALPHA = 0.12, 1.0  # L = 0.12 I and α [1/s] where gravity is learnt
+REPORT_TIMES = (5.0, 20.0, 60.0, 120.0)  # times at which error ratios are reported [s]
 _ROLLED = PlanarCamera(focal_length=0.05, distance=3.0, roll=math.radians(60.0))
 _ALL_WRONG = PlanarCamera(focal_length=0.1, distance=4.0, roll=math.radians(60.0))
 _WRONG_LENGTHS = (0.75, 1.25, 0.0)

@@ -134,8 +134,7 @@ class Dynamics:
         return as_vector(name, v, self.robot.nv)
 
 
-COULOMB_SPEED = 0.05
-"""Speed within which Coulomb friction passes from −τ_c to τ_c [rad/s or m/s]."""
+COULOMB_SPEED = 0.05  # speed within which Coulomb friction passes from −τ_c to τ_c [rad/s or m/s]
 
 _RANK_TOLERANCE = 1e-9
 _HALF = np.array(0.5)  # an array, which NumPy multiplies with in a third of the time of a number

@@ -25,8 +25,7 @@ _MOST_LINKS = 2000  # in a chain of 5000 Pinocchio's parser runs out of stack
 _MOST_ATTRIBUTES = 100
 _UNDECLARED = re.compile(r"Namespace prefix (\S+) .*is not defined")
 _LONGEST_NUMBERS = 1000  # characters, of three numbers
-OBJECT_RADIUS = 0.01
-"""Radius of an object that nothing is said about [m]."""
+OBJECT_RADIUS = 0.01  # radius of an object that nothing is said about [m]
 _LONGEST = 10.0  # object [m]; what is longer was meant in mm or cm
 _HEAVIEST = 1e4  # object [kg], likewise
 Follows = tuple[str, float, float]

@@ -13,8 +13,7 @@ from approxjac.simulation.plant import holdable
 from approxjac.tasks import PoseTask, PositionTask, Task
 from approxjac.validation import Array, as_array
 
-REGULAR = 0.1
-"""Starts and targets have σ_min of J and of Ĵ above this share of σ_max."""
+REGULAR = 0.1  # starts and targets have σ_min of J and of Ĵ above this share of σ_max
 
 
 def regular_configuration(

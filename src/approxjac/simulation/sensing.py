@@ -20,8 +20,7 @@ from approxjac.tasks import Task
 from approxjac.tasks.analysis import with_error
 from approxjac.validation import Array, as_diagonal, as_number, shape_of
 
-DRAWN = ("x_noise", "q_noise", "x_dropout")
-"""Names of what is drawn while a run goes on."""
+DRAWN = ("x_noise", "q_noise", "x_dropout")  # names of what is drawn while a run goes on
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -12,8 +12,7 @@ from approxjac.tasks.image import ImageTask
 from approxjac.tasks.task import Feature, Task
 from approxjac.validation import Array, as_array, require
 
-FINE = {"m": 1e-3, "rad": 1e-3, "px": 0.5}
-"""Errors that count as none, by the unit of a task."""
+FINE = {"m": 1e-3, "rad": 1e-3, "px": 0.5}  # errors that count as none, by the unit of a task
 _NOISY = 3.0  # times a sensor's noise, within which an error counts as none, too
 _OF_A_BODY = 6  # motions, however many points it has
 _TRIES = 20000  # random configurations to look for ones that a camera sees

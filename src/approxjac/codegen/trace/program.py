@@ -157,8 +157,7 @@ class Program:
 
 Going = list[tuple[int, str, str]]
 """Of each number that goes from pass to pass its place, its start, and what follows it."""
-Rows = list[tuple[int, str]]
-"""Of each number that is collected its place, and what it is."""
+Rows = list[tuple[int, str]]  # of each number that is collected its place, and what it is
 
 
 class Language(NamedTuple):

@@ -23,10 +23,8 @@ from approxjac.law import products
 from approxjac.law.branches import collected
 from approxjac.law.factors import Factors
 
-Number = Any
-"""A `Scalar`, or a float: mypy cannot tell which are folded to a float."""
-Condition = Any
-"""A `Scalar` that is true or false, or a bool."""
+Number = Any  # a `Scalar`, or a float: mypy cannot tell which are folded to a float
+Condition = Any  # a `Scalar` that is true or false, or a bool
 
 
 class Node(NamedTuple):
@@ -527,8 +525,7 @@ _FACTORIALS = 14  # terms of exp up to ½ ln 2, whose remainder is 4e-18
 _MOST = 700.0  # whose exp does not overflow
 _FLAT = 20.0  # beyond it, tanh is 1 to the last bit
 
-LARGEST_ANGLE = 1e6
-"""Angle up to which `Scalar.sine_and_cosine` keeps its digits [rad]."""
+LARGEST_ANGLE = 1e6  # angle up to which `Scalar.sine_and_cosine` keeps its digits [rad]
 
 
 def nearest_integer(x: Scalar) -> Number:
@@ -600,8 +597,7 @@ def _of_one(known: Callable[[float], float], unknown: Callable[[Scalar], Any]) -
     return np.frompyfunc(lambda a: unknown(a) if isinstance(a, Scalar) else known(a), 1, 1)
 
 
-Symbols = Any
-"""A `SymbolArray`, which NumPy's stubs take for an array of floats."""
+Symbols = Any  # a `SymbolArray`, which NumPy's stubs take for an array of floats
 
 _FUNCTIONS: dict[np.ufunc, np.ufunc] = {
     np.sin: _of_one(np.sin, lambda a: a.sine_and_cosine()[0]),

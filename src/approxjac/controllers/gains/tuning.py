@@ -22,8 +22,7 @@ from approxjac.tasks.analysis import FINE, require_controllable
 from approxjac.tasks.frame_tasks import FrameKinematics
 from approxjac.validation import Array, as_number
 
-UNKNOWN_TOOL = 0.18
-"""Length of an unmodelled tool, as a share of the arm's reach."""
+UNKNOWN_TOOL = 0.18  # length of an unmodelled tool, as a share of the arm's reach
 
 _SETTLED = 4.0  # time constants until 2 % are left
 _DAMPING_SHARE = 0.03

@@ -43,8 +43,7 @@ _NOISE_MEMORY = 2.0  # of the noise that is seen [s]
 _DIFFERENCE = 1e-5  # of values, either way, from which a rate is taken [unit of the task]
 _TURNS_BACK = 10.0  # times as fast as what moves: an error that has jumped, as at half a turn
 _JUMP = 8.0  # standard deviations of x, beyond which it has jumped
-WINDOW = 0.3
-"""Over which residuals are averaged: noise goes, what is not explained stays [s]."""
+WINDOW = 0.3  # over which residuals are averaged: noise goes, what is not explained stays [s]
 
 
 class Kinematics(Immutable, ABC):

@@ -42,10 +42,8 @@ from approxjac.tasks import Task
 from approxjac.tasks.analysis import require_jacobian_of_q, sees, vanishing
 from approxjac.validation import Array, require
 
-EXACT_GRAVITY = 1e-5
-"""Gravity torque that counts as none [N m or N]."""
-SHARED = 8
-"""Samples that functions are chosen on, of each true robot from inside of the errors."""
+EXACT_GRAVITY = 1e-5  # gravity torque that counts as none [N m or N]
+SHARED = 8  # samples that functions are chosen on, of each true robot from inside of the errors
 _REGULAR = 0.5  # times a tenth of the typical σ_max: configurations below it are left out
 _STARTS = 20  # of the search for configurations that attain a target
 _WEIGHED = 8  # true robots from inside whose gravity is looked at, besides the corners

@@ -21,8 +21,7 @@ from approxjac.stability.studied_loop import Progress, StudiedLoop, progress_rep
 from approxjac.validation import Array, as_number
 
 Test = Literal["theorem1", "matrix", "local", "rollouts"]
-TESTS: tuple[Test, ...] = ("theorem1", "matrix", "local")
-"""The tests that need no simulation."""
+TESTS: tuple[Test, ...] = ("theorem1", "matrix", "local")  # the tests that need no simulation
 _WORDS = {
     "theorem1": "Theorem 1 (not checked in other configurations)",
     "matrix": "the matrix form (not checked in other configurations)",
