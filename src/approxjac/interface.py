@@ -172,7 +172,6 @@ class TargetPath(Protocol):
 
     def at(self, t: float) -> Target:
         """Return the target at t [s]."""
-        ...
 
 
 class Evaluation(NamedTuple):

@@ -162,13 +162,14 @@ def as_limits(name: str, value: Any, size: int, *, unit: str) -> Array:
     return array
 
 
-def require(name: str, value: Any, kind: type | tuple[type, ...], wanted: str) -> None:
-    """Raise an InvalidInputError if an argument is not of the type `kind`."""
+def require(name: str, value: Any, kind: type | tuple[type, ...], wanted: str) -> Any:
+    """Return an argument, or raise an InvalidInputError if it is not of the type `kind`."""
     if isinstance(value, type) or not isinstance(value, kind):  # a class may look like a protocol
         given = f"the class {value.__name__}" if isinstance(value, type) else shown(value)
         if inspect.isroutine(value) and "<" not in value.__name__:
             given = f"the function {value.__name__}; did you mean {value.__name__}()?"
         raise InvalidInputError(f"{name} must be {wanted}, got {given}", given=value)
+    return value
 
 
 def is_scalar(value: Any) -> bool:

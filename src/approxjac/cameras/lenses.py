@@ -38,14 +38,9 @@ class Lens:
     The map is one to one on a disc of rays on which its derivative has a positive definite
     symmetric part; `largest_radius` is the radius of such a disc, by bounds on the derivative
     (exact for radial distortion). Rays beyond it have no image, so that no two share one.
-
-    Attributes:
-        largest_radius: Largest ‖p‖ of rays with an image.
-        shown_radius: Radius of the image of these rays, if it is round, in focal lengths.
-        is_straight: True without distortion.
     """
 
-    shown_radius = math.inf
+    shown_radius = math.inf  # of the image of rays within it, if round, in focal lengths
 
     def __init__(self, coefficients: Sequence[float]) -> None:
         given = list(coefficients)
@@ -68,7 +63,7 @@ class Lens:
         self._T: Array | None = _tilt(*tilt) if any(tilt) else None
         self._T_inverse = None if self._T is None else np.linalg.inv(self._T)
         self._is_round = not any(self._p) and not any(self._s)
-        self.is_straight = not any(given)
+        self.is_straight = not any(given)  # without distortion
         self.largest_radius = self._largest_radius()
 
     def distorted(self, p: Array) -> Array:

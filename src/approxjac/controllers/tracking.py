@@ -357,7 +357,6 @@ class TrackingController(Immutable, Controller):
         return self.kappa
 
     def believed_dynamics(self) -> tuple[Dynamics, bool]:
-        """Return the believed robot's dynamics, and True: they include gravity."""
         return Dynamics(self.dynamics.robot), True
 
     def gravity_torque(self, state: Array, q: Array) -> Array:

@@ -149,34 +149,24 @@ def _norms(tensor: Array) -> Array:
 
 
 def held_form(
-    Q: Array,
-    G: Array,
-    D: Array,
-    J_hat: Array,
-    kp: Array,
-    rate: TorqueRate,
-    multiplier: float,
-    gain: float,
+    Q: Array,  # of `decrease_matrix`
+    G: Array,  # cross weight
+    D: Array,  # of `dissipation`
+    J_hat: Array,  # Ĵ
+    kp: Array,  # diagonal of K_p
+    rate: TorqueRate,  # of `torque_rate`; of `damping_rate_of_torque` where x comes in frames
+    multiplier: float,  # λ ≥ 0
+    gain: float,  # Γ² [s²]
+    # what w has beside Γ times T z + U w is at most b |q̇|_D: Γκv̄ of what is quadratic in q̇,
+    # and with frames (h + d) ē s̄ more; constant
     b: float,
+    # the diagonal of X (m,), s'(e) J_e (…, m, n_v), and γ_x² [s²], where x comes in frames: N is
+    # 2 n_v + 2 m then, 2 n_v + m without
     frames: tuple[Array, Array, float] | None = None,
 ) -> Array:
     """Return F, (…, N, N): ∫zᵀQz − yᵀw of the sampled loop is at least ∫(z, w)ᵀF(z, w).
 
     Affine in (Q, G), in the multiplier λ and in X.
-
-    Args:
-        Q: Of `decrease_matrix`.
-        G: Cross weight.
-        D: Of `dissipation`.
-        J_hat: Ĵ.
-        kp: Diagonal of K_p.
-        rate: Of `torque_rate`; of `damping_rate_of_torque` where x comes in frames.
-        multiplier: λ ≥ 0.
-        gain: Γ² [s²].
-        b: What w has beside Γ times T z + U w is at most b |q̇|_D: Γκv̄ of what is quadratic in q̇,
-            and with frames (h + d) ē s̄ more; constant.
-        frames: The diagonal of X (m,), s'(e) J_e (…, m, n_v), and γ_x² [s²], where x comes in
-            frames: N is 2 n_v + 2 m then, 2 n_v + m without.
     """
     n, m = G.shape[-2:]
     sizes = (n, m, n) if frames is None else (n, m, n, m)

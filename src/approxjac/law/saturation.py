@@ -41,19 +41,15 @@ class Saturation(Protocol):
     @property
     def c_bar(self) -> float:
         """Constant c̄ of (8)."""
-        ...
 
     def s(self, e: Array) -> Array:
         """Return the saturated error s(e), same shape and unit as e."""
-        ...
 
     def S(self, e: Array) -> Array:
         """Return the potential S(e) with dS/de = s, same shape as e, unit of e squared."""
-        ...
 
     def ds(self, e: Array) -> Array:
         """Return the slope s'(e), same shape as e, dimensionless."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -41,15 +41,12 @@ class Driver(Protocol):
         number per joint, or (cos, sin) for continuous ones as in `Robot.neutral`; x is the sensor's
         last value, taken at t_x of the same clock, or NaN if there is none.
         """
-        ...
 
     def send(self, command: Array) -> None:
         """Send joint torques or velocities, shape (n_v,), for this period."""
-        ...
 
     def brake(self) -> None:
         """End control and hold the arm by the robot's own means; do nothing the second time."""
-        ...
 
 
 def read(driver: Driver, task: Task) -> Measurement:

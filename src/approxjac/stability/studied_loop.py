@@ -156,9 +156,7 @@ class StudiedLoop:
         Raises:
             InvalidInputError: `uncertainty` is a single true robot.
         """
-        require("uncertainty", self.uncertainty, Uncertainty, "an Uncertainty")
-        assert isinstance(self.uncertainty, Uncertainty)
-        return self.uncertainty
+        return require("uncertainty", self.uncertainty, Uncertainty, "an Uncertainty")
 
     def loop(self) -> ClosedLoop:
         """Return the closed loop for certificates.

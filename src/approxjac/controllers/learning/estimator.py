@@ -384,9 +384,8 @@ class Estimator(Kinematics):
     def status(self, state: Array, measurement: Measurement) -> Status:
         t_x: Any = math.nan if measurement.t_x is None else measurement.t_x
         is_old = self._frames.silence(state[self._at["frames"]]) > _STALE
-        status: Status = law.select(is_old & (t_x == t_x), _PREDICTED, _OK)  # NaN is not known
-        status = law.select(self._has_begun(state), status, _LOST)
-        return status
+        status = law.select(is_old & (t_x == t_x), _PREDICTED, _OK)  # NaN is not known
+        return law.select(self._has_begun(state), status, _LOST)
 
     # -- what was learnt -----------------------------------------------------------------
 

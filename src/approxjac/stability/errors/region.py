@@ -195,8 +195,7 @@ class RegularPart(Region):
 def require_setpoint(controller: Any) -> SetpointController:
     """Return it; raise an InvalidInputError for anything else, such as a wrapper around one."""
     wanted = "a SetpointController, which learns no Jacobian (controller.law is within wrappers)"
-    require("controller", controller, SetpointController, wanted)
-    return controller
+    return require("controller", controller, SetpointController, wanted)
 
 
 def require_law(controller: Controller, *, posture: bool = False) -> SetpointController:
