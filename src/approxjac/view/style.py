@@ -156,7 +156,10 @@ def save_figure(figure: Figure, stem: str | Path) -> list[Path]:
     try:
         with style(), replaced(paths[0]) as png, replaced(paths[1]) as svg:
             figure.savefig(png, dpi=_DPI)
+            layout = figure.get_layout_engine()
+            figure.set_layout_engine("none")  # once is enough: it takes longer than to draw
             figure.savefig(svg, dpi=_DPI, metadata={"Date": None})  # dpi: of what is pixels
+            figure.set_layout_engine(layout)
     except OSError as error:
         message = f"stem must name files that can be written, got {stem}: {reason(error)}"
         raise InvalidInputError(message, given=stem) from error
