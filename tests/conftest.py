@@ -68,7 +68,8 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     Elsewhere it takes six times as long as it saves, also where many laws are compiled for some
     steps each; the bits are the same.
     """
-    is_study = item.get_closest_marker("study") is not None and item.path.parent.name != "codegen"
+    is_page = item.path.suffix == ".md" or item.path.parent.name == "codegen"
+    is_study = item.get_closest_marker("study") is not None and not is_page
     optimised = item.path.name in OPTIMISED or is_study
     MachineCode.of = WHOLE if optimised else _quickly
 
