@@ -196,13 +196,14 @@ class SampleGuard:
             )
             raise InvalidInputError(message, given=memory)
         passed, is_bad, stops = measurement, found.kind > 0, found.stops > 0
-        if (is_bad is True or found.refuses_x is True) and kept.t <= 0.5 * UNSEEN:
+        is_first = kept.t <= 0.5 * UNSEEN
+        if (is_bad is True or found.refuses_x is True) and is_first:
             controller.advance(state, measurement, target, dt)  # there is no good sample yet
             if found.kind == VELOCITY:
                 message = f"the first q̇ must be one that joints can have, got {v.tolist()}"
                 raise MeasurementError(message, given=v)
         is_changed = is_bad | stops | found.refuses_x
-        if is_changed is not False:
+        if (is_changed | is_first) is not False:
             unknown = None if t_x is None or isinstance(t_x, float) else math.nan
             t, t_x = law.select(is_bad, kept.t + dt, t), law.select(is_changed, unknown, t_x)
             q, v, x = map(law.array, (found.q, found.v, found.x))
@@ -227,7 +228,7 @@ class SampleGuard:
         answer = answer._replace(torque=command)
         J_hat, sizes = self._J_of(answer), None
         rest = 0.0 * command if gravity is None else gravity  # the arm's, before a first command
-        before = law.select(kept.t > 0.5 * UNSEEN, law.array(kept.command), rest)
+        before = law.select(is_first, rest, law.array(kept.command))
         push = self._push_of(answer, law.array(found.v), before).tolist()
         if J_hat is not None:
             sizes = [law.length(J_hat[rows].ravel()) for _, rows in self._bounds.parts]
