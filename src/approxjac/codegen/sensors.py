@@ -32,11 +32,7 @@ class TracedSensing:
     As in `SensorReadings` and `MovingArm`. Which frame arrives depends on time only and is the same
     in all runs; random numbers are drawn beforehand, from the generators of each run.
 
-    Args:
-        plant: The plant.
-        dt: Sampling time [s].
-        steps: Number of steps of a run.
-        path: Path of the target of all runs, or None.
+    Runs have so many steps of dt [s]; `path` is that of the target of all, or None.
     """
 
     late: int  # by how many steps torques are late

@@ -53,10 +53,8 @@ def on_symbols(controller: Controller) -> Any:
     """Return a controller with this library's parts changed to accept symbols."""
     solver = controller.solver if isinstance(controller, TorqueLimited) else None
     if controller.needs_solver and solver is not None:
-        raise InvalidInputError(
-            f"solver must be None to make code of a limiter that needs one, got {solver!r}",
-            given=solver,
-        )
+        message = f"solver must be None to make code of a limiter that needs one, got {solver!r}"
+        raise InvalidInputError(message, given=solver)
     return _with_parts(controller, on_symbols)
 
 

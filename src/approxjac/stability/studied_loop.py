@@ -164,7 +164,7 @@ class StudiedLoop:
         Raises:
             InvalidInputError: A controller without certificates, or that does not fit the loop.
         """
-        law: Any = self.controller.limited_law or self.controller
+        law = self.controller.limited_law or self.controller
         return ClosedLoop(law, self.uncertainty, self.region, self.target)  # type: ignore[arg-type]
 
     def setting(self) -> RolloutSetting:

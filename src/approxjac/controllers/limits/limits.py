@@ -85,10 +85,8 @@ class Limits:
             filled[name] = as_limits(name, given, nv, unit="one a joint")
         lower, upper = (-np.inf, np.inf) if self.position is None else self.position
         if self.position is not None and len(lower) != nv:  # type: ignore[arg-type]
-            raise InvalidInputError(
-                f"position must hold a range for each of {nv} joints, got {len(lower)}",  # type: ignore[arg-type]
-                given=self.position,
-            )
+            message = f"position must hold a range for each of {nv} joints, got {len(lower)}"  # type: ignore[arg-type]
+            raise InvalidInputError(message, given=self.position)
         ranges = np.broadcast_to(np.array([lower, upper]).reshape(2, -1), (2, nv)).copy()
         return Limits(position=(ranges[0], ranges[1]), **filled)
 

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
-from approxjac.controllers import Gains, Latency, SetpointController
+from approxjac.controllers import Controller, Gains, Latency
 from approxjac.controllers.gains.gains import Timing
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Dynamics, Robot
@@ -73,12 +73,12 @@ class ClosedLoop:
 
     def __init__(
         self,
-        controller: SetpointController,
+        controller: Controller,
         truth: Plant | Robot | Uncertainty,
         region: Region | None = None,
         target: Sequence[float] | Array | None = None,
     ) -> None:
-        require_law(controller)
+        controller = require_law(controller)
         if isinstance(truth, Robot):
             truth = Plant(truth, controller.task.on(truth))
         require("truth", truth, (Plant, Uncertainty), "a Plant, a Robot or an Uncertainty")

@@ -158,7 +158,6 @@ def suggested_gains(
             return candidate
         own = replace(known, controller=first.with_gains(candidate.gains))
         report: Any = own.report(configurations)
-        assert report.sampled is not None
         left = report.sampled.margin
         return replace(candidate, margin=left if report.passed else min(left, 0.0))
 
