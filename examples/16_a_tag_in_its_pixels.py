@@ -31,7 +31,11 @@ out.mkdir(parents=True, exist_ok=True)
 
 K = np.array([[612.4, 0.0, 325.3], [0.0, 611.8, 236.9], [0.0, 0.0, 1.0]])
 LENS = np.array([-0.28, 0.09, 1.1e-3, -7.0e-4, -1.2e-2])
-SIZE, TEXELS, TAG = 0.10, [960.0, -960.0], np.eye(4)  # [m], [1/m], and how it sits on the tip
+SIZE, TEXELS, TAG = (
+    0.10,
+    np.float32([960.0, -960.0]),
+    np.eye(4),
+)  # [m], [1/m], and how it sits on the tip
 TAG[:3, :3] = [[0.0, 0.5, 0.75**0.5], [1.0, 0.0, 0.0], [0.0, 0.75**0.5, -0.5]]
 GOAL = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 START = GOAL + [0.15, -0.1, 0.1, 0.15, -0.1, 0.1, 0.3]
@@ -50,7 +54,7 @@ class Eye:
     def __init__(self):
         pixels = np.mgrid[:480, :640][::-1].reshape(2, -1).T.astype(float)
         rays = cv2.undistortPoints(pixels[:, None], K, LENS)[:, 0]
-        self.rays = np.column_stack([rays, np.ones(len(rays))])
+        self.rays = np.float32(np.column_stack([rays, np.ones(len(rays))]))
         dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
         marker = cv2.aruco.generateImageMarker(dictionary, 7, 96)
         self.texture = cv2.copyMakeBorder(marker, 24, 24, 24, 24, cv2.BORDER_CONSTANT, value=235)
@@ -63,10 +67,11 @@ class Eye:
         """Return the image (480, 640) of the tag at a configuration."""
         (R, p), (R_c, p_c) = self.tip.placement(q), camera.placement()
         T = R_c.T @ np.column_stack([R @ TAG[:3, :2], R @ TAG[:3, 3] + p - p_c])
-        meets = self.rays @ np.linalg.inv(T).T  # where each pixel's ray meets the tag's plane
-        where = np.float32(meets[:, :2] / meets[:, 2:] * TEXELS + 71.5).reshape(480, 640, 2)
+        meets = self.rays @ np.float32(np.linalg.inv(T).T)  # the tag's plane, by pixels
+        where = (meets[:, :2] / meets[:, 2:] * TEXELS + 71.5).reshape(480, 640, 2)
         image = cv2.remap(self.texture, where, None, cv2.INTER_LINEAR, borderValue=120)
-        image = cv2.GaussianBlur(image, (0, 0), 0.8) + self.rng.normal(0.0, 3.0, image.shape)
+        noise = 3.0 * self.rng.standard_normal(image.shape, np.float32)
+        image = cv2.GaussianBlur(image, (0, 0), 0.8) + noise
         return np.clip(image, 0.0, 255.0).astype(np.uint8)
 
     def corners(self, image):
