@@ -24,7 +24,6 @@ _SOON, _MISSED = 0.2, 2.5  # of a period at least and at most pass from sample t
 _GAPS, _GAP = 20.0, 0.05  # periods or seconds that may be missing, if the clock then runs on
 _STILL = 1e-3  # rad/s or m/s, below which a joint may have the same q and q̇ again
 _IMPACT = 0.004  # s, in which an arm that hits something may lose its speed
-_AT_REST = 0.1  # rad/s or m/s, of which a first q̇ is believed at most, for one period
 _WILD = 5.0  # times the largest change of q̇ that makes sense, by which none rises
 _FINER = 0.92  # at each change of q: what is left of its noise, as it comes to be known
 _STEP, _FINEST = 0.3, 1.0 / 512.0  # of a step of q, and of the largest noise: the least
@@ -211,7 +210,8 @@ def judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBounds) ->
     none = [0.0] * len(v)
     drifts = _each(seen, drifts, none)
     if seen is not True:  # nothing has confirmed a first q̇ yet
-        v = _each(seen, v, [_larger(_smaller(each, _AT_REST), -_AT_REST) for each in v])
+        pairs = zip(v, bounds.fastest, strict=True)
+        v = _each(seen, v, [_larger(_smaller(each, most), -most) for each, most in pairs])
     return Judged(
         _each(is_bad, memory.q, q), _each(is_bad, _each(stopped | alone, none, before), v),
         used, kind, stops, refuses,
