@@ -31,11 +31,8 @@ out.mkdir(parents=True, exist_ok=True)
 
 K = np.array([[612.4, 0.0, 325.3], [0.0, 611.8, 236.9], [0.0, 0.0, 1.0]])
 LENS = np.array([-0.28, 0.09, 1.1e-3, -7.0e-4, -1.2e-2])
-SIZE, TEXELS, TAG = (
-    0.10,
-    np.float32([960.0, -960.0]),
-    np.eye(4),
-)  # [m], [1/m], and how it sits on the tip
+SIZE, TAG = 0.10, np.eye(4)  # [m], and how it sits on the tip
+TEXELS = np.float32([960.0, -960.0])  # [1/m]
 TAG[:3, :3] = [[0.0, 0.5, 0.75**0.5], [1.0, 0.0, 0.0], [0.0, 0.75**0.5, -0.5]]
 GOAL = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 START = GOAL + [0.15, -0.1, 0.1, 0.15, -0.1, 0.1, 0.3]
