@@ -706,9 +706,9 @@ def test_bad_samples_are_bridged_as_in_python(case, in_c_of):
         assert found.tobytes() == of_numpy["after"][:, 0].tobytes()
         assert answer["torque"].tobytes() == of_numpy["torque"][:, 0].tobytes()
         if status not in (None, "STOPPED", "SENSOR_JUMPED"):
-            assert answer["torque"].tobytes() == before.tobytes()
+            assert was_bad or answer["torque"].tobytes() == before.tobytes()  # it is eased later
             np.testing.assert_array_equal(found[: controller.size], state[: controller.size])
-        state, before = found, answer["torque"]
+        state, before, was_bad = found, answer["torque"], status is not None
 
 
 @needs_compiler

@@ -203,7 +203,8 @@ class SampleGuard:
                 message = f"the first q̇ must be one that joints can have, got {v.tolist()}"
                 raise MeasurementError(message, given=v)
         is_changed = is_bad | stops | found.refuses_x
-        if (is_changed | is_first) is not False:
+        is_slowed = is_first if traced else is_first and found.v != sample.v
+        if (is_changed | is_slowed) is not False:
             unknown = None if t_x is None or isinstance(t_x, float) else math.nan
             t, t_x = law.select(is_bad, kept.t + dt, t), law.select(is_changed, unknown, t_x)
             q, v, x = map(law.array, (found.q, found.v, found.x))

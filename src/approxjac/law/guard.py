@@ -97,8 +97,8 @@ def first_memory(q: list[float], x: list[float], bounds: GuardBounds) -> Array:
     """Return the memory before a first sample, with any q (nq,) and x (n_x,), as an array."""
     none, far = [0.0] * len(bounds.q), [_FAR] * len(bounds.parts)
     noise, step = [0.25 * each for each in bounds.q], [0.5 * each for each in bounds.q]
-    push = (_RARE * bounds.push).tolist()
-    joints = none, none, none, push, push, noise, step, none
+    usual = (_RARE * bounds.push).tolist()  # but loads begin to act at the first step
+    joints = none, none, none, bounds.push.tolist(), usual, noise, step, none
     return GuardMemory(UNSEEN, 0.0, 0.0, 0.0, q, *joints, x, far).joined()
 
 
