@@ -687,7 +687,7 @@ def test_bad_samples_are_bridged_as_in_python(case, in_c_of):
     """The statuses and torques of Python, the bits of NumPy, and what is learnt stays."""
     controller, step = built(case)
     in_c, function, task = in_c_of(case)[0], step.in_numpy(), controller.task
-    state = before = None
+    state, before, was_bad = None, None, False
     for now, status in bridged_motion(task, 1e-3):
         t, q, v, x, _ = now
         if state is None:

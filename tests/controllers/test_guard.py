@@ -139,6 +139,7 @@ class Loop:
             speeds.append(np.abs(v).max())
             errors.append(np.linalg.norm(truth.x - goal))
         self.speeds, self.errors = np.array(speeds), np.array(errors)
+        self.q, self.v, self.torque = q, v, answer.torque
 
 
 @functools.cache
@@ -204,6 +205,35 @@ def test_ten_bad_samples_in_a_row_end_in_a_stop_with_their_name(kind):
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_bad_samples_in_a_row_end_in_a_stop_of_any_law(name, kind, count):
     require_stopped(name, kind, count)
+
+
+def test_what_is_not_usual_is_believed_when_a_second_sample_shows_it():
+    """As where something is hit: 0.1 rad/s at once, and from then on."""
+    found = Loop(CONTROLLERS["limited"], 0.1)
+    state, first = found.states[-1], PLANT.measure(0.099, START, np.zeros(7))
+    law, way = CONTROLLERS["limited"], np.eye(7)[5]
+    told = []
+    for k in range(1, 4):
+        t, v = first.t + k * DT, found.v + (0.1 + 0.001 * k) * way
+        hit = PLANT.measure(t, found.q + DT * k * v, v)._replace(t_x=t)
+        state, answer = law.step(state, hit, GOAL, DT)
+        told.append(answer.status)
+    assert told[0] in BAD
+    assert told[1:] == [aj.Status.OK] * 2
+
+
+def test_a_torque_is_eased_while_samples_stay_bad():
+    """From the second on, half of what is more than holds and damps the arm goes each time."""
+    usual = Loop(CONTROLLERS["limited"], 0.1)
+    now = PLANT.measure(0.1, usual.q, usual.v)._replace(t_x=0.1)
+    state, torques = usual.states[-1], []
+    for k in range(5):
+        bad = now._replace(t=0.1 + k * DT, v=np.full(7, np.nan))
+        state, answer = CONTROLLERS["limited"].step(state, bad, GOAL, DT)
+        torques.append(answer.torque)
+    np.testing.assert_array_equal(torques[0], usual.torque)
+    changes = np.diff(torques[0:], axis=0)
+    np.testing.assert_allclose(changes[1:], 0.5 * changes[:-1], atol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["limited, learnt", "limited, tracking", "predicted"])
@@ -459,7 +489,6 @@ class Twins:
             lag,
             most,
             push,
-            np.zeros((n, n)),
             x_noise,
             each,
             5.0,

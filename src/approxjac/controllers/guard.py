@@ -61,10 +61,10 @@ class Guard:
     """Bounds of the samples that a controller accepts; `controller.guarded(...)` sets them.
 
     A sample of q, q̇ and t that no motion of the arm explains is refused: the last command goes out
-    once more, and nothing that the controller remembers changes. The status says why. After
-    `periods` in a row the controller stops the arm (`Status.STOPPED`): it damps the joints and
-    holds them where they are, with gravity compensated, until it begins anew with `initial_state`
-    or `resumed`. Bounds follow from the last good sample, the torque sent, the inertia of the
+    once more, eased from the second one on, and nothing that the controller remembers changes. The
+    status says why. What is unusual, such as a blow, is refused once. After `periods` in a row the
+    controller stops the arm (`Status.STOPPED`): it damps the joints and holds them where they are,
+    with gravity compensated, until it begins anew with `initial_state` or `resumed`. Bounds follow from the last good sample, the torque sent, the inertia of the
     believed robot, and the errors below; see "The guard" in the documentation. A value of x that
     jumps farther than twice what the arm has moved by is treated as lost, and one refused for
     0.25 s ends in a stop, too.
@@ -143,8 +143,8 @@ class SampleGuard:
             noise = as_limits("x of a guard", guard.x, m, unit=joined(measured.units)).tolist()
         q_noise = 2.0 * as_diagonal("q of a guard", guard.q, n, positive=False)
         self._bounds = GuardBounds(
-            q_noise.tolist(), guard.lag, (_CHANGE * fastest).tolist(), self._push, self._reach,
-            noise, tuple(measured.parts), float(guard.periods), _BRIDGED,
+            q_noise.tolist(), guard.lag, (_CHANGE * fastest).tolist(), self._push, noise,
+             tuple(measured.parts), float(guard.periods), _BRIDGED,
         )  # fmt: skip
         self.first = first_memory(robot.neutral().tolist(), task.origin.tolist(), self._bounds)
         self._ends = ends = GuardMemory.ends(robot.nq, n, task.n_x, len(measured.parts))

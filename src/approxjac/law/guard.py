@@ -49,8 +49,7 @@ class GuardBounds(NamedTuple):
     q: list[float]  # error of a change of q [rad or m]
     lag: float  # of q̇ [s]
     fastest: list[float]  # largest change of q̇ that makes sense at all [rad/s or m/s]
-    push: Array  # |q̈| without any torque of the motors, or with what is not modelled
-    reach: Array  # |q̈| for each torque, (n_v, n_v)
+    push: Array  # |q̈| that loads, pushes and what is not modelled may cause at most, (n_v,)
     x: list[float]  # error of a change of each coordinate of x [unit of the task]
     parts: tuple[tuple[slice, slice], ...]  # entries of x, and coordinates, measured together
     periods: float  # that are bridged
@@ -68,8 +67,8 @@ class GuardMemory(NamedTuple):
     v: list[Any]
     drift: list[Any]  # q − ∫q̇ of the last moments; in a stop, how far it has moved since
     path: list[Any]  # ∫abs(q̇) of these
-    push: list[Any]  # |q̈| that is possible after the torques sent so far, and usual without
-    usual: list[Any]  # the latter: what else was seen to act lately
+    push: list[Any]  # |q̈| that the latest changes of the torque explain, with what is usual
+    usual: list[Any]  # |q̈| a few times as large as it was seen lately
     noise: list[Any]  # of a change of q, as far as it is known
     step: list[Any]  # least change of q that was ever seen, such as the step of its encoder
     command: list[Any]  # the last one
