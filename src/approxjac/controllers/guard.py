@@ -64,10 +64,11 @@ class Guard:
     once more, eased from the second one on, and nothing that the controller remembers changes. The
     status says why. What is unusual, such as a blow, is refused once. After `periods` in a row the
     controller stops the arm (`Status.STOPPED`): it damps the joints and holds them where they are,
-    with gravity compensated, until it begins anew with `initial_state` or `resumed`. Bounds follow from the last good sample, the torque sent, the inertia of the
-    believed robot, and the errors below; see "The guard" in the documentation. A value of x that
-    jumps farther than twice what the arm has moved by is treated as lost, and one refused for
-    0.25 s ends in a stop, too.
+    with gravity compensated, until it begins anew with `initial_state` or `resumed`. Bounds follow
+    from the last good sample, the torques sent, what q̈ is usual, the inertia of the believed robot,
+    and the errors below; see "The guard" in the documentation. A value of x that jumps farther than
+    twice what the arm has moved by is treated as lost, and one refused for 0.25 s ends in a stop,
+    too.
 
     Attributes:
         q: Error of a change of q between two samples, a number or (n_v,) [rad or m]: the step of
@@ -144,7 +145,7 @@ class SampleGuard:
         q_noise = 2.0 * as_diagonal("q of a guard", guard.q, n, positive=False)
         self._bounds = GuardBounds(
             q_noise.tolist(), guard.lag, (_CHANGE * fastest).tolist(), self._push, noise,
-             tuple(measured.parts), float(guard.periods), _BRIDGED,
+            tuple(measured.parts), float(guard.periods), _BRIDGED,
         )  # fmt: skip
         self.first = first_memory(robot.neutral().tolist(), task.origin.tolist(), self._bounds)
         self._ends = ends = GuardMemory.ends(robot.nq, n, task.n_x, len(measured.parts))
