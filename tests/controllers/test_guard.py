@@ -386,12 +386,13 @@ class Adversary:
         q0, latency = plant.ready_configuration(), aj.controllers.Latency(dt, velocity_filter=5e-3)
         setpoint = aj.SetpointController(task, gravity=aj.AdaptiveGravity(belief), latency=latency)
         limited = aj.TorqueLimited(setpoint, aj.Limits.of(belief), dt=dt)
-        self.law = compiled(
-            {
-                "limited": limited,
-                "velocity": aj.TrackingController(task, dt=dt, command="velocity"),
-            }[law]
-        )
+        tracking = aj.TrackingController(task, dt=dt)
+        self.law = compiled({
+            "limited": limited,
+            "predicted": PredictedMeasurement(limited, AdaptiveKinematics(task, dt=dt)),
+            "tracking": aj.TorqueLimited(tracking, aj.Limits.of(belief), dt=dt),
+            "velocity": aj.TrackingController(task, dt=dt, command="velocity"),
+        }[law])  # fmt: skip
         if law == "velocity":
             servo = aj.simulation.VelocityServo(lag=0.02, delay=0.0, period=dt)
             plant = aj.Plant(truth, sensing=sensing, servo=servo)
@@ -401,12 +402,8 @@ class Adversary:
         self.told = self.arm.sense()[1]
         way = 0.2 * np.random.default_rng(0).standard_normal(truth.nv)
         self.goal = plant.sensor.value(pin.integrate(truth.model, q0, way))
-        self.state, self.statuses, self.peak, self.full = (
-            self.law.initial_state(self.told),
-            [],
-            0,
-            0,
-        )
+        self.state, self.statuses = self.law.initial_state(self.told), []
+        self.peak = self.full = 0
 
     def passes(self, told):
         answer = self.law.step(self.state, told, self.goal, self.dt)[1]
@@ -443,24 +440,11 @@ class Adversary:
         return self
 
 
-@pytest.mark.long
-@pytest.mark.parametrize(("dt", "bits"), [(5e-4, 17), (1e-3, 14), (2e-3, 16)])
-@pytest.mark.parametrize(
-    ("name", "law"),
-    [
-        ("xarm7", "limited"),
-        ("ur10", "limited"),
-        ("xarm7", "velocity"),
-        ("ur10", "velocity"),
-        ("z1", "velocity"),
-        ("baxter_left_arm", "velocity"),
-    ],
-)
-def test_the_worst_sample_that_passes_harms_none_of_these_arms(name, law, dt, bits):
+def require_no_harm(name, law, dt, bits, waits):
     begun = Adversary(name, law, dt, bits)
     usual = begun.twin().run(0.8)
     assert max(usual.statuses) < aj.Status.JOINTS_UNKNOWN
-    for wait in (0.05, 0.15, 0.3):
+    for wait in waits:
         begun.run(wait)
         n = len(begun.told.v)
         for way in (*np.eye(n), -np.ones(n), np.sign(np.sin(np.arange(1.0, n + 1)))):
@@ -471,6 +455,20 @@ def test_the_worst_sample_that_passes_harms_none_of_these_arms(name, law, dt, bi
                 assert aj.Status.STOPPED not in found.statuses
                 assert found.peak <= 1.5 * usual.peak + 0.1
                 assert found.full <= usual.full + 3
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("law", ["limited", "tracking"])
+def test_the_worst_sample_that_passes_harms_no_light_wrist(law):
+    require_no_harm("z1", law, 1e-3, 14, [0.1])
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("dt", "bits"), [(5e-4, 17), (1e-3, 14), (2e-3, 16)])
+@pytest.mark.parametrize("law", ["limited", "predicted", "tracking", "velocity"])
+@pytest.mark.parametrize("name", ["z1", "xarm7", "ur10", "ur3", "talos_arm", "baxter_left_arm"])
+def test_the_worst_sample_that_passes_harms_none_of_these_arms(name, law, dt, bits):
+    require_no_harm(name, law, dt, bits, [0.05, 0.15, 0.3])
 
 
 class Twins:
