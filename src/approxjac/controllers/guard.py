@@ -18,7 +18,6 @@ from approxjac.formatting import joined, short_fields
 from approxjac.interface import Evaluation, Measurement, Status, Target
 from approxjac.law.guard import (
     UNSEEN,
-    VELOCITY,
     GuardBounds,
     GuardMemory,
     Judged,
@@ -200,9 +199,12 @@ class SampleGuard:
         is_first = kept.t <= 0.5 * UNSEEN
         if (is_bad is True or found.refuses_x is True) and is_first:
             controller.advance(state, measurement, target, dt)  # there is no good sample yet
-            if found.kind == VELOCITY:
-                message = f"the first q̇ must be one that joints can have, got {v.tolist()}"
-                raise MeasurementError(message, given=v)
+            if is_bad:
+                message = (
+                    "a first sample must have a q and q̇ that joints can have, and a time t below "
+                    f"1e15 s, got {measurement!r}"
+                )
+                raise MeasurementError(message, given=measurement)
         is_changed = is_bad | stops | found.refuses_x
         is_slowed = is_first if traced else is_first and found.v != sample.v
         if (is_changed | is_slowed) is not False:

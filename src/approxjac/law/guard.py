@@ -20,6 +20,7 @@ from approxjac.validation import Array
 
 UNSEEN = -1e20  # [s], the time before a first sample
 _FAR = 1e15  # a motion of x before it was first seen
+_TURNED = 1e6  # rad or m, the largest sum of the first q
 _SOON, _MISSED = 0.2, 2.5  # of a period at least and at most pass from sample to sample
 _GAPS, _GAP = 20.0, 0.05  # periods or seconds that may be missing, if the clock then runs on
 _STILL = 1e-3  # rad/s or m/s, below which a joint may have the same q and q̇ again
@@ -192,20 +193,20 @@ def judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBounds) ->
         noises.append(_larger(select(changes, _FINER * r, r), _larger(abs(off), least)))
     hits = hits | wild | ((left < _LEFT * size) & (size > 1.0))  # all joints at once
     again = moves & reduce(and_, [a == b for a, b in zip(q + v, memory.q + before, strict=True)])
-    known = all_finite(q + v) & (abs(t) < _OLDEST)
+    known, far = all_finite(q + v) & (abs(t) < _OLDEST), sum(map(abs, way), 0.0) > _TURNED
     kind = select(apart, DISAGREES, GOOD)
     kind = select(hits, VELOCITY, kind)
     kind = select(jumps, POSITION, kind)
     kind = select(again, REPEATED, kind)
     kind = select(runs, kind, CLOCK)
-    kind = select(known, select(seen, kind, select(wild, VELOCITY, GOOD)), UNKNOWN)
+    kind = select(known, select(seen, kind, select(wild | far, VELOCITY, GOOD)), UNKNOWN)
     is_bad = kind > 0
     too_long = (memory.bad >= bounds.periods) | ((memory.bad + 1.0) * dt > bounds.bridged)
     stops = select(is_bad & was_bad & too_long, kind, 0)
     stops = select(stopped, memory.kind, select(memory.blind < _BLIND, stops, SENSOR))
     hidden = is_bad | (stops > 0)
     refuses, used, last, moved = _seen(memory, sample, hidden, dt, bounds)
-    alone, makes_sense = memory.blind < 0.0, complement(wild) & (sum(map(abs, way), 0.0) < _FAR)
+    alone, makes_sense = memory.blind < 0.0, complement(wild | far)
     none = [0.0] * len(v)
     drifts = _each(seen, drifts, none)
     if seen is not True:  # nothing has confirmed a first q̇ yet
