@@ -112,7 +112,7 @@ CASES = {
 
 SMALL = {"two_link (5), sine": ("two_link", CASES["ur5 (5), sine"][1])}  # with all options
 # of which the others have the parts
-IN_CPP = {"panda (28), limits, away from stops", "panda (6), image", "ur5 (5), sine"}
+IN_CPP = ("panda (28), limits, away from stops", "panda (6), image", "ur5 (5), sine")
 
 
 def some(*words):
