@@ -780,7 +780,7 @@ def test_absurd_errors_and_postures_do_not_warn(panda, proof):
     """With gains per pixel a torque may be usual where the error or the posture is not."""
     task, q = aj.PositionTask(panda), np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
     law = aj.SetpointController(task, aj.Gains(kp=1e-60, kv=1.0, damping=1.0))
-    limited = aj.TorqueLimited(law, aj.Limits.of(panda), proof=proof)
+    limited = aj.TorqueLimited(law, aj.Limits.of(panda), proof=proof).guarded(None)
     far = q.copy()
     far[6] = -1e308
     for posture, size in ((q, 1e200), (q, 1e60), (far, 1.0)):
