@@ -42,7 +42,7 @@ def diverged(seed, runs, duration, guard=USUAL):
     rng = np.random.default_rng(seed)
     arm = aj.load_robot(str(rng.choice(ARMS)))
     kind, bits = rng.choice(["learnt", "limited", "tracking"]), rng.choice([12, 14, 16, 18, 20])
-    longest = 2e-3 if kind == "tracking" else 5e-3  # of a stable loop on light wrists
+    longest = 5e-3 if kind == "limited" else 2e-3  # of a stable loop on light wrists
     periods = [dt for dt in (2.5e-4, 5e-4, 1e-3, 2e-3, 5e-3) if dt <= longest]
     dt, v_filter = float(rng.choice(periods)), float(rng.choice([2e-3, 5e-3]))
     late = {"x_noise": 1e-3, "x_rate": float(rng.choice([30.0, 100.0])), "x_delay": 0.02}
