@@ -236,6 +236,21 @@ def test_a_torque_is_eased_while_samples_stay_bad():
     np.testing.assert_allclose(changes[1:], 0.5 * changes[:-1], atol=1e-9)
 
 
+@pytest.mark.parametrize("count", [1, 3, 5])
+def test_a_rate_of_torque_is_kept_through_bad_samples_and_after_them(count):
+    law, q, v, before = CONTROLLERS["limited, rate"], START, np.zeros(7), None
+    state = law.initial_state(PLANT.measure(0.0, q, v)._replace(t_x=0.0))
+    for k in range(80):
+        now = PLANT.measure(k * DT, q, v)._replace(t_x=k * DT)
+        is_bad = 20 <= k < 20 + count
+        told = now._replace(v=np.full(7, np.nan)) if is_bad else now
+        state, answer = law.step(state, told, GOAL, DT)
+        if before is not None:
+            assert np.abs(answer.torque - before).max() <= 1000.0 * DT * (1.0 + 1e-9)
+        before = answer.torque
+        q, v = PLANT.advance(q, v, before, DT, STEP)
+
+
 @pytest.mark.parametrize("name", ["limited, learnt", "limited, tracking", "predicted"])
 def test_no_memory_moves_while_samples_are_bad(name):
     controller = CONTROLLERS[name]

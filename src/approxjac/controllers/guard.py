@@ -155,6 +155,7 @@ class SampleGuard:
         self._effort, self._rate = np.asarray(kept.effort), np.asarray(kept.rate)
         if not self._takes_torque:
             self._rate = fastest / _SOONEST
+        self._eases = np.where(np.isfinite(self._rate), 1.0, _EASES)  # a limiter knows no other
 
     def step(
         self,
@@ -227,7 +228,7 @@ class SampleGuard:
             holds = stops | found.anew  # of two samples that differ neither is to act
             (halt,) = law.choose(is_bad | stops, halted, lambda: (command,))
             last = law.array(kept.command)
-            eased = law.select(kept.bad > 0.0, halt + _EASES * (last - halt), last)
+            eased = law.select(kept.bad > 0.0, halt + self._eases * (last - halt), last)
             command = law.select(holds, halt, law.select(is_bad, eased, command))
         answer = answer._replace(torque=command)
         J_hat, sizes = self._J_of(answer), None
