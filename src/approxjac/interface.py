@@ -115,8 +115,9 @@ class Condition(_Outcome):
     """Something that happens to an arm while it is controlled; the text says what to do."""
 
     OSCILLATES = (
-        "a joint swings and does not settle: a payload, elasticity, friction or delay that the "
-        "gains do not take into account; lower kp and kv, or state it (Latency, a payload)"
+        "a joint swings with little or no damping: a payload, elasticity, friction, delay or error "
+        "of Ĵ that the gains do not take into account; lower kp and kv, or state it (Latency, a "
+        "payload)"
     )
     PUSHED = "a force that the believed robot does not explain moves the tip"
     PRESSES = "the tip met something and presses against it"

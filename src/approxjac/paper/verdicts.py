@@ -42,7 +42,7 @@ def write_bound(bound: JacobianBound, out: Path) -> None:
         ax.plot(a, position, color=colors[1], label=r"$2 a \alpha / (a + \alpha)$")
         at = rf"$a = \lambda_2 / \alpha$ = {alpha:.4f}, $p = \sqrt{{\lambda_2}}$ = {alpha:.4f}"
         ax.plot([alpha], [alpha], "o", color=colors[6], ms=5, label=f"crossing: {at}")
-        label = rf"$\|J^T - \hat{{J}}^T\|$ of Figure 4 at its target: {p:.4f}"
+        label = rf"$\|J^T - {{\hat J}}^{{\,T}}\|$ of Figure 4 at its target: {p:.4f}"
         ax.axhline(p, color=view.COLORS["neutral"], linestyle="--", label=label)
         ax.set(xlabel="$a = k_p / k_v$ [1/s]", ylabel="allowed $p$ [m/rad on the sensor]")
         ax.set(xlim=(0.0, a[-1]), ylim=(0.0, 1.25 * max(p, float(velocity.max()))))
@@ -103,13 +103,9 @@ def table(results: Sequence[Reproduction], bound: JacobianBound | None) -> str:
         lines += [*wrapped(text), ""]
     if results:
         times = sorted({t for result in results for t in result.error_ratios})
-        heads = [
-            "figure",
-            "max Re λ [1/s]",
-            *(f"e({t:g} s)" for t in times),
-            "verdict",
-            "the paper",
-        ]
+        lines += ["e(t) is the error of the image at t, as a share of that at the start.", ""]
+        shares = [f"e({t:g} s)" for t in times]
+        heads = ["figure", "max Re λ [1/s]", *shares, "verdict", "the paper"]
         lines.append(aligned([heads, *(_row(result) for result in results)]))
     for result in results:
         e = result.experiment

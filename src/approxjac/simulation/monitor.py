@@ -80,7 +80,7 @@ class Event(NamedTuple):
 
     @property
     def described(self) -> str:
-        """When and where it was, how large, and what to do."""
+        """The event as text: time, place, figure and remedy."""
         until = "on" if math.isinf(self.end) else f"to {self.end:.2f} s"
         when = f"from {self.begin:.2f} s {until}"
         return f"{when}, {self.where}: {self.figure}; {self.condition.message}"
@@ -90,7 +90,7 @@ class Event(NamedTuple):
 
 
 class Monitor:
-    """What happens to an arm, period by period: see `Condition`.
+    """A monitor that detects each `Condition` of an arm, period by period.
 
     Torques that the believed robot does not explain are observed by its momentum [De Luca 2003].
     A Kalman filter takes what lasts for a load at the tip, friction and constant errors. What comes
@@ -494,7 +494,7 @@ class _Swing:
 
     @property
     def lasts(self) -> bool:
-        """Whether it swung long enough without becoming smaller."""
+        """True if it swung long enough and kept `_KEEPS` of its first amplitude."""
         enough = self._count + 3 >= _HALF_WAVES and self.turned - self._begun >= _LASTS
         return enough and self.amplitude >= _KEEPS * self._first
 

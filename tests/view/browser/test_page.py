@@ -445,14 +445,14 @@ def test_the_legend_names_what_occurs(reach, show):
         "the arm as it is", "object that it holds", "the arm as the controller believes it",
         "believed tip",
     ]  # fmt: skip
-    for words in ("measured tip", "torque is at its limit", "at a position limit"):
+    for words in ("measured tip", "torque limit", "at a position limit"):
         assert not any(words in text for text in named)
     limits = np.full(7, np.inf)
     limits[1] = 0.5 * np.abs(reach.tau[:, 1]).min()
     limited = dataclasses.replace(reach.scene, torque_limits=limits)
     x_measured = reach.x_measured + 0.02
     other = show(dataclasses.replace(reach, scene=limited, x_measured=x_measured))
-    assert "link whose torque is at its limit" in legend(other)
+    assert "link near or at its torque limit" in legend(other)
     assert "measured tip, where it differs" in legend(other)
 
 

@@ -284,8 +284,8 @@ def _legend(scene: Scene, tip: str, image: bool) -> list[tuple[str, str, str, st
         ("measured", "measured", "", "measured tip" + ", where it differs" * known),
         ("target", "target", "", "target, line of sight" if image else "target"),
         ("force", "force", "dash", "force that the control means to exert"),
-        ("saturated", "saturated", "bar", "link whose torque is at its limit"),
-        ("at_limit", "at_limit", "bar", "link whose joint is at a position limit"),
+        ("saturated", "saturated", "bar", "link near or at its torque limit"),
+        ("at_limit", "at_limit", "bar", "link at a position limit of its joint"),
     ]  # fmt: skip
     if not held_objects(scene.truth):
         del entries[1]
