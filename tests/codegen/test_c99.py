@@ -894,6 +894,15 @@ def test_the_header_says_what_it_was_made_from(tmp_path):
         assert max(map(len, text.splitlines())) <= 100 or each.name == "selftest.c"
 
 
+def test_lines_of_equations_name_their_functions(tmp_path):
+    controller, _ = built("panda (28), limits, away from stops")
+    text = (aj.export_c(controller, tmp_path) / "controller.c").read_text(encoding="utf-8")
+    named = set(re.findall(r"= .*; /\* law\.(\w+) \*/", text))
+    assert named >= {"measured_velocity_torque", "gravity", "passive_output", "theta_hat_rate"}
+    for name in named:
+        assert "Implements" in getattr(aj.law, name).__doc__
+
+
 @needs_compiler
 def test_the_same_controller_makes_the_same_files(tmp_path, in_c_of):
     _, one = in_c_of("panda (6), limits")

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import sys
 import textwrap
 from collections.abc import Callable
 from itertools import chain
+from types import FrameType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,11 +16,12 @@ from approxjac import law
 from approxjac.codegen import traced_law as laws
 from approxjac.codegen.backends.numpy_function import numpy_function
 from approxjac.codegen.trace.program import Going, Language, Rows
-from approxjac.codegen.trace.symbols import Graph, Number, Passes, inputs, symbols
+from approxjac.codegen.trace.symbols import Graph, Number, Passes, Scalar, inputs, symbols
 from approxjac.controllers.controller import Controller
 from approxjac.interface import Measurement
 from approxjac.validation import Array
 
+_TRACER = laws.__name__  # whose frames are below those of a law
 _TEMPLATES = {
     "add": "{0} + {1}",
     "subtract": "{0} - {1}",
@@ -113,6 +116,30 @@ LANGUAGE = Language(
 )
 
 
+class ExplainedGraph(Graph):
+    """A graph that knows which equation an operation is from.
+
+    `equations` has the place of each operation of a function of `law` that implements an equation,
+    and the name of the function.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.equations: dict[int, str] = {}
+
+    def apply(self, operation: str, *numbers: Number) -> Scalar:
+        """Return the result of an operation that is written down."""
+        before, result = len(self.nodes), super().apply(operation, *numbers)
+        frame: FrameType | None = sys._getframe(1) if result.place >= before else None
+        while frame is not None and (module := frame.f_globals.get("__name__", "")) != _TRACER:
+            function = frame.f_globals.get(frame.f_code.co_name)
+            if module.startswith("approxjac.law.") and "Implements" in str(function.__doc__):
+                self.equations[result.place] = frame.f_code.co_name
+                break
+            frame = frame.f_back
+        return result
+
+
 class SampledStep(NamedTuple):
     """One step of a law with a state, as arithmetic.
 
@@ -120,7 +147,7 @@ class SampledStep(NamedTuple):
     row), "status" (the number of a `Status`), "limit_status" and "slack".
     """
 
-    graph: Graph  # of the inputs that `READ` names
+    graph: ExplainedGraph  # of the inputs that `READ` names
     outputs: dict[str, list[Number]]
     controller: Controller
     sizes: dict[str, int]  # of inputs
@@ -169,7 +196,7 @@ def sampled_step(controller: Controller) -> SampledStep:
         InvalidInputError: The controller cannot be traced.
     """
     task, robot = controller.task, controller.task.robot
-    graph, sizes = Graph(), laws.argument_sizes(controller)
+    graph, sizes = ExplainedGraph(), laws.argument_sizes(controller)
     given = {name: inputs(graph, name, size) for name, size in sizes.items()}
     given["t_x"] = np.where(given["t_x"] == -math.inf, np.nan, given["t_x"])  # never: not known
     after, answer, left = laws.stepped_from(controller, given)

@@ -78,6 +78,10 @@ def export_c(controller: Controller, folder: str | PathLike[str]) -> Path:
 
 def _source(step: SampledStep) -> dict[str, str]:
     lines, flat = Writer(step.graph, LANGUAGE).lines([*chain(*step.outputs.values())])
+    equations = step.graph.equations
+    for i, line in enumerate(lines):
+        if (assigned := re.search(r" v(\d+) = ", line)) and int(assigned[1]) in equations:
+            lines[i] += f" /* law.{equations[int(assigned[1])]} */"
     prefix, nv = identifier(step.controller.task.robot.name), step.controller.task.robot.nv
     places = {
         "torque": "answer->torque[{i}]", "after": "after[{i}]", "e": "answer->e[{i}]",
