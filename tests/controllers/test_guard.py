@@ -21,11 +21,12 @@ from approxjac.controllers import (
     PredictedMeasurement,
 )
 from approxjac.errors import InvalidInputError, MeasurementError
+from approxjac.law import guard as law_of_guards
 from approxjac.law.guard import (
     GuardBounds,
     GuardMemory,
-    QuickGuard,
     Sample,
+    closely_judged,
     first_memory,
     judged,
     remembered,
@@ -487,7 +488,7 @@ def test_the_worst_sample_that_passes_harms_none_of_these_arms(name, law, dt, bi
 
 
 class Twins:
-    """Both forms of a guard with random bounds, which see the same samples of a moving arm."""
+    """A guard with random bounds, whose samples of a moving arm are judged twice."""
 
     def __init__(self, seed):
         self.rng = rng = np.random.default_rng(seed)
@@ -508,7 +509,6 @@ class Twins:
             0.02,
         )
         self.ends = GuardMemory.ends(n, n, self.m, parts)
-        self.quick = QuickGuard(self.bounds, self.ends, n, n)
         self.memory = first_memory([0.0] * n, [0.0] * self.m, self.bounds)
         self.x, self.last, self.t = np.zeros(self.m), None, rng.choice([0.0, 1e6, -1e3])
         self.motion = (
@@ -543,7 +543,7 @@ class Twins:
         return self.t, q, v, x, t_x
 
     def advance(self):
-        """Compare both forms; return whether the sample is good, and was judged quickly."""
+        """Compare both judgements; return the one of the closer look."""
         (t, q, v, x, t_x), dt = self.sample(), self.dt
         seen, n, rng = self.memory[self.ends[9] : self.ends[10]], self.n, self.rng
         with np.errstate(invalid="ignore"):
@@ -552,34 +552,33 @@ class Twins:
         rows = [each.tolist() for each in (q, v, x)]
         taken = math.nan if t_x is None else t_x
         sample = Sample(t, *rows, taken, way.tolist(), x_way.tolist())
-        found = judged(kept, sample, dt, self.bounds)
+        found = closely_judged(kept, sample, dt, self.bounds)
+        parts = zip(found.parts(), judged(kept, sample, dt, self.bounds).parts(), strict=True)
+        for one, other in parts:
+            np.testing.assert_array_equal(one, other)
         command, push = rng.standard_normal(n), self.bounds.push * rng.uniform(1.0, 9.0, n)
-        J = None if rng.random() < 0.1 else rng.standard_normal((self.m, n))
-        sizes = J if J is None else [math.hypot(*J[i : i + 3].ravel()) for i in range(0, self.m, 3)]
-        told = command.tolist(), push.tolist(), sizes
-        self.memory, before = remembered(kept, found, sample, dt, *told).joined(), self.memory
-        after = self.quick.judged(before, (t, q, v, x, t_x), way, x_way, dt)
-        is_good = not (found.kind or found.stops or found.refuses_x)
-        if after is not None:
-            assert is_good
-            np.testing.assert_array_equal(found.x, x)
-            after = self.quick.answered(after, v, dt, command, push, J)
-            np.testing.assert_array_equal(after, self.memory)
-        if found.stops:
+        sizes = None if rng.random() < 0.1 else rng.uniform(0.1, 3.0, self.parts).tolist()
+        self.memory = remembered(found, dt, command.tolist(), push.tolist(), sizes).joined()
+        if found.after.kind:
             self.memory = first_memory([0.0] * n, [0.0] * self.m, self.bounds)
-        return is_good, after is not None
+        return found
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_the_quick_form_of_a_guard_has_the_memory_of_the_full_one_to_the_bit(seed):
+def test_what_differs_by_little_is_judged_as_a_closer_look_does(seed, monkeypatch):
+    looks, closely = [], law_of_guards.closely_judged
+    monkeypatch.setattr(
+        law_of_guards, "closely_judged", lambda *given: looks.append(1) or closely(*given)
+    )
     twins = [Twins([seed, i]) for i in range(5)]
-    looked = np.array([each.advance() for each in twins for _ in range(150)])
-    assert looked.sum(axis=0).min() > 20
+    found = [each.advance() for each in twins for _ in range(150)]
+    assert 20 < sum(each.verdict == [0, 0, 0] for each in found) < 730
+    assert len(looks) < 730
 
 
-def test_runs_in_which_no_sample_is_judged_quickly_are_the_same_to_the_bit(monkeypatch):
+def test_runs_in_which_each_sample_is_looked_at_closely_are_the_same_to_the_bit(monkeypatch):
     loops = [Loop(CONTROLLERS["limited, learnt"], 0.12, "sign", 1)]
-    monkeypatch.setattr(QuickGuard, "judged", lambda *given: None)
+    monkeypatch.setattr(law_of_guards, "is_near", lambda *given: False)
     loops.append(Loop(CONTROLLERS["limited, learnt"], 0.12, "sign", 1))
     np.testing.assert_array_equal(loops[0].states, loops[1].states)
     assert loops[0].statuses == loops[1].statuses

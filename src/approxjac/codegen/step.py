@@ -18,6 +18,7 @@ from approxjac.controllers.arguments import FLOAT64, HUGE, time_of_x
 from approxjac.controllers.controller import Controller
 from approxjac.controllers.guard import Guard
 from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
+from approxjac.law.branches import sum_of_squares
 from approxjac.validation import Array, require
 
 _ROUND_OFF = 1e-12
@@ -45,9 +46,10 @@ def step_program(controller: Controller, *, may_lose: bool) -> Program:
     after, answer, left = laws.stepped_from(controller, given)
     predicts = laws.predicts(controller)
     checked = ("q", "v", "target", "state", "target_v", "target_a") + (() if predicts else ("x",))
-    numbers = [given[name] for name in checked if name in given] + [answer.torque, after]
+    own = after[: controller.size]  # the guard's memory is of numbers that are checked
+    numbers = [given[name] for name in checked if name in given] + [answer.torque, own]
     numbers += [] if predicts else [answer.e]
-    usual = sum(((each * each).sum() for each in numbers), 0.0) < HUGE**2
+    usual = sum_of_squares([*chain.from_iterable(numbers)]) < HUGE**2
     if not predicts:
         usual = law.any_of(symbols([answer.status == each for each in _USUAL])) & usual
     for joint in list(controller.task.robot.model.joints)[1:]:

@@ -21,7 +21,6 @@ from approxjac.law.guard import (
     GuardBounds,
     GuardMemory,
     Judged,
-    QuickGuard,
     Sample,
     first_memory,
     judged,
@@ -148,7 +147,6 @@ class SampleGuard:
         )  # fmt: skip
         self.first = first_memory(robot.neutral().tolist(), task.origin.tolist(), self._bounds)
         self._ends = ends = GuardMemory.ends(robot.nq, n, task.n_x, len(measured.parts))
-        self._quick = QuickGuard(self._bounds, ends, robot.nq, n)
         self._subtracts, self._command = robot.nq == n, slice(ends[8], ends[9])
         self.first.flags.writeable = False
         kept = (controller.limits or Limits()).for_joints(n)
@@ -170,35 +168,29 @@ class SampleGuard:
         traced = hasattr(memory, "arm_of")
         try:
             t, q, v, x, t_x = measurement
+            kept = GuardMemory.of(memory.tolist(), self._ends)
             with np.errstate(over="ignore", invalid="ignore"):
                 before, seen = memory[4 : self._ends[1]], memory[self._ends[9] : self._ends[10]]
                 way = q - before if self._subtracts else motion_between(self._robot, before, q)
                 x_way = x - seen if self._measured.subtracts else self._measured.error(x, seen)
-                quick = None if traced else self._quick.judged(memory, measurement, way, x_way, dt)
-                if quick is None:
-                    kept = GuardMemory.of(memory.tolist(), self._ends)
-                    taken = math.nan if t_x is None else t_x
-                    ways = way.tolist(), law.array(x_way).tolist()
-                    sample = Sample(t, q.tolist(), v.tolist(), x.tolist(), taken, *ways)
-                    found = judged(kept, sample, dt, self._bounds)
+                size = 0.0 if traced else memory.dot(memory)
+            taken = math.nan if t_x is None else t_x
+            ways = way.tolist(), law.array(x_way).tolist()
+            sample = Sample(t, q.tolist(), v.tolist(), x.tolist(), taken, *ways)
+            found = judged(kept, sample, dt, self._bounds)
         except (ArithmeticError, AttributeError, IndexError, TypeError, ValueError) as error:
             controller.advance(state, measurement, target, dt)  # which says what is wrong
             message = f"measurement must hold times [s] and arrays of floats, got {measurement!r}"
             raise InvalidInputError(message, given=measurement) from error
-        if quick is not None:
-            after, answer = controller.advance(state, measurement, target, dt)
-            push = self._push_of(answer, v, memory[self._command])
-            parts = answer.torque, push, self._J_of(answer)
-            memory = self._quick.answered(quick, v, dt, *parts)
-            return np.concatenate([after, memory]) if len(after) else memory, answer
-        if not traced and not np.abs(memory).max() < _ABSURD:
+        if not size < _ABSURD * _ABSURD:
             message = (
                 f"state must be finite, and below {_ABSURD:.0e}, got {memory.tolist()} of the guard"
             )
             raise InvalidInputError(message, given=memory)
-        passed, is_bad, stops = measurement, found.kind > 0, found.stops > 0
-        is_first = kept.t <= 0.5 * UNSEEN
-        if (is_bad is True or found.refuses_x is True) and is_first:
+        kind, refuses_x, anew = found.verdict
+        is_bad, stops, refuses_x = kind > 0, found.after.kind > 0, refuses_x > 0
+        is_first, passed = kept.t <= 0.5 * UNSEEN, measurement
+        if (is_bad is True or refuses_x is True) and is_first:
             controller.advance(state, measurement, target, dt)  # there is no good sample yet
             if is_bad:
                 message = (
@@ -206,7 +198,7 @@ class SampleGuard:
                     f"1e15 s, got {measurement!r}"
                 )
                 raise MeasurementError(message, given=measurement)
-        is_changed = is_bad | stops | found.refuses_x
+        is_changed = is_bad | stops | refuses_x
         is_slowed = is_first if traced else is_first and found.v != sample.v
         if (is_changed | is_slowed) is not False:
             unknown = None if t_x is None or isinstance(t_x, float) else math.nan
@@ -214,38 +206,34 @@ class SampleGuard:
             q, v, x = map(law.array, (found.q, found.v, found.x))
             passed = Measurement(t, q, v, x, t_x)
         after, answer = controller.advance(state, passed, target, dt)
-        after = law.select(is_bad | stops, state, after)
-        command = torque = answer.torque
-        gravity = answer.gravity
+        command, gravity = answer.torque, answer.gravity
 
-        def halted() -> tuple[Array]:
+        def replaced() -> tuple[Array, Array]:
+            """Return the state and the command of a bad sample."""
             g = 0.0 * command
             if self._takes_torque:
                 g = controller.gravity_torque(state, passed.q) if gravity is None else gravity
-            return (self._halted(found, kept, g, dt),)
+            halt, last = self._halted(found, kept, g, dt), law.array(kept.command)
+            eased = law.select(kept.bad > 0.0, halt + self._eases * (last - halt), last)
+            return state, law.select(stops | (anew > 0), halt, eased)
 
         if is_changed is not False:
-            holds = stops | found.anew  # of two samples that differ neither is to act
-            (halt,) = law.choose(is_bad | stops, halted, lambda: (command,))
-            last = law.array(kept.command)
-            eased = law.select(kept.bad > 0.0, halt + self._eases * (last - halt), last)
-            command = law.select(holds, halt, law.select(is_bad, eased, command))
-        answer = answer._replace(torque=command)
-        J_hat, sizes = self._J_of(answer), None
+            usual = after, command
+            after, command = law.choose(is_bad | stops, replaced, lambda: usual)
+            status = law.select(refuses_x, Status.SENSOR_JUMPED, answer.status)
+            name = _KINDS[kind] if type(kind) is int else kind + _OFFSET
+            status = law.select(stops, Status.STOPPED, law.select(is_bad, name, status))
+            answer = answer._replace(torque=command, status=status)
         rest = 0.0 * command if gravity is None else gravity  # the arm's, before a first command
-        before = law.select(is_first, rest, law.array(kept.command))
-        push = self._push_of(answer, law.array(found.v), before).tolist()
+        before = law.select(is_first, rest, memory[self._command])
+        push = self._push_of(command, v, before).tolist()
+        J_hat, sizes = self._J_of(answer), None
         if J_hat is not None:
             sizes = [law.length(J_hat[rows].ravel()) for _, rows in self._bounds.parts]
-        memory = remembered(kept, found, sample, dt, command.tolist(), push, sizes).joined()
-        if not traced and not np.isfinite(memory).all() and np.isfinite(torque).all():
+        memory = remembered(found, dt, command.tolist(), push, sizes).joined()
+        if not traced and not np.isfinite(memory).all() and np.isfinite(command).all():
             message = f"what is remembered of {measurement!r} overflows in a step of {dt!r} s"
             raise MeasurementError(message, given=measurement)
-        if is_changed is not False:
-            status = law.select(found.refuses_x, Status.SENSOR_JUMPED, answer.status)
-            name = _KINDS[found.kind] if type(found.kind) is int else found.kind + _OFFSET
-            status = law.select(stops, Status.STOPPED, law.select(is_bad, name, status))
-            answer = answer._replace(status=status)
         return np.concatenate([after, memory]) if len(after) else memory, answer
 
     @np.errstate(over="ignore", invalid="ignore")  # of an absurd dt, which `step` finds
@@ -254,19 +242,18 @@ class SampleGuard:
         change = dt * self._rate
         halt = 0.0 * gravity
         if self._takes_torque:
-            halt = stop_torque(found, kept, gravity, self._damping, self._stiffness)
+            halt = stop_torque(found, gravity, self._damping, self._stiffness)
             halt = np.minimum(np.maximum(halt, -self._effort), self._effort)
         before = law.array(kept.command)
         command: Array = np.minimum(np.maximum(halt, before - change), before + change)
         return command
 
-    def _push_of(self, answer: Evaluation, v: Array, before: Array) -> Array:
+    def _push_of(self, command: Array, v: Array, before: Array) -> Array:
         """Return by how much |q̈| may change from one command to the next, (n_v,)."""
-        torque = answer.torque
         if not self._takes_torque:
-            servo: Array = np.minimum(np.abs(torque - v) / _SERVO, _MOST)
+            servo: Array = np.minimum(np.abs(command - v) / _SERVO, _MOST)
             return servo
-        push: Array = self._reach.dot(np.minimum(np.abs(torque - before), _MOST))
+        push: Array = self._reach.dot(np.minimum(np.abs(command - before), _MOST))
         return push
 
     def _J_of(self, answer: Evaluation) -> Array | None:

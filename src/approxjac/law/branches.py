@@ -54,8 +54,16 @@ def all_finite(numbers: list[Any]) -> Any:
     try:
         return math.isfinite(math.hypot(*numbers))
     except TypeError:  # they are symbols
-        square: Any = sum((each * each for each in numbers), 0.0)
-        return square.is_finite()
+        return sum_of_squares(numbers).is_finite()
+
+
+def sum_of_squares(numbers: list[Any]) -> Any:
+    """Return the sum of squares, by halves: a processor need not wait for each addition."""
+    sums: list[Any] = [each * each for each in numbers] or [0.0]
+    while len(sums) > 1:
+        half = len(sums) // 2
+        sums = [a + b for a, b in zip(sums[:half], sums[half:], strict=False)] + sums[2 * half :]
+    return sums[0]
 
 
 def leave(condition: Any) -> None:

@@ -7,15 +7,14 @@ vectors as short as these, loops over floats take a fifth of the time of NumPy.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from functools import reduce
 from itertools import chain, pairwise
-from operator import and_
+from operator import or_
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from approxjac.law.branches import all_finite, array, complement, select
-from approxjac.law.products import length, root
+from approxjac.law.branches import all_finite, array, choose, complement, select, surely
+from approxjac.law.products import root
 from approxjac.validation import Array
 
 UNSEEN = -1e20  # [s], the time before a first sample
@@ -115,23 +114,38 @@ class Sample(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """A sample as the guard lets it pass, and its judgement."""
+    """A sample as the guard lets it pass, its judgement, and the memory before a command."""
 
+    verdict: list[Any]  # what is wrong with q, q̇ or t; 1 if x is refused; 1 to begin anew with it
     q: list[Any]
     v: list[Any]
     x: list[Any]
-    kind: Any  # what is wrong with q, q̇ or t
-    stops: Any  # why it stops now, or 0
-    refuses_x: Any
-    drift: list[Any]  # as it is remembered
+    after: GuardMemory
+
+    def parts(self) -> tuple[list[Any], ...]:
+        """Return all of its numbers in lists."""
+        return *self[:4], [*self.after[:4]], *self.after[4:]
+
+    @classmethod
+    def of(cls, parts: Iterable[Any]) -> Judged:
+        """Return the judgement that has these parts, lists or arrays."""
+        verdict, q, v, x, four, *lists = (
+            each if isinstance(each, list) else each.tolist() for each in parts
+        )
+        return cls(verdict, q, v, x, GuardMemory(*four, *lists))
+
+
+class _Followed(NamedTuple):
+    """How q differs from the integral of q̇, and what is to be remembered, for each joint."""
+
+    off: list[Any]
+    noise: list[Any]  # of a change of q, four times what it was
+    slack: list[Any]  # what the drift may be
+    drift: list[Any]
     path: list[Any]
     usual: list[Any]
-    noise: list[Any]
+    finer: list[Any]  # the noise that is remembered
     step: list[Any]
-    way: list[Any]  # q since the last sample, if both are good
-    anew: Any  # whether to compare the next sample with this bad one, as no two agreed so far
-    last: list[Any]  # x, the last good one
-    moved: list[Any]  # of each part of x, before it moves on
 
 
 def judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBounds) -> Judged:
@@ -145,39 +159,97 @@ def judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBounds) ->
     Of loads and model errors a first sample may show a few times what is usual; what is more needs
     a second one, which may show all that is possible.
 
+    A sample that differs by little, as nearly all do, needs no more than half of the comparisons.
+
     dt is the period [s].
     """
+    t, since = sample.t, sample.t - memory.t
+    near = (since >= _SOON * dt) & (since <= _MISSED * dt) & (abs(t) < _OLDEST)
+    near = near & (memory.bad == 0.0) & (memory.kind == 0.0) & (memory.blind == 0.0)
+    near = near & complement(_is_early(sample, dt))
+    if surely(complement(near)):
+        return closely_judged(memory, sample, dt, bounds)
+    found = _followed(memory, sample.way, sample.v, since, bounds)
+    near = near & is_near(found, memory, sample, since, bounds)
+    usual = Judged([GOOD, 0, 0], sample.q, sample.v, sample.x, GuardMemory(
+        t, 0.0, 0.0, 0.0, sample.q, sample.v, found.drift, found.path, memory.push, found.usual,
+        found.finer, found.step, memory.command, sample.x,
+        [
+            select(_differs(sample.x[part], memory.x[part]), _nearer(moved), moved)
+            for (part, _), moved in zip(bounds.parts, memory.moved, strict=True)
+        ],
+    ))  # fmt: skip
+    if surely(near):
+        return usual
+    return Judged.of(choose(
+        complement(near), lambda: closely_judged(memory, sample, dt, bounds).parts(), usual.parts
+    ))  # fmt: skip
+
+
+def is_near(
+    found: _Followed, memory: GuardMemory, sample: Sample, h: Any, bounds: GuardBounds
+) -> Any:
+    """Return True if a sample differs so little that each comparison of `judged` holds."""
+    half, near, sudden, speed = 0.5 * h, True, 0.0, 0.0
+    for off, noise, slack, drift, v1, v0, push, fastest in zip(
+        *found[:4], sample.v, memory.v, memory.push, bounds.fastest, strict=True
+    ):
+        # |Δq − h q̇| is at most the sum of both
+        most, change = 0.5 * noise + half * _smaller(h * push, fastest), v1 - v0
+        near = near & (abs(off) <= most) & (half * abs(change) <= most) & (abs(drift) <= slack)
+        sudden, speed = sudden + change * change, speed + v1 * v1
+    far = sum((each * each for each in sample.x_way), 0.0)
+    near = near & (far <= min(_FAR, *bounds.x) ** 2) & (sudden <= _STRAIGHT)
+    return near & ((sudden > 0.0) | (speed <= _STILL * _STILL))
+
+
+def _followed(
+    memory: GuardMemory, way: list[Any], v: list[Any], h: Any, bounds: GuardBounds
+) -> _Followed:
+    """Return what a sample shows of each joint, a time h after the last good one."""
+    half, per, share = 0.5 * h, _USUAL / h, _SHARE + bounds.lag * 4.0 / _MEMORY
+    fade, settles = _larger(1.0 - h / _MEMORY, 0.0), _larger(1.0 - h / _SETTLES, 0.0)
+    joints = list[tuple[Any, ...]]()
+    for w, v1, v0, drift, path, usual, r, step, coarse, rare in zip(
+        way, v, memory.v, memory.drift, memory.path, memory.usual, memory.noise, memory.step,
+        bounds.q, bounds.push.tolist(), strict=True,
+    ):  # fmt: skip
+        noise, mean, size = _smaller(4.0 * r, coarse), half * (v1 + v0), abs(w)
+        off, path = w - mean, fade * path + abs(mean)
+        slack = 2.0 * noise + share * path
+        adds = _ADDS * slack  # a bad sample that passed does not make the next ones bad
+        drift = fade * drift + _larger(_smaller(off, adds), -adds)
+        usual = _larger(settles * usual, _RARE * rare)
+        usual = _larger(usual, _smaller(per * abs(v1 - v0), rare))
+        # only where q changes it shows how well it is known
+        changes, least = size > 0.0, _larger(_STEP * step, _FINEST * coarse)
+        finer = _larger(select(changes, _FINER * r, r), _larger(abs(off), least))
+        step = select(changes & (size < step), size, step)
+        joints.append((off, noise, slack, drift, path, usual, finer, step))
+    return _Followed(*map(list, zip(*joints, strict=True)))
+
+
+def closely_judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBounds) -> Judged:
+    """Judge any sample, as `judged` does."""
     t, q, v, _, _, way, _ = sample
     stopped, seen = memory.kind > 0.0, memory.t > 0.5 * UNSEEN
     since, lag, before = t - memory.t, bounds.lag, memory.v
     missed = (memory.bad > 0.0) & (since <= _larger(_GAPS * dt, _GAP))
     runs = stopped | ((since >= _SOON * dt) & (missed | (since <= _MISSED * dt)))
     h = select(stopped, (memory.bad + 1.0) * dt, select(runs, since, dt))  # in a stop periods count
-    half, per, with_lag, share = 0.5 * h, 1.0 / h, h + lag, _SHARE + lag * 4.0 / _MEMORY
-    fade = _larger(1.0 - h / _MEMORY, 0.0)
+    half, per, with_lag, was_bad = 0.5 * h, 1.0 / h, h + lag, memory.bad > 0.0
     impact = _smaller(h / _IMPACT, 1.0) * root(sum((each * each for each in before), 0.0))
+    found = _followed(memory, way, v, h, bounds)
     jumps = hits = apart = moves = wild = False
-    drifts, paths = list[Any](), list[Any]()
-    noises, steps, left, size = list[Any](), list[Any](), 0.0, 0.0
-    usuals, settles, was_bad = list[Any](), _larger(1.0 - h / _SETTLES, 0.0), memory.bad > 0.0
-    for w, v1, v0, a, usual, rare, r, step, coarse, most, drift, path in zip(
-        way, v, before, memory.push, memory.usual, bounds.push.tolist(), memory.noise, memory.step,
-        bounds.q, bounds.fastest, memory.drift, memory.path, strict=True,
-    ):  # fmt: skip
+    left, size = 0.0, 0.0
+    for w, off, noise, slack, drift, v1, v0, a, rare, most in zip(
+        way, *found[:4], v, before, memory.push, bounds.push.tolist(), bounds.fastest, strict=True
+    ):
         a = select(was_bad, a + rare, a)
-        shown = _smaller(_USUAL * per * abs(v1 - v0), rare)
-        usuals.append(_larger(_larger(settles * usual, _RARE * rare), shown))
-        noise = _smaller(4.0 * r, coarse)
         unit = 1.0 / (2.0 * noise * per + _TURNS)
         both, one = unit * (v1 + v0), unit * v0
         left, size = left + both * both, size + one * one
-        mean = half * (v1 + v0)
-        off = w - mean
         A = _smaller(a * with_lag, most) + impact
-        path = fade * path + abs(mean)
-        slack = 2.0 * noise + share * path
-        adds = _ADDS * slack  # a bad sample that passed does not make the next ones bad
-        drift = fade * drift + _larger(_smaller(off, adds), -adds)
         slack = slack + lag * (abs(v1) + abs(v0))
         jumps = jumps | (abs(w - h * v0) > noise + h * A)
         hits = hits | (abs(v1 - v0) > noise * per + _smaller(a * h, most) + impact)
@@ -185,14 +257,8 @@ def judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBounds) ->
         apart = apart | (abs(off) > noise + half * A)
         apart = apart | ((abs(drift) > slack) & complement(stopped))
         moves = moves | (abs(v1) > _STILL)
-        drifts.append(drift)
-        paths.append(path)
-        # only where q changes it shows how well it is known
-        changes, least = w != 0.0, _larger(_STEP * step, _FINEST * coarse)
-        steps.append(select(changes & (abs(w) < step), abs(w), step))
-        noises.append(_larger(select(changes, _FINER * r, r), _larger(abs(off), least)))
     hits = hits | wild | ((left < _LEFT * size) & (size > 1.0))  # all joints at once
-    again = moves & reduce(and_, [a == b for a, b in zip(q + v, memory.q + before, strict=True)])
+    again = moves & complement(_differs(q + v, memory.q + before))
     known, far = all_finite(q + v) & (abs(t) < _OLDEST), sum(map(abs, way), 0.0) > _TURNED
     kind = select(apart, DISAGREES, GOOD)
     kind = select(hits, VELOCITY, kind)
@@ -204,24 +270,44 @@ def judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBounds) ->
     too_long = (memory.bad >= bounds.periods) | ((memory.bad + 1.0) * dt > bounds.bridged)
     stops = select(is_bad & was_bad & too_long, kind, 0)
     stops = select(stopped, memory.kind, select(memory.blind < _BLIND, stops, SENSOR))
-    hidden = is_bad | (stops > 0)
-    refuses, used, last, moved = _seen(memory, sample, hidden, dt, bounds)
-    alone, makes_sense = memory.blind < 0.0, complement(wild | far)
-    none = [0.0] * len(v)
-    drifts = _each(seen, drifts, none)
+    alone = memory.blind < 0.0
+    refuses, x, last, moved = _seen(memory, sample, is_bad | (stops > 0), dt, bounds)
+    anew = is_bad & known & alone & complement(wild | far)
+    blind = select(is_bad, memory.blind, select(seen, 0.0, -1.0))
+    blind, none = select(refuses, memory.blind + dt, blind), [0.0] * len(v)
+    drift = _each(is_bad, memory.drift, _each(seen, found.drift, none))
+    if not surely(stops == GOOD):
+        way = _each(is_bad | was_bad, none, way)
+        since_then = [a + b for a, b in zip(memory.drift, way, strict=True)]
+        drift = _each(stops > 0, _each(stopped, since_then, none), drift)
+    keeps, skips = is_bad | complement(seen), is_bad & complement(anew)
+    used_v = v
     if seen is not True:  # nothing has confirmed a first q̇ yet
         pairs = zip(v, bounds.fastest, strict=True)
-        v = _each(seen, v, [_larger(_smaller(each, most), -most) for each, most in pairs])
+        used_v = _each(seen, v, [_larger(_smaller(each, most), -most) for each, most in pairs])
+    used_q = _each(is_bad, memory.q, q)
     return Judged(
-        _each(is_bad, memory.q, q), _each(is_bad, _each(stopped | alone, none, before), v),
-        used, kind, stops, refuses,
-        _each(is_bad, memory.drift, drifts),
-        _each(is_bad, memory.path, _each(seen, paths, none)),
-        _each(is_bad | complement(seen), memory.usual, usuals),
-        _each(is_bad | complement(seen), memory.noise, noises),
-        _each(is_bad | complement(seen), memory.step, steps),
-        _each(is_bad | was_bad, none, way), is_bad & known & alone & makes_sense, last, moved,
+        [kind, select(refuses, 1, 0), select(anew, 1, 0)],
+        used_q, _each(is_bad, _each(stopped | alone, none, before), used_v), x,
+        GuardMemory(
+            select(skips, memory.t, t), select(is_bad, memory.bad + 1.0, 0.0), stops, blind,
+            _each(anew, q, used_q), _each(skips, before, v), drift,
+            _each(is_bad, memory.path, _each(seen, found.path, none)), memory.push,
+            _each(keeps, memory.usual, found.usual), _each(keeps, memory.noise, found.finer),
+            _each(keeps, memory.step, found.step), memory.command, last, moved,
+        ),
     )  # fmt: skip
+
+
+def _is_early(sample: Sample, dt: Any) -> Any:
+    """Return True if x is stamped later than it can be."""
+    t_x = sample.t_x
+    return (t_x == t_x) & (t_x - sample.t > dt + _AHEAD)
+
+
+def _nearer(moved: Any) -> Any:
+    """Return what is left of the motion of x when a new one comes."""
+    return select(moved < 0.5 * _FAR, _KEPT * moved, 0.0)
 
 
 def _seen(
@@ -233,181 +319,67 @@ def _seen(
     the motion of each part since.
     """
     refuses, used, last, moves = False, list[Any](), list[Any](), list[Any]()
-    alone = memory.blind < 0.0
-    early = (sample.t_x == sample.t_x) & (sample.t_x - sample.t > dt + _AHEAD)
+    alone, early = memory.blind < 0.0, _is_early(sample, dt)
     for (entries, rows), moved in zip(bounds.parts, memory.moved, strict=True):
         here, before, far = sample.x[entries], memory.x[entries], early
         for apart, noise in zip(sample.x_way[rows], bounds.x[rows], strict=True):
             far = far | (abs(apart) > noise + _TIMES * moved)
         there = all_finite(here)
         far = far & there
-        same = reduce(and_, [a == b for a, b in zip(here, before, strict=True)])
-        new = complement(same | far | hidden) & there
+        new = _differs(here, before) & complement(far | hidden) & there
         refuses = refuses | far
         used += _each(far | hidden, [math.nan] * len(here), here)
         last += _each(new | (far & alone & complement(hidden)), here, before)
-        nearer = select(moved < 0.5 * _FAR, _KEPT * moved, 0.0)
-        moves.append(select(new, nearer, moved))
+        moves.append(select(new, _nearer(moved), moved))
     return refuses & complement(hidden), used, last, moves
 
 
 def remembered(
-    memory: GuardMemory,
-    judged: Judged,
-    sample: Sample,
-    dt: Any,
-    command: list[Any],
-    push: list[Any],
-    sizes: list[Any] | None,
+    found: Judged, dt: Any, command: list[Any], push: list[Any], sizes: list[Any] | None
 ) -> GuardMemory:
     """Return the memory after a command is sent.
 
     Args:
-        memory: The memory before.
-        judged: The judgement of the sample.
-        sample: The sample.
+        found: The judgement of the sample.
         dt: The period [s].
         command: The torque or velocity that is sent, n_v numbers.
         push: |q̈| that it may cause, n_v numbers.
         sizes: ‖Ĵ‖ of each part of x; None if there is no Ĵ: then x may move as it likes.
     """
-    is_bad, stops, was = judged.kind > 0, judged.stops > 0, memory.kind > 0.0
-    held = judged.drift
-    if stops is not False:
-        since = [a + b for a, b in zip(memory.drift, judged.way, strict=True)]
-        held = _each(stops, _each(was, since, [0.0] * len(since)), judged.drift)
-    fade = _larger(1.0 - dt / _FADES, 0.0)
+    after, fade = found.after, _larger(1.0 - dt / _FADES, 0.0)
     push = [
         _larger(new + usual, fade * old)
-        for new, usual, old in zip(push, judged.usual, memory.push, strict=True)
+        for new, usual, old in zip(push, after.usual, after.push, strict=True)
     ]
-    last, moves = judged.last, [_FAR] * len(judged.moved)
+    moved = [_FAR] * len(after.moved)
     if sizes is not None:
-        speed = dt * root(sum((each * each for each in judged.v), 0.0))
-        pairs = zip(judged.moved, sizes, strict=True)
-        moves = [_smaller(moved + speed * size, _FAR) for moved, size in pairs]
-    anew, seen = judged.anew, memory.t > 0.5 * UNSEEN
-    blind = select(is_bad, memory.blind, select(seen, 0.0, -1.0))
-    blind = select(judged.refuses_x, memory.blind + dt, blind)
-    return GuardMemory(
-        select(is_bad & complement(anew), memory.t, sample.t),
-        select(is_bad, memory.bad + 1.0, 0.0), judged.stops, blind,
-        _each(anew, sample.q, judged.q), _each(is_bad & complement(anew), memory.v, sample.v),
-        held, judged.path, push, judged.usual, judged.noise, judged.step, command, last, moves,
-    )  # fmt: skip
+        speed = dt * root(sum((each * each for each in found.v), 0.0))
+        pairs = zip(after.moved, sizes, strict=True)
+        moved = [_smaller(before + speed * size, _FAR) for before, size in pairs]
+    return after._replace(push=push, command=command, moved=moved)
 
 
-def stop_torque(
-    judged: Judged, memory: GuardMemory, gravity: Array, damping: Array, stiffness: Array
-) -> Array:
+def stop_torque(found: Judged, gravity: Array, damping: Array, stiffness: Array) -> Array:
     """Return the torque that holds an arm where it stopped: g − D q̇ − K(way since), (n_v,)."""
-    since = [a + b for a, b in zip(memory.drift, judged.way, strict=True)]
-    way = array(_each(memory.kind > 0.0, since, [0.0] * len(since)))
-    torque: Array = gravity - damping * array(judged.v) - stiffness * way
+    torque: Array = gravity - damping * array(found.v) - stiffness * array(found.after.drift)
     return torque
 
 
+def _differs(a: list[Any], b: list[Any]) -> Any:
+    return reduce(or_, [one != other for one, other in zip(a, b, strict=True)])
+
+
 def _larger(a: Any, b: Any) -> Any:
-    return select(a > b, a, b)
+    above = a > b  # without `select` of a float, as this runs often
+    return a if above is True else b if above is False else select(above, a, b)
 
 
 def _smaller(a: Any, b: Any) -> Any:
-    return select(a < b, a, b)
+    below = a < b
+    return a if below is True else b if below is False else select(below, a, b)
 
 
 def _each(condition: Any, a: list[Any], b: list[Any]) -> list[Any]:
     if condition is True or condition is False:
         return a if condition else b
     return [select(condition, *pair) for pair in zip(a, b, strict=True)]
-
-
-class QuickGuard:
-    """The usual step of a guard on arrays: a good sample, which differs by noise only.
-
-    It does what `judged` and `remembered` do, in a third of the time. `ends` are those of
-    `GuardMemory`.
-    """
-
-    def __init__(self, bounds: GuardBounds, ends: list[int], nq: int, nv: int) -> None:
-        self._q, self._joints = slice(4, 4 + nq), slice(ends[1], ends[9])
-        self._x, self._moved = slice(ends[9], ends[10]), slice(ends[10], ends[11])
-        self._shape, self._parts, self._x_noise = (8, nv), bounds.parts, min(_FAR, *bounds.x) ** 2
-        self._coarse, self._most = np.array(bounds.q), np.array(bounds.fastest)
-        self._push, self._rare = bounds.push, _RARE * bounds.push
-        self._finest, self._share = _FINEST * self._coarse, _SHARE + bounds.lag * 4.0 / _MEMORY
-
-    def judged(
-        self,
-        memory: Array,
-        sample: tuple[Any, ...],
-        way: Array,
-        x_way: Array,
-        dt: float,
-    ) -> Array | None:
-        """Return the memory but for the command, or None where the sample needs a closer look.
-
-        The arguments are a measurement's t, q, v, x and t_x, and the motion of q and x since the
-        last good one.
-        """
-        t, q, v, x, t_x = sample
-        last, bad, kind, blind = memory[:4].tolist()
-        since = t - last
-        if bad or kind or blind or not _SOON * dt <= since <= _MISSED * dt or t >= _OLDEST:
-            return None
-        if t_x is not None and t_x - t > dt + _AHEAD:
-            return None
-        known = memory[self._joints].reshape(self._shape)
-        before, half, r = known[0], 0.5 * since, known[5]
-        sudden, both, noise = v - before, v + before, np.minimum(4.0 * r, self._coarse)
-        mean, fade = half * both, max(1.0 - since / _MEMORY, 0.0)
-        off = way - mean
-        path = fade * known[2] + np.abs(mean)
-        slack = 2.0 * noise + self._share * path
-        drift = fade * known[1] + np.maximum(np.minimum(off, _ADDS * slack), -_ADDS * slack)
-        # less than what `judged` asks for, so that |Δq − h q̇| is within its bound
-        most = 0.5 * noise + half * np.minimum(since * known[3], self._most)
-        size, far = np.abs(off), np.abs(way)
-        if not (
-            (size <= most).all() and (half * np.abs(sudden) <= most).all()
-            and (np.abs(drift) <= slack).all()
-            and x_way.dot(x_way) <= self._x_noise
-            and (sudden.any() or v.dot(v) <= _STILL * _STILL)
-        ):  # fmt: skip
-            return None
-        if sudden.dot(sudden) > _STRAIGHT:
-            unit = 1.0 / (2.0 * noise / since + _TURNS)
-            left, one = unit * both, unit * before
-            if left.dot(left) < _LEFT * one.dot(one) > _LEFT:
-                return None
-        after = memory.copy()
-        after[0], after[self._q] = t, q
-        now = after[self._joints].reshape(self._shape)
-        now[0], now[1], now[2] = v, drift, path
-        changes = far > 0.0
-        usual = np.maximum(max(1.0 - since / _SETTLES, 0.0) * known[4], self._rare)
-        now[4] = np.maximum(usual, np.minimum(_USUAL * (1.0 / since) * np.abs(sudden), self._push))
-        least = np.maximum(_STEP * known[6], self._finest)
-        now[5] = np.maximum(np.where(changes, _FINER * r, r), np.maximum(size, least))
-        now[6] = np.where(changes & (far < known[6]), far, known[6])
-        moved, seen = after[self._moved], after[self._x]
-        for i, (entries, _) in enumerate(self._parts):
-            if (here := x[entries].tolist()) != seen[entries].tolist():
-                seen[entries] = here
-                moved[i] = _KEPT * moved[i] if moved[i] < 0.5 * _FAR else 0.0
-        return after
-
-    def answered(
-        self, after: Array, v: Array, dt: float, command: Array, push: Array, J_hat: Array | None
-    ) -> Array:
-        """Return the memory of `judged` after a command, as in `remembered`."""
-        known = after[self._joints].reshape(self._shape)
-        known[3] = np.maximum(push + known[4], max(1.0 - dt / _FADES, 0.0) * known[3])
-        known[7] = command
-        moved = after[self._moved]
-        if J_hat is None:
-            moved[:] = _FAR
-            return after
-        speed = dt * root(sum([each * each for each in v.tolist()], 0.0))
-        for i, (_, rows) in enumerate(self._parts):
-            moved[i] = min(moved[i] + speed * length(J_hat[rows].ravel()), _FAR)
-        return after

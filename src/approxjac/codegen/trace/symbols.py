@@ -120,7 +120,8 @@ class Graph:
         self._blocks += 1
         places = [(self.place(a), self.place(b)) for a, b in zip(values, others, strict=True)]
         return [
-            self._scalar(Node("rare", (condition.place, *each), self._blocks)) for each in places
+            other if a == b else self._scalar(Node("rare", (condition.place, a, b), self._blocks))
+            for (a, b), other in zip(places, others, strict=True)
         ]
 
     def loop(
