@@ -92,7 +92,7 @@ class TrajectoryFileError(ApproxJacError, ValueError):
 
 
 def failed(what: str, t: float, error: Exception) -> ControllerError:
-    """Return the error of something that raised another one in the step at t [s]."""
+    """Return the error for a part that raised another one in the step at t [s]."""
     kind = "" if isinstance(error, ApproxJacError) else f"{type(error).__name__}: "
     return ControllerError(f"{what} failed at t = {t:g} s: {kind}{error}", given=error)
 

@@ -32,7 +32,7 @@ def replaced(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def _naming(path: Path, unfinished: Path) -> Iterator[None]:
-    """Let errors name the file or folder that the user knows, also those that name none."""
+    """Make errors name the user's file or folder, also those that name none."""
     try:
         yield
     except Exception as error:

@@ -21,7 +21,7 @@ def short(value: Any) -> str:
 
 
 def shown(value: Any) -> str:
-    """Return the repr of a value, or its type where that fails: what is refused is printed."""
+    """Return the repr of a value for an error message, or its type where that fails."""
     try:
         return repr(value)
     except Exception:

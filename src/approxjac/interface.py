@@ -112,7 +112,7 @@ class LimitStatus(_Outcome):
 
 
 class Condition(_Outcome):
-    """Something that happens to an arm while it is controlled; the text says what to do."""
+    """An event of an arm under control; the text says what to do."""
 
     OSCILLATES = (
         "a joint swings with little or no damping: a payload, elasticity, friction, delay or error "

@@ -28,7 +28,7 @@ _CHANGEABLE = (list, dict, np.ndarray)
 
 
 def _floats(value: Any) -> Array:
-    """Return a new array of floats; a TypeError or ValueError of what is hidden or no number."""
+    """Return a new array of floats; raise a TypeError or ValueError if masked or no numbers."""
     if _is_masked(value) or np.asarray(value).dtype.kind not in "iuf":  # as text and booleans are
         raise TypeError
     with np.errstate(over="ignore"):  # a long double may become infinite, which is refused
@@ -62,7 +62,7 @@ def as_array(name: str, value: Any, shape: tuple[int | str, ...], unit: str = ""
 
 
 def _is_masked(value: Any) -> bool:
-    """Return True for what a mask hides, of which an array would show what was there."""
+    """Return True for a masked value, whose hidden number an array would show."""
     if isinstance(value, np.ma.MaskedArray):
         return bool(np.ma.is_masked(value))
     return isinstance(value, list | tuple) and any(map(_is_masked, value))
@@ -221,7 +221,7 @@ class Immutable:
     _changes: Mapping[str, Any] = MappingProxyType({})  # of arguments, without building it anew
 
     def __new__(cls, *given: Any, **named: Any) -> Self:
-        """Keep what it is built from, whatever its class takes."""
+        """Store the arguments of the constructor, whatever the class takes."""
         self = super().__new__(cls)
         kept = {name: _as_it_is(value) for name, value in named.items()}
         self.__dict__["_given"] = tuple(map(_as_it_is, given)), kept
@@ -265,9 +265,9 @@ class Immutable:
 def _built(
     kind: type[Any], given: tuple[Any, ...], named: dict[str, Any], carried: dict[str, Any]
 ) -> Any:
-    found = kind(*given, **named)
-    vars(found).update(carried)
-    return found
+    copy = kind(*given, **named)
+    vars(copy).update(carried)
+    return copy
 
 
 def _as_it_is(value: Any) -> Any:
@@ -289,7 +289,7 @@ class Saved:
             Saved._kinds[cls._kind] = cls
 
     def _saved(self) -> dict[str, Any] | None:
-        """Return texts, numbers, lists and dictionaries; None of what is not kept."""
+        """Return texts, numbers, lists and dictionaries; None for anything that is not stored."""
         if "_kind" not in vars(type(self)):
             return None
         kept: dict[str, Any] = {"kind": self._kind}

@@ -48,13 +48,13 @@ def test_help_and_version(capsys):
 def test_the_command_alone_shows_its_help(capsys):
     assert main([]) == 0
     told = capsys.readouterr().out
-    assert "Tell whether a controller is stable before anything moves" in told
+    assert "Test whether a controller is stable" in told
     assert "Missing" not in told
 
 
 def test_the_list_of_commands_has_a_line_each_and_their_own_help_has_all(capsys):
     listed, own = help_of(capsys), help_of(capsys, "stability")
-    assert "Tell whether a controller is stable before anything moves" in listed
+    assert "Test whether a controller is stable" in listed
     assert "Exit code 0" not in listed
     assert "Example: approxjac stability panda --object-length 0 0.3" in own
     assert "Exit code 0 if the region is certified, 1 if not: of the sampled loop" in own

@@ -176,7 +176,7 @@ class PinholeCamera(Camera):
         center: Principal point (c_x, c_y); the image's centre by default [px].
         distortion: Up to three of (k₁, k₂, k₃); or OpenCV's 4, 5, 8, 12 or 14 coefficients (k₁,
             k₂, p₁, p₂, k₃, k₄, k₅, k₆, s₁, s₂, s₃, s₄, τ_x, τ_y); 4 or none of a fisheye lens.
-        fisheye: Whether the lens is OpenCV's fisheye model ("equidistant" in ROS).
+        fisheye: True if the lens is OpenCV's fisheye model ("equidistant" in ROS).
         mount: Frame that position and rotation are given in; None is the world.
         near: Smallest depth Z at which points are seen, > 0 [m].
 
@@ -294,7 +294,7 @@ class PinholeCamera(Camera):
             tvec: Its translation, 3 numbers [m].
             camera_pose: Matrix of r = R r_camera + p, shape (4, 4) [m]; such as R_cam2gripper and
                 t_cam2gripper of `cv2.calibrateHandEye`.
-            fisheye: Whether the coefficients are those of `cv2.fisheye`.
+            fisheye: True if the coefficients are those of `cv2.fisheye`.
             **options: `mount` and `near`, as for `PinholeCamera`.
         """
         k = as_array("K", K, (3, 3), "px")

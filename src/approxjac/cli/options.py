@@ -1,4 +1,4 @@
-"""The options of a command, made from a scenario's records, and what was typed of them.
+"""The options of a command, made from a scenario's records, and their parser.
 
 A word that begins with -- is an option, and all words up to the next are its value.
 """
@@ -137,7 +137,7 @@ def record_options(record: Any, short: Mapping[str, str], key: str = "") -> list
 def read(
     command: str, words: Sequence[str], options: Sequence[Option]
 ) -> tuple[dict[str, Any], dict[str, str]]:
-    """Return key → words, True of a mere option, and key → option as it was typed."""
+    """Return key → words, or True for an option without; and key → option as typed."""
     named = {name: option for option in options for name in option.names}
     rest, values, names = list(words), dict[str, Any](), dict[str, str]()
     while rest:

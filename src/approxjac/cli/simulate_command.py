@@ -17,7 +17,7 @@ def simulate(
     port: int | None = None,
     out: Path = Path("results/simulate"),
 ) -> int:
-    """Let an arm reach a target although its controller believes a wrong robot, or a wrong camera.
+    """Simulate an arm that reaches a target although its controller has a wrong robot or camera.
 
     Example: approxjac simulate panda --object-length 0.2 --believed-length 0 --seed 1
 

@@ -1,4 +1,4 @@
-"""`approxjac stability`: a scenario → what the tests say of its loop."""
+"""`approxjac stability`: a scenario → the stability report of its loop."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from approxjac.scenario import Scenario
 
 
 def stability(scenario: Scenario, jobs: int = 1, out: Path = Path("results/stability")) -> int:
-    """Tell whether a controller is stable before anything moves, and by how much.
+    """Test whether a controller is stable, and with what margin, before anything moves.
 
     Example: approxjac stability panda --object-length 0 0.3 --around 0 -0.5 0 -2 0 1.6 0.7
 
@@ -21,7 +21,7 @@ def stability(scenario: Scenario, jobs: int = 1, out: Path = Path("results/stabi
 
     Args:
         scenario: The scenario.
-        jobs: How many processes share the rollouts.
+        jobs: Number of processes that share the rollouts.
         out: Folder for report.txt, map.png and .svg, summary.json and scenario.toml.
     """
     from concurrent.futures import ProcessPoolExecutor

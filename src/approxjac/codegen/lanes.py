@@ -137,7 +137,7 @@ class Lanes:
         return LlvmLanes(self.program)
 
     def packed(self, starts: Sequence[LaneStart]) -> tuple[Array, Array]:
-        """Return what is kept of some runs before their first step, and what stays, as vectors."""
+        """Return the memory of some runs before a first step, and their constants, as vectors."""
         program, width = self.program, self.compiled.width
         kept = np.zeros((len(starts), program.n_rows))
         columns = {name: kept[:, at : at + size] for name, (at, size) in program.rows.items()}
@@ -153,8 +153,8 @@ class Lanes:
         """Return the outcome of some runs: the names of `OUTCOME`, each with an array (N,).
 
         Args:
-            starts: How they begin.
-            every: Which instants are recorded: each so many steps, and the last.
+            starts: Starts of the runs.
+            every: Steps between recorded instants; the last is recorded, too.
         """
         kept, parameters = self.packed(starts)
         program, width = self.program, self.compiled.width
@@ -180,23 +180,23 @@ def _stacked(starts: Sequence[LaneStart]) -> tuple[ArmNumbers, dict[str, Array],
 
 
 def _outside(q: Symbols, plant: Plant, box: Box) -> Condition:
-    found: list[Condition] = []
+    conditions: list[Condition] = []
     for joint in list(plant.robot.model.joints)[1:]:
         if not joint.nv:
             continue
         at, low, high = joint.idx_q, box.lower[joint.idx_v], box.upper[joint.idx_v]
         if joint.nq == 1:
             motion = q[at] - box.center[at]
-            found += [motion < low - _ROUND_OFF, motion > high + _ROUND_OFF]
+            conditions += [motion < low - _ROUND_OFF, motion > high + _ROUND_OFF]
         elif high + _ROUND_OFF < math.pi:
             cosine, sine = box.center[at : at + 2]
-            found.append(q[at] * cosine + q[at + 1] * sine < math.cos(high + _ROUND_OFF))
+            conditions.append(q[at] * cosine + q[at + 1] * sine < math.cos(high + _ROUND_OFF))
     if box.task is not None and box.sigma_min > 0.0:
         J = tasks.jacobian(box.task, Arm.known(box.task.robot).at(q))
         G = J @ J.T if J.shape[0] <= J.shape[1] else J.T @ J
         pivots = Factors(G - np.multiply(box.sigma_min**2, np.eye(len(G)))).pivots
-        found += [pivot <= 0.0 for pivot in pivots]  # one is, where an eigenvalue is
-    return law.any_of(symbols(found))
+        conditions += [pivot <= 0.0 for pivot in pivots]  # one is, where an eigenvalue is
+    return law.any_of(symbols(conditions))
 
 
 def _larger(known: Number, shares: Symbols) -> Number:

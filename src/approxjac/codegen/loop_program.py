@@ -43,7 +43,7 @@ _FIXED = {"approxjac", "numpy", "pinocchio", *sys.stdlib_module_names} - {"__mai
 
 
 class _Pickler(pickle.Pickler):
-    """Refuses what a user wrote: in a notebook its name may mean something else the next time."""
+    """A pickler that refuses user code: in a notebook its name may mean something else later."""
 
     def reducer_override(self, value: Any) -> Any:
         written = isinstance(value, (type, FunctionType))

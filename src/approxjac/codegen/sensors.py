@@ -134,10 +134,10 @@ class TracedSensing:
         """
         is_due = (self._k % every == 0) | (self._k == self._k[-1])
         known = self._times | {RECORDED: is_due}
-        found = np.zeros((len(self._k), program.n_times))
+        rows = np.zeros((len(self._k), program.n_times))
         for name, (at, size) in program.times.items():
-            found[:, at : at + size] = np.reshape(known[name], (-1, size))
-        return found
+            rows[:, at : at + size] = np.reshape(known[name], (-1, size))
+        return rows
 
     def drawn(
         self, program: Program, seeds: Sequence[int], width: int
@@ -153,14 +153,14 @@ class TracedSensing:
             draws[name] = [getattr(generator(seed, name), kind) for seed in seeds]
 
         def block(first: int, end: int) -> Array:
-            found = np.zeros((-(-len(seeds) // width), end - first, program.n_draws, width))
+            values = np.zeros((-(-len(seeds) // width), end - first, program.n_draws, width))
             for name, (at, size) in program.draws.items():
                 here = drawn_at.get(name, self._always)[first:end]
                 number = int(here.sum())
                 steps: Any = slice(None) if number == len(here) else np.flatnonzero(here)
                 for lane, draw in enumerate(draws[name]):
                     group, i = divmod(lane, width)
-                    found[group, :, at : at + size, i][steps] = draw((number, size))
-            return found
+                    values[group, :, at : at + size, i][steps] = draw((number, size))
+            return values
 
         return block

@@ -73,9 +73,9 @@ def _with_parts(
             own[name] = changed(part)
     if not own:
         return controller
-    found: Controller = object.__new__(type(controller))
-    vars(found).update(vars(controller), **own)
-    return found
+    copy: Controller = object.__new__(type(controller))
+    vars(copy).update(vars(controller), **own)
+    return copy
 
 
 def first_state(controller: Controller) -> Array:

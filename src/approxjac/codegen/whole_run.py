@@ -42,7 +42,7 @@ def whole_run(
         loop: The loop at its start.
         stride: Number of steps between recorded ones; the last is recorded, too.
         progress: Function called now and then with the time reached [s].
-        must: Whether to compile a short run, too, and raise an error if that is not possible.
+        must: True to compile a short run, too, and raise an error if that is not possible.
     """
     try:
         code = _loop_of(loop, must)
@@ -79,12 +79,12 @@ def _loop_of(loop: SampledLoop, must: bool) -> _Loop | None:
             why = f'engine must be "python" or None for {which}, got "compiled"' if must else which
             raise InvalidInputError(why, given="compiled")
     given = law, plant, loop.dt, loop.integrator
-    found = _loops.get(key := loop_key(*given))
-    if found is None:
-        found = _loops[key] = _Loop(*given)
+    known = _loops.get(key := loop_key(*given))
+    if known is None:
+        known = _loops[key] = _Loop(*given)
         if len(_loops) > _KEPT:
             _loops.pop(next(iter(_loops)), None)
-    return found
+    return known
 
 
 class _Loop:

@@ -70,13 +70,13 @@ class Controller(ABC):
         parameters: Names and units of the numbers that `learnt` returns, in their order.
         kinematics: Known or learnt kinematics that predict the controlled error; None if it
             controls the measured one.
-        unseen: Largest motion of x without a new one for which it goes on, in each coordinate of
-            what is measured [unit of the task]; None if it does not count it.
+        unseen: Largest motion that it allows without a new x, for each measured coordinate [unit of
+            the task]; None if it has no such limit.
         alpha: α of `passive_output` [1/s].
         diagonals: Gains of its task and joints, if any.
         gain_values: Gains by name.
         resting: Number of leading state entries that pause when limits give up the proof.
-        needs_solver: Whether its limits may need a solver, which takes time.
+        needs_solver: True if its limits may need a solver, which takes time.
         guard: Bounds of good samples; None is without, see `guarded`.
     """
 
@@ -159,10 +159,10 @@ class Controller(ABC):
         """Return this controller with other bounds of good samples; None accepts all."""
         if guard is not None:
             require("guard", guard, Guard, "Guard(q=..., lag=...) or None")
-        found: Self = object.__new__(type(self))
+        copy: Self = object.__new__(type(self))
         kept = {name: value for name, value in vars(self).items() if name != "_sample_guard"}
-        vars(found).update(kept, guard=guard)
-        return found
+        vars(copy).update(kept, guard=guard)
+        return copy
 
     @functools.cached_property
     def _sample_guard(self) -> SampleGuard | None:

@@ -13,7 +13,7 @@ from approxjac.tasks.analysis import image_feature, seen_configurations
 from approxjac.validation import Array
 
 _LEAST = 1e-6  # ratio of singular values
-_OF_POINTS = 6  # coordinates of an image, from which on it may tell some motions badly
+_OF_POINTS = 6  # coordinates of an image, from which on it may show some motions badly
 _UNUSUAL = 0.2  # of the usual σ_min/σ_max
 _CONFIGURATIONS = 20
 

@@ -409,7 +409,7 @@ class SetpointController(Immutable, Controller):
             Y = learning.Y(q, J_hat)
         if self.velocity is not None:
             # The differentiator's state follows x with time constant T: its rate is Ẋ itself.
-            # Without x it goes on with Ĵq̇, so that there is no jump when x is back.
+            # Without x it integrates Ĵq̇, so that there is no jump when x is back.
             x_dot = (x - state[self.resting :]) / self._lag
             if lost is not False:
                 x_dot = law.select(lost, J_hat.dot(v), x_dot)

@@ -25,7 +25,7 @@ class Driver(Protocol):
     Attributes:
         dt: Period of the loop [s].
         command: Kind of commands for `send`: joint torques, or joint velocities.
-        adds_gravity: Whether the robot adds the gravity torque of its own model to commands.
+        adds_gravity: True if the robot adds the gravity torque of its own model to commands.
         limits: Limits that the robot enforces itself, by refusing a command or stopping.
     """
 

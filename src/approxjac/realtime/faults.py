@@ -108,7 +108,7 @@ class Accuracy:
         as_number("velocity_filter", self.velocity_filter, unit="s", minimum=0.0)
 
     def for_units(self, units: Sequence[str]) -> Accuracy:
-        """Return it with x filled in, by default from the units."""
+        """Return this accuracy with x filled in, by default from the units."""
         return self if self.x is not None else replace(self, x=[_X.get(u, 2e-3) for u in units])
 
 
@@ -146,7 +146,7 @@ class Tolerances:
         as_number("max_period", self.max_period, unit="s", above=0.0)
 
     def for_task(self, task: Task, dt: float, unseen: Array | None = None) -> Tolerances:
-        """Return them filled in for each coordinate of a task, a period of dt [s], and `unseen`."""
+        """Return these for each coordinate of a task, a period of dt [s], and `unseen`."""
         as_number("max_period", self.max_period, unit="s", above=dt)
         blind = task_bounds("max_blind_motion", self.max_blind_motion, task, _BLIND)
         if self.max_blind_motion is None and unseen is not None:

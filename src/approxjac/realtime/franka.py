@@ -55,7 +55,7 @@ class FrankaDriver:
         collision: Joint torques, and forces on the tip, above which a contact causes a reflex: a
             number or shape (7,) [N m], and a number or shape (6,) [N, N m]. None keeps the
             robot's setting.
-        realtime: Whether to require a real-time kernel and priority, as a robot should have.
+        realtime: True to require a real-time kernel and priority, as a robot should have.
 
     Raises:
         DriverError: No connection, or the robot refuses.

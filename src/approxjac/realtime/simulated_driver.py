@@ -15,7 +15,7 @@ from approxjac.simulation.plant import Plant
 from approxjac.simulation.simulate import MovingArm
 from approxjac.validation import Array, as_integer, as_number, require
 
-_CATCH_UP = 50  # periods that an arm goes on without a command
+_CATCH_UP = 50  # periods for which an arm moves on without a command
 
 
 class SimulatedDriver(MovingArm):
@@ -34,7 +34,7 @@ class SimulatedDriver(MovingArm):
         t: Simulated time [s].
         q: True configuration, shape (nq,).
         v: True joint velocity, shape (n_v,).
-        braked: Whether the brake is closed, so that the arm is at rest.
+        braked: True if the brake is closed, so that the arm is at rest.
     """
 
     def __init__(

@@ -27,14 +27,14 @@ _SHARE = 0.12  # of the way moved, by which ∫q̇ may be off
 _WINDOWS = (8, 24, 64)  # periods over which q is held against ∫q̇
 _SUDDEN = 0.05  # of the largest speed: by which q̇ may change in a millisecond
 _BLOW = 0.5  # of the fastest joint's speed, by which an arm that meets something may change it
-_WAY = 0.02  # rad or m, which a joint is led to go and goes no bit of it
+_WAY = 0.02  # rad or m, commanded motion to which a joint has to respond
 _STOPPED = 30.0  # rad/s², by which no joint stops by itself
 _REPEATS = 8  # readings of q to the bit, after which a joint that moved is taken for frozen
 _STANDS = 0.03  # s, for which q of a joint is the same to the bit where it is at rest
 _FINE = 1e-4  # rad or m, standard deviation of q with which the two before are so small
 _REMEMBERED = 200  # readings of both clocks
 _TORQUE = {"rad": "N m", "m": "N"}
-_FASTER = 0.15  # of its largest speed, by which a joint may be faster than it is led to be
+_FASTER = 0.15  # of its largest speed, by which a joint may exceed the commanded one
 _SLOW = {"rad": 0.4, "m": 0.1}  # per s; or by this, where its largest speed is low
 _FADES = 0.5  # s, in which that fades: joints that share a motion swing on
 _GROWTH, _STEPS, _TIME = 1.4, 5, 0.03  # of speed, over so many times of so many seconds
@@ -129,7 +129,7 @@ class FaultWatch:
     def commanded(self, command: Array, reference: Array | None) -> Fault | None:
         """Return the fault of a joint that is faster than recent commands explain."""
         self._command = command
-        if len(self._past) == 1:  # what holds a joint that stood still from the beginning
+        if len(self._past) == 1:  # the torque that holds a joint at rest from the beginning
             self._held_by = command
         wanted = np.zeros_like(command) if reference is None else reference
         self._asked, led = command if self._commands_velocity else wanted, np.abs(wanted)
@@ -203,7 +203,7 @@ class FaultWatch:
         return self._unanswered(same)
 
     def _disagrees(self, j: int, way: Array, mean: Array, slack: Array, window: int) -> Fault:
-        """Return whose fault it is that q and ∫q̇ moved differently: q̇'s, or one step of t."""
+        """Return the cause of different motions of q and ∫q̇: q̇, or one step of t."""
         recent = pairwise(list(self._past)[-1 - window :])
         (before, *_), (after, _, odd) = max(recent, key=lambda two: abs(two[1][2] - self._dt))
         off = way - mean + (1.0 - self._dt / odd) * (after - before)[1]
@@ -231,7 +231,7 @@ class FaultWatch:
         return self._fault(Fault.COMMAND_UNANSWERED, j, message)
 
     def _speed(self, t: float, v: Array) -> Fault | None:
-        """Look at speeds, and whether they grow like those of a loop that is unstable."""
+        """Check speeds, and whether they grow as in an unstable loop."""
         if fault := self._too_fast(v, self._fastest + self._v_noise):
             return fault
         peaks = self._peaks
@@ -258,7 +258,7 @@ MotionSd = Callable[[Array], Callable[[Array], Array] | None]
 
 
 class _Frame(NamedTuple):
-    """One value of x, and what is believed of the instant it was taken at."""
+    """One value of x, and the believed state at the instant when it was taken."""
 
     t: float
     x: Array
@@ -380,7 +380,7 @@ class SensorWatch:
     def _instant(self, taken: float) -> tuple[float, Array, float] | None:
         periods = (self._past[-1][0] - taken) / self._dt
         if not -0.5 <= periods < len(self._past) - 0.5:
-            return None  # from before the run, or by a clock that nobody knows
+            return None  # from before the run, or by an unknown clock
         back = round(periods)
         near = self._past[-1 - back]
         if abs(near[0] - taken) > 2.0 * self._dt:  # periods were missed
@@ -405,10 +405,10 @@ class SensorWatch:
         return bool((self._sizes(self._unexplained(off, turned, new, old)) > slack).any())
 
     def _is_still(self, new: _Frame, old: _Frame) -> bool:
-        """Return True where x does not move though it is led to, and though the joints move it.
+        """Return True if x stands still although its target and the joints move.
 
-        Half of what is unknown is not the reason then: that would be joints which turn about a tip
-        that is held, and whose target rests.
+        Half of the slack is allowed for. The target has to move, too, as joints may turn about a
+        tip that rests.
         """
         seen, believed = self._motions(new, old)
         if (self._sizes(seen) > self._noise).any():
@@ -422,7 +422,7 @@ class SensorWatch:
         return self._task.error(new.x, old.x), self._task.error(new.x_hat, old.x_hat)
 
     def _slack(self, new: _Frame, old: _Frame) -> tuple[float, Array]:
-        """Return how much a tip elsewhere on its link may move otherwise [m], and what by Ĵ."""
+        """Return the errors of motion by a displaced tip [m], and by Ĵ (one per unit)."""
         # ‖R' − R‖ is √2 times smaller in the spectral norm than in Frobenius'
         turned = self._tool * float(np.linalg.norm(new.rotation - old.rotation)) / math.sqrt(2.0)
         return turned, self._share * self._norms * max(new.path - old.path, 0.0)

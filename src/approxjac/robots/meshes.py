@@ -16,7 +16,7 @@ from approxjac.robots.urdf import MOMENTS, Urdf
 
 _MUJOCO_READS = (".stl", ".obj", ".msh")
 _MOST = 200_000_000  # bytes of a mesh file
-_READ = ("stl", "obj", "dae", "ply", "off")  # no archives, whose size nobody knows
+_READ = ("stl", "obj", "dae", "ply", "off")  # no archives, whose size is unknown
 _MOST_COPIES = 100_000  # of nodes in a COLLADA file
 
 
@@ -117,7 +117,7 @@ def for_other_tools(urdf: Urdf, urdf_dir: Path | None, path: Path) -> None:
 
 
 def _possible(inertia: Any) -> bool:
-    """Tell whether principal moments are possible: none negative, none above the others' sum."""
+    """Return True if principal moments are possible: none negative or above the others' sum."""
     xx, xy, xz, yy, yz, zz = (float(inertia.get(name)) for name in MOMENTS)
     small, middle, large = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     slack = 1e-9 * abs(large)

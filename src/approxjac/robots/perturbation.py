@@ -113,7 +113,7 @@ class PerturbedRobot(Robot):
 
 
 def _again(perturbation: Perturbation, values: tuple[Any, ...], gravity: Array) -> Robot:
-    """Return a perturbed robot again, in another process."""
+    """Rebuild a perturbed robot in another process."""
     return perturbation.robot(*values).with_gravity(gravity)
 
 

@@ -156,7 +156,7 @@ def leader_of(joint: str, following: Mapping[str, Follows]) -> Follows:
 
 
 def _tree(text: str) -> Any:
-    """Return the root of an XML text; a namespace that nobody declared, as Drake's, is declared."""
+    """Return the root of an XML text; undeclared namespaces, such as Drake's, are declared."""
     # The text is decoded already; an encoding it declares would be applied a second time.
     bare = re.sub(r"^\s*<\?xml[^>]*\?>", "", text)
     parser = etree.XMLParser(remove_blank_text=True)
@@ -220,7 +220,7 @@ def _floats(text: str | None) -> list[float]:
 
 
 def _faults(root: Any) -> Iterator[str]:
-    """Say what is wrong with a URDF; Pinocchio's parser would only say that it is."""
+    """Describe the faults of a URDF; Pinocchio's parser only says that there are some."""
     if not root.get("name"):
         yield "<robot> has no name"
     for tag in ("link", "joint"):

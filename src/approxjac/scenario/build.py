@@ -69,7 +69,7 @@ class BuiltScenario:
         if tuning is not None and not tuning.stable:
             return tuning.reasons[0]
         if self.scenario.true.tracker != Tracker():
-            return ""  # in whose axes nobody knows where the arm is
+            return ""  # in its axes the place of the arm is unknown
         target = self.target
         if not isinstance(target, np.ndarray):
             times = np.linspace(0.0, self.scenario.run.duration, _INSTANTS)

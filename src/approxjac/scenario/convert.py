@@ -115,7 +115,7 @@ def converted(hint: Any, value: Any) -> Any:
 
 
 def _meant(hint: Any, words: Words) -> Any:
-    """Return the value of another kind that words stand for where one of a type is wanted."""
+    """Return the value of another type that typed words stand for."""
     origin, inner = get_origin(hint), get_args(hint)
     if not words:
         raise ValueError

@@ -128,7 +128,7 @@ def _scene_in_hand(
     )  # fmt: skip
     R_goal, p_goal = FrameKinematics(truth, mount).placement(q_goal)
     R_eye, p_eye = camera.placement()
-    # a little out of the plane across the view, where three points tell least of a tilt
+    # a little out of the plane across the view, where three points show a tilt least
     pattern = _points(scenario)[:, [1, 2, 0]]
     pattern = pattern - pattern.mean(axis=0) + np.array([0.0, 0.0, _WORKING_DEPTH])
     sensor = ImageTask(truth, camera, points=(pattern @ R_eye.T + p_eye) @ R_goal.T + p_goal)

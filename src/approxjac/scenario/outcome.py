@@ -241,7 +241,7 @@ class RunResult:
 
     @property
     def _swings(self) -> str:
-        """What still swings at the end; "" if nothing does."""
+        """The joints that still swing at the end, as text; "" if none does."""
         swings = [e for e in self.run.events if e.condition is Condition.OSCILLATES]
         lasting = [f"{e.where} by {e.figure}" for e in swings if math.isinf(e.end)]
         return f"swings without end: {', '.join(lasting)}" if lasting else ""

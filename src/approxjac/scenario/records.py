@@ -1,4 +1,4 @@
-"""The parts of a scenario: keys, types, ranges, and the texts that tell of each."""
+"""The parts of a scenario: keys, types, ranges, and their help texts."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Object:
     radius: float | None = at_least(None)
 
     def like(self, true: Object) -> Object:
-        """Return a believed object, with what is not said of it as it truly is."""
+        """Return a believed object; numbers that are not given are the true ones."""
         said = {name: value for name, value in vars(self).items() if value is not None}
         return replace(true, **said)
 

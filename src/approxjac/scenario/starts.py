@@ -90,7 +90,7 @@ def configuration_of(
 
 
 def too_far(task: Task, values: Array) -> str:
-    """Return why values (N, n_x) are beyond the reach of the arm stretched out; or ""."""
+    """Return the reason why values (N, n_x) are beyond the stretched arm's reach; or ""."""
     if not isinstance(task, PositionTask | PoseTask):
         return ""
     first, most = task.robot.reach_bound(task.frame)

@@ -63,12 +63,12 @@ class Event(NamedTuple):
     """Something that happened to an arm in a run.
 
     Attributes:
-        condition: What it was.
-        begin: When it began [s].
-        named: When it was known [s].
-        end: When it was over, infinite if it lasts [s].
+        condition: Kind of the event.
+        begin: Time at which it began [s].
+        named: Time at which it was detected [s].
+        end: Time at which it ended [s], infinite if it lasts.
         where: Joint, or direction in the world.
-        figure: How large it was, with its unit.
+        figure: Its size, with the unit.
     """
 
     condition: Condition
@@ -95,8 +95,8 @@ class Monitor:
     Torques that the believed robot does not explain are observed by its momentum [De Luca 2003].
     A Kalman filter takes what lasts for a load at the tip, friction and constant errors. What comes
     suddenly is compared with its possible causes: one motor that lacks a share of its torque, a
-    force at the tip, a load. Of a robot that takes velocities no torque is known, so that only
-    oscillations and an x that is not explained are found.
+    force at the tip, a load. The torques of a robot that takes velocities are unknown, so that only
+    oscillations and an unexplained x are detected.
 
     Args:
         controller: The controller, which knows the believed robot and perhaps learns its
@@ -104,7 +104,7 @@ class Monitor:
         adds_gravity: Robot whose gravity is added to the commands by the real one; None for none.
 
     Attributes:
-        events: What happened so far, in the order in which it was known.
+        events: Events so far, in the order of their detection.
     """
 
     def __init__(self, controller: Controller, adds_gravity: Robot | None = None) -> None:
@@ -127,7 +127,7 @@ class Monitor:
         self._since, self._quiet, self._speed = math.nan, 0.0, np.zeros(3)
         joints = self._scale
         sd = np.concatenate([_LOADS, *(_FRICTION * joints,) * 2, _CONSTANT * joints])
-        self._found, self._P = np.zeros(len(sd)), np.diag(sd**2)
+        self._estimate, self._P = np.zeros(len(sd)), np.diag(sd**2)
         self._drift = (_DRIFT * sd) ** 2
         self._weighed, self._lighter = math.inf, 0.0  # when, and the mass at the tip before
         kinematics = controller.kinematics
@@ -138,7 +138,7 @@ class Monitor:
     def look(
         self, measurement: Measurement, torque: Array, reference: Array | None, state: Array
     ) -> bool:
-        """Look at a sample; return True if something new was found.
+        """Process a sample; return True if an event was detected.
 
         Args:
             measurement: The sample.
@@ -217,7 +217,7 @@ class Monitor:
     # -- what was learnt ------------------------------------------------------------------
 
     def _compare(self, t: float, q: Array, v: Array, state: Array) -> None:
-        """Compare x with what was learnt of it; see whether it is late."""
+        """Compare x with the learnt kinematics, and check whether it is late."""
         try:
             kinematics, known = self._controller.kinematics_of(state)
         except InvalidInputError:  # a controller of a user's own that does not tell
@@ -290,11 +290,11 @@ class Monitor:
         PH = self._P @ H.T
         S = H @ PH
         _diagonal(S)[:] += variance
-        off = self._residual - H @ self._found
+        off = self._residual - H @ self._estimate
         is_off = bool((off**2 / np.diag(S)).max() > _SURE) and t - self._begun > _BEGINS
         if is_off or self._window:
             if not self._window:
-                self._since, self._lighter = t, float(self._found[0])
+                self._since, self._lighter = t, float(self._estimate[0])
                 self._speed = self._smooth_tip[:3]
             self._quiet = 0.0 if is_off else self._quiet + h
             self._window.append(_Tick(off, 1.0 / np.sqrt(np.diag(S)), self._smooth_torque, J, load))
@@ -308,17 +308,18 @@ class Monitor:
         if lasts or not self._window:
             _diagonal(S)[:] += (_LIKE - 1.0) * variance
             gain = np.linalg.solve(S, PH.T).T
-            self._found = self._found + gain @ off
+            self._estimate = self._estimate + gain @ off
             P = self._P - gain @ PH.T
             self._P = 0.5 * (P + P.T)
         if t > self._weighed:
             self._weigh()
 
     def _expected(self, q: Array) -> tuple[Array, Array, Array, Array]:
-        """Return what torque load, friction and errors cause, and how well that is known.
+        """Return the expected unexplained torque as a linear model.
 
-        That is the derivative by the numbers that the filter finds (n_v, 4 + 3 n_v), the variance
-        of the rest (n_v,), J of the tip (3, n_v), and the derivative by the load (n_v, 4).
+        Its parts: the derivative by the filter's numbers (load, friction and constant errors;
+        n_v, 4 + 3 n_v), the variance of the rest (n_v,), J of the tip (3, n_v), and the derivative
+        by the load (n_v, 4).
         """
         n, v, rate = len(self._residual), self._smooth_v, 1.0 / _FILTER
         J, R, _ = self._tip.motion(q)
@@ -336,7 +337,7 @@ class Monitor:
         variance = (_MODEL * self._scale) ** 2 + rate**2 * self._M**2 @ self._noise
         variance += _INERTIA**2 * self._M**2 @ (rate * (self._v - v)) ** 2
         variance += (_TURNED * float(np.linalg.norm(speeds[3:]))) ** 2 * (J[3:] ** 2).sum(axis=0)
-        friction = np.clip(self._found[4 : 4 + n], 0.0, 2.0 * _FRICTION * self._scale)
+        friction = np.clip(self._estimate[4 : 4 + n], 0.0, 2.0 * _FRICTION * self._scale)
         variance += ((1.0 - np.abs(slides)) * friction) ** 2  # of a joint that stands
         at_stop = self._robot.beyond_limits(q[None])[0] > -_STOP
         return H, np.where(at_stop, variance + self._scale**2, variance), J[:3], load
@@ -400,7 +401,7 @@ class Monitor:
     def _weigh(self) -> None:
         """Compare the mass at the tip with that before a disturbance that nothing explained."""
         self._weighed = math.inf
-        mass, sd = float(self._found[0]) - self._lighter, math.sqrt(float(self._P[0, 0]))
+        mass, sd = float(self._estimate[0]) - self._lighter, math.sqrt(float(self._P[0, 0]))
         if abs(mass) > max(_LIGHTEST, _SURELY * sd) and self._robot.gravity.any():
             figure = f"{mass:+.2g} kg"
             self._note("load", Condition.TOOL_CHANGED, self._since, self._tip.frame, figure)
@@ -446,7 +447,7 @@ def _fit(
 
 
 class _Tick(NamedTuple):
-    """A look at torques that nothing explains so far."""
+    """A sample of torques that nothing explains so far."""
 
     off: Array
     weight: Array

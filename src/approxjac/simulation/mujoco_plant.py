@@ -113,7 +113,7 @@ def _mujoco_model(robot: Robot, floor: float | None, joint_limits: bool) -> mujo
 
 
 def _same_physics(spec: mujoco.MjSpec, robot: Robot) -> None:
-    """Leave to a MuJoCo model what `Plant` has, and nothing that it has not."""
+    """Remove from a MuJoCo model the physics that `Plant` does not have."""
     import mujoco
 
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE

@@ -243,7 +243,7 @@ class Plant(Immutable):
             the robot is held. Needs dt.
         torque_limits: Largest motor torque, a number or shape (n_v,) [N m or N], at which commands
             are clipped; infinite is no limit. Nothing is clipped by default.
-        joint_limits: Whether the joints stop at `Robot.position_limits`, see `JointStops`. A
+        joint_limits: True if the joints stop at `Robot.position_limits`, see `JointStops`. A
             sampled step that ends beyond a limit is one of semi-implicit Euler.
         servo: The robot's own velocity loop, for a controller that commands joint velocities:
             `simulation.VelocityServo`. None takes torques. Needs dt.

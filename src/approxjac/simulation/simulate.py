@@ -214,7 +214,7 @@ class Loop:
         answer: Output of the controller.
         tau: Torque at this instant: the controller's, or that of a simulated servo; NaN for a robot
             that takes velocities, shape (n_v,).
-        stopped: Whether an observer stopped it.
+        stopped: True if an observer stopped it.
     """
 
     truth: Measurement
@@ -224,7 +224,7 @@ class Loop:
     tau: Array
     target: Array
     _wanted: Target | Array
-    _knows_truth: ClassVar[bool] = True  # of a robot nobody does
+    _knows_truth: ClassVar[bool] = True  # False on a robot
 
     def __init__(
         self, plant: Plant, controller: Controller, path: Wanted, dt: float, steps: int

@@ -25,7 +25,7 @@ from approxjac.simulation.plant import Plant
 from approxjac.tasks import StackedTask, Task
 from approxjac.validation import Array, Saved, require
 
-_TOLD = 3  # events in a text
+_NAMED = 3  # events in a text
 _TOUCHES = 1e-6  # beyond a position limit; less is rounding [rad or m]
 _NUMBERS = (np.dtype(np.float64), np.dtype(np.int64))
 _TORQUE = {"rad": "N m", "m": "N"}
@@ -64,7 +64,7 @@ class Scene:
     task: Task | None  # the controller's, of the believed robot
     torque_limits: Array  # of the motors, shape (n_v,) [N m or N]; infinite where unknown
     parameters: Mapping[str, str] = field(default_factory=dict)  # that are learnt: their units
-    knows_truth: bool = True  # else the true robot is the believed one, as nobody knows more
+    knows_truth: bool = True  # False on a real arm: `truth` is the believed robot
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as texts, numbers, lists and dictionaries, to be stored in a file."""
@@ -225,15 +225,15 @@ class Trajectory:
 
     @cached_property
     def events(self) -> tuple[Event, ...]:
-        """What happened to the arm, by a `Monitor`: of a simulated run by the recorded instants."""
+        """Events that a `Monitor` detected; of a simulated run, from the recorded instants."""
         return tuple(self.derived(self, "events", slice(None)))
 
     def describe_events(self) -> dict[str, str]:
         """Return the events as text, the first few by name."""
-        told = [f"{event}" for event in self.events[:_TOLD]]
-        if len(self.events) > _TOLD:
-            told.append(f"and {len(self.events) - _TOLD} more")
-        return {"events": "; ".join(told)} if told else {}
+        texts = [f"{event}" for event in self.events[:_NAMED]]
+        if len(self.events) > _NAMED:
+            texts.append(f"and {len(self.events) - _NAMED} more")
+        return {"events": "; ".join(texts)} if texts else {}
 
     @property
     def target(self) -> Array:
@@ -533,7 +533,7 @@ class Record:
         return learnt
 
     def _events(self, run: Trajectory) -> list[Event]:
-        """Return what happened, by what the controllers knew at the recorded instants."""
+        """Return the events, from the controllers' knowledge at the recorded instants."""
         J_hat, dt = self._columns[-1], self._dt or 0.0
         starts, controllers = zip(*self._controllers, strict=True)
         monitor, of = Monitor(controllers[0], self._plant.adds_gravity), 0

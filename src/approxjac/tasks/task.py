@@ -57,11 +57,11 @@ class Task(Immutable, Saved, ABC):
     Attributes:
         m: Number of task coordinates: of the error, and rows of the Jacobian.
         n_x: Length of a value X, and of a target.
-        uses_x: Whether the Jacobian depends on the measured x besides q.
+        uses_x: True if the Jacobian depends on the measured x besides q.
         features: Frames and points that the task follows, to draw them.
-        subtracts: Whether the error is x − x_d.
+        subtracts: True if the error is x − x_d.
         origin: A value that errors of others may be taken to, shape (n_x,).
-        overdetermined: Whether there may be more coordinates than joints, to be combined.
+        overdetermined: True if there may be more coordinates than joints, to be combined.
         ignored: Entries of x that no error depends on.
         parts: Parts of x that are measured or lost at once, such as a point of an image: entries of
             x, and of the error.
@@ -162,7 +162,7 @@ class Task(Immutable, Saved, ABC):
 
     @property
     def measured(self) -> Task:
-        """The task whose value x is and whose sensor the plant has; this one, unless combined."""
+        """The task that the plant's sensor measures; this one, unless combined."""
         return self
 
     def visible(self, x: Array) -> Array:

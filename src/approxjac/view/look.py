@@ -105,7 +105,7 @@ def _light_mesh(path: Path, _changed: int) -> Trimesh:
 
 
 def _in_place(robot: Robot, wanted: set[str], seen: set[str]) -> dict[str, tuple[Trimesh, ...]]:
-    """Return capsules and balls for the links that nothing is seen of."""
+    """Return capsules and balls for links without a visible shape."""
     joints = robot_joints(robot)
     way, carriers = {joints[0].parent: 0.0}, {robot.tip, *wanted}
     for joint in joints:

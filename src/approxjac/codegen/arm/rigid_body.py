@@ -497,7 +497,7 @@ class LearntPoints:
         for i, j in enumerate(self._movers):
             translations[j] = given.structure.turn(parents[j]).T @ placed[i]
         numbers = given.arm.numbers._replace(translations=translations)
-        arm, found = Configured(given.arm, given.q, numbers), []
+        arm, parts = Configured(given.arm, given.q, numbers), []
         drifts = {j: arm.axes(parents[j]) @ rates[i] for i, j in enumerate(self._movers)}
         for frame, point in self._regressor.points:
             carrier = self._carriers[frame]
@@ -507,8 +507,8 @@ class LearntPoints:
             drifts[-1] = arm.axes(carrier) @ rates[n + frame]
             drift = sum((drifts[j] for j in reversed(arm.path(carrier))), _NOTHING) + drifts[-1]
             J, J_dot = arm.jacobian_of(carrier, p), arm.jacobian_dot_of(carrier, p, v, drifts)
-            found.append((p, J[:3], J_dot[:3], drift))
-        return PointMotion(*(np.concatenate(each) for each in zip(*found, strict=True)))
+            parts.append((p, J[:3], J_dot[:3], drift))
+        return PointMotion(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 
 class LearntBodies:
@@ -532,12 +532,12 @@ class LearntBodies:
     def powers(self, sigma: Symbols) -> Symbols:
         """Return Yᵀσ of σ (n_v,), shape (p,)."""
         turned = self._arm.motions(self._still, sigma, _NOTHING)
-        found = []
+        products_of = []
         for j, (each, moved) in enumerate(zip(turned, self._moved, strict=True)):
             for unit in np.eye(_OF_A_LINK):
                 f, moment = force(self._body(j, symbols(unit.tolist())), *moved)
-                found.append(f @ each.a + moment @ each.omega_dot)
-        return symbols(found)
+                products_of.append(f @ each.a + moment @ each.omega_dot)
+        return symbols(products_of)
 
     def torque(self, a: Symbols) -> Symbols:
         """Return Y a of parameters (p,), shape (n_v,) [N m or N]."""
@@ -578,32 +578,32 @@ def _known(name: str, values: Array) -> Symbols:
 
 def moved(robot: Robot, q: Symbols, motion: Symbols) -> Symbols:
     """Return the configuration (nq,) that a motion (n_v,) leads to, as `pin.integrate` does."""
-    found: list[Any] = []
+    q_after: list[Any] = []
     for joint, step in zip(own_joints(robot.model).values(), motion, strict=True):
         at = joint.idx_q
         if joint.nq == 1:
-            found.append(q[at] + step)
+            q_after.append(q[at] + step)
             continue
         (c,), (s,) = np.cos(symbols([step])), np.sin(symbols([step]))
         x, y = c * q[at] - s * q[at + 1], s * q[at] + c * q[at + 1]
         # the first step of Newton's method to the unit circle
         scale = 0.5 * (3.0 - (x * x + y * y))
-        found += [x * scale, y * scale]
-    return symbols(found)
+        q_after += [x * scale, y * scale]
+    return symbols(q_after)
 
 
 def difference(robot: Robot, a: Symbols, b: Symbols) -> Symbols:
     """Return the motion (n_v,) from a to b, both (nq,), as `pin.difference` does."""
-    found: list[Any] = []
+    motion: list[Any] = []
     for joint in own_joints(robot.model).values():
         at = joint.idx_q
         if joint.nq == 1:
-            found.append(b[at] - a[at])
+            motion.append(b[at] - a[at])
             continue
         cosine: Any = a[at] * b[at] + a[at + 1] * b[at + 1]
         sine: Any = a[at] * b[at + 1] - a[at + 1] * b[at]
-        found.append(products.angle(sine, cosine))
-    return symbols(found)
+        motion.append(products.angle(sine, cosine))
+    return symbols(motion)
 
 
 def _zeros(*shape: int) -> Symbols:

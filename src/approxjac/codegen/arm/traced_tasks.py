@@ -24,10 +24,10 @@ def frames(task: Task) -> tuple[str, ...]:
     Raises:
         InvalidInputError: A task that takes no symbols.
     """
-    found: tuple[str, ...] | None = vars(task).get("_traced_frames")
-    if found is None:
-        found = vars(task)["_traced_frames"] = _probed(task)
-    return found
+    names: tuple[str, ...] | None = vars(task).get("_traced_frames")
+    if names is None:
+        names = vars(task)["_traced_frames"] = _probed(task)
+    return names
 
 
 def _probed(task: Task) -> tuple[str, ...]:
@@ -71,7 +71,7 @@ def may_lose(task: Task) -> bool:
 
 
 def _cameras(of: Task) -> list[Camera]:
-    found: list[Camera] = []
+    cameras: list[Camera] = []
     seen: set[int] = set()
     waiting: list[Any] = [of]
     while waiting:
@@ -80,21 +80,21 @@ def _cameras(of: Task) -> list[Camera]:
             continue
         seen.add(id(part))
         if isinstance(part, Camera):
-            found.append(part)
+            cameras.append(part)
             continue
         parts = [*vars(part).values()] if isinstance(part, Task) else part
         waiting += [each for each in reversed(parts) if isinstance(each, _HOLDERS)]
-    return found
+    return cameras
 
 
 def numbers(sensors: Sequence[Task]) -> dict[str, Array]:
     """Return the numbers of sensors that may differ from run to run, by name, stacked."""
-    found: dict[str, Array] = {}
+    stacked: dict[str, Array] = {}
     for i, each in enumerate(zip(*map(_cameras, sensors), strict=True)):
         own = [camera.numbers for camera in each]
         for name in own[0]:
-            found[f"sensor.{i}{name}"] = np.array([one[name] for one in own])
-    return found
+            stacked[f"sensor.{i}{name}"] = np.array([one[name] for one in own])
+    return stacked
 
 
 def with_numbers(sensor: Task, given: Mapping[str, Symbols]) -> Task:
@@ -118,9 +118,9 @@ def _replaced(of: Any, changed: Mapping[int, Camera]) -> Any:
         own = {name: _replaced(part, changed) for name, part in vars(of).items()}
         if all(own[name] is part for name, part in vars(of).items()):
             return of
-        found = object.__new__(type(of))
-        vars(found).update(own)
-        return found
+        copy = object.__new__(type(of))
+        vars(copy).update(own)
+        return copy
     return of
 
 

@@ -125,7 +125,7 @@ def _t_checks(step: SampledStep) -> str:
 
 
 def _guarded(step: SampledStep) -> dict[str, str]:
-    """Return what a step does because of a guard, whose memory begins with a time."""
+    """Return the texts of a step with a guard, whose memory begins with a time."""
     at, never = step.controller.size, constant(0.5 * UNSEEN)
     if len(step.first) == at:
         return {"is_bridged": "0", "unguarded": "", "is_unseen": ""}
@@ -200,11 +200,11 @@ def _recorded(step: SampledStep, dt: float) -> list[Record]:
                 states[:, run] = own["after"]
                 if k == 0 or runs[run]:
                     runs[run].append(own | {"begins": np.array([k == 0])})
-    found = [record for run in runs for record in run]
-    if not found:
+    records = [record for run in runs for record in run]
+    if not records:
         message = f"controller must answer with a finite torque, got none of {step.controller!r}"
         raise InvalidInputError(message, given=step.controller)
-    return found
+    return records
 
 
 def _rows(records: list[Record]) -> str:
@@ -273,8 +273,8 @@ def _fields(step: SampledStep) -> dict[str, str]:
         lost = "the predicted one takes its place"
     rates = joined(f"{unit}/s" for unit in task.measured.units)
     units = joined(task.robot.joint_units)
-    if found := [f"q[{i}], q[{i + 1}]" for i in pairs(step)]:
-        units += f"; (cos, sin) of continuous joints: {' and '.join(found)}"
+    if circles := [f"q[{i}], q[{i + 1}]" for i in pairs(step)]:
+        units += f"; (cos, sin) of continuous joints: {' and '.join(circles)}"
     texts = {
         "t": "time [s]",
         "q": f"joint positions [{units}]",
@@ -297,8 +297,8 @@ def _said(text: str) -> str:
 
 def identifier(name: str) -> str:
     """Return a name as a valid C identifier."""
-    found = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_").lower()
-    return found if found[:1].isalpha() else f"arm_{found}".rstrip("_")
+    word = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_").lower()
+    return word if word[:1].isalpha() else f"arm_{word}".rstrip("_")
 
 
 def pairs(step: SampledStep) -> list[int]:

@@ -68,9 +68,9 @@ class LlvmLanes:
         """Take steps, in place. Other threads go on meanwhile.
 
         Args:
-            kept: What is kept, shape (groups, rows, width).
-            parameters: What stays, shape (groups, parameters, width).
-            block: Which steps to take; by default one.
+            kept: Memory of the runs, shape (groups, rows, width).
+            parameters: Constants of the runs, shape (groups, parameters, width).
+            block: The steps to take; by default one.
         """
         first, times, draws = block or Block.plain()
         if len(kept):

@@ -58,10 +58,10 @@ class MachineCode:
             machine = llvm.Target.from_default_triple().create_target_machine(
                 cpu=llvm.get_host_cpu_name(), features=features, opt=effort, jit=True
             )
-            found = cls._known[name] = cls(llvm, machine, _made(llvm, machine, name, text))
+            code = cls._known[name] = cls(llvm, machine, _made(llvm, machine, name, text))
             while len(cls._known) > _IN_MEMORY:
                 cls._known.popitem(last=False)
-        return found
+        return code
 
 
 def _made(llvm: Any, machine: Any, name: str, text: str) -> bytes:

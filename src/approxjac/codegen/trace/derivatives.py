@@ -28,7 +28,7 @@ def rates(of: Symbols, seeds: Sequence[tuple[Scalar, Number]]) -> Symbols:
     """Return the rates of an array of symbols, shape as it, where some inputs have rates.
 
     Raises:
-        TypeError: What is computed in a loop.
+        TypeError: A result is computed in a loop.
     """
     numbers = np.ravel(of).tolist()
     rate_of: dict[int, Any] = {each.place: rate for each, rate in seeds}

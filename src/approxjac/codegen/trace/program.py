@@ -25,7 +25,7 @@ STEP, RECORDED = "k", "recorded"
 
 
 class Block(NamedTuple):
-    """Steps that follow one another, with what is known of each."""
+    """Consecutive steps, with the numbers known of each."""
 
     first: int  # number of the first one
     times: Array  # what is the same in all runs, shape (steps, times)
@@ -33,7 +33,7 @@ class Block(NamedTuple):
 
     @classmethod
     def plain(cls, steps: int = 1) -> Block:
-        """Return some steps from 0 on, of which nothing is to be known."""
+        """Return some steps from 0 on, without such numbers."""
         return cls(0, np.zeros((steps, 0)), np.zeros((0, steps, 0, 1)))
 
 
@@ -100,12 +100,12 @@ class Program:
         flat = values.reshape(len(values), -1)
         differs = (flat != flat[:1]).any(axis=0)
         self._given[name] = differs, flat[0]
-        found = symbols(flat[0].tolist())
+        numbers = symbols(flat[0].tolist())
         if differs.any():
             self.parameters[name] = self.n_parameters, int(differs.sum())
             self.n_parameters += int(differs.sum())
-            found[differs] = inputs(self.graph, name, int(differs.sum()))
-        return found.reshape(values.shape[1:])
+            numbers[differs] = inputs(self.graph, name, int(differs.sum()))
+        return numbers.reshape(values.shape[1:])
 
     def filled(self, values: Mapping[str, Array]) -> Array:
         """Return the parameters of some runs, shape (N, n_parameters).
@@ -118,7 +118,7 @@ class Program:
             ValueError: A number differs that was the same in all of those.
         """
         n = len(next(iter(values.values())))
-        found = np.empty((n, self.n_parameters))
+        rows = np.empty((n, self.n_parameters))
         for name, each in values.items():
             differs, constants = self._given[name]
             same = np.logical_not(differs)
@@ -128,8 +128,8 @@ class Program:
                 raise ValueError(f"{name} differs from run to run where it did not")
             if name in self.parameters:
                 at, size = self.parameters[name]
-                found[:, at : at + size] = flat[:, differs]
-        return found
+                rows[:, at : at + size] = flat[:, differs]
+        return rows
 
     @property
     def k(self) -> Scalar:
@@ -195,7 +195,7 @@ class Scope:
         self.places: list[int] = []
 
     def shared(self, other: Scope | None) -> Scope:
-        """Return the innermost one that both are in."""
+        """Return the innermost scope that contains both."""
         a, b = self, self if other is None else other
         while a is not b:
             if a.depth < b.depth:
@@ -205,17 +205,17 @@ class Scope:
         return a
 
     def before_loops(self, needed: frozenset[int]) -> Scope:
-        """Return where to compute what needs some loops: before all others that this is in."""
-        found = region = self
+        """Return the scope for a result that depends on some loops: outside all other loops."""
+        scope = region = self
         while region.parent is not None and region.loop not in needed:
             if region.loop is not None:
-                found = region.parent
+                scope = region.parent
             region = region.parent
-        return found
+        return scope
 
 
 class Schedule:
-    """Where each of some operations is computed: as seldom as possible, and then as late."""
+    """A schedule of operations: each is computed as rarely as possible, and then as late."""
 
     def __init__(self, graph: Graph, wanted: list[int]) -> None:
         self._nodes = nodes = graph.nodes
@@ -290,11 +290,11 @@ class Schedule:
                 own = self.parts[place]
                 starts = [arguments[part] for part in own if part < value.n]
                 arguments = (*starts, *(arguments[value.n + part] for part in own))
-            found = nothing
+            loops = nothing
             for each in arguments:
                 if needs[each]:  # which few do
-                    found = found | needs[each]
-            needs[place] = found - {value.number} if operation == "loop" else found
+                    loops = loops | needs[each]
+            needs[place] = loops - {value.number} if operation == "loop" else loops
         return needs
 
 
@@ -308,7 +308,7 @@ class Writer:
         self._running: dict[int, str] = {}  # number of a loop → its label
 
     def lines(self, wanted: Sequence[Number]) -> tuple[list[str], list[str]]:
-        """Return the lines that compute some numbers, and what they are called there."""
+        """Return the lines that compute some numbers, and the names of these."""
         graph = self._graph
         roots = [graph.place(number) for number in wanted]
         self._schedule = schedule = Schedule(graph, roots)
@@ -363,7 +363,7 @@ class Writer:
         return self._language.loop(label, loop, lines, kept, rows)
 
     def _array(self, memory: int, at: int) -> tuple[str, int]:
-        """Return what an array of a graph is called, and where a place of it is there."""
+        """Return the name of an array of a graph, and the index of one of its places."""
         operation, _, value = self._graph.nodes[memory]
         if operation == "state":
             return f"s{self._running[value]}", at

@@ -95,7 +95,7 @@ def sample_configurations(task: Task) -> SampleConfigurations:
     ratios = np.divide(smallest, largest, out=np.zeros(len(seen)), where=largest > 0.0)
     least = _REGULAR
     if np.mean(ratios > least) < _FEW:
-        # images of several points always tell little of some motion: then half of what is usual
+        # images of several points always show some motions badly: then half the usual value
         least = max(0.5 * float(np.median(ratios)), _SINGULAR)
     regular = ratios > least
     if not regular.any():

@@ -31,7 +31,7 @@ _RATES = (1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0)  # [1/s]
 _LAG = 0.3  # rate times lag of x at most: a quarter of what makes a delayed integrator ring
 _SHARES = (1.0, 0.7, 0.49, 0.34, 0.24, 0.17, 0.12)  # of the learning that inertia alone allows
 _TORQUE, _HOLDABLE, _SPEED = 0.755, 0.7, 0.8  # shares of the limits
-_RIDGE = 0.03  # of the natural metric: what hardly any posture tells is learnt slowly
+_RIDGE = 0.03  # of the natural metric: hardly observable directions are learnt slowly
 _MARGIN = 1.5  # gains and learning may be larger by it
 _DAMPED = 0.15  # least damping ratio, in nine of ten cases
 _QUICK = 0.15  # r times the lag of x below which y is small along the way: it is slow enough
@@ -167,7 +167,7 @@ class Tuning:
         latency: Latency of the loop that they were chosen for.
         rate: r, rate of the task's slow pole [1/s].
         share: π, learning rate as a share of the largest that inertia allows.
-        stable: Whether the check by the sampled, delayed linearisation passed.
+        stable: True if the check by the sampled, delayed linearisation passed.
         reasons: Reasons of the choice, a line each.
     """
 
@@ -317,7 +317,7 @@ class _Arm:
         return (*choices[-1], False)
 
     def without_latency(self, gains: Diagonals, learning: Learning | None) -> tuple[Flags, float]:
-        """Return in which cases a loop without latency is stable, and how well it is damped.
+        """Return the cases in which a loop without latency is stable, and their damping.
 
         More is not asked for of one with latency: what is left is a believed Jacobian that is too
         far from the true one for any gains, or that makes any of them ring.

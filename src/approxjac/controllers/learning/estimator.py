@@ -125,7 +125,7 @@ class Kinematics(Immutable, ABC):
         return None
 
     def left_over(self, state: Array) -> Array:
-        """Return what the last x differs by from what is learnt, (m,), in its units; or nothing."""
+        """Return the residual of the last x, (m,) in its units, or an empty array without one."""
         return np.zeros(0)
 
     def robot(self, state: Array) -> Robot:
@@ -217,7 +217,7 @@ class Estimator(Kinematics):
     _pixels: Array | float = 1.0  # units of the noise in one of `_points`
 
     def _lay_out(self, own: Mapping[str, int], delay: float, dt: float, n_points: int) -> None:
-        """Say what a state holds, one part after the other: frames, gate, and by name its own.
+        """Define the layout of the state: frames, gate, then the named parts of a subclass.
 
         What is smoothed has a rate: of each name one in "_dot", in the same order without a gap,
         and of rotations one in "_spin". `n_points` is the length of `_points`.
@@ -256,19 +256,19 @@ class Estimator(Kinematics):
 
     @abstractmethod
     def _is_state(self, state: Array) -> bool:
-        """Return whether finite numbers (n_state,) can be a state, as far as they show."""
+        """Return True if finite numbers (n_state,) are a possible state."""
 
     @abstractmethod
     def _begin(self, state: Array) -> None:
-        """Write into a state what is believed."""
+        """Write the believed values into a state."""
 
     @abstractmethod
     def _has_begun(self, state: Array) -> Any:
-        """Return whether x was ever seen, and x̂ placed there."""
+        """Return True once x was seen and x̂ was set to it."""
 
     @abstractmethod
     def _place(self, state: Array, frame: Measurement) -> None:
-        """Let x̂ begin at the first x that is seen, in place."""
+        """Set x̂ to the first x that is seen, in place."""
 
     @abstractmethod
     def _reach(self, q_0: Array, q: Array) -> Array:
@@ -355,7 +355,7 @@ class Estimator(Kinematics):
             state[self._at[name]] = turn.dot(state[self._at[name]].reshape(turn.shape)).ravel()
 
     def _account(self, state: Array, left: Array, since: Any) -> None:
-        """Take up what is left of x (m,), NaN where nothing is; average it; its change is noise."""
+        """Average the residual of x (m,), NaN where lost; take its changes as noise."""
         at, seen = self._at, np.isfinite(left)
         n, before = np.where(seen, 1.0, 0.0).sum(), state[at["left"]]
         integral, averaged, noted = (state[at[name]] for name in ("integral", "averaged", "noted"))
@@ -430,7 +430,7 @@ class Estimator(Kinematics):
 
 
 def _time(measurement: Measurement) -> float:
-    """Return the time of a measurement [s], or refuse it: what is learnt has to be known when."""
+    """Return the time of a measurement [s]; raise an error without it, as learning needs it."""
     name, most = "t of a measurement", _FOREVER
     return as_number(name, measurement.t, unit="s", minimum=-most, most=most)
 
@@ -623,7 +623,7 @@ class Gate:
         numbers[-1] = law.select(believed & jumps, 1.0, 0.0)
 
     def _fits(self, last: Array, frame: Measurement) -> Any:
-        """Return whether x is where it may be after the last frame; where none was, it may be."""
+        """Return True if the motion since the last frame explains x, or if there was none."""
         nq, n = self._nq, self._nq + self._n_x
         compared = (last[n:] > 0.0) & np.isfinite(frame.x)
         change = np.where(compared, np.abs(frame.x - last[nq:n]), 0.0)

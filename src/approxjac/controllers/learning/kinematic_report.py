@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from approxjac.validation import Array
 
-_NOT_SEEN = 0.5  # share of the prior variance below which nothing was learnt of a number
+_NOT_SEEN = 0.5  # resolved share of the prior variance below which a number counts as not learnt
 _SILENT = 1.0  # without a frame to learn from [s]
 UNEXPLAINED = 1.5  # χ² a degree of freedom, above which x is not explained
 

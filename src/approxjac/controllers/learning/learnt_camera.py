@@ -521,13 +521,13 @@ class _KeyFrames:
         return 0.5 * float((terms[0] * left * left).sum())
 
     def _away(self, estimate: Array) -> tuple[Array, Array]:
-        """Return how far u, p and λ are from what is believed, 0 of the rotation; R − R₀ (9,)."""
+        """Return u, p and λ minus their believed values, 0 for the rotation; R − R₀ (9,)."""
         away = estimate - self._first
         n = self._n
         return np.concatenate([away[:n], away[n + 9 : -1], np.zeros(3), away[-1:]]), away[n : n + 9]
 
     def _cost(self, estimate: Array, terms: _Terms) -> float:
-        """Return the misfit, and what it costs to be away from what is believed."""
+        """Return the misfit plus the cost of the distance from the belief."""
         away, turned = self._away(estimate)
         prior = away.dot(self._prior * away) + 0.5 * self._prior[-2] * turned.dot(turned)
         return self._misfit(estimate, terms) + 0.5 * float(prior)

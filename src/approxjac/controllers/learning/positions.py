@@ -315,7 +315,7 @@ class AdaptiveKinematics(Estimator):
         square = (np.where(seen, averaged, 0.0) ** 2).sum() / np.where(seen, 1.0, 0.0).sum()
 
         def look(chi: Array) -> None:
-            """Average χ² as time has passed."""
+            """Update the average of χ² over time."""
             chi[1] += since
             chi[0] += since / np.minimum(chi[1] + 1.0, _MEMORY) * (square / usual**2 - chi[0])
 
@@ -558,12 +558,12 @@ class _KnownRotation:
         return self._about(self._first, self._R.T)
 
     def renewed(self, numbers: Array) -> Array:
-        """Return numbers that know what was learnt only as a belief, as vague as the first."""
+        """Return numbers with the learnt values as new belief, as uncertain as the first one."""
         Theta, R = self.estimate(numbers)
         return self._about(Theta, R.T)
 
     def are_numbers(self, numbers: Array) -> bool:
-        """Return whether they can be those of such an estimator."""
+        """Return True if these are possible numbers of this estimator."""
         # forgetting goes towards the prior, so nothing is ever known less well
         diagonal = self.information(numbers).diagonal()
         return bool((diagonal > 0.99 * self.prior.diagonal()).all())

@@ -60,7 +60,7 @@ class Solver:
             problem: The problem.
             price: Cost per unit of exceeding the upper bound of the last row; by default that is
                 a hard bound.
-            pays: Whether that bound is probably exceeded; it saves time only.
+            pays: True if that bound is probably exceeded; it saves time only.
         """
         if price is None:
             return self._solved(problem)[:2]
@@ -91,7 +91,7 @@ class Solver:
         return (problem.f if z is None else z), verdict
 
     def _solved(self, problem: QuadraticProgram) -> tuple[Array | None, Verdict, float]:
-        """Return z, or None, and why; and the multiplier of the last row, NaN of a function."""
+        """Return z or None, the verdict, and the last row's multiplier, NaN with `function`."""
         H, f, lower, upper, A, row_lower, row_upper = problem
         low, high = np.concatenate([lower, row_lower]), np.concatenate([upper, row_upper])
         # the quickest ways to see both
@@ -128,7 +128,7 @@ class Solver:
     def _answer(
         self, problem: QuadraticProgram, low: Array, high: Array
     ) -> tuple[Array | None, Verdict]:
-        """Return z of the function, if it is an array of numbers of that shape, and why not."""
+        """Return z of a user's function, None unless it is valid, and the verdict."""
         try:
             answer = self._function(QuadraticProgram(*map(np.copy, problem)))  # type: ignore[misc]
             if answer is None:

@@ -135,7 +135,7 @@ class TorqueLimited(ControllerWrapper):
         controller: The controller whose torque to limit.
         limits: `Limits` of joints and motors, by default those of the believed robot's URDF; a
             `Limit` of motion such as `Wall`; or a list of them.
-        proof: Whether to include the row yᵀ(τ − τ*) ≤ σ.
+        proof: True to include the row yᵀ(τ − τ*) ≤ σ.
         dt: Sampling time [s].
         braking: Largest rate of damping and of `AccelerationObserver`'s correction [1/s], at most
             1/dt. By default 0.3 over the lag of q̇ if the law knows its latency; else that of the
@@ -251,7 +251,7 @@ class TorqueLimited(ControllerWrapper):
 
     @property
     def needs_solver(self) -> bool:  # type: ignore[override]
-        """Whether a solver may be called; otherwise the minimum has a closed form."""
+        """True if a solver may be called; otherwise the minimum has a closed form."""
         return self._looks_ahead
 
     def begin(self, measurement: Measurement) -> Array:

@@ -417,7 +417,7 @@ class Hold(NamedTuple):
 
     @classmethod
     def of(cls, latency: Latency) -> Hold:
-        """Return that of a loop.
+        """Return the bounds for the delays of a loop.
 
         A filter of differences of q is late by its time constant and half a period in the mean.
         Frames that do not fall on samples wait for the next one; counted back by the longest wait,
@@ -582,7 +582,7 @@ class SampledForm(MatrixForm):
         return best_of(self, self._with_multipliers(FamilyNumbers(fixed, [], none, none)))
 
     def unknowns(self, family: Family) -> FamilyNumbers:
-        """Return those of the family, with the multiplier and X."""
+        """Return the unknowns of a family, with the multiplier and X."""
         return self._with_multipliers(super().unknowns(family))
 
     def _form(self, weights: Weights, Q: Array, G: Array) -> Array:

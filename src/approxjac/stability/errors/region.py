@@ -193,13 +193,13 @@ class RegularPart(Region):
 
 
 def require_setpoint(controller: Any) -> SetpointController:
-    """Return it; raise an InvalidInputError for anything else, such as a wrapper around one."""
+    """Return a set-point law; raise an InvalidInputError for anything else, as a wrapper."""
     wanted = "a SetpointController, which learns no Jacobian (controller.law is within wrappers)"
     return require("controller", controller, SetpointController, wanted)
 
 
 def require_law(controller: Controller, *, posture: bool = False) -> SetpointController:
-    """Return it, or raise an InvalidInputError unless it is law (6) or (28), without posture."""
+    """Return law (6) or (28) without posture; raise an InvalidInputError for anything else."""
     controller = require_setpoint(controller)
     kind, laws = type(controller), "the conditions are those of the laws (6) and (28)"
     names = ("evaluate", "step")
@@ -220,7 +220,7 @@ def require_law(controller: Controller, *, posture: bool = False) -> SetpointCon
 
 
 def uncovered(controller: Controller) -> str:
-    """Return why there is no certificate for a controller, or its limited law; or ""."""
+    """Return the reason why a controller, or its limited law, has no certificate; or ""."""
     try:
         require_law(controller.limited_law or controller)
     except InvalidInputError as error:

@@ -44,7 +44,7 @@ class Coordinate(NamedTuple):
     high: float
 
     def scaled(self, factor: float) -> Coordinate:
-        """Return it with its range scaled about the believed value; exact for 0 and 1."""
+        """Return this coordinate with a range scaled about its belief; exact for 0 and 1."""
         believed = self.believed
         low, high = (factor * end + (1.0 - factor) * believed for end in (self.low, self.high))
         return self._replace(low=min(low, believed), high=max(high, believed))

@@ -61,7 +61,7 @@ class ClosedLoop:
 
     Attributes:
         corners: Values of the uncertain coordinates at the corners, shape (k, d).
-        values: Those of each true robot: the corners, and whatever was drawn from inside.
+        values: Errors of each true robot: corners of the set, and others drawn from inside.
         plants: The true robots.
         diagonals: The gains.
         parts: The region as each true robot's sensor sees it.
@@ -278,8 +278,8 @@ class ClosedLoop:
         The first thousand are taken, of the loop as it is sampled or (None) continuous.
         """
         truths, configurations = truths[:_MOST_TARGETS], configurations[:_MOST_TARGETS]
-        found = self._spectrum(configurations, self.terms(truths, configurations), timing)
-        return LocalTest(found.decay_rates, found.damping_ratios, configurations, truths)
+        spectrum = self._spectrum(configurations, self.terms(truths, configurations), timing)
+        return LocalTest(spectrum.decay_rates, spectrum.damping_ratios, configurations, truths)
 
     def spectral_radii(self, samples: Samples, latency: Latency) -> Array:
         """Return the spectral radii of the sampled, late loop at samples as targets, (N,)."""

@@ -121,12 +121,12 @@ _FROM, _NEWTON, _SHORTER = 5, 20, 8
 
 
 def least_regular(task: Task, parts: Sequence[VisiblePart], samples: Samples) -> Array:
-    """Return the configuration (nq,) with the least σ_min(Ĵ) that is found.
+    """Return the configuration (nq,) with the least σ_min(Ĵ) that a search finds.
 
     Newton steps towards σ_min(Ĵ) = 0 from the least regular samples, halved until they stay in
     the region, of which a true robot's sensor sees some parts, and lead nearer.
     """
-    sizes, found = np.linalg.svd(samples.J_hat, compute_uv=False)[:, -1], []
+    sizes, candidates = np.linalg.svd(samples.J_hat, compute_uv=False)[:, -1], []
     for k in np.argsort(sizes)[:_FROM]:
         part = parts[int(samples.truth[k])]
         q: Array = samples.q[k]
@@ -142,8 +142,8 @@ def least_regular(task: Task, parts: Sequence[VisiblePart], samples: Samples) ->
             else:
                 break
             q, size, gradient = moved, nearer, its_gradient
-        found.append((size, q))
-    return min(found, key=lambda each: each[0])[1]
+        candidates.append((size, q))
+    return min(candidates, key=lambda each: each[0])[1]
 
 
 def _sigma_min(task: Task, q: Array) -> tuple[float, Array]:

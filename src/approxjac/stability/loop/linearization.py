@@ -244,7 +244,7 @@ class LocalStability:
             self-motion attains the target.
         unseen_parameters: Number p − rank Z of eigenvalues left out because so many combinations
             of the learnt parameters exert no torque at the target.
-        singular: Whether further eigenvalues are zero, as if J or Ĵ loses rank at the target. Then
+        singular: True if further eigenvalues are zero, as if J or Ĵ loses rank at the target. Then
             the linearisation decides nothing.
         dt: Sampling time [s], or None for the continuous loop.
         dead_time: Longest time from a motion to the end of the torque that responds to it, with

@@ -86,7 +86,7 @@ class TracedTerms:
     Args:
         plants: True robots and their sensors, which differ in all that will ever differ.
         task: The believed task.
-        compiles: Whether it becomes machine code; by default where llvmlite is installed.
+        compiles: True if it becomes machine code; by default where llvmlite is installed.
 
     Raises:
         InvalidInputError, TypeError, ValueError: What takes no symbols, has loops to be
@@ -168,8 +168,8 @@ class TracedTerms:
         if self._lanes is None:
             places = (program.rows, columns.T), (program.parameters, numbers.T)
             named = {k: a[at : at + n] for each, a in places for k, (at, n) in each.items()}
-            found = np.broadcast_arrays(columns[:, 0], *self._function(**named))
-            return np.column_stack([columns, *found[1:]])
+            results = np.broadcast_arrays(columns[:, 0], *self._function(**named))
+            return np.column_stack([columns, *results[1:]])
         width = self._lanes.width
         groups = -(-N // width)
         rows = np.minimum(np.arange(groups * width), N - 1).reshape(groups, width)

@@ -1,4 +1,4 @@
-"""`OtherLawReport`: the tests of a controller that no certificate is for."""
+"""`OtherLawReport`: the tests of a controller without certificates."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class OtherLawReport:
     Attributes:
         setting: The controller, the errors, and their random draws.
         latency: Latency of the loop.
-        reason: Why no certificate covers it.
+        reason: Reason why no certificate covers it.
         local: Linearisation of the sampled loop with its delays at targets of the region.
         refused: Reason → number of targets left out.
         rollouts: The rollouts, or None if not requested.
@@ -125,7 +125,7 @@ def near_targets(
         velocity_filter=latency.velocity_filter or None,
     )
     setting = replace(setting, sensing=late, actuator_delay=latency.torque_delay)
-    found, where, indices, refused = [], [], [], Counter[str]()
+    results, where, indices, refused = [], [], [], Counter[str]()
     count = min(count, _MOST_TARGETS)
     for k in range(count):
         tell(k / count)
@@ -143,8 +143,8 @@ def near_targets(
             if k == 0:  # of the law, not of the target
                 break
             continue
-        found.append((0.0 if local.singular else local.decay_rate, local.damping_ratio))
+        results.append((0.0 if local.singular else local.decay_rate, local.damping_ratio))
         where.append(q)
         indices.append(k)
-    rates, ratios = np.array(found).reshape(-1, 2).T
+    rates, ratios = np.array(results).reshape(-1, 2).T
     return LocalTest(rates, ratios, np.array(where), np.array(indices, dtype=int)), refused

@@ -349,7 +349,7 @@ def _covers(report: StabilityReport) -> Row:
 
 
 def _covered_starts(report: StabilityReport, sampled: SampledTest, figures: dict[str, Any]) -> str:
-    """Say for which starts a certificate holds, and how far the usual ones are away."""
+    """Describe the starts that a certificate covers, and the errors of the usual ones."""
     stays, e = report.attraction, usual_errors(report)
     energies = sampled.weights.at_rest(e, report.loop.controller.saturation)
     share, usual = float((energies <= sampled.level).mean()), np.median(np.linalg.norm(e, axis=1))
@@ -414,7 +414,7 @@ def _about(report: StabilityReport) -> Iterator[Row]:
 
 
 def _beware(report: StabilityReport) -> Iterator[Row]:
-    """Departures from what certificates assume, or one may think."""
+    """Rows about departures from the assumptions of certificates."""
     robot, latency = report.loop.plants[0].robot, report.latency
     if not report.gravity_is_exact:
         yield of_gravity(report.loop, report.gravity_error)

@@ -215,7 +215,7 @@ def carried_out(
                 given=settings[0],
             ) from error
     futures = [executor.submit(_copied, settings[k], indices) for k, indices in pieces if executor]
-    found: list[list[dict[str, Array]]] = [[] for _ in settings]
+    parts: list[list[dict[str, Array]]] = [[] for _ in settings]
     left = [math.inf if failures is None else failures] * len(settings)
     try:
         done = 0
@@ -224,7 +224,7 @@ def carried_out(
                 columns = futures[i].result() if futures else settings[k].columns(indices)
                 failed = np.cumsum(np.logical_not(columns["converged"]))
                 kept = np.searchsorted(failed, left[k]) + 1  # with the last failure
-                found[k].append({name: column[:kept] for name, column in columns.items()})
+                parts[k].append({name: column[:kept] for name, column in columns.items()})
                 left[k] -= failed[-1]
             elif futures:
                 futures[i].cancel()
@@ -233,7 +233,7 @@ def carried_out(
     finally:
         for future in futures:
             future.cancel()
-    return [{name: np.concatenate([p[name] for p in each]) for name in COLUMNS} for each in found]
+    return [{name: np.concatenate([p[name] for p in each]) for name in COLUMNS} for each in parts]
 
 
 def _copied(setting: RolloutSetting, indices: range) -> dict[str, Array]:

@@ -49,9 +49,9 @@ class Rollout:
         peak_torque: Largest commanded torque at a recorded instant, as a share of its motor's
             limit; NaN if the run diverged.
         peak_speed: Largest joint speed, likewise, as a share of its limit; NaN if it diverged.
-        converged: Whether ‖e‖ is below it at every recorded instant of the last tenth.
-        diverged: Whether the simulation could not be completed.
-        stayed: Whether all recorded configurations are in the region; False if the run diverged.
+        converged: True if ‖e‖ is below it at every recorded instant of the last tenth.
+        diverged: True if the simulation could not be completed.
+        stayed: True if all recorded configurations are in the region; False if the run diverged.
     """
 
     index: int
@@ -257,9 +257,9 @@ def with_engine(
         raise UnknownNameError("engine", engine, "rollouts", _ENGINES)
     if engine == "python" or not settings:
         return [*settings]
-    found = _sharing([replace(each, engine="lanes") for each in settings])
+    in_lanes = _sharing([replace(each, engine="lanes") for each in settings])
     try:
-        _lanes_of(found[0])
+        _lanes_of(in_lanes[0])
     except InvalidInputError as error:
         if engine is not None:
             raise
@@ -268,16 +268,16 @@ def with_engine(
         package_of("fast", "llvmlite")
     elif importlib.util.find_spec("llvmlite") is None:
         runs *= len(settings)
-        seconds = _PER_STEP * found[0].steps * runs
+        seconds = _PER_STEP * in_lanes[0].steps * runs
         if seconds > _LONG:
             warnings.warn(
-                f"{runs} runs of {found[0].duration:g} s take Python about {seconds / 60.0:.0f} "
+                f"{runs} runs of {in_lanes[0].duration:g} s take Python about {seconds / 60.0:.0f} "
                 f"min of one core, and machine code some {max(seconds / 300.0, 1.0):.0f} s: "
                 "pip install 'approxjac[fast]'",
                 stacklevel=3,
             )
         return [replace(each, reason="llvmlite is not installed") for each in settings]
-    return found
+    return in_lanes
 
 
 def _sharing(settings: list[RolloutSetting]) -> list[RolloutSetting]:
@@ -290,7 +290,7 @@ def _sharing(settings: list[RolloutSetting]) -> list[RolloutSetting]:
         law = each.controller
         gains_are_numbers = type(law) is SetpointController and law.posture is None
         groups.setdefault(0 if gains_are_numbers else id(law), []).append(k)
-    found = settings.copy()
+    shared = settings.copy()
     for group in groups.values():
         ends = dict.fromkeys((settings[group[0]], settings[group[-1]]))
         errors = max((settings[k].uncertainty for k in group), key=lambda each: each.factor)
@@ -298,8 +298,8 @@ def _sharing(settings: list[RolloutSetting]) -> list[RolloutSetting]:
         alike = tuple((law, errors) for law in laws)
         key = loop_key(*ends)
         for k in group:
-            found[k] = replace(found[k], key=key, alike=alike)
-    return found
+            shared[k] = replace(shared[k], key=key, alike=alike)
+    return shared
 
 
 def _judged(t: Array, error: Array, tolerance: float) -> tuple[float, bool]:

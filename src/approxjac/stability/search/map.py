@@ -68,11 +68,11 @@ class StabilityMap:
         return np.stack([low, self._each(lambda runs: runs.interval[1])], axis=-1)
 
     def _each(self, of: Callable[[Rollouts], float]) -> Array:
-        found = [
+        values = [
             of(self.points[at]) if at in self.points else np.nan
             for at in itertools.product(*(each.tolist() for each in self.values))
         ]
-        return np.array(found).reshape([each.size for each in self.values]).T
+        return np.array(values).reshape([each.size for each in self.values]).T
 
     def __repr__(self) -> str:
         return f"StabilityMap({' × '.join(self.names)}: {len(self.points)} points)"
@@ -161,7 +161,7 @@ def own_values(controller: SetpointController) -> dict[str, float]:
 
 
 def _is_seen(setting: RolloutSetting, runs: int) -> bool:
-    """Return whether cameras see something of the region in all runs; whatever else sees all."""
+    """Return True if cameras see part of the region in all runs; other sensors always do."""
     if setting.uncertainty.camera is None:
         return True
     try:

@@ -64,8 +64,8 @@ class Suggestion:
     settling_time: float
 
     def __repr__(self) -> str:
-        found = "nothing" if self.found is None else repr(self.found.gains)
-        return f"Suggestion({self.test!r}: {found})"
+        gains = "nothing" if self.found is None else repr(self.found.gains)
+        return f"Suggestion({self.test!r}: {gains})"
 
     def __str__(self) -> str:
         if self.found is not None:

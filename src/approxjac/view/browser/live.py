@@ -98,7 +98,7 @@ class LiveView:
         self._before: Any = None  # what Ctrl-C did before
 
     def __call__(self, loop: Loop) -> None:
-        """Show a step of a run, do what the user wants, and wait until it is time to go on."""
+        """Show a step of a run, carry out the user's commands, and wait until the next is due."""
         if self._closed:
             message = "a LiveView is for one run, and this one has shown its run: make another one"
             raise InvalidInputError(message, given=self)
@@ -161,7 +161,7 @@ class LiveView:
         signal.signal(signal.SIGINT, self._before)
 
     def _look(self, loop: Loop) -> None:
-        """See anew who takes part."""
+        """Rebuild frames and stage for the current plant and controller."""
         scene = replace(scene_of(loop.plant, loop.controller), knows_truth=loop._knows_truth)
         self._frames, self._stage = RunFrames(scene), Stage(scene)
 
@@ -206,11 +206,11 @@ class LiveView:
     # -- time ---------------------------------------------------------------------------
 
     def _begin(self, loop: Loop) -> None:
-        """Let the run be where it is now."""
+        """Pace the run from its current time on."""
         self._origin = time.perf_counter() - loop.t / self._speed
 
     def _wait(self, loop: Loop) -> None:
-        """Wait until it is the run's time, and while it is to pause."""
+        """Wait until the step is due, and while the run is paused."""
         while not loop.ended:
             if self._paused:
                 time.sleep(_NAP)
@@ -224,10 +224,10 @@ class LiveView:
             if self._obey(loop):
                 self._show(loop)
 
-    # -- what the user wants ------------------------------------------------------------
+    # -- the user's commands ------------------------------------------------------------
 
     def _obey(self, loop: Loop) -> bool:
-        """Do what pages ask for, say what cannot be done; return whether there was anything."""
+        """Carry out the commands of pages; return True if there were any."""
         if self._interrupted:
             loop.stop()
         commands = self._server.received()

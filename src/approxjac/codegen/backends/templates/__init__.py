@@ -1,4 +1,4 @@
-"""What code is written around the lines of a program."""
+"""Templates: the code around the lines of a program."""
 
 from importlib import resources
 
