@@ -43,7 +43,7 @@ class Node(NamedTuple):
 
 
 class Passes(NamedTuple):
-    """How often the body of a loop runs, and how many numbers it keeps.
+    """Number of passes of a loop, and of the numbers that it keeps.
 
     Its arguments are its start, what follows it, and what is collected, in each pass.
     """
@@ -130,10 +130,10 @@ class Graph:
         start: Sequence[Number],
         body: Callable[[Scalar, list[Number]], tuple[Sequence[Number], Sequence[Number]]],
     ) -> tuple[list[Number], list[list[Number]]]:
-        """Return what is left of some numbers after a loop, and what it collected, pass by pass.
+        """Return some numbers after a loop, and those that it collected, pass by pass.
 
         Args:
-            count: How often the body runs, ≥ 1.
+            count: Number of passes of the body, ≥ 1.
             start: The numbers before it.
             body: Of the number of the pass, from 0, and the numbers before it; returns those after
                 it, and what is collected.
@@ -154,7 +154,7 @@ class Graph:
         return [self._cell(left, i) for i in range(n)], rows
 
     def take(self, rows: Sequence[Sequence[Number]], index: Scalar) -> list[Number]:
-        """Return one of some rows, as the number of a loop's pass says which."""
+        """Return one of some rows, by the number of a loop's pass."""
         node = self.nodes[index.place]
         if node.operation != "index" or node.value not in self._running:
             raise TypeError("an array takes the number of a loop's pass, as it is, as its index")
@@ -180,7 +180,7 @@ class Graph:
         return self._scalar(Node("table", tuple(places))).place, 0, len(rows[0])
 
     def _cell_of(self, number: Number) -> tuple[int, int]:
-        """Return the place of the array that a number is read from, and where; (-1, 0) of none."""
+        """Return the place of the array that holds a number, and its index; (-1, 0) if none."""
         if isinstance(number, Scalar):
             node = self.nodes[number.place]
             if node.operation == "cell":
@@ -200,7 +200,7 @@ class Graph:
         return {node.value[0] for node in each if node.operation == "input"}
 
     def reached(self, wanted: Iterable[int]) -> tuple[list[int], dict[int, set[int]]]:
-        """Return the places of all that some depend on, in order, and what is needed of each loop.
+        """Return the places on which some depend, in order, and the needed parts of each loop.
 
         Of a loop, only what is needed of it is computed: its numbers, and columns of what it
         collects, counted from n.
@@ -427,7 +427,7 @@ class Scalar:
         return symbols(values)
 
     def is_finite(self) -> Condition:
-        """Return whether a number is finite."""
+        """Return True if a number is finite, or the condition of it."""
         return True if self.graph.is_finite else abs(self) < math.inf
 
     def leave(self) -> None:
@@ -841,7 +841,7 @@ def _apply(ufunc: np.ufunc, method: str, *arguments: Any, **options: Any) -> Any
 
 
 def _is_large(A: Any, b: Any) -> bool:
-    """Return whether A @ b is a loop: of a large matrix of constants and a vector."""
+    """Return True if A @ b is a loop: of a large matrix of constants and a vector."""
     if np.ndim(A) != 2 or np.ndim(b) != 1 or np.size(A) <= _LARGE or not isinstance(b, SymbolArray):
         return False
     known = not any(isinstance(each, Scalar) for each in np.ravel(A).tolist())
