@@ -503,7 +503,7 @@ def simulate(
     Raises:
         InvalidInputError: Wrong shapes, or numbers that are not finite or out of range.
         SimulationError: The closed loop diverged, or the integration failed.
-        ControllerError: A step of the controller failed, or returned what is no answer.
+        ControllerError: A step of the controller failed, or returned no valid answer.
     """
     require("plant", plant, Plant, "a Plant (the first argument; the controller is the second)")
     if dt is not None:

@@ -67,7 +67,7 @@ class Scene:
     knows_truth: bool = True  # False on a real arm: `truth` is the believed robot
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as texts, numbers, lists and dictionaries, to be stored in a file."""
+        """Return the scene as texts, numbers, lists and dictionaries, to be stored in a file."""
         return {
             "truth": _saved_robot(self.truth),
             "belief": None if self.belief is None else _saved_robot(self.belief),

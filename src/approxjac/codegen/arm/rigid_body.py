@@ -197,7 +197,7 @@ class Configured:
         return self.jacobian_of(self.arm.frame(name)[0], self.frame(name)[1])
 
     def jacobian_of(self, carrier: int, p: Symbols) -> Symbols:
-        """Return the same of a point p (3,) of a link."""
+        """Return the Jacobian, as `jacobian`, of a point p (3,) of a link."""
         J = _zeros(6, self._n)
         for j in self.path(carrier):
             R, origin = self._placements[j]
@@ -225,7 +225,7 @@ class Configured:
     def jacobian_dot_of(
         self, carrier: int, p: Symbols, v: Symbols, drifts: Mapping[int, Symbols] | None = None
     ) -> Symbols:
-        """Return the same of a point p (3,) of a link.
+        """Return the rate, as `jacobian_dot`, of a point p (3,) of a link.
 
         What joints carry may move besides, each joint's at a velocity (3,) in the world, and so may
         the point, whose own is that of -1.

@@ -159,7 +159,7 @@ class SampledStep(NamedTuple):
         return self.graph.asked([*chain(*self.outputs.values()), *self.first])
 
     def in_numpy(self) -> Callable[..., dict[str, Array]]:
-        """Return the same as a function of the inputs by name, (rows, N) → (rows, N)."""
+        """Return the step as a function of the inputs by name, (rows, N) → (rows, N)."""
         function = numpy_function(self.graph, [*chain(*self.outputs.values())])
 
         def step(**given: Array) -> dict[str, Array]:

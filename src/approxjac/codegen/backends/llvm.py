@@ -65,7 +65,7 @@ class LlvmLanes:
         self._run = kind(self._code.address)
 
     def run(self, kept: Array, parameters: Array, block: Block | None = None) -> None:
-        """Take steps, in place. Other threads go on meanwhile.
+        """Carry out steps, in place, without the interpreter's lock.
 
         Args:
             kept: Memory of the runs, shape (groups, rows, width).

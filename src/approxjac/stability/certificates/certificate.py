@@ -255,7 +255,7 @@ def badness(name: str, values: Array) -> Array:
 
 
 def theorem1(samples: Samples, setting: Setting) -> Theorem1:
-    """Take the constants of Theorem 1 over all samples."""
+    """Evaluate the constants of Theorem 1 over all samples."""
     each = constants(samples, setting)
     worst = {name: int(np.argmax(badness(name, values))) for name, values in each.items()}
     return Theorem1(
