@@ -3,11 +3,10 @@
 import gc
 import os
 import shlex
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from programs import run_python
 from sybil import Sybil
 from sybil.example import Example
 from sybil.parsers.markdown import CodeBlockParser, PythonCodeBlockParser
@@ -23,10 +22,11 @@ def run_console(example: Example) -> None:
         if not line.startswith("$ "):
             continue
         words = shlex.split(line.removeprefix("$ "))
-        known = {"approxjac": [sys.executable, "-m", "approxjac"], "python": [sys.executable]}
+        known = {"approxjac": ["-m", "approxjac"], "python": []}
         assert words[0] in known, f"not a command that the tests know how to run: {line}"
         paths = [str(ROOT / word) if (ROOT / word).is_file() else word for word in words[1:]]
-        subprocess.run([*known[words[0]], *paths], check=True, stdout=subprocess.DEVNULL)
+        code, _, errors = run_python(*known[words[0]], *paths)
+        assert code == 0, errors
 
 
 @pytest.fixture(scope="module")
@@ -61,8 +61,22 @@ def pytest_collection():
         gc.enable()
 
 
-# Files that take long, the longest first. A worker gets whole files: these come first, so that in
-# the end both have something to do.
+@pytest.hookimpl(optionalhook=True)  # with -p no:xdist
+def pytest_xdist_make_scheduler(config, log):
+    """Give each worker whole files, which share what they load, but each example by itself."""
+    if config.getvalue("dist") != "loadfile":
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    class Scheduling(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file, _, test = nodeid.partition("::")
+            return file + test.partition("[")[2] if file.endswith("test_examples.py") else file
+
+    return Scheduling(config, log)
+
+
+# Files that take long, the longest first: in the end both workers have something to do.
 LONG = (
     "test_examples.py", "test_attack_certificate.py", "cli", "test_long_run.py", "browser", "docs",
     "README.md", "test_fuzz_steps.py", "test_watches.py",

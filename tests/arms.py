@@ -17,10 +17,17 @@ def among(*names):
 
 
 ARMS = among(*sorted(NAMED))
+# for tests that take a second on each: two more, on which nothing was tuned; the others are `long`
+SEVERAL = [
+    arm
+    if arm.id in (*REPRESENTATIVE, "so100", "xarm7")
+    else pytest.param(arm.id, marks=(pytest.mark.every_arm, pytest.mark.long), id=arm.id)
+    for arm in ARMS
+]
 # by default two of them: for tests that take long on each
 FEW = [
     arm
     if arm.marks or arm.id in REPRESENTATIVE[::4]
     else pytest.param(arm.id, marks=pytest.mark.study, id=arm.id)
-    for arm in ARMS
+    for arm in SEVERAL
 ]

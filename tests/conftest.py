@@ -188,19 +188,20 @@ def browser():
         chromium.close()
 
 
-@pytest.fixture
-def open_page(browser):
-    """Opens a file or an address; at the end nothing must have been complained of or loaded."""
-    opened, wrong = [], []
+class Pages:
+    """Opens files and addresses; in the end nothing must have been complained of or loaded."""
 
-    def open_(where, size=(1000, 700), motion="reduce"):
+    def __init__(self, browser):
+        self.browser, self.opened, self.wrong = browser, [], []
+
+    def __call__(self, where, size=(1000, 700), motion="reduce"):
         """Where motion is not reduced, a page plays when it is opened."""
         url = where if str(where).startswith("http") else Path(where).as_uri()
         own = tuple(
             f"{scheme}://{url.split('/')[2]}/" for scheme in ("http", "ws") if url[:4] == "http"
         )
-        viewport = {"width": size[0], "height": size[1]}
-        page = browser.new_page(viewport=viewport, reduced_motion=motion)
+        viewport, wrong = {"width": size[0], "height": size[1]}, self.wrong
+        page = self.browser.new_page(viewport=viewport, reduced_motion=motion)
         page.add_init_script(JAGGED)
         page.wait_for_function = functools.partial(wait_for, page)
         page.on("console", lambda message: wrong.append(f"{message.type}: {message.text}"))
@@ -220,18 +221,35 @@ def open_page(browser):
             ),
         )
         page.goto(url)
-        opened.append(page)
+        self.opened.append(page)
         return page
 
-    def wait_for(page, condition, timeout=30_000):
-        """Playwright's own evaluates a text inside of a page, which its security policy forbids."""
-        for _ in range(timeout // 50):
-            if page.evaluate(condition):
-                return
-            page.wait_for_timeout(50)
-        raise TimeoutError(condition)
+    def close(self):
+        for page in self.opened:
+            page.close()
+        assert self.wrong == []
 
-    yield open_
-    for page in opened:
-        page.close()
-    assert wrong == []
+
+def wait_for(page, condition, timeout=30_000):
+    """Playwright's own evaluates a text inside of a page, which its security policy forbids."""
+    for _ in range(timeout // 50):
+        if page.evaluate(condition):
+            return
+        page.wait_for_timeout(50)
+    raise TimeoutError(condition)
+
+
+@pytest.fixture
+def open_page(browser):
+    """Opens pages for a test, see `Pages`."""
+    pages = Pages(browser)
+    yield pages
+    pages.close()
+
+
+@pytest.fixture(scope="module")
+def open_pages(browser):
+    """Opens pages for all tests of a file, see `Pages`."""
+    pages = Pages(browser)
+    yield pages
+    pages.close()

@@ -3,14 +3,13 @@
 import ast
 import functools
 import os
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 from pictures import pixels
+from programs import run_python
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("[0-9][0-9]_*.py"))
@@ -38,15 +37,13 @@ REACHES = ("01", "04", "09")  # whose pages end at a target, with a belief that 
 
 @functools.cache
 def ran(path):
-    """Run an example; return its path, its folder and the process."""
+    """Run an example; return its path, its folder, its exit code and what it said of errors."""
     results = os.environ.get("APPROXJAC_RESULTS")  # for docs/_ext/gallery.py
     out = Path(results or tempfile.mkdtemp(), "examples", path.stem)
     out.mkdir(parents=True)
-    process = subprocess.run(
-        [sys.executable, str(path), "--out", str(out)], capture_output=True, text=True
-    )
-    out.with_suffix(".txt").write_text(process.stdout, encoding="utf-8")
-    return path, out, process
+    code, printed, errors = run_python(path, "--out", out)
+    out.with_suffix(".txt").write_text(printed, encoding="utf-8")
+    return path, out, code, errors
 
 
 @pytest.fixture(params=EXAMPLES, ids=lambda path: path.stem)
@@ -61,13 +58,14 @@ def pages_of(example):
 
 @pytest.mark.study
 def test_an_example_runs_and_makes_its_files(example):
-    _, out, process = example
-    assert process.returncode == 0, process.stderr
-    assert process.stderr == ""
+    _, out, code, errors = example
+    printed = out.with_suffix(".txt").read_text(encoding="utf-8")
+    assert errors == ""
+    assert code == 0
     # a folder is of C, which tests of its own compile
     made, pages = {path for path in out.iterdir() if path.is_file()}, set(pages_of(example))
     for path in made:
-        assert str(path) in process.stdout
+        assert str(path) in printed
         assert path.stat().st_size > (1000 if path.name == "index.html" else 10_000)
     index = out / "index.html"
     assert {path for path in made if path.suffix not in (".png", ".svg", ".urdf")} - {

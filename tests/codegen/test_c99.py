@@ -10,6 +10,7 @@ import subprocess
 import numpy as np
 import pinocchio as pin
 import pytest
+from arms import SEVERAL
 from own_parts import Springs, of_ones_own
 
 import approxjac as aj
@@ -115,10 +116,20 @@ SMALL = {"two_link (5), sine": ("two_link", CASES["ur5 (5), sine"][1])}  # with 
 IN_CPP = ("panda (28), limits, away from stops", "panda (6), image", "ur5 (5), sine")
 
 
-def some(*words):
+PART_OF_OTHERS = ("panda (6)", "ur5 (28)", "kinova (6), limits")
+
+
+def some(*words, long=()):
     """The cases as parameters, with those by default whose names end like one of some words."""
     return [
-        pytest.param(name, marks=[] if name.endswith(words) else pytest.mark.study)
+        pytest.param(
+            name,
+            marks=[]
+            if name.endswith(words)
+            else pytest.mark.long
+            if name in long
+            else pytest.mark.study,
+        )
         for name in CASES
     ]
 
@@ -403,7 +414,7 @@ def assert_is_the_controller(controller, step, given):
         pytest.param(
             each.values[0], k, marks=each.marks if k == "gcc" else OF_CLANG[bool(each.marks)]
         )
-        for each in some("panda (6), limits")
+        for each in some("panda (6), limits", long=PART_OF_OTHERS)
         for k in COMPILERS
     ],
 )
@@ -536,6 +547,7 @@ def test_a_law_without_a_state_is_compiled_without_a_warning(level, tmp_path):
 
 @needs_compiler
 @pytest.mark.study
+@pytest.mark.parametrize("arm", SEVERAL, indirect=True)
 def test_the_self_test_passes_for_every_arm(arm, tmp_path):
     law = law_6(arm)
     aj.export_c(limited(law, 1.0) if np.isfinite(arm.effort_limits).all() else law, tmp_path)

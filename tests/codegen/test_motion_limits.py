@@ -56,9 +56,15 @@ def steps(controller, count, rng):
         yield [aj.Measurement(k * dt, q, v + 0.01 * k, x) for k in range(2)], target
 
 
+MARKS = {"URDF": pytest.mark.long}  # "motion" has all of it
+
+
 @pytest.mark.parametrize(
     "name",
-    [n if n == "motion" else pytest.param(n, marks=pytest.mark.study) for n in LIMITERS],
+    [
+        n if n == "motion" else pytest.param(n, marks=MARKS.get(n, pytest.mark.study))
+        for n in LIMITERS
+    ],
 )
 def test_compiled_steps_are_those_of_python(name, rng):
     """To the accuracy of two solvers; what no torque keeps is left to Python, to the bit."""
@@ -168,7 +174,7 @@ def exported(tmp_path_factory):
 
 @needs_compiler
 @pytest.mark.study
-@pytest.mark.parametrize("name", ["URDF", "rate", "motion"])
+@pytest.mark.parametrize("name", [pytest.param("URDF", marks=pytest.mark.long), "rate", "motion"])
 def test_in_C_they_are_those_of_python(name, exported, rng):
     """Also where no torque keeps them: there C brakes by itself."""
     controller, in_c, folder = exported(name)

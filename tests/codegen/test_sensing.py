@@ -140,11 +140,17 @@ STUDIES = {
     ),
 }
 BY_DEFAULT = ("all, (5)",)
+IN_ALL = ("late torque", "late x", "differences", "noise", "quanta", "frames", "dropouts")
 
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(k, marks=() if k in BY_DEFAULT else pytest.mark.study) for k in STUDIES],
+    [
+        pytest.param(k, marks=pytest.mark.long if k in IN_ALL else pytest.mark.study)
+        if k not in BY_DEFAULT
+        else k
+        for k in STUDIES
+    ],
 )
 def test_runs_are_those_of_python(name):
     loop, options = STUDIES[name]

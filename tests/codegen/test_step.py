@@ -9,6 +9,7 @@ import sys
 
 import numpy as np
 import pytest
+from arms import SEVERAL
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy_lanes import NumpyLanes
 from own_parts import Cubic, of_ones_own
@@ -108,6 +109,7 @@ LAWS = {
 
 @pytest.mark.study
 @pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("arm", SEVERAL, indirect=True)
 def test_on_every_arm_it_is_the_same_law(arm, name, rng, asked):
     task = aj.PositionTask(arm)
     plain, ours = pair(task, **LAWS[name](task))

@@ -165,6 +165,7 @@ def law_of(kind):
 
 
 SOME = ("in the plane",)
+MARKS = dict.fromkeys(("camera known", "tool"), pytest.mark.long)  # the others have their parts
 KINDS = (
     "camera turned", "tool", "camera known", "five rows", "continuous joints",
     "in the plane", "mimic joints",
@@ -172,7 +173,8 @@ KINDS = (
 
 
 @pytest.mark.parametrize(
-    "kind", [k if k in SOME else pytest.param(k, marks=pytest.mark.study) for k in KINDS]
+    "kind",
+    [k if k in SOME else pytest.param(k, marks=MARKS.get(k, pytest.mark.study)) for k in KINDS],
 )
 def test_steps_are_the_same_to_rounding(kind, rng, asked):
     task, unknown = law_of(kind)

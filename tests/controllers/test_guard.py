@@ -474,7 +474,7 @@ def require_no_harm(name, law, dt, bits, waits):
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("law", ["limited", "tracking"])
+@pytest.mark.parametrize("law", ["limited", pytest.param("tracking", marks=pytest.mark.long)])
 def test_the_worst_sample_that_passes_harms_no_light_wrist(law):
     require_no_harm("z1", law, 1e-3, 14, [0.1])
 

@@ -515,7 +515,9 @@ PARTS = ("tool", "origins", "camera")
 @pytest.mark.parametrize(
     "controller",
     [
-        pytest.param({"law": "tracking", "unknown": PARTS}, id="tracking law"),
+        pytest.param(  # as the example of docs/learning_kinematics.md
+            {"law": "tracking", "unknown": PARTS}, id="tracking law", marks=pytest.mark.long
+        ),
         pytest.param({"unknown": PARTS}, id="set-point law"),
         pytest.param({"law": "tracking", "unknown": PARTS, "command": "velocity"}, id="velocities"),
     ],

@@ -132,7 +132,7 @@ def test_of_late_loops_some_are_unstable_by_the_gravity_that_they_hold():
     for k in wrongly:
         told = np.log(loops()[k].radius()) / loops()[k].latency.period
         assert loops()[k].rate() == pytest.approx(told, rel=0.2), k
-    assert all(loops()[k].rate() < 0.0 for k in (2, 7, 11))
+    assert all(loops()[k].rate() < 0.0 for k in (7, 11))
 
 
 @pytest.mark.study

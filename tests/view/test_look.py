@@ -101,11 +101,12 @@ def look(arm):
 MANY_MESHES = ("kinova", "panda", "tiago_arm")  # which take a second to simplify
 ARMS = [
     pytest.param(arm.id, marks=pytest.mark.study) if arm.id in MANY_MESHES else arm
-    for arm in arms.ARMS
+    for arm in arms.SEVERAL
 ]
 
 
 @pytest.mark.study
+@pytest.mark.parametrize("arm", arms.SEVERAL, indirect=True)
 def test_arms_look_as_pinocchio_shows_them(arm, look):
     assert look.missing == []
     assert set(look.shapes) <= set(arm.frame_names)
