@@ -404,9 +404,9 @@ def break_one(case):
     found = run.fault_name
     if "from the start" in case.kind or "1.33" in case.kind:
         t0, x0 = 0.0, plant.sensor.value(start)
-    elif case.kind in EVENTS:
+    elif case.kind in EVENTS or case.kind in MOTORS:
         events = [e for e in run.events if e.named + broken.first > t0]
-        if events and (not found or events[0].named + broken.first < t1):
+        if events and (not found or events[0].named + broken.first <= t1):
             found, t1 = events[0].condition.name, events[0].named + broken.first
             x1 = broken.tips[round(t1 / DT)]
     if case.kind in MOTORS or case.kind in EVENTS:

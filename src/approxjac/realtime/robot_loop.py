@@ -32,6 +32,7 @@ _ROWS = 60_000  # recorded at most
 _TAIL = 1000  # periods before the end of which each is recorded
 _HALT = 0.3  # s, within which the target of a controlled stop comes to rest
 _AT_REST = 0.05  # rad/s or m/s
+_FAST = (Fault.TOO_FAST, Fault.SPEED_GREW)
 _LOST = (Status.MEASUREMENT_LOST, Status.NOT_PREDICTED)
 _PEAK = 1.875  # of a least-jerk motion: its fastest speed by its mean speed
 _SHORTEST = 0.2  # s
@@ -108,10 +109,12 @@ class RobotLoop(Loop):
         known = math.isfinite(math.hypot(*measurement.q.tolist(), *measurement.v.tolist()))
         self._note(fault, self._watch.detail)
         if fault is None and known:
-            fault = self._sensor.look(measurement, self.target, self._motion_sd)
-            self._note(fault, self._sensor.detail)
+            self._note(
+                self._sensor.look(measurement, self.target, self._motion_sd), self._sensor.detail
+            )
             if message := two_clocks(measurement, self.dt):
                 self._note(Fault.CLOCK_JUMPED, message)
+        if known and (fault is None or fault in _FAST):
             self._diagnose(measurement)
         if known and not self._brakes():
             self._look(measurement)
@@ -122,6 +125,7 @@ class RobotLoop(Loop):
         fault = self._watch.commanded(command, self.answer.reference)
         self._note(fault, self._watch.detail)
         if self._brakes():
+            self._explain()
             return False
         # without q and q̇ the last command goes out once more, which no limit has to object to
         self._brake.send(command)
@@ -140,6 +144,15 @@ class RobotLoop(Loop):
             event = self.monitor.events[-1]
             if event.condition is Condition.MOTOR_WEAK:
                 self._note(Fault.MOTOR_WEAK, f"{event.where}: {event.figure}")
+
+    def _explain(self) -> None:
+        """Say what made a joint too fast, if that can be seen."""
+        if self.fault not in _FAST:
+            return
+        count = len(self.monitor.events)
+        self.monitor.explain()
+        for event in self.monitor.events[count:]:
+            self.detail += f"; {event.condition}: {event.where}, {event.figure}"
 
     def halt(self) -> None:
         """Bring the arm to rest with the controller, from the next period on."""

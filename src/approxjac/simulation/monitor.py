@@ -33,10 +33,11 @@ _OPENS = 0.02  # s of that drift a look, while something lasts
 _SLIDES = 0.02  # rad/s or m/s, from which on a joint slides
 _SURE = 16.0  # of χ² of a joint: what is no noise
 _LIKE = 30.0  # looks that tell the same
-_SOON, _SLOWLY, _LOAD = 0.01, 0.06, 0.7  # s, after which a cause is named: clear, others, a load
-_REVERSED, _DEAD_FOR = 1.4, 0.013  # share, and s after which it is not still growing to that
+_SOON, _SLOWLY, _LOAD = 0.0075, 0.06, 0.7  # s, after which a cause is named: clear, others, a load
+_SAMPLES = 12  # in which a joint has become too fast
 _SUDDEN = 0.4  # s, within which a motor's fault shows
 _EXPLAINS, _FITS = 0.1, 0.35  # share of χ² that one motor, or a force or load, may leave
+_ONE_FITS = 0.1  # of χ², by which one number may explain less than three
 _CLEAR = 0.06  # share that a motor may leave to be clear, where a force leaves five times that
 _WEAK, _DEAD = 0.4, 0.65  # share of its torque that a weak or a dead motor lacks
 _STOP = 0.01  # rad or m, so near to which a joint may be at its stop
@@ -124,6 +125,7 @@ class Monitor:
         self._v, self._v_before, self._smooth_v, self._smooth_torque = np.zeros((4, robot.nv))
         self._active: dict[str, int] = {}  # name of a cause → its event
         self._window: deque[_Tick] = deque(maxlen=_WINDOW)
+        self._samples: deque[tuple[float, Array, Array, Array]] = deque(maxlen=_SAMPLES)
         self._since, self._quiet, self._speed = math.nan, 0.0, np.zeros(3)
         joints = self._scale
         sd = np.concatenate([_LOADS, *(_FRICTION * joints,) * 2, _CONSTANT * joints])
@@ -156,6 +158,7 @@ class Monitor:
         else:
             if self._adds is not None:
                 torque = torque + self._adds.g(q)
+            self._samples.append((t, q, v, torque))
             h = t - last
             odd = v - 2.0 * self._v + self._v_before
             odd = np.minimum(odd * odd / 6.0, 9.0 * self._noise + 1e-6)
@@ -258,6 +261,7 @@ class Monitor:
         self._v = self._v_before = self._smooth_v = v
         self._begun = self._looked = t
         self._over(t)
+        self._samples.clear()
         self._weighed = math.inf
         self._residual, self._smooth_torque = np.zeros(len(v)), torque
         self._impulse = self._shaken = np.zeros(len(v))
@@ -350,21 +354,54 @@ class Monitor:
             return
         off, weight, torque, J, load = (np.array(each) for each in zip(*ticks, strict=True))
         w2 = weight**2
-        whole = float((w2 * off**2).sum())
-        force, left_force = _fit(J, off, w2, whole)
-        # of each motor alone: the share of its torque that it lacks
-        along, size = -(w2 * off * torque).sum(axis=0), (w2 * torque**2).sum(axis=0) + 1e-12
-        shares, left = along / size, 1.0 - along**2 / (size * whole)
-        j = int(left.argmin())
-        fits = shares[j] > _WEAK and left[j] < min(_EXPLAINS, 0.3 * left_force)
+        j, share, left, force, left_force, whole = _causes(off, weight, torque, J)
+        fits = share > _WEAK and left < min(_EXPLAINS, 0.3 * left_force)
         if since < _SUDDEN and fits:
-            is_clear = shares[j] > _DEAD and left[j] < _CLEAR < 0.2 * left_force
-            is_clear &= shares[j] > _REVERSED or since > _DEAD_FOR
+            if since < _SLOWLY:  # what it will be when the filter has settled
+                last = self._last(min(_SAMPLES // 2, len(self._samples) - 1))
+                share = -float(last.off[j]) / float(last.torque[j] or 1e-12)
+            is_clear = share > _DEAD and left < _CLEAR < 0.2 * left_force
             if since >= (_SOON if is_clear else _SLOWLY):
-                self._weak_motor(j, float(shares[j]), float(abs(torque[-1, j])))
+                self._weak_motor(j, share, float(abs(torque[-1, j])))
         elif since >= _SLOWLY and not self._quiet and np.linalg.norm(force) > _LEAST_FORCE:
             carried, left_load = _fit(np.swapaxes(load, 1, 2), off, w2, whole, _LEVERS)
             self._force(since, force, left_force, float(carried[0]), left_load)
+
+    def explain(self) -> None:
+        """Name what made a joint too fast, a motor or a force, if the last samples show it.
+
+        What is seen in a few milliseconds is clear only where an arm gets out of control.
+        """
+        if not self._knows_torque or self._active.keys() & {"motor", "force"}:
+            return
+        found = []
+        for k in range(1, len(self._samples)):  # since when, nobody knows
+            tick = self._last(k)
+            causes = _causes(*(each[None] for each in tick[:4]))
+            if causes.whole > _SURE:
+                found.append((min(causes.left, causes.left_force), k, causes, tick.torque))
+        if not found:
+            return
+        _, k, causes, given = min(found, key=lambda each: each[:2])
+        self._since = self._samples[-1 - k][0]
+        # a force has three numbers to fit, a motor one
+        is_motor = causes.left < min(_FITS, causes.left_force + _ONE_FITS)
+        if is_motor and _WEAK < causes.share < 2.0 + _WEAK:
+            self._weak_motor(causes.j, causes.share, float(abs(given[causes.j])))
+        elif causes.left_force < _FITS and np.linalg.norm(causes.force) > _LEAST_FORCE:
+            self._force(_SLOWLY, causes.force, causes.left_force, 0.0, 1.0)
+
+    def _last(self, k: int) -> _Tick:
+        """Return the torques that nothing explains, on the average over the last k samples."""
+        samples = list(self._samples)[-1 - k :]
+        times, (_, q0, v0, _), (_, q, v, _) = [each[0] for each in samples], samples[0], samples[-1]
+        H, variance, J, load = self._expected(q)
+        steps, h = np.diff(times), times[-1] - times[0]
+        given = steps @ np.array([each[3] for each in samples[1:]]) / h
+        gained = (self._M @ v - self._dynamics.M(q0) @ v0) / h - given
+        off = gained - 0.5 * (self._rest(q, v) + self._rest(q0, v0)) - H @ self._estimate
+        variance = variance + 2.0 / h**2 * self._M**2 @ self._noise
+        return _Tick(off, 1.0 / np.sqrt(variance), given, J, load)
 
     def _weak_motor(self, j: int, share: float, torque: float) -> None:
         gives = "nothing" if share > _DEAD else f"{100.0 * (1.0 - share):.0f} %"
@@ -443,7 +480,29 @@ def _fit(
     _diagonal(a)[:] += len(off) / np.square(sd)
     b = np.einsum("tin,tn->i", A, w2 * off)
     best: Array = np.linalg.solve(a, b)
-    return best, 1.0 - float(b @ best) / whole
+    return best, 1.0 - float(b @ best) / max(whole, 1e-300)
+
+
+class _Causes(NamedTuple):
+    """How well one motor, or a force at the tip, explains torques."""
+
+    j: int  # the motor
+    share: float  # of its torque that it lacks
+    left: float  # share of χ² that it does not explain
+    force: Array  # [N]
+    left_force: float
+    whole: float  # χ²
+
+
+def _causes(off: Array, weight: Array, torque: Array, J: Array) -> _Causes:
+    w2 = weight**2
+    whole = float((w2 * off**2).sum())
+    force, left_force = _fit(J, off, w2, whole)
+    # of each motor alone: the share of its torque that it lacks
+    along, size = -(w2 * off * torque).sum(axis=0), (w2 * torque**2).sum(axis=0) + 1e-12
+    left = 1.0 - along**2 / (size * max(whole, 1e-300))
+    j = int(left.argmin())
+    return _Causes(j, float(along[j] / size[j]), float(left[j]), force, left_force, whole)
 
 
 class _Tick(NamedTuple):
