@@ -45,10 +45,10 @@ controllers = {
 
 figure, axes = view.new_figure(3, title="A circle of 10 cm in 4 s, with a 20 cm tool unknown")
 for ax, (name, controller) in zip(axes, controllers.items(), strict=False):
-    run = aj.simulate(plant, controller, circle, q0, duration=10.0, dt=dt)
-    late = run.error_norm[run.t > 8.0]
+    run = aj.simulate(plant, controller, circle, q0, duration=8.0, dt=dt)
+    late = run.error_norm[run.t > 6.0]
     rms = 1e3 * np.sqrt(np.mean(late**2))
-    print(f"{name}: {rms:.2f} mm RMS from 8 to 10 s")
+    print(f"{name}: {rms:.2f} mm RMS from 6 to 8 s")
     view.plot_error(run, ax, title=f"{name}: {rms:.2g} mm RMS at the end")
 names = ["tool.x", "tool.y", "tool.z"]
 true = dict(zip(names, aj.robots.KinematicRegressor(truth).theta[-3:], strict=True))

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from arms import ARMS
+from arms import ARMS, SEVERAL
 from common import carried_object
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
-from approxjac.robots import GravityRegressor, robot_names
+from approxjac.robots import GravityRegressor
 from approxjac.robots.load import NAMED, urdf_path
 from approxjac.tasks import best_axes
 from approxjac.tasks.analysis import sees
@@ -36,7 +36,7 @@ def test_the_ten_lines_on_a_panda():
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("name", [name for name in robot_names() if name != "panda"])
+@pytest.mark.parametrize("name", [each for each in SEVERAL if each.id != "panda"])
 def test_the_ten_lines_on_every_other_arm(name):
     assert ten_lines(name).error_norm[-1] < 1e-3
 

@@ -1,5 +1,7 @@
 """`approxjac export`: the controller of a scenario as C, and what it refuses."""
 
+import pytest
+
 import approxjac as aj
 from approxjac.cli import main
 from approxjac.codegen.backends.c99 import constant
@@ -13,6 +15,7 @@ def export(folder, *options):
     return main(["export", *options, "--folder", str(folder)])
 
 
+@pytest.mark.study
 def test_it_writes_the_controller_of_the_scenario(tmp_path, capsys):
     assert export(tmp_path / "made", "panda", "--believed-length", "0.1", "--effort-only") == 0
     said = capsys.readouterr().out

@@ -78,6 +78,7 @@ def test_an_axis_is_one_word(tmp_path, word, axis):
     assert outcome(tmp_path)["scenario"]["true"]["object"]["axis"] == axis
 
 
+@pytest.mark.study
 def test_a_path_that_was_followed_is_no_failure(tmp_path, capsys):
     words = ["--start", *map(str, HOME), "--run.target.circle.radius", "0.1", "--duration", "1.5"]
     assert main(["simulate", "panda", *words, "--out", str(tmp_path)]) == 0

@@ -16,14 +16,14 @@ from approxjac.scenario import Scenario, judge
 
 ROOT = Path(__file__).parents[2]
 AROUND = ("0", "-0.5", "0", "-2", "0", "1.8", "0")
-QUICK = ["--configurations", "40", "--runs", "1", "--map-points", "2", "--map-runs", "1"]
+QUICK = ["--configurations", "20", "--runs", "1", "--map-points", "2", "--map-runs", "1"]
 
 
 @pytest.fixture(scope="module", autouse=True)
 def rough():
     """Tolerances from few points: their numbers are tested in tests/stability."""
     with pytest.MonkeyPatch.context() as patch:
-        rough = partialmethod(aj.Study.tolerance, precision=0.2, draws=40)
+        rough = partialmethod(aj.Study.tolerance, precision=0.2, draws=15)
         patch.setattr(aj.Study, "tolerance", rough)
         yield
 
@@ -72,6 +72,7 @@ def test_pictures_are_drawn(certified):
         assert picture.std() > 0.05  # something is on it
 
 
+@pytest.mark.study
 def test_what_was_reported_is_kept_where_the_map_is_interrupted(tmp_path, monkeypatch, capsys):
     def interrupted(*_, **__):
         raise KeyboardInterrupt

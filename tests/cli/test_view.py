@@ -40,6 +40,7 @@ def test_a_run_becomes_a_page(reached, tmp_path, capsys):
         assert page.stat().st_size < 4_000_000
 
 
+@pytest.mark.study
 def test_a_page_beside_its_run_is_opened(reached, capsys, monkeypatch):
     opened = []
     monkeypatch.setattr(

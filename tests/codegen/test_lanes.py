@@ -285,6 +285,7 @@ def test_what_is_ones_own_runs_in_lanes_as_in_python(panda):
             np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-12, err_msg=column)
 
 
+@pytest.mark.study
 def test_a_compiled_law_runs_in_lanes_as_the_one_that_it_was_made_from():
     for loop in (study("ur5"), limited(study("ur5"), 0.3)):
         options = {"runs": 3, "duration": 0.1, "dt": 2e-3}

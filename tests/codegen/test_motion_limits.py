@@ -117,6 +117,7 @@ def test_what_joints_at_no_limit_learn_is_learnt_in_compiled_steps(proof, limit,
     assert learnt
 
 
+@pytest.mark.study
 def test_another_period_and_a_clock_that_jumps_are_judged_as_in_python():
     plain = limiter("URDF")
     quick = compiled(plain)

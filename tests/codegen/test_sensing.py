@@ -174,6 +174,7 @@ def test_each_run_has_noise_of_its_own():
     assert (run.x_measured - run.x).std() == pytest.approx(1e-3, rel=0.1)
 
 
+@pytest.mark.study
 def test_the_same_bits_in_numpy():
     """And on vectors of any width."""
     controller, errors, region = test_lanes.study("two_link", "xz")

@@ -355,6 +355,7 @@ def test_a_target_that_moves_is_a_usual_step(panda, rng, asked, is_limited):
         ours.step(state, measurement, wrong, 1e-3)
 
 
+@pytest.mark.study
 def test_parts_of_an_image_that_are_lost_and_quaternions_that_are_none(panda, rng):
     for task, change in (
         (aj.ImageTask(panda, NEAR, points=SQUARE, depth="measured"), {2: np.nan}),
@@ -481,6 +482,7 @@ def test_nothing_is_derived_from_it(panda):
         type("Mine", (type(ours),), {})
 
 
+@pytest.mark.study
 def test_made_from_one_it_is_compiled_too(panda, rng, asked):
     task = aj.PositionTask(panda)
     plain, ours = pair(task, posture=Posture(np.zeros(7), 1.0))

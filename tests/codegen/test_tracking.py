@@ -207,6 +207,7 @@ def test_a_whole_circle_is_the_same(ur5):
     assert_array_equal(ours.status, plain.status)
 
 
+@pytest.mark.study
 def test_what_is_seldom_is_answered_as_in_numpy(ur5, rng, asked):
     task = aj.PositionTask(ur5)
     plain, ours = (each.guarded(None) for each in pair(task))  # no motion is like these
@@ -242,6 +243,7 @@ def test_what_is_seldom_is_answered_as_in_numpy(ur5, rng, asked):
     assert ours.step(fresh, first, target, DT)[1].status is aj.Status.MEASUREMENT_LOST
 
 
+@pytest.mark.study
 def test_what_is_wrong_is_refused_with_the_same_words(ur5, rng):
     task = aj.PositionTask(ur5)
     plain, ours = pair(task)
@@ -271,6 +273,7 @@ def test_what_is_wrong_is_refused_with_the_same_words(ur5, rng):
         assert str(found.value) == str(expected.value)
 
 
+@pytest.mark.study
 def test_made_from_one_it_is_compiled_too(two_link, rng, asked):
     task = aj.PositionTask(two_link)
     plain = aj.TrackingController(task)

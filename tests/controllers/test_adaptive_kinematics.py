@@ -455,6 +455,7 @@ def test_without_x_control_goes_on(turned_run, truth):
     assert run.errors[int(2.5 / DT) :].max() < 12e-3
 
 
+@pytest.mark.study
 def test_the_age_of_x_is_told_by_the_delay_where_x_does_not_tell_it(belief, truth):
     R = rotation_exp(TURN)
     told = follow(AdaptiveKinematics(belief, delay=0.03), truth, R, tells_t_x=False, seconds=3.0)

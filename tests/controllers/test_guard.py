@@ -564,7 +564,9 @@ class Twins:
         return found
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize(
+    "seed", [*range(4), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(4, 12))]
+)
 def test_what_differs_by_little_is_judged_as_a_closer_look_does(seed, monkeypatch):
     looks, closely = [], law_of_guards.closely_judged
     monkeypatch.setattr(

@@ -136,7 +136,8 @@ def blocked(name, dt, limits=(), direction=(0.6, 0.0, -0.8), inside=0.0, **optio
 
 
 PERIODS = [
-    *(pytest.param(dt, marks=pytest.mark.study) for dt in (5e-4, 1e-3, 2e-3)),
+    pytest.param(5e-4, marks=pytest.mark.study),
+    *(pytest.param(dt, marks=pytest.mark.long) for dt in (1e-3, 2e-3)),
     5e-3,
 ]
 
@@ -216,6 +217,7 @@ def test_walls_that_contradict_each_other_have_a_status_and_brake(panda):
     assert np.abs(run.v).max() < 0.2  # it stands between them
 
 
+@pytest.mark.study
 def test_a_limit_of_ones_own_is_kept(panda):
     task, q0 = aj.PositionTask(panda), np.array(STARTS["panda"])
     elbow = FrameKinematics(panda, "panda_link4")

@@ -103,6 +103,7 @@ def watched_run(dt, limits=None, duration=0.5):
     return watched, run
 
 
+@pytest.mark.study
 def test_v2_never_rises_and_falls_by_what_the_gain_dissipates():
     """The rest, of samples, goes with dt: 2.9 % at 1 ms, 0.73 % at 0.25 ms over 3 s."""
     off = []
@@ -422,6 +423,7 @@ def test_other_tasks_need_kinematics(panda):
 # -- velocities -----------------------------------------------------------------------------------
 
 
+@pytest.mark.study
 def test_velocity_commands_stay_within_limits(panda):
     task, q0 = aj.PositionTask(panda), STARTS["panda"]
     controller = known(task, command="velocity", dt=4e-3)

@@ -203,6 +203,7 @@ def test_law_5_is_damped_as_late_as_it_differentiates(panda):
     assert (law_5.gains.damping <= law_6.gains.damping).all()
 
 
+@pytest.mark.study
 def test_printing_a_controller_says_what_was_chosen_and_why():
     task = position_task(aj.load_robot("ur5"))
     law = aj.SetpointController(task, gravity=aj.AdaptiveGravity(task.robot), latency=CAMERA)

@@ -337,6 +337,7 @@ def test_options_of_the_command_are_those_of_the_setup(tmp_path, monkeypatch):
     assert caught.value.args == (5, paper.Setup(start, target, 0.3, 0.005, "point-mass", 7.0))
 
 
+@pytest.mark.study
 def test_friction_helps_as_the_paper_says():
     little = paper.run_experiment(paper.EXPERIMENTS[3], paper.Setup(duration=0.1))
     much = paper.run_experiment(paper.EXPERIMENTS[3], paper.Setup(friction=5.0, duration=0.1))

@@ -40,6 +40,7 @@ def test_it_brings_the_tip_there_and_brakes(plant, controller):
     assert len(found.gap) == len(found.work) == len(driver.sent) - 1
 
 
+@pytest.mark.study
 def test_a_run_is_saved_whole(plant, controller, tmp_path):
     found = run(driver_of(plant), controller, 0.2)
     again = RobotRun.load(found.save(tmp_path / "run.npz"))
@@ -254,6 +255,7 @@ def test_a_few_periods_without_q_are_bridged(plant, controller):
     assert np.isfinite(driver.sent).all()
 
 
+@pytest.mark.study
 def test_where_x_is_seen_again_the_target_begins_there(plant, controller):
     """And goes on from there to where it was led to, as slowly as ever."""
     lost = (100, 110), (300, 330), (332, 340)
@@ -297,6 +299,7 @@ def losing(begin, end=math.inf):
     return Losing
 
 
+@pytest.mark.study
 def test_blind_says_what_ran_out(plant, controller):
     """The way that x has moved, or the time."""
     found = run(driver_of(plant, losing(200)), controller)
@@ -439,6 +442,7 @@ def knowing(plant):
     return aj.TorqueLimited(law, aj.Limits.of(plant.robot))
 
 
+@pytest.mark.study
 def test_x_is_held_against_what_the_present_controller_believes(
     plant, controller, knowing, monkeypatch
 ):
@@ -560,6 +564,7 @@ def test_an_observer_sees_it_and_moves_the_target(plant, controller):
     assert np.abs(np.diff(found.x_d, axis=0)).max() < 1e-3  # it goes there without a jump
 
 
+@pytest.mark.study
 def test_an_observer_that_fails_stops_no_arm(plant, controller):
     def observe(loop):
         raise ZeroDivisionError
@@ -619,6 +624,7 @@ def test_a_run_that_a_fault_ended_says_where_and_by_how_much(plant, controller, 
     assert found.fault.message in found.ended
 
 
+@pytest.mark.study
 def test_the_usual_noise_of_x_is_in_the_unit_of_the_task(panda):
     """0.5 px of noise are usual, and 2 mm of it would be 2000 px."""
     camera = aj.PinholeCamera.looking_at((0.4, 0.0, 0.4), (2.0, -1.0, 1.0), 600.0, (640, 480))
@@ -640,6 +646,7 @@ def test_the_usual_noise_of_x_is_in_the_unit_of_the_task(panda):
     assert "Accuracy(x=..., x_period=...)" in Fault.SENSOR_JUMPED.message
 
 
+@pytest.mark.study
 def test_the_error_is_that_to_the_target_when_x_was_taken(plant, controller):
     late = aj.Plant(plant.robot, plant.sensor, sensing=aj.Sensing(x_delay=0.03))
     path = aj.Circle(goal(plant, (-0.05, 0.0, 0.0)), 0.05, 2.0)
@@ -657,6 +664,7 @@ def test_the_error_is_that_to_the_target_when_x_was_taken(plant, controller):
     assert np.linalg.norm(moved, axis=1).max() > 4e-3  # by which it would be off otherwise
 
 
+@pytest.mark.study
 def test_a_page_of_a_robot_speaks_of_beliefs_not_of_truth(plant, controller, tmp_path):
     found = run(driver_of(plant), controller, 0.1)
     again = aj.Trajectory.load(found.save(tmp_path / "run.npz"))

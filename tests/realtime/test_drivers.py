@@ -308,6 +308,7 @@ def test_no_command_follows_a_fault_that_the_answer_tells(plant, controller):
     assert len(driver.sent) == 200
 
 
+@pytest.mark.study
 def test_an_observer_cannot_exchange_the_limits_away(plant, controller):
     refused = []
 

@@ -162,6 +162,7 @@ def test_speed_that_grows_and_grows_is_found():
     size=st.floats(0.0, 0.5), rate=st.floats(0.1, 3.0), noise=st.floats(0.0, 1.0),
     missed=st.integers(0, 3), quantum=st.sampled_from([0.0, 1e-5]),
 )  # fmt: skip
+@pytest.mark.study
 def test_sound_measurements_raise_no_alarm(size, rate, noise, missed, quantum):
     def sound(m):
         if 0.1 < m.t < 0.1 + missed * DT:
@@ -335,7 +336,7 @@ def test_every_fault_brakes_every_arm(arm, kind):
         assert study.short([outcome]) == []
 
 
-# the oscillation and the drift: on other arms in test_monitor.py
+# the oscillation and the drift: in test_monitor.py
 @pytest.mark.study
 @pytest.mark.parametrize(
     ("arm", "kind", "names"),

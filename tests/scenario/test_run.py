@@ -251,6 +251,7 @@ def test_what_the_believed_arm_cannot_reach_is_named_before_the_run(robot, parts
     assert bool(told) == bool(warning)
 
 
+@pytest.mark.study
 def test_joints_that_touched_their_stops_are_reported():
     target = {"start": HOME, "target": (-0.6, 0.0, 0.4), "duration": 4.0}
     unlimited = {"gravity": "exact", "limits": "none"}
@@ -488,6 +489,7 @@ def test_what_kept_it_from_following_is_named(duration, parts, reason):
     assert report.text(result).startswith("not followed: ")
 
 
+@pytest.mark.study
 def test_a_path_is_followed_as_closely_as_wanted_and_only_within_reach():
     near = run_scenario(following("circle", 2.0, controller={"gravity": "exact"}))
     for tolerance, verdict in ((0.01, "followed"), (0.001, "not followed")):

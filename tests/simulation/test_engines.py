@@ -115,6 +115,7 @@ def test_a_file_keeps_the_engine(loop, tmp_path):
     assert Trajectory.load(run.save(tmp_path / "run")).engine == "machine code"
 
 
+@pytest.mark.study
 def test_loops_that_are_kept_are_few(loop):
     plant, law, target, q = loop
     for dt in np.linspace(1e-3, 2e-3, whole_run._KEPT + 3):

@@ -201,6 +201,7 @@ def test_an_x_that_drifts_is_not_explained(panda, belief):
     assert Condition.NOT_EXPLAINED in {event.condition for event in monitor.events}
 
 
+@pytest.mark.study
 def test_a_run_that_swings_is_not_called_approaching(panda, belief, tmp_path):
     plant = plant_with(panda, MASS)
     task = aj.PositionTask(belief)

@@ -44,6 +44,7 @@ def test_an_observer_that_looks_changes_no_bit(panda):
     assert_array_equal(np.array(seen), expected)  # every step, once
 
 
+@pytest.mark.study
 def test_it_moves_the_target(panda):
     _, _, first = parts(panda)
     second = first + [0.0, 0.1, 0.0]

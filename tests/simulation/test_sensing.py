@@ -147,6 +147,7 @@ def test_encoder_noise_leaves_continuous_joints_on_the_circle(kinova, rng):
     assert all(pin.isNormalized(kinova.model, m.q, 1e-12) for m in seen)
 
 
+@pytest.mark.study
 def test_the_record_holds_what_is_true_and_what_was_measured():
     run, told = swing(aj.Sensing(x_noise=0.01, q_noise=1e-3), duration=5.0)
     assert_allclose((run.x_measured - run.x).std(axis=0), 0.01, rtol=0.05)
@@ -255,6 +256,7 @@ def test_the_status_says_where_a_measurement_was_lost(panda, position):
     assert np.isfinite(run.error).all()  # that is the true one
 
 
+@pytest.mark.study
 def test_an_arm_that_sees_nothing_slows_down_and_does_not_fall(panda, position):
     plant = aj.Plant(panda, position, sensing=aj.Sensing(x_dropout=1.0))
     controller = aj.SetpointController(position)
@@ -382,6 +384,7 @@ def test_another_seed_gives_another_run(panda, seventh):
     ]  # fmt: skip
 
 
+@pytest.mark.study
 def test_perfect_sensing_is_no_sensing_to_the_bit(panda):
     ideal = closed_loop(panda, None)
     zeros = aj.Sensing(x_noise=np.zeros(3), q_noise=np.zeros(7), q_quantum=0, x_delay=0)
@@ -845,6 +848,7 @@ def test_a_lost_frame_is_lost_until_the_next_one_arrives(plane, share, delay):
     assert abs((in_frame > 0).mean() - share) <= 4.5 * deviation
 
 
+@pytest.mark.study
 def test_the_same_seed_takes_the_same_frames(panda):
     sensing = dataclasses.replace(
         EVERYTHING, x_rate=60.0, x_lost=[(0.1, 0.15)], x_frozen=[(0.2, 0.25)]

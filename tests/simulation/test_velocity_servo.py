@@ -192,6 +192,7 @@ def test_joints_stop_and_come_back(panda, kind, integrator):
     assert_allclose(run.v[-1], -away, atol=1e-4)  # nothing has wound up
 
 
+@pytest.mark.study
 def test_the_floor_holds_an_arm_that_is_told_to_go_on(panda):
     plant = aj.MujocoPlant(panda, servo=VelocityServo(), floor=0.0)
     q0 = plant.ready_configuration()
@@ -224,6 +225,7 @@ def test_a_resolved_rate_controller_reaches_its_target(name):
     assert np.abs(runs[0].q - runs[1].q).max() < 1e-9
 
 
+@pytest.mark.study
 def test_what_holds_measurements_commands_what_is_inside(panda):
     law = ResolvedRate(aj.PositionTask(panda), 3.0)
     held = HeldMeasurement(law, unseen=0.02)

@@ -85,6 +85,7 @@ def test_theorem_1_with_the_alpha_of_an_adaptation_has_no_other():
     assert not learnt.is_too_fast
 
 
+@pytest.mark.study
 def test_theorem_1_is_weaker_than_its_matrix_form():
     """Where Theorem 1 holds, Q and V are positive for its own α with the paper's weights."""
     for length, damping in ((0.005, 5.0), (0.01, 10.0), (0.03, 20.0)):

@@ -63,6 +63,7 @@ def test_certified_are_fewer_starts(report, kept):
     assert all(row.text for row in rows)
 
 
+@pytest.mark.study
 def test_without_it_nothing_is_proven_where_limits_act(law, arm, tools, box, report):
     limiter = aj.TorqueLimited(law, aj.Limits(effort=0.5 * arm.effort_limits))
     cost = limit_cost(report.loop, limiter, report.samples, report.sampled, None)

@@ -312,6 +312,7 @@ def test_targets_that_only_some_robots_attain_are_told_of_the_robots_that_do():
     assert near.figures["decay"] == local.decay_rates.min()
 
 
+@pytest.mark.study
 def test_targets_are_looked_at_with_each_lag_of_the_loop():
     """All of them at once: a period, torques that are late, a filter, and old x."""
     late = aj.Latency(4e-3, torque_delay=8e-3, velocity_filter=0.02, image_age=0.04)

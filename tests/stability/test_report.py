@@ -213,6 +213,7 @@ def test_a_certified_controller_reaches_its_target(tools, box, report):
     assert outcome.n_converged == 2
 
 
+@pytest.mark.study
 def test_a_single_robot_and_a_plant_say_the_same():
     arm = aj.load_robot("two_link").with_gravity((0.0, 0.0, 0.0))
     truth, belief = arm.with_object(0.2, 0.5), arm.with_object(0.0)
@@ -269,6 +270,7 @@ def test_what_dies_out_between_frames_does_so_in_the_time_of_a_frame(report, lat
     assert (figures["targets"], figures["unstable"]) == (3, 0)
 
 
+@pytest.mark.study
 def test_gravity_that_is_not_exact_certifies_nothing():
     arm = aj.load_robot("panda")
     tools = aj.Uncertainty(arm, object_length=(0.0, 0.1), object_mass=(0.0, 0.5))
@@ -321,6 +323,7 @@ def test_gravity_that_no_parameters_explain_is_not_said_to_want_learning(options
         loop.require_gravity()
 
 
+@pytest.mark.study
 def test_a_gravity_of_ones_own_is_judged_by_what_it_returns():
     scratch = np.empty(7)
 
@@ -595,6 +598,7 @@ def test_tolerance_takes_no_gravity_for_granted():
         aj.Study(controller_of(tools), tools, region).tolerance(draws=20)
 
 
+@pytest.mark.study
 def test_a_target_that_grown_errors_put_out_of_reach_is_where_tolerance_ends(weightless):
     tools = aj.Uncertainty(weightless, object_length=(0.0, 0.05))
     region = aj.JointBox.around(weightless, Q, 0.3)
@@ -640,6 +644,7 @@ def test_a_law_of_ones_own_is_not_certified_as_the_one_it_is_derived_from():
             test(law, errors, region)
 
 
+@pytest.mark.study
 def test_the_worst_case_of_theorem_1_is_that_with_the_largest_jacobian_error():
     robot = aj.load_robot("two_link")
     errors = aj.Uncertainty(robot, object_length=(0.0, 0.3), believed_length=0.1)

@@ -119,6 +119,7 @@ def test_a_drawn_posture_where_the_rank_is_lost_is_named(straight):
         aj.Study(controller, plant, point).report(20)
 
 
+@pytest.mark.study
 def test_where_learning_is_damped_no_certificate_says_anything():
     arm = aj.load_robot("two_link")
     task = aj.PositionTask(arm, axes="xz")

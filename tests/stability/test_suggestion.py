@@ -59,6 +59,7 @@ def test_tuned_damping_has_the_shape_of_the_inertia_by_itself(tools, box):
     assert longest_period(tools, box, tuned(task).gains) > 4.0 * longest_period(tools, box, equal)
 
 
+@pytest.mark.study
 def test_suggested_gains_follow_the_latency(tools, box):
     """Where torques are late the damping is less, and the late loop is stable."""
     late = aj.Latency(period=5e-3, torque_delay=1e-2)

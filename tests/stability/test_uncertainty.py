@@ -371,6 +371,7 @@ def test_a_camera_that_may_be_rolled_any_way_is_not_certified():
     assert report.rows[1].verdict == "problem"
 
 
+@pytest.mark.study
 def test_true_robots_inside_that_are_worse_than_both_ends_are_found():
     # tilted either way, the base takes as much of x from the plane that the task sees
     tilts = aj.Uncertainty(WEIGHTLESS, PLANE, joint_rotations={"joint1": (0.0, 0.0, np.pi / 8.0)})

@@ -30,7 +30,7 @@ def test_the_form_with_k_is_lyapunovs_equation_at_a_target(number):
 
 
 def test_each_family_holds_those_before_it():
-    outcomes = [families.run_case(number) for number in range(8)]
+    outcomes = [families.run_case(number) for number in range(6)]
     stable = [o.at_target for o in outcomes if o.at_target is not None]
     assert len(stable) >= 4
     for found in stable:

@@ -43,7 +43,9 @@ def test_speeds_and_positions_are_kept_while_what_is_learnt_is_wrong(robot, monk
         pytest.param(
             robot,
             settling_time,
-            marks=pytest.mark.study if settling_time == FASTEST else pytest.mark.long,
+            marks=pytest.mark.study
+            if settling_time == FASTEST and robot in ("panda", "xarm7")
+            else pytest.mark.long,
         )
         for robot in study.ROBOTS
         for settling_time in study.SETTLING_TIMES

@@ -11,8 +11,8 @@ pytestmark = pytest.mark.study
     "case",
     [
         Case("room", 180.0, "circle"),
-        Case("hand", 120.0, "target"),
-        # as in test_adaptive_planar_camera.py
+        pytest.param(Case("hand", 120.0, "target"), marks=pytest.mark.long),
+        # as in test_adaptive_camera.py and test_adaptive_planar_camera.py
         pytest.param(Case("plane", 120.0, "circle"), marks=pytest.mark.long),
     ],
     ids=str,

@@ -94,6 +94,7 @@ def test_balanced_makes_the_arm_as_heavy_along_all_directions(image):
     assert_array_equal(again.C, task.C)
 
 
+@pytest.mark.study
 def test_a_plant_whose_sensor_is_the_task_itself(image):
     x_d = image.value(Q)
     task = CombinedTask.balanced(image, x_d)

@@ -82,11 +82,13 @@ def test_six_coordinates_tell_all_that_the_corners_do(panda):
     ("options", "roll", "factor"),
     [
         ({}, 20.0, 1.2),
-        ({}, 0.0, 1.0),
-        ({"size": 0.06, "distance": 0.9, "tilt": 10.0}, 20.0, 1.2),
+        pytest.param({}, 0.0, 1.0, marks=pytest.mark.long),
+        pytest.param(
+            {"size": 0.06, "distance": 0.9, "tilt": 10.0}, 20.0, 1.2, marks=pytest.mark.long
+        ),
         ({"size": 0.15, "distance": 0.8, "tilt": 45.0}, 30.0, 1.3),
         ({"count": 3}, 20.0, 1.2),
-        ({"count": 3, "size": 0.06, "distance": 0.9}, 0.0, 1.0),
+        pytest.param({"count": 3, "size": 0.06, "distance": 0.9}, 0.0, 1.0, marks=pytest.mark.long),
     ],
 )
 def test_a_tag_reaches_its_place_in_the_image_and_nothing_is_singular(panda, options, roll, factor):

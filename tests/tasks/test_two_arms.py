@@ -57,6 +57,7 @@ def test_two_wrong_arms_reach_two_targets_at_once():
     assert len(run.task_labels) == 6
 
 
+@pytest.mark.study
 def test_one_arm_does_not_wait_for_the_other():
     """What only the left tip has to do leaves the right arm where it is."""
     robot = aj.load_robot(URDF)

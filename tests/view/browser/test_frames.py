@@ -291,6 +291,7 @@ def test_the_believed_tip_moves_onto_the_true_one_while_it_is_learnt(panda, law)
     assert np.linalg.norm(lines["believed at first"] - lines["as it is learnt"], axis=1)[-1] > 0.05
 
 
+@pytest.mark.study
 def test_the_tip_of_an_image_task_is_the_learnt_one_too(panda):
     camera = aj.PinholeCamera.looking_at(
         (0.45, 0.0, 0.4), (1.5, -0.8, 0.9), focal_length=600.0, size=(640, 480)
