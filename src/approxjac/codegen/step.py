@@ -45,9 +45,10 @@ def step_program(controller: Controller, *, may_lose: bool) -> Program:
     given = {name: program.kept(name, size) for name, size in sizes.items()}
     after, answer, left = laws.stepped_from(controller, given)
     predicts = laws.predicts(controller)
-    checked = ("q", "v", "target", "state", "target_v", "target_a") + (() if predicts else ("x",))
-    own = after[: controller.size]  # the guard's memory is of numbers that are checked
-    numbers = [given[name] for name in checked if name in given] + [answer.torque, own]
+    checked = ("q", "v", "target", "target_v", "target_a") + (() if predicts else ("x",))
+    # a guard's memory is of numbers that are checked, or harmless
+    numbers = [given[name] for name in checked if name in given] + [answer.torque]
+    numbers += [each[: controller.size] for each in (given.get("state", after), after)]
     numbers += [] if predicts else [answer.e]
     usual = sum_of_squares([*chain.from_iterable(numbers)]) < HUGE**2
     if not predicts:
