@@ -109,6 +109,9 @@ class Broken:
         self.before = self.broken_at = self.braked_at = None
         self.hung_at = self.first = None
         self.tips, self.past = {}, []
+        if kind.startswith("payload"):  # made here, as a loop has no time for it
+            mass = 0.0 if "dropped" in kind else MASS + 1.5
+            self.other = plant_with(arm, mass, driver.plant.sensing)
         direction = self.rng.standard_normal(3) * [1.0, 1.0, 0.3]
         self.direction = direction / np.linalg.norm(direction)
 
@@ -243,10 +246,7 @@ class Broken:
         sensor = driver.plant.sensor
         J, x = sensor.jacobian(driver.q), sensor.value(driver.q)
         if kind.startswith("payload"):
-            if not self.past:  # from now on it is another arm
-                self.past.append(driver.plant)
-                mass = 0.0 if "dropped" in kind else MASS + 1.5
-                driver.plant = plant_with(self.arm, mass, driver.plant.sensing)
+            driver.plant = self.other  # from now on it is another arm
         elif kind.startswith("cable") or (kind.startswith("pushed") and since < 1.0):
             return J.T @ ((CABLE if kind.startswith("cable") else PUSH) * self.direction)
         elif kind == "tip meets a wall":
