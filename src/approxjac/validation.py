@@ -27,6 +27,12 @@ _MANY = 50  # numbers, of which the wrong ones are counted in a message
 _CHANGEABLE = (list, dict, np.ndarray)
 
 
+def read_only(array: Array) -> Array:
+    """Return an array, which from now on cannot be changed by its name."""
+    array.flags.writeable = False
+    return array
+
+
 def _floats(value: Any) -> Array:
     """Return a new array of floats; raise a TypeError or ValueError if masked or no numbers."""
     if _is_masked(value) or np.asarray(value).dtype.kind not in "iuf":  # as text and booleans are
@@ -57,8 +63,7 @@ def as_array(name: str, value: Any, shape: tuple[int | str, ...], unit: str = ""
         wrong = array.size - int(np.isfinite(array).sum())
         given = array.tolist() if array.size <= _MANY else f"{wrong} of {array.size} that are not"
         raise InvalidInputError(f"{name} must be finite{suffix}, got {given}", given=value)
-    array.flags.writeable = False
-    return array
+    return read_only(array)
 
 
 def _is_masked(value: Any) -> bool:
@@ -158,8 +163,7 @@ def as_limits(name: str, value: Any, size: int, *, unit: str) -> Array:
             f"infinite where there is no limit, got {shown(value)}",
             given=value,
         )
-    array.flags.writeable = False
-    return array
+    return read_only(array)
 
 
 def require(name: str, value: Any, kind: type | tuple[type, ...], wanted: str) -> Any:

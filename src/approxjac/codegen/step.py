@@ -48,7 +48,7 @@ def step_program(controller: Controller, *, may_lose: bool) -> Program:
     checked = ("q", "v", "target", "target_v", "target_a") + (() if predicts else ("x",))
     # a guard's memory is of numbers that are checked, or harmless
     numbers = [given[name] for name in checked if name in given] + [answer.torque]
-    numbers += [each[: controller.size] for each in (given.get("state", after), after)]
+    numbers += [each[: controller.size] for each in (given["state"], after)]
     numbers += [] if predicts else [answer.e]
     usual = sum_of_squares([*chain.from_iterable(numbers)]) < HUGE**2
     if not predicts:

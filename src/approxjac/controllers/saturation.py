@@ -11,7 +11,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.formatting import joined, numbers
 from approxjac.law import Linear, Saturation
 from approxjac.tasks import Task
-from approxjac.validation import Array, as_number
+from approxjac.validation import Array, as_number, read_only
 
 _NAMES = ("s", "S", "ds", "c_bar")
 _SLACK = 1e-5  # relative: round-off costs less, a mistake more
@@ -51,9 +51,8 @@ def require_saturation(saturation: Saturation, task: Task) -> None:
 
 
 def _value(saturation: Saturation, name: str, e: Array) -> Array:
-    e.flags.writeable = False
     try:
-        value = np.asarray(getattr(saturation, name)(e), dtype=np.float64)
+        value = np.asarray(getattr(saturation, name)(read_only(e)), dtype=np.float64)
     except Exception as error:
         raise _Fault(
             f"{name}(e) fails for an e of shape {e.shape} with {type(error).__name__}: {error} "

@@ -37,7 +37,7 @@ from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Ta
 from approxjac.law import Linear, Saturation, Tanh
 from approxjac.robots import Dynamics, GravityRegressor, Robot
 from approxjac.tasks import PoseTask, PositionTask, Task, analysis
-from approxjac.validation import Array, Immutable, as_number, as_vector, require
+from approxjac.validation import Array, Immutable, as_number, as_vector, read_only, require
 
 _OK, _LOST = Status.OK, Status.MEASUREMENT_LOST  # members of an enum are slow to look up
 _ALPHA_SHARE = 0.3  # of the rate of the task's slow pole
@@ -179,10 +179,9 @@ class SetpointController(Immutable, Controller):
         self.reach, self._subtracts = Reach(task), task.subtracts  # as most do
         self._combination = analysis.combination(task)  # a target moves as what is measured does
         self._continuous = robot.nq != robot.nv
-        self._no_rate = np.zeros(self.resting + (0 if velocity is None else task.m))
+        self._no_rate = read_only(np.zeros(self.resting + (0 if velocity is None else task.m)))
         # of q, v, x, target and state
         self._shapes = (robot.nq,), (robot.nv,), (task.n_x,), (task.n_x,), self._no_rate.shape
-        self._no_rate.flags.writeable = False
 
     def _tuned(
         self, gains: Gains | None, latency: Latency | None, settling_time: float | None

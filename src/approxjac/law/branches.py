@@ -36,6 +36,13 @@ def select(condition: Any, a: Any, b: Any) -> Any:
     return condition.select(a, b)
 
 
+def selected(condition: Any, a: list[Any], b: list[Any]) -> list[Any]:
+    """Return what `select` does of each pair of numbers in two lists."""
+    if condition is True or condition is False:
+        return a if condition else b
+    return [select(condition, *pair) for pair in zip(a, b, strict=True)]
+
+
 def complement(condition: Any) -> Any:
     """Return the opposite of a condition."""
     return not condition if isinstance(condition, _KNOWN) else ~condition

@@ -13,7 +13,7 @@ from itertools import chain, pairwise
 from operator import or_
 from typing import Any, NamedTuple
 
-from approxjac.law.branches import all_finite, array, choose, complement, select, surely
+from approxjac.law.branches import all_finite, array, choose, complement, select, selected, surely
 from approxjac.law.products import root
 from approxjac.validation import Array
 
@@ -275,26 +275,26 @@ def closely_judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBo
     anew = is_bad & known & alone & complement(wild | far)
     blind = select(is_bad, memory.blind, select(seen, 0.0, -1.0))
     blind, none = select(refuses, memory.blind + dt, blind), [0.0] * len(v)
-    drift = _each(is_bad, memory.drift, _each(seen, found.drift, none))
+    drift = selected(is_bad, memory.drift, selected(seen, found.drift, none))
     if not surely(stops == GOOD):
-        way = _each(is_bad | was_bad, none, way)
+        way = selected(is_bad | was_bad, none, way)
         since_then = [a + b for a, b in zip(memory.drift, way, strict=True)]
-        drift = _each(stops > 0, _each(stopped, since_then, none), drift)
+        drift = selected(stops > 0, selected(stopped, since_then, none), drift)
     keeps, skips = is_bad | complement(seen), is_bad & complement(anew)
     used_v = v
     if seen is not True:  # nothing has confirmed a first q̇ yet
         pairs = zip(v, bounds.fastest, strict=True)
-        used_v = _each(seen, v, [_larger(_smaller(each, most), -most) for each, most in pairs])
-    used_q = _each(is_bad, memory.q, q)
+        used_v = selected(seen, v, [_larger(_smaller(each, most), -most) for each, most in pairs])
+    used_q = selected(is_bad, memory.q, q)
     return Judged(
         [kind, select(refuses, 1, 0), select(anew, 1, 0)],
-        used_q, _each(is_bad, _each(stopped | alone, none, before), used_v), x,
+        used_q, selected(is_bad, selected(stopped | alone, none, before), used_v), x,
         GuardMemory(
             select(skips, memory.t, t), select(is_bad, memory.bad + 1.0, 0.0), stops, blind,
-            _each(anew, q, used_q), _each(skips, before, v), drift,
-            _each(is_bad, memory.path, _each(seen, found.path, none)), memory.push,
-            _each(keeps, memory.usual, found.usual), _each(keeps, memory.noise, found.finer),
-            _each(keeps, memory.step, found.step), memory.command, last, moved,
+            selected(anew, q, used_q), selected(skips, before, v), drift,
+            selected(is_bad, memory.path, selected(seen, found.path, none)), memory.push,
+            selected(keeps, memory.usual, found.usual), selected(keeps, memory.noise, found.finer),
+            selected(keeps, memory.step, found.step), memory.command, last, moved,
         ),
     )  # fmt: skip
 
@@ -328,8 +328,8 @@ def _seen(
         far = far & there
         new = _differs(here, before) & complement(far | hidden) & there
         refuses = refuses | far
-        used += _each(far | hidden, [math.nan] * len(here), here)
-        last += _each(new | (far & alone & complement(hidden)), here, before)
+        used += selected(far | hidden, [math.nan] * len(here), here)
+        last += selected(new | (far & alone & complement(hidden)), here, before)
         moves.append(select(new, _nearer(moved), moved))
     return refuses & complement(hidden), used, last, moves
 
@@ -377,9 +377,3 @@ def _larger(a: Any, b: Any) -> Any:
 def _smaller(a: Any, b: Any) -> Any:
     below = a < b
     return a if below is True else b if below is False else select(below, a, b)
-
-
-def _each(condition: Any, a: list[Any], b: list[Any]) -> list[Any]:
-    if condition is True or condition is False:
-        return a if condition else b
-    return [select(condition, *pair) for pair in zip(a, b, strict=True)]

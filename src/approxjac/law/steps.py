@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from approxjac.law.branches import all_finite, array, choose, complement, select
+from approxjac.law.branches import all_finite, array, choose, complement, select, selected
 from approxjac.law.products import dot
 from approxjac.law.pseudoinverse import SINGULAR_RATIO, damped_gram_solve, is_near_singular
 from approxjac.law.torque import estimated_velocity_torque, gravity, measured_velocity_torque
@@ -157,10 +157,10 @@ def hold_step(
         is_new = all_finite(here + apart[rows]) & (never | new)
         is_far = reduce(or_, [abs(far) > end for far, end in zip(own, most[rows], strict=True)])
         is_old = complement(is_new) & (never | is_far)
-        now = _each(is_new, here, before)
+        now = selected(is_new, here, before)
         remembered += now
-        used += _each(is_old, [math.nan] * len(here), now)
-        moved += _each(is_new, [0.0] * len(own), own)
+        used += selected(is_old, [math.nan] * len(here), now)
+        moved += selected(is_new, [0.0] * len(own), own)
         known.append(select(is_new | ever, 1.0, 0.0))
         stands.append((rows, is_old))
         any_new = any_new | is_new
@@ -175,11 +175,5 @@ def hold_moved(held: HoldStep, motion: Array) -> Array:
     for rows, is_old in held.stands:
         # a part that is too old stands still: an arm that sags back is not seen by that
         own = held.moved[rows]
-        moved += _each(is_old, own, [a + b for a, b in zip(own, by[rows], strict=True)])
+        moved += selected(is_old, own, [a + b for a, b in zip(own, by[rows], strict=True)])
     return array(held.last + moved + held.known)
-
-
-def _each(condition: Any, a: list[Any], b: list[Any]) -> list[Any]:
-    if condition is True or condition is False:
-        return a if condition else b
-    return [select(condition, *pair) for pair in zip(a, b, strict=True)]

@@ -13,7 +13,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.formatting import one_line
 from approxjac.interface import Measurement
 from approxjac.tasks import Task
-from approxjac.validation import Array, as_number, require
+from approxjac.validation import Array, as_number, read_only, require
 
 _AHEAD = 0.01  # s, and a period: by which x may be stamped later than the state it comes with
 
@@ -66,8 +66,7 @@ def read(driver: Driver, task: Task) -> Measurement:
     q, v, x = (_copied(name, getattr(given, name)) for name in "qvx")
     robot = task.robot
     if q.shape == (robot.nv,) and robot.nq != robot.nv:
-        q = np.array(pin.integrate(robot.model, robot.neutral(), q))
-        q.flags.writeable = False
+        q = read_only(np.array(pin.integrate(robot.model, robot.neutral(), q)))
     measured = Measurement(t, q, v, x, t_x)
     if (q.shape, v.shape, x.shape) != ((robot.nq,), (robot.nv,), (task.n_x,)):
         raise InvalidInputError(
@@ -93,6 +92,4 @@ def _copied(name: str, values: Any) -> Array:
             message = f"{name} of a measurement must be an array of real numbers, NaN where unknown"
             raise InvalidInputError(f"{message}, got {one_line(values)}", given=values)
         values = np.ma.filled(given.astype(np.float64), np.nan)
-    copied = np.array(values)
-    copied.flags.writeable = False
-    return copied
+    return read_only(np.array(values))

@@ -12,7 +12,7 @@ import pinocchio as pin
 from approxjac.errors import InvalidInputError
 from approxjac.robots.robot import WORLD, Robot, mass_matrix
 from approxjac.robots.traced import arm_of
-from approxjac.validation import Array, as_vector, axis_rows, require
+from approxjac.validation import Array, as_vector, axis_rows, read_only, require
 
 
 class Dynamics:
@@ -246,8 +246,8 @@ class DynamicsRegressor(_TorqueRegressor):
         of_joints = [units[kind] for units in _OF_A_JOINT.values() for kind in kinds]
         of_links = ("kg", *3 * ("kg m",), *6 * ("kg m²",)) * len(self._movers)
         self.units = (*of_links, *of_joints)
-        self.a = np.concatenate([self._dynamic, np.zeros(len(_OF_A_JOINT) * robot.nv)])
-        self.a.flags.writeable = False
+        none = np.zeros(len(_OF_A_JOINT) * robot.nv)
+        self.a = read_only(np.concatenate([self._dynamic, none]))
 
     def Y_d(self, q: Array, v: Array, v_r: Array, a_r: Array) -> Array:
         """Y_d (n_v, p) of q (nq,), q̇, q̇_r [rad/s or m/s] and q̈_r [rad/s² or m/s²]; not checked."""
@@ -324,8 +324,7 @@ class GravityRegressor(_TorqueRegressor):
         self._usual = np.sqrt(np.mean(stacked[:, kept] ** 2, axis=0))
         self.names = tuple(f"{self._movers[c // 10]}.{_OF_A_LINK[c % 10]}" for c in self.columns)
         self.units = tuple("kg m" if c % 10 else "kg" for c in self.columns)
-        self.theta = grouping @ self._dynamic[candidates]
-        self.theta.flags.writeable = False
+        self.theta = read_only(grouping @ self._dynamic[candidates])
         error = self._error(robot, self.theta, rng)
         if error > 1e-9:
             raise InvalidInputError(

@@ -12,7 +12,7 @@ import pinocchio as pin
 from approxjac.errors import InvalidInputError
 from approxjac.robots.robot import Robot
 from approxjac.robots.traced import arm_of
-from approxjac.validation import Array, as_array, as_vector, require
+from approxjac.validation import Array, as_array, as_vector, read_only, require
 
 _IN_WORLD = pin.LOCAL_WORLD_ALIGNED
 _JACOBIAN_DOT = pin.getFrameJacobianTimeVariation
@@ -100,8 +100,8 @@ class KinematicRegressor:
         rotations = [placed[f].placement.rotation for f in of_frame]
         own = [R @ point for R, point in zip(rotations, known, strict=True)]
         origins = [model.jointPlacements[joint].translation for joint in joints]
-        self.theta = np.concatenate([*origins, *(each.placement.translation for each in placed)])
-        self.theta.flags.writeable = False
+        origins += [each.placement.translation for each in placed]
+        self.theta = read_only(np.concatenate(origins))
         self.has_offset = bool(slides.any()) or known.any()
         ends = ("tool",) if len(placed) == 1 else self.frames
         self.names = tuple(f"{part}.{axis}" for part in (*self.movers, *ends) for axis in "xyz")

@@ -20,7 +20,7 @@ from approxjac.robots.kinematic_regressor import PointMotion
 from approxjac.robots.traced import motion_between, moved
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import combination
-from approxjac.validation import Array, Immutable, as_number, as_vector, require
+from approxjac.validation import Array, Immutable, as_number, as_vector, read_only, require
 
 _OK, _PREDICTED = Status.OK, Status.PREDICTED  # members of an enum are slow to look up
 _LOST = Status.MEASUREMENT_LOST
@@ -163,8 +163,7 @@ class KnownKinematics(Kinematics):
         self._combination = combination(task)  # a target moves as what is measured does
         own = type(task).sensor_jacobian is not Task.sensor_jacobian
         self._exact = task.subtracts and not own  # ż = Ĵq̇ − ẋ_d
-        self._none = np.zeros(task.m)
-        self._none.flags.writeable = False
+        self._none = read_only(np.zeros(task.m))
 
     def predict(self, state: Array, q: Array, v: Array, target: Target) -> PredictedError:
         """Return h(q) − x_d and its derivatives."""

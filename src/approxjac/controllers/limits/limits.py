@@ -10,7 +10,7 @@ import numpy as np
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import short_fields
 from approxjac.robots import Dynamics, Robot
-from approxjac.validation import Array, as_limits, as_number, require, shape_of
+from approxjac.validation import Array, as_limits, as_number, read_only, require, shape_of
 
 _CONFIGURATIONS = 100
 _SHARE, _RARE = 0.5, 0.05
@@ -120,5 +120,4 @@ def _range(position: object) -> tuple[Array, Array]:
             f"got {position!r}",
             given=position,
         )
-    lower.flags.writeable = upper.flags.writeable = False
-    return lower, upper
+    return read_only(lower), read_only(upper)

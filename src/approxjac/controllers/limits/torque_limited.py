@@ -24,7 +24,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
 from approxjac.robots.traced import motion_between
 from approxjac.tasks.frame_tasks import FrameKinematics
-from approxjac.validation import Array, as_number, require
+from approxjac.validation import Array, as_number, read_only, require
 
 _FREE, _LIMITED = LimitStatus.FREE, LimitStatus.LIMITED  # members of an enum are slow to look up
 _INFEASIBLE, _FAILED = LimitStatus.INFEASIBLE, LimitStatus.SOLVER_FAILED
@@ -68,8 +68,8 @@ class AccelerationObserver:
         self._dt, self._rate, self._share = dt, np.array(rate), np.array(1.0 - rate * dt)
         self._period = np.array(dt)
         self._most = _EXPLAINED * usual_accelerations(robot)[1]
-        self.nothing = np.concatenate([[_NEVER], np.zeros(2 * robot.nv)])  # before the first period
-        self.nothing.flags.writeable = False
+        # before the first period
+        self.nothing = read_only(np.concatenate([[_NEVER], np.zeros(2 * robot.nv)]))
 
     def timed(self, memory: Array, measurement: Measurement) -> Measurement:
         """Return a measurement, at the expected time if its t does not advance."""
