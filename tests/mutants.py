@@ -274,7 +274,7 @@ MUTANTS = [
     ),
     (
         "what is too old comes back", "law/steps.py",
-        "_each(is_old, own, [a + b",
+        "selected(is_old, own, [a + b",
         "_each(False, own, [a + b", "tests/controllers/test_measurement_hold.py",
     ),
     (
@@ -470,7 +470,7 @@ MUTANTS = [
     ),
     (
         "motion since the frame before", "law/steps.py",
-        "moved += _each(is_new, [0.0] * len(own), own)", "moved += own", PERIODS,
+        "moved += selected(is_new, [0.0] * len(own), own)", "moved += own", PERIODS,
     ),
     (
         "held although it is new", "controllers/hold.py",
