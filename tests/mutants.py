@@ -275,7 +275,7 @@ MUTANTS = [
     (
         "what is too old comes back", "law/steps.py",
         "selected(is_old, own, [a + b",
-        "_each(False, own, [a + b", "tests/controllers/test_measurement_hold.py",
+        "selected(False, own, [a + b", "tests/controllers/test_measurement_hold.py",
     ),
     (
         "the same frame is new", "law/steps.py",
