@@ -32,7 +32,7 @@ def plant_with(arm, mass):
     return aj.Plant(truth, aj.PositionTask(truth))
 
 
-def events(arm, controller, happens=None, duration=1.6, plant=None):
+def events(arm, controller, happens=None, duration=1.6, plant=None, explains=False):
     """Let a simulated arm reach for a target, and something happen to it from AT on."""
     plant = plant or plant_with(arm, MASS)
     q = plant.ready_configuration()
@@ -47,6 +47,8 @@ def events(arm, controller, happens=None, duration=1.6, plant=None):
         moving.move(moving.take(torque))
         measured = moving.sense()[1]
         monitor.look(measured, answer.torque, answer.reference, state)
+    if explains:
+        monitor.explain()
     return monitor.events
 
 
@@ -75,6 +77,28 @@ def test_a_weak_motor_is_named(panda, controller, share):
     assert ("wrong way" in event.figure) == (share < 0.0)
     if share == 0.5:
         assert_allclose(float(event.figure.split()[2]), 50.0, atol=10.0)
+
+
+@pytest.mark.parametrize("j", [0, 1, 3, 5])
+def test_a_motor_that_makes_a_joint_fast_is_named_after_a_few_samples(panda, controller, j):
+    after = AT + 4.0 * DT
+    assert events(panda, controller, motor(j, -1.0), after) == []
+    (event,) = events(panda, controller, motor(j, -1.0), after, explains=True)
+    assert event.condition is Condition.MOTOR_WEAK
+    assert event.where == panda.joint_names[j]
+    assert abs(event.begin - AT) < 6.0 * DT
+
+
+def test_a_blow_is_no_motor(panda, controller):
+    blow = push(np.array([0.0, 100.0, 0.0]))
+    (event,) = events(panda, controller, blow, AT + 4.0 * DT, explains=True)
+    assert event.condition is Condition.PUSHED
+    assert_allclose(float(event.figure.removesuffix(" N")), 100.0, rtol=0.4)
+
+
+@pytest.mark.parametrize("duration", [0.0, DT, 2.0 * DT, 1.0])
+def test_nothing_explains_a_usual_motion(panda, controller, duration):
+    assert events(panda, controller, duration=duration, explains=True) == []
 
 
 @pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)])

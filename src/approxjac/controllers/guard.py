@@ -6,7 +6,7 @@ import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +29,6 @@ from approxjac.law.guard import (
 )
 from approxjac.robots import Dynamics, Robot
 from approxjac.robots.traced import motion_between
-from approxjac.tasks import Task
 from approxjac.tasks.analysis import uncombined
 from approxjac.validation import Array, as_diagonal, as_integer, as_limits, as_number, shape_of
 
@@ -96,35 +95,18 @@ class Guard:
 USUAL = Guard()
 
 
-class _Guarded(Protocol):
-    """What a guard asks of its `Controller`."""
-
-    task: Task
-    command: Literal["torque", "velocity"]
-    limits: Limits | None
-
-    @property
-    def law(self) -> Any: ...
-
-    def advance(
-        self, state: Array, measurement: Measurement, target: Target | Array, dt: float
-    ) -> tuple[Array, Evaluation]: ...
-
-    def gravity_torque(self, state: Array, q: Array) -> Array: ...
-
-
 class SampleGuard:
     """A guard of one controller: it lets its samples pass or replaces them.
 
     Args:
         guard: The bounds.
-        controller: The controller, whose torques limit those of a stop.
+        controller: The `Controller`, whose limits a stop keeps.
 
     Attributes:
         first: Its memory before the first sample.
     """
 
-    def __init__(self, guard: Guard, controller: _Guarded) -> None:
+    def __init__(self, guard: Guard, controller: Any) -> None:
         task = controller.task
         robot, measured = task.robot, task.measured
         n, m = robot.nv, measured.m
@@ -157,7 +139,7 @@ class SampleGuard:
 
     def step(
         self,
-        controller: _Guarded,
+        controller: Any,
         state: Array,
         memory: Array,
         measurement: Measurement,

@@ -266,7 +266,8 @@ class Monitor:
         self._residual, self._smooth_torque = np.zeros(len(v)), torque
         self._impulse = self._shaken = np.zeros(len(v))
         if self._knows_torque:
-            self._momentum, self._rate = self._dynamics.M(q) @ v, self._rest(q, v)
+            self._M = self._dynamics.M(q)
+            self._momentum, self._rate = self._M @ v, self._rest(q, v)
             self._smooth_tip = self._tip.jacobian(q) @ v
 
     def _rest(self, q: Array, v: Array) -> Array:
@@ -372,24 +373,22 @@ class Monitor:
 
         What is seen in a few milliseconds is clear only where an arm gets out of control.
         """
-        if not self._knows_torque or self._active.keys() & {"motor", "force"}:
+        if not self._knows_torque:
             return
-        found = []
-        for k in range(1, len(self._samples)):  # since when, nobody knows
-            tick = self._last(k)
-            causes = _causes(*(each[None] for each in tick[:4]))
-            if causes.whole > _SURE:
-                found.append((min(causes.left, causes.left_force), k, causes, tick.torque))
-        if not found:
-            return
-        _, k, causes, given = min(found, key=lambda each: each[:2])
-        self._since = self._samples[-1 - k][0]
-        # a force has three numbers to fit, a motor one
-        is_motor = causes.left < min(_FITS, causes.left_force + _ONE_FITS)
-        if is_motor and _WEAK < causes.share < 2.0 + _WEAK:
-            self._weak_motor(causes.j, causes.share, float(abs(given[causes.j])))
-        elif causes.left_force < _FITS and np.linalg.norm(causes.force) > _LEAST_FORCE:
-            self._force(_SLOWLY, causes.force, causes.left_force, 0.0, 1.0)
+        ticks = [self._last(k) for k in range(1, len(self._samples))]  # since when, nobody knows
+        causes = [_causes(*(each[None] for each in tick[:4])) for tick in ticks]
+        explained = [-each.whole * (1.0 - min(each.left, each.left_force)) for each in causes]
+        for i in np.argsort(explained).tolist():
+            j, share, left, force, left_force, whole = causes[i]
+            self._since = self._samples[-2 - i][0]
+            # a force has three numbers to fit, a motor one
+            is_motor = left < min(_FITS, left_force + _ONE_FITS) and _WEAK < share < 2.0 + _WEAK
+            if whole <= _SURE or self._active.keys() & {"motor", "force"}:
+                break
+            if is_motor:
+                self._weak_motor(j, share, float(abs(ticks[i].torque[j])))
+            elif left_force < _FITS and np.linalg.norm(force) > _LEAST_FORCE:
+                self._force(_SLOWLY, force, left_force, 0.0, 1.0)
 
     def _last(self, k: int) -> _Tick:
         """Return the torques that nothing explains, on the average over the last k samples."""
