@@ -150,9 +150,6 @@ def holding(arm: Robot, held: Object, shifts: Vectors, rotations: Vectors) -> Ro
     return robot.with_kinematic_error(shifts, rotations) if shifts or rotations else robot
 
 
-# -- tasks ------------------------------------------------------------------------------
-
-
 def _tasks(truth: Robot, belief: Robot, scenario: Scenario) -> tuple[Task, Task]:
     chosen, given, wrong = scenario.task, scenario.true.camera, scenario.believed.camera
     if chosen.kind == "image":
@@ -214,9 +211,6 @@ def _target(
     return sensor.target(goal.at)
 
 
-# -- the plant --------------------------------------------------------------------------
-
-
 def _plant(truth: Robot, sensor: Task, motors: Array, scenario: Scenario, belief: Robot) -> Plant:
     true = scenario.true
     options: dict[str, Any] = {"friction": Friction(true.friction, true.coulomb)}
@@ -243,9 +237,6 @@ def sensing_of(given: Sensor) -> Sensing | None:
     lost: Any = () if given.lost is None else ((*given.lost, *part),)
     frozen = () if given.frozen is None else (given.frozen,)
     return Sensing(**of_x, **of_q, x_rate=given.rate, x_lost=lost, x_frozen=frozen)
-
-
-# -- the controller ---------------------------------------------------------------------
 
 
 def _law(

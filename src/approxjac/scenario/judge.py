@@ -183,9 +183,6 @@ def _values(name: str, loop: ClosedLoop, uncertainty: Uncertainty, count: int) -
     return np.asarray(values)
 
 
-# -- words ------------------------------------------------------------------------------
-
-
 def consequences(result: StabilityResult, out: Path) -> str:
     """Return the errors tolerated, and the outcome of the map."""
     blocks: list[list[str]] = []
@@ -195,9 +192,6 @@ def consequences(result: StabilityResult, out: Path) -> str:
     if result.map is not None:
         blocks.append([str(result.map), f"The map is {out / 'map.png'}"])
     return "\n\n".join("\n".join(block) for block in blocks)
-
-
-# -- pictures and files -----------------------------------------------------------------
 
 
 def draw_map(result: StabilityResult) -> Figure | None:

@@ -48,8 +48,6 @@ class RunResult:
     built: BuiltScenario
     run: Trajectory
 
-    # -- errors -------------------------------------------------------------------------
-
     @property
     def in_pixels(self) -> bool:
         """True if the task is an image in px."""
@@ -129,8 +127,6 @@ class RunResult:
             return None
         return self.built.controller.kinematics_learnt(self.run.state[-1])
 
-    # -- limits -------------------------------------------------------------------------
-
     @cached_property
     def motor_torque(self) -> Array:
         """Commanded motor torque with the gravity that the robot adds, (N, n_v) [N m or N]."""
@@ -156,8 +152,6 @@ class RunResult:
     def joint_limit_excess(self) -> float:
         """Largest excess of a joint over its position limits [rad or m]; 0 if none."""
         return max(0.0, float(self.built.plant.robot.beyond_limits(self.run.q).max()))
-
-    # -- verdict ------------------------------------------------------------------------
 
     @property
     def verdict(self) -> str:
@@ -252,8 +246,6 @@ class RunResult:
         first, end = (law.gravity_torque(run.state[last][k], q) for k in (0, -1))
         return np.linalg.norm(end - first) > 0.01 * np.linalg.norm(run.at("task_torque", [-1]))
 
-    # -- summary ------------------------------------------------------------------------
-
     def summary(self) -> dict[str, Any]:
         """Return the contents of summary.json."""
         run, built, robot, learnt = self.run, self.built, self.built.plant.robot, self.kinematics
@@ -329,9 +321,6 @@ def run_scenario(
 
 def _peak(values: Array, limits: Array) -> float:
     return float((np.abs(values) / limits).max()) if np.isfinite(limits).any() else math.nan
-
-
-# -- words, pictures, files -------------------------------------------------------------
 
 
 def write(result: RunResult, out: Path) -> None:

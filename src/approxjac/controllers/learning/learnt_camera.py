@@ -152,8 +152,6 @@ class AdaptiveCamera(Estimator):
     def __repr__(self) -> str:
         return f"AdaptiveCamera({self.task!r}, unknown={self.unknown})"
 
-    # -- pixels as rays ------------------------------------------------------------------
-
     def _own(self, measurement: Measurement) -> Measurement:
         x = (measurement.x.reshape(-1, 2) - self._center) / self._f
         return measurement._replace(x=x.ravel())
@@ -190,8 +188,6 @@ class AdaptiveCamera(Estimator):
         assert self._lens is not None
         return np.array(self._lens.slopes(*ray.tolist())).reshape(2, 2)
 
-    # -- points that are watched ---------------------------------------------------------
-
     def _watched(self, q: Array) -> tuple[Array, Array]:
         """Return H(q), shape (k, 3, n_u), and o(q), shape (k, 3)."""
         H, known = self._moved.at(q)
@@ -227,8 +223,6 @@ class AdaptiveCamera(Estimator):
             each_dot - a_dot.dot(J[0]) - A.dot(J_dot[0]),
             np.tile(A.dot(moved), (self._k, 1)),
         )
-
-    # -- learning ------------------------------------------------------------------------
 
     def _begin(self, state: Array) -> None:
         state[self._at["keys"]] = self._estimator.about(self._first)
@@ -288,8 +282,6 @@ class AdaptiveCamera(Estimator):
         if noted[0] > _SETTLED and keys[-2] < _EXPLAINED:
             explained[0] = 1.0
 
-    # -- the smoothed estimates ----------------------------------------------------------
-
     def _aim(self, state: Array, q: Array, dt: float) -> None:
         # all follow, and the camera such that the points at q do
         at = self._at
@@ -315,8 +307,6 @@ class AdaptiveCamera(Estimator):
     def _smooth(self, state: Array) -> tuple[Array, Array, float]:
         at = self._at
         return state[at["u"]], state[at["R"]].reshape(3, 3), float(state[at["stretch"]][0])
-
-    # -- prediction ----------------------------------------------------------------------
 
     def predict(self, state: Array, q: Array, v: Array, target: Target) -> PredictedError:
         """Return z = (f₀/Z₀) N(ρ_d) c at q (nq,) and q̇ (n_v,), with the smoothed estimates.
@@ -348,8 +338,6 @@ class AdaptiveCamera(Estimator):
         x_d_dot, x_d_ddot = scale * Z * led, scale * (Z_dot * led + Z * led_dot)
         z = (N @ c[:, :, np.newaxis]).ravel()
         return PredictedError(z, J, J_dot, x_d_dot.ravel(), x_d_ddot.ravel(), drift.ravel())
-
-    # -- what was learnt -----------------------------------------------------------------
 
     def _is_state(self, state: Array) -> bool:
         return is_rotation(_parts(self._estimator.estimate(state[self._at["keys"]]))[1])
@@ -430,8 +418,6 @@ class _KeyFrames:
         _, first = np.unique(np.round(everywhere[:, 2], 6), axis=0, return_index=True)
         self._views = everywhere[first]
 
-    # -- numbers -------------------------------------------------------------------------
-
     def about(self, estimate: Array) -> Array:
         """Return the numbers (size,) before the first frame, with an estimate."""
         numbers = np.zeros(self.size)
@@ -474,8 +460,6 @@ class _KeyFrames:
         covariance[free] = np.linalg.inv(A[free])
         return covariance
 
-    # -- key frames ----------------------------------------------------------------------
-
     def _remember(self, numbers: Array, H: Array, o: Array, y: Array) -> None:
         """Add a frame to the last key frame, or begin another one, in place."""
         keys, last = numbers[: self._m].reshape(self._shape), int(numbers[-1]) % _KEYS
@@ -504,8 +488,6 @@ class _KeyFrames:
     def _chi_squared(self, estimate: Array, terms: _Terms) -> float:
         rows = 2.0 * len(terms[0])
         return 2.0 * self._misfit(estimate, terms) / max(rows - len(self._free), 0.5 * rows)
-
-    # -- least squares -------------------------------------------------------------------
 
     def _places(self, estimate: Array, terms: _Terms) -> Array:
         """Return the points in the camera's axes, shape (N, 3)."""
@@ -571,8 +553,6 @@ class _KeyFrames:
         step = step / max(1.0, math.hypot(*step[n + 3 : n + 6].tolist()) / _TURN)
         R = law.rotation_exp(step[n + 3 : n + 6]).dot(R)
         return np.concatenate([u + step[:n], R.ravel(), p + step[n : n + 3], [stretch + step[-1]]])
-
-    # -- where to start ------------------------------------------------------------------
 
     def _placed(self, estimate: Array, terms: _Terms) -> Array:
         """Return an estimate whose camera is moved back, and sideways, such that it sees them."""
