@@ -304,29 +304,30 @@ def errors_of(robot, run):
 def undelayed(monkeypatch):
     """Lead a robot, again where a busy machine held this process up until the robot gave up.
 
-    Its reflexes to commands that come late are not ours to judge. Ours are those where it counts
-    the commands as in time, or where this thread itself worked until they were late.
+    Its reflexes to commands that come late are not ours to judge. Ours are those where
+    the commands came in time, or where this thread itself worked until they were late.
     """
-    in_time, work, send = [], [0.0], FrankaDriver.send
+    times, send = [], FrankaDriver.send  # of this thread and on the wall, at each command
 
     def noted(driver, command):
-        in_time.append(driver._state.control_command_success_rate)  # of the last 100
-        work.append(time.thread_time())
+        times.append((time.thread_time(), time.perf_counter()))
         send(driver, command)
 
     def by_the_machine(error):
-        late = "communication_constraints" in str(error) or min(in_time[-50:]) < 0.9
-        return late and np.diff(work[-50:]).max() < 5e-3  # it bears 20 ms of silence
+        worked, passed = np.diff(times[-50:], axis=0).max(axis=0)
+        late = "communication_constraints" in str(error) or passed > 1.5e-3  # it asks for 1 ms
+        return late and worked < 5e-3  # it bears 20 ms of silence
 
     def led(lead):
         for _ in range(5):
+            times.clear()
             with SimulatedFranka() as robot:
                 try:
                     return robot, lead(robot)
                 except ControlError as error:
                     if "reflex" not in str(error) or not by_the_machine(error):
                         raise
-        pytest.skip(f"a busy machine: {min(in_time[-50:]):.0%} of the commands came in time")
+        pytest.skip("a busy machine: this process is held up for longer than the robot bears")
 
     monkeypatch.setattr(FrankaDriver, "send", noted)
     return led
