@@ -625,3 +625,24 @@ def test_times_may_be_of_any_kind_of_numbers(kind):
     after, answer = law.step(law.initial_state(same), same, GOAL, kind(1))
     np.testing.assert_array_equal(after, state)
     np.testing.assert_array_equal(answer.torque, usual.torque)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, 1e200])
+def test_no_number_in_the_memory_of_a_guard_makes_a_compiled_torque_wrong(bad):
+    """Whatever is not a named error is finite and within limits, also at a bad sample after it."""
+    law, effort = compiled(CONTROLLERS["limited"]), aj.Limits.of(BELIEF).for_joints(7).effort
+    good = PLANT.measure(0.0, START, np.zeros(7))
+    steps = [good._replace(t=k * DT, v=np.full(7, v)) for k, v in ((1, 0.0), (2, math.nan))]
+    start, _ = law.step(law.initial_state(good), good, GOAL, DT)
+    answered = 0
+    for i in range(law.size, len(start)):
+        state = start.copy()
+        state[i] = bad
+        try:
+            for each in steps:
+                state, answer = law.step(state, each, GOAL, DT)
+                answered += 1
+                assert (np.abs(answer.torque) <= np.asarray(effort) * (1.0 + 1e-9)).all()
+        except (InvalidInputError, MeasurementError):
+            pass
+    assert answered > 0
