@@ -1326,8 +1326,8 @@ MUTANTS = [
     ),
     (
         "what decides nothing is stable", "stability/loop/linearization.py",
-        "return float((self.decay_rates > 0.0).mean())",
-        "return float((self.decay_rates >= 0.0).mean())",
+        "return float((self.decay_rates > 0.0).sum()) / max(len(self.q), 1)",
+        "return float((self.decay_rates >= 0.0).sum()) / max(len(self.q), 1)",
         "tests/stability/test_local.py",
     ),
     (

@@ -262,6 +262,7 @@ def test_a_report_of_ones_own_law_says_which_tests_apply():
         ("certificates", "not applicable"), ("near targets", "stable"), ("rollouts", "pass"),
     ]  # fmt: skip
     assert "SetpointController" in none.figures["reason"]
+    assert report.rows[1].text == "a period of 2 ms, torques 2 ms late"
     assert (near.figures["share"], near.figures["targets"]) == (1.0, 40)
     assert (runs.figures["converged"], runs.figures["runs"]) == (20, 20)
     assert report.passed
@@ -368,6 +369,15 @@ def test_a_held_law_within_limits_has_no_certificate_but_a_report():
     assert isinstance(report, aj.stability.OtherLawReport)
     assert report.rows[3].verdict == "not applicable"
     assert report.rows[4].verdict == "stable"
+
+
+def test_where_no_test_applies_none_speaks_against_a_law():
+    """The tracking law learns Ĵ, and its step depends on the time: it has rollouts alone."""
+    report = study_of(functools.partial(aj.TrackingController, dt=2e-3)).report(20)
+    assert [row.verdict for row in report.rows[3:]] == [*2 * ["not applicable"], "not run"]
+    assert (report.passed, report.local.stable, report.local.share) == (False, False, 0.0)
+    assert "speaks against" not in str(report)
+    assert "of 0 configurations" in repr(report.local)
 
 
 def test_what_a_controller_does_not_tell_has_a_default_or_a_named_error(panda):

@@ -129,6 +129,17 @@ def test_torques_at_the_start_are_those_of_the_law_that_carries_the_weight(monke
     assert first.torque_ratio == pytest.approx(np.max(shares), rel=1e-9)
 
 
+@pytest.mark.parametrize("count", [0, -1, 2.5])
+def test_counts_out_of_range_are_refused(tools, box, count):
+    study = aj.Study(law_of(tools, aj.Gains(400.0, 80.0, 5.0)), tools, box)
+    for use in (lambda: study.gains(configurations=count), lambda: study.tolerance(draws=count)):
+        with pytest.raises(aj.InvalidInputError, match=f"must be an integer >= .*got {count}"):
+            use()
+    with pytest.raises(aj.InvalidInputError, match=r"configurations must be .*20, got 19"):
+        study.gains(configurations=19)
+    assert study.tolerance(["theorem1"], draws=2, precision=0.5)["theorem1"].scale > 0.0
+
+
 def test_gains_that_a_report_refuses_are_not_suggested(tools, box, monkeypatch):
     """The first that meet the demands in continuous time are passed over."""
     refused = []

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from approxjac.controllers import Latency
 from approxjac.formatting import plain, wrapped
 
 _PARTS = {
@@ -29,6 +30,25 @@ class Row(NamedTuple):
     verdict: str  # a word or two; "" if there is none
     figures: Mapping[str, Any]  # name → number, array, flag or name that support it
     text: str = ""  # the figures as a sentence
+
+
+def ms(seconds: float) -> str:
+    """Return a time in ms, such as "1 ms"."""
+    return f"{1e3 * seconds:.3g} ms"
+
+
+def about_timing(latency: Latency) -> Row:
+    """Return the row about the delays of a loop."""
+    times = {
+        "period": "a period of {}",
+        "torque_delay": "torques {} late",
+        "velocity_filter": "joint velocities filtered over {}",
+        "image_period": "x every {}",
+        "image_age": "x {} old on arrival",
+    }
+    given = {name: getattr(latency, name) for name in times}
+    texts = (times[name].format(ms(time)) for name, time in given.items() if time)
+    return Row("about", "timing", "", given, ", ".join(texts))
 
 
 def as_text(rows: Sequence[Row]) -> str:

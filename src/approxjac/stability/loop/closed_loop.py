@@ -326,7 +326,7 @@ class ClosedLoop:
         at_corners = n // 2 if inside and self.corners.shape[1] else n
         truths = np.arange(-(-at_corners // k) * k) % k
         if at_corners < n:
-            others = np.arange(max(n - len(truths), n // 4)) // inside
+            others = np.arange(max(n - len(truths), n // 4, 1)) // inside
             assert isinstance(self.truth, Uncertainty)
             values = np.array([self.truth.sample(rng) for _ in range(int(others[-1]) + 1)])
             plants = [*map(self.truth.plant, values)]

@@ -404,12 +404,12 @@ class LocalTest:
 
     def __repr__(self) -> str:
         stable = f"stable at {100 * self.share:.4g} % of {len(self.q)} configurations"
-        return f"LocalTest({stable}, slowest decay {self.decay_rates.min():.3g}/s)"
+        return f"LocalTest({stable}, slowest decay {self.decay_rates.min(initial=np.inf):.3g}/s)"
 
     @property
     def share(self) -> float:
-        """Share of the configurations that are stable."""
-        return float((self.decay_rates > 0.0).mean())
+        """Share of the configurations that are stable; 0 if there are none."""
+        return float((self.decay_rates > 0.0).sum()) / max(len(self.q), 1)
 
     @property
     def worst(self) -> int:
@@ -418,8 +418,8 @@ class LocalTest:
 
     @property
     def stable(self) -> bool:
-        """True if all configurations are stable."""
-        return bool((self.decay_rates > 0.0).all())
+        """True if all configurations are stable, and there are some."""
+        return self.share == 1.0
 
 
 def _timing(plant: Plant, dt: float | None) -> Timing | None:

@@ -18,10 +18,11 @@ from approxjac.stability.loop.configurations import inverse_kinematics
 from approxjac.stability.loop.linearization import LocalTest, local_stability
 from approxjac.stability.rollouts.rollouts import Rollouts
 from approxjac.stability.rollouts.setting import RolloutSetting
-from approxjac.stability.rows import Row, as_json, as_text
+from approxjac.stability.rows import Row, about_timing, as_json, as_text
 from approxjac.validation import Array
 
 _MOST_TARGETS = 200
+_AGAINST = {"not stable", "fail"}  # verdicts that speak against a law
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -46,22 +47,20 @@ class OtherLawReport:
 
     @property
     def passed(self) -> bool:
-        """True if all tests that apply pass: no proof, but no contradiction."""
+        """True if a test applies, and all that apply pass: no proof, but no contradiction."""
         verdicts = {row.verdict for row in self.rows}
-        return not verdicts & {"not stable", "fail"} and bool(verdicts & {"stable", "pass"})
+        return not verdicts & _AGAINST and bool(verdicts & {"stable", "pass"})
 
     @cached_property
     def rows(self) -> list[Row]:
         """The findings: test, verdict and figures."""
         none = {"reason": self.reason}
         certificates = Row("other law", "certificates", "not applicable", none, self.reason)
-        about = {
-            "law": "; ".join(self.setting.controller.describe()[:2]),
-            "timing": repr(self.latency),
-            "errors": self.setting.uncertainty.describe_box(),
-        }
-        rows = [Row("about", name, "", {name: text}, text) for name, text in about.items()]
-        return [*rows, certificates, self._near(), self._simulated()]
+        law = "; ".join(self.setting.controller.describe()[:2])
+        errors = self.setting.uncertainty.describe_box()
+        rows = [Row("about", "law", "", {"law": law}, law), about_timing(self.latency)]
+        rows += [Row("about", "errors", "", {"errors": errors}, errors), certificates]
+        return [*rows, self._near(), self._simulated()]
 
     def _near(self) -> Row:
         local, verdict, n = self.local, "not applicable", len(self.local.q)
@@ -94,6 +93,8 @@ class OtherLawReport:
         """Return the outcome in a line."""
         if self.passed:
             return "nothing is proven of this law; no test that applies speaks against it"
+        if not {row.verdict for row in self.rows} & _AGAINST:
+            return "nothing is proven of this law, and no test that applies was run: see below"
         return "nothing is proven of this law, and a test speaks against it: see below"
 
     def __repr__(self) -> str:

@@ -29,7 +29,7 @@ from approxjac.stability.loop.closed_loop import EXACT_GRAVITY, SHARED, ClosedLo
 from approxjac.stability.loop.linearization import LocalTest
 from approxjac.stability.loop.samples import Samples
 from approxjac.stability.rollouts.rollouts import Rollouts
-from approxjac.stability.rows import Row, as_json, as_text
+from approxjac.stability.rows import Row, about_timing, as_json, as_text, ms
 from approxjac.validation import Array
 
 FAMILY_NAMES: dict[Family, str] = {
@@ -383,21 +383,12 @@ def usual_errors(report: StabilityReport) -> Array:
 
 
 def _about(report: StabilityReport) -> Iterator[Row]:
-    loop, latency, paper = report.loop, report.latency, report.matrix["paper"]
+    loop, paper = report.loop, report.matrix["paper"]
     law, learns = loop.controller.describe()[0], loop.controller.adaptation is not None
-    times = {
-        "period": "a period of {}",
-        "torque_delay": "torques {} late",
-        "velocity_filter": "joint velocities filtered over {}",
-        "image_period": "x every {}",
-        "image_age": "x {} old on arrival",
-    }
-    given = {name: getattr(latency, name) for name in times}
-    timing = ", ".join(times[name].format(_ms(time)) for name, time in given.items() if time)
     truth, region = loop.truth, str(loop.region)
     errors = truth.describe_box() if isinstance(truth, Uncertainty) else "one true robot"
     yield Row("about", "law", "", {"law": law}, law)
-    yield Row("about", "timing", "", given, timing)
+    yield about_timing(report.latency)
     yield Row("about", "errors", "", {"errors": errors}, errors)
     yield Row("about", "region", "", {"region": region}, region)
     assumed = (
@@ -437,8 +428,8 @@ def _beware(report: StabilityReport) -> Iterator[Row]:
     off = [abs(time - getattr(latency, name)) for name, time in taken.items()]
     if max(off) > _TINY * latency.period:
         text = (
-            f"near targets the loop is taken in samples of {_ms(dt)}, torques {_ms(late * dt)} "
-            f"late, x {_ms(age * dt)} old; rollouts round delays to whole periods"
+            f"near targets the loop is taken in samples of {ms(dt)}, torques {ms(late * dt)} "
+            f"late, x {ms(age * dt)} old; rollouts round delays to whole periods"
         )
         yield Row("beware", "timing", "rounded", taken, text)
 
@@ -519,7 +510,7 @@ def _near(
     if unstable:
         worst = f"at {-decay:.3g}/s"
         if ratio is None:
-            worst = f"{figures['spectral_radius']:.3g}-fold in {_ms(figures['frame'])}"
+            worst = f"{figures['spectral_radius']:.3g}-fold in {ms(figures['frame'])}"
         text = f"errors grow at {unstable} of {targets} targets, at worst {worst}"
         return Row(part, "near targets", "unstable", figures, text)
     learnt = " (learnt parameters, often slow, included)" if learns else ""
@@ -578,7 +569,3 @@ def of_limits(cost: LimitCost) -> list[Row]:
 
 def _numbers(q: Array, digits: int) -> str:
     return numbers_of(np.round(q, digits))
-
-
-def _ms(seconds: float) -> str:
-    return f"{1e3 * seconds:.3g} ms"

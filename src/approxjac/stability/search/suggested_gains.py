@@ -17,7 +17,7 @@ from approxjac.stability.certificates.certificate import margin
 from approxjac.stability.loop.closed_loop import SHARED
 from approxjac.stability.search.tolerance import TESTS, Test
 from approxjac.stability.studied_loop import Progress, StudiedLoop, progress_report
-from approxjac.validation import Array, as_limits, as_number
+from approxjac.validation import Array, as_integer, as_limits, as_number
 
 _RATES = (1.0, 1.5, 2.5, 4.0)  # of the position gain, times what settles the believed arm
 _STIFFNESS = (1.0, 0.5, 2.0, 4.0)  # of K_v, times the default
@@ -37,7 +37,7 @@ class Candidate:
     settling_time: float  # to 2 % of a small error in the worst case [s]; inf if not stable
 
     def met(self, settling_time: float) -> tuple[bool, bool, bool]:
-        """Return whether the test, the torque and the time [s] meet the requirements."""
+        """Compare test, torque and time with the requirements, the last one in s: True if met."""
         return self.margin > 0.0, self.torque_ratio <= 1.0, self.settling_time <= settling_time
 
     def __str__(self) -> str:
@@ -106,7 +106,7 @@ def suggested_gains(
         test: The test to pass: "theorem1", "matrix" or "local".
         torque_limits: A number or shape (n_v,), infinite for no limit [N m or N]; the
             arm's effort limits by default.
-        configurations: Number of configurations to draw.
+        configurations: Number of configurations to draw, ≥ 20, for the test "local" ≥ 1.
         progress: Function called with "gains" and the share done; True shows a bar.
 
     Raises:
@@ -118,6 +118,7 @@ def suggested_gains(
     if test not in TESTS:
         raise UnknownNameError("test", test, "the tests", TESTS)
     settling_time = as_number("settling_time", settling_time, unit="s", above=0.0)
+    as_integer("configurations", configurations, 1 if test == "local" else 20)  # as of a report
     # gravity counts for the torque at the start; the tests take it as compensated
     weightless = replace(uncertainty, arm=uncertainty.arm.with_gravity((0.0, 0.0, 0.0)))
     task = weightless.believed_task()

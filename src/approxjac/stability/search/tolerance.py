@@ -18,7 +18,7 @@ from approxjac.stability.loop.closed_loop import SHARED, ClosedLoop
 from approxjac.stability.loop.configurations import UnattainedError
 from approxjac.stability.report.other_laws import near_targets
 from approxjac.stability.studied_loop import Progress, StudiedLoop, progress_report
-from approxjac.validation import Array, as_number
+from approxjac.validation import Array, as_integer, as_number
 
 Test = Literal["theorem1", "matrix", "local", "rollouts"]
 TESTS: tuple[Test, ...] = ("theorem1", "matrix", "local")  # the tests that need no simulation
@@ -92,7 +92,7 @@ def tolerances(
         tests: "theorem1", "matrix" (both only if Ĵ does not use x), "local" or "rollouts".
         largest: Largest scale > 0; less if robots beyond it cannot exist.
         precision: Relative precision of the scale, > 0.
-        draws: Number of configurations, 400 by default, or of rollouts per scale, 100 by default.
+        draws: Number ≥ 1 of configurations, 400 by default, or of rollouts per scale, 100 then.
         progress: Function called with "tolerance" and the share done; True shows a bar.
 
     Raises:
@@ -116,6 +116,7 @@ def tolerances(
         raise UnknownNameError("test", test, "the tests", _WORDS)
     largest = uncertainty.largest_scale(as_number("largest", largest, above=0.0))
     precision = as_number("precision", precision, above=0.0)
+    draws = None if draws is None else as_integer("draws", draws, 1)
     if loop is not None:
         loop.require_gravity()
 
