@@ -1,6 +1,7 @@
 """`AdaptiveGravity`: Eq. (28), Eq. (29) with default gains, bounds, and motors that saturate."""
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 from scipy.linalg import block_diag
@@ -9,6 +10,7 @@ import approxjac as aj
 from approxjac.controllers import DifferentiatedVelocity
 from approxjac.controllers.setpoint import Reach
 from approxjac.robots import Dynamics, GravityRegressor
+from approxjac.tasks import PoseTrackerTask
 
 START = np.array([0.0, -0.4, 0.3, -1.9, 0.2, 1.6, 0.4])
 GOAL = START + [0.3, 0.2, -0.1, 0.2, 0.1, -0.2, 0.2]
@@ -283,6 +285,16 @@ def test_learning_stands_still_where_the_target_is_out_of_reach(arms, axes):
             answer = rate_at(controller, START, np.zeros(7), x + shift, theta, target)
             assert (answer.status is aj.Status.OUT_OF_REACH) is far
             assert (answer.state_rate == 0.0).all() == far
+
+
+@pytest.mark.parametrize("offset", [(0.0, 0.0, 0.0), (3.0, -2.0, 1.0)])
+def test_the_reach_is_in_the_world_wherever_a_tracker_stands(panda, offset):
+    task = PoseTrackerTask(panda, rotation=(0.3, -1.0, 2.0), offset=offset)
+    origin, most = panda.reach_bound(task.frame)
+    for away, is_far in ((0.8, False), (1.3, True)):
+        target = task.offset + pin.exp3(task.rotation) @ (origin + away * most * np.eye(3)[1])
+        error = task.error(task.value(START), np.append(target, [0.0, 0.0, 0.0, 1.0]))
+        assert Reach(task).is_exceeded(START, error) == is_far
 
 
 @pytest.mark.parametrize("axes", ["xyz", "zx"])

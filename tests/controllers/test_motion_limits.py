@@ -253,6 +253,22 @@ def test_limits_of_the_urdf_are_kept_beside_those_of_motion(panda):
     assert repr(again.motion_limits) == repr(limiter.motion_limits)
 
 
+@pytest.mark.parametrize("joint", [0, 3])
+def test_a_joint_without_a_limit_of_its_torque_rate_is_limited_as_the_others(panda, joint):
+    """Also at rest just at its end, and where a wall does not feel it."""
+    rate = np.full(panda.nv, 1e4)
+    rate[joint] = np.inf
+    limits = replace(aj.Limits.of(panda), rate=rate)
+    task, q = aj.PositionTask(panda), np.array(STARTS["panda"])
+    q[joint] = panda.position_limits[0][joint]
+    x = task.value(q)
+    limited = aj.TorqueLimited(aj.SetpointController(task), [limits, Wall((0, 0, 0), (0, 0, 1))])
+    at_rest = aj.Measurement(0.0, q, np.zeros(panda.nv), x)
+    _, answer = limited.step(limited.initial_state(at_rest), at_rest, x + [0.0, 0.0, 0.02], 1e-3)
+    assert answer.limit_status in (aj.LimitStatus.FREE, aj.LimitStatus.PROOF_KEPT)
+    assert np.isfinite(limited.rows(at_rest).low[: panda.nv]).all()
+
+
 def test_frames_other_than_the_tip_stay_in_front_of_a_wall(panda, rng):
     q, v = panda.random_configuration(rng), rng.normal(size=7)
     frames = ["panda_link4", "panda_link7"]

@@ -21,13 +21,14 @@ from approxjac.controllers.limits.quadratic_program import Solver
 from approxjac.errors import MeasurementError
 from approxjac.robots import Dynamics, GravityRegressor
 from approxjac.stability import lyapunov
+from approxjac.tasks.analysis import seen_configurations
 
 DT = 1e-3
 
 
-def law_of(robot, gravity=None, gains=None, **options):
+def law_of(robot, gravity=None, gains=None, task=None, **options):
     """A law that asks for as much as its error: s(e) = e."""
-    task = aj.PositionTask(robot)
+    task = aj.PositionTask(robot) if task is None else task
     gains = aj.default_gains(task) if gains is None else gains
     return aj.SetpointController(task, gains, gravity=gravity, **options)
 
@@ -250,6 +251,28 @@ def test_where_the_proof_is_given_up_joints_at_a_limit_do_not_learn(panda, scale
     assert seen[aj.LimitStatus.PROOF_KEPT] > 5
     assert seen[aj.LimitStatus.PROOF_GIVEN_UP] > 5
     assert (seen["without some joints"] > 5) == (scale > 1.0)
+
+
+def test_without_a_joint_at_a_limit_the_arm_that_is_left_learns_as_the_law_does(panda, rng):
+    """Also of images of three points, whose Ĵ⁺ is damped by a bound of their own."""
+    camera = aj.PinholeCamera.looking_at((0.4, 0.0, 0.3), (1.6, 0.2, 0.8), 600.0, (640, 480))
+    points = ((0.0, 0.0, 0.0), (0.05, 0.0, 0.0), (0.0, 0.05, 0.0))
+    task = aj.ImageTask(panda, camera, points=points)
+    gravity = aj.AdaptiveGravity(panda, L=0.1, alpha=1.0, torque_limits=np.inf)
+    law, nobody = law_of(panda, gravity, task=task), np.zeros(panda.nv, dtype=bool)
+    ratios = []
+    for q in seen_configurations(task, 10):
+        measurement = aj.Measurement(0.0, q, rng.normal(size=panda.nv), task.value(q))
+        target = aj.Target(measurement.x + 5.0, 10.0 * rng.normal(size=task.m))
+        state = law.begin(measurement)
+        answer = law.evaluate(state, measurement, target)
+        if answer.status is aj.Status.OK:  # Ĵ⁺ is not damped
+            rate = law.rate_without(nobody, state, measurement, answer)
+            assert_allclose(rate, answer.state_rate, rtol=1e-6, atol=1e-9)
+            values = np.linalg.svd(answer.J_hat, compute_uv=False)
+            ratios.append(values[-1] / values[0])
+    assert len(ratios) > 5
+    assert np.median(ratios) < equations.SINGULAR_RATIO
 
 
 def test_V_with_learnt_parameters_decreases_as_promised_too(panda, rng):

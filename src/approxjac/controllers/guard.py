@@ -130,7 +130,6 @@ class SampleGuard:
         self.first = first_memory(robot.neutral().tolist(), task.origin.tolist(), self._bounds)
         self._ends = ends = GuardMemory.ends(robot.nq, n, task.n_x, len(measured.parts))
         self._subtracts, self._command = robot.nq == n, slice(ends[8], ends[9])
-        self.first.flags.writeable = False
         kept = (controller.limits or Limits()).for_joints(n)
         self._effort, self._rate = np.asarray(kept.effort), np.asarray(kept.rate)
         if not self._takes_torque:
@@ -251,12 +250,13 @@ class SampleGuard:
 def usual_accelerations(robot: Robot) -> tuple[Array, Array, Array]:
     """Return |q̈| for each torque, |q̈| without, and the damping of a stop, (n_v,)."""
     inertias, dynamics = usual_inertias(robot), Dynamics(robot)
-    mobility = _PAYLOAD * np.quantile(np.abs(np.linalg.inv(inertias)), _OFTEN, axis=0)
+    M_inv = np.linalg.inv(inertias)
+    mobility = _PAYLOAD * np.quantile(np.abs(M_inv), _OFTEN, axis=0)
     rng = np.random.default_rng(0)
     weights = np.array([dynamics.g(robot.random_configuration(rng)) for _ in range(len(inertias))])
     weight = np.abs(weights).max(axis=0)
     effort = np.where(np.isfinite(robot.effort_limits), robot.effort_limits, 2.0 * weight)
-    light = 1.0 / np.diagonal(np.linalg.inv(inertias), axis1=1, axis2=2).max(axis=0)
+    light = 1.0 / np.diagonal(M_inv, axis1=1, axis2=2).max(axis=0)
     damping = light * (_STOPS / max_damping_rate(inertias, light))
     push = np.linalg.norm(mobility * (_PUSHED * effort), axis=1)
     return mobility, np.maximum(push, _LEAST), damping

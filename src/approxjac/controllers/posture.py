@@ -12,7 +12,7 @@ import numpy as np
 from approxjac.controllers.gains.gains import Diagonals
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import short_fields
-from approxjac.robots.traced import motion_between
+from approxjac.robots.traced import motion_between, positions_at
 from approxjac.tasks import Task
 from approxjac.validation import Array, as_array, as_diagonal, as_number, is_scalar, shape_of
 
@@ -83,8 +83,7 @@ class AwayFromStops:
     share: float = 0.12
 
     def __post_init__(self) -> None:
-        if as_number("share", self.share, above=0.0) > 0.5:
-            raise InvalidInputError(f"share must be at most 0.5, got {self.share!r}", given=self)
+        as_number("share", self.share, above=0.0, most=0.5)
 
     def torque(self, task: Task, gains: Diagonals, rate: float) -> Torque:
         """Return the function τ₀ of q (nq,) for the robot of a task.
@@ -97,12 +96,10 @@ class AwayFromStops:
         lower, upper = robot.position_limits
         width = np.minimum(self.share * (upper - lower), _WIDEST)
         lower, upper, stiffness = lower + width, upper - width, rate * gains.damping
-        stops, neutral = np.isfinite(width), None if robot.nq == robot.nv else robot.neutral()
 
         def torque(q: Array) -> Array:
-            motion = q if neutral is None else motion_between(robot, neutral, q)
-            beyond = np.minimum(np.maximum(motion, lower), upper) - motion
-            return np.where(stops, stiffness * beyond, 0.0)
+            motion = positions_at(robot, q)
+            return stiffness * (np.minimum(np.maximum(motion, lower), upper) - motion)
 
         return torque
 

@@ -63,20 +63,27 @@ class Reach:
     """Bound on the reach of the believed arm; infinite for other tasks than positions and poses."""
 
     def __init__(self, task: Task) -> None:
-        self._task, self._origin, self._most = task, np.zeros(1), math.inf
+        self._task, self.most = task, math.inf
         if isinstance(task, PositionTask | PoseTask):
-            origin, self._most = task.robot.reach_bound(task.frame)
-            self._origin = origin[["xyz".index(axis) for axis in task.labels[:3]]]
+            (self._feature,) = task.features
+            origin, self.most = task.robot.reach_bound(task.frame)
+            self._origin = origin[["xyz".index(axis) for axis in self._feature.axes]]
+
+    def position(self, x: Array) -> Array:
+        """Return the positions of values (…, n_x), from the first joint along world axes [m]."""
+        return np.asanyarray(self._feature.place(x) - self._origin)
 
     def is_exceeded(self, q: Array, e: Array) -> Any:
         """Return True if a target is out of reach, even with an unmodelled tool.
 
         It is taken at e (m,) from the believed position at q, so the sensor may stand anywhere.
         """
-        k, most = len(self._origin), self._most
-        if most == math.inf or (is_far := law.length(e[:k]) > UNKNOWN_TOOL * most) is False:
+        if self.most == math.inf:
             return False
-        there = self._task.value(q)[:k] - e[:k] - self._origin
+        k, most = len(self._origin), self.most
+        if (is_far := law.length(e[:k]) > UNKNOWN_TOOL * most) is False:
+            return False
+        there = self.position(self._task.value(q)[:k] - e[:k])
         return is_far & (law.length(there) > (1.0 + UNKNOWN_TOOL) * most)
 
 
@@ -279,8 +286,9 @@ class SetpointController(Immutable, Controller):
         J_free, s = np.where(locked, 0.0, J_hat), self.saturation.s(answer.e)
         v = np.where(locked, 0.0, v)
         if answer.reference is not None:  # q̇ − (ĴP)⁺ẋ_d takes the place of q̇
-            v_d, scale = J_hat.dot(answer.reference), float(np.linalg.norm(J_hat, 2))
-            v = v - law.damped_gram_solve(J_free @ J_free.T, v_d, scale=scale)[0] @ J_free
+            v_d, ratio = J_hat.dot(answer.reference), self.pinv.singularity.ratio
+            scale = float(np.linalg.norm(J_hat, 2))
+            v = v - law.damped_gram_solve(J_free @ J_free.T, v_d, ratio, scale)[0] @ J_free
         y = law.passive_output(v, self.pinv.times(J_free, s, J_hat), learning.alpha)
         Y = learning.Y(q, J_hat)
         rate = law.theta_hat_rate(learning.L, Y, y)

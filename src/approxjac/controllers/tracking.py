@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any, Literal, Self
 
 import numpy as np
-import pinocchio as pin
 
 from approxjac import law
 from approxjac.cameras import PlanarCamera
@@ -36,7 +35,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.formatting import spaced
 from approxjac.interface import Evaluation, Measurement, Status, Target
 from approxjac.robots import Dynamics, Robot
-from approxjac.robots.traced import motion_between
+from approxjac.robots.traced import positions_at
 from approxjac.tasks import ImageTask, PoseTask, PositionTask, StackedTask, Task
 from approxjac.tasks.analysis import (
     require_as_believed,
@@ -245,10 +244,9 @@ class TrackingController(Immutable, Controller):
                 sin) pairs of continuous joints off the unit circle, or a dt that is not this
                 controller's.
         """
+        target = target if isinstance(target, Target) else Target(target)
         if hasattr(state, "arm_of"):  # symbols
-            return self.evolve(
-                state, measurement, target if isinstance(target, Target) else Target(target)
-            )
+            return self.evolve(state, measurement, target)
         if dt != self.dt:
             require_dt(dt, self.dt)
         with np.errstate(over="ignore", invalid="ignore"):  # an overflow is a named error
@@ -298,13 +296,10 @@ class TrackingController(Immutable, Controller):
         return predicted.J, *law.reference_step(predicted, v, null, waits, self._gains)
 
     def _checked(
-        self, state: Array, measurement: Measurement, target: Target | Array
+        self, state: Array, measurement: Measurement, target: Target
     ) -> tuple[Target, Measurement]:
-        task = self.task
-        target = with_rates(
-            target if isinstance(target, Target) else Target(target), task.measured.m
-        )
-        x_d = target.x
+        task, x_d = self.task, target.x
+        target = with_rates(target, task.measured.m)
         q, v, x = require_arrays(state, measurement, x_d, task, self.n_state)
         largest = math.hypot(*q.tolist(), *v.tolist(), *x_d.tolist())
         if not (largest < HUGE and state.dot(state) < HUGE):
@@ -397,8 +392,7 @@ class RestConfiguration:
             lower, upper = robot.usual_range
             whole = np.where(np.array(robot.joint_units) == "m", 2.0, 2.0 * np.pi)
             self._pull[upper - lower > _WHOLE * whole] = 0.0
-            middle = 0.5 * (lower + upper)
-            self.q = np.array(pin.integrate(robot.model, robot.neutral(), middle))
+            self.q = robot.configuration(0.5 * (lower + upper))
             return
         self.q = as_array("posture", robot.configuration(q, "posture"), (robot.nq,))
         robot.require_radians("posture", self.q)
@@ -436,17 +430,14 @@ class VelocityCommand:
         self._joints = law.JointRange.of(
             limits.position, limits.velocity, _APPROACH, self.acceleration
         )
-        self._robot = robot
-        self._neutral = None if robot.nq == robot.nv else robot.neutral()
-        self._dt, self._change = dt, dt * self.acceleration
+        self._robot, self._dt, self._change = robot, dt, dt * self.acceleration
 
     def step(
         self, state: Array, q: Array, v: Array, v_r: Array, w: Array, before: Array
     ) -> tuple[Array, Array]:
         """Return the next L̂ [s], shape (1,), and the command; w is q̈_r at q̇ = q̇_r."""
         wanted = v_r + state[0] * w
-        motion = q if self._neutral is None else motion_between(self._robot, self._neutral, q)
-        low, high = law.speed_bounds(motion, self._joints)
+        low, high = law.speed_bounds(positions_at(self._robot, q), self._joints)
         sent = np.minimum(np.maximum(wanted, low), high)
         sent = np.minimum(np.maximum(sent, before - self._change), before + self._change)
         lag = state + self._dt * law.servo_lag_rate(_LAG_GAIN, w, v - v_r)

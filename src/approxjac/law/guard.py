@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from approxjac.law.branches import all_finite, array, choose, complement, select, selected, surely
 from approxjac.law.products import root
-from approxjac.validation import Array
+from approxjac.validation import Array, read_only
 
 UNSEEN = -1e20  # [s], the time before a first sample
 _FAR = 1e15  # a motion of x before it was first seen
@@ -98,7 +98,7 @@ def first_memory(q: list[float], x: list[float], bounds: GuardBounds) -> Array:
     noise, step = [0.25 * each for each in bounds.q], [0.5 * each for each in bounds.q]
     usual = (_RARE * bounds.push).tolist()  # but loads begin to act at the first step
     joints = none, none, none, bounds.push.tolist(), usual, noise, step, none
-    return GuardMemory(UNSEEN, 0.0, 0.0, 0.0, q, *joints, x, far).joined()
+    return read_only(GuardMemory(UNSEEN, 0.0, 0.0, 0.0, q, *joints, x, far).joined())
 
 
 class Sample(NamedTuple):

@@ -386,7 +386,7 @@ def anywhere(robot: Robot, rng: np.random.Generator) -> list[Array]:
     """Return 60 random configurations over full turns (±1 m), regardless of joint limits."""
     reach = np.where(np.array(robot.joint_units) == "m", 1.0, np.pi)
     motions = rng.uniform(-reach, reach, (60, robot.nv))
-    return [np.array(pin.integrate(robot.model, robot.neutral(), motion)) for motion in motions]
+    return [robot.configuration(motion) for motion in motions]
 
 
 def independent_columns(A: Array) -> tuple[list[int], Array]:

@@ -196,8 +196,7 @@ class Robot(Immutable):
 
     def random_configuration(self, rng: np.random.Generator) -> Array:
         """Draw a configuration uniformly within `usual_range`, shape (nq,) [rad or m]."""
-        motion = rng.uniform(*self.usual_range)
-        return np.array(pin.integrate(self.model, self.neutral(), motion))
+        return self.configuration(rng.uniform(*self.usual_range))
 
     def configuration(self, q: Sequence[float] | Array, name: str = "q") -> Array:
         """Return `q` as a float array of shape (nq,), itself if it is one already.
@@ -235,8 +234,7 @@ class Robot(Immutable):
 
     def beyond_limits(self, q: Array) -> Array:
         """Return the excess over joint limits at q (N, nq), −∞ without; (N, n_v) [rad or m]."""
-        low, high = self.position_limits
-        motions = np.array([pin.difference(self.model, self.neutral(), each) for each in q])
+        (low, high), motions = self.position_limits, self.angles(q)
         return np.asarray(np.maximum(motions - high, low - motions))
 
     def require_radians(self, name: str, q: Array) -> None:

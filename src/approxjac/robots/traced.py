@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 def arm_of(robot: Robot, q: Any) -> Any:
     """Return the terms of a robot at a symbolic q; None if q is numeric.
 
-    It has `frame(name)`, `jacobian(name)`, `drift(name, v)`, `gravity()`, `M()`, `bias(v)` and
-    `Z(regressor)`.
+    They are a `codegen.arm.rigid_body.Configured`.
     """
     own = getattr(q, "arm_of", None)
     return None if own is None else own(robot)
@@ -40,6 +39,11 @@ def motion_between(robot: Robot, a: Array, b: Array) -> Array:
     if type(a) is np.ndarray and type(b) is np.ndarray:
         return np.asarray(pin.difference(robot.model, a, b))
     return np.asanyarray(_symbolic(a, b).motion_between(robot, a, b))
+
+
+def positions_at(robot: Robot, q: Array) -> Array:
+    """Return the joint positions (n_v,) [rad or m] at q (nq,)."""
+    return q if robot.nq == robot.nv else motion_between(robot, robot.neutral(), q)
 
 
 def _symbolic(a: Any, b: Any) -> Any:

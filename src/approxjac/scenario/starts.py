@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import pinocchio as pin
 
+from approxjac.controllers.setpoint import Reach
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Dynamics, Robot
 from approxjac.simulation.plant import holdable
-from approxjac.tasks import PoseTask, PositionTask, Task
+from approxjac.tasks import Task
 from approxjac.validation import Array, as_array
 
 REGULAR = 0.1  # starts and targets have σ_min of J and of Ĵ above this share of σ_max
@@ -86,16 +86,15 @@ def configuration_of(
             f"({low[i]:.4g} to {high[i]:.4g} {robot.joint_units[i]})",
             given=joints,
         )
-    return np.array(pin.integrate(robot.model, robot.neutral(), motion))
+    return np.array(robot.configuration(motion))
 
 
 def too_far(task: Task, values: Array) -> str:
     """Return the reason why values (N, n_x) are beyond the stretched arm's reach; or ""."""
-    if not isinstance(task, PositionTask | PoseTask):
+    reach = Reach(task)
+    if reach.most == np.inf:
         return ""
-    first, most = task.robot.reach_bound(task.frame)
-    axes = ["xyz".index(axis) for axis in task.labels[:3]]
-    away = float(np.linalg.norm(values[:, : len(axes)] - first[axes], axis=1).max())
-    if away <= most:
+    away = float(np.linalg.norm(reach.position(values), axis=1).max())
+    if away <= reach.most:
         return ""
-    return f"out of reach: {away:.3g} m from the first joint, where {most:.3g} m is the most"
+    return f"out of reach: {away:.3g} m from the first joint, where {reach.most:.3g} m is the most"

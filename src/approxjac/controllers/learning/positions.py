@@ -144,10 +144,8 @@ class AdaptiveKinematics(Estimator):
         # the nearest rotation. Of a rotation vector φ, Σ‖ℓ[φ]ₓ e_k‖² = 2ℓ²‖φ‖²: with ℓ = L/√2, and
         # L what a radian counts as [m], both weigh as their noise says.
         self._length = self.noise / angle_noise
-        self._l, self._flange = (
-            self._length / math.sqrt(2.0),
-            FrameKinematics(task.robot, frames[0]),
-        )
+        self._l = self._length / math.sqrt(2.0)
+        self._flange = FrameKinematics(task.robot, frames[0])
         if self._learns_T:
             units |= {f"tool.r{axis}": "rad" for axis in "xyz"}
             Theta.append(np.eye(3).ravel())

@@ -22,7 +22,7 @@ from approxjac.controllers.limits.quadratic_program import Solver
 from approxjac.controllers.wrapper import ControllerWrapper
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
-from approxjac.robots.traced import motion_between
+from approxjac.robots.traced import positions_at
 from approxjac.tasks.frame_tasks import FrameKinematics
 from approxjac.validation import Array, as_number, read_only, require
 
@@ -36,7 +36,7 @@ _UNKNOWN, _KNOWN = 0.1, 0.3  # times the rate of samples, or of the lag: how fas
 _BEYOND = 1e-3  # a limit of speed (as a share) or position [rad or m], which has a status
 _AT_LIMIT = 0.02  # a joint this near to its position limit counts as at it [rad or m]
 _NEARLY = 0.98  # of a limit of torque or speed
-_FAR = 1e100  # a deceleration that stands for infinity
+_FAR = 1e100  # a deceleration or jerk that stands for infinity: of infinity times 0 is NaN
 _TRIAL = 1.0  # speed of joints at which limits are asked for their rows first [rad/s or m/s]
 _UNSET, _SET = 1e20, 1e19  # a torque before that is not known yet, and what is surely known
 _LARGEST = np.finfo(float).max
@@ -210,16 +210,14 @@ class TorqueLimited(ControllerWrapper):
         self._weight = 1.0 / lightest  # R
         self._rho = self.braking / max_damping_rate(inertias, 1.0 / self._weight)
         own = np.median([np.diag(M) for M in inertias], axis=0)
-        self._jerk = self._rate / own if self._has_rate else None
-        self._neutral = None if robot.nq == robot.nv else robot.neutral()
+        self._jerk = np.minimum(self._rate / own, _FAR) if self._has_rate else None
         # arrays, which NumPy multiplies with in a third of the time of numbers
         self._braking, self._alpha = np.array(self.braking), np.array(self.alpha)
         (low, high), fastest = np.array(self.limits.position), np.asarray(self.limits.velocity)
         most = np.asarray(self.limits.acceleration)
         self._acceleration = most if np.isfinite(most).any() else None
-        sure = np.minimum(sure_deceleration(robot, self._upper), most)
-        self._sure = np.minimum(sure, _FAR)
-        self._joints = law.JointRange.of(self.limits.position, fastest, self.approach, sure)
+        self._sure = np.minimum(np.minimum(sure_deceleration(robot, self._upper), most), _FAR)
+        self._joints = law.JointRange.of(self.limits.position, fastest, self.approach, self._sure)
         too_fast = (1.0 + _BEYOND) * fastest
         self._beyond = [*(low - _BEYOND), *-too_fast], [*(high + _BEYOND), *too_fast]
         self._per_speed = 1.0 / fastest if np.isfinite(fastest).any() else None
@@ -394,7 +392,8 @@ class TorqueLimited(ControllerWrapper):
         return after
 
     def _locked(self, measurement: Measurement, torque: Array) -> Array:
-        motion, (low, high) = self._positions(measurement.q), np.asarray(self.limits.position)
+        motion = positions_at(self.task.robot, measurement.q)
+        low, high = np.asarray(self.limits.position)
         locked = (motion < low + _AT_LIMIT) | (motion > high - _AT_LIMIT)
         locked |= np.abs(measurement.v) > _NEARLY * np.asarray(self.limits.velocity)
         locked |= np.abs(torque) > _NEARLY * self._upper
@@ -403,7 +402,7 @@ class TorqueLimited(ControllerWrapper):
     def rows(self, measurement: Measurement) -> law.Rows:
         """Return the bounds of motion at a configuration and speed."""
         t, q, v, *_ = measurement
-        speeds = law.speed_bounds(self._positions(q), self._joints)
+        speeds = law.speed_bounds(positions_at(self.task.robot, q), self._joints)
         bounds = law.acceleration_bounds(v, speeds, self._braking, self._jerk)
         if self._acceleration is not None:
             bounds = np.minimum(np.maximum(bounds, -self._acceleration), self._acceleration)
@@ -420,11 +419,8 @@ class TorqueLimited(ControllerWrapper):
 
     def is_exceeded(self, measurement: Measurement) -> Any:
         """Return True if a joint is beyond its limits of speed or position."""
-        place = self._positions(measurement.q).tolist() + measurement.v.tolist()
-        return law.complement(law.within(self._beyond[0], place, self._beyond[1]))
-
-    def _positions(self, q: Array) -> Array:
-        return q if self._neutral is None else motion_between(self.task.robot, self._neutral, q)
+        q, v = positions_at(self.task.robot, measurement.q), measurement.v
+        return law.complement(law.within(self._beyond[0], q.tolist() + v.tolist(), self._beyond[1]))
 
     def _terms(self, q: Array, v: Array) -> LimitTerms:
         return LimitTerms(
