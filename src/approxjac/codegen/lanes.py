@@ -14,7 +14,7 @@ from approxjac.codegen import traced_law as laws
 from approxjac.codegen.arm import traced_tasks as tasks
 from approxjac.codegen.arm.arm_numbers import ArmNumbers, arm_numbers
 from approxjac.codegen.arm.rigid_body import Arm
-from approxjac.codegen.backends.llvm import LlvmLanes
+from approxjac.codegen.backends.llvm import LlvmLanes, packed, unpacked
 from approxjac.codegen.loop_program import TracedLoop
 from approxjac.codegen.sensors import TracedSensing
 from approxjac.codegen.trace.program import Block, Program
@@ -23,6 +23,7 @@ from approxjac.controllers.controller import Controller
 from approxjac.controllers.gains.gains import Diagonals
 from approxjac.interface import Measurement, Target, TargetPath
 from approxjac.law.factors import Factors
+from approxjac.robots.robot import own_joints
 from approxjac.simulation import Plant
 from approxjac.tasks import Task
 from approxjac.validation import Array
@@ -147,7 +148,7 @@ class Lanes:
         self._sensing.start(program, kept, np.array([start.holding for start in starts]))
         numbers, sensors, others = _stacked(starts)
         named = self._truth.named(numbers) | sensors | others
-        return _packed(kept, width), _packed(program.filled(named), width)
+        return packed(kept, width), packed(program.filled(named), width)
 
     def run(self, starts: Sequence[LaneStart], every: int) -> dict[str, Array]:
         """Return the outcome of some runs: the names of `OUTCOME`, each with an array (N,).
@@ -164,7 +165,7 @@ class Lanes:
             now = times[first : first + _BLOCK]
             block = Block(first, now, draws(first, first + len(now)))
             self.compiled.run(kept, parameters, block)
-        columns = kept.swapaxes(1, 2).reshape(-1, kept.shape[1])[: len(starts)]
+        columns = unpacked(kept, len(starts))
         return {name: columns[:, program.rows[name][0]] for name in OUTCOME}
 
 
@@ -181,9 +182,7 @@ def _stacked(starts: Sequence[LaneStart]) -> tuple[ArmNumbers, dict[str, Array],
 
 def _outside(q: Symbols, plant: Plant, box: Box) -> Condition:
     conditions: list[Condition] = []
-    for joint in list(plant.robot.model.joints)[1:]:
-        if not joint.nv:
-            continue
+    for joint in own_joints(plant.robot.model).values():
         at, low, high = joint.idx_q, box.lower[joint.idx_v], box.upper[joint.idx_v]
         if joint.nq == 1:
             motion = q[at] - box.center[at]
@@ -204,11 +203,3 @@ def _larger(known: Number, shares: Symbols) -> Number:
         if isinstance(share, Scalar):
             known = select(share > known, share, known)
     return known
-
-
-def _packed(columns: Array, width: int) -> Array:
-    """Return columns (N, rows) as vectors (groups, rows, width); the last one fills the rest."""
-    n, rows = columns.shape
-    groups = -(-n // width)
-    filled = columns[np.minimum(np.arange(groups * width), n - 1)]
-    return np.array(filled.reshape(groups, width, rows).swapaxes(1, 2), order="C")

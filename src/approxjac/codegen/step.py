@@ -53,10 +53,9 @@ def step_program(controller: Controller, *, may_lose: bool) -> Program:
     usual = sum_of_squares([*chain.from_iterable(numbers)]) < HUGE**2
     if not predicts:
         usual = law.any_of(symbols([answer.status == each for each in _USUAL])) & usual
-    for joint in list(controller.task.robot.model.joints)[1:]:
-        if joint.nq == 2:  # a (cos, sin) pair off the unit circle is for Python to judge
-            cosine, sine = given["q"][joint.idx_q : joint.idx_q + 2]
-            usual = usual & (abs(cosine * cosine + sine * sine - 1.0) < _ROUND_OFF)
+    for at in laws.pairs(controller.task.robot):  # off the unit circle Python is to judge
+        cosine, sine = given["q"][at : at + 2]
+        usual = usual & (abs(cosine * cosine + sine * sine - 1.0) < _ROUND_OFF)
     usual = usual & ~left if isinstance(left, Scalar) else usual
     if isinstance(answer.limit_status, Scalar):
         usual = usual & ~(answer.limit_status == LimitStatus.INFEASIBLE)
@@ -176,18 +175,19 @@ class _MachineCode:
         dt_at, t_at, t_x_at = (place[name].start for name in ("dt", "t", "t_x"))
         asks_t, asks_t_x = "t" in asked, "t_x" in asked
         answered = flat[first:]
+        out = {name: slice(at.start - first, at.stop - first) for name, at in place.items()}
         torque_at, after_at, own_rate_at, e_at, gravity_at, J_at, reference_at = (
-            slice(place[name].start - first, place[name].stop - first) if name in place else none
+            out.get(name, none)
             for name in ("torque", "after", "rate", "e", "gravity", "J_hat", "reference")
         )
         has_rate, has_gravity, has_J = (name in place for name in ("rate", "gravity", "J_hat"))
         has_state = state_in.size > 0
-        verdict_at = slice(place["status"].start - first, place["usual"].stop - first)
+        verdict_at = slice(out["status"].start, out["usual"].stop)
         learnt_at = slice(law.resting, law.resting + getattr(law.kinematics, "n_state", 0))
         J_shape, m, shapes = (task.m, task.robot.nv), (task.measured.m,), (
             q_in.shape, v_in.shape, x_in.shape, target_in.shape, state_in.shape
         )  # fmt: skip
-        own_rate = np.zeros(0) if "rate" in place else None  # of a law without a state
+        own_rate = np.zeros(0) if has_rate else None  # of a law without a state
         limit_statuses = {float(each): each for each in LimitStatus}
         limited = float(LimitStatus.LIMITED)
         statuses = {float(each): each for each in Status}

@@ -15,6 +15,8 @@ from approxjac.controllers.gains.gains import Diagonals
 from approxjac.controllers.limits.torque_limited import TorqueLimited
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Evaluation, Measurement, Target
+from approxjac.robots import Robot
+from approxjac.robots.robot import own_joints
 from approxjac.validation import Array
 
 
@@ -122,6 +124,11 @@ def stepped_from(
     target = Target(given["target"], *rates) if rates else given["target"]
     dt = given["dt"][0] if controller.dt is None else controller.dt
     return stepped(controller, given["state"], measurement, target, dt)
+
+
+def pairs(robot: Robot) -> list[int]:
+    """Return where in q the (cos, sin) of each continuous joint begin."""
+    return [joint.idx_q for joint in own_joints(robot.model).values() if joint.nq == 2]
 
 
 def predicts(controller: Controller) -> bool:

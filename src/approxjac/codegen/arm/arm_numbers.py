@@ -137,16 +137,10 @@ def reduced(numbers: ArmNumbers, structure: Structure) -> Reduced:
     spreads = _product(_product(back, spreads), turns)
 
     for j in reversed(range(len(structure.parents))):
-        passed_m, passed_h, passed_S = (
-            np.zeros_like(m[:, j]),
-            np.zeros_like(h[:, j]),
-            spreads[:, j].copy(),
-        )
-        if not structure.slides[j]:
-            passed_m = m[:, j].copy()
-            passed_h[:, 2] = h[:, j, 2]
-            passed_S = np.zeros_like(passed_S)
-            passed_S[:, 2, 2] = spreads[:, j, 2, 2]
+        slides, on_axis = structure.slides[j], np.array([False, False, True])
+        passed_m = np.where(slides, 0.0, m[:, j])
+        passed_h = np.where(on_axis & (not slides), h[:, j], 0.0)
+        passed_S = np.where(np.outer(on_axis, on_axis) | slides, spreads[:, j], 0.0)
         m[:, j] -= passed_m
         h[:, j] -= passed_h
         spreads[:, j] -= passed_S

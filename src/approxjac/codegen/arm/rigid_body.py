@@ -164,7 +164,7 @@ class Configured:
         self._numbers = numbers = numbers or arm.numbers
         self.weight = numbers.gravity  # acceleration in the world, shape (3,) [m/s²]
         mimic = arm.robot.mimic_joints  # and q of all joints, shape (nq_all,)
-        self.q_all = q = q if mimic.A is None or mimic.b is None else mimic.A @ q + mimic.b
+        q = q if mimic.A is None or mimic.b is None else mimic.A @ q + mimic.b
         self._n = len(self.structure.parents)
         spreads = numbers.spreads[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
         each = zip(numbers.masses, numbers.moments, spreads, strict=True)
@@ -290,7 +290,7 @@ class Configured:
         """Return the gravity torque, shape (n_v,) [N m or N]."""
         tau = _zeros(self._n)
         for j, body in enumerate(self._outwards):
-            g = self._numbers.gravity @ self._placements[j][0]
+            g = self.weight @ self._placements[j][0]
             tau[j] = (
                 -body.m * g[2] if self.structure.slides[j] else g[0] * body.h[1] - g[1] * body.h[0]
             )
@@ -298,7 +298,7 @@ class Configured:
 
     def bias(self, v: Symbols) -> Symbols:
         """Return C(q, q̇) q̇ + g(q) of velocities (n_v,), shape (n_v,) [N m or N]."""
-        return self._moving(self.motions(v, _zeros(self.nv), -self._numbers.gravity))
+        return self._moving(self.motions(v, _zeros(self.nv), -self.weight))
 
     def momentum(self, v: Symbols) -> Symbols:
         """Return M(q) v of velocities (n_v,), shape (n_v,)."""
@@ -342,10 +342,17 @@ class Configured:
 
     def reference_torque(self, v: Symbols, v_r: Symbols, a_r: Symbols) -> Symbols:
         """Return M(q)q̈_r + C(q, q̇)q̇_r + g(q), with C in its Christoffel form, shape (n_v,)."""
-        middle = self.motions(0.5 * (v + v_r), a_r, -self._numbers.gravity)
+        moved = zip(self._bodies, self.reference_motion(v, v_r, a_r), strict=True)
+        return self.torque([force(body, *motion) for body, motion in moved])
+
+    def reference_motion(
+        self, v: Symbols, v_r: Symbols, a_r: Symbols
+    ) -> list[tuple[Symbols, Symbols]]:
+        """Return a and U of each link whose forces make up `reference_torque`."""
+        middle = self.motions(0.5 * (v + v_r), a_r, -self.weight)
         apart = self.motions(0.5 * (v - v_r), _zeros(self.nv), _NOTHING)
-        each = zip(self._bodies, middle, apart, strict=True)
-        return self.torque([force(b, m.a - n.a, m.gradient - n.gradient) for b, m, n in each])
+        pairs = zip(middle, apart, strict=True)
+        return [(one.a - other.a, one.gradient - other.gradient) for one, other in pairs]
 
     def bodies(self, v: Symbols, v_r: Symbols, a_r: Symbols) -> LearntBodies:
         """Return the links of a reference motion whose parameters are learnt."""
@@ -368,7 +375,7 @@ class Configured:
         """Return the gravity regressor, shape (n_v, p) [m²/s² for first moments]."""
         Z = _zeros(self._n, regressor.p)
         # a joint that turns feels g at r with r · (z × g)
-        feels = [np.cross(R[:, 2], self._numbers.gravity) for R, _ in self._placements]
+        feels = [np.cross(R[:, 2], self.weight) for R, _ in self._placements]
         for column, place in enumerate(regressor.columns.tolist()):
             link, what = divmod(place, 10)  # m, mx, my or mz
             R, p = self._placements[link]
@@ -379,7 +386,7 @@ class Configured:
                     lever = p - origin if direction is None else direction
                     Z[j, column] = lever @ feels[j]
                 elif direction is None:
-                    Z[j, column] = -(self._numbers.gravity @ self._placements[j][0][:, 2])
+                    Z[j, column] = -(self.weight @ self._placements[j][0][:, 2])
         return self.arm.robot.mimic_joints.rows(Z)
 
     @cached_property
@@ -521,13 +528,8 @@ class LearntBodies:
     """
 
     def __init__(self, arm: Configured, v: Symbols, v_r: Symbols, a_r: Symbols) -> None:
-        self._arm, self._still = arm, symbols(np.zeros(arm.nv))
-        middle = arm.motions(0.5 * (v + v_r), a_r, -arm.weight)
-        apart = arm.motions(0.5 * (v - v_r), self._still, _NOTHING)
-        # a wrench is linear in a and U
-        self._moved = [
-            (a.a - b.a, a.gradient - b.gradient) for a, b in zip(middle, apart, strict=True)
-        ]
+        self._arm, self._still = arm, _zeros(arm.nv)
+        self._moved = arm.reference_motion(v, v_r, a_r)  # a wrench is linear in a and U
 
     def powers(self, sigma: Symbols) -> Symbols:
         """Return Yᵀσ of σ (n_v,), shape (p,)."""

@@ -16,6 +16,7 @@ from approxjac.codegen.backends.c99 import LANGUAGE, SampledStep, constant, samp
 from approxjac.codegen.backends.templates import template
 from approxjac.codegen.trace.program import Writer
 from approxjac.codegen.trace.symbols import LARGEST_ANGLE
+from approxjac.codegen.traced_law import pairs
 from approxjac.controllers.controller import Controller
 from approxjac.controllers.gains.gains import Latency
 from approxjac.errors import InvalidInputError
@@ -58,7 +59,7 @@ def export_c(controller: Controller, folder: str | PathLike[str]) -> Path:
     require("controller", controller, Controller, "a controller such as SetpointController(task)")
     require("folder", folder, (str, PathLike), "a folder")
     step = sampled_step(controller)
-    named = template_values(controller, step)
+    named = template_values(step)
     dt = controller.dt or (controller.latency or Latency()).period
     records = _recorded(step, dt)
     named |= _source(step) | {"records": _rows(records), "dt": constant(dt)}
@@ -145,7 +146,7 @@ def _guarded(step: SampledStep) -> dict[str, str]:
 
 
 def _q_checks(step: SampledStep) -> str:
-    of_pairs = pairs(step)
+    of_pairs = pairs(step.controller.task.robot)
     angles = set(range(step.controller.task.robot.nq)) - {i + k for i in of_pairs for k in (0, 1)}
     holds = [f"fabs(q[{i}]) <= {LARGEST_ANGLE!r}" for i in sorted(angles)]
     holds += [
@@ -234,9 +235,9 @@ def _braced(parts: list[str]) -> str:
 # -- the description of a controller --------------------------------------------------------------
 
 
-def template_values(controller: Controller, step: SampledStep) -> dict[str, str]:
+def template_values(step: SampledStep) -> dict[str, str]:
     """Return the names, sizes and texts for the files' templates."""
-    task, robot = controller.task, controller.task.robot
+    controller, task, robot = step.controller, step.controller.task, step.controller.task.robot
     prefix, n_state = identifier(robot.name), len(step.first)
     tau = joined("N" if unit == "m" else "N m" for unit in robot.joint_units)
     speed = joined(f"{unit}/s" for unit in robot.joint_units)
@@ -254,7 +255,7 @@ def template_values(controller: Controller, step: SampledStep) -> dict[str, str]
         "m_x": str(task.measured.m),
         "n_state": str(n_state),
         "stored": str(max(n_state, 1)),
-        "made_from": _comment(_made_from(controller, step)),
+        "made_from": _comment(_made_from(controller)),
         "tau_units": tau,
         "commands": commands,
         "e_units": joined(task.units),
@@ -273,7 +274,7 @@ def _fields(step: SampledStep) -> dict[str, str]:
         lost = "the predicted one takes its place"
     rates = joined(f"{unit}/s" for unit in task.measured.units)
     units = joined(task.robot.joint_units)
-    if circles := [f"q[{i}], q[{i + 1}]" for i in pairs(step)]:
+    if circles := [f"q[{i}], q[{i + 1}]" for i in pairs(step.controller.task.robot)]:
         units += f"; (cos, sin) of continuous joints: {' and '.join(circles)}"
     texts = {
         "t": "time [s]",
@@ -301,13 +302,7 @@ def identifier(name: str) -> str:
     return word if word[:1].isalpha() else f"arm_{word}".rstrip("_")
 
 
-def pairs(step: SampledStep) -> list[int]:
-    """Return the indices of (cos, sin) of continuous joints in q."""
-    joints = list(step.controller.task.robot.model.joints)[1:]
-    return [joint.idx_q for joint in joints if joint.nq == 2]
-
-
-def _made_from(controller: Controller, step: SampledStep) -> Iterator[tuple[str, str]]:
+def _made_from(controller: Controller) -> Iterator[tuple[str, str]]:
     import approxjac
 
     task, robot = controller.task, controller.task.robot

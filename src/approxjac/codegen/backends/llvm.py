@@ -8,6 +8,8 @@ from collections.abc import Callable
 from itertools import chain, count
 from string import Template
 
+import numpy as np
+
 from approxjac.codegen.backends.machine_code import MachineCode
 from approxjac.codegen.backends.templates import template
 from approxjac.codegen.trace.program import STEP, Block, Going, Language, Program, Rows, Writer
@@ -87,6 +89,57 @@ class LlvmLanes:
         return step
 
 
+def packed(columns: Array, width: int) -> Array:
+    """Return rows of runs (N, rows) as vectors (groups, rows, width); the last one fills the rest.
+
+    `unpacked` is the way back.
+    """
+    n, rows = columns.shape
+    groups = -(-n // width)
+    filled = columns[np.minimum(np.arange(groups * width), n - 1)]
+    return np.array(filled.reshape(groups, width, rows).swapaxes(1, 2), order="C")
+
+
+def unpacked(vectors: Array, n: int) -> Array:
+    """Return the rows of n runs (n, rows) in vectors (groups, rows, width)."""
+    return vectors.swapaxes(1, 2).reshape(-1, vectors.shape[1])[:n]
+
+
+def _rare(
+    label: str, condition: str, lines: list[str], results: list[tuple[str, str, str]]
+) -> list[str]:
+    return [
+        f"  %any{label} = bitcast $B {condition} to $FLAGS",
+        f"  %is{label} = icmp ne $FLAGS %any{label}, 0",
+        f"  br label %before{label}",
+        f"before{label}:",
+        f"  br i1 %is{label}, label %rare{label}, label %after{label}",
+        f"rare{label}:",
+        *lines,
+        f"  br label %end{label}",
+        f"end{label}:",
+        *(f"  {name}.rare = select $B {condition}, $D {a}, $D {b}" for name, a, b in results),
+        f"  br label %after{label}",
+        f"after{label}:",
+        *(
+            f"  {name} = phi $D [ {name}.rare, %end{label} ], [ {b}, %before{label} ]"
+            for name, _, b in results
+        ),
+    ]
+
+
+def _spread(name: str, number: str) -> list[str]:
+    """Return the lines that make a number of all runs a vector."""
+    return [
+        f"  {name}.one = insertelement $D undef, double {number}, i64 0",
+        f"  {name} = shufflevector $D {name}.one, $D undef, $ZERO",
+    ]
+
+
+def _number(name: str, i: str) -> list[str]:
+    return [f"  {name}.same = sitofp i64 %{i} to double", *_spread(name, f"{name}.same")]
+
+
 def _source(program: Program, width: int) -> str:
     pointers: list[str] = []
     allocated: list[str] = []
@@ -144,28 +197,6 @@ def _source(program: Program, width: int) -> str:
         (bits,) = struct.unpack("<Q", struct.pack("<d", value))
         return f"<{', '.join([f'double 0x{bits:016X}'] * width)}>"
 
-    def rare(
-        label: str, condition: str, lines: list[str], results: list[tuple[str, str, str]]
-    ) -> list[str]:
-        return [
-            f"  %any{label} = bitcast $B {condition} to i{width}",
-            f"  %is{label} = icmp ne i{width} %any{label}, 0",
-            f"  br label %before{label}",
-            f"before{label}:",
-            f"  br i1 %is{label}, label %rare{label}, label %after{label}",
-            f"rare{label}:",
-            *lines,
-            f"  br label %end{label}",
-            f"end{label}:",
-            *(f"  {name}.rare = select $B {condition}, $D {a}, $D {b}" for name, a, b in results),
-            f"  br label %after{label}",
-            f"after{label}:",
-            *(
-                f"  {name} = phi $D [ {name}.rare, %end{label} ], [ {b}, %before{label} ]"
-                for name, _, b in results
-            ),
-        ]
-
     def table(name: str, numbers: list[str], is_constant: bool) -> list[str]:
         if is_constant:  # of one lane, as they are the same in all
             ones = ", ".join(each[1:-1].split(", ")[0] for each in numbers)
@@ -174,7 +205,7 @@ def _source(program: Program, width: int) -> str:
         allocated.append(f"  %{name} = alloca $D, i64 {len(numbers)}, align 8")
         return [line for i, each in enumerate(numbers) for line in stored(f"%{name}", i, each)]
 
-    def stored(array: str, i: int, number: str) -> list[str]:
+    def stored(array: str, i: int | str, number: str) -> list[str]:
         """Return the lines that write a number to a place of an array."""
         at = f"%to{next(written)}"
         return [
@@ -189,11 +220,7 @@ def _source(program: Program, width: int) -> str:
         collected = [
             line
             for at, each in rows
-            for line in (
-                f"  {i}.at{at} = add i64 {i}.row, {at}",
-                f"  {i}.to{at} = getelementptr $D, ptr {y}, i64 {i}.at{at}",
-                f"  store $D {each}, ptr {i}.to{at}, align 8",
-            )
+            for line in (f"  {i}.at{at} = add i64 {i}.row, {at}", *stored(y, f"{i}.at{at}", each))
         ]
         return [
             *(line for at, start, _ in going for line in stored(s, at, start)),
@@ -214,13 +241,6 @@ def _source(program: Program, width: int) -> str:
             f"done{label}:",
         ]
 
-    def spread(name: str, number: str) -> list[str]:
-        """Return the lines that make a number of all runs a vector."""
-        return [
-            f"  {name}.one = insertelement $D undef, double {number}, i64 0",
-            f"  {name} = shufflevector $D {name}.one, $D undef, $ZERO",
-        ]
-
     def taken(name: str, array: str, i: str, apart: int, first: int) -> list[str]:
         base, kind = (f"@{array}", "double") if array in constants else (f"%{array}", "$D")
         read = [
@@ -231,10 +251,7 @@ def _source(program: Program, width: int) -> str:
         if kind == "$D":
             return [*read, f"  {name} = load $D, ptr {name}.from, align 8"]
         same = f"  {name}.same = load double, ptr {name}.from, align 8"
-        return [*read, same, *spread(name, f"{name}.same")]
-
-    def number(name: str, i: str) -> list[str]:
-        return [f"  {name}.same = sitofp i64 %{i} to double", *spread(name, f"{name}.same")]
+        return [*read, same, *_spread(name, f"{name}.same")]
 
     language = Language(
         templates=_TEMPLATES,
@@ -242,7 +259,7 @@ def _source(program: Program, width: int) -> str:
         assigned=assigned,
         read=read,
         constant=constant,
-        rare=rare,
+        rare=_rare,
         table=table,
         loop=loop,
         cell=lambda name, array, i: [
@@ -250,7 +267,7 @@ def _source(program: Program, width: int) -> str:
             f"  {name} = load $D, ptr {name}.from, align 8",
         ],
         taken=taken,
-        number=number,
+        number=_number,
     )
     flat = chain(*program.stepped.values())
     lines, names = Writer(program.graph, language).lines([*flat])
@@ -278,6 +295,7 @@ def _filled(text: str, width: int) -> str:
         "$B": f"<{width} x i1>",
         "$I": f"<{width} x i64>",
         "$N": f"v{width}f64",
+        "$FLAGS": f"i{width}",
         "$TRUE": f"<{', '.join(['i1 true'] * width)}>",
         "$ZERO": f"<{width} x i32> zeroinitializer",
         "$SHIFT": f"<{', '.join(['i64 52'] * width)}>",

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from approxjac.codegen.arm import traced_tasks as tasks
 from approxjac.codegen.arm.arm_numbers import ArmNumbers, arm_numbers
 from approxjac.codegen.arm.rigid_body import Arm
-from approxjac.codegen.backends.llvm import LlvmLanes
+from approxjac.codegen.backends.llvm import LlvmLanes, packed, unpacked
 from approxjac.codegen.backends.numpy_function import numpy_function
 from approxjac.codegen.trace.derivatives import rates
 from approxjac.codegen.trace.program import Program
@@ -170,14 +170,11 @@ class TracedTerms:
             named = {k: a[at : at + n] for each, a in places for k, (at, n) in each.items()}
             results = np.broadcast_arrays(columns[:, 0], *self._function(**named))
             return np.column_stack([columns, *results[1:]])
-        width = self._lanes.width
-        groups = -(-N // width)
-        rows = np.minimum(np.arange(groups * width), N - 1).reshape(groups, width)
-        kept = np.zeros((groups, program.n_rows, width))
-        kept[:, :given] = columns[rows].swapaxes(1, 2)
-        parameters = np.ascontiguousarray(numbers[rows].swapaxes(1, 2))
+        rows = np.zeros((N, program.n_rows))
+        rows[:, :given] = columns
+        kept, parameters = (packed(each, self._lanes.width) for each in (rows, numbers))
         self._lanes.run(kept, parameters)
-        return kept.swapaxes(1, 2).reshape(groups * width, -1)[:N]
+        return unpacked(kept, N)
 
 
 @functools.lru_cache(maxsize=8)
