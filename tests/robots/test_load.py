@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pinocchio as pin
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac.errors import MissingPackageError, UnknownNameError, UrdfError
@@ -59,6 +59,18 @@ def test_what_the_tip_does_not_need_is_locked():
     assert arm.mass == pytest.approx(6.0)  # all but the wheel stand on the torso
     assert aj.load_robot(BRANCHED, tip="tooth").joint_names == (*arm.joint_names, "finger")
     assert aj.load_robot(BRANCHED, tip="elbow").joint_names == arm.joint_names  # a joint's frame
+
+
+@pytest.mark.parametrize("joint", ["panda_joint7", "panda_hand_joint"])
+def test_a_joint_as_tip_is_the_link_that_it_carries(joint):
+    """Its frame is the link's: all that is built for an arm takes it."""
+    arm = aj.load_robot("panda", tip=joint)
+    assert arm.tip == arm.tree.joints[joint].child
+    task, at_joint = aj.PositionTask(arm), aj.PositionTask(arm, joint)
+    q = arm.random_configuration(np.random.default_rng(0))
+    assert_array_equal(task.value(q), at_joint.value(q))
+    aj.SetpointController(task, gravity=aj.AdaptiveGravity(arm))
+    assert arm.with_object(0.1).nv == arm.nv
 
 
 def test_without_a_tip_nothing_is_locked():

@@ -14,7 +14,7 @@ _TINY = np.finfo(float).tiny
 _SWEEPS = 10
 _FEW, _SOME = 12, 32  # motors and parameters whose bounds are taken without loops of their own
 _SWEPT = 1e-12  # of what led out of bounds, which sweeps may leave
-_ROUND_OFF = 1e-8  # bounds this near to dependent count as it: λ grows as 1/angle, its error too
+_ROUND_OFF = 1e-8  # bounds this close to dependent count as so: λ and its error grow as 1/angle
 
 
 def passive_output(v: Array, J_hat_pinv_s: Array, alpha: float | Array) -> Array:

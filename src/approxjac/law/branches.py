@@ -37,7 +37,7 @@ def select(condition: Any, a: Any, b: Any) -> Any:
 
 
 def selected(condition: Any, a: list[Any], b: list[Any]) -> list[Any]:
-    """Return what `select` does of each pair of numbers in two lists."""
+    """Apply `select` to each pair of numbers in two lists."""
     if condition is True or condition is False:
         return a if condition else b
     return [select(condition, *pair) for pair in zip(a, b, strict=True)]
@@ -50,16 +50,13 @@ def complement(condition: Any) -> Any:
 
 def is_finite(x: Any) -> Any:
     """Return True if all entries of a vector are finite."""
-    if not x.dtype.hasobject:
-        return math.isfinite(math.hypot(*x.tolist()))  # which overflows without a warning
-    square = (x * x).sum()
-    return math.isfinite(square) if isinstance(square, float) else square.is_finite()
+    return all_finite(x.tolist())
 
 
 def all_finite(numbers: list[Any]) -> Any:
     """Return True if all of some numbers are finite."""
     try:
-        return math.isfinite(math.hypot(*numbers))
+        return math.isfinite(math.hypot(*numbers))  # which overflows without a warning
     except TypeError:  # they are symbols
         return sum_of_squares(numbers).is_finite()
 

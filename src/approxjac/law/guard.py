@@ -40,7 +40,7 @@ _AHEAD = 0.01  # s, and a period: by which x may be stamped later than the state
 _OLDEST = 1e15  # s
 
 GOOD, UNKNOWN, POSITION, VELOCITY, DISAGREES, REPEATED, CLOCK, SENSOR = range(8)
-"""What may be wrong with a sample, in the order of the statuses that tell of it."""
+"""Faults of a sample, in the order of their statuses."""
 
 
 class GuardBounds(NamedTuple):
@@ -57,7 +57,7 @@ class GuardBounds(NamedTuple):
 
 
 class GuardMemory(NamedTuple):
-    """What a guard remembers: the last good sample, what was sent, and what was refused."""
+    """Memory of a guard: the last good sample, the last command and the samples refused since."""
 
     t: Any  # of the last good sample [s]
     bad: Any  # periods in a row that were refused
@@ -136,7 +136,7 @@ class Judged(NamedTuple):
 
 
 class _Followed(NamedTuple):
-    """How q differs from the integral of q̇, and what is to be remembered, for each joint."""
+    """Difference of q from the integral of q̇, and updated statistics, for each joint."""
 
     off: list[Any]
     noise: list[Any]  # of a change of q, four times what it was
@@ -206,7 +206,7 @@ def is_near(
 def _followed(
     memory: GuardMemory, way: list[Any], v: list[Any], h: Any, bounds: GuardBounds
 ) -> _Followed:
-    """Return what a sample shows of each joint, a time h after the last good one."""
+    """Compare q with the integral of q̇, joint by joint, a time h after the last good sample."""
     half, per, share = 0.5 * h, _USUAL / h, _SHARE + bounds.lag * 4.0 / _MEMORY
     fade, settles = _larger(1.0 - h / _MEMORY, 0.0), _larger(1.0 - h / _SETTLES, 0.0)
     joints = list[tuple[Any, ...]]()
@@ -306,7 +306,7 @@ def _is_early(sample: Sample, dt: Any) -> Any:
 
 
 def _nearer(moved: Any) -> Any:
-    """Return what is left of the motion of x when a new one comes."""
+    """Return the motion of x that is still to be expected once a new x has come."""
     return select(moved < 0.5 * _FAR, _KEPT * moved, 0.0)
 
 
@@ -315,7 +315,7 @@ def _seen(
 ) -> tuple[Any, list[Any], list[Any], list[Any]]:
     """Judge x, part by part; one that differs from the last is new.
 
-    Returns whether any is refused; x with NaN where it is, or all if `hidden`; the last good x; and
+    Returns True if any is refused; x with NaN where it is, or all if `hidden`; the last good x; and
     the motion of each part since.
     """
     refuses, used, last, moves = False, list[Any](), list[Any](), list[Any]()

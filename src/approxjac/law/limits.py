@@ -288,10 +288,11 @@ def braked(
 ) -> Array:
     """Return a torque that brakes as hard as motors can, shape (n_v,).
 
-    Rows are given up one by one, that with the largest violation first, until there is a torque;
+    Rows are given up one by one, that which asks most of the motors first, until there is a torque;
     those given up come as near to their bounds as the others allow.
 
-    `brake` is the q̈ that brings joints to rest, `hold` the torque to send if everything fails.
+    `brake` is the q̈ that brings joints to rest, which is wanted beside further rows E; `hold` is
+    the torque to send if everything fails.
     """
     A, low, high, rows, at_rest = bounds
     n, start = len(lower), brake

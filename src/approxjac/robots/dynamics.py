@@ -250,7 +250,7 @@ class DynamicsRegressor(_TorqueRegressor):
         self.a = read_only(np.concatenate([self._dynamic, none]))
 
     def Y_d(self, q: Array, v: Array, v_r: Array, a_r: Array) -> Array:
-        """Y_d (n_v, p) of q (nq,), q̇, q̇_r [rad/s or m/s] and q̈_r [rad/s² or m/s²]; not checked."""
+        """Return Y_d (n_v, p) at q (nq,), q̇, q̇_r and q̈_r (n_v,), which are not checked."""
         links = self._links(q, v, v_r, a_r)
         joints = map(np.diag, self.of_joints(v_r, a_r))
         return np.concatenate([links, *joints], axis=1)

@@ -239,7 +239,6 @@ def _link(urdf: Urdf, frame: str) -> str:
 _HEAVY = 2000.0  # [kg/m³]
 _STRONG = 30.0
 _ALIKE = 4  # parts with the same mass and inertia: exporters write one where none is known
-_G = 9.81
 
 
 def implausible(robot: Robot) -> list[str]:
@@ -262,7 +261,7 @@ def implausible(robot: Robot) -> list[str]:
             )
     efforts = zip(robot.joint_names, robot.effort_limits, robot.joint_units, strict=True)
     for name, effort, unit in efforts:
-        weight, force = robot.mass * _G, "N"
+        weight, force = robot.mass * -STANDARD_GRAVITY[2], "N"
         if unit == "rad":
             weight, force = weight * reach, "N m"
         if np.isfinite(effort) and effort > _STRONG * weight:

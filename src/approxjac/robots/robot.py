@@ -120,10 +120,11 @@ class Robot(Immutable):
         self._frames = {frame.name: index for index, frame in frames if frame.name != "universe"}
         parents = {joint.parent for joint in self.tree.joints.values()}
         leaves = [link for link in self.tree.links if link not in parents]
-        self.tip = tip if tip is not None else (leaves[0] if len(leaves) == 1 else None)
-        self._outward = outward
-        if self.tip is not None:
-            self.frame_id(self.tip)
+        if tip is None:
+            tip = leaves[0] if len(leaves) == 1 else None
+        elif self.frame_id(tip) and tip not in self.tree.links:  # a joint's frame is its child's
+            tip = self.tree.joints[tip].child
+        self.tip, self._outward = tip, outward
 
     # -- what it is ---------------------------------------------------------------------
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from approxjac import law
 from approxjac.controllers.arguments import LONGEST_DELAY, from_another_clock, time_of_x
-from approxjac.controllers.learning.kinematic_report import KinematicReport, LearntNumber
+from approxjac.controllers.learning.kinematic_report import SILENT, KinematicReport, LearntNumber
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement, Status, Target
 from approxjac.law import PredictedError
@@ -31,7 +31,6 @@ _FOREVER = 1e15  # t of no clock [s]
 _AHEAD = 1e-9  # by which a clock is on time [s]
 _OTHER = 1.0  # by which it is another one [s]
 _CLOSEST = 4e-3  # between frames, below which there is nothing to learn from the second one [s]
-_STALE = 1.0  # without a frame to learn from, after which it is said [s]
 _FARTHEST = 1e3  # that anything is from the sensor [m]
 _ROUND_OFF = 1e-9  # of times [s]
 _SMOOTHING = 20.0  # β, how fast what is controlled follows what is learnt [1/s]
@@ -382,7 +381,7 @@ class Estimator(Kinematics):
 
     def status(self, state: Array, measurement: Measurement) -> Status:
         t_x: Any = math.nan if measurement.t_x is None else measurement.t_x
-        is_old = self._frames.silence(state[self._at["frames"]]) > _STALE
+        is_old = self._frames.silence(state[self._at["frames"]]) > SILENT
         status = law.select(is_old & (t_x == t_x), _PREDICTED, _OK)  # NaN is not known
         return law.select(self._has_begun(state), status, _LOST)
 

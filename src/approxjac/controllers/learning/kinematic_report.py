@@ -7,7 +7,7 @@ from typing import NamedTuple
 from approxjac.validation import Array
 
 _NOT_SEEN = 0.5  # resolved share of the prior variance below which a number counts as not learnt
-_SILENT = 1.0  # without a frame to learn from [s]
+SILENT = 1.0  # without a frame to learn from, after which it is said [s]
 UNEXPLAINED = 1.5  # χ² a degree of freedom, above which x is not explained
 
 
@@ -89,7 +89,7 @@ class KinematicReport(NamedTuple):
         given, seen = (factor * noise for noise in self.noise)
         lines.append(f"noise of x {seen:.2g} {unit}, assumed {given:.2g} {unit}")
         lines.append(f"chi squared a degree of freedom: {self.chi_squared:.2f}")
-        if self.seconds == 0.0 or self.silence > _SILENT:
+        if self.seconds == 0.0 or self.silence > SILENT:
             since = f"for the last {self.silence:.1f} s" if self.seconds else "yet"
             lines.append(f"no frame to learn from {since}: x is lost, or too old to tell q at it")
         if self.seconds and not self.is_explained:
