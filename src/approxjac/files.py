@@ -11,6 +11,8 @@ from typing import IO, Any
 
 import numpy as np
 
+from approxjac.errors import InvalidInputError
+
 
 @contextmanager
 def replaced(path: Path) -> Iterator[Path]:
@@ -61,6 +63,20 @@ def together(folder: Path) -> Iterator[Path]:
                 path.replace(folder / path.name)
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
+
+
+@contextmanager
+def refusing(
+    wanted: str, given: object, kinds: tuple[type[Exception], ...] = (OSError,)
+) -> Iterator[None]:
+    """Raise an InvalidInputError with what was wanted and given in place of some kinds of errors.
+
+    A ValueError is one of a name that no file can have.
+    """
+    try:
+        yield
+    except kinds as error:
+        raise InvalidInputError(f"{wanted}, got {given}: {reason(error)}", given=given) from error
 
 
 def reason(error: Exception) -> str:

@@ -949,5 +949,7 @@ def test_what_is_not_covered_is_refused_by_name(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(aj.InvalidInputError, match="folder must be a folder, got 3"):
         aj.export_c(law, 3)
-    with pytest.raises(aj.InvalidInputError, match="folder must be one that can be made"):
-        aj.export_c(law, tmp_path / "file" / "none")
+    (tmp_path / "taken" / "controller.c").mkdir(parents=True)
+    for folder in ("file/none", "no\0name", "taken"):
+        with pytest.raises(aj.InvalidInputError, match="folder must be one that can be made"):
+            aj.export_c(law, tmp_path / folder)

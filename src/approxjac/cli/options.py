@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
 from approxjac.errors import ApproxJacError, InvalidInputError, UnknownNameError
-from approxjac.files import reason
+from approxjac.files import refusing
 from approxjac.scenario import Scenario
 from approxjac.scenario.convert import WRONG_TYPE, Words, converted, hints, wanted
 from approxjac.scenario.records import Analysis, Goal
@@ -219,11 +219,8 @@ def scenario_of(command: str, source: str, values: Mapping[str, Words]) -> Scena
 
 def make_folder(out: Path) -> None:
     """Make the folder that a command writes to."""
-    try:
+    with refusing("--out must be a folder that can be made", out):
         out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        message = f"--out must be a folder that can be made, got {out}: {reason(error)}"
-        raise InvalidInputError(message, given=out) from error
 
 
 def time_bar(total: float, what: str, disable: bool | None = None) -> tqdm[Any]:

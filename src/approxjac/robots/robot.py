@@ -12,7 +12,7 @@ import pinocchio as pin
 from lxml import etree
 
 from approxjac.errors import InvalidInputError, UnknownNameError, UrdfError
-from approxjac.files import write_text
+from approxjac.files import refusing, write_text
 from approxjac.robots import meshes
 from approxjac.robots.urdf import (
     OBJECT_RADIUS,
@@ -430,11 +430,8 @@ class Robot(Immutable):
         path = Path(path)
         urdf = self.tree.copy()
         meshes.for_other_tools(urdf, self.urdf_dir, path)
-        try:
+        with refusing("path must be a file that can be written", path, (OSError, ValueError)):
             write_text(path, urdf.text)
-        except OSError as error:
-            message = f"path must be a file that can be written, got {path}: {error}"
-            raise InvalidInputError(message, given=path) from error
         return path
 
     # -- Python -------------------------------------------------------------------------

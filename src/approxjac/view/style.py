@@ -16,8 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.transforms import offset_copy
 
-from approxjac.errors import InvalidInputError
-from approxjac.files import reason, replaced
+from approxjac.files import refusing, replaced
 
 _OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 SERIES = (*_OKABE_ITO, "#962DFF")
@@ -153,14 +152,11 @@ def save_figure(figure: Figure, stem: str | Path) -> list[Path]:
     stem = Path(stem)
     stem = stem.with_suffix("") if stem.suffix in (".png", ".svg") else stem
     paths = [stem.with_name(stem.name + ending) for ending in (".png", ".svg")]
-    try:
-        with style(), replaced(paths[0]) as png, replaced(paths[1]) as svg:
-            figure.savefig(png, dpi=_DPI)
-            layout = figure.get_layout_engine()
-            figure.set_layout_engine("none")  # once is enough: it takes longer than to draw
-            figure.savefig(svg, dpi=_DPI, metadata={"Date": None})  # dpi: of what is pixels
-            figure.set_layout_engine(layout)
-    except OSError as error:
-        message = f"stem must name files that can be written, got {stem}: {reason(error)}"
-        raise InvalidInputError(message, given=stem) from error
+    refused = refusing("stem must name files that can be written", stem)
+    with refused, style(), replaced(paths[0]) as png, replaced(paths[1]) as svg:
+        figure.savefig(png, dpi=_DPI)
+        layout = figure.get_layout_engine()
+        figure.set_layout_engine("none")  # once is enough: it takes longer than to draw
+        figure.savefig(svg, dpi=_DPI, metadata={"Date": None})  # dpi: of what is pixels
+        figure.set_layout_engine(layout)
     return paths

@@ -298,3 +298,10 @@ def test_without_a_screen_no_browser_is_tried(run, monkeypatch, capsys):
     path = view.show(run)
     path.unlink()
     assert capsys.readouterr().out == f"No browser could be opened here: the page is {path}\n"
+
+
+def test_a_run_that_cannot_be_viewed_leaves_no_file(run, monkeypatch, tmp_path):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with pytest.raises(aj.InvalidInputError, match="run must have a scene"):
+        view.show(dataclasses.replace(run, scene=None))
+    assert not list(tmp_path.iterdir())

@@ -20,7 +20,7 @@ from approxjac.codegen.traced_law import pairs
 from approxjac.controllers.controller import Controller
 from approxjac.controllers.gains.gains import Latency
 from approxjac.errors import InvalidInputError
-from approxjac.files import reason, together, write_text
+from approxjac.files import refusing, together, write_text
 from approxjac.formatting import joined
 from approxjac.interface import LimitStatus, Measurement, Status
 from approxjac.law.guard import UNSEEN
@@ -54,7 +54,7 @@ def export_c(controller: Controller, folder: str | PathLike[str]) -> Path:
         The folder.
 
     Raises:
-        InvalidInputError: The controller cannot be traced, or the folder not be created.
+        InvalidInputError: The controller cannot be traced, or the folder not be written to.
     """
     require("controller", controller, Controller, "a controller such as SetpointController(task)")
     require("folder", folder, (str, PathLike), "a folder")
@@ -66,14 +66,13 @@ def export_c(controller: Controller, folder: str | PathLike[str]) -> Path:
     names = "controller.h", "controller.c", "selftest.c", "CMakeLists.txt"
     filled = {name: Template(template(name)).substitute(named) for name in names}
     path = Path(folder)
-    try:
+    with refusing(
+        "folder must be one that can be made and written to", folder, (OSError, ValueError)
+    ):
         path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        message = f"folder must be one that can be made, got {folder}: {reason(error)}"
-        raise InvalidInputError(message, given=folder) from error
-    with together(path) as unfinished:
-        for name, text in filled.items():
-            write_text(unfinished / name, text)
+        with together(path) as unfinished:
+            for name, text in filled.items():
+                write_text(unfinished / name, text)
     return path
 
 

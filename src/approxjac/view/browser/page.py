@@ -21,7 +21,7 @@ import numpy as np
 
 from approxjac.cameras import PinholeCamera
 from approxjac.errors import InvalidInputError, package_of
-from approxjac.files import reason, write_text
+from approxjac.files import refusing, write_text
 from approxjac.formatting import joined, percent, short
 from approxjac.interface import LimitStatus, Status
 from approxjac.simulation import Trajectory
@@ -69,11 +69,8 @@ def save_page(run: Trajectory, path: str | Path, title: str | None = None) -> Pa
     """
     require("path", path, (str, Path), "the name of a file")
     path, text = Path(path), page(run, title)
-    try:
+    with refusing("path must be a file that can be written", path, (OSError, ValueError)):
         write_text(path, text)
-    except (OSError, ValueError) as error:
-        message = f"path must be a file that can be written, got {path}: {reason(error)}"
-        raise InvalidInputError(message, given=path) from error
     return path
 
 
@@ -82,9 +79,11 @@ def show(run: Trajectory, title: str | None = None) -> Path:
 
     Without a browser, the page's path is printed.
     """
+    text = page(run, title)  # or an error, before there is a file
     handle, name = tempfile.mkstemp(".html", "approxjac-")
     os.close(handle)
-    path = save_page(run, name, title)
+    path = Path(name)
+    write_text(path, text)
     if not open_browser(path.as_uri()):
         print(f"No browser could be opened here: the page is {path}")
     return path
@@ -350,7 +349,7 @@ def write_index(folder: str | Path, title: str = "Runs to look at") -> Path:
     """
     require("folder", folder, (str, Path), "a folder")
     folder = Path(folder)
-    try:
+    with refusing("folder must be one that can be read and written", folder):
         heads = {path: path.read_text("utf-8", "replace")[:_HEAD] for path in folder.glob("*.html")}
         entries = {path: _entry(path, head) for path, head in heads.items() if _MARK in head}
         if not entries:
@@ -367,9 +366,6 @@ def write_index(folder: str | Path, title: str = "Runs to look at") -> Path:
         parts |= {"link": COLORS["true"], "text": COLORS["neutral"]}
         index = folder / "index.html"
         write_text(index, _filled("index.html", parts))
-    except OSError as error:
-        message = f"folder must be one that can be read and written, got {folder}: {reason(error)}"
-        raise InvalidInputError(message, given=folder) from error
     return index
 
 
