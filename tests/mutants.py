@@ -1144,8 +1144,8 @@ MUTANTS = [
     ),
     (
         "at rest in one direction", "realtime/control.py",
-        "moves = np.abs(measured.v).max() > _AT_REST",
-        "moves = measured.v.max() > _AT_REST", CONTROL,
+        "moves = np.abs(measured.v).max() > AT_REST",
+        "moves = measured.v.max() > AT_REST", CONTROL,
     ),
     (
         "q and its rate disagree in one direction", "realtime/watches.py",

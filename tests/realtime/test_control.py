@@ -8,6 +8,7 @@ import re
 import signal
 import threading
 import time
+import types
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ import approxjac as aj
 from approxjac.errors import ControlError, InvalidInputError
 from approxjac.interface import LimitStatus
 from approxjac.realtime import Fault, RobotRun, SimulatedDriver, control
-from approxjac.realtime.control import require_near
+from approxjac.realtime.control import ObserverThread, require_near
 from approxjac.realtime.robot_loop import RobotLoop
 from approxjac.view import plot_run, plot_torque
 from approxjac.view.browser.frames import RunFrames
@@ -565,6 +566,24 @@ def test_an_observer_sees_it_and_moves_the_target(plant, controller):
 
 
 @pytest.mark.study
+def test_an_arm_does_not_wait_while_another_controller_is_copied(plant, controller):
+    """Such as one that is compiled, of which a copy takes tenths of a second."""
+    waits = []
+
+    class Other:
+        def __deepcopy__(self, memo):
+            waits.append(loop.between_steps.locked())
+            return self
+
+    loop = types.SimpleNamespace(
+        plant=plant, controller=controller, path=goal(plant), dt=1e-3, steps=1,
+        between_steps=threading.Lock(), exchange=lambda given: waits.append(given is other),
+    )  # fmt: skip
+    other = Other()
+    ObserverThread(loop, print).exchange(other)
+    assert waits == [False, True]
+
+
 def test_an_observer_that_fails_stops_no_arm(plant, controller):
     def observe(loop):
         raise ZeroDivisionError

@@ -21,7 +21,7 @@ from approxjac.interface import Evaluation, LimitStatus, Measurement, Target, Ta
 from approxjac.realtime.brake import Brake, HungError, Watchdog
 from approxjac.realtime.driver import Driver, read, two_clocks
 from approxjac.realtime.faults import Fault, Tolerances, task_bounds
-from approxjac.realtime.robot_loop import RobotLoop, require_able
+from approxjac.realtime.robot_loop import AT_REST, RobotLoop, require_able
 from approxjac.realtime.scheduling import Scheduling, StopSignals, real_time
 from approxjac.robots import Dynamics
 from approxjac.simulation.plant import Plant, VelocityServo
@@ -36,7 +36,6 @@ _PATIENCE = 30.0  # s, for which an observer may prepare before the arm moves
 _ANSWER = 1.0  # s, within which an observer has to end
 _SEEN = ("path", "step", "target", "truth", "measurement", "answer", "state", "tau")
 _READS = 5
-_AT_REST = 0.05  # rad/s or m/s
 _HELD = 0.2  # share of the largest torque by which what is believed of gravity may be off
 _WARM = 50  # steps before the first that counts: caches, and whatever is made at first use
 _FAR, _REACHES = 50.0, 20.0  # m and reaches of the arm, beyond both of which no x is in metres
@@ -268,8 +267,9 @@ class ObserverThread(Loop):
             self._loop.aim_at(target)
 
     def exchange(self, controller: Any) -> None:
+        own = copy.deepcopy(controller)  # which may take long, and nobody is to wait for it
         with self._loop.between_steps:
-            self._loop.exchange(copy.deepcopy(controller))
+            self._loop.exchange(own)
         self.controller = controller
 
     def stop(self) -> None:
@@ -306,11 +306,11 @@ def require_at_rest(driver: Driver, task: Task, timeout: float) -> Measurement:
             break
     assert measured is not None
     unknown = [name for name in "qvx" if not np.isfinite(getattr(measured, name)).all()]
-    moves = np.abs(measured.v).max() > _AT_REST
+    moves = np.abs(measured.v).max() > AT_REST
     for wrong, why in (
         (unknown, f"{', '.join(unknown)} must be known before the arm moves"),
         (two_clocks(measured, driver.dt), "t_x must be by the clock of t"),
-        (moves, f"the arm must be at rest, below {_AT_REST} rad/s or m/s"),
+        (moves, f"the arm must be at rest, below {AT_REST} rad/s or m/s"),
     ):
         if wrong:
             raise InvalidInputError(f"{why}, got {measured!r}", given=measured)

@@ -31,7 +31,7 @@ from approxjac.validation import Array
 _ROWS = 60_000  # recorded at most
 _TAIL = 1000  # periods before the end of which each is recorded
 _HALT = 0.3  # s, within which the target of a controlled stop comes to rest
-_AT_REST = 0.05  # rad/s or m/s
+AT_REST = 0.05  # rad/s or m/s, below which every joint of an arm at rest is
 _FAST = (Fault.TOO_FAST, Fault.SPEED_GREW)
 _LOST = (Status.MEASUREMENT_LOST, Status.NOT_PREDICTED)
 _PEAK = 1.875  # of a least-jerk motion: its fastest speed by its mean speed
@@ -220,8 +220,7 @@ class RobotLoop(Loop):
 
     @property
     def _velocity(self) -> Array:
-        v = self._wanted.v
-        return np.zeros(self.controller.task.measured.m) if v is None else v
+        return _complete(self.controller.task.measured, self._wanted)[1]
 
     def _aim(self) -> None:
         self._wanted = self._blended.at(self.step * self.dt)
@@ -290,7 +289,7 @@ class RobotLoop(Loop):
         if not self.halting:
             return False
         self._halted += 1
-        slow = bool(np.abs(self.measurement.v).max() < _AT_REST)
+        slow = bool(np.abs(self.measurement.v).max() < AT_REST)
         since = self._halted * self.dt
         return (slow and since > _HALT) or since > self._tolerances.timeout
 

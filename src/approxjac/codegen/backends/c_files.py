@@ -66,9 +66,8 @@ def export_c(controller: Controller, folder: str | PathLike[str]) -> Path:
     names = "controller.h", "controller.c", "selftest.c", "CMakeLists.txt"
     filled = {name: Template(template(name)).substitute(named) for name in names}
     path = Path(folder)
-    with refusing(
-        "folder must be one that can be made and written to", folder, (OSError, ValueError)
-    ):
+    wanted = "folder must be one that can be made and written to"
+    with refusing(wanted, folder, (OSError, ValueError)):
         path.mkdir(parents=True, exist_ok=True)
         with together(path) as unfinished:
             for name, text in filled.items():
