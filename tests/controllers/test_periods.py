@@ -440,6 +440,16 @@ def test_dynamics_learn_by_the_period(arm, dt):
     assert_allclose(moved[1][inside], 2.0 * moved[0][inside], rtol=1e-6, atol=1e-9 * size)
 
 
+@pytest.mark.parametrize("share", [0.5, 0.6])
+def test_a_gain_that_leaves_no_room_for_rotors_adds_none(arm, dt, share):
+    """κ dt beyond what M̂ alone allows: the gain is κM̂, and nothing is divided by zero."""
+    controller = tracking(arm, dt, gains=TrackingGains(kappa=share / dt))
+    assert not controller.dynamics.gain_inertia(1.0).any()
+    now = measured(arm, arm.q, np.zeros(arm.bare.nv))
+    _, answer = controller.step(controller.initial_state(now), now, now.x, dt)
+    assert answer.status is Status.OK
+
+
 class Unseeing(KnownKinematics):
     """Kinematics that predict nothing."""
 

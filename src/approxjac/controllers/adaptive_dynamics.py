@@ -97,7 +97,7 @@ class MotionDynamics(Immutable, ABC):
         M̂ alone leaves light wrists soft. Zero if rotor inertias are given.
         """
         F = _DRIVE * known_efforts(self.robot)
-        if self.rotor_inertia.any() or not F.any():
+        if self.rotor_inertia.any() or not F.any() or room <= 1.0:
             return np.zeros(self.robot.nv)
         M_inv = np.linalg.inv(usual_inertias(self.robot))
         # each joint alone may fill half of the room, and all together all of it

@@ -384,7 +384,7 @@ class Scalar:
         return function(*map(_as_arrays, arguments), **options)
 
     def choose(self, then: Callable[[], Any], otherwise: Callable[[], Any]) -> Any:
-        """Return what `law.choose` does; `then` costs nothing where it never holds."""
+        """Do as `law.choose`; `then` costs nothing where it never holds."""
         pairs = [(symbols(a), symbols(b)) for a, b in zip(then(), otherwise(), strict=True)]
         flat = [
             pair
@@ -407,23 +407,23 @@ class Scalar:
         return found
 
     def looped(self, *arguments: Any) -> Any:
-        """Return what `law.collect` does."""
+        """Do as `law.collect`."""
         return _looped(*arguments)
 
     def take(self, array: Any) -> Any:
-        """Return what `law.take` does, of the number of a loop's pass."""
+        """Do as `law.take`, with the number of a loop's pass."""
         flat = symbols(array)
         row = self.graph.take(flat.reshape(len(flat), -1).tolist(), self)
         return symbols(row).reshape(flat.shape[1:])[()]
 
     def select(self, a: Any, b: Any) -> Any:
-        """Return what `law.select` does."""
+        """Do as `law.select`."""
         if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
             return _where(self, a, b)
         return select(self, a, b)
 
     def array(self, values: Any) -> Any:
-        """Return what `law.array` does."""
+        """Do as `law.array`."""
         return symbols(values)
 
     def is_finite(self) -> Condition:
@@ -659,7 +659,7 @@ class SymbolArray(np.ndarray):
         return self @ other
 
     def looped(self, *arguments: Any) -> Any:
-        """Return what `law.collect` does."""
+        """Do as `law.collect`."""
         return _looped(*arguments)
 
     def arm_of(self, robot: Any) -> Any:
@@ -670,14 +670,14 @@ class SymbolArray(np.ndarray):
 
     @staticmethod
     def moved(robot: Any, q: Any, motion: Any) -> Any:
-        """Return what `robots.traced.moved` does."""
+        """Do as `robots.traced.moved`."""
         from approxjac.codegen.arm.rigid_body import moved
 
         return moved(robot, symbols(q), symbols(motion))
 
     @staticmethod
     def motion_between(robot: Any, a: Any, b: Any) -> Any:
-        """Return what `robots.traced.motion_between` does."""
+        """Do as `robots.traced.motion_between`."""
         from approxjac.codegen.arm.rigid_body import difference
 
         return difference(robot, symbols(a), symbols(b))
@@ -793,7 +793,7 @@ _OF_ARRAYS: dict[Any, Callable[..., Any]] = {
 
 
 def _looped(count: int, body: Callable[[Any, Values], tuple[Values, Values]], start: Values) -> Any:
-    """Return what `law.collect` does, as a loop of the graph, whose body is traced once."""
+    """Do as `law.collect`, as a loop of the graph, whose body is traced once."""
     arrays = [symbols(each) for each in start]
     flat = [number for each in arrays for number in each.ravel().tolist()]
     graph = next((each.graph for each in flat if isinstance(each, Scalar)), None)
