@@ -92,11 +92,11 @@ class TracedLoop:
 
     def __init__(
         self,
-        program: Program,  # where it is written down
+        program: Program,  # program that the step is added to
         controller: Controller,  # the law, with what is around it
         plant: Plant,  # one of the true robots, with its sensor, friction and lateness
         numbers: ArmNumbers,  # of true robots, stacked, such that all differ in what ever differs
-        target: Target,  # where x is to be; without a rate it is at rest
+        target: Target,  # wanted x; without a rate it is at rest
         dt: float,  # sampling time [s]
         integrator: str,  # one of `INTEGRATORS`
         # numbers of the sensor that differ from run to run, by their names

@@ -34,7 +34,7 @@ def step_program(controller: Controller, *, may_lose: bool) -> Program:
 
     Args:
         controller: The controller.
-        may_lose: Whether x may be lost.
+        may_lose: True if x may be lost.
 
     Raises:
         InvalidInputError: It takes no symbols.

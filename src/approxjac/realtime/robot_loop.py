@@ -83,7 +83,7 @@ class RobotLoop(Loop):
         self._watch_sensor()
         self.fault: Fault | None = None
         self.detail = ""  # which joint, and by how much
-        self.halting = self._blind = False  # whether the arm is being brought to rest
+        self.halting = self._blind = False  # True while the arm is brought to rest
         self._lost = self._limited = self._halted = 0
         self._sent = self._read = time.perf_counter()
         self.stop_distance = self.stop_bound = np.nan

@@ -120,7 +120,7 @@ class FaultWatch:
             return Fault.TORQUE_LATE if is_late else Fault.CLOCK_JUMPED
         if elapsed < 0.1 * self._dt:
             self._still += 1
-            self._last = last._replace(t=t)  # what comes meanwhile is held against the last state
+            self._last = last._replace(t=t)  # later states are compared with the last one
             return Fault.CLOCK_STOOD_STILL if self._still >= _STILL else None
         self._still = 0
         way = q - last.q if self._is_vector else pin.difference(self._model, last.q, q)

@@ -66,10 +66,10 @@ class Structure(NamedTuple):
     """Structure that arms must have in common, joint by joint."""
 
     parents: tuple[int, ...]  # number of the joint that carries each; -1 for the base
-    slides: tuple[bool, ...]  # whether it is prismatic
-    turns: tuple[Array, ...]  # axes whose z is that of the joint in those of its frame, (3, 3)
-    places: tuple[int, ...]  # where in q of all joints its coordinate begins
-    pairs: tuple[bool, ...]  # whether that is a pair (cos, sin)
+    slides: tuple[bool, ...]  # True if it is prismatic
+    turns: tuple[Array, ...]  # rotation from axes whose z is the joint's to its frame, (3, 3)
+    places: tuple[int, ...]  # index of its coordinate in q of all joints
+    pairs: tuple[bool, ...]  # True if that is a pair (cos, sin)
     carriers: tuple[int, ...]  # of each frame, the joint that moves it; -1 for the base
 
     @classmethod

@@ -87,7 +87,7 @@ class Arm:
     def __init__(
         self,
         given: Given,  # `Program.given`
-        name: str,  # what their numbers are called in the program
+        name: str,  # prefix of the names of their numbers in the program
         robot: Robot,  # one of them
         frames: Sequence[str],  # frames that are asked for
         # of all of them, stacked; of that robot alone by default

@@ -21,15 +21,15 @@ from approxjac.validation import Array
 
 _DUST = 1e-14  # of the largest number, which round-off may leave of one that does not differ
 STEP, RECORDED = "k", "recorded"
-"""Names of what is the number of the step, and of the time that says whether it is recorded."""
+"""Names of the step's number, and of the number that is 1.0 in recorded steps."""
 
 
 class Block(NamedTuple):
-    """Consecutive steps, with the numbers known of each."""
+    """Consecutive steps, with the numbers that are known beforehand."""
 
     first: int  # number of the first one
-    times: Array  # what is the same in all runs, shape (steps, times)
-    draws: Array  # what is drawn for each, shape (groups, steps, draws, width)
+    times: Array  # numbers that all runs share, shape (steps, times)
+    draws: Array  # random numbers of each run, shape (groups, steps, draws, width)
 
     @classmethod
     def plain(cls, steps: int = 1) -> Block:
@@ -43,8 +43,8 @@ class Program:
     Declare inputs with `kept`, `history`, `given`, `timed` and `drawn`, compute with the symbols
     that they return, and set the outputs with `step` and `record`.
 
-    Each name has its first index, from 0, and its size: in rows of kept numbers and of parameters,
-    in numbers of times and of draws; a history has that of each of its places.
+    The dictionaries have name → first index, from 0, and size: in rows of kept numbers and of
+    parameters, in numbers of times and of draws; for a history the size is that of one place.
     """
 
     def __init__(self) -> None:
@@ -54,7 +54,7 @@ class Program:
         self.histories: dict[str, tuple[int, int]] = {}  # rows that are read later
         self.times: dict[str, tuple[int, int]] = {}  # the same in all runs, step by step
         self.draws: dict[str, tuple[int, int]] = {}  # for each run, step by step
-        self.stepped: dict[str, list[Number]] = {}  # what follows at a step
+        self.stepped: dict[str, list[Number]] = {}  # name → its numbers after a step
         self._given: dict[str, tuple[Any, Array]] = {}  # which differ, and the others
         self.n_rows = self.n_parameters = self.n_times = self.n_draws = 0
 
@@ -163,25 +163,25 @@ Rows = list[tuple[int, str]]  # of each number that is collected its place, and 
 class Language(NamedTuple):
     """Language that code is written in.
 
-    Lines of a block are as those outside of it: who writes the block moves them to the right. A
-    loop has a label: s and that is what goes from pass to pass, y what is collected, i the number
-    of the pass; t and another is a table.
+    Lines of a block come without its indentation, which the language adds. In front of the label of
+    a loop, s is the name of what goes from pass to pass, y of what is collected, and i of the
+    number of the pass. The name of a table is t and a number.
     """
 
     templates: Mapping[str, str]  # operation → how it is written, with arguments {0}, {1}, {2}
-    variable: str  # what names of variables begin with
+    variable: str  # the beginning of names of variables
     # the line that assigns a text to a name, which is a condition or is not
     assigned: Callable[[str, str, bool], str]
     read: Callable[[str, int], str]  # the text of an input, of its name and its place
     constant: Callable[[float], str]
-    # lines of a rare block, of its label, its condition, its lines, and for each result its name,
-    # what it is in the block and what it is elsewhere
+    # lines of a rare block: from its label, its condition, its lines, and for each result its name,
+    # its value in the block and its value elsewhere
     rare: Callable[[str, str, list[str], list[tuple[str, str, str]]], list[str]]
-    # lines that make an array, of a name and numbers, and whether these are constants
+    # lines that make an array: from its name, its numbers, and True if these are constants
     table: Callable[[str, list[str], bool], list[str]]
     loop: Callable[[str, Passes, list[str], Going, Rows], list[str]]
     cell: Callable[[str, str, int], list[str]]  # lines that read a place of an array
-    # lines that read what a pass says: of a name, an array, i, how far cells are apart, the first
+    # lines that read the cell of a pass: from a name, an array, i, the distance of cells, the first
     taken: Callable[[str, str, str, int, int], list[str]]
     number: Callable[[str, str], list[str]]  # lines that make i a number
 
@@ -221,7 +221,7 @@ class Schedule:
         self._nodes = nodes = graph.nodes
         # all that is computed, in order, and what of each loop is needed
         self.places, self.parts = places, parts = graph.reached(wanted)
-        self.whole = Scope()  # what is computed in any case
+        self.whole = Scope()  # operations that are always computed
         # place of a loop, or number of a rare block → its scope
         self.inside: dict[tuple[str, int], Scope] = {}
         # number of a loop → the place of its passes' number, where that is computed with

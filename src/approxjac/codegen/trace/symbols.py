@@ -444,8 +444,8 @@ class Scalar:
         sine = r + r * square * _polynomial(square, _SIN)
         cosine = (1.0 - 0.5 * square) + square * square * _polynomial(square, _COS)
         half = (quarter * 0.5).floor()
-        odd = quarter - 2.0 * half  # whether sine and cosine change places
-        behind = half - 2.0 * (half * 0.5).floor()  # whether x is in the third or fourth quarter
+        odd = quarter - 2.0 * half  # 1 if sine and cosine change places
+        behind = half - 2.0 * (half * 0.5).floor()  # 1 if x is in the third or fourth quarter
         swaps, sign = odd == 1.0, 1.0 - 2.0 * behind
         return (
             sign * select(swaps, cosine, sine),

@@ -28,9 +28,9 @@ class LimitCost:
     # certified motions that begin with V ≤ this never exceed the limits [J]; 0 if nothing is
     # certified
     level: float
-    holds: bool  # whether motors can hold the arm at all samples
-    protects: bool  # whether the limiter keeps the report's own V falling
-    proof: bool  # whether the limiter keeps any V falling
+    holds: bool  # True if motors can hold the arm at all samples
+    protects: bool  # True if the limiter keeps the report's own V falling
+    proof: bool  # True if the limiter keeps any V falling
 
     @property
     def verdict(self) -> str:

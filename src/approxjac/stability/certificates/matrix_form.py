@@ -106,8 +106,8 @@ class FamilyNumbers(NamedTuple):
 
     fixed: Weights
     basis: list[Weights]
-    start: Array  # y to begin with, and the least that are sought, shape (d,)
-    least: Array
+    start: Array  # y to begin with, shape (d,)
+    least: Array  # lower bounds of y, shape (d,)
 
     def weights(self, y: Array) -> Weights:
         """Return the Lyapunov function of some unknowns."""
@@ -122,15 +122,15 @@ class Best(NamedTuple):
 
     weights: Weights
     margins: Array  # in every sample, shape (N,)
-    active: Indices  # of the samples that decided it
-    unknowns: Array  # the scaled ones of `weights`, to start from again
-    cuts: Array  # that are known, see `_cutting_planes`
+    active: Indices  # indices of the samples that decided it
+    unknowns: Array  # scaled unknowns of `weights`, to start from again, shape (d,)
+    cuts: Array  # known bounds, see `_cutting_planes`
 
 
 class MatrixForm:
     """Matrices that have to be positive for V to be a Lyapunov function, at many samples."""
 
-    fills = False  # whether `metric` differs from Y
+    fills = False  # True if `metric` differs from Y
 
     def __init__(self, samples: Samples, setting: Setting) -> None:
         self.samples, self.setting = samples, setting

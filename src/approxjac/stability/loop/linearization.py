@@ -154,7 +154,7 @@ class Spectrum(NamedTuple):
     """Eigenvalues of a closed loop at N targets, those of the equilibria left out."""
 
     values: NDArray[np.complex128]  # λ, (N, k) [1/s]; NaN where a target has fewer than others
-    singular: NDArray[np.bool_]  # whether more of them are zero, which decides nothing, (N,)
+    singular: NDArray[np.bool_]  # True if more of them are zero, which decides nothing, (N,)
     unseen: Indices  # p − rank Z, (N,)
     timing: Timing | None
 
@@ -362,8 +362,8 @@ def _by_differences(
 ) -> LocalStability:
     """Return `local_stability` of a controller of any kind.
 
-    What only limits torques, or holds measurements, of a law is not felt near a target where the
-    torque is within the limits.
+    A wrapper that limits the torques or holds the measurements of a law has no effect near a target
+    where the torque is within the limits: there the law is linearised.
     """
     law, dt = controller.law, None if timing is None else timing.dt
     if law is not controller and law.task is controller.task:
