@@ -1,5 +1,6 @@
 """The linearisation of Eq. (9)."""
 
+import functools
 import math
 import re
 
@@ -240,6 +241,27 @@ def test_two_sampled_masses_have_the_eigenvalues_of_their_closed_form():
     assert_allclose(np.sort_complex(local.eigenvalues), np.sort_complex(expected), rtol=1e-9)
     slowest = max(expected, key=lambda value: value.real)
     assert_allclose(local.decay_rate, -slowest.real)
+
+
+def test_forces_of_joints_that_slide_are_in_newtons():
+    """The hook of 2 kg, and the mass that is held, are carried by a slide."""
+    gantry = aj.load_robot(GANTRY)
+    errors = aj.Uncertainty(
+        gantry,
+        task=functools.partial(aj.PositionTask, axes="xz"),
+        object_mass=(0.0, 1.0),
+        object_axis="x",
+    )
+    law = aj.SetpointController(errors.believed_task(), gravity=aj.NoGravity(errors.belief()))
+    study = aj.Study(law, errors, aj.JointBox.around(gantry, (0.0, 0.0), 0.1))
+    assert gantry.force_units == ("N", "N")
+    assert "gravity is off by up to 29.4 N\n" in str(study.report(20))
+    for use in (
+        lambda: study.tolerance(["local"]),
+        lambda: aj.local_stability(errors.nominal, law, np.zeros(2)),
+    ):
+        with pytest.raises(aj.InvalidInputError, match=r"an error of [0-9.]+ N(;| with)"):
+            use()
 
 
 @pytest.mark.parametrize(

@@ -60,8 +60,9 @@ def _details(source: str, tip: str | None, base: str | None, free: Sequence[str]
     robot = load_robot(source, tip=tip, base=base, free=free)
     joints = [("joint", "kind", "limits", "effort")]
     (lower, upper), efforts = robot.position_limits, robot.effort_limits
-    for i, (name, unit) in enumerate(zip(robot.joint_names, robot.joint_units, strict=True)):
-        kind, force = robot.tree.joints[name].type, "N" if unit == "m" else "N m"
+    units = zip(robot.joint_names, robot.joint_units, robot.force_units, strict=True)
+    for i, (name, unit, force) in enumerate(units):
+        kind = robot.tree.joints[name].type
         known = f"{lower[i]:.4g} to {upper[i]:.4g} {unit}"
         known = known if math.isfinite(lower[i]) else "none known"
         most = f"{efforts[i]:g} {force}" if math.isfinite(efforts[i]) else "none known"

@@ -33,7 +33,6 @@ _REPEATS = 8  # readings of q to the bit, after which a joint that moved is take
 _STANDS = 0.03  # s, for which q of a joint is the same to the bit where it is at rest
 _FINE = 1e-4  # rad or m, standard deviation of q with which the two before are so small
 _REMEMBERED = 200  # readings of both clocks
-_TORQUE = {"rad": "N m", "m": "N"}
 _FASTER = 0.15  # of its largest speed, by which a joint may exceed the commanded one
 _SLOW = {"rad": 0.4, "m": 0.1}  # per s; or by this, where its largest speed is low
 _FADES = 0.5  # s, in which that fades: joints that share a motion swing on
@@ -225,7 +224,7 @@ class FaultWatch:
         if not unanswered.any():
             return None
         j = int(unanswered.argmax())
-        message = f"its torque changed by {pushed[j]:.3g} {_TORQUE[self._units[j]]}"
+        message = f"its torque changed by {pushed[j]:.3g} {self._robot.force_units[j]}"
         if led[j] > self._most_led[j]:
             message = f"it was led {led[j]:.3g} {self._units[j]}"
         return self._fault(Fault.COMMAND_UNANSWERED, j, message)

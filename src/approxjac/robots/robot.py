@@ -151,6 +151,11 @@ class Robot(Immutable):
         return tuple("m" if kind.startswith("JointModelP") else "rad" for kind in kinds)
 
     @property
+    def force_units(self) -> tuple[str, ...]:
+        """Unit of each joint's torque, "N m", or "N" for the force of prismatic joints."""
+        return tuple("N" if unit == "m" else "N m" for unit in self.joint_units)
+
+    @property
     def frame_names(self) -> tuple[str, ...]:
         """Names of all frames: links and joints."""
         return tuple(self._frames)

@@ -237,7 +237,7 @@ def template_values(step: SampledStep) -> dict[str, str]:
     """Return the names, sizes and texts for the files' templates."""
     controller, task, robot = step.controller, step.controller.task, step.controller.task.robot
     prefix, n_state = identifier(robot.name), len(step.first)
-    tau = joined("N" if unit == "m" else "N m" for unit in robot.joint_units)
+    tau = joined(robot.force_units)
     speed = joined(f"{unit}/s" for unit in robot.joint_units)
     commands = f"joint torques to send [{tau}]"
     if controller.command == "velocity":

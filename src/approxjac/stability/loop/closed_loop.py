@@ -12,6 +12,7 @@ import pinocchio as pin
 from approxjac.controllers import Controller, Gains, Latency
 from approxjac.controllers.gains.gains import Timing
 from approxjac.errors import InvalidInputError
+from approxjac.formatting import joined
 from approxjac.robots import Dynamics, Robot
 from approxjac.simulation import Plant
 from approxjac.stability.certificates.matrix_form import Setting
@@ -126,6 +127,11 @@ class ClosedLoop:
         return gravity_error(self.controller, plants, configurations, g.reshape(k, N, -1))
 
     @property
+    def force_unit(self) -> str:
+        """Unit of joint torques, "N m", "N", or both."""
+        return joined(self.plants[0].robot.force_units)
+
+    @property
     def integral_terms(self) -> list[str]:
         """Names of learnt parts that can absorb gravity that no parameters explain."""
         learning, parts = self.controller.adaptation, ("task force", "joint torques")
@@ -138,8 +144,8 @@ class ClosedLoop:
         if error > EXACT_GRAVITY:
             raise InvalidInputError(
                 f"gravity must be compensated exactly or be learnt, got an error of {error:.3g} "
-                "N m; AdaptiveGravity learns it, but for wrong joint axes or a tilted base, and "
-                "robots with_gravity((0, 0, 0)) take it as compensated",
+                f"{self.force_unit}; AdaptiveGravity learns it, but for wrong joint axes or a "
+                "tilted base, and robots with_gravity((0, 0, 0)) take it as compensated",
                 given=self.controller,
             )
 

@@ -15,6 +15,7 @@ from approxjac import law
 from approxjac.controllers import Controller, SetpointController
 from approxjac.controllers.gains.gains import Timing
 from approxjac.errors import InvalidInputError
+from approxjac.formatting import joined
 from approxjac.interface import LimitStatus, Measurement
 from approxjac.simulation import Plant, Sensing
 from approxjac.simulation.plant import rk4
@@ -452,7 +453,8 @@ def _require_gravity(plant: Plant, controller: SetpointController, q: Array) -> 
     if error > _EXACT * max(1.0, float(np.abs(wanted).max())):
         raise InvalidInputError(
             f"the controller's gravity must be {'exact' if learning is None else 'learnable'} near "
-            f"the target for it to be an equilibrium, got an error of {error:.3g} N m with "
+            f"the target for it to be an equilibrium, got an error of {error:.3g} "
+            f"{joined(plant.robot.force_units)} with "
             f"{type(controller.gravity).__name__}",
             given=controller,
         )
@@ -605,7 +607,8 @@ def _resting(
         off = np.abs(left(np.concatenate([still, z[n:]]))[:n]).max()
         raise InvalidInputError(
             "controller must hold the arm at rest at the target for it to be an equilibrium, "
-            f"got {controller!r}, whose torque is off by {off:.3g} N m there{best}",
+            f"got {controller!r}, whose torque is off by {off:.3g} "
+            f"{joined(plant.robot.force_units)} there{best}",
             given=controller,
         )
     return np.asarray(pin.integrate(plant.robot.model, q, z[:n])), np.asarray(z[n:])

@@ -40,7 +40,7 @@ FAMILY_NAMES: dict[Family, str] = {
 }
 _IF_IT_STAYS = "as long as the arm stays in the region"
 _REASONS = {
-    "gravity": "gravity is off by up to {error:.3g} N m",
+    "gravity": "gravity is off by up to {error:.3g} {unit}",
     "unstable": "errors grow at {percent:.3g} % of the targets (exact linearisation)",
     "rollouts diverged": "{diverged} of {runs} rollouts diverged",
     "violated": "the Lyapunov function found fails in {violations} of {checked} further "
@@ -320,7 +320,7 @@ def _verdict(report: StabilityReport) -> Row:
         figures |= {"diverged": rollouts.n_diverged, "runs": rollouts.n}
     if sampled is not None:
         figures |= {"violations": sampled.violations, "checked": sampled.checked}
-    why = _REASONS[report.reason].format(**figures)
+    why = _REASONS[report.reason].format(**figures, unit=report.loop.force_unit)
     return Row("verdict", "certified", "no", figures, f"certified: no, {runs}: {why}")
 
 
@@ -437,16 +437,16 @@ def _beware(report: StabilityReport) -> Iterator[Row]:
 def of_gravity(loop: ClosedLoop, error: float) -> Row:
     """Return the row about a gravity torque that is neither compensated nor learnt [N m]."""
     learns, by = loop.controller.adaptation is not None, loop.integral_terms
-    figures = {"error": error, "learns": learns, "by": by}
+    figures, unit = {"error": error, "learns": learns, "by": by}, loop.force_unit
     text = (
-        f"off by up to {error:.3g} N m: the error does not go to 0 but to where K_p makes up for "
-        "it, unless gravity is learnt (AdaptiveGravity) or known and left out (NoGravity)"
+        f"off by up to {error:.3g} {unit}: the error does not go to 0 but to where K_p makes up "
+        "for it, unless gravity is learnt (AdaptiveGravity) or known and left out (NoGravity)"
     )
     if learns:  # at rest θ̂ stands still: Ĵ y = α s(e) = 0 with a task force, y = 0 with torques
         takes = f"the learnt {' and '.join(by)} can" if by else "a learnt task force could"
         text = (
-            f"no learnt gravity parameters explain up to {error:.3g} N m of it, as of wrong joint "
-            f"axes or a tilted base; {takes} take it up, but nothing is proven"
+            f"no learnt gravity parameters explain up to {error:.3g} {unit} of it, as of wrong "
+            f"joint axes or a tilted base; {takes} take it up, but nothing is proven"
         )
     return Row("beware", "gravity", "not exact", figures, text)
 
