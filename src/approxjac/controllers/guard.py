@@ -248,7 +248,7 @@ class SampleGuard:
 
 @functools.lru_cache(maxsize=32)
 def usual_accelerations(robot: Robot) -> tuple[Array, Array, Array]:
-    """Return |q̈| for each torque, |q̈| without, and the damping of a stop, (n_v,)."""
+    """Return |q̈| per unit of torque (n_v, n_v), |q̈| of loads, and a stop's damping, (n_v,) each."""
     inertias, dynamics = usual_inertias(robot), Dynamics(robot)
     M_inv = np.linalg.inv(inertias)
     mobility = _PAYLOAD * np.quantile(np.abs(M_inv), _OFTEN, axis=0)

@@ -152,11 +152,11 @@ def _inverse(sizes: Any) -> Any:
 
 
 def _nonnegative(F: Array, c: Array) -> Array:
-    """The λ ≥ 0 with the smallest |Fλ − c|, for an F (p, k) with columns of length one.
+    """Return the λ ≥ 0 (k,) with the smallest |Fλ − c|, for an F (p, k) with unit columns.
 
     The active set method of C. Lawson and R. Hanson, "Solving Least Squares Problems" (1974),
-    chapter 23. What is minimized falls from iterate to iterate, each of which is ≥ 0: wherever
-    rounding of bounds that depend on each other ends it, the rate is no longer than it was.
+    chapter 23. |Fλ − c| falls with each iterate, all of which are ≥ 0: even if round-off of bounds
+    that depend on each other ends the search early, the rate is no longer than it was.
     """
     count = F.shape[1]
     multipliers = np.zeros(count)

@@ -44,7 +44,7 @@ GOOD, UNKNOWN, POSITION, VELOCITY, DISAGREES, REPEATED, CLOCK, SENSOR = range(8)
 
 
 class GuardBounds(NamedTuple):
-    """By how much samples may differ from what is expected; lists have an entry for each joint."""
+    """Largest differences of samples from what is expected; lists have an entry for each joint."""
 
     q: list[float]  # error of a change of q [rad or m]
     lag: float  # of q̇ [s]

@@ -182,13 +182,13 @@ class Rows(NamedTuple):
 
 
 class TorqueRows(NamedTuple):
-    """Rows as bounds of A τ, with their origin, and q̈₀, the acceleration without torque."""
+    """Rows as bounds of A τ."""
 
-    A: Array
-    low: Array
+    A: Array  # shape (n_v + k, n_v)
+    low: Array  # shape (n_v + k,)
     high: Array
-    rows: Rows
-    at_rest: Array
+    rows: Rows  # the bounds of q̈ that they are made of
+    at_rest: Array  # q̈₀, the acceleration without torque, shape (n_v,)
 
     @classmethod
     def of(cls, rows: Rows, M_inv: Array, at_rest: Array) -> TorqueRows:

@@ -9,7 +9,7 @@ import numpy as np
 
 from approxjac.validation import Array
 
-_SHORT, _ORDER = 0.5, 16  # time, in those of friction and gravity, that so many terms serve
+_SHORT, _ORDER = 0.5, 16  # in time constants of friction and gravity; terms of the series for it
 
 
 def closed_loop_matrix(

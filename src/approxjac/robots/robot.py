@@ -74,8 +74,8 @@ class Robot(Immutable):
     Args:
         urdf: URDF text, or a tree of it.
         gravity: Acceleration of gravity in the world frame, shape (3,) [m/s²].
-        tip: End-effector frame to use where none is named; by default the last link of an
-            unbranched arm, and None for others.
+        tip: End-effector frame to use where none is named, a link or the joint that moves it; by
+            default the last link of an unbranched arm, and None for others.
         urdf_dir: Folder that mesh names in the URDF are relative to.
         source: Name of the URDF in errors.
         name: Name of the robot; by default that in the URDF.

@@ -153,7 +153,7 @@ class ImageTask(Task):
         return self._jacobian(q, self._located(q, x) if self.uses_x else None)
 
     def sensor_jacobian(self, q: Array) -> Array:
-        return self._jacobian(q, None)  # at the depths that are so
+        return self._jacobian(q, None)
 
     def _jacobian(self, q: Array, at: Array | None) -> Array:
         """Return J with the points where they are, or at other places (k, 3)."""

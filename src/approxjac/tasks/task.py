@@ -60,7 +60,7 @@ class Task(Immutable, Saved, ABC):
         uses_x: True if the Jacobian depends on the measured x besides q.
         features: Frames and points that the task follows, to draw them.
         subtracts: True if the error is x − x_d.
-        origin: A value that errors of others may be taken to, shape (n_x,).
+        origin: A valid value, to which the errors of others are finite, shape (n_x,).
         overdetermined: True if there may be more coordinates than joints, to be combined.
         ignored: Entries of x that no error depends on.
         parts: Parts of x that are measured or lost at once, such as a point of an image: entries of
@@ -174,7 +174,7 @@ class Task(Immutable, Saved, ABC):
         return False
 
     def sensor_jacobian(self, q: Array) -> Array:
-        """Return `jacobian` without what a controller is to assume in it; shape (m, n_v)."""
+        """Return `jacobian` at the true depths, whatever a controller assumes; shape (m, n_v)."""
         return self.jacobian(q)
 
     def error_jacobian(self, e: Array, J: Array) -> Array:

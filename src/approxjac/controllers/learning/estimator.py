@@ -217,8 +217,8 @@ class Estimator(Kinematics):
     def _lay_out(self, own: Mapping[str, int], delay: float, dt: float, n_points: int) -> None:
         """Define the layout of the state: frames, gate, then the named parts of a subclass.
 
-        What is smoothed has a rate: of each name one in "_dot", in the same order without a gap,
-        and of rotations one in "_spin". `n_points` is the length of `_points`.
+        Each smoothed estimate has a rate, with the suffix "_dot" or, of a rotation, "_spin"; those
+        with "_dot" stand in the estimates' order, without a gap. `n_points` is that of `_points`.
         """
         task, m = self.task, self.task.m
         self.delay = as_number("delay", delay, unit="s", minimum=0.0, most=LONGEST_DELAY)
@@ -274,9 +274,9 @@ class Estimator(Kinematics):
 
     @abstractmethod
     def _correct(self, state: Array, frame: Measurement, since: Any, is_anew: Any) -> None:
-        """Learn from a frame that counts for a time [s], in place; `_account` for what is left.
+        """Learn in place from a frame that counts for a time `since` [s]; `_account` the residual.
 
-        It has `_points` of x, and is the first one after the sensor was moved where it `is_anew`.
+        The frame's x is that of `_points`; `is_anew` is True if the sensor was moved before it.
         """
 
     @abstractmethod

@@ -400,10 +400,10 @@ class _KeyFrames:
     there, is tried beside it for some frames, and taken if it is better beyond doubt.
 
     An estimate has the translations u, the rotation R of the mount's axes in the camera's, the
-    camera's position p in its mount's axes, and λ. The numbers: key frames (for each point its
-    count, y, o and H), the estimate, the one that is tried beside it, for how many frames (0: none
-    is), how many were before, χ² (0 before the first frame), and which key frame is last. sd are of
-    u, p, the rotation and λ, 0 of what is known; the noise (2,) is of y.
+    camera's position p in its mount's axes, and λ. The numbers in the state: key frames (for each
+    point its count, y, o and H); the estimate; the one that is tried beside it; for how many frames
+    (0: none is tried); how many were tried before; χ² (0 before the first frame); and the index of
+    the last key frame. sd are of u, p, the rotation and λ, 0 if known; the noise (2,) is of y.
     """
 
     def __init__(self, believed: Array, sd: Array, noise: Array, k: int) -> None:
