@@ -39,7 +39,7 @@ class TracedSensing:
     may_lose: bool  # x may be lost on its way
 
     def __init__(
-        self, plant: Plant, dt: float, steps: int, path: Target | TargetPath | None = None
+        self, plant: Plant, dt: float, steps: int, path: Target | TargetPath | None
     ) -> None:
         self._sensor, self._dt = plant.sensor, dt
         self._times: dict[str, Any] = {}  # name → what is the same in all runs, step by step

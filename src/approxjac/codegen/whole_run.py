@@ -111,7 +111,7 @@ class _Loop:
         self._shape = plant.sensor.m, nv
 
     def run(
-        self, loop: SampledLoop, stride: int, progress: Callable[[float], None] | None
+        self, loop: SampledLoop, stride: int, progress: Callable[[float], None]
     ) -> list[Array] | None:
         """Return the columns of a run, or None of one that is not covered."""
         place, steps, lanes = self._place, loop.steps, self._lanes
@@ -131,8 +131,7 @@ class _Loop:
                 lanes.run(buffer, nothing, Block.plain(following - k - 1))
             if flat[place["left"]].any() or flat[place["diverged"]].any():
                 return None
-            if progress is not None:
-                progress(k * loop.dt)
+            progress(k * loop.dt)
         named = {name: table[:, each] for name, each in place.items()}
         for name in ("status", "limit_status", "slack"):
             named[name] = named[name][:, 0]

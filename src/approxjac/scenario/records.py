@@ -13,9 +13,9 @@ Interval = tuple[float, float]
 Vectors = dict[str, Vector]  # joint name → vector
 
 
-def above(default: Any, bound: float = 0.0) -> Any:
-    """Return a field whose numbers are above a bound."""
-    return field(default=default, metadata={"above": bound})
+def positive(default: Any) -> Any:
+    """Return a field whose numbers are above 0."""
+    return field(default=default, metadata={"above": 0.0})
 
 
 def at_least(default: Any, bound: float = 0.0) -> Any:
@@ -65,10 +65,10 @@ class CameraRecord:
     mount: str | None = None
     position: Vector | None = None
     looking_at: Vector | None = None
-    focal_length: float | None = above(None)
+    focal_length: float | None = positive(None)
     size: tuple[int, int] = (640, 480)
     distortion: Numbers = (-0.1, 0.02)
-    distance: float = above(3.0)
+    distance: float = positive(3.0)
     roll: float = 0.0
 
 
@@ -85,8 +85,8 @@ class CameraError:
     """
 
     roll: float = 0.0
-    focal_factor: float = above(1.0)
-    depth_factor: float = above(1.0)
+    focal_factor: float = positive(1.0)
+    depth_factor: float = positive(1.0)
     shift: Vector = (0.0, 0.0, 0.0)
     rotation: Vector = (0.0, 0.0, 0.0)
 
@@ -167,7 +167,7 @@ class TaskChoice:
     axes: str | None = None
     frames: tuple[str, ...] = ()
     points: int = 1
-    spread: float = above(0.2)
+    spread: float = positive(0.2)
     depth: Literal["believed", "constant", "measured"] | None = None
 
 
@@ -191,7 +191,7 @@ class Sensor:
 
     noise: float = at_least(0.0)
     quantum: float = at_least(0.0)
-    rate: float | None = above(None)
+    rate: float | None = positive(None)
     delay: float = at_least(0.0)
     dropout: float = at_least(0.0)
     lost: Interval | None = None
@@ -232,18 +232,18 @@ class ControllerChoice:
     law: Literal["setpoint", "tracking"] = "setpoint"
     unknown: tuple[str, ...] = ()
     command: Literal["torque", "velocity"] = "torque"
-    differentiator: float | None = above(None)
+    differentiator: float | None = positive(None)
     gravity: Literal["learnt", "exact", "believed", "none", "learn_residual"] = "learnt"
     integral_action: bool | None = None
-    settling_time: float | None = above(None)
-    kp: Numbers | None = above(None)
-    kv: Numbers | None = above(None)
+    settling_time: float | None = positive(None)
+    kp: Numbers | None = positive(None)
+    kv: Numbers | None = positive(None)
     damping: Numbers | None = at_least(None)
-    gamma: float | None = above(None)
+    gamma: float | None = positive(None)
     posture_stiffness: float = at_least(0.0)
-    limits: float | Literal["urdf", "none"] = above("urdf")
-    torque_rate: float | None = above(None)
-    unseen: float | None = above(None)
+    limits: float | Literal["urdf", "none"] = positive("urdf")
+    torque_rate: float | None = positive(None)
+    unseen: float | None = positive(None)
 
 
 @dataclass(frozen=True)
@@ -255,7 +255,7 @@ class LoopRecord:
         actuator_delay: Time from a command to its effect, s.
     """
 
-    dt: float | Literal["continuous"] = above(1e-3)
+    dt: float | Literal["continuous"] = positive(1e-3)
     actuator_delay: float = at_least(0.0)
 
 
@@ -269,8 +269,8 @@ class CirclePath:
         center: Center of the circle, m; by default the circle begins where the task starts.
     """
 
-    radius: float | None = above(None)
-    period: float = above(4.0)
+    radius: float | None = positive(None)
+    period: float = positive(4.0)
     center: Numbers | None = None
 
 
@@ -284,7 +284,7 @@ class LinePath:
     """
 
     offset: Numbers | None = None
-    duration: float = above(4.0)
+    duration: float = positive(4.0)
 
 
 @dataclass(frozen=True)
@@ -298,8 +298,8 @@ class WaypointPath:
     """
 
     points: Numbers | None = None
-    speed: float = above(0.2)
-    acceleration: float = above(0.5)
+    speed: float = positive(0.2)
+    acceleration: float = positive(0.5)
 
 
 @dataclass(frozen=True)
@@ -341,8 +341,8 @@ class Run:
 
     start: Numbers | Literal["random"] | None = None
     target: Goal = Goal()
-    duration: float = above(20.0)
-    tolerance: float | None = above(None)
+    duration: float = positive(20.0)
+    tolerance: float | None = positive(None)
     seed: int = at_least(0, 0)
 
 
@@ -377,7 +377,7 @@ class Analysis:
     distance: Interval | None = None
     roll: Interval | None = None
     around: Numbers | None = None
-    radius: float = above(0.3)
+    radius: float = positive(0.3)
     sigma_min: float | None = at_least(None)
     target: Numbers | None = None
     configurations: int = at_least(2000, 20)

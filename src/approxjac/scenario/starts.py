@@ -13,6 +13,7 @@ from approxjac.simulation.plant import holdable
 from approxjac.tasks import Task
 from approxjac.validation import Array, as_array
 
+_WAYS = 100  # that are tried
 REGULAR = 0.1  # starts and targets have σ_min of J and of Ĵ above this share of σ_max
 
 
@@ -42,14 +43,14 @@ def regular_configuration(
     )
 
 
-def straight_ahead(sensor: Task, q0: Array, draw: Callable[[], Array], tries: int = 100) -> Array:
+def straight_ahead(sensor: Task, q0: Array, draw: Callable[[], Array]) -> Array:
     """Return a random configuration that the arm reaches on a straight way from q0 (nq,).
 
-    No joint stop blocks that way in task space; if none of `tries` does, the last one is returned.
+    No joint stop blocks that way in task space, unless it blocks those of all that are drawn.
     """
     from approxjac.stability.loop.configurations import inverse_kinematics  # not for a help
 
-    for _ in range(tries):
+    for _ in range(_WAYS):
         q = draw()
         if inverse_kinematics(sensor, sensor.value(q), q0, within_limits=True) is not None:
             break

@@ -34,7 +34,7 @@ class ArmNumbers(NamedTuple):
         return cls(*map(np.array, zip(*each, strict=True)))
 
 
-def arm_numbers(robot: Robot, frames: Sequence[str] = ()) -> ArmNumbers:
+def arm_numbers(robot: Robot, frames: Sequence[str]) -> ArmNumbers:
     """Return the numbers of a robot, with some of its frames.
 
     Raises:

@@ -70,9 +70,9 @@ class Graph:
     `left` is True.
     """
 
-    def __init__(self, is_finite: bool = False) -> None:
+    def __init__(self) -> None:
         self.nodes: list[Node] = []
-        self.is_finite = is_finite
+        self.is_finite = False
         self.arms: list[Any] = []  # whose terms are computed, each with the robot that it is
         self.left: Condition = False
         self._known: dict[object, int] = {}

@@ -462,7 +462,7 @@ class SampledForm(MatrixForm):
         friction: Array,  # diagonal of the arm's own part of B, shape (n_v,)
         hold: Hold,  # `Hold` of the loop
         speed: float,  # v̄ [√J]
-        most_s: float = 0.0,  # s̄, a bound of |s(e)| along these motions, used if x comes in frames
+        most_s: float,  # s̄, a bound of |s(e)| along these motions, used if x comes in frames
         # `Turning` of these and possibly other samples; by default of these
         turning: Turning | None = None,
     ) -> None:
