@@ -5,10 +5,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
+from approxjac.cameras import tag_corners
 from approxjac.controllers import KnownKinematics, PredictedMeasurement
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.simulation import InitialState, Sensing
-from approxjac.tasks import TrackerTask
+from approxjac.tasks import CombinedTask, TrackerTask
+from approxjac.tasks.analysis import seen_configurations
 
 HOME = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 
@@ -152,3 +154,19 @@ def test_the_next_run_begins_with_what_was_learnt(panda, law):
     path = [np.abs(np.diff(each.x[each.t <= 1.5], axis=0)).sum() for each in (before, again)]
     assert path[1] < 0.85 * path[0], path  # no detour
     assert again.error_norm[-1] < 3e-3
+
+
+def test_a_combined_task_follows_a_target_of_what_is_measured(panda):
+    """As the law itself does where the believed arm is the true one: ẋ_d is that of the image."""
+    camera = aj.PinholeCamera.looking_at((0.4, 0.0, 0.3), (1.6, 0.2, 0.8), 600.0, (640, 480))
+    image = aj.ImageTask(panda, camera, points=tag_corners(0.1))
+    (q,) = seen_configurations(image, 1)
+    x = image.value(q)
+    law = aj.SetpointController(CombinedTask.balanced(image, x))
+    predicted = PredictedMeasurement(law, KnownKinematics(law.task))
+    now = aj.Measurement(0.0, q, np.linspace(-0.1, 0.1, panda.nv), x)
+    target = aj.Target(x + 5.0, np.linspace(-20.0, 30.0, image.m))
+    torques = [
+        each.step(each.initial_state(now), now, target, 1e-3)[1].torque for each in (law, predicted)
+    ]
+    assert_allclose(*torques, rtol=1e-9)

@@ -133,7 +133,7 @@ class PredictedMeasurement(ControllerWrapper):
             q, v, _ = require_arrays(state, measurement, x_d, task, len(state))
             if not math.hypot(*q.tolist(), *v.tolist(), *x_d.tolist()) < HUGE:
                 require_finite(q, v, x_d, state, task)
-            target = with_rates(target._replace(x=x_d), task.m)
+            target = with_rates(target._replace(x=x_d), task.measured.m)
             self.kinematics.check(known, measurement, dt)
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # an overflow is a named error
