@@ -639,8 +639,8 @@ MUTANTS = [
     ),
     (
         "checked where it was chosen", "stability/certificates/certificate.py",
-        "form.take(slice(n, None)).margins(weights) <= 0.0",
-        "form.take(slice(n)).margins(weights) <= 0.0",
+        "form.take(slice(n, None)).violations(weights)",
+        "form.take(slice(n)).violations(weights)",
         "tests/stability/test_sampled_test.py",
     ),
     (

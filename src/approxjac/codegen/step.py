@@ -176,7 +176,7 @@ class _MachineCode:
         asks_t, asks_t_x = "t" in asked, "t_x" in asked
         answered = flat[first:]
         out = {name: slice(at.start - first, at.stop - first) for name, at in place.items()}
-        torque_at, after_at, own_rate_at, e_at, gravity_at, J_at, reference_at = (
+        torque_at, after_at, rate_at, e_at, gravity_at, J_at, reference_at = (
             out.get(name, none)
             for name in ("torque", "after", "rate", "e", "gravity", "J_hat", "reference")
         )
@@ -187,7 +187,6 @@ class _MachineCode:
         J_shape, m, shapes = (task.m, task.robot.nv), (task.measured.m,), (
             q_in.shape, v_in.shape, x_in.shape, target_in.shape, state_in.shape
         )  # fmt: skip
-        own_rate = np.zeros(0) if has_rate else None  # of a law without a state
         limit_statuses = {float(each): each for each in LimitStatus}
         limited = float(LimitStatus.LIMITED)
         statuses = {float(each): each for each in Status}
@@ -240,10 +239,9 @@ class _MachineCode:
                 status, limit, slack, usual = found[verdict_at].tolist()
                 if not usual:
                     return None
-                rate = found[own_rate_at] if has_state and has_rate else own_rate
                 return found, made(Evaluation, (
-                    found[torque_at], rate, statuses[status], found[e_at],
-                    found[J_at].reshape(J_shape) if has_J else None,
+                    found[torque_at], found[rate_at] if has_rate else None, statuses[status],
+                    found[e_at], found[J_at].reshape(J_shape) if has_J else None,
                     found[gravity_at] if has_gravity else None,
                     limit_statuses[limit], math.nan if limit == limited else slack,
                     None if v_d is None and not predicts else found[reference_at],

@@ -366,7 +366,7 @@ def sampled_test(
             if most_s > form.most_s:  # of smaller weights errors may be larger
                 form = form.changed(most_s=most_s)
                 margins = form.take(slice(n)).margins(weights)
-            violations = int((form.take(slice(n, None)).margins(weights) <= 0.0).sum())
+            violations = form.take(slice(n, None)).violations(weights)
         level, checked = max(0.0, form.level(weights)), len(fresh.samples)
         return SampledTest(family, weights, margins, checked, violations, latency, level, form)
 

@@ -112,8 +112,8 @@ def tolerances(
     if uncertainty.d == 0:
         message = f"uncertainty must have a range to scale, got {uncertainty!r}"
         raise InvalidInputError(message, given=uncertainty)
-    for test in set(tests) - set(_WORDS):
-        raise UnknownNameError("test", test, "the tests", _WORDS)
+    if unknown := [test for test in tests if test not in _WORDS]:
+        raise UnknownNameError("test", unknown[0], "the tests", _WORDS)
     largest = uncertainty.largest_scale(as_number("largest", largest, above=0.0))
     precision = as_number("precision", precision, above=0.0)
     draws = None if draws is None else as_integer("draws", draws, 1)
