@@ -29,7 +29,7 @@ belief = arm.with_object(length=0.0, mass=0.0)
 plant = aj.Plant(
     truth,
     sensor=aj.PoseTask(truth),
-    friction=aj.simulation.Friction(0.5, coulomb=0.2),
+    friction=aj.robots.Friction(0.5, coulomb=0.2),
     sensing=aj.Sensing(
         x_noise=[5e-4] * 3 + [2e-3] * 3,  # m, rad
         x_delay=0.010,

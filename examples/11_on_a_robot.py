@@ -31,7 +31,7 @@ panda = aj.load_robot("panda")
 truth, belief = panda.with_object(0.2, 0.5, axis="x"), panda.with_object(0.0)
 camera = aj.Sensing(x_noise=5e-4, x_rate=60.0, x_delay=0.03)
 plant = aj.MujocoPlant(
-    truth, aj.PositionTask(truth), friction=aj.simulation.Friction(0.5, coulomb=0.2), sensing=camera
+    truth, aj.PositionTask(truth), friction=aj.robots.Friction(0.5, coulomb=0.2), sensing=camera
 )  # stands in for your arm
 start = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 

@@ -131,7 +131,7 @@ def test_plants(holding, copied, rng):
     plant = aj.Plant(
         holding,
         aj.PositionTask(holding),
-        aj.simulation.Friction(0.3, coulomb=0.1),
+        aj.robots.Friction(0.3, coulomb=0.1),
         sensing=aj.Sensing(x_noise=1e-3),
         torque_limits=holding.effort_limits,
     )

@@ -569,7 +569,7 @@ def _run_with(**changes):
 
 
 def _rough(**changes):
-    return _run_with(friction=aj.simulation.Friction(**changes))
+    return _run_with(friction=aj.robots.Friction(**changes))
 
 
 class Still(aj.Controller):

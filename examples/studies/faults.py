@@ -320,7 +320,7 @@ def plant_with(arm, mass, sensing=None):
     # as much of it as a period of 1 ms can take on light wrists
     light = np.diag(aj.robots.Dynamics(truth).M(aj.Plant(truth).ready_configuration())) / DT
     dry = np.minimum(0.02 * robot.effort_limits, 0.5 * light * 0.05)
-    friction = aj.simulation.Friction(np.minimum(0.5, 0.3 * light), coulomb=dry)
+    friction = aj.robots.Friction(np.minimum(0.5, 0.3 * light), coulomb=dry)
     return aj.MujocoPlant(
         truth, sensor=aj.PositionTask(truth), friction=friction, sensing=sensing
     )  # fmt: skip

@@ -154,7 +154,7 @@ def plant_of(case, setup):
         coulomb = COULOMB * setup.belief.effort_limits
         plant = setup.plant(
             kind=aj.MujocoPlant,
-            friction=aj.simulation.Friction(VISCOUS, coulomb),
+            friction=aj.robots.Friction(VISCOUS, coulomb),
             actuator_delay=LATE,
         )
         plant.mujoco_model.dof_armature[:] = ROTOR

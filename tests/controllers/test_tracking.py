@@ -153,7 +153,7 @@ def test_payload_rotors_and_friction_are_learnt():
     truth.model.armature[:] = 0.1
     task = aj.PositionTask(belief, "panda_hand_tcp")
     sensor = aj.PositionTask(truth, "panda_hand_tcp")
-    plant = aj.Plant(truth, sensor, friction=aj.simulation.Friction(1.0, coulomb=0.2))
+    plant = aj.Plant(truth, sensor, friction=aj.robots.Friction(1.0, coulomb=0.2))
     rms = {}
     for kind in (AdaptiveDynamics, ModelDynamics):
         controller = known(task, dynamics=kind(belief))

@@ -30,7 +30,7 @@ def run_of(panda, duration, record_every, progress):
     plant = aj.Plant(
         truth,
         aj.PositionTask(truth),
-        friction=aj.simulation.Friction(0.5, coulomb=0.5),
+        friction=aj.robots.Friction(0.5, coulomb=0.5),
         sensing=sensing,
         actuator_delay=2e-3,
     )

@@ -354,7 +354,7 @@ def closed_loop(panda, sensing, seed=0):
         task,
         sensing=sensing,
         actuator_delay=2e-3,
-        friction=aj.simulation.Friction(coulomb=0.1),
+        friction=aj.robots.Friction(coulomb=0.1),
     )
     controller = aj.SetpointController(task, gravity=aj.AdaptiveGravity(GravityRegressor(panda)))
     target = task.value(START) + [0.1, 0.1, 0.1]
@@ -485,7 +485,7 @@ def test_friction_is_the_formula(rng):
     plant = aj.Plant(
         robot,
         aj.PositionTask(robot, axes="xz"),
-        friction=aj.simulation.Friction(B, coulomb=coulomb, coulomb_velocity=0.02),
+        friction=aj.robots.Friction(B, coulomb=coulomb, coulomb_velocity=0.02),
     )
     for _ in range(20):
         v, tau, q = rng.normal(0.0, 0.05, 2), rng.normal(size=2), rng.normal(size=2)
@@ -502,7 +502,7 @@ def test_coulomb_friction_dissipates_exactly_its_power(viscous):
     plant = aj.Plant(
         robot,
         aj.PositionTask(robot, axes="xz"),
-        friction=aj.simulation.Friction(viscous, coulomb=coulomb, coulomb_velocity=width),
+        friction=aj.robots.Friction(viscous, coulomb=coulomb, coulomb_velocity=width),
     )
     probe = Probe(plant.sensor, lambda t: np.zeros(2))
     run = aj.simulate(plant, probe, np.zeros(2), (0.3, 0.8), 2.0, record_every=1e-3, dt=None)
@@ -588,10 +588,10 @@ def test_sensing_of_the_wrong_length_is_refused_by_the_plant(changes):
 @pytest.mark.parametrize(
     "changes",
     [
-        {"friction": aj.simulation.Friction(coulomb=-1.0)},
-        {"friction": aj.simulation.Friction(coulomb=(1.0,))},
-        {"friction": aj.simulation.Friction(coulomb=np.nan)},
-        {"friction": aj.simulation.Friction(coulomb_velocity=0.0)},
+        {"friction": aj.robots.Friction(coulomb=-1.0)},
+        {"friction": aj.robots.Friction(coulomb=(1.0,))},
+        {"friction": aj.robots.Friction(coulomb=np.nan)},
+        {"friction": aj.robots.Friction(coulomb_velocity=0.0)},
         {"actuator_delay": -1e-3},
         {"actuator_delay": np.nan},
         {"torque_limits": 0.0},
@@ -667,7 +667,7 @@ def test_the_target_is_reached_with_realistic_measurements(
     plant = aj.Plant(
         truth,
         aj.PositionTask(truth),
-        friction=aj.simulation.Friction(0.5, coulomb=0.5),
+        friction=aj.robots.Friction(0.5, coulomb=0.5),
         sensing=EVERYTHING,
         actuator_delay=2e-3,
     )

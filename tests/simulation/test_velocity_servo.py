@@ -12,8 +12,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac.controllers import Controller, HeldMeasurement
-from approxjac.robots import Dynamics
-from approxjac.simulation import Computation, Friction, InitialState, Loop, VelocityServo
+from approxjac.robots import Dynamics, Friction
+from approxjac.simulation import Computation, InitialState, Loop, VelocityServo
 from approxjac.simulation.plant import INTEGRATORS
 
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])

@@ -437,7 +437,7 @@ def test_what_has_another_linearization_is_refused(two_link):
 @pytest.mark.parametrize(
     "options",
     [
-        {"friction": aj.simulation.Friction(coulomb=1.0)},
+        {"friction": aj.robots.Friction(coulomb=1.0)},
         {"torque_limits": 20.0},
         {"actuator_delay": 0.01},
         {"sensing": aj.Sensing(x_noise=1e-3)},
@@ -457,7 +457,7 @@ def test_what_eq_1_does_not_have_is_refused(two_link, options):
 @pytest.mark.parametrize(
     "options",
     [
-        {"friction": aj.simulation.Friction(coulomb=1.0)},
+        {"friction": aj.robots.Friction(coulomb=1.0)},
         {"torque_limits": 20.0},
         {"sensing": aj.Sensing(x_noise=1e-3)},
         {"sensing": aj.Sensing(x_quantum=1e-3)},

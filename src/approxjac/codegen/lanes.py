@@ -25,6 +25,7 @@ from approxjac.interface import Measurement, Target, TargetPath
 from approxjac.law.factors import Factors
 from approxjac.robots.robot import own_joints
 from approxjac.simulation import Plant
+from approxjac.simulation.transmission import Motors
 from approxjac.tasks import Task
 from approxjac.validation import Array
 
@@ -61,6 +62,7 @@ class LaneStart(NamedTuple):
     seed: int  # of noise and dropouts
     holding: Array  # torque that holds it until the first one acts, shape (n_v,)
     gains: Array  # diagonals of the law, one after the other, shape (2 m + n_v,)
+    motors: Motors | None = None  # at rest, of joints that are not ideal
 
     @classmethod
     def of(
@@ -77,15 +79,16 @@ class LaneStart(NamedTuple):
         `frames` are those that its sensor looks at, where they are known: to find them takes as
         long as many steps.
         """
-        x = plant.sensor.value(q)
+        x, motors = plant.sensor.value(q), plant.motors_at(q)
         begin = controller.begin if plant.is_exact else controller.initial_state
-        state = begin(Measurement(0.0, q, np.zeros(plant.robot.nv), x))
+        first = Measurement(0.0, q, np.zeros(plant.robot.nv), x)
+        state = begin(plant.encoded(first, motors))
         frames = tasks.frames(plant.sensor) if frames is None else frames
         numbers = arm_numbers(plant.robot, frames)
         holding = plant.dynamics.g(q) if plant.actuator_delay > 0.0 else np.zeros(plant.robot.nv)
         sensor = tasks.numbers([plant.sensor])
         gains = np.concatenate(controller.law.diagonals or [np.zeros(0)])
-        return cls(q, target, state, numbers, sensor, seed, holding, gains)
+        return cls(q, target, state, numbers, sensor, seed, holding, gains, motors)
 
 
 class Lanes:
@@ -145,6 +148,9 @@ class Lanes:
         columns["q"][:] = [start.q for start in starts]
         columns["state"][:] = [start.state for start in starts]
         columns["last_bad"][:] = -1.0
+        if starts[0].motors is not None:
+            for name in Motors._fields:
+                columns[name][:] = [getattr(start.motors, name) for start in starts]
         self._sensing.start(program, kept, np.array([start.holding for start in starts]))
         numbers, sensors, others = _stacked(starts)
         named = self._truth.named(numbers) | sensors | others

@@ -34,10 +34,13 @@ from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Evaluation, Measurement, Target
 from approxjac.law.factors import Factors
+from approxjac.robots.traced import motion_between
 from approxjac.simulation import Plant
 from approxjac.simulation.plant import INTEGRATORS
+from approxjac.simulation.transmission import JointStep, Motors
 
 _GUESSES = 3
+_SWEEPS = 20  # of dry friction
 _FINITE = 1e200  # sum of squares, beyond which a run has diverged
 _FIXED = {"approxjac", "numpy", "pinocchio", *sys.stdlib_module_names} - {"__main__"}
 
@@ -109,6 +112,9 @@ class TracedLoop:
         self.truth = Arm(program.given, "truth", robot, tasks.frames(plant.sensor), numbers)
         self.q = q = program.kept("q", robot.nq)
         self.v = v = program.kept("v", robot.nv)
+        self.motors = None
+        if not plant.is_ideal:
+            self.motors = Motors(*(program.kept(name, robot.nv) for name in Motors._fields))
         rests = sensing is None or plant.is_exact  # the guard does, as nothing can be wrong
         first = controller.size if rests else len(laws.first_state(controller))
         state = program.kept("state", first)
@@ -121,8 +127,9 @@ class TracedLoop:
         if sensing is None:
             count = program.kept("count", 1)[0]
             measurement, kept = Measurement(count * dt, q, v, x, count * dt), {"count": count + 1.0}
+            measurement = plant.encoded(measurement, self.motors)
         else:
-            truth = Measurement(program.k * dt, q, v, x)
+            truth = plant.encoded(Measurement(program.k * dt, q, v, x), self.motors)
             measurement, kept = sensing.measured(program, truth)
             state, self.left = _initial_state(program, controller, state, measurement)
             may_lose = may_lose or sensing.may_lose
@@ -134,22 +141,20 @@ class TracedLoop:
         if sensing is not None:
             acting, late = sensing.acting(program, acting)
             kept |= late
-        q_end, v_end = self._advanced(acting, integrator)
-        touched, wrong = self._touched(q_end), False
-        if isinstance(touched, Scalar):
-            q_end, v_end, wrong = law.choose(
-                touched, lambda: self._held(acting), lambda: (q_end, v_end, 0.0)
-            )
-            wrong = wrong > 0.0
+        if self.motors is None:
+            q_end, v_end, wrong = self._advanced(acting, integrator)
+        else:
+            q_end, v_end, motors, wrong = self._transmitted(acting)
+            kept |= motors._asdict()
         far = law.any_of(np.abs(q_end) > LARGEST_ANGLE)
         self.left = self.left | unfinished | wrong | far
         squares = [(each * each).sum() for each in (q_end, v_end, self.answer.torque, state)]
         self.diverged = ~(sum(squares, 0.0) < _FINITE)
         self.after = {"q": q_end, "v": v_end, "state": after, **kept}
 
-    def _advanced(self, torque: Symbols, integrator: str) -> tuple[Symbols, Symbols]:
-        """Return q and v after the step, as `Plant.advance` does without stops."""
-        plant = self._plant
+    def _advanced(self, torque: Symbols, integrator: str) -> tuple[Symbols, Symbols, Condition]:
+        """Return q and v after the step, as `Plant.advance` does, and whether they are wrong."""
+        plant, dt = self._plant, self._dt
 
         def acceleration(at: Symbols, v: Symbols, torque: Symbols) -> Symbols:
             return self.truth.at(at).forward(v, torque - plant.friction_torque(v))
@@ -157,7 +162,51 @@ class TracedLoop:
         def motion(q: Symbols, by: Symbols) -> Symbols:
             return moved(plant.robot, q, by)
 
-        return INTEGRATORS[integrator](acceleration, motion, self.q, self.v, torque, self._dt)
+        q_end, v_end = INTEGRATORS[integrator](acceleration, motion, self.q, self.v, torque, dt)
+        touched = self._touched(q_end)
+        if not isinstance(touched, Scalar):
+            return q_end, v_end, False
+
+        def stopped() -> tuple[Symbols, Symbols, Number]:
+            free = self.v + dt * acceleration(self.q, self.v, torque)
+            M_inv = self._here.factors.solve(symbols(np.eye(plant.robot.nv)))
+            push, wrong = self._stop_torque(self.q, free, M_inv, dt)
+            v_end = free + dt * (M_inv @ push)
+            return moved(plant.robot, self.q, dt * v_end), v_end, wrong
+
+        q_end, v_end, wrong = law.choose(touched, stopped, lambda: (q_end, v_end, 0.0))
+        return q_end, v_end, wrong > 0.0
+
+    def _transmitted(self, torque: Symbols) -> tuple[Symbols, Symbols, Motors, Condition]:
+        """Do as `_advanced` for joints that are not ideal; return the motors, too."""
+        plant, q, v, motors, wrong = self._plant, self.q, self.v, self.motors, 0.0
+        robot, transmission = plant.robot, plant.transmission
+        assert motors is not None
+        count, h = plant.substeps(self._dt)
+        eye = symbols(np.eye(robot.nv))
+        for _ in range(count):
+            mid, before = moved(robot, q, 0.5 * h * v), q
+            here = self.truth.at(mid)
+            terms = here.M(), here.bias(v + 0.5 * motors.change)
+            angle = motion_between(robot, robot.neutral(), q)
+            after = transmission.step(
+                v, motors, torque, h, terms, lambda A: Factors(A).solve(eye), _SWEEPS, angle
+            )
+            q_end, touched = moved(robot, mid, 0.5 * h * after.v), False
+
+            def stopped(before: Symbols = before, after: JointStep = after) -> tuple[Any, ...]:
+                push, wrong = self._stop_torque(before, after.v, after.M_inv, h)
+                end = transmission.pushed(after, h * push)
+                return moved(robot, before, h * end.v), end.v, end.motors.rate, wrong
+
+            usual = q_end, after.v, after.motors.rate, 0.0
+            touched = self._touched(q_end)
+            if isinstance(touched, Scalar):
+                usual = law.choose(touched, stopped, lambda usual=usual: usual)
+            q, v, rate, missed = usual
+            motors = after.motors._replace(rate=rate, change=v - (after.v - after.motors.change))
+            wrong = wrong + missed
+        return q, v, motors, wrong > 0.0
 
     def _touched(self, q: Symbols) -> Condition:
         if self._plant.stops is None:
@@ -169,18 +218,17 @@ class TracedLoop:
         ]
         return law.any_of(symbols(beyond))
 
-    def _held(self, torque: Symbols) -> tuple[Symbols, Symbols, Number]:
-        """Return q and v after a step at stops, as by `JointStops.held_torque`.
+    def _stop_torque(
+        self, q: Symbols, free: Symbols, M_inv: Symbols, dt: float
+    ) -> tuple[Symbols, Number]:
+        """Return the torque of the stops over a step, as `JointStops.held_torque` does.
 
         Which joints press on their stops is found in a few guesses, each from the last one. The
-        third result is 1 where the last guess was wrong, else 0.
+        second result is 1 where the last guess was wrong, else 0.
         """
-        plant, dt = self._plant, self._dt
-        stops, nv = plant.stops, plant.robot.nv
+        stops, nv = self._plant.stops, self._plant.robot.nv
         assert stops is not None
-        free = self.v + dt * self._here.forward(self.v, torque - plant.friction_torque(self.v))
-        M_inv = self._here.factors.solve(symbols(np.eye(nv)))
-        depth, side, outward, slowed, per_speed = stops.contact(self.q, free, M_inv, dt)
+        depth, side, outward, slowed, per_speed = stops.contact(q, free, M_inv, dt)
         b = stops.stiffness / per_speed * depth + outward
         nothing = symbols(np.zeros(nv))
 
@@ -201,8 +249,7 @@ class TracedLoop:
 
         start = nothing, b, nothing < 0.0, nothing < 0.0, False
         push, *_, wrong = law.repeat(_GUESSES, guess, start)
-        v_end = free - dt * (M_inv @ (side * push))
-        return moved(plant.robot, self.q, dt * v_end), v_end, select(wrong, 1.0, 0.0)
+        return -side * push, select(wrong, 1.0, 0.0)
 
 
 def _initial_state(

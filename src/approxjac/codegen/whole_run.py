@@ -28,7 +28,7 @@ _SOLVER_STEPS = 50_000  # where limits need a solver, whose code is ten times as
 _KEPT = 8
 _loops: dict[bytes, _Loop] = {}
 _COLUMNS = (
-    "q", "v", "x", "x", "target", "torque", "torque", "state", "status", "limit_status", "slack",
+    "q", "v", "twist", "rate", "x", "x", "target", "torque", "torque", "state", "status", "limit_status", "slack",
     "e",
 )  # fmt: skip
 
@@ -120,6 +120,9 @@ class _Loop:
         flat, first = buffer[0, :, 0], lanes.bound(buffer, nothing)
         flat[place["target"]], flat[place["state"]] = loop.target, loop.state
         flat[place["q"]], flat[place["v"]] = loop.truth.q, loop.truth.v
+        if loop.motors is not None:
+            for name, value in loop.motors._asdict().items():
+                flat[place[name]] = value
         at = [*range(0, steps, stride), steps]
         before, answered = flat[: self._n_before], flat[self._n_before :]
         table = np.empty((len(at), len(flat)))
@@ -137,5 +140,7 @@ class _Loop:
             named[name] = named[name][:, 0]
         # without the proof there is none
         named["slack"][named["limit_status"] == LimitStatus.LIMITED] = np.nan
+        if loop.motors is None:
+            named |= {"twist": np.zeros_like(named["v"]), "rate": named["v"]}
         J_hat = named["J_hat"].reshape(-1, *self._shape)
         return [np.array(at) * loop.dt, *(named[name].copy() for name in _COLUMNS), J_hat]

@@ -84,6 +84,8 @@ class SimulatedDriver(MovingArm):
     def _period(self) -> Measurement:
         if self.braked or self._command is None:
             self.v = np.zeros_like(self.v)
+            if self.motors is not None:
+                self.motors = self.motors._replace(rate=self.v)
             self.move([])
         else:
             self.move(self.take(self._command))

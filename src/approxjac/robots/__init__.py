@@ -1,5 +1,7 @@
 """Robots: arms from URDF files, attached objects and kinematic errors."""
 
+from approxjac.robots.drives import Drives as Drives
+from approxjac.robots.drives import Friction as Friction
 from approxjac.robots.dynamics import Dynamics as Dynamics
 from approxjac.robots.dynamics import DynamicsRegressor as DynamicsRegressor
 from approxjac.robots.dynamics import GravityRegressor as GravityRegressor

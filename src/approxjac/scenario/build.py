@@ -25,7 +25,7 @@ from approxjac.formatting import joined
 from approxjac.interface import TargetPath
 from approxjac.law import Sine
 from approxjac.paths import Circle, Line, Waypoints
-from approxjac.robots import GravityRegressor, Robot, load_robot
+from approxjac.robots import Friction, GravityRegressor, Robot, load_robot
 from approxjac.robots.urdf import OBJECT_RADIUS
 from approxjac.scenario.image_setup import image_scene
 from approxjac.scenario.records import Numbers, Object, Sensor, Tracker, Vectors
@@ -38,7 +38,7 @@ from approxjac.scenario.starts import (
     straight_ahead,
     too_far,
 )
-from approxjac.simulation import Friction, MujocoPlant, Plant, Sensing
+from approxjac.simulation import MujocoPlant, Plant, Sensing
 from approxjac.tasks import CombinedTask, ImageTask, PositionTask, Task
 from approxjac.tasks.analysis import with_error
 from approxjac.validation import Array

@@ -4,7 +4,6 @@ from approxjac.interface import Condition as Condition
 from approxjac.simulation.monitor import Event as Event
 from approxjac.simulation.monitor import Monitor as Monitor
 from approxjac.simulation.mujoco_plant import MujocoPlant as MujocoPlant
-from approxjac.simulation.plant import Friction as Friction
 from approxjac.simulation.plant import Plant as Plant
 from approxjac.simulation.plant import VelocityServo as VelocityServo
 from approxjac.simulation.sensing import Sensing as Sensing

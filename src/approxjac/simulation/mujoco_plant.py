@@ -12,7 +12,8 @@ import pinocchio as pin
 
 from approxjac.errors import InvalidInputError, UrdfError, package_of
 from approxjac.robots import Robot
-from approxjac.simulation.plant import Friction, Plant
+from approxjac.robots.drives import Friction
+from approxjac.simulation.plant import Plant
 from approxjac.tasks import Task
 from approxjac.validation import Array, as_number
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from inspect import signature
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 import pinocchio as pin
@@ -16,15 +16,16 @@ from approxjac.errors import InvalidInputError
 from approxjac.formatting import short, short_fields
 from approxjac.interface import Measurement
 from approxjac.robots import Dynamics, Robot
+from approxjac.robots.drives import Drives, Friction, drives_of, usual_inertia
 from approxjac.robots.robot import WORLD
-from approxjac.robots.traced import motion_between
+from approxjac.robots.traced import motion_between, moved
 from approxjac.simulation.sensing import Sensing, lost_entries
+from approxjac.simulation.transmission import Motors, Transmission
 from approxjac.tasks import PositionTask, Task
 from approxjac.tasks.analysis import sees
 from approxjac.validation import (
     Array,
     Immutable,
-    as_diagonal,
     as_limits,
     as_number,
     as_vector,
@@ -37,8 +38,9 @@ _HOLDABLE = 0.7  # of the effort limits
 _SHORTEST = 1e-3  # lag of a servo; a run goes on in steps of at most that [s]
 _RATE = 200.0  # natural frequency of a joint on its stop, critically damped [rad/s]
 _PIVOTS = 1000
+_LONGEST = 2e-3  # step of real joints [s]
+_TINY = 1e-6  # of a step
 _GIVES_WAY = 0.01  # at most under the whole torque of its motor [rad or m]
-_STOP_DRAWN = 50  # configurations, for the usual inertia of a joint
 
 _TWO = np.array(2.0)
 
@@ -131,11 +133,9 @@ class JointStops:
     @cached_property
     def stiffness(self) -> Array:
         """k, shape (n_v,) [N m/rad or N/m]."""
-        robot, dynamics, rng = self._robot, Dynamics(self._robot), np.random.default_rng(0)
-        drawn = (robot.random_configuration(rng) for _ in range(_STOP_DRAWN))
-        usual = 1.0 / np.mean([np.diag(dynamics.M_inv(q)) for q in drawn], axis=0)
-        effort = np.where(np.isfinite(robot.effort_limits), robot.effort_limits, 0.0)
-        return np.asarray(np.maximum(usual * _RATE**2, effort / _GIVES_WAY))
+        limits = self._robot.effort_limits
+        effort = np.where(np.isfinite(limits), limits, 0.0)
+        return np.asarray(np.maximum(usual_inertia(self._robot) * _RATE**2, effort / _GIVES_WAY))
 
     @cached_property
     def damping(self) -> Array:
@@ -209,21 +209,6 @@ def _complementary(A: Array, b: Array) -> Array:
     return np.maximum(p, 0.0)
 
 
-class Friction(NamedTuple):
-    """Joint friction, Bq̇ + τ_c tanh(q̇/v_c); the paper's eq. (1) has the first term only.
-
-    Attributes:
-        viscous: B ≥ 0, a number or shape (n_v,) [N m s/rad or N s/m].
-        coulomb: Coulomb friction τ_c ≥ 0, a number or shape (n_v,) [N m or N].
-        coulomb_velocity: v_c > 0, half-width of the change from −τ_c to τ_c [rad/s or m/s]:
-            joints creep rather than stick. τ_c dt much above M v_c makes a sampled run unstable.
-    """
-
-    viscous: float | Sequence[float] | Array = 0.0
-    coulomb: float | Sequence[float] | Array = 0.0
-    coulomb_velocity: float = 0.05
-
-
 class Plant(Immutable):
     """M(q) q̈ + C(q, q̇)q̇ + friction + g(q) = τ of the true robot, eq. (1).
 
@@ -235,8 +220,11 @@ class Plant(Immutable):
         robot: The true robot.
         sensor: Task of the true robot that measures X; by default the position of its tip,
             `PositionTask(robot)`.
-        friction: A `Friction`, or the viscous one alone: B ≥ 0, a number or shape (n_v,)
-            [N m s/rad or N s/m]. Damping in the URDF is not used.
+        friction: A `robots.Friction`, or the viscous one alone: B ≥ 0, a number or shape (n_v,)
+            [N m s/rad or N s/m]. Damping in the URDF is not used. Dry friction sticks in sampled
+            runs; with a servo, or in continuous time, it is the smooth law of `Friction`.
+        drives: Rotors, elastic gears and encoders of the joints, `robots.Drives`; by default
+            rigid joints without rotors. Needs dt; steps beyond 2 ms are divided.
         sensing: Sensor errors, such as noise and delay; none by default. Needs dt in `simulate`.
         actuator_delay: Time from a command to its effect [s], beside that of a servo, rounded to
             whole samples, or beside a servo to whole steps of it; until the first one takes effect
@@ -267,6 +255,7 @@ class Plant(Immutable):
         joint_limits: bool = True,
         servo: VelocityServo | None = None,
         adds_gravity: Robot | None = None,
+        drives: Drives | None = None,
     ) -> None:
         require("robot", robot, Robot, "the true Robot")
         sensor = PositionTask(robot) if sensor is None else sensor
@@ -279,10 +268,10 @@ class Plant(Immutable):
             lost_entries(sensing, sensor)
         nv = robot.nv
         self.robot, self.sensor, self.servo, self.sensing = robot, sensor, servo, sensing
-        viscous, coulomb, width = friction if isinstance(friction, Friction) else Friction(friction)
-        self.friction = as_diagonal("friction", viscous, nv, unit="N m s/rad", positive=False)
-        self.coulomb = as_diagonal("coulomb", coulomb, nv, unit="N m", positive=False)
-        self.coulomb_velocity = as_number("coulomb_velocity", width, above=0.0)
+        rubs = (friction if isinstance(friction, Friction) else Friction(friction)).of(nv)
+        self.friction, self.coulomb = np.asarray(rubs.viscous), np.asarray(rubs.coulomb)
+        self.transmission = Transmission(robot, rubs, drives_of(drives).of(robot))
+        self.drives = self.transmission.drives
         self.actuator_delay = as_number("actuator_delay", actuator_delay, unit="s", minimum=0.0)
         self.adds_gravity = adds_gravity
         self._added = None if adds_gravity is None else _added(adds_gravity, robot, servo)
@@ -293,6 +282,8 @@ class Plant(Immutable):
         self.joint_limits = joint_limits
         self._has_coulomb = max(self.coulomb.tolist()) > 0.0
         self._has_friction = self._has_coulomb or max(self.friction.tolist()) > 0.0
+        # a servo compensates friction, so that it does not stick
+        self.is_ideal = self.transmission.is_ideal or servo is not None
         self._is_coupled = robot.mimic_joints.G is not None
         self._is_vector = robot.nq == robot.nv  # a motion is then added to a configuration
 
@@ -388,11 +379,11 @@ class Plant(Immutable):
         if late:
             rough = self.servo is not None or (sensing is not None and not sensing.is_linear)
         more = self.torque_limits is not None or self.adds_gravity is not None
-        if self.coulomb.any() or rough or more:
+        if rough or more or not self.transmission.is_ideal:
             but = ", but for delays and velocity_filter" if late else ""
             raise InvalidInputError(
-                f"{what} is for a plant without Coulomb friction, torque limits, gravity that it "
-                f"adds, servo, errors or delays of sensing and of actuators{but}, got {self!r}",
+                f"{what} is for a plant without dry friction, drives, torque limits, gravity that "
+                f"it adds, servo, errors or delays of sensing and of actuators{but}, got {self!r}",
                 given=self,
             )
 
@@ -430,7 +421,11 @@ class Plant(Immutable):
             )
 
     def acceleration(self, q: Array, v: Array, tau: Array) -> Array:
-        """Return q̈ under a torque, shape (n_v,) [rad/s² or m/s²]."""
+        """Return q̈ under a torque, with the smooth law of friction, shape (n_v,) [rad/s² or m/s²].
+
+        Raises an InvalidInputError for a plant with drives, whose motors move on their own.
+        """
+        self.require_direct("acceleration")
         nv = self.robot.nv
         q, v = self.robot.configuration(q), as_vector("v", v, nv)
         tau = self._delivered(q, as_vector("tau", tau, nv))
@@ -438,20 +433,72 @@ class Plant(Immutable):
             tau = tau + self.stops.torque(q, v)
         return self._acceleration(q, v, tau).copy()
 
+    def require_direct(self, what: str) -> None:
+        """Raise an InvalidInputError if the plant has drives that are not ideal."""
+        if self.transmission.moves:
+            message = f"{what} is for a plant without drives, got {self!r}"
+            raise InvalidInputError(message, given=self)
+
     def advance(
-        self, q: Array, v: Array, tau: Array, dt: float, integrate: Integrator
-    ) -> tuple[Array, Array]:
-        """Return (q, v) after dt [s] under a constant command; arguments are not checked."""
+        self,
+        q: Array,
+        v: Array,
+        tau: Array,
+        dt: float,
+        integrate: Integrator,
+        motors: Motors | None = None,
+    ) -> tuple[Array, Array, Motors | None]:
+        """Return (q, v, motors) after dt [s] under a constant command; arguments are not checked.
+
+        `motors` is that of the step before, at first of `motors_at`; None of ideal joints.
+        """
+        if not self.is_ideal:
+            motors = self.motors_at(q) if motors is None else motors
+            tau, (count, h) = self._delivered(q, tau), self.substeps(dt)
+            for _ in range(count):
+                q, v, motors = self._transmitted(q, v, motors, tau, h)
+            return q, v, motors
         accelerate: Acceleration = self._driven
         if self.servo is None:
             accelerate, tau = self._acceleration, self._delivered(q, tau)
         q_end, v_end = integrate(accelerate, self._moved, q, v, tau, dt)
         if self.stops is None or not self.stops.touched(q_end):
-            return q_end, v_end
+            return q_end, v_end, None
         free = v + dt * accelerate(q, v, tau)
         M_inv = self.dynamics.M_inv(q)
         v_end = free + dt * M_inv @ self.stops.held_torque(q, free, M_inv, dt)
-        return self._moved(q, dt * v_end), v_end
+        return self._moved(q, dt * v_end), v_end, None
+
+    def substeps(self, dt: float) -> tuple[int, float]:
+        """Return number and length [s] of the steps of joints that are not ideal, within dt."""
+        count = max(1, math.ceil(dt / _LONGEST - _TINY))
+        return count, dt / count
+
+    def motors_at(self, q: Array) -> Motors | None:
+        """Return the motors of the arm held at rest; None of ideal joints."""
+        return None if self.is_ideal else self.transmission.at_rest(self.dynamics.g(q))
+
+    def _transmitted(
+        self, q: Array, v: Array, motors: Motors, tau: Array, h: float
+    ) -> tuple[Array, Array, Motors]:
+        """Return (q, v, motors) after a step h [s] of `Transmission`, at stops, too."""
+        mid, dynamics, angle = self._moved(q, 0.5 * h * v), self.dynamics, None
+        if np.any(self.drives.ripple):
+            angle = motion_between(self.robot, self.robot.neutral(), q)
+        ahead = v + 0.5 * motors.change
+        terms = dynamics.M(mid), dynamics.inverse(mid, ahead, np.zeros(self.robot.nv))
+        after = self.transmission.step(v, motors, tau, h, terms, np.linalg.inv, angle=angle)
+        if self.stops is not None and self.stops.touched(self._moved(mid, 0.5 * h * after.v)):
+            push = self.stops.held_torque(q, after.v, after.M_inv, h)
+            after = self.transmission.pushed(after, h * push)
+            return self._moved(q, h * after.v), after.v, after.motors
+        return self._moved(mid, 0.5 * h * after.v), after.v, after.motors
+
+    def encoded(self, truth: Measurement, motors: Motors | None) -> Measurement:
+        """Return a measurement with q and q̇ of the motors, where the encoders are there."""
+        if motors is None or not self.transmission.is_elastic or self.drives.encoders == "joint":
+            return truth
+        return truth._replace(q=moved(self.robot, truth.q, motors.twist), v=motors.rate)
 
     def _moved(self, q: Array, motion: Array) -> Array:
         if self._is_vector:
@@ -476,11 +523,11 @@ class Plant(Immutable):
         return self._forward(q, v, tau)
 
     def friction_torque(self, v: Array) -> Array:
-        """Return Bq̇ + τ_c tanh(q̇/v_c), shape (n_v,)."""
+        """Return the smooth law Bq̇ + F_c tanh(q̇/v_c), shape (n_v,)."""
         viscous: Array = self.friction * v
         if not self._has_coulomb:
             return viscous
-        return viscous + self.coulomb * np.tanh(v / self.coulomb_velocity)
+        return viscous + self.coulomb * np.tanh(v / self.transmission.friction.coulomb_velocity)
 
     def applied(self, q: Array, v: Array, command: Array) -> Array:
         """Return a torque command itself, or the servo's torque for a velocity; shape (n_v,)."""

@@ -30,6 +30,7 @@ from approxjac.interface import Evaluation, Measurement, Target, TargetPath
 from approxjac.simulation.plant import INTEGRATORS, Plant
 from approxjac.simulation.sensing import SensorReadings
 from approxjac.simulation.trajectory import Record, Trajectory
+from approxjac.simulation.transmission import Motors
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import require_unmirrored
 from approxjac.validation import Array, as_array, as_integer, as_number, require, shape_of
@@ -215,6 +216,7 @@ class Loop:
         tau: Torque at this instant: the controller's, or that of a simulated servo; NaN for a robot
             that takes velocities, shape (n_v,).
         stopped: True if an observer stopped it.
+        motors: The true motors where joints are not ideal, else None.
     """
 
     truth: Measurement
@@ -223,6 +225,7 @@ class Loop:
     answer: Evaluation
     tau: Array
     target: Array
+    motors: Motors | None = None
     _wanted: Target | Array
     _knows_truth: ClassVar[bool] = True  # False on a robot
 
@@ -246,7 +249,7 @@ class Loop:
     def instant(self) -> tuple[Any, ...]:
         """The values of this step that a `Record` keeps."""
         x, state, answer = self.measurement.x, self.state, self.answer
-        return self.truth, x, state, answer, self.tau, self.target, self.controller
+        return self.truth, x, state, answer, self.tau, self.target, self.controller, self.motors
 
     @property
     def ended(self) -> bool:
@@ -328,6 +331,9 @@ class MovingArm:
         self, plant: Plant, q: Array, v: Array, dt: float, integrator: str, seed: int
     ) -> None:
         self.plant, self.q, self.v, self.samples = plant, q, v, 0
+        self.motors = plant.motors_at(q)
+        if self.motors is not None:
+            self.motors = self.motors._replace(rate=v)
         self.dt, self._integrate = dt, INTEGRATORS[integrator]
         self._readings = None
         if plant.sensing is not None:
@@ -351,7 +357,8 @@ class MovingArm:
     def sense(self) -> tuple[Measurement, Measurement]:
         """Return the measurement of ideal sensors, and that of the plant's own."""
         truth = self.plant.measure(self.t, self.q, self.v)
-        return truth, truth if self._readings is None else self._readings.read(truth)
+        seen = self.plant.encoded(truth, self.motors)
+        return truth, seen if self._readings is None else self._readings.read(seen)
 
     def take(self, command: Array) -> list[Array]:
         """Queue a command; return those that act during the next sample, in order."""
@@ -372,7 +379,9 @@ class MovingArm:
         """Integrate over one sample under the commands that act."""
         self.samples += 1
         for command in acting:
-            self.q, self.v = self.plant.advance(self.q, self.v, command, self._h, self._integrate)
+            self.q, self.v, self.motors = self.plant.advance(
+                self.q, self.v, command, self._h, self._integrate, self.motors
+            )
 
 
 class SampledLoop(Loop):
@@ -394,6 +403,7 @@ class SampledLoop(Loop):
         q, v, state = start.checked(plant)
         self._arm = MovingArm(plant, q, v, dt, integrator, seed)
         self._aim()
+        self.motors = self._arm.motors
         self.truth, self.measurement = self._arm.sense()
         now, rests = (self._wanted, self.measurement, dt, state), plant.is_exact
         self.state = first_state(plant, controller, *now, rests=rests)
@@ -403,6 +413,7 @@ class SampledLoop(Loop):
         """Advance by dt, measure and control; raise a SimulationError if the loop diverged."""
         self.state = self._after
         self._arm.move(self._acting)
+        self.motors = self._arm.motors
         self.step += 1
         self._aim()
         try:
@@ -527,6 +538,7 @@ def simulate(
             for wrong, why in (
                 (observer is not None, "an observer, which looks at every sample"),
                 (plant.needs_sampling, "a plant with sensing, actuator delay or servo"),
+                (plant.transmission.moves, "a plant with drives"),
                 (
                     not controller.is_continuous,
                     f"a controller that runs in samples, {controller!r}",

@@ -22,6 +22,7 @@ from approxjac.interface import Condition, Evaluation, LimitStatus, Measurement,
 from approxjac.robots import Robot
 from approxjac.simulation.monitor import Event, Monitor
 from approxjac.simulation.plant import Plant
+from approxjac.simulation.transmission import Motors
 from approxjac.tasks import StackedTask, Task
 from approxjac.validation import Array, Saved, require
 
@@ -33,6 +34,8 @@ _COLUMNS = {  # the axis of each array beside time, "" without one, and its unit
     "t": ("", "s"),
     "q": ("nq", "{joint}"),
     "v": ("n_v", "{joint}/s"),
+    "twist": ("n_v", "{joint}"),
+    "motor_v": ("n_v", "{joint}/s"),
     "x": ("n_x", "{task}"),
     "x_measured": ("n_x", "{task}"),
     "x_d": ("n_x", "{task}"),
@@ -125,6 +128,8 @@ class Trajectory:
         t: Time, shape (N,) [s].
         q: Configuration, shape (N, nq).
         v: Velocity, shape (N, n_v).
+        twist: Angles of motors beyond their links, of elastic joints, else 0, shape (N, n_v).
+        motor_v: Velocity of the motors at the joints' side of the gears, shape (N, n_v).
         x: True task value, shape (N, n_x).
         x_measured: Measured task value, NaN where it was lost, shape (N, n_x).
         x_d: Target, shape (N, n_x).
@@ -152,6 +157,8 @@ class Trajectory:
     t: Array
     q: Array
     v: Array
+    twist: Array
+    motor_v: Array
     x: Array
     x_measured: Array
     x_d: Array
@@ -432,8 +439,8 @@ def _npz(path: str | Path) -> Path:
 
 
 _RECORDED = (
-    "t", "q", "v", "x", "x_measured", "x_d", "command", "tau", "state", "status", "limit_status",
-    "slack",
+    "t", "q", "v", "twist", "motor_v", "x", "x_measured", "x_d", "command", "tau", "state",
+    "status", "limit_status", "slack",
 )  # fmt: skip  # and then e and Ĵ, of which the rest is derived
 
 
@@ -457,6 +464,7 @@ class Record:
         tau: Array,
         target: Array,
         controller: Controller,
+        motors: Motors | None = None,
     ) -> None:
         """Record one instant: the truth, the controller's x, state and output, the torque."""
         t, q, v, x, _ = truth
@@ -465,9 +473,10 @@ class Record:
             J_hat = np.full((len(e), len(v)), np.nan)
         if not self._controllers or self._controllers[-1][1] is not controller:
             self._controllers.append((self._count, controller))
+        turned = (np.zeros_like(v), v) if motors is None else (motors.twist, motors.rate)
         row: tuple[Any, ...] = (
-            t, q, v, x, x_measured, target, command, tau, state, status, limit_status, slack, e,
-            J_hat,
+            t, q, v, *turned, x, x_measured, target, command, tau, state, status, limit_status,
+            slack, e, J_hat,
         )  # fmt: skip
         if not self._columns:
             self._columns = tuple(np.empty((self._capacity, *np.shape(value))) for value in row)

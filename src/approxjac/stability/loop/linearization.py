@@ -556,7 +556,7 @@ def numerical_stability(
         torque, state_rate = answer(x_d, at, seen, x, state)
         torques = np.concatenate([waiting, torque])
         for _ in range(_SUBSTEPS):
-            at, v = plant.advance(at, v, torques[:n], dt / _SUBSTEPS, rk4)
+            at, v, _ = plant.advance(at, v, torques[:n], dt / _SUBSTEPS, rk4)
         moved = np.asarray(pin.difference(model, q, at))
         rest = [state + dt * state_rate, w, errors[sensor.m :], torques[n:]]
         return np.asarray((np.concatenate([moved, v, *rest]) - z) / dt)

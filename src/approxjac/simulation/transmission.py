@@ -1,0 +1,175 @@
+"""`Transmission`: rotors, elastic gears and dry friction between motors and links, step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from operator import mul
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from approxjac import law
+from approxjac.robots import Robot
+from approxjac.robots.drives import Drives, Friction, usual_inertia
+from approxjac.validation import Array
+
+_SWEEPS = 60
+_EXACT = 1e-9  # of the largest friction
+
+
+class Motors(NamedTuple):
+    """What a plant with real joints has beside (q, v), shape (n_v,) each.
+
+    Of rigid joints `twist` is 0 and `rate` q̇.
+    """
+
+    twist: Array  # θ − q [rad or m]
+    rate: Array  # θ̇ [rad/s or m/s]
+    held: Array  # impulse of dry friction in the last step, where the search begins [N m s or N s]
+    change: Array  # of q̇ in the last step, for Coriolis forces in the middle of the next
+
+
+class JointStep(NamedTuple):
+    """What a step leads to, and how it answers to a further impulse on the links."""
+
+    v: Array  # q̇ of the links after it, (n_v,)
+    motors: Motors
+    M_inv: Array  # change of v by a unit impulse on each link, (n_v, n_v)
+
+
+class Transmission:
+    """Steps of an arm whose motors have rotors, elastic gears, and friction that sticks.
+
+    The midpoint rule in springs and dampers, implicit Euler in friction: no stiffness is too stiff
+    and no friction too high for a step. What is unknown is eliminated down to an n_v × n_v matrix.
+    """
+
+    def __init__(self, robot: Robot, friction: Friction, drives: Drives) -> None:
+        self._robot, self.friction, self.drives = robot, friction, drives
+        stiffness = np.asarray(drives.stiffness)
+        self._rigid = ~np.isfinite(stiffness)
+        self._K = np.where(self._rigid, 0.0, stiffness)
+        self.is_dry = bool(np.any(friction.coulomb) or np.any(friction.load))
+        self.is_elastic = not self._rigid.all()
+        # motors are more than the torques on their links
+        self.moves = self.is_elastic or bool(np.any(drives.rotor_inertia) or np.any(drives.ripple))
+        self.is_ideal = not (self.is_dry or self.moves)
+
+    @cached_property
+    def _usual(self) -> Array:
+        return usual_inertia(self._robot)
+
+    @cached_property
+    def _D(self) -> Array:
+        return self.drives.damping(self._usual)
+
+    def at_rest(self, carried: Array) -> Motors:
+        """Return the motors of an arm at rest whose gears carry some torques (n_v,)."""
+        nothing, K = np.zeros(len(carried)), np.where(self._rigid, 1.0, self._K)
+        bent = carried / K + self.drives.backlash * np.sign(carried)
+        return Motors(np.where(self._rigid, 0.0, bent), nothing, nothing, nothing)
+
+    def step(
+        self,
+        v: Array,
+        motors: Motors,
+        tau: Array,
+        h: float,
+        terms: tuple[Array, Array],
+        inverse: Callable[[Array], Array],
+        sweeps: int | None = None,
+        angle: Array | None = None,
+    ) -> JointStep:
+        """Return what a step h [s] leads to, on numbers or symbols.
+
+        Args:
+            v: q̇ of the links (n_v,).
+            motors: The motors.
+            tau: Torques of the motors (n_v,).
+            h: Step [s].
+            terms: M (n_v, n_v) and the bias C q̇ + g (n_v,) of the links, half a step ahead.
+            inverse: Function that inverts a matrix.
+            sweeps: Number of sweeps for dry friction; by default until they no longer change.
+            angle: Motion of the links from neutral (n_v,), for `ripple`.
+        """
+        (M, bias), drives, rigid = terms, self.drives, self._rigid
+        B, (twist, w, held, _) = np.asarray(self.friction.viscous), motors
+        w = np.where(rigid, v, w)
+        if angle is not None and np.any(drives.ripple):
+            tau = tau + drives.ripple * np.sin(drives.ripple_count * (angle + twist))
+        K: Any = self._K
+        D: Any = self._D if self.is_elastic else K
+        bend = twist
+        if np.any(drives.backlash):
+            mid = twist + 0.5 * h * (w - v)
+            free = np.where(mid > 0.0, 1.0, -1.0) * np.asarray(drives.backlash)
+            meshed = np.abs(mid) > np.abs(free)
+            K, D, bend = np.where(meshed, K, 0.0), np.where(meshed, D, 0.0), twist - free
+        spring = K * bend + (0.5 * h * K + D) * (w - v)  # at the middle, if the rates stayed
+        stiff = h * (0.25 * h * K + 0.5 * D)
+        J = np.asarray(drives.rotor_inertia) + self._viscous_share(h) * h * B
+        whole = np.where(rigid, 1.0, J + stiff)  # of a rotor with its spring; not of rigid joints
+        share = np.where(rigid, 1.0, stiff / whole)  # of a change of θ̇ that q̇ takes along
+        mobility = np.where(rigid, 0.0, 1.0 / whole)
+        drive = tau - B * w
+        S = inverse(M + np.diag(share * J))
+        dv = S @ (h * ((1.0 - share) * spring + share * drive - bias))
+        w_end = w + mobility * h * (drive - spring) + share * dv
+        if self.is_dry:
+            load = np.abs(np.where(rigid, bias, spring))
+            most = h * (self._coulomb(w) + np.asarray(self.friction.load) * load)
+            W = np.diag(mobility) + share[:, np.newaxis] * S * share
+            held = _sticking(W, w_end, most, held, sweeps)
+            stands = np.abs(held) < most
+            w_end = np.where(stands, 0.0, w_end - W @ held)
+            dv = dv - S @ (share * held)
+        v_end = np.where(rigid, w_end, v + dv)
+        turned = twist + 0.5 * h * (w + w_end - v - v_end)
+        twist = np.where(rigid, 0.0, turned)
+        return JointStep(v_end, Motors(twist, w_end, held, v_end - v), S)
+
+    def pushed(self, after: JointStep, impulse: Array) -> JointStep:
+        """Return a step with a further impulse (n_v,) on the links, as of stops [N m s or N s]."""
+        v, motors, S = after
+        dv, w = S @ impulse, motors.rate
+        w = np.where(self._rigid, w + dv, w)
+        return JointStep(v + dv, motors._replace(rate=w, change=motors.change + dv), S)
+
+    def _viscous_share(self, h: float) -> Array:
+        """Return the share of viscous friction at a step's end: ½, more where it stops a joint."""
+        B, inertia = np.asarray(self.friction.viscous), np.asarray(self.drives.rotor_inertia)
+        inertia = inertia + np.where(self._rigid, self._usual, 0.0)
+        return np.maximum(0.5, 1.0 - inertia / np.maximum(h * B, 1e-300))
+
+    def _coulomb(self, w: Array) -> Array:
+        F = np.asarray(self.friction.coulomb)
+        if self.friction.stribeck == 1.0:
+            return F
+        more = self.friction.stribeck - 1.0
+        return F * (1.0 + more * np.exp(-np.abs(w) / self.friction.stribeck_velocity))
+
+
+def _sticking(W: Array, free: Array, most: Array, p: Array, sweeps: int | None) -> Array:
+    """Return impulses |p| ≤ most that stop each joint of free − W p or, where it slides, brake it.
+
+    By Gauss–Seidel, beginning with p (n_v,); W (n_v, n_v) is positive definite.
+    """
+    rows, slips, limits = W.tolist(), free.tolist(), most.tolist()
+    pivots = [1.0 / row[j] for j, row in enumerate(rows)]
+
+    def sweep(_: Any, values: tuple[Array]) -> tuple[Array]:
+        p = values[0].tolist()
+        for j, (row, slip, limit) in enumerate(zip(rows, slips, limits, strict=True)):
+            here = p[j] + (slip - sum(map(mul, row, p))) * pivots[j]
+            here = law.select(here > limit, limit, here)
+            p[j] = law.select(here < -limit, -limit, here)
+        return (law.array(p),)
+
+    if sweeps is not None:
+        return law.repeat(sweeps, sweep, (p,))[0]
+    for _ in range(_SWEEPS):
+        before, (p,) = p, sweep(0, (p,))
+        if (np.abs(p - before) <= _EXACT * most).all():
+            break
+    return p
