@@ -28,8 +28,8 @@ _SOLVER_STEPS = 50_000  # where limits need a solver, whose code is ten times as
 _KEPT = 8
 _loops: dict[bytes, _Loop] = {}
 _COLUMNS = (
-    "q", "v", "twist", "rate", "x", "x", "target", "torque", "torque", "state", "status", "limit_status", "slack",
-    "e",
+    "q", "v", "twist", "rate", "x", "x", "target", "torque", "torque", "state", "status",
+    "limit_status", "slack", "e",
 )  # fmt: skip
 
 

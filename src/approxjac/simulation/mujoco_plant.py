@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,18 +15,25 @@ from approxjac.errors import InvalidInputError, UrdfError, package_of
 from approxjac.robots import Robot
 from approxjac.robots.drives import Friction
 from approxjac.simulation.plant import Plant
+from approxjac.simulation.transmission import Motors, Transmission
 from approxjac.tasks import Task
 from approxjac.validation import Array, as_number
 
 if TYPE_CHECKING:
     import mujoco
 
+_SPRING = " (spring)"  # of the joint between a motor and its link
+_LONGEST, _TINY = 1e-4, 1e-6  # step of MuJoCo's where joints are not ideal [s]; part of a step
+
 
 class MujocoPlant(Plant):
     """A plant simulated by MuJoCo, with joint limits and a floor.
 
     MuJoCo opens the URDF that `Robot.save_urdf` writes. Without contact and within the joint
-    limits, accelerations are those of `Plant` to rounding. Limits and floor are MuJoCo's soft
+    limits, accelerations are those of `Plant` to rounding. With drives or dry friction it runs
+    MuJoCo's own steps of at most 0.1 ms: an elastic joint is two on one axis, motor and spring,
+    and Coulomb friction MuJoCo's soft constraint, with which a joint creeps a little. Limits and
+    floor are MuJoCo's soft
     constraints, with a time constant of 20 ms; their forces jump, so give `simulate` a dt. The arm
     and its object can touch the floor, but not each other; shapes are those of <collision> in
     the URDF, meshes as their convex hulls.
@@ -43,7 +51,8 @@ class MujocoPlant(Plant):
         mujoco_model: MuJoCo's model of the robot and the floor, such as for its viewer. Read-only.
 
     Raises:
-        InvalidInputError: As for `Plant`, a floor that is no number, or moving mimic joints.
+        InvalidInputError: As for `Plant`, a floor that is no number, moving mimic joints, or
+            what MuJoCo has not: static friction above Coulomb's, friction by load, backlash, ripple.
         MissingPackageError: MuJoCo is not installed.
         UrdfError: MuJoCo cannot open the URDF, for example because of missing collision meshes
             or physically impossible inertias.
@@ -68,7 +77,9 @@ class MujocoPlant(Plant):
                 given=robot,
             )
         self.floor = None if floor is None else as_number("floor", floor, unit="m")
-        self.mujoco_model = _mujoco_model(robot, self.floor, self.joint_limits)
+        self._require_modelled()
+        joints = None if self.is_ideal else self.transmission
+        self.mujoco_model = _mujoco_model(robot, self.floor, self.joint_limits, joints)
         import mujoco
 
         self._mujoco, self._mujoco_data = mujoco, mujoco.MjData(self.mujoco_model)
@@ -76,6 +87,46 @@ class MujocoPlant(Plant):
         # MuJoCo has one number a joint, continuous joints included, but another order of joints
         joints = [self.mujoco_model.joint(name) for name in robot.joint_names]
         self._places = np.array([joint.dofadr[0] for joint in joints])
+        elastic = np.isfinite(self.drives.stiffness)
+        self._springs = np.array(
+            [
+                self.mujoco_model.joint(f"{name}{_SPRING}").dofadr[0] if soft else -1
+                for name, soft in zip(robot.joint_names, elastic, strict=True)
+            ]
+        )
+
+    def _require_modelled(self) -> None:
+        rubs, drives = self.transmission.friction, self.drives
+        more = rubs.stribeck > 1.0 or np.any(rubs.load) or np.any(drives.backlash)
+        if more or np.any(drives.ripple):
+            raise InvalidInputError(
+                "friction and drives of a MujocoPlant must be without stribeck, load, backlash and "
+                f"ripple, got {rubs!r} and {drives!r}",
+                given=drives,
+            )
+
+    def _transmitted(
+        self, q: Array, v: Array, motors: Motors, tau: Array, h: float
+    ) -> tuple[Array, Array, Motors]:
+        """Return (q, v, motors) after a step h [s], of MuJoCo's own steps."""
+        data, model, places = self._mujoco_data, self.mujoco_model, self._places
+        soft = self._springs >= 0
+        springs = self._springs[soft]
+        at = np.asarray(pin.difference(self.robot.model, self._neutral, q))
+        data.qpos[places] = at + motors.twist
+        data.qvel[places] = motors.rate
+        data.qpos[springs], data.qvel[springs] = -motors.twist[soft], (v - motors.rate)[soft]
+        data.qfrc_applied[places] = tau
+        count = max(1, math.ceil(h / _LONGEST - _TINY))
+        model.opt.timestep = h / count
+        for _ in range(count):
+            self._mujoco.mj_step(model, data)
+        turned, rate, twist = data.qpos[places] - at, data.qvel[places].copy(), 0.0 * at
+        twist[soft] = -data.qpos[springs]
+        change, v_end = v, rate.copy()
+        v_end[soft] += data.qvel[springs]
+        after = Motors(twist, rate, motors.held, v_end - change)
+        return self._moved(q, turned - twist), v_end, after
 
     def _forward(self, q: Array, v: Array, tau: Array) -> Array:
         """Return q̈ by MuJoCo (n_v,), the same bits whatever was asked before."""
@@ -94,7 +145,9 @@ class MujocoPlant(Plant):
         return not data.ncon
 
 
-def _mujoco_model(robot: Robot, floor: float | None, joint_limits: bool) -> mujoco.MjModel:
+def _mujoco_model(
+    robot: Robot, floor: float | None, joint_limits: bool, transmission: Transmission | None
+) -> mujoco.MjModel:
     mujoco = package_of("mujoco", "mujoco")
     with tempfile.TemporaryDirectory() as folder:
         path = robot.save_urdf(Path(folder) / "robot.urdf")
@@ -102,6 +155,8 @@ def _mujoco_model(robot: Robot, floor: float | None, joint_limits: bool) -> mujo
             spec = mujoco.MjSpec.from_file(str(path))
             _same_physics(spec, robot)
             _constraints(spec, robot, floor, joint_limits)
+            if transmission is not None:
+                _joints(spec, robot, transmission)
             return spec.compile()
         except (ValueError, mujoco.FatalError) as error:
             reason = " ".join(str(error).split())  # MuJoCo's own is of several lines
@@ -133,6 +188,34 @@ def _same_physics(spec: mujoco.MjSpec, robot: Robot) -> None:
         joint.frictionloss = joint.armature = 0.0
     for mimic in list(spec.equalities):
         spec.delete(mimic)
+
+
+def _joints(spec: mujoco.MjSpec, robot: Robot, transmission: Transmission) -> None:
+    """Give the joints rotors, springs and friction."""
+    import mujoco
+
+    drives, friction, D = transmission.drives, transmission.friction, transmission.damping
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    for i, name in enumerate(robot.joint_names):
+        motor = spec.joint(name)
+        motor.armature = np.asarray(drives.rotor_inertia)[i]
+        motor.damping[0] = np.asarray(friction.viscous)[i]
+        motor.frictionloss = np.asarray(friction.coulomb)[i]
+        # as hard as its step allows: a light joint would be slowed by less than its friction
+        motor.solref_friction = (2.0 * _LONGEST, 1.0)
+        motor.solimp_friction = (0.999, 0.9999, 1e-3, 0.5, 2.0)
+        K = np.asarray(drives.stiffness)[i]
+        if np.isfinite(K):
+            spring = motor.parent.add_joint(
+                name=f"{name}{_SPRING}", type=motor.type, axis=motor.axis, pos=motor.pos
+            )
+            spring.stiffness[0], spring.damping[0] = K, D[i]
+            if motor.limited == mujoco.mjtLimited.mjLIMITED_TRUE:  # of the link, not the motor
+                low, high = motor.range
+                motor.limited = mujoco.mjtLimited.mjLIMITED_FALSE
+                both = spec.add_tendon(limited=mujoco.mjtLimited.mjLIMITED_TRUE, range=(low, high))
+                both.wrap_joint(name, 1.0)
+                both.wrap_joint(spring.name, 1.0)
 
 
 def _constraints(

@@ -61,7 +61,8 @@ class Transmission:
         return usual_inertia(self._robot)
 
     @cached_property
-    def _D(self) -> Array:
+    def damping(self) -> Array:
+        """D, shape (n_v,) [N m s/rad or N s/m]."""
         return self.drives.damping(self._usual)
 
     def at_rest(self, carried: Array) -> Motors:
@@ -99,7 +100,7 @@ class Transmission:
         if angle is not None and np.any(drives.ripple):
             tau = tau + drives.ripple * np.sin(drives.ripple_count * (angle + twist))
         K: Any = self._K
-        D: Any = self._D if self.is_elastic else K
+        D: Any = self.damping if self.is_elastic else K
         bend = twist
         if np.any(drives.backlash):
             mid = twist + 0.5 * h * (w - v)
