@@ -136,7 +136,7 @@ class Loop:
             else:
                 torque = np.clip(answer.torque, -most, most)
                 self.full += bool((np.abs(answer.torque) >= 0.999 * most).any())
-                q, v = PLANT.advance(q, v, torque, DT, STEP)
+                q, v, _ = PLANT.advance(q, v, torque, DT, STEP)
             speeds.append(np.abs(v).max())
             errors.append(np.linalg.norm(truth.x - goal))
         self.speeds, self.errors = np.array(speeds), np.array(errors)
@@ -249,7 +249,7 @@ def test_a_rate_of_torque_is_kept_through_bad_samples_and_after_them(count):
         if before is not None:
             assert np.abs(answer.torque - before).max() <= 1000.0 * DT * (1.0 + 1e-9)
         before = answer.torque
-        q, v = PLANT.advance(q, v, before, DT, STEP)
+        q, v, _ = PLANT.advance(q, v, before, DT, STEP)
 
 
 @pytest.mark.parametrize("name", ["limited, learnt", "limited, tracking", "predicted"])

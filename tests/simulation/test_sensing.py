@@ -379,8 +379,8 @@ def test_the_same_seed_gives_the_same_bits(panda, seventh):
 def test_another_seed_gives_another_run(panda, seventh):
     other = closed_loop(panda, EVERYTHING, 8)
     assert [name for name in FIELDS if not same(seventh, other, name)] == [
-        "q", "v", "x", "x_measured", "error", "command", "tau", "state", "learnt", "status",
-        "task_torque", "V",
+        "q", "v", "motor_v", "x", "x_measured", "error", "command", "tau", "state", "learnt",
+        "status", "task_torque", "V",
     ]  # fmt: skip
 
 
@@ -591,7 +591,6 @@ def test_sensing_of_the_wrong_length_is_refused_by_the_plant(changes):
         {"friction": aj.robots.Friction(coulomb=-1.0)},
         {"friction": aj.robots.Friction(coulomb=(1.0,))},
         {"friction": aj.robots.Friction(coulomb=np.nan)},
-        {"friction": aj.robots.Friction(coulomb_velocity=0.0)},
         {"actuator_delay": -1e-3},
         {"actuator_delay": np.nan},
         {"torque_limits": 0.0},
@@ -639,12 +638,12 @@ def test_progress_must_be_a_function(panda, position):
 
 @pytest.mark.parametrize(
     ("gravity", "settled", "final", "offset", "seed"),
-    # measured over 8 seeds: 1.4, 0.4; 2.3, 0.8
+    # measured over 4 runs: 4.5 to 6.6, as friction holds the arm there; 0.3 to 0.9, 0.2 to 0.5
     [
-        ("known", 3e-3, 1e-3, (0.1, -0.15, 0.16), 0),
-        pytest.param("learnt", 5e-3, 2e-3, (-0.1, 0.2, 0.1), 1, marks=pytest.mark.study),
-        pytest.param("known", 3e-3, 1e-3, (-0.1, 0.2, 0.1), 1, marks=pytest.mark.long),
-        pytest.param("learnt", 5e-3, 2e-3, (0.1, -0.15, 0.16), 0, marks=pytest.mark.long),
+        ("known", 8e-3, 8e-3, (0.1, -0.15, 0.16), 0),
+        pytest.param("learnt", 2e-3, 1e-3, (-0.1, 0.2, 0.1), 1, marks=pytest.mark.study),
+        pytest.param("known", 8e-3, 8e-3, (-0.1, 0.2, 0.1), 1, marks=pytest.mark.long),
+        pytest.param("learnt", 2e-3, 1e-3, (0.1, -0.15, 0.16), 0, marks=pytest.mark.long),
     ],
 )
 def test_the_target_is_reached_with_realistic_measurements(
@@ -654,7 +653,8 @@ def test_the_target_is_reached_with_realistic_measurements(
 
     1 kHz; x with 1 mm noise, 0.5 mm quanta, 20 ms late and every fifth lost; encoders with 10 µrad
     noise and their filtered differences for q̇; torques 2 ms late; 0.5 N m s/rad of viscous and
-    0.5 N m of Coulomb friction.
+    0.5 N m of Coulomb friction. Where gravity is known nothing integrates the error, so the arm
+    rests as soon as no joint's torque exceeds its friction.
     """
     truth, belief = panda.with_object(0.20, 0.5), panda.with_object(0.0, 0.0)
     regressor = GravityRegressor(belief)
@@ -687,7 +687,11 @@ def test_the_target_is_reached_with_realistic_measurements(
     assert lost.mean() == pytest.approx(0.2, abs=0.02)
     # what was measured scatters more than what was reached
     scatter = np.linalg.norm((run.x_measured - run.x)[~lost & (run.t >= 6.0)], axis=1)
-    assert scatter.mean() > 1.5e-3 > run.error_norm[-1]
+    if gravity == "learnt":
+        assert scatter.mean() > 1.5e-3 > run.error_norm[-1]
+    else:  # nothing but friction holds it there
+        asked = np.abs(run.task_torque[~lost & (run.t >= 7.0)]).mean(axis=0)
+        assert asked.max() < 1.1 * 0.5
 
 
 def test_a_controller_starts_from_its_first_reading_not_from_the_truth(panda):

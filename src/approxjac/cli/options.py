@@ -64,6 +64,7 @@ _OF_RUN = {
     "--waypoints": "run.target.waypoints.points",
     "--duration": "run.duration",
     "--seed": "run.seed",
+    "--drives": "true.drives",
 }
 _OF_STUDY = {
     f"--{each.name.replace('_', '-')}": f"stability.{each.name}" for each in fields(Analysis)

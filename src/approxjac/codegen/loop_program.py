@@ -40,7 +40,6 @@ from approxjac.simulation.plant import INTEGRATORS
 from approxjac.simulation.transmission import JointStep, Motors
 
 _GUESSES = 3
-_SWEEPS = 20  # of dry friction
 _FINITE = 1e200  # sum of squares, beyond which a run has diverged
 _FIXED = {"approxjac", "numpy", "pinocchio", *sys.stdlib_module_names} - {"__main__"}
 
@@ -179,34 +178,35 @@ class TracedLoop:
 
     def _transmitted(self, torque: Symbols) -> tuple[Symbols, Symbols, Motors, Condition]:
         """Do as `_advanced` for joints that are not ideal; return the motors, too."""
-        plant, q, v, motors, wrong = self._plant, self.q, self.v, self.motors, 0.0
-        robot, transmission = plant.robot, plant.transmission
+        q, v, motors, wrong = self.q, self.v, self.motors, 0.0
         assert motors is not None
-        count, h = plant.substeps(self._dt)
-        eye = symbols(np.eye(robot.nv))
+        count, h = self._plant.substeps(self._dt)
         for _ in range(count):
-            mid, before = moved(robot, q, 0.5 * h * v), q
-            here = self.truth.at(mid)
-            terms = here.M(), here.bias(v + 0.5 * motors.change)
-            angle = motion_between(robot, robot.neutral(), q)
-            after = transmission.step(
-                v, motors, torque, h, terms, lambda A: Factors(A).solve(eye), _SWEEPS, angle
-            )
-            q_end, touched = moved(robot, mid, 0.5 * h * after.v), False
-
-            def stopped(before: Symbols = before, after: JointStep = after) -> tuple[Any, ...]:
-                push, wrong = self._stop_torque(before, after.v, after.M_inv, h)
-                end = transmission.pushed(after, h * push)
-                return moved(robot, before, h * end.v), end.v, end.motors.rate, wrong
-
-            usual = q_end, after.v, after.motors.rate, 0.0
-            touched = self._touched(q_end)
-            if isinstance(touched, Scalar):
-                usual = law.choose(touched, stopped, lambda usual=usual: usual)
-            q, v, rate, missed = usual
-            motors = after.motors._replace(rate=rate, change=v - (after.v - after.motors.change))
+            q, v, motors, missed = self._substep(q, v, motors, torque, h)
             wrong = wrong + missed
         return q, v, motors, wrong > 0.0
+
+    def _substep(
+        self, q: Symbols, v: Symbols, motors: Motors, torque: Symbols, h: float
+    ) -> tuple[Symbols, Symbols, Motors, Number]:
+        robot, transmission = self._plant.robot, self._plant.transmission
+        mid = moved(robot, q, 0.5 * h * v)
+        here = self.truth.at(mid)
+        terms = here.M(), here.bias(v + 0.5 * motors.change)
+        angle = motion_between(robot, robot.neutral(), q)
+        after = transmission.step(v, motors, torque, h, terms, _solved, angle)
+        free = moved(robot, mid, 0.5 * h * after.v), after.v, after.motors.rate, 0.0
+
+        def stopped() -> tuple[Any, ...]:
+            push, wrong = self._stop_torque(q, after.v, after.M_inv, h)
+            end = transmission.pushed(after, h * push)
+            return moved(robot, q, h * end.v), end.v, end.motors.rate, wrong
+
+        touched = self._touched(free[0])
+        if isinstance(touched, Scalar):
+            free = law.choose(touched, stopped, lambda: free)
+        q_end, v_end, rate, wrong = free
+        return q_end, v_end, after.motors._replace(rate=rate, change=v_end - v), wrong
 
     def _touched(self, q: Symbols) -> Condition:
         if self._plant.stops is None:
@@ -250,6 +250,10 @@ class TracedLoop:
         start = nothing, b, nothing < 0.0, nothing < 0.0, False
         push, *_, wrong = law.repeat(_GUESSES, guess, start)
         return -side * push, select(wrong, 1.0, 0.0)
+
+
+def _solved(A: Symbols, b: Symbols) -> Symbols:
+    return Factors(A).solve(symbols(b))
 
 
 def _initial_state(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 
@@ -157,7 +157,8 @@ class Drives:
 
     def of(self, robot: Robot) -> Self:
         """Return it with an array (n_v,) for each that may be a number, checked for a robot."""
-        nv, arrays = robot.nv, {}
+        nv = robot.nv
+        arrays: dict[str, Any] = {}
         units = {"rotor_inertia": "kg m²", "backlash": "rad", "ripple": "N m"}
         for name, unit in units.items():
             arrays[name] = as_diagonal(name, getattr(self, name), nv, unit=unit, positive=False)

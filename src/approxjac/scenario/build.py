@@ -25,7 +25,7 @@ from approxjac.formatting import joined
 from approxjac.interface import TargetPath
 from approxjac.law import Sine
 from approxjac.paths import Circle, Line, Waypoints
-from approxjac.robots import Friction, GravityRegressor, Robot, load_robot
+from approxjac.robots import Drives, Friction, GravityRegressor, Robot, load_robot
 from approxjac.robots.urdf import OBJECT_RADIUS
 from approxjac.scenario.image_setup import image_scene
 from approxjac.scenario.records import Numbers, Object, Sensor, Tracker, Vectors
@@ -214,6 +214,12 @@ def _target(
 def _plant(truth: Robot, sensor: Task, motors: Array, scenario: Scenario, belief: Robot) -> Plant:
     true = scenario.true
     options: dict[str, Any] = {"friction": Friction(true.friction, true.coulomb)}
+    if true.drives == "usual":
+        options["drives"] = Drives.usual(truth)
+        if not (true.friction or true.coulomb):
+            usual = Friction.usual(truth)
+            plain = {"stribeck": 1.0, "load": 0.0} if true.engine == "mujoco" else {}
+            options["friction"] = replace(usual, **plain)
     options["sensing"] = sensing_of(scenario.sensor)
     options["actuator_delay"] = scenario.loop.actuator_delay
     if scenario.controller.command == "velocity":

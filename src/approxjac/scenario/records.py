@@ -114,6 +114,8 @@ class Truth:
         rotations: Errors of the URDF's joint axes, as rotation vectors, rad.
         friction: Viscous friction of every joint, N m s/rad.
         coulomb: Coulomb friction of every joint, N m.
+        drives: Joints: "ideal", or the "usual" rotors, elastic gears and friction of geared arms
+            (friction as given, if it is).
         camera: Camera of an image task.
         tracker: Tracker with axes of its own, for x and targets; the world's by default.
         servo: Velocity servo of a robot that takes joint velocities.
@@ -126,6 +128,7 @@ class Truth:
     rotations: Vectors = field(default_factory=dict)
     friction: float = at_least(0.0)
     coulomb: float = at_least(0.0)
+    drives: Literal["ideal", "usual"] = "ideal"
     camera: CameraRecord = CameraRecord()
     tracker: Tracker = Tracker()
     servo: VelocityServo = VelocityServo()

@@ -82,6 +82,7 @@ def _rules(scenario: Scenario) -> Iterator[Rule]:
         ("controller.settling_time", gains, "is for default gains", "given ones"),
         ("controller.torque_rate", control.limits == "none", limits, "none"),
         ("sensor.lost_part", scenario.sensor.lost is None, "needs a time in sensor.lost", "none"),
+        ("true.drives", velocities, "is for a robot that takes torques", control.command),
         ("true.servo", not velocities, "needs controller.command velocity", control.command),
         ("controller.command", not tracks, "needs controller.law tracking", control.law),
         ("controller.torque_rate", velocities, "is of torques", control.command),
@@ -90,7 +91,7 @@ def _rules(scenario: Scenario) -> Iterator[Rule]:
     for name in _OF_SETPOINT:
         yield f"controller.{name}", tracks, "is of the law setpoint", control.law
     sampled = [f"controller.{name}" for name in ("law", "unknown", "torque_rate", "unseen")]
-    sampled += ["sensor", "loop.actuator_delay"]
+    sampled += ["sensor", "loop.actuator_delay", "true.drives"]
     if control.limits != "none":
         sampled.append("controller.limits")
     for key in sampled:

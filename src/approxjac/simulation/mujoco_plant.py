@@ -31,10 +31,9 @@ class MujocoPlant(Plant):
 
     MuJoCo opens the URDF that `Robot.save_urdf` writes. Without contact and within the joint
     limits, accelerations are those of `Plant` to rounding. With drives or dry friction it runs
-    MuJoCo's own steps of at most 0.1 ms: an elastic joint is two on one axis, motor and spring,
-    and Coulomb friction MuJoCo's soft constraint, with which a joint creeps a little. Limits and
-    floor are MuJoCo's soft
-    constraints, with a time constant of 20 ms; their forces jump, so give `simulate` a dt. The arm
+    MuJoCo's own steps of at most 0.1 ms: an elastic joint is two on one axis, motor and spring, and
+    dry friction a soft constraint, with which joints creep a little. Limits and floor are soft
+    constraints with a time constant of 20 ms; their forces jump, so give `simulate` a dt. The arm
     and its object can touch the floor, but not each other; shapes are those of <collision> in
     the URDF, meshes as their convex hulls.
 
@@ -51,8 +50,8 @@ class MujocoPlant(Plant):
         mujoco_model: MuJoCo's model of the robot and the floor, such as for its viewer. Read-only.
 
     Raises:
-        InvalidInputError: As for `Plant`, a floor that is no number, moving mimic joints, or
-            what MuJoCo has not: static friction above Coulomb's, friction by load, backlash, ripple.
+        InvalidInputError: As for `Plant`, a floor that is no number, moving mimic joints, or what
+            MuJoCo has not: static friction above Coulomb's, friction by load, backlash, ripple.
         MissingPackageError: MuJoCo is not installed.
         UrdfError: MuJoCo cannot open the URDF, for example because of missing collision meshes
             or physically impossible inertias.
@@ -78,8 +77,8 @@ class MujocoPlant(Plant):
             )
         self.floor = None if floor is None else as_number("floor", floor, unit="m")
         self._require_modelled()
-        joints = None if self.is_ideal else self.transmission
-        self.mujoco_model = _mujoco_model(robot, self.floor, self.joint_limits, joints)
+        real = self.transmission if self.is_stepped else None
+        self.mujoco_model = _mujoco_model(robot, self.floor, self.joint_limits, real)
         import mujoco
 
         self._mujoco, self._mujoco_data = mujoco, mujoco.MjData(self.mujoco_model)
@@ -94,6 +93,11 @@ class MujocoPlant(Plant):
                 for name, soft in zip(robot.joint_names, elastic, strict=True)
             ]
         )
+
+    @property
+    def is_stepped(self) -> bool:
+        """True with dry friction, too, which is a constraint of MuJoCo's."""
+        return not self.is_ideal
 
     def _require_modelled(self) -> None:
         rubs, drives = self.transmission.friction, self.drives

@@ -272,6 +272,9 @@ class Plant(Immutable):
         self.friction, self.coulomb = np.asarray(rubs.viscous), np.asarray(rubs.coulomb)
         self.transmission = Transmission(robot, rubs, drives_of(drives).of(robot))
         self.drives = self.transmission.drives
+        if servo is not None and self.transmission.moves:
+            message = "drives must be None beside a servo, whose loop is around rigid joints"
+            raise InvalidInputError(f"{message}, got {drives!r}", given=drives)
         self.actuator_delay = as_number("actuator_delay", actuator_delay, unit="s", minimum=0.0)
         self.adds_gravity = adds_gravity
         self._added = None if adds_gravity is None else _added(adds_gravity, robot, servo)
@@ -425,19 +428,15 @@ class Plant(Immutable):
 
         Raises an InvalidInputError for a plant with drives, whose motors move on their own.
         """
-        self.require_direct("acceleration")
+        if self.is_stepped:
+            message = f"acceleration is for a plant without drives, got {self!r}"
+            raise InvalidInputError(message, given=self)
         nv = self.robot.nv
         q, v = self.robot.configuration(q), as_vector("v", v, nv)
         tau = self._delivered(q, as_vector("tau", tau, nv))
         if self.stops is not None and self.stops.touched(q):
             tau = tau + self.stops.torque(q, v)
         return self._acceleration(q, v, tau).copy()
-
-    def require_direct(self, what: str) -> None:
-        """Raise an InvalidInputError if the plant has drives that are not ideal."""
-        if self.transmission.moves:
-            message = f"{what} is for a plant without drives, got {self!r}"
-            raise InvalidInputError(message, given=self)
 
     def advance(
         self,
@@ -453,7 +452,7 @@ class Plant(Immutable):
         `motors` is that of the step before, at first of `motors_at`; None of ideal joints.
         """
         if not self.is_ideal:
-            motors = self.motors_at(q) if motors is None else motors
+            motors = motors or self.transmission.at_rest(self.dynamics.g(q))
             tau, (count, h) = self._delivered(q, tau), self.substeps(dt)
             for _ in range(count):
                 q, v, motors = self._transmitted(q, v, motors, tau, h)
@@ -468,6 +467,11 @@ class Plant(Immutable):
         M_inv = self.dynamics.M_inv(q)
         v_end = free + dt * M_inv @ self.stops.held_torque(q, free, M_inv, dt)
         return self._moved(q, dt * v_end), v_end, None
+
+    @property
+    def is_stepped(self) -> bool:
+        """True if it has no acceleration by q, q̇ and τ alone."""
+        return self.transmission.moves
 
     def substeps(self, dt: float) -> tuple[int, float]:
         """Return number and length [s] of the steps of joints that are not ideal, within dt."""
@@ -487,7 +491,7 @@ class Plant(Immutable):
             angle = motion_between(self.robot, self.robot.neutral(), q)
         ahead = v + 0.5 * motors.change
         terms = dynamics.M(mid), dynamics.inverse(mid, ahead, np.zeros(self.robot.nv))
-        after = self.transmission.step(v, motors, tau, h, terms, np.linalg.inv, angle=angle)
+        after = self.transmission.step(v, motors, tau, h, terms, _solved, angle)
         if self.stops is not None and self.stops.touched(self._moved(mid, 0.5 * h * after.v)):
             push = self.stops.held_torque(q, after.v, after.M_inv, h)
             after = self.transmission.pushed(after, h * push)
@@ -566,6 +570,10 @@ class Plant(Immutable):
                 are_numbers = isinstance(value, float | list | np.ndarray)
                 shown.append(f"{name}={short(value) if are_numbers else repr(value)}")
         return f"{type(self).__name__}({', '.join(shown)})"
+
+
+def _solved(A: Array, b: Array) -> Array:
+    return np.asarray(np.linalg.solve(A, b))
 
 
 def _require_own(robot: Robot, sensor: Task) -> None:

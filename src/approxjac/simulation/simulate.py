@@ -538,7 +538,7 @@ def simulate(
             for wrong, why in (
                 (observer is not None, "an observer, which looks at every sample"),
                 (plant.needs_sampling, "a plant with sensing, actuator delay or servo"),
-                (plant.transmission.moves, "a plant with drives"),
+                (plant.is_stepped, "a plant with drives, or a MujocoPlant with dry friction"),
                 (
                     not controller.is_continuous,
                     f"a controller that runs in samples, {controller!r}",

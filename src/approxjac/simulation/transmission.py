@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
-from operator import mul
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,8 +13,7 @@ from approxjac.robots import Robot
 from approxjac.robots.drives import Drives, Friction, usual_inertia
 from approxjac.validation import Array
 
-_SWEEPS = 60
-_EXACT = 1e-9  # of the largest friction
+_GUESSES = 3, 6  # which joints slide: where all are elastic they hardly feel each other
 
 
 class Motors(NamedTuple):
@@ -48,13 +46,14 @@ class Transmission:
     def __init__(self, robot: Robot, friction: Friction, drives: Drives) -> None:
         self._robot, self.friction, self.drives = robot, friction, drives
         stiffness = np.asarray(drives.stiffness)
-        self._rigid = ~np.isfinite(stiffness)
-        self._K = np.where(self._rigid, 0.0, stiffness)
+        self.is_rigid = ~np.isfinite(stiffness)
+        self._K = np.where(self.is_rigid, 0.0, stiffness)
         self.is_dry = bool(np.any(friction.coulomb) or np.any(friction.load))
-        self.is_elastic = not self._rigid.all()
+        self.is_elastic = not self.is_rigid.all()
         # motors are more than the torques on their links
         self.moves = self.is_elastic or bool(np.any(drives.rotor_inertia) or np.any(drives.ripple))
         self.is_ideal = not (self.is_dry or self.moves)
+        self._guesses = _GUESSES[int(self.is_rigid.any())]
 
     @cached_property
     def _usual(self) -> Array:
@@ -67,9 +66,9 @@ class Transmission:
 
     def at_rest(self, carried: Array) -> Motors:
         """Return the motors of an arm at rest whose gears carry some torques (n_v,)."""
-        nothing, K = np.zeros(len(carried)), np.where(self._rigid, 1.0, self._K)
+        nothing, K = np.zeros(len(carried)), np.where(self.is_rigid, 1.0, self._K)
         bent = carried / K + self.drives.backlash * np.sign(carried)
-        return Motors(np.where(self._rigid, 0.0, bent), nothing, nothing, nothing)
+        return Motors(np.where(self.is_rigid, 0.0, bent), nothing, nothing, nothing)
 
     def step(
         self,
@@ -78,8 +77,7 @@ class Transmission:
         tau: Array,
         h: float,
         terms: tuple[Array, Array],
-        inverse: Callable[[Array], Array],
-        sweeps: int | None = None,
+        solve: Callable[[Array, Array], Array],
         angle: Array | None = None,
     ) -> JointStep:
         """Return what a step h [s] leads to, on numbers or symbols.
@@ -90,11 +88,10 @@ class Transmission:
             tau: Torques of the motors (n_v,).
             h: Step [s].
             terms: M (n_v, n_v) and the bias C q̇ + g (n_v,) of the links, half a step ahead.
-            inverse: Function that inverts a matrix.
-            sweeps: Number of sweeps for dry friction; by default until they no longer change.
+            solve: Function A, b → A⁻¹b of a symmetric A.
             angle: Motion of the links from neutral (n_v,), for `ripple`.
         """
-        (M, bias), drives, rigid = terms, self.drives, self._rigid
+        (M, bias), drives, rigid = terms, self.drives, self.is_rigid
         B, (twist, w, held, _) = np.asarray(self.friction.viscous), motors
         w = np.where(rigid, v, w)
         if angle is not None and np.any(drives.ripple):
@@ -114,16 +111,14 @@ class Transmission:
         share = np.where(rigid, 1.0, stiff / whole)  # of a change of θ̇ that q̇ takes along
         mobility = np.where(rigid, 0.0, 1.0 / whole)
         drive = tau - B * w
-        S = inverse(M + np.diag(share * J))
+        S = solve(M + np.diag(share * J), np.eye(len(v)))
         dv = S @ (h * ((1.0 - share) * spring + share * drive - bias))
         w_end = w + mobility * h * (drive - spring) + share * dv
         if self.is_dry:
             load = np.abs(np.where(rigid, bias, spring))
             most = h * (self._coulomb(w) + np.asarray(self.friction.load) * load)
             W = np.diag(mobility) + share[:, np.newaxis] * S * share
-            held = _sticking(W, w_end, most, held, sweeps)
-            stands = np.abs(held) < most
-            w_end = np.where(stands, 0.0, w_end - W @ held)
+            held, w_end = _sticking(W, w_end, most, held, solve, self._guesses)
             dv = dv - S @ (share * held)
         v_end = np.where(rigid, w_end, v + dv)
         turned = twist + 0.5 * h * (w + w_end - v - v_end)
@@ -134,13 +129,13 @@ class Transmission:
         """Return a step with a further impulse (n_v,) on the links, as of stops [N m s or N s]."""
         v, motors, S = after
         dv, w = S @ impulse, motors.rate
-        w = np.where(self._rigid, w + dv, w)
+        w = np.where(self.is_rigid, w + dv, w)
         return JointStep(v + dv, motors._replace(rate=w, change=motors.change + dv), S)
 
     def _viscous_share(self, h: float) -> Array:
         """Return the share of viscous friction at a step's end: ½, more where it stops a joint."""
         B, inertia = np.asarray(self.friction.viscous), np.asarray(self.drives.rotor_inertia)
-        inertia = inertia + np.where(self._rigid, self._usual, 0.0)
+        inertia = inertia + np.where(self.is_rigid, self._usual, 0.0)
         return np.maximum(0.5, 1.0 - inertia / np.maximum(h * B, 1e-300))
 
     def _coulomb(self, w: Array) -> Array:
@@ -151,26 +146,39 @@ class Transmission:
         return F * (1.0 + more * np.exp(-np.abs(w) / self.friction.stribeck_velocity))
 
 
-def _sticking(W: Array, free: Array, most: Array, p: Array, sweeps: int | None) -> Array:
-    """Return impulses |p| ≤ most that stop each joint of free − W p or, where it slides, brake it.
+def _sticking(
+    W: Array,
+    free: Array,
+    most: Array,
+    held: Array,
+    solve: Callable[[Array, Array], Array],
+    guesses: int,
+) -> tuple[Array, Array]:
+    """Return impulses |p| ≤ most that stop joints or brake those that slide, and their rates.
 
-    By Gauss–Seidel, beginning with p (n_v,); W (n_v, n_v) is positive definite.
+    Rates are free − W p, W (n_v, n_v) positive definite. Which joints slide, and where to, is found
+    in a few guesses (Newton's method), from the impulses `held` (n_v,) of the step before.
     """
-    rows, slips, limits = W.tolist(), free.tolist(), most.tolist()
-    pivots = [1.0 / row[j] for j, row in enumerate(rows)]
+    eye = np.eye(len(free))
+    on = np.where(held >= most, 1.0, np.where(held <= -most, -1.0, 0.0))
 
-    def sweep(_: Any, values: tuple[Array]) -> tuple[Array]:
-        p = values[0].tolist()
-        for j, (row, slip, limit) in enumerate(zip(rows, slips, limits, strict=True)):
-            here = p[j] + (slip - sum(map(mul, row, p))) * pivots[j]
-            here = law.select(here > limit, limit, here)
-            p[j] = law.select(here < -limit, -limit, here)
-        return (law.array(p),)
+    def guess(_: Any, values: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        on, *_ = values
+        stands = on == 0.0
+        braked = on * most
+        A = np.where(stands[:, np.newaxis] & stands, W, eye)
+        p = solve(A, np.where(stands, free - W @ braked, braked))
+        w = np.where(stands, 0.0, free - W @ p)
+        slips = np.where(p > most, 1.0, np.where(p < -most, -1.0, 0.0))
+        return np.where(stands, slips, np.where(on * w < 0.0, 0.0, on)), p, w
 
-    if sweeps is not None:
-        return law.repeat(sweeps, sweep, (p,))[0]
-    for _ in range(_SWEEPS):
-        before, (p,) = p, sweep(0, (p,))
-        if (np.abs(p - before) <= _EXACT * most).all():
-            break
-    return p
+    values = on, held, free
+    if hasattr(free, "looped"):  # on symbols
+        values = law.repeat(guesses, guess, values)
+    else:
+        for i in range(guesses):
+            before, values = values[0], guess(i, values)
+            if (values[0] == before).all():
+                break
+    _, p, w = values
+    return np.minimum(np.maximum(p, -most), most), w
