@@ -37,7 +37,7 @@ from approxjac.law.factors import Factors
 from approxjac.robots.traced import motion_between
 from approxjac.simulation import Plant
 from approxjac.simulation.plant import INTEGRATORS
-from approxjac.simulation.transmission import JointStep, Motors
+from approxjac.simulation.transmission import Motors
 
 _GUESSES = 3
 _FINITE = 1e200  # sum of squares, beyond which a run has diverged
