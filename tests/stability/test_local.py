@@ -448,7 +448,7 @@ def test_what_eq_1_does_not_have_is_refused(two_link, options):
     task = aj.PositionTask(two_link, axes="xz")
     plant, controller = aj.Plant(two_link, task, **options), aj.SetpointController(task)
     q = np.array([0.3, 0.8])
-    with pytest.raises(aj.InvalidInputError, match="the local test is for a plant without Coulomb"):
+    with pytest.raises(aj.InvalidInputError, match="the local test is for a plant without dry fr"):
         aj.local_stability(plant, controller, q)
     with pytest.raises(aj.InvalidInputError, match="the Lyapunov function is for a plant without"):
         lyapunov(plant, controller, q, np.zeros(2), task.value(q), 1.0)
