@@ -355,11 +355,42 @@ MUTANTS = [
     ),
     (
         "stop softer than its motor", "simulation/plant.py",
-        "np.maximum(usual * _RATE**2, effort / _GIVES_WAY)", "usual * _RATE**2", FIGURES,
+        "np.maximum(usual_inertia(self._robot) * _RATE**2, effort / _GIVES_WAY)",
+        "usual_inertia(self._robot) * _RATE**2", FIGURES,
     ),
     (
         "stop half as fast", "simulation/plant.py",
         "_RATE = 200.0", "_RATE = 100.0", FIGURES,
+    ),
+    # -- joints as they are
+    (
+        "dry friction of a second long step", "simulation/transmission.py",
+        "most = h * (self._coulomb(w)", "most = (self._coulomb(w)",
+        "tests/simulation/test_joints.py",
+    ),
+    (
+        "static friction while it slides", "simulation/transmission.py",
+        "return F * (1.0 + more * np.exp(-np.abs(w) / self.friction.stribeck_velocity))",
+        "return F * (1.0 + more)", "tests/simulation/test_joints.py",
+    ),
+    (
+        "spring without its half step", "simulation/transmission.py",
+        "stiff = h * (0.25 * h * K + 0.5 * D)", "stiff = h * (0.5 * h * K + D)",
+        "tests/simulation/test_joints.py",
+    ),
+    (
+        "a link without its rotor", "simulation/transmission.py",
+        "S = solve(M + np.diag(share * J), np.eye(len(v)))", "S = solve(M, np.eye(len(v)))",
+        "tests/simulation/test_joints.py",
+    ),
+    (
+        "encoders at the links", "simulation/plant.py",
+        'or self.drives.encoders == "joint"', 'or self.drives.encoders != ""',
+        "tests/simulation/test_joints.py",
+    ),
+    (
+        "Coriolis forces of the last step", "simulation/plant.py",
+        "ahead = v + 0.5 * motors.change", "ahead = v", "tests/simulation/test_joints.py",
     ),
     # -- gravity and its bounds
     (
@@ -956,8 +987,8 @@ MUTANTS = [
     ),
     (
         "commands change as in a millisecond", "controllers/tracking.py",
-        "self._dt, self._change = dt, dt * self.acceleration",
-        "self._dt, self._change = dt, 1e-3 * self.acceleration",
+        "self._robot, self._dt, self._change = robot, dt, dt * self.acceleration",
+        "self._robot, self._dt, self._change = robot, dt, 1e-3 * self.acceleration",
         "tests/controllers/test_tracking.py",
     ),
     (
@@ -972,8 +1003,8 @@ MUTANTS = [
     ),
     (
         "stops beside continuous joints by q", "controllers/tracking.py",
-        "motion = q if self._neutral is None else motion_between(self._robot, self._neutral, q)",
-        "motion = q[: len(v)]", "tests/controllers/test_tracking.py",
+        "law.speed_bounds(positions_at(self._robot, q), self._joints)",
+        "law.speed_bounds(q[: len(v)], self._joints)", "tests/controllers/test_tracking.py",
     ),
     (
         "self-motion by the rate of an angle", "controllers/tracking.py",
@@ -997,8 +1028,8 @@ MUTANTS = [
     ),
     (
         "reach around the base", "controllers/setpoint.py",
-        "- e[:k] - self._origin",
-        "- e[:k]", "tests/controllers/test_adaptive_gravity.py",
+        "self._feature.place(x) - self._origin",
+        "self._feature.place(x)", "tests/controllers/test_adaptive_gravity.py",
     ),
     (
         "speed of a target uncombined", "controllers/setpoint.py",
