@@ -48,7 +48,7 @@ for column, (name, (home, tool)) in enumerate(ARMS.items()):
     error, away = axes[column], axes[3 + column]
     for label, posture in (("damped only", None), ("posture kept", Posture(home, POSTURE))):
         controller = aj.SetpointController(task, gravity=gravity, posture=posture)  # default gains
-        run = aj.simulate(plant, controller, target, home + PUSHED, duration=5.0, dt=1e-3)
+        run = aj.simulate(plant, controller, target, home + PUSHED, duration=5.0, dt=2e-3)
         distance = np.linalg.norm(run.q - home, axis=1)
         print(
             f"{name}, {label}: error {1e3 * run.error_norm[0]:.0f} -> "

@@ -40,7 +40,7 @@ gravity = RegressorGravity(regressor, regressor.fit(truth)[0])
 runs = {}
 for name, task in (("Ĵ as it is", plain), ("Ĵ designed", designed)):
     controller = aj.SetpointController(task, aj.default_gains(plain), gravity=gravity)
-    runs[name] = run = aj.simulate(plant, controller, target, stretched, duration=4.0, dt=1e-3)
+    runs[name] = run = aj.simulate(plant, controller, target, stretched, duration=4.0, dt=2e-3)
     statuses = ", ".join(f"{status.name} {n}" for status, n in run.status_counts().items())
     print(
         f"{name}: error {1e3 * run.error_norm[0]:.2f} -> {1e3 * run.error_norm[-1]:.2f} mm; "

@@ -46,7 +46,7 @@ print(aj.Study(controller_with(9.0), tools, region).report(100))
 tolerated = {"theorem1": [], "matrix": [], "local": []}
 for damping in DAMPING:
     found = aj.Study(controller_with(damping), tools, region).tolerance(
-        largest=LONGEST / 0.3, precision=0.3, draws=20
+        largest=LONGEST / 0.3, precision=0.3, draws=10
     )
     for test, each in found.items():
         tolerated[test].append(each.uncertainty.high[0])  # the longest tool at that scale
@@ -76,6 +76,6 @@ print(*view.save_figure(figure, out / "tolerated_tools"), sep="\n")
 truth = arm.with_object(0.5, axis="x")
 plant = aj.Plant(truth)
 target = plant.sensor.value(HOME + 0.2)
-run = aj.simulate(plant, controller_with(DAMPING[-1]), target, HOME, duration=6.0, dt=1e-3)
+run = aj.simulate(plant, controller_with(DAMPING[-1]), target, HOME, duration=3.0, dt=1e-3)
 print(f"a tool of 0.5 m: {1e3 * run.error_norm[0]:.0f} -> {1e3 * run.error_norm[-1]:.2g} mm")
 print(view.save_page(run, out / "tolerated_tools.html"))

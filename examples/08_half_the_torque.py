@@ -40,9 +40,10 @@ target = plant.sensor.value([1.8, 0.4, 0.3, -1.9, -0.5, 2.4, 0.0])
 
 low, high = arm.position_limits
 figure, axes = view.new_figure(3, 2, title="Half the torque: clipped, and limited by a QP")
-clipped = aj.TorqueLimited(law, aj.Limits(limits.effort), proof=False)
+dt = 2e-3
+clipped = aj.TorqueLimited(law, aj.Limits(limits.effort), proof=False, dt=dt)
 for row, (name, limiter) in enumerate(
-    {"clipped": clipped, "QP": aj.TorqueLimited(law, limits)}.items()
+    {"clipped": clipped, "QP": aj.TorqueLimited(law, limits, dt=dt)}.items()
 ):
     run = aj.simulate(
         plant,
@@ -50,7 +51,7 @@ for row, (name, limiter) in enumerate(
         target,
         start,
         duration=4.0,
-        dt=1e-3,
+        dt=dt,
         computation=aj.simulation.Computation("semi_implicit_euler"),
     )
     speed = np.abs(run.v / arm.velocity_limits).max()

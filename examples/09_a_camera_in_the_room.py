@@ -60,7 +60,7 @@ run = aj.simulate(
     target,
     start,
     12.0,
-    dt=1e-3,
+    dt=2e-3,
     computation=aj.simulation.Computation("semi_implicit_euler"),
 )
 last = run.error[run.t > 11.0]

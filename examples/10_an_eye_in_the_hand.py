@@ -74,7 +74,7 @@ for row, (name, law) in enumerate(laws.items()):
         target,
         start,
         5.0,
-        dt=1e-3,
+        dt=2e-3,
         computation=aj.simulation.Computation("semi_implicit_euler"),
     )
     print(f"{name}: {run}")

@@ -34,8 +34,9 @@ plant = aj.Plant(truth, tracker, sensing=sensing, torque_limits=truth.effort_lim
 
 task = aj.PositionTask(belief)
 law = aj.SetpointController(task, gravity=aj.AdaptiveGravity(belief))
-limited = aj.TorqueLimited(law, aj.Limits.of(belief))
-kinematics = aj.AdaptiveKinematics(task, noise=1e-3, delay=0.02)
+dt = 2e-3
+limited = aj.TorqueLimited(law, aj.Limits.of(belief), dt=dt)
+kinematics = aj.AdaptiveKinematics(task, noise=1e-3, delay=0.02, dt=dt)
 controllers = {
     "believed Jacobian": limited,
     "learnt": PredictedMeasurement(limited, kinematics),
@@ -45,7 +46,7 @@ q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 x_d = tracker.value(q0) + [0.10, 0.10, 0.10]  # in the tracker's axes
 figure, axes = view.new_figure(3, title="A tracker turned by 120° that nobody registered")
 for ax, (name, controller) in zip(axes, controllers.items(), strict=False):
-    run = aj.simulate(plant, controller, x_d, q0, duration=4.0, dt=1e-3)
+    run = aj.simulate(plant, controller, x_d, q0, duration=4.0, dt=dt)
     left = 1e3 * run.error_norm[-1]
     print(f"{name}: {1e3 * run.error_norm[0]:.0f} mm -> {left:.2f} mm after 4 s")
     view.plot_error(run, ax, title=f"{name}: {left:.1f} mm left")

@@ -39,8 +39,9 @@ normal = np.array([0.0, 1.0, 0.0])  # towards the side to stay on
 point = target - np.array([0.0, -0.10, 0.0])  # the target is 10 cm behind it
 wall = Wall(point, normal, margin=0.12)  # what the tip may be elsewhere than believed
 
-alone = aj.TorqueLimited(law)
-limited = aj.TorqueLimited(law, [aj.Limits.of(belief), wall, CartesianSpeed(0.20)])
+dt = 2e-3
+alone = aj.TorqueLimited(law, dt=dt)
+limited = aj.TorqueLimited(law, [aj.Limits.of(belief), wall, CartesianSpeed(0.20)], dt=dt)
 
 figure, axes = view.new_figure(2, 2, title="A target behind a wall, with an unknown tool of 12 cm")
 for row, (name, controller) in enumerate({"alone": alone, "wall and speed": limited}.items()):
@@ -50,7 +51,7 @@ for row, (name, controller) in enumerate({"alone": alone, "wall and speed": limi
         target,
         start,
         duration=4.0,
-        dt=1e-3,
+        dt=dt,
         computation=aj.simulation.Computation("semi_implicit_euler"),
     )
     believed = np.array([task.value(q) for q in run.q])

@@ -37,11 +37,18 @@ def _server():
 
 def _serve():
     """Run what is asked for, and answer with its exit code."""
+    import cv2  # noqa: F401
+    import daqp  # noqa: F401
+    import llvmlite.binding  # noqa: F401
     import matplotlib.backends.backend_agg
+    import matplotlib.backends.backend_svg
     import matplotlib.pyplot  # noqa: F401
+    import meshcat  # noqa: F401
     import scipy.optimize  # noqa: F401
 
     import approxjac as aj
+    import approxjac.cli
+    import approxjac.view
     from approxjac.view.look import robot_look
 
     robot_look(aj.load_robot("panda"))  # simplifying its meshes takes a second and a half
