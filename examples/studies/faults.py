@@ -36,7 +36,7 @@ STARTS = {
     "panda": (0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7),
     "ur5": (0.3, -1.2, 1.6, -1.0, -1.4, 0.2),
 }
-LONGEST, FROZEN, SENSOR = 0.05, 0.15, 0.3  # until the brake [s]
+LONGEST, FROZEN, SENSOR = 0.06, 0.15, 0.35  # until the brake [s]
 FASTER, FAR = 0.5, 0.02  # joint speed more than before [rad/s], motion of the tip [m]
 
 # what breaks, of which group, and from the first moment where it is to be so
@@ -317,7 +317,7 @@ def plant_with(arm, mass, sensing=None):
     """The true arm in MuJoCo, with a tool of a mass."""
     robot = aj.load_robot(arm)
     truth = robot.with_object(TOOL, mass, axis="x")
-    # as much of it as a period of 1 ms can take on light wrists
+    # less on light wrists
     light = np.diag(aj.robots.Dynamics(truth).M(aj.Plant(truth).ready_configuration())) / DT
     dry = np.minimum(0.02 * robot.effort_limits, 0.5 * light * 0.05)
     friction = aj.robots.Friction(np.minimum(0.5, 0.3 * light), coulomb=dry)
