@@ -55,6 +55,7 @@ def _cache(tmp_path_factory: pytest.TempPathFactory) -> None:
 
 
 WHOLE = MachineCode.of
+FEW_STEPS = ("codegen", "controllers", "realtime")
 OPTIMISED = ("test_graph.py", "test_loops.py", "test_machine_code.py")
 
 
@@ -69,8 +70,8 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     Elsewhere it takes six times as long as it saves, also where many laws are compiled for some
     steps each; the bits are the same.
     """
-    is_page = item.path.suffix == ".md" or item.path.parent.name == "codegen"
-    is_study = item.get_closest_marker("study") is not None and not is_page
+    runs_little = item.path.suffix == ".md" or item.path.parent.name in FEW_STEPS
+    is_study = item.get_closest_marker("study") is not None and not runs_little
     optimised = item.path.name in OPTIMISED or is_study
     MachineCode.of = WHOLE if optimised else _quickly
 

@@ -73,7 +73,11 @@ STUDIES = {
 
 SOME = ("a plane, sine",)
 # learnt gravity within limits: "limits that keep the proof" has it, with limits that are fewer
-MARKS = {"limits of the URDF, and learnt gravity": pytest.mark.long}
+# and limits of the URDF those with a rate; known gravity: "given gains", "limits, known gravity"
+IN_OTHERS = (
+    "limits of the URDF, and learnt gravity", "limits of the URDF", "known gravity",
+)  # fmt: skip
+MARKS = dict.fromkeys(IN_OTHERS, pytest.mark.long)
 
 
 def require_agreement(ours, python, tolerance=1e-9):

@@ -140,13 +140,16 @@ STUDIES = {
     ),
 }
 BY_DEFAULT = ("all, (5)",)
-IN_ALL = ("late torque", "late x", "differences", "noise", "quanta", "frames", "dropouts")
+IN_OTHERS = (
+    "late torque", "late x", "differences", "noise", "quanta", "frames", "dropouts", "a circle",
+    "all, limits", "held", "held, balanced", "measured depth", "three points, a lens",
+)  # fmt: skip
 
 
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(k, marks=pytest.mark.long if k in IN_ALL else pytest.mark.study)
+        pytest.param(k, marks=pytest.mark.long if k in IN_OTHERS else pytest.mark.study)
         if k not in BY_DEFAULT
         else k
         for k in STUDIES

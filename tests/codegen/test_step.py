@@ -107,9 +107,16 @@ LAWS = {
 }
 
 
+ALIKE = ("ur5", "xarm7", "tiago_arm")  # mimic joints are among the kinds below
+
+
 @pytest.mark.study
 @pytest.mark.parametrize("name", LAWS)
-@pytest.mark.parametrize("arm", SEVERAL, indirect=True)
+@pytest.mark.parametrize(
+    "arm",
+    [pytest.param(a.id, marks=pytest.mark.long, id=a.id) if a.id in ALIKE else a for a in SEVERAL],
+    indirect=True,
+)
 def test_on_every_arm_it_is_the_same_law(arm, name, rng, asked):
     task = aj.PositionTask(arm)
     plain, ours = pair(task, **LAWS[name](task))

@@ -165,7 +165,8 @@ def law_of(kind):
 
 
 SOME = ("in the plane",)
-MARKS = dict.fromkeys(("camera known", "tool"), pytest.mark.long)  # the others have their parts
+# the others have their parts
+MARKS = dict.fromkeys(("camera known", "tool", "continuous joints"), pytest.mark.long)
 KINDS = (
     "camera turned", "tool", "camera known", "five rows", "continuous joints",
     "in the plane", "mimic joints",

@@ -341,21 +341,20 @@ def test_every_fault_brakes_every_arm(arm, kind):
 @pytest.mark.parametrize(
     ("arm", "kind", "seed", "names"),
     [
-        ("panda", "a motor without power", 7, {"MOTOR_WEAK"}),
-        ("panda", "a motor reversed", 7, {"MOTOR_WEAK"}),
         ("ur10", "a motor reversed", 8, {"MOTOR_WEAK"}),  # seed 7: PUSHED after 16 ms, 1 mm
-        pytest.param("panda", "a wrist rings", 7, {"OSCILLATES"}, marks=pytest.mark.long),
-        # seed 7: PUSHED, as friction turns round while the arm sinks
-        ("kinova", "payload of 1.5 kg grasped", 8, {"TOOL_CHANGED"}),
-        ("z1", "a motor without power", 7, {"MOTOR_WEAK"}),
         ("baxter_left_arm", "a motor without power", 7, {"MOTOR_WEAK"}),
         ("z1", "payload of 1.5 kg grasped", 7, {"TOOL_CHANGED"}),
-        pytest.param(
-            "xarm7",
-            "x drifts by 2 cm/s",
-            7,
-            {"NOT_EXPLAINED", "SENSOR_DISAGREES"},
-            marks=pytest.mark.long,
+        *(
+            pytest.param(*case, marks=pytest.mark.long)
+            for case in (
+                ("panda", "a motor without power", 7, {"MOTOR_WEAK"}),
+                ("panda", "a motor reversed", 7, {"MOTOR_WEAK"}),
+                ("panda", "a wrist rings", 7, {"OSCILLATES"}),
+                # seed 7: PUSHED, as friction turns round while the arm sinks
+                ("kinova", "payload of 1.5 kg grasped", 8, {"TOOL_CHANGED"}),
+                ("z1", "a motor without power", 7, {"MOTOR_WEAK"}),
+                ("xarm7", "x drifts by 2 cm/s", 7, {"NOT_EXPLAINED", "SENSOR_DISAGREES"}),
+            )
         ),
     ],
 )
