@@ -133,7 +133,7 @@ def test_type_checkers_know_the_names(tmp_path):
     path.write_text(textwrap.dedent(PROGRAM), encoding="utf-8")
     config = Path(__file__).parents[1] / "pyproject.toml"
     process = subprocess.run(
-        [sys.executable, "-m", "mypy", "--strict", f"--config-file={config}", str(path)],
+        [sys.executable, "-m", "mypy", f"--config-file={config}", str(path)],  # which is strict
         capture_output=True,
         text=True,
         check=False,

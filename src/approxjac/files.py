@@ -76,7 +76,9 @@ def refusing(
     try:
         yield
     except kinds as error:
-        raise InvalidInputError(f"{wanted}, got {given}: {reason(error)}", given=given) from error
+        file = str(getattr(error, "filename", None) or given)  # of several in a folder
+        named = given if file == str(given) else f"{given}: {file}"
+        raise InvalidInputError(f"{wanted}, got {named}: {reason(error)}", given=given) from error
 
 
 def reason(error: Exception) -> str:
