@@ -49,7 +49,7 @@ controller = aj.SetpointController(
     aj.default_gains(task, settling_time=1.0, bandwidth=200.0),
     gravity=aj.AdaptiveGravity(belief),
 )
-run = aj.simulate(plant, controller, target, start, duration=7.0, dt=1e-3, seed=1)
+run = aj.simulate(plant, controller, target, start, duration=5.0, dt=1e-3, seed=1)
 position, turn = run.error[:, :3], run.error[:, 3:]
 print(run)
 print(

@@ -46,7 +46,7 @@ goal = plant.sensor.value(start) + [0.10, -0.15, 0.16]
 
 # yours: FrankaDriver(...), or a class of three methods, and the default period
 driver = SimulatedDriver(plant, start, pace=math.inf)
-run = aj.control(driver, controller, goal, duration=5.0, tolerances=tolerances)
+run = aj.control(driver, controller, goal, duration=3.0, tolerances=tolerances)
 print(run)
 
 
@@ -65,7 +65,7 @@ class Frozen(SimulatedDriver):
 
 
 stuck = Frozen(plant, start, pace=math.inf)
-broken = aj.control(stuck, controller, goal, duration=5.0, tolerances=tolerances)
+broken = aj.control(stuck, controller, goal, duration=3.0, tolerances=tolerances)
 print(f"\nencoder frozen at 0.6 s: {broken.ended}")
 
 figure, (left, middle, right) = view.new_figure(3, title="A Panda in the loop of a robot")

@@ -30,7 +30,7 @@ shifts = dict(zip(belief.joint_names, ways.tolist(), strict=True))
 truth = belief.with_object(length=0.15, mass=0.3, axis="x").with_kinematic_error(shifts)
 plant = aj.Plant(truth, sensing=aj.Sensing(x_noise=1e-3, x_rate=60.0, x_delay=0.03))
 
-task, dt = aj.PositionTask(belief), 2e-3  # s
+task, dt = aj.PositionTask(belief), 4e-3  # s
 kinematics = aj.AdaptiveKinematics(task, unknown=("tool", "origins"), noise=1e-3, delay=0.03, dt=dt)
 controller = aj.TrackingController(task, kinematics=kinematics, dt=dt)
 q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])

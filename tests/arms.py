@@ -17,10 +17,10 @@ def among(*names):
 
 
 ARMS = among(*sorted(NAMED))
-# for tests that take a second on each: two more, on which nothing was tuned; the others are `long`
+# for tests that take a second on each: one more, on which nothing was tuned; the others are `long`
 SEVERAL = [
     arm
-    if arm.id in (*REPRESENTATIVE, "so100", "xarm7")
+    if arm.id in (*REPRESENTATIVE, "so100")
     else pytest.param(arm.id, marks=(pytest.mark.every_arm, pytest.mark.long), id=arm.id)
     for arm in ARMS
 ]

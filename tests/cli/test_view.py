@@ -105,7 +105,7 @@ def test_the_same_file_is_simulated_analysed_and_shown(name, certified, tmp_path
     file = Path(__file__).parents[2] / "examples" / "scenarios" / f"{name}.toml"
     folders = ran, analysed, shown = [tmp_path / each for each in ("ran", "analysed", "shown")]
     assert main(["simulate", str(file), "--out", str(ran)]) == 0
-    quick = ["--configurations", "8", "--runs", "0", "--map-points", "0"]
+    quick = ["--configurations", "20", "--runs", "0", "--map-points", "0"]
     assert main(["stability", str(file), *quick, "--out", str(analysed)]) == (not certified)
     process = subprocess.Popen(
         [sys.executable, "-u", "-m", "approxjac", "simulate", str(file), "--view", "--speed", "10",

@@ -107,7 +107,7 @@ LAWS = {
 }
 
 
-ALIKE = ("ur5", "xarm7", "tiago_arm")  # mimic joints are among the kinds below
+ALIKE = ("ur5", "tiago_arm")  # mimic joints are among the kinds below
 
 
 @pytest.mark.study
