@@ -44,7 +44,7 @@ def test_speeds_and_positions_are_kept_while_what_is_learnt_is_wrong(robot, monk
             robot,
             settling_time,
             marks=pytest.mark.study
-            if settling_time == FASTEST and robot in ("panda", "xarm7")
+            if settling_time == FASTEST and robot == "panda"
             else pytest.mark.long,
         )
         for robot in study.ROBOTS
