@@ -153,7 +153,7 @@ def follow(case, plant, limited, state, measurement, goal, far):
             speed, beyond = max(speed, ratio), max(beyond, excess)
         if not broken and (ratio > FASTEST or excess > FURTHEST):
             broken = answer.limit_status.name
-        q, v = plant.advance(q, v, answer.torque, DT, rk4)
+        q, v, _ = plant.advance(q, v, answer.torque, DT, rk4)
         measurement = plant.measure((k + 1) * DT, q, v)
     error = float(np.linalg.norm(measurement.x - goal))
     return Outcome(case, far, counts, float(speed), float(beyond), first, broken, error)

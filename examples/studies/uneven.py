@@ -71,7 +71,7 @@ def run(controller, plant, target, q, v, latency, steps, rng):
         records.append((start, q, v, plant.sensor.error(x, target)))
         pieces = max(1, int(np.ceil(2.0 * (end - start) / h - TINY)))
         for _ in range(pieces):
-            q, v = plant.advance(q, v, tau, (end - start) / pieces, rk4)
+            q, v, _ = plant.advance(q, v, tau, (end - start) / pieces, rk4)
     return Run(*map(np.array, zip(*records, strict=True)))
 
 
