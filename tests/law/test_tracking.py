@@ -135,9 +135,8 @@ def test_v2_falls_by_what_the_gain_dissipates(rng):
     M_dot = rng.normal(size=(n, n))
     M_dot = M_dot + M_dot.T
     C = 0.5 * (M_dot + skew - skew.T)
-    torque = law.tracking_torque(
-        -Y @ a_error, kappa, M_hat @ sigma
-    )  # Y_d(â − a), less the motion's
+    # Y_d(â − a), less the motion's
+    torque = law.tracking_torque(-Y @ a_error, kappa * M_hat @ sigma)
     sigma_dot = np.linalg.solve(M, torque - C @ sigma)
     a_rate = law.dynamics_rate(gamma, Y.T @ sigma)
 

@@ -16,7 +16,7 @@ from approxjac.controllers.gains.sample_configurations import usual_inertias
 from approxjac.robots import Dynamics, Robot
 from approxjac.robots.dynamics import DynamicsRegressor
 from approxjac.robots.traced import arm_of
-from approxjac.validation import Array, Immutable, as_diagonal, as_number, require
+from approxjac.validation import Array, Immutable, as_diagonal, as_limits, as_number, require
 
 _MASS = 0.03  # share of the arm's mass that a link's may be wrong by
 _LENGTH = 0.2  # share of the reach: how far from its place
@@ -63,6 +63,7 @@ class MotionDynamics(Immutable, ABC):
         self._weightless = pin.Model(self._model)
         self._weightless.gravity.linear = np.zeros(3)
         self._still = np.zeros(robot.nv)
+        self._dynamics = Dynamics(robot)
 
     def initial_state(self) -> Array:
         """Return the state before the first step, shape (n_state,); by default none."""
@@ -89,6 +90,10 @@ class MotionDynamics(Immutable, ABC):
             return np.asanyarray(arm.momentum(v) + self.rotor_inertia * v)
         p = pin.rnea(self._weightless, self._data, q, self._still, v)
         return np.asarray(p + self.rotor_inertia * v)
+
+    def inertia(self, q: Array) -> Array:
+        """Return M̂(q) of the believed arm with its rotors, without learning, (n_v, n_v)."""
+        return self._dynamics.M(q) + np.diag(self.rotor_inertia)
 
     def gain_inertia(self, room: float) -> Array:
         """Return inertias F (n_v,) to add to M̂ in the gain κM̂, with λ_max(M̂⁻¹(M̂ + F)) <= room.
@@ -153,6 +158,8 @@ class AdaptiveDynamics(MotionDynamics):
         rotor_inertia: As for `MotionDynamics`. If given, they are in the law's gain matrix.
         fastest: Largest learning rate of each parameter at usual configurations > 0 [1/s]. A
             `TrackingController` that makes its own dynamics uses twice its κ.
+        most_damping: B, the largest K_σ of each joint, (n_v,) [N m s/rad or N s/m], where the law
+            has one: learning is slower by as much as the joints are softer.
 
     Attributes:
         regressor: The `DynamicsRegressor`.
@@ -170,6 +177,7 @@ class AdaptiveDynamics(MotionDynamics):
         *,
         rotor_inertia: float | Sequence[float] | Array = 0.0,
         fastest: float = 120.0,
+        most_damping: Sequence[float] | Array | None = None,
     ) -> None:
         super().__init__(robot, rotor_inertia=rotor_inertia)
         self.regressor = DynamicsRegressor(robot)
@@ -178,6 +186,9 @@ class AdaptiveDynamics(MotionDynamics):
         self.sd = plausible_errors(self.regressor)
         self.fastest = as_number("fastest", fastest, unit="1/s", above=0.0)
         motions, gamma = usual_motions(self.regressor), _GAIN * self.sd**2
+        if most_damping is not None:
+            soft = as_limits("most_damping", most_damping, robot.nv, unit="N m s/rad or N s/m")
+            motions = [(Y_d, _softened(each, 0.5 * fastest / soft)) for Y_d, each in motions]
         self.gain, rates = np.full(self.n_state, _GAIN), squared_rates(motions, gamma)
         # tr(Y_d Γ Y_dᵀ)/tr M of links: the mean of joints by their inertia, so that wrists hardly
         # count
@@ -221,6 +232,12 @@ class AdaptiveDynamics(MotionDynamics):
 
     def __repr__(self) -> str:
         return f"AdaptiveDynamics({self.robot.name!r}: {self.n_state} parameters)"
+
+
+def _softened(M_inv: Array, softness: Array) -> Array:
+    """Return κ²K⁻¹MK⁻¹ of K⁻¹ = (κM)⁻¹ + B⁻¹, M⁻¹ where B is infinite; `softness` is κ/B (n_v,)."""
+    root = M_inv + np.diag(softness)
+    return np.asarray(root @ np.linalg.solve(M_inv, root))
 
 
 def plausible_errors(regressor: DynamicsRegressor) -> Array:

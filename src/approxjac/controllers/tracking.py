@@ -25,6 +25,8 @@ from approxjac.controllers.arguments import (
     with_rates,
 )
 from approxjac.controllers.controller import Controller
+from approxjac.controllers.gains.gains import Latency
+from approxjac.controllers.gains.motors import largest_inertia, motor_damping
 from approxjac.controllers.learning.estimator import Kinematics
 from approxjac.controllers.learning.learnt_camera import AdaptiveCamera
 from approxjac.controllers.learning.positions import AdaptiveKinematics
@@ -34,7 +36,7 @@ from approxjac.controllers.pseudoinverse import singular_ratio
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import spaced
 from approxjac.interface import Evaluation, Measurement, Status, Target
-from approxjac.robots import Dynamics, Robot
+from approxjac.robots import Drives, Dynamics, Robot
 from approxjac.robots.traced import positions_at
 from approxjac.tasks import ImageTask, PoseTask, PositionTask, StackedTask, Task
 from approxjac.tasks.analysis import (
@@ -55,7 +57,7 @@ from approxjac.validation import (
 
 _OK, _SINGULAR = Status.OK, Status.NEAR_SINGULAR  # members of an enum are slow to look up
 _PREDICTED, _UNPREDICTED, _LOST = Status.PREDICTED, Status.NOT_PREDICTED, Status.MEASUREMENT_LOST
-_KAPPA = 60.0  # [1/s]
+_ALPHA, _KAPPA = 4.0, 60.0  # [1/s]
 _STEADY = 0.25  # κ dt at most
 _ROOM = 0.5  # κ dt λ_max(M⁻¹M̂) at most
 _QUICK = 2.0  # times κ, how fast a parameter may learn
@@ -68,6 +70,7 @@ _WHOLE = 0.999  # of a turn
 _APPROACH = 5.0  # κ of `law.speed_bounds` [1/s]
 _LAG_GAIN = 1.0  # of what learns the lag
 _LONGEST_LAG = 0.1  # [s]
+_RIGID = 1e9  # damping that is no bound [N m s/rad]
 _SOONEST = 0.1  # that a joint gets to its full speed in [s]
 
 
@@ -76,18 +79,20 @@ class TrackingGains:
     """Gains of a `TrackingController`, as rates.
 
     Attributes:
-        alpha: α, rate at which small errors decay > 0 [1/s].
+        alpha: α, rate at which small errors decay > 0 [1/s]. By default 4, or less where motors
+            with a lag do not allow its damping αM̂.
         kappa: κ, rate at which the joints follow their reference > 0 [1/s]. By default 60, or
             0.25/dt if that is less.
         self_motion: k_n, rate of the self-motion [1/s].
     """
 
-    alpha: float = 4.0
+    alpha: float | None = None
     kappa: float | None = None
     self_motion: float = 1.0
 
     def __post_init__(self) -> None:
-        as_number("alpha", self.alpha, unit="1/s", above=0.0)
+        if self.alpha is not None:
+            as_number("alpha", self.alpha, unit="1/s", above=0.0)
         if self.kappa is not None:
             as_number("kappa", self.kappa, unit="1/s", above=0.0)
         as_number("self_motion", self.self_motion, unit="1/s", minimum=0.0)
@@ -126,6 +131,10 @@ class TrackingController(Immutable, Controller):
         command: "torque", or "velocity" for a robot that takes joint velocities: then the command
             is q̇_r, advanced by the servo's lag, which is learnt in place of the dynamics, and
             within the URDF's limits of speed and position.
+        latency: Lag of the joints' loop, from q̇ to torque. Without it, and without drives, joints
+            are taken as rigid and the loop as ideal: elastic ones may diverge.
+        drives: Rotors and gears of the joints, as far as they are known; with a latency alone
+            rotors that geared arms have at least. `Drives()` says that there are none.
 
     Raises:
         InvalidInputError: Numbers out of range or of the wrong shape, kinematics or dynamics of
@@ -146,6 +155,8 @@ class TrackingController(Immutable, Controller):
         dt: float = 1e-3,
         gains: TrackingGains | None = None,
         command: Literal["torque", "velocity"] = "torque",
+        latency: Latency | None = None,
+        drives: Drives | None = None,
     ) -> None:
         require_controllable(task)
         robot = task.robot
@@ -154,10 +165,28 @@ class TrackingController(Immutable, Controller):
         self.kinematics = _usual_kinematics(task, dt) if kinematics is None else kinematics
         gains = TrackingGains() if gains is None else gains
         require("gains", gains, TrackingGains, "TrackingGains(...) or None")
-        usual = min(_KAPPA, _STEADY / self.dt)
-        self.alpha, self.kappa = float(gains.alpha), usual if gains.kappa is None else gains.kappa
+        usual, self._most = min(_KAPPA, _STEADY / self.dt), np.full(robot.nv, np.inf)
+        alpha = _ALPHA if gains.alpha is None else gains.alpha
+        if drives is not None:
+            drives = require("drives", drives, Drives, "Drives(...) or None").of(robot)
+        if latency is not None or drives is not None:
+            lag = Latency(dt) if latency is None else latency
+            require("latency", lag, Latency, "Latency(...) or None")
+            # a motor feels K_σ and, by q̈_r, αM̂
+            most, inertia = motor_damping(robot, lag, drives), largest_inertia(robot)
+            if gains.alpha is None:
+                alpha = min(alpha, 0.5 * float(np.min(most / inertia)))
+            self._most = np.maximum(most - alpha * inertia, 0.25 * most)
+            if not np.isfinite(self._most).all():  # the lag is felt at the links
+                usual = min(usual, 0.5 / lag.of_velocity)
+        self.alpha, self.kappa = float(alpha), usual if gains.kappa is None else gains.kappa
         if dynamics is None:
-            dynamics = AdaptiveDynamics(robot, fastest=_QUICK * self.kappa)
+            dynamics = AdaptiveDynamics(
+                robot,
+                rotor_inertia=0.0 if drives is None else drives.rotor_inertia,
+                fastest=_QUICK * self.kappa,
+                most_damping=self._most,
+            )
         self.dynamics = dynamics
         self._require_parts()
         fast = _usual_speeds(task) if speed is None else speed
@@ -176,7 +205,9 @@ class TrackingController(Immutable, Controller):
             self.parameters = {"lag of the servo": "s"} | {**self.kinematics.parameters}
         else:
             self.parameters = {**self.dynamics.parameters, **self.kinematics.parameters}
-            self._added = self.dynamics.gain_inertia(max(1.0, _ROOM / (self.kappa * self.dt)))
+            if drives is None:
+                room = max(1.0, _ROOM / (self.kappa * self.dt))
+                self._added = self.dynamics.gain_inertia(room)
             self.resting = self.dynamics.n_state
         self._end = self.resting + self.kinematics.n_state
         self.n_state = self._end + (0 if self._commands is None else robot.nv)
@@ -188,6 +219,7 @@ class TrackingController(Immutable, Controller):
             singular_ratio(task, most), vanishing(task),
         )  # fmt: skip
         self._continuous = robot.nq != robot.nv
+        self._is_bounded = command == "torque" and bool(np.isfinite(self._most).any())
 
     def _require_parts(self) -> None:
         """Refuse kinematics or dynamics that are none, or of another robot."""
@@ -284,8 +316,11 @@ class TrackingController(Immutable, Controller):
         a_hat, motion, g = self.dynamics.step(state[:p], q, v, v_r, a_r, learns, dt)
         after[:p] = a_hat
         sigma = v - v_r
-        M_sigma = self.dynamics.momentum(q, sigma) + self._added * sigma
-        torque = law.tracking_torque(motion, self.kappa, M_sigma)
+        damped = self.kappa * (self.dynamics.momentum(q, sigma) + self._added * sigma)
+        if self._is_bounded:
+            A = self.kappa * (self.dynamics.inertia(q) + np.diag(self._added))
+            damped = law.bounded_damping(A, damped, np.minimum(self._most, _RIGID))
+        torque = law.tracking_torque(motion, damped)
         return after, Evaluation(torque, None, status, e, J_hat, g, reference=v_r)
 
     def _reference(

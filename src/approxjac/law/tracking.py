@@ -159,9 +159,24 @@ def within_speeds(velocity: Array, acceleration: Array, fastest: Array) -> tuple
     return choose(share > 1.0, lambda: slow, lambda: (velocity, acceleration))
 
 
-def tracking_torque(feedforward: Array, kappa: float, M_hat_sigma: Array) -> Array:
-    """Return τ = Y_d(q, q̇, q̇_r, q̈_r) â − κ M̂σ, with σ = q̇ − q̇_r and both terms given."""
-    return feedforward - kappa * M_hat_sigma
+def tracking_torque(feedforward: Array, K_sigma: Array) -> Array:
+    """Return τ = Y_d(q, q̇, q̇_r, q̈_r) â − K_σσ, with σ = q̇ − q̇_r and both terms given.
+
+    V̇₂ = −σᵀK_σσ for each K_σ with a positive definite symmetric part, whatever it depends on: it
+    is not in V₂.
+    """
+    return feedforward - K_sigma
+
+
+def bounded_damping(A: Array, A_sigma: Array, most: Array) -> Array:
+    """Return K_σσ with K_σ = (A⁻¹ + B⁻¹)⁻¹ = B(A + B)⁻¹A, which is ≤ A and ≤ B = diag(most).
+
+    Args:
+        A: Symmetric and positive definite, (n_v, n_v).
+        A_sigma: Aσ, (n_v,).
+        most: Largest damping of each joint > 0, (n_v,).
+    """
+    return most * np.linalg.solve(A + np.diag(most), A_sigma)
 
 
 def dynamics_rate(gamma: Array, Y_d_sigma: Array) -> Array:

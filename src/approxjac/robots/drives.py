@@ -19,10 +19,15 @@ _DRAWN = 50  # configurations, for a joint's usual inertia and load
 _MOTOR_SHARE = 2.0  # effort of a motor in its largest load, where a URDF has none
 
 
-def usual_inertia(robot: Robot) -> Array:
-    """Return 1/mean (M⁻¹)_ii over random configurations, shape (n_v,) [kg m² or kg]."""
+def usual_inertia(robot: Robot, *, held: bool = False) -> Array:
+    """Return 1/mean (M⁻¹)_ii over random configurations, shape (n_v,) [kg m² or kg].
+
+    With `held` the other joints stand: mean M_ii.
+    """
     dynamics, rng = Dynamics(robot), np.random.default_rng(0)
     drawn = (robot.random_configuration(rng) for _ in range(_DRAWN))
+    if held:
+        return np.asarray(np.mean([np.diag(dynamics.M(q)) for q in drawn], axis=0))
     return np.asarray(1.0 / np.mean([np.diag(dynamics.M_inv(q)) for q in drawn], axis=0))
 
 
@@ -119,7 +124,8 @@ class Drives:
         rotor_inertia: J ≥ 0, motor times gear ratio², a number or shape (n_v,) [kg m² or kg].
         stiffness: K > 0, infinite for a rigid joint, a number or (n_v,) [N m/rad or N/m]. An
             elastic joint needs J > 0.
-        damping_ratio: Damping ratio ≥ 0 of motor against link, which gives D.
+        damping_ratio: Damping ratio ≥ 0 of motor against link while the other joints stand, which
+            gives D.
         backlash: Half of the play of the gear, a number or (n_v,) [rad or m]; elastic joints only.
         ripple: Largest torque ripple, a number or (n_v,) [N m or N], a sine of θ.
         ripple_count: Its periods in a rad or m, > 0.

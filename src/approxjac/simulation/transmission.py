@@ -62,7 +62,7 @@ class Transmission:
     @cached_property
     def damping(self) -> Array:
         """D, shape (n_v,) [N m s/rad or N s/m]."""
-        return self.drives.damping(self._usual)
+        return self.drives.damping(usual_inertia(self._robot, held=True))
 
     def at_rest(self, carried: Array) -> Motors:
         """Return the motors of an arm at rest whose gears carry some torques (n_v,)."""

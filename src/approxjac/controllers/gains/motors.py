@@ -1,0 +1,71 @@
+"""Damping that a motor behind an elastic gear allows: above it the loop's lag makes it swing.
+
+Measured at the motor, a joint of any link and spring answers torque as a positive real P(s), which
+no damping k > 0 makes unstable without lag. Above its resonance P is 1/(Js), and there a lag of a
+few milliseconds turns k > cJ into a divergence.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from approxjac.controllers.gains.gains import Latency
+from approxjac.controllers.gains.sample_configurations import usual_inertias
+from approxjac.robots import Drives, Robot
+from approxjac.validation import Array
+
+_MARGIN = 0.75  # share of the largest damping
+_SHARE = 0.015  # of the arm's largest inertia, which any rotor has
+_PER_EFFORT = 1e-3  # rotor inertia over effort that any drive has [s²]
+_LEAST = 0.05  # [kg m²]
+_POINTS = 4000
+
+
+def largest_rate(latency: Latency, damping_ratio: float = 0.05) -> float:
+    """Return c [1/s]: a joint whose rotor is J is stable with each damping k ≤ cJ at its motor.
+
+    The loop k P(s) exp(−sT_d)/(1 + sT_f), T_d the torques' delay and half a period, T_f the filter
+    of q̇, lags by φ(ω) = ωT_d + atan ωT_f. Where φ < π/2 no P(iω) leads to −1; beyond, a resonance
+    of damping ratio ζ is a circle of diameter 1/(2ζJω), the rotor's tail 1/(Jω):
+
+        c = min(ω₉₀√(1 + ω₉₀²T_f²), min over φ > π/2 of 2ζω√(1 + ω²T_f²)/|cos φ|).
+    """
+    delay, filtered = latency.torque_delay + 0.5 * latency.period, latency.velocity_filter
+    if filtered > 0.0:  # of differences, which are the rate of half a period ago
+        delay += 0.5 * latency.period
+    # φ from π/2 to 3π/2, beyond which both terms only grow
+    ends = [0.0, 1.5 * math.pi / delay]
+    phase = np.linspace(0.5 * math.pi, 1.5 * math.pi, _POINTS)[:-1]
+    low, high = np.full(len(phase), ends[0]), np.full(len(phase), ends[1])
+    for _ in range(60):  # ω of each φ, which grows with it
+        omega = 0.5 * (low + high)
+        beyond = omega * delay + np.arctan(omega * filtered) > phase
+        low, high = np.where(beyond, low, omega), np.where(beyond, omega, high)
+    size = omega * np.sqrt(1.0 + (omega * filtered) ** 2)
+    swings = 2.0 * damping_ratio * size[1:] / np.abs(np.cos(phase[1:]))
+    return float(min(size[0], swings.min()))
+
+
+def least_rotors(robot: Robot) -> Array:
+    """Return rotor inertias that a geared arm's joints have at least, (n_v,) [kg m² or kg]."""
+    usual = max(_LEAST, _SHARE * float(largest_inertia(robot).max()))
+    return np.minimum(_PER_EFFORT * robot.effort_limits, usual)
+
+
+def largest_inertia(robot: Robot) -> Array:
+    """Return the largest M̂_ii of usual configurations, shape (n_v,) [kg m² or kg]."""
+    return np.asarray(usual_inertias(robot).diagonal(axis1=1, axis2=2).max(axis=0))
+
+
+def motor_damping(robot: Robot, latency: Latency, drives: Drives | None) -> Array:
+    """Return the damping that each motor may have, ¾ cJ, shape (n_v,) [N m s/rad or N s/m].
+
+    Rotors are those of `drives`, else `least_rotors`; infinite of rigid joints without a rotor.
+    """
+    if drives is None:
+        return _MARGIN * largest_rate(latency) * least_rotors(robot)
+    known = drives.of(robot)
+    J = np.asarray(known.rotor_inertia)
+    return np.where(J > 0.0, _MARGIN * largest_rate(latency, known.damping_ratio) * J, np.inf)
