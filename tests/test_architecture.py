@@ -21,7 +21,7 @@ ALLOWED = {
     "validation": {"errors", "formatting"},
     "interface": {"errors", "formatting", "tasks", "validation"},
     "paths": {"errors", "formatting", "interface", "validation"},
-    "robots": {"errors", "files", "validation"},
+    "robots": {"errors", "files", "formatting", "validation"},
     "law": {"errors", "validation"},
     "codegen": {
         "__init__", "cameras", "controllers", "errors", "files", "formatting",

@@ -386,7 +386,7 @@ def test_a_configuration_off_the_circle_is_refused():
 def test_a_sensor_of_another_robot_is_refused(two_link, panda):
     with pytest.raises(aj.InvalidInputError, match="sensor must be a task of the plant's own rob"):
         aj.Plant(two_link, aj.PositionTask(panda))
-    with pytest.raises(aj.InvalidInputError, match=r"viscous must be >= 0 in every entry \[N m s"):
+    with pytest.raises(aj.InvalidInputError, match=r"friction must be >= 0 in every entry \[N m s"):
         aj.Plant(panda, aj.PositionTask(panda), friction=-1.0)
 
 

@@ -165,21 +165,9 @@ class TrackingController(Immutable, Controller):
         self.kinematics = _usual_kinematics(task, dt) if kinematics is None else kinematics
         gains = TrackingGains() if gains is None else gains
         require("gains", gains, TrackingGains, "TrackingGains(...) or None")
-        usual, self._most = min(_KAPPA, _STEADY / self.dt), np.full(robot.nv, np.inf)
-        alpha = _ALPHA if gains.alpha is None else gains.alpha
         if drives is not None:
             drives = require("drives", drives, Drives, "Drives(...) or None").of(robot)
-        if latency is not None or drives is not None:
-            lag = Latency(dt) if latency is None else latency
-            require("latency", lag, Latency, "Latency(...) or None")
-            # a motor feels K_σ and, by q̈_r, αM̂
-            most, inertia = motor_damping(robot, lag, drives), largest_inertia(robot)
-            if gains.alpha is None:
-                alpha = min(alpha, 0.5 * float(np.min(most / inertia)))
-            self._most = np.maximum(most - alpha * inertia, 0.25 * most)
-            if not np.isfinite(self._most).all():  # the lag is felt at the links
-                usual = min(usual, 0.5 / lag.of_velocity)
-        self.alpha, self.kappa = float(alpha), usual if gains.kappa is None else gains.kappa
+        self._most = self._set_rates(gains, latency, drives)
         if dynamics is None:
             dynamics = AdaptiveDynamics(
                 robot,
@@ -220,6 +208,27 @@ class TrackingController(Immutable, Controller):
         )  # fmt: skip
         self._continuous = robot.nq != robot.nv
         self._is_bounded = command == "torque" and bool(np.isfinite(self._most).any())
+
+    def _set_rates(
+        self, gains: TrackingGains, latency: Latency | None, drives: Drives | None
+    ) -> Array:
+        """Set α and κ, and return the largest K_σ of each joint, (n_v,)."""
+        robot, kappa = self.task.robot, min(_KAPPA, _STEADY / self.dt)
+        alpha = _ALPHA if gains.alpha is None else gains.alpha
+        damping = np.full(robot.nv, np.inf)
+        if latency is not None or drives is not None:
+            lag = Latency(self.dt) if latency is None else latency
+            require("latency", lag, Latency, "Latency(...) or None")
+            # a motor feels K_σ and, by q̈_r, αM̂
+            most, inertia = motor_damping(robot, lag, drives), largest_inertia(robot)
+            if gains.alpha is None:
+                alpha = min(alpha, 0.5 * float(np.min(most / inertia)))
+            damping = np.maximum(most - alpha * inertia, 0.25 * most)
+            if not np.isfinite(damping).all():  # the lag is felt at the links
+                kappa = min(kappa, 0.5 / lag.of_velocity)
+        self.alpha = float(alpha)
+        self.kappa = kappa if gains.kappa is None else gains.kappa
+        return damping
 
     def _require_parts(self) -> None:
         """Refuse kinematics or dynamics that are none, or of another robot."""
@@ -396,6 +405,11 @@ class TrackingController(Immutable, Controller):
         kinds = [spaced(type(part).__name__) for part in (self.kinematics, self.dynamics)]
         parts = " and ".join(kinds).replace("adaptive", "learnt").replace("model", "known")
         first = f"tracking law, alpha {self.alpha:.4g}, kappa {self.kappa:.4g}; {parts}"
+        most = ", ".join(f"{each:.3g}" for each in self._most)
+        joints = "rigid joints and no lag taken for granted (latency=, drives=)"
+        if self._is_bounded:
+            joints = f"damping at most {most} N m s/rad, for motors behind elastic gears"
+        first += f"; {joints}" if self.command == "torque" else ""
         return [first, super().describe()[1]]
 
     def __repr__(self) -> str:

@@ -257,6 +257,8 @@ def _law(
             dynamics=None if chosen.gravity == "learnt" else controllers.ModelDynamics(task.robot),
             dt=sampling_time(scenario),
             command=chosen.command,
+            # with joints that give way it has to know its lag
+            latency=None if scenario.true.drives == "ideal" else latency,
         )
     posture: controllers.Posture | controllers.AwayFromStops | None = None
     if chosen.posture_stiffness:

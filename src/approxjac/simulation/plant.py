@@ -26,6 +26,7 @@ from approxjac.tasks.analysis import sees
 from approxjac.validation import (
     Array,
     Immutable,
+    as_diagonal,
     as_limits,
     as_number,
     as_vector,
@@ -268,7 +269,10 @@ class Plant(Immutable):
             lost_entries(sensing, sensor)
         nv = robot.nv
         self.robot, self.sensor, self.servo, self.sensing = robot, sensor, servo, sensing
-        rubs = (friction if isinstance(friction, Friction) else Friction(friction)).of(nv)
+        if not isinstance(friction, Friction):
+            unit = "N m s/rad"
+            friction = Friction(as_diagonal("friction", friction, nv, unit=unit, positive=False))
+        rubs = friction.of(nv)
         self.friction, self.coulomb = np.asarray(rubs.viscous), np.asarray(rubs.coulomb)
         self.transmission = Transmission(robot, rubs, drives_of(drives).of(robot))
         self.drives = self.transmission.drives

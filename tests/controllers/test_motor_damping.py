@@ -1,0 +1,184 @@
+"""Damping that motors behind elastic gears allow, and the tracking law that keeps it."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import approxjac as aj
+from approxjac import law
+from approxjac.codegen.step import compiled
+from approxjac.controllers import KnownKinematics, TrackingGains
+from approxjac.controllers.gains.motors import largest_rate, least_rotors, motor_damping
+from approxjac.robots import Drives
+from approxjac.simulation import Computation
+
+LATE = aj.Latency(
+    1e-3, torque_delay=1e-3, velocity_filter=5e-3, image_period=1 / 60, image_age=0.03
+)
+
+
+@pytest.fixture(scope="module")
+def task(panda):
+    return aj.PositionTask(panda.with_object(0.0))
+
+
+# -- the rate c ----------------------------------------------------------------------------------
+
+
+def largest_stable(J, M, K, damping_ratio, delay, filtered):
+    """The smallest k at which k P(iω) exp(−iωT_d)/(1 + iωT_f) passes through −1, by a fine grid."""
+    reduced = J * M / (J + M)
+    D, resonance = 2.0 * damping_ratio * np.sqrt(K * reduced), np.sqrt(K / reduced)
+    omega = np.unique(np.concatenate([
+        np.geomspace(1.0, 20.0 / delay, 20000),
+        resonance * np.linspace(0.7, 1.3, 20000),  # a resonance is narrow
+    ]))  # fmt: skip
+    s = 1j * omega
+    P = (M * s**2 + D * s + K) / (s * (M * J * s**2 + (M + J) * (D * s + K)))
+    loop = P * np.exp(-s * delay) / (1.0 + s * filtered)
+    crosses = (loop.imag[:-1] * loop.imag[1:] < 0.0) & (loop.real[:-1] < 0.0)
+    return 1.0 / np.abs(loop.real[:-1][crosses]).max()
+
+
+@pytest.mark.parametrize(
+    ("torque_delay", "velocity_filter"), [(0.0, 0.0), (1e-3, 0.0), (1e-3, 5e-3), (2e-3, 8e-3)]
+)
+def test_no_joint_is_unstable_below_c_and_one_is_above(torque_delay, velocity_filter, rng):
+    """Any link, spring and rotor, over three decades; the bound is tight."""
+    c = largest_rate(aj.Latency(1e-3, torque_delay, velocity_filter))
+    delay = torque_delay + 0.5e-3 + (0.5e-3 if velocity_filter else 0.0)
+    shares = []
+    for _ in range(150):
+        J, M, K = 10.0 ** rng.uniform((-2.0, -2.0, 2.0), (0.5, 1.0, 6.0))
+        shares.append(largest_stable(J, M, K, 0.05, delay, velocity_filter) / (c * J))
+    assert min(shares) > 0.8
+    assert min(shares) < 1.3
+
+
+def test_damping_grows_with_rotors_and_shrinks_with_lag(panda):
+    told, later = motor_damping(panda, LATE, Drives(0.2, 1e4)), aj.Latency(1e-3, 2e-3, 5e-3)
+    assert_allclose(motor_damping(panda, LATE, Drives(0.4, 1e4)), 2.0 * told)
+    assert (motor_damping(panda, later, Drives(0.2, 1e4)) < told).all()
+    assert np.isinf(motor_damping(panda, LATE, Drives().of(panda))).all()
+    assert (least_rotors(panda) < 0.06).all()
+    assert (least_rotors(panda) > 0.0).all()
+
+
+# -- K_σ -----------------------------------------------------------------------------------------
+
+
+def test_bounded_damping_is_symmetric_and_below_both(rng):
+    for _ in range(50):
+        root = rng.normal(size=(6, 6))
+        A, most = root @ root.T + 0.01 * np.eye(6), 10.0 ** rng.uniform(-2.0, 2.0, 6)
+        K = np.array([law.bounded_damping(A, A @ unit, most) for unit in np.eye(6)]).T
+        assert_allclose(K, K.T, atol=1e-9 * np.abs(K).max())
+        for less in (K, A - K, np.diag(most) - K):
+            assert np.linalg.eigvalsh(0.5 * (less + less.T)).min() > -1e-8 * np.abs(A).max()
+
+
+def test_rates_are_as_of_rigid_joints_unless_a_lag_or_drives_are_told(task):
+    plain, told = aj.TrackingController(task), aj.TrackingController(task, latency=LATE)
+    assert (plain.alpha, plain.kappa) == (4.0, 60.0)
+    assert "taken for granted" in str(plain)
+    assert told.alpha < 2.0
+    assert "damping at most" in str(told)
+    known = aj.TrackingController(task, latency=LATE, drives=Drives.usual(task.robot))
+    assert known.alpha == 4.0  # motors of 0.4 kg m² may damp more
+    own = aj.TrackingController(task, latency=LATE, gains=TrackingGains(alpha=3.0))
+    assert own.alpha == 3.0
+    rigid = aj.TrackingController(task, latency=LATE, drives=Drives())
+    assert rigid.kappa == min(60.0, 0.5 / LATE.of_velocity)
+
+
+def test_the_gain_at_a_motor_is_within_what_it_allows(task, rng):
+    """By finite differences of the torque by σ: K_σ ≤ B in each direction."""
+    controller = aj.TrackingController(task, latency=LATE)
+    q, v = task.robot.random_configuration(rng), np.zeros(7)
+    x = task.value(q)
+    state = controller.begin(aj.Measurement(0.0, q, v, x, 0.0))
+    told = [
+        controller.advance(state, aj.Measurement(0.0, q, v + 1e-6 * dv, x, 0.0), x, 1e-3)[1].torque
+        for dv in (np.zeros(7), *np.eye(7))
+    ]
+    gain = -(np.array(told[1:]) - told[0]).T / 1e-6
+    most = motor_damping(task.robot, LATE, None)
+    # with αM̂ of the reference acceleration, which the posture's rate may add to
+    felt = np.linalg.eigvals(gain / np.sqrt(most[:, None] * most)).real.max()
+    assert felt < 1.2
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"latency": 1e-3}, {"drives": 0.1}, {"drives": Drives(0.0, 1e3)}]
+)
+def test_what_is_no_lag_or_no_drives_is_refused(task, wrong):
+    with pytest.raises(aj.InvalidInputError):
+        aj.TrackingController(task, **wrong)
+
+
+def test_compiled_steps_have_the_same_damping(task, rng):
+    controller = aj.TrackingController(task, latency=LATE, kinematics=KnownKinematics(task))
+    step = compiled(controller)
+    q, v = task.robot.random_configuration(rng), rng.normal(0.0, 0.3, 7)
+    measured = aj.Measurement(0.0, q, v, task.value(q), 0.0)
+    target = measured.x + [0.05, 0.0, -0.05]
+    state = controller.begin(measured)
+    ours = controller.step(state, measured, target, 1e-3)
+    theirs = step.step(state, measured, target, 1e-3)
+    assert_allclose(theirs[0], ours[0], rtol=1e-9, atol=1e-9)
+    assert_allclose(theirs[1].torque, ours[1].torque, rtol=1e-9, atol=1e-9)
+
+
+# -- in a loop -----------------------------------------------------------------------------------
+
+
+def followed(arm, drives, duration=4.0, **options):
+    """A circle with an unknown tool, a late camera and filtered q̇; errors after 3 s, and speeds."""
+    robot = aj.load_robot(arm)
+    truth, belief = robot.with_object(0.2, 0.02 * robot.mass, axis="x"), robot.with_object(0.0)
+    sensing = aj.Sensing(x_noise=1e-3, x_rate=60.0, x_delay=0.03, velocity_filter=5e-3)
+    plant = aj.Plant(
+        truth, sensing=sensing, actuator_delay=1e-3, drives=drives,
+        torque_limits=robot.effort_limits,
+    )  # fmt: skip
+    task = aj.PositionTask(belief)
+    kinematics = aj.controllers.AdaptiveKinematics(task, noise=1e-3, delay=0.03)
+    controller = aj.TrackingController(task, kinematics=kinematics, **options)
+    q0 = plant.ready_configuration()
+    x0 = plant.sensor.value(q0)
+    path = aj.Circle(2.0 * x0 - aj.Circle(x0, 0.1, 4.0).at(0.0).x, 0.1, 4.0)
+    run = aj.simulate(
+        plant,
+        controller,
+        path,
+        q0,
+        duration,
+        seed=1,
+        computation=Computation("semi_implicit_euler"),
+    )
+    late = run.t > 0.75 * duration
+    return 1e3 * np.sqrt((run.error_norm[late] ** 2).mean()), np.abs(run.v).max()
+
+
+@pytest.mark.study
+@pytest.mark.parametrize(
+    ("arm", "rotor", "stiffness"),
+    [
+        ("panda", 0.05, 1e4), ("panda", 0.1, 3e4),
+        pytest.param("ur5", 0.1, 1e4, marks=pytest.mark.long),
+        pytest.param("kinova", 0.05, 3e3, marks=pytest.mark.long),
+        pytest.param("xarm7", 0.05, 1e4, marks=pytest.mark.long),
+        pytest.param("z1", 0.5, 3e3, marks=pytest.mark.long),
+    ],
+)  # fmt: skip
+def test_no_elastic_joint_makes_it_run_away(arm, rotor, stiffness):
+    """With rotors that nobody told it of; as of rigid joints it is 0.1 to 0.5 m off."""
+    rms, speed = followed(arm, Drives(rotor, stiffness), latency=LATE)
+    assert rms < 8.0
+    assert speed < 2.0
+
+
+@pytest.mark.study
+def test_as_of_rigid_joints_it_runs_away():
+    rms, _ = followed("panda", Drives(0.1, 1e4), duration=2.0)
+    assert rms > 30.0
