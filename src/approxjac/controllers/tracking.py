@@ -406,7 +406,7 @@ class TrackingController(Immutable, Controller):
         parts = " and ".join(kinds).replace("adaptive", "learnt").replace("model", "known")
         first = f"tracking law, alpha {self.alpha:.4g}, kappa {self.kappa:.4g}; {parts}"
         most = ", ".join(f"{each:.3g}" for each in self._most)
-        joints = "rigid joints and no lag taken for granted (latency=, drives=)"
+        joints = "rigid joints and no lag taken for granted"
         if self._is_bounded:
             joints = f"damping at most {most} N m s/rad, for motors behind elastic gears"
         first += f"; {joints}" if self.command == "torque" else ""
