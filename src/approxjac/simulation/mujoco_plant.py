@@ -143,6 +143,7 @@ class MujocoPlant(Plant):
 
     def _is_free(self, q: Array) -> bool:
         data = self._mujoco_data
+        data.qpos[:] = 0.0  # springs, which a run may have left bent
         data.qpos[self._places] = pin.difference(self.robot.model, self._neutral, q)
         self._mujoco.mj_kinematics(self.mujoco_model, data)
         self._mujoco.mj_collision(self.mujoco_model, data)
