@@ -49,7 +49,7 @@ class Friction:
 
     Sliding at q̇ ≠ 0 a joint is braked by
 
-        B q̇ + (F_c (1 + (s − 1) exp(−|q̇|/v_s)) + l |τ_load|) sgn(q̇),
+        B q̇ + (F_c (1 + (s − 1) exp(−abs(q̇)/v_s)) + l abs(τ_load)) sgn(q̇),
 
     standing it takes what it needs to stand, up to as much. The paper's eq. (1) has the first term
     only. τ_load is what the joint carries: gravity and Coriolis torques, or the spring of an
