@@ -299,7 +299,8 @@ MUTANTS = [
     # -- the tracking law
     (
         "gain beyond what the period allows", "controllers/tracking.py",
-        "kappa = self.task.robot, min(_KAPPA, _STEADY / self.dt)", "kappa = self.task.robot, _KAPPA", PERIODS,
+        "kappa = self.task.robot, min(_KAPPA, _STEADY / self.dt)",
+        "kappa = self.task.robot, _KAPPA", PERIODS,
     ),
     (
         "gain without the frame's acceleration", "law/tracking.py",
