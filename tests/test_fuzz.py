@@ -572,6 +572,11 @@ def _rough(**changes):
     return _run_with(friction=aj.robots.Friction(**changes))
 
 
+def _driven(**changes):
+    usual = {"rotor_inertia": 0.1, "stiffness": 1e4}
+    return _run_with(drives=aj.robots.Drives(**{**usual, **changes}))
+
+
 class Still(aj.Controller):
     """A controller that commands no velocity."""
 
@@ -604,9 +609,16 @@ ENTRANCES = {
     ),
     _simulate_from: ("q0", "v0", "state"),
     _simulate_by: ("integrator", "engine", "progress"),
-    _rough: ("viscous", "coulomb", "coulomb_velocity"),
+    _rough: (
+        "viscous", "coulomb", "stribeck", "stribeck_velocity", "load", "coulomb_velocity",
+    ),
+    _driven: (
+        "rotor_inertia", "stiffness", "damping_ratio", "backlash", "ripple", "ripple_count",
+        "encoders",
+    ),
     _run_with: (
         "robot", "sensor", "friction", "sensing", "actuator_delay", "torque_limits", "servo",
+        "drives",
     ),
     _servoed: ("lag", "delay", "period"),
     _sensed: (

@@ -62,6 +62,8 @@ def test_damping_grows_with_rotors_and_shrinks_with_lag(panda):
     assert np.isinf(motor_damping(panda, LATE, Drives().of(panda))).all()
     assert (least_rotors(panda) < 0.06).all()
     assert (least_rotors(panda) > 0.0).all()
+    undamped = motor_damping(panda, LATE, Drives(0.2, 1e4, damping_ratio=0.0))
+    assert (undamped > 0.0).all()
 
 
 # -- K_σ -----------------------------------------------------------------------------------------

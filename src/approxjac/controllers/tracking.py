@@ -173,7 +173,7 @@ class TrackingController(Immutable, Controller):
                 robot,
                 rotor_inertia=0.0 if drives is None else drives.rotor_inertia,
                 fastest=_QUICK * self.kappa,
-                most_damping=self._most,
+                most_damping=self._most if np.isfinite(self._most).any() else None,
             )
         self.dynamics = dynamics
         self._require_parts()

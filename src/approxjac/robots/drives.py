@@ -85,8 +85,8 @@ class Friction:
     def usual(cls, robot: Robot) -> Self:
         """Return friction in proportion to the motors, as measured on a Universal Robots UR10e.
 
-        Its Coulomb friction is 5 to 6 % of the effort of all but one joint, of which 6 % of the
-        load; its viscous friction 4 to 8 % a rad/s.
+        Its Coulomb friction is 5 to 6 % of each effort, its viscous friction 4 to 8 % a rad/s; of
+        the two joints that carry the arm it grows by 6 % of the load.
         """
         effort = usual_effort(robot)
         return cls(0.06 * effort, 0.05 * effort, stribeck=1.2, load=0.06)
@@ -147,7 +147,7 @@ class Drives:
     def __post_init__(self) -> None:
         as_number("damping_ratio", self.damping_ratio, minimum=0.0)
         as_number("ripple_count", self.ripple_count, above=0.0)
-        if self.encoders not in ("motor", "joint"):
+        if not isinstance(self.encoders, str) or self.encoders not in ("motor", "joint"):
             message = f'encoders must be "motor" or "joint", got {self.encoders!r}'
             raise InvalidInputError(message, given=self.encoders)
 

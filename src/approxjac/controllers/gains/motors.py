@@ -20,15 +20,17 @@ _MARGIN = 0.75  # share of the largest damping
 _SHARE = 0.015  # of the arm's largest inertia, which any rotor has
 _PER_EFFORT = 1e-3  # rotor inertia over effort that any drive has [s²]
 _LEAST = 0.05  # [kg m²]
+_DAMPED = 0.02  # least damping ratio of a gear: without any no lag would be allowed
 _POINTS = 4000
 
 
 def largest_rate(latency: Latency, damping_ratio: float = 0.05) -> float:
     """Return c [1/s]: a joint whose rotor is J is stable with each damping k ≤ cJ at its motor.
 
-    The loop k P(s) exp(−sT_d)/(1 + sT_f), T_d the torques' delay and half a period, T_f the filter
-    of q̇, lags by φ(ω) = ωT_d + atan ωT_f. Where φ < π/2 no P(iω) leads to −1; beyond, a resonance
-    of damping ratio ζ is a circle of diameter 1/(2ζJω), the rotor's tail 1/(Jω):
+    The loop k P(s) exp(−sT_d)/(1 + sT_f), T_d the torques' delay and half a period (a whole one
+    where q̇ is of differences), T_f the filter of q̇, lags by φ(ω) = ωT_d + atan ωT_f. Where φ < π/2
+    no P(iω) leads to −1; beyond, a resonance of damping ratio ζ is a circle of diameter 1/(2ζJω),
+    the rotor's tail 1/(Jω):
 
         c = min(ω₉₀√(1 + ω₉₀²T_f²), min over φ > π/2 of 2ζω√(1 + ω²T_f²)/|cos φ|).
     """
@@ -36,9 +38,8 @@ def largest_rate(latency: Latency, damping_ratio: float = 0.05) -> float:
     if filtered > 0.0:  # of differences, which are the rate of half a period ago
         delay += 0.5 * latency.period
     # φ from π/2 to 3π/2, beyond which both terms only grow
-    ends = [0.0, 1.5 * math.pi / delay]
     phase = np.linspace(0.5 * math.pi, 1.5 * math.pi, _POINTS)[:-1]
-    low, high = np.full(len(phase), ends[0]), np.full(len(phase), ends[1])
+    low, high = np.zeros(len(phase)), np.full(len(phase), 1.5 * math.pi / delay)
     for _ in range(60):  # ω of each φ, which grows with it
         omega = 0.5 * (low + high)
         beyond = omega * delay + np.arctan(omega * filtered) > phase
@@ -68,4 +69,5 @@ def motor_damping(robot: Robot, latency: Latency, drives: Drives | None) -> Arra
         return _MARGIN * largest_rate(latency) * least_rotors(robot)
     known = drives.of(robot)
     J = np.asarray(known.rotor_inertia)
-    return np.where(J > 0.0, _MARGIN * largest_rate(latency, known.damping_ratio) * J, np.inf)
+    c = largest_rate(latency, max(known.damping_ratio, _DAMPED))
+    return np.where(J > 0.0, _MARGIN * c * J, np.inf)
