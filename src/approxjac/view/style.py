@@ -156,7 +156,7 @@ def save_figure(figure: Figure, stem: str | Path) -> list[Path]:
     with refused, style(), replaced(paths[0]) as png, replaced(paths[1]) as svg:
         figure.savefig(png, dpi=_DPI)
         layout = figure.get_layout_engine()
-        figure.set_layout_engine("none")  # once is enough: it takes longer than to draw
+        figure.set_layout_engine(None)  # once is enough: it takes longer than to draw
         figure.savefig(svg, dpi=_DPI, metadata={"Date": None})  # dpi: of what is pixels
         figure.set_layout_engine(layout)
     return paths

@@ -127,8 +127,7 @@ class JointBox(Region):
         return np.array([self._moved(self.center, motion) for motion in motions])
 
     def contains(self, q: Array) -> bool:
-        motion = self._away(self.center, q)
-        return bool((self.lower - 1e-12 <= motion).all() and (motion <= self.upper + 1e-12).all())
+        return bool((abs(self._away(self.center, q)) <= self.upper + 1e-12).all())  # lower: −upper
 
     def __str__(self) -> str:
         if self._whole:
