@@ -57,7 +57,7 @@ target = plant.sensor.value(start) + [0.10, -0.20, 0.15]
 region = aj.JointBox.around(arm, start, 0.3)
 options = {
     "duration": 4.0,
-    "dt": 1e-3,
+    "dt": 2e-3,
     "computation": aj.simulation.Computation("semi_implicit_euler"),
 }
 

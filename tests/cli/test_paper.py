@@ -106,7 +106,7 @@ def test_a_verdict_whose_evidence_differs_gives_its_reason(tmp_path, capsys):
 
 
 def test_an_output_that_knows_no_greek_is_no_crash(tmp_path):
-    words = ["paper", "--out", str(tmp_path), "--figures", "4", "--duration", "30"]
+    words = ["paper", "--out", str(tmp_path), "--figures", "6", "--duration", "1"]
     process = subprocess.run(
         [sys.executable, "-m", "approxjac", *words],
         capture_output=True,
