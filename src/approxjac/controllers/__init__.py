@@ -4,6 +4,7 @@ from approxjac.controllers.adaptive_dynamics import AdaptiveDynamics as Adaptive
 from approxjac.controllers.adaptive_dynamics import ModelDynamics as ModelDynamics
 from approxjac.controllers.adaptive_dynamics import MotionDynamics as MotionDynamics
 from approxjac.controllers.controller import Controller as Controller
+from approxjac.controllers.friction import FrictionCompensation as FrictionCompensation
 from approxjac.controllers.gains.gains import Gains as Gains
 from approxjac.controllers.gains.gains import Latency as Latency
 from approxjac.controllers.gains.tuning import Learning as Learning

@@ -12,6 +12,7 @@ import numpy as np
 from approxjac import law
 from approxjac.controllers.arguments import FLOAT64, HUGE, overflow, require_arrays, require_finite
 from approxjac.controllers.controller import Controller, Instant
+from approxjac.controllers.friction import FrictionCompensation
 from approxjac.controllers.gains.gains import Diagonals, Gains, Latency
 from approxjac.controllers.gains.sample_configurations import max_damping_rate
 from approxjac.controllers.gains.tuning import (
@@ -137,6 +138,7 @@ class SetpointController(Immutable, Controller):
         posture: Posture | AwayFromStops | None = None,
         latency: Latency | None = None,
         settling_time: float | None = None,
+        friction: FrictionCompensation | None = None,
     ) -> None:
         analysis.require_controllable(task)
         for name, value, kind, wanted in (
@@ -144,11 +146,13 @@ class SetpointController(Immutable, Controller):
             ("velocity", velocity, DifferentiatedVelocity, "DifferentiatedVelocity(T) or None"),
             ("posture", posture, (Posture, AwayFromStops), "Posture(q, stiffness) or None"),
             ("latency", latency, Latency, "Latency(period=...) or None"),
+            ("friction", friction, FrictionCompensation, "FrictionCompensation() or None"),
         ):
             if value is not None:
                 require(name, value, kind, wanted)
         robot = task.robot
         self.task, self.velocity, self.posture, self.latency = task, velocity, posture, latency
+        self.friction = friction
         self.gravity: Gravity = ModelGravity(robot) if gravity is None else gravity
         require_gravity(self.gravity, task)
         self.tuning = self._tuned(gains, latency, settling_time)
@@ -172,9 +176,11 @@ class SetpointController(Immutable, Controller):
             chosen = None if self.tuning is None else self.tuning.learning
             learning = learning.adaptation(task, self.diagonals, chosen)
         self.adaptation = learning if isinstance(learning, Adaptation) else None
-        self.parameters = {} if self.adaptation is None else self.adaptation.parameters(task)
+        names = {} if self.adaptation is None else self.adaptation.parameters(task)
+        self._p = len(names)
+        self.resting = self._p + (2 * robot.nv + 1 if friction else 0)
+        self.parameters = {**names, **friction.parameters(robot)} if friction else names
         self._equation = "(28)" if self.adaptation else "(6)" if velocity is None else "(5)"
-        self.resting = len(self.parameters)
         weight = None if self.adaptation is None else self.adaptation.pinv_weight
         self.pinv = Pseudoinverse(weight, analysis.vanishing(task), singular_ratio(task))
         # as arrays, which NumPy takes in two thirds of the time of numbers
@@ -186,6 +192,10 @@ class SetpointController(Immutable, Controller):
         self.reach, self._subtracts = Reach(task), task.subtracts  # as most do
         self._combination = analysis.combination(task)  # a target moves as what is measured does
         self._continuous = robot.nq != robot.nv
+        self._rubs = None
+        if friction is not None:
+            self._rubs = friction.rule(task, self.diagonals, float(self.alpha), weight)
+            self._alpha = np.array(self.alpha)
         self._no_rate = read_only(np.zeros(self.resting + (0 if velocity is None else task.m)))
         # of q, v, x, target and state
         self._shapes = (robot.nq,), (robot.nv,), (task.n_x,), (task.n_x,), self._no_rate.shape
@@ -225,16 +235,17 @@ class SetpointController(Immutable, Controller):
                 )
         theta0 = np.zeros(0) if self.adaptation is None else self.adaptation.theta0
         followed = np.zeros(0) if self.velocity is None else x
-        return np.concatenate([theta0, followed])
+        rubs = [] if self._rubs is None else [self._rubs.first, np.zeros(task.robot.nv + 1)]
+        return np.concatenate([theta0, *rubs, followed])
 
     def describe_learnt(self, state: Array) -> str:
         """Describe the gravity that a state has learnt; "" if none."""
         learning = self.adaptation
-        return "" if learning is None else learning.describe(self.learnt(state), self.task)
+        return "" if learning is None else learning.describe(state[: self._p], self.task)
 
     def learnt(self, state: Array) -> Array:
-        """Return θ̂ (…, p) of a state, or of a series of states (…, n_state)."""
-        return state[..., : self.resting]
+        """Return θ̂, and F̂ of friction, (…, p) of a state, or of a series of states (…, n_state)."""
+        return state[..., : len(self.parameters)]
 
     def lyapunov(self, at: Instant) -> float:
         """Return V [J] of (12), or (31) if gravity is learnt, with Ĵ⁺ as in the law.
@@ -251,7 +262,7 @@ class SetpointController(Immutable, Controller):
         theta = _true_parameters(regressor, at.dynamics.robot)
         if at.adds_gravity is not None:  # the rest is what there is to learn
             theta = theta - _true_parameters(regressor, at.adds_gravity)
-        off = self.adaptation.whole(theta) - at.state[: self.resting]
+        off = self.adaptation.whole(theta) - at.state[: self._p]
         return V + law.parameter_potential(off, self.adaptation.L)
 
     def task_torque(self, at: Instant) -> Array:
@@ -291,8 +302,10 @@ class SetpointController(Immutable, Controller):
             v = v - law.damped_gram_solve(J_free @ J_free.T, v_d, ratio, scale)[0] @ J_free
         y = law.passive_output(v, self.pinv.times(J_free, s, J_hat), learning.alpha)
         Y = learning.Y(q, J_hat)
-        rate = law.theta_hat_rate(learning.L, Y, y)
-        return learning.bounded(rate, state[: self.resting], Y, g)[0]
+        rate = np.zeros(self.resting)
+        learnt = law.theta_hat_rate(learning.L, Y, y)
+        rate[: self._p] = learning.bounded(learnt, state[: self._p], Y, g)[0]
+        return rate
 
     def with_limiter(self, motors: Array) -> SetpointController:
         """Return this law with adaptation that only the limiter pauses."""
@@ -320,7 +333,7 @@ class SetpointController(Immutable, Controller):
     def gravity_torque(self, state: Array, q: Array) -> Array:
         if self.adaptation is not None:
             Y = self.adaptation.Y(q, self.task.jacobian(q))
-            return law.gravity(Y, state[: self.resting])
+            return law.gravity(Y, state[: self._p])
         return self.gravity.torque(q).copy()  # type: ignore[union-attr]  # the others have one
 
     def with_gains(self, gains: Gains) -> Self:
@@ -409,7 +422,7 @@ class SetpointController(Immutable, Controller):
         s = law.array(self.saturation.s(e)) if lost is not True else np.zeros(self.task.m)
         if lost is not False:
             s = law.select(lost, np.zeros(self.task.m), s)
-        learning, g, Y, x_dot, theta_hat = self.adaptation, None, None, None, state[: self.resting]
+        learning, g, Y, x_dot, theta_hat = self.adaptation, None, None, None, state[: self._p]
         if learning is None:
             g = law.array(self.gravity.torque(q)).copy()  # type: ignore[union-attr]
         else:
@@ -428,12 +441,20 @@ class SetpointController(Immutable, Controller):
         torque, g, singular, relative, pinv_s, reference = law.setpoint_step(
             kp, kv, damping, terms, v, theta_hat, self.pinv.singularity
         )
-        status = law.select(singular, _SINGULAR, _OK)
-        rate = self._no_rate
+        status, stuck, rubbing = law.select(singular, _SINGULAR, _OK), False, self._no_rate[:0]
+        if self._rubs is not None:
+            if pinv_s is None:
+                pinv_s = self.pinv.times(J_hat, s)
+            nu, memory = -self._alpha * pinv_s, state[self._p : self.resting]
+            held = np.where(law.array(lost), 0.0, e) if lost is not False else e
+            more, rubbing, stuck = law.friction_step(
+                self._rubs, memory, relative, nu, held, lost
+            )
+            torque = torque + more
+        rate = self._no_rate[: self._p]
         if learning is not None:
             rests, far = learning.rests(torque), self.reach.is_exceeded(q, e)
-            stands = lost | rests | far
-            rate = self._no_rate[: self.resting]
+            stands = lost | rests | far | stuck
             if stands is not True:
                 assert Y is not None
                 assert pinv_s is not None
@@ -443,8 +464,8 @@ class SetpointController(Immutable, Controller):
                 law.leave(unfinished & law.complement(stands))
                 rate = law.select(stands, rate, learnt)
             status = law.select(rests, _SATURATED, law.select(far, _FAR, status))
-        if x_dot is not None:
-            rate = x_dot if learning is None else np.concatenate([rate, x_dot])
+        if x_dot is not None or self._rubs is not None:
+            rate = np.concatenate([rate, rubbing, *([] if x_dot is None else [x_dot])])
         status = law.select(lost, _LOST, status)
         return Evaluation(torque, rate, status, e, J_hat, g, _UNLIMITED, 0.0, reference)
 

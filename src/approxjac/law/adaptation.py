@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from approxjac.law.branches import choose, collect, collected, repeat, select, take
+from approxjac.law.branches import (
+    all_of,
+    any_of,
+    choose,
+    collect,
+    collected,
+    complement,
+    repeat,
+    select,
+    take,
+)
 from approxjac.law.products import dot
 from approxjac.validation import Array
 
@@ -14,6 +24,9 @@ _TINY = np.finfo(float).tiny
 _SWEEPS = 10
 _FEW, _SOME = 12, 32  # motors and parameters whose bounds are taken without loops of their own
 _SWEPT = 1e-12  # of what led out of bounds, which sweeps may leave
+_SLOW, _OF_REFERENCE, _STILL = 1e-3, 0.05, 1e-5  # a joint stands: speeds, and share of ν
+_LITTLE = 5e-3  # of the largest F̂
+_DWELL, _STOOD, _RELEASE = 0.05, 0.8, 0.01  # how long [s], which share of it, and of forgetting it
 _ROUND_OFF = 1e-8  # bounds this close to dependent count as so: λ and its error grow as 1/angle
 
 
@@ -206,3 +219,54 @@ def correction(Lambda: Array, H: Array, weight: float, innovation: Array) -> Arr
     Implements Theorem A's gain, in samples. H is (m, P), R⁻¹ = weight I.
     """
     return np.asanyarray(np.linalg.solve(Lambda, weight * innovation.dot(H)))
+
+
+class Rubbing(NamedTuple):
+    """Numbers of a rule that learns dry friction at joints that stand."""
+
+    width: Array  # ε of tanh(ν/ε), (n_v,) [rad/s or m/s]
+    most: Array  # largest F̂, (n_v,) [N m or N]
+    grows: Array  # rate of F̂ where a joint should move but stands, (n_v,) [N m/s or N/s]
+    falls: Array  # rate of F̂ for ψ y where it moves ahead of ν, (n_v,) [N m/rad or N/m]
+    fine: Array  # error within which all rests, (m,) [unit of the task]
+    first: Array  # F̂(0), (n_v,)
+
+
+def friction_step(
+    rule: Rubbing, memory: Array, v: Array, nu: Array, e: Array, is_lost: Any
+) -> tuple[Array, Array, Any]:
+    """Return F̂ψ, the rate of the memory (F̂, how long each joint stood, how quiet all was), rests.
+
+    With ψ = tanh(ν/ε) and a reference ν of the joints, τ + F̂ψ and F̂' = −γψ(q̇ − ν) add
+    0.279 Σ εᵢFᵢ at most to V̇, for F_i ∈ [−F, F] of friction that is −F sgn(q̇) where it slides.
+
+    Args:
+        rule: Its numbers.
+        memory: F̂ (n_v,), z (n_v,) and h, in [0, 1].
+        v: q̇, (n_v,).
+        nu: ν, (n_v,).
+        e: Task error, (m,).
+        is_lost: True where e is not known.
+
+    Returns:
+        F̂ψ; the rate of the memory; True if what else is learnt rests.
+    """
+    n = len(v)
+    F_hat, stood, quiet = np.maximum(memory[:n], 0.0), memory[n : 2 * n], memory[2 * n]
+    psi = np.tanh(nu / rule.width)
+    slow = np.abs(v) <= np.minimum(_SLOW, _OF_REFERENCE * np.abs(nu) + _STILL)
+    dwell = np.where(slow, np.where(stood < 1.0, 1.0 / _DWELL, 0.0), -stood / _RELEASE)
+    stands = slow & (stood > _STOOD)
+    away = np.abs(e) / rule.fine
+    all_stand, near, far = all_of(stands), all_of(away <= 1.0), any_of(away > 2.0)
+    rubs = any_of(F_hat > _LITTLE * rule.most)  # or nothing is to rest
+    settled = select(near & all_stand & rubs, (1.0 - quiet) / _RELEASE, select(far, -quiet / _RELEASE, 0.0))
+    holds = quiet > 0.5
+    at_most = any_of(F_hat >= rule.most)
+    rises = np.where(F_hat < rule.most, rule.grows * np.abs(psi), 0.0)
+    rises = select(near, np.zeros(n), rises)
+    falls = -rule.falls * np.maximum(psi * (v - nu), 0.0)
+    rate = np.where(stands, rises, np.where(memory[:n] > 0.0, falls, 0.0))
+    rate = select(holds | is_lost, np.zeros(n), rate)
+    rests = holds | (all_stand & complement(near | at_most))
+    return F_hat * psi, np.concatenate([rate, dwell, [settled]]), rests
