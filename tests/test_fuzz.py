@@ -16,6 +16,7 @@ import approxjac as aj
 from approxjac.codegen.step import compiled
 from approxjac.controllers import (
     DifferentiatedVelocity,
+    FrictionCompensation,
     KnownKinematics,
     ModelDynamics,
     Posture,
@@ -80,6 +81,9 @@ def controllers():
         "(28), bounds": aj.SetpointController(task, gravity=bounded),
         "(28), unlimited": aj.SetpointController(
             task, gains, gravity=aj.AdaptiveGravity(regressor, 0.1, 1.0, torque_limits=np.inf)
+        ),
+        "(28), friction": aj.SetpointController(
+            task, gravity=bounded, friction=FrictionCompensation()
         ),
         "(5)": aj.SetpointController(task, gains, velocity=DifferentiatedVelocity()),
         "(5), learnt": aj.SetpointController(
@@ -161,7 +165,8 @@ def compiled_controller(name):
 
 NAMES = (
     "(6)", "(6), default gains", "(6), sine", "(6), tanh", "(6), no gravity", "(6), theta", "(28)",
-    "(28), bounds", "(28), unlimited", "(5)", "(5), learnt", "posture", "nonsingular", "pose",
+    "(28), bounds", "(28), unlimited", "(28), friction", "(5)", "(5), learnt", "posture",
+    "nonsingular", "pose",
     "pose, learnt", "stacked", "continuous joints", "continuous joints, pose", "prismatic",
     "prismatic, learnt", "prismatic, nonsingular", "tracking", "tracking, pose",
     "tracking, prismatic", "tracking, velocity", "tracking, limited",

@@ -18,13 +18,14 @@ from approxjac.codegen.backends.c99 import sampled_step
 from approxjac.controllers import (
     AwayFromStops,
     DifferentiatedVelocity,
+    FrictionCompensation,
     HeldMeasurement,
     Posture,
     PredictedMeasurement,
     RegressorGravity,
 )
 from approxjac.interface import LimitStatus, Measurement
-from approxjac.robots import GravityRegressor
+from approxjac.robots import Friction, GravityRegressor
 
 STATUSES = tuple(aj.Status)
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
@@ -94,6 +95,10 @@ CASES = {
         lambda arm: aj.SetpointController(aj.ImageTask(arm, CAMERA)),
     ),
     "ur5 (28)": ("ur5", law_28),
+    "ur5 (28), friction": (
+        "ur5",
+        lambda arm: limited(law_28(arm, friction=FrictionCompensation(Friction(coulomb=9.0))), 0.4),
+    ),
     "ur5 (5), sine": (
         "ur5",
         lambda arm: law_6(
@@ -260,6 +265,7 @@ def draws(step, count, seed=0, at_bounds=0.1):
     state[:, :p] += 0.3 * rng.normal(size=(count, p))
     if law.adaptation is not None and law.adaptation.bounds is not None:
         lower, upper = law.adaptation.bounds
+        p = len(lower)  # of θ̂: friction has others
         for bound in (lower, upper):
             at = rng.random((count, p)) < at_bounds
             state[:, :p] = np.where(at & np.isfinite(bound), bound, state[:, :p])

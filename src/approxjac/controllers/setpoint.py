@@ -97,7 +97,8 @@ class SetpointController(Immutable, Controller):
     The theorems are for a target at rest. For a moving one, q̇ − Ĵ⁺ẋ_d replaces q̇ in the torque and
     in the adaptation: it is followed more closely, but without a proof.
 
-    Its state is θ̂ if gravity is learnt, followed by the differentiator's state for law (5).
+    Its state is θ̂ if gravity is learnt, followed by that of the friction compensation (F̂, how long
+    each joint stood, how quiet all is) and by the differentiator's state for law (5).
 
     Immutable, but it owns scratch memory: one instance a thread.
 
@@ -120,6 +121,7 @@ class SetpointController(Immutable, Controller):
         latency: Latency of the loop, for `tuned`; by default that of 1 kHz with ideal sensors.
         settling_time: Desired settling time [s], for `tuned`, which scales all gains; by default
             as short as inertia, motors and latency allow.
+        friction: `FrictionCompensation()` for joints that rub; None is without.
 
     Raises:
         InvalidInputError: Gains of the wrong shape, an invalid saturation, no added damping on an
@@ -194,7 +196,9 @@ class SetpointController(Immutable, Controller):
         self._continuous = robot.nq != robot.nv
         self._rubs = None
         if friction is not None:
-            self._rubs = friction.rule(task, self.diagonals, float(self.alpha), weight)
+            self._rubs = friction.rule(
+                task, self.diagonals, float(self.alpha), weight, self.adaptation is not None
+            )
             self._alpha = np.array(self.alpha)
         self._no_rate = read_only(np.zeros(self.resting + (0 if velocity is None else task.m)))
         # of q, v, x, target and state
@@ -444,11 +448,9 @@ class SetpointController(Immutable, Controller):
         status, stuck, rubbing = law.select(singular, _SINGULAR, _OK), False, self._no_rate[:0]
         if self._rubs is not None:
             if pinv_s is None:
-                pinv_s = self.pinv.times(J_hat, s)
-            nu, memory = -self._alpha * pinv_s, state[self._p : self.resting]
-            held = np.where(law.array(lost), 0.0, e) if lost is not False else e
+                pinv_s = law.damped_pinv(J_hat, s, self.pinv.singularity)[0]
             more, rubbing, stuck = law.friction_step(
-                self._rubs, memory, relative, nu, held, lost
+                self._rubs, state[self._p : self.resting], relative, -self._alpha * pinv_s, e, lost
             )
             torque = torque + more
         rate = self._no_rate[: self._p]
@@ -474,6 +476,7 @@ class SetpointController(Immutable, Controller):
         saturation = describe_saturation(self.saturation, self.task)
         gravity = "learnt" if self.resting else describe_gravity(self.gravity, self.task.robot)
         first = f"set-point law {self._equation}, {self.gains}, {saturation}; gravity {gravity}"
+        first += "; friction learnt where joints stand" if self.friction else ""
         return [first, super().describe()[1], *(self.tuning.reasons if self.tuning else ())]
 
     def __repr__(self) -> str:

@@ -24,7 +24,7 @@ _TINY = np.finfo(float).tiny
 _SWEEPS = 10
 _FEW, _SOME = 12, 32  # motors and parameters whose bounds are taken without loops of their own
 _SWEPT = 1e-12  # of what led out of bounds, which sweeps may leave
-_SLOW, _OF_REFERENCE, _STILL = 1e-3, 0.05, 1e-5  # a joint stands: speeds, and share of ν
+_STILL = 1e-5  # a speed of joints that stand [rad/s or m/s]
 _LITTLE = 5e-3  # of the largest F̂
 _DWELL, _STOOD, _RELEASE = 0.05, 0.8, 0.01  # how long [s], which share of it, and of forgetting it
 _ROUND_OFF = 1e-8  # bounds this close to dependent count as so: λ and its error grow as 1/angle
@@ -230,6 +230,8 @@ class Rubbing(NamedTuple):
     falls: Array  # rate of F̂ for ψ y where it moves ahead of ν, (n_v,) [N m/rad or N/m]
     fine: Array  # error within which all rests, (m,) [unit of the task]
     first: Array  # F̂(0), (n_v,)
+    slow: float  # speed [rad/s or m/s] and share of ν up to which a joint stands
+    share: float
 
 
 def friction_step(
@@ -245,8 +247,8 @@ def friction_step(
         memory: F̂ (n_v,), z (n_v,) and h, in [0, 1].
         v: q̇, (n_v,).
         nu: ν, (n_v,).
-        e: Task error, (m,).
-        is_lost: True where e is not known.
+        e: Task error, (m,), of any value where it is lost.
+        is_lost: True if e is not known, and ν = 0.
 
     Returns:
         F̂ψ; the rate of the memory; True if what else is learnt rests.
@@ -254,13 +256,14 @@ def friction_step(
     n = len(v)
     F_hat, stood, quiet = np.maximum(memory[:n], 0.0), memory[n : 2 * n], memory[2 * n]
     psi = np.tanh(nu / rule.width)
-    slow = np.abs(v) <= np.minimum(_SLOW, _OF_REFERENCE * np.abs(nu) + _STILL)
+    slow = np.abs(v) <= np.minimum(rule.slow, rule.share * np.abs(nu) + _STILL)
     dwell = np.where(slow, np.where(stood < 1.0, 1.0 / _DWELL, 0.0), -stood / _RELEASE)
     stands = slow & (stood > _STOOD)
     away = np.abs(e) / rule.fine
     all_stand, near, far = all_of(stands), all_of(away <= 1.0), any_of(away > 2.0)
     rubs = any_of(F_hat > _LITTLE * rule.most)  # or nothing is to rest
-    settled = select(near & all_stand & rubs, (1.0 - quiet) / _RELEASE, select(far, -quiet / _RELEASE, 0.0))
+    settles = select(far, -quiet, 0.0)
+    settles = select(near & all_stand & rubs, 1.0 - quiet, settles) / _RELEASE
     holds = quiet > 0.5
     at_most = any_of(F_hat >= rule.most)
     rises = np.where(F_hat < rule.most, rule.grows * np.abs(psi), 0.0)
@@ -269,4 +272,4 @@ def friction_step(
     rate = np.where(stands, rises, np.where(memory[:n] > 0.0, falls, 0.0))
     rate = select(holds | is_lost, np.zeros(n), rate)
     rests = holds | (all_stand & complement(near | at_most))
-    return F_hat * psi, np.concatenate([rate, dwell, [settled]]), rests
+    return F_hat * psi, np.concatenate([rate, dwell, [settles]]), rests

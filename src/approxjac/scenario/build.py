@@ -283,7 +283,21 @@ def _law(
         posture=posture,
         latency=latency,
         settling_time=chosen.settling_time,
+        friction=_friction(scenario),
     )
+
+
+def _friction(scenario: Scenario) -> controllers.FrictionCompensation | None:
+    chosen, sensor = scenario.controller, scenario.sensor
+    wanted = chosen.friction_compensation
+    if wanted is None:
+        exact = sensor.delay == sensor.noise == 0.0 and sensor.rate is None
+        is_recent = bool(chosen.unknown) or (exact and chosen.differentiator is None)
+        learns = chosen.gravity in ("learnt", "learn_residual")
+        wanted = learns and is_recent and sampling_time(scenario) > 0.0
+    if not wanted:
+        return None
+    return controllers.FrictionCompensation(encoder_step=sensor.q_quantum)
 
 
 def _gravity(truth: Robot, belief: Robot, kind: str, integral_action: bool | None) -> Gravity:

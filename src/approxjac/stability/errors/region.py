@@ -215,6 +215,12 @@ def require_law(controller: Controller, *, posture: bool = False) -> SetpointCon
             f"velocity = {controller.velocity!r} and posture = {controller.posture!r}",
             given=controller,
         )
+    if controller.friction is not None and controller.friction.known is not None:
+        raise InvalidInputError(
+            f"{laws} without a friction compensation that is given a friction, which acts as a "
+            f"relay on joints that do not rub, got {controller.friction!r}",
+            given=controller,
+        )
     return controller
 
 
