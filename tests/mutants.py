@@ -393,6 +393,26 @@ MUTANTS = [
         "Coriolis forces of the last step", "simulation/plant.py",
         "ahead = v + 0.5 * motors.change", "ahead = v", "tests/simulation/test_joints.py",
     ),
+    # -- friction that is compensated
+    (
+        "gravity learns while all stand", "law/adaptation.py",
+        "rests = holds | (all_stand & complement(near | at_most))", "rests = holds",
+        "tests/controllers/test_friction_compensation.py",
+    ),
+    (
+        "friction grows where a joint moves as wanted", "law/adaptation.py",
+        "np.minimum(rule.slow, rule.share * np.abs(nu) + _STILL)", "np.abs(nu) + _STILL",
+        "tests/controllers/test_friction_compensation.py",
+    ),
+    (
+        "friction grows near the target", "law/adaptation.py",
+        "rises = select(near, np.zeros(n), rises)", "rises = select(False, np.zeros(n), rises)",
+        "tests/controllers/test_friction_compensation.py",
+    ),
+    (
+        "all of the friction that was told", "controllers/friction.py",
+        "_KNOWN = 0.8", "_KNOWN = 1.1", "tests/controllers/test_friction_compensation.py",
+    ),
     # -- gravity and its bounds
     (
         "projection of the wrong side", "law/adaptation.py",
