@@ -70,7 +70,7 @@ class FrictionCompensation:
         J_hat = sample_configurations(task).J_hat
         if self.fine is None:
             step = as_number("encoder_step", self.encoder_step, unit="rad or m", minimum=0.0)
-            fine = _STEPS * step * np.median(np.linalg.norm(J_hat, axis=2), axis=0)
+            fine = _STEPS * step * np.linalg.norm(J_hat, axis=2).max(axis=0)
             fine = np.maximum(fine, [_FINE * FINE.get(unit, FINE["m"]) for unit in task.units])
         else:
             fine = as_diagonal("fine", self.fine, task.m)
