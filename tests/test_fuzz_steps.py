@@ -158,7 +158,7 @@ def test_absurd_steps_are_finite_or_named_errors(name):
 @pytest.mark.parametrize(
     "count",
     [
-        pytest.param(10_000, marks=pytest.mark.study),
+        pytest.param(5_000, marks=pytest.mark.study),
         pytest.param(1_000_000, marks=pytest.mark.long),
     ],
 )

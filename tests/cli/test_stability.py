@@ -23,7 +23,7 @@ QUICK = ["--configurations", "20", "--runs", "1", "--map-points", "2", "--map-ru
 def rough():
     """Tolerances from few points: their numbers are tested in tests/stability."""
     with pytest.MonkeyPatch.context() as patch:
-        rough = partialmethod(aj.Study.tolerance, precision=0.2, draws=15)
+        rough = partialmethod(aj.Study.tolerance, precision=0.3, draws=6)
         patch.setattr(aj.Study, "tolerance", rough)
         yield
 

@@ -461,14 +461,14 @@ def test_a_set_point_law_on_what_is_predicted_is_the_law_itself(belief):
 )
 def test_a_pose_is_reached_and_followed_to_a_millimetre(belief, sensor, kind):
     """In 8 s: after 6 s 0.12 mm and 0.8 mrad rms at rest, 0.46 mm and 1.0 mrad on the path."""
-    task = aj.PoseTask(belief)
-    kinematics = AdaptiveKinematics(task, noise=1e-3, delay=0.03)
-    controller = aj.TrackingController(task, kinematics=kinematics)
+    task, dt = aj.PoseTask(belief), 2e-3
+    kinematics = AdaptiveKinematics(task, noise=1e-3, delay=0.03, dt=dt)
+    controller = aj.TrackingController(task, kinematics=kinematics, dt=dt)
     path = Path(sensor, amplitude=float(kind == "path"))
     if kind == "set-point law":
         law_ = aj.SetpointController(task, gravity=aj.AdaptiveGravity(belief))
         controller, path = PredictedMeasurement(law_, kinematics), path.at(0.0).x
-    run = simulated(plant_of(sensor), controller, path, 6.0, dt=1e-3)
+    run = simulated(plant_of(sensor), controller, path, 6.0)
     position, angle = late(run.error[run.t > 4.5])
     assert position < 1.0
     assert angle < 2.5

@@ -371,7 +371,7 @@ def test_what_happens_is_named_on_arms_that_no_threshold_was_chosen_on(
 @pytest.mark.parametrize(
     "seconds",
     [
-        pytest.param(4.0, marks=pytest.mark.study),
+        pytest.param(2.5, marks=pytest.mark.study),
         pytest.param(60.0, marks=pytest.mark.long),
     ],
 )

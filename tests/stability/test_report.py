@@ -423,7 +423,7 @@ def test_laws_without_certificates_have_a_report_that_says_so(tools, box):
 
 @pytest.mark.study
 def test_tolerance_of_a_tool_is_larger_for_sharper_tests(tools, box):
-    found = aj.Study(controller_of(tools), tools, box).tolerance(draws=10)
+    found = aj.Study(controller_of(tools), tools, box).tolerance(draws=5)
     scales = [found[test].scale for test in ("theorem1", "matrix", "local")]
     assert 0.05 < scales[0] < 0.3 < 1.5 < scales[1] < scales[2] < 10.0
     for each in found.values():
