@@ -135,6 +135,10 @@ def test_counts_out_of_range_are_refused(tools, box, count):
     for use in (lambda: study.gains(configurations=count), lambda: study.tolerance(draws=count)):
         with pytest.raises(aj.InvalidInputError, match=f"must be an integer >= .*got {count}"):
             use()
+
+
+def test_the_smallest_counts_are_taken(tools, box):
+    study = aj.Study(law_of(tools, aj.Gains(400.0, 80.0, 5.0)), tools, box)
     with pytest.raises(aj.InvalidInputError, match=r"configurations must be .*20, got 19"):
         study.gains(configurations=19)
     assert study.tolerance(["theorem1"], draws=2, precision=0.5)["theorem1"].scale > 0.0
