@@ -71,7 +71,8 @@ def pytest_xdist_make_scheduler(config, log):
     class Scheduling(LoadFileScheduling):
         def _split_scope(self, nodeid: str) -> str:
             file, _, test = nodeid.partition("::")
-            return file + test.partition("[")[2] if file.endswith("test_examples.py") else file
+            example = test.partition("[")[2].partition("-")[0].rstrip("]")
+            return file + example if file.endswith("test_examples.py") else file
 
     return Scheduling(config, log)
 
