@@ -216,7 +216,8 @@ MUTANTS = [
     ),
     (
         "residual dropped", "controllers/limits/torque_limited.py",
-        "follows = self._share * r + self._rate * apart", "follows = r", PERIODS,
+        "rest = np.minimum(np.maximum(once[1]", "rest = 0.0 * np.minimum(np.maximum(once[1]",
+        "tests/controllers/test_prediction.py",
     ),
     (
         "learning rests where the proof is kept", "controllers/limits/torque_limited.py",
@@ -1038,13 +1039,25 @@ MUTANTS = [
     ),
     (
         "next speed as in a millisecond", "controllers/limits/torque_limited.py",
-        "self._period = np.array(dt)",
-        "self._period = np.array(1e-3)", "tests/controllers/test_prediction.py",
+        "np.array(1.0 / dt)", "np.array(1.0 / 1e-3)", "tests/controllers/test_prediction.py",
     ),
     (
         "residual forgets as in a millisecond", "controllers/limits/torque_limited.py",
-        "np.array(1.0 - rate * dt)",
-        "np.array(1.0 - rate * 1e-3)", "tests/controllers/test_prediction.py",
+        "np.array(rate * dt)", "np.array(rate * 1e-3)", "tests/controllers/test_prediction.py",
+    ),
+    (
+        "payload that the limiter does not see", "controllers/limits/torque_limited.py",
+        "rho = np.minimum(np.maximum(rho, _LIGHTEST), 1.0)", "rho = 0.0 * rho + 1.0",
+        "tests/controllers/test_prediction.py",
+    ),
+    (
+        "payload seen where torques hardly change", "controllers/limits/torque_limited.py",
+        "(_CALM * rate *", "(1e-3 * _CALM * rate *", "tests/controllers/test_prediction.py",
+    ),
+    (
+        "bounds of motion as without the payload", "controllers/limits/torque_limited.py",
+        "self.rows(measurement).per(rho)", "self.rows(measurement)",
+        "tests/controllers/test_torque_limits_in_runs.py",
     ),
     (
         "reach around the base", "controllers/setpoint.py",

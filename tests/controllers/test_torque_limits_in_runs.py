@@ -1,6 +1,7 @@
 """Runs with `TorqueLimited`: rates, speeds and joint limits are kept from step to step."""
 
 from dataclasses import replace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from arms import among
 import approxjac as aj
 from approxjac.controllers import RegressorGravity
 from approxjac.robots import Dynamics, GravityRegressor
+from approxjac.scenario.starts import regular_configuration
 
 DT = 1e-3
 
@@ -217,3 +219,53 @@ def test_a_run_needs_the_limiters_own_dt(panda):
             aj.InvalidInputError, match=r"dt must be that of the controller, 0\.001"
         ):
             aj.simulate(plant, limited, plant.sensor.value(q0), q0, 0.1, dt=dt)
+
+
+@pytest.fixture(scope="module")
+def light_wrist(tmp_path_factory):
+    """A UR5 with the wrist's inertia of a real one."""
+    tree = ElementTree.fromstring(aj.load_robot("ur5").urdf)
+    for link in tree.findall("link"):
+        if link.get("name").startswith("wrist"):
+            inertia = link.find("inertial/inertia")
+            for key, value in inertia.attrib.items():
+                inertia.set(key, f"{float(value) / 100.0}")
+    path = tmp_path_factory.mktemp("arms") / "light_wrist.urdf"
+    path.write_text(ElementTree.tostring(tree, encoding="unicode"), encoding="utf-8")
+    return aj.load_robot(path, tip="tool0")
+
+
+LAWS = {
+    "setpoint": lambda task: aj.SetpointController(task, gravity=aj.AdaptiveGravity(task.robot)),
+    "tracking": aj.TrackingController,
+}
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize(
+    ("seed", "mass", "axis"),
+    [
+        (2, 2.5, "x"),
+        *(
+            pytest.param(seed, mass, axis, marks=pytest.mark.study)
+            for seed in range(30, 36)
+            for mass in (0.0, 0.5, 2.5)
+            for axis in "xz"
+        ),
+    ],
+)
+def test_speeds_stay_within_their_limits_with_a_payload_that_nobody_told_of(
+    light_wrist, law, seed, mass, axis
+):
+    truth, belief = light_wrist.with_object(0.2, mass, axis=axis), light_wrist.with_object(0.0)
+    sensor, rng = aj.PositionTask(truth), np.random.default_rng(seed)
+    controller = aj.TorqueLimited(LAWS[law](aj.PositionTask(belief)))
+    q0, goal = (regular_configuration(sensor, controller.task, rng) for _ in range(2))
+    plant = aj.Plant(truth, sensor, torque_limits=truth.effort_limits)
+    run = aj.simulate(
+        plant, controller, sensor.value(goal), q0, 0.35, dt=DT, record_every=DT,
+        computation=aj.simulation.Computation("semi_implicit_euler"),
+    )  # fmt: skip
+    speed = (np.abs(run.v) / truth.velocity_limits).max(axis=1)
+    assert speed[run.t > 0.02].max() <= 1.05
+    assert speed.max() <= 1.4  # before a torque has shown the payload

@@ -27,6 +27,7 @@ from approxjac.controllers.arguments import (
 from approxjac.controllers.controller import Controller
 from approxjac.controllers.gains.gains import Latency
 from approxjac.controllers.gains.motors import largest_inertia, motor_damping
+from approxjac.controllers.gains.sample_configurations import max_damping_rate
 from approxjac.controllers.learning.estimator import Kinematics
 from approxjac.controllers.learning.learnt_camera import AdaptiveCamera
 from approxjac.controllers.learning.positions import AdaptiveKinematics
@@ -160,7 +161,7 @@ class TrackingController(Immutable, Controller):
     ) -> None:
         require_controllable(task)
         robot = task.robot
-        self.task = task
+        self.task, self.latency = task, latency
         self.dt = dt = as_number("dt", dt, unit="s", above=0.0)
         self.kinematics = _usual_kinematics(task, dt) if kinematics is None else kinematics
         gains = TrackingGains() if gains is None else gains
@@ -392,8 +393,8 @@ class TrackingController(Immutable, Controller):
         return True
 
     def damping_rate(self, inertias: Array) -> float:
-        """Return κ [1/s]."""
-        return self.kappa
+        """Return the rate of joint damping by κ(M̂ + F) [1/s]."""
+        return self.kappa * (1.0 + max_damping_rate(inertias, self._added))
 
     def believed_dynamics(self) -> tuple[Dynamics, bool]:
         return Dynamics(self.dynamics.robot), True

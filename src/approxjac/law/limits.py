@@ -180,6 +180,14 @@ class Rows(NamedTuple):
         """Return the bounded numbers of q̈ (n_v,) or of matrices (n_v, n_v)."""
         return q_dd if self.E is None else np.concatenate([q_dd, self.E.dot(q_dd)])
 
+    def per(self, rho: Array) -> Rows:
+        """Return the rows of a where q̈ = ρa, ρ > 0 of shape (n_v,)."""
+        if self.E is None:
+            return Rows(self.low / rho, self.high / rho)
+        n = len(rho)
+        low, high = (np.concatenate([s[:n] / rho, s[n:]]) for s in (self.low, self.high))
+        return Rows(low, high, self.E * rho)
+
 
 class TorqueRows(NamedTuple):
     """Rows as bounds of A τ."""

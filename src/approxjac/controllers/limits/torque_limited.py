@@ -42,34 +42,45 @@ _UNSET, _SET = 1e20, 1e19  # a torque before that is not known yet, and what is 
 _LARGEST = np.finfo(float).max
 _EXPLAINED = 5.0  # times what a guard takes for granted
 _NEVER = 1e20  # [s], a time that is never measured
+_FORGETS = 0.3  # of the rate of damping
+_CALM = 0.03  # share of the acceleration from full speed to rest at that rate: no change of f
+_BOLD = 0.1  # least ρ² where f changes by that much
+_LIGHTEST = 1e-3  # ρ of what is as good as without inertia
 
 
 class AccelerationObserver:
-    """q̈ = f(q, q̇, τ) + r, with f the believed dynamics and r an estimated residual.
+    """q̈ = ψ + ρ(f − φ), with f the believed dynamics, φ and ψ what f and q̈ were.
 
-    In each period q̇ changes by (f + r₁) dt, and r follows r₁ at a given rate [1/s]. It is a rate at
-    which damping may act: delays and filters that allow that damping allow r, and noise of q̇ causes
-    no more torque than with that damping.
+    φ and ψ are f and the measured q̈, low-passed at a given rate [1/s]: one at which damping may
+    act. Delays and filters that allow that damping allow ψ, and noise of q̇ causes no more torque
+    than with that damping.
 
-    r is at most what half of all motors' efforts can cause, more than payloads and friction do, so
-    that a bad q̇ is soon forgotten.
+    ρ ≤ 1, one number a joint, is the share of a change of f by which q̈ changes: 0.01 of a light
+    wrist with a payload that the belief lacks. It is the least square of q̈ − ψ − ρ(f − φ) in the
+    last periods, and 1 where f hardly changes. What is taken for light by mistake is found out by
+    the first torque that is too large for it.
+
+    ψ − ρφ is at most what half of all motors' efforts can cause, more than payloads and friction
+    do, so that a bad q̇ is soon forgotten.
 
     Limits have to be kept while gravity is learnt: then f has the believed arm's weight, whatever
     was learnt; otherwise it has the gravity that the controller compensates.
 
-    Its memory, of length 1 + 2 n_v: the time at which the next q̇ is expected [s], that q̇ by f
-    alone, and r. A q̇ more than half a period early or late is ignored.
+    Its memory, of length 1 + 6 n_v: the time at which the next q̇ is expected [s], the last q̇ and f,
+    φ and ψ, and the sums of the least square. A q̇ more than half a
+    period early or late is ignored.
     """
 
-    def __init__(self, controller: Controller, dt: float, rate: float) -> None:
+    def __init__(self, controller: Controller, dt: float, rate: float, fastest: Array) -> None:
         robot = controller.task.robot
         self.dynamics, self.has_weight = controller.believed_dynamics()
         self._n = robot.nv
-        self._dt, self._rate, self._share = dt, np.array(rate), np.array(1.0 - rate * dt)
-        self._period = np.array(dt)
+        self._dt, self._per_period, self._share = dt, np.array(1.0 / dt), np.array(rate * dt)
+        self._forgets = np.array(_FORGETS * rate * dt)
         self._most = _EXPLAINED * usual_accelerations(robot)[1]
+        self._calm = (_CALM * rate * np.where(np.isfinite(fastest), fastest, 1.0)) ** 2
         # before the first period
-        self.nothing = read_only(np.concatenate([[_NEVER], np.zeros(2 * robot.nv)]))
+        self.nothing = read_only(np.concatenate([[_NEVER], np.zeros(6 * robot.nv)]))
 
     def timed(self, memory: Array, measurement: Measurement) -> Measurement:
         """Return a measurement, at the expected time if its t does not advance."""
@@ -77,24 +88,42 @@ class AccelerationObserver:
             return measurement
         return measurement._replace(t=law.select(memory[0] < _NEVER, memory[0], 0.0))
 
-    def residual(self, memory: Array, measurement: Measurement) -> Array:
-        """Return the updated r, shape (n_v,) [rad/s² or m/s²]."""
+    def observed(self, memory: Array, measurement: Measurement) -> tuple[Array, Array, Array]:
+        """Return the memory that knows this q̇, ρ and ψ − ρφ [rad/s² or m/s²], (n_v,) each."""
         n = self._n
-        r, is_due = memory[n + 1 :], abs(measurement.t - memory[0]) <= 0.5 * self._dt
-        apart = measurement.v - memory[1 : n + 1]
-        follows = self._share * r + self._rate * apart
-        follows = np.minimum(np.maximum(follows, -self._most), self._most)
-        return law.select(is_due, follows, r)
+        v, f, *_ = old = memory[1:].reshape(6, n)
+        now = np.concatenate([f, self._per_period * (measurement.v - v)]).reshape(2, n)
+        of_f, of_a = now - old[2:4]
+        sums = np.concatenate([of_f * of_f, of_f * of_a]).reshape(2, n)
+        sums = old[4:] + self._forgets * (sums - old[4:])
+        once = old[2:4] + self._share * (now - old[2:4])
+        rho, rest = self._fitted(once, sums)
+        after = [memory[: 2 * n + 1], once[0], rest + rho * once[0], sums.ravel()]
+        is_due = abs(measurement.t - memory[0]) <= 0.5 * self._dt
+        after = law.select(is_due, np.concatenate(after), memory)
+        known = after[2 * n + 1 :].reshape(4, n)
+        rho, rest = self._fitted(known[:2], known[2:])
+        return after, rho, rest
+
+    def _fitted(self, once: Array, sums: Array) -> tuple[Array, Array]:
+        of_f, both = sums[0] + self._calm, sums[1] + self._calm
+        # torques grow from period to period while it is sought, but not at once
+        rho = np.maximum(both / of_f, np.sqrt(_BOLD * self._calm / of_f))
+        rho = np.minimum(np.maximum(rho, _LIGHTEST), 1.0)
+        rest = np.minimum(np.maximum(once[1] - rho * once[0], -self._most), self._most)
+        return rho, rest
 
     def forward(self, measurement: Measurement, gravity: Array, torque: Array) -> Array:
         """Return f for a torque, (n_v,) [rad/s² or m/s²]; `gravity` is the compensated one."""
         _, q, v, _, _ = measurement
         return self.dynamics.forward(q, v, torque if self.has_weight else torque - gravity)
 
-    def expecting(self, measurement: Measurement, f: Array, residual: Array) -> Array:
+    def expecting(self, measurement: Measurement, f: Array, memory: Array) -> Array:
         """Return the memory after sending a torque with this f."""
-        expected = measurement.v + self._period * f
-        memory = np.concatenate([[measurement.t + self._dt], expected, residual])
+        n, is_first = self._n, memory[0] > 0.5 * _NEVER
+        once = law.select(is_first, np.concatenate([f, f]), memory[2 * n + 1 : 4 * n + 1])
+        sent = [[measurement.t + self._dt], measurement.v, f, once, memory[4 * n + 1 :]]
+        memory = np.concatenate(sent)
         # what is absurd must not make the next period's prediction overflow
         return law.select(law.length(memory) < HUGE, memory, self.nothing)
 
@@ -212,6 +241,7 @@ class TorqueLimited(ControllerWrapper):
         own = np.median([np.diag(M) for M in inertias], axis=0)
         self._jerk = np.minimum(self._rate / own, _FAR) if self._has_rate else None
         # arrays, which NumPy multiplies with in a third of the time of numbers
+        self._one = np.ones(robot.nv)
         self._braking, self._alpha = np.array(self.braking), np.array(self.alpha)
         (low, high), fastest = np.array(self.limits.position), np.asarray(self.limits.velocity)
         most = np.asarray(self.limits.acceleration)
@@ -226,7 +256,7 @@ class TorqueLimited(ControllerWrapper):
             q = robot.random_configuration(np.random.default_rng(0))
             for limit in self.motion_limits:
                 require_rows(limit, self._terms(q, np.full(robot.nv, _TRIAL)), self._dt)
-        self._prediction = AccelerationObserver(controller, self._dt, self.braking)
+        self._prediction = AccelerationObserver(controller, self._dt, self.braking, fastest)
         # whether a torque within its limits may be limited, too
         bounds_motion = bool(np.isfinite([low, high, fastest, most]).any())
         self._looks_ahead = bounds_motion or bool(self.motion_limits)
@@ -332,20 +362,21 @@ class TorqueLimited(ControllerWrapper):
         def brakes(M_inv: Array, bounds: law.TorqueRows) -> Array:
             lower, upper = asked.lower, asked.upper
             hold = np.minimum(np.maximum(gravity, lower), upper)
-            rest, solver = -self._braking * measurement.v, self._brakes.minimum
+            rest, solver = -self._braking * measurement.v / rho, self._brakes.minimum
             return law.braked(M_inv, bounds, lower, upper, rest, hold, solver)
 
         residual = rows = None
+        rho = self._one
         if self._looks_ahead:
             measurement = self._prediction.timed(memory, measurement)
-            residual = self._prediction.residual(memory, measurement)
-            rows = self.rows(measurement)
+            memory, rho, residual = self._prediction.observed(memory, measurement)
+            rows, residual = self.rows(measurement).per(rho), residual / rho
         torque, f, slack, verdict, is_free = law.limit_step(
             asked, output, self._weight, forward, M_inv, rows, residual, brakes,
             self._solver.minimum,
         )  # fmt: skip
         if residual is not None:
-            memory = self._prediction.expecting(measurement, f, residual)
+            memory = self._prediction.expecting(measurement, f, memory)
         exceeds = rows is not None and self.is_exceeded(measurement)
         free = law.select(exceeds, _EXCEEDED, _FREE)
         if law.surely(is_free > 0.0):  # which is usual
