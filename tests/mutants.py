@@ -1046,6 +1046,11 @@ MUTANTS = [
         "np.array(rate * dt)", "np.array(rate * 1e-3)", "tests/controllers/test_prediction.py",
     ),
     (
+        "no limits where there are no efforts", "scenario/build.py",
+        "if turns_on.all() and not np", "if True or not np",
+        "tests/scenario/test_run.py",
+    ),
+    (
         "payload that the limiter does not see", "controllers/limits/torque_limited.py",
         "rho = np.minimum(np.maximum(rho, _LIGHTEST), 1.0)", "rho = 0.0 * rho + 1.0",
         "tests/controllers/test_prediction.py",

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -400,6 +401,20 @@ def test_a_robot_without_limits_keeps_none_and_has_no_share_of_them():
     assert built.controller is built.law
     with pytest.raises(aj.InvalidInputError, match=r"that of two_link has none, got 0\.5"):
         build_scenario(reach("two_link", controller={"limits": 0.5}))
+
+
+def test_speeds_and_positions_are_kept_without_efforts(tmp_path):
+    path, urdf = tmp_path / "arm.urdf", aj.load_robot("panda").urdf
+    path.write_text(re.sub('effort="[^"]*"', 'effort="0"', urdf), encoding="utf-8")
+    far = {**FAR, "duration": 0.3}
+    built = build_scenario(Scenario(str(path), tip="panda_hand_tcp", run=far))
+    assert not np.isfinite(built.limits.effort).any()
+    assert_allclose(built.limits.velocity, aj.load_robot("panda").velocity_limits)
+    assert_allclose(built.limits.position, aj.load_robot("panda").position_limits)
+    slow = dataclasses.replace(built.limits, velocity=0.1 * np.asarray(built.limits.velocity))
+    controller = aj.TorqueLimited(built.law, slow)
+    run = aj.simulate(built.plant, controller, built.target, built.q0, 0.1, dt=1e-3)
+    assert 0.9 < (np.abs(run.v) / slow.velocity).max() <= 1.05
 
 
 def test_limits_are_kept_unless_told_otherwise():

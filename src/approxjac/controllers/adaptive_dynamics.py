@@ -14,6 +14,7 @@ import pinocchio as pin
 from approxjac import law
 from approxjac.controllers.gains.sample_configurations import usual_inertias
 from approxjac.robots import Dynamics, Robot
+from approxjac.robots.drives import usual_effort
 from approxjac.robots.dynamics import DynamicsRegressor
 from approxjac.robots.traced import arm_of
 from approxjac.validation import Array, Immutable, as_diagonal, as_limits, as_number, require
@@ -101,7 +102,7 @@ class MotionDynamics(Immutable, ABC):
         They are typical rotor inertias for the effort limits, because a URDF has none and a gain of
         M̂ alone leaves light wrists soft. Zero if rotor inertias are given.
         """
-        F = _DRIVE * known_efforts(self.robot)
+        F = _DRIVE * usual_effort(self.robot)
         if self.rotor_inertia.any() or not F.any() or room <= 1.0:
             return np.zeros(self.robot.nv)
         M_inv = np.linalg.inv(usual_inertias(self.robot))
@@ -250,7 +251,7 @@ def plausible_errors(regressor: DynamicsRegressor) -> Array:
     links = np.tile(link, regressor.links // 10)
     links[regressor.last_link] *= _LAST
     arm = np.where(np.array(robot.joint_units) == "m", 1.0, length)
-    effort = known_efforts(robot)
+    effort = usual_effort(robot)
     torque = np.maximum(mass * _STANDARD_GRAVITY * arm, _FRICTION * effort)
     rotor = np.maximum(_ROTOR * mass * arm**2, _DRIVE * effort)
     return np.concatenate([links, rotor, torque, torque, torque])
@@ -271,9 +272,3 @@ def squared_rates(motions: Sequence[tuple[Array, Array]], gamma: Array) -> Array
     """Return the largest γᵢ Y_dᵢᵀM⁻¹Y_dᵢ of motions, each parameter's ω² alone; (p,) [1/s²]."""
     rates = [gamma * (Y_d * (M_inv @ Y_d)).sum(axis=0) for Y_d, M_inv in motions]
     return np.asarray(np.maximum(np.max(rates, axis=0), 1e-9))
-
-
-def known_efforts(robot: Robot) -> Array:
-    """Return effort limits, 0 where unknown, shape (n_v,) [N m or N]."""
-    effort = robot.effort_limits
-    return np.where(np.isfinite(effort), effort, 0.0)

@@ -27,7 +27,8 @@ from approxjac.law.guard import (
     remembered,
     stop_torque,
 )
-from approxjac.robots import Dynamics, Robot
+from approxjac.robots import Robot
+from approxjac.robots.drives import usual_effort
 from approxjac.robots.traced import motion_between
 from approxjac.tasks.analysis import uncombined
 from approxjac.validation import Array, as_diagonal, as_integer, as_limits, as_number, shape_of
@@ -249,14 +250,10 @@ class SampleGuard:
 @functools.lru_cache(maxsize=32)
 def usual_accelerations(robot: Robot) -> tuple[Array, Array, Array]:
     """Return |q̈| per unit of torque (n_v, n_v), |q̈| of loads, and a stop's damping, (n_v,) each."""
-    inertias, dynamics = usual_inertias(robot), Dynamics(robot)
+    inertias = usual_inertias(robot)
     M_inv = np.linalg.inv(inertias)
     mobility = _PAYLOAD * np.quantile(np.abs(M_inv), _OFTEN, axis=0)
-    rng = np.random.default_rng(0)
-    weights = np.array([dynamics.g(robot.random_configuration(rng)) for _ in range(len(inertias))])
-    weight = np.abs(weights).max(axis=0)
-    effort = np.where(np.isfinite(robot.effort_limits), robot.effort_limits, 2.0 * weight)
     light = 1.0 / np.diagonal(M_inv, axis1=1, axis2=2).max(axis=0)
     damping = light * (_STOPS / max_damping_rate(inertias, light))
-    push = np.linalg.norm(mobility * (_PUSHED * effort), axis=1)
+    push = np.linalg.norm(mobility * (_PUSHED * usual_effort(robot)), axis=1)
     return mobility, np.maximum(push, _LEAST), damping

@@ -356,12 +356,14 @@ def limits_of(scenario: Scenario, belief: Robot) -> Limits | None:
     if share == "none" or sampling_time(scenario) == 0.0:
         return None
     if not np.isfinite(belief.effort_limits).any():
-        if share == "urdf":
+        if share != "urdf":
+            raise InvalidInputError(
+                "controller.limits are shares of the URDF's effort limits, and that of "
+                f"{belief.name} has none, got {share}",
+                given=share,
+            )
+        turns_on = belief.usual_range[1] < belief.position_limits[1]
+        if turns_on.all() and not np.isfinite(belief.velocity_limits).any():
             return None
-        raise InvalidInputError(
-            f"controller.limits are shares of the URDF's effort limits, and that of {belief.name} "
-            f"has none, got {share}",
-            given=share,
-        )
     limits = Limits.of(belief, share if isinstance(share, float) else 1.0)
     return replace(limits, rate=scenario.controller.torque_rate).for_joints(belief.nv)

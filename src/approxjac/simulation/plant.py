@@ -16,7 +16,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.formatting import short, short_fields
 from approxjac.interface import Measurement
 from approxjac.robots import Dynamics, Robot
-from approxjac.robots.drives import Drives, Friction, drives_of, usual_inertia
+from approxjac.robots.drives import Drives, Friction, drives_of, usual_effort, usual_inertia
 from approxjac.robots.robot import WORLD
 from approxjac.robots.traced import motion_between, moved
 from approxjac.simulation.sensing import Sensing, lost_entries
@@ -134,8 +134,7 @@ class JointStops:
     @cached_property
     def stiffness(self) -> Array:
         """k, shape (n_v,) [N m/rad or N/m]."""
-        limits = self._robot.effort_limits
-        effort = np.where(np.isfinite(limits), limits, 0.0)
+        effort = usual_effort(self._robot)
         return np.asarray(np.maximum(usual_inertia(self._robot) * _RATE**2, effort / _GIVES_WAY))
 
     @cached_property
