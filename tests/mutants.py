@@ -412,7 +412,8 @@ MUTANTS = [
     ),
     (
         "all of the friction that was told", "controllers/friction.py",
-        "_KNOWN = 0.8", "_KNOWN = 1.1", "tests/controllers/test_friction_compensation.py",
+        "FRICTION_SHARE = 0.8", "FRICTION_SHARE = 1.1",
+        "tests/controllers/test_friction_compensation.py",
     ),
     # -- gravity and its bounds
     (

@@ -156,6 +156,18 @@ def test_certificates_are_of_joints_that_do_not_rub():
         aj.stability.lyapunov(aj.Plant(robot), told, np.zeros(2), np.zeros(2), np.zeros(2))
 
 
+def test_the_tracking_law_begins_with_a_friction_that_is_told():
+    task = aj.PositionTask(aj.load_robot("panda"))
+    told = aj.TrackingController(task, friction=Friction(2.0, 5.0))
+    q = task.robot.neutral()
+    at = aj.Measurement(0.0, q, np.zeros(7), task.value(q))
+    learnt = dict(zip(told.parameters, told.learnt(told.initial_state(at)), strict=True))
+    assert learnt["panda_joint1.viscous"] == 2.0
+    assert learnt["panda_joint1.coulomb"] == 4.0
+    with pytest.raises(aj.InvalidInputError, match="friction must be"):
+        aj.TrackingController(task, friction=2.0)
+
+
 # -- runs ----------------------------------------------------------------------------------------
 
 
@@ -262,3 +274,27 @@ def test_on_what_kinematics_predict_springs_do_not_swing():
     )
     assert error <= 0.3
     assert turns == 0
+
+
+def followed(name, friction, seed, **options):
+    """Return the rms error [mm] on a circle from 2 s to 6 s, with an unknown tool."""
+    robot = aj.load_robot(name)
+    plant = aj.Plant(robot.with_object(0.15, 1.0, axis="x"), friction=friction)
+    task = aj.PositionTask(robot.with_object(0.0))
+    law_of = aj.codegen.compiled(aj.TrackingController(task, **options))
+    q0 = plant.ready_configuration()
+    x0 = plant.sensor.value(q0)
+    path = aj.Circle(2.0 * x0 - aj.Circle(x0, 0.1, 4.0).at(0.0).x, 0.1, 4.0)
+    run = aj.simulate(
+        plant, law_of, path, q0, 6.0, seed=seed, computation=Computation("semi_implicit_euler")
+    )
+    return 1e3 * float(np.sqrt((run.error_norm[run.t >= 2.0] ** 2).mean()))
+
+
+@pytest.mark.study
+@pytest.mark.parametrize(("name", "most"), [("ur3", 1.2), ("baxter_left_arm", 1.2)])
+def test_the_tracking_law_follows_with_joints_that_rub(name, most):
+    friction = share_of_effort(name, 0.05)
+    learnt = followed(name, friction, 1)
+    told = followed(name, friction, 1, friction=friction)
+    assert told < learnt <= most

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 import approxjac as aj
 from approxjac.robots import Dynamics
-from approxjac.robots.dynamics import COULOMB_SPEED, DynamicsRegressor
+from approxjac.robots.dynamics import REFERENCE_SPEED, DynamicsRegressor
 
 
 @pytest.fixture(params=among("two_link", "panda", "kinova", "tiago_arm"))
@@ -55,7 +55,7 @@ def test_joints_have_rotors_friction_and_a_constant_torque(panda, rng):
     q, v, v_r, a_r = drawn(panda, rng)
     rotor, viscous, coulomb, constant = rng.uniform(0.1, 1.0, (4, 7))
     a = np.concatenate([regressor.a[:70], rotor, viscous, coulomb, constant])
-    expected = rotor * a_r + viscous * v_r + coulomb * np.tanh(v_r / COULOMB_SPEED) + constant
+    expected = rotor * a_r + viscous * v_r + coulomb * np.tanh(v_r / REFERENCE_SPEED) + constant
     Y = regressor.Y_d(q, v, v_r, a_r)
     assert_allclose(Y @ (a - regressor.a), expected, atol=1e-12)
     assert regressor.names[0] == "panda_joint1.m"

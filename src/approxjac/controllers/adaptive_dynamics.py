@@ -12,8 +12,9 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac import law
+from approxjac.controllers.friction import FRICTION_SHARE
 from approxjac.controllers.gains.sample_configurations import usual_inertias
-from approxjac.robots import Dynamics, Robot
+from approxjac.robots import Dynamics, Friction, Robot
 from approxjac.robots.drives import usual_effort
 from approxjac.robots.dynamics import DynamicsRegressor
 from approxjac.robots.traced import arm_of
@@ -26,6 +27,7 @@ _LAST = np.array([2.0, 2.0, 2.0, 2.0, 2.5, 2.5, 2.5, 2.5, 2.5, 2.5])  # of an ob
 _ROTOR = 5.0  # times a link's error of inertia
 _FARTHEST = 20.0  # standard deviations that a parameter may go from what is believed
 _FRICTION = 0.02  # of the effort
+_DRY = 4.0  # times that, of Coulomb friction, which is learnt while a joint moves
 _DRIVE = 2e-3  # rotor inertia over effort [s²] that any joint's drive may have
 _STANDARD_GRAVITY = 9.81
 _GAIN = 20.0  # [1/J]
@@ -161,6 +163,8 @@ class AdaptiveDynamics(MotionDynamics):
             `TrackingController` that makes its own dynamics uses twice its κ.
         most_damping: B, the largest K_σ of each joint, (n_v,) [N m s/rad or N s/m], where the law
             has one: learning is slower by as much as the joints are softer.
+        friction: Friction that is known of the joints, with which learning begins: all of its
+            viscous and 0.8 of its Coulomb part, as more than there is would act as a relay.
 
     Attributes:
         regressor: The `DynamicsRegressor`.
@@ -179,6 +183,7 @@ class AdaptiveDynamics(MotionDynamics):
         rotor_inertia: float | Sequence[float] | Array = 0.0,
         fastest: float = 120.0,
         most_damping: Sequence[float] | Array | None = None,
+        friction: Friction | None = None,
     ) -> None:
         super().__init__(robot, rotor_inertia=rotor_inertia)
         self.regressor = DynamicsRegressor(robot)
@@ -206,12 +211,16 @@ class AdaptiveDynamics(MotionDynamics):
         links, n = self.regressor.links, robot.nv
         prior = self.regressor.a.copy()
         prior[links : links + n] = self.rotor_inertia
+        if friction is not None:
+            known = require("friction", friction, Friction, "Friction(...) or None").of(n)
+            dry = FRICTION_SHARE * np.asarray(known.coulomb)
+            prior[links + n : links + 3 * n] = np.concatenate([known.viscous, dry])
         low, high = prior - _FARTHEST * self.sd, prior + _FARTHEST * self.sd
         low[links : links + 3 * n] = 0.0
         self._prior, self._low, self._high = prior, low, high
 
     def initial_state(self) -> Array:
-        """Return the believed parameters: links and rotors, no friction; shape (p,)."""
+        """Return the believed parameters, shape (p,)."""
         return self._prior.copy()
 
     def step(
@@ -254,7 +263,7 @@ def plausible_errors(regressor: DynamicsRegressor) -> Array:
     effort = usual_effort(robot)
     torque = np.maximum(mass * _STANDARD_GRAVITY * arm, _FRICTION * effort)
     rotor = np.maximum(_ROTOR * mass * arm**2, _DRIVE * effort)
-    return np.concatenate([links, rotor, torque, torque, torque])
+    return np.concatenate([links, rotor, torque, _DRY * torque, torque])
 
 
 def usual_motions(regressor: DynamicsRegressor) -> list[tuple[Array, Array]]:

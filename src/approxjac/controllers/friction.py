@@ -19,7 +19,7 @@ from approxjac.validation import Array, as_diagonal, as_number, require
 
 _FINE = 0.2  # of the error that counts as none
 _STEPS = 1.5  # of the encoders, at the tip
-_KNOWN = 0.8  # of Coulomb friction that is told: more than there is would act as a relay
+FRICTION_SHARE = 0.8  # of Coulomb friction that is told: more than there is would act as a relay
 _MOST = 0.25  # of the motors' effort
 _RATE = 0.3  # of F_max that F̂ grows by in a second
 _SHARP = 0.2  # of the widest ε of all joints, which each has at least
@@ -83,7 +83,7 @@ class FrictionCompensation:
         first = np.zeros(nv)
         if self.known is not None:
             known = require("known", self.known, Friction, "Friction(...) or None").of(nv)
-            first = np.minimum(_KNOWN * np.asarray(known.coulomb), most)
+            first = np.minimum(FRICTION_SHARE * np.asarray(known.coulomb), most)
         stands = _STANDS if learns else _LAGS
         falls = _FALLS * gains.damping
         return law.Rubbing(width, most, _RATE * most, falls, 0.5 * fine, first, *stands)

@@ -37,7 +37,7 @@ from approxjac.controllers.pseudoinverse import singular_ratio
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import spaced
 from approxjac.interface import Evaluation, Measurement, Status, Target
-from approxjac.robots import Drives, Dynamics, Robot
+from approxjac.robots import Drives, Dynamics, Friction, Robot
 from approxjac.robots.traced import positions_at
 from approxjac.tasks import ImageTask, PoseTask, PositionTask, StackedTask, Task
 from approxjac.tasks.analysis import (
@@ -136,6 +136,8 @@ class TrackingController(Immutable, Controller):
             are taken as rigid and the loop as ideal: elastic ones may diverge.
         drives: Rotors and gears of the joints, as far as they are known; with a latency alone
             rotors that geared arms have at least. `Drives()` says that there are none.
+        friction: Friction of the joints, as far as it is known, for the default dynamics, which
+            learn the rest of it.
 
     Raises:
         InvalidInputError: Numbers out of range or of the wrong shape, kinematics or dynamics of
@@ -158,6 +160,7 @@ class TrackingController(Immutable, Controller):
         command: Literal["torque", "velocity"] = "torque",
         latency: Latency | None = None,
         drives: Drives | None = None,
+        friction: Friction | None = None,
     ) -> None:
         require_controllable(task)
         robot = task.robot
@@ -175,6 +178,7 @@ class TrackingController(Immutable, Controller):
                 rotor_inertia=0.0 if drives is None else drives.rotor_inertia,
                 fastest=_QUICK * self.kappa,
                 most_damping=self._most if np.isfinite(self._most).any() else None,
+                friction=friction,
             )
         self.dynamics = dynamics
         self._require_parts()

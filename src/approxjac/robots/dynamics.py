@@ -135,6 +135,7 @@ class Dynamics:
 
 
 COULOMB_SPEED = 0.05  # speed within which Coulomb friction passes from −τ_c to τ_c [rad/s or m/s]
+REFERENCE_SPEED = 0.01  # the same of a reference velocity, which has no noise
 
 _RANK_TOLERANCE = 1e-9
 _HALF = np.array(0.5)  # an array, which NumPy multiplies with in a third of the time of a number
@@ -263,7 +264,7 @@ class DynamicsRegressor(_TorqueRegressor):
 
     def of_joints(self, v_r: Array, a_r: Array) -> Array:
         """Return the diagonals of the joints' four blocks of columns, shape (4, n_v)."""
-        each = a_r, v_r, np.tanh(v_r / COULOMB_SPEED), self._one
+        each = a_r, v_r, np.tanh(v_r / REFERENCE_SPEED), self._one
         return np.concatenate(each).reshape(4, -1)
 
     def motion(self, q: Array, v: Array, v_r: Array, a_r: Array) -> LinkMotion:
