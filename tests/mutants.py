@@ -781,6 +781,18 @@ MUTANTS = [
         "tests/stability/test_suggestion.py",
     ),
     (
+        "half of what motors may damp is not kept for K_v", "controllers/gains/tuning.py",
+        "(1.0 - _JOINTS) / float(np.quantile(lever, _NEARLY))",
+        "4.0 / float(np.quantile(lever, _NEARLY))",
+        "tests/controllers/test_motor_damping.py",
+    ),
+    (
+        "a set-point law takes a lag of torques for none", "controllers/gains/gains.py",
+        "return self.torque_delay > 0.0 or self.velocity_filter > 0.0",
+        "return False",
+        "tests/controllers/test_motor_damping.py",
+    ),
+    (
         "x of a scenario is not rounded", "scenario/build.py",
         '("noise", "quantum", "delay", "dropout")',
         '("noise", "delay", "dropout")',

@@ -336,7 +336,9 @@ def prepared(arm, sensing=None):
             velocity_filter=sensing.velocity_filter,
         )  # fmt: skip
     gravity = aj.AdaptiveGravity(belief)
-    law = aj.SetpointController(aj.PositionTask(belief), gravity=gravity, latency=latency)
+    law = aj.SetpointController(
+        aj.PositionTask(belief), gravity=gravity, latency=latency, drives=aj.robots.Drives()
+    )
     return plant, aj.TorqueLimited(law, aj.Limits.of(belief))
 
 

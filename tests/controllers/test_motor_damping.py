@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.linalg import expm
 
 import approxjac as aj
 from approxjac import law
 from approxjac.codegen.step import compiled
 from approxjac.controllers import KnownKinematics, TrackingGains
 from approxjac.controllers.gains.motors import largest_rate, least_rotors, motor_damping
-from approxjac.robots import Drives
+from approxjac.robots import Drives, Dynamics
 from approxjac.simulation import Computation
 
 LATE = aj.Latency(
@@ -129,6 +130,91 @@ def test_compiled_steps_have_the_same_damping(task, rng):
     theirs = step.step(state, measured, target, 1e-3)
     assert_allclose(theirs[0], ours[0], rtol=1e-9, atol=1e-9)
     assert_allclose(theirs[1].torque, ours[1].torque, rtol=1e-9, atol=1e-9)
+
+
+# -- gains of the set-point law -------------------------------------------------------------------
+
+
+def felt_by_motors(law_, most, postures=60):
+    """The largest eigenvalues of B^-1/2 (JᵀK_vJ + B_c) B^-1/2 at random postures."""
+    task, (_, kv, damping) = law_.task, law_.diagonals
+    rng, found = np.random.default_rng(5), []
+    for _ in range(postures):
+        J = task.jacobian(task.robot.random_configuration(rng)) / np.sqrt(most)
+        found.append(np.linalg.eigvalsh(J.T * kv @ J + np.diag(damping / most))[-1])
+    return np.array(found)
+
+
+@pytest.mark.parametrize("arm", ["panda", "ur10"])
+@pytest.mark.parametrize("drives", [None, Drives(0.2, 1e4)])
+def test_damping_of_a_set_point_law_is_within_what_motors_allow(arm, drives):
+    task = aj.PositionTask(aj.load_robot(arm).with_object(0.0))
+    most = motor_damping(task.robot, LATE, drives)
+    controller = aj.SetpointController(task, latency=LATE, drives=drives)
+    assert np.mean(felt_by_motors(controller, most) <= 1.0) >= 0.9
+    as_rigid = aj.SetpointController(task, latency=LATE, drives=Drives())
+    assert drives is not None or np.median(felt_by_motors(as_rigid, most)) > 1.2
+
+
+def test_a_set_point_law_counts_springs_only_if_a_lag_or_drives_are_told(task):
+    camera = aj.Latency(1e-3, image_period=1 / 60, image_age=0.03)
+    for latency in (None, aj.Latency(), camera):
+        ours, rigid = (
+            aj.SetpointController(task, latency=latency, **told)
+            for told in ({}, {"drives": Drives()})
+        )
+        for gain, as_rigid in zip(ours.diagonals, rigid.diagonals, strict=True):
+            assert (gain == as_rigid).all()
+    late = aj.SetpointController(task, latency=LATE)
+    assert "elastic gears" in str(late)
+    known = aj.SetpointController(task, latency=LATE, drives=Drives.usual(task.robot))
+    assert (known.diagonals.kp > 3.0 * late.diagonals.kp).all()  # the motors may damp more
+    assert "elastic" not in str(aj.SetpointController(task, latency=LATE, drives=Drives()))
+
+
+def multipliers(controller, rotor, stiffness, latency, q):
+    """Of the sampled, delayed loop about q, with springs: its state is (q, q̇, θ, θ̇, …)."""
+    (kp, kv, damping), task, dt = controller.diagonals, controller.task, latency.period
+    J, M, n = task.jacobian(q), Dynamics(task.robot).M(q), len(damping)
+    drives = Drives(rotor, stiffness).of(task.robot)
+    K, D = np.diag(np.asarray(drives.stiffness)), np.diag(drives.damping(np.diag(M)))
+    M_inv, R_inv = np.linalg.inv(M), np.eye(n) / rotor
+    none, eye = np.zeros((n, n)), np.eye(n)
+    A = np.vstack([
+        np.hstack([none, eye, none, none]),
+        np.hstack([-M_inv @ K, -M_inv @ D, M_inv @ K, M_inv @ D]),
+        np.hstack([none, none, none, eye]),
+        np.hstack([R_inv @ K, R_inv @ D, -R_inv @ K, -R_inv @ D]),
+    ])  # fmt: skip
+    full = np.zeros((5 * n, 5 * n))
+    full[: 4 * n, : 4 * n], full[3 * n : 4 * n, 4 * n :] = A, R_inv
+    flow = expm(dt * full)[: 4 * n]
+    a, late = dt / (latency.velocity_filter + dt), round(latency.torque_delay / dt)
+    # beside those θ and q̇ filtered of the step before, and torques that are late
+    size = (6 + late) * n
+    rows = np.eye(size).reshape(6 + late, n, size)
+    seen = (1.0 - a) * rows[5] + a / dt * (rows[2] - rows[4])
+    torque = -(J.T * kp @ J) @ rows[2] - (J.T * kv @ J + np.diag(damping)) @ seen
+    acting = [*rows[6:], torque]
+    moved = flow @ np.vstack([rows[:4].reshape(-1, size), acting[0]])
+    step = np.vstack([moved, rows[2], seen, *acting[1:]])
+    return np.abs(np.linalg.eigvals(step))
+
+
+@pytest.mark.parametrize("arm", ["panda", "ur5", "ur10"])
+def test_no_spring_or_rotor_makes_the_sampled_loop_of_a_set_point_law_grow(arm, rng):
+    """Fast modes, beyond 1 %/s; as of rigid joints it does."""
+    task, late = aj.PositionTask(aj.load_robot(arm).with_object(0.0)), aj.Latency(1e-3, 1e-3, 5e-3)
+    ours, rigid = (
+        aj.SetpointController(task, latency=late, **told) for told in ({}, {"drives": Drives()})
+    )
+    grows = []
+    for _ in range(6):
+        q = task.robot.random_configuration(rng)
+        rotor, stiffness = rng.uniform(0.05, 0.3), 10.0 ** rng.uniform(3.5, 4.5)
+        assert multipliers(ours, rotor, stiffness, late, q).max() < 1.0 + 1e-5
+        grows.append(multipliers(rigid, 0.05, 1e4, late, q).max())
+    assert max(grows) > 1.01
 
 
 # -- in a loop -----------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from approxjac.controllers import DifferentiatedVelocity, Latency, tuned
 from approxjac.controllers.gains.sample_configurations import sample_configurations
 from approxjac.controllers.gains.tuning import Learning, _Arm, slow_rate
 from approxjac.errors import InvalidInputError
-from approxjac.robots import Dynamics, GravityRegressor
+from approxjac.robots import Drives, Dynamics, GravityRegressor
 from approxjac.scenario import build_scenario
 from approxjac.scenario.build import latency_of
 
@@ -38,8 +38,8 @@ def learning_of(name, latency, **options):
 def test_it_is_what_a_controller_without_gains_has(panda):
     task = aj.PositionTask(panda)
     for latency in (None, CAMERA):
-        chosen = tuned(task, latency)
-        law = aj.SetpointController(task, latency=latency)
+        chosen = tuned(task, latency, drives=Drives())
+        law = aj.SetpointController(task, latency=latency, drives=Drives())
         bandwidth = 1.0 / (latency or IDEAL).of_velocity
         by_rate = aj.default_gains(task, 4.0 / chosen.rate, bandwidth)
         for name in ("kp", "kv", "damping"):
@@ -173,7 +173,7 @@ def before(arm, gains, alpha):
 def test_the_check_refuses_what_diverges_and_passes_what_the_rule_chose(name, latency):
     """Gains for 0.5 s, three times the learning of before, and integral action of ½K_p."""
     task, chosen = learning_of(name, latency)
-    arm = _Arm(task, GravityRegressor(task.robot))
+    arm = _Arm(task, GravityRegressor(task.robot), Latency(), None)
     gains = aj.default_gains(task, 0.5).diagonals(task.m, task.robot.nv)
     alpha = slow_rate(arm.task, gains)
     fast = Learning(

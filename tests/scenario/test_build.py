@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import approxjac as aj
 from approxjac.cameras import PlanarCamera
 from approxjac.controllers import Latency, tuned
+from approxjac.robots import Drives
 from approxjac.scenario import Scenario, build_scenario, run_scenario
 from approxjac.scenario.judge import prepare
 from approxjac.tasks import FrameKinematics
@@ -142,7 +143,7 @@ def test_the_law_is_tuned_for_the_loop_that_it_runs_in():
     own, usual = law(sensor=SEEN, **LATE), law()
     late = Latency(4e-3, 8e-3, velocity_filter=3e-3, image_period=0.02, image_age=0.03)
     assert own.latency == late
-    expected = tuned(own.task, late).gains.diagonals(2, 2)
+    expected = tuned(own.task, late, drives=Drives()).gains.diagonals(2, 2)
     for found, wanted in zip(own.diagonals, expected, strict=True):
         assert_allclose(found, wanted)
     assert (own.diagonals.kp < 0.9 * usual.diagonals.kp).all()

@@ -36,7 +36,7 @@ from approxjac.controllers.saturation import describe_saturation, require_satura
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
 from approxjac.law import Linear, Saturation, Tanh
-from approxjac.robots import Dynamics, GravityRegressor, Robot
+from approxjac.robots import Drives, Dynamics, GravityRegressor, Robot
 from approxjac.tasks import PoseTask, PositionTask, Task, analysis
 from approxjac.validation import Array, Immutable, as_number, as_vector, read_only, require
 
@@ -118,7 +118,8 @@ class SetpointController(Immutable, Controller):
             `DifferentiatedVelocity`, law (5).
         posture: A `Posture` that attracts the self-motion of a redundant arm, or `AwayFromStops`;
             none by default.
-        latency: Latency of the loop, for `tuned`; by default that of 1 kHz with ideal sensors.
+        latency: Latency of the loop, for `tuned`; by default that of 1 kHz with ideal sensors. With
+            late torques or a filtered q̇ they are such that motors behind elastic gears stand them.
         settling_time: Desired settling time [s], for `tuned`, which scales all gains; by default
             as short as inertia, motors and latency allow.
         friction: `FrictionCompensation()` for joints that rub; None is without.
@@ -141,6 +142,7 @@ class SetpointController(Immutable, Controller):
         latency: Latency | None = None,
         settling_time: float | None = None,
         friction: FrictionCompensation | None = None,
+        drives: Drives | None = None,
     ) -> None:
         analysis.require_controllable(task)
         for name, value, kind, wanted in (
@@ -149,6 +151,7 @@ class SetpointController(Immutable, Controller):
             ("posture", posture, (Posture, AwayFromStops), "Posture(q, stiffness) or None"),
             ("latency", latency, Latency, "Latency(period=...) or None"),
             ("friction", friction, FrictionCompensation, "FrictionCompensation() or None"),
+            ("drives", drives, Drives, "Drives(...) or None"),
         ):
             if value is not None:
                 require(name, value, kind, wanted)
@@ -157,7 +160,7 @@ class SetpointController(Immutable, Controller):
         self.friction = friction
         self.gravity: Gravity = ModelGravity(robot) if gravity is None else gravity
         require_gravity(self.gravity, task)
-        self.tuning = self._tuned(gains, latency, settling_time)
+        self.tuning = self._tuned(gains, latency, settling_time, drives)
         if gains is None:
             assert self.tuning is not None
             gains = self.tuning.gains
@@ -205,7 +208,11 @@ class SetpointController(Immutable, Controller):
         self._shapes = (robot.nq,), (robot.nv,), (task.n_x,), (task.n_x,), self._no_rate.shape
 
     def _tuned(
-        self, gains: Gains | None, latency: Latency | None, settling_time: float | None
+        self,
+        gains: Gains | None,
+        latency: Latency | None,
+        settling_time: float | None,
+        drives: Drives | None,
     ) -> Tuning | None:
         gravity, alpha, regressor = self.gravity, None, None
         if isinstance(gravity, AdaptiveGravity) and gravity.wants_rule:
@@ -214,11 +221,13 @@ class SetpointController(Immutable, Controller):
             return None
         if self.velocity is not None:  # damping of law (5) acts as late as x tells Ẋ
             known = Latency() if latency is None else latency
+            if not known.is_felt_by_motors and drives is None:
+                drives = Drives()
             lag = known.image_age + 0.5 * known.image_period + self.velocity.time_constant
             latency = replace(known, velocity_filter=known.velocity_filter + lag)
         return tuned(
             self.task, latency, settling_time=settling_time, regressor=regressor, gains=gains,
-            alpha=alpha,
+            alpha=alpha, drives=drives,
         )  # fmt: skip
 
     def begin(self, measurement: Measurement) -> Array:

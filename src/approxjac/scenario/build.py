@@ -250,6 +250,7 @@ def _law(
 ) -> Controller:
     chosen, latency = scenario.controller, latency_of(scenario)
     constant = chosen.differentiator
+    drives = Drives() if scenario.true.drives == "ideal" else None  # else nobody knows them
     if chosen.law == "tracking":
         return controllers.TrackingController(
             task,
@@ -268,7 +269,9 @@ def _law(
     gains: controllers.Gains | None = None
     given = {"kp": chosen.kp, "kv": chosen.kv, "damping": chosen.damping}
     if any(given.values()):  # those of the rule stand beside them
-        usual = controllers.tuned(task, latency, settling_time=chosen.settling_time).gains
+        usual = controllers.tuned(
+            task, latency, settling_time=chosen.settling_time, drives=drives
+        ).gains
         values = {
             name: getattr(usual, name) if value is None else value[0] if len(value) == 1 else value
             for name, value in given.items()
@@ -283,6 +286,7 @@ def _law(
         posture=posture,
         latency=latency,
         settling_time=chosen.settling_time,
+        drives=drives,
         friction=_friction(scenario),
     )
 

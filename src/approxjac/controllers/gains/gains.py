@@ -100,6 +100,11 @@ class Latency:
         """Mean lag from x to the torque that depends on it [s]."""
         return self.period + self.torque_delay + self.image_age + 0.5 * self.image_period
 
+    @property
+    def is_felt_by_motors(self) -> bool:
+        """True if q̇ or torques are late, which motors behind elastic gears feel."""
+        return self.torque_delay > 0.0 or self.velocity_filter > 0.0
+
     def in_samples(self) -> Timing:
         """Return the times in whole samples, longer than the period where delays are long."""
         dt = max(self.period, 0.25 * self.torque_delay)

@@ -19,7 +19,7 @@ from approxjac.validation import Array
 _MARGIN = 0.75  # share of the largest damping
 _SHARE = 0.015  # of the arm's largest inertia, which any rotor has
 _PER_EFFORT = 1e-3  # rotor inertia over effort that any drive has [s²]
-_LEAST = 0.05  # [kg m²]
+_LEAST, _ENOUGH = 0.05, 0.075  # least rotors that are believed of light and of heavy arms [kg m²]
 _DAMPED = 0.02  # least damping ratio of a gear: without any no lag would be allowed
 _POINTS = 4000
 
@@ -51,7 +51,8 @@ def largest_rate(latency: Latency, damping_ratio: float = 0.05) -> float:
 
 def least_rotors(robot: Robot) -> Array:
     """Return rotor inertias that a geared arm's joints have at least, (n_v,) [kg m² or kg]."""
-    usual = max(_LEAST, _SHARE * float(largest_inertia(robot).max()))
+    usual = _SHARE * float(largest_inertia(robot).max())
+    usual = min(max(usual, _LEAST), _ENOUGH)
     return np.minimum(_PER_EFFORT * robot.effort_limits, usual)
 
 

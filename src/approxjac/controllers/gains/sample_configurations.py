@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -31,6 +31,11 @@ class SampleConfigurations:
     M_inv: Array  # their inverses
     # which coordinates have the same unit, unit by unit, each of shape (m,)
     groups: tuple[np.ndarray[Any, np.dtype[np.bool_]], ...]
+
+    def with_rotors(self, inertia: Array) -> SampleConfigurations:
+        """Return them with rotor inertias (n_v,) in M [kg m² or kg]."""
+        M = self.M + np.diag(inertia)
+        return replace(self, M=M, M_inv=np.asarray(np.linalg.inv(M)))
 
     @functools.cached_property
     def mobility(self) -> Array:

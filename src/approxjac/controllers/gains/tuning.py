@@ -12,10 +12,14 @@ import numpy as np
 
 from approxjac import law
 from approxjac.controllers.gains.gains import Diagonals, Gains, Latency
-from approxjac.controllers.gains.sample_configurations import sample_configurations
+from approxjac.controllers.gains.motors import least_rotors, motor_damping
+from approxjac.controllers.gains.sample_configurations import (
+    SampleConfigurations,
+    sample_configurations,
+)
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import listed
-from approxjac.robots import Dynamics, GravityRegressor, Robot
+from approxjac.robots import Drives, Dynamics, GravityRegressor, Robot
 from approxjac.robots.urdf import direction
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import FINE, require_controllable
@@ -43,6 +47,9 @@ _IDEAL = 1e-4  # period of a loop without latency [s]
 _ROUND_OFF = 1e-7  # of multipliers
 _NO_GROWTH = 1e-11  # of those of a loop without latency
 _NEARLY = 0.95  # of the damping that a loop without latency has
+_ROTORS = 3.0  # times the least ones, that learning takes account of
+_JOINTS = 0.5  # share of what motors may damp that is the joints' own
+_HELD = 0.1 * 9.81  # weight over mass of the arm that motors have to hold [m/s²]
 _STILL = 1e-3  # slower modes, as a share of the rate, are self-motion and what no joint feels
 
 Flags = np.ndarray[Any, np.dtype[np.bool_]]
@@ -77,13 +84,24 @@ def default_gains(task: Task, settling_time: float = 1.0, bandwidth: float = 100
     return _gains_at(
         _SETTLED / as_number("settling_time", settling_time, unit="s", above=_NO_TIME),
         task,
+        sample_configurations(task),
         0.5 * as_number("bandwidth", bandwidth, unit="1/s", above=0.0),
     )
 
 
-def _gains_at(rate: float, task: Task, fastest: float) -> Gains:
-    """Return the gains of `default_gains` at a rate r and half a bandwidth [1/s]."""
-    postures = sample_configurations(task)
+def _gains_at(
+    rate: float,
+    task: Task,
+    postures: SampleConfigurations,
+    fastest: float,
+    motors: Array | None = None,
+    unknown: bool = False,
+) -> Gains:
+    """Return the gains of `default_gains` at a rate r and half a bandwidth [1/s].
+
+    `motors` is the largest damping of each motor, (n_v,), half of it for K_v in nearly all postures
+    and half for B_c, which is all of that where rotors are unknown, as inertia may be more.
+    """
     kv = 4.0 * rate * postures.inertia
     quieting = _DAMPING_SHARE * 4.0 * rate * postures.inertia_in_joints
     angles = np.array(task.units) == "rad"
@@ -93,6 +111,11 @@ def _gains_at(rate: float, task: Task, fastest: float) -> Gains:
         kv[group] = np.minimum(kv[group], fastest / mobility)
     damping = rate * postures.joint_inertia + quieting
     damping = np.minimum(damping, fastest / postures.largest_joint_mobility)
+    if motors is not None:
+        lever = np.linalg.norm(postures.J_hat / np.sqrt(motors), 2, axis=(1, 2)) ** 2
+        kv = np.minimum(kv, (1.0 - _JOINTS) / float(np.quantile(lever, _NEARLY)))
+        most = fastest / postures.largest_joint_mobility if unknown else damping
+        damping = np.minimum(_JOINTS * motors, most)
     return Gains(kp=rate * (kv + postures.felt_damping(damping)), kv=kv, damping=damping)
 
 
@@ -187,10 +210,25 @@ class Tuning:
 class _Arm:
     """The believed arm at its sample configurations."""
 
-    def __init__(self, task: Task, regressor: GravityRegressor | None) -> None:
+    def __init__(
+        self,
+        task: Task,
+        regressor: GravityRegressor | None,
+        latency: Latency,
+        drives: Drives | None,
+    ) -> None:
         robot = task.robot
         self.task, self.robot = task, robot
-        self.postures = sample_configurations(task)
+        self.postures, self.motors = sample_configurations(task), None
+        self.heavy = self.postures  # with the rotors that there may be
+        if drives is not None or latency.is_felt_by_motors:
+            motors = motor_damping(robot, latency, drives)
+            self.motors = motors if np.isfinite(motors).any() else None
+            if drives is None:  # learning must not ring with heavier rotors
+                self.heavy = self.postures.with_rotors(_ROTORS * least_rotors(robot))
+            else:
+                self.heavy = self.postures.with_rotors(np.asarray(drives.rotor_inertia))
+                self.postures = self.heavy
         q = self.postures.q
         self.g = np.array([*map(Dynamics(robot).g, q)])
         self.Z = None if regressor is None else np.array([*map(regressor.Z, q)])
@@ -213,6 +251,14 @@ class _Arm:
         D = J.mT * kv @ J + np.diag(damping)
         return D, J.mT * kp
 
+    def damped_rate(self, gains: Gains) -> float:
+        """Return the largest rate r that K_v and B_c damp, where motors bound them."""
+        if self.motors is None:
+            return math.inf
+        kv, damping = gains.diagonals(self.task.m, self.robot.nv)[1:]
+        felt = kv + self.postures.felt_damping(damping)
+        return float((0.5 * felt / self.postures.inertia).min())
+
     def saturation(self, gains: Diagonals, latency: Latency) -> Array:
         """Return γ (m,), which keeps torques and speeds within their limits."""
         (D, force), rate = self.motion(gains), slow_rate(self.task, gains)
@@ -228,7 +274,10 @@ class _Arm:
                 motors = (left / np.linalg.norm(force[at][:, :, group], axis=2)).min(axis=1)
                 speeds = (_SPEED * fastest / np.linalg.norm(speed[:, :, group], axis=2)).min(axis=1)
             most = min(float(np.quantile(motors, 0.25, method="lower")), float(np.median(speeds)))
-            gamma[group] = min(distance / 8.0, most / len(self.distance))
+            usual = distance / 8.0
+            if self.motors is not None and np.array(self.task.units)[group][0] == "m":
+                usual = max(usual, _HELD * self.robot.mass / float(gains.kp[group].min()))
+            gamma[group] = min(usual, most / len(self.distance))
         return gamma
 
     def time(self, gamma: Array, rate: float, alpha: float) -> float:
@@ -251,7 +300,7 @@ class _Arm:
         # W = D⁻¹ M D⁻¹: learning at a rate P and motion make an oscillator, damped where WP is
         # small. Its root turns products into symmetric matrices.
         try:
-            root = np.linalg.solve(D, np.linalg.cholesky(self.postures.M))
+            root = np.linalg.solve(D, np.linalg.cholesky(self.heavy.M))
         except np.linalg.LinAlgError:
             message = f"damping must be > 0 for gravity to be learnt, got {listed(gains.damping)}"
             raise InvalidInputError(message, given=gains) from None
@@ -269,7 +318,7 @@ class _Arm:
         metric = S[:, None] * C * S + _RIDGE * np.eye(len(S))
         L = S[:, None] * np.linalg.inv(metric) * S
         L *= 0.5 * share / largest(Z @ L @ Z.mT)
-        joint_torque = 0.25 * gains.damping**2 / self.postures.joint_inertia
+        joint_torque = 0.25 * gains.damping**2 / self.heavy.joint_inertia
         joint_torque = joint_torque * min(1.0, 0.5 * share / largest(np.diag(joint_torque)))
         # of each parameter, the size whose torque alone is what a motor has, RMS
         usual = np.sqrt((np.concatenate([Z, J.mT], axis=2) ** 2).mean(axis=0))
@@ -284,7 +333,7 @@ class _Arm:
 
     def cases(self, gains: Diagonals, learning: Learning | None) -> law.LinearLaw:
         """Return the linearised loop at some postures, of arms that differ from the believed."""
-        J_hat, M_inv = self.postures.J_hat[:_CHECKED], self.postures.M_inv[:_CHECKED]
+        J_hat = self.postures.J_hat[:_CHECKED]
         D, force = (each[:_CHECKED] for each in self.motion(gains))
         rate, pull = np.zeros_like(D), np.zeros_like(force)
         if learning is not None:
@@ -295,10 +344,11 @@ class _Arm:
             root = 1.0 if learning.pinv_weight is None else np.sqrt(learning.pinv_weight)
             pinv = np.linalg.pinv(J_hat / root).mT / root
             pull = pull + learning.alpha * pinv.mT
+        light, most = (each.M_inv[:_CHECKED] for each in (self.postures, self.heavy))
         truths = [
-            (M_inv / heavier, J)
-            for J, heavy in ((J_hat, 1.0), (self.with_tool, _HEAVIER))
-            for heavier in (heavy, _LIGHTER)
+            (M_inv, J)
+            for J, heavier in ((J_hat, 1.0), (self.with_tool, _HEAVIER))
+            for M_inv in (most / heavier, light / _LIGHTER)
         ]
         each = [(M, J, force, D, rate, pull) for M, J in truths]
         return law.LinearLaw(*(np.concatenate(parts) for parts in zip(*each, strict=True)))
@@ -378,6 +428,7 @@ def tuned(
     regressor: GravityRegressor | None = None,
     gains: Gains | None = None,
     alpha: float | None = None,
+    drives: Drives | None = None,
 ) -> Tuning:
     """Return gains, saturation and learning rates for fast and robust motion to targets.
 
@@ -396,12 +447,16 @@ def tuned(
         regressor: Regressor of the gravity to learn; None is no learning.
         gains: Given gains, for which only the learning rates are chosen.
         alpha: Given α [1/s].
+        drives: Rotors and gears, as far as they are known. With them, or if q̇ or torques are late,
+            K_v and B_c are at most what motors behind elastic gears stand (`motor_damping`) in 95 %
+            of postures, r ≤ (K_v + K_b)/2Λ, and γ holds a tenth of the arm's weight.
 
     Raises:
         InvalidInputError: As `default_gains`.
     """
     latency = Latency() if latency is None else latency
-    arm, m, nv = _Arm(task, regressor), task.m, task.robot.nv
+    drives = None if drives is None else drives.of(task.robot)
+    arm, m, nv = _Arm(task, regressor, latency, drives), task.m, task.robot.nv
     rates, of_rate, why = _rates(arm, latency, settling_time, gains)
     for rate in rates:
         diagonals = of_rate(rate).diagonals(m, nv)
@@ -411,6 +466,9 @@ def tuned(
     gamma = arm.saturation(diagonals, latency)
     if rate < rates[0]:
         why += f"; slower by the check, {_SETTLED / rate:.3g} s"
+    if arm.motors is not None:
+        most = ", ".join(f"{each:.3g}" for each in arm.motors)
+        why += f"; damping at most {most} N m s/rad, for motors behind elastic gears"
     if not stable:
         why += "; no gains passed the check: x is too late, or Ĵ too far off"
     reasons = [why]
@@ -432,7 +490,8 @@ def _rates(
 
     @functools.cache
     def of_rate(rate: float) -> Gains:
-        return _gains_at(rate, arm.task, 0.5 / latency.of_velocity)
+        fastest, unknown = 0.5 / latency.of_velocity, arm.heavy is not arm.postures
+        return _gains_at(rate, arm.task, arm.postures, fastest, arm.motors, unknown)
 
     @functools.cache
     def time(rate: float) -> float:
@@ -441,7 +500,7 @@ def _rates(
         return arm.time(gamma, rate, slow_rate(arm.task, diagonals))
 
     if settling_time is None:
-        most = _LAG / latency.of_position
+        most = min(_LAG / latency.of_position, arm.damped_rate(of_rate(_RATES[-1])))
         allowed = [rate for rate in _RATES if rate <= most] or [most]
         first = min(allowed, key=time)
         why = f"settling time {_SETTLED / first:.3g} s: a usual reach takes {time(first):.3g} s"
