@@ -1064,6 +1064,20 @@ MUTANTS = [
         "tests/scenario/test_run.py",
     ),
     (
+        "reference that knows no joint stops", "law/tracking.py",
+        "towards = any_of((near > 0.0)", "towards = any_of((near > 9.0)",
+        "tests/controllers/test_tracking.py",
+    ),
+    (
+        "shares of joints without their rate", "law/tracking.py",
+        "n_dot + r_dot * p + r * p_dot", "n_dot + r * p_dot", "tests/controllers/test_tracking.py",
+    ),
+    (
+        "away from a stop as slowly as towards it", "law/tracking.py",
+        "s = np.maximum(sides * v_r / self.slow, 0.0)", "s = np.abs(v_r / self.slow)",
+        "tests/controllers/test_tracking.py",
+    ),
+    (
         "payload that the limiter does not see", "controllers/limits/torque_limited.py",
         "rho = np.minimum(np.maximum(rho, _LIGHTEST), 1.0)", "rho = 0.0 * rho + 1.0",
         "tests/controllers/test_prediction.py",

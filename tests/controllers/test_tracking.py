@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from potentials import V2
 
 import approxjac as aj
+from approxjac import law
 from approxjac.controllers import (
     AdaptiveDynamics,
     AdaptiveKinematics,
@@ -216,7 +217,8 @@ def along(task, q, v, a):
 
 
 @pytest.mark.parametrize(
-    "kind", ["position", "pose", "continuous", "nonsingular", "combined", "image", "singular"]
+    "kind",
+    ["position", "pose", "continuous", "nonsingular", "combined", "image", "singular", "stops"],
 )
 def test_the_reference_acceleration_is_exact(kind, rng):
     """Whatever the task: also where its error is no difference, and where Ĵ⁺ is damped."""
@@ -230,6 +232,7 @@ def test_the_reference_acceleration_is_exact(kind, rng):
         "continuous": lambda: aj.PoseTask(aj.load_robot("kinova")),
         "nonsingular": lambda: NonsingularTask(position, {"panda_joint4": 0.3}, ratio=0.9),
         "combined": lambda: CombinedTask(aj.PoseTask(panda), np.diag(np.arange(1.0, 7.0))),
+        "stops": lambda: position,
         "image": lambda: aj.ImageTask(panda, camera),
     }[kind]()
     robot = task.robot
@@ -237,6 +240,9 @@ def test_the_reference_acceleration_is_exact(kind, rng):
     state, q = np.zeros(0), STARTS["panda"].copy()
     if robot is not panda:
         q = robot.random_configuration(rng)
+    if kind == "stops":  # some of which are near, on both sides, and one is passed
+        low, high = panda.position_limits
+        q[[0, 1, 3, 4, 6]] = high[0] - 0.1, low[1] + 0.2, high[3] - 0.3, high[4] + 0.1, low[6] + 0.3
     if kind == "singular":  # stretched out upwards, nearly
         q = np.array([0.1, -1.55, 0.03, -1.57, 0.0, 0.0])
     v, a = 0.3 * rng.normal(size=robot.nv), rng.normal(size=robot.nv)
@@ -265,6 +271,36 @@ def test_the_reference_acceleration_is_exact(kind, rng):
         assert_allclose(a_r, expected, atol=2e-3 * np.abs(expected).max())
     else:
         assert_allclose(a_r, expected, atol=2e-6 * max(1.0, np.abs(expected).max()))
+
+
+@pytest.mark.parametrize("deep", [0.0, 0.5, 1.0])
+def test_near_a_stop_the_other_joints_do_the_motion(panda, rng, deep):
+    """Of a joint that would go on towards it; Ĵq̇_r = u, so that the error falls as before."""
+    low, high = panda.position_limits
+    task = aj.PositionTask(panda)
+    controller = known(
+        task, dynamics=ModelDynamics(panda), gains=aj.controllers.TrackingGains(self_motion=0.0)
+    )
+    zone, q, target = 0.12 * (high - low)[0], STARTS["panda"].copy(), aj.Target(np.zeros(3))
+    for side in (-1.0, 1.0):
+        q[0] = (high if side > 0 else low)[0] - side * (1.0 - deep) * min(zone, 0.6)
+        J = task.jacobian(q)
+        for towards in (-1.0, 1.0):
+            turn = np.array([0.3 * side * towards, 0.0, 0.1, 0.0, 0.0, 0.1, 0.0])
+            target = aj.Target(task.value(q) + 0.5 * J @ turn)
+            v_r = controller._reference(np.zeros(0), q, np.zeros(7), target)[1]
+            u = (
+                -controller.alpha
+                * law.saturated(
+                    task.value(q) - target.x, np.zeros(3), controller.alpha / controller.speed
+                )[0]
+            )
+            assert_allclose(J @ v_r, u, atol=1e-9)
+            usual = np.linalg.pinv(J) @ u
+            if towards > 0 and deep > 0.0:
+                assert 0.0 < side * v_r[0] < (0.7 if deep < 1.0 else 0.3) * side * usual[0]
+            else:
+                assert_allclose(v_r, usual, atol=1e-9)
 
 
 def test_the_self_motion_goes_to_the_posture(panda):

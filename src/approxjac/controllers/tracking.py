@@ -68,6 +68,9 @@ _SPEEDS = {"m": 0.5, "rad": 1.0}  # at which errors of a task are reduced
 _TURN = 0.5  # [rad/s], at which those of other tasks go by their Jacobian
 _SELF_MOTION = 0.5  # at most [rad/s or m/s]
 _WHOLE = 0.999  # of a turn
+_ZONE, _WIDEST = 0.12, 0.6  # share of a joint's range in front of its ends, at most [rad or m]
+_SLOW = 0.1  # of the speed limit, towards an end; and at most [rad/s or m/s]
+_NO_END = 1e6  # of a range [rad or m]
 _APPROACH = 5.0  # κ of `law.speed_bounds` [1/s]
 _LAG_GAIN = 1.0  # of what learns the lag
 _LONGEST_LAG = 0.1  # [s]
@@ -209,7 +212,7 @@ class TrackingController(Immutable, Controller):
         self._gains = law.ReferenceGains(
             # as arrays, which NumPy multiplies with in a third of the time of numbers
             np.array(self.alpha), self.alpha / self.speed, _SHARE * np.asarray(limits.velocity),
-            singular_ratio(task, most), vanishing(task),
+            singular_ratio(task, most), vanishing(task), _stops(task, limits),
         )  # fmt: skip
         self._continuous = robot.nq != robot.nv
         self._is_bounded = command == "torque" and bool(np.isfinite(self._most).any())
@@ -342,7 +345,9 @@ class TrackingController(Immutable, Controller):
     ) -> tuple[Array, Array, Array, Any, Any]:
         predicted = self.kinematics.predict(known, q, v, target)
         null = self._rest.velocity(q, v)
-        return predicted.J, *law.reference_step(predicted, v, null, waits, self._gains)
+        return predicted.J, *law.reference_step(
+            predicted, v, null, waits, self._gains, positions_at(self.task.robot, q)
+        )
 
     def _checked(
         self, state: Array, measurement: Measurement, target: Target
@@ -497,6 +502,14 @@ class VelocityCommand:
         lag = state + self._dt * law.servo_lag_rate(_LAG_GAIN, w, v - v_r)
         lag = np.minimum(np.maximum(lag, 0.0), _LONGEST_LAG)
         return law.select(law.all_equal(sent, wanted), lag, state), sent
+
+
+def _stops(task: Task, limits: Limits) -> law.JointStops | None:
+    if task.robot.nv <= task.m:  # no other joints can do it
+        return None
+    low, high = np.clip(np.array(limits.position), -_NO_END, _NO_END)
+    slow = np.minimum(_SLOW * np.asarray(limits.velocity), _SLOW)
+    return law.JointStops(low, high, np.minimum(_ZONE * (high - low), _WIDEST), slow)
 
 
 def _usual_kinematics(task: Task, dt: float) -> Kinematics:

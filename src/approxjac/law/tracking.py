@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from approxjac.law.branches import choose, complement, is_finite, select
+from approxjac.law.branches import any_of, choose, complement, is_finite, select
 from approxjac.law.products import dot, root
 from approxjac.law.pseudoinverse import SINGULAR_RATIO, damped_solver, damping_rate, regular_solver
 from approxjac.validation import Array
@@ -42,6 +42,36 @@ class PredictedError(NamedTuple):
     drift: Array
 
 
+class JointStops(NamedTuple):
+    """Ranges of joints, near whose ends a reference leaves motion to the others; (n_v,) each."""
+
+    low: Array
+    high: Array
+    zone: Array  # δ, in front of each end
+    slow: Array  # v₀, above which a speed towards it counts
+
+    def shares(
+        self, near: Array, v: Array, v_r: Array, a_r: Array, sides: Array
+    ) -> tuple[Array, Array]:
+        """Return the share r of each joint in a motion, and its derivative, (n_v,) each.
+
+        r = 1 − c²(3 − 2c) s²/(1 + s²), with c from 0 to 1 on the way through the zone, and s the
+        reference's speed towards the end, over v₀.
+        """
+        c, c_dot = np.minimum(near, 1.0), sides * v / self.zone
+        c_dot = np.where(near < 1.0, c_dot, 0.0)
+        s = np.maximum(sides * v_r / self.slow, 0.0)
+        s_dot = np.where(s > 0.0, sides * a_r / self.slow, 0.0)
+        depth, speed = c * c * (3.0 - 2.0 * c), s * s / (1.0 + s * s)
+        depth_dot, speed_dot = 6.0 * c * (1.0 - c) * c_dot, 2.0 * s * s_dot / (1.0 + s * s) ** 2
+        return 1.0 - depth * speed, -(depth_dot * speed + depth * speed_dot)
+
+    def near(self, motion: Array) -> tuple[Array, Array]:
+        """Return how deep joints at a motion (n_v,) are in their zones, and on which side."""
+        low, high = (self.low - motion) / self.zone + 1.0, (motion - self.high) / self.zone + 1.0
+        return np.maximum(np.maximum(low, high), 0.0), np.where(high > low, 1.0, -1.0)
+
+
 class ReferenceGains(NamedTuple):
     """Gains of a reference that brings an error to zero."""
 
@@ -50,6 +80,7 @@ class ReferenceGains(NamedTuple):
     fastest: Array  # speeds of joints of `within_speeds`
     singular_ratio: float = SINGULAR_RATIO  # and scale, of `damped_gram_solve`
     scale: float = 0.0
+    stops: JointStops | None = None
 
 
 def saturated(z: Array, z_dot: Array, k: float | Array) -> tuple[Array, Array]:
@@ -111,11 +142,23 @@ def reference(
 
 
 def reference_step(
-    error: PredictedError, v: Array, null: tuple[Array, Array], waits: Any, gains: ReferenceGains
+    error: PredictedError,
+    v: Array,
+    null: tuple[Array, Array],
+    waits: Any,
+    gains: ReferenceGains,
+    motion: Array | None = None,
 ) -> tuple[Array, Array, Any, Any]:
     """Return q̇_r and q̈_r that bring a predicted error to zero, and their status.
 
     `null` are n₀ and its derivative; the joints rest while it `waits` for a first prediction.
+
+    Joints that the reference would bring to a stop that is near, at the positions `motion` (n_v,),
+    leave the motion to the others: with the diagonal r of `JointStops.shares` of that reference,
+
+        q̇_r = n₀ + r (Ĵr)⁺(u − Ĵn₀),
+
+    so that Ĵq̇_r = u, which is all that proofs need, and q̈_r is its derivative.
 
     Returns:
         q̇_r; q̈_r; whether Ĵ⁺ is damped; whether all is finite, else the joints rest.
@@ -125,10 +168,25 @@ def reference_step(
     u, u_dot = task_velocity(z, z_dot, x_d_dot, x_d_ddot, gains.alpha, gains.k)
     is_known = is_finite(np.concatenate([u, u_dot, J_hat.ravel()]))
 
+    ratio, stops = (gains.singular_ratio, gains.scale), gains.stops
+
     def moves() -> tuple[Array, Array, Any]:
-        v_r, a_r, damping = reference(
-            J_hat, J_hat_dot, u, u_dot, *null, gains.singular_ratio, gains.scale
-        )
+        v_r, a_r, damping = reference(J_hat, J_hat_dot, u, u_dot, *null, *ratio)
+        if stops is None or motion is None:
+            return *within_speeds(v_r, a_r, gains.fastest), damping
+        near, sides = stops.near(motion)
+
+        def shared() -> tuple[Array, Array, Any]:
+            r, r_dot = stops.shares(near, v, v_r, a_r, sides)
+            n, n_dot = null
+            b = u - dot(J_hat, n), u_dot - dot(J_hat_dot, n) - dot(J_hat, n_dot)
+            none = 0.0 * v
+            J_r, J_r_dot = J_hat * r, J_hat_dot * r + J_hat * r_dot
+            p, p_dot, damping = reference(J_r, J_r_dot, *b, none, none, *ratio)
+            return n + r * p, n_dot + r_dot * p + r * p_dot, damping
+
+        towards = any_of((near > 0.0) & (sides * v_r > 0.0))
+        v_r, a_r, damping = choose(towards, shared, lambda: (v_r, a_r, damping))
         return *within_speeds(v_r, a_r, gains.fastest), damping
 
     nothing = np.zeros(len(v))
