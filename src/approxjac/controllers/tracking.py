@@ -504,12 +504,12 @@ class VelocityCommand:
         return law.select(law.all_equal(sent, wanted), lag, state), sent
 
 
-def _stops(task: Task, limits: Limits) -> law.JointStops | None:
+def _stops(task: Task, limits: Limits) -> law.StopZones | None:
     if task.robot.nv <= task.m:  # no other joints can do it
         return None
     low, high = np.clip(np.array(limits.position), -_NO_END, _NO_END)
     slow = np.minimum(_SLOW * np.asarray(limits.velocity), _SLOW)
-    return law.JointStops(low, high, np.minimum(_ZONE * (high - low), _WIDEST), slow)
+    return law.StopZones(low, high, np.minimum(_ZONE * (high - low), _WIDEST), slow)
 
 
 def _usual_kinematics(task: Task, dt: float) -> Kinematics:

@@ -108,9 +108,9 @@ from approxjac.law.steps import setpoint_step as setpoint_step
 from approxjac.law.torque import estimated_velocity_torque as estimated_velocity_torque
 from approxjac.law.torque import gravity as gravity
 from approxjac.law.torque import measured_velocity_torque as measured_velocity_torque
-from approxjac.law.tracking import JointStops as JointStops
 from approxjac.law.tracking import PredictedError as PredictedError
 from approxjac.law.tracking import ReferenceGains as ReferenceGains
+from approxjac.law.tracking import StopZones as StopZones
 from approxjac.law.tracking import bounded_damping as bounded_damping
 from approxjac.law.tracking import dynamics_rate as dynamics_rate
 from approxjac.law.tracking import reference as reference

@@ -42,7 +42,7 @@ class PredictedError(NamedTuple):
     drift: Array
 
 
-class JointStops(NamedTuple):
+class StopZones(NamedTuple):
     """Ranges of joints, near whose ends a reference leaves motion to the others; (n_v,) each."""
 
     low: Array
@@ -80,7 +80,7 @@ class ReferenceGains(NamedTuple):
     fastest: Array  # speeds of joints of `within_speeds`
     singular_ratio: float = SINGULAR_RATIO  # and scale, of `damped_gram_solve`
     scale: float = 0.0
-    stops: JointStops | None = None
+    stops: StopZones | None = None
 
 
 def saturated(z: Array, z_dot: Array, k: float | Array) -> tuple[Array, Array]:
@@ -154,7 +154,7 @@ def reference_step(
     `null` are n₀ and its derivative; the joints rest while it `waits` for a first prediction.
 
     Joints that the reference would bring to a stop that is near, at the positions `motion` (n_v,),
-    leave the motion to the others: with the diagonal r of `JointStops.shares` of that reference,
+    leave the motion to the others: with the diagonal r of `StopZones.shares` of that reference,
 
         q̇_r = n₀ + r (Ĵr)⁺(u − Ĵn₀),
 
