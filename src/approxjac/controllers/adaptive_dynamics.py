@@ -260,7 +260,7 @@ def plausible_errors(regressor: DynamicsRegressor) -> Array:
     links = np.tile(link, regressor.links // 10)
     links[regressor.last_link] *= _LAST
     arm = np.where(np.array(robot.joint_units) == "m", 1.0, length)
-    effort = usual_effort(robot)
+    effort = np.where(np.isfinite(robot.effort_limits), robot.effort_limits, 0.0)
     torque = np.maximum(mass * _STANDARD_GRAVITY * arm, _FRICTION * effort)
     rotor = np.maximum(_ROTOR * mass * arm**2, _DRIVE * effort)
     return np.concatenate([links, rotor, torque, _DRY * torque, torque])
