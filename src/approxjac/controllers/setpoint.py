@@ -123,6 +123,8 @@ class SetpointController(Immutable, Controller):
         settling_time: Desired settling time [s], for `tuned`, which scales all gains; by default
             as short as inertia, motors and latency allow.
         friction: `FrictionCompensation()` for joints that rub; None is without.
+        drives: Rotors and gears of the joints, as far as they are known, for `tuned`. With a lag
+            alone rotors that geared arms have at least; `Drives()` says that there are none.
 
     Raises:
         InvalidInputError: Gains of the wrong shape, an invalid saturation, no added damping on an

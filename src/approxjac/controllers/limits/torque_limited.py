@@ -67,8 +67,7 @@ class AccelerationObserver:
     was learnt; otherwise it has the gravity that the controller compensates.
 
     Its memory, of length 1 + 6 n_v: the time at which the next q̇ is expected [s], the last q̇ and f,
-    φ and ψ, and the sums of the least square. A q̇ more than half a
-    period early or late is ignored.
+    φ and ψ, and the sums of the least square. A q̇ more than half a period early or late is ignored.
     """
 
     def __init__(self, controller: Controller, dt: float, rate: float, fastest: Array) -> None:
