@@ -394,7 +394,7 @@ def test_the_tracking_gain_is_as_large_as_the_period_allows(arm, dt):
 
 def test_the_reference_is_no_faster_than_joints_may_move(arm, dt):
     """Nine tenths of the URDF's speeds, of all joints by the same factor."""
-    law = tracking(arm, dt, speed=100.0, gains=TrackingGains(self_motion=0.0))
+    law = tracking(arm, dt, gains=TrackingGains(self_motion=0.0, speed=100.0))
     now = measured(arm, arm.q)
     seen = []
     for far in (0.01, 1.0, 5.0):

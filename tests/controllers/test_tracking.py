@@ -344,7 +344,7 @@ def test_joints_that_turn_a_whole_turn_are_drawn_nowhere():
 
 def test_joints_are_led_no_faster_than_they_may_move(panda, panda_law):
     task = aj.PositionTask(panda)
-    law_ = known(task, speed=100.0)
+    law_ = known(task, gains=aj.controllers.TrackingGains(speed=100.0))
     q = STARTS["panda"]
     state = law_.initial_state(measured(task, q))
     _, answer = law_.step(state, measured(task, q), task.value(q) + 0.5, 1e-3)
@@ -602,7 +602,10 @@ def test_beside_continuous_joints_others_are_slowed_down_at_their_stops(side):
         ({"dynamics": 3.0}, r"dynamics must be AdaptiveDynamics\(robot\) or ModelDyn"),
         ({"posture": np.zeros(6)}, r"posture must have shape \(7,\) \[rad or m\], got"),
         ({"posture": np.full(7, 90.0)}, "posture must be in radians"),
-        ({"speed": 0.0}, r"speed must be numbers > 0 \[unit of the task/s\], one or 3, infinite"),
+        (
+            {"gains": aj.controllers.TrackingGains(speed=0.0)},
+            r"speed must be numbers > 0 \[unit of the task/s\], one or 3, infinite",
+        ),
         ({"gains": 60.0}, r"gains must be TrackingGains\(\.\.\.\) or None, got 60.0"),
         ({"dt": 0.0}, r"dt must be a finite number > 0 \[s\], got 0.0"),
         ({"command": "position"}, 'command must be "torque" or "velocity", got \'position\''),

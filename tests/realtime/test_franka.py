@@ -305,9 +305,11 @@ def undelayed(monkeypatch):
     """Lead a robot, again where a busy machine held this process up until the robot gave up.
 
     Its reflexes to commands that come late are not ours to judge. Ours are those where
-    the commands came in time, or where this thread itself worked until they were late.
+    the commands came in time, or where this thread itself worked until they were late, time
+    and again: a virtual machine counts what others took from it as work, too.
     """
     times, send = [], FrankaDriver.send  # of this thread and on the wall, at each command
+    slow = []  # whether this thread worked until it was late, of each attempt
 
     def noted(driver, command):
         times.append((time.thread_time(), time.perf_counter()))
@@ -316,7 +318,8 @@ def undelayed(monkeypatch):
     def by_the_machine(error):
         worked, passed = np.diff(times[-50:], axis=0).max(axis=0)
         late = "communication_constraints" in str(error) or passed > 1.5e-3  # it asks for 1 ms
-        return late and worked < 5e-3  # it bears 20 ms of silence
+        slow.append(worked >= 5e-3)  # it bears 20 ms of silence
+        return late and sum(slow) < 3
 
     def led(lead):
         for _ in range(5):

@@ -80,7 +80,7 @@ _SOONEST = 0.1  # that a joint gets to its full speed in [s]
 
 @dataclass(frozen=True)
 class TrackingGains:
-    """Gains of a `TrackingController`, as rates.
+    """Gains of a `TrackingController`: rates, and the speed at which large errors are reduced.
 
     Attributes:
         alpha: α, rate at which small errors decay > 0 [1/s]. By default 4, or less where motors
@@ -88,11 +88,15 @@ class TrackingGains:
         kappa: κ, rate at which the joints follow their reference > 0 [1/s]. By default 60, or
             0.25/dt if that is less.
         self_motion: k_n, rate of the self-motion [1/s].
+        speed: Largest speed at which errors are reduced, a number or one for each coordinate, (m,)
+            [unit of the task/s]. By default 0.5 m/s and 1 rad/s, for other units that of joint
+            speeds of 0.5 rad/s.
     """
 
     alpha: float | None = None
     kappa: float | None = None
     self_motion: float = 1.0
+    speed: float | Sequence[float] | Array | None = None
 
     def __post_init__(self) -> None:
         if self.alpha is not None:
@@ -127,11 +131,8 @@ class TrackingController(Immutable, Controller):
             by default, or `ModelDynamics`.
         posture: Rest configuration q_rest of a redundant arm's self-motion, shape (nq,); by default
             the middle of the ranges of joints that turn less than once, none for others.
-        speed: Largest speed at which errors are reduced, a number or one for each coordinate, (m,)
-            [unit of the task/s]. By default 0.5 m/s and 1 rad/s, for other units that of joint
-            speeds of 0.5 rad/s.
         dt: Sampling time [s].
-        gains: α, κ and k_n; by default those of `TrackingGains()`.
+        gains: α, κ, k_n and the largest speed; by default those of `TrackingGains()`.
         command: "torque", or "velocity" for a robot that takes joint velocities: then the command
             is q̇_r, advanced by the servo's lag, which is learnt in place of the dynamics, and
             within the URDF's limits of speed and position.
@@ -157,7 +158,6 @@ class TrackingController(Immutable, Controller):
         kinematics: Kinematics | None = None,
         dynamics: MotionDynamics | None = None,
         posture: Sequence[float] | Array | None = None,
-        speed: float | Sequence[float] | Array | None = None,
         dt: float = 1e-3,
         gains: TrackingGains | None = None,
         command: Literal["torque", "velocity"] = "torque",
@@ -185,7 +185,7 @@ class TrackingController(Immutable, Controller):
             )
         self.dynamics = dynamics
         self._require_parts()
-        fast = _usual_speeds(task) if speed is None else speed
+        fast = _usual_speeds(task) if gains.speed is None else gains.speed
         self.speed = as_limits("speed", fast, task.m, unit="unit of the task/s")
         self._rest = RestConfiguration(task, posture, gains.self_motion)
         require("command", command, str, '"torque" or "velocity"')
