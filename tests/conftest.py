@@ -19,8 +19,8 @@ from approxjac.robots import robot as robots
 IN_CI = bool(os.environ.get("CI"))
 settings.register_profile("default", deadline=None, derandomize=IN_CI, max_examples=10)
 settings.load_profile("default")
-settings.register_profile("more", deadline=None, derandomize=IN_CI, max_examples=100)  # for CI
-settings.register_profile("many", deadline=None, derandomize=IN_CI, max_examples=200)  # for CI
+settings.register_profile("more", deadline=None, derandomize=IN_CI, max_examples=40)  # for CI
+settings.register_profile("many", deadline=None, derandomize=IN_CI, max_examples=60)  # for CI
 # For mutants: that a test fails is all that counts, so the example need not become small.
 settings.register_profile(
     "mutants",
