@@ -21,11 +21,15 @@ QUICK = ["--configurations", "20", "--runs", "1", "--map-points", "2", "--map-ru
 
 @pytest.fixture(scope="module", autouse=True)
 def rough():
-    """Tolerances from few points: their numbers are tested in tests/stability."""
+    """Tolerances from few points: their numbers are tested in tests/stability.
+
+    And without the matrix form, which takes seconds; one test has it.
+    """
     with pytest.MonkeyPatch.context() as patch:
-        rough = partialmethod(aj.Study.tolerance, precision=0.3, draws=6)
+        few = {"precision": 0.3, "draws": 6}
+        rough = partialmethod(aj.Study.tolerance, **few, tests=("theorem1", "local"))
         patch.setattr(aj.Study, "tolerance", rough)
-        yield
+        yield partialmethod(rough, tests=("theorem1", "matrix", "local"))
 
 
 def stability(tmp_path, *options):
@@ -36,9 +40,12 @@ def stability(tmp_path, *options):
 def certified(tmp_path_factory, rough):
     """A small tool on a Panda; the code, and the folder that was written."""
     out = tmp_path_factory.mktemp("stability")
-    code = stability(
-        out, "panda", "--object-length", "0", "0.1", "--around", *AROUND, "--radius", "0.1", *QUICK
-    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(aj.Study, "tolerance", rough)
+        code = stability(
+            out, "panda", "--object-length", "0", "0.1", "--around", *AROUND, "--radius", "0.1",
+            *QUICK,
+        )  # fmt: skip
     return code, out
 
 
@@ -78,8 +85,6 @@ def test_what_was_reported_is_kept_where_the_map_is_interrupted(tmp_path, monkey
         raise KeyboardInterrupt
 
     monkeypatch.setattr(aj.Study, "map", interrupted)
-    one = partialmethod(aj.Study.tolerance, tests=("local",))  # the certificates take seconds
-    monkeypatch.setattr(aj.Study, "tolerance", one)
     options = "--object-length", "0", "0.05", "--around", "30", "60", "--radius", "0.1", *QUICK
     assert stability(tmp_path, "two_link", *options) == 130
     printed = capsys.readouterr().out.rstrip("\n")

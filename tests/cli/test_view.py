@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from functools import partialmethod
 from pathlib import Path
 
 import numpy as np
@@ -104,8 +105,10 @@ async def watch_and_stop(url):
     # by part in test_live.py, test_stability.py and the docs, where it is simulated
     [("reach", True), pytest.param("camera", False, marks=pytest.mark.long)],
 )
-def test_the_same_file_is_simulated_analysed_and_shown(name, certified, tmp_path):
+def test_the_same_file_is_simulated_analysed_and_shown(name, certified, tmp_path, monkeypatch):
     """And a run that was stopped from the page is written as others are."""
+    local = partialmethod(aj.Study.tolerance, tests=("local",), draws=20)  # test_stability.py
+    monkeypatch.setattr(aj.Study, "tolerance", local)
     file = Path(__file__).parents[2] / "examples" / "scenarios" / f"{name}.toml"
     folders = ran, analysed, shown = [tmp_path / each for each in ("ran", "analysed", "shown")]
     assert main(["simulate", str(file), "--out", str(ran)]) == 0

@@ -202,7 +202,14 @@ def share_of_effort(name, share):
 @pytest.mark.study
 @pytest.mark.parametrize(
     ("name", "friction"),
-    [("ur10", UR10E), ("ur3", 0.05), ("kinova", 0.05), ("z1", 0.10), ("baxter_left_arm", 0.10)],
+    [
+        ("ur10", UR10E),
+        ("z1", 0.10),
+        *(
+            pytest.param(*case, marks=pytest.mark.long)
+            for case in (("ur3", 0.05), ("kinova", 0.05), ("baxter_left_arm", 0.10))
+        ),
+    ],
 )
 def test_joints_that_rub_hold_still(name, friction):
     if not isinstance(friction, Friction):
@@ -221,7 +228,10 @@ def test_without_it_they_come_to_no_rest():
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("name", ["ur5", "panda", "baxter_left_arm"])
+@pytest.mark.parametrize(
+    "name",
+    ["ur5", *(pytest.param(n, marks=pytest.mark.long) for n in ("panda", "baxter_left_arm"))],
+)
 def test_joints_that_do_not_rub_move_as_before(name):
     plain, rubs = (
         reached(name, Friction(), 13, compensation=each, duration=10.0)
@@ -231,7 +241,7 @@ def test_joints_that_do_not_rub_move_as_before(name):
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("name", ["panda", "ur3"])
+@pytest.mark.parametrize("name", ["panda", pytest.param("ur3", marks=pytest.mark.long)])
 def test_with_known_gravity_it_brings_the_arm_to_its_target(name):
     friction = share_of_effort(name, 0.05)
     without = figures(reached(name, friction, 14, learns=False))[0]
@@ -292,7 +302,9 @@ def followed(name, rubs, seed, **options):
 
 
 @pytest.mark.study
-@pytest.mark.parametrize(("name", "most"), [("ur3", 2.7), ("baxter_left_arm", 1.1)])
+@pytest.mark.parametrize(
+    ("name", "most"), [("ur3", 2.7), pytest.param("baxter_left_arm", 1.1, marks=pytest.mark.long)]
+)
 def test_the_tracking_law_follows_with_joints_that_rub(name, most):
     friction = share_of_effort(name, 0.05)
     learnt = followed(name, friction, 1)

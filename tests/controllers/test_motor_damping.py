@@ -252,7 +252,8 @@ def followed(arm, drives, duration=4.0, **options):
 @pytest.mark.parametrize(
     ("arm", "rotor", "stiffness"),
     [
-        ("panda", 0.05, 1e4), ("panda", 0.1, 3e4),
+        ("panda", 0.1, 3e4),
+        pytest.param("panda", 0.05, 1e4, marks=pytest.mark.long),
         pytest.param("ur5", 0.1, 1e4, marks=pytest.mark.long),
         pytest.param("kinova", 0.05, 3e3, marks=pytest.mark.long),
         pytest.param("xarm7", 0.05, 1e4, marks=pytest.mark.long),

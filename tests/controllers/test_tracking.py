@@ -58,7 +58,14 @@ def panda_law(panda):
 
 
 @pytest.mark.study
-@pytest.mark.parametrize(("name", "moves"), [("panda", True), ("ur5", True), ("panda", False)])
+@pytest.mark.parametrize(
+    ("name", "moves"),
+    [
+        ("panda", True),
+        pytest.param("ur5", True, marks=pytest.mark.long),
+        pytest.param("panda", False, marks=pytest.mark.long),
+    ],
+)
 def test_with_the_exact_model_a_target_is_reached_and_followed(name, moves):
     robot, q0 = aj.load_robot(name), STARTS[name]
     task = aj.PositionTask(robot)
@@ -491,7 +498,7 @@ def test_velocity_commands_stay_within_limits(panda):
     ("lag", "delay"),
     [
         (0.03, 0.008),
-        pytest.param(0.01, 0.0, marks=pytest.mark.study),
+        pytest.param(0.01, 0.0, marks=pytest.mark.long),
         pytest.param(0.05, 0.02, marks=pytest.mark.study),
     ],
 )

@@ -220,7 +220,7 @@ REAL = {
 
 @pytest.mark.study
 @pytest.mark.parametrize("kind", REAL)
-@pytest.mark.parametrize("arm", ["panda", "ur5"])
+@pytest.mark.parametrize("arm", ["panda", pytest.param("ur5", marks=pytest.mark.long)])
 def test_plants_agree_with_mujoco(arm, kind):
     """Random steps of torque for half a second, against MuJoCo at 20 µs."""
     options, *most = REAL[kind]
@@ -263,8 +263,15 @@ KINDS = {
 }
 
 
-@pytest.mark.parametrize("kind", ["springs", pytest.param("dry", marks=pytest.mark.study)])
-@pytest.mark.parametrize("dt", [1e-3, pytest.param(5e-3, marks=pytest.mark.study)])
+@pytest.mark.parametrize(
+    ("kind", "dt"),
+    [
+        ("springs", 1e-3),
+        pytest.param("dry", 5e-3, marks=pytest.mark.study),
+        pytest.param("springs", 5e-3, marks=pytest.mark.long),
+        pytest.param("dry", 1e-3, marks=pytest.mark.long),
+    ],
+)
 def test_a_compiled_run_is_that_of_python(panda, kind, dt):
     belief, truth = panda.with_object(0.1), panda.with_object(0.2, 0.5)
     plant = aj.Plant(truth, **KINDS[kind])
@@ -281,7 +288,10 @@ def test_a_compiled_run_is_that_of_python(panda, kind, dt):
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind",
+    [kind if kind == "all" else pytest.param(kind, marks=pytest.mark.long) for kind in KINDS],
+)
 def test_lanes_are_runs_of_python(panda, kind):
     belief = panda.with_object(0.1)
     law = aj.SetpointController(aj.PositionTask(belief), gravity=aj.AdaptiveGravity(belief))

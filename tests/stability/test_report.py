@@ -421,7 +421,7 @@ def test_laws_without_certificates_have_a_report_that_says_so(tools, box):
 # -- tolerance ------------------------------------------------------------------------------
 
 
-@pytest.mark.study
+@pytest.mark.long  # in short: test_a_certified_set of cli/test_stability.py
 def test_tolerance_of_a_tool_is_larger_for_sharper_tests(tools, box):
     found = aj.Study(controller_of(tools), tools, box).tolerance(draws=5)
     scales = [found[test].scale for test in ("theorem1", "matrix", "local")]
