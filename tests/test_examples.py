@@ -33,7 +33,8 @@ PAGES = {
     "18": ["own_law"],
 }
 REACHES = ("01", "04", "09")  # whose pages end at a target, with a belief that is wrong
-ELSEWHERE = ("seven_joints_panda", "seven_joints_talos_arm")  # whose meshes are drawn for seconds
+# whose meshes are drawn for seconds, and which show no more than the others
+ELSEWHERE = ("seven_joints_panda", "seven_joints_talos_arm", "seven_joints_xarm7")
 
 
 @functools.cache

@@ -384,7 +384,7 @@ def test_it_is_the_controller(case):
     assert_is_the_controller(controller, step, draws(step, 100, seed=7, at_bounds=0.0))
 
 
-@pytest.mark.parametrize("case", some("limits", "posture"))
+@pytest.mark.parametrize("case", some("limits", "posture", long=PART_OF_OTHERS))
 def test_at_singular_configurations_it_is_the_controller(case):
     """There a preferred posture fades out, and Ĵ⁺ is damped: to rounding at rank loss itself."""
     controller, step = built(case)

@@ -73,9 +73,11 @@ STUDIES = {
 
 SOME = ("a plane, sine",)
 # learnt gravity within limits: "limits that keep the proof" has it, with limits that are fewer
-# and limits of the URDF those with a rate; known gravity: "given gains", "limits, known gravity"
+# and limits of the URDF those with a rate; known gravity: "given gains"; gravity that is learnt:
+# "limits that keep the proof" and the same bits in NumPy
 IN_OTHERS = (
     "limits of the URDF, and learnt gravity", "limits of the URDF", "known gravity",
+    "limits that clip", "limits, known gravity", "learnt gravity",
 )  # fmt: skip
 MARKS = dict.fromkeys(IN_OTHERS, pytest.mark.long)
 

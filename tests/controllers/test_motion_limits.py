@@ -142,8 +142,19 @@ PERIODS = [
 ]
 
 
-@pytest.mark.parametrize("dt", PERIODS)
-@pytest.mark.parametrize("name", STARTS)
+@pytest.mark.parametrize(
+    ("name", "dt"),
+    [
+        *((name, 5e-3) for name in STARTS),
+        pytest.param("kinova", 5e-4, marks=pytest.mark.study),
+        *(
+            pytest.param(name, dt, marks=pytest.mark.long)
+            for name in STARTS
+            for dt in (5e-4, 1e-3, 2e-3)
+            if (name, dt) != ("kinova", 5e-4)
+        ),
+    ],
+)
 def test_the_true_tip_stays_in_front_of_a_wall(name, dt):
     run, true, believed, controller = blocked(name, dt)
     assert (true > 0.0).all()

@@ -47,7 +47,7 @@ def test_a_redundant_arm_brings_two_points_to_within_the_noise(done):
         pytest.param(
             "panda",
             {"task": {"depth": "constant"}, "run": {"seed": 1, "duration": 5.5}},
-            marks=pytest.mark.study,
+            marks=pytest.mark.long,
         ),
         pytest.param(
             "panda",

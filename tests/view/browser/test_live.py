@@ -269,6 +269,7 @@ def test_pause_speed_reload_and_what_cannot_be(panda, open_page, start):
     running.ended()
 
 
+@pytest.mark.long  # by part: of a pixel below, of dragging in test_page.py
 def test_a_target_is_moved_in_the_image(open_page):
     """A camera that is rolled, images that come late; the point follows its new target."""
     ready = build_scenario(camera(

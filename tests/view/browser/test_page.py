@@ -130,24 +130,6 @@ def state(page):
 # -- the arm reaches its target, the ghost does not ------------------------------------------
 
 
-def test_the_tip_reaches_the_target_and_the_ghosts_does_not(reach, show):
-    page = show(reach)
-    seek(page, reach.t[-1])
-    scene = reach.scene
-    tip = project(page, scene.sensor.value(reach.q[-1]))
-    ghost = project(page, scene.task.value(reach.q[-1]))
-    target = project(page, reach.target)
-    assert np.linalg.norm(tip - target) < 4.0
-    assert np.linalg.norm(ghost - target) > 40.0
-    image = pixels(page)
-    assert near(image, tip, COLORS["true"]) > 60
-    assert (
-        near(image, target, COLORS["target"], radius=20.0, tolerance=0.4) > 60
-    )  # it lets light through
-    assert near(image, ghost, COLORS["believed"]) > 60
-    assert near(image, ghost, COLORS["true"]) == near(image, tip, COLORS["believed"]) == 0
-
-
 def test_the_paper_arm_reaches_the_line_of_sight(drawn, show):
     page = show(drawn)
     seek(page, drawn.t[-1])
@@ -166,6 +148,27 @@ def test_the_paper_arm_reaches_the_line_of_sight(drawn, show):
     assert near(image, project(page, 0.5 * (np.array(eye) + goal)), COLORS["target"], 4.0, 0.4) > 3
 
 
+def test_the_path_goes_to_the_tip(drawn, show):
+    """Between two instants, too; and all of it is in view."""
+    page = show(drawn)
+    box = page.locator("#canvas").bounding_box()
+    for t in (10.03, 30.0, drawn.t[-1]):
+        seek(page, t)
+        end, tip = page.evaluate("""() => {
+            const { viewer } = approxjac, THREE = MeshCat.THREE, s = approxjac.state();
+            const mesh = viewer.scene_tree.find(["trail tip", "<object>"]).object;
+            const matrix = new THREE.Matrix4();
+            mesh.getMatrixAt(mesh.count - 1, matrix);
+            const tip = viewer.scene_tree.find(["tip"]).object.position;
+            return [new THREE.Vector3(0, 0.5, 0).applyMatrix4(matrix).toArray(), tip.toArray()];
+        }""")
+        assert_allclose(end, tip, atol=1e-5)
+    tips = page.evaluate("approxjac.column('tip').map((p) => approxjac.project(p))")
+    for place in tips:
+        assert box["x"] < place["x"] < box["x"] + box["width"]
+        assert box["y"] < place["y"] < box["y"] + box["height"]
+
+
 def test_what_a_camera_in_the_room_sees(watched, show):
     page = show(watched)
     seek(page, watched.t[-1])
@@ -177,6 +180,24 @@ def test_what_a_camera_in_the_room_sees(watched, show):
     middle = np.array([box["width"], box["height"]]) / 2.0
     for colour in (COLORS["true"], COLORS["believed"], COLORS["target"]):
         assert near(part[: int(box["height"])], middle, colour, 400.0) > 20, colour
+
+
+def test_the_tip_reaches_the_target_and_the_ghosts_does_not(reach, show):
+    page = show(reach)
+    seek(page, reach.t[-1])
+    scene = reach.scene
+    tip = project(page, scene.sensor.value(reach.q[-1]))
+    ghost = project(page, scene.task.value(reach.q[-1]))
+    target = project(page, reach.target)
+    assert np.linalg.norm(tip - target) < 4.0
+    assert np.linalg.norm(ghost - target) > 40.0
+    image = pixels(page)
+    assert near(image, tip, COLORS["true"]) > 60
+    assert (
+        near(image, target, COLORS["target"], radius=20.0, tolerance=0.4) > 60
+    )  # it lets light through
+    assert near(image, ghost, COLORS["believed"]) > 60
+    assert near(image, ghost, COLORS["true"]) == near(image, tip, COLORS["believed"]) == 0
 
 
 # -- time ------------------------------------------------------------------------------------
@@ -276,7 +297,21 @@ def test_the_view_can_be_turned(reach, show):
     assert np.linalg.norm(project(page, reach.target) - before) > 20.0
 
 
-@pytest.mark.parametrize("size", [(1000, 700), (1600, 900), (600, 800)])
+def test_the_view_is_reset(reach, show):
+    page = show(reach)
+    before = project(page, reach.target)
+    page.mouse.move(250, 500)
+    page.mouse.down()
+    page.mouse.move(330, 500, steps=4)
+    page.mouse.up()
+    assert np.linalg.norm(project(page, reach.target) - before) > 20.0
+    page.get_by_role("button", name="Reset view").click()
+    assert_allclose(project(page, reach.target), before, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    "size", [(1000, 700), pytest.param((1600, 900), marks=pytest.mark.long), (600, 800)]
+)
 def test_all_of_the_motion_is_in_view(reach, show, size):
     page = show(reach, size)
     box = page.locator("#canvas").bounding_box()
@@ -513,40 +548,7 @@ def test_the_rim_of_the_ghost_lies_around_the_arm_only(reach, open_page, page_of
     assert (pink & ~reached).sum() < 0.03 * pink.sum()  # in gaps as of fingers
 
 
-def test_the_view_is_reset(reach, show):
-    page = show(reach)
-    before = project(page, reach.target)
-    page.mouse.move(250, 500)
-    page.mouse.down()
-    page.mouse.move(330, 500, steps=4)
-    page.mouse.up()
-    assert np.linalg.norm(project(page, reach.target) - before) > 20.0
-    page.get_by_role("button", name="Reset view").click()
-    assert_allclose(project(page, reach.target), before, atol=1e-3)
-
-
-def test_the_path_goes_to_the_tip(drawn, show):
-    """Between two instants, too; and all of it is in view."""
-    page = show(drawn, (1400, 900))
-    box = page.locator("#canvas").bounding_box()
-    for t in (10.03, 30.0, drawn.t[-1]):
-        seek(page, t)
-        end, tip = page.evaluate("""() => {
-            const { viewer } = approxjac, THREE = MeshCat.THREE, s = approxjac.state();
-            const mesh = viewer.scene_tree.find(["trail tip", "<object>"]).object;
-            const matrix = new THREE.Matrix4();
-            mesh.getMatrixAt(mesh.count - 1, matrix);
-            const tip = viewer.scene_tree.find(["tip"]).object.position;
-            return [new THREE.Vector3(0, 0.5, 0).applyMatrix4(matrix).toArray(), tip.toArray()];
-        }""")
-        assert_allclose(end, tip, atol=1e-5)
-    tips = page.evaluate("approxjac.column('tip').map((p) => approxjac.project(p))")
-    for place in tips:
-        assert box["x"] < place["x"] < box["x"] + box["width"]
-        assert box["y"] < place["y"] < box["y"] + box["height"]
-
-
-@pytest.mark.parametrize("size", [(1400, 900), (400, 800)])
+@pytest.mark.parametrize("size", [pytest.param((1400, 900), marks=pytest.mark.long), (400, 800)])
 def test_a_dark_page(watched, open_page, page_of, size):
     page = open_page(page_of(watched), size)
     page.emulate_media(color_scheme="dark", reduced_motion="reduce")
