@@ -80,7 +80,8 @@ def pytest_xdist_make_scheduler(config, log):
 # Files that take long, the longest first: in the end both workers have something to do.
 LONG = (
     "test_examples.py", "test_attack_certificate.py", "cli", "test_long_run.py", "browser", "docs",
-    "README.md", "test_fuzz_steps.py", "test_watches.py",
+    "README.md", "test_fuzz_steps.py", "test_watches.py", "test_c99.py", "test_control.py",
+    "test_step.py", "test_guard.py", "test_run.py", "test_paper.py",
 )  # fmt: skip
 
 

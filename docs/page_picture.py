@@ -20,7 +20,10 @@ from pathlib import Path
 
 from PIL import Image
 
-ARGUMENTS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+ARGUMENTS = [
+    "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+    "--disable-gpu-compositing",
+]  # fmt: skip
 WHOLE, ARM = (1200, 720), (720, 460)
 # what stays is the arm and what its colours mean
 ALONE = """
