@@ -143,8 +143,7 @@ BY_DEFAULT = ("all, (5)",)
 IN_OTHERS = (
     "late torque", "late x", "differences", "noise", "quanta", "frames", "dropouts", "a circle",
     "all, limits", "held", "held, balanced", "measured depth", "three points, a lens",
-    "held points", "held depths", "held, (5), limits", "held, at the edge of the image",
-    "a turned hand",
+    "held depths", "held, (5), limits", "held, at the edge of the image",
 )  # fmt: skip
 
 
