@@ -86,6 +86,7 @@ def test_every_counterexample_is_named_and_sets_the_exit_code(outcome, monkeypat
     assert json.loads((tmp_path / "summary.json").read_text())["counterexamples"] == found
 
 
+@pytest.mark.long
 def test_the_papers_figures_4_6_and_7_are_certified_at_the_target(monkeypatch):
     monkeypatch.setattr(certify_two_link, "RADII", (0.0, 0.05))
     found = {figure: certify_two_link.verdict(figure) for figure in (3, 4)}
@@ -98,6 +99,7 @@ def test_the_papers_figures_4_6_and_7_are_certified_at_the_target(monkeypatch):
     assert "| 4 | -0.0920/s | 0.0381 | 0.0005 |" in certify_two_link.table(found.values(), [])
 
 
+@pytest.mark.long
 def test_the_camera_roll_that_each_test_allows():
     rolls = {test: certify_two_link.largest_roll(test, True) for test in ("paper", "free", "local")}
     assert rolls["paper"] == pytest.approx(60.0, abs=0.1)

@@ -19,6 +19,7 @@ def test_the_object_is_scaled_to_arms_that_cannot_carry_it():
     assert length == pytest.approx(0.2 * (mass / 0.5) ** (1 / 3), abs=2e-3)
 
 
+@pytest.mark.long
 def test_the_study_of_one_arm_in_two_processes(tmp_path):
     words = ["--robots", "ur5", "--starts", "1", "--duration", "8", "--jobs", "2"]
     assert every_arm.main([*words, "--out", str(tmp_path)]) == 0

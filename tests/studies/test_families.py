@@ -29,6 +29,7 @@ def test_the_form_with_k_is_lyapunovs_equation_at_a_target(number):
     assert_allclose(Q, share * wanted, atol=1e-7 * np.abs(Q).max())
 
 
+@pytest.mark.long
 def test_each_family_holds_those_before_it():
     outcomes = [families.run_case(number) for number in range(6)]
     stable = [o.at_target for o in outcomes if o.at_target is not None]

@@ -7,7 +7,6 @@ from limits_while_learning import Case, Outcome
 
 import approxjac as aj
 
-FASTEST = min(study.SETTLING_TIMES)  # which asks for the most
 KIND = Case("xarm7", "exact", 0.5, "limited", 0, 6, 0.05)
 
 
@@ -37,20 +36,9 @@ def test_speeds_and_positions_are_kept_while_what_is_learnt_is_wrong(robot, monk
     study.arm.cache_clear()
 
 
-@pytest.mark.parametrize(
-    ("robot", "settling_time"),
-    [
-        pytest.param(
-            robot,
-            settling_time,
-            marks=pytest.mark.study
-            if settling_time == FASTEST and robot == "panda"
-            else pytest.mark.long,
-        )
-        for robot in study.ROBOTS
-        for settling_time in study.SETTLING_TIMES
-    ],
-)
+@pytest.mark.long
+@pytest.mark.parametrize("robot", study.ROBOTS)
+@pytest.mark.parametrize("settling_time", study.SETTLING_TIMES)
 def test_every_arm_keeps_them(robot, settling_time):
     kind = KIND._replace(robot=robot, settling_time=settling_time, states=25)
     outcomes = study.run_case(kind) + study.run_case(kind._replace(states=0, duration=2.5, seed=1))

@@ -77,6 +77,7 @@ def test_a_run_that_diverges_falls_short():
     assert "sensors, panda diverged" in reach_mujoco.shortcomings([good, Outcome(good.case)])
 
 
+@pytest.mark.long
 def test_joints_of_mujoco_have_friction_where_they_are_told_to():
     case = Case("ur5", 0, "friction", duration=3.0)
     stuck = reach_mujoco.run_case(case)

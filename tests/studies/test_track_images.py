@@ -7,13 +7,14 @@ from track_images import BELIEVED, LEARNT, Case, Outcome
 pytestmark = pytest.mark.study
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "case",
     [
         Case("room", 180.0, "circle"),
-        pytest.param(Case("hand", 120.0, "target"), marks=pytest.mark.long),
+        Case("hand", 120.0, "target"),
         # as in test_adaptive_camera.py and test_adaptive_planar_camera.py
-        pytest.param(Case("plane", 120.0, "circle"), marks=pytest.mark.long),
+        Case("plane", 120.0, "circle"),
     ],
     ids=str,
 )
