@@ -97,7 +97,11 @@ def test_a_full_disk_is_an_error_that_names_the_file(tmp_path):
 @pytest.mark.skipif(os.name != "posix", reason="limits of a file's size are POSIX")
 @pytest.mark.parametrize(
     "words",
-    ["simulate two_link --duration 0.05", "export two_link", "stability two_link", "paper"],
+    [
+        "simulate two_link --duration 0.05",
+        "export two_link",
+        *(pytest.param(each, marks=pytest.mark.long) for each in ("stability two_link", "paper")),
+    ],
 )
 def test_a_command_on_a_full_disk_names_a_file_and_leaves_none(words, tmp_path):
     import resource

@@ -99,7 +99,7 @@ def test_the_command_line_imports_nothing_slow():
     assert not slow & loaded
 
 
-@pytest.mark.study
+@pytest.mark.long
 def test_a_terminal_gets_a_progress_bar(tmp_path):
     controller, terminal = pty.openpty()
     fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
@@ -150,7 +150,7 @@ def test_an_output_that_is_full_is_one_line_with_exit_code_2(monkeypatch, capsys
 
 @pytest.mark.parametrize(
     "count",
-    [pytest.param(4, marks=pytest.mark.study), pytest.param(20, marks=pytest.mark.long)],
+    [pytest.param(2, marks=pytest.mark.study), pytest.param(20, marks=pytest.mark.long)],
 )
 def test_an_interrupt_in_an_import_or_in_a_command_is_one_line_with_exit_code_130(count, tmp_path):
     """At any time from the first import of ours on; before, it is Python's own start."""

@@ -49,7 +49,7 @@ def reach(tmp_path):
     return path
 
 
-@pytest.mark.study
+@pytest.mark.long
 def test_a_file_says_the_same_as_options(reach, tmp_path, capsys):
     assert main(["simulate", str(reach), "--out", str(tmp_path / "a")]) == 0
     assert "converged\nerror " in capsys.readouterr().out
@@ -78,7 +78,7 @@ def test_an_axis_is_one_word(tmp_path, word, axis):
     assert outcome(tmp_path)["scenario"]["true"]["object"]["axis"] == axis
 
 
-@pytest.mark.study
+@pytest.mark.long
 def test_a_path_that_was_followed_is_no_failure(tmp_path, capsys):
     words = ["--start", *map(str, HOME), "--run.target.circle.radius", "0.1", "--duration", "1.5"]
     assert main(["simulate", "panda", *words, "--out", str(tmp_path)]) == 0

@@ -92,7 +92,7 @@ def test_what_was_reported_is_kept_where_the_map_is_interrupted(tmp_path, monkey
     assert (tmp_path / "report.txt").read_text(encoding="utf-8").rstrip("\n") == printed
 
 
-@pytest.mark.study
+@pytest.mark.long
 def test_it_repeats_bit_by_bit(tmp_path):
     options = "--object-length", "0", "0.05", "--around", "30", "60", "--radius", "0.1", *QUICK
     for folder in ("one", "other"):
@@ -117,7 +117,7 @@ def test_what_is_not_certified_says_what_to_change(tmp_path, capsys):
     assert not (tmp_path / "map.png").exists()
 
 
-@pytest.mark.study
+@pytest.mark.long
 def test_camera_of_the_two_link_arm():
     scenario = Scenario(
         "two_link",
@@ -342,7 +342,7 @@ def test_bad_input_is_one_clear_line(tmp_path, capsys, options, text):
     assert text in error
 
 
-@pytest.mark.study
+@pytest.mark.long
 def test_without_errors_there_is_nothing_to_scale(tmp_path, capsys):
     quick = ["--around", *AROUND, "--configurations", "20", "--runs", "0"]
     assert stability(tmp_path, "panda", *quick) == 0
@@ -350,7 +350,7 @@ def test_without_errors_there_is_nothing_to_scale(tmp_path, capsys):
     assert not (tmp_path / "map.png").exists()
 
 
-@pytest.mark.study
+@pytest.mark.long
 def test_a_region_without_full_rank_is_never_said_to_be_certified(tmp_path, capsys):
     code = stability(
         tmp_path, "two_link", "--object-length", "0", "0.1", "--around", "0.3", "0.1", "--radius",
@@ -363,7 +363,7 @@ def test_a_region_without_full_rank_is_never_said_to_be_certified(tmp_path, caps
     assert "certifies it" not in shown
 
 
-@pytest.mark.study
+@pytest.mark.long
 def test_no_map_of_another_run_stays(tmp_path):
     (tmp_path / "map.png").write_bytes(b"of another arm")
     stability(

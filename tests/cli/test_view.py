@@ -99,11 +99,11 @@ async def watch_and_stop(url):
     return message["ended"]
 
 
-@pytest.mark.study
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "certified"),
     # by part in test_live.py, test_stability.py and the docs, where it is simulated
-    [("reach", True), pytest.param("camera", False, marks=pytest.mark.long)],
+    [("reach", True), ("camera", False)],
 )
 def test_the_same_file_is_simulated_analysed_and_shown(name, certified, tmp_path, monkeypatch):
     """And a run that was stopped from the page is written as others are."""

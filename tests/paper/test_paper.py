@@ -115,7 +115,7 @@ def pinhole(planar):
 
 @pytest.mark.parametrize(
     "figure",
-    [pytest.param(n, marks=[] if n == 4 else pytest.mark.study) for n in paper.EXPERIMENTS],
+    [pytest.param(n, marks=[] if n == 4 else pytest.mark.long) for n in paper.EXPERIMENTS],
 )
 def test_a_pinhole_camera_gives_the_same_numbers(results, figure):
     """Section 5.1 through the general code: gains are those of an error in px, runs the same."""
@@ -188,7 +188,7 @@ def test_an_arm_that_is_believed_as_it_is_has_the_inertia_of_the_true_one(inerti
     assert_allclose(plant.friction, [0.4, 0.4])
 
 
-@pytest.mark.study
+@pytest.mark.long
 def test_a_limit_cycle_is_not_called_stable():
     """A large start makes any early quarter look worse than a limit cycle that goes on."""
     setup = paper.Setup(
