@@ -264,7 +264,9 @@ def test_what_a_tracker_tells_is_drawn_in_the_world(panda):
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("law", ["tracking law", "set-point law"])
+@pytest.mark.parametrize(
+    "law", [pytest.param("tracking law", marks=pytest.mark.long), "set-point law"]
+)
 def test_the_believed_tip_moves_onto_the_true_one_while_it_is_learnt(panda, law):
     """Also of a run that was saved and loaded."""
     plant, task = aj.Plant(panda.with_object(0.2, axis="x")), aj.PositionTask(panda)

@@ -185,6 +185,7 @@ def test_the_arm_follows_a_target_moved_in_the_page(panda, open_page, start):
     page.wait_for_selector("text=The run has ended")
 
 
+@pytest.mark.long
 def test_the_run_of_a_robot_is_shown_and_its_target_moved(panda, open_page):
     plant, controller, target = parts(panda)
     limited = aj.TorqueLimited(controller, aj.Limits(effort=panda.effort_limits))
@@ -211,6 +212,7 @@ def test_the_run_of_a_robot_is_shown_and_its_target_moved(panda, open_page):
     page.wait_for_selector("text=The run has ended")
 
 
+@pytest.mark.long
 def test_a_wrong_length_is_changed_while_it_runs(panda, open_page, start):
     live = view.LiveView(believe=believing(panda), patience=30.0)
     running = start(live)
@@ -616,7 +618,7 @@ def test_without_the_key_of_its_address_nobody_is_served(panda):
     with_pages(panda, act)
 
 
-@pytest.mark.study
+@pytest.mark.long
 def test_a_flood_of_messages_does_not_hold_up_a_run(panda):
     """Of each kind of wish the latest is obeyed; a page that sends too many waits, not the run."""
     sent, done = 143_000, threading.Event()

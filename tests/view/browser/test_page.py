@@ -130,6 +130,7 @@ def state(page):
 # -- the arm reaches its target, the ghost does not ------------------------------------------
 
 
+@pytest.mark.long
 def test_the_paper_arm_reaches_the_line_of_sight(drawn, show):
     page = show(drawn)
     seek(page, drawn.t[-1])
@@ -148,11 +149,11 @@ def test_the_paper_arm_reaches_the_line_of_sight(drawn, show):
     assert near(image, project(page, 0.5 * (np.array(eye) + goal)), COLORS["target"], 4.0, 0.4) > 3
 
 
-def test_the_path_goes_to_the_tip(drawn, show):
+def test_the_path_goes_to_the_tip(reach, show):
     """Between two instants, too; and all of it is in view."""
-    page = show(drawn)
+    page = show(reach)
     box = page.locator("#canvas").bounding_box()
-    for t in (10.03, 30.0, drawn.t[-1]):
+    for t in (0.4103, 1.25, reach.t[-1]):
         seek(page, t)
         end, tip = page.evaluate("""() => {
             const { viewer } = approxjac, THREE = MeshCat.THREE, s = approxjac.state();
@@ -248,6 +249,7 @@ def test_playing_moves_cursor_and_time_and_ends(reach, show):
     assert state(page)["index"] == paused["index"] + 1
 
 
+@pytest.mark.long
 def test_a_page_plays_once_when_it_is_opened(reach, open_page, page_of):
     page = open_page(page_of(reach), motion="no-preference")
     page.wait_for_function("approxjac.state().t > 0.1")
@@ -286,7 +288,7 @@ def test_plots_have_lines_titles_and_units(reach, show):
     assert re.sub(r"\s+", " ", keys).startswith("x −100 y 150 z −160")
 
 
-def test_the_view_can_be_turned(reach, show):
+def test_the_view_can_be_turned_and_reset(reach, show):
     page = show(reach)
     before = project(page, reach.target)
     page.mouse.move(250, 500)
@@ -295,22 +297,13 @@ def test_the_view_can_be_turned(reach, show):
     page.mouse.up()
     drawn_anew(page)
     assert np.linalg.norm(project(page, reach.target) - before) > 20.0
-
-
-def test_the_view_is_reset(reach, show):
-    page = show(reach)
-    before = project(page, reach.target)
-    page.mouse.move(250, 500)
-    page.mouse.down()
-    page.mouse.move(330, 500, steps=4)
-    page.mouse.up()
-    assert np.linalg.norm(project(page, reach.target) - before) > 20.0
     page.get_by_role("button", name="Reset view").click()
     assert_allclose(project(page, reach.target), before, atol=1e-3)
 
 
 @pytest.mark.parametrize(
-    "size", [(1000, 700), pytest.param((1600, 900), marks=pytest.mark.long), (600, 800)]
+    "size",
+    [(1000, 700), *(pytest.param(s, marks=pytest.mark.long) for s in ((1600, 900), (600, 800)))],
 )
 def test_all_of_the_motion_is_in_view(reach, show, size):
     page = show(reach, size)
@@ -340,6 +333,7 @@ def test_a_link_with_its_torque_at_the_limit_is_coloured(reach, show):
     assert near(pixels(page), (0.5 * box["width"], 350.0), COLORS["saturated"], 300.0) > 500
 
 
+@pytest.mark.long
 def test_a_link_at_a_position_limit_is_coloured(reach, show):
     q = reach.q.copy()
     q[:, 3] = reach.scene.truth.position_limits[0][3]
@@ -350,6 +344,7 @@ def test_a_link_at_a_position_limit_is_coloured(reach, show):
     assert near(pixels(page), (0.5 * box["width"], 350.0), COLORS["at_limit"], 300.0) > 500
 
 
+@pytest.mark.long
 def test_lost_measurements_are_gaps(reach, show):
     x_measured, error = reach.x_measured.copy(), reach.error.copy()
     x_measured[500:900] = error[500:900] = np.nan
@@ -372,6 +367,7 @@ def test_lost_measurements_are_gaps(reach, show):
     assert page.evaluate("approxjac.viewer.scene_tree.find(['measured']).object.visible")
 
 
+@pytest.mark.long
 def test_a_controller_that_tells_no_belief(reach, show):
     scene = dataclasses.replace(reach.scene, belief=None, task=None)
     nothing = np.full_like(reach.task_torque, np.nan)
@@ -492,6 +488,7 @@ def legend(page):
     return page.locator("#legend li:visible").all_inner_texts()
 
 
+@pytest.mark.long
 def test_the_legend_names_what_occurs(reach, show):
     free = dataclasses.replace(reach.scene, torque_limits=np.full(7, 500.0))
     named = legend(show(dataclasses.replace(reach, scene=free)))
@@ -510,6 +507,7 @@ def test_the_legend_names_what_occurs(reach, show):
     assert "measured tip, where it differs" in legend(other)
 
 
+@pytest.mark.long
 def test_a_belief_that_is_right_is_not_drawn(reach, show):
     scene = reach.scene
     right = dataclasses.replace(scene, belief=scene.truth, task=scene.sensor)
@@ -521,6 +519,7 @@ def test_a_belief_that_is_right_is_not_drawn(reach, show):
     assert near(pixels(page), (0.5 * box["width"], 350.0), COLORS["believed"], 300.0) == 0
 
 
+@pytest.mark.long
 def test_the_rim_of_the_ghost_lies_around_the_arm_only(reach, open_page, page_of):
     """Nothing of it, such as at bolts and edges, is seen on the arm."""
     page = open_page(page_of(reach), (1400, 900))
@@ -548,7 +547,8 @@ def test_the_rim_of_the_ghost_lies_around_the_arm_only(reach, open_page, page_of
     assert (pink & ~reached).sum() < 0.03 * pink.sum()  # in gaps as of fingers
 
 
-@pytest.mark.parametrize("size", [pytest.param((1400, 900), marks=pytest.mark.long), (400, 800)])
+@pytest.mark.long
+@pytest.mark.parametrize("size", [(1400, 900), (400, 800)])
 def test_a_dark_page(watched, open_page, page_of, size):
     page = open_page(page_of(watched), size)
     page.emulate_media(color_scheme="dark", reduced_motion="reduce")
