@@ -118,7 +118,7 @@ CASES = {
 
 SMALL = {"two_link (5), sine": ("two_link", CASES["ur5 (5), sine"][1])}  # with all options
 # of which the others have the parts
-IN_CPP = ("panda (28), limits, away from stops", "panda (6), image")
+IN_CPP = ("panda (6), image",)
 
 
 PART_OF_OTHERS = ("panda (6)", "ur5 (28)", "kinova (6), limits")
@@ -482,13 +482,8 @@ def test_options_of_clang_without_a_macro_are_refused_at_each_step(options, tmp_
 
 @needs_compiler
 @pytest.mark.parametrize("compiler", COMPILERS)
-@pytest.mark.parametrize(
-    "case",
-    [
-        *(pytest.param(each, marks=pytest.mark.study) for each in SMALL),
-        pytest.param("ur5 (5), sine", marks=pytest.mark.long),
-    ],
-)
+@pytest.mark.long
+@pytest.mark.parametrize("case", [*SMALL, "ur5 (5), sine"])
 def test_every_option_is_refused_or_survived(case, compiler, in_c_of):
     """With others, too, no number that is not finite gets through, and torques are the same."""
     _, folder = in_c_of(case)

@@ -72,12 +72,12 @@ STUDIES = {
 
 
 SOME = ("a plane, sine",)
-# learnt gravity within limits: "limits that keep the proof" has it, with limits that are fewer
+# learnt gravity within limits: "a circle, (5), limits" of test_sensing.py, with fewer limits
 # and limits of the URDF those with a rate; known gravity: "given gains"; gravity that is learnt:
-# "limits that keep the proof" and the same bits in NumPy
+# the same bits in NumPy; limits that keep the proof: "a circle, (5), limits" of test_sensing.py
 IN_OTHERS = (
     "limits of the URDF, and learnt gravity", "limits of the URDF", "known gravity",
-    "limits, known gravity", "learnt gravity",
+    "limits, known gravity", "learnt gravity", "limits that keep the proof",
 )  # fmt: skip
 MARKS = dict.fromkeys(IN_OTHERS, pytest.mark.long)
 
@@ -148,7 +148,7 @@ def digest(runs):
     return b"".join(column.tobytes() for column in runs.columns.values())
 
 
-@pytest.mark.study
+@pytest.mark.long
 def test_the_same_bits_whatever_carries_them_out(monkeypatch):
     """Threads, processes, portions of other sizes."""
     loop = study("ur5", learns=True)

@@ -202,7 +202,7 @@ def test_in_C_they_are_those_of_python(name, exported, rng):
 
 
 @needs_compiler
-@pytest.mark.study
+@pytest.mark.long
 def test_the_self_test_of_all_limits_passes(exported):
     _, _, folder = exported("rate")
     made = "cc -std=c99 -O0 -ffp-contract=off selftest.c controller.c -lm -o selftest && ./selftest"

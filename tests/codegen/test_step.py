@@ -628,7 +628,7 @@ def test_a_program_that_may_lose_x_knows_it(panda):
         assert_allclose(rate, expected.state_rate, rtol=0, atol=1e-10)
 
 
-@pytest.mark.parametrize("learns", [False, pytest.param(True, marks=pytest.mark.study)])
+@pytest.mark.parametrize("learns", [False, pytest.param(True, marks=pytest.mark.long)])
 def test_a_whole_run_within_limits_of_effort_is_that_of_python(panda, learns, monkeypatch):
     truth, belief = panda.with_object(0.2, 0.5), panda.with_object(0.0)
     plant, task = aj.Plant(truth), aj.PositionTask(belief)
@@ -683,7 +683,7 @@ def test_a_plant_that_moves_otherwise_is_not_taken_for_a_plant(panda):
     assert_allclose(runs[1].q, runs[0].q, rtol=0, atol=1e-9)
 
 
-@pytest.mark.study
+@pytest.mark.long
 def test_a_whole_run_with_limits_ends_at_the_same_place(panda):
     truth, belief = panda.with_object(0.2, 0.5), panda.with_object(0.0)
     plant, task = aj.Plant(truth), aj.PositionTask(belief)

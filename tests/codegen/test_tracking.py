@@ -166,7 +166,9 @@ def law_of(kind):
 
 SOME = ("in the plane",)
 # the others have their parts
-MARKS = dict.fromkeys(("camera known", "tool", "continuous joints"), pytest.mark.long)
+MARKS = dict.fromkeys(
+    ("camera turned", "camera known", "tool", "continuous joints"), pytest.mark.long
+)
 KINDS = (
     "camera turned", "tool", "camera known", "five rows", "continuous joints",
     "in the plane", "mimic joints",
