@@ -21,7 +21,7 @@ def benchmark(monkeypatch):
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("name", ["two_link", "ur5", "panda"])
+@pytest.mark.parametrize("name", ["two_link", "ur5", pytest.param("panda", marks=pytest.mark.long)])
 def test_a_law_that_is_typed_in_gives_the_same_torque(name, benchmark):
     control_step = benchmark("control_step")
     _, _, inputs = control_step.arm(name)

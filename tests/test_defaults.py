@@ -36,7 +36,18 @@ def test_the_ten_lines_on_a_panda():
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("name", [each for each in SEVERAL if each.id != "panda"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(
+            arm.id,
+            marks=arm.marks if arm.id == "so100" else (*arm.marks, pytest.mark.long),
+            id=arm.id,
+        )
+        for arm in SEVERAL
+        if arm.id != "panda"
+    ],
+)
 def test_the_ten_lines_on_every_other_arm(name):
     assert ten_lines(name).error_norm[-1] < 1e-3
 

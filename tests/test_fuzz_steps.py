@@ -155,13 +155,8 @@ def test_absurd_steps_are_finite_or_named_errors(name):
     assert steps.found.total() - steps.found["refused"] > 5
 
 
-@pytest.mark.parametrize(
-    "count",
-    [
-        pytest.param(5_000, marks=pytest.mark.study),
-        pytest.param(1_000_000, marks=pytest.mark.long),
-    ],
-)
+@pytest.mark.long
+@pytest.mark.parametrize("count", [5_000, 1_000_000])
 def test_very_many_absurd_steps(count):
     found, start = collections.Counter(), time.perf_counter()
     for seed, (name, controller) in enumerate(controllers().items()):

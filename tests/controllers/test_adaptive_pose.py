@@ -451,14 +451,8 @@ def test_a_set_point_law_on_what_is_predicted_is_the_law_itself(belief):
     assert_allclose(found.e, wanted.e, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    "kind",
-    [
-        pytest.param("set-point", marks=pytest.mark.long),
-        pytest.param("path", marks=pytest.mark.study),
-        pytest.param("set-point law", marks=pytest.mark.long),  # in short: scenario/test_run.py
-    ],
-)
+@pytest.mark.long  # in short: scenario/test_run.py
+@pytest.mark.parametrize("kind", ["set-point", "path", "set-point law"])
 def test_a_pose_is_reached_and_followed_to_a_millimetre(belief, sensor, kind):
     """In 8 s: after 6 s 0.12 mm and 0.8 mrad rms at rest, 0.46 mm and 1.0 mrad on the path."""
     task, dt = aj.PoseTask(belief), 2e-3

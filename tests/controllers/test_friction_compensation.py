@@ -264,7 +264,7 @@ def test_what_it_learns_is_of_the_size_of_friction():
     assert (found[:3] >= 0.2 * static[:3]).all()
 
 
-@pytest.mark.study
+@pytest.mark.long
 def test_on_what_kinematics_predict_springs_do_not_swing():
     # of a measured x, with what springs give way, a torque that turns with the error chatters
     robot = aj.load_robot("baxter_left_arm")
@@ -301,10 +301,8 @@ def followed(name, rubs, seed, **options):
     return 1e3 * float(np.sqrt((run.error_norm[run.t >= 2.0] ** 2).mean()))
 
 
-@pytest.mark.study
-@pytest.mark.parametrize(
-    ("name", "most"), [("ur3", 2.7), pytest.param("baxter_left_arm", 1.1, marks=pytest.mark.long)]
-)
+@pytest.mark.long
+@pytest.mark.parametrize(("name", "most"), [("ur3", 2.7), ("baxter_left_arm", 1.1)])
 def test_the_tracking_law_follows_with_joints_that_rub(name, most):
     friction = share_of_effort(name, 0.05)
     learnt = followed(name, friction, 1)

@@ -153,7 +153,7 @@ def test_while_the_proof_is_given_up_the_dynamics_rest(panda):
     assert (unlimited != state).any()
 
 
-@pytest.mark.study
+@pytest.mark.long
 def test_payload_rotors_and_friction_are_learnt():
     """As good as the exact model's circle after a few seconds; the model as it is stays behind."""
     belief, q0 = aj.load_robot("panda"), STARTS["panda"]
@@ -338,7 +338,7 @@ def test_self_motion_is_drawn_to_a_posture_the_short_way_round(rng):
     assert_allclose(rest.velocity(wanted, v)[0], np.zeros(6), atol=1e-15)
 
 
-@pytest.mark.study
+@pytest.mark.long
 def test_joints_that_turn_a_whole_turn_are_drawn_nowhere():
     """The middle of their ranges would be an arm that is stretched out."""
     ur5 = aj.load_robot("ur5")

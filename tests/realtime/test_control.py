@@ -808,7 +808,7 @@ def test_a_first_frame_is_waited_for(plant, controller, frames):
 
 
 @pytest.mark.parametrize(
-    ("duration", "error"), [(0.2, 0.02), pytest.param(2.5, 1e-3, marks=pytest.mark.study)]
+    ("duration", "error"), [(0.2, 0.02), pytest.param(2.5, 1e-3, marks=pytest.mark.long)]
 )
 def test_a_robot_that_adds_gravity_is_led_by_what_is_left(plant, panda, duration, error):
     belief = panda.with_object(0.0)

@@ -20,12 +20,13 @@ TRUTH = PANDA.with_object(0.2, 0.5, axis="x")
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 UR5 = np.array([0.2, -1.2, 1.4, -1.0, -1.0, 0.3])
 SLOW = (*study.MOTORS, *study.EVENTS)
-# in the same way as others: a joint's as all joints', NaN as infinite, one jump as another; the
-# last three in mid motion or from the start
+# in the same way as others: a joint's as all joints', NaN as infinite, one jump as another; three
+# in mid motion or from the start; of the last five is looked at below that they are found
 AS_OTHERS = (
     "encoder frozen, q̇ held", "q̇ of a joint 0", "q drifts", "q̇ in degrees", "q̇ halved", "q NaN",
     "q̇ NaN", "x frozen, with noise", "x in millimetres", "x mirrored from the start", "clock jumps",
-    "send raises", "q̇ held", "encoder frozen, q̇ fades", "x turned by 90°",
+    "send raises", "q̇ held", "encoder frozen, q̇ fades", "x turned by 90°", "q counts backwards",
+    "q̇ spike", "q̇ with the wrong sign", "x jumps", "q infinite",
 )  # fmt: skip
 
 
@@ -305,9 +306,9 @@ def test_accuracy_is_checked(change):
     ("arm", "kind"),
     [
         ("ur5", "x turned from the start"),
-        pytest.param("panda", "x frozen, with noise", marks=pytest.mark.study),
+        pytest.param("panda", "x frozen, with noise", marks=pytest.mark.long),
         pytest.param("panda", "encoder frozen, q̇ fades", marks=pytest.mark.study),
-        pytest.param("panda", "q̇ held", marks=pytest.mark.study),
+        pytest.param("panda", "q̇ held", marks=pytest.mark.long),
     ],
 )  # fmt: skip
 def test_faults_in_mid_motion_brake_the_arm(arm, kind):
@@ -337,16 +338,16 @@ def test_every_fault_brakes_every_arm(arm, kind):
         assert study.short([outcome]) == []
 
 
-# the oscillation and the drift: in test_monitor.py
+# the payload, the oscillation and the drift: in test_monitor.py
 @pytest.mark.study
 @pytest.mark.parametrize(
     ("arm", "kind", "seed", "names"),
     [
         ("ur10", "a motor reversed", 8, {"MOTOR_WEAK"}),  # seed 7: PUSHED after 16 ms, 1 mm
-        ("z1", "payload of 1.5 kg grasped", 7, {"TOOL_CHANGED"}),
         *(
             pytest.param(*case, marks=pytest.mark.long)
             for case in (
+                ("z1", "payload of 1.5 kg grasped", 7, {"TOOL_CHANGED"}),
                 ("panda", "a motor without power", 7, {"MOTOR_WEAK"}),
                 ("baxter_left_arm", "a motor without power", 7, {"MOTOR_WEAK"}),
                 ("panda", "a motor reversed", 7, {"MOTOR_WEAK"}),
@@ -369,13 +370,8 @@ def test_what_happens_is_named_on_arms_that_no_threshold_was_chosen_on(
         assert outcome.after < 0.1
 
 
-@pytest.mark.parametrize(
-    "seconds",
-    [
-        pytest.param(2.5, marks=pytest.mark.study),
-        pytest.param(60.0, marks=pytest.mark.long),
-    ],
-)
+@pytest.mark.long  # of other runs: test_guard_clean.py
+@pytest.mark.parametrize("seconds", [2.5, 60.0])
 def test_a_clean_run_has_no_fault(seconds, monkeypatch):
     monkeypatch.setattr(study, "HOURS", study.RUNS * seconds / 3600.0)
     outcome = study.clean(study.Case("ur5", "clean", 100))

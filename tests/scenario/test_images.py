@@ -279,7 +279,7 @@ def test_points_of_the_world_are_learnt_where_the_camera_is_carried():
     assert built.law.kinematics.unknown == ("points", "camera", "focal_length")
 
 
-@pytest.mark.study
+@pytest.mark.long
 def test_a_camera_that_is_turned_half_around_is_no_obstacle():
     believed = BARE | {"camera": {"roll": 2.6, "focal_factor": 1.3, "depth_factor": 1.5}}
     done = made(believed=believed, controller=LEARNS, run={"seed": 1, "duration": 8.0})

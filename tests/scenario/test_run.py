@@ -536,7 +536,11 @@ PARTS = ("tool", "origins", "camera")
             {"law": "tracking", "unknown": PARTS}, id="tracking law", marks=pytest.mark.long
         ),
         pytest.param({"unknown": PARTS}, id="set-point law"),
-        pytest.param({"law": "tracking", "unknown": PARTS, "command": "velocity"}, id="velocities"),
+        pytest.param(  # as in test_velocity_servo.py, and in test_tracking.py
+            {"law": "tracking", "unknown": PARTS, "command": "velocity"},
+            id="velocities",
+            marks=pytest.mark.long,
+        ),
     ],
 )
 def test_kinematics_that_are_learnt_follow_a_circle(tmp_path, controller):

@@ -50,15 +50,7 @@ def closed_form_run(figure, times):
 
 
 @pytest.mark.parametrize(
-    "figure",  # 8 has all that is wrong in others
-    [
-        4,
-        *(
-            pytest.param(n, marks=pytest.mark.study if n == 8 else pytest.mark.long)
-            for n in sorted(BELIEFS)
-            if n != 4
-        ),
-    ],
+    "figure", [4, *(pytest.param(n, marks=pytest.mark.long) for n in sorted(BELIEFS) if n != 4)]
 )
 def test_trajectories_agree_to_1e_6(figure):
     result = paper.run_experiment(paper.EXPERIMENTS[figure], paper.Setup(duration=20.0))

@@ -219,7 +219,9 @@ REAL = {
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("kind", REAL)
+@pytest.mark.parametrize(
+    "kind", ["friction", *(pytest.param(k, marks=pytest.mark.long) for k in list(REAL)[:2])]
+)
 @pytest.mark.parametrize("arm", ["panda", pytest.param("ur5", marks=pytest.mark.long)])
 def test_plants_agree_with_mujoco(arm, kind):
     """Random steps of torque for half a second, against MuJoCo at 20 µs."""

@@ -260,7 +260,7 @@ def test_joint_limits_hold_and_the_controller_recovers(target):
     )
 
 
-@pytest.mark.study
+@pytest.mark.long
 def test_it_comes_back_from_the_limits_it_is_driven_against_by_random_targets():
     plant = aj.MujocoPlant(TRUTH, SENSOR, 0.1)
     rng = np.random.default_rng(5)

@@ -641,7 +641,7 @@ def test_progress_must_be_a_function(panda, position):
     # measured over 4 runs: 4.5 to 6.6, as friction holds the arm there; 0.3 to 0.9, 0.2 to 0.5
     [
         ("known", 8e-3, 8e-3, (0.1, -0.15, 0.16), 0),
-        pytest.param("learnt", 2e-3, 1e-3, (-0.1, 0.2, 0.1), 1, marks=pytest.mark.study),
+        pytest.param("learnt", 2e-3, 1e-3, (-0.1, 0.2, 0.1), 1, marks=pytest.mark.long),
         pytest.param("known", 8e-3, 8e-3, (-0.1, 0.2, 0.1), 1, marks=pytest.mark.long),
         pytest.param("learnt", 2e-3, 1e-3, (0.1, -0.15, 0.16), 0, marks=pytest.mark.long),
     ],

@@ -207,7 +207,9 @@ def test_the_floor_holds_an_arm_that_is_told_to_go_on(panda):
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("name", ["ur5", "so101", pytest.param("xarm7", marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "name", ["ur5", *(pytest.param(k, marks=pytest.mark.long) for k in ("so101", "xarm7"))]
+)
 def test_a_resolved_rate_controller_reaches_its_target(name):
     arm = aj.load_robot(name)
     truth, belief = arm.with_object(length=0.05, mass=0.1), arm.with_object(length=0.0)

@@ -551,7 +551,7 @@ def test_suggest_refuses(tools, small_box):
 # -- what a saturated error hides -----------------------------------------------------------
 
 
-@pytest.mark.study
+@pytest.mark.long
 def test_a_saturated_error_is_looked_at_where_it_is_not():
     """With a small γ, drawn errors are all beyond it, where s is flat; motions end where it is not.
 

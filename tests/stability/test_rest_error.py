@@ -26,7 +26,10 @@ def test_on_one_joint_it_is_the_closed_form():
 
 
 @pytest.mark.study
-@pytest.mark.parametrize(("name", "share"), [("ur3", 0.02), ("z1", 0.02), ("panda", 0.02)])
+@pytest.mark.parametrize(
+    ("name", "share"),
+    [("ur3", 0.02), *(pytest.param(arm, 0.02, marks=pytest.mark.long) for arm in ("z1", "panda"))],
+)
 def test_no_move_ends_farther_away(name, share):
     robot, rng = aj.load_robot(name), np.random.default_rng(31)
     dry = share * robot.effort_limits

@@ -93,7 +93,7 @@ def test_runs_are_what_a_simulation_by_hand_is(controller, uncertainty, serial):
     assert not run.diverged
 
 
-@pytest.mark.study
+@pytest.mark.long
 def test_threads_and_processes_give_the_same(controller, uncertainty, serial):
     with ThreadPoolExecutor(3) as pool:
         require_same(rolled(controller, uncertainty, REGION, executor=pool, **SHORT), serial)

@@ -216,7 +216,7 @@ def test_the_other_tests_refuse_it():
 # -- a Panda before a camera ----------------------------------------------------------------
 
 
-@pytest.mark.study
+@pytest.mark.long
 def test_a_panda_before_a_camera(panda):
     """Certified for small errors of everything; one point lets the roll go to a right angle."""
     arm = panda.with_gravity((0.0, 0.0, 0.0))

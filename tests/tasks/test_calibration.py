@@ -33,7 +33,7 @@ def test_where_it_stands_is_told_as_opencv_tells_it():
         pytest.param(
             {"distortion": (-0.28, 0.1, 2e-3, -1e-3, -0.02)},
             id="tangential",
-            marks=pytest.mark.study,
+            marks=pytest.mark.long,
         ),
         pytest.param(
             {"fisheye": True, "focal_length": 220.0}, id="fisheye", marks=pytest.mark.study

@@ -231,7 +231,7 @@ def test_corners_in_the_right_order_are_accepted_with_a_wrong_camera(panda):
     assert not crossed.is_mirrored(crossed.value(Q), the_other_way(crossed.value(Q)))
 
 
-@pytest.mark.study
+@pytest.mark.long
 def test_a_camera_on_the_hand_needs_only_to_know_roughly_where_the_tag_is(panda):
     eye = aj.PinholeCamera(600.0, (640, 480), position=(0.05, 0.0, -0.03), mount=panda.tip)
     R, p = aj.tasks.FrameKinematics(panda, panda.tip).placement(Q)
