@@ -139,7 +139,7 @@ def test_the_same_file_is_simulated_analysed_and_shown(name, certified, tmp_path
     assert gains[0] == gains[1] == gains[2]
 
 
-@pytest.mark.study
+@pytest.mark.long
 def test_ctrl_c_stops_a_run_that_is_shown_and_keeps_it(tmp_path):
     process = subprocess.Popen(
         [sys.executable, "-u", "-m", "approxjac", "simulate", "two_link", "--duration", "60",

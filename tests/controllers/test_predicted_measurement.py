@@ -132,10 +132,8 @@ def test_what_makes_no_sense_has_an_error_with_a_name(panda, law):
             controller.step(other, good, x, 1e-3)
 
 
-@pytest.mark.study
-@pytest.mark.parametrize(
-    "law", ["set-point law", pytest.param("tracking law", marks=pytest.mark.long)]
-)
+@pytest.mark.long
+@pytest.mark.parametrize("law", ["set-point law", "tracking law"])
 def test_the_next_run_begins_with_what_was_learnt(panda, law):
     """A tracker turned by 100° is learnt once; the next target is reached straight away."""
     plant = tracker_far_off(panda)

@@ -259,7 +259,7 @@ def test_no_unstable_target_is_certified(seed):
         assert best_weights(form, family).margins.min() <= 0.0
 
 
-@pytest.mark.study
+@pytest.mark.long
 def test_a_camera_roll_costs_what_theory_says():
     """Large gains, J = R(δ)Ĵ: the paper's weights reach 60°, free ones 90°, the exact limit."""
 

@@ -143,7 +143,7 @@ def test_the_same_bits_whatever_carries_it_out(plane, monkeypatch):
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("learns", [False, True])
+@pytest.mark.parametrize("learns", [pytest.param(False, marks=pytest.mark.long), True])
 def test_one_compiled_loop_for_all_points(plane, learns, monkeypatch):
     """Gains and scales are numbers of it; without errors, too."""
     _, errors, region = plane
