@@ -173,7 +173,7 @@ def settling_shares(name, settling_time):
     "name",  # in CI the smallest and the largest
     [
         each
-        if each.id in ("two_link", "ur10")
+        if each.id in ("so100", "ur10")
         else pytest.param(each.id, marks=(*each.marks, pytest.mark.long), id=each.id)
         for each in among(*STARTS)
     ],
