@@ -273,11 +273,12 @@ class _Arm:
             with np.errstate(divide="ignore"):
                 motors = (left / np.linalg.norm(force[at][:, :, group], axis=2)).min(axis=1)
                 speeds = (_SPEED * fastest / np.linalg.norm(speed[:, :, group], axis=2)).min(axis=1)
-            most = min(float(np.quantile(motors, 0.25, method="lower")), float(np.median(speeds)))
-            usual = distance / 8.0
+            held = 0.0  # what holds a payload, even if that is fast
             if self.motors is not None and np.array(self.task.units)[group][0] == "m":
-                usual = max(usual, _HELD * self.robot.mass / float(gains.kp[group].min()))
-            gamma[group] = min(usual, most / len(self.distance))
+                held = _HELD * self.robot.mass / float(gains.kp[group].min())
+            most = max(float(np.median(speeds)), held)
+            most = min(float(np.quantile(motors, 0.25, method="lower")), most)
+            gamma[group] = min(max(distance / 8.0, held), most / len(self.distance))
         return gamma
 
     def time(self, gamma: Array, rate: float, alpha: float) -> float:
