@@ -302,9 +302,9 @@ def followed(name, rubs, seed, **options):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("name", "most"), [("ur3", 2.7), ("baxter_left_arm", 1.1)])
+@pytest.mark.parametrize(("name", "most"), [("ur3", 2.7), ("baxter_left_arm", 0.7)])
 def test_the_tracking_law_follows_with_joints_that_rub(name, most):
     friction = share_of_effort(name, 0.05)
     learnt = followed(name, friction, 1)
     told = followed(name, friction, 1, friction=friction)
-    assert told < learnt <= most
+    assert max(told, learnt) <= most

@@ -102,10 +102,10 @@ class MotionDynamics(Immutable, ABC):
         """Return inertias F (n_v,) to add to M̂ in the gain κM̂, with λ_max(M̂⁻¹(M̂ + F)) <= room.
 
         They are typical rotor inertias for the effort limits, because a URDF has none and a gain of
-        M̂ alone leaves light wrists soft. Zero if rotor inertias are given.
+        M̂ alone leaves light wrists soft.
         """
         F = _DRIVE * usual_effort(self.robot)
-        if self.rotor_inertia.any() or not F.any() or room <= 1.0:
+        if not F.any() or room <= 1.0:
             return np.zeros(self.robot.nv)
         M_inv = np.linalg.inv(usual_inertias(self.robot))
         # each joint alone may fill half of the room, and all together all of it
@@ -163,6 +163,8 @@ class AdaptiveDynamics(MotionDynamics):
             `TrackingController` that makes its own dynamics uses twice its κ.
         most_damping: B, the largest K_σ of each joint, (n_v,) [N m s/rad or N s/m], where the law
             has one: learning is slower by as much as the joints are softer.
+        integral: i ≥ 0 [1/s]: Coulomb friction and a constant torque of a joint are together
+            learnt at the rate iK_σ at the least, as an integral of σ beside the law's −K_σσ.
         friction: Friction that is known of the joints, with which learning begins: all of its
             viscous and 0.8 of its Coulomb part, as more than there is would act as a relay.
 
@@ -183,6 +185,7 @@ class AdaptiveDynamics(MotionDynamics):
         rotor_inertia: float | Sequence[float] | Array = 0.0,
         fastest: float = 120.0,
         most_damping: Sequence[float] | Array | None = None,
+        integral: float = 0.0,
         friction: Friction | None = None,
     ) -> None:
         super().__init__(robot, rotor_inertia=rotor_inertia)
@@ -191,10 +194,15 @@ class AdaptiveDynamics(MotionDynamics):
         self.parameters = dict(zip(self.regressor.names, self.regressor.units, strict=True))
         self.sd = plausible_errors(self.regressor)
         self.fastest = as_number("fastest", fastest, unit="1/s", above=0.0)
-        motions, gamma = usual_motions(self.regressor), _GAIN * self.sd**2
+        motions, gamma = usual_motions(self.regressor, self.rotor_inertia), _GAIN * self.sd**2
+        kappa, softness = 0.5 * self.fastest, np.zeros(robot.nv)
         if most_damping is not None:
-            soft = as_limits("most_damping", most_damping, robot.nv, unit="N m s/rad or N s/m")
-            motions = [(Y_d, _softened(each, 0.5 * fastest / soft)) for Y_d, each in motions]
+            most = as_limits("most_damping", most_damping, robot.nv, unit="N m s/rad or N s/m")
+            softness = kappa / most
+        # K_σ of each joint where the others give way, and what γ = 1 alone makes of stiff ones
+        damping = np.median([kappa / (np.diag(M_inv) + softness) for _, M_inv in motions], axis=0)
+        alone = squared_rates(motions, np.ones(self.n_state))
+        motions = [(Y_d, _softened(M_inv, softness)) for Y_d, M_inv in motions]
         self.gain, rates = np.full(self.n_state, _GAIN), squared_rates(motions, gamma)
         # tr(Y_d Γ Y_dᵀ)/tr M of links: the mean of joints by their inertia, so that wrists hardly
         # count
@@ -209,6 +217,10 @@ class AdaptiveDynamics(MotionDynamics):
         rates[k] *= more
         self.gamma = self.gain * self.sd**2 * np.minimum(1.0, self.fastest**2 / rates)
         links, n = self.regressor.links, robot.nv
+        slow = self.gamma[links + 2 * n :]  # a view
+        spring = as_number("integral", integral, unit="1/s", minimum=0.0) * damping
+        more = np.tile(spring / slow.reshape(2, n).sum(axis=0), 2)
+        slow *= np.maximum(np.minimum(more, self.fastest**2 / (alone[-2 * n :] * slow)), 1.0)
         prior = self.regressor.a.copy()
         prior[links : links + n] = self.rotor_inertia
         if friction is not None:
@@ -245,7 +257,9 @@ class AdaptiveDynamics(MotionDynamics):
 
 
 def _softened(M_inv: Array, softness: Array) -> Array:
-    """Return κ²K⁻¹MK⁻¹ of K⁻¹ = (κM)⁻¹ + B⁻¹, M⁻¹ where B is infinite; `softness` is κ/B (n_v,)."""
+    """Return κ²K⁻¹MK⁻¹ of K⁻¹ = (κM)⁻¹ + B⁻¹; `softness` is κ/B (n_v,), zero without a bound."""
+    if not softness.any():
+        return M_inv
     root = M_inv + np.diag(softness)
     return np.asarray(root @ np.linalg.solve(M_inv, root))
 
@@ -266,14 +280,15 @@ def plausible_errors(regressor: DynamicsRegressor) -> Array:
     return np.concatenate([links, rotor, torque, _DRY * torque, torque])
 
 
-def usual_motions(regressor: DynamicsRegressor) -> list[tuple[Array, Array]]:
-    """Return Y_d (n_v, p) and M⁻¹ (n_v, n_v) at usual configurations, speeds and accelerations."""
+def usual_motions(regressor: DynamicsRegressor, rotors: Array) -> list[tuple[Array, Array]]:
+    """Return Y_d (n_v, p) and (M + diag(rotors))⁻¹ at usual configurations, speeds and so on."""
     robot, rng = regressor.robot, np.random.default_rng(0)
     dynamics, motions = Dynamics(robot), []
     for _ in range(_CONFIGURATIONS):
         q = robot.random_configuration(rng)
         v, a = (size * rng.choice((-1.0, 1.0), robot.nv) for size in (_SPEED, _ACCELERATION))
-        motions.append((regressor.Y_d(q, v, v, a), dynamics.M_inv(q)))
+        M_inv = np.linalg.inv(dynamics.M(q) + np.diag(rotors))
+        motions.append((regressor.Y_d(q, v, v, a), M_inv))
     return motions
 
 

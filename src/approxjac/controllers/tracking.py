@@ -26,7 +26,12 @@ from approxjac.controllers.arguments import (
 )
 from approxjac.controllers.controller import Controller
 from approxjac.controllers.gains.gains import Latency
-from approxjac.controllers.gains.motors import largest_inertia, motor_damping
+from approxjac.controllers.gains.motors import (
+    integral_rate,
+    largest_inertia,
+    least_rotors,
+    motor_damping,
+)
 from approxjac.controllers.gains.sample_configurations import max_damping_rate
 from approxjac.controllers.learning.estimator import Kinematics
 from approxjac.controllers.learning.learnt_camera import AdaptiveCamera
@@ -61,6 +66,7 @@ _PREDICTED, _UNPREDICTED, _LOST = Status.PREDICTED, Status.NOT_PREDICTED, Status
 _ALPHA, _KAPPA = 4.0, 60.0  # [1/s]
 _STEADY = 0.25  # κ dt at most
 _ROOM = 0.5  # κ dt λ_max(M⁻¹M̂) at most
+_WITHOUT_MOTORS = 0.3  # of the integral that is within what motors may damp
 _QUICK = 2.0  # times κ, how fast a parameter may learn
 _SINGULAR_RATIO = 0.08  # of σ_max, below which Ĵ⁺ is damped
 _SHARE = 0.9  # of the speed limits of joints
@@ -175,12 +181,16 @@ class TrackingController(Immutable, Controller):
         if drives is not None:
             drives = require("drives", drives, Drives, "Drives(...) or None").of(robot)
         self._most = self._set_rates(gains, latency, drives)
+        knows_rotors = drives is not None or (
+            isinstance(dynamics, MotionDynamics) and bool(dynamics.rotor_inertia.any())
+        )
         if dynamics is None:
             dynamics = AdaptiveDynamics(
                 robot,
-                rotor_inertia=0.0 if drives is None else drives.rotor_inertia,
+                rotor_inertia=_rotors(robot, latency, drives),
                 fastest=_QUICK * self.kappa,
                 most_damping=self._most if np.isfinite(self._most).any() else None,
+                integral=self._integral,
                 friction=friction,
             )
         self.dynamics = dynamics
@@ -201,9 +211,10 @@ class TrackingController(Immutable, Controller):
             self.parameters = {"lag of the servo": "s"} | {**self.kinematics.parameters}
         else:
             self.parameters = {**self.dynamics.parameters, **self.kinematics.parameters}
-            if drives is None:
+            if not knows_rotors:
                 room = max(1.0, _ROOM / (self.kappa * self.dt))
-                self._added = self.dynamics.gain_inertia(room)
+                more = self.dynamics.gain_inertia(room) - self.dynamics.rotor_inertia
+                self._added = np.maximum(more, 0.0)
             self.resting = self.dynamics.n_state
         self._end = self.resting + self.kinematics.n_state
         self.n_state = self._end + (0 if self._commands is None else robot.nv)
@@ -220,15 +231,16 @@ class TrackingController(Immutable, Controller):
     def _set_rates(
         self, gains: TrackingGains, latency: Latency | None, drives: Drives | None
     ) -> Array:
-        """Set α and κ, and return the largest K_σ of each joint, (n_v,)."""
+        """Set α, κ and the learning's integral, and return the largest K_σ, (n_v,)."""
         robot, kappa = self.task.robot, min(_KAPPA, _STEADY / self.dt)
         alpha = _ALPHA if gains.alpha is None else gains.alpha
-        damping = np.full(robot.nv, np.inf)
+        damping, lag = np.full(robot.nv, np.inf), Latency(self.dt)
         if latency is not None or drives is not None:
-            lag = Latency(self.dt) if latency is None else latency
+            lag = lag if latency is None else latency
             require("latency", lag, Latency, "Latency(...) or None")
             # a motor feels K_σ and, by q̈_r, αM̂
-            most, inertia = motor_damping(robot, lag, drives), largest_inertia(robot)
+            most = motor_damping(robot, lag, drives, integral_rate(lag))
+            inertia = largest_inertia(robot) + _rotors(robot, latency, drives)
             if gains.alpha is None:
                 alpha = min(alpha, 0.5 * float(np.min(most / inertia)))
             damping = np.maximum(most - alpha * inertia, 0.25 * most)
@@ -236,6 +248,9 @@ class TrackingController(Immutable, Controller):
                 kappa = min(kappa, 0.5 / lag.of_velocity)
         self.alpha = float(alpha)
         self.kappa = kappa if gains.kappa is None else gains.kappa
+        self._integral = integral_rate(lag)
+        if not np.isfinite(damping).all():
+            self._integral = min(_WITHOUT_MOTORS * self._integral, self.kappa)
         return damping
 
     def _require_parts(self) -> None:
@@ -502,6 +517,13 @@ class VelocityCommand:
         lag = state + self._dt * law.servo_lag_rate(_LAG_GAIN, w, v - v_r)
         lag = np.minimum(np.maximum(lag, 0.0), _LONGEST_LAG)
         return law.select(law.all_equal(sent, wanted), lag, state), sent
+
+
+def _rotors(robot: Robot, latency: Latency | None, drives: Drives | None) -> Array:
+    """Return the rotor inertias that the law begins with, shape (n_v,) [kg m² or kg]."""
+    if drives is not None:
+        return np.asarray(drives.rotor_inertia)
+    return np.zeros(robot.nv) if latency is None else least_rotors(robot)
 
 
 def _stops(task: Task, limits: Limits) -> law.StopZones | None:
