@@ -89,6 +89,38 @@ def test_damping_by_the_scale_has_its_rate_too(rng):
     assert_allclose(a, rate_of(velocity), rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.parametrize("near_stops", [False, True])
+@pytest.mark.parametrize("sliding", [False, True])
+def test_joints_share_the_motion_that_the_task_needs(rng, near_stops, sliding):
+    """Ĵq̇_r = u whatever the shares are, and q̈_r is the derivative along the motion."""
+    J, _, null, J_dot, _, null_dot = motion(rng, 3, 7)
+    z, drift, feed, v = (rng.normal(size=k) for k in (3, 3, 3, 7))
+    q = rng.uniform(0.7, 0.95, 7) * rng.choice([-1.0, 1.0], 7) if near_stops else np.zeros(7)
+    ones = np.ones(7)
+    stops = law.StopZones(-ones, ones, 0.5 * ones, 0.1 * ones)
+    shares = np.geomspace(0.02, 1.0, 7) if sliding else None
+    gains = law.ReferenceGains(3.0, 3.0 / 0.5, np.full(7, np.inf), 1e-3, 0.0, stops, shares)
+
+    def stepped(t):
+        # q̇ is constant, ż = Ĵq̇ − ẋ_d + drift
+        z_dot = J(0.0) @ v - feed + drift
+        error = law.PredictedError(z + t * z_dot, J(t), J_dot, feed, np.zeros(3), drift)
+        return law.reference_step(error, v, (null(t), null_dot), False, gains, q + t * v)
+
+    v_r, a_r, damped, is_known = stepped(0.0)
+    assert is_known
+    assert not damped
+    z_dot = J(0.0) @ v - feed + drift
+    u, u_dot = law.task_velocity(z, z_dot, feed, np.zeros(3), 3.0, 6.0)
+    assert_allclose(J(0.0) @ v_r, u, atol=1e-9)
+    assert_allclose(J(0.0) @ a_r + J_dot @ v_r, u_dot, rtol=1e-7, atol=1e-7)
+    expected = rate_of(lambda t: stepped(t)[0])
+    assert_allclose(a_r, expected, atol=1e-5 * max(1.0, np.abs(expected).max()))
+    if sliding and not near_stops:
+        alone = law.reference(J(0.0), J_dot, u, u_dot, null(0.0), null_dot, 1e-3)[0]
+        assert np.abs((v_r - null(0.0))[0]) < 0.2 * np.abs((alone - null(0.0))[0])
+
+
 def test_a_jacobian_of_zeros_leaves_the_self_motion():
     null = np.arange(4.0)
     zeros = np.zeros((2, 4)), np.zeros((2, 4)), np.ones(2), np.zeros(2), null, np.zeros(4)

@@ -119,7 +119,9 @@ class TrackingController(Immutable, Controller):
 
         q̇_r = Ĵ⁺(u − Ĵn₀) + n₀,   u = ẋ_d − αs(z),   n₀ = −k_n s(q ⊖ q_rest)
 
-    brings the predicted error z to zero and q̈_r is its exact derivative. The measured x is used
+    brings the predicted error z to zero and q̈_r is its exact derivative. (In Ĵ⁺ joints near a stop
+    leave the motion to others, and where some slide and some turn, fast joints do more of it:
+    `law.reference_step`.) The measured x is used
     only to learn the kinematics; while it is lost, control continues with the prediction. With
     learnt kinematics the joints rest until x is first seen: q̇_r = 0, `MEASUREMENT_LOST`.
 
@@ -224,6 +226,7 @@ class TrackingController(Immutable, Controller):
             # as arrays, which NumPy multiplies with in a third of the time of numbers
             np.array(self.alpha), self.alpha / self.speed, _SHARE * np.asarray(limits.velocity),
             singular_ratio(task, most), vanishing(task), _stops(task, limits),
+            _shares(task, limits),
         )  # fmt: skip
         self._continuous = robot.nq != robot.nv
         self._is_bounded = command == "torque" and bool(np.isfinite(self._most).any())
@@ -532,6 +535,14 @@ def _stops(task: Task, limits: Limits) -> law.StopZones | None:
     low, high = np.clip(np.array(limits.position), -_NO_END, _NO_END)
     slow = np.minimum(_SLOW * np.asarray(limits.velocity), _SLOW)
     return law.StopZones(low, high, np.minimum(_ZONE * (high - low), _WIDEST), slow)
+
+
+def _shares(task: Task, limits: Limits) -> Array | None:
+    """Return shares by speed limits where some joints slide, as Ĵ⁺ alone would add m² to rad²."""
+    fastest = np.asarray(limits.velocity)
+    if len(set(task.robot.joint_units)) == 1 or not np.isfinite(fastest).all():
+        return None
+    return np.asarray(fastest / fastest.max())
 
 
 def _usual_kinematics(task: Task, dt: float) -> Kinematics:

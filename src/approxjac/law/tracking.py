@@ -81,6 +81,7 @@ class ReferenceGains(NamedTuple):
     singular_ratio: float = SINGULAR_RATIO  # and scale, of `damped_gram_solve`
     scale: float = 0.0
     stops: StopZones | None = None
+    shares: Array | None = None  # constant shares r > 0 of joints in the motion, (n_v,)
 
 
 def saturated(z: Array, z_dot: Array, k: float | Array) -> tuple[Array, Array]:
@@ -153,12 +154,13 @@ def reference_step(
 
     `null` are n₀ and its derivative; the joints rest while it `waits` for a first prediction.
 
-    Joints that the reference would bring to a stop that is near, at the positions `motion` (n_v,),
-    leave the motion to the others: with the diagonal r of `StopZones.shares` of that reference,
+    With the diagonal r of the joints' shares,
 
         q̇_r = n₀ + r (Ĵr)⁺(u − Ĵn₀),
 
-    so that Ĵq̇_r = u, which is all that proofs need, and q̈_r is its derivative.
+    so that Ĵq̇_r = u, which is all that proofs need, and q̈_r is its derivative. Joints that this
+    would bring to a stop that is near, at the positions `motion` (n_v,), leave the motion to the
+    others, by `StopZones.shares`.
 
     Returns:
         q̇_r; q̈_r; whether Ĵ⁺ is damped; whether all is finite, else the joints rest.
@@ -170,23 +172,30 @@ def reference_step(
 
     ratio, stops = (gains.singular_ratio, gains.scale), gains.stops
 
+    def shared(r: Array, r_dot: Array) -> tuple[Array, Array, Any]:
+        n, n_dot = null
+        b = u - dot(J_hat, n), u_dot - dot(J_hat_dot, n) - dot(J_hat, n_dot)
+        none = 0.0 * v
+        J_r, J_r_dot = J_hat * r, J_hat_dot * r + J_hat * r_dot
+        p, p_dot, damping = reference(J_r, J_r_dot, *b, none, none, *ratio)
+        return n + r * p, n_dot + r_dot * p + r * p_dot, damping
+
     def moves() -> tuple[Array, Array, Any]:
-        v_r, a_r, damping = reference(J_hat, J_hat_dot, u, u_dot, *null, *ratio)
+        shares = gains.shares
+        if shares is None:
+            v_r, a_r, damping = reference(J_hat, J_hat_dot, u, u_dot, *null, *ratio)
+        else:
+            v_r, a_r, damping = shared(shares, 0.0 * v)
         if stops is None or motion is None:
             return *within_speeds(v_r, a_r, gains.fastest), damping
         near, sides = stops.near(motion)
 
-        def shared() -> tuple[Array, Array, Any]:
+        def away() -> tuple[Array, Array, Any]:
             r, r_dot = stops.shares(near, v, v_r, a_r, sides)
-            n, n_dot = null
-            b = u - dot(J_hat, n), u_dot - dot(J_hat_dot, n) - dot(J_hat, n_dot)
-            none = 0.0 * v
-            J_r, J_r_dot = J_hat * r, J_hat_dot * r + J_hat * r_dot
-            p, p_dot, damping = reference(J_r, J_r_dot, *b, none, none, *ratio)
-            return n + r * p, n_dot + r_dot * p + r * p_dot, damping
+            return shared(*((r, r_dot) if shares is None else (shares * r, shares * r_dot)))
 
         towards = any_of((near > 0.0) & (sides * v_r > 0.0))
-        v_r, a_r, damping = choose(towards, shared, lambda: (v_r, a_r, damping))
+        v_r, a_r, damping = choose(towards, away, lambda: (v_r, a_r, damping))
         return *within_speeds(v_r, a_r, gains.fastest), damping
 
     nothing = np.zeros(len(v))
