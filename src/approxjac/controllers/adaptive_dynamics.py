@@ -287,7 +287,7 @@ def usual_motions(regressor: DynamicsRegressor, rotors: Array) -> list[tuple[Arr
     for _ in range(_CONFIGURATIONS):
         q = robot.random_configuration(rng)
         v, a = (size * rng.choice((-1.0, 1.0), robot.nv) for size in (_SPEED, _ACCELERATION))
-        M_inv = np.linalg.inv(dynamics.M(q) + np.diag(rotors))
+        M_inv = np.asarray(np.linalg.inv(dynamics.M(q) + np.diag(rotors)), dtype=float)
         motions.append((regressor.Y_d(q, v, v, a), M_inv))
     return motions
 

@@ -1,0 +1,95 @@
+"""Friction and payload from a recorded motion, by torques that are written down here."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import approxjac as aj
+from approxjac.robots import Dynamics, Friction, fit_dynamics
+
+DT = 2e-3  # [s]
+
+
+def recorded(name, payload, friction, duration=20.0, seed=1, still=None):
+    """Return an arm without its payload, q and τ of sums of sines with noise, and (q̇, load)."""
+    arm, rng = aj.load_robot(name), np.random.default_rng(seed)
+    held = arm.with_object(0.2, payload, axis="x")
+    dynamics = Dynamics(held)
+    low, high = arm.usual_range
+    size, t = np.minimum(0.25 * (high - low), 0.6) / 3.0, np.arange(0.0, duration, DT)
+    if still is not None:
+        size[still] = 1e-4
+    q, v, a = np.tile(0.5 * (low + high), (len(t), 1)), 0.0, 0.0
+    for k in (1, 2, 3):
+        omega = 0.2 * np.pi * k * (1.0 + 0.3 * rng.random(arm.nv))
+        angle = np.outer(t, omega) + rng.uniform(0.0, 2.0 * np.pi, arm.nv)
+        q = q + size * np.sin(angle)
+        v, a = v + size * omega * np.cos(angle), a - size * omega**2 * np.sin(angle)
+    rows = np.array([arm.configuration(each) for each in q])
+    load = np.array(
+        [dynamics.C(*of) @ of[1] + dynamics.g(of[0]) for of in zip(rows, v, strict=True)]
+    )
+    inertial = np.array([dynamics.M(of) @ a_of for of, a_of in zip(rows, a, strict=True)])
+    slow = 1.0 + (friction.stribeck - 1.0) * np.exp(-np.abs(v) / friction.stribeck_velocity)
+    dry = friction.coulomb * slow + friction.load * np.abs(load)
+    tau = load + inertial + friction.viscous * v + dry * np.sign(v)
+    tau += 0.02 * np.sqrt(arm.effort_limits) * rng.normal(size=tau.shape)
+    seen = q + 2e-5 * rng.normal(size=q.shape)
+    return arm, np.array([arm.configuration(each) for each in seen]), tau, (v, np.abs(load))
+
+
+def share_of_effort(name, share):
+    effort = aj.load_robot(name).effort_limits
+    return Friction(0.5 * share * effort, share * effort, stribeck=1.2, load=0.06)
+
+
+@pytest.mark.parametrize(
+    ("name", "payload"),
+    [
+        ("z1", 1.5),
+        *(
+            pytest.param(name, payload, marks=pytest.mark.study)
+            for name, payload in (("kinova", 1.5), ("ur10", 1.5), ("ur10", 0.0), ("panda", 3.0))
+        ),
+        *(
+            pytest.param(name, 1.5, marks=[pytest.mark.study, pytest.mark.long])
+            for name in ("xarm7", "baxter_left_arm", "ur3", "tiago_arm")
+        ),
+    ],
+)
+def test_a_recording_tells_friction_and_payload(name, payload):
+    friction = share_of_effort(name, 0.05)
+    *given, (v, load) = recorded(name, payload, friction)
+    fit = fit_dynamics(*given, DT)
+    if name == "ur10":  # whose links weigh twenty times as much: its deviation says so
+        assert abs(fit.payload - payload) < fit.payload_sd < 0.5
+    else:
+        assert abs(fit.payload - payload) < max(0.1 * payload, fit.payload_sd)
+        assert fit.payload_sd < 0.4
+    fast = np.abs(v) > 0.1  # where there is no Stribeck friction left
+    ours, true = (
+        np.where(fast, each.viscous * v + (each.coulomb + each.load * load) * np.sign(v), 0.0)
+        for each in (fit.friction, friction)
+    )
+    assert (np.linalg.norm(ours - true, axis=0) <= 0.1 * np.linalg.norm(true, axis=0)).all()
+    assert (fit.friction_sd > 0.0).all()
+    assert f"payload {fit.payload:.3g}" in str(fit)
+
+
+def test_it_is_what_a_law_begins_with():
+    friction = Friction(0.3, 1.0)
+    fit = fit_dynamics(*recorded("ur5", 0.0, friction, 10.0)[:3], DT)
+    law = aj.controllers.FrictionCompensation(fit.friction)
+    assert_allclose(law.known.coulomb, 1.0, rtol=0.1)
+    assert (fit.friction_sd > 0.0).all()
+    assert (fit.residual < 0.3).all()
+
+
+def test_joints_that_stand_or_go_one_way_are_named():
+    arm, q, tau, _ = recorded("z1", 0.0, Friction(0.1, 0.5), 4.0, still=2)
+    with pytest.raises(aj.InvalidInputError, match="joint joint3 must move to and fro"):
+        fit_dynamics(arm, q, tau, DT)
+    with pytest.raises(aj.InvalidInputError, match="at least 200 rows, got 50"):
+        fit_dynamics(arm, q[:50], tau[:50], DT)
+    with pytest.raises(aj.InvalidInputError, match="tau must have shape"):
+        fit_dynamics(arm, q, tau[:, :3], DT)
