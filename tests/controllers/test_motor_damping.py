@@ -229,7 +229,7 @@ def test_no_spring_or_rotor_makes_the_sampled_loop_of_a_set_point_law_grow(arm, 
 
 
 def followed(arm, drives, duration=4.0, **options):
-    """A circle with an unknown tool, a late camera and filtered q̇; errors after 3 s, and speeds."""
+    """A circle with an unknown tool, a late camera and filtered q̇; late errors, and speeds."""
     robot = aj.load_robot(arm)
     truth, belief = robot.with_object(0.2, 0.02 * robot.mass, axis="x"), robot.with_object(0.0)
     sensing = aj.Sensing(x_noise=1e-3, x_rate=60.0, x_delay=0.03, velocity_filter=5e-3)
@@ -252,7 +252,7 @@ def followed(arm, drives, duration=4.0, **options):
         seed=1,
         computation=Computation("semi_implicit_euler"),
     )
-    late = run.t > 0.75 * duration
+    late = run.t > 0.5 * duration
     return 1e3 * np.sqrt((run.error_norm[late] ** 2).mean()), np.abs(run.v).max()
 
 
@@ -260,10 +260,9 @@ def followed(arm, drives, duration=4.0, **options):
 @pytest.mark.parametrize(
     ("arm", "rotor", "stiffness"),
     [
-        ("talos_arm", 0.3, 1e4),
+        ("talos_arm", 0.1, 1e4),
         pytest.param("panda", 0.05, 1e4, marks=pytest.mark.long),
         pytest.param("panda", 0.1, 3e4, marks=pytest.mark.long),
-        pytest.param("baxter_left_arm", 0.05, 3e3, marks=pytest.mark.long),
         pytest.param("ur5", 0.1, 1e4, marks=pytest.mark.long),
         pytest.param("kinova", 0.05, 3e3, marks=pytest.mark.long),
         pytest.param("xarm7", 0.05, 1e4, marks=pytest.mark.long),
@@ -272,7 +271,7 @@ def followed(arm, drives, duration=4.0, **options):
 )  # fmt: skip
 def test_no_elastic_joint_makes_it_run_away(arm, rotor, stiffness):
     """With rotors that nobody told it of; as of rigid joints it is 0.1 to 0.5 m off."""
-    rms, speed = followed(arm, Drives(rotor, stiffness), latency=LATE)
+    rms, speed = followed(arm, Drives(rotor, stiffness), 6.0, latency=LATE)
     assert rms < 4.5
     assert speed < 2.0
 
