@@ -748,7 +748,7 @@ def test_nothing_learns_faster_than_the_loop_stands(name):
     robot = aj.load_robot(name)
     dynamics = TrackingController(aj.PositionTask(robot)).dynamics
     assert dynamics.fastest == 120.0
-    rates = squared_rates(usual_motions(dynamics.regressor, dynamics.rotor_inertia), dynamics.gamma)
+    rates = squared_rates(usual_motions(dynamics.regressor), dynamics.gamma)
     assert np.sqrt(rates.max()) <= 120.0 * (1.0 + 1e-9)
     reduced = dynamics.gamma < 0.999 * dynamics.gain * dynamics.sd**2
     dry = np.array([each.endswith(".coulomb") for each in dynamics.parameters])
@@ -760,7 +760,7 @@ def test_what_an_arm_carries_is_learnt_at_one_rate_whatever_it_weighs(name):
     """From half a kilogram to thirty; with one gain for all it was 2/s to 25/s."""
     dynamics = AdaptiveDynamics(aj.load_robot(name))
     motions, links = (
-        usual_motions(dynamics.regressor, dynamics.rotor_inertia),
+        usual_motions(dynamics.regressor),
         slice(dynamics.regressor.links),
     )
     gamma = dynamics.gamma[links]

@@ -194,13 +194,22 @@ class AdaptiveDynamics(MotionDynamics):
         self.parameters = dict(zip(self.regressor.names, self.regressor.units, strict=True))
         self.sd = plausible_errors(self.regressor)
         self.fastest = as_number("fastest", fastest, unit="1/s", above=0.0)
-        motions, gamma = usual_motions(self.regressor, self.rotor_inertia), _GAIN * self.sd**2
+        motions, gamma = usual_motions(self.regressor), _GAIN * self.sd**2
         kappa, softness = 0.5 * self.fastest, np.zeros(robot.nv)
         if most_damping is not None:
             most = as_limits("most_damping", most_damping, robot.nv, unit="N m s/rad or N s/m")
             softness = kappa / most
         # K_σ of each joint where the others give way, and what γ = 1 alone makes of stiff ones
-        damping = np.median([kappa / (np.diag(M_inv) + softness) for _, M_inv in motions], axis=0)
+        damping = (
+            np.median(
+                [
+                    1.0 / (1.0 / (1.0 / np.diag(M_inv) + self.rotor_inertia) + softness)
+                    for _, M_inv in motions
+                ],
+                axis=0,
+            )
+            * kappa
+        )
         alone = squared_rates(motions, np.ones(self.n_state))
         motions = [(Y_d, _softened(M_inv, softness)) for Y_d, M_inv in motions]
         self.gain, rates = np.full(self.n_state, _GAIN), squared_rates(motions, gamma)
@@ -280,15 +289,14 @@ def plausible_errors(regressor: DynamicsRegressor) -> Array:
     return np.concatenate([links, rotor, torque, _DRY * torque, torque])
 
 
-def usual_motions(regressor: DynamicsRegressor, rotors: Array) -> list[tuple[Array, Array]]:
-    """Return Y_d (n_v, p) and (M + diag(rotors))⁻¹ at usual configurations, speeds and so on."""
+def usual_motions(regressor: DynamicsRegressor) -> list[tuple[Array, Array]]:
+    """Return Y_d (n_v, p) and M⁻¹ (n_v, n_v) at usual configurations, speeds and accelerations."""
     robot, rng = regressor.robot, np.random.default_rng(0)
     dynamics, motions = Dynamics(robot), []
     for _ in range(_CONFIGURATIONS):
         q = robot.random_configuration(rng)
         v, a = (size * rng.choice((-1.0, 1.0), robot.nv) for size in (_SPEED, _ACCELERATION))
-        M_inv = np.asarray(np.linalg.inv(dynamics.M(q) + np.diag(rotors)), dtype=float)
-        motions.append((regressor.Y_d(q, v, v, a), M_inv))
+        motions.append((regressor.Y_d(q, v, v, a), dynamics.M_inv(q)))
     return motions
 
 
