@@ -571,8 +571,8 @@ MUTANTS = [
     ),
     (
         "saturation at the larger of torques", "controllers/gains/tuning.py",
-        "gamma[group] = min(distance / 8.0, most / len(self.distance))",
-        "gamma[group] = max(distance / 8.0, most / len(self.distance))", FIGURES,
+        "gamma[group] = min(max(distance / 8.0, held), most / len(self.distance))",
+        "gamma[group] = max(max(distance / 8.0, held), most / len(self.distance))", FIGURES,
     ),
     (
         "lag of x without the age of frames", "controllers/gains/gains.py",
@@ -1076,6 +1076,32 @@ MUTANTS = [
         "away from a stop as slowly as towards it", "law/tracking.py",
         "s = np.maximum(sides * v_r / self.slow, 0.0)", "s = np.abs(v_r / self.slow)",
         "tests/controllers/test_tracking.py",
+    ),
+    (
+        "what is learnt is no spring to the motors", "controllers/gains/motors.py",
+        "+ np.arctan(integral / omega)", "+ 0.0 * omega",
+        "tests/controllers/test_motor_damping.py",
+    ),
+    (
+        "constants are learnt as slowly as links", "controllers/adaptive_dynamics.py",
+        "slow *= np.maximum(np.minimum(more", "slow *= np.minimum(np.minimum(more",
+        "tests/controllers/test_motor_damping.py",
+    ),
+    (
+        "sliding joints share as turning ones", "law/tracking.py",
+        "v_r, a_r, damping = shared(shares, 0.0 * v)",
+        "v_r, a_r, damping = reference(J_hat, J_hat_dot, u, u_dot, *null, *ratio)",
+        "tests/law/test_tracking.py",
+    ),
+    (
+        "joints that stand tell their friction", "robots/dynamics_fit.py",
+        "self.moves = np.abs(v) > _SLOW", "self.moves = np.abs(v) >= 0.0",
+        "tests/robots/test_dynamics_fit.py",
+    ),
+    (
+        "payload that the motion does not tell is certain", "robots/dynamics_fit.py",
+        "deviation = np.sqrt(jackknife + inner)", "deviation = np.sqrt(1e-3 * jackknife)",
+        "tests/robots/test_dynamics_fit.py",
     ),
     (
         "payload that the limiter does not see", "controllers/limits/torque_limited.py",

@@ -8,7 +8,7 @@ from scipy.linalg import expm
 import approxjac as aj
 from approxjac import law
 from approxjac.codegen.step import compiled
-from approxjac.controllers import KnownKinematics, TrackingGains
+from approxjac.controllers import AdaptiveDynamics, KnownKinematics, TrackingGains
 from approxjac.controllers.gains.motors import (
     integral_rate,
     largest_rate,
@@ -117,6 +117,22 @@ def test_the_gain_at_a_motor_is_within_what_it_allows(task, rng):
     # with αM̂ of the reference acceleration, which the posture's rate may add to
     felt = np.linalg.eigvals(gain / np.sqrt(most[:, None] * most)).real.max()
     assert felt < 1.2
+
+
+def test_constants_are_learnt_as_an_integral_that_the_lag_bears(task):
+    """At the rate iK_σ, K_σ within what motors allow; the rest as it would be without."""
+    late = aj.TrackingController(task, latency=LATE)
+    dynamics, most, n = late.dynamics, late._most, 7
+    without = AdaptiveDynamics(
+        task.robot, rotor_inertia=dynamics.rotor_inertia, fastest=dynamics.fastest,
+        most_damping=most,
+    )  # fmt: skip
+    assert_allclose(dynamics.gamma[: -2 * n], without.gamma[: -2 * n])
+    spring, before = (each.gamma[-2 * n :].reshape(2, n).sum(0) for each in (dynamics, without))
+    assert (spring <= integral_rate(LATE) * most).all()
+    assert (spring > 0.3 * integral_rate(LATE) * most).all()
+    assert (spring >= before).all()
+    assert (spring[:2] > 4.0 * before[:2]).all()  # of the joints that carry the arm
 
 
 @pytest.mark.parametrize(

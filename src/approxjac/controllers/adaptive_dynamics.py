@@ -200,16 +200,8 @@ class AdaptiveDynamics(MotionDynamics):
             most = as_limits("most_damping", most_damping, robot.nv, unit="N m s/rad or N s/m")
             softness = kappa / most
         # K_σ of each joint where the others give way, and what γ = 1 alone makes of stiff ones
-        damping = (
-            np.median(
-                [
-                    1.0 / (1.0 / (1.0 / np.diag(M_inv) + self.rotor_inertia) + softness)
-                    for _, M_inv in motions
-                ],
-                axis=0,
-            )
-            * kappa
-        )
+        inertia = np.array([1.0 / np.diag(M_inv) for _, M_inv in motions]) + self.rotor_inertia
+        damping = kappa * np.median(1.0 / (1.0 / inertia + softness), axis=0)
         alone = squared_rates(motions, np.ones(self.n_state))
         motions = [(Y_d, _softened(M_inv, softness)) for Y_d, M_inv in motions]
         self.gain, rates = np.full(self.n_state, _GAIN), squared_rates(motions, gamma)

@@ -183,9 +183,7 @@ class TrackingController(Immutable, Controller):
         if drives is not None:
             drives = require("drives", drives, Drives, "Drives(...) or None").of(robot)
         self._most = self._set_rates(gains, latency, drives)
-        knows_rotors = drives is not None or (
-            isinstance(dynamics, MotionDynamics) and bool(dynamics.rotor_inertia.any())
-        )
+        is_own = dynamics is not None
         if dynamics is None:
             dynamics = AdaptiveDynamics(
                 robot,
@@ -213,7 +211,7 @@ class TrackingController(Immutable, Controller):
             self.parameters = {"lag of the servo": "s"} | {**self.kinematics.parameters}
         else:
             self.parameters = {**self.dynamics.parameters, **self.kinematics.parameters}
-            if not knows_rotors:
+            if drives is None and not (is_own and self.dynamics.rotor_inertia.any()):
                 room = max(1.0, _ROOM / (self.kappa * self.dt))
                 more = self.dynamics.gain_inertia(room) - self.dynamics.rotor_inertia
                 self._added = np.maximum(more, 0.0)
@@ -237,10 +235,10 @@ class TrackingController(Immutable, Controller):
         """Set α, κ and the learning's integral, and return the largest K_σ, (n_v,)."""
         robot, kappa = self.task.robot, min(_KAPPA, _STEADY / self.dt)
         alpha = _ALPHA if gains.alpha is None else gains.alpha
-        damping, lag = np.full(robot.nv, np.inf), Latency(self.dt)
+        lag = Latency(self.dt) if latency is None else latency
+        require("latency", lag, Latency, "Latency(...) or None")
+        damping = np.full(robot.nv, np.inf)
         if latency is not None or drives is not None:
-            lag = lag if latency is None else latency
-            require("latency", lag, Latency, "Latency(...) or None")
             # a motor feels K_σ and, by q̈_r, αM̂
             most = motor_damping(robot, lag, drives, integral_rate(lag))
             inertia = largest_inertia(robot) + _rotors(robot, latency, drives)

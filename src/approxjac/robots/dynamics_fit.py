@@ -93,19 +93,13 @@ def fit_dynamics(
     window = max(window, 5)
     if rows < max(200, 2 * window):
         raise InvalidInputError(f"q must have at least 200 rows, got {rows}", given=rows)
-    positions = np.array([robot.angles(each) for each in q]) if robot.nq != robot.nv else q
+    positions = q
     if robot.nq != robot.nv:  # without the jumps of joints that turn for ever
-        positions = np.unwrap(positions, axis=0)
+        positions = np.unwrap([robot.angles(each) for each in q], axis=0)
     v, a, torques = (
         savgol_filter(each, window, 3, deriv=order, delta=dt, axis=0)
         for each, order in ((positions, 1), (positions, 2), (torques, 0))
     )
-    _require_motion(robot, v)
-    every = slice(window, rows - window, max(1, rows // _ROWS))
-    return _Fit(robot, q[every], v[every], a[every], torques[every]).result()
-
-
-def _require_motion(robot: Robot, v: Array) -> None:
     for name, each in zip(robot.joint_names, v.T, strict=True):
         least = min(np.mean(each > _SLOW), np.mean(each < -_SLOW))
         if least < _LEAST:
@@ -114,6 +108,8 @@ def _require_motion(robot: Robot, v: Array) -> None:
                 f"one direction for {100 * least:.2g} % of the time, at least 5 % are needed",
                 given=name,
             )
+    every = slice(window, rows - window, max(1, rows // _ROWS))
+    return _Fit(robot, q[every], v[every], a[every], torques[every]).result()
 
 
 class _Fit:
@@ -121,8 +117,7 @@ class _Fit:
 
     def __init__(self, robot: Robot, q: Array, v: Array, a: Array, tau: Array) -> None:
         regressor = DynamicsRegressor(robot)
-        self.n, self.links, last = robot.nv, regressor.links, regressor.last_link
-        self.last = last.start
+        self.n, self.links, self.last = robot.nv, regressor.links, regressor.last_link.start
         motions = zip(q, v, v, a, strict=True)
         Y = np.array([regressor.Y_d(*each)[:, : self.links] for each in motions])
         self.prior = np.concatenate([regressor.a[: self.links], np.zeros(5 * self.n)])
@@ -130,7 +125,7 @@ class _Fit:
         length = _LENGTH * (reach if np.isfinite(reach) else 1.0)
         link = robot.mass * np.array([1.0, *[length] * 3, *[length**2] * 6])
         sd = np.tile(_LINK * link, self.links // 10)
-        sd[last] = _LAST * link
+        sd[regressor.last_link] = _LAST * link
         most = np.abs(tau).max(axis=0)
         self.sd = np.concatenate([sd, 0.01 * most, most, most, np.ones(self.n), most])
         self.Y, self.v, self.a, self.tau = Y, v, a, tau
