@@ -20,7 +20,7 @@ import numpy as np
 from common import head, parser, row, run_all, two_digits, write
 
 import approxjac as aj
-from approxjac.robots import Drives
+from approxjac.robots import Drives, Friction
 from approxjac.simulation import Computation
 
 ARMS = "panda", "ur5", "kinova", "xarm7", "z1"
@@ -43,6 +43,7 @@ class Case(NamedTuple):
     stiffness: str
     rotor: float
     knows: bool
+    friction: float = 0.0  # dry, in the effort; if there is any, also 1 N m s/rad viscous
     seed: int = 7
 
 
@@ -56,6 +57,7 @@ def followed(case):
     plant = aj.Plant(
         truth, sensing=sensing, actuator_delay=1e-3, torque_limits=robot.effort_limits,
         drives=Drives(case.rotor, STIFFNESS[case.stiffness]),
+        friction=Friction(float(case.friction > 0.0), case.friction * robot.effort_limits),
     )  # fmt: skip
     task = aj.PositionTask(robot.with_object(0.0))
     kinematics = aj.controllers.AdaptiveKinematics(task, noise=1e-3, delay=0.03)
@@ -82,13 +84,13 @@ def rows(stiffness):
     return [(K, knows) for knows in (False, True) for K in stiffness if knows or K in WITHOUT]
 
 
-def table(found, law, arms, stiffness):
+def table(found, law, arms, stiffness, friction):
     """Return the rms errors of the rotors, for each arm and stiffness, of a law."""
     lines = head("stiffness [N m/rad], lag", *arms)
     for K, knows in rows(stiffness):
         cells = []
         for arm in arms:
-            each = [found[Case(law, arm, K, rotor, knows)] for rotor in ROTORS]
+            each = [found[Case(law, arm, K, rotor, knows, friction)] for rotor in ROTORS]
             cells.append(", ".join("diverges" if e > 1e3 else two_digits(e) for e in each))
         lines.append(row(f"{K}, {'known' if knows else 'not'}", *cells))
     return "\n".join(lines) + "\n"
@@ -98,15 +100,18 @@ def main(arguments=None):
     """Run all loops, write the table, and return the exit code."""
     options = parser(__doc__, "results/joints")
     options.add_argument("--arms", nargs="+", default=ARMS)
+    options.add_argument("--laws", nargs="+", choices=list(LAWS), default=list(LAWS))
+    options.add_argument("--friction", type=float, default=0.0, help="of the efforts [%%]")
     args = options.parse_args(arguments)
+    friction = args.friction / 100.0
     arms, stiffness = (args.arms[:1], ["1e4"]) if args.quick else (args.arms, list(STIFFNESS))
     cases = [
-        Case(law, arm, K, rotor, knows)
-        for law in LAWS for arm in arms for K, knows in rows(stiffness) for rotor in ROTORS
+        Case(law, arm, K, rotor, knows, friction)
+        for law in args.laws for arm in arms for K, knows in rows(stiffness) for rotor in ROTORS
     ]  # fmt: skip
     found = dict(zip(cases, run_all(followed, cases, args.jobs), strict=True))
     away = [case for case, e in found.items() if case.knows and e > RUNS_AWAY[case.law]]
-    tables = {name: table(found, law, arms, stiffness) for law, name in LAWS.items()}
+    tables = {LAWS[law]: table(found, law, arms, stiffness, friction) for law in args.laws}
     write(args.out, tables, {str(tuple(case)): e for case, e in found.items()})
     for case in away:
         print(f"ran away: {case}")
