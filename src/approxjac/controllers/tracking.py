@@ -237,10 +237,10 @@ class TrackingController(Immutable, Controller):
         alpha = _ALPHA if gains.alpha is None else gains.alpha
         lag = Latency(self.dt) if latency is None else latency
         require("latency", lag, Latency, "Latency(...) or None")
-        damping = np.full(robot.nv, np.inf)
+        damping, integral = np.full(robot.nv, np.inf), min(integral_rate(lag), kappa)
         if latency is not None or drives is not None:
             # a motor feels K_σ and, by q̈_r, αM̂
-            most = motor_damping(robot, lag, drives, integral_rate(lag))
+            most = motor_damping(robot, lag, drives, integral)
             inertia = largest_inertia(robot) + _rotors(robot, latency, drives)
             if gains.alpha is None:
                 alpha = min(alpha, 0.5 * float(np.min(most / inertia)))
@@ -249,9 +249,9 @@ class TrackingController(Immutable, Controller):
                 kappa = min(kappa, 0.5 / lag.of_velocity)
         self.alpha = float(alpha)
         self.kappa = kappa if gains.kappa is None else gains.kappa
-        self._integral = integral_rate(lag)
         if not np.isfinite(damping).all():
-            self._integral = min(_WITHOUT_MOTORS * self._integral, self.kappa)
+            integral = min(_WITHOUT_MOTORS * integral_rate(lag), kappa)
+        self._integral = min(integral, self.kappa)
         return damping
 
     def _require_parts(self) -> None:

@@ -86,8 +86,8 @@ def fit_dynamics(
 
     require("robot", robot, Robot, "a Robot")
     dt = as_number("dt", dt, unit="s", above=0.0)
+    q = as_array("q", q, ("k", robot.nq))
     rows = len(q)
-    q = as_array("q", q, (rows, robot.nq))
     torques = as_array("tau", tau, (rows, robot.nv))
     window = 2 * round(as_number("smoothing", smoothing, unit="s", above=0.0) / dt / 2.0) + 1
     window = max(window, 5)
