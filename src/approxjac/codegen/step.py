@@ -59,14 +59,14 @@ def step_program(controller: Controller, *, may_lose: bool) -> Program:
     usual = usual & ~left if isinstance(left, Scalar) else usual
     if isinstance(answer.limit_status, Scalar):
         usual = usual & ~(answer.limit_status == LimitStatus.INFEASIBLE)
-    found = {
+    outputs = {
         "torque": answer.torque, "after": after, "rate": answer.state_rate, "e": answer.e,
         "gravity": answer.gravity, "J_hat": answer.J_hat, "reference": answer.reference,
         "left": select(left, 1.0, 0.0), "status": answer.status,
         "limit_status": answer.limit_status, "slack": answer.slack,
         "usual": select(usual, 1.0, 0.0),
     }  # fmt: skip
-    program.step({name: value for name, value in found.items() if value is not None})
+    program.step({name: value for name, value in outputs.items() if value is not None})
     return program
 
 
@@ -100,10 +100,10 @@ def compiled(controller: Controller) -> Any:
         return controller
     wanted = "a controller, such as SetpointController(task)"
     require("controller", controller, Controller, wanted)
-    found: Any = object.__new__(_kind_of(type(controller)))
-    vars(found).update(vars(controller))
-    found._build()
-    return found
+    result: Any = object.__new__(_kind_of(type(controller)))
+    vars(result).update(vars(controller))
+    result._build()
+    return result
 
 
 class _MachineCode:
@@ -235,32 +235,32 @@ class _MachineCode:
                 if has_state:
                     state_in[:] = state
                 run()
-                found = answered.copy()
-                status, limit, slack, usual = found[verdict_at].tolist()
+                outputs = answered.copy()
+                status, limit, slack, usual = outputs[verdict_at].tolist()
                 if not usual:
                     return None
-                return found, made(Evaluation, (
-                    found[torque_at], found[rate_at] if has_rate else None, statuses[status],
-                    found[e_at], found[J_at].reshape(J_shape) if has_J else None,
-                    found[gravity_at] if has_gravity else None,
+                return outputs, made(Evaluation, (
+                    outputs[torque_at], outputs[rate_at] if has_rate else None, statuses[status],
+                    outputs[e_at], outputs[J_at].reshape(J_shape) if has_J else None,
+                    outputs[gravity_at] if has_gravity else None,
                     limit_statuses[limit], math.nan if limit == limited else slack,
-                    None if v_d is None and not predicts else found[reference_at],
+                    None if v_d is None and not predicts else outputs[reference_at],
                 ))  # fmt: skip
             except (AttributeError, IndexError, TypeError, ValueError):
                 return None
 
         def evaluate(state: Array, measurement: Measurement, target: Target | Array) -> Any:
-            found = answer(state, measurement, target)
-            return ordinary(state, measurement, target) if found is None else found[1]
+            outputs = answer(state, measurement, target)
+            return ordinary(state, measurement, target) if outputs is None else outputs[1]
 
         def step(state: Array, measurement: Measurement, target: Target | Array, dt: float) -> Any:
-            found = None
+            outputs = None
             if isinstance(dt, float) and 0.0 < dt <= 1.0 and (any_dt or dt == own_dt):
                 flat[dt_at] = dt
-                found = answer(state, measurement, target)
-            if found is None:
+                outputs = answer(state, measurement, target)
+            if outputs is None:
                 return ordinary_step(state, measurement, target, dt)
-            return found[0][after_at], found[1]
+            return outputs[0][after_at], outputs[1]
 
         return evaluate, step, asks_t_x
 

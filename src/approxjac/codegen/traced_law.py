@@ -127,7 +127,7 @@ def stepped_from(
 
 
 def pairs(robot: Robot) -> list[int]:
-    """Return where in q the (cos, sin) of each continuous joint begin."""
+    """Return the index in q of the (cos, sin) of each continuous joint."""
     return [joint.idx_q for joint in own_joints(robot.model).values() if joint.nq == 2]
 
 

@@ -159,7 +159,7 @@ class SampleGuard:
             taken = math.nan if t_x is None else t_x
             ways = way.tolist(), law.array(x_way).tolist()
             sample = Sample(t, q.tolist(), v.tolist(), x.tolist(), taken, *ways)
-            found = judged(kept, sample, dt, self._bounds)
+            judgement = judged(kept, sample, dt, self._bounds)
         except (ArithmeticError, AttributeError, IndexError, TypeError, ValueError) as error:
             controller.advance(state, measurement, target, dt)  # which says what is wrong
             message = f"measurement must hold times [s] and arrays of floats, got {measurement!r}"
@@ -169,8 +169,8 @@ class SampleGuard:
                 f"state must be finite, and below {_ABSURD:.0e}, got {memory.tolist()} of the guard"
             )
             raise InvalidInputError(message, given=memory)
-        kind, refuses_x, anew = found.verdict
-        is_bad, stops, refuses_x = kind > 0, found.after.kind > 0, refuses_x > 0
+        kind, refuses_x, anew = judgement.verdict
+        is_bad, stops, refuses_x = kind > 0, judgement.after.kind > 0, refuses_x > 0
         is_first, passed = kept.t <= 0.5 * UNSEEN, measurement
         if (is_bad is True or refuses_x is True) and is_first:
             controller.advance(state, measurement, target, dt)  # there is no good sample yet
@@ -181,11 +181,11 @@ class SampleGuard:
                 )
                 raise MeasurementError(message, given=measurement)
         is_changed = is_bad | stops | refuses_x
-        is_slowed = is_first if traced else is_first and found.v != sample.v
+        is_slowed = is_first if traced else is_first and judgement.v != sample.v
         if (is_changed | is_slowed) is not False:
             unknown = None if t_x is None or isinstance(t_x, float) else math.nan
             t, t_x = law.select(is_bad, kept.t + dt, t), law.select(is_changed, unknown, t_x)
-            q, v, x = map(law.array, (found.q, found.v, found.x))
+            q, v, x = map(law.array, (judgement.q, judgement.v, judgement.x))
             passed = Measurement(t, q, v, x, t_x)
         after, answer = controller.advance(state, passed, target, dt)
         command, gravity = answer.torque, answer.gravity
@@ -195,7 +195,7 @@ class SampleGuard:
             g = 0.0 * command
             if self._takes_torque:
                 g = controller.gravity_torque(state, passed.q) if gravity is None else gravity
-            halt, last = self._halted(found, kept, g, dt), law.array(kept.command)
+            halt, last = self._halted(judgement, kept, g, dt), law.array(kept.command)
             eased = law.select(kept.bad > 0.0, halt + self._eases * (last - halt), last)
             return state, law.select(stops | (anew > 0), halt, eased)
 
@@ -212,19 +212,19 @@ class SampleGuard:
         J_hat, sizes = self._J_of(answer), None
         if J_hat is not None:
             sizes = [law.length(J_hat[rows].ravel()) for _, rows in self._bounds.parts]
-        memory = remembered(found, dt, command.tolist(), push, sizes).joined()
+        memory = remembered(judgement, dt, command.tolist(), push, sizes).joined()
         if not traced and not np.isfinite(memory).all() and np.isfinite(command).all():
             message = f"what is remembered of {measurement!r} overflows in a step of {dt!r} s"
             raise MeasurementError(message, given=measurement)
         return np.concatenate([after, memory]) if len(after) else memory, answer
 
     @np.errstate(over="ignore", invalid="ignore")  # of an absurd dt, which `step` finds
-    def _halted(self, found: Judged, kept: GuardMemory, gravity: Array, dt: Any) -> Array:
+    def _halted(self, judgement: Judged, kept: GuardMemory, gravity: Array, dt: Any) -> Array:
         """Return the command of a stop, within the controller's limits, shape (n_v,)."""
         change = dt * self._rate
         halt = 0.0 * gravity
         if self._takes_torque:
-            halt = stop_torque(found, gravity, self._damping, self._stiffness)
+            halt = stop_torque(judgement, gravity, self._damping, self._stiffness)
             halt = np.minimum(np.maximum(halt, -self._effort), self._effort)
         before = law.array(kept.command)
         command: Array = np.minimum(np.maximum(halt, before - change), before + change)

@@ -77,7 +77,7 @@ class GuardMemory(NamedTuple):
 
     @staticmethod
     def ends(nq: int, nv: int, n_x: int, parts: int) -> list[int]:
-        """Return where its lists end in an array that begins with the four numbers."""
+        """Return the ends of its lists in an array that begins with the four numbers."""
         sizes = (4, nq, *[nv] * 8, n_x, parts)
         return [sum(sizes[: i + 1]) for i in range(len(sizes))]
 
@@ -169,11 +169,11 @@ def judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBounds) ->
     near = near & complement(_is_early(sample, dt))
     if surely(complement(near)):
         return closely_judged(memory, sample, dt, bounds)
-    found = _followed(memory, sample.way, sample.v, since, bounds)
-    near = near & is_near(found, memory, sample, since, bounds)
+    track = _followed(memory, sample.way, sample.v, since, bounds)
+    near = near & is_near(track, memory, sample, since, bounds)
     usual = Judged([GOOD, 0, 0], sample.q, sample.v, sample.x, GuardMemory(
-        t, 0.0, 0.0, 0.0, sample.q, sample.v, found.drift, found.path, memory.push, found.usual,
-        found.finer, found.step, memory.command, sample.x,
+        t, 0.0, 0.0, 0.0, sample.q, sample.v, track.drift, track.path, memory.push, track.usual,
+        track.finer, track.step, memory.command, sample.x,
         [
             select(_differs(sample.x[part], memory.x[part]), _nearer(moved), moved)
             for (part, _), moved in zip(bounds.parts, memory.moved, strict=True)
@@ -187,12 +187,12 @@ def judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBounds) ->
 
 
 def is_near(
-    found: _Followed, memory: GuardMemory, sample: Sample, h: Any, bounds: GuardBounds
+    track: _Followed, memory: GuardMemory, sample: Sample, h: Any, bounds: GuardBounds
 ) -> Any:
     """Return True if a sample differs so little that each comparison of `judged` holds."""
     half, near, sudden, speed = 0.5 * h, True, 0.0, 0.0
     for off, noise, slack, drift, v1, v0, push, fastest in zip(
-        *found[:4], sample.v, memory.v, memory.push, bounds.fastest, strict=True
+        *track[:4], sample.v, memory.v, memory.push, bounds.fastest, strict=True
     ):
         # |Δq − h q̇| is at most the sum of both
         most, change = 0.5 * noise + half * _smaller(h * push, fastest), v1 - v0
@@ -239,11 +239,11 @@ def closely_judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBo
     h = select(stopped, (memory.bad + 1.0) * dt, select(runs, since, dt))  # in a stop periods count
     half, per, with_lag, was_bad = 0.5 * h, 1.0 / h, h + lag, memory.bad > 0.0
     impact = _smaller(h / _IMPACT, 1.0) * root(sum((each * each for each in before), 0.0))
-    found = _followed(memory, way, v, h, bounds)
+    track = _followed(memory, way, v, h, bounds)
     jumps = hits = apart = moves = wild = False
     left, size = 0.0, 0.0
     for w, off, noise, slack, drift, v1, v0, a, rare, most in zip(
-        way, *found[:4], v, before, memory.push, bounds.push.tolist(), bounds.fastest, strict=True
+        way, *track[:4], v, before, memory.push, bounds.push.tolist(), bounds.fastest, strict=True
     ):
         a = select(was_bad, a + rare, a)
         unit = 1.0 / (2.0 * noise * per + _TURNS)
@@ -275,7 +275,7 @@ def closely_judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBo
     anew = is_bad & known & alone & complement(wild | far)
     blind = select(is_bad, memory.blind, select(seen, 0.0, -1.0))
     blind, none = select(refuses, memory.blind + dt, blind), [0.0] * len(v)
-    drift = selected(is_bad, memory.drift, selected(seen, found.drift, none))
+    drift = selected(is_bad, memory.drift, selected(seen, track.drift, none))
     if not surely(stops == GOOD):
         way = selected(is_bad | was_bad, none, way)
         since_then = [a + b for a, b in zip(memory.drift, way, strict=True)]
@@ -292,9 +292,9 @@ def closely_judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBo
         GuardMemory(
             select(skips, memory.t, t), select(is_bad, memory.bad + 1.0, 0.0), stops, blind,
             selected(anew, q, used_q), selected(skips, before, v), drift,
-            selected(is_bad, memory.path, selected(seen, found.path, none)), memory.push,
-            selected(keeps, memory.usual, found.usual), selected(keeps, memory.noise, found.finer),
-            selected(keeps, memory.step, found.step), memory.command, last, moved,
+            selected(is_bad, memory.path, selected(seen, track.path, none)), memory.push,
+            selected(keeps, memory.usual, track.usual), selected(keeps, memory.noise, track.finer),
+            selected(keeps, memory.step, track.step), memory.command, last, moved,
         ),
     )  # fmt: skip
 
@@ -335,33 +335,35 @@ def _seen(
 
 
 def remembered(
-    found: Judged, dt: Any, command: list[Any], push: list[Any], sizes: list[Any] | None
+    judgement: Judged, dt: Any, command: list[Any], push: list[Any], sizes: list[Any] | None
 ) -> GuardMemory:
     """Return the memory after a command is sent.
 
     Args:
-        found: The judgement of the sample.
+        judgement: The judgement of the sample.
         dt: The period [s].
         command: The torque or velocity that is sent, n_v numbers.
         push: |q̈| that it may cause, n_v numbers.
         sizes: ‖Ĵ‖ of each part of x; None if there is no Ĵ: then x may move as it likes.
     """
-    after, fade = found.after, _larger(1.0 - dt / _FADES, 0.0)
+    after, fade = judgement.after, _larger(1.0 - dt / _FADES, 0.0)
     push = [
         _larger(new + usual, fade * old)
         for new, usual, old in zip(push, after.usual, after.push, strict=True)
     ]
     moved = [_FAR] * len(after.moved)
     if sizes is not None:
-        speed = dt * root(sum((each * each for each in found.v), 0.0))
+        speed = dt * root(sum((each * each for each in judgement.v), 0.0))
         pairs = zip(after.moved, sizes, strict=True)
         moved = [_smaller(before + speed * size, _FAR) for before, size in pairs]
     return after._replace(push=push, command=command, moved=moved)
 
 
-def stop_torque(found: Judged, gravity: Array, damping: Array, stiffness: Array) -> Array:
+def stop_torque(judgement: Judged, gravity: Array, damping: Array, stiffness: Array) -> Array:
     """Return the torque that holds an arm where it stopped: g − D q̇ − K(way since), (n_v,)."""
-    torque: Array = gravity - damping * array(found.v) - stiffness * array(found.after.drift)
+    torque: Array = (
+        gravity - damping * array(judgement.v) - stiffness * array(judgement.after.drift)
+    )
     return torque
 
 

@@ -67,7 +67,7 @@ class StopZones(NamedTuple):
         return 1.0 - depth * speed, -(depth_dot * speed + depth * speed_dot)
 
     def near(self, motion: Array) -> tuple[Array, Array]:
-        """Return how deep joints at a motion (n_v,) are in their zones, and on which side."""
+        """Return the depth of joints in their zones, with its sign, at a motion (n_v,)."""
         low, high = (self.low - motion) / self.zone + 1.0, (motion - self.high) / self.zone + 1.0
         return np.maximum(np.maximum(low, high), 0.0), np.where(high > low, 1.0, -1.0)
 

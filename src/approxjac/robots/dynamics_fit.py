@@ -23,7 +23,7 @@ _LENGTH = 0.2  # share of the reach: how far from its place that is
 
 @dataclass(frozen=True)
 class FittedDynamics:
-    """What a recorded motion says of an arm; see `fit_dynamics`.
+    """Friction and payload identified from a recorded motion; see `fit_dynamics`.
 
     Attributes:
         friction: Viscous, Coulomb and load-dependent friction of each joint.
@@ -147,19 +147,19 @@ class _Fit:
             left = self.tau - A @ self.prior
             parts = list(self._normal(A, left, noise))
             H, b = (sum(each) for each in zip(*parts, strict=True))
-            found = self._solved(H, b)
-            rest = np.where(self.moves, left - A @ (found - self.prior), 0.0)
+            solution = self._solved(H, b)
+            rest = np.where(self.moves, left - A @ (solution - self.prior), 0.0)
             noise = np.maximum(np.sqrt((rest**2).sum(axis=0) / self.moves.sum(axis=0)), 1e-6)
-            links = found[: self.links]
+            links = solution[: self.links]
         # of what was left out once, and of what the motion does not tell from the URDF
         others = np.array([self._solved(H - each, b - of) for each, of in parts])
         jackknife = (_BLOCKS - 1) / _BLOCKS * ((others - others.mean(axis=0)) ** 2).sum(axis=0)
         inner = np.linalg.inv(H + np.diag(self.sd**-2.0)).diagonal()
         deviation = np.sqrt(jackknife + inner)
-        n, joints = self.n, found[self.links :].reshape(5, self.n)
+        n, joints = self.n, solution[self.links :].reshape(5, self.n)
         friction = Friction(viscous=joints[1], coulomb=joints[2], load=joints[3]).of(n)
         sd = deviation[self.links :].reshape(5, n)[1:4]
-        payload = float(found[self.last] - self.prior[self.last])
+        payload = float(solution[self.last] - self.prior[self.last])
         return FittedDynamics(friction, sd, payload, float(deviation[self.last]), noise)
 
     def _normal(self, A: Array, left: Array, noise: Array) -> Iterator[tuple[Array, Array]]:
@@ -177,5 +177,5 @@ class _Fit:
         right = np.linalg.solve(root.T, scale * b)
         low = np.full(len(b), -np.inf)
         low[self.links : self.links + 4 * self.n] = 0.0
-        found = lsq_linear(root, right, bounds=(low, np.inf), method="bvls").x
-        return np.asarray(self.prior + scale * found)
+        solution = lsq_linear(root, right, bounds=(low, np.inf), method="bvls").x
+        return np.asarray(self.prior + scale * solution)

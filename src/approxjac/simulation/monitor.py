@@ -483,7 +483,7 @@ def _fit(
 
 
 class _Causes(NamedTuple):
-    """How well one motor, or a force at the tip, explains torques."""
+    """How well torques are explained by one motor, or by a force at the tip."""
 
     j: int  # the motor
     share: float  # of its torque that it lacks

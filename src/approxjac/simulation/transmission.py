@@ -17,7 +17,7 @@ _GUESSES = 3, 6  # which joints slide: where all are elastic they hardly feel ea
 
 
 class Motors(NamedTuple):
-    """What a plant with real joints has beside (q, v), shape (n_v,) each.
+    """State of real joints beside (q, v), shape (n_v,) each.
 
     Of rigid joints `twist` is 0 and `rate` q̇.
     """
@@ -29,7 +29,7 @@ class Motors(NamedTuple):
 
 
 class JointStep(NamedTuple):
-    """What a step leads to, and how it answers to a further impulse on the links."""
+    """Result of a step, and its answer to a further impulse on the links."""
 
     v: Array  # q̇ of the links after it, (n_v,)
     motors: Motors
@@ -80,7 +80,7 @@ class Transmission:
         solve: Callable[[Array, Array], Array],
         angle: Array | None = None,
     ) -> JointStep:
-        """Return what a step h [s] leads to, on numbers or symbols.
+        """Advance by one step h [s], on numbers or symbols.
 
         Args:
             v: q̇ of the links (n_v,).

@@ -205,7 +205,7 @@ class Graph:
         Of a loop, only what is needed of it is computed: its numbers, and columns of what it
         collects, counted from n.
         """
-        found: set[int] = set()
+        needed: set[int] = set()
         parts: dict[int, set[int]] = {}
         waiting = list(wanted)
 
@@ -220,9 +220,9 @@ class Graph:
 
         while waiting:
             place = waiting.pop()
-            if place in found:
+            if place in needed:
                 continue
-            found.add(place)
+            needed.add(place)
             operation, arguments, value = self.nodes[place]
             if operation in ("cell", "take"):
                 memory = self.nodes[arguments[0]]
@@ -238,7 +238,7 @@ class Graph:
                 need(at, some)
             elif operation != "loop":
                 waiting += arguments
-        return sorted(found), parts
+        return sorted(needed), parts
 
     def _scalar(self, node: Node) -> Scalar:
         # 0.0 and −0.0 are equal, and not the same
@@ -392,19 +392,19 @@ class Scalar:
             for pair in zip(a.flat, np.broadcast_to(b, a.shape).flat, strict=True)
         ]
         values = iter(self.graph.rare(self, *zip(*flat, strict=True)) if flat else ())
-        found = [symbols([next(values) for _ in a.flat]).reshape(a.shape) for a, _ in pairs]
-        return tuple(each[()] for each in found)
+        arrays = [symbols([next(values) for _ in a.flat]).reshape(a.shape) for a, _ in pairs]
+        return tuple(each[()] for each in arrays)
 
     def altered(self, after: Any, before: Any) -> Any:
         """Return one array where it holds, the other elsewhere: of what differs, see `choose`."""
-        found, changed = symbols(before), symbols(after)
+        result, changed = symbols(before), symbols(after)
         differs = [
             i
-            for i, (a, b) in enumerate(zip(changed.tolist(), found.tolist(), strict=True))
+            for i, (a, b) in enumerate(zip(changed.tolist(), result.tolist(), strict=True))
             if not _is_same(a, b)
         ]
-        found[differs] = self.graph.rare(self, changed[differs].tolist(), found[differs].tolist())
-        return found
+        result[differs] = self.graph.rare(self, changed[differs].tolist(), result[differs].tolist())
+        return result
 
     def looped(self, *arguments: Any) -> Any:
         """Do as `law.collect`."""
@@ -753,9 +753,9 @@ def eigensystem(A: Any) -> tuple[Symbols, Symbols]:
         return symbols(a)[upper], symbols(vectors)
 
     start = symbols(a)[upper], symbols(np.eye(n))
-    found, vectors = law.repeat(_SWEEPS.get(n, _MANY_SWEEPS), sweep, start)
+    entries, vectors = law.repeat(_SWEEPS.get(n, _MANY_SWEEPS), sweep, start)
     diagonal = symbols(np.zeros((n, n)))
-    diagonal[upper] = found
+    diagonal[upper] = entries
     return diagonal.diagonal(), vectors
 
 
@@ -851,9 +851,9 @@ def _is_large(A: Any, b: Any) -> bool:
 def _product(A: Any, b: Symbols) -> Symbols:
     """Return A @ b of constants A (k, n) and b (n,), column by column."""
     A = np.array(A, dtype=float)
-    found = symbols(np.zeros(len(A)))
+    product = symbols(np.zeros(len(A)))
     sparse = np.count_nonzero(A, axis=1) <= _FEW
-    found[sparse] = A[sparse] @ b
+    product[sparse] = A[sparse] @ b
     A = A[np.logical_not(sparse)]
     used = A.any(axis=0)
     columns, b = A.T[used], b[used]
@@ -862,8 +862,8 @@ def _product(A: Any, b: Symbols) -> Symbols:
         return (values[0] + law.take(columns[1:], j) * law.take(b[1:], j),)
 
     first = columns[0] * b[0]
-    (found[~sparse],) = law.repeat(len(b) - 1, add, (first,))
-    return found
+    (product[~sparse],) = law.repeat(len(b) - 1, add, (first,))
+    return product
 
 
 def _where(condition: Any, a: Any, b: Any) -> Any:
@@ -888,7 +888,7 @@ def _plain(value: Any) -> Any:
     if isinstance(value, SymbolArray):
         return value.view(np.ndarray)
     if isinstance(value, Scalar):
-        found = np.empty((), dtype=object)
-        found[()] = value
-        return found
+        result = np.empty((), dtype=object)
+        result[()] = value
+        return result
     return np.asarray(value, dtype=object) if isinstance(value, np.ndarray) else value

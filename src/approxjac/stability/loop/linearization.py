@@ -578,7 +578,7 @@ def numerical_stability(
 def _resting(
     plant: Plant, controller: Controller, answer: Callable[..., Any], q: Array, state: Array
 ) -> tuple[Array, Array]:
-    """Return where the arm stays at rest at its target and with which state, by Newton's method."""
+    """Return q and the state at which the arm rests at its target, by Newton's method."""
     x_d, n, still = plant.sensor.value(q), plant.robot.nv, np.zeros(plant.robot.nv)
     now, later = (answer(x_d, q, still, x_d, state, t) for t in (0.0, 1.0))
     if not all(map(np.array_equal, now, later)):
