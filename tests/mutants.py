@@ -17,7 +17,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 SRC = "src/approxjac/"
 WITHOUT = "not (browser or site or every_arm or wire or long)"
-COPIED = ("examples", "src", "tests", "docs", "urdf", "conftest.py", "pyproject.toml")
+COPIED = ("README.md", "examples", "src", "tests", "docs", "urdf", "conftest.py", "pyproject.toml")
 
 GRAVITY = "tests/stability/test_with_gravity.py"
 PERIODS = "tests/controllers/test_periods.py"

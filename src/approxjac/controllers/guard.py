@@ -20,12 +20,11 @@ from approxjac.law.guard import (
     UNSEEN,
     GuardBounds,
     GuardMemory,
-    Judged,
     Sample,
     first_memory,
     judged,
     remembered,
-    stop_torque,
+    stop_command,
 )
 from approxjac.robots import Robot
 from approxjac.robots.drives import usual_effort
@@ -117,8 +116,8 @@ class SampleGuard:
         self._reach, self._push, self._damping = usual_accelerations(robot)
         if (own := controller.law.diagonals) is not None:
             self._damping = np.maximum(self._damping, own.damping)
-        self._stiffness = _STIFF * self._damping
         if not self._takes_torque:
+            self._damping = np.zeros(n)
             self._push = np.maximum(self._push, fastest / _SERVO)
         noise = [_X.get(unit, math.inf) for unit in measured.units]
         if guard.x is not None:
@@ -132,10 +131,12 @@ class SampleGuard:
         self._ends = ends = GuardMemory.ends(robot.nq, n, task.n_x, len(measured.parts))
         self._subtracts, self._command = robot.nq == n, slice(ends[8], ends[9])
         kept = (controller.limits or Limits()).for_joints(n)
-        self._effort, self._rate = np.asarray(kept.effort), np.asarray(kept.rate)
+        effort, rate = np.asarray(kept.effort), np.asarray(kept.rate)
         if not self._takes_torque:
-            self._rate = fastest / _SOONEST
-        self._eases = np.where(np.isfinite(self._rate), 1.0, _EASES)  # a limiter knows no other
+            effort, rate = np.full(n, math.inf), fastest / _SOONEST
+        stop = self._damping, _STIFF * self._damping, effort
+        self._stop, self._rate = [each.tolist() for each in stop], rate.tolist()
+        self._eases = np.where(np.isfinite(rate), 1.0, _EASES)  # a limiter knows no other
 
     def step(
         self,
@@ -195,7 +196,9 @@ class SampleGuard:
             g = 0.0 * command
             if self._takes_torque:
                 g = controller.gravity_torque(state, passed.q) if gravity is None else gravity
-            halt, last = self._halted(judgement, kept, g, dt), law.array(kept.command)
+            change = [dt * each for each in self._rate]
+            halt = stop_command(judgement, g.tolist(), *self._stop, kept.command, change)
+            last = law.array(kept.command)
             eased = law.select(kept.bad > 0.0, halt + self._eases * (last - halt), last)
             return state, law.select(stops | (anew > 0), halt, eased)
 
@@ -218,24 +221,12 @@ class SampleGuard:
             raise MeasurementError(message, given=measurement)
         return np.concatenate([after, memory]) if len(after) else memory, answer
 
-    @np.errstate(over="ignore", invalid="ignore")  # of an absurd dt, which `step` finds
-    def _halted(self, judgement: Judged, kept: GuardMemory, gravity: Array, dt: Any) -> Array:
-        """Return the command of a stop, within the controller's limits, shape (n_v,)."""
-        change = dt * self._rate
-        halt = 0.0 * gravity
-        if self._takes_torque:
-            halt = stop_torque(judgement, gravity, self._damping, self._stiffness)
-            halt = np.minimum(np.maximum(halt, -self._effort), self._effort)
-        before = law.array(kept.command)
-        command: Array = np.minimum(np.maximum(halt, before - change), before + change)
-        return command
-
     def _push_of(self, command: Array, v: Array, before: Array) -> Array:
         """Return by how much |q̈| may change from one command to the next, (n_v,)."""
         if not self._takes_torque:
             servo: Array = np.minimum(np.abs(command - v) / _SERVO, _MOST)
             return servo
-        push: Array = self._reach.dot(np.minimum(np.abs(command - before), _MOST))
+        push: Array = self._reach @ np.minimum(np.abs(command - before), _MOST)
         return push
 
     def _J_of(self, answer: Evaluation) -> Array | None:

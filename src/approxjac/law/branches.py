@@ -19,6 +19,7 @@ from approxjac.validation import Array
 Values = TypeVar("Values", bound=tuple[Any, ...])
 
 _KNOWN = bool, np.bool_
+_MANY = 12  # rows, of which symbols become a loop
 
 
 def select(condition: Any, a: Any, b: Any) -> Any:
@@ -165,6 +166,31 @@ def collected(
         values, row = body(i, values)
         rows.append(row)
     return values, tuple(np.stack(column) for column in zip(*rows, strict=True))
+
+
+def fold(
+    body: Callable[..., tuple[Values, tuple[Any, ...]]], start: Values, *columns: list[Any]
+) -> tuple[Values, tuple[list[Any], ...]]:
+    """Return the values after values, row = body(values, *numbers), and the columns of the rows.
+
+    The numbers are those of one row after the other of lists. Many symbols become a loop.
+    """
+    if len(columns[0]) > _MANY:
+        arrays = [array(each) for each in columns]
+        symbol = next((each for each in arrays[0] if hasattr(each, "looped")), None)
+        if symbol is not None:
+
+            def one(i: Any, values: Any) -> Any:
+                after, row = body(values[1:], *[take(each, i) for each in arrays])
+                return (values[0], *after), row
+
+            after, stacked = symbol.looped(len(arrays[0]), one, (symbol, *start))
+            return after[1:], tuple(each.tolist() for each in stacked)
+    values, rows = start, []
+    for numbers in zip(*columns, strict=True):
+        values, row = body(values, *numbers)
+        rows.append(row)
+    return values, tuple(map(list, zip(*rows, strict=True)))
 
 
 def take(array: Array, i: Any) -> Any:

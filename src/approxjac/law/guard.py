@@ -13,7 +13,16 @@ from itertools import chain, pairwise
 from operator import or_
 from typing import Any, NamedTuple
 
-from approxjac.law.branches import all_finite, array, choose, complement, select, selected, surely
+from approxjac.law.branches import (
+    all_finite,
+    array,
+    choose,
+    complement,
+    fold,
+    select,
+    selected,
+    surely,
+)
 from approxjac.law.products import root
 from approxjac.validation import Array, read_only
 
@@ -190,14 +199,20 @@ def is_near(
     track: _Followed, memory: GuardMemory, sample: Sample, h: Any, bounds: GuardBounds
 ) -> Any:
     """Return True if a sample differs so little that each comparison of `judged` holds."""
-    half, near, sudden, speed = 0.5 * h, True, 0.0, 0.0
-    for off, noise, slack, drift, v1, v0, push, fastest in zip(
-        *track[:4], sample.v, memory.v, memory.push, bounds.fastest, strict=True
-    ):
+    half = 0.5 * h
+
+    def next_joint(values: Any, off: Any, noise: Any, slack: Any, drift: Any, *motion: Any) -> Any:
+        near, sudden, speed = values
+        v1, v0, push, fastest = motion
         # |Δq − h q̇| is at most the sum of both
         most, change = 0.5 * noise + half * _smaller(h * push, fastest), v1 - v0
         near = near & (abs(off) <= most) & (half * abs(change) <= most) & (abs(drift) <= slack)
-        sudden, speed = sudden + change * change, speed + v1 * v1
+        return (near, sudden + change * change, speed + v1 * v1), ()
+
+    (near, sudden, speed), _ = fold(
+        next_joint, (True, 0.0, 0.0),
+        *track[:4], sample.v, memory.v, memory.push, bounds.fastest,
+    )  # fmt: skip
     far = sum((each * each for each in sample.x_way), 0.0)
     near = near & (far <= min(_FAR, *bounds.x) ** 2) & (sudden <= _STRAIGHT)
     return near & ((sudden > 0.0) | (speed <= _STILL * _STILL))
@@ -209,11 +224,9 @@ def _followed(
     """Compare q with the integral of q̇, joint by joint, a time h after the last good sample."""
     half, per, share = 0.5 * h, _USUAL / h, _SHARE + bounds.lag * 4.0 / _MEMORY
     fade, settles = _larger(1.0 - h / _MEMORY, 0.0), _larger(1.0 - h / _SETTLES, 0.0)
-    joints = list[tuple[Any, ...]]()
-    for w, v1, v0, drift, path, usual, r, step, coarse, rare in zip(
-        way, v, memory.v, memory.drift, memory.path, memory.usual, memory.noise, memory.step,
-        bounds.q, bounds.push.tolist(), strict=True,
-    ):  # fmt: skip
+
+    def next_joint(values: Any, w: Any, v1: Any, v0: Any, drift: Any, *known: Any) -> Any:
+        path, usual, r, step, coarse, rare = known
         noise, mean, size = _smaller(4.0 * r, coarse), half * (v1 + v0), abs(w)
         off, path = w - mean, fade * path + abs(mean)
         slack = 2.0 * noise + share * path
@@ -225,8 +238,12 @@ def _followed(
         changes, least = size > 0.0, _larger(_STEP * step, _FINEST * coarse)
         finer = _larger(select(changes, _FINER * r, r), _larger(abs(off), least))
         step = select(changes & (size < step), size, step)
-        joints.append((off, noise, slack, drift, path, usual, finer, step))
-    return _Followed(*map(list, zip(*joints, strict=True)))
+        return values, (off, noise, slack, drift, path, usual, finer, step)
+
+    return _Followed(*fold(
+        next_joint, (), way, v, memory.v, memory.drift, memory.path, memory.usual, memory.noise,
+        memory.step, bounds.q, bounds.push.tolist(),
+    )[1])  # fmt: skip
 
 
 def closely_judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBounds) -> Judged:
@@ -240,11 +257,10 @@ def closely_judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBo
     half, per, with_lag, was_bad = 0.5 * h, 1.0 / h, h + lag, memory.bad > 0.0
     impact = _smaller(h / _IMPACT, 1.0) * root(sum((each * each for each in before), 0.0))
     track = _followed(memory, way, v, h, bounds)
-    jumps = hits = apart = moves = wild = False
-    left, size = 0.0, 0.0
-    for w, off, noise, slack, drift, v1, v0, a, rare, most in zip(
-        way, *track[:4], v, before, memory.push, bounds.push.tolist(), bounds.fastest, strict=True
-    ):
+
+    def next_joint(values: Any, w: Any, off: Any, noise: Any, slack: Any, *motion: Any) -> Any:
+        jumps, hits, apart, moves, wild, left, size = values
+        drift, v1, v0, a, rare, most = motion
         a = select(was_bad, a + rare, a)
         unit = 1.0 / (2.0 * noise * per + _TURNS)
         both, one = unit * (v1 + v0), unit * v0
@@ -257,6 +273,13 @@ def closely_judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBo
         apart = apart | (abs(off) > noise + half * A)
         apart = apart | ((abs(drift) > slack) & complement(stopped))
         moves = moves | (abs(v1) > _STILL)
+        likely = _larger(_smaller(v1, most), -most)
+        return (jumps, hits, apart, moves, wild, left, size), (likely,)
+
+    (jumps, hits, apart, moves, wild, left, size), (likely,) = fold(
+        next_joint, (False, False, False, False, False, 0.0, 0.0),
+        way, *track[:4], v, before, memory.push, bounds.push.tolist(), bounds.fastest,
+    )  # fmt: skip
     hits = hits | wild | ((left < _LEFT * size) & (size > 1.0))  # all joints at once
     again = moves & complement(_differs(q + v, memory.q + before))
     known, far = all_finite(q + v) & (abs(t) < _OLDEST), sum(map(abs, way), 0.0) > _TURNED
@@ -281,10 +304,7 @@ def closely_judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBo
         since_then = [a + b for a, b in zip(memory.drift, way, strict=True)]
         drift = selected(stops > 0, selected(stopped, since_then, none), drift)
     keeps, skips = is_bad | complement(seen), is_bad & complement(anew)
-    used_v = v
-    if seen is not True:  # nothing has confirmed a first q̇ yet
-        pairs = zip(v, bounds.fastest, strict=True)
-        used_v = selected(seen, v, [_larger(_smaller(each, most), -most) for each, most in pairs])
+    used_v = selected(seen, v, likely)  # nothing has confirmed a first q̇ yet
     used_q = selected(is_bad, memory.q, q)
     return Judged(
         [kind, select(refuses, 1, 0), select(anew, 1, 0)],
@@ -359,12 +379,19 @@ def remembered(
     return after._replace(push=push, command=command, moved=moved)
 
 
-def stop_torque(judgement: Judged, gravity: Array, damping: Array, stiffness: Array) -> Array:
-    """Return the torque that holds an arm where it stopped: g − D q̇ − K(way since), (n_v,)."""
-    torque: Array = (
-        gravity - damping * array(judgement.v) - stiffness * array(judgement.after.drift)
-    )
-    return torque
+def stop_command(judgement: Judged, gravity: list[Any], *bounds: Any) -> Array:
+    """Return the command that holds an arm where it stopped: g − D q̇ − K(way since), (n_v,).
+
+    The bounds are lists of n_v numbers: D, K, the largest command, the last, and their difference.
+    """
+
+    def next_joint(values: Any, g: Any, v: Any, way: Any, D: Any, K: Any, *limits: Any) -> Any:
+        effort, last, change = limits
+        halt = _smaller(_larger(g - D * v - K * way, -effort), effort)
+        return values, (_smaller(_larger(halt, last - change), last + change),)
+
+    _, (command,) = fold(next_joint, (), gravity, judgement.v, judgement.after.drift, *bounds)
+    return array(command)
 
 
 def _differs(a: list[Any], b: list[Any]) -> Any:

@@ -64,8 +64,9 @@ def _rare(
     ]
 
 
-def _table(name: str, numbers: list[str], is_constant: bool) -> list[str]:
-    rows = textwrap.wrap(", ".join(numbers), 72)
+def table(name: str, numbers: list[str], is_constant: bool) -> list[str]:
+    """Return the lines of an array that holds some numbers."""
+    rows = textwrap.wrap(", ".join(each.strip("()") for each in numbers), 88)
     first = f"    {'static ' if is_constant else ''}const double {name}[] = {{"
     return [first, *(f"        {row}" for row in rows), "    };"]
 
@@ -106,7 +107,7 @@ LANGUAGE = Language(
     read=lambda name, i: READ[name].format(i),
     constant=constant,
     rare=_rare,
-    table=_table,
+    table=table,
     loop=_loop,
     cell=lambda name, array, i: [f"    const double {name} = {array}[{i}];"],
     taken=lambda name, array, i, apart, first: [

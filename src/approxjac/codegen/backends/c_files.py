@@ -12,7 +12,7 @@ from string import Template
 
 import numpy as np
 
-from approxjac.codegen.backends.c99 import LANGUAGE, SampledStep, constant, sampled_step
+from approxjac.codegen.backends.c99 import LANGUAGE, SampledStep, constant, sampled_step, table
 from approxjac.codegen.backends.templates import template
 from approxjac.codegen.trace.program import Writer
 from approxjac.codegen.trace.symbols import LARGEST_ANGLE
@@ -97,7 +97,8 @@ def _source(step: SampledStep) -> dict[str, str]:
     if not step.outputs["after"]:
         stores.append("    after[0] = 0.0;")
     first, begun = Writer(step.graph, LANGUAGE).lines(step.first)
-    first += [f"    state->values[{i}] = {value};" for i, value in enumerate(begun or ["0.0"])]
+    first += table("begun", begun or ["0.0"], is_constant=False)
+    first.append("    memcpy(state->values, begun, sizeof begun);")
     rates = [name for name in ("v", "a") if f"target_{name}" in step.asked]
     finite = (f" && is_finite(target->{name}, {prefix.upper()}_M_X)" for name in rates)
     return {

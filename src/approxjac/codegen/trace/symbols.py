@@ -628,7 +628,7 @@ _FUNCTIONS: dict[np.ufunc, np.ufunc] = {
 }
 _SWEEPS = {1: 0, 2: 1, 3: 5}
 _MANY_SWEEPS = 7  # beyond three rows
-_LARGE, _FEW = 1500, 4  # entries of a matrix whose product is a loop; of a row that is not in it
+_LARGE, _FEW = 800, 4  # entries of a matrix whose product is a loop; of a row that is not in it
 _choices = np.frompyfunc(select, 3, 1)
 
 
