@@ -36,7 +36,7 @@ def samples(robot):
         q = q0 + 0.05 * np.sin(3.0 * t) * way
         v = 0.15 * np.cos(3.0 * t) * way
         found.append(aj.Measurement(t, q, v, task.value(q), t))
-    return found, found[0].x + 0.02
+    return found, found[0].x + 0.002
 
 
 def time_of(controller, inputs, target):
