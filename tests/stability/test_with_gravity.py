@@ -439,6 +439,8 @@ def test_learnt_gravity_has_room_where_the_true_weight_leaves_it(arm):
     assert found.sampled is report.sampled is None
     assert found.limits.level == 0.0
     assert found.limits.protects  # y of learning is that of V
+    clips = aj.TorqueLimited(arm.learning, aj.Limits(effort=effort), proof=False)
+    assert not arm.report_of(clips).limits.protects
     assert found.passed
     assert found.attraction is None
     assert_allclose(found.certifying.A1, 0.5 * np.eye(arm.task.m))
