@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from many_runs import rolled, study
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac.formatting import percent
@@ -91,6 +91,37 @@ def test_runs_are_what_a_simulation_by_hand_is(controller, uncertainty, serial):
     assert run.converged == (record.error_norm[record.t >= 0.72 - 1e-9] < 0.02).all()
     assert run.stayed
     assert not run.diverged
+
+
+def test_joints_as_they_are_roll_as_by_hand_and_get_no_certificate():
+    """Springs, rotors and dry friction of the truth, in lanes, too."""
+    arm = aj.load_robot("two_link")
+    region = aj.JointBox(arm, REGION.low, REGION.high)
+    errors = aj.Uncertainty(
+        arm, PLANE, object_length=(0.0, 0.2), friction=aj.robots.Friction(0.2, coulomb=0.1),
+        drives=aj.robots.Drives(rotor_inertia=0.05, stiffness=500.0),
+    )  # fmt: skip
+    ideal = aj.Uncertainty(arm, PLANE, object_length=(0.0, 0.2), friction=0.2)
+    task, late = errors.believed_task(), aj.Latency(4e-3)
+    law = aj.SetpointController(task, latency=late, drives=errors.drives)
+    here, lanes = (
+        rolled(law, errors, region, engine=engine, **SHORT) for engine in ("python", "lanes")
+    )
+    ends = here.columns["final_error"]
+    assert_allclose(lanes.columns["final_error"], ends, rtol=1e-9)
+    differ = ends - rolled(law, ideal, region, **SHORT).columns["final_error"]
+    assert (np.abs(differ) > 1e-4).all()
+    one = here.runs[1]
+    by_hand = aj.simulate(
+        errors.plant(one.values), law, one.target, one.q0, 0.8, dt=4e-3,
+        computation=aj.simulation.Computation("semi_implicit_euler"),
+    )  # fmt: skip
+    assert np.abs(by_hand.twist).max() > 1e-3
+    assert one.final_error == by_hand.error_norm[-1]
+    with pytest.raises(aj.InvalidInputError, match="without dry friction, drives"):
+        aj.local_stability(errors.plant(one.values), law, one.q0)
+    stiff = aj.SetpointController(task, aj.Gains(400.0, 60.0, 5.0))
+    assert rolled(stiff, errors, region, **SHORT).columns["diverged"].all()
 
 
 @pytest.mark.long

@@ -412,11 +412,11 @@ class SampledLoop(Loop):
     def advance(self) -> None:
         """Advance by dt, measure and control; raise a SimulationError if the loop diverged."""
         self.state = self._after
-        self._arm.move(self._acting)
-        self.motors = self._arm.motors
         self.step += 1
         self._aim()
         try:
+            self._arm.move(self._acting)
+            self.motors = self._arm.motors
             self.truth, self.measurement = self._arm.sense()
             self._control()
         except (InvalidInputError, MeasurementError) as error:

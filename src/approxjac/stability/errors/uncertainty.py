@@ -14,7 +14,7 @@ import numpy as np
 
 from approxjac.cameras import Camera
 from approxjac.errors import InvalidInputError, UnknownNameError
-from approxjac.robots import Perturbation, Robot
+from approxjac.robots import Drives, Friction, Perturbation, Robot
 from approxjac.robots.urdf import as_size, direction
 from approxjac.simulation import Plant
 from approxjac.tasks import ImageTask, PositionTask, Task, best_axes
@@ -167,8 +167,10 @@ class Uncertainty:
             with 0 believed.
         roll: Smallest and largest true roll about the optical axis [rad]: of a `PinholeCamera`
             relative to the believed one, with 0 believed.
-        friction: Viscous friction B ≥ 0 of the true joints, which is certain, a number or shape
-            (n_v,) [N m s/rad or N s/m].
+        friction: Friction of the true joints, which is certain: viscous friction B ≥ 0, a number or
+            shape (n_v,) [N m s/rad or N s/m], or a `robots.Friction`.
+        drives: Drives of the true joints, which are certain; by default ideal ones. With other
+            drives, or dry friction, there are rollouts, but no certificates.
         factor: Factor that scales the ranges about the believed values; see `scaled`.
 
     Raises:
@@ -197,7 +199,8 @@ class Uncertainty:
     focal_length: tuple[float, float] | None = None
     distance: tuple[float, float] | None = None
     roll: tuple[float, float] | None = None
-    friction: float | Sequence[float] | Array = 0.0
+    friction: float | Sequence[float] | Array | Friction = 0.0
+    drives: Drives | None = None
     factor: float = 1.0
     _coordinates: tuple[Coordinate, ...] = field(init=False)
     _moved: Plant | None = field(init=False, default=None)
@@ -214,7 +217,7 @@ class Uncertainty:
         # copies, so that nobody changes them later
         for name, unit in (("joint_shifts", "m"), ("joint_rotations", "rad")):
             self._set(name, _as_bounds(name, getattr(self, name), self.arm, unit))
-        if not is_scalar(self.friction):
+        if not (isinstance(self.friction, Friction) or is_scalar(self.friction)):
             self._set("friction", tuple(self.friction))  # type: ignore[arg-type]
         kinds = ("shift", "m", self.joint_shifts), ("rotation", "rad", self.joint_rotations)
         given = [
@@ -233,7 +236,7 @@ class Uncertainty:
             if known.name.startswith("object_"):
                 for end in known[-2:]:
                     as_size(known.name, end, known.unit)
-        self.plant(self.believed)  # refuses a task, an axis or friction that fit no such robot
+        self.plant(self.believed)  # refuses what fits no such robot: a task, an axis, joints
         of_cameras = [known.name.startswith("camera ") for known in self._coordinates]
         pairs = zip(self._coordinates, of_cameras, strict=True)
         corners = itertools.product(*(k[-2:] if of_camera else (k[2],) for k, of_camera in pairs))
@@ -395,7 +398,8 @@ class Uncertainty:
     @cached_property
     def nominal(self) -> Plant:
         """The plant without errors: the believed robot, with its sensor and friction."""
-        return Plant(self.belief(), self.believed_task(), self.friction)
+        belief, task = self.belief(), self.believed_task()
+        return Plant(belief, task, self.friction, drives=self.drives)
 
     def describe(self, values: Sequence[float] | Array) -> str:
         """Describe values (d,), such as "object length 0.3 m, camera roll 0.349 rad"."""
