@@ -17,11 +17,9 @@ ROOT = Path(__file__).parent
 
 
 def run_console(example: Example) -> None:
-    """Run the `$ ` lines of a console block: our command, or Python, from the repository root."""
+    """Run each line of a console block: our command, or Python, from the repository root."""
     for line in example.parsed.splitlines():
-        if not line.startswith("$ "):
-            continue
-        words = shlex.split(line.removeprefix("$ "))
+        words = shlex.split(line)
         known = {"approxjac": ["-m", "approxjac"], "python": []}
         assert words[0] in known, f"not a command that the tests know how to run: {line}"
         paths = [str(ROOT / word) if (ROOT / word).is_file() else word for word in words[1:]]

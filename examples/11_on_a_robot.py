@@ -9,6 +9,7 @@ a command is late.
 
 You will learn: what a driver is, what `control` takes care of, and what its run records.
 
+    pip install 'approxjac[mujoco]'
     python examples/11_on_a_robot.py --out results/examples
 """
 

@@ -18,7 +18,7 @@ ELSEWHERE = [  # equations that are no function of `approxjac.law`, and where th
     (32, "`jacobian` of an `ImageTask` of the true robot", ["tests/tasks/test_image.py"]),
     (33, "`jacobian` of an `ImageTask` of the believed robot", ["tests/tasks/test_image.py"]),
 ]
-MARK = re.compile(r"Implements Eq\. \((\d+)\)")
+MARK = re.compile(r"Implements\s+Eq\.\s+\((\d+)\)(,\s+too)?")
 
 
 def members():
@@ -40,17 +40,34 @@ def tests_of(number, name):
     )
 
 
+def implemented(text):
+    """Numbers of the equations that a docstring implements, each with its departure.
+
+    A departure belongs to the equation named before it, and with "too" to the one before that.
+    """
+    found, after, shared = [], len(text), ""
+    for mark in reversed(list(MARK.finditer(text))):
+        said = re.search(r"Departures?:(.*?)(?:\n\n|\Z)", text[mark.end() : after], re.DOTALL)
+        note = " ".join(said.group(1).split()) if said else shared
+        found.append((int(mark[1]), note))
+        after, shared = mark.start(), note if mark[2] else ""
+    return found[::-1]
+
+
 def rows():
     """Equation number, function, its docstring's departure, and its tests."""
     found = []
     for name, member in members():
-        text = inspect.getdoc(member) or ""
-        for number in MARK.findall(text):
-            departure = re.search(r"Departures?:(.*?)(?:\n\n|\Z)", text, re.DOTALL)
-            note = " ".join(departure.group(1).split()) if departure else ""
-            found.append((int(number), f"`law.{name}`", note, tests_of(number, name)))
+        for number, note in implemented(inspect.getdoc(member) or ""):
+            found.append((number, f"`law.{name}`", note, tests_of(number, name)))
     found += [(number, where, "", tests) for number, where, tests in ELSEWHERE]
     return sorted(found)
+
+
+def in_maths(note):
+    """A note as Markdown, in which K_v and λ_min are formulas."""
+    note = re.sub(r"([A-Za-zλ])_([a-z]{2,})", r"$\1_{\\mathrm{\2}}$", note)
+    return re.sub(r"([A-Za-zλ])_([a-z])", r"$\1_\2$", note)
 
 
 def table():
@@ -58,7 +75,7 @@ def table():
     lines = ["| Eq. | in `approxjac` | departure from the print | tests |", "|---|---|---|---|"]
     for number, name, departure, tests in rows():
         lines.append(
-            f"| ({number}) | {name} | {departure or '–'} | "
+            f"| ({number}) | {name} | {in_maths(departure) or '–'} | "
             f"{', '.join(f'`{test}`' for test in tests) or '–'} |"
         )
     return "\n".join(lines) + "\n"

@@ -15,6 +15,7 @@ import subprocess
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
+from textwrap import dedent
 
 from study_figures import ROOT, gather
 
@@ -61,8 +62,13 @@ class Story:
 
     @property
     def text(self):
-        """What else its header says, but for the command, as Markdown."""
+        """What else its header says, but for the commands, as Markdown."""
         return "\n\n".join(part for part in self._header()[1:] if not part.startswith("    "))
+
+    @property
+    def commands(self):
+        """What its header has one type, a line each."""
+        return "\n".join(dedent(part) for part in self._header() if part.startswith("    "))
 
     def _header(self):
         return ast.get_docstring(ast.parse(self.path.read_text(encoding="utf-8"))).split("\n\n")
@@ -168,7 +174,7 @@ hide-toc: true
 {runs(told, "../")}
 
 ```sh
-python examples/{told.path.name} --out {SHOWN}
+{told.commands}
 ```
 
 When this site was built, it printed:

@@ -13,6 +13,7 @@ HEADER = '''"""An arm that\nwaves.
 
 You will see: a wave.
 
+    pip install 'approxjac[waves]'
     python examples/07_an_arm_waves.py --out results/examples
 """
 '''
@@ -91,6 +92,8 @@ def test_an_example_is_run_and_told_by_its_header_and_its_output(gallery, waves,
     assert images(page) == [("An arm that waves.", "../_generated/examples/wave.png")]
     assert '"runs/examples/wave.html">Watch it move<' in card
     assert '"../runs/examples/wave_ur5.html">Watch ur5<' in page
+    command = "python examples/07_an_arm_waves.py --out results/examples"
+    assert f"```sh\npip install 'approxjac[waves]'\n{command}\n```" in page
     assert "```text\n|e| 3 -> 0 mm\nresults/examples/arm.urdf\n```" in page
 
 

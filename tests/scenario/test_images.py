@@ -199,8 +199,8 @@ def test_it_writes_everything(done, tmp_path):
     picture = Image.open(tmp_path / "run.png")
     assert len(np.unique(np.asarray(picture.convert("L")))) > 50
     said = " ".join(report.text(done).split())
-    wrong = "camera roll 0.3, camera focal_factor 1.3, camera depth_factor 1.5 law"
-    assert f"believed object length 0, object mass 0, {wrong} " in said
+    wrong = "camera roll 0.3 rad, camera focal_factor 1.3, camera depth_factor 1.5 law"
+    assert f"believed object length 0 m, object mass 0 kg, {wrong} " in said
 
 
 @pytest.mark.parametrize(

@@ -651,8 +651,9 @@ def test_configurations_are_told_as_angles():
     told = next(
         line for line in report.text(result).splitlines() if line.startswith("  q at start")
     )
+    assert told.endswith(" rad")
     wrapped = np.remainder(np.array(q) + np.pi, 2.0 * np.pi) - np.pi
-    angles = np.array([float(word) for word in told.split()[3:]])
+    angles = np.array([float(word) for word in told.split()[3:-1]])
     np.testing.assert_allclose(np.cos(angles - wrapped), 1.0, atol=1e-6)
     assert len(result.summary()["q_start"]) == len(result.summary()["q_end"]) == len(q)
 

@@ -60,7 +60,7 @@ def test_what_a_scenario_prints_makes_the_same_scenario(tmp_path_factory, scenar
     assert Scenario.load(path) == scenario
 
 
-def test_it_prints_what_differs_from_the_defaults():
+def test_it_prints_what_differs_from_the_defaults_and_always_what_is_held():
     scenario = Scenario(
         "panda",
         true={"object": {"length": 0.3}, "shifts": {"panda_joint4": (0, 0.01, 0)}},
@@ -68,12 +68,15 @@ def test_it_prints_what_differs_from_the_defaults():
         run={"target": {"offset": (0.1, 0, 0)}},
     )
     assert str(scenario) == (
-        'robot = "panda"\n\n[true]\nobject = { length = 0.3 }\n'
+        'robot = "panda"\n\n[true]\nobject = { length = 0.3, mass = 0.5 }\n'
         "shifts = { panda_joint4 = [0.0, 0.01, 0.0] }\n\n"
+        "[believed]\nobject = { length = 0.0, mass = 0.0 }\n\n"
         '[controller]\nkp = [400.0]\nlimits = "none"\n\n'
         "[run]\ntarget = { offset = [0.1, 0.0, 0.0] }\n"
     )
-    assert str(Scenario("ur5")) == 'robot = "ur5"\n'
+    held = "object = { length = 0.2, mass = 0.5 }", "object = { length = 0.0, mass = 0.0 }"
+    usual = 'robot = "ur5"\n\n[true]\n{}\n\n[believed]\n{}\n'
+    assert str(Scenario("ur5")) == usual.format(*held)
     assert scenario.true.object.mass == 0.5  # a table changes what it names
 
 

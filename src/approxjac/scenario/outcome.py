@@ -14,7 +14,7 @@ import numpy as np
 
 from approxjac.controllers import KinematicReport
 from approxjac.files import together, write_text
-from approxjac.formatting import numbers_of, plain, rows, shares, wrapped
+from approxjac.formatting import joined, numbers_of, plain, rows, shares, wrapped
 from approxjac.interface import Condition, LimitStatus, Status
 from approxjac.robots import Dynamics
 from approxjac.scenario.build import BuiltScenario, build_scenario, sampling_time
@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 _RECORDS, _CONTINUOUS_RECORDS = 2000, 2400  # of a run, about
 _AT_LIMIT = 0.01  # a joint this near to its position limit counts as at it [rad or m]
 _AT_REST = 0.1  # what moves no faster may be called at rest [rad/s or m/s]
+_UNITS = dict.fromkeys(("length", "radius", "shifts", "shift", "position", "offset", "floor"), "m")
+_UNITS |= dict.fromkeys(("rotations", "rotation", "roll"), "rad") | {"mass": "kg"}
+_UNITS |= {"friction": "N m s/rad", "coulomb": "N m"}
 _STRAY = 0.05  # of how far a path leads from its start: farther beside it is not following it
 
 
@@ -345,16 +348,17 @@ def text(result: RunResult) -> str:
     true, belief = scenario.true, scenario.believed
     right = Belief(true.object, true.shifts, true.rotations)
     belief = replace(belief, object=belief.object.like(true.object))
+    unit = f" {run.task_unit}" * (run.x.shape == run.error.shape)  # a quaternion has none
     lines = {
         "robot": f"{robot.name}, {robot.nv} joints, {robot.mass:.3g} kg with the object",
         "true": _different(true, Truth(object=Object())) or "as in the URDF",
         "believed": _different(belief, right) or "what is true",
         "law": law.describe()[0],
-        "q at start": numbers_of(robot.angles(run.q[0])),
-        "q at end": numbers_of(robot.angles(run.q[-1])),
-        "x at start": numbers_of(run.x[0]),
-        "x at end": f"{numbers_of(run.x[-1])} after {run.t[-1]:g} s",
-        "target": numbers_of(run.target),
+        "q at start": f"{numbers_of(robot.angles(run.q[0]))} {joined(run.joint_units)}",
+        "q at end": f"{numbers_of(robot.angles(run.q[-1]))} {joined(run.joint_units)}",
+        "x at start": f"{numbers_of(run.x[0])}{unit}",
+        "x at end": f"{numbers_of(run.x[-1])}{unit} after {run.t[-1]:g} s",
+        "target": f"{numbers_of(run.target)}{unit}",
         "settled": "not" if math.isnan(result.settling_time) else f"{result.settling_time:.3g} s",
         "torque": "no limit known"
         if math.isnan(torque)
@@ -405,10 +409,9 @@ def _different(record: Any, usual: Any) -> str:
     """Return the values of a record that differ from another's, by key."""
     parts = []
     for name, value in differences(record, usual).items():
-        inner = value if isinstance(value, dict) else {"": value}
-        parts += [
-            f"{name} {key} {typed_as(each)}".replace("  ", " ") for key, each in inner.items()
-        ]
+        for key, each in (value if isinstance(value, dict) else {"": value}).items():
+            words = name, key, typed_as(each), _UNITS.get(key) or _UNITS.get(name)
+            parts.append(" ".join(filter(None, words)))
     return ", ".join(parts)
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from dataclasses import KW_ONLY, dataclass, fields
 from pathlib import Path
+from types import SimpleNamespace
 
 from approxjac.errors import InvalidInputError
 from approxjac.files import read_text, write_text
@@ -14,6 +16,7 @@ from approxjac.scenario.records import (
     Belief,
     ControllerChoice,
     LoopRecord,
+    Object,
     Run,
     Sensor,
     TaskChoice,
@@ -21,6 +24,8 @@ from approxjac.scenario.records import (
 )
 
 _MOST_TEXT = 1_000_000  # bytes of a file
+_ANY = Object(math.nan, math.nan)  # which equals no other: a file always says what is held
+_UNSAID = {"true": Truth(object=_ANY), "believed": Belief(object=_ANY)}
 
 
 @dataclass(frozen=True)
@@ -103,4 +108,5 @@ class Scenario:
         return Path(path)
 
     def __str__(self) -> str:
-        return to_toml({"robot": self.robot, **differences(self, Scenario(self.robot))})
+        usual = vars(Scenario(self.robot)) | _UNSAID
+        return to_toml({"robot": self.robot, **differences(self, SimpleNamespace(**usual))})
