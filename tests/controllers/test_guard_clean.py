@@ -34,10 +34,11 @@ class Alarm(ControllerWrapper):
         return np.concatenate([inner, law.array([count])]), answer
 
 
-def diverged(seed, runs, duration, guard=USUAL):
+def diverged(seed, runs, duration, guard=USUAL, *, real=False):
     """Return how many runs of an arm, a law, a period and sensors drawn by this seed diverge.
 
-    The tool's length and mass are uncertain; all start and end near one pose, away from stops.
+    The tool's length and mass are uncertain; all start and end near one pose, away from stops. If
+    `real`, gears are elastic and joints rub.
     """
     rng = np.random.default_rng(seed)
     arm = aj.load_robot(str(rng.choice(ARMS)))
@@ -50,18 +51,22 @@ def diverged(seed, runs, duration, guard=USUAL):
         q_quantum=2.0 * math.pi / 2**bits, velocity_filter=5e-3 if bits < 16 else v_filter,
         **late if rng.random() < 0.7 else {},
     )  # fmt: skip
+    friction, drives = float(rng.choice([0.0, 0.3])), None
+    if real:
+        friction, drives = joints_of(arm, rng)
     errors = aj.Uncertainty(
         arm, object_length=(0.05, 0.2), object_mass=(0.0, 0.5), believed_length=0.1,
-        believed_mass=0.0, object_axis="x", friction=float(rng.choice([0.0, 0.3])),
+        believed_mass=0.0, object_axis="x", friction=friction, drives=drives,
     )  # fmt: skip
     task = errors.nominal.sensor
     latency = Latency(dt, velocity_filter=sensing.velocity_filter)
     gravity = aj.AdaptiveGravity(task.robot)
     learnt = aj.SetpointController(task, gravity=gravity, latency=latency)
+    known = {"latency": latency} if real else {"dt": dt}
     controller = {
         "learnt": learnt,
-        "limited": aj.TorqueLimited(learnt, aj.Limits.of(task.robot), dt=dt),
-        "tracking": aj.TrackingController(task, dt=dt),
+        "limited": aj.TorqueLimited(learnt, aj.Limits.of(task.robot)),
+        "tracking": aj.TrackingController(task, **known),
     }[str(kind)]
     pose = aj.Plant(arm).ready_configuration()
     region = aj.JointBox(arm, -0.25, 0.25, center=pose)
@@ -71,6 +76,17 @@ def diverged(seed, runs, duration, guard=USUAL):
     )  # fmt: skip
     lanes = aj.stability.Execution(engine="lanes")
     return int(study.rollouts(runs, execution=lanes).columns["diverged"].sum())
+
+
+def joints_of(arm, rng):
+    """Friction and drives of an arm's joints, drawn."""
+    usual, effort = aj.robots.Drives.usual(arm), aj.robots.drives.usual_effort(arm)
+    softer, share = rng.choice([1.0, 0.5, 0.3]), rng.choice([0.0, 0.01, 0.05, 0.1])
+    drives = aj.robots.Drives(usual.rotor_inertia, softer * np.asarray(usual.stiffness))
+    friction = aj.robots.Friction(
+        float(rng.choice([0.3, 1.0])), share * effort, stribeck=float(rng.choice([1.0, 1.3]))
+    )
+    return friction, drives
 
 
 @pytest.mark.study
@@ -83,6 +99,12 @@ def test_no_good_sample_is_refused(seed, runs, duration):
 @pytest.mark.parametrize("seed", [0, *range(3, 40)])
 def test_no_good_sample_is_refused_in_four_hours(seed):
     assert diverged(seed, 40, 10.0) == 0
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(100, 140))
+def test_no_good_sample_of_elastic_joints_that_rub_is_refused(seed):
+    assert diverged(seed, 40, 10.0, real=True) == 0
 
 
 @pytest.mark.study

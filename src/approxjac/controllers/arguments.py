@@ -119,6 +119,13 @@ def overflow(measurement: Measurement) -> MeasurementError:
     )
 
 
+def sampling_time(dt: Any, known: float | None, latency: Any) -> float:
+    """Return dt [s]; if it is None, the one that is known, else the latency's period, else 1 ms."""
+    if dt is None:
+        dt = known or (1e-3 if latency is None else latency.period)
+    return as_number("dt", dt, unit="s", above=0.0)
+
+
 def require_dt(dt: float, sampling_time: float) -> None:
     """Raise an InvalidInputError if dt [s] is not the controller's."""
     dt = as_number("dt", dt, unit="s", above=0.0)

@@ -22,6 +22,7 @@ from approxjac.controllers.arguments import (
     require_arrays,
     require_dt,
     require_finite,
+    sampling_time,
     with_rates,
 )
 from approxjac.controllers.controller import Controller
@@ -139,7 +140,7 @@ class TrackingController(Immutable, Controller):
             by default, or `ModelDynamics`.
         posture: Rest configuration q_rest of a redundant arm's self-motion, shape (nq,); by default
             the middle of the ranges of joints that turn less than once, none for others.
-        dt: Sampling time [s].
+        dt: Sampling time [s]; by default the latency's period, else 1 ms.
         gains: α, κ, k_n and the largest speed; by default those of `TrackingGains()`.
         command: "torque", or "velocity" for a robot that takes joint velocities: then the command
             is q̇_r, advanced by the servo's lag, which is learnt in place of the dynamics, and
@@ -166,7 +167,7 @@ class TrackingController(Immutable, Controller):
         kinematics: Kinematics | None = None,
         dynamics: MotionDynamics | None = None,
         posture: Sequence[float] | Array | None = None,
-        dt: float = 1e-3,
+        dt: float | None = None,
         gains: TrackingGains | None = None,
         command: Literal["torque", "velocity"] = "torque",
         latency: Latency | None = None,
@@ -175,8 +176,9 @@ class TrackingController(Immutable, Controller):
     ) -> None:
         require_controllable(task)
         robot = task.robot
+        require("latency", latency, (Latency, type(None)), "Latency(...) or None")
         self.task, self.latency = task, latency
-        self.dt = dt = as_number("dt", dt, unit="s", above=0.0)
+        self.dt = dt = sampling_time(dt, None, latency)
         self.kinematics = _usual_kinematics(task, dt) if kinematics is None else kinematics
         gains = TrackingGains() if gains is None else gains
         require("gains", gains, TrackingGains, "TrackingGains(...) or None")
@@ -236,7 +238,6 @@ class TrackingController(Immutable, Controller):
         robot, kappa = self.task.robot, min(_KAPPA, _STEADY / self.dt)
         alpha = _ALPHA if gains.alpha is None else gains.alpha
         lag = Latency(self.dt) if latency is None else latency
-        require("latency", lag, Latency, "Latency(...) or None")
         damping, integral = np.full(robot.nv, np.inf), min(integral_rate(lag), kappa)
         if latency is not None or drives is not None:
             # a motor feels K_σ and, by q̈_r, αM̂

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from approxjac import law
-from approxjac.controllers.arguments import HUGE, require_dt
+from approxjac.controllers.arguments import HUGE, require_dt, sampling_time
 from approxjac.controllers.controller import Controller
 from approxjac.controllers.gains.sample_configurations import max_damping_rate, usual_inertias
 from approxjac.controllers.guard import usual_accelerations
@@ -164,7 +164,7 @@ class TorqueLimited(ControllerWrapper):
         limits: `Limits` of joints and motors, by default those of the believed robot's URDF; a
             `Limit` of motion such as `Wall`; or a list of them.
         proof: True to include the row yᵀ(τ − τ*) ≤ σ.
-        dt: Sampling time [s].
+        dt: Sampling time [s]; by default that of the controller, else of its latency, else 1 ms.
         braking: Largest rate of damping and of `AccelerationObserver`'s correction [1/s], at most
             1/dt. By default 0.3 over the lag of q̇ if the law knows its latency; else that of the
             law's own joint damping, from 0.1/dt to 0.3/dt; 0.1/dt with a limit of the torque rate.
@@ -183,7 +183,7 @@ class TorqueLimited(ControllerWrapper):
         limits: Limits | Limit | Sequence[Limits | Limit] | None = None,
         *,
         proof: bool = True,
-        dt: float = 1e-3,
+        dt: float | None = None,
         braking: float | None = None,
         solver: Callable[[law.QuadraticProgram], Any] | None = None,
     ) -> None:
@@ -209,8 +209,8 @@ class TorqueLimited(ControllerWrapper):
         self._lower = -self._upper
         self._has_rate = bool(np.isfinite(self._rate).any())
         self._law, self._p = controller.with_limiter(self._upper), controller.resting
-        self._dt = as_number("dt", dt, unit="s", above=0.0)
         inside = controller.dt
+        self._dt = sampling_time(dt, inside, controller.latency)
         if inside is not None and not math.isclose(inside, self._dt):
             raise InvalidInputError(
                 f"dt must be that of the controller inside, {inside:g} [s], got {dt!r}; take "
