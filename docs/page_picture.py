@@ -9,7 +9,7 @@ The whole page at an instant, or the arm alone, and that in motion too:
 The moving picture of the README is of example 01:
 
     python examples/01_panda_with_unknown_tool.py --out .
-    python docs/page_picture.py panda_unknown_tool.html docs/images/panda_unknown_tool.webp 0 1.8
+    python docs/page_picture.py 01_panda_unknown_tool.html docs/images/panda_unknown_tool.webp 0 1.8
 """
 
 import contextlib

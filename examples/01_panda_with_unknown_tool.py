@@ -43,8 +43,8 @@ figure, (left, middle, right) = view.new_figure(3, title=title)
 view.plot_error(run, left)
 view.plot_path(run, truth, plane="xz", ax=middle, believed=belief, target=x_d)
 view.plot_torque(run, right)
-print(*view.save_figure(figure, out / "panda_unknown_tool"), sep="\n")
+print(*view.save_figure(figure, out / "01_panda_unknown_tool"), sep="\n")
 
 # A page to keep: both robots, moving. One file, to be opened in any browser.
-print(view.save_page(run, out / "panda_unknown_tool.html", title))
-print(view.write_index(out))
+print(view.save_page(run, out / "01_panda_unknown_tool.html", title))
+print(view.write_index(out))  # of all pages in this folder

@@ -50,5 +50,7 @@ for left, right, kv in ((axes[0], axes[1], 5000.0), (axes[2], axes[3], 10000.0))
     title = f"Path of the tip, a = {5000.0 / kv:g}"
     view.plot_path(run, arm, target=reached, ax=right, title=title)
 
-print(*view.save_figure(figure, out / "uncalibrated_camera"), sep="\n")
-print(view.save_page(run, out / "uncalibrated_camera.html"))
+print(*view.save_figure(figure, out / "02_uncalibrated_camera"), sep="\n")
+title = "A camera that is believed to be rolled by 60°, and is not: a = 0.5 settles"
+print(view.save_page(run, out / "02_uncalibrated_camera.html", title))
+print(view.write_index(out))

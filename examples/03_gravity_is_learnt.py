@@ -48,5 +48,7 @@ for ax, (name, gravity) in zip(axes, gravities.items(), strict=True):
     print(f"  K_p |e| = {gains.kp * left:.1f} N at the end; the payload weighs {weight:.1f} N")
     view.plot_error(run, ax, title=f"Gravity {name}: {1e3 * left:.2g} mm after 6 s")
 
-print(*view.save_figure(figure, out / "learnt_gravity"), sep="\n")
-print(view.save_page(run, out / "learnt_gravity.html"))
+print(*view.save_figure(figure, out / "03_learnt_gravity"), sep="\n")
+title = "A Panda learns the weight of 1.5 kg that it believes absent"
+print(view.save_page(run, out / "03_learnt_gravity.html", title))
+print(view.write_index(out))

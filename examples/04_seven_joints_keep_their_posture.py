@@ -57,7 +57,7 @@ for column, (name, (home, tool)) in enumerate(ARMS.items()):
         )
         if posture is not None:
             title = f"{name}: the tool is unknown, the posture is kept"
-            print(view.save_page(run, out / f"seven_joints_{name}.html", title))
+            print(view.save_page(run, out / f"04_seven_joints_{name}.html", title))
         error.semilogy(run.t, 1e3 * run.error_norm, color=COLORS[label], label=label)
         away.plot(run.t, distance, color=COLORS[label], label=label)
     with view.style():
@@ -72,5 +72,5 @@ for column, (name, (home, tool)) in enumerate(ARMS.items()):
         )
     view.legend_below(error)
     view.legend_below(away)
-print(*view.save_figure(figure, out / "seven_joints"), sep="\n")
-print(view.write_index(out))  # of all pages in this folder
+print(*view.save_figure(figure, out / "04_seven_joints"), sep="\n")
+print(view.write_index(out))

@@ -58,7 +58,8 @@ print(
     f"{np.degrees(np.linalg.norm(turn[0])):.0f} -> {np.degrees(np.linalg.norm(turn[-1])):.2g} deg"
 )
 
-figure, (left, middle, right) = view.new_figure(3, title="A Panda turns an unknown 15 cm tool")
+title = "A Panda turns an unknown 15 cm tool, with sensors as they are"
+figure, (left, middle, right) = view.new_figure(3, title=title)
 for i, label in enumerate("xyz"):
     left.plot(run.t, 1e3 * position[:, i], color=view.SERIES[i], label=label)
     middle.plot(run.t, np.degrees(turn[:, i]), color=view.SERIES[i], label=f"r{label}")
@@ -68,8 +69,10 @@ with view.style():
         xlabel="time [s]", ylabel=r"$\log(R R_d^T)$ [deg]", title="True error of the orientation"
     )
 for ax in (left, middle):
+    ax.set_xlim(run.t[0], run.t[-1])
     ax.axhline(0.0, color=view.COLORS["neutral"], linewidth=0.8)
     view.legend_below(ax)
 view.plot_torque(run, right, limits=truth.effort_limits)
-print(*view.save_figure(figure, out / "panda_pose"), sep="\n")
-print(view.save_page(run, out / "panda_pose.html", "A Panda turns an unknown 15 cm tool"))
+print(*view.save_figure(figure, out / "05_panda_pose"), sep="\n")
+print(view.save_page(run, out / "05_panda_pose.html", title))
+print(view.write_index(out))

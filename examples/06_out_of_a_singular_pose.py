@@ -30,9 +30,9 @@ truth = arm.with_object(length=0.5, mass=0.5, axis="x")
 belief = arm.with_object(length=0.2, mass=0.2, axis="x")
 plant = aj.Plant(truth, sensor=aj.PositionTask(truth, axes="xz"))
 plain = aj.PositionTask(belief, axes="xz")
-designed = NonsingularTask(plain, bend={"joint2": 0.4}, ratio=0.2)
+designed = NonsingularTask(plain, bend={"joint2": -0.4}, ratio=0.2)
 
-stretched = np.array([np.radians(-60.0), 0.0])
+stretched = np.array([np.radians(60.0), 0.0])
 target = 0.6 * plant.sensor.value(stretched)  # straight towards the shoulder
 regressor = GravityRegressor(belief)
 gravity = RegressorGravity(regressor, regressor.fit(truth)[0])
@@ -59,5 +59,7 @@ for row, (name, run) in enumerate(runs.items()):
     view.plot_path(
         run, truth, plane="xz", ax=axes[3 * row + 2], target=in_world, title=f"Path: {name}"
     )
-print(*view.save_figure(figure, out / "singular_pose"), sep="\n")
-print(view.save_page(run, out / "singular_pose.html"))
+print(*view.save_figure(figure, out / "06_singular_pose"), sep="\n")
+title = "A stretched arm finds its way out: its Ĵ is designed to keep its rank"
+print(view.save_page(run, out / "06_singular_pose.html", title))
+print(view.write_index(out))

@@ -70,7 +70,7 @@ with view.style():
         title="Panda: the longest unknown tool that each test lets pass",
     )
 view.legend_below(ax)
-print(*view.save_figure(figure, out / "tolerated_tools"), sep="\n")
+print(*view.save_figure(figure, out / "07_tolerated_tools"), sep="\n")
 
 # a tool of half a metre in motion, which the controller believes absent
 truth = arm.with_object(0.5, axis="x")
@@ -78,4 +78,6 @@ plant = aj.Plant(truth)
 target = plant.sensor.value(HOME + 0.2)
 run = aj.simulate(plant, controller_with(DAMPING[-1]), target, HOME, duration=3.0, dt=1e-3)
 print(f"a tool of 0.5 m: {1e3 * run.error_norm[0]:.0f} -> {1e3 * run.error_norm[-1]:.2g} mm")
-print(view.save_page(run, out / "tolerated_tools.html"))
+title = "A tool of half a metre that a Panda believes absent, with much joint damping"
+print(view.save_page(run, out / "07_tolerated_tools.html", title))
+print(view.write_index(out))

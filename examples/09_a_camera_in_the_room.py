@@ -70,7 +70,7 @@ print(f"RMS of each coordinate over the last second: {np.sqrt((last**2).mean(axi
 figure, axes = view.new_figure(2, title="Two points of an unknown tool, in an uncalibrated camera")
 view.plot_image(run, camera, axes[0], title="Paths of the points in the true camera's image")
 view.plot_error(run, axes[1])
-print(*view.save_figure(figure, out / "camera_in_the_room"), sep="\n")
+print(*view.save_figure(figure, out / "09_camera_in_the_room"), sep="\n")
 title = "Two points of an unknown tool, seen by a camera that nobody calibrated"
-print(view.save_page(run, out / "camera_in_the_room.html", title))
+print(view.save_page(run, out / "09_camera_in_the_room.html", title))
 print(view.write_index(out))

@@ -81,5 +81,9 @@ for row, (name, law) in enumerate(laws.items()):
     view.plot_image(run, camera, axes[3 * row], title=f"Paths in the image: {name}")
     view.plot_error(run, axes[3 * row + 1], title=f"Task error: {name}")
     view.plot_torque(run, axes[3 * row + 2], title=f"Torque: {name}")
-print(*view.save_figure(figure, out / "eye_in_the_hand"), sep="\n")
-print(view.save_page(run, out / "eye_in_the_hand.html"))
+print(*view.save_figure(figure, out / "10_eye_in_the_hand"), sep="\n")
+title = (
+    "A camera on the hand, calibrated badly: the classical law with its estimate of the Jacobian"
+)
+print(view.save_page(run, out / "10_eye_in_the_hand.html", title))
+print(view.write_index(out))

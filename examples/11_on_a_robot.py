@@ -77,10 +77,14 @@ with view.style():
         middle.plot(one.t, np.abs(one.v).max(axis=1), label=name)
     left.set(xlabel="time [s]", ylabel="|x − goal|, measured [mm]", title="Error to the goal")
     middle.set(xlabel="time [s]", ylabel="max |q̇| [rad/s]", title="Fastest joint, as told")
-    right.hist(1e3 * run.work, bins=np.geomspace(0.02, 20.0, 60), histtype="step")
-    right.set(xlabel="[ms]", ylabel="periods", title="Work", xscale="log", yscale="log")
-for ax in (left, middle):
+    right.plot(run.t[:-1], 1e3 * run.work, ".", markersize=2)
+    right.axhline(1.0, color=view.COLORS["neutral"], linestyle="--", label="period of 1 ms")
+    right.set(xlabel="time [s]", ylabel="computing time [ms]", title="Computing time of each step")
+for ax in (left, middle, right):
+    ax.set(xlim=(0.0, run.t[-1]), ylim=(0.0, None))
     view.legend_below(ax)
-for path in view.save_figure(figure, out / "on_a_robot"):
+for path in view.save_figure(figure, out / "11_on_a_robot"):
     print(path)
-print(view.save_page(run, out / "on_a_robot.html"))
+title = "A Panda with an unknown tool in the loop of a robot, as its controller sees it"
+print(view.save_page(run, out / "11_on_a_robot.html", title))
+print(view.write_index(out))

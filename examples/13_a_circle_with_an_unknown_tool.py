@@ -53,8 +53,9 @@ for ax, (name, controller) in zip(axes, controllers.items(), strict=False):
 names = ["tool.x", "tool.y", "tool.z"]
 true = dict(zip(names, aj.robots.KinematicRegressor(truth).theta[-3:], strict=True))
 view.plot_parameters(run, names, axes[2], truth=true, title="The tool, ± 2 sd")
-print(*view.save_figure(figure, out / "circle_unknown_tool"), sep="\n")
+print(*view.save_figure(figure, out / "13_circle_unknown_tool"), sep="\n")
 title = "A circle of 10 cm in 4 s, with a 20 cm tool unknown"
-print(view.save_page(run, out / "circle_unknown_tool.html", title))
+print(view.save_page(run, out / "13_circle_unknown_tool.html", title))
+print(view.write_index(out))
 
 print(controller.kinematics_learnt(run.state[-1]))

@@ -38,8 +38,8 @@ dt = 2e-3
 limited = aj.TorqueLimited(law, aj.Limits.of(belief), dt=dt)
 kinematics = aj.AdaptiveKinematics(task, noise=1e-3, delay=0.02, dt=dt)
 controllers = {
-    "believed Jacobian": limited,
-    "learnt": PredictedMeasurement(limited, kinematics),
+    "Believed Jacobian": limited,
+    "Learnt": PredictedMeasurement(limited, kinematics),
 }
 
 q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
@@ -49,8 +49,13 @@ for ax, (name, controller) in zip(axes, controllers.items(), strict=False):
     run = aj.simulate(plant, controller, x_d, q0, duration=4.0, dt=dt)
     left = 1e3 * run.error_norm[-1]
     print(f"{name}: {1e3 * run.error_norm[0]:.0f} mm -> {left:.2f} mm after 4 s")
-    view.plot_error(run, ax, title=f"{name}: {left:.1f} mm left")
+    view.plot_error(run, ax, title=f"{name}: {left:.1f} mm left after 4 s")
+# the rotation of what measures x has one name, of a tracker as of a camera
 true = dict(zip(["camera.rx", "camera.ry", "camera.rz"], turned, strict=True))
-view.plot_parameters(run, list(true), axes[2], truth=true, title="Its rotation, ± 2 sd")
-print(*view.save_figure(figure, out / "tracker_turned"), sep="\n")
-print(view.save_page(run, out / "tracker_turned.html"))
+view.plot_parameters(run, list(true), axes[2], truth=true, title="The tracker's rotation, ± 2 sd")
+for text in axes[2].get_legend().get_texts():
+    text.set_text(text.get_text().replace("camera", "tracker"))
+print(*view.save_figure(figure, out / "14_tracker_turned"), sep="\n")
+title = "A tracker turned by 120° that nobody registered: its axes are learnt"
+print(view.save_page(run, out / "14_tracker_turned.html", title))
+print(view.write_index(out))

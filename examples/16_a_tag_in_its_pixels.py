@@ -26,8 +26,7 @@ from approxjac.tasks import CombinedTask, FrameKinematics
 cv2 = package_of("vision", "cv2")  # says what to install where it is missing
 arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
 arguments.add_argument("--out", type=Path, default=Path("results/examples"))
-out = arguments.parse_args().out
-out.mkdir(parents=True, exist_ok=True)
+(out := arguments.parse_args().out).mkdir(parents=True, exist_ok=True)
 
 K = np.array([[612.4, 0.0, 325.3], [0.0, 611.8, 236.9], [0.0, 0.0, 1.0]])
 LENS = np.array([-0.28, 0.09, 1.1e-3, -7.0e-4, -1.2e-2])
@@ -97,19 +96,25 @@ for step in range(round(9.0 / dt)):
     measured = aj.Measurement(now, q, v, *images[0])
     state, answer = loop.step(state, measured, x_d, dt)
     robot.send(answer.torque)
-    kept.append((now, *(images[0][0] - x_d), *(answer.torque / truth.effort_limits)))
-t, error, effort = np.split(np.array(kept[round(0.05 / dt) :]), (1, 9), axis=1)
-first, last = np.abs(error[0]).max(), np.abs(error[t[:, 0] > 8.0]).max()
+    kept.append((step * dt, *(images[0][0] - x_d), *(answer.torque / truth.effort_limits)))
+t, error, effort = np.split(np.array(kept), (1, 9), axis=1)
+first, last = np.nanmax(np.abs(error)), np.abs(error[t[:, 0] > 8.0]).max()
 print(f"largest error of a corner: {first:.0f} px at first, {last:.2f} px in the last second")
 assert last < 1.5 < 100.0 < first  # NaN, had the tag been lost
 
 figure, axes = view.new_figure(2, 2, title="A tag is brought to where it shall be in an image")
-for ax, q, when in ((axes[0], START, "start"), (axes[1], robot.q, "end")):
-    ax.imshow(eye.image(q), cmap="gray", vmin=0, vmax=255)
-    ax.plot(*np.vstack([x_d.reshape(4, 2), x_d[:2]]).T, "x--", color=view.COLORS["target"])
-    ax.set(title=f"The image, and the target: {when}", xlabel="u [px]", ylabel="v [px]")
-axes[2].semilogy(t, np.abs(error))
-axes[2].set(title="Error of each coordinate", xlabel="time [s]", ylabel="|x − x_d| [px]")
-axes[3].plot(t, effort)
-axes[3].set(title="Torques", xlabel="time [s]", ylabel="τ / limit")
-print(*view.save_figure(figure, out / "tag_in_its_pixels"), sep="\n")
+with view.style():
+    for ax, q, when in ((axes[0], START, "start"), (axes[1], robot.q, "end")):
+        ax.imshow(eye.image(q), cmap="gray", vmin=0, vmax=255)
+        there = np.append(x_d, x_d[:2]).reshape(5, 2).T
+        ax.plot(*there, "x--", color=view.COLORS["target"], label="target of the corners")
+        ax.set(title=f"Image at the {when}", xlabel="u [px]", ylabel="v [px]")
+    distances = np.linalg.norm(error.reshape(-1, 4, 2), axis=2)
+    axes[2].semilogy(t, distances, label=[f"corner {k}" for k in range(1, 5)])
+    axes[2].set(title="Distances", xlabel="time [s]", ylabel="$‖x - x_d‖$ [px]", xlim=(0.0, 9.0))
+    axes[3].plot(t, effort, label=truth.joint_names)
+    axes[3].set(title="Torque of each joint", xlabel="time [s]", ylabel=r"$\tau$ / limit [–]")
+for ax in axes:
+    ax.set_xmargin(0.0)
+    view.legend_below(ax)
+print(*view.save_figure(figure, out / "16_tag_in_its_pixels"), sep="\n")

@@ -39,6 +39,7 @@ normal = np.array([0.0, 1.0, 0.0])  # towards the side to stay on
 point = target - np.array([0.0, -0.10, 0.0])  # the target is 10 cm behind it
 wall = Wall(point, normal, margin=0.12)  # what the tip may be elsewhere than believed
 
+colors = {"true tip": view.COLORS["true"], "believed tip": view.COLORS["believed"]}
 dt = 2e-3
 alone = aj.TorqueLimited(law, dt=dt)
 limited = aj.TorqueLimited(law, [aj.Limits.of(belief), wall, CartesianSpeed(0.20)], dt=dt)
@@ -70,16 +71,19 @@ for row, (name, controller) in enumerate({"alone": alone, "wall and speed": limi
     left, right = axes[2 * row : 2 * row + 2]
     with view.style():
         for label, height in heights.items():
-            left.plot(run.t, height, label=label)
+            left.plot(run.t, height, color=colors[label], label=label)
         left.axhline(0.0, color=view.COLORS["neutral"], label="wall")
         left.axhline(wall.margin, color=view.COLORS["neutral"], linestyle="--", label="margin")
         left.set(xlabel="time [s]", ylabel="in front of the wall [m]", title=f"Tips: {name}")
         view.legend_below(left)
         for label, speed in speeds.items():
-            right.plot(run.t, speed, label=label)
+            right.plot(run.t, speed, color=colors[label], label=label)
         right.axhline(0.20, color=view.COLORS["neutral"], linestyle="--", label="limit")
         right.set(xlabel="time [s]", ylabel="speed [m/s]", title=f"Speed: {name}")
         view.legend_below(right)
-print(*view.save_figure(figure, out / "wall"), sep="\n")
-title = "A target behind a wall, with an unknown tool of 12 cm"
-print(view.save_page(run, out / "wall.html", title))
+        for ax in (left, right):
+            ax.set_xlim(run.t[0], run.t[-1])
+print(*view.save_figure(figure, out / "17_wall"), sep="\n")
+title = "A target behind a wall (not drawn), with an unknown tool of 12 cm"
+print(view.save_page(run, out / "17_wall.html", title))
+print(view.write_index(out))

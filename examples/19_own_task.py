@@ -69,9 +69,9 @@ print(f"it ends {1e3 * runs[0].error_norm[-1]:.2f} mm away; torques of both diff
 region = aj.JointBox.around(arm, start, 0.3)
 many = aj.Study(law, errors, region, target=target, duration=4.0).rollouts(1000)
 print(f"{many.share:.1%} of 1000 runs arrive; engine: {many.setting.engine}")
-print(aj.export_c(law, out / "own_task"))
+print(aj.export_c(law, out / "19_own_task"))
 
-figure, (left, right) = view.new_figure(1, 2, title="A task of one's own: range and height")
+figure, (left, right) = view.new_figure(2, title="A task of one's own: range and height")
 with view.style():
     for run, name, width in zip(runs, ("Python", "machine code"), (4.0, 1.5), strict=True):
         left.semilogy(run.t, run.error_norm, label=name, linewidth=width)
@@ -79,4 +79,6 @@ with view.style():
     view.legend_below(left)
     right.hist(np.log10(many.columns["final_error"]), bins=40)
     right.set(xlabel="log₁₀ of the final error [m]", ylabel="runs", title="1000 other tools")
-print(*view.save_figure(figure, out / "own_task"), sep="\n")
+print(*view.save_figure(figure, out / "19_own_task"), sep="\n")
+print(view.save_page(run, out / "19_own_task.html", "A task of one's own: range and height"))
+print(view.write_index(out))

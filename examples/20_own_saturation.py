@@ -61,7 +61,7 @@ options = {
     "computation": aj.simulation.Computation("semi_implicit_euler"),
 }
 
-figure, (left, right) = view.new_figure(1, 2, title="A saturation of one's own")
+figure, (left, right) = view.new_figure(2, title="A saturation of one's own")
 for name, saturation in (("tanh", Tanh(gamma)), ("own", Soft(gamma))):
     law = aj.SetpointController(
         errors.believed_task(), saturation=saturation, gravity=aj.AdaptiveGravity(arm)
@@ -78,10 +78,16 @@ for name, saturation in (("tanh", Tanh(gamma)), ("own", Soft(gamma))):
         e = np.linspace(0.0, 4.0 * gamma, 200)
         left.plot(e, saturation.s(e), label=name)
         right.semilogy(run.t, run.error_norm, label=name)
-print(aj.export_c(law, out / "own_saturation"))
+print(aj.export_c(law, out / "20_own_saturation"))
 with view.style():
     left.set(xlabel="e [m]", ylabel="s(e) [m]", title="Saturations")
     right.set(xlabel="time [s]", ylabel="error [m]", title="Error of a reach")
     view.legend_below(left)
     view.legend_below(right)
-print(*view.save_figure(figure, out / "own_saturation"), sep="\n")
+print(*view.save_figure(figure, out / "20_own_saturation"), sep="\n")
+print(
+    view.save_page(
+        run, out / "20_own_saturation.html", "A saturation of one's own: e/(1 + (e/γ)²)^½"
+    )
+)
+print(view.write_index(out))

@@ -54,7 +54,7 @@ options = {
     "computation": aj.simulation.Computation("semi_implicit_euler"),
 }
 
-figure, (left, right) = view.new_figure(1, 2, title="A weight that no URDF has")
+figure, (left, right) = view.new_figure(2, title="A weight that no URDF has")
 for name, gravity in (
     ("model", ModelGravity(belief)),
     ("model and camera", WithCamera(belief, belief.tip, mass)),
@@ -72,10 +72,18 @@ for name, gravity in (
     with view.style():
         left.semilogy(run.t, run.error_norm, label=name)
         right.hist(1e3 * many.columns["final_error"], bins=40, label=name)
-print(aj.export_c(law, out / "own_gravity"))
+print(aj.export_c(law, out / "21_own_gravity"))
 with view.style():
     left.set(xlabel="time [s]", ylabel="error [m]", title="Error of a reach")
     right.set(xlabel="final error [mm]", ylabel="runs", title="1000 other arms and reaches")
     view.legend_below(left)
     view.legend_below(right)
-print(*view.save_figure(figure, out / "own_gravity"), sep="\n")
+print(*view.save_figure(figure, out / "21_own_gravity"), sep="\n")
+print(
+    view.save_page(
+        run,
+        out / "21_own_gravity.html",
+        "A weight that no URDF has: gravity of the model and of the camera",
+    )
+)
+print(view.write_index(out))

@@ -67,9 +67,9 @@ region = aj.JointBox.around(arm, start, 0.05)
 sampled = {"latency": aj.Latency(period=2e-3), "duration": 5.0}
 many = aj.Study(limited, errors, region, target=target, **sampled).rollouts(100)
 print(f"{many.share:.1%} of 100 runs arrive; engine: {many.setting.engine}")
-print(aj.export_c(limited, out / "own_limit"))
+print(aj.export_c(limited, out / "22_own_limit"))
 
-figure, (left, right) = view.new_figure(1, 2, title="An elbow above a table")
+figure, (left, right) = view.new_figure(2, title="An elbow above a table")
 with view.style():
     for (name, height), width in zip(heights.items(), (2.0, 4.0, 1.5), strict=True):
         left.plot(runs[name].t, height, label=name, linewidth=width)
@@ -79,4 +79,7 @@ with view.style():
     right.set(xlabel="time [s]", ylabel="error [m]", title="The tip's error")
     view.legend_below(left)
     view.legend_below(right)
-print(*view.save_figure(figure, out / "own_limit"), sep="\n")
+print(*view.save_figure(figure, out / "22_own_limit"), sep="\n")
+title = "A limit of one's own: the elbow stays above a table (not drawn)"
+print(view.save_page(runs["in Python"], out / "22_own_limit.html", title))
+print(view.write_index(out))

@@ -54,3 +54,17 @@ def test_the_width_is_that_of_the_terminal_or_fixed(monkeypatch):
     monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
     monkeypatch.setenv("COLUMNS", "72")
     assert formatting.width() == 72
+
+
+@pytest.mark.parametrize(
+    ("n", "total", "said"),
+    [
+        (0, 9, "0 %"),
+        (4, 3001, "0.133 %"),
+        (300, 3001, "10 %"),
+        (9999, 10000, "99.9 %"),
+        (7, 7, "100 %"),
+    ],
+)
+def test_a_share_is_not_rounded_to_all_or_to_one_percent(n, total, said):
+    assert formatting.share(n, total) == said

@@ -52,10 +52,15 @@ def numbers_of(values: Any) -> str:
     return " ".join(f"{entry + 0.0:.4g}" for entry in np.ravel(values))
 
 
+def share(n: int, total: int) -> str:
+    """Format n of `total` in percent, to three digits; only all of them are 100 %."""
+    return f"{min(100.0 * n / total, 99.9 if n < total else 100.0):.3g} %"
+
+
 def shares(counts: Mapping[Any, int]) -> str:
     """Return the share of instants with each outcome as text, such as "ok 98 %, …"."""
     total = sum(counts.values())
-    return ", ".join(f"{each.label} {100.0 * n / total:.3g} %" for each, n in counts.items())
+    return ", ".join(f"{each.label} {share(n, total)}" for each, n in counts.items())
 
 
 def short_fields(record: Any) -> str:
@@ -83,11 +88,9 @@ def joined(units: Iterable[str]) -> str:
     return " or ".join(dict.fromkeys(units))
 
 
-def percent(share: float, digits: int = 1) -> str:
+def percent(share: float) -> str:
     """Format a share in percent; only a share of 1 gives 100, and only one of 0 gives 0."""
-    least = 10.0**-digits
-    shown = min(max(100.0 * share, least), 100.0 - least) if 0.0 < share < 1.0 else 100.0 * share
-    return f"{shown:.{digits}f}"
+    return f"{min(max(100.0 * share, 0.1), 99.9) if 0.0 < share < 1.0 else 100.0 * share:.1f}"
 
 
 def plain(value: Any) -> Any:

@@ -25,7 +25,7 @@ from approxjac.controllers import (
     RegressorGravity,
 )
 from approxjac.interface import LimitStatus, Measurement
-from approxjac.robots import Dynamics, Friction, GravityRegressor
+from approxjac.robots import Friction, GravityRegressor
 
 STATUSES = tuple(aj.Status)
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
@@ -781,18 +781,6 @@ def test_a_first_x_that_is_lost_starts_no_law_that_differentiates_it(in_c_of):
         seen = first._replace(x=np.array([1.0, 0.0, 0.0]))
         assert in_c.init(seen).tobytes() == step.initial_state(seen).tobytes()
         np.testing.assert_allclose(in_c.init(seen), controller.initial_state(seen))
-
-
-@needs_compiler
-def test_the_first_torque_of_a_limited_rate_begins_at_what_holds_the_arm(tmp_path):
-    arm = aj.load_robot("two_link").with_gravity((0.0, 0.0, -9.81))
-    limits = aj.Limits(effort=100.0, rate=50.0)
-    law = aj.TorqueLimited(aj.SetpointController(aj.PositionTask(arm, axes="xz")), limits)
-    now = Measurement(0.0, np.array([0.3, 0.8]), np.zeros(2), law.task.value([0.3, 0.8]))
-    in_c = InC(law, tmp_path)
-    _, _, found = in_c.step(in_c.init(now), *now[1:4], now.x + 5.0, 1e-3)
-    change = np.abs(found["torque"] - Dynamics(arm).g(now.q))
-    np.testing.assert_allclose(change, 50.0 * 1e-3, rtol=1e-9)
 
 
 def learning(arm):

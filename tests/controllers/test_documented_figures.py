@@ -166,8 +166,7 @@ def test_what_was_chosen_is_stable_with_all_of_it_larger(name):
     (margin,) = documented("control.md", r"must be stable with all of these ([\d.]+) times larger")
     belief = heavy(name).bare.with_gravity((0.0, 0.0, 0.0))
     task, latency = aj.PositionTask(belief), Latency(5e-3, torque_delay=10e-3)
-    # elastic joints would be damped less, far from what the margin is for
-    chosen = tuned(task, latency, drives=aj.robots.Drives())
+    chosen = tuned(task, latency)
     assert chosen.stable
     parts = (chosen.gains.kp, chosen.gains.kv, chosen.gains.damping)
     larger = aj.Gains(*(margin / 0.7 * np.asarray(each) for each in parts))

@@ -82,14 +82,6 @@ def test_torques_change_by_the_rate_times_the_period(arm, dt, looks_ahead):
     assert (np.abs(run.tau) <= effort).all()
 
 
-def test_the_first_torque_changes_by_the_rate_times_the_period_from_what_holds_the_arm(arm, dt):
-    limited = aj.TorqueLimited(law_for(arm, dt), aj.Limits(effort=1e3, rate=100.0), dt=dt)
-    now = measured(arm, arm.q)
-    _, answer = limited.step(limited.initial_state(now), now, now.x - 5.0, dt)
-    change = np.abs(answer.torque - limited.controller.gravity_torque(np.zeros(0), arm.q))
-    assert_allclose(change.max(), 100.0 * dt, rtol=1e-9)
-
-
 def test_the_torque_before_counts_within_the_efforts(arm, dt):
     """A state may come from a run with other motors: it is brought into these first."""
     effort, rate = np.abs(Dynamics(arm.truth).g(arm.q)) + 2.0, 100.0

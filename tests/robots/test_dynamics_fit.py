@@ -10,11 +10,8 @@ from approxjac.robots import Dynamics, Friction, fit_dynamics
 DT = 2e-3  # [s]
 
 
-def recorded(name, payload, friction, duration=20.0, seed=1, still=None, sticks=0.0):
-    """Return an arm without its payload, q and τ of sums of sines with noise, and (q̇, load).
-
-    Below a speed `sticks` [rad/s] friction has the other sign, as that of a joint that sticks may.
-    """
+def recorded(name, payload, friction, duration=20.0, seed=1, still=None):
+    """Return an arm without its payload, q and τ of sums of sines with noise, and (q̇, load)."""
     arm, rng = aj.load_robot(name), np.random.default_rng(seed)
     held = arm.with_object(0.2, payload, axis="x")
     dynamics = Dynamics(held)
@@ -35,7 +32,6 @@ def recorded(name, payload, friction, duration=20.0, seed=1, still=None, sticks=
     inertial = np.array([dynamics.M(of) @ a_of for of, a_of in zip(rows, a, strict=True)])
     slow = 1.0 + (friction.stribeck - 1.0) * np.exp(-np.abs(v) / friction.stribeck_velocity)
     dry = friction.coulomb * slow + friction.load * np.abs(load)
-    dry = np.where(np.abs(v) < sticks, -dry, dry)
     tau = load + inertial + friction.viscous * v + dry * np.sign(v)
     tau += 0.02 * np.sqrt(arm.effort_limits) * rng.normal(size=tau.shape)
     seen = q + 2e-5 * rng.normal(size=q.shape)
@@ -78,12 +74,6 @@ def test_a_recording_tells_friction_and_payload(name, payload):
     assert (np.linalg.norm(ours - true, axis=0) <= 0.1 * np.linalg.norm(true, axis=0)).all()
     assert (fit.friction_sd > 0.0).all()
     assert f"payload {fit.payload:.3g}" in str(fit)
-
-
-def test_joints_that_stick_tell_nothing_of_friction():
-    """Where nothing is left out they are a third of it wrong."""
-    given = recorded("z1", 0.0, Friction(0.5, 2.0), 10.0, sticks=0.028)
-    assert_allclose(fit_dynamics(*given[:3], DT).friction.coulomb, 2.0, rtol=0.05)
 
 
 def test_it_is_what_a_law_begins_with():

@@ -171,7 +171,7 @@ def collected(
 def fold(
     body: Callable[..., tuple[Values, tuple[Any, ...]]], start: Values, *columns: list[Any]
 ) -> tuple[Values, tuple[list[Any], ...]]:
-    """Return the values after values, row = body(values, *numbers), and the columns of the rows.
+    """Return the values after `values, row = body(values, *numbers)`, and the columns of rows.
 
     The numbers are those of one row after the other of lists. Many symbols become a loop.
     """

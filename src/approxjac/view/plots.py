@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -283,7 +284,7 @@ def plot_image(
 ) -> Axes:
     """Draw the true path of each point through the image, from its start to its target.
 
-    Measured images are faint dots. The border is a pinhole camera's field of view; v points down.
+    Measured images are dots. The border is a pinhole camera's field of view; v points down.
 
     Args:
         run: A run whose task is an image.
@@ -304,19 +305,19 @@ def plot_image(
     k = run.error.shape[1] // 2
     true, measured = (x.reshape(len(run.t), k, -1)[:, :, :2] for x in (run.x, run.x_measured))
     target, grey = run.target.reshape(k, -1)[:, :2], COLORS["neutral"]
+    dot: dict[str, Any] = {"color": grey, "ms": 3.5, "mew": 0, "alpha": 0.7}
     with styled(ax, columns=3) as ax:
         for i in range(k):
             color = _POINTS[i % len(_POINTS)]
             label = "path" if k == 1 else f"path {i + 1}"
             # an image that is held is one image; as pixels, or files would grow with the run
             new = np.append(True, (np.diff(measured[:, i], axis=0) != 0.0).any(axis=1))
-            ax.plot(*measured[new, i].T, ".", color=color, ms=4, mew=0, alpha=0.5, zorder=1,
-                    rasterized=True)  # fmt: skip
             ax.plot(*true[:, i].T, color=color, label=label)
+            ax.plot(*measured[new, i].T, ".", rasterized=True, **dot)
         ax.plot(*true[0].T, "o", color=grey, mfc="white", ms=7, label="start", zorder=4)
         ax.plot(*target.T, "x", color=COLORS["target"], ms=9, mew=2, label="target", zorder=5)
         ax.plot(*true[-1].T, "o", color=grey, ms=4, label="end", zorder=6)
-        ax.plot([], [], ".", color=grey, alpha=0.5, label="measured")
+        ax.plot([], [], ".", label="measured", **dot)
         ax.set_aspect("equal", adjustable="box", anchor="N")
         if isinstance(camera, PinholeCamera):
             low, high = np.array([-0.5, -0.5]), np.array(camera.size) - 0.5

@@ -154,7 +154,8 @@ def save_figure(figure: Figure, stem: str | Path) -> list[Path]:
     paths = [stem.with_name(stem.name + ending) for ending in (".png", ".svg")]
     refused = refusing("stem must name files that can be written", stem)
     with refused, style(), replaced(paths[0]) as png, replaced(paths[1]) as svg:
-        figure.savefig(png, dpi=_DPI)
+        title = figure.get_suptitle() or "".join(ax.get_title() for ax in figure.axes[:1])
+        figure.savefig(png, dpi=_DPI, metadata={"Title": title.replace("$", "")})
         layout = figure.get_layout_engine()
         figure.set_layout_engine(None)  # once is enough: it takes longer than to draw
         figure.savefig(svg, dpi=_DPI, metadata={"Date": None})  # dpi: of what is pixels

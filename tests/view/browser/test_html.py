@@ -170,7 +170,7 @@ def test_what_the_page_says_of_the_run(run):
     facts = dict(data_of(page(dataclasses.replace(run, x_measured=lost)))["facts"])
     norm = 1e3 * run.error_norm
     assert facts["error"] == f"{norm[0]:.4g} → {norm[-1]:.4g} mm"
-    assert facts["not measured"] == "10 % of the time"
+    assert facts["not measured"] == "9.99 % of the time"
 
 
 def test_the_page_of_a_pose_has_an_error_of_each_unit_and_of_each_object(panda):

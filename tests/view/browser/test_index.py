@@ -48,6 +48,19 @@ def test_pictures_without_a_page_stand_among_the_pages(tmp_path, open_page):
     assert widths == [40, 40]
 
 
+def test_a_picture_is_named_by_the_title_of_its_figure(tmp_path):
+    (tmp_path / "run.html").write_text(PAGE.format("A run"), encoding="utf-8")
+    Image.new("RGB", (40, 30)).save(tmp_path / "of_somebody.png")
+    figure, _ = view.new_figure(title="Ĵ < J, and $K_v$")
+    view.save_figure(figure, tmp_path / "fig1")
+    figure, (ax,) = view.new_figure()
+    ax.set_title("One plot")
+    view.save_figure(figure, tmp_path / "fig2")
+    text = view.write_index(tmp_path).read_text(encoding="utf-8")
+    named = ["Ĵ &lt; J, and K_v", "One plot", "of somebody", "A run"]
+    assert re.findall("<b>(.*?)</b>", text) == named
+
+
 def test_links_with_odd_names_open(tmp_path, open_page):
     (tmp_path / "run #1 100%.html").write_text(PAGE.format("Odd"), encoding="utf-8")
     page = open_page(view.write_index(tmp_path))

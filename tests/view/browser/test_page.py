@@ -496,7 +496,7 @@ def test_the_legend_names_what_occurs(reach, show):
         "the arm as it is", "object that it holds", "the arm as the controller believes it",
         "believed tip",
     ]  # fmt: skip
-    for words in ("measured tip", "torque limit", "at a position limit"):
+    for words in ("measured tip", "torque limit", "at a position limit", "in plots"):
         assert not any(words in text for text in named)
     limits = np.full(7, np.inf)
     limits[1] = 0.5 * np.abs(reach.tau[:, 1]).min()

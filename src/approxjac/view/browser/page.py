@@ -18,11 +18,12 @@ from typing import Any
 from urllib.parse import quote
 
 import numpy as np
+from PIL import Image
 
 from approxjac.cameras import PinholeCamera
 from approxjac.errors import InvalidInputError, package_of
 from approxjac.files import refusing, write_text
-from approxjac.formatting import joined, percent, short
+from approxjac.formatting import joined, share, short
 from approxjac.interface import LimitStatus, Status
 from approxjac.simulation import Trajectory
 from approxjac.simulation.trajectory import Scene
@@ -153,7 +154,7 @@ def _facts(run: Trajectory) -> list[tuple[str, str]]:
     counts |= {f"limits: {s.label}": n for s, n in limited if s not in _USUAL_LIMITS}
     for name, count in counts.items():
         if count:
-            facts.append((name, f"{percent(count / len(run.t), 0)} % of the time"))
+            facts.append((name, f"{share(count, len(run.t))} of the time"))
     return facts + [(event.condition.label, event.described) for event in run.events[:_NAMED]]
 
 
@@ -285,8 +286,9 @@ def _legend(scene: Scene, tip: str, image: bool) -> list[tuple[str, str, str, st
         ("force", "force", "dash", "force that the control means to exert"),
         ("saturated", "saturated", "bar", "link near or at its torque limit"),
         ("at_limit", "at_limit", "bar", "link at a position limit of its joint"),
+        ("event", "at_limit", "shade", "in plots: an event named above"),
     ]  # fmt: skip
-    if not held_objects(scene.truth):
+    if not any(held_objects(scene.truth).values()):
         del entries[1]
     return [(what, COLORS[role], mark, words) for what, role, mark, words in entries]
 
@@ -338,7 +340,7 @@ def write_index(folder: str | Path, title: str = "Runs to look at") -> Path:
     """Write index.html, a link to every run page in a folder by their names; return its path.
 
     A picture of the same name beside a page (run.png beside run.html) is shown with its link, and
-    other PNGs among the pages.
+    other PNGs among the pages, each with the title that `save_figure` gave it.
 
     Args:
         folder: Folder with pages from `save_page`.
@@ -359,8 +361,10 @@ def write_index(folder: str | Path, title: str = "Runs to look at") -> Path:
             )
         for path in folder.glob("*.png"):
             if path.with_suffix(".html") not in entries:
-                picture = f'<img src="{quote(path.name)}" alt=""><b>{escape(path.stem)}</b>'
-                entries[path] = f"<li><div>{picture}</div></li>"
+                with Image.open(path) as picture:
+                    named = escape(picture.info.get("Title") or path.stem.replace("_", " "))
+                shown = f'<img src="{quote(path.name)}" alt=""><b>{named}</b>'
+                entries[path] = f"<li><div>{shown}</div></li>"
         listed = [entries[path] for path in sorted(entries, key=_natural)]
         parts = {"title": escape(title), "entries": "\n".join(listed)}
         parts |= {"link": COLORS["true"], "text": COLORS["neutral"]}

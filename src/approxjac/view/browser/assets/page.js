@@ -134,6 +134,7 @@ approxjac.Rows = class {
       if (rows.row("at_limit", looked).some((there) => there >= 1)) occurred.add("at_limit");
     }
     if (scene.differs) occurred.add("believed");
+    if (data.events.length) occurred.add("event");
     for (const { what, item } of legend) item.hidden = !occurred.has(what);
   }
 
@@ -211,7 +212,8 @@ approxjac.Rows = class {
     unread = false;
     // of a live page the last seconds, or those around the instant that is looked at
     const to = data.live && t < end() - WINDOW ? t + 0.5 * WINDOW : end();
-    const from = data.live ? Math.max(start(), to - WINDOW) : start();
+    const first = start() < 0.01 * end() ? Math.min(start(), 0) : start(); // where 0 has a tick
+    const from = data.live ? Math.max(start(), to - WINDOW) : first;
     for (const plot of plots) plot.read(rows, from, to);
     explain();
   }
