@@ -86,13 +86,14 @@ def rows(stiffness):
 
 def table(found, law, arms, stiffness, friction):
     """Return the rms errors of the rotors, for each arm and stiffness, of a law."""
-    lines = head("stiffness [N m/rad], lag", *arms)
+    rotors = ", ".join(map(str, ROTORS))
+    lines = head(f"stiffness [N m/rad]: rms [mm] with rotors of {rotors} kg m²", *arms)
     for K, knows in rows(stiffness):
         cells = []
         for arm in arms:
             each = [found[Case(law, arm, K, rotor, knows, friction)] for rotor in ROTORS]
             cells.append(", ".join("diverges" if e > 1e3 else two_digits(e) for e in each))
-        lines.append(row(f"{K}, {'known' if knows else 'not'}", *cells))
+        lines.append(row(f"{K}, lag {'known' if knows else 'not known'}", *cells))
     return "\n".join(lines) + "\n"
 
 

@@ -227,9 +227,8 @@ def document(data: Mapping[str, Any], *scripts: str) -> str:
     code += [*map(asset, _SCRIPTS), *scripts]
     licences = ["uPlot:\n\n" + asset("uPlot.LICENSE")]  # which ask to be handed on
     files = (*viewer.iterdir(), *(viewer / "dist").iterdir())
-    for file in sorted(files, key=lambda file: file.name):
-        if "LICENSE" in file.name:
-            licences.append(f"MeshCat, {file.name}:\n\n{file.read_text(encoding='utf-8')}")
+    named = {file.name: file for file in files if "LICENSE" in file.name}
+    licences += [f"MeshCat, {name}:\n\n{named[name].read_text('utf-8')}" for name in sorted(named)]
     # "</script" would end the element that it stands in, and "<!--" change how it is read
     values = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     ended = [part.replace("</script", "<\\/script") for part in code]
@@ -387,5 +386,4 @@ def _entry(path: Path, head: str) -> str:
 
 def _natural(path: Path) -> list[Any]:
     """Return a key that sorts fig10 after fig9."""
-    parts = enumerate(re.split(r"(\d+)", path.name))
-    return [int(part) if k % 2 else part for k, part in parts]
+    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", path.name)]
