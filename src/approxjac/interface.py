@@ -115,9 +115,9 @@ class Condition(_Outcome):
     """An event of an arm under control; the text says what to do."""
 
     OSCILLATES = (
-        "a joint swings with little or no damping: a payload, elasticity, friction, delay or error "
-        "of Ĵ that the gains do not take into account; lower kp and kv, or state it (Latency, a "
-        "payload)"
+        "a joint swings with little or no damping, because of a payload, elastic joints, friction, "
+        "a delay or a wrong Jacobian; lower kp, or tell the controller what it does not know "
+        "(latency=, the payload)"
     )
     PUSHED = "a force that the believed robot does not explain moves the tip"
     PRESSES = "the tip met something and presses against it"

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import approxjac as aj
-from approxjac.realtime import Accuracy, Fault
+from approxjac.realtime import Accuracy, Fault, SimulatedDriver
 from approxjac.realtime.watches import FaultWatch, SensorWatch
 from approxjac.tasks.frame_tasks import FrameKinematics
 
@@ -368,6 +368,16 @@ def test_what_happens_is_named_on_arms_that_no_threshold_was_chosen_on(
     assert outcome.fault in names
     if kind in study.MOTORS:
         assert outcome.after < 0.1
+
+
+def test_a_weak_motor_ends_the_loop():
+    plant, controller = study.prepared("panda")
+    driver = SimulatedDriver(plant, START, pace=math.inf)
+    weak = study.Broken(driver, "panda", "a motor at half its torque", 0.4, 1)
+    goal = plant.sensor.value(START) + study.WAY
+    run = aj.control(weak, controller, goal, 1.0, tolerances=study.tolerances(plant))
+    assert run.fault is Fault.MOTOR_WEAK
+    assert weak.braked_at[0] - weak.broken_at[0] < 0.1
 
 
 @pytest.mark.long  # of other runs: test_guard_clean.py

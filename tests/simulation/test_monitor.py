@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 
 import approxjac as aj
 from approxjac.interface import Measurement
+from approxjac.robots import Dynamics
 from approxjac.scenario.outcome import RunResult
 from approxjac.simulation import Condition, Monitor
 from approxjac.simulation.simulate import MovingArm
@@ -32,12 +33,15 @@ def plant_with(arm, mass):
     return aj.Plant(truth, aj.PositionTask(truth))
 
 
-def events(arm, controller, happens=None, duration=1.6, plant=None, explains=False):
-    """Let a simulated arm reach for a target, and something happen to it from AT on."""
+def events(arm, controller, happens=None, duration=1.6, plant=None, explains=False, adds=None):
+    """Let a simulated arm reach for a target, and something happen to it from AT on.
+
+    The monitor is shown commands without the gravity that `adds` has.
+    """
     plant = plant or plant_with(arm, MASS)
     q = plant.ready_configuration()
     moving = MovingArm(plant, q, np.zeros(arm.nv), DT, "semi_implicit_euler", 0)
-    monitor, measured = Monitor(controller), moving.sense()[1]
+    monitor, measured = Monitor(controller, adds), moving.sense()[1]
     state, target = controller.initial_state(measured), measured.x + [0.06, -0.1, -0.05]
     for _ in range(round(duration / DT)):
         state, answer = controller.step(state, measured, target, DT)
@@ -45,8 +49,9 @@ def events(arm, controller, happens=None, duration=1.6, plant=None, explains=Fal
         if happens is not None and moving.t >= AT:
             torque = happens(moving, torque.copy())
         moving.move(moving.take(torque))
+        added = 0.0 if adds is None else Dynamics(adds).g(measured.q)
         measured = moving.sense()[1]
-        monitor.look(measured, answer.torque, answer.reference, state)
+        monitor.look(measured, answer.torque - added, answer.reference, state)
     if explains:
         monitor.explain()
     return monitor.events
@@ -178,11 +183,12 @@ def test_a_lasting_oscillation_has_its_frequency_and_amplitude(controller, frequ
     assert np.isinf(event.end)
 
 
-def test_a_motion_that_dies_out_or_is_led_is_no_oscillation(controller):
+@pytest.mark.parametrize("decay", [3.0, 5.0])
+def test_a_motion_that_dies_out_or_is_led_is_no_oscillation(controller, decay):
     omega = 2.0 * np.pi * 4.0
 
     def dying(t):
-        return np.exp(-5.0 * t) * np.cos(omega * t)
+        return np.exp(-decay * t) * np.cos(omega * t)
 
     assert swinging(controller, dying) == []
     assert swinging(controller, lambda t: np.cos(omega * t), reference=1.0) == []
@@ -192,6 +198,10 @@ def test_an_oscillation_that_stops_has_an_end(controller):
     omega = 2.0 * np.pi * 8.0
     (event,) = swinging(controller, lambda t: np.cos(omega * t) if t < 1.5 else 0.0)
     assert_allclose(event.end, 1.5, atol=0.5)
+
+
+def test_gravity_that_the_robot_adds_is_no_push(panda, belief, controller):
+    assert events(panda, controller, adds=belief) == []
 
 
 def test_a_sample_that_is_not_finite_is_passed_over(controller):
