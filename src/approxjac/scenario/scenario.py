@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import tomllib
 from dataclasses import KW_ONLY, dataclass, fields
 from pathlib import Path
@@ -24,7 +23,7 @@ from approxjac.scenario.records import (
 )
 
 _MOST_TEXT = 1_000_000  # bytes of a file
-_ANY = Object(math.nan, math.nan)  # which equals no other: a file always says what is held
+_ANY = Object(float("nan"), float("nan"))  # which equals no other: a file always says what is held
 _UNSAID = {"true": Truth(object=_ANY), "believed": Belief(object=_ANY)}
 
 

@@ -152,9 +152,7 @@ def _facts(run: Trajectory) -> list[tuple[str, str]]:
     counts |= {s.label: n for s, n in run.status_counts().items() if s not in _USUAL}
     limited = run.limit_status_counts().items()
     counts |= {f"limits: {s.label}": n for s, n in limited if s not in _USUAL_LIMITS}
-    for name, count in counts.items():
-        if count:
-            facts.append((name, f"{share(count, len(run.t))} of the time"))
+    facts += [(name, f"{share(n, len(run.t))} of the time") for name, n in counts.items() if n]
     return facts + [(event.condition.label, event.described) for event in run.events[:_NAMED]]
 
 
@@ -320,14 +318,13 @@ def _image(scene: Scene) -> dict[str, Any] | None:
     feature = image_feature(scene.sensor)
     if feature is None or feature.camera is None:
         return None
-    camera, border = feature.camera, []
-    if isinstance(camera, PinholeCamera):  # whose v points down
-        width, height = camera.size
-        border = [-0.5, -0.5, width - 0.5, height - 0.5]
+    camera = feature.camera
+    size = camera.size if isinstance(camera, PinholeCamera) else ()  # where v points down
+    border = [-0.5, -0.5, *(side - 0.5 for side in size)] if size else None
     unit, scale = display_unit(camera.unit)
     return {
-        "labels": list(camera.labels), "unit": unit, "scale": scale, "border": border or None,
-        "down": bool(border), "points": len(feature.points),
+        "labels": list(camera.labels), "unit": unit, "scale": scale, "border": border,
+        "down": bool(size), "points": len(feature.points),
         "seen": "seen" if scene.knows_truth else "seen, by the belief",
     }  # fmt: skip
 
