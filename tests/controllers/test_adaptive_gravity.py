@@ -1,5 +1,7 @@
 """`AdaptiveGravity`: Eq. (28), Eq. (29) with default gains, bounds, and motors that saturate."""
 
+import itertools
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -399,3 +401,26 @@ def test_motors_that_are_stronger_than_the_urdf_says_may_be_asked_for_more(panda
         assert (np.abs(answer.gravity) > panda.effort_limits).any()
         free = law.with_limiter(np.full(7, np.inf)).evaluate(law.begin(measurement), measurement, x)
         assert_allclose(controller.learnt(after) - controller.learnt(state), 1e-3 * free.state_rate)
+
+
+@pytest.mark.study
+def test_axes_that_are_10_degrees_off_are_made_up_for_and_30_are_not():
+    """Directions, tools and targets drawn; what is left after 6 s."""
+    arm, left = aj.load_robot("panda"), {10: [], 30: []}
+    q0 = aj.Plant(arm).ready_configuration()
+    for (degrees, errors), mass, seed in itertools.product(left.items(), (0.1, 1.3), range(8)):
+        rng = np.random.default_rng(seed)
+        axes = rng.normal(size=(arm.nv, 3))
+        axes *= np.radians(degrees) / np.linalg.norm(axes, axis=1, keepdims=True)
+        turns = dict(zip(arm.joint_names, axes, strict=True))
+        belief = arm.with_object(0.0).with_kinematic_error(rotations=turns)
+        plant, way = aj.Plant(arm.with_object(0.2, mass, axis="x")), rng.normal(size=3)
+        law = aj.SetpointController(aj.PositionTask(belief), gravity=aj.AdaptiveGravity(belief))
+        x_d = plant.sensor.value(q0) + 0.2 * way / np.linalg.norm(way)
+        try:
+            run = aj.simulate(plant, law, x_d, q0, 6.0, dt=2e-3)
+            errors.append(run.error_norm[run.t > 5.4].max())
+        except aj.errors.SimulationError:
+            errors.append(np.inf)
+    assert max(left[10]) < 2e-4
+    assert 4 <= sum(each > 5e-3 for each in left[30]) <= 12
