@@ -103,10 +103,8 @@ class RunResult:
     def settling_time(self) -> float:
         """First recorded time from which on the errors stay within the tolerance [s]; or NaN."""
         enough = (3.0 if self.in_pixels else 1.0) * self.tolerance
-        outside = np.nonzero(~np.all(self.errors <= enough, axis=1))[0]
-        if len(outside) == 0:
-            return 0.0
-        return float(np.append(self.run.t, math.nan)[outside[-1] + 1])
+        outside = np.flatnonzero(~np.all(self.errors <= enough, axis=1))
+        return float(np.append(self.run.t, math.nan)[outside.max(initial=-1) + 1])
 
     @property
     def converged(self) -> bool:

@@ -417,7 +417,8 @@ def _beware(report: StabilityReport) -> Iterator[Row]:
     ):  # fmt: skip
         if at is not None:
             q = robot.angles(at)
-            text = f"{what} q = {_numbers(q, 3)}; a bound on sigma_min leaves it out (RegularPart)"
+            where = numbers_of(np.round(q, 3))
+            text = f"{what} q = {where}; a bound on sigma_min leaves it out (RegularPart)"
             yield Row("beware", name, verdict, {"q": q}, text)
     excess = robot.beyond_limits(report.samples.q).max(axis=0)
     if beyond := [n for n, far in zip(robot.joint_names, excess, strict=True) if far > _TINY]:
@@ -543,7 +544,7 @@ def _continuous(report: StabilityReport) -> Iterator[Row]:
         ("Theorem 1", samples.truth, samples.q, first.worst["p"]),
     ):
         case = _case(report, int(truths[k]), q[k])
-        text = f"{case['worst_truth']} at q = {_numbers(case['worst_q'], 2)}"
+        text = f"{case['worst_truth']} at q = {numbers_of(np.round(case['worst_q'], 2))}"
         yield Row("worst", name, "", case, text)
 
 
@@ -565,7 +566,3 @@ def of_limits(cost: LimitCost) -> list[Row]:
         rows.append(Row("limits", "certified", "", {"level": cost.level}, text))
     text = "limits of speed, position and rate, and the weight of an arm taken without gravity"
     return [*rows, acting, Row("limits", "not checked", "", {}, text)]
-
-
-def _numbers(q: Array, digits: int) -> str:
-    return numbers_of(np.round(q, digits))

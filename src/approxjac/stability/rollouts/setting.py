@@ -306,9 +306,8 @@ def _judged(t: Array, error: Array, tolerance: float) -> tuple[float, bool]:
     """Settling time, and whether the error was below the tolerance in all of the last tenth."""
     below = error < tolerance
     last_tenth = t >= (0.9 - 1e-9) * t[-1]
-    first = int(np.flatnonzero(~below).max(initial=-1)) + 1
-    settling = float(t[first]) if first < len(t) else math.nan
-    return settling, bool(below[last_tenth].all())
+    settling = np.append(t, math.nan)[np.flatnonzero(~below).max(initial=-1) + 1]
+    return float(settling), bool(below[last_tenth].all())
 
 
 _lanes: dict[bytes, Lanes] = {}
