@@ -13,22 +13,13 @@ from approxjac import law, view
 from approxjac.cameras import PlanarCamera
 from approxjac.errors import MissingPackageError
 from approxjac.formatting import aligned, wrapped
-from approxjac.paper.experiments import (
-    ALPHA,
-    CAMERA,
-    LEARNING_GAIN,
-    LENGTHS,
-    OBJECT_MASS,
-    JacobianBound,
-    Reproduction,
-    Setup,
-)
+from approxjac.paper import experiments as study
 from approxjac.robots import GravityRegressor, Robot
 from approxjac.tasks import FrameKinematics
 from approxjac.view.style import formulas
 
 
-def write_bound(bound: JacobianBound, out: Path) -> None:
+def write_bound(bound: study.JacobianBound, out: Path) -> None:
     """Write fig1.png and fig1.svg: the allowed p against a, its two curves and their crossing."""
     alpha, p, colors = float(np.sqrt(bound.lambda_2)), bound.p_of_figure_4, view.SERIES
     a = np.linspace(0.0, 4.0 * (alpha or 1.0), 600)[1:]  # 0: a singular target allows no error
@@ -53,14 +44,14 @@ def write_bound(bound: JacobianBound, out: Path) -> None:
 
 
 def summary(
-    results: Sequence[Reproduction], bound: JacobianBound | None, setup: Setup
+    results: Sequence[study.Reproduction], bound: study.JacobianBound | None, setup: study.Setup
 ) -> dict[str, Any]:
     """Return the contents of `summary.json`."""
     figures: dict[str, Any] = {}
     if bound is not None:
         met = {"condition_23_met_by_figure_4": bound.condition_23_met}
         figures["fig1"] = dataclasses.asdict(bound) | met
-    learnt = {"L": LEARNING_GAIN, "alpha": ALPHA, "theta_hat_at_start": [0.0, 0.0]}
+    learnt = {"L": study.LEARNING_GAIN, "alpha": study.ALPHA, "theta_hat_at_start": [0.0, 0.0]}
     for result in results:
         e = result.experiment
         figures[f"fig{e.figure}"] = {
@@ -74,7 +65,8 @@ def summary(
             "agrees_with_paper": result.agrees_with_paper,
             **({"theta_hat": result.theta_hat.tolist()} if result.theta_hat is not None else {}),
         }
-    truth = {"lengths": LENGTHS, "object_mass": OBJECT_MASS, "camera": _camera(CAMERA)}
+    truth: dict[str, Any] = {"lengths": study.LENGTHS, "object_mass": study.OBJECT_MASS}
+    truth["camera"] = _camera(study.CAMERA)
     setting = dataclasses.asdict(setup)
     return {"study": "paper", "setup": setting, "truth": truth, "figures": figures}
 
@@ -83,7 +75,7 @@ def _camera(camera: PlanarCamera) -> dict[str, float]:
     return {name: getattr(camera, name) for name in ("focal_length", "distance", "roll")}
 
 
-def table(results: Sequence[Reproduction], bound: JacobianBound | None) -> str:
+def table(results: Sequence[study.Reproduction], bound: study.JacobianBound | None) -> str:
     """Return the verdicts beside the paper's words, as text; first how many are the same."""
     lines: list[str] = []
     if results:
@@ -117,13 +109,13 @@ def table(results: Sequence[Reproduction], bound: JacobianBound | None) -> str:
     return "\n".join(lines).rstrip()
 
 
-def _row(result: Reproduction) -> list[str]:
+def _row(result: study.Reproduction) -> list[str]:
     e, ratios = result.experiment, [f"{r:.4f}" for r in result.error_ratios.values()]
     ends = [result.verdict, f"“{e.paper_words}”{'' if result.agrees_with_paper else ' (differs)'}"]
     return [f"{e.figure}  {e.title}", f"{result.local.max_real_eigenvalue:+.4f}", *ratios, *ends]
 
 
-def write_pages(results: Sequence[Reproduction], out: Path) -> str:
+def write_pages(results: Sequence[study.Reproduction], out: Path) -> str:
     """Write a page of each run and an index of them; return a line that says where."""
     for result in results:
         e = result.experiment
@@ -137,7 +129,7 @@ def write_pages(results: Sequence[Reproduction], out: Path) -> str:
     return f"See them move: {index}"
 
 
-def write_result(result: Reproduction, setup: Setup, truth: Robot, out: Path) -> None:
+def write_result(result: study.Reproduction, setup: study.Setup, truth: Robot, out: Path) -> None:
     """Write figN.png and .svg (task error, path in the plane, torques) and the run, figN.npz."""
     e, learns = result.experiment, result.theta_hat is not None
     gains = f"(K_p = {e.kp:g} I, K_v = {e.kv:g} I)"

@@ -11,15 +11,7 @@ import numpy as np
 
 from approxjac import controllers, tasks
 from approxjac.cameras import PlanarCamera
-from approxjac.controllers import (
-    AdaptiveGravity,
-    Controller,
-    DifferentiatedVelocity,
-    Gravity,
-    Kinematics,
-    Latency,
-    Limits,
-)
+from approxjac.controllers import AdaptiveGravity, Controller, Gravity, Kinematics, Latency, Limits
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import joined
 from approxjac.interface import TargetPath
@@ -282,7 +274,7 @@ def _law(
         gains,
         gravity=_gravity(truth, task.robot, chosen.gravity, chosen.integral_action),
         saturation=None if chosen.gamma is None else Sine(chosen.gamma),
-        velocity=None if constant is None else DifferentiatedVelocity(constant),
+        velocity=None if constant is None else controllers.DifferentiatedVelocity(constant),
         posture=posture,
         latency=latency,
         settling_time=chosen.settling_time,

@@ -19,15 +19,7 @@ from approxjac.controllers import Limits, SetpointController, TorqueLimited
 from approxjac.files import together, write_text
 from approxjac.formatting import plain, wrapped
 from approxjac.robots import Robot
-from approxjac.scenario.build import (
-    BuiltScenario,
-    build_scenario,
-    holding,
-    latency_of,
-    limits_of,
-    loaded_arm,
-    sensing_of,
-)
+from approxjac.scenario import build
 from approxjac.scenario.records import Analysis
 from approxjac.scenario.refusals import require_reportable
 from approxjac.scenario.scenario import Scenario
@@ -69,16 +61,16 @@ def prepare(scenario: Scenario) -> Study:
     """Return the study of a scenario's controller, with the errors that it may meet."""
     require_reportable(scenario)
     analysis, choice = scenario.stability, scenario.controller
-    arm, gravity = loaded_arm(scenario), choice.gravity
+    arm, gravity = build.loaded_arm(scenario), choice.gravity
     if gravity == "exact":  # eq. (9): what is compensated exactly is not felt
         arm, gravity = arm.with_gravity((0.0, 0.0, 0.0)), "none"
     # a report is of whatever target; limits come around the law that is built
     choice = replace(choice, gravity=gravity, limits="none", torque_rate=None)
-    built = build_scenario(replace(scenario, controller=choice), arm)
+    built = build.build_scenario(replace(scenario, controller=choice), arm)
     truth = _truth(arm, built, analysis)
     law = cast(SetpointController, built.law)  # tracking is refused
-    limits = limits_of(scenario, law.task.robot)
-    run, timing = scenario.run, latency_of(scenario)
+    limits = build.limits_of(scenario, law.task.robot)
+    run, timing = scenario.run, build.latency_of(scenario)
     study = Study(
         # a report looks at efforts alone
         law if limits is None else TorqueLimited(law, Limits(effort=limits.effort)),
@@ -86,7 +78,7 @@ def prepare(scenario: Scenario) -> Study:
         _region(law, analysis),
         target=analysis.target,
         latency=timing,
-        sensing=sensing_of(scenario.sensor),
+        sensing=build.sensing_of(scenario.sensor),
         duration=max(1, round(run.duration / timing.period)) * timing.period,
         accuracy=run.tolerance or fine_error(law.task.units, scenario.sensor.noise),
         seed=run.seed,
@@ -128,7 +120,7 @@ def analyse(
     return StabilityResult(scenario, study, report, tolerances, map_)
 
 
-def _truth(arm: Robot, built: BuiltScenario, analysis: Analysis) -> Uncertainty | Plant:
+def _truth(arm: Robot, built: build.BuiltScenario, analysis: Analysis) -> Uncertainty | Plant:
     ranges = [each.name for each in fields(Uncertainty) if hasattr(analysis, each.name)]
     given = {name: getattr(analysis, name) for name in ranges}
     friction, believed = built.scenario.true.friction, built.scenario.believed
@@ -141,7 +133,8 @@ def _truth(arm: Robot, built: BuiltScenario, analysis: Analysis) -> Uncertainty 
         arm = arm.with_kinematic_error(believed.shifts, believed.rotations)
     held = believed.object
     if not (analysis.object_length or analysis.object_mass or held.length or held.mass):
-        arm = holding(arm, held.like(built.scenario.true.object), {}, {})  # whose tip the law has
+        # whose tip the law has
+        arm = build.holding(arm, held.like(built.scenario.true.object), {}, {})
     make: Callable[..., Task] = task.on
     if isinstance(sensor, ImageTask):
         make = partial(_image_task, sensor, C)
