@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from approxjac.errors import InvalidInputError
-from approxjac.robots.robot import Robot
+from approxjac.robots.robot import Robot, all_frame_id
 from approxjac.robots.traced import arm_of
 from approxjac.validation import Array, as_array, as_vector, read_only, require
 
@@ -84,7 +84,7 @@ class KinematicRegressor:
 
         # with all joints on their own: Pinocchio's indices of mimic joints are their leaders'
         self._model = model = robot.mimic_joints.model
-        placed = [model.frames[self._frame_id(name)] for name in self.frames]
+        placed = [model.frames[all_frame_id(robot, name)] for name in self.frames]
         for name, each in zip(self.frames, placed, strict=True):
             if each.parentJoint == 0:
                 message = f"frame must be one that a joint moves, got {name!r} of {robot.name}"
@@ -102,6 +102,7 @@ class KinematicRegressor:
         origins = [model.jointPlacements[joint].translation for joint in joints]
         origins += [each.placement.translation for each in placed]
         self.theta = read_only(np.concatenate(origins))
+        self._nothing = np.zeros(self.p)
         self.has_offset = bool(slides.any()) or known.any()
         ends = ("tool",) if len(placed) == 1 else self.frames
         self.names = tuple(f"{part}.{axis}" for part in (*self.movers, *ends) for axis in "xyz")
@@ -205,14 +206,16 @@ class KinematicRegressor:
                 held[link] = tool
         moved: dict[str, Array] = {}  # in the axes of the link that moves
         shifts: dict[str, list[float]] = {}
-        for joint in sorted(wanted, key=self._frame_id):  # those that carry others first
+        # those that carry others first
+        for joint in sorted(wanted, key=partial(all_frame_id, self.robot)):
             parent = link = self.robot.tree.joints[joint].parent
             moved[joint] = wanted[joint]
             while link in above and above[link].type == "fixed":  # what carries it was moved, too
                 moved[joint] = moved[joint] - moved.get(above[link].name, 0.0)
                 link = above[link].parent
             if moved[joint].any():
-                shifts[joint] = list(self._placement(parent).rotation.T @ moved[joint])
+                placed = self._model.frames[all_frame_id(self.robot, parent)].placement
+                shifts[joint] = list(placed.rotation.T @ moved[joint])
         robot = self.robot.with_kinematic_error(shifts) if shifts else self.robot
         for link, tool in held.items():
             name = "tool" if len(held) == 1 else f"{link}_tool"
@@ -228,20 +231,9 @@ class KinematicRegressor:
         joints = self.robot.tree.joints
         return frame if frame in self.robot.tree.links else joints[frame].child
 
-    def _placement(self, frame: str) -> pin.SE3:
-        return self._model.frames[self._frame_id(frame)].placement
-
-    def _frame_id(self, frame: str) -> int:
-        kind = self.robot.model.frames[self.robot.frame_id(frame)].type
-        return int(self._model.getFrameId(frame, kind))
-
     @cached_property
     def _data(self) -> pin.Data:
         return self._freed.createData()
-
-    @cached_property
-    def _nothing(self) -> Array:
-        return np.zeros(self.p)
 
     def _all(self, q: Array, theta: Array) -> Array:
         """Return q and θ as the model with translations as joints has them."""

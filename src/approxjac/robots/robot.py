@@ -563,6 +563,14 @@ def own_joints(model: pin.Model) -> dict[str, Any]:
     return {name: joint for name, joint in joints if joint.nv == 1}  # a mimic joint has nv 0
 
 
+def all_frame_id(robot: Robot, frame: str) -> int:
+    """Return the index of a frame in the model in which mimic joints move on their own."""
+    if robot.mimic_joints.model is robot.model:
+        return robot.frame_id(frame)
+    kind = robot.model.frames[robot.frame_id(frame)].type
+    return int(robot.mimic_joints.model.getFrameId(frame, kind))
+
+
 def mass_matrix(mimic_joints: MimicJoints, data: pin.Data, q: Array) -> Array:
     """Return M(q) by CRBA, made symmetric, from data of the model with all joints independent.
 

@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from approxjac import law
 from approxjac.robots import Robot
+from approxjac.robots.robot import all_frame_id
 from approxjac.robots.traced import arm_of
 from approxjac.tasks.task import Feature, Task
 from approxjac.validation import Array, as_array, as_vector, axis_rows, require
@@ -60,7 +61,7 @@ class FrameKinematics:
 
     @cached_property
     def _id_in_all(self) -> int:
-        return int(self._all.getFrameId(self.frame, self._model.frames[self._id].type))
+        return all_frame_id(self.robot, self.frame)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.robot, self.frame)  # a copy has scratch memory of its own

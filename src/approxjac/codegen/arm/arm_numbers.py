@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.robots import Robot
+from approxjac.robots.robot import all_frame_id
 from approxjac.validation import Array
 
 _ROUND_OFF = 1e-15
@@ -52,14 +53,6 @@ def arm_numbers(robot: Robot, frames: Sequence[str]) -> ArmNumbers:
         np.array([each.rotation for each in placed]).reshape(-1, 3, 3),
         np.array([each.translation for each in placed]).reshape(-1, 3),
     )
-
-
-def all_frame_id(robot: Robot, frame: str) -> int:
-    """Return the index of a frame in the model in which mimic joints move on their own."""
-    if robot.mimic_joints.model is robot.model:
-        return robot.frame_id(frame)
-    kind = robot.model.frames[robot.frame_id(frame)].type
-    return int(robot.mimic_joints.model.getFrameId(frame, kind))
 
 
 class Structure(NamedTuple):
