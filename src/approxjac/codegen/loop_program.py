@@ -9,6 +9,7 @@ import pickle
 import sys
 import uuid
 from collections.abc import Mapping
+from functools import partial
 from types import FunctionType
 from typing import Any
 
@@ -115,7 +116,7 @@ class TracedLoop:
         if not plant.is_ideal:
             self.motors = Motors(*(program.kept(name, robot.nv) for name in Motors._fields))
         rests = sensing is None or plant.is_exact  # the guard does, as nothing can be wrong
-        first = controller.size if rests else len(laws.first_state(controller))
+        first = controller.size if rests else controller.whole_size
         state = program.kept("state", first)
         self._here = self.truth.at(q)
         value = tasks.value(plant.sensor, self._here, sensor)
@@ -158,10 +159,8 @@ class TracedLoop:
         def acceleration(at: Symbols, v: Symbols, torque: Symbols) -> Symbols:
             return self.truth.at(at).forward(v, torque - plant.friction_torque(v))
 
-        def motion(q: Symbols, by: Symbols) -> Symbols:
-            return moved(plant.robot, q, by)
-
-        q_end, v_end = INTEGRATORS[integrator](acceleration, motion, self.q, self.v, torque, dt)
+        motion, begins = partial(moved, plant.robot), (self.q, self.v, torque, dt)
+        q_end, v_end = INTEGRATORS[integrator](acceleration, motion, *begins)
         touched = self._touched(q_end)
         if not isinstance(touched, Scalar):
             return q_end, v_end, False

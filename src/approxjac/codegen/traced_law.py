@@ -80,15 +80,6 @@ def _with_parts(
     return copy
 
 
-def first_state(controller: Controller) -> Array:
-    """Return the state before a first step at some measurement, for its length."""
-    task, robot = controller.task, controller.task.robot
-    q = robot.neutral()
-    x = task.value(q)
-    x = np.where(np.isfinite(x), x, task.origin)
-    return controller.initial_state(Measurement(0.0, q, np.zeros(robot.nv), x, 0.0))
-
-
 def initial_state(controller: Controller, measurement: Measurement) -> Symbols:
     """Return `Controller.initial_state` of symbols."""
     own = getattr(controller, "ordinary", controller)
@@ -100,7 +91,7 @@ def argument_sizes(controller: Controller) -> dict[str, int]:
     task, robot = controller.task, controller.task.robot
     sizes = {
         "q": robot.nq, "v": robot.nv, "x": task.n_x, "target": task.n_x,
-        "state": len(first_state(controller)), "dt": 1, "t": 1, "t_x": 1,
+        "state": controller.whole_size, "dt": 1, "t": 1, "t_x": 1,
     }  # fmt: skip
     if is_ours(controller):
         sizes |= dict.fromkeys(("target_v", "target_a"), task.measured.m)

@@ -176,11 +176,15 @@ class Controller(ABC):
         x = np.where(np.isfinite(x), x, task.origin)
         return len(self.begin(Measurement(0.0, q, np.zeros(robot.nv), x, 0.0)))
 
+    @property
+    def whole_size(self) -> int:
+        """Length of the state of `initial_state`, with the memory of the guard."""
+        return self.size + (0 if self._sample_guard is None else len(self._sample_guard.first))
+
     def _own_part(self, state: Array) -> Array:
         """Return a state without the guard's memory, if it has just that."""
-        guard, n = self._sample_guard, self.size
-        whole = n + (0 if guard is None else len(guard.first))
-        return state[:n] if getattr(state, "shape", None) == (whole,) else state
+        is_whole = getattr(state, "shape", None) == (self.whole_size,)
+        return state[: self.size] if is_whole else state
 
     # -- what a law of your own writes ----------------------------------------------------------
 
