@@ -24,7 +24,6 @@ _MOST = 0.25  # of the motors' effort
 _RATE = 0.3  # of F_max that F̂ grows by in a second
 _SHARP = 0.2  # of the widest ε of all joints, which each has at least
 _STANDS, _LAGS = (1e-3, 0.05), (1.0, 0.3)  # slower than that [rad/s or m/s], and share of ν
-_UNITS = {"rad": "N m", "m": "N"}
 _FALLS = 5.0  # times the added damping [1/s]
 
 
@@ -59,8 +58,8 @@ class FrictionCompensation:
 
     def parameters(self, robot: Robot) -> dict[str, str]:
         """Return names and units of F̂."""
-        joints = zip(robot.joint_names, robot.joint_units, strict=True)
-        return {f"friction of {name}": _UNITS[unit] for name, unit in joints}
+        joints = zip(robot.joint_names, robot.force_units, strict=True)
+        return {f"friction of {name}": unit for name, unit in joints}
 
     def rule(
         self, task: Task, gains: Diagonals, alpha: float, weight: Array | None, learns: bool

@@ -94,10 +94,9 @@ class Friction:
     def scaled(self, factor: float) -> Self:
         """Return this friction times a factor ≥ 0, without what static friction is more."""
         factor = as_number("factor", factor, minimum=0.0)
-        viscous, dry, load = (
-            factor * np.asarray(each) for each in (self.viscous, self.coulomb, self.load)
-        )
-        return replace(self, viscous=viscous, coulomb=dry, load=load, stribeck=1.0)
+        own = ("viscous", "coulomb", "load")
+        scaled: Any = {name: factor * np.asarray(getattr(self, name)) for name in own}
+        return replace(self, stribeck=1.0, **scaled)
 
     def of(self, nv: int) -> Self:
         """Return it with an array (n_v,) for each that may be a number, checked."""

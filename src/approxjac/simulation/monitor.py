@@ -47,7 +47,6 @@ _UPRIGHT = math.cos(math.radians(50.0))  # from which on a force may be a weight
 _MEETS = 0.01  # m/s, of a tip that meets something
 _ENDS = 0.15  # s, without a disturbance
 _ABSORBED = 1.5  # s, after which what lasts is taken for a load
-_TORQUE = {"rad": "N m", "m": "N"}
 _HALF_WAVES = 6  # that are much alike
 _ALIKE = 1.7  # times by which the lengths of two waves may differ
 _LASTS, _KEEPS = 0.25, 0.75  # s, for which it swings at least, and what is left of it then
@@ -405,7 +404,7 @@ class Monitor:
     def _weak_motor(self, j: int, share: float, torque: float) -> None:
         gives = "nothing" if share > _DEAD else f"{100.0 * (1.0 - share):.0f} %"
         what = "turns the wrong way, with" if share > 1.0 + _WEAK else f"gives {gives} of"
-        figure = f"it {what} {torque:.3g} {_TORQUE[self._robot.joint_units[j]]}"
+        figure = f"it {what} {torque:.3g} {self._robot.force_units[j]}"
         joint = self._robot.joint_names[j]
         self._note("motor", Condition.MOTOR_WEAK, self._since, joint, figure)
 

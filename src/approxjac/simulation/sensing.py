@@ -84,15 +84,12 @@ class Sensing:
         others = (self.x_noise, self.x_quantum, self.x_dropout, self.q_noise, self.q_quantum)
         return not any(np.any(value) for value in others)
 
-    def sizes(self, task: Task) -> tuple[Array, Array, Array, Array]:
+    def sizes(self, task: Task) -> tuple[Array, ...]:
         """Return noise and quantum of a task's x (m,), noise and quantum of q (n_v,)."""
-        m, nv = task.m, task.robot.nv
-        return (
-            as_diagonal("x_noise", self.x_noise, m, positive=False),
-            as_diagonal("x_quantum", self.x_quantum, m, positive=False),
-            as_diagonal("q_noise", self.q_noise, nv, positive=False),
-            as_diagonal("q_quantum", self.q_quantum, nv, positive=False),
-        )
+        sizes = {"x_noise": task.m, "x_quantum": task.m}
+        sizes |= dict.fromkeys(("q_noise", "q_quantum"), task.robot.nv)
+        given = ((name, getattr(self, name), size) for name, size in sizes.items())
+        return tuple(as_diagonal(*each, positive=False) for each in given)
 
 
 class SensorReadings:
