@@ -9,22 +9,12 @@ from types import SimpleNamespace
 
 from approxjac.errors import InvalidInputError
 from approxjac.files import read_text, write_text
+from approxjac.scenario import records
 from approxjac.scenario.convert import Table, checked, differences, filled, to_toml
-from approxjac.scenario.records import (
-    Analysis,
-    Belief,
-    ControllerChoice,
-    LoopRecord,
-    Object,
-    Run,
-    Sensor,
-    TaskChoice,
-    Truth,
-)
 
 _MOST_TEXT = 1_000_000  # bytes of a file
-_ANY = Object(float("nan"), float("nan"))  # which equals no other: a file always says what is held
-_UNSAID = {"true": Truth(object=_ANY), "believed": Belief(object=_ANY)}
+_ANY = records.Object(float("nan"), float("nan"))  # which equals no other: files say what is held
+_UNSAID = {"true": records.Truth(object=_ANY), "believed": records.Belief(object=_ANY)}
 
 
 @dataclass(frozen=True)
@@ -60,14 +50,14 @@ class Scenario:
     tip: str | None = None
     base: str | None = None
     free: tuple[str, ...] = ()
-    true: Truth = Truth()
-    believed: Belief = Belief()
-    task: TaskChoice = TaskChoice()
-    sensor: Sensor = Sensor()
-    controller: ControllerChoice = ControllerChoice()
-    loop: LoopRecord = LoopRecord()
-    run: Run = Run()
-    stability: Analysis = Analysis()
+    true: records.Truth = records.Truth()
+    believed: records.Belief = records.Belief()
+    task: records.TaskChoice = records.TaskChoice()
+    sensor: records.Sensor = records.Sensor()
+    controller: records.ControllerChoice = records.ControllerChoice()
+    loop: records.LoopRecord = records.LoopRecord()
+    run: records.Run = records.Run()
+    stability: records.Analysis = records.Analysis()
 
     def __post_init__(self) -> None:
         given = {field.name: getattr(self, field.name) for field in fields(self)}
