@@ -19,17 +19,11 @@ from approxjac.law import Sine
 from approxjac.paths import Circle, Line, Waypoints
 from approxjac.robots import Drives, Friction, GravityRegressor, Robot, load_robot
 from approxjac.robots.urdf import OBJECT_RADIUS
+from approxjac.scenario import starts
 from approxjac.scenario.image_setup import image_scene
 from approxjac.scenario.records import Numbers, Object, Sensor, Tracker, Vectors
 from approxjac.scenario.refusals import require_effect
 from approxjac.scenario.scenario import Scenario
-from approxjac.scenario.starts import (
-    configuration_of,
-    numbers,
-    regular_configuration,
-    straight_ahead,
-    too_far,
-)
 from approxjac.simulation import MujocoPlant, Plant, Sensing
 from approxjac.tasks import CombinedTask, ImageTask, PositionTask, Task
 from approxjac.tasks.analysis import with_error
@@ -67,7 +61,7 @@ class BuiltScenario:
             times = np.linspace(0.0, self.scenario.run.duration, _INSTANTS)
             target = np.array([target.at(t).x for t in times])
         for whose, task in (("believed", self.law.task), ("true", self.plant.sensor)):
-            if far := too_far(task, np.atleast_2d(target)):
+            if far := starts.too_far(task, np.atleast_2d(target)):
                 return f"for the {whose} arm the target is {far}"
         return ""
 
@@ -117,12 +111,12 @@ def build_scenario(
     else:
         sensor, task = _tasks(truth, belief, scenario)
         plant = _plant(truth, sensor, motors, scenario, belief)
-        draw = partial(regular_configuration, sensor, task, rng, motors)
+        draw = partial(starts.regular_configuration, sensor, task, rng, motors)
         if isinstance(start := scenario.run.start, tuple):
-            q0 = configuration_of(truth, "run.start", start)
+            q0 = starts.configuration_of(truth, "run.start", start)
         else:
             q0 = plant.ready_configuration() if start is None else draw()
-        goal = draw if start == "random" else partial(straight_ahead, sensor, q0, draw)
+        goal = draw if start == "random" else partial(starts.straight_ahead, sensor, q0, draw)
         target = _target(sensor, q0, scenario, goal)
     kinematics = _kinematics(scenario, task) if chosen.unknown else None
     law = controller = _law(scenario, task, truth, q0, kinematics)
@@ -177,7 +171,7 @@ def _target(
         raise InvalidInputError(message, given=goal)
 
     def coordinates(name: str, values: Numbers, count: int = sensor.m) -> Array:
-        return numbers(f"run.target.{name}", values, count, joined(sensor.units))
+        return starts.numbers(f"run.target.{name}", values, count, joined(sensor.units))
 
     if line.offset is not None:
         return Line(start, start + coordinates("line.offset", line.offset), line.duration)
@@ -194,7 +188,7 @@ def _target(
         return sensor.displaced(start, coordinates("offset", goal.offset))
     if goal.configuration is not None:
         name = "run.target.configuration"
-        return sensor.value(configuration_of(sensor.robot, name, goal.configuration))
+        return sensor.value(starts.configuration_of(sensor.robot, name, goal.configuration))
     if goal.at is None:
         return sensor.value(draw())
     if isinstance(sensor, ImageTask) and "px" in sensor.units:  # a target has no depths
