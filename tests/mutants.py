@@ -1520,8 +1520,8 @@ MUTANTS = [
     ),
     (
         "border of an image on its side", "view/browser/page.py",
-        "border = [-0.5, -0.5, width - 0.5, height - 0.5]",
-        "border = [-0.5, -0.5, height - 0.5, width - 0.5]",
+        "*(side - 0.5 for side in size)",
+        "*(side - 0.5 for side in reversed(size))",
         "tests/view/browser/test_stage.py",
     ),
     (
