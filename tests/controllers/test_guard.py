@@ -326,6 +326,62 @@ def test_an_x_that_is_refused_for_long_ends_in_a_stop():
     assert brief.statuses[-1] is aj.Status.OK
 
 
+def answers(law, samples, dt):
+    """Return the answers to samples (q, q̇, by how much the clock and x are off)."""
+    told, state = [], None
+    for k, (q, v, clock, off) in enumerate(samples):
+        now = PLANT.measure(k * dt, q, np.zeros(7))
+        now = now._replace(t=now.t + clock, v=v, x=now.x + off, t_x=None)
+        state = law.initial_state(now) if state is None else state
+        state, answer = law.step(state, now, GOAL, dt)
+        told.append(answer)
+    return told
+
+
+STILL, LOST = (START, np.zeros(7), 0.0, 0.0), (START, np.full(7, np.nan), 0.0, 0.0)
+
+
+def test_no_more_than_20_ms_are_bridged_however_long_a_period_is():
+    told = answers(CONTROLLERS["law"], [STILL] * 5 + [LOST] * 3, 8e-3)
+    assert [each.status for each in told[5:]] == [aj.Status.JOINTS_UNKNOWN] * 2 + [
+        aj.Status.STOPPED
+    ]
+
+
+@pytest.mark.parametrize("dt", [1e-3, 4e-3])
+def test_how_long_an_x_is_refused_is_counted_in_seconds(dt):
+    off = *STILL[:3], 0.5
+    told = answers(CONTROLLERS["law"], [STILL] * 5 + [off] * round(0.3 / dt), dt)
+    refused = [each.status for each in told].count(aj.Status.SENSOR_JUMPED)
+    assert 0.25 <= (refused + 1) * dt <= 0.25 + 3.0 * dt
+
+
+def test_a_stop_holds_the_arm_where_it_began_whatever_joints_had_drifted_by():
+    """While q creeps and q̇ is zero, the last moments of both differ; in a stop that is over."""
+    law, creep = CONTROLLERS["law"], [START + 1e-4 * k for k in range(10)]
+    held = creep[-1]
+    samples = [(q, np.zeros(7), 0.0, 0.0) for q in creep]
+    samples += [(held, np.full(7, np.nan), 0.0, 0.0)] * 6 + [(held, np.zeros(7), 0.0, 0.0)] * 3
+    told = answers(law, samples, DT)
+    assert [each.status for each in told[:10]] == [aj.Status.OK] * 10
+    assert {each.status for each in told[-4:]} == {aj.Status.STOPPED}
+    for each in told[-4:]:
+        np.testing.assert_allclose(each.torque, each.gravity, atol=1e-9)
+
+
+@pytest.mark.parametrize("clock", [-10.0, 10.0])
+def test_a_stop_damps_the_arm_though_its_clock_stays_wrong(clock):
+    law, v = CONTROLLERS["law"], np.full(7, 0.05)
+    samples = [(START + k * DT * v, v, clock * (k >= 10), 0.0) for k in range(40)]
+    if clock > 0.0:  # what stops is that q̇ is lost; then the clock jumps
+        samples[10:20] = [(q, np.nan * v, 0.0, 0.0) for q, *_ in samples[10:20]]
+        samples[20] = (samples[20][0] + 0.5, *samples[20][1:])  # to a q that no motion explains
+    told = answers(law, samples, DT)
+    assert {each.status for each in told[20:]} == {aj.Status.STOPPED}
+    braked = np.array([each.torque - each.gravity for each in told[25:]])
+    assert (braked @ v < 0.0).all()
+
+
 def test_without_a_guard_a_bad_sample_reaches_the_law():
     law = CONTROLLERS["limited"].guarded(None)
     found = Loop(law, 0.3, "wrap", 1)
