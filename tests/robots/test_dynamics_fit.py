@@ -76,9 +76,10 @@ def test_a_recording_tells_friction_and_payload(name, payload):
     assert f"payload {fit.payload:.3g}" in str(fit)
 
 
-def test_it_is_what_a_law_begins_with():
-    friction = Friction(0.3, 1.0)
-    fit = fit_dynamics(*recorded("ur5", 0.0, friction, 10.0)[:3], DT)
+@pytest.mark.parametrize("every", [1, 10])  # smoothing is in seconds, not in rows
+def test_it_is_what_a_law_begins_with(every):
+    arm, q, tau, _ = recorded("ur5", 0.0, Friction(0.3, 1.0), 10.0)
+    fit = fit_dynamics(arm, q[::every], tau[::every], every * DT)
     law = aj.controllers.FrictionCompensation(fit.friction)
     assert_allclose(law.known.coulomb, 1.0, rtol=0.1)
     assert (fit.friction_sd > 0.0).all()

@@ -10,6 +10,7 @@ from approxjac.robots import Drives, Friction
 from approxjac.robots.drives import usual_inertia
 from approxjac.simulation import Computation, VelocityServo
 from approxjac.simulation.plant import rk4
+from approxjac.simulation.transmission import Motors
 
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 # a mass on a rail, so that all has a closed form
@@ -123,6 +124,26 @@ def test_ripple_is_a_sine_of_the_motors_angle(rail):
     assert v[0] == pytest.approx(1e-5 * 0.6 * np.sin(40.0 * 0.02) / 3.0, rel=1e-6)
 
 
+def test_ripple_turns_with_the_motor_and_not_with_its_link(rail):
+    drives = Drives(1.0, 1e-6, damping_ratio=0.0, ripple=0.6, ripple_count=40.0)
+    plant, none = aj.Plant(rail, drives=drives), np.zeros(1)
+    motors = Motors(np.array([0.02]), none, none, none)
+    _, v, motors = moved(plant, none, [0.0], 1e-5, 1e-5, motors=motors)[-1]
+    assert motors.rate[0] == pytest.approx(1e-5 * 0.6 * np.sin(40.0 * 0.02), rel=1e-6)
+    assert abs(v[0]) < 1e-12
+
+
+def test_motors_know_by_how_much_a_stop_has_changed_their_speed(panda):
+    """Coriolis forces in the middle of the next step are by it."""
+    plant = aj.Plant(panda, drives=Drives(0.1, 1e4))
+    q, v = START.copy(), np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    q[3] = panda.position_limits[1][3] - 1e-5
+    motors = plant.motors_at(q)._replace(rate=v)
+    _, v_end, after = plant.advance(q, v, plant.dynamics.g(q), 1e-3, rk4, motors)
+    assert v_end[3] < 0.9
+    assert_allclose(after.change, v_end - v, atol=1e-14)
+
+
 def test_encoders_are_where_they_are_said_to_be(panda):
     law = aj.SetpointController(aj.PositionTask(panda))
     seen = {}
@@ -163,6 +184,12 @@ def test_a_sliding_joint_stops_at_the_instant_of_the_closed_form_and_stays(rail)
     exact = np.maximum((1.0 + 3.0 / 0.8) * np.exp(-0.8 / MASS * t) - 3.0 / 0.8, 0.0)
     assert_allclose(v, exact, atol=2e-3)
     assert (v[t > ends + 2e-3] == 0.0).all()
+
+
+def test_a_share_of_friction_has_no_more_of_it_at_rest():
+    half = Friction(2.0, [4.0, 6.0], stribeck=1.3, load=0.1).scaled(0.5)
+    assert_array_equal(half.coulomb, [2.0, 3.0])
+    assert (half.viscous, half.load, half.stribeck) == (1.0, 0.05, 1.0)
 
 
 def test_friction_grows_with_the_load(panda):
