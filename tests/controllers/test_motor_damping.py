@@ -8,7 +8,12 @@ from scipy.linalg import expm
 import approxjac as aj
 from approxjac import law
 from approxjac.codegen.step import compiled
-from approxjac.controllers import AdaptiveDynamics, KnownKinematics, TrackingGains
+from approxjac.controllers import (
+    AdaptiveDynamics,
+    KnownKinematics,
+    ModelDynamics,
+    TrackingGains,
+)
 from approxjac.controllers.gains.motors import (
     integral_rate,
     largest_rate,
@@ -117,6 +122,24 @@ def test_the_gain_at_a_motor_is_within_what_it_allows(task, rng):
     # with αM̂ of the reference acceleration, which the posture's rate may add to
     felt = np.linalg.eigvals(gain / np.sqrt(most[:, None] * most)).real.max()
     assert felt < 1.2
+
+
+def test_the_damping_of_an_arm_with_unknown_rotors_is_symmetric_and_within_it(task, rng):
+    """K_σ alone, by differences of the torque: nearly without α, n₀ and what is learnt."""
+    controller = aj.TrackingController(
+        task, latency=LATE, kinematics=KnownKinematics(task), dynamics=ModelDynamics(task.robot),
+        gains=TrackingGains(alpha=1e-6, self_motion=0.0),
+    )  # fmt: skip
+    q, state = task.robot.random_configuration(rng), np.zeros(controller.n_state)
+    x = task.value(q)
+    K = np.array([
+        controller.advance(state, aj.Measurement(0.0, q, -1e-4 * way, x, 0.0), x, 1e-3)[1].torque
+        - controller.advance(state, aj.Measurement(0.0, q, 1e-4 * way, x, 0.0), x, 1e-3)[1].torque
+        for way in np.eye(7)
+    ]) / 2e-4  # fmt: skip
+    assert_allclose(K, K.T, atol=1e-5 * np.abs(K).max())
+    most = motor_damping(task.robot, LATE, None, integral_rate(LATE))
+    assert np.linalg.eigvalsh(K / np.sqrt(most[:, None] * most)).max() < 1.0
 
 
 def test_constants_are_learnt_as_an_integral_that_the_lag_bears(task):
