@@ -783,6 +783,21 @@ def test_a_first_x_that_is_lost_starts_no_law_that_differentiates_it(in_c_of):
         np.testing.assert_allclose(in_c.init(seen), controller.initial_state(seen))
 
 
+@needs_compiler
+def test_with_a_rate_of_torque_it_begins_with_what_carries_the_arm(tmp_path):
+    arm = aj.load_robot("two_link")
+    law = aj.TorqueLimited(law_6(arm), aj.Limits(rate=10.0))
+    in_c, (task, dt) = InC(law, tmp_path), (law.task, 1e-3)
+    q, still = np.array([0.2, 0.5]), np.zeros(2)
+    now, carried = Measurement(0.0, q, still, task.value(q)), law.gravity_torque(np.zeros(0), q)
+    assert np.abs(carried).min() > 1.0
+    target = now.x + 0.05
+    _, _, answer = in_c.step(in_c.init(now), *now[1:4], target, dt)
+    expected = law.step(law.initial_state(now), now, target, dt)[1]
+    np.testing.assert_allclose(answer["torque"], expected.torque, atol=1e-9)
+    np.testing.assert_allclose(np.abs(answer["torque"] - carried), 10.0 * dt)
+
+
 def learning(arm):
     return aj.AdaptiveKinematics(aj.PositionTask(arm), unknown=("tool",))
 

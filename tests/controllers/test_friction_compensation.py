@@ -111,6 +111,14 @@ def test_the_torque_without_friction_learnt_is_that_of_the_law():
     )
 
 
+def test_no_more_is_told_of_friction_than_may_act():
+    task = aj.PositionTask(aj.load_robot("ur5"))
+    q = task.robot.neutral()
+    at = aj.Measurement(0.0, q, np.zeros(6), task.value(q))
+    told = setpoint(task, friction=FrictionCompensation(Friction(coulomb=5.0), most=3.0))
+    assert told.learnt(told.begin(at))[-6:].tolist() == [3.0] * 6
+
+
 def test_its_numbers_have_names_and_outlive_a_run():
     task = aj.PositionTask(aj.load_robot("panda"))
     rubs = setpoint(task, friction=FrictionCompensation())
