@@ -316,6 +316,20 @@ def test_a_compiled_run_is_that_of_python(panda, kind, dt):
     assert np.abs(ours.v).max() > 0.1
 
 
+def test_a_compiled_run_of_springs_at_a_stop_is_that_of_python(panda):
+    plant, q = aj.Plant(panda, **KINDS["springs"]), START.copy()
+    q[3] = panda.position_limits[0][3] + 0.01
+    law, goal = aj.SetpointController(aj.PositionTask(panda)), plant.sensor.value(q) - [0.4, 0, 0]
+    ours, theirs = (
+        aj.simulate(plant, law, goal, q, 0.2, dt=1e-3, computation=Computation(engine=engine))
+        for engine in ("python", "compiled")
+    )
+    assert theirs.engine == "machine code"
+    assert list(ours.at_stops) == ["panda_joint4"]
+    for name in ("q", "v", "twist", "motor_v"):
+        assert_allclose(getattr(theirs, name), getattr(ours, name), atol=1e-10)
+
+
 @pytest.mark.study
 @pytest.mark.parametrize(
     "kind",
