@@ -60,7 +60,7 @@ def test_a_command_that_breaks_off_leaves_the_files_of_the_one_before(tmp_path, 
     main(words)
     kept = {path: path.read_bytes() for path in tmp_path.iterdir()}
     assert {path.name for path in kept} == {
-        "run.png", "run.svg", "run.npz", "summary.json", "scenario.toml"
+        "run.png", "run.svg", "run.npz", "summary.json", "scenario.toml", "kinematics.txt"
     }  # fmt: skip
 
     def full(*_):

@@ -378,6 +378,6 @@ def test_the_tracking_law_keeps_its_reach_of_speed():
         e = far * np.array([0.6, 0.0, -0.8])
         answer = law.step(law.initial_state(now), now, x - e, 1e-3)[1]
         u = task.jacobian(q) @ answer.reference
-        k = 4.0 / 0.5
-        assert_allclose(u, -4.0 * e / math.sqrt(1.0 + (k * far) ** 2), atol=1e-9)
+        k = law.alpha / 0.5
+        assert_allclose(u, -law.alpha * e / math.sqrt(1.0 + (k * far) ** 2), atol=1e-9)
         assert np.linalg.norm(u) <= 0.5

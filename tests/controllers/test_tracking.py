@@ -495,6 +495,34 @@ def test_velocity_commands_stay_within_limits(panda):
 
 
 @pytest.mark.parametrize(
+    ("name", "filtered", "late"),
+    [
+        ("z1", 2e-3, 5e-3),
+        *(
+            pytest.param(*case, marks=pytest.mark.study)
+            for case in (("panda", 5e-3, 2e-3), ("ur10", 2e-3, 5e-3), ("xarm7", 8e-3, 1e-3))
+        ),
+    ],
+)
+def test_a_lag_of_rigid_joints_slows_what_is_learnt(name, filtered, late):
+    """Learning at twice κ throws each of these arms."""
+    arm = aj.load_robot(name)
+    truth, belief = arm.with_object(0.2, 0.5, axis="x"), arm.with_object(0.0)
+    sensing = aj.Sensing(velocity_filter=filtered)
+    plant = aj.Plant(truth, sensing=sensing, actuator_delay=late)
+    latency = aj.Latency(velocity_filter=filtered, torque_delay=late)
+    rigid = aj.robots.Drives()
+    law = aj.TrackingController(aj.PositionTask(belief), latency=latency, drives=rigid)
+    q0 = plant.ready_configuration()
+    x_d = plant.sensor.value(q0) + [0.1, -0.15, 0.1]
+    run = aj.simulate(plant, law, x_d, q0, 4.0)
+    assert run.error_norm[run.t > 3.8].max() < 1e-3
+    assert np.abs(run.v[run.t > 3.0]).max() < 0.5
+    assert all(event.end < 2.0 for event in run.events)
+    assert f"{latency.of_velocity:.2g} s taken for granted" in str(law)
+
+
+@pytest.mark.parametrize(
     ("lag", "delay"),
     [
         (0.03, 0.008),

@@ -25,7 +25,7 @@ FAR = {"start": HOME, "target": {"offset": (0.3, -0.4, 0.3)}}
 
 @pytest.fixture(scope="module")
 def done():
-    return run_scenario(reach(run={**NEAR, "duration": 6.0}))
+    return run_scenario(reach(run={**NEAR, "duration": 6.0}, controller={"law": "setpoint"}))
 
 
 def test_truth_and_belief_are_two_robots_that_differ_as_the_scenario_says():

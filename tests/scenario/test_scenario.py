@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import approxjac as aj
-from approxjac.scenario import Scenario, build_scenario
+from approxjac.scenario import Scenario, build_scenario, recommended
 from approxjac.scenario.convert import hints
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "examples" / "scenarios").glob("*.toml"))
@@ -122,3 +122,30 @@ def test_what_is_wrong_is_told_by_its_key(given, text):
     with pytest.raises(aj.errors.ApproxJacError, match=text) as caught:
         Scenario("panda", **given) if "tru" not in given else Scenario("panda").with_values(given)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("parts", "law"),
+    [
+        ({}, "tracking"),
+        ({"task": {"kind": "pose"}, "true": {"drives": "usual"}}, "tracking"),
+        ({"controller": {"limits": 0.5}}, "tracking"),
+        ({"controller": {"law": "setpoint"}}, "setpoint"),
+        ({"controller": {"kp": 100.0}}, "setpoint"),
+        ({"controller": {"gravity": "exact"}}, "setpoint"),
+        ({"controller": {"unknown": ["tool"]}}, "setpoint"),
+        ({"true": {"tracker": {"rotation": (0.0, 0.0, 0.1)}}}, "setpoint"),
+        ({"task": {"kind": "image"}}, "setpoint"),
+        ({"loop": {"dt": "continuous"}, "controller": {"limits": "none"}}, "setpoint"),
+    ],
+)
+def test_a_simulation_tracks_unless_it_asks_for_what_is_the_set_point_laws(parts, law):
+    scenario = Scenario("panda", **parts)
+    chosen = recommended(scenario)
+    assert chosen.controller.law == law
+    assert chosen.controller.unknown == (
+        ("tool", "origins") if law == "tracking" else scenario.controller.unknown
+    )
+    assert recommended(chosen) == chosen
+    assert isinstance(build_scenario(scenario).law, aj.SetpointController)
+    assert (type(build_scenario(chosen).law) is aj.TrackingController) == (law == "tracking")

@@ -186,12 +186,6 @@ def test_a_sliding_joint_stops_at_the_instant_of_the_closed_form_and_stays(rail)
     assert (v[t > ends + 2e-3] == 0.0).all()
 
 
-def test_a_share_of_friction_has_no_more_of_it_at_rest():
-    half = Friction(2.0, [4.0, 6.0], stribeck=1.3, load=0.1).scaled(0.5)
-    assert_array_equal(half.coulomb, [2.0, 3.0])
-    assert (half.viscous, half.load, half.stribeck) == (1.0, 0.05, 1.0)
-
-
 def test_friction_grows_with_the_load(panda):
     """Joint 2 carries the arm: it stands beside more torque than its Coulomb friction."""
     g = aj.Plant(panda).dynamics.g(START)
@@ -413,9 +407,6 @@ def test_usual_joints_grow_with_the_motors(panda):
     assert_allclose(drives.rotor_inertia, 5e-3 * panda.effort_limits)
     assert_allclose(drives.stiffness, 100.0 * panda.effort_limits)
     assert_allclose(rubs.coulomb, 0.05 * panda.effort_limits)
-    half = rubs.scaled(0.5).of(7)
-    assert_allclose(half.coulomb, 0.025 * panda.effort_limits)
-    assert half.stribeck == 1.0
     without = aj.Robot(RAIL.replace('effort="100"', 'effort="0"'), tip="cart")
     assert np.isfinite(Drives.usual(without).rotor_inertia).all()
     assert (np.asarray(Drives.usual(without).rotor_inertia) > 0.0).all()

@@ -49,7 +49,7 @@ def main(arguments: list[str] | None = None) -> int:
     sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # a terminal that cannot show λ shows "?"
-    warnings.showwarning = _warned
+    warnings.showwarning = lambda message, *_, **__: _complain(message)  # type: ignore[assignment]
     try:
         return _flushed(_run(arguments or ["--help"]))
     except KeyboardInterrupt:
@@ -112,11 +112,6 @@ def _complain(message: object) -> int:
     with suppress(OSError):  # of a stderr that nobody reads, or that is full
         print(f"approxjac: {message}", file=sys.stderr, flush=True)
     return 2
-
-
-def _warned(message: Warning | str, *_: object, **__: object) -> None:
-    """Print a warning without the place in the code that Python puts before it."""
-    _complain(message)
 
 
 def _flushed(code: int) -> int:

@@ -32,7 +32,7 @@ def simulate(
         port: Port of the page with --view on this machine; 7007 by default, or any free one.
         out: Folder for the pictures, run.npz, summary.json and scenario.toml.
     """
-    from approxjac.scenario import build_scenario, run_scenario
+    from approxjac.scenario import build_scenario, recommended, run_scenario
     from approxjac.scenario import outcome as report
 
     for name, value in (("speed", speed), ("port", port)):
@@ -41,7 +41,7 @@ def simulate(
             raise InvalidInputError(message, given=value)
     if view and scenario.loop.dt == "continuous":  # what is shown are steps
         scenario = scenario.with_values({"loop": {"dt": 1e-3}})
-    built = build_scenario(scenario)
+    built = build_scenario(recommended(scenario))
     make_folder(out)
     if built.warning:
         print(f"approxjac: warning: {built.warning}", file=sys.stderr)

@@ -64,11 +64,16 @@ from approxjac.validation import (
 
 _OK, _SINGULAR = Status.OK, Status.NEAR_SINGULAR  # members of an enum are slow to look up
 _PREDICTED, _UNPREDICTED, _LOST = Status.PREDICTED, Status.NOT_PREDICTED, Status.MEASUREMENT_LOST
-_ALPHA, _KAPPA = 4.0, 60.0  # [1/s]
+_ALPHA, _SERVO_ALPHA, _KAPPA = (
+    6.0,
+    4.0,
+    60.0,
+)  # α, that of a robot's own servo, which lags, and κ [1/s]
 _STEADY = 0.25  # κ dt at most
 _ROOM = 0.5  # κ dt λ_max(M⁻¹M̂) at most
 _WITHOUT_MOTORS = 0.3  # of the integral that is within what motors may damp
 _QUICK = 2.0  # times κ, how fast a parameter may learn
+_LATE = 0.25  # over the lag, if that is felt at the links: so fast
 _SINGULAR_RATIO = 0.08  # of σ_max, below which Ĵ⁺ is damped
 _SHARE = 0.9  # of the speed limits of joints
 _SPEEDS = {"m": 0.5, "rad": 1.0}  # at which errors of a task are reduced
@@ -90,8 +95,8 @@ class TrackingGains:
     """Gains of a `TrackingController`: rates, and the speed at which large errors are reduced.
 
     Attributes:
-        alpha: α, rate at which small errors decay > 0 [1/s]. By default 4, or less where motors
-            with a lag do not allow its damping αM̂.
+        alpha: α, rate at which small errors decay > 0 [1/s]. By default 6, with velocity
+            commands 4, or less where motors with a lag do not allow its damping αM̂.
         kappa: κ, rate at which the joints follow their reference > 0 [1/s]. By default 60, or
             0.25/dt if that is less.
         self_motion: k_n, rate of the self-motion [1/s].
@@ -177,7 +182,11 @@ class TrackingController(Immutable, Controller):
         require_controllable(task)
         robot = task.robot
         require("latency", latency, (Latency, type(None)), "Latency(...) or None")
-        self.task, self.latency = task, latency
+        require("command", command, str, '"torque" or "velocity"')
+        if command not in ("torque", "velocity"):
+            message = f'command must be "torque" or "velocity", got {command!r}'
+            raise InvalidInputError(message, given=command)
+        self.task, self.latency, self.command = task, latency, command
         self.dt = dt = sampling_time(dt, None, latency)
         self.kinematics = _usual_kinematics(task, dt) if kinematics is None else kinematics
         gains = TrackingGains() if gains is None else gains
@@ -190,7 +199,7 @@ class TrackingController(Immutable, Controller):
             dynamics = AdaptiveDynamics(
                 robot,
                 rotor_inertia=_rotors(robot, latency, drives),
-                fastest=_QUICK * self.kappa,
+                fastest=self._fastest,
                 most_damping=self._most if np.isfinite(self._most).any() else None,
                 integral=self._integral,
                 friction=friction,
@@ -200,11 +209,6 @@ class TrackingController(Immutable, Controller):
         fast = _usual_speeds(task) if gains.speed is None else gains.speed
         self.speed = as_limits("speed", fast, task.m, unit="unit of the task/s")
         self._rest = RestConfiguration(task, posture, gains.self_motion)
-        require("command", command, str, '"torque" or "velocity"')
-        if command not in ("torque", "velocity"):
-            message = f'command must be "torque" or "velocity", got {command!r}'
-            raise InvalidInputError(message, given=command)
-        self.command = command
         limits = Limits.of(robot).for_joints(robot.nv)
         self.gain_values = {"alpha": self.alpha, "kappa": self.kappa}
         self._commands, self._added = None, np.zeros(robot.nv)
@@ -234,9 +238,9 @@ class TrackingController(Immutable, Controller):
     def _set_rates(
         self, gains: TrackingGains, latency: Latency | None, drives: Drives | None
     ) -> Array:
-        """Set α, κ and the learning's integral, and return the largest K_σ, (n_v,)."""
+        """Set α, κ and how fast parameters learn, and return the largest K_σ, (n_v,)."""
         robot, kappa = self.task.robot, min(_KAPPA, _STEADY / self.dt)
-        alpha = _ALPHA if gains.alpha is None else gains.alpha
+        alpha = gains.alpha or (_ALPHA if self.command == "torque" else _SERVO_ALPHA)
         lag = Latency(self.dt) if latency is None else latency
         damping, integral = np.full(robot.nv, np.inf), min(integral_rate(lag), kappa)
         if latency is not None or drives is not None:
@@ -250,8 +254,10 @@ class TrackingController(Immutable, Controller):
                 kappa = min(kappa, 0.5 / lag.of_velocity)
         self.alpha = float(alpha)
         self.kappa = kappa if gains.kappa is None else gains.kappa
+        self._fastest = _QUICK * self.kappa
         if not np.isfinite(damping).all():
             integral = min(_WITHOUT_MOTORS * integral_rate(lag), kappa)
+            self._fastest = min(self._fastest, _LATE / lag.of_velocity)
         self._integral = min(integral, self.kappa)
         return damping
 
@@ -433,7 +439,8 @@ class TrackingController(Immutable, Controller):
         parts = " and ".join(kinds).replace("adaptive", "learnt").replace("model", "known")
         first = f"tracking law, alpha {self.alpha:.4g}, kappa {self.kappa:.4g}; {parts}"
         most = ", ".join(f"{each:.3g}" for each in self._most)
-        joints = "rigid joints and no lag taken for granted"
+        late = "no lag" if self.latency is None else f"a lag of {self.latency.of_velocity:.2g} s"
+        joints = f"rigid joints and {late} taken for granted"
         if self._is_bounded:
             joints = f"damping at most {most} N m s/rad, for motors behind elastic gears"
         first += f"; {joints}" if self.command == "torque" else ""

@@ -91,13 +91,6 @@ class Friction:
         effort = usual_effort(robot)
         return cls(0.06 * effort, 0.05 * effort, stribeck=1.2, load=0.06)
 
-    def scaled(self, factor: float) -> Self:
-        """Return this friction times a factor ≥ 0, without what static friction is more."""
-        factor = as_number("factor", factor, minimum=0.0)
-        own = ("viscous", "coulomb", "load")
-        scaled: Any = {name: factor * np.asarray(getattr(self, name)) for name in own}
-        return replace(self, stribeck=1.0, **scaled)
-
     def of(self, nv: int) -> Self:
         """Return it with an array (n_v,) for each that may be a number, checked."""
         return replace(

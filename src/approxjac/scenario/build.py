@@ -238,14 +238,17 @@ def _law(
     constant = chosen.differentiator
     drives = Drives() if scenario.true.drives == "ideal" else None  # else nobody knows them
     if chosen.law == "tracking":
+        is_ideal = scenario.true.drives == "ideal"
+        is_late = latency.torque_delay + latency.velocity_filter > 0.0
         return controllers.TrackingController(
             task,
             kinematics=controllers.KnownKinematics(task) if kinematics is None else kinematics,
             dynamics=None if chosen.gravity == "learnt" else controllers.ModelDynamics(task.robot),
             dt=sampling_time(scenario),
             command=chosen.command,
-            # with joints that give way it has to know its lag
-            latency=None if scenario.true.drives == "ideal" else latency,
+            # with a lag, or joints that give way, it has to know both
+            latency=latency if is_late or not is_ideal else None,
+            drives=drives if is_late else None,
         )
     posture: controllers.Posture | controllers.AwayFromStops | None = None
     if chosen.posture_stiffness:
@@ -275,6 +278,20 @@ def _law(
         drives=drives,
         friction=_friction(scenario),
     )
+
+
+def recommended(scenario: Scenario) -> Scenario:
+    """Return a scenario whose law is chosen, as for a simulation."""
+    chosen, usual, task = scenario.controller, Scenario(scenario.robot).controller, scenario.task
+    if chosen.law is not None:
+        return scenario
+    free = {"command", "limits", "torque_rate"}  # options of both laws
+    given = {k for k, value in vars(chosen).items() if value != getattr(usual, k)} - free
+    tracks = task.kind in ("position", "pose") and scenario.true.tracker == Tracker()
+    if given or not tracks or chosen.command != "torque" or sampling_time(scenario) == 0.0:
+        return replace(scenario, controller=replace(chosen, law="setpoint"))
+    learns = replace(chosen, law="tracking", unknown=("tool", "origins"))
+    return replace(scenario, controller=learns)
 
 
 def _friction(scenario: Scenario) -> controllers.FrictionCompensation | None:

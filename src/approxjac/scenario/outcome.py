@@ -17,7 +17,7 @@ from approxjac.files import together, write_text
 from approxjac.formatting import joined, numbers_of, plain, rows, shares, wrapped
 from approxjac.interface import Condition, LimitStatus, Status
 from approxjac.robots import Dynamics
-from approxjac.scenario.build import BuiltScenario, build_scenario, sampling_time
+from approxjac.scenario.build import BuiltScenario, build_scenario, recommended, sampling_time
 from approxjac.scenario.convert import differences, typed_as
 from approxjac.scenario.records import Belief, Object, Truth
 from approxjac.scenario.scenario import Scenario
@@ -304,7 +304,7 @@ def run_scenario(
         progress: As for `simulate`.
         observer: As for `simulate`.
     """
-    built = build_scenario(scenario) if isinstance(scenario, Scenario) else scenario
+    built = build_scenario(recommended(scenario)) if isinstance(scenario, Scenario) else scenario
     run, dt = built.scenario.run, sampling_time(built.scenario)
     options: dict[str, Any] = {"dt": None, "record_every": run.duration / _CONTINUOUS_RECORDS}
     duration, integrator = run.duration, "rk4"

@@ -210,7 +210,9 @@ class ControllerChoice:
     """The law, its gains, and its limits.
 
     Attributes:
-        law: "setpoint", the paper's; or "tracking", the adaptive tracking law, for paths.
+        law: "setpoint", the paper's; or "tracking", the adaptive tracking law, for paths, too. By
+            default a simulation of position or pose tracks, with tool and origins learnt, unless
+            options are given that are the set-point law's alone; all else is set-point.
         unknown: Parts of the kinematics that are learnt from x (tool, origins, camera, offset,
             scale): then x̂ is controlled. Of an image "camera" is its pose and focal length, and
             "tool" where the points are.
@@ -234,7 +236,7 @@ class ControllerChoice:
         unseen: Largest motion for which the last x is held, m, rad or px; none by default.
     """
 
-    law: Literal["setpoint", "tracking"] = "setpoint"
+    law: Literal["setpoint", "tracking"] | None = None
     unknown: tuple[str, ...] = ()
     command: Literal["torque", "velocity"] = "torque"
     differentiator: float | None = positive(None)

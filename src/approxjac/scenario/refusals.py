@@ -49,7 +49,7 @@ def require_reportable(scenario: Scenario) -> None:
     none = "must be learnt, exact, believed or none in a report, which is of robots that add none"
     rules = [
         ("controller.unknown", True, fixed, ""),
-        ("controller.law", True, fixed, ""),
+        ("controller.law", scenario.controller.law == "tracking", fixed, ""),
         ("controller.gravity", adds, none, ""),
         ("stability.map_points", scenario.stability.map_points == 1, "must be 0 or >= 2", ""),
     ]
@@ -84,13 +84,14 @@ def _rules(scenario: Scenario) -> Iterator[Rule]:
         ("sensor.lost_part", scenario.sensor.lost is None, "needs a time in sensor.lost", "none"),
         ("true.drives", velocities, "is for a robot that takes torques", control.command),
         ("true.servo", not velocities, "needs controller.command velocity", control.command),
-        ("controller.command", not tracks, "needs controller.law tracking", control.law),
+        ("controller.command", not tracks, "needs controller.law tracking", "setpoint"),
         ("controller.torque_rate", velocities, "is of torques", control.command),
         ("controller.unseen", learns, "is of no use where x is predicted", "controller.unknown"),
     ]
     for name in _OF_SETPOINT:
-        yield f"controller.{name}", tracks, "is of the law setpoint", control.law
-    sampled = [f"controller.{name}" for name in ("law", "unknown", "torque_rate", "unseen")]
+        yield f"controller.{name}", tracks, "is of the law setpoint", "tracking"
+    sampled = [f"controller.{name}" for name in ("unknown", "torque_rate", "unseen")]
+    sampled += ["controller.law"] * tracks
     sampled += ["sensor", "loop.actuator_delay", "true.drives"]
     if control.limits != "none":
         sampled.append("controller.limits")

@@ -361,7 +361,8 @@ def write_index(folder: str | Path, title: str = "Runs to look at") -> Path:
                     named = escape(picture.info.get("Title") or path.stem.replace("_", " "))
                 shown = f'<img src="{quote(path.name)}" alt=""><b>{named}</b>'
                 entries[path] = f"<li><div>{shown}</div></li>"
-        listed = [entries[path] for path in sorted(entries, key=_natural)]
+        names = {re.sub(r"\d+", lambda n: n[0].zfill(9), path.name): path for path in entries}
+        listed = [entries[names[name]] for name in sorted(names)]  # fig10 after fig9
         parts = {"title": escape(title), "entries": "\n".join(listed)}
         parts |= {"link": COLORS["true"], "text": COLORS["neutral"]}
         index = folder / "index.html"
@@ -379,8 +380,3 @@ def _entry(path: Path, head: str) -> str:
     named = re.sub(r"\b(\w)_(\w)\b", r"\1<sub>\2</sub>", named)  # K_v, say
     line = f"<p>{text[1]}</p>" if text else ""
     return f'<li><a href="{quote(path.name)}">{picture}<b>{named}</b>{line}</a></li>'
-
-
-def _natural(path: Path) -> list[Any]:
-    """Return a key that sorts fig10 after fig9."""
-    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", path.name)]
