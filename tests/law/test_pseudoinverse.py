@@ -7,6 +7,7 @@ from numpy.testing import assert_allclose
 
 from approxjac import law
 from approxjac.law.pseudoinverse import SINGULAR_RATIO
+from approxjac.law.steps import within_null_space
 
 entries = st.floats(-1e3, 1e3).map(lambda x: round(x, 6))
 wide = st.tuples(st.integers(1, 4), st.integers(0, 4)).flatmap(
@@ -199,3 +200,14 @@ def test_the_scale_is_one_of_singular_values(m, scale):
         _, damping = law.damped_gram_solve(G, np.ones(m), scale=scale)
         assert_allclose(damping, np.sqrt(max(edge**2 - smallest**2, 0.0)))
         assert law.is_near_singular(G, scale=scale) == (smallest < edge)
+
+
+@pytest.mark.parametrize("scale", [1.0, 30.0])
+def test_what_draws_the_self_motion_fades_where_all_singular_values_vanish_together(scale, rng):
+    """By (σ_min/ε)² with ε = ratio · scale; without the scale a J of nothing would turn it."""
+    rows, pull = np.linalg.qr(rng.normal(size=(5, 2)))[0].T, rng.normal(size=5)
+    own = pull - rows.T @ rows @ pull
+    for share, left in ((2.0, 1.0), (1.01, 1.0), (0.5, 0.25), (1e-3, 1e-6), (0.0, 0.0)):
+        J = share * SINGULAR_RATIO * scale * rows
+        faded = within_null_space(pull, J, J @ J.T, SINGULAR_RATIO, scale)
+        assert_allclose(faded, left * own, atol=1e-9)

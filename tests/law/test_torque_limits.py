@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from approxjac import law
+from approxjac.law.limits import Rows
 
 ENTRY = st.floats(-10.0, 10.0, allow_subnormal=False)
 
@@ -176,3 +177,15 @@ def test_units_do_not_matter_and_a_proof_that_is_kept_costs_nothing(rng):
             assert slack == 0.0
             walked += ((clipped == torque) != (np.abs(tau) < limit)).any()
     assert walked > 20  # some joints reached or left a limit on the way
+
+
+@pytest.mark.parametrize("further", [0, 2])
+def test_bounds_of_a_share_of_the_acceleration_are_those_of_all_of_it(rng, further):
+    """Of q̈ = ρa: a keeps the rows per ρ by as much as q̈ keeps the rows, also further ones."""
+    low, high = -np.abs(rng.normal(size=(2, 3 + further))) * [[1.0], [-1.0]]
+    rows = Rows(low, high, rng.normal(size=(further, 3)) if further else None)
+    rho, a = np.array([1.0, 0.3, 0.01]), rng.normal(size=3)
+    unit = np.concatenate([rho, np.ones(further)])
+    per = rows.per(rho)
+    assert_allclose(unit * (per.of(a) - per.low), rows.of(rho * a) - rows.low)
+    assert_allclose(unit * (per.high - per.of(a)), rows.high - rows.of(rho * a))

@@ -625,6 +625,23 @@ def test_x_is_held_against_the_joints_when_it_was_taken(arm, late):
     assert (first_fault(lambda t: None) is None) is (late == 0.0)
 
 
+@pytest.mark.parametrize("jumps", [False, True])
+def test_a_late_x_is_held_against_the_joints_after_missed_states_too(jumps):
+    """Eight states are missed; an x that was taken before them jumps and is found at once."""
+    task, late = aj.PositionTask(PANDA), 0.02
+    watch, v = SensorWatch(task, DT, Accuracy(x=3e-4), np.full(3, 0.01), False), np.full(7, 0.2)
+    found = {}
+    for k in (*range(101), *range(109, 150)):
+        t, taken = k * DT, (k - 20) * DT
+        x = task.value(START + taken * v)
+        if jumps and k >= 112:
+            x = x + [0.0, 0.02, 0.0]
+        found[k] = watch.look(aj.Measurement(t, START + t * v, v, x, t - late), x)
+    named = {k: fault for k, fault in found.items() if fault is not None}
+    assert min(named, default=None) == (112 if jumps else None)
+    assert named.get(112) is (Fault.SENSOR_JUMPED if jumps else None)
+
+
 def clocked(times, read_at=None):
     """The faults that a watch finds in readings of an arm at rest, at times of its clock."""
     watch = FaultWatch(PANDA, DT, Accuracy(), PANDA.velocity_limits, 0.02, False)

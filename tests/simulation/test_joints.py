@@ -144,6 +144,19 @@ def test_motors_know_by_how_much_a_stop_has_changed_their_speed(panda):
     assert_allclose(after.change, v_end - v, atol=1e-14)
 
 
+def test_an_encoder_of_a_rigid_joint_sees_at_once_that_a_stop_has_held_it(panda):
+    """Beside elastic ones: its motor turns as its link does."""
+    rigid = np.arange(7) == 3
+    plant = aj.Plant(panda, drives=Drives(0.1, np.where(rigid, np.inf, 1e4)))
+    q, v = START.copy(), np.where(rigid, 1.0, 0.0)
+    q[3] = panda.position_limits[1][3] - 1e-5
+    motors = plant.motors_at(q)._replace(rate=v)
+    q_end, v_end, after = plant.advance(q, v, plant.dynamics.g(q), 1e-3, rk4, motors)
+    assert v_end[3] < 0.9
+    measured = plant.encoded(plant.measure(1e-3, q_end, v_end), after)
+    assert measured.v[3] == pytest.approx(v_end[3], abs=1e-14)
+
+
 def test_encoders_are_where_they_are_said_to_be(panda):
     law = aj.SetpointController(aj.PositionTask(panda))
     seen = {}

@@ -42,17 +42,21 @@ def events(
     explains=False,
     adds=None,
     way=(0.06, -0.1, -0.05),
+    exchanged=None,
 ):
     """Let a simulated arm reach for a target, and something happen to it from AT on.
 
-    The monitor is shown commands without the gravity that `adds` has.
+    The monitor is shown commands without the gravity that `adds` has; from the step `exchanged` on
+    it is one with another controller.
     """
     plant = plant or plant_with(arm, MASS)
     q = plant.ready_configuration()
     moving = MovingArm(plant, q, np.zeros(arm.nv), DT, "semi_implicit_euler", 0)
     monitor, measured = Monitor(controller, adds), moving.sense()[1]
     state, target = controller.initial_state(measured), measured.x + way
-    for _ in range(round(duration / DT)):
+    for k in range(round(duration / DT)):
+        if k == exchanged:
+            monitor = monitor.with_controller(controller)
         state, answer = controller.step(state, measured, target, DT)
         torque = answer.torque
         if happens is not None and moving.t >= AT:
@@ -209,8 +213,10 @@ def test_an_oscillation_that_stops_has_an_end(controller):
     assert_allclose(event.end, 1.5, atol=0.5)
 
 
-def test_gravity_that_the_robot_adds_is_no_push(panda, belief, controller):
-    assert events(panda, controller, adds=belief, way=(-0.3, -0.4, 0.2)) == []
+@pytest.mark.parametrize("exchanged", [None, 25, 50])
+def test_gravity_that_the_robot_adds_is_no_push(panda, belief, controller, exchanged):
+    way = (-0.3, -0.4, 0.2)
+    assert events(panda, controller, adds=belief, way=way, exchanged=exchanged) == []
 
 
 def test_a_sample_that_is_not_finite_is_passed_over(controller):

@@ -176,6 +176,16 @@ def test_a_robot_that_adds_gravity_is_led_without_gravity(panda, late):
     assert run.error_norm[-1] < 1e-3
 
 
+def test_a_run_starts_where_the_limited_motors_of_the_plant_hold_the_arm(panda):
+    """Not where those of the URDF would, which are stronger."""
+    usual = aj.Plant(panda)
+    load = np.abs(usual.dynamics.g(usual.ready_configuration()))
+    limits = np.where(load == load.max(), load, panda.effort_limits)
+    plant = aj.Plant(panda, torque_limits=limits)
+    share = np.abs(plant.dynamics.g(plant.ready_configuration())) / limits
+    assert share.max() <= 0.7 + 1e-12
+
+
 def test_gravity_direction_is_the_plants():
     robot = aj.load_robot("two_link")
     q0 = np.array([0.3, 0.4])

@@ -251,6 +251,15 @@ def test_beyond_the_fold_of_a_lens_there_is_no_image():
     assert np.isnan(cam.project(np.array([1.01 * fold, 0.0, 1.0]))).all()
 
 
+def test_far_beyond_the_fold_of_a_lens_the_jacobian_does_not_turn_over():
+    """It is that of a ray that is shown, where the lens maps one to one."""
+    bent = (0.4, 0.4, 0.04, -0.03, -0.3)
+    cam = aj.PinholeCamera(250.0, (640, 480), distortion=bent)
+    for r in ([0.0, 0.0, 1.0], [9.0, 9.0, 1.0], [9.0, -9.0, 1.0], [-9.0, 9.0, 1.0]):
+        J = cam.interaction(np.array(r))
+        assert np.linalg.det(J[:, :2]) > 0.0
+
+
 def test_errors_of_a_camera():
     cam = camera(LENSES["barrel"])
     R, p = cam.placement()

@@ -160,6 +160,16 @@ def test_with_a_depth_of_its_own_the_measured_image_counts(panda, rng):
     assert_allclose(task.jacobian(q, x), task.camera.interaction(located) @ J_e)
 
 
+def test_a_camera_on_the_arm_turns_about_where_points_are_measured(panda, rng):
+    """However wrong the believed place of a point is: image and depth tell where it is."""
+    q = panda.random_configuration(rng)
+    truth = carried(panda, q, 2, depth="measured")
+    wrong = truth.points + [[0.1, -0.05, 0.08], [-0.07, 0.02, 0.1]]
+    believed = aj.ImageTask(panda, truth.camera, points=wrong, depth="measured")
+    assert np.abs(believed.jacobian(q) - truth.jacobian(q)).max() > 1.0
+    assert_allclose(believed.jacobian(q, truth.value(q)), truth.jacobian(q), atol=1e-7)
+
+
 @pytest.mark.parametrize("depth", [0.8, "measured"])
 def test_lost_images_are_replaced_by_what_the_belief_sees(panda, rng, depth):
     q = panda.random_configuration(rng)
