@@ -208,11 +208,12 @@ def test_bad_samples_in_a_row_end_in_a_stop_of_any_law(name, kind, count):
     require_stopped(name, kind, count)
 
 
-def test_what_is_not_usual_is_believed_when_a_second_sample_shows_it():
+@pytest.mark.parametrize("joint", [0, 4, 5])
+def test_what_is_not_usual_is_believed_when_a_second_sample_shows_it(joint):
     """As where something is hit: 0.1 rad/s at once, and from then on."""
     found = Loop(CONTROLLERS["limited"], 0.1)
     state, first = found.states[-1], PLANT.measure(0.099, START, np.zeros(7))
-    law, way = CONTROLLERS["limited"], np.eye(7)[5]
+    law, way = CONTROLLERS["limited"], np.eye(7)[joint]
     told = []
     for k in range(1, 4):
         t, v = first.t + k * DT, found.v + (0.1 + 0.001 * k) * way
@@ -346,6 +347,75 @@ def test_no_more_than_20_ms_are_bridged_however_long_a_period_is():
     assert [each.status for each in told[5:]] == [aj.Status.JOINTS_UNKNOWN] * 2 + [
         aj.Status.STOPPED
     ]
+
+
+def test_one_sample_is_bridged_however_long_a_period_is():
+    told = answers(CONTROLLERS["law"], [STILL] * 5 + [LOST] + [STILL] * 3, 25e-3)
+    assert [each.status for each in told[5:]] == [aj.Status.JOINTS_UNKNOWN] + [aj.Status.OK] * 3
+
+
+@pytest.mark.parametrize(("dt", "gap"), [(1e-3, 0.03), (4e-3, 0.06), (1e-3, 0.2)])
+def test_a_clock_may_run_on_after_20_periods_or_50_ms_but_no_more(dt, gap):
+    """The larger of both: what is missed once is believed by the second sample after it."""
+    late = (*STILL[:2], gap, 0.0)
+    told = [each.status for each in answers(CONTROLLERS["law"], [STILL] * 5 + [late] * 8, dt)[5:]]
+    jumped, ok, stopped = aj.Status.CLOCK_JUMPED, aj.Status.OK, aj.Status.STOPPED
+    assert told == ([jumped] * 5 + [stopped] * 3 if gap == 0.2 else [jumped] + [ok] * 7)
+
+
+@pytest.mark.parametrize(("dt", "speed"), [(1e-3, 0.8), (4e-3, 0.4), (8e-3, 0.4)])
+def test_velocities_that_all_change_their_sign_at_once_are_refused(dt, speed):
+    """Though each alone may change as much: its noise is not known yet."""
+    v = np.full(7, speed)
+    samples = [(START + k * dt * v, -v if k == 20 else v, 0.0, 0.0) for k in range(22)]
+    told = [each.status for each in answers(CONTROLLERS["law"], samples, dt)]
+    assert told[19:] == [aj.Status.OK, aj.Status.VELOCITY_JUMPED, aj.Status.OK]
+
+
+@pytest.mark.parametrize(("ahead", "is_good"), [(0.017, True), (0.019, False), (10.0, False)])
+def test_an_x_may_be_stamped_a_period_and_10_ms_after_its_state(ahead, is_good):
+    law, dt, told = CONTROLLERS["held"], 8e-3, []
+    still = PLANT.measure(0.0, START, np.zeros(7))
+    state = law.initial_state(still._replace(t_x=0.0))
+    for k in range(6):
+        now = still._replace(t=k * dt, t_x=k * dt + (ahead if k == 4 else 0.0))
+        state, answer = law.step(state, now, GOAL, dt)
+        told.append(answer.status)
+    assert told[4] is (aj.Status.OK if is_good else aj.Status.SENSOR_JUMPED)
+    assert told[:4] == [aj.Status.OK] * 4
+
+
+def test_a_first_q_of_millions_of_turns_is_an_error():
+    far = START + 1e7 * np.eye(7)[0]
+    with pytest.raises(MeasurementError, match="a first sample must have a q"):
+        answers(CONTROLLERS["law"], [(far, np.zeros(7), 0.0, 0.0)], DT)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_first_velocity_counts_as_twice_the_fastest_at_most(side):
+    """Nothing has confirmed it yet."""
+    law, fastest = CONTROLLERS["law"], BELIEF.velocity_limits[5]
+    torques = [
+        answers(law, [(START, side * share * fastest * np.eye(7)[5], 0.0, 0.0)], DT)[0].torque
+        for share in (1.0, 2.0, 2.5, 8.0)
+    ]
+    assert np.abs(torques[1] - torques[0]).max() > 0.1
+    np.testing.assert_allclose(torques[2:], [torques[1]] * 2, rtol=1e-12)
+
+
+def test_a_change_of_torque_explains_less_and_less_for_20_ms():
+    """As it may act late; what |q̈| is usual comes on top at first and remains at last."""
+    bounds = GuardBounds([1e-3], 0.0, [1.0], np.array([10.0]), [0.1], (), 5.0, 0.02)
+    memory = GuardMemory.of(first_memory([0.0], [], bounds).tolist(), GuardMemory.ends(1, 1, 0, 0))
+    still = Sample(0.0, [0.0], [0.0], [], math.nan, [0.0], [])
+    usual = 10.0 / 128.0
+    found, pushes = [], [100.0] + 60 * [0.0]
+    for k, push in enumerate(pushes):
+        judgement = closely_judged(memory, still._replace(t=k * DT), DT, bounds)
+        memory = remembered(judgement, DT, [0.0], [push], None)
+        found.append(memory.push[0])
+    faded = (100.0 + usual) * (1.0 - DT / 0.02) ** np.arange(61)
+    np.testing.assert_allclose(found, np.maximum(faded, usual), rtol=1e-9)
 
 
 @pytest.mark.parametrize("dt", [1e-3, 4e-3])

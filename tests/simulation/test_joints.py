@@ -199,6 +199,33 @@ def test_a_sliding_joint_stops_at_the_instant_of_the_closed_form_and_stays(rail)
     assert (v[t > ends + 2e-3] == 0.0).all()
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_static_friction_is_that_of_either_direction(rail, side):
+    """F_c(1 + (s − 1) exp(−|q̇|/v_s)) at two speeds brakes the cart, whichever way it slides."""
+    friction = Friction(coulomb=4.0, stribeck=1.5, stribeck_velocity=0.1)
+    for speed in (0.05, 1.0):
+        plant = aj.Plant(rail, friction=friction)
+        v = moved(plant, np.zeros(1), [0.0], 1e-4, 1e-4, v=np.array([side * speed]))[-1][1]
+        brakes = 4.0 * (1.0 + 0.5 * np.exp(-speed / 0.1))
+        assert side * v[0] == pytest.approx(speed - 1e-4 * brakes / MASS, abs=1e-8)
+
+
+def test_oil_that_is_thick_brings_a_joint_to_rest_without_a_swing(rail):
+    """A step is many times M/B: half of it at the end of each would turn q̇ about and about."""
+    plant = aj.Plant(rail, friction=Friction(viscous=1e6), drives=Drives(rotor_inertia=0.1))
+    v = [each[1][0] for each in moved(plant, np.zeros(1), [0.0], 0.01, v=np.array([1.0]))]
+    assert 0.0 <= v[0] < 0.01
+    assert np.abs(v[1:]).max() <= 1e-4
+
+
+def test_of_an_elastic_joint_the_spring_is_the_load(rail):
+    """It carries Ma, of which friction is a share: τ = (J + (1 + l)M) a."""
+    plant = aj.Plant(rail, friction=Friction(load=0.3), drives=Drives(0.5, 1e4, damping_ratio=0.5))
+    states = moved(plant, np.zeros(1), [10.0], 0.6, 2e-4)
+    a = (states[-1][1][0] - states[1999][1][0]) / 0.2
+    assert a == pytest.approx(10.0 / (0.5 + 1.3 * MASS), rel=1e-3)
+
+
 def test_friction_grows_with_the_load(panda):
     """Joint 2 carries the arm: it stands beside more torque than its Coulomb friction."""
     g = aj.Plant(panda).dynamics.g(START)
@@ -225,10 +252,15 @@ def test_dry_friction_never_adds_energy_however_light_the_wrist(arm, dt):
     assert kinetic[-1] == 0.0  # all stand, and exactly
 
 
-def test_friction_pushes_along_no_motion_and_within_its_bound(panda, rng):
+LAST_ELASTIC = Drives(0.1, [np.inf] * 6 + [1e4])
+
+
+@pytest.mark.parametrize("drives", [None, LAST_ELASTIC], ids=["rigid", "last elastic"])
+def test_friction_pushes_along_no_motion_and_within_its_bound(panda, rng, drives):
     """Complementarity of each step: a joint that moves has all of it against it."""
     most = np.array([8.0, 6.0, 5.0, 4.0, 2.0, 2.0, 1.0])
-    plant = aj.Plant(panda, friction=Friction(0.0, coulomb=most), joint_limits=False)
+    friction = Friction(0.0, coulomb=most)
+    plant = aj.Plant(panda, friction=friction, joint_limits=False, drives=drives)
     q, v, motors = START, np.zeros(7), plant.motors_at(START)
     stood = slid = 0
     for _ in range(200):
@@ -236,11 +268,23 @@ def test_friction_pushes_along_no_motion_and_within_its_bound(panda, rng):
         q, v, motors = plant.advance(q, v, torque, 1e-3, rk4, motors)
         held = motors.held / 1e-3
         assert (np.abs(held) <= most * (1.0 + 1e-12)).all()
-        moves = v != 0.0
-        assert_allclose(held[moves], (np.sign(v) * most)[moves], rtol=1e-9)
+        moves = motors.rate != 0.0
+        assert_allclose(held[moves], (np.sign(motors.rate) * most)[moves], rtol=1e-9)
         stood, slid = stood + (~moves).sum(), slid + moves.sum()
     assert stood > 100
     assert slid > 100
+
+
+def test_friction_stays_within_its_bound_where_its_search_ends_early(panda, rng):
+    """Beside rotors that are far too light, under torques of many times the friction."""
+    most = np.array([8.0, 6.0, 5.0, 4.0, 2.0, 2.0, 1.0])
+    friction, drives = Friction(0.0, coulomb=most), Drives(0.001, 1e4)
+    plant = aj.Plant(panda, friction=friction, joint_limits=False, drives=drives)
+    q, v, motors = START, np.zeros(7), plant.motors_at(START)
+    for _ in range(300):
+        torque = plant.dynamics.g(q) + rng.uniform(-5.0, 5.0, 7) * most
+        q, v, motors = plant.advance(q, v, torque, 1e-3, rk4, motors)
+        assert (np.abs(motors.held) <= 1e-3 * most * (1.0 + 1e-12)).all()
 
 
 # -- against MuJoCo ------------------------------------------------------------------------------
