@@ -137,11 +137,21 @@ def test_a_run_is_shown_as_the_options_say(tmp_path, monkeypatch, words, expecte
 
     monkeypatch.setattr("approxjac.view.LiveView", Shown)
     monkeypatch.setattr("approxjac.scenario.run_scenario", run)
+    law = ("--controller.law", "setpoint")
     with pytest.raises(Shown) as caught:
-        main(["simulate", "two_link", "--view", *words, "--out", str(tmp_path)])
+        main(["simulate", "two_link", "--view", *words, *law, "--out", str(tmp_path)])
     assert caught.value.given == expected
     arm, usual = load_robot("two_link"), Scenario("two_link")
     assert caught.value.believed == arm.with_object(0.25, usual.believed.object.mass)
+
+
+def test_a_law_that_learns_the_length_is_shown_without_a_slider_for_it(tmp_path, monkeypatch):
+    shown = []
+    monkeypatch.setattr("approxjac.view.LiveView", lambda believe, **_: shown.append(believe))
+    assert (
+        main(["simulate", "two_link", "--view", "--duration", "0.01", "--out", str(tmp_path)]) < 2
+    )
+    assert shown == [None]
 
 
 @pytest.mark.parametrize(("words", "dt"), [([], "continuous"), (["--view"], 1e-3)])

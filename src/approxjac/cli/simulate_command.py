@@ -52,7 +52,7 @@ def simulate(
         live = LiveView(
             speed=1.0 if speed is None else speed,
             port=port,
-            believe=built.believe,
+            believe=None if built.scenario.controller.unknown else built.believe,  # or x̂ tells it
             believed_length=scenario.believed.object.length,
         )
     with time_bar(scenario.run.duration, "simulation", disable=True if view else None) as bar:
