@@ -598,6 +598,16 @@ def test_tolerance_takes_no_gravity_for_granted():
         aj.Study(controller_of(tools), tools, region).tolerance(draws=20)
 
 
+@pytest.mark.parametrize("test", ["theorem1", "matrix"])
+def test_what_fails_is_the_object_that_differs_most(weightless, box, test):
+    """Objects may be a little shorter or much longer than believed, and the longest one fails."""
+    tools = aj.Uncertainty(weightless, object_length=(0.099, 1.2), believed_length=0.1)
+    study = aj.Study(controller_of(tools), tools, box)
+    found = study.tolerance((test,), draws=4, precision=0.5, largest=2.0)[test]
+    assert found.scale < found.fails_at <= 2.0
+    assert_allclose(found.worst, tools.scaled(found.fails_at).high, rtol=1e-12)
+
+
 @pytest.mark.study
 def test_a_target_that_grown_errors_put_out_of_reach_is_where_tolerance_ends(weightless):
     tools = aj.Uncertainty(weightless, object_length=(0.0, 0.05))
