@@ -124,28 +124,32 @@ def test_what_is_wrong_is_told_by_its_key(given, text):
     assert "\n" not in str(caught.value)
 
 
+LEARNS = ("tool", "origins")
+
+
 @pytest.mark.parametrize(
-    ("parts", "law"),
+    ("parts", "law", "unknown"),
     [
-        ({}, "tracking"),
-        ({"task": {"kind": "pose"}, "true": {"drives": "usual"}}, "tracking"),
-        ({"controller": {"limits": 0.5}}, "tracking"),
-        ({"controller": {"law": "setpoint"}}, "setpoint"),
-        ({"controller": {"kp": 100.0}}, "setpoint"),
-        ({"controller": {"gravity": "exact"}}, "setpoint"),
-        ({"controller": {"unknown": ["tool"]}}, "setpoint"),
-        ({"true": {"tracker": {"rotation": (0.0, 0.0, 0.1)}}}, "setpoint"),
-        ({"task": {"kind": "image"}}, "setpoint"),
-        ({"loop": {"dt": "continuous"}, "controller": {"limits": "none"}}, "setpoint"),
+        ({}, "setpoint", LEARNS),
+        ({"controller": {"limits": 0.5}, "true": {"drives": "usual"}}, "setpoint", LEARNS),
+        ({"sensor": {"velocity_filter": 5e-3}}, "tracking", LEARNS),
+        ({"loop": {"actuator_delay": 2e-3}, "task": {"kind": "pose"}}, "tracking", LEARNS),
+        ({"run": {"target": {"circle": {"radius": 0.1}}}}, "tracking", LEARNS),
+        ({"controller": {"law": "tracking"}}, "tracking", ()),
+        ({"controller": {"law": "setpoint"}}, "setpoint", ()),
+        ({"controller": {"kp": 100.0}, "sensor": {"delay": 0.02}}, "setpoint", ()),
+        ({"controller": {"gravity": "exact"}}, "setpoint", ()),
+        ({"controller": {"unknown": ["tool"]}}, "setpoint", ("tool",)),
+        ({"true": {"tracker": {"rotation": (0.0, 0.0, 0.1)}}}, "setpoint", ()),
+        ({"task": {"kind": "image"}}, "setpoint", ()),
+        ({"loop": {"dt": "continuous"}, "controller": {"limits": "none"}}, "setpoint", ()),
     ],
 )
-def test_a_simulation_tracks_unless_it_asks_for_what_is_the_set_point_laws(parts, law):
+def test_a_simulation_takes_what_suits_most_arms_unless_it_is_told(parts, law, unknown):
     scenario = Scenario("panda", **parts)
     chosen = recommended(scenario)
-    assert chosen.controller.law == law
-    assert chosen.controller.unknown == (
-        ("tool", "origins") if law == "tracking" else scenario.controller.unknown
-    )
+    assert (chosen.controller.law, chosen.controller.unknown) == (law, unknown)
     assert recommended(chosen) == chosen
-    assert isinstance(build_scenario(scenario).law, aj.SetpointController)
-    assert (type(build_scenario(chosen).law) is aj.TrackingController) == (law == "tracking")
+    built = build_scenario(chosen)
+    assert (type(built.law) is aj.TrackingController) == (law == "tracking")
+    assert (built.controller.kinematics is not None) == (unknown != () or law == "tracking")

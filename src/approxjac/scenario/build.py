@@ -32,7 +32,7 @@ from approxjac.validation import Array
 _PLANAR_FOCAL_LENGTH = 0.05  # [m]
 _INSTANTS = 200  # of a path, that are looked at before it
 _LEAST_PIXELS = 0.05  # noise of an image that a scenario has without [px]
-_LEAST_NOISE = 1e-4  # of x that a scenario has without [m or rad]
+_LEAST_NOISE, _BENDS = 1e-4, 1e-3  # of x, also of gears that give way [m or rad]
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,16 +282,15 @@ def _law(
 
 def recommended(scenario: Scenario) -> Scenario:
     """Return a scenario whose law is chosen, as for a simulation."""
-    chosen, usual, task = scenario.controller, Scenario(scenario.robot).controller, scenario.task
-    if chosen.law is not None:
-        return scenario
-    free = {"command", "limits", "torque_rate"}  # options of both laws
-    given = {k for k, value in vars(chosen).items() if value != getattr(usual, k)} - free
-    tracks = task.kind in ("position", "pose") and scenario.true.tracker == Tracker()
-    if given or not tracks or chosen.command != "torque" or sampling_time(scenario) == 0.0:
-        return replace(scenario, controller=replace(chosen, law="setpoint"))
-    learns = replace(chosen, law="tracking", unknown=("tool", "origins"))
-    return replace(scenario, controller=learns)
+    chosen, sensor, goal = scenario.controller, scenario.sensor, scenario.run.target
+    usual = replace(type(chosen)(), limits=chosen.limits, torque_rate=chosen.torque_rate)
+    learns = scenario.task.kind in ("position", "pose") and scenario.true.tracker == Tracker()
+    if chosen != usual or not learns or sampling_time(scenario) == 0.0:
+        return replace(scenario, controller=replace(chosen, law=chosen.law or "setpoint"))
+    late = sensor.delay or sensor.rate or sensor.velocity_filter or scenario.loop.actuator_delay
+    path = goal.line.offset or goal.circle.radius or goal.waypoints.points
+    law = "tracking" if late or path else "setpoint"
+    return scenario.with_values({"controller": {"law": law, "unknown": ["tool", "origins"]}})
 
 
 def _friction(scenario: Scenario) -> controllers.FrictionCompensation | None:
@@ -327,7 +326,7 @@ def _kinematics(scenario: Scenario, task: Task) -> Kinematics:
     unknown, noise = scenario.controller.unknown, scenario.sensor.noise
     rest: dict[str, Any] = {"delay": scenario.sensor.delay, "dt": sampling_time(scenario)}
     if not isinstance(task, ImageTask):
-        noise = max(noise, _LEAST_NOISE)
+        noise = max(noise, _LEAST_NOISE if scenario.true.drives == "ideal" else _BENDS)
         return controllers.AdaptiveKinematics(task, unknown, noise=noise, angle_noise=noise, **rest)
     if isinstance(task.camera, PlanarCamera):
         noise = max(noise, _LEAST_NOISE * task.camera.magnification)

@@ -210,9 +210,9 @@ class ControllerChoice:
     """The law, its gains, and its limits.
 
     Attributes:
-        law: "setpoint", the paper's; or "tracking", the adaptive tracking law, for paths, too. By
-            default a simulation of position or pose tracks, with tool and origins learnt, unless
-            options are given that are the set-point law's alone; all else is set-point.
+        law: "setpoint", the paper's; or "tracking", the adaptive tracking law, for paths, too.
+            Unless the controller has other options, a simulation of position or pose learns tool
+            and origins, and tracks if x, q̇ or torques are late or there is a path.
         unknown: Parts of the kinematics that are learnt from x (tool, origins, camera, offset,
             scale): then x̂ is controlled. Of an image "camera" is its pose and focal length, and
             "tool" where the points are.

@@ -117,7 +117,7 @@ class Monitor:
         known = np.isfinite(robot.effort_limits) & (robot.effort_limits > 0.0)
         self._scale = np.where(known, robot.effort_limits, _EFFORT)
         self._swings = [_Swing() for _ in range(robot.nv)]
-        self._swinging = np.zeros(robot.nv, bool)
+        self._swinging, self._slid = np.zeros((2, robot.nv), bool)
         self._t: float | None = None
         self._begun, self._looked, self._moved = 0.0, 0.0, -math.inf
         self._noise, self._slow, self._shakes, self._shaken, self._impulse = np.zeros((5, robot.nv))
@@ -279,7 +279,7 @@ class Monitor:
         rest, self._M = self._rest(q, v), self._dynamics.M(q)
         momentum, torque = self._M @ v, self._impulse / h
         gained = (momentum - self._momentum) / h - torque - 0.5 * (rest + self._rate)
-        self._momentum, self._rate = momentum, rest
+        self._momentum, self._rate, self._slid = momentum, rest, self._slid | (np.abs(v) > _SLIDES)
         self._residual = self._residual + share * (gained - self._residual)
         self._smooth_torque = self._smooth_torque + share * (torque - self._smooth_torque)
         self._smooth_v = self._smooth_v + share * (v - self._smooth_v)
@@ -341,8 +341,9 @@ class Monitor:
         variance = (_MODEL * self._scale) ** 2 + rate**2 * self._M**2 @ self._noise
         variance += _INERTIA**2 * self._M**2 @ (rate * (self._v - v)) ** 2
         variance += (_TURNED * float(np.linalg.norm(speeds[3:]))) ** 2 * (J[3:] ** 2).sum(axis=0)
-        friction = np.clip(self._estimate[4 : 4 + n], 0.0, 2.0 * _FRICTION * self._scale)
-        variance += ((1.0 - np.abs(slides)) * friction) ** 2  # of a joint that stands
+        friction = np.clip(self._estimate[4 : 4 + n], 0.0, 2.0 * _FRICTION * self._scale) ** 2
+        friction += np.where(self._slid, 0.0, 0.1 * np.diag(self._P)[4 : 4 + n])  # unknown so far
+        variance += (1.0 - np.abs(slides)) ** 2 * friction  # of a joint that stands
         at_stop = self._robot.beyond_limits(q[None])[0] > -_STOP
         return H, np.where(at_stop, variance + self._scale**2, variance), J[:3], load
 
