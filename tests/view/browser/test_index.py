@@ -29,6 +29,8 @@ def test_it_links_the_pages_of_runs_in_their_order(tmp_path):
     assert "<b>Run &amp; fig9.html</b><p>error: 3 &lt; 4</p>" in text
     assert re.findall(r'<img src="(.*?)"', text) == ["fig9.png"]
     assert view.write_index(tmp_path).read_text(encoding="utf-8").count("<li>") == 5
+    (tmp_path / "unfinished.png").write_bytes(b"")  # such as of a program that was stopped
+    assert view.write_index(tmp_path).read_text(encoding="utf-8").count("<li>") == 5
     assert "script-src 'none'" in policy_of(text)
 
 

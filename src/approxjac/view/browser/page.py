@@ -11,6 +11,7 @@ import sys
 import tempfile
 import webbrowser
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from html import escape
 from importlib import resources
 from pathlib import Path
@@ -357,17 +358,16 @@ def write_index(folder: str | Path, title: str = "Runs to look at") -> Path:
             )
         for path in folder.glob("*.png"):
             if path.with_suffix(".html") not in entries:
-                with Image.open(path) as picture:
+                with suppress(OSError), Image.open(path) as picture:  # or it is none
                     named = escape(picture.info.get("Title") or path.stem.replace("_", " "))
-                shown = f'<img src="{quote(path.name)}" alt=""><b>{named}</b>'
-                entries[path] = f"<li><div>{shown}</div></li>"
+                    shown = f'<img src="{quote(path.name)}" alt=""><b>{named}</b>'
+                    entries[path] = f"<li><div>{shown}</div></li>"
         names = {re.sub(r"\d+", lambda n: n[0].zfill(9), path.name): path for path in entries}
         listed = [entries[names[name]] for name in sorted(names)]  # fig10 after fig9
         parts = {"title": escape(title), "entries": "\n".join(listed)}
         parts |= {"link": COLORS["true"], "text": COLORS["neutral"]}
-        index = folder / "index.html"
-        write_text(index, _filled("index.html", parts))
-    return index
+        write_text(folder / "index.html", _filled("index.html", parts))
+    return folder / "index.html"
 
 
 def _entry(path: Path, head: str) -> str:
