@@ -54,13 +54,14 @@ class LlvmLanes:
         width: int | None = None,  # runs per vector; by default the width of this machine's vectors
         # features of the processor to compile for; by default this one's
         features: str | None = None,
+        effort: int = 1,  # optimization level of LLVM, from 0 to 3
     ) -> None:
         llvm = package_of("fast", "llvmlite.binding")
         features = features or llvm.get_host_cpu_features().flatten()
         self.width = width or (8 if _WIDE in features else 4)
         if _WIDE in features:  # or LLVM takes two halves of each vector
             features += ",-prefer-256-bit"
-        self._code = MachineCode.of(_source(program, self.width), features)
+        self._code = MachineCode.of(_source(program, self.width), features, effort)
         pointer, number = ctypes.c_void_p, ctypes.c_int64
         kind = ctypes.CFUNCTYPE(None, *[pointer] * 4, *[number] * 3)
         self._run = kind(self._code.address)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import importlib.util
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from approxjac.codegen.arm import traced_tasks as tasks
 from approxjac.codegen.arm.arm_numbers import ArmNumbers, arm_numbers
 from approxjac.codegen.arm.rigid_body import Arm
+from approxjac.codegen.backends.llvm import LlvmLanes, packed, unpacked
 from approxjac.codegen.backends.numpy_function import numpy_function
 from approxjac.codegen.trace.derivatives import rates
 from approxjac.codegen.trace.program import Program
@@ -84,14 +86,15 @@ class TracedTerms:
     Args:
         plants: True robots and their sensors, which differ in all that will ever differ.
         task: The believed task.
+        compiles: True if it becomes machine code; by default where llvmlite is installed.
 
     Raises:
         InvalidInputError, TypeError, ValueError: What takes no symbols, has loops to be
             differentiated, or sensors that differ in more than numbers of cameras.
     """
 
-    def __init__(self, plants: Sequence[Plant], task: Task) -> None:
-        self._given = plants, task
+    def __init__(self, plants: Sequence[Plant], task: Task, compiles: bool | None = None) -> None:
+        self._given = plants, task, compiles
         sensor, robot = plants[0].sensor, plants[0].robot
         self._frames = tasks.frames(sensor)
         program = self._program = Program()
@@ -117,11 +120,15 @@ class TracedTerms:
         terms = Terms(x, tasks.error(own, x, x_d), J, J_hat, dJ_hat, M, gradient(M), g, gradient(g))
         self._shapes = {name: np.shape(each) for name, each in vars(terms).items()}
         program.step(vars(terms))
-        self._function = numpy_function(program.graph, [*chain(*program.stepped.values())])
+        if compiles is None:
+            compiles = importlib.util.find_spec("llvmlite") is not None
+        self._lanes = LlvmLanes(program, effort=0) if compiles else None
+        flat = [*chain(*program.stepped.values())]
+        self._function: Any = None if compiles else numpy_function(program.graph, flat)
         self._require_alike(plants, task)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), self._given  # a function made here is of this process
+        return type(self), self._given  # machine code is of this process
 
     def _require_alike(self, plants: Sequence[Plant], task: Task) -> None:
         robot = task.robot
@@ -140,24 +147,34 @@ class TracedTerms:
         """Return the numbers of true robots, (k, n); a ValueError if other ones differ, too."""
         # to look for cameras takes longer than all the rest
         of_sensors = tasks.numbers([plant.sensor for plant in plants]) if self._has_camera else {}
-        return self._program.filled(self._arm.named(self._numbers(plants)) | of_sensors)
+        numbers = self._program.filled(self._arm.named(self._numbers(plants)) | of_sensors)
+        return numbers if numbers.size else np.zeros((len(plants), 1))
 
     def at(self, numbers: Array, q: Array, x_d: Array) -> Terms:
         """Return the terms of robots with some numbers (N, n), each at a q with a target."""
-        program, columns = self._program, np.concatenate([q, x_d], axis=1)
-        rows = np.empty((len(q), program.n_rows))
+        columns = np.concatenate([q, x_d], axis=1)
+        rows = np.empty((len(q), self._program.n_rows))
         for start in range(0, len(q), _PORTION):
             at = slice(start, start + _PORTION)
-            places = (program.rows, columns[at].T), (program.parameters, numbers[at].T)
-            named = {k: a[i : i + n] for each, a in places for k, (i, n) in each.items()}
-            rows[at, : columns.shape[1]] = columns[at]
-            for place, values in enumerate(self._function(**named), start=columns.shape[1]):
-                rows[at, place] = values
+            rows[at] = self._portion(numbers[at], columns[at])
         parts = {}
         for name, shape in self._shapes.items():
-            first, size = program.rows[name]
+            first, size = self._program.rows[name]
             parts[name] = rows[:, first : first + size].reshape(-1, *shape)
         return Terms(**parts)
+
+    def _portion(self, numbers: Array, columns: Array) -> Array:
+        program, (N, given) = self._program, columns.shape
+        if self._lanes is None:
+            places = (program.rows, columns.T), (program.parameters, numbers.T)
+            named = {k: a[at : at + n] for each, a in places for k, (at, n) in each.items()}
+            results = np.broadcast_arrays(columns[:, 0], *self._function(**named))
+            return np.column_stack([columns, *results[1:]])
+        rows = np.zeros((N, program.n_rows))
+        rows[:, :given] = columns
+        kept, parameters = (packed(each, self._lanes.width) for each in (rows, numbers))
+        self._lanes.run(kept, parameters)
+        return unpacked(kept, N)
 
 
 @functools.lru_cache(maxsize=8)
