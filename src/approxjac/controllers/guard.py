@@ -16,16 +16,7 @@ from approxjac.controllers.limits.limits import Limits
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.formatting import joined, short_fields
 from approxjac.interface import Evaluation, Measurement, Status, Target
-from approxjac.law.guard import (
-    UNSEEN,
-    GuardBounds,
-    GuardMemory,
-    Sample,
-    first_memory,
-    judged,
-    remembered,
-    stop_command,
-)
+from approxjac.law import guard as checks
 from approxjac.robots import Robot
 from approxjac.robots.drives import usual_effort
 from approxjac.robots.traced import motion_between
@@ -123,12 +114,13 @@ class SampleGuard:
         if guard.x is not None:
             noise = as_limits("x of a guard", guard.x, m, unit=joined(measured.units)).tolist()
         q_noise = 2.0 * as_diagonal("q of a guard", guard.q, n, positive=False)
-        self._bounds = GuardBounds(
+        self._bounds = checks.GuardBounds(
             q_noise.tolist(), guard.lag, (_CHANGE * fastest).tolist(), self._push, noise,
             tuple(measured.parts), float(guard.periods), _BRIDGED,
         )  # fmt: skip
-        self.first = first_memory(robot.neutral().tolist(), task.origin.tolist(), self._bounds)
-        self._ends = ends = GuardMemory.ends(robot.nq, n, task.n_x, len(measured.parts))
+        begin = robot.neutral().tolist(), task.origin.tolist()
+        self.first = checks.first_memory(*begin, self._bounds)
+        self._ends = ends = checks.GuardMemory.ends(robot.nq, n, task.n_x, len(measured.parts))
         self._subtracts, self._command = robot.nq == n, slice(ends[8], ends[9])
         kept = (controller.limits or Limits()).for_joints(n)
         effort, rate = np.asarray(kept.effort), np.asarray(kept.rate)
@@ -151,7 +143,7 @@ class SampleGuard:
         traced = hasattr(memory, "arm_of")
         try:
             t, q, v, x, t_x = measurement
-            kept = GuardMemory.of(memory.tolist(), self._ends)
+            kept = checks.GuardMemory.of(memory.tolist(), self._ends)
             with np.errstate(over="ignore", invalid="ignore"):
                 before, seen = memory[4 : self._ends[1]], memory[self._ends[9] : self._ends[10]]
                 way = q - before if self._subtracts else motion_between(self._robot, before, q)
@@ -159,8 +151,8 @@ class SampleGuard:
                 size = 0.0 if traced else memory.dot(memory)
             taken = math.nan if t_x is None else t_x
             ways = way.tolist(), law.array(x_way).tolist()
-            sample = Sample(t, q.tolist(), v.tolist(), x.tolist(), taken, *ways)
-            judgement = judged(kept, sample, dt, self._bounds)
+            sample = checks.Sample(t, q.tolist(), v.tolist(), x.tolist(), taken, *ways)
+            judgement = checks.judged(kept, sample, dt, self._bounds)
         except (ArithmeticError, AttributeError, IndexError, TypeError, ValueError) as error:
             controller.advance(state, measurement, target, dt)  # which says what is wrong
             message = f"measurement must hold times [s] and arrays of floats, got {measurement!r}"
@@ -172,7 +164,7 @@ class SampleGuard:
             raise InvalidInputError(message, given=memory)
         kind, refuses_x, anew = judgement.verdict
         is_bad, stops, refuses_x = kind > 0, judgement.after.kind > 0, refuses_x > 0
-        is_first, passed = kept.t <= 0.5 * UNSEEN, measurement
+        is_first, passed = kept.t <= 0.5 * checks.UNSEEN, measurement
         if (is_bad is True or refuses_x is True) and is_first:
             controller.advance(state, measurement, target, dt)  # there is no good sample yet
             if is_bad:
@@ -197,7 +189,7 @@ class SampleGuard:
             if self._takes_torque:
                 g = controller.gravity_torque(state, passed.q) if gravity is None else gravity
             change = [dt * each for each in self._rate]
-            halt = stop_command(judgement, g.tolist(), *self._stop, kept.command, change)
+            halt = checks.stop_command(judgement, g.tolist(), *self._stop, kept.command, change)
             last = law.array(kept.command)
             eased = law.select(kept.bad > 0.0, halt + self._eases * (last - halt), last)
             return state, law.select(stops | (anew > 0), halt, eased)
@@ -215,7 +207,7 @@ class SampleGuard:
         J_hat, sizes = self._J_of(answer), None
         if J_hat is not None:
             sizes = [law.length(J_hat[rows].ravel()) for _, rows in self._bounds.parts]
-        memory = remembered(judgement, dt, command.tolist(), push, sizes).joined()
+        memory = checks.remembered(judgement, dt, command.tolist(), push, sizes).joined()
         if not traced and not np.isfinite(memory).all() and np.isfinite(command).all():
             message = f"what is remembered of {measurement!r} overflows in a step of {dt!r} s"
             raise MeasurementError(message, given=measurement)

@@ -15,16 +15,8 @@ import numpy as np
 
 from approxjac import law
 from approxjac.cameras import PlanarCamera
+from approxjac.controllers import arguments
 from approxjac.controllers.adaptive_dynamics import AdaptiveDynamics, MotionDynamics
-from approxjac.controllers.arguments import (
-    HUGE,
-    overflow,
-    require_arrays,
-    require_dt,
-    require_finite,
-    sampling_time,
-    with_rates,
-)
 from approxjac.controllers.controller import Controller
 from approxjac.controllers.gains.gains import Latency
 from approxjac.controllers.gains.motors import (
@@ -187,7 +179,7 @@ class TrackingController(Immutable, Controller):
             message = f'command must be "torque" or "velocity", got {command!r}'
             raise InvalidInputError(message, given=command)
         self.task, self.latency, self.command = task, latency, command
-        self.dt = dt = sampling_time(dt, None, latency)
+        self.dt = dt = arguments.sampling_time(dt, None, latency)
         self.kinematics = _usual_kinematics(task, dt) if kinematics is None else kinematics
         gains = TrackingGains() if gains is None else gains
         require("gains", gains, TrackingGains, "TrackingGains(...) or None")
@@ -284,7 +276,7 @@ class TrackingController(Immutable, Controller):
         """
         if not hasattr(getattr(measurement, "q", None), "arm_of"):  # or it is of symbols
             state, x_d = np.zeros(self.n_state), np.zeros(self.task.n_x)
-            q, _, x = require_arrays(state, measurement, x_d, self.task, self.n_state)
+            q, _, x = arguments.require_arrays(state, measurement, x_d, self.task, self.n_state)
             require_as_believed(self.task, q, x)
         _, q, v, *_ = measurement
         state = np.zeros_like(q, shape=self.n_state)
@@ -320,7 +312,7 @@ class TrackingController(Immutable, Controller):
         if hasattr(state, "arm_of"):  # symbols
             return self.evolve(state, measurement, target)
         if dt != self.dt:
-            require_dt(dt, self.dt)
+            arguments.require_dt(dt, self.dt)
         with np.errstate(over="ignore", invalid="ignore"):  # an overflow is a named error
             target, measurement = self._checked(state, measurement, target)
             self.kinematics.check(state[self.resting : self._end], measurement, dt)
@@ -330,7 +322,7 @@ class TrackingController(Immutable, Controller):
                     return after, answer
             except (ArithmeticError, np.linalg.LinAlgError):  # what has overflowed, Ĵ too
                 pass
-        raise overflow(measurement)
+        raise arguments.overflow(measurement)
 
     def evolve(
         self, state: Array, measurement: Measurement, target: Target
@@ -376,13 +368,13 @@ class TrackingController(Immutable, Controller):
         self, state: Array, measurement: Measurement, target: Target
     ) -> tuple[Target, Measurement]:
         task, x_d = self.task, target.x
-        target = with_rates(target, task.measured.m)
-        q, v, x = require_arrays(state, measurement, x_d, task, self.n_state)
+        target = arguments.with_rates(target, task.measured.m)
+        q, v, x = arguments.require_arrays(state, measurement, x_d, task, self.n_state)
         largest = math.hypot(*q.tolist(), *v.tolist(), *x_d.tolist())
-        if not (largest < HUGE and state.dot(state) < HUGE):
-            require_finite(q, v, x_d, state, task)
-        if not x.dot(x) < HUGE:  # lost, or beyond what can be learnt from
-            measurement = measurement._replace(x=np.where(x * x < HUGE, x, math.nan))
+        if not (largest < arguments.HUGE and state.dot(state) < arguments.HUGE):
+            arguments.require_finite(q, v, x_d, state, task)
+        if not x.dot(x) < arguments.HUGE:  # lost, or beyond what can be learnt from
+            measurement = measurement._replace(x=np.where(x * x < arguments.HUGE, x, math.nan))
         if self._continuous:
             task.robot.configuration(q)
         if not task.subtracts:

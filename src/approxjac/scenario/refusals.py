@@ -90,8 +90,7 @@ def _rules(scenario: Scenario) -> Iterator[Rule]:
     ]
     for name in _OF_SETPOINT:
         yield f"controller.{name}", tracks, "is of the law setpoint", "tracking"
-    sampled = [f"controller.{name}" for name in ("unknown", "torque_rate", "unseen")]
-    sampled += ["controller.law"] * tracks
+    sampled = [f"controller.{k}" for k in ("unknown", "torque_rate", "unseen", *["law"] * tracks)]
     sampled += ["sensor", "loop.actuator_delay", "true.drives"]
     if control.limits != "none":
         sampled.append("controller.limits")

@@ -398,8 +398,7 @@ class Uncertainty:
     @cached_property
     def nominal(self) -> Plant:
         """The plant without errors: the believed robot, with its sensor and friction."""
-        belief, task = self.belief(), self.believed_task()
-        return Plant(belief, task, self.friction, drives=self.drives)
+        return Plant(self.belief(), self.believed_task(), self.friction, drives=self.drives)
 
     def describe(self, values: Sequence[float] | Array) -> str:
         """Describe values (d,), such as "object length 0.3 m, camera roll 0.349 rad"."""
