@@ -92,6 +92,8 @@ def test_joints_that_stand_or_go_one_way_are_named():
         fit_dynamics(arm, q, tau, DT)
     with pytest.raises(aj.InvalidInputError, match="at least 200 rows, got 50"):
         fit_dynamics(arm, q[:50], tau[:50], DT)
+    with pytest.raises(aj.InvalidInputError, match="at least 1002 rows, got 300"):
+        fit_dynamics(arm, q[:300], tau[:300], DT, smoothing=1.0)
     for wrong in (1.0, None, "q", np.full_like(q, np.nan)):
         with pytest.raises(aj.InvalidInputError, match="q must"):
             fit_dynamics(arm, wrong, tau, DT)

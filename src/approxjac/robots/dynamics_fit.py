@@ -91,8 +91,8 @@ def fit_dynamics(
     torques = as_array("tau", tau, (rows, robot.nv))
     window = 2 * round(as_number("smoothing", smoothing, unit="s", above=0.0) / dt / 2.0) + 1
     window = max(window, 5)
-    if rows < max(200, 2 * window):
-        raise InvalidInputError(f"q must have at least 200 rows, got {rows}", given=rows)
+    if rows < (least := max(200, 2 * window)):
+        raise InvalidInputError(f"q must have at least {least} rows, got {rows}", given=rows)
     positions = q
     if robot.nq != robot.nv:  # without the jumps of joints that turn for ever
         positions = np.unwrap([robot.angles(each) for each in q], axis=0)
