@@ -35,7 +35,7 @@ _TEMPLATES = {
     "or": "{0} | {1}",
     "absolute": "fabs({0})",
     "sqrt": "sqrt({0})",
-    "floor": "floor({0})",
+    "far": "{0} + 6755399441055744.0",
     "power": "power_of_two({0})",
     "not": "!{0}",
     "select": "{0} ? {1} : {2}",

@@ -25,7 +25,7 @@ _TEMPLATES = {
     "negative": "fneg $D {0}",
     "absolute": "call $D @llvm.fabs.$N($D {0})",
     "sqrt": "call $D @llvm.sqrt.$N($D {0})",
-    "floor": "call $D @llvm.floor.$N($D {0})",
+    "far": "fadd $D {0}, $FAR",
     "power": "call $D @power($D {0})",
     "less": "fcmp olt $D {0}, {1}",
     "less_equal": "fcmp ole $D {0}, {1}",
@@ -36,7 +36,7 @@ _TEMPLATES = {
     "select": "select $B {0}, $D {1}, $D {2}",
 }
 _WIDE = "+avx512f"
-_PART = 300  # operations between branches, as LLVM takes long to find registers in long blocks
+_PART = 2000  # operations between branches, as LLVM takes long to find registers in long blocks
 
 
 class LlvmLanes:
@@ -299,6 +299,7 @@ def _filled(text: str, width: int) -> str:
         "$TRUE": f"<{', '.join(['i1 true'] * width)}>",
         "$ZERO": f"<{width} x i32> zeroinitializer",
         "$SHIFT": f"<{', '.join(['i64 52'] * width)}>",
+        "$FAR": f"<{', '.join(['double 6755399441055744.0'] * width)}>",
     }
     for word, meant in words.items():
         text = text.replace(word, meant)

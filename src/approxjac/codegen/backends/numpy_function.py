@@ -18,7 +18,7 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
     "negative": np.negative,
     "absolute": np.abs,
     "sqrt": np.sqrt,
-    "floor": np.floor,
+    "far": lambda a: a + 1.5 * 2.0**52,
     "power": lambda a: (np.asarray(a).view(np.int64) << 52).view(np.float64),
     "less": np.less,
     "less_equal": np.less_equal,

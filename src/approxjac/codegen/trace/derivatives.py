@@ -9,7 +9,7 @@ import numpy as np
 
 from approxjac.codegen.trace.symbols import CONDITIONS, Number, Scalar, Symbols, select, symbols
 
-_STEPS = frozenset({"floor", "power", *CONDITIONS})  # constant from step to step
+_STEPS = frozenset({"far", "power", *CONDITIONS})  # constant from step to step
 # rate of an operation's result c, of its arguments a and their rates d
 _RULES: dict[str, Callable[[Number, list[Number], list[Number]], Number]] = {
     "add": lambda c, a, d: d[0] + d[1],

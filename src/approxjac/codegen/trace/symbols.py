@@ -436,20 +436,18 @@ class Scalar:
 
     def sine_and_cosine(self) -> tuple[Number, Number]:
         """Return sin a and cos a, of an a up to `LARGEST_ANGLE`."""
-        quarter = (self * (2.0 / 3.14159265358979323846) + 0.5).floor()
+        quarter = (self * (2.0 / 3.14159265358979323846)).rounded()
         r: Number = self
         for part in _QUARTERS:
             r = r - quarter * part
         square = r * r
         sine = r + r * square * _polynomial(square, _SIN)
         cosine = (1.0 - 0.5 * square) + square * square * _polynomial(square, _COS)
-        half = (quarter * 0.5).floor()
-        odd = quarter - 2.0 * half  # 1 if sine and cosine change places
-        behind = half - 2.0 * (half * 0.5).floor()  # 1 if x is in the third or fourth quarter
-        swaps, sign = odd == 1.0, 1.0 - 2.0 * behind
+        turn = quarter - 4.0 * (quarter * 0.25).rounded()  # of −2, −1, 0, 1, 2 quarters
+        swaps, sign = abs(turn) == 1.0, 1.0 - abs(turn)
         return (
-            sign * select(swaps, cosine, sine),
-            sign * (1.0 - 2.0 * odd) * select(swaps, sine, cosine),
+            select(swaps, turn * cosine, sign * sine),
+            select(swaps, -turn * sine, sign * cosine),
         )
 
     def arctan2(self, x: Number) -> Number:
@@ -464,9 +462,9 @@ class Scalar:
         """Return √a."""
         return self.graph.apply("sqrt", self)
 
-    def floor(self) -> Scalar:
-        """Return the largest integer that is at most a."""
-        return self.graph.apply("floor", self)
+    def rounded(self) -> Scalar:
+        """Return an integer next to a, of an a up to 2⁵¹."""
+        return self.graph.apply("far", self) - 1.5 * 2.0**52
 
     def __repr__(self) -> str:
         return f"Scalar({self.place}: {self.graph.nodes[self.place]})"
@@ -531,7 +529,7 @@ LARGEST_ANGLE = 1e6  # angle up to which `Scalar.sine_and_cosine` keeps its digi
 
 def nearest_integer(x: Scalar) -> Number:
     """Return the integer next to x, the even one of two."""
-    return select(abs(x) < 2.0**51, (x + 1.5 * 2.0**52) - 1.5 * 2.0**52, x)
+    return select(abs(x) < 2.0**51, x.rounded(), x)
 
 
 def tanh(x: Scalar) -> Number:
@@ -571,7 +569,7 @@ def exp(x: Scalar) -> Number:
 
 def expm1(x: Scalar) -> Number:
     """Return exp(x) − 1, for x from −700 to 700."""
-    k = (x * (1.0 / 0.693147180559945309417) + 0.5).floor()
+    k = (x * (1.0 / 0.693147180559945309417)).rounded()
     r: Number = x
     for part in _LN2:
         r = r - k * part
