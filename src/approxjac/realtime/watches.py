@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -91,11 +90,6 @@ class FaultWatch:
         self._peak_until = 0.0
         self._ahead = deque([-math.inf], maxlen=_REMEMBERED)
 
-    @cached_property
-    def _mobility(self) -> Array:
-        """|q̈| for each torque, (n_v, n_v); worked out when it is first needed."""
-        return usual_accelerations(self._robot)[0]
-
     def look(self, measurement: Measurement, now: float) -> Fault | None:
         """Return the fault of a period's measurement, read at `now` by this machine's clock [s]."""
         t, q, v = measurement.t, measurement.q, measurement.v
@@ -170,7 +164,8 @@ class FaultWatch:
         if (sudden > most).any():  # a blow, or a light joint under its own torque, may do so
             most = most + _BLOW * np.abs(before).max()
             if not self._commands_velocity:
-                most = most + elapsed * (self._mobility @ np.abs(self._command))
+                mobility = usual_accelerations(self._robot)[0]
+                most = most + elapsed * (mobility @ np.abs(self._command))
         if (sudden > most).any():
             j = int(np.argmax(sudden / most))
             message = f"from {before[j]:.3g} to {v[j]:.3g} {self._units[j]}/s"

@@ -28,10 +28,14 @@ _TURNED = 0.004  # kg m², of an unknown load about the tip
 _LOADS = np.array([3.0, 0.5, 0.5, 0.5])  # kg and kg m, which are expected at the tip
 _LEVERS = np.array([3.0, 0.2, 0.2, 0.2])  # the same, of what is grasped
 _FRICTION, _CONSTANT = 0.05, 0.01  # of the largest torque: friction, other errors
+_BY_LOAD, _STICKS = 0.06, 1.2  # share of a joint's torque that adds to its friction; at rest
+_ROTOR = 5e-3  # s², of the largest torque: the inertia of a rotor
 _DRIFT = 0.07  # per √s, of these: how they change
 _OPENS = 0.02  # s of that drift a look, while something lasts
 _SLIDES = 0.02  # rad/s or m/s, from which on a joint slides
 _SURE = 16.0  # of χ² of a joint: what is no noise
+_TELLS = 60.0  # χ² that a cause explains at least
+_USED = 0.05  # of the largest torque, which a motor has to lack
 _LIKE = 30.0  # looks that tell the same
 _SOON, _SLOWLY, _LOAD = 0.0075, 0.06, 0.7  # s, after which a cause is named: clear, others, a load
 _SAMPLES = 12  # in which a joint has become too fast
@@ -117,7 +121,7 @@ class Monitor:
         known = np.isfinite(robot.effort_limits) & (robot.effort_limits > 0.0)
         self._scale = np.where(known, robot.effort_limits, _EFFORT)
         self._swings = [_Swing() for _ in range(robot.nv)]
-        self._swinging, self._slid = np.zeros((2, robot.nv), bool)
+        self._swinging = np.zeros(robot.nv, bool)
         self._t: float | None = None
         self._begun, self._looked, self._moved = 0.0, 0.0, -math.inf
         self._noise, self._slow, self._shakes, self._shaken, self._impulse = np.zeros((5, robot.nv))
@@ -126,10 +130,11 @@ class Monitor:
         self._window: deque[_Tick] = deque(maxlen=_WINDOW)
         self._samples: deque[tuple[float, Array, Array, Array]] = deque(maxlen=_SAMPLES)
         self._since, self._quiet, self._speed = math.nan, 0.0, np.zeros(3)
-        joints = self._scale
-        sd = np.concatenate([_LOADS, *(_FRICTION * joints,) * 2, _CONSTANT * joints])
+        shares = np.outer([_CONSTANT, _FRICTION, _FRICTION, _ROTOR], self._scale)
+        sd = np.concatenate([_LOADS, *shares, np.full(robot.nv, _BY_LOAD)])
         self._estimate, self._P = np.zeros(len(sd)), np.diag(sd**2)
         self._drift = (_DRIFT * sd) ** 2
+        self._brakes = slice(4 + robot.nv, None)  # what only brakes, in these
         self._weighed, self._lighter = math.inf, 0.0  # when, and the mass at the tip before
         kinematics = controller.kinematics
         self._learns = kinematics is not None and bool(kinematics.names)
@@ -279,7 +284,7 @@ class Monitor:
         rest, self._M = self._rest(q, v), self._dynamics.M(q)
         momentum, torque = self._M @ v, self._impulse / h
         gained = (momentum - self._momentum) / h - torque - 0.5 * (rest + self._rate)
-        self._momentum, self._rate, self._slid = momentum, rest, self._slid | (np.abs(v) > _SLIDES)
+        self._momentum, self._rate = momentum, rest
         self._residual = self._residual + share * (gained - self._residual)
         self._smooth_torque = self._smooth_torque + share * (torque - self._smooth_torque)
         self._smooth_v = self._smooth_v + share * (v - self._smooth_v)
@@ -295,13 +300,16 @@ class Monitor:
         S = H @ PH
         _diagonal(S)[:] += variance
         off = self._residual - H @ self._estimate
-        is_off = bool((off**2 / np.diag(S)).max() > _SURE) and t - self._begun > _BEGINS
+        likely = self._likely(H, off)
+        spread = np.einsum("ij,jk,ik->i", likely, self._P, likely) + variance
+        is_off = bool((off**2 / spread).max() > _SURE) and t - self._begun > _BEGINS
         if is_off or self._window:
             if not self._window:
                 self._since, self._lighter = t, float(self._estimate[0])
                 self._speed = self._smooth_tip[:3]
             self._quiet = 0.0 if is_off else self._quiet + h
-            self._window.append(_Tick(off, 1.0 / np.sqrt(np.diag(S)), self._smooth_torque, J, load))
+            tick = _Tick(off, 1.0 / np.sqrt(spread), self._smooth_torque, J, load, likely, variance)
+            self._window.append(tick)
             if self._quiet > _ENDS:
                 self._over(t)
             else:
@@ -313,17 +321,40 @@ class Monitor:
             _diagonal(S)[:] += (_LIKE - 1.0) * variance
             gain = np.linalg.solve(S, PH.T).T
             self._estimate = self._estimate + gain @ off
+            self._estimate[self._brakes] = np.maximum(self._estimate[self._brakes], 0.0)
             P = self._P - gain @ PH.T
             self._P = 0.5 * (P + P.T)
         if t > self._weighed:
             self._weigh()
 
+    def _likely(self, H: Array, off: Array) -> Array:
+        """Return H as far as its numbers may explain `off`.
+
+        Friction and rotors brake: that they are less than expected explains no more than they are.
+        """
+        brakes = H[:, self._brakes]
+        sd = np.sqrt(np.diag(self._P)[self._brakes])
+        less = np.minimum(self._estimate[self._brakes] / sd, 1.0)
+        H = H.copy()
+        H[:, self._brakes] = np.where(brakes * off[:, np.newaxis] > 0.0, brakes, less * brakes)
+        return H
+
+    def _whitened(self, ticks: list[_Tick]) -> tuple[Array, ...]:
+        """Return off, torque and J of looks as multiples of what else may explain them."""
+        off, _, torque, J, _, likely, variance = map(np.array, zip(*ticks, strict=True))
+        C = np.einsum("tij,jk,sik->its", likely, self._P, likely)
+        C += np.einsum("ti,ts->its", variance, np.eye(len(ticks)))
+        W = np.linalg.inv(np.linalg.cholesky(C))  # (n, t, t)
+        return *(np.einsum("its,si->ti", W, each) for each in (off, torque)), np.einsum(
+            "its,ski->tki", W, J
+        )
+
     def _expected(self, q: Array) -> tuple[Array, Array, Array, Array]:
         """Return the expected unexplained torque as a linear model.
 
-        Its parts: the derivative by the filter's numbers (load, friction and constant errors;
-        n_v, 4 + 3 n_v), the variance of the rest (n_v,), J of the tip (3, n_v), and the derivative
-        by the load (n_v, 4).
+        Its parts: the derivative by the filter's numbers (load; of each joint, constant error, dry
+        and viscous friction, rotor, friction by load; n_v, 4 + 5 n_v), the variance of the rest
+        (n_v,), J of the tip (3, n_v), and the derivative by the load (n_v, 4).
         """
         n, v, rate = len(self._residual), self._smooth_v, 1.0 / _FILTER
         J, R, _ = self._tip.motion(q)
@@ -336,14 +367,15 @@ class Monitor:
         load = np.empty((n, 4))
         load[:, 0] = J[:3].T @ pull
         load[:, 1:] = (-J[:3].T @ (turn + spin @ spin) - J[3:].T @ pin.skew(pull)) @ R
-        slides = np.tanh(v / _SLIDES)
-        H = np.concatenate([load, -np.diag(slides), -np.diag(v), -np.eye(n)], axis=1)
+        slides, carried, gains = np.tanh(v / _SLIDES), np.abs(self._smooth_torque), self._v - v
+        own = np.ones(n), slides, v, rate * gains, slides * carried
+        H = np.hstack([load, *(-np.diag(each) for each in own)])
+        rubs = np.hstack([np.zeros((n, 4 + n)), np.eye(n), np.zeros((n, 2 * n)), np.diag(carried)])
         variance = (_MODEL * self._scale) ** 2 + rate**2 * self._M**2 @ self._noise
-        variance += _INERTIA**2 * self._M**2 @ (rate * (self._v - v)) ** 2
+        variance += _INERTIA**2 * self._M**2 @ (rate * gains) ** 2
         variance += (_TURNED * float(np.linalg.norm(speeds[3:]))) ** 2 * (J[3:] ** 2).sum(axis=0)
-        friction = np.clip(self._estimate[4 : 4 + n], 0.0, 2.0 * _FRICTION * self._scale) ** 2
-        friction += np.where(self._slid, 0.0, 0.1 * np.diag(self._P)[4 : 4 + n])  # unknown so far
-        variance += (1.0 - np.abs(slides)) ** 2 * friction  # of a joint that stands
+        friction = np.einsum("ij,jk,ik->i", rubs, self._P, rubs) + (rubs @ self._estimate) ** 2
+        variance += (_STICKS * (1.0 - np.abs(slides))) ** 2 * friction  # of a joint that stands
         at_stop = self._robot.beyond_limits(q[None])[0] > -_STOP
         return H, np.where(at_stop, variance + self._scale**2, variance), J[:3], load
 
@@ -353,20 +385,31 @@ class Monitor:
         ticks = ticks[1:] if len(ticks) > 3 else ticks
         if len(ticks) < 3 or self._active.keys() & {"motor", "force"}:
             return
-        off, weight, torque, J, load = (np.array(each) for each in zip(*ticks, strict=True))
-        w2 = weight**2
-        j, share, left, force, left_force, whole = _causes(off, weight, torque, J)
-        fits = share > _WEAK and left < min(_EXPLAINS, 0.3 * left_force)
-        if since < _SUDDEN and fits:
+        off, torque, J = self._whitened(ticks)
+        j, share, left, force, left_force, whole = _causes(off, np.ones_like(off), torque, J)
+        used, tells = float(abs(ticks[-1].torque[j])), whole * (1.0 - left_force) > _TELLS
+        alone = whole * (1.0 - left) > _TELLS and left < min(_CLEAR, 0.2 * left_force)
+        # without what noise leaves
+        above = whole - off.size
+        left, beside = (max(each * whole - off.size, 0.0) / above for each in (left, left_force))
+        fits = above > _TELLS and left < min(_EXPLAINS, 0.3 * beside)
+        fits = (fits or (alone and since >= _SLOWLY)) and share > _WEAK
+        is_sudden = since < _SUDDEN and self._since > self._begun + _BEGINS + 1.5 * _TICK
+        if is_sudden and fits and used > _USED * self._scale[j]:
             if since < _SLOWLY:  # what it will be when the filter has settled
                 last = self._last(min(_SAMPLES // 2, len(self._samples) - 1))
                 share = -float(last.off[j]) / float(last.torque[j] or 1e-12)
-            is_clear = share > _DEAD and left < _CLEAR < 0.2 * left_force
+            is_clear = share > _DEAD and left < _CLEAR < 0.2 * beside
             if since >= (_SOON if is_clear else _SLOWLY):
-                self._weak_motor(j, share, float(abs(torque[-1, j])))
-        elif since >= _SLOWLY and not self._quiet and np.linalg.norm(force) > _LEAST_FORCE:
+                self._weak_motor(j, share, used)
+        elif since >= _SLOWLY and tells and not self._quiet:
+            off, weight, _, J, load, *_ = map(np.array, zip(*ticks, strict=True))
+            w2 = weight**2
+            whole = float((w2 * off**2).sum())
+            force, left_force = _fit(J, off, w2, whole)
             carried, left_load = _fit(np.swapaxes(load, 1, 2), off, w2, whole, _LEVERS)
-            self._force(since, force, left_force, float(carried[0]), left_load)
+            if np.linalg.norm(force) > _LEAST_FORCE:
+                self._force(since, force, left_force, float(carried[0]), left_load)
 
     def explain(self) -> None:
         """Name what made a joint too fast, a motor or a force, if the last samples show it.
@@ -400,7 +443,7 @@ class Monitor:
         gained = (self._M @ v - self._dynamics.M(q0) @ v0) / h - given
         off = gained - 0.5 * (self._rest(q, v) + self._rest(q0, v0)) - H @ self._estimate
         variance = variance + 2.0 / h**2 * self._M**2 @ self._noise
-        return _Tick(off, 1.0 / np.sqrt(variance), given, J, load)
+        return _Tick(off, 1.0 / np.sqrt(variance), given, J, load, H, variance)
 
     def _weak_motor(self, j: int, share: float, torque: float) -> None:
         gives = "nothing" if share > _DEAD else f"{100.0 * (1.0 - share):.0f} %"
@@ -421,7 +464,7 @@ class Monitor:
         if before < -_MEETS and -0.5 < now / -before < 0.3 and upright < _UPRIGHT:
             condition = Condition.PRESSES  # it moved towards what stopped it
         elif abs(upright) > _UPRIGHT and not (
-            since > 2.0 * _SLOWLY and left_load > 2.0 * left_force
+            since > 2.0 * _SLOWLY and left_load > 2.0 * left_force + 0.1
         ):
             if since < _LOAD:
                 return
@@ -512,6 +555,8 @@ class _Tick(NamedTuple):
     torque: Array
     J: Array  # of the tip's position
     load: Array
+    likely: Array
+    variance: Array
 
 
 class _Swing:
