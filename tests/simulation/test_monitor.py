@@ -106,8 +106,8 @@ def rubbing(arm):
     )  # fmt: skip
 
 
-# no threshold was chosen on these; an xarm7 and a tiago_arm are called PUSHED once
-@pytest.mark.parametrize("name", ["ur10", "ur3", "baxter_left_arm"])
+# no threshold was chosen on these; a tiago_arm is called PUSHED once
+@pytest.mark.parametrize("name", ["ur10", "ur3", "xarm7", "baxter_left_arm"])
 def test_no_cause_is_named_where_joints_only_rub_and_bend(name):
     arm = aj.load_robot(name)
     task = aj.PositionTask(arm.with_object(0.0))

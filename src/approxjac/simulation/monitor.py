@@ -37,13 +37,14 @@ _SURE = 16.0  # of χ² of a joint: what is no noise
 _TELLS = 60.0  # χ² that a cause explains at least
 _USED = 0.05  # of the largest torque, which a motor has to lack
 _LIKE = 30.0  # looks that tell the same
-_SOON, _SLOWLY, _LOAD = 0.0075, 0.06, 0.7  # s, after which a cause is named: clear, others, a load
+_SOON, _ALONE = 0.0075, 0.02  # s, after which a motor is named that explains all, or nearly
+_SLOWLY, _LOAD = 0.06, 0.7  # s, after which another cause is, or a load
 _SAMPLES = 12  # in which a joint has become too fast
 _SUDDEN = 0.4  # s, within which a motor's fault shows
 _EXPLAINS, _FITS = 0.1, 0.35  # share of χ² that one motor, or a force or load, may leave
 _ONE_FITS = 0.1  # of χ², by which one number may explain less than three
 _CLEAR = 0.06  # share that a motor may leave to be clear, where a force leaves five times that
-_WEAK, _DEAD = 0.4, 0.65  # share of its torque that a weak or a dead motor lacks
+_WEAK, _DEAD = 0.35, 0.65  # share of its torque that a weak or a dead motor lacks
 _STOP = 0.01  # rad or m, so near to which a joint may be at its stop
 _LEAST_FORCE = 3.0  # N
 _LIGHTEST, _SURELY = 0.2, 2.0  # kg, and standard deviations, of a change of the mass at the tip
@@ -321,9 +322,13 @@ class Monitor:
             _diagonal(S)[:] += (_LIKE - 1.0) * variance
             gain = np.linalg.solve(S, PH.T).T
             self._estimate = self._estimate + gain @ off
-            self._estimate[self._brakes] = np.maximum(self._estimate[self._brakes], 0.0)
             P = self._P - gain @ PH.T
-            self._P = 0.5 * (P + P.T)
+            self._P = P = 0.5 * (P + P.T)
+            first = self._brakes.start
+            wrong = first + np.flatnonzero(self._estimate[first:] < 0.0)  # what would drive
+            if wrong.size:  # the estimate nearest to it, in the metric of P, without these
+                least = np.linalg.solve(P[np.ix_(wrong, wrong)], self._estimate[wrong])
+                self._estimate = self._estimate - P[:, wrong] @ least
         if t > self._weighed:
             self._weigh()
 
@@ -334,7 +339,7 @@ class Monitor:
         """
         brakes = H[:, self._brakes]
         sd = np.sqrt(np.diag(self._P)[self._brakes])
-        less = np.minimum(self._estimate[self._brakes] / sd, 1.0)
+        less = np.clip(self._estimate[self._brakes] / sd, 0.0, 1.0)
         H = H.copy()
         H[:, self._brakes] = np.where(brakes * off[:, np.newaxis] > 0.0, brakes, less * brakes)
         return H
@@ -388,19 +393,19 @@ class Monitor:
         off, torque, J = self._whitened(ticks)
         j, share, left, force, left_force, whole = _causes(off, np.ones_like(off), torque, J)
         used, tells = float(abs(ticks[-1].torque[j])), whole * (1.0 - left_force) > _TELLS
-        alone = whole * (1.0 - left) > _TELLS and left < min(_CLEAR, 0.2 * left_force)
+        alone = whole * (1.0 - left) > _TELLS and left < min(_CLEAR, 0.3 * left_force)
         # without what noise leaves
         above = whole - off.size
         left, beside = (max(each * whole - off.size, 0.0) / above for each in (left, left_force))
         fits = above > _TELLS and left < min(_EXPLAINS, 0.3 * beside)
-        fits = (fits or (alone and since >= _SLOWLY)) and share > _WEAK
+        fits = (fits or alone) and share > _WEAK
         is_sudden = since < _SUDDEN and self._since > self._begun + _BEGINS + 1.5 * _TICK
         if is_sudden and fits and used > _USED * self._scale[j]:
             if since < _SLOWLY:  # what it will be when the filter has settled
                 last = self._last(min(_SAMPLES // 2, len(self._samples) - 1))
                 share = -float(last.off[j]) / float(last.torque[j] or 1e-12)
             is_clear = share > _DEAD and left < _CLEAR < 0.2 * beside
-            if since >= (_SOON if is_clear else _SLOWLY):
+            if since >= (_SOON if is_clear else _ALONE if alone else _SLOWLY):
                 self._weak_motor(j, share, used)
         elif since >= _SLOWLY and tells and not self._quiet:
             off, weight, _, J, load, *_ = map(np.array, zip(*ticks, strict=True))
