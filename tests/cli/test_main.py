@@ -157,16 +157,16 @@ def test_an_interrupt_in_an_import_or_in_a_command_is_one_line_with_exit_code_13
     start = (
         # a shell's background ignores it
         "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler);"
-        "import approxjac.__main__ as command; print('begun', flush=True);"
+        "import approxjac.__main__ as command;"
         "sys.argv = ['approxjac', *'simulate two_link --duration 5000 --out made'.split()];"
-        "sys.exit(command.main())"
+        "print('begun', flush=True); sys.exit(command.main())"
     )
     for wait in np.linspace(0.0, 2.0, count):
         words = [sys.executable, "-c", start]
         pipes = dict.fromkeys(("stdout", "stderr"), subprocess.PIPE)
         with subprocess.Popen(words, cwd=tmp_path, text=True, **pipes) as process:
             process.stdout.readline()
-            time.sleep(wait)
+            time.sleep(0.05 + wait)  # until this program has gone from its print to ours
             process.send_signal(signal.SIGINT)
             try:
                 process.wait(timeout=10.0)
