@@ -106,7 +106,7 @@ def rubbing(arm):
     )  # fmt: skip
 
 
-# no threshold was chosen on these; a tiago_arm is called PUSHED once
+# these were looked at while thresholds were chosen; a tiago_arm is called PUSHED once
 @pytest.mark.parametrize("name", ["ur10", "ur3", "xarm7", "baxter_left_arm"])
 def test_no_cause_is_named_where_joints_only_rub_and_bend(name):
     arm = aj.load_robot(name)

@@ -395,7 +395,7 @@ class Monitor:
         used, tells = float(abs(ticks[-1].torque[j])), whole * (1.0 - left_force) > _TELLS
         alone = whole * (1.0 - left) > _TELLS and left < min(_CLEAR, 0.3 * left_force)
         # without what noise leaves
-        above = whole - off.size
+        above = max(whole - off.size, 1e-12)
         left, beside = (max(each * whole - off.size, 0.0) / above for each in (left, left_force))
         fits = above > _TELLS and left < min(_EXPLAINS, 0.3 * beside)
         fits = (fits or alone) and share > _WEAK
@@ -560,8 +560,8 @@ class _Tick(NamedTuple):
     torque: Array
     J: Array  # of the tip's position
     load: Array
-    likely: Array
-    variance: Array
+    likely: Array  # derivative by what is known of joints and load, as far as it explains this
+    variance: Array  # of the rest
 
 
 class _Swing:
