@@ -146,9 +146,8 @@ class TracedLoop:
         else:
             q_end, v_end, motors, wrong = self._transmitted(acting)
             kept |= motors._asdict()
-        far = law.any_of(np.abs(q_end) > LARGEST_ANGLE)
-        self.left = self.left | unfinished | wrong | far
         squares = [(each * each).sum() for each in (q_end, v_end, self.answer.torque, state)]
+        self.left = self.left | unfinished | wrong | (squares[0] > LARGEST_ANGLE**2)
         self.diverged = ~(sum(squares, 0.0) < _FINITE)
         self.after = {"q": q_end, "v": v_end, "state": after, **kept}
 

@@ -278,18 +278,20 @@ class Scalar:
 
     @_leaves_arrays
     def __add__(self, other: Number) -> Number:
+        if (inside := _negated(self)) is not None:
+            return other - inside
         if not isinstance(other, Scalar):
             return self if other == 0.0 else self.graph.apply("add", self, other)
         if (inside := _negated(other)) is not None:
             return self - inside
-        if (inside := _negated(self)) is not None:
-            return other - inside
         return self.graph.apply("add", self, other)
 
     __radd__ = __add__
 
     @_leaves_arrays
     def __sub__(self, other: Number) -> Number:
+        if (inside := _negated(self)) is not None:
+            return -(inside + other)
         if not isinstance(other, Scalar):
             return self if other == 0.0 else self.graph.apply("subtract", self, other)
         if (inside := _negated(other)) is not None:
@@ -310,7 +312,7 @@ class Scalar:
         elif (inside := _negated(other)) is not None:
             return -(self * inside)
         if (inside := _negated(self)) is not None:
-            return -(inside * other)
+            return inside * -other
         return self.graph.apply("multiply", self, other)
 
     __rmul__ = __mul__
