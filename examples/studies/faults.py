@@ -335,11 +335,14 @@ def prepared(arm, sensing=None):
             image_period=1.0 / sensing.x_rate, image_age=sensing.x_delay,
             velocity_filter=sensing.velocity_filter,
         )  # fmt: skip
+    return plant, controller_of(belief, latency=latency, drives=aj.robots.Drives())
+
+
+def controller_of(belief, **known):
+    """The set-point law of a believed arm, from what is known of the real one's lags and joints."""
     gravity = aj.AdaptiveGravity(belief)
-    law = aj.SetpointController(
-        aj.PositionTask(belief), gravity=gravity, latency=latency, drives=aj.robots.Drives()
-    )
-    return plant, aj.TorqueLimited(law, aj.Limits.of(belief))
+    law = aj.SetpointController(aj.PositionTask(belief), gravity=gravity, **known)
+    return aj.TorqueLimited(law, aj.Limits.of(belief))
 
 
 def start_of(arm, plant):
