@@ -12,8 +12,8 @@ hours of runs without a fault, with noise, delays and dropouts, are counted for 
     python examples/studies/faults.py --arms kinova xarm7 --out results/faults_of_others
     python examples/studies/faults.py --clean --out results/faults
 
-Thresholds were chosen on panda and ur5. Exit code 1 means that a fault was not found, or too late,
-or that something was found in a clean run.
+Thresholds were chosen on panda, ur5, kinova and z1. Exit code 1 means that a fault was not found,
+or too late, or that something was found in a clean run.
 """
 
 import functools
