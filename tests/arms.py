@@ -1,7 +1,10 @@
 """The arms that tests run over: five that stand for the others, which have a marker."""
 
+from xml.etree import ElementTree
+
 import pytest
 
+import approxjac as aj
 from approxjac.robots.load import NAMED
 
 # planar; seven joints; six, outwards in another frame; continuous joints; joints that mimic others
@@ -31,3 +34,16 @@ FEW = [
     else pytest.param(arm.id, marks=pytest.mark.study, id=arm.id)
     for arm in SEVERAL
 ]
+
+
+def light_wristed(folder, name="ur5"):
+    """Write the URDF of a UR arm whose wrist has a hundredth of its inertia, as real ones have."""
+    tree = ElementTree.fromstring(aj.load_robot(name).urdf)
+    for link in tree.findall("link"):
+        if link.get("name").startswith("wrist"):
+            inertia = link.find("inertial/inertia")
+            for key, value in inertia.attrib.items():
+                inertia.set(key, f"{float(value) / 100.0}")
+    path = folder / "light_wrist.urdf"
+    path.write_text(ElementTree.tostring(tree, encoding="unicode"), encoding="utf-8")
+    return path

@@ -1,11 +1,10 @@
 """Runs with `TorqueLimited`: rates, speeds and joint limits are kept from step to step."""
 
 from dataclasses import replace
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from arms import among
+from arms import among, light_wristed
 
 import approxjac as aj
 from approxjac.controllers import RegressorGravity
@@ -224,14 +223,7 @@ def test_a_run_needs_the_limiters_own_dt(panda):
 @pytest.fixture(scope="module")
 def light_wrist(tmp_path_factory):
     """A UR5 with the wrist's inertia of a real one."""
-    tree = ElementTree.fromstring(aj.load_robot("ur5").urdf)
-    for link in tree.findall("link"):
-        if link.get("name").startswith("wrist"):
-            inertia = link.find("inertial/inertia")
-            for key, value in inertia.attrib.items():
-                inertia.set(key, f"{float(value) / 100.0}")
-    path = tmp_path_factory.mktemp("arms") / "light_wrist.urdf"
-    path.write_text(ElementTree.tostring(tree, encoding="unicode"), encoding="utf-8")
+    path = light_wristed(tmp_path_factory.mktemp("arms"))
     return aj.load_robot(path, tip="tool0")
 
 

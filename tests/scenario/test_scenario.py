@@ -5,12 +5,14 @@ import types
 from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin
 
+import numpy as np
 import pytest
+from arms import light_wristed
 from hypothesis import given
 from hypothesis import strategies as st
 
 import approxjac as aj
-from approxjac.scenario import Scenario, build_scenario, recommended
+from approxjac.scenario import Scenario, build_scenario, recommended, run_scenario
 from approxjac.scenario.convert import hints
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "examples" / "scenarios").glob("*.toml"))
@@ -153,3 +155,30 @@ def test_a_simulation_takes_what_suits_most_arms_unless_it_is_told(parts, law, u
     built = build_scenario(chosen)
     assert (type(built.law) is aj.TrackingController) == (law == "tracking")
     assert (built.controller.kinematics is not None) == (unknown != () or law == "tracking")
+
+
+@pytest.mark.parametrize(
+    ("name", "seed"),
+    [
+        ("ur5", 31),
+        *(
+            pytest.param(name, seed, marks=pytest.mark.study)
+            for name in ("ur3", "ur5")
+            for seed in range(32, 36)
+        ),
+    ],
+)
+def test_a_light_wrist_gets_the_tracking_law_and_reaches_its_target_within_four_seconds(
+    tmp_path, name, seed
+):
+    scenario = Scenario(
+        str(light_wristed(tmp_path, name)),
+        tip="tool0",
+        true={"object": {"length": 0.2, "mass": 0.5}},
+        run={"start": "random", "duration": 4.0, "seed": seed},
+    )
+    assert recommended(scenario).controller.law == "tracking"
+    result = run_scenario(scenario)
+    assert result.run.error_norm[-1] < 1e-3
+    limits = result.built.plant.robot.velocity_limits
+    assert (np.abs(result.run.v) <= 1.05 * limits).all()

@@ -42,6 +42,9 @@ class PredictedError(NamedTuple):
     drift: Array
 
 
+_CREEPS = 0.02  # of the speed that counts as one towards an end: what is left of it at the end
+
+
 class StopZones(NamedTuple):
     """Ranges of joints, near whose ends a reference leaves motion to the others; (n_v,) each."""
 
@@ -56,12 +59,14 @@ class StopZones(NamedTuple):
         """Return the share r of each joint in a motion, and its derivative, (n_v,) each.
 
         r = 1 − c²(3 − 2c) s²/(1 + s²), with c from 0 to 1 on the way through the zone, and s the
-        reference's speed towards the end, over v₀.
+        reference's speed towards the end, over v₀, which falls to a fiftieth of it at the end.
         """
         c, c_dot = np.minimum(near, 1.0), sides * v / self.zone
         c_dot = np.where(near < 1.0, c_dot, 0.0)
-        s = np.maximum(sides * v_r / self.slow, 0.0)
-        s_dot = np.where(s > 0.0, sides * a_r / self.slow, 0.0)
+        per = 1.0 / (self.slow * (1.0 - (1.0 - _CREEPS) * c))
+        s = np.maximum(sides * v_r * per, 0.0)
+        s_dot = (sides * a_r + s * self.slow * (1.0 - _CREEPS) * c_dot) * per
+        s_dot = np.where(s > 0.0, s_dot, 0.0)
         depth, speed = c * c * (3.0 - 2.0 * c), s * s / (1.0 + s * s)
         depth_dot, speed_dot = 6.0 * c * (1.0 - c) * c_dot, 2.0 * s * s_dot / (1.0 + s * s) ** 2
         return 1.0 - depth * speed, -(depth_dot * speed + depth * speed_dot)
