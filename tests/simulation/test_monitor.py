@@ -7,11 +7,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
+from approxjac.controllers import PredictedMeasurement
 from approxjac.interface import Measurement
 from approxjac.robots import Drives, Dynamics, Friction
 from approxjac.scenario.outcome import RunResult
 from approxjac.simulation import Condition, Monitor
 from approxjac.simulation.simulate import MovingArm
+from approxjac.tasks import TrackerTask
 
 DT, AT = 2e-3, 0.8
 MASS, LENGTH = 0.5, 0.1
@@ -195,9 +197,9 @@ def test_a_tip_that_meets_a_wall_presses(panda, controller):
     assert found @ wall[1] < -0.7
 
 
-def swinging(controller, rate, reference=None, duration=3.0):
-    """Show a monitor joints that swing as a function of time, and nothing else."""
-    robot = controller.task.robot
+def swinging(controller, rate, reference=None, duration=3.0, noise=0.0):
+    """Show a monitor joints that swing as a function of time, and frames of x with noise [m]."""
+    robot, rng, x = controller.task.robot, np.random.default_rng(0), np.zeros(3)
     monitor, q = Monitor(controller), robot.neutral().copy()
     state = controller.initial_state(Measurement(0.0, q, np.zeros(robot.nv), np.zeros(3)))
     for k in range(round(duration / DT)):
@@ -205,7 +207,9 @@ def swinging(controller, rate, reference=None, duration=3.0):
         v[3] = rate(t)
         q = q + DT * v
         led = None if reference is None else v * reference
-        monitor.look(Measurement(t, q, v, np.zeros(3)), np.zeros(robot.nv), led, state)
+        if k % 8 == 0:
+            x = noise * rng.standard_normal(3)
+        monitor.look(Measurement(t, q, v, x), np.zeros(robot.nv), led, state)
     return [event for event in monitor.events if event.condition is Condition.OSCILLATES]
 
 
@@ -230,6 +234,18 @@ def test_a_motion_that_dies_out_or_is_led_is_no_oscillation(controller, decay):
 
     assert swinging(controller, dying) == []
     assert swinging(controller, lambda t: np.cos(omega * t), reference=1.0) == []
+
+
+@pytest.mark.parametrize(("share", "named"), [(0.1, False), (3.0, True)])
+def test_what_the_noise_of_x_may_do_is_no_oscillation(controller, share, named):
+    robot, noise, omega = controller.task.robot, 2e-3, 2.0 * np.pi * 2.0
+    lever = np.abs(controller.task.jacobian(robot.neutral())[:, 3]).max()
+
+    def rate(t):
+        return share * noise / lever * omega * np.cos(omega * t)
+
+    assert bool(swinging(controller, rate, noise=noise)) == named
+    assert swinging(controller, rate)  # without noise each is one
 
 
 def test_an_oscillation_that_stops_has_an_end(controller):
@@ -273,6 +289,24 @@ def test_an_x_that_drifts_is_not_explained(panda, belief):
         measured = measured._replace(x=measured.x + [drift, 0.0, 0.0])
         monitor.look(measured, answer.torque, answer.reference, state)
     assert Condition.NOT_EXPLAINED in {event.condition for event in monitor.events}
+
+
+@pytest.mark.parametrize("seed", [0, 4, 7])
+def test_what_a_rotation_left_that_was_given_up_is_not_held_against_another(panda, seed):
+    truth = panda.with_object(0.15, 0.5, axis="x")
+    tracker = TrackerTask(truth, rotation=(0.1, -0.05, np.radians(120.0)), offset=(0.4, -0.2, 0.1))
+    sensing = aj.Sensing(x_noise=1e-3, x_rate=100.0, x_delay=0.02)
+    plant = aj.Plant(truth, tracker, sensing=sensing, torque_limits=truth.effort_limits)
+    task = aj.PositionTask(panda)
+    law = aj.SetpointController(task, gravity=aj.AdaptiveGravity(panda))
+    limited = aj.TorqueLimited(law, aj.Limits.of(panda), dt=DT)
+    kinematics = aj.AdaptiveKinematics(task, noise=1e-3, delay=0.02, dt=DT)
+    controller = PredictedMeasurement(limited, kinematics)
+    q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+    run = aj.simulate(plant, controller, tracker.value(q0) + 0.1, q0, 2.3, dt=DT, seed=seed)
+    assert run.events == ()
+    learning, known = controller.kinematics_of(run.state[-1])
+    assert learning.report(known).is_explained
 
 
 @pytest.mark.study

@@ -58,6 +58,8 @@ _LASTS, _KEEPS = 0.25, 0.75  # s, for which it swings at least, and what is left
 _SLOW = 0.5  # s, over which the speed is averaged about which a joint swings
 _SWINGS = 0.01  # rad/s or m/s, at least
 _VISIBLE, _VISIBLE_LED, _TOOL = 1e-4, 2e-3, 0.1  # m, of motion, while led, of a tool so long
+_NOISY, _FRAME = 0.5, 0.1  # of the noise of x: what that may cause; its share in the noise
+_NO_PLACE = 1e9  # m, rad or px
 _SHAKES, _SHAKEN = 0.1, 0.1  # of the largest torque, on the average over s: else by torques
 _STILL, _QUICK = 0.3, 0.4  # s: since the target moved; the longest period while it does
 _COMPARED, _FRAMES = 2.0, 10  # s and frames, over which x is compared with what was learnt
@@ -140,6 +142,8 @@ class Monitor:
         kinematics = controller.kinematics
         self._learns = kinematics is not None and bool(kinematics.names)
         self._left, self._compares = np.zeros(0), 0.0
+        self._x: deque[Array] = deque(maxlen=3)  # of the last frames
+        self._x_variance = np.zeros(controller.task.measured.m)
         self._frames: deque[tuple[float, Array, Array]] = deque()
 
     def look(
@@ -153,7 +157,7 @@ class Monitor:
             reference: Desired joint velocity, shape (n_v,) [rad/s or m/s]; None is zero.
             state: State of the controller.
         """
-        t, q, v, _, _ = measurement
+        t, q, v, x, _ = measurement
         count, last, self._t = len(self.events), self._t, t
         if not math.isfinite(math.hypot(*q.tolist(), *v.tolist())):
             self._t = last
@@ -178,13 +182,14 @@ class Monitor:
                 self._looked = t
                 if self._learns:
                     self._compare(t, q, v, state)
+                elif self._controller.kinematics is None:
+                    self._watch(x)
             self._swing(t, h, q, v, reference)
         return len(self.events) > count
 
     def with_controller(self, controller: Controller) -> Monitor:
         """Return a monitor of the same arm with another controller, which keeps the events."""
-        adds = None if self._adds is None else self._adds.robot
-        monitor = Monitor(controller, adds)
+        monitor = Monitor(controller, None if self._adds is None else self._adds.robot)
         monitor.events = self.events
         return monitor
 
@@ -213,14 +218,28 @@ class Monitor:
             if moves and period > _QUICK:
                 continue
             unit, joint = self._robot.joint_units[j], self._robot.joint_names[j]
-            away, turns = self._tip.jacobian(q)[:, j].reshape(2, 3)
-            way = np.linalg.norm(away) + _TOOL * np.linalg.norm(turns)
-            visible = _VISIBLE_LED if moves else _VISIBLE
-            if way * amplitude > visible or self._shakes[j] > _SHAKES * self._scale[j]:
+            away, turns = self._tip.jacobian(q).reshape(2, 3, -1)
+            way = np.linalg.norm(away[:, j]) + _TOOL * np.linalg.norm(turns[:, j])
+            # x moves as the tip does, as far as one can tell of joints and tool
+            rows = np.linalg.norm(self._controller.task.measured.jacobian(q), axis=1)
+            of_x = way * amplitude * rows / np.linalg.norm(away)
+            visible = way * amplitude > (_VISIBLE_LED if moves else _VISIBLE)
+            visible = visible and (of_x > _NOISY * np.sqrt(self._x_variance)).any()
+            if visible or self._shakes[j] > _SHAKES * self._scale[j]:
                 figure = f"{amplitude:.2g} {unit} at {1.0 / period:.3g} Hz"
                 begin = max(t - 0.5 * period * _HALF_WAVES, 0.0)
                 self._note(name, Condition.OSCILLATES, begin, joint, figure)
                 self._swinging[j] = True
+
+    def _watch(self, x: Array) -> None:
+        """Estimate the noise of x, which a law on the measured x follows."""
+        if not (np.abs(x) < _NO_PLACE).all() or (self._x and np.array_equal(x, self._x[-1])):
+            return
+        self._x.append(x)
+        if len(self._x) == 3:
+            error, (a, b, c) = self._controller.task.measured.error, self._x
+            odd = error(c, b) - error(b, a)
+            self._x_variance = self._x_variance + _FRAME * (odd * odd / 6.0 - self._x_variance)
 
     # -- what was learnt ------------------------------------------------------------------
 
@@ -454,8 +473,7 @@ class Monitor:
         gives = "nothing" if share > _DEAD else f"{100.0 * (1.0 - share):.0f} %"
         what = "turns the wrong way, with" if share > 1.0 + _WEAK else f"gives {gives} of"
         figure = f"it {what} {torque:.3g} {self._robot.force_units[j]}"
-        joint = self._robot.joint_names[j]
-        self._note("motor", Condition.MOTOR_WEAK, self._since, joint, figure)
+        self._note("motor", Condition.MOTOR_WEAK, self._since, self._robot.joint_names[j], figure)
 
     def _force(
         self, since: float, force: Array, left_force: float, mass: float, left_load: float

@@ -48,6 +48,7 @@ _WORST = 4.0  # χ² above which no more is passed over
 _BELIEVED = 5.0  # of frames after which what was learnt is a belief when learning begins anew [s]
 _NO_TIME = 1e-12  # of an average's share
 _ODDS = 2.0  # of another rotation against the one at hand, as a logarithm, before it is taken
+_JUMPS = 0.95  # of tr(AᵀA') from frame to frame: about 20°, by which no rotation is refined
 _SAME = 0.8  # of tr(AᵀA'): about 45°, nearer than which rotations are one to Newton's method
 
 
@@ -301,9 +302,14 @@ class AdaptiveKinematics(Estimator):
         z, o = np.where(seen, x, 0.0), np.where(seen, known, 0.0)
         H_seen = np.where(seen[:, np.newaxis], H, 0.0)
         share = -np.expm1(-_FORGETTING * since)
+        R_before = self._estimator.estimate(state[at["sums"]])[1].copy()
         state[at["sums"]] = sums = self._estimator.learn(state[at["sums"]], H_seen, o, z, share)
         Theta, R = self._estimator.estimate(sums)
         state[at["learnt"]] = self._in_order(Theta, R)
+        if self._turns:  # what a rotation that is given up left of x says nothing of another
+            given_up = (R_before * R).sum() <= _JUMPS * self._d
+            averaged[:] = law.select(given_up, 0.0, averaged)
+            chi[:] = law.select(given_up, np.array([1.0, 0.0]), chi)
         predicted = self._turned(R, known + H.dot(Theta))
         left = x[: self._n_p] - predicted[: self._n_p]
         if self._is_pose:
