@@ -84,6 +84,6 @@ for row, (name, controller) in enumerate({"alone": alone, "wall and speed": limi
         for ax in (left, right):
             ax.set_xlim(run.t[0], run.t[-1])
 print(*view.save_figure(figure, out / "17_wall"), sep="\n")
-title = "A target behind a wall (not drawn), with an unknown tool of 12 cm"
+title = "A target behind a wall, with an unknown tool of 12 cm"
 print(view.save_page(run, out / "17_wall.html", title))
 print(view.write_index(out))

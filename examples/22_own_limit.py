@@ -31,6 +31,7 @@ class HighElbow(Limit):
 
     def __init__(self, frame, height):
         self.frame, self.height = frame, height
+        self.point, self.normal = np.array([[0.0, 0.0, height], [0.0, 0.0, 1.0]])  # pages draw it
 
     def rows(self, terms, v, dt):
         """Return bounds of the acceleration with which it moves up."""
@@ -61,7 +62,8 @@ heights = {
     name: 1e3 * np.array([elbow.value(q)[2] - table for q in run.q]) for name, run in runs.items()
 }
 for name, run in runs.items():
-    print(f"{name}: the elbow is at least {heights[name].min():.1f} mm above the table\n{run}")
+    lowest = round(heights[name].min(), 1) + 0.0  # without the sign of a zero
+    print(f"{name}: the elbow gets down to {lowest:.1f} mm above the table\n{run}")
 
 region = aj.JointBox.around(arm, start, 0.05)
 sampled = {"latency": aj.Latency(period=2e-3), "duration": 5.0}
@@ -80,6 +82,6 @@ with view.style():
     view.legend_below(left)
     view.legend_below(right)
 print(*view.save_figure(figure, out / "22_own_limit"), sep="\n")
-title = "A limit of one's own: the elbow stays above a table (not drawn)"
+title = "A limit of one's own: the elbow stays above a table"
 print(view.save_page(runs["in Python"], out / "22_own_limit.html", title))
 print(view.write_index(out))

@@ -17,6 +17,7 @@ from approxjac.controllers.gains.tuning import Tuning
 from approxjac.controllers.guard import USUAL, Guard, SampleGuard
 from approxjac.controllers.learning.estimator import Kinematics
 from approxjac.controllers.learning.kinematic_report import KinematicReport
+from approxjac.controllers.limits.limit import Limit
 from approxjac.controllers.limits.limits import Limits
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.formatting import spaced, wrapped
@@ -67,6 +68,7 @@ class Controller(ABC):
         latency: Latency of the loop, if known.
         tuning: Gains that `tuned` chose, and why; None if they were given.
         limits: Limits that it keeps, with an entry for each joint; None is none.
+        motion_limits: Limits of motion that it keeps besides.
         parameters: Names and units of the numbers that `learnt` returns, in their order.
         kinematics: Known or learnt kinematics that predict the controlled error; None if it
             controls the measured one.
@@ -86,6 +88,7 @@ class Controller(ABC):
     latency: Latency | None = None
     tuning: Tuning | None = None
     limits: Limits | None = None
+    motion_limits: tuple[Limit, ...] = ()
     parameters: Mapping[str, str] = MappingProxyType({})
     kinematics: Kinematics | None = None
     unseen: Array | None = None

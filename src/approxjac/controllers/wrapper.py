@@ -14,6 +14,7 @@ from approxjac.controllers.controller import Controller, Instant
 from approxjac.controllers.gains.gains import Latency
 from approxjac.controllers.gains.tuning import Tuning
 from approxjac.controllers.learning.estimator import Kinematics
+from approxjac.controllers.limits.limit import Limit
 from approxjac.controllers.limits.limits import Limits
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import shown
@@ -50,6 +51,7 @@ class ControllerWrapper(Immutable, Controller):
     latency: Latency | None = _inner("latency")
     tuning: Tuning | None = _inner("tuning")
     limits: Limits | None = _inner("limits")
+    motion_limits: tuple[Limit, ...] = _inner("motion_limits")
     parameters: Mapping[str, str] = _inner("parameters")
     kinematics: Kinematics | None = _inner("kinematics")
     unseen: Array | None = _inner("unseen")

@@ -68,6 +68,7 @@ class Scene:
     torque_limits: Array  # of the motors, shape (n_v,) [N m or N]; infinite where unknown
     parameters: Mapping[str, str] = field(default_factory=dict)  # that are learnt: their units
     knows_truth: bool = True  # False on a real arm: `truth` is the believed robot
+    walls: Array = field(default_factory=lambda: np.zeros((0, 2, 3)))  # points [m] and normals
 
     def to_dict(self) -> dict[str, Any]:
         """Return the scene as texts, numbers, lists and dictionaries, to be stored in a file."""
@@ -79,6 +80,7 @@ class Scene:
             # JSON knows no infinity
             "parameters": dict(self.parameters),
             "knows_truth": self.knows_truth,
+            "walls": self.walls.tolist(),
             "torque_limits": [x if np.isfinite(x) else None for x in self.torque_limits.tolist()],
         }
 
@@ -91,7 +93,9 @@ class Scene:
         if len(limits) != truth.nv:
             raise ValueError("its robot and torque limits have different numbers of joints")
         sensor, task = _restored_task(kept["sensor"], truth), _restored_task(kept["task"], belief)
-        return cls(truth, belief, sensor, task, limits, kept["parameters"], kept["knows_truth"])
+        walls = np.array(kept.get("walls", ()), dtype=float).reshape(-1, 2, 3)
+        learnt, knows = kept["parameters"], kept["knows_truth"]
+        return cls(truth, belief, sensor, task, limits, learnt, knows, walls)
 
 
 def _saved_robot(robot: Robot) -> dict[str, Any]:
@@ -591,7 +595,9 @@ class Record:
 
 
 def scene_of(plant: Plant, controller: Controller) -> Scene:
-    """Return the robots, sensors and tasks of a run."""
+    """Return the robots, sensors, tasks and walls of a run."""
     task = controller.task
     limits, learns = plant.motor_limits, controller.parameters
-    return Scene(plant.robot, task.robot, plant.sensor, task, limits, learns)
+    planes: list[Any] = [each for each in controller.motion_limits if hasattr(each, "normal")]
+    walls = np.array([(each.point, each.normal) for each in planes]).reshape(-1, 2, 3)
+    return Scene(plant.robot, task.robot, plant.sensor, task, limits, learns, walls=walls)

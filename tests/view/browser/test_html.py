@@ -14,6 +14,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac import view
+from approxjac.controllers import Wall
 from approxjac.simulation import Condition, Event
 from approxjac.view.browser.frames import _peaks
 from approxjac.view.browser.page import _thinned, page, policy_of
@@ -122,6 +123,43 @@ def test_what_happened_is_shaded_in_the_plots_and_told_while_it_lasts(run, tmp_p
     }""")
     runs = np.flatnonzero(np.diff(np.array(painted) > 20))
     assert np.max(np.diff(runs)) > 0.1 * len(painted)  # a band, not only lines
+
+
+@pytest.fixture(scope="module")
+def walled():
+    """A run in front of a wall, by a limiter within another wrapper."""
+    arm = aj.load_robot("two_link")
+    law = aj.SetpointController(aj.PositionTask(arm, axes="xz"), aj.Gains(60.0, 20.0))
+    wall = Wall([0.4, 0.0, 0.3], [3.0, 0.0, 4.0])
+    limited = aj.HeldMeasurement(aj.TorqueLimited(law, wall, dt=2e-3), unseen=0.1)
+    return aj.simulate(aj.Plant(arm, law.task), limited, (0.5, 1.2), (0.3, 0.8), 0.1, dt=2e-3)
+
+
+def test_a_wall_is_drawn_where_the_tip_would_meet_it(walled, run, tmp_path):
+    data = data_of(page(walled))
+    ((centre, normal),) = np.array(data["walls"])
+    assert_allclose(normal, [0.6, 0.0, 0.8])
+    assert_allclose(normal @ (centre - [0.4, 0.0, 0.3]), 0.0, atol=1e-9)
+    beside = np.concatenate([column(data, name) for name in ("tip", "target")]) - centre
+    assert np.linalg.norm(np.cross(beside, normal), axis=1).min() < 0.5
+    assert "wall" in [what for what, *_ in data["legend"]]
+    assert data_of(page(aj.Trajectory.load(walled.save(tmp_path / "walled")))) == data
+    without = data_of(page(run))
+    assert without["walls"] == []
+    assert "wall" not in [what for what, *_ in without["legend"]]
+
+
+@pytest.mark.browser
+def test_a_wall_is_in_the_scene_and_its_legend(walled, tmp_path, open_page):
+    shown = open_page(view.save_page(walled, tmp_path / "walled.html"))
+    ((centre, normal),) = data_of(page(walled))["walls"]
+    found = shown.evaluate("""() => {
+        const pane = approxjac.viewer.scene_tree.find(["wall0", "pane", "<object>"]).object;
+        const y = new MeshCat.THREE.Vector3(0, 1, 0).applyQuaternion(pane.quaternion);
+        return [pane.position.toArray(), y.toArray()];
+    }""")
+    assert_allclose(found, [centre, normal], atol=1e-6)
+    assert "wall that a limit" in shown.inner_text("#legend")
 
 
 def test_columns_are_those_of_the_run(run):

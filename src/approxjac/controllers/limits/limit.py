@@ -94,7 +94,8 @@ class Limit(ABC):
     """Bounds of motion, as rows: low ≤ A q̈ ≤ high.
 
     Pass it to `TorqueLimited` with `Limits`. It has no memory, and several limiters may share it.
-    Rows that use `np.where` instead of `if` can be compiled, too.
+    Rows that use `np.where` instead of `if` can be compiled, too. Pages draw the plane of a limit
+    with the attributes `point` and `normal`, as `Wall` has them.
     """
 
     @abstractmethod
@@ -173,8 +174,7 @@ class CartesianSpeed(Limit):
         speed = law.root(velocity.dot(velocity))
         along = velocity / np.maximum(speed, _STILL)
         drift = along.dot(terms.drift(self.frame)[:3])
-        row = along.dot(J)[np.newaxis]
-        return terms.stay_below([speed], self.most, row, [drift])
+        return terms.stay_below([speed], self.most, along.dot(J)[np.newaxis], [drift])
 
     def __repr__(self) -> str:
         frame = "" if self.frame is None else f", frame={self.frame!r}"

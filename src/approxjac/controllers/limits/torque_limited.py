@@ -176,6 +176,7 @@ class TorqueLimited(ControllerWrapper):
     """
 
     _what = "its torque is kept within limits"
+    motion_limits: tuple[Limit, ...] = ()
 
     def __init__(
         self,

@@ -181,7 +181,9 @@ def page_data(
     moving = moving[np.isfinite(moving).all(axis=1)]
     seen = [frame_points(robot, q) for robot in stage.robots.values()]
     seen += [f.points for f in features(scene.sensor) if f.camera is not None and f.frame is None]
-    seen += [moving, stage.camera_points]
+    middle = moving.mean(axis=0)  # and where it would meet each wall
+    walls = [(middle + (point - middle).dot(n) * n, n) for point, n in scene.walls]
+    seen += [moving, stage.camera_points, *(centre[np.newaxis] for centre, _ in walls)]
     if live:
         around = _ROOM * stage.size * np.concatenate([np.eye(3), -np.eye(3)])
         seen.append(columns["tip"][-1:] + around)
@@ -205,6 +207,7 @@ def page_data(
         "live": live,
         "colours": COLORS,
         "size": stage.size,
+        "walls": np.array(walls).tolist(),
         "view": viewpoint(moving, points, stage.size),
         "image": image,
         "plots": _plots(scene, run),
@@ -247,8 +250,7 @@ def document(data: Mapping[str, Any], *scripts: str) -> str:
 
 def asset(name: str) -> str:
     """Return the text of a file that pages are made of."""
-    file = resources.files("approxjac.view.browser") / "assets" / name
-    return file.read_text(encoding="utf-8")
+    return (resources.files("approxjac.view.browser") / "assets" / name).read_text(encoding="utf-8")
 
 
 def policy_of(page: str) -> str:
@@ -281,14 +283,14 @@ def _legend(scene: Scene, tip: str, image: bool) -> list[tuple[str, str, str, st
         ("true", "true", "", f"{'true tip' if known else 'tip by the belief'} and its path"),
         ("measured", "measured", "", "measured tip" + ", where it differs" * known),
         ("target", "target", "", "target, line of sight" if image else "target"),
+        ("wall", "neutral", "bar", "wall that a limit of motion keeps to"),
         ("force", "force", "dash", "force that the control means to exert"),
         ("saturated", "saturated", "bar", "link near or at its torque limit"),
         ("at_limit", "at_limit", "bar", "link at a position limit of its joint"),
         ("event", "at_limit", "shade", "in plots: an event named above"),
     ]  # fmt: skip
-    if not any(held_objects(scene.truth).values()):
-        del entries[1]
-    return [(what, COLORS[role], mark, words) for what, role, mark, words in entries]
+    absent = {"object": not any(held_objects(scene.truth).values()), "wall": not len(scene.walls)}
+    return [(a, COLORS[role], mark, words) for a, role, mark, words in entries if not absent.get(a)]
 
 
 def _plots(scene: Scene, run: Trajectory) -> list[dict[str, Any]]:

@@ -120,7 +120,7 @@ approxjac.Rows = class {
 
   // -- what occurs is in the legend ---------------------------------------------------------
 
-  const occurred = new Set(["arm", "object", "true", "target"]);
+  const occurred = new Set(["arm", "object", "true", "target", "wall"]);
   let looked = 0;
 
   function explain() {

@@ -25,6 +25,7 @@ approxjac.Scene = class {
     this.touched = false; // whether the user has turned the view
     this._quiet();
     this.build(data);
+    data.walls.forEach((wall, k) => this._wall(wall, k));
     this.paint();
     // MeshCat takes the whole window's height; here the viewer has a part of it
     this.viewer.set_3d_pane_size = () => this.resize();
@@ -160,6 +161,20 @@ approxjac.Scene = class {
     found.setIndex(geometry.index);
     this.grown.set(geometry, found);
     return found;
+  }
+
+  // A square of a wall, about a point of it.
+  _wall([centre, normal], k) {
+    const THREE = MeshCat.THREE, side = 0.45 * this.data.size, color = this.data.colours.neutral;
+    const lines = new THREE.GridHelper(side, 8, color, color), pane = new THREE.Mesh(
+      new THREE.PlaneGeometry(side, side).rotateX(-Math.PI / 2), new THREE.MeshBasicMaterial({
+        color, opacity: 0.1, transparent: true, depthWrite: false, side: THREE.DoubleSide }));
+    lines.material.setValues({ opacity: 0.5, transparent: true });
+    for (const [name, part] of Object.entries({ lines, pane })) {
+      part.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), new THREE.Vector3(...normal));
+      part.position.set(...centre);
+      this.viewer.set_object(["wall" + k, name], part);
+    }
   }
 
   // What moves besides the arms, and the links, whose colours change.
