@@ -367,8 +367,7 @@ class PinholeCamera(Camera):
         x, y = X / Z, Y / Z
         if self._lens.largest_radius < math.inf:
             is_seen = is_seen & (x * x + y * y < self._lens.largest_radius**2)
-        image = self.shown(law.array([x, y]))
-        return np.asanyarray(law.select(is_seen, image, _NOWHERE.copy()))
+        return np.asanyarray(law.select(is_seen, self.shown(law.array([x, y])), _NOWHERE.copy()))
 
     def shown(self, p: Array) -> Array:
         """Return the image (2,) [px] of a ray (X/Z, Y/Z); shape (2,)."""
@@ -439,8 +438,7 @@ class PinholeCamera(Camera):
         """
         moved = self._R @ as_array("shift", shift, (3,), "m")
         turned = self._R @ pin.exp3(np.array(as_array("rotation", rotation, (3,), "rad")))
-        factor = as_number("focal_factor", focal_factor, above=0.0)
-        f = tuple((self._f * factor).tolist())
+        f = tuple((self._f * as_number("focal_factor", focal_factor, above=0.0)).tolist())
         return replace(self, focal_length=f, position=self._p + moved, rotation=turned)
 
     @property

@@ -246,8 +246,7 @@ class AdaptiveDynamics(MotionDynamics):
         moved = state + dt * law.dynamics_rate(self.gamma, Y_d_sigma)
         state = law.select(learns, np.minimum(np.maximum(moved, self._low), self._high), state)
         of_joints = joints * state[k:].reshape(joints.shape)
-        torque = links.torque(state[:k]) + np.add.reduce(of_joints)
-        return state, torque, links.gravity(state[:k])
+        return state, links.torque(state[:k]) + np.add.reduce(of_joints), links.gravity(state[:k])
 
     def gravity(self, state: Array, q: Array) -> Array:
         """Return Z(q) â of the links, shape (n_v,) [N m or N]."""
@@ -271,8 +270,7 @@ def plausible_errors(regressor: DynamicsRegressor) -> Array:
     mass = _MASS * robot.mass
     reach = math.inf if robot.tip is None else robot.reach_bound(robot.tip)[1]
     length = max(_LENGTH * reach, _SHORTEST) if math.isfinite(reach) else _LENGTH
-    link = mass * np.array([1.0, *[length] * 3, *[length**2] * 6])
-    links = np.tile(link, regressor.links // 10)
+    links = np.tile(mass * np.array([1.0, *[length] * 3, *[length**2] * 6]), regressor.links // 10)
     links[regressor.last_link] *= _LAST
     arm = np.where(np.array(robot.joint_units) == "m", 1.0, length)
     effort = np.where(np.isfinite(robot.effort_limits), robot.effort_limits, 0.0)

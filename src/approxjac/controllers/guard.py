@@ -216,18 +216,15 @@ class SampleGuard:
     def _push_of(self, command: Array, v: Array, before: Array) -> Array:
         """Return by how much |q̈| may change from one command to the next, (n_v,)."""
         if not self._takes_torque:
-            servo: Array = np.minimum(np.abs(command - v) / _SERVO, _MOST)
-            return servo
-        push: Array = self._reach @ np.minimum(np.abs(command - before), _MOST)
-        return push
+            return np.minimum(np.abs(command - v) / _SERVO, _MOST)
+        return self._reach @ np.minimum(np.abs(command - before), _MOST)
 
     def _J_of(self, answer: Evaluation) -> Array | None:
         """Return Ĵ of what is measured, if there is any."""
         J_hat = answer.J_hat
         if J_hat is None or self._uncombined is None:
             return J_hat
-        uncombined: Array = self._uncombined.dot(J_hat)
-        return uncombined
+        return self._uncombined.dot(J_hat)
 
 
 @functools.lru_cache(maxsize=32)

@@ -347,8 +347,7 @@ class SetpointController(Immutable, Controller):
 
     def gravity_torque(self, state: Array, q: Array) -> Array:
         if self.adaptation is not None:
-            Y = self.adaptation.Y(q, self.task.jacobian(q))
-            return law.gravity(Y, state[: self._p])
+            return law.gravity(self.adaptation.Y(q, self.task.jacobian(q)), state[: self._p])
         return self.gravity.torque(q).copy()  # type: ignore[union-attr]  # the others have one
 
     def with_gains(self, gains: Gains) -> Self:
@@ -400,8 +399,7 @@ class SetpointController(Immutable, Controller):
         if not usual:
             if hasattr(getattr(measurement, "q", None), "arm_of"):  # symbols
                 e = law.array(self.task.error(x, target))
-                lost = law.complement(law.is_finite(e))
-                return self._answer(q, v, x, e, state, v_d, lost)
+                return self._answer(q, v, x, e, state, v_d, law.complement(law.is_finite(e)))
             q, v, x = require_arrays(state, measurement, target, self.task, len(self._no_rate))
         # One number that is not small if anything is not finite. Unlike sums of squares it
         # overflows without a warning, and it is faster.

@@ -97,8 +97,7 @@ class GuardMemory(NamedTuple):
 
     def joined(self) -> Array:
         """Return it as an array."""
-        joined: Array = array([*self[:4], *chain.from_iterable(self[4:])])
-        return joined
+        return array([*self[:4], *chain.from_iterable(self[4:])])
 
 
 def first_memory(q: list[float], x: list[float], bounds: GuardBounds) -> Array:
@@ -273,8 +272,7 @@ def closely_judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBo
         apart = apart | (abs(off) > noise + half * A)
         apart = apart | ((abs(drift) > slack) & complement(stopped))
         moves = moves | (abs(v1) > _STILL)
-        likely = _larger(_smaller(v1, most), -most)
-        return (jumps, hits, apart, moves, wild, left, size), (likely,)
+        return (jumps, hits, apart, moves, wild, left, size), (_larger(_smaller(v1, most), -most),)
 
     (jumps, hits, apart, moves, wild, left, size), (likely,) = fold(
         next_joint, (False, False, False, False, False, 0.0, 0.0),

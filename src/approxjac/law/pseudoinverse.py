@@ -100,8 +100,7 @@ def damping_rate(
     """
     moved = [dot(u, J) for u in ends]
     least, largest = (2.0 * dot(u_J, dot(u, J_dot)) for u, u_J in zip(ends, moved, strict=True))
-    is_ratio = dot(moved[1], moved[1]) > scale**2
-    return select(is_ratio, singular_ratio**2 * largest, 0.0) - least
+    return select(dot(moved[1], moved[1]) > scale**2, singular_ratio**2 * largest, 0.0) - least
 
 
 def is_near_singular(G: Array, singular_ratio: float = SINGULAR_RATIO, scale: float = 0.0) -> Any:

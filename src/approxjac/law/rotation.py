@@ -76,8 +76,7 @@ def rotation_log(R: Array) -> Array:
     """
     if len(R) == 2:
         return np.asanyarray(array([angle(*_plane_turn(R))]))
-    rows = R.tolist()
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rows
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = R.tolist()
     twice = array([zy - yz, xz - zx, yx - xy])
     sine, cosine = 0.5 * length(twice), 0.5 * (xx + yy + zz - 1.0)
     turn = angle(sine, cosine)
@@ -177,8 +176,7 @@ def rotation_between(a: list[float], b: list[float]) -> tuple[float, float, floa
 def turned(quaternion: list[float], phi: list[float]) -> tuple[float, float, float, float]:
     """Return a quaternion (x, y, z, w) after a turn by a rotation vector [rad]."""
     size = root(sum((each * each for each in phi[1:]), phi[0] * phi[0]))
-    half = 0.5 * size
-    sine, cosine = sine_and_cosine(half)
+    sine, cosine = sine_and_cosine(0.5 * size)
     factor = _share(sine, size, size > _NO_TURN, 0.5)
     x, y, z, w = quaternion
     return quaternion_between([*(factor * each for each in phi), cosine], [-x, -y, -z, w])

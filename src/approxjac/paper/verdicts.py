@@ -124,8 +124,7 @@ def write_pages(results: Sequence[study.Reproduction], out: Path) -> str:
         except MissingPackageError as error:
             return f"There are no pages to see in a browser: {error}"
     title = "The paper's two-link study: the arm as it is, and as it is believed"
-    index = view.write_index(out, title)
-    return f"See them move: {index}"
+    return f"See them move: {view.write_index(out, title)}"
 
 
 def write_result(result: study.Reproduction, setup: study.Setup, truth: Robot, out: Path) -> None:

@@ -180,8 +180,7 @@ class FaultWatch:
                 )  # fmt: skip
                 beyond = np.abs(q_way - v_way) - slack
                 if (beyond > 0.0).any():
-                    j = int(np.argmax(beyond))
-                    return self._disagrees(j, q_way, v_way, slack, window)
+                    return self._disagrees(int(np.argmax(beyond)), q_way, v_way, slack, window)
         # a joint that stops from one period to the next, and then has the same q again and again
         same = way == 0.0
         stops = (sudden > self._v_stop) & (np.abs(before) > self._v_noise)
@@ -375,8 +374,7 @@ class SensorWatch:
         periods = (self._past[-1][0] - taken) / self._dt
         if not -0.5 <= periods < len(self._past) - 0.5:
             return None  # from before the run, or by an unknown clock
-        back = round(periods)
-        near = self._past[-1 - back]
+        near = self._past[-1 - round(periods)]
         if abs(near[0] - taken) > 2.0 * self._dt:  # periods were missed
             near = min(self._past, key=lambda each: abs(each[0] - taken))
         return near if abs(near[0] - taken) <= 2.0 * self._dt else None

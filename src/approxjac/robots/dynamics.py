@@ -253,8 +253,7 @@ class DynamicsRegressor(_TorqueRegressor):
     def Y_d(self, q: Array, v: Array, v_r: Array, a_r: Array) -> Array:
         """Return Y_d (n_v, p) at q (nq,), q̇, q̇_r and q̈_r (n_v,), which are not checked."""
         links = self._links(q, v, v_r, a_r)
-        joints = map(np.diag, self.of_joints(v_r, a_r))
-        return np.concatenate([links, *joints], axis=1)
+        return np.concatenate([links, *map(np.diag, self.of_joints(v_r, a_r))], axis=1)
 
     def _links(self, q: Array, v: Array, v_r: Array, a_r: Array) -> Array:
         mimic = self._mimic_joints
@@ -264,8 +263,7 @@ class DynamicsRegressor(_TorqueRegressor):
 
     def of_joints(self, v_r: Array, a_r: Array) -> Array:
         """Return the diagonals of the joints' four blocks of columns, shape (4, n_v)."""
-        each = a_r, v_r, np.tanh(v_r / REFERENCE_SPEED), self._one
-        return np.concatenate(each).reshape(4, -1)
+        return np.concatenate((a_r, v_r, np.tanh(v_r / REFERENCE_SPEED), self._one)).reshape(4, -1)
 
     def motion(self, q: Array, v: Array, v_r: Array, a_r: Array) -> LinkMotion:
         """Return the links' part of `Y_d`, of the same arguments, as products with it."""
@@ -386,8 +384,7 @@ class GravityRegressor(_TorqueRegressor):
 def anywhere(robot: Robot, rng: np.random.Generator) -> list[Array]:
     """Return 60 random configurations over full turns (±1 m), regardless of joint limits."""
     reach = np.where(np.array(robot.joint_units) == "m", 1.0, np.pi)
-    motions = rng.uniform(-reach, reach, (60, robot.nv))
-    return [robot.configuration(motion) for motion in motions]
+    return [robot.configuration(motion) for motion in rng.uniform(-reach, reach, (60, robot.nv))]
 
 
 def independent_columns(A: Array) -> tuple[list[int], Array]:

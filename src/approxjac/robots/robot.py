@@ -415,8 +415,7 @@ class Robot(Immutable):
     def with_gravity(self, gravity: Sequence[float] | Array) -> Robot:
         """Return this robot under another gravity in the world frame, shape (3,) [m/s²]."""
         gravity = as_array("gravity", gravity, (3,), "m/s^2")
-        changes = {**self._changes, "gravity": gravity}
-        robot = self.like(self, gravity=gravity, _changes=changes)
+        robot = self.like(self, gravity=gravity, _changes={**self._changes, "gravity": gravity})
         for model in robot.models:
             model.gravity.linear = gravity
         return robot

@@ -127,8 +127,7 @@ def _truth(arm: Robot, built: build.BuiltScenario, analysis: Analysis) -> Uncert
     sensor, task = built.plant.sensor, built.law.task
     C = task.C if isinstance(task, CombinedTask) else None  # errors are compared, so alike
     if not any(given.values()):
-        sensor = sensor if C is None else CombinedTask(sensor, C)
-        return Plant(built.plant.robot, sensor, friction)
+        return Plant(built.plant.robot, sensor if C is None else CombinedTask(sensor, C), friction)
     if believed.shifts or believed.rotations:
         arm = arm.with_kinematic_error(believed.shifts, believed.rotations)
     held = believed.object

@@ -99,8 +99,7 @@ def _rules(scenario: Scenario) -> Iterator[Rule]:
     # what a camera in hand watches is not the object
     for kind, held in (("true", true.object), ("believed", scenario.believed.object)):
         weightless = in_hand and held.mass == 0.0 and held.length != 0.0
-        mass = f"needs {kind}.object.mass"
-        yield f"{kind}.object.length", weightless, mass, "a camera in hand"
+        yield f"{kind}.object.length", weightless, f"needs {kind}.object.mass", "a camera in hand"
 
 
 def _faults(scenario: Scenario) -> Iterator[tuple[Any, str]]:

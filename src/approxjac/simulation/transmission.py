@@ -122,8 +122,7 @@ class Transmission:
             dv = dv - S @ (share * held)
         v_end = np.where(rigid, w_end, v + dv)
         turned = twist + 0.5 * h * (w + w_end - v - v_end)
-        twist = np.where(rigid, 0.0, turned)
-        return JointStep(v_end, Motors(twist, w_end, held, v_end - v), S)
+        return JointStep(v_end, Motors(np.where(rigid, 0.0, turned), w_end, held, v_end - v), S)
 
     def pushed(self, after: JointStep, impulse: Array) -> JointStep:
         """Return a step with a further impulse (n_v,) on the links, as of stops [N m s or N s]."""

@@ -103,8 +103,7 @@ class ImageTask(Task):
 
     def displaced(self, x: Array, e: Array) -> Array:
         images = x.reshape(-1, self._stride)
-        moved = images[:, :2] + e.reshape(-1, 2)
-        return np.concatenate([moved, images[:, 2:]], axis=1).ravel()
+        return np.concatenate([images[:, :2] + e.reshape(-1, 2), images[:, 2:]], axis=1).ravel()
 
     def value(self, q: Array) -> Array:
         places = self._kinematics.positions(q)

@@ -312,8 +312,7 @@ class Writer:
         graph = self._graph
         roots = [graph.place(number) for number in wanted]
         self._schedule = schedule = Schedule(graph, roots)
-        lines = self._region(schedule.whole)
-        return lines, [self._name(place) for place in roots]
+        return self._region(schedule.whole), [self._name(place) for place in roots]
 
     def _region(self, region: Scope) -> list[str]:
         nodes, language, lines = self._graph.nodes, self._language, []

@@ -58,8 +58,7 @@ def largest_rate(latency: Latency, damping_ratio: float = 0.05, integral: float 
         lag = omega * delay + np.arctan(omega * filtered) + np.arctan(integral / omega)
         low, high = np.where(lag > phase, low, omega), np.where(lag > phase, omega, high)
     size = omega * np.sqrt((1.0 + (omega * filtered) ** 2) / (1.0 + (integral / omega) ** 2))
-    swings = 2.0 * damping_ratio * size[1:] / np.abs(np.cos(phase[1:]))
-    return float(min(size[0], swings.min()))
+    return float(min(size[0], (2.0 * damping_ratio * size[1:] / np.abs(np.cos(phase[1:]))).min()))
 
 
 def least_rotors(robot: Robot) -> Array:

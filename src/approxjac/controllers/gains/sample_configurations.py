@@ -45,8 +45,7 @@ class SampleConfigurations:
     @functools.cached_property
     def inertia(self) -> Array:
         """Inertia Λ along each task coordinate, 1 / (Ĵ M⁻¹ Ĵᵀ)ᵢᵢ, by unit; shape (m,)."""
-        along = 1.0 / np.diagonal(self.mobility, axis1=1, axis2=2)
-        return self.by_unit(np.median(along, axis=0))
+        return self.by_unit(np.median(1.0 / np.diagonal(self.mobility, axis1=1, axis2=2), axis=0))
 
     @functools.cached_property
     def inertia_in_joints(self) -> float:

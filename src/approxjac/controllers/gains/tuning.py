@@ -497,8 +497,7 @@ def _rates(
     @functools.cache
     def time(rate: float) -> float:
         diagonals = of_rate(rate).diagonals(m, nv)
-        gamma = arm.saturation(diagonals, latency)
-        return arm.time(gamma, rate, slow_rate(arm.task, diagonals))
+        return arm.time(arm.saturation(diagonals, latency), rate, slow_rate(arm.task, diagonals))
 
     if settling_time is None:
         most = min(_LAG / latency.of_position, arm.damped_rate(of_rate(_RATES[-1])))

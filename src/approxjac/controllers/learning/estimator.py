@@ -475,8 +475,7 @@ def motion_of_points(
     k, n = o.size // 3, len(u)
     H = (H - H_0).reshape(k, 3, n)
     moved = (o - o_0).reshape(-1, 3) + H.dot(u)
-    unsure = (H * sd).reshape(k, 3 * n)
-    return np.sqrt((moved**2).sum(axis=1)), np.sqrt((unsure**2).sum(axis=1))
+    return np.sqrt((moved**2).sum(axis=1)), np.sqrt(((H * sd).reshape(k, 3 * n) ** 2).sum(axis=1))
 
 
 class Frames:

@@ -98,8 +98,7 @@ class Solver:
         if not math.isfinite(np.vdot(H, H) + f.dot(f) + np.vdot(A, A)):
             return None, Verdict.FAILED, math.nan
         if False in (low <= high).tolist():  # of NaN, too
-            crossed = (low > high).any()
-            return None, Verdict.INFEASIBLE if crossed else Verdict.FAILED, math.nan
+            return None, Verdict.INFEASIBLE if (low > high).any() else Verdict.FAILED, math.nan
         if self._function is None:
             z, verdict, multiplier = self._minimum(problem, low, high)
         else:

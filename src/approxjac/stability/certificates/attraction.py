@@ -84,8 +84,7 @@ def attraction(loop: ClosedLoop, test: SampledTest, rng: np.random.Generator) ->
         low, high = (middle, high) if stays(middle) else (low, middle)
     if not low:
         return None
-    error = float(np.linalg.norm(errors(low), axis=1).max())
-    return Attraction(travel, rate, weights, low, error)
+    return Attraction(travel, rate, weights, low, float(np.linalg.norm(errors(low), axis=1).max()))
 
 
 def slower(form: SampledForm) -> SampledForm:

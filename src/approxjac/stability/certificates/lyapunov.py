@@ -103,5 +103,4 @@ def lyapunov(
     s_dot = controller.saturation.ds(e) * (J_e @ v)
     M_dot, C, B = dynamics.M_dot(q, v), dynamics.coriolis(q, v), plant.friction + damping
     pinv, inertia = (J_hat_pinv, J_hat_pinv_dot), (M, M_dot, C)
-    W = law.W(v, (s, s_dot), J_e, J_hat, pinv, inertia, B, kp, kv, alpha)
-    return LyapunovValue(V, W)
+    return LyapunovValue(V, law.W(v, (s, s_dot), J_e, J_hat, pinv, inertia, B, kp, kv, alpha))

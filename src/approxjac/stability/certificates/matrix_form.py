@@ -398,8 +398,7 @@ def _cutting_planes(
 def _along(v: Array, A0: Array, A1: Array, which: tuple[Indices, ...]) -> Array:
     """Return the affine functions vᵀA(y)v, constants first; shape (number of v, 1 + d)."""
     constant: Array = np.einsum("ci,cij,cj->c", v, A0[which], v)
-    slopes: Array = np.einsum("ci,kcij,cj->ck", v, A1[:, which[0], which[1]], v)
-    return np.column_stack([constant, slopes])
+    return np.column_stack([constant, np.einsum("ci,kcij,cj->ck", v, A1[:, which[0], which[1]], v)])
 
 
 # -- the loop that is sampled, held and late -------------------------------------------------------
@@ -433,8 +432,7 @@ class Hold(NamedTuple):
         frames = latency.image_period / h
         if abs(frames - round(frames)) > _MULTIPLE:
             late += min(latency.image_period, h)
-        x = sampled_form.hold_gain(held, late + d)
-        return cls(gain, span, lag, x, held + late + d, turned)
+        return cls(gain, span, lag, sampled_form.hold_gain(held, late + d), held + late + d, turned)
 
 
 class Turning(NamedTuple):

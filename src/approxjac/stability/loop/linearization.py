@@ -342,8 +342,7 @@ def local_stability(
     _require_gravity(plant, law, q)
     gravity = float(np.linalg.norm(plant.robot.gravity))
     (values,), (singular,), (unseen,), _ = spectrum(linear_loop(plant, law, q), gravity, timing)
-    self_motion = plant.robot.nv - plant.sensor.m
-    return _stability(values, self_motion, int(unseen), bool(singular), timing)
+    return _stability(values, plant.robot.nv - plant.sensor.m, int(unseen), bool(singular), timing)
 
 
 def _stability(

@@ -153,8 +153,7 @@ def clopper_pearson(successes: int, runs: int, confidence: float = 0.95) -> tupl
     betaincinv = package_of("study", "scipy.special").betaincinv
     tail, failures = 0.5 * (1.0 - confidence), runs - successes
     low = 0.0 if successes == 0 else float(betaincinv(successes, failures + 1, tail))
-    high = 1.0 if failures == 0 else float(betaincinv(successes + 1, failures, 1.0 - tail))
-    return low, high
+    return low, 1.0 if failures == 0 else float(betaincinv(successes + 1, failures, 1.0 - tail))
 
 
 # -- how they are carried out ----------------------------------------------------------------------

@@ -69,8 +69,7 @@ class Tolerance:
             "errors": self.uncertainty.describe_box(),
             "fails": fails if np.isfinite(self.fails_at) else "not up to the most that was tried",
         }
-        heading = wrapped(f"{what}: {self.scale:.3g} times the errors")
-        return "\n".join([*heading, *rows(texts, 2)])
+        return "\n".join([*wrapped(f"{what}: {self.scale:.3g} times the errors"), *rows(texts, 2)])
 
 
 def tolerances(
