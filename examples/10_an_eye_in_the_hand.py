@@ -66,9 +66,10 @@ figure, axes = view.new_figure(
     title="A camera on the hand, calibrated badly: law (6) above, the classical law below",
 )
 axes[5].sharey(axes[2])  # torques at one scale
+runs = {}
 for row, (name, law) in enumerate(laws.items()):
     held = aj.HeldMeasurement(law, unseen=40.0)
-    run = aj.simulate(
+    run = runs[name] = aj.simulate(
         plant,
         held,
         target,
@@ -82,8 +83,6 @@ for row, (name, law) in enumerate(laws.items()):
     view.plot_error(run, axes[3 * row + 1], title=f"Task error: {name}")
     view.plot_torque(run, axes[3 * row + 2], title=f"Torque: {name}")
 print(*view.save_figure(figure, out / "10_eye_in_the_hand"), sep="\n")
-title = (
-    "A camera on the hand, calibrated badly: the classical law with its estimate of the Jacobian"
-)
-print(view.save_page(run, out / "10_eye_in_the_hand.html", title))
+title = "A camera on the hand, calibrated badly: law (6)"
+print(view.save_page(runs["law (6)"], out / "10_eye_in_the_hand.html", title))
 print(view.write_index(out))

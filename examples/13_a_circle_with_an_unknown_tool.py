@@ -1,6 +1,6 @@
 """A UR5 follows a circle with a tool that it was not told of, and learns the tool on its way.
 
-You will see: with the Jacobian of the bare flange the tip runs centimetres behind and beside the
+You will see: with the Jacobian of the bare flange the tip stays more than a centimetre off the
 circle. The tracking law controls where it *predicts* the tip and learns from where the tip is
 measured: the error is a millimetre after a few seconds, although the sensor has noise, frames and
 delay.

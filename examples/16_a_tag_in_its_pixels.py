@@ -86,7 +86,7 @@ loop = aj.HeldMeasurement(aj.TorqueLimited(law, aj.Limits.of(belief), dt=dt), un
 robot = SimulatedDriver(aj.Plant(truth), START, dt=dt, pace=np.inf)  # yours: tells q, q̇; takes τ
 images, kept = deque([(np.full(8, np.nan), -np.inf)]), []
 state = loop.initial_state(aj.Measurement(0.0, START, np.zeros(7), images[0][0]))
-print("9 s of control with 30 images each, which takes some 5 s or more")
+print("9 s of control at 30 images a second: this takes 5 s or more")
 for step in range(round(9.0 / dt)):
     now, q, v, *_ = robot.read()
     if step % round(1 / 30 / dt) == 0:  # an image is there when it was looked through
@@ -102,7 +102,7 @@ first, last = np.nanmax(np.abs(error)), np.abs(error[t[:, 0] > 8.0]).max()
 print(f"largest error of a corner: {first:.0f} px at first, {last:.2f} px in the last second")
 assert last < 1.5 < 100.0 < first  # NaN, had the tag been lost
 
-figure, axes = view.new_figure(2, 2, title="A tag is brought to where it shall be in an image")
+figure, axes = view.new_figure(2, 2, title="A tag is brought to its target in an image")
 with view.style():
     for ax, q, when in ((axes[0], START, "start"), (axes[1], robot.q, "end")):
         ax.imshow(eye.image(q), cmap="gray", vmin=0, vmax=255)
