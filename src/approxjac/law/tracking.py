@@ -8,6 +8,7 @@ is (m, n_v), q̇, q̇_r, q̈_r, σ, n₀ are (n_v,).
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -42,7 +43,8 @@ class PredictedError(NamedTuple):
     drift: Array
 
 
-_CREEPS = 0.02  # of the speed that counts as one towards an end: what is left of it at the end
+_PASSES = 2  # in which shares are found
+_CREEPS = 0.1  # of the speed that counts as one towards an end: what is left of it at the end
 
 
 class StopZones(NamedTuple):
@@ -59,7 +61,7 @@ class StopZones(NamedTuple):
         """Return the share r of each joint in a motion, and its derivative, (n_v,) each.
 
         r = 1 − c²(3 − 2c) s²/(1 + s²), with c from 0 to 1 on the way through the zone, and s the
-        reference's speed towards the end, over v₀, which falls to a fiftieth of it at the end.
+        reference's speed towards the end, over v₀, which falls to a tenth of it at the end.
         """
         c, c_dot = np.minimum(near, 1.0), sides * v / self.zone
         c_dot = np.where(near < 1.0, c_dot, 0.0)
@@ -194,13 +196,19 @@ def reference_step(
         if stops is None or motion is None:
             return *within_speeds(v_r, a_r, gains.fastest), damping
         near, sides = stops.near(motion)
+        r, r_dot = np.ones(len(v)) if shares is None else shares, 0.0 * v
+        found = v_r, a_r, damping, r, r_dot
+        for _ in range(_PASSES):  # what some joints leave may bring others to a stop
 
-        def away() -> tuple[Array, Array, Any]:
-            r, r_dot = stops.shares(near, v, v_r, a_r, sides)
-            return shared(*((r, r_dot) if shares is None else (shares * r, shares * r_dot)))
+            def away(found: tuple[Any, ...] = found) -> tuple[Any, ...]:
+                v_r, a_r, _, r, r_dot = found
+                less, less_dot = stops.shares(near, v, v_r, a_r, sides)
+                r, r_dot = r * less, r_dot * less + r * less_dot
+                return *shared(r, r_dot), r, r_dot
 
-        towards = any_of((near > 0.0) & (sides * v_r > 0.0))
-        v_r, a_r, damping = choose(towards, away, lambda: (v_r, a_r, damping))
+            towards = any_of((near > 0.0) & (sides * found[0] > 0.0))
+            found = choose(towards, away, partial(tuple, found))
+        v_r, a_r, damping, *_ = found
         return *within_speeds(v_r, a_r, gains.fastest), damping
 
     nothing = np.zeros(len(v))
