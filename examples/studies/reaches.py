@@ -12,12 +12,20 @@ import numpy as np
 from common import head, row, two_digits
 
 import approxjac as aj
+from approxjac.robots.meshes import share_dir
 from approxjac.scenario import Scenario, run_scenario
 
 ARMS = (
     "panda", "ur3", "ur5", "ur10", "kinova", "xarm7", "talos_arm", "z1", "so101", "tiago_arm",
 )  # fmt: skip
 SMALL = {"z1": (0.15, 0.3), "so100": (0.10, 0.1), "so101": (0.10, 0.1)}  # tools of small arms
+OTHERS = (  # of example-robot-data, on which nothing was chosen: file, tip
+    "alex_description/urdf/alex_nub_hands.urdf:LeftGripperYawLink",
+    "centauro_description/urdf/centauro.urdf:arm1_8",
+    "g1_description/urdf/g1_29dof_rev_1_0.urdf:left_wrist_yaw_link",
+    "romeo_description/urdf/romeo.urdf:l_wrist",
+    "tiago_pro_description/robots/tiago_pro.urdf:arm_left_tool_link",
+)
 DONE = 1e-3  # [m]
 SOON = 4.0  # [s]
 AT_STOP = 0.02  # a joint as near to its end as this is at it [rad or m]
@@ -66,7 +74,10 @@ def scenario(case, **more):
     more["true"] = {"object": {"length": length, "mass": mass}} | more.get("true", {})
     run = {"start": "random", "duration": case.duration, "seed": case.seed}
     more["run"] = run | more.get("run", {})
-    return Scenario(case.robot, **more)
+    robot, *parts = case.robot.split(":")
+    if parts:
+        robot = str(share_dir() / "example-robot-data/robots" / robot)
+    return Scenario(robot, **dict(zip(("tip", "base"), parts, strict=False)), **more)
 
 
 def without_stops(built):
@@ -137,7 +148,9 @@ class Tally:
         self.said[answer.status.name] += 1
         torque = answer.torque
         if loop.controller is not self.law:
-            if loop.step % EVERY:
+            if loop.controller.kinematics is not self.law.kinematics:  # its x is predicted
+                self.asked = math.nan
+            if loop.step % EVERY or math.isnan(self.asked):
                 return
             state = loop.state[: self.law.size]
             torque = self.law.step(state, loop.measurement, loop.target, loop.dt)[1].torque
@@ -188,7 +201,8 @@ def table(outcomes, label):
         mine = [o for o in outcomes if o.case.kind == kind]
         lines.append(row(f"**{kind}**", "**all**", *cells(mine)))
         for robot in dict.fromkeys(o.case.robot for o in mine):
-            lines.append(row(kind, robot, *cells([o for o in mine if o.case.robot == robot])))
+            name = robot.split(":")[0].rpartition("/")[-1].removesuffix(".urdf")
+            lines.append(row(kind, name, *cells([o for o in mine if o.case.robot == robot])))
     return lines
 
 
