@@ -283,9 +283,8 @@ def _law(
 def recommended(scenario: Scenario) -> Scenario:
     """Return a scenario whose law is chosen, as for a simulation.
 
-    It is the set-point law on the predicted x to a target at rest in an ideal loop, and the
-    tracking law else, and for wrists so light that the former would ring with an unknown tool
-    unless it learns slowly.
+    Kinematics are learnt, and the law is the tracking law; where joints rub, but nothing is late
+    and the target rests, it is the set-point law on the predicted x, which is quieter there.
     """
     chosen, sensor, goal = scenario.controller, scenario.sensor, scenario.run.target
     usual = replace(type(chosen)(), limits=chosen.limits, torque_rate=chosen.torque_rate)
@@ -294,14 +293,9 @@ def recommended(scenario: Scenario) -> Scenario:
         return replace(scenario, controller=replace(chosen, law=chosen.law or "setpoint"))
     late = sensor.delay or sensor.rate or sensor.velocity_filter or scenario.loop.actuator_delay
     path = goal.line.offset or goal.circle.radius or goal.waypoints.points
-    laws = [
-        scenario.with_values({"controller": {"law": law, "unknown": ["tool", "origins"]}})
-        for law in ("setpoint", "tracking")
-    ]
-    if late or path:
-        return laws[1]
-    tuning = build_scenario(laws[0]).law.tuning
-    return laws[0 if tuning is None or tuning.share == 1.0 else 1]
+    rubs = scenario.true.drives != "ideal" or scenario.true.coulomb
+    law = "tracking" if late or path or not rubs else "setpoint"
+    return scenario.with_values({"controller": {"law": law, "unknown": ["tool", "origins"]}})
 
 
 def _friction(scenario: Scenario) -> controllers.FrictionCompensation | None:
