@@ -123,7 +123,7 @@ def test_joints_share_the_motion_that_the_task_needs(rng, near_stops, sliding):
 
 def test_joints_at_a_stop_are_hardly_pushed_into_it(rng):
     """Three of seven joints at their ends: neither at first nor for what the others leave."""
-    ones, nothing, shares = np.ones(7), np.zeros(7), []
+    ones, nothing, speeds, shares = np.ones(7), np.zeros(7), [], []
     stops = law.StopZones(-ones, ones, 0.5 * ones, 0.1 * ones)
     gains = law.ReferenceGains(6.0, 12.0, np.full(7, np.inf), 1e-3, 0.0, stops)
     for _ in range(200):
@@ -132,9 +132,10 @@ def test_joints_at_a_stop_are_hardly_pushed_into_it(rng):
         error = law.PredictedError(z, J, 0.0 * J, still, still, still)
         v_r = law.reference_step(error, nothing, (nothing, nothing), False, gains, q)[0]
         assert_allclose(J @ v_r, law.task_velocity(z, still, still, still, 6.0, 12.0)[0], atol=1e-9)
-        shares.append(max(0.0, (q * v_r).max()) / np.linalg.norm(v_r))
+        speeds.append(max(0.0, (q * v_r).max()))
+        shares.append(speeds[-1] / np.linalg.norm(v_r))
     assert np.quantile(shares, 0.97) < 0.1
-    assert np.median(shares) < 0.005
+    assert np.median(speeds) < 0.2 * 0.1  # a fifth of v₀ counts as much at the end
 
 
 def test_a_jacobian_of_zeros_leaves_the_self_motion():

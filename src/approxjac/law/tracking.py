@@ -44,7 +44,7 @@ class PredictedError(NamedTuple):
 
 
 _PASSES = 2  # in which shares are found
-_CREEPS = 0.1  # of the speed that counts as one towards an end: what is left of it at the end
+_CREEPS = 0.2  # of the speed that counts as one towards an end: what is left of it at the end
 
 
 class StopZones(NamedTuple):
@@ -61,7 +61,7 @@ class StopZones(NamedTuple):
         """Return the share r of each joint in a motion, and its derivative, (n_v,) each.
 
         r = 1 − c²(3 − 2c) s²/(1 + s²), with c from 0 to 1 on the way through the zone, and s the
-        reference's speed towards the end, over v₀, which falls to a tenth of it at the end.
+        reference's speed towards the end, over v₀, which falls to a fifth of it at the end.
         """
         c, c_dot = np.minimum(near, 1.0), sides * v / self.zone
         c_dot = np.where(near < 1.0, c_dot, 0.0)
