@@ -1,8 +1,8 @@
-"""Compare the defaults with an operational-space loop with integral, and with those of before.
+"""Compare the defaults with an operational-space loop with integral, and with joint impedance.
 
-The same starts, targets, wrong model and sensors for each. The operational-space loop is tuned for
-each arm and each kind of sensing, on starts and targets that are not those of the comparison.
-docs/studies/reaching.md has what came out.
+The same starts, targets, wrong model and sensors for each; joint impedance gets the true model,
+too. The operational-space loop is tuned for each arm with ideal sensing, on starts and targets that
+are not those of the comparison. docs/studies/reaching.md has what came out.
 
     python examples/studies/compare_laws.py --out results/compare_laws
     python examples/studies/compare_laws.py --tune   # finds TUNED anew
@@ -16,14 +16,15 @@ from itertools import product
 import numpy as np
 import reaches
 from common import head, parser, row, run_all, two_digits, write
-from defaults_before import controller_before
+from joint_impedance import JointImpedance
 from operational_space import OperationalSpace
 from reach_mujoco import SENSORS
 from reaches import ARMS, Case
 
-from approxjac.scenario import build_scenario
+from approxjac.scenario import build_scenario, recommended
 
-LAWS = ("defaults", "before", "operational space")
+IMPEDANCE = "joint impedance", "joint impedance, true model"
+LAWS = ("defaults", "operational space", *IMPEDANCE)
 KINDS = {
     "ideal": {"controller": {"limits": "none"}},
     "sensors": {
@@ -32,7 +33,14 @@ KINDS = {
         "loop": {"actuator_delay": 2e-3},
     },
     "stops": {"controller": {"limits": "urdf"}},
+    "joints": {
+        "controller": {"limits": "urdf"},
+        "sensor": SENSORS,
+        "loop": {"actuator_delay": 2e-3},
+        "true": {"drives": "usual"},
+    },
 }
+HAS_STOPS = "stops", "joints"
 LEVEL = {"ideal": 1e-3, "sensors": 5e-3}  # error that the time of which is tuned [m]
 TUNING_SEEDS, TUNING_TIME = (100, 101, 102, 103), 8.0  # [s]
 # frequency ω [1/s], integral time × ω, speed [m/s]
@@ -54,8 +62,9 @@ TUNED = {  # by --tune; after each the score, 12 s where it never gets there
 
 def built_for(kind, robot, seed, duration):
     """Return a reach with the sensing of a kind."""
-    built = build_scenario(reaches.scenario(Case(robot, seed, kind, duration), **KINDS[kind]))
-    return built if kind == "stops" else reaches.without_stops(built)
+    scenario = reaches.scenario(Case(robot, seed, kind, duration), **KINDS[kind])
+    built = build_scenario(recommended(scenario))
+    return built if kind in HAS_STOPS else reaches.without_stops(built)
 
 
 def run_case(case):
@@ -63,9 +72,9 @@ def run_case(case):
     built, outcomes = built_for(case.kind, case.robot, case.seed, case.duration), []
     for law in LAWS:
         loop = built
-        if law == "before":
-            controller = controller_before(built)
-            loop = replace(built, controller=controller, law=controller.law)
+        if law in IMPEDANCE:
+            arm = built.plant.robot if law == IMPEDANCE[1] else built.law.task.robot
+            loop = replace(built, controller=JointImpedance(built, arm))
         elif law == "operational space":
             loop = replace(built, controller=operational_space(built, *tuned(case)))
         outcomes.append(reaches.run(case._replace(kind=f"{case.kind}, {law}"), loop))

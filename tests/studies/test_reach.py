@@ -9,6 +9,7 @@ import pytest
 import reach
 import reach_mujoco
 import reaches
+from joint_impedance import JointImpedance
 from operational_space import OperationalSpace
 from reaches import Case, Outcome
 
@@ -59,6 +60,16 @@ def test_the_operational_space_loop_has_the_poles_that_it_promises():
     run = aj.simulate(plant, law, target, q0, 1.0, dt=1e-3)
     wanted = run.error_norm[0] * (1.0 + w * run.t) * np.exp(-w * run.t)
     assert run.error_norm == pytest.approx(wanted, abs=2e-4)
+
+
+def test_joint_impedance_is_at_its_goal_with_the_true_model_and_beside_it_with_the_believed_one():
+    built = build_scenario(reaches.scenario(Case("panda", 3, "free")))
+    errors = []
+    for robot in (built.plant.robot, built.law.task.robot):
+        run = run_scenario(replace(built, controller=JointImpedance(built, robot))).run
+        errors.append(run.error_norm[-1])
+    assert errors[0] < 1e-4
+    assert errors[1] > 0.05  # the tool of 20 cm is not in its inverse kinematics
 
 
 def test_what_falls_short_is_named():
