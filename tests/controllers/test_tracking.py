@@ -320,6 +320,29 @@ def test_the_self_motion_goes_to_the_posture(panda):
     assert run.error_norm[-1] < 1e-4
 
 
+@pytest.mark.parametrize("name", ["panda", "pr2_left_arm"])
+def test_without_a_posture_joints_are_only_pulled_back_from_their_ends(name, rng):
+    """Nothing within 90 % of each range; beyond, towards the middle; the exact derivative."""
+    robot = aj.load_robot(name)
+    rest = RestConfiguration(aj.PositionTask(robot), None, 1.0)
+    low, high = robot.usual_range
+    limited = high - low < 0.999 * 2.0 * np.pi
+    for share in (0.06, 0.94, 0.5, 0.02, 0.98):
+        motion = low + share * (high - low)
+        v = rng.normal(size=robot.nv)
+        n, n_dot = rest.velocity(robot.configuration(motion), v)
+        if 0.05 < share < 0.95:
+            assert not n.any()
+            assert not n_dot.any()
+            continue
+        assert (np.sign(n[limited]) == np.sign(0.5 - share)).all()
+        assert (np.abs(n) <= 0.5).all()
+        ahead, behind = (
+            rest.velocity(robot.configuration(motion + h * v), v)[0] for h in (1e-6, -1e-6)
+        )
+        assert_allclose(n_dot, (ahead - behind) / 2e-6, atol=1e-6)
+
+
 def test_self_motion_is_drawn_to_a_posture_the_short_way_round(rng):
     """Of continuous joints by the sine of the angle; and its rate is that of the motion."""
     robot = aj.load_robot("kinova")

@@ -465,7 +465,7 @@ class RestConfiguration:
         self._first = np.array([joint.idx_q for joint in joints])  # the cosine of (cos, sin)
         self._second = self._first + self._continuous
         self._none = np.zeros(robot.nv) if robot.nv <= task.m or rate == 0.0 else None
-        self._free = np.zeros(robot.nv)
+        self._free: Array | None = None
         if q is None:
             lower, upper = robot.usual_range
             whole = np.where(np.array(robot.joint_units) == "m", 2.0, 2.0 * np.pi)
@@ -487,8 +487,9 @@ class RestConfiguration:
             c, s = self.q.take(self._first), self.q.take(self._second)
             away = np.where(self._continuous, b * c - a * s, a - c)
             rate = np.where(self._continuous, a * c + b * s, 1.0) * v
-        within = np.minimum(np.maximum(away, -self._free), self._free)
-        away, rate = away - within, np.where(within == away, 0.0, rate)
+        if self._free is not None:
+            within = np.minimum(np.maximum(away, -self._free), self._free)
+            away, rate = away - within, np.where(within == away, 0.0, rate)
         s, s_dot = law.saturated(away, rate, self._share)
         return self._pull * s, self._pull * s_dot
 
