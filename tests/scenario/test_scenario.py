@@ -204,3 +204,30 @@ def test_a_heavy_unknown_tool_on_a_light_wrist_neither_falls_nor_rings(tmp_path,
     assert np.sqrt(np.mean(late**2)) < 5e-3
     assert min(run.x[0, 2], run.x_d[0, 2]) - run.x[:, 2].min() < 0.03
     assert not [each for each in run.events if each.condition.name == "OSCILLATES"]
+
+
+@pytest.mark.parametrize(
+    ("name", "seed"),
+    [
+        ("xarm7", 1),
+        *(
+            pytest.param(name, seed, marks=pytest.mark.study)
+            for name in ("ur5", "ur3", "panda")
+            for seed in (0, 1)
+        ),
+    ],
+)
+def test_limits_hold_where_a_rigid_joint_is_late(name, seed):
+    """q̇ 5 ms and torques 2 ms late: what they do to q̈ is not looked for before it can show."""
+    result = run_scenario(
+        Scenario(
+            name,
+            true={"object": {"length": 0.2, "mass": 0.5}},
+            sensor={"noise": 5e-4, "rate": 60.0, "q_quantum": 1e-5, "velocity_filter": 5e-3},
+            loop={"actuator_delay": 2e-3},
+            run={"start": "random", "duration": 6.0, "seed": seed},
+        )
+    )
+    run = result.run
+    assert run.error_norm[run.t > 5.0].max() < 2e-3
+    assert (np.abs(run.v) < 1.1 * result.built.plant.robot.velocity_limits).all()

@@ -51,9 +51,10 @@ _LIGHTEST = 1e-3  # ρ of what is as good as without inertia
 class AccelerationObserver:
     """q̈ = ψ + ρ(f − φ), with f the believed dynamics, φ and ψ what f and q̈ were.
 
-    φ and ψ are f and the measured q̈, low-passed at a given rate [1/s]: one at which damping may
-    act. Delays and filters that allow that damping allow ψ, and noise of q̇ causes no more torque
-    than with that damping.
+    f is as late as the measured q̈, by the lag of the controller's `latency`; else ρ would be taken
+    for too small, and torques for harmless. φ and ψ are f and the measured q̈, low-passed at a given
+    rate [1/s]: one at which damping may act. Delays and filters that allow that damping allow ψ,
+    and noise of q̇ causes no more torque than with that damping.
 
     ρ ≤ 1, one number a joint, is the share of a change of f by which q̈ changes: 0.01 of a light
     wrist with a payload that the belief lacks. It is the least square of q̈ − ψ − ρ(f − φ) in the
@@ -76,6 +77,8 @@ class AccelerationObserver:
         self._n = robot.nv
         self._dt, self._per_period, self._share = dt, np.array(1.0 / dt), np.array(rate * dt)
         self._forgets = np.array(_FORGETS * rate * dt)
+        lag = 0.0 if controller.latency is None else controller.latency.of_velocity - dt
+        self._late = np.array(max(lag, 0.0) / (dt + max(lag, 0.0)))
         self._most = _EXPLAINED * usual_accelerations(robot)[1]
         self._calm = (_CALM * rate * np.where(np.isfinite(fastest), fastest, 1.0)) ** 2
         # before the first period
@@ -120,8 +123,11 @@ class AccelerationObserver:
     def expecting(self, measurement: Measurement, f: Array, memory: Array) -> Array:
         """Return the memory after sending a torque with this f."""
         n, is_first = self._n, memory[0] > 0.5 * _NEVER
+        late = f
+        if self._late > 0.0:
+            late = law.select(is_first, f, f + self._late * (memory[n + 1 : 2 * n + 1] - f))
         once = law.select(is_first, np.concatenate([f, f]), memory[2 * n + 1 : 4 * n + 1])
-        sent = [[measurement.t + self._dt], measurement.v, f, once, memory[4 * n + 1 :]]
+        sent = [[measurement.t + self._dt], measurement.v, late, once, memory[4 * n + 1 :]]
         memory = np.concatenate(sent)
         # what is absurd must not make the next period's prediction overflow
         return law.select(law.length(memory) < HUGE, memory, self.nothing)
