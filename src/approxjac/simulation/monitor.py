@@ -220,11 +220,12 @@ class Monitor:
             unit, joint = self._robot.joint_units[j], self._robot.joint_names[j]
             away, turns = self._tip.jacobian(q).reshape(2, 3, -1)
             way = np.linalg.norm(away[:, j]) + _TOOL * np.linalg.norm(turns[:, j])
-            # x moves as the tip does, as far as one can tell of joints and tool
-            rows = np.linalg.norm(self._controller.task.measured.jacobian(q), axis=1)
-            of_x = way * amplitude * rows / np.linalg.norm(away)
             visible = way * amplitude > (_VISIBLE_LED if moves else _VISIBLE)
-            visible = visible and (of_x > _NOISY * np.sqrt(self._x_variance)).any()
+            if visible and self._x_variance.any():
+                # x moves as the tip does, as far as one can tell of joints and tool
+                rows = np.linalg.norm(self._controller.task.measured.jacobian(q), axis=1)
+                of_x = way * amplitude * rows / np.linalg.norm(away)
+                visible = (of_x > _NOISY * np.sqrt(self._x_variance)).any()
             if visible or self._shakes[j] > _SHAKES * self._scale[j]:
                 figure = f"{amplitude:.2g} {unit} at {1.0 / period:.3g} Hz"
                 begin = max(t - 0.5 * period * _HALF_WAVES, 0.0)
@@ -549,7 +550,7 @@ def _fit(
 
 
 class _Causes(NamedTuple):
-    """How well torques are explained by one motor, or by a force at the tip."""
+    """Shares of torques that one motor, or a force at the tip, explains and leaves."""
 
     j: int  # the motor
     share: float  # of its torque that it lacks
