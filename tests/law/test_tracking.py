@@ -28,13 +28,15 @@ def test_the_saturated_error_is_bounded_and_has_its_rate(rng, speed, size):
 
 def test_the_task_velocity_has_its_rate(rng):
     z, z_dot, feed, feed_dot = rng.normal(size=(4, 3))
+    for rate in (None, 2.0):  # of α
 
-    def velocity(t):
-        return law.task_velocity(z + t * z_dot, z_dot, feed + t * feed_dot, feed_dot, 3.0, 8.0)
+        def velocity(t, rate=rate):
+            alpha, now = 3.0 + (rate or 0.0) * t, (z + t * z_dot, z_dot, feed + t * feed_dot)
+            return law.task_velocity(*now, feed_dot, alpha, 8.0 / 3.0, rate)
 
-    u, u_dot = velocity(0.0)
-    assert_allclose(u, feed - 3.0 * law.saturated(z, z_dot, 8.0)[0])
-    assert_allclose(u_dot, rate_of(lambda t: velocity(t)[0]), atol=1e-8)
+        u, u_dot = velocity(0.0)
+        assert_allclose(u, feed - 3.0 * law.saturated(z, z_dot, 8.0)[0])
+        assert_allclose(u_dot, rate_of(lambda t, u=velocity: u(t)[0]), atol=1e-8)
 
 
 def motion(rng, m, n, singular=None):
@@ -99,7 +101,7 @@ def test_joints_share_the_motion_that_the_task_needs(rng, near_stops, sliding):
     ones = np.ones(7)
     stops = law.StopZones(-ones, ones, 0.5 * ones, 0.1 * ones)
     shares = np.geomspace(0.02, 1.0, 7) if sliding else None
-    gains = law.ReferenceGains(3.0, 3.0 / 0.5, np.full(7, np.inf), 1e-3, 0.0, stops, shares)
+    gains = law.ReferenceGains(3.0, 1.0 / 0.5, np.full(7, np.inf), 1e-3, 0.0, stops, shares)
 
     def stepped(t):
         # q̇ is constant, ż = Ĵq̇ − ẋ_d + drift
@@ -111,7 +113,7 @@ def test_joints_share_the_motion_that_the_task_needs(rng, near_stops, sliding):
     assert is_known
     assert not damped
     z_dot = J(0.0) @ v - feed + drift
-    u, u_dot = law.task_velocity(z, z_dot, feed, np.zeros(3), 3.0, 6.0)
+    u, u_dot = law.task_velocity(z, z_dot, feed, np.zeros(3), 3.0, 2.0)
     assert_allclose(J(0.0) @ v_r, u, atol=1e-9)
     assert_allclose(J(0.0) @ a_r + J_dot @ v_r, u_dot, rtol=1e-7, atol=1e-7)
     expected = rate_of(lambda t: stepped(t)[0])
@@ -125,13 +127,13 @@ def test_joints_at_a_stop_are_hardly_pushed_into_it(rng):
     """Three of seven joints at their ends: neither at first nor for what the others leave."""
     ones, nothing, speeds, shares = np.ones(7), np.zeros(7), [], []
     stops = law.StopZones(-ones, ones, 0.5 * ones, 0.1 * ones)
-    gains = law.ReferenceGains(6.0, 12.0, np.full(7, np.inf), 1e-3, 0.0, stops)
+    gains = law.ReferenceGains(6.0, 2.0, np.full(7, np.inf), 1e-3, 0.0, stops)
     for _ in range(200):
         J, z, still = rng.normal(size=(3, 7)), 0.05 * rng.normal(size=3), np.zeros(3)
         q = np.append(rng.choice([-1.0, 1.0], 3), np.zeros(4))
         error = law.PredictedError(z, J, 0.0 * J, still, still, still)
         v_r = law.reference_step(error, nothing, (nothing, nothing), False, gains, q)[0]
-        assert_allclose(J @ v_r, law.task_velocity(z, still, still, still, 6.0, 12.0)[0], atol=1e-9)
+        assert_allclose(J @ v_r, law.task_velocity(z, still, still, still, 6.0, 2.0)[0], atol=1e-9)
         speeds.append(max(0.0, (q * v_r).max()))
         shares.append(speeds[-1] / np.linalg.norm(v_r))
     assert np.quantile(shares, 0.97) < 0.1

@@ -237,13 +237,25 @@ class AdaptiveDynamics(MotionDynamics):
         return self._prior.copy()
 
     def step(
-        self, state: Array, q: Array, v: Array, v_r: Array, a_r: Array, learns: Any, dt: float
+        self,
+        state: Array,
+        q: Array,
+        v: Array,
+        v_r: Array,
+        a_r: Array,
+        learns: Any,
+        dt: float,
+        gamma: Array | None = None,
     ) -> tuple[Array, Array, Array]:
-        """Return â dt [s] later, with it Y_d â and Zâ; see `MotionDynamics`."""
+        """Return â dt [s] later, with it Y_d â and Zâ; see `MotionDynamics`.
+
+        `gamma` is the diagonal of Γ if it is not that of the attribute.
+        """
         links, k, sigma = self.regressor.motion(q, v, v_r, a_r), self.regressor.links, v - v_r
         joints = self.regressor.of_joints(v_r, a_r)
         Y_d_sigma = np.concatenate([links.powers(sigma), (joints * sigma).ravel()])
-        moved = state + dt * law.dynamics_rate(self.gamma, Y_d_sigma)
+        gamma = self.gamma if gamma is None else gamma
+        moved = state + dt * law.dynamics_rate(gamma, Y_d_sigma)
         state = law.select(learns, np.minimum(np.maximum(moved, self._low), self._high), state)
         of_joints = joints * state[k:].reshape(joints.shape)
         return state, links.torque(state[:k]) + np.add.reduce(of_joints), links.gravity(state[:k])

@@ -19,11 +19,11 @@ from approxjac.controllers import arguments
 from approxjac.controllers.adaptive_dynamics import AdaptiveDynamics, MotionDynamics
 from approxjac.controllers.controller import Controller
 from approxjac.controllers.gains.gains import Latency
-from approxjac.controllers.gains.motors import (
-    integral_rate,
-    largest_inertia,
-    least_rotors,
-    motor_damping,
+from approxjac.controllers.gains.joint_gains import (
+    JointGains,
+    RaisedGains,
+    UsedGains,
+    strong_drives,
 )
 from approxjac.controllers.gains.sample_configurations import max_damping_rate
 from approxjac.controllers.learning.estimator import Kinematics
@@ -56,16 +56,8 @@ from approxjac.validation import (
 
 _OK, _SINGULAR = Status.OK, Status.NEAR_SINGULAR  # members of an enum are slow to look up
 _PREDICTED, _UNPREDICTED, _LOST = Status.PREDICTED, Status.NOT_PREDICTED, Status.MEASUREMENT_LOST
-_ALPHA, _SERVO_ALPHA, _KAPPA = (
-    6.0,
-    4.0,
-    60.0,
-)  # α, that of a robot's own servo, which lags, and κ [1/s]
-_STEADY = 0.25  # κ dt at most
+_ALPHA, _SERVO_ALPHA = 6.0, 4.0  # α, that of a robot's own servo, which lags [1/s]
 _ROOM = 0.5  # κ dt λ_max(M⁻¹M̂) at most
-_WITHOUT_MOTORS = 0.3  # of the integral that is within what motors may damp
-_QUICK = 2.0  # times κ, how fast a parameter may learn
-_LATE = 0.25  # over the lag, if that is felt at the links: so fast
 _SINGULAR_RATIO = 0.08  # of σ_max, below which Ĵ⁺ is damped
 _SHARE = 0.9  # of the speed limits of joints
 _SPEEDS = {"m": 0.5, "rad": 1.0}  # at which errors of a task are reduced
@@ -124,8 +116,12 @@ class TrackingController(Immutable, Controller):
     only to learn the kinematics; while it is lost, control continues with the prediction. With
     learnt kinematics the joints rest until x is first seen: q̇_r = 0, `MEASUREMENT_LOST`.
 
+    With a latency, but no drives that are told, the law begins with gains that the lightest rotors
+    stand, and raises α, κM̂'s bound and the learning of dynamics until a joint swings or they are
+    those of heavy rotors (`law.RaisedDamping`): V̇₂ ≤ 0 holds with any of them.
+
     Its state is that of the dynamics, followed by that of the kinematics and, for velocity
-    commands, the last command.
+    commands, the last command, else that of the raising.
 
     Immutable, but it owns scratch memory: one instance a thread.
 
@@ -146,7 +142,7 @@ class TrackingController(Immutable, Controller):
         latency: Lag of the joints' loop, from q̇ to torque. Without it, and without drives, joints
             are taken as rigid and the loop as ideal: elastic ones may diverge.
         drives: Rotors and gears of the joints, as far as they are known; with a latency alone
-            rotors that geared arms have at least. `Drives()` says that there are none.
+            gains are found that the joints stand. `Drives()` says that there are none.
         friction: Friction of the joints, as far as it is known, for the default dynamics, which
             learn the rest of it.
 
@@ -186,18 +182,15 @@ class TrackingController(Immutable, Controller):
         require("gains", gains, TrackingGains, "TrackingGains(...) or None")
         if drives is not None:
             drives = require("drives", drives, Drives, "Drives(...) or None").of(robot)
-        self._most = self._set_rates(gains, latency, drives)
-        is_own = dynamics is not None
-        if dynamics is None:
-            dynamics = AdaptiveDynamics(
-                robot,
-                rotor_inertia=_rotors(robot, latency, drives),
-                fastest=self._fastest,
-                most_damping=self._most if np.isfinite(self._most).any() else None,
-                integral=self._integral,
-                friction=friction,
-            )
-        self.dynamics = dynamics
+        usual = _ALPHA if command == "torque" else _SERVO_ALPHA
+
+        def stood(drives: Drives | None) -> JointGains:
+            return JointGains.of(robot, gains.alpha, gains.kappa, usual, dt, latency, drives)
+
+        first, is_own = stood(drives), dynamics is not None
+        self.alpha, self.kappa = float(first.alpha.min()), first.kappa
+        self._most = first.most
+        self.dynamics = _learnt(robot, first, friction) if dynamics is None else dynamics
         self._require_parts()
         fast = _usual_speeds(task) if gains.speed is None else gains.speed
         self.speed = as_limits("speed", fast, task.m, unit="unit of the task/s")
@@ -216,43 +209,34 @@ class TrackingController(Immutable, Controller):
                 self._added = np.maximum(more, 0.0)
             self.resting = self.dynamics.n_state
         self._end = self.resting + self.kinematics.n_state
-        self.n_state = self._end + (0 if self._commands is None else robot.nv)
+        self._raised: RaisedGains | None = None
+        if drives is None and latency is not None and command == "torque":
+            strong = stood(strong_drives(robot))
+            gamma = None if is_own else _learnt(robot, strong, None).gamma
+            self._raised = self._raisable(latency, first, strong, gamma)
+        last = 0 if self._commands is None else robot.nv
+        self.n_state = self._end + (last if self._raised is None else self._raised.n_state)
         # of metres and radians at once it is usually 0.05, where nothing is singular
         most = _SINGULAR_RATIO if len(set(task.units)) == 1 else law.SINGULAR_RATIO
         self._gains = law.ReferenceGains(
             # as arrays, which NumPy multiplies with in a third of the time of numbers
-            np.array(self.alpha), self.alpha / self.speed, _SHARE * np.asarray(limits.velocity),
+            np.array(self.alpha), 1.0 / self.speed, _SHARE * np.asarray(limits.velocity),
             singular_ratio(task, most), vanishing(task), _stops(task, limits),
             _shares(task, limits),
         )  # fmt: skip
         self._continuous = robot.nq != robot.nv
         self._is_bounded = command == "torque" and bool(np.isfinite(self._most).any())
 
-    def _set_rates(
-        self, gains: TrackingGains, latency: Latency | None, drives: Drives | None
-    ) -> Array:
-        """Set α, κ and how fast parameters learn, and return the largest K_σ, (n_v,)."""
-        robot, kappa = self.task.robot, min(_KAPPA, _STEADY / self.dt)
-        alpha = gains.alpha or (_ALPHA if self.command == "torque" else _SERVO_ALPHA)
-        lag = Latency(self.dt) if latency is None else latency
-        damping, integral = np.full(robot.nv, np.inf), min(integral_rate(lag), kappa)
-        if latency is not None or drives is not None:
-            # a motor feels K_σ and, by q̈_r, αM̂
-            most = motor_damping(robot, lag, drives, integral)
-            inertia = largest_inertia(robot) + _rotors(robot, latency, drives)
-            if gains.alpha is None:
-                alpha = min(alpha, 0.5 * float(np.min(most / inertia)))
-            damping = np.maximum(most - alpha * inertia, 0.25 * most)
-            if not np.isfinite(damping).all():  # the lag is felt at the links
-                kappa = min(kappa, 0.5 / lag.of_velocity)
-        self.alpha = float(alpha)
-        self.kappa = kappa if gains.kappa is None else gains.kappa
-        self._fastest = _QUICK * self.kappa
-        if not np.isfinite(damping).all():
-            integral = min(_WITHOUT_MOTORS * integral_rate(lag), kappa)
-            self._fastest = min(self._fastest, _LATE / lag.of_velocity)
-        self._integral = min(integral, self.kappa)
-        return damping
+    def _raisable(
+        self, latency: Latency, first: JointGains, strong: JointGains, gamma: Array | None
+    ) -> RaisedGains:
+        """Return gains between those of the lightest rotors and strong ones."""
+        dynamics, robot = self.dynamics, self.task.robot
+        own = dynamics.gamma if isinstance(dynamics, AdaptiveDynamics) else None
+        low = UsedGains(first.alpha, first.most, self._added, None if gamma is None else own)
+        added = np.maximum(self._added, strong.rotors - dynamics.rotor_inertia)
+        high = UsedGains(strong.alpha, strong.most, added, gamma)
+        return RaisedGains(robot, latency, self.dt, low, high)
 
     def _require_parts(self) -> None:
         """Refuse kinematics or dynamics that are none, or of another robot."""
@@ -285,6 +269,8 @@ class TrackingController(Immutable, Controller):
             state[: self.resting] = self.dynamics.initial_state()
         else:
             state[self._end :] = np.where(np.isfinite(v), v, 0.0)
+        if self._raised is not None:
+            state[self._end :] = self._raised.watch.start(np.where(np.isfinite(v), v, 0.0))
         state[self.resting : self._end] = self.kinematics.initial_state(measurement)
         return state
 
@@ -293,6 +279,9 @@ class TrackingController(Immutable, Controller):
         fresh, (p, end) = self.initial_state(measurement), (self.resting, self._end)
         fresh[:p] = state[:p]
         fresh[p:end] = self.kinematics.resumed(state[p:end], measurement)
+        if self._raised is not None:  # shares, and how far they may rise
+            n = 2 * self.task.robot.nv
+            fresh[end : end + n] = state[end : end + n]
         return fresh
 
     def advance(
@@ -332,10 +321,15 @@ class TrackingController(Immutable, Controller):
         _, q, v, x, _ = measurement
         p, end, dt = self.resting, self._end, self.dt
         known = state[p:end]
+        used, rates = UsedGains(self._gains.alpha, self._most, self._added), self._gains
+        after = state.copy()
+        if self._raised is not None:
+            after[end:], used = self._raised.step(state[end:], v)
+            rates = rates._replace(alpha=used.alpha, alpha_dot=used.alpha_dot)
         now = self.kinematics.status(known, measurement)
         waits, is_old = now == _LOST, now == _PREDICTED
-        J_hat, v_r, a_r, damped, is_known = self._reference(known, q, v, target, waits)
-        after, learns = state.copy(), is_known | waits
+        J_hat, v_r, a_r, damped, is_known = self._reference(known, q, v, target, waits, rates)
+        learns = is_known | waits
         self.kinematics.correct(after[p:end], measurement, dt)
         e = self.task.error(x, target.x)
         status = law.select(is_old | law.complement(law.is_finite(e)), _PREDICTED, _OK)
@@ -346,24 +340,30 @@ class TrackingController(Immutable, Controller):
             lag, sent = self._commands.step(state[:1], q, v, v_r, w, state[end:])
             after[:1], after[end:] = lag, sent
             return after, Evaluation(sent, None, status, e, J_hat, None, reference=v_r)
-        a_hat, motion, g = self.dynamics.step(state[:p], q, v, v_r, a_r, learns, dt)
+        learnt: Any = {} if used.gamma is None else {"gamma": used.gamma}
+        a_hat, motion, g = self.dynamics.step(state[:p], q, v, v_r, a_r, learns, dt, **learnt)
         after[:p] = a_hat
         sigma = v - v_r
-        damped = self.kappa * (self.dynamics.momentum(q, sigma) + self._added * sigma)
+        damped = self.kappa * (self.dynamics.momentum(q, sigma) + used.added * sigma)
         if self._is_bounded:
-            A = self.kappa * (self.dynamics.inertia(q) + np.diag(self._added))
-            damped = law.bounded_damping(A, damped, np.minimum(self._most, _RIGID))
+            A = self.kappa * (self.dynamics.inertia(q) + np.diag(used.added))
+            damped = law.bounded_damping(A, damped, np.minimum(used.most, _RIGID))
         torque = law.tracking_torque(motion, damped)
         return after, Evaluation(torque, None, status, e, J_hat, g, reference=v_r)
 
     def _reference(
-        self, known: Array, q: Array, v: Array, target: Target, waits: Any = False
+        self,
+        known: Array,
+        q: Array,
+        v: Array,
+        target: Target,
+        waits: Any = False,
+        gains: law.ReferenceGains | None = None,
     ) -> tuple[Array, Array, Array, Any, Any]:
+        gains = self._gains if gains is None else gains
         predicted = self.kinematics.predict(known, q, v, target)
-        null = self._rest.velocity(q, v)
-        return predicted.J, *law.reference_step(
-            predicted, v, null, waits, self._gains, positions_at(self.task.robot, q)
-        )
+        null, motion = self._rest.velocity(q, v), positions_at(self.task.robot, q)
+        return predicted.J, *law.reference_step(predicted, v, null, waits, gains, motion)
 
     def _checked(
         self, state: Array, measurement: Measurement, target: Target
@@ -527,11 +527,16 @@ class VelocityCommand:
         return law.select(law.all_equal(sent, wanted), lag, state), sent
 
 
-def _rotors(robot: Robot, latency: Latency | None, drives: Drives | None) -> Array:
-    """Return the rotor inertias that the law begins with, shape (n_v,) [kg m² or kg]."""
-    if drives is not None:
-        return np.asarray(drives.rotor_inertia)
-    return np.zeros(robot.nv) if latency is None else least_rotors(robot)
+def _learnt(robot: Robot, gains: JointGains, friction: Friction | None) -> AdaptiveDynamics:
+    """Return dynamics that are learnt as fast as motors stand."""
+    return AdaptiveDynamics(
+        robot,
+        rotor_inertia=gains.rotors,
+        fastest=gains.fastest,
+        most_damping=gains.most if np.isfinite(gains.most).any() else None,
+        integral=gains.integral,
+        friction=friction,
+    )
 
 
 def _stops(task: Task, limits: Limits) -> law.StopZones | None:

@@ -109,6 +109,7 @@ from approxjac.law.torque import estimated_velocity_torque as estimated_velocity
 from approxjac.law.torque import gravity as gravity
 from approxjac.law.torque import measured_velocity_torque as measured_velocity_torque
 from approxjac.law.tracking import PredictedError as PredictedError
+from approxjac.law.tracking import RaisedDamping as RaisedDamping
 from approxjac.law.tracking import ReferenceGains as ReferenceGains
 from approxjac.law.tracking import StopZones as StopZones
 from approxjac.law.tracking import bounded_damping as bounded_damping
@@ -117,6 +118,7 @@ from approxjac.law.tracking import reference as reference
 from approxjac.law.tracking import reference_step as reference_step
 from approxjac.law.tracking import saturated as saturated
 from approxjac.law.tracking import servo_lag_rate as servo_lag_rate
+from approxjac.law.tracking import smallest as smallest
 from approxjac.law.tracking import task_velocity as task_velocity
 from approxjac.law.tracking import tracking_torque as tracking_torque
 from approxjac.law.tracking import within_speeds as within_speeds

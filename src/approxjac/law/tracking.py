@@ -82,19 +82,20 @@ class StopZones(NamedTuple):
 class ReferenceGains(NamedTuple):
     """Gains of a reference that brings an error to zero."""
 
-    alpha: float | Array  # α and k of `task_velocity`
-    k: float | Array
+    alpha: float | Array  # α and 1/vᵢ of `task_velocity`
+    per_speed: float | Array
     fastest: Array  # speeds of joints of `within_speeds`
     singular_ratio: float = SINGULAR_RATIO  # and scale, of `damped_gram_solve`
     scale: float = 0.0
     stops: StopZones | None = None
     shares: Array | None = None  # constant shares r > 0 of joints in the motion, (n_v,)
+    alpha_dot: Any = None  # rate of α, None of a constant one
 
 
 def saturated(z: Array, z_dot: Array, k: float | Array) -> tuple[Array, Array]:
     """Return s(z) = z/√r with r = 1 + Σ(kᵢzᵢ)², and its derivative (ż − z Σkᵢ²zᵢżᵢ/r)/√r.
 
-    s is along z, and with k = α/v no α sᵢ(z) is above vᵢ; with one v for all, ‖α s(z)‖ is not.
+    s is along z, and with k = 1/v no sᵢ(z) is above vᵢ; with one v for all, ‖s(z)‖ is not.
     """
     u = k * z
     r = 1.0 + dot(u, u)
@@ -103,11 +104,21 @@ def saturated(z: Array, z_dot: Array, k: float | Array) -> tuple[Array, Array]:
 
 
 def task_velocity(
-    z: Array, z_dot: Array, x_d_dot: Array, x_d_ddot: Array, alpha: float | Array, k: float | Array
+    z: Array,
+    z_dot: Array,
+    x_d_dot: Array,
+    x_d_ddot: Array,
+    alpha: float | Array,
+    per_speed: float | Array,
+    alpha_dot: Any = None,
 ) -> tuple[Array, Array]:
-    """Return u = ẋ_d − αs(z) and its derivative, with ẋ_d and ẍ_d; k is that of `saturated`."""
-    s, s_dot = saturated(z, z_dot, k)
-    return x_d_dot - alpha * s, x_d_ddot - alpha * s_dot
+    """Return u = ẋ_d − s(αz) and its derivative, with ẋ_d, ẍ_d, the k of `saturated` and α's rate.
+
+    None is the rate of a constant α.
+    """
+    y_dot = alpha * z_dot if alpha_dot is None else alpha * z_dot + alpha_dot * z
+    s, s_dot = saturated(alpha * z, y_dot, per_speed)
+    return x_d_dot - s, x_d_ddot - s_dot
 
 
 def reference(
@@ -174,7 +185,9 @@ def reference_step(
     """
     z, J_hat, J_hat_dot, x_d_dot, x_d_ddot, drift = error
     z_dot = dot(J_hat, v) - x_d_dot + drift
-    u, u_dot = task_velocity(z, z_dot, x_d_dot, x_d_ddot, gains.alpha, gains.k)
+    u, u_dot = task_velocity(
+        z, z_dot, x_d_dot, x_d_ddot, gains.alpha, gains.per_speed, gains.alpha_dot
+    )
     is_known = is_finite(np.concatenate([u, u_dot, J_hat.ravel()]))
 
     ratio, stops = (gains.singular_ratio, gains.scale), gains.stops
@@ -257,6 +270,123 @@ def bounded_damping(A: Array, A_sigma: Array, most: Array) -> Array:
         most: Largest damping of each joint > 0, (n_v,).
     """
     return most * np.linalg.solve(A + np.diag(most), A_sigma)
+
+
+_PASS, _LASTS, _SWINGS = 3, 0.9, 7.0  # filters; energy that lasts, over so many half swings
+_OUTSTANDS, _USUAL = 3.0, 1.0  # times the usual size of what passes, over so long [s]
+_MEAN, _SLOWEST = 3.0, 2.0  # half swings at ω₉₀: of the energy's mean, and the longest that counts
+_FASTEST, _AT_FIRST = 7.0, 2.0  # times ω₉₀ at most; usual size at first, over the least speed
+_COARSEST, _NOTHING = 1e-3, 1e-9  # encoder's step at most [rad or m]; speed that is none of its
+_TONE = 2.0  # times the tone of an encoder's steps
+_RISE, _SLOWER, _LEAVES = 0.5, 0.25, 0.5  # time to rise by e [s]; rate and damping after a swing
+
+
+class RaisedDamping(NamedTuple):
+    """Shares w in [0, 1] of more damping, raised until a joint swings where the loop lags by 90°.
+
+    Below that frequency ω₉₀ no damping of a motor makes it unstable, so only what passes three
+    high-passes at 0.7 ω₉₀ is looked at. A joint swings if the energy of that does not fall by a
+    tenth in seven half swings, and stands out from what usually passes and from the tone of an
+    encoder's steps. Then its damping falls to half, and rises at a quarter of the rate, which is at
+    first by e in 0.5 s; less where what usually passes, noise, is felt. No proof asks what the
+    damping is: see `tracking_torque`.
+
+    Its memory are thirteen numbers of each joint: w, that rate, the low-passes, and what finds
+    swings and an encoder's steps.
+    """
+
+    smooth: float  # shares of the low-passes, and of the energy's mean, in a period
+    mean: float
+    half: float  # periods of half a swing at ω₉₀
+    least: Array  # speed below which no swing counts, (n_v,) [rad/s or m/s]
+    first: Array  # damping at w = 0, over what there is more of at w = 1, (n_v,)
+    loud: Array  # that more, over the torque that what usually passes may cause, (n_v,) [s/rad]
+    dt: float
+    fresh: float  # share of the latest difference of q in q̇
+    tone: float  # swing that an encoder's steps may look like, over the least change of q̇ by one
+
+    @classmethod
+    def of(
+        cls,
+        omega: float,
+        least: Array,
+        damping: tuple[Array, Array],
+        quiet: Array,
+        dt: float,
+        filtered: float = 0.0,
+    ) -> RaisedDamping:
+        """Return that of a loop whose lag is 90° at ω₉₀.
+
+        Args:
+            omega: ω₉₀ [rad/s].
+            least: Speed below which no swing counts, (n_v,) [rad/s or m/s].
+            damping: Damping at w = 0, and what is added at w = 1 > 0, (n_v,) each.
+            quiet: Torque that noise of q̇ may cause, (n_v,) [N m or N].
+            dt: Period [s].
+            filtered: Time constant of the filter of q̇, which is of differences [s].
+        """
+        (of, more), half = damping, np.pi / (omega * dt)
+        smooth, mean = 1.0 - np.exp([-0.7 * omega * dt, -1.0 / (_MEAN * half)])
+        fresh, tone = dt / (filtered + dt), _TONE * (filtered + dt) / (np.pi * filtered + dt)
+        parts = half, least, of / more, more / quiet, dt, fresh, tone
+        return cls(float(smooth), float(mean), *parts)
+
+    def start(self, v: Array) -> Array:
+        """Return the memory before the first period."""
+        n = len(v)
+        memory = np.zeros_like(v, shape=(_PASS + 10) * n)
+        memory[n : 2 * n], memory[2 * n : 3 * n] = 1.0 / _RISE, v
+        memory[-3 * n : -2 * n], memory[-2 * n : -n] = _AT_FIRST * self.least, v
+        memory[-n:] = _COARSEST * self.fresh / self.dt
+        return memory
+
+    def step(self, memory: Array, v: Array) -> tuple[Array, Array]:
+        """Return the memory a period later, and the rates of w in between, (n_v,)."""
+        share, pace, *past = memory.reshape(_PASS + 10, len(v))
+        passed, rows = v, []
+        for slow in past[:_PASS]:
+            rows.append(slow + self.smooth * (passed - slow))
+            passed = passed - slow
+        before, energy, most, swings, age, usual, last, count = past[_PASS:]
+        moved = np.abs(v - (1.0 - self.fresh) * last)
+        count = np.where(moved > _NOTHING, np.minimum(moved, count), count)
+        energy = energy + self.mean * (passed * passed - energy)
+        over = (energy < _LASTS * most) | (age > _SWINGS * _SLOWEST * self.half)
+        swings = np.where(over, 0.0, np.where(passed * before <= 0.0, swings + 1.0, swings))
+        least = np.maximum(self.tone * count, self.least)
+        stands_out = 2.0 * energy >= np.maximum(_OUTSTANDS * usual, least) ** 2
+        rings = (swings >= _SWINGS) & (_FASTEST * age >= self.half * swings) & stands_out
+        over = over | rings
+        usual = usual + self.dt / _USUAL * (np.minimum(np.abs(passed), 2.0 * usual) - usual)
+        rows += [
+            passed,
+            energy,
+            np.where(over, energy, np.maximum(most, energy)),
+            np.where(over, 0.0, swings),
+            np.where(over, 0.0, age + 1.0),
+            np.maximum(usual, self.least / _OUTSTANDS),
+            v,
+            count,
+        ]
+        damping = share + self.first
+        calm = np.maximum(1.0 - self.loud * damping * usual, -1.0)
+        rate = np.minimum(pace * calm * damping, (1.0 - share) / self.dt)
+        rate = np.maximum(rate, -share / self.dt)
+        left = np.maximum(_LEAVES * damping - self.first, 0.0)
+        share = np.where(rings, left, share + self.dt * rate)
+        return np.concatenate([share, np.where(rings, _SLOWER * pace, pace), *rows]), rate
+
+
+def smallest(values: Array, rates: Array) -> tuple[Any, Any]:
+    """Return the smallest of some values, and its rate."""
+    if not values.dtype.hasobject:
+        i = int(values.argmin())
+        return values[i], rates[i]
+    least, rate = values[0], rates[0]
+    for value, each in zip(values[1:], rates[1:], strict=True):
+        less = value < least
+        least, rate = select(less, value, least), select(less, each, rate)
+    return least, rate
 
 
 def dynamics_rate(gamma: Array, Y_d_sigma: Array) -> Array:

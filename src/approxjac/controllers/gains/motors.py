@@ -61,6 +61,17 @@ def largest_rate(latency: Latency, damping_ratio: float = 0.05, integral: float 
     return float(min(size[0], (2.0 * damping_ratio * size[1:] / np.abs(np.cos(phase[1:]))).min()))
 
 
+def crossover(latency: Latency) -> float:
+    """Return ω₉₀ [rad/s], at which the lag from q̇ to torque is 90°."""
+    delay, filtered = _lags(latency)
+    low, high = 0.0, 0.5 * math.pi / delay
+    for _ in range(60):
+        omega = 0.5 * (low + high)
+        late = omega * delay + math.atan(omega * filtered) > 0.5 * math.pi
+        low, high = (low, omega) if late else (omega, high)
+    return low
+
+
 def least_rotors(robot: Robot) -> Array:
     """Return rotor inertias that a geared arm's joints have at least, (n_v,) [kg m² or kg]."""
     usual = _SHARE * float(largest_inertia(robot).max())
