@@ -133,8 +133,7 @@ LEARNS = ("tool", "origins")
     ("parts", "law", "unknown"),
     [
         ({}, "tracking", LEARNS),
-        ({"controller": {"limits": 0.5}, "true": {"drives": "usual"}}, "setpoint", LEARNS),
-        ({"true": {"coulomb": 0.5}}, "setpoint", LEARNS),
+        ({"controller": {"limits": 0.5}, "true": {"drives": "usual"}}, "tracking", LEARNS),
         ({"sensor": {"velocity_filter": 5e-3}}, "tracking", LEARNS),
         ({"loop": {"actuator_delay": 2e-3}, "task": {"kind": "pose"}}, "tracking", LEARNS),
         ({"run": {"target": {"circle": {"radius": 0.1}}}}, "tracking", LEARNS),

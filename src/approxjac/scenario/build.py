@@ -283,19 +283,14 @@ def _law(
 def recommended(scenario: Scenario) -> Scenario:
     """Return a scenario whose law is chosen, as for a simulation.
 
-    Kinematics are learnt, and the law is the tracking law; where joints rub, but nothing is late
-    and the target rests, it is the set-point law on the predicted x, which is quieter there.
+    It is the tracking law with learnt kinematics, where positions or poses are measured.
     """
-    chosen, sensor, goal = scenario.controller, scenario.sensor, scenario.run.target
+    chosen = scenario.controller
     usual = replace(type(chosen)(), limits=chosen.limits, torque_rate=chosen.torque_rate)
     learns = scenario.task.kind in ("position", "pose") and scenario.true.tracker == Tracker()
     if chosen != usual or not learns or sampling_time(scenario) == 0.0:
         return replace(scenario, controller=replace(chosen, law=chosen.law or "setpoint"))
-    late = sensor.delay or sensor.rate or sensor.velocity_filter or scenario.loop.actuator_delay
-    path = goal.line.offset or goal.circle.radius or goal.waypoints.points
-    rubs = scenario.true.drives != "ideal" or scenario.true.coulomb
-    law = "tracking" if late or path or not rubs else "setpoint"
-    return scenario.with_values({"controller": {"law": law, "unknown": ["tool", "origins"]}})
+    return scenario.with_values({"controller": {"law": "tracking", "unknown": ["tool", "origins"]}})
 
 
 def _friction(scenario: Scenario) -> controllers.FrictionCompensation | None:

@@ -35,7 +35,7 @@ _OPENS = 0.02  # s of that drift a look, while something lasts
 _SLIDES = 0.02  # rad/s or m/s, from which on a joint slides
 _SURE = 16.0  # of χ² of a joint: what is no noise
 _TELLS = 60.0  # χ² that a cause explains at least
-_USED = 0.05  # of the largest torque, which a motor has to lack
+_USED, _STUCK = 0.05, 0.1  # of the largest torque, which a motor has to lack; more if it stood
 _LIKE = 30.0  # looks that tell the same
 _SOON, _ALONE = 0.0075, 0.02  # s, after which a motor is named that explains all, or nearly
 _SLOWLY, _LOAD = 0.06, 0.7  # s, after which another cause is, or a load
@@ -129,6 +129,7 @@ class Monitor:
         self._begun, self._looked, self._moved = 0.0, 0.0, -math.inf
         self._noise, self._slow, self._shakes, self._shaken, self._impulse = np.zeros((5, robot.nv))
         self._v, self._v_before, self._smooth_v, self._smooth_torque = np.zeros((4, robot.nv))
+        self._stood = np.ones(robot.nv)  # until lately
         self._active: dict[str, int] = {}  # name of a cause → its event
         self._window: deque[_Tick] = deque(maxlen=_WINDOW)
         self._samples: deque[tuple[float, Array, Array, Array]] = deque(maxlen=_SAMPLES)
@@ -309,6 +310,8 @@ class Monitor:
         self._residual = self._residual + share * (gained - self._residual)
         self._smooth_torque = self._smooth_torque + share * (torque - self._smooth_torque)
         self._smooth_v = self._smooth_v + share * (v - self._smooth_v)
+        stands = 1.0 - np.abs(np.tanh(self._smooth_v / _SLIDES))
+        self._stood = np.maximum(stands, self._stood - h / _SUDDEN)
         self._shakes = self._shakes + h / (h + _SHAKEN) * (self._shaken / h - self._shakes)
         self._impulse = self._shaken = np.zeros(len(v))
         self._smooth_tip = self._smooth_tip + share * (self._tip.jacobian(q) @ v - self._smooth_tip)
@@ -420,7 +423,8 @@ class Monitor:
         fits = above > _TELLS and left < min(_EXPLAINS, 0.3 * beside)
         fits = (fits or alone) and share > _WEAK
         is_sudden = since < _SUDDEN and self._since > self._begun + _BEGINS + 1.5 * _TICK
-        if is_sudden and fits and used > _USED * self._scale[j]:
+        least = (_USED + _STUCK * self._stood[j]) * self._scale[j]
+        if is_sudden and fits and used > least:
             if since < _SLOWLY:  # what it will be when the filter has settled
                 last = self._last(min(_SAMPLES // 2, len(self._samples) - 1))
                 share = -float(last.off[j]) / float(last.torque[j] or 1e-12)
