@@ -436,7 +436,9 @@ class TrackingController(Immutable, Controller):
         joints = f"rigid joints and {late} taken for granted"
         if self._is_bounded:
             joints = f"damping at most {most} N m s/rad, for motors behind elastic gears"
-            joints += "" if self._raised is None else "; at first: it is raised until a joint swings"
+            joints += (
+                "" if self._raised is None else "; at first: it is raised until a joint swings"
+            )
         first += f"; {joints}" if self.command == "torque" else ""
         return [first, super().describe()[1]]
 
