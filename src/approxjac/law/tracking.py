@@ -277,7 +277,7 @@ _OUTSTANDS, _USUAL = 3.0, 1.0  # times the usual size of what passes, over so lo
 _MEAN, _SLOWEST = 3.0, 2.0  # half swings at ω₉₀: of the energy's mean, and the longest that counts
 _FASTEST, _AT_FIRST = 7.0, 2.0  # times ω₉₀ at most; usual size at first, over the least speed
 _COARSEST, _NOTHING = 1e-3, 1e-9  # encoder's step at most [rad or m]; speed that is none of its
-_TONE = 2.0  # times the tone of an encoder's steps
+_TONE, _STEP = 2.0, 0.25  # times the tone of an encoder's steps, and a step, that are noise
 _RISE, _SLOWER, _LEAVES = 0.5, 0.25, 0.5  # time to rise by e [s]; rate and damping after a swing
 
 
@@ -369,7 +369,8 @@ class RaisedDamping(NamedTuple):
             count,
         ]
         damping = share + self.first
-        calm = np.maximum(1.0 - self.loud * damping * usual, -1.0)
+        noise = np.maximum(usual, _STEP * count)
+        calm = np.maximum(1.0 - self.loud * damping * noise, -1.0)
         rate = np.minimum(pace * calm * damping, (1.0 - share) / self.dt)
         rate = np.maximum(rate, -share / self.dt)
         left = np.maximum(_LEAVES * damping - self.first, 0.0)
