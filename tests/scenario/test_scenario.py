@@ -230,3 +230,37 @@ def test_limits_hold_where_a_rigid_joint_is_late(name, seed):
     run = result.run
     assert run.error_norm[run.t > 5.0].max() < 2e-3
     assert (np.abs(run.v) < 1.1 * result.built.plant.robot.velocity_limits).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "seed", "bits"),
+    [
+        ("ur5", 700, 17),
+        *(
+            pytest.param(name, seed, bits, marks=pytest.mark.study)
+            for name, seed, bits in [
+                ("ur10", 700, 20), ("kinova", 700, 17), ("panda", 700, 20), ("tiago_arm", 700, 17),
+            ]
+        ),
+    ],
+)  # fmt: skip
+def test_heavy_arms_reach_though_nobody_told_of_their_joints(name, seed, bits):
+    """Rotors, springs and friction as usual, q̇ 5 ms and torques 2 ms late, and a camera."""
+    result = run_scenario(
+        recommended(
+            Scenario(
+                name,
+                true={"object": {"length": 0.2, "mass": 0.5}, "drives": "usual"},
+                sensor={
+                    "noise": 5e-4, "rate": 60.0, "velocity_filter": 5e-3,
+                    "q_quantum": 2.0 * np.pi / 2**bits,
+                },
+                loop={"actuator_delay": 2e-3},
+                run={"start": "random", "duration": 9.0, "seed": seed},
+            )
+        )
+    )  # fmt: skip
+    run = result.run
+    late = run.error_norm[run.t > 7.0]
+    assert np.sqrt(np.mean(late**2)) < 3e-3
+    assert (np.abs(run.v) < 1.1 * result.built.plant.robot.velocity_limits).all()

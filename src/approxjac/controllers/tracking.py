@@ -118,7 +118,8 @@ class TrackingController(Immutable, Controller):
 
     With a latency, but no drives that are told, the law begins with gains that the lightest rotors
     stand, and raises α, κM̂'s bound and the learning of dynamics until a joint swings or they are
-    those of heavy rotors (`law.RaisedDamping`): V̇₂ ≤ 0 holds with any of them.
+    those of heavy rotors (`law.RaisedDamping`): V̇₂ ≤ 0 holds with any of
+    them while they do not fall.
 
     Its state is that of the dynamics, followed by that of the kinematics and, for velocity
     commands, the last command, else that of the raising.

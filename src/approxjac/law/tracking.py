@@ -272,26 +272,27 @@ def bounded_damping(A: Array, A_sigma: Array, most: Array) -> Array:
     return most * np.linalg.solve(A + np.diag(most), A_sigma)
 
 
-_PASS, _LASTS, _SWINGS = 3, 0.9, 7.0  # filters; energy that lasts, over so many half swings
+_PASS, _LASTS, _SWINGS = 3, 0.88, 8.0  # filters; energy that lasts, over so many half swings
 _OUTSTANDS, _USUAL = 3.0, 1.0  # times the usual size of what passes, over so long [s]
-_MEAN, _SLOWEST = 3.0, 2.0  # half swings at ω₉₀: of the energy's mean, and the longest that counts
+_MEAN, _SLOWEST = 2.0, 2.0  # half swings at ω₉₀: of the energy's mean, and the longest that counts
 _FASTEST, _AT_FIRST = 7.0, 2.0  # times ω₉₀ at most; usual size at first, over the least speed
 _COARSEST, _NOTHING = 1e-3, 1e-9  # encoder's step at most [rad or m]; speed that is none of its
 _TONE, _STEP = 2.0, 0.25  # times the tone of an encoder's steps, and a step, that are noise
 _RISE, _SLOWER, _LEAVES = 0.5, 0.25, 0.5  # time to rise by e [s]; rate and damping after a swing
+_SLOWEST_RISE = 0.02  # rate [1/s]
 
 
 class RaisedDamping(NamedTuple):
     """Shares w in [0, 1] of more damping, raised until a joint swings where the loop lags by 90°.
 
     Below that frequency ω₉₀ no damping of a motor makes it unstable, so only what passes three
-    high-passes at 0.7 ω₉₀ is looked at. A joint swings if the energy of that does not fall by a
-    tenth in seven half swings, and stands out from what usually passes and from the tone of an
+    high-passes at 0.7 ω₉₀ is looked at. A joint swings if the energy of that does not fall by an
+    eighth in eight half swings, and stands out from what usually passes and from the tone of an
     encoder's steps. Then its damping falls to half, and rises at a quarter of the rate, which is at
     first by e in 0.5 s; less where what usually passes, noise, is felt. No proof asks what the
     damping is: see `tracking_torque`.
 
-    Its memory are thirteen numbers of each joint: w, that rate, the low-passes, and what finds
+    Its memory are fourteen numbers of each joint: w, that rate, the low-passes, and what finds
     swings and an encoder's steps.
     """
 
@@ -334,7 +335,7 @@ class RaisedDamping(NamedTuple):
     def start(self, v: Array) -> Array:
         """Return the memory before the first period."""
         n = len(v)
-        memory = np.zeros_like(v, shape=(_PASS + 10) * n)
+        memory = np.zeros_like(v, shape=(_PASS + 11) * n)
         memory[n : 2 * n], memory[2 * n : 3 * n] = 1.0 / _RISE, v
         memory[-3 * n : -2 * n], memory[-2 * n : -n] = _AT_FIRST * self.least, v
         memory[-n:] = _COARSEST * self.fresh / self.dt
@@ -342,17 +343,18 @@ class RaisedDamping(NamedTuple):
 
     def step(self, memory: Array, v: Array) -> tuple[Array, Array]:
         """Return the memory a period later, and the rates of w in between, (n_v,)."""
-        share, pace, *past = memory.reshape(_PASS + 10, len(v))
+        share, pace, *past = memory.reshape(_PASS + 11, len(v))
         passed, rows = v, []
         for slow in past[:_PASS]:
             rows.append(slow + self.smooth * (passed - slow))
             passed = passed - slow
-        before, energy, most, swings, age, usual, last, count = past[_PASS:]
+        before, first, energy, most, swings, age, usual, last, count = past[_PASS:]
         moved = np.abs(v - (1.0 - self.fresh) * last)
         count = np.where(moved > _NOTHING, np.minimum(moved, count), count)
-        energy = energy + self.mean * (passed * passed - energy)
+        first = first + self.mean * (passed * passed - first)  # twice, as it beats at 2ω
+        energy = energy + self.mean * (first - energy)
         over = (energy < _LASTS * most) | (age > _SWINGS * _SLOWEST * self.half)
-        swings = np.where(over, 0.0, np.where(passed * before <= 0.0, swings + 1.0, swings))
+        swings = np.where(over, 0.0, np.where(passed * before < 0.0, swings + 1.0, swings))
         least = np.maximum(self.tone * count, self.least)
         stands_out = 2.0 * energy >= np.maximum(_OUTSTANDS * usual, least) ** 2
         rings = (swings >= _SWINGS) & (_FASTEST * age >= self.half * swings) & stands_out
@@ -360,6 +362,7 @@ class RaisedDamping(NamedTuple):
         usual = usual + self.dt / _USUAL * (np.minimum(np.abs(passed), 2.0 * usual) - usual)
         rows += [
             passed,
+            first,
             energy,
             np.where(over, energy, np.maximum(most, energy)),
             np.where(over, 0.0, swings),
@@ -375,7 +378,9 @@ class RaisedDamping(NamedTuple):
         rate = np.maximum(rate, -share / self.dt)
         left = np.maximum(_LEAVES * damping - self.first, 0.0)
         share = np.where(rings, left, share + self.dt * rate)
-        return np.concatenate([share, np.where(rings, _SLOWER * pace, pace), *rows]), rate
+        return np.concatenate(
+            [share, np.where(rings, np.maximum(_SLOWER * pace, _SLOWEST_RISE), pace), *rows]
+        ), rate
 
 
 def smallest(values: Array, rates: Array) -> tuple[Any, Any]:

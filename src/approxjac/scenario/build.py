@@ -32,6 +32,7 @@ from approxjac.validation import Array
 _PLANAR_FOCAL_LENGTH = 0.05  # [m]
 _INSTANTS = 200  # of a path, that are looked at before it
 _LEAST_PIXELS = 0.05  # noise of an image that a scenario has without [px]
+_DIFFERENCES = 1e-6  # filter of q̇ that is none [s]
 _LEAST_NOISE, _BENDS = 1e-4, 1e-3  # of x, also of gears that give way [m or rad]
 
 
@@ -342,10 +343,12 @@ def latency_of(scenario: Scenario) -> Latency:
     """Return the delays of a scenario's loop; for continuous control those of 1 kHz."""
     sensor = scenario.sensor
     learns = bool(scenario.controller.unknown)  # then frames are outside the loop
+    filtered = sensor.velocity_filter
     return Latency(
         period=sampling_time(scenario) or Latency.period,
         torque_delay=scenario.loop.actuator_delay,
-        velocity_filter=sensor.velocity_filter or 0.0,
+        # of differences, also without a filter
+        velocity_filter=0.0 if filtered is None else max(filtered, _DIFFERENCES),
         image_period=0.0 if learns or sensor.rate is None else 1.0 / sensor.rate,
         image_age=0.0 if learns else sensor.delay,
     )
