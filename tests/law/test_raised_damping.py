@@ -140,3 +140,12 @@ def flow(J, M, K, D):
     A[1], A[3] = -spring / M, spring / J
     A[3, 4] = 1.0 / J
     return expm(DT * A)[:4]
+
+
+def test_the_smallest_value_brings_its_rate(rng):
+    """Of numbers, and entry by entry of what is traced."""
+    for _ in range(20):
+        values, rates = rng.normal(size=(2, 6))
+        i = values.argmin()
+        assert law.smallest(values, rates) == (values[i], rates[i])
+        assert law.smallest(values.astype(object), rates.astype(object)) == (values[i], rates[i])
