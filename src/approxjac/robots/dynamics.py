@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -12,10 +11,10 @@ import pinocchio as pin
 from approxjac.errors import InvalidInputError
 from approxjac.robots.robot import WORLD, Robot, mass_matrix
 from approxjac.robots.traced import arm_of
-from approxjac.validation import Array, as_vector, axis_rows, read_only, require
+from approxjac.validation import Array, Immutable, as_vector, axis_rows, read_only, require
 
 
-class Dynamics:
+class Dynamics(Immutable):
     """The terms of M(q) q̈ + C(q, q̇) q̇ + g(q) = τ, eq. (1) without friction.
 
     q has shape (nq,) [rad or m], q̇ and q̈ (n_v,). Owns scratch memory: one instance a thread;
@@ -38,9 +37,6 @@ class Dynamics:
         self._all_data = self._data if self._all is self._model else self._all.createData()
         self._is_plain = self._all is self._model and robot.nq == robot.nv
         self._aba = partial(pin.aba, self._model, self._data)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.robot,)  # a copy has scratch memory of its own
 
     def __repr__(self) -> str:
         return f"Dynamics({self.robot.name!r})"
@@ -148,7 +144,7 @@ _OF_A_JOINT = {  # and their units where it turns and where it slides
 }
 
 
-class _TorqueRegressor:
+class _TorqueRegressor(Immutable):
     """Pinocchio's regressor of a torque, with ten dynamic parameters of each moving link."""
 
     names: tuple[str, ...]
@@ -166,9 +162,6 @@ class _TorqueRegressor:
         if robot.tip is not None:
             frame = self._model.getFrameId(robot.tip, pin.FrameType.BODY)
             self._last = int(self._model.frames[frame].parentJoint or self._last + 1) - 1
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.robot,)  # a copy has scratch memory of its own
 
     @property
     def p(self) -> int:
@@ -304,7 +297,6 @@ class GravityRegressor(_TorqueRegressor):
 
     def __init__(self, robot: Robot, moments: str = "xyz") -> None:
         super().__init__(robot)
-        self._moments = moments
         axes = axis_rows("moments", moments)
         # of each link's ten dynamic parameters, the first four are m, m c_x, m c_y, m c_z
         offsets = [0, *(1 + axis for axis in sorted(axes))]
@@ -331,9 +323,6 @@ class GravityRegressor(_TorqueRegressor):
                 f"would be wrong by {100 * error:.2g} %; 'xyz' covers every robot",
                 given=moments,
             )
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.robot, self._moments)  # a copy has scratch memory of its own
 
     def Z(self, q: Array) -> Array:
         """Return the gravity regressor Z(q), shape (n_v, p) [N m or N, per unit of θ]."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cached_property, partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -12,7 +12,7 @@ import pinocchio as pin
 from approxjac.errors import InvalidInputError
 from approxjac.robots.robot import Robot, all_frame_id
 from approxjac.robots.traced import arm_of
-from approxjac.validation import Array, as_array, as_vector, read_only, require
+from approxjac.validation import Array, Immutable, as_array, as_vector, read_only, require
 
 _IN_WORLD = pin.LOCAL_WORLD_ALIGNED
 _JACOBIAN_DOT = pin.getFrameJacobianTimeVariation
@@ -34,7 +34,7 @@ class PointMotion(NamedTuple):
     drift: Array
 
 
-class KinematicRegressor:
+class KinematicRegressor(Immutable):
     """p(q) = Y(q) θ + offset(q), with θ the translations of joint origins and of the tool.
 
     For joints 1…n with Rᵢ the rotation of link i and tᵢ the origin of joint i on link i − 1,
@@ -69,7 +69,6 @@ class KinematicRegressor:
         points: Sequence[Sequence[float]] | Array | None = None,
     ) -> None:
         require("robot", robot, Robot, "a Robot")
-        self._given = robot, frame, points
         self.robot = robot
         frames = [robot.tip_or(frame)] if frame is None or isinstance(frame, str) else list(frame)
         self.frames = tuple(robot.tip_or(name) for name in frames)
@@ -93,17 +92,14 @@ class KinematicRegressor:
         joints = sorted({joint for path in paths for joint in path})
         self._n = n = len(joints)
         self.movers: tuple[str, ...] = tuple(model.names[joint] for joint in joints)
-        slides = np.array(
-            [model.joints[joint].shortname().startswith("JointModelP") for joint in joints]
-        )
+        slides = any(model.joints[each].shortname().startswith("JointModelP") for each in joints)
         self.points = tuple((int(f), point) for f, point in zip(of_frame, known, strict=True))
         rotations = [placed[f].placement.rotation for f in of_frame]
-        own = [R @ point for R, point in zip(rotations, known, strict=True)]
         origins = [model.jointPlacements[joint].translation for joint in joints]
         origins += [each.placement.translation for each in placed]
         self.theta = read_only(np.concatenate(origins))
         self._nothing = np.zeros(self.p)
-        self.has_offset = bool(slides.any()) or known.any()
+        self.has_offset = slides or bool(known.any())
         ends = ("tool",) if len(placed) == 1 else self.frames
         self.names = tuple(f"{part}.{axis}" for part in (*self.movers, *ends) for axis in "xyz")
 
@@ -126,9 +122,9 @@ class KinematicRegressor:
         ]
         self._points = [
             self._freed.addFrame(
-                pin.Frame(f"point {i}", ends_at[f], pin.SE3(R, point), pin.FrameType.OP_FRAME)
+                pin.Frame(f"point {i}", ends_at[f], pin.SE3(R, R @ point), pin.FrameType.OP_FRAME)
             )
-            for i, (f, R, point) in enumerate(zip(of_frame, rotations, own, strict=True))
+            for i, (f, R, point) in enumerate(zip(of_frame, rotations, known, strict=True))
         ]
         added = [self._freed.joints[i] for i in (*map(links.get, joints), *shifts, *ends_at)]
         places = np.array([each.idx_v + i for each in added for i in range(each.nv)])
@@ -142,9 +138,6 @@ class KinematicRegressor:
         self._from_v = np.append(at_v, model.nv + np.arange(self.p))[np.argsort(places)]
         self._columns = robot.mimic_joints.columns(np.eye(model.nv))[at_v]
         self._plain = np.array_equal(self._columns, np.eye(n))
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), self._given  # a copy has scratch memory of its own
 
     def __repr__(self) -> str:
         where = self.frames[0] if len(self.frames) == 1 else list(self.frames)

@@ -11,10 +11,10 @@ import pinocchio as pin
 
 from approxjac.robots.robot import Robot, require_inertia
 from approxjac.robots.urdf import OBJECT_RADIUS, Urdf, as_size, direction, rotation_onto
-from approxjac.validation import Array
+from approxjac.validation import Array, Immutable
 
 
-class Perturbation:
+class Perturbation(Immutable):
     """A family of robots that differ in the size of their object and the origins of their joints.
 
     `robot` changes a copy of the Pinocchio model, in a hundredth of the time that
@@ -37,7 +37,7 @@ class Perturbation:
         axis: str | Sequence[float] | None = None,
         joints: Sequence[str] = (),
     ) -> None:
-        self._given = (arm, held, axis, tuple(joints))
+        self._made_of = (arm, held, axis, tuple(joints))
         self._moved: PerturbedRobot | None = None
         self.base = arm if held is None else arm.with_object(*held, axis=axis)
         self._outward = None if self.base.tip is None else self.base.outward_axis()
@@ -49,9 +49,6 @@ class Perturbation:
         self._surely_regular = all(
             np.linalg.eigvalsh(inertia.inertia)[0] > 0.0 for inertia in list(arm.model.inertias)[1:]
         )
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), self._given
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Perturbation:
         return self  # it never changes
@@ -76,7 +73,7 @@ class Perturbation:
             shifts: Shifts of the k joint origins in the parent links' frames, shape (k, 3) [m].
             rotations: Rotation vectors in the joints' own frames, shape (k, 3) [rad].
         """
-        if self._given[1] is not None:
+        if self._made_of[1] is not None:
             as_size("length", length)
             as_size("mass", mass, "kg")
         values = (length, mass, shifts, rotations)
@@ -99,7 +96,7 @@ class PerturbedRobot(Robot):
     def tree(self) -> Urdf:  # type: ignore[override]
         """The URDF as a tree. Read-only."""
         perturbation, (length, mass, *errors) = self._made_by
-        robot, held, axis, joints = perturbation._given
+        robot, held, axis, joints = perturbation._made_of
         if held is not None:
             robot = robot.with_object(length, mass, axis=axis)
         shifts, turns = (

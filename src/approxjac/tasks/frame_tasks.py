@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 import pinocchio as pin
@@ -14,7 +14,7 @@ from approxjac.robots import Robot
 from approxjac.robots.robot import all_frame_id
 from approxjac.robots.traced import arm_of
 from approxjac.tasks.task import Feature, Task
-from approxjac.validation import Array, as_array, as_vector, axis_rows, require
+from approxjac.validation import Array, Immutable, as_array, as_vector, axis_rows, require
 
 _LWA = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 # a @ _CROSS is [a]ₓ, row by row
@@ -25,7 +25,7 @@ _CROSS = np.array([
 ], dtype=float)  # fmt: skip
 
 
-class FrameKinematics:
+class FrameKinematics(Immutable):
     """Forward kinematics of one frame.
 
     Owns scratch memory: one instance a thread; returned arrays are copies except `motion`'s.
@@ -59,13 +59,6 @@ class FrameKinematics:
     def _all_data(self) -> pin.Data:
         return self._data if self._all is self._model else self._all.createData()
 
-    @cached_property
-    def _id_in_all(self) -> int:
-        return all_frame_id(self.robot, self.frame)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.robot, self.frame)  # a copy has scratch memory of its own
-
     def position(self, q: Array) -> Array:
         """Return the position of the frame's origin in the world, shape (3,) [m]."""
         if type(q) is not np.ndarray:  # it may be of symbols
@@ -76,8 +69,7 @@ class FrameKinematics:
     def placement(self, q: Array) -> tuple[Array, Array]:
         """Return the rotation (3, 3) of the frame's axes in the world's, and `position`."""
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
-            R, p = arm.frame(self.frame)
-            return R, p
+            return arm.frame(self.frame)
         M = self._placement(q)
         return np.array(M.rotation), np.array(M.translation)
 
@@ -111,7 +103,7 @@ class FrameKinematics:
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
             return np.asanyarray(arm.jacobian_dot(self.frame, v))
         q, v = self.robot.configuration(q), as_vector("v", v, self.robot.nv)
-        mimic_joints, frame = self.robot.mimic_joints, self._id_in_all
+        mimic_joints, frame = self.robot.mimic_joints, all_frame_id(self.robot, self.frame)
         pin.computeJointJacobiansTimeVariation(
             self._all, self._all_data, mimic_joints.q(q), mimic_joints.v(v)
         )

@@ -27,7 +27,7 @@ from approxjac.simulation import Plant
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import jacobian_gradient
-from approxjac.validation import Array
+from approxjac.validation import Array, Immutable
 
 _MOST_JOINTS = 12  # traced: code for ∂M/∂q grows with their third power
 _SHOWN = 3  # true robots from inside that show which numbers differ, besides the corners
@@ -80,7 +80,7 @@ class Samples(Terms):
         return Samples(**{name: np.concatenate([own[name] for own in each]) for name in each[0]})
 
 
-class TracedTerms:
+class TracedTerms(Immutable):  # in another process a copy makes machine code of its own
     """Terms as one function for all true robots, which differ in numbers only.
 
     Args:
@@ -94,7 +94,6 @@ class TracedTerms:
     """
 
     def __init__(self, plants: Sequence[Plant], task: Task, compiles: bool | None = None) -> None:
-        self._given = plants, task, compiles
         sensor, robot = plants[0].sensor, plants[0].robot
         self._frames = tasks.frames(sensor)
         program = self._program = Program()
@@ -126,9 +125,6 @@ class TracedTerms:
         flat = [*chain(*program.stepped.values())]
         self._function: Any = None if compiles else numpy_function(program.graph, flat)
         self._require_alike(plants, task)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), self._given  # machine code is of this process
 
     def _require_alike(self, plants: Sequence[Plant], task: Task) -> None:
         robot = task.robot
