@@ -71,7 +71,7 @@ class Lens:
         if self.is_straight:
             return p
         u, v = self._flat(*p.tolist())
-        return np.asanyarray(law.array((u, v) if self._T is None else _moved(self._T, u, v)))
+        return np.asanyarray(law.array((u, v) if self._T is None else _moved(self._T, u, v)[:2]))
 
     def slopes(self, x: float, y: float) -> tuple[float, float, float, float]:
         """Return ∂(distorted)/∂p at p = (x, y), row by row."""
@@ -80,10 +80,8 @@ class Lens:
         a, b, c, d = self._flat_slopes(x, y)
         if self._T is None:
             return a, b, c, d
-        u, v = self._flat(x, y)
-        (h00, h01, _), (h10, h11, _), (h20, h21, h22) = self._T.tolist()
-        depth = h20 * u + h21 * v + h22
-        u, v = _moved(self._T, u, v)
+        (h00, h01, _), (h10, h11, _), (h20, h21, _) = self._T.tolist()
+        u, v, depth = _moved(self._T, *self._flat(x, y))
         t00, t01 = (h00 - u * h20) / depth, (h01 - u * h21) / depth
         t10, t11 = (h10 - v * h20) / depth, (h11 - v * h21) / depth
         return t00 * a + t01 * c, t00 * b + t01 * d, t10 * a + t11 * c, t10 * b + t11 * d
@@ -94,10 +92,7 @@ class Lens:
             return shown
         u, v = shown.tolist()
         if self._T_inverse is not None:
-            (h00, h01, h02), (h10, h11, h12), (h20, h21, h22) = self._T_inverse.tolist()
-            depth = h20 * u + h21 * v + h22
-            depth = law.select(depth > _BEFORE, depth, _BEFORE)
-            u, v = (h00 * u + h01 * v + h02) / depth, (h10 * u + h11 * v + h12) / depth
+            u, v, _ = _moved(self._T_inverse, u, v, _BEFORE)
         wanted = root(u * u + v * v)
         if isinstance(wanted, float) and wanted == 0.0:
             return np.zeros(2)
@@ -294,7 +289,11 @@ def _tilt(tau_x: float, tau_y: float) -> Array:
     return np.asarray(along @ R)
 
 
-def _moved(H: Array, u: float, v: float) -> tuple[float, float]:
+def _moved(
+    H: Array, u: float, v: float, least: float | None = None
+) -> tuple[float, float, float]:
+    """Return a point that a homography moves, and its depth, the least one if it is smaller."""
     (h00, h01, h02), (h10, h11, h12), (h20, h21, h22) = H.tolist()
     depth = h20 * u + h21 * v + h22
-    return (h00 * u + h01 * v + h02) / depth, (h10 * u + h11 * v + h12) / depth
+    depth = depth if least is None else law.select(depth > least, depth, least)
+    return (h00 * u + h01 * v + h02) / depth, (h10 * u + h11 * v + h12) / depth, depth

@@ -116,12 +116,8 @@ class ImageTask(Task):
     def visible(self, x: Array) -> Array:
         points = x.reshape(-1, self._stride)
         lost = np.full(self._stride, np.nan)
-        return np.concatenate(
-            [
-                law.select(law.is_finite(self.camera.seen(point[:2])), point, lost)
-                for point in points
-            ]
-        )
+        seen = (law.is_finite(self.camera.seen(point[:2])) for point in points)
+        return np.concatenate([law.select(*each, lost) for each in zip(seen, points, strict=True)])
 
     def is_mirrored(self, x: Array, other: Array) -> bool:
         if not self._roundness:
