@@ -192,7 +192,9 @@ class TracedLoop:
         here = self.truth.at(mid)
         terms = here.M(), here.bias(v + 0.5 * motors.change)
         angle = motion_between(robot, robot.neutral(), q)
-        after = transmission.step(v, motors, torque, h, terms, _solved, angle)
+        after = transmission.step(
+            v, motors, torque, h, terms, lambda A, b: Factors(A).solve(symbols(b)), angle
+        )
         free = moved(robot, mid, 0.5 * h * after.v), after.v, after.motors.rate, 0.0
 
         def stopped() -> tuple[Any, ...]:
@@ -248,10 +250,6 @@ class TracedLoop:
         start = nothing, b, nothing < 0.0, nothing < 0.0, False
         push, *_, wrong = law.repeat(_GUESSES, guess, start)
         return -side * push, select(wrong, 1.0, 0.0)
-
-
-def _solved(A: Symbols, b: Symbols) -> Symbols:
-    return Factors(A).solve(symbols(b))
 
 
 def _initial_state(

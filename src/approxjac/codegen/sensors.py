@@ -64,17 +64,16 @@ class TracedSensing:
     def measured(self, program: Program, truth: Measurement) -> tuple[Measurement, dict[str, Any]]:
         """Return the measurement of the truth, and the numbers to keep."""
         t, q, v, x, _ = truth
-        sensing, robot = self._sensing, self._sensor.robot
-        sensor = self._sensor
+        sensing, sensor = self._sensing, self._sensor
         kept: dict[str, Any] = {}
 
         def noise(name: str, size: Array) -> Symbols | None:
             return size * program.drawn(name, len(size)) if size.any() else None
 
-        q = encoded(robot, q, noise("q_noise", self._q_noise), self._q_quantum)
+        q = encoded(sensor.robot, q, noise("q_noise", self._q_noise), self._q_quantum)
         if sensing.velocity_filter is not None:
             before, v = program.kept("q_before", len(q)), program.kept("v_filtered", len(v))
-            motion = difference(robot, before, q)
+            motion = difference(sensor.robot, before, q)
             slope = np.where(symbols(program.k > 0.0), motion, 0.0) / self._dt
             v = filtered(v, slope, sensing.velocity_filter, self._dt)
             kept |= {"q_before": q, "v_filtered": v}

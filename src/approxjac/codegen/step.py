@@ -32,9 +32,7 @@ def step_program(controller: Controller, *, may_lose: bool) -> Program:
     `Evaluation`, with `state_rate` as "rate", "after" (the next state), "left" (1 if the step is
     left to Python) and "usual" (1 if it is not, all numbers are small and the status is usual).
 
-    Args:
-        controller: The controller.
-        may_lose: True if x may be lost.
+    With `may_lose` x may be lost.
 
     Raises:
         InvalidInputError: It takes no symbols.

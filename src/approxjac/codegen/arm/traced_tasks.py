@@ -26,17 +26,12 @@ def frames(task: Task) -> tuple[str, ...]:
     """
     names: tuple[str, ...] | None = vars(task).get("_traced_frames")
     if names is None:
-        names = vars(task)["_traced_frames"] = _probed(task)
+        graph, arm = Graph(), Arm.known(task.robot)
+        q, x = inputs(graph, "q", task.robot.nq), inputs(graph, "x", task.n_x)
+        with arm.standing_in(graph):
+            traced("task", task, lambda: (task.value(q), task.jacobian(q, x), task.error(x, x)))
+        names = vars(task)["_traced_frames"] = tuple(arm.frames)
     return names
-
-
-def _probed(task: Task) -> tuple[str, ...]:
-    graph = Graph()
-    q, x = inputs(graph, "q", task.robot.nq), inputs(graph, "x", task.n_x)
-    arm = Arm.known(task.robot)
-    with arm.standing_in(graph):
-        traced("task", task, lambda: (task.value(q), task.jacobian(q, x), task.error(x, x)))
-    return tuple(arm.frames)
 
 
 def traced(name: str, given: Any, computed: Callable[[], Any]) -> Any:

@@ -16,7 +16,7 @@ from approxjac import law
 from approxjac.codegen import traced_law as laws
 from approxjac.codegen.backends.numpy_function import numpy_function
 from approxjac.codegen.trace.program import Going, Language, Rows
-from approxjac.codegen.trace.symbols import Graph, Number, Passes, Scalar, inputs, symbols
+from approxjac.codegen.trace.symbols import FAR, Graph, Number, Passes, Scalar, inputs, symbols
 from approxjac.controllers.controller import Controller
 from approxjac.interface import Measurement
 from approxjac.validation import Array
@@ -35,7 +35,7 @@ _TEMPLATES = {
     "or": "{0} | {1}",
     "absolute": "fabs({0})",
     "sqrt": "sqrt({0})",
-    "far": "{0} + 6755399441055744.0",
+    "far": f"{{0}} + {FAR}",
     "power": "power_of_two({0})",
     "not": "!{0}",
     "select": "{0} ? {1} : {2}",

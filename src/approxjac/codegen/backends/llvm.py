@@ -13,7 +13,7 @@ import numpy as np
 from approxjac.codegen.backends.machine_code import MachineCode
 from approxjac.codegen.backends.templates import template
 from approxjac.codegen.trace.program import STEP, Block, Going, Language, Program, Rows, Writer
-from approxjac.codegen.trace.symbols import Passes
+from approxjac.codegen.trace.symbols import FAR, Passes
 from approxjac.errors import package_of
 from approxjac.validation import Array
 
@@ -299,7 +299,7 @@ def _filled(text: str, width: int) -> str:
         "$TRUE": f"<{', '.join(['i1 true'] * width)}>",
         "$ZERO": f"<{width} x i32> zeroinitializer",
         "$SHIFT": f"<{', '.join(['i64 52'] * width)}>",
-        "$FAR": f"<{', '.join(['double 6755399441055744.0'] * width)}>",
+        "$FAR": f"<{', '.join([f'double {FAR}'] * width)}>",
     }
     for word, meant in words.items():
         text = text.replace(word, meant)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from approxjac.codegen.trace.program import Schedule, Scope
-from approxjac.codegen.trace.symbols import Graph, Number
+from approxjac.codegen.trace.symbols import FAR, Graph, Number
 
 _OPERATIONS: dict[str, Callable[..., Any]] = {
     "add": np.add,
@@ -18,7 +18,7 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
     "negative": np.negative,
     "absolute": np.abs,
     "sqrt": np.sqrt,
-    "far": lambda a: a + 1.5 * 2.0**52,
+    "far": lambda a: a + FAR,
     "power": lambda a: (np.asarray(a).view(np.int64) << 52).view(np.float64),
     "less": np.less,
     "less_equal": np.less_equal,
@@ -58,7 +58,7 @@ class _Run:
 
     def carry_out(self, region: Scope) -> None:
         """Evaluate a scope."""
-        values, known = self.values, set()
+        values = self.values
         for place in region.places:
             operation, arguments, value = self._nodes[place]
             if function := _OPERATIONS.get(operation):
@@ -70,8 +70,7 @@ class _Run:
                 if not np.any(values[condition]):
                     values[place] = values[otherwise]
                     continue
-                if value not in known:
-                    known.add(value)
+                if place == self._schedule.results[value][0]:
                     self.carry_out(self._schedule.inside["rare", value])
                 values[place] = np.where(values[condition], values[then], values[otherwise])
             elif operation == "loop":

@@ -89,13 +89,9 @@ class Program:
         return inputs(self.graph, name, size)
 
     def given(self, name: str, values: Array) -> Symbols:
-        """Return numbers that stay as they are in a run.
+        """Return numbers that stay as they are in a run, with values (N, …) in N of them.
 
         Those that are the same in all runs are constants of the program, and cost nothing.
-
-        Args:
-            name: Their name.
-            values: Their values, shape (N, …).
         """
         flat = values.reshape(len(values), -1)
         differs = (flat != flat[:1]).any(axis=0)
@@ -108,11 +104,7 @@ class Program:
         return numbers.reshape(values.shape[1:])
 
     def filled(self, values: Mapping[str, Array]) -> Array:
-        """Return the parameters of some runs, shape (N, n_parameters).
-
-        Args:
-            values: Name → what `given` has been given of the runs that it was built for, now of
-                these, shape (N, …).
+        """Return the parameters of N runs, (N, n_parameters), from values by name as of `given`.
 
         Raises:
             ValueError: A number differs that was the same in all of those.
@@ -232,11 +224,11 @@ class Schedule:
                     self.indices.setdefault(nodes[each].value, set()).add(each)
         needs = self._needs()
         users: dict[int, Scope] = {}
-        blocks: dict[int, tuple[list[int], Scope]] = {}  # their results, and who needs them
-        first = {}
-        for place in reversed(places):
+        of_blocks: dict[int, Scope] = {}  # who needs any of their results
+        self.results: dict[int, list[int]] = {}  # number of a rare block → places of its results
+        for place in places:
             if nodes[place].operation == "rare":
-                first[nodes[place].value] = place
+                self.results.setdefault(nodes[place].value, []).append(place)
 
         def use(place: int, region: Scope) -> None:
             other = users.get(place)
@@ -251,9 +243,9 @@ class Schedule:
                 continue
             region = users[place].before_loops(needs[place])
             if operation == "rare":
-                results, known = blocks.get(value, ([], None))
-                blocks[value] = results, region = [*results, place], region.shared(known)
-                if place != first[value]:
+                results = self.results[value]
+                region = of_blocks[value] = region.shared(of_blocks.get(value))
+                if place != results[0]:
                     continue
                 region = region.before_loops(frozenset().union(*(needs[each] for each in results)))
                 inside = self.inside["rare", value] = Scope(region)
@@ -316,15 +308,11 @@ class Writer:
 
     def _region(self, region: Scope) -> list[str]:
         nodes, language, lines = self._graph.nodes, self._language, []
-        blocks: dict[int, list[int]] = {}
-        for place in region.places:
-            if nodes[place].operation == "rare":
-                blocks.setdefault(nodes[place].value, []).append(place)
         for place in region.places:
             operation, arguments, value = nodes[place]
             if operation == "rare":
-                if results := blocks.pop(value, None):
-                    lines += self._rare(results)
+                if place == self._schedule.results[value][0]:
+                    lines += self._rare(value)
             elif operation == "loop":
                 lines += self._loop(place)
             elif operation == "table":
@@ -335,8 +323,9 @@ class Writer:
                 lines += self._line(place)
         return lines
 
-    def _rare(self, results: list[int]) -> list[str]:
-        _, (condition, *_), block = self._graph.nodes[results[0]]
+    def _rare(self, block: int) -> list[str]:
+        results = self._schedule.results[block]
+        condition = self._graph.nodes[results[0]].arguments[0]
         body, choices = self._region(self._schedule.inside["rare", block]), []
         for place in results:
             _, then, otherwise = self._graph.nodes[place].arguments

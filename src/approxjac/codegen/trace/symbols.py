@@ -54,7 +54,8 @@ class Passes(NamedTuple):
     m: int  # are collected in each
 
 
-POWER_SHIFT = 1023.0 + 1.5 * 2.0**52
+FAR = 1.5 * 2.0**52  # added to a number up to 2⁵¹, it leaves an integer next to that
+POWER_SHIFT = 1023.0 + FAR
 """Added to an integer k, the last 12 bits of the sum are those of 2**k's exponent."""
 
 CONDITIONS = frozenset({"less", "less_equal", "equal", "and", "or", "not"})
@@ -465,8 +466,8 @@ class Scalar:
         return self.graph.apply("sqrt", self)
 
     def rounded(self) -> Scalar:
-        """Return an integer next to a, of an a up to 2⁵¹."""
-        return self.graph.apply("far", self) - 1.5 * 2.0**52
+        """Return the integer next to a, the even one of two, of an a up to 2⁵¹."""
+        return self.graph.apply("far", self) - FAR
 
     def __repr__(self) -> str:
         return f"Scalar({self.place}: {self.graph.nodes[self.place]})"
@@ -527,11 +528,6 @@ _MOST = 700.0  # whose exp does not overflow
 _FLAT = 20.0  # beyond it, tanh is 1 to the last bit
 
 LARGEST_ANGLE = 1e6  # angle up to which `Scalar.sine_and_cosine` keeps its digits [rad]
-
-
-def nearest_integer(x: Scalar) -> Number:
-    """Return the integer next to x, the even one of two."""
-    return select(abs(x) < 2.0**51, x.rounded(), x)
 
 
 def tanh(x: Scalar) -> Number:
@@ -605,7 +601,7 @@ _FUNCTIONS: dict[np.ufunc, np.ufunc] = {
     np.cos: _of_one(np.cos, lambda a: a.sine_and_cosine()[1]),
     np.tanh: _of_one(np.tanh, tanh),
     np.sqrt: _of_one(np.sqrt, Scalar.sqrt),
-    np.rint: _of_one(np.rint, nearest_integer),
+    np.rint: _of_one(np.rint, lambda a: select(abs(a) < 2.0**51, a.rounded(), a)),
     np.minimum: np.frompyfunc(lambda a, b: select(a < b, a, b), 2, 1),
     np.maximum: np.frompyfunc(lambda a, b: select(a > b, a, b), 2, 1),
     np.isfinite: _of_one(np.isfinite, Scalar.is_finite),
