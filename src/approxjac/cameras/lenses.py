@@ -61,7 +61,7 @@ class Lens:
         self._p, self._s = (p1, p2), tuple(rest[:4])
         tilt = rest[4:]
         self._T: Array | None = _tilt(*tilt) if any(tilt) else None
-        self._T_inverse = None if self._T is None else np.linalg.inv(self._T)
+        self._T_inverse = None if self._T is None else np.asarray(np.linalg.inv(self._T), float)
         self._is_round = not any(self._p) and not any(self._s)
         self.is_straight = not any(given)  # without distortion
         self.largest_radius = self._largest_radius()
@@ -250,10 +250,6 @@ def inverse(growing: Callable[[float], float], wanted: float, largest: float) ->
         low, high, wanted = ends
         middle = 0.5 * (low + high)
         is_short = growing(middle) < wanted
-        if is_short is True:
-            return middle, high, wanted
-        if is_short is False:
-            return low, middle, wanted
         return law.select(is_short, middle, low), law.select(is_short, high, middle), wanted
 
     low, high, _ = law.repeat(_HALVINGS, halved, (0.0, largest, wanted))
@@ -289,9 +285,7 @@ def _tilt(tau_x: float, tau_y: float) -> Array:
     return np.asarray(along @ R)
 
 
-def _moved(
-    H: Array, u: float, v: float, least: float | None = None
-) -> tuple[float, float, float]:
+def _moved(H: Array, u: float, v: float, least: float | None = None) -> tuple[float, float, float]:
     """Return a point that a homography moves, and its depth, the least one if it is smaller."""
     (h00, h01, h02), (h10, h11, h12), (h20, h21, h22) = H.tolist()
     depth = h20 * u + h21 * v + h22

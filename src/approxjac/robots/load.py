@@ -259,11 +259,9 @@ def implausible(robot: Robot) -> list[str]:
             findings.append(
                 f"what moves with joint {name} has {mass:g} kg, of an arm of {reach:.3g} m reach"
             )
-    efforts = zip(robot.joint_names, robot.effort_limits, robot.joint_units, strict=True)
-    for name, effort, unit in efforts:
-        weight, force = robot.mass * -STANDARD_GRAVITY[2], "N"
-        if unit == "rad":
-            weight, force = weight * reach, "N m"
+    efforts = zip(robot.joint_names, robot.effort_limits, robot.force_units, strict=True)
+    for name, effort, force in efforts:
+        weight = robot.mass * -STANDARD_GRAVITY[2] * (reach if force == "N m" else 1.0)
         if np.isfinite(effort) and effort > _STRONG * weight:
             findings.append(
                 f"joint {name} has an effort limit of {effort:g} {force}, where at most "

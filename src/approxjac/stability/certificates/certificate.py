@@ -215,7 +215,6 @@ class Theorem1:
         return self.margin > 0.0
 
 
-CONSTANTS = ("p", "b_J", "lambda_m", "lambda_1", "lambda_2", "c0", "c1")
 _BELOW = 0.999  # (14) is strict
 
 
@@ -267,7 +266,7 @@ def refine_constants(loop: ClosedLoop, samples: Samples, rng: np.random.Generato
     """Add samples near the worst of each constant of Theorem 1."""
     values = constants(samples, loop.setting)
     more: list[Samples] = []
-    for name in CONSTANTS:
+    for name in list(values):
         for _ in range(_REFINED):
             bad = badness(name, values[name])
             k = _first_largest(bad)

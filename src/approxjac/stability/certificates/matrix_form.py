@@ -274,17 +274,15 @@ class _OfSamples(NamedTuple):
     ddamped: Array
 
 
-def best_weights(form: MatrixForm, family: Family, known: Best | None = None) -> Best:
-    """Choose the Lyapunov function of a family whose least margin is largest.
+def best_weights(
+    form: MatrixForm, family: Family | FamilyNumbers, known: Best | None = None
+) -> Best:
+    """Choose the Lyapunov function of a family, or of its unknowns, whose least margin is largest.
 
     The worst samples are collected until no other one is worse. `known` is the best for the first
     samples, to start from.
     """
-    return best_of(form, form.unknowns(family), known)
-
-
-def best_of(form: MatrixForm, unknowns: FamilyNumbers, known: Best | None = None) -> Best:
-    """Choose the unknowns whose least margin is largest, as `best_weights`."""
+    unknowns = form.unknowns(family) if isinstance(family, str) else family
     N = len(form.samples)
     y, cuts = unknowns.start, np.empty((2, 0, 1 + len(unknowns.start)))
     active = np.unique(np.linspace(0, N - 1, _ACTIVE).astype(int))
@@ -577,7 +575,7 @@ class SampledForm(MatrixForm):
     def best_multiplier(self, weights: Weights) -> Best:
         """Choose the multiplier, and X, of a given function."""
         fixed, none = weights._replace(multiplier=0.0, X=0.0), np.zeros(0)
-        return best_of(self, self._with_multipliers(FamilyNumbers(fixed, [], none, none)))
+        return best_weights(self, self._with_multipliers(FamilyNumbers(fixed, [], none, none)))
 
     def unknowns(self, family: Family) -> FamilyNumbers:
         """Return the unknowns of a family, with the multiplier and X."""

@@ -14,6 +14,7 @@ from approxjac.controllers import Controller, SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import numbers, short
 from approxjac.robots import Robot
+from approxjac.robots.traced import moved
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import sees
 from approxjac.validation import Array, as_entries, as_number, require
@@ -47,13 +48,10 @@ class Region(ABC):
     def near(self, q: Array, size: float, rng: np.random.Generator) -> Array:
         """Return a configuration of the region about `size` spreads away from q, one of its own."""
         for _ in range(20):
-            moved = self._moved(q, size * self.spread * rng.standard_normal(self.robot.nv))
-            if self.contains(moved):
-                return moved
+            other = moved(self.robot, q, size * self.spread * rng.standard_normal(self.robot.nv))
+            if self.contains(other):
+                return other
         return q
-
-    def _moved(self, q: Array, motion: Array) -> Array:
-        return np.array(pin.integrate(self.robot.model, q, motion))
 
     def _away(self, q: Array, other: Array) -> Array:
         other = other if np.shape(other) == (self.robot.nq,) else self.robot.configuration(other)
@@ -106,7 +104,7 @@ class JointBox(Region):
             )
         # about its middle: differences of continuous joints go half a turn to either side
         middle = 0.5 * (self.lower + self.upper)
-        self.center = self._moved(self.center, middle)
+        self.center = moved(robot, self.center, middle)
         self.lower, self.upper = self.lower - middle, self.upper - middle
         self.spread = self.upper - self.lower
 
@@ -124,7 +122,7 @@ class JointBox(Region):
         motions = self.lower + self.spread * rng.random((n, self.robot.nv))
         if self.robot.nq == self.robot.nv:
             return np.asarray(self.center + motions)
-        return np.array([self._moved(self.center, motion) for motion in motions])
+        return np.array([moved(self.robot, self.center, motion) for motion in motions])
 
     def contains(self, q: Array) -> bool:
         return bool((abs(self._away(self.center, q)) <= self.upper + 1e-12).all())  # lower: −upper

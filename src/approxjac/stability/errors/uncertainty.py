@@ -214,11 +214,12 @@ class Uncertainty:
         as_number("factor", self.factor, minimum=0.0)
         if self.object_axis is not None:
             direction(self.object_axis)
+        own = vars(self)  # frozen once it is built
         # copies, so that nobody changes them later
         for name, unit in (("joint_shifts", "m"), ("joint_rotations", "rad")):
-            self._set(name, _as_bounds(name, getattr(self, name), self.arm, unit))
+            own[name] = _as_bounds(name, getattr(self, name), self.arm, unit)
         if not (isinstance(self.friction, Friction) or is_scalar(self.friction)):
-            self._set("friction", tuple(self.friction))  # type: ignore[arg-type]
+            own["friction"] = tuple(self.friction)  # type: ignore[arg-type]
         kinds = ("shift", "m", self.joint_shifts), ("rotation", "rad", self.joint_rotations)
         given = [
             *_as_range("object_length", self.object_length, self.believed_length, "m"),
@@ -230,7 +231,7 @@ class Uncertainty:
                     given.append(Coordinate(f"{joint} {kind} {axis}", unit, 0.0, -bound, bound))
         for name in ("focal_length", "distance", "roll"):
             given += _camera_range(self.camera, name, getattr(self, name))
-        self._set("_coordinates", tuple(known.scaled(self.factor) for known in given))
+        own["_coordinates"] = tuple(known.scaled(self.factor) for known in given)
         for known in self._coordinates:
             known.ends()  # refuses an angle beyond a full turn
             if known.name.startswith("object_"):
@@ -267,10 +268,6 @@ class Uncertainty:
     def d(self) -> int:
         """Number of uncertain coordinates; 0 if the belief is the truth."""
         return len(self._coordinates)
-
-    @cached_property
-    def _low_and_width(self) -> tuple[Array, Array]:
-        return self.low, self.high - self.low
 
     @property
     def believed(self) -> Array:
@@ -338,8 +335,8 @@ class Uncertainty:
 
     def sample(self, rng: np.random.Generator) -> Array:
         """Return values drawn uniformly from the box, shape (d,)."""
-        low, width = self._low_and_width
-        return low + width * rng.random(len(low))  # as rng.uniform, which takes its time
+        low = self.low
+        return low + (self.high - low) * rng.random(self.d)  # as rng.uniform, which takes its time
 
     # -- the robots ---------------------------------------------------------------------
 
@@ -383,7 +380,7 @@ class Uncertainty:
         make = self._make_task
         same = isinstance(make, partial) and make.func is PositionTask and "axes" in make.keywords
         if same and self._perturbation.moves(robot):  # other tasks may look at the robot
-            self._set("_moved", plant)
+            vars(self)["_moved"] = plant
         return plant
 
     def moving(self) -> Uncertainty:
@@ -471,11 +468,6 @@ class Uncertainty:
             raise InvalidInputError(message, given=self.task) from error
         require("what task makes of a robot", task, Task, "a task, such as PositionTask(robot)")
         return task
-
-    # -- what was given -----------------------------------------------------------------
-
-    def _set(self, name: str, value: Any) -> None:
-        object.__setattr__(self, name, value)  # frozen once it is built
 
     def __repr__(self) -> str:
         return f"Uncertainty({self.arm.name!r}: {self.describe_box()})"

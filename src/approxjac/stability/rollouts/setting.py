@@ -194,13 +194,12 @@ class RolloutSetting:
             return Rollout(*begins, math.inf, math.nan, math.nan, math.nan, False, True, False)
         settling, converged = _judged(record.t, record.error_norm, self.accuracy)
         final = float(record.error_norm[-1])
-        robot = start.plant.robot
         return Rollout(
             *begins,
             final_error=math.inf if math.isnan(final) else final,
             settling_time=settling,
             peak_torque=float(np.abs(record.tau / start.plant.motor_limits).max()),
-            peak_speed=float(np.abs(record.v / robot.velocity_limits).max()),
+            peak_speed=float(np.abs(record.v / start.plant.robot.velocity_limits).max()),
             converged=converged,
             diverged=False,
             stayed=all(bool(self.region.contains(q)) for q in record.q),
