@@ -123,15 +123,9 @@ def _flushed(code: int) -> int:
     return code
 
 
-# -- help -------------------------------------------------------------------------------
-
-
 def _help_of_commands() -> str:
-    lines = ["usage: approxjac COMMAND [options]", ""]
-    lines += [
-        *wrapped("Torque control of any URDF arm whose kinematics are not exactly known."),
-        "",
-    ]
+    about = wrapped("Torque control of any URDF arm whose kinematics are not exactly known.")
+    lines = ["usage: approxjac COMMAND [options]", "", *about, ""]
     for name, command in _COMMANDS.items():
         lines += _entry(name, _paragraphs(command)[0], 14)
     text = (

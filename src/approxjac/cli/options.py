@@ -132,9 +132,6 @@ def record_options(record: Any, short: Mapping[str, str], key: str = "") -> list
     return options
 
 
-# -- what was typed -----------------------------------------------------------------------
-
-
 def read(
     command: str, words: Sequence[str], options: Sequence[Option]
 ) -> tuple[dict[str, Any], dict[str, str]]:

@@ -12,13 +12,13 @@ from matplotlib.figure import Figure
 
 from approxjac.cameras import Camera, PinholeCamera
 from approxjac.errors import InvalidInputError, UnknownNameError
-from approxjac.formatting import joined
+from approxjac.formatting import display_unit, joined
 from approxjac.interface import LimitStatus
 from approxjac.robots import Robot
 from approxjac.simulation import Trajectory
 from approxjac.tasks import FrameKinematics
 from approxjac.validation import Array, as_vector, plane_rows, require
-from approxjac.view.style import COLORS, SERIES, display_unit, formulas, new_figure, styled
+from approxjac.view.style import COLORS, SERIES, formulas, new_figure, styled
 from approxjac.view.tree import learnt_tips
 
 _STATUS_COLORS = dict(

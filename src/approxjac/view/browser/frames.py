@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from approxjac.formatting import display_unit
 from approxjac.robots import Robot
 from approxjac.robots.robot import own_joints
 from approxjac.simulation import Trajectory
@@ -16,7 +17,6 @@ from approxjac.tasks.analysis import image_feature
 from approxjac.tasks.frame_tasks import PointKinematics
 from approxjac.tasks.task import Feature
 from approxjac.validation import Array
-from approxjac.view.style import display_unit
 from approxjac.view.tree import followed, joint_positions, learnt_tips
 
 _AT_LIMIT = 0.01  # a joint that is within so much of its position limit is at it [rad or m]
