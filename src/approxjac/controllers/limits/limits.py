@@ -99,9 +99,9 @@ def sure_deceleration(robot: Robot, effort: Array) -> Array:
     """
     dynamics, rng = Dynamics(robot), np.random.default_rng(0)
     drawn = [robot.random_configuration(rng) for _ in range(_CONFIGURATIONS)]
-    loads, inertias = (np.abs([*map(each, drawn)]) for each in (dynamics.g, dynamics.M))
-    left = np.maximum(effort - loads, _LEAST_LEFT * effort)
-    rates = (left[:, :, np.newaxis] / np.maximum(inertias, _NO_INERTIA)).min(axis=1)
+    left = np.maximum(effort - np.abs([*map(dynamics.g, drawn)]), _LEAST_LEFT * effort)
+    inertias = np.maximum(np.abs([*map(dynamics.M, drawn)]), _NO_INERTIA)
+    rates = (left[:, :, np.newaxis] / inertias).min(axis=1)
     return np.asarray(_SHARE * np.quantile(rates, _RARE, axis=0, method="lower"))
 
 
