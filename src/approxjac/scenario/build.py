@@ -147,9 +147,8 @@ def _tasks(truth: Robot, belief: Robot, scenario: Scenario) -> tuple[Task, Task]
     if chosen.kind == "pose":
         task = tasks.PoseTask(belief)
     elif chosen.kind == "stacked":
-        task = tasks.StackedTask(
-            *(PositionTask(belief, each, chosen.axes) for each in chosen.frames)
-        )
+        parts = (PositionTask(belief, each, chosen.axes) for each in chosen.frames)
+        task = tasks.StackedTask(*parts)
     else:
         task = PositionTask(belief, axes=chosen.axes)
     tracker = scenario.true.tracker

@@ -42,7 +42,6 @@ _NOISE_MEMORY = 2.0  # of the noise that is seen [s]
 _DIFFERENCE = 1e-5  # of values, either way, from which a rate is taken [unit of the task]
 _TURNS_BACK = 10.0  # times as fast as what moves: an error that has jumped, as at half a turn
 _JUMP = 8.0  # standard deviations of x, beyond which it has jumped
-WINDOW = 0.3  # over which residuals are averaged: noise goes, what is not explained stays [s]
 
 
 class Kinematics(Immutable, ABC):
@@ -210,6 +209,7 @@ class Estimator(Kinematics):
     _at: dict[str, slice]
     _believed: Array  # values of `names` before the first frame, and their standard deviations
     _sd: Array
+    _window = 0.3  # over which residuals are averaged: noise goes, what is not explained stays [s]
     _noise_unit = "m"
     _pixels: Array | float = 1.0  # units of the noise in one of `_points`
 
@@ -354,7 +354,7 @@ class Estimator(Kinematics):
         n, before = np.where(seen, 1.0, 0.0).sum(), state[at["left"]]
         integral, averaged, noted = (state[at[name]] for name in ("integral", "averaged", "noted"))
         integral += np.where(seen, -np.expm1(-_INTEGRAL * since) * (left - integral), 0.0)
-        averaged += np.where(seen, -np.expm1(-since / WINDOW) * (left - averaged), 0.0)
+        averaged += np.where(seen, -np.expm1(-since / self._window) * (left - averaged), 0.0)
         change = np.where(seen, left - before, 0.0) * self._pixels
         state[at["left"]] = np.where(seen, left, before)
         noted[0] += since

@@ -12,12 +12,7 @@ import numpy as np
 from approxjac import law
 from approxjac.cameras import PlanarCamera
 from approxjac.controllers.arguments import chosen_deviations, chosen_kinds, is_rotation
-from approxjac.controllers.learning.estimator import (
-    WINDOW,
-    Estimator,
-    Translations,
-    motion_of_points,
-)
+from approxjac.controllers.learning.estimator import Estimator, Translations, motion_of_points
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement, Target
 from approxjac.law import PredictedError
@@ -284,7 +279,7 @@ class AdaptiveKinematics(Estimator):
     def _correct(self, state: Array, frame: Measurement, since: Any, is_anew: Any) -> None:
         at, x = self._at, frame.x
         averaged, chi = state[at["averaged"]], state[at["chi"]]
-        kept = -np.expm1(-since / WINDOW)
+        kept = -np.expm1(-since / self._window)
         # as it was said, or as seen from frame to frame
         noise = np.maximum(self.noise, np.sqrt(np.maximum(state[at["noted"]][2], 0.0)))
         usual = noise * np.sqrt(kept / (2.0 - kept))  # of what noise leaves of an average
