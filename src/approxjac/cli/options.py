@@ -9,7 +9,7 @@ import difflib
 import inspect
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, fields, is_dataclass
+from dataclasses import KW_ONLY, dataclass, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
@@ -66,9 +66,7 @@ _OF_RUN = {
     "--seed": "run.seed",
     "--drives": "true.drives",
 }
-_OF_STUDY = {
-    f"--{each.name.replace('_', '-')}": f"stability.{each.name}" for each in fields(Analysis)
-}
+_OF_STUDY = {f"--{name.replace('_', '-')}": f"stability.{name}" for name in hints(Analysis)}
 SHORT: Mapping[str, Mapping[str, str]] = {
     "simulate": _OF_LAW | _OF_RUN,
     "stability": _OF_LAW | {"--duration": "run.duration", "--seed": "run.seed"} | _OF_STUDY,

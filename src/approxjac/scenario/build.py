@@ -202,9 +202,8 @@ def _plant(truth: Robot, sensor: Task, motors: Array, scenario: Scenario, belief
     if true.drives == "usual":
         options["drives"] = Drives.usual(truth)
         if not (true.friction or true.coulomb):
-            usual = Friction.usual(truth)
             plain = {"stribeck": 1.0, "load": 0.0} if true.engine == "mujoco" else {}
-            options["friction"] = replace(usual, **plain)
+            options["friction"] = replace(Friction.usual(truth), **plain)
     options["sensing"] = sensing_of(scenario.sensor)
     options["actuator_delay"] = scenario.loop.actuator_delay
     if scenario.controller.command == "velocity":

@@ -109,13 +109,12 @@ def _gains_at(
     for group, mobility in zip(postures.groups, postures.largest_mobility, strict=True):
         # M⁻¹JᵀK_vJ has the eigenvalues of K_v times the mobility
         kv[group] = np.minimum(kv[group], fastest / mobility)
-    damping = rate * postures.joint_inertia + quieting
-    damping = np.minimum(damping, fastest / postures.largest_joint_mobility)
+    most = fastest / postures.largest_joint_mobility
+    damping = np.minimum(rate * postures.joint_inertia + quieting, most)
     if motors is not None:
         lever = np.linalg.norm(postures.J_hat / np.sqrt(motors), 2, axis=(1, 2)) ** 2
         kv = np.minimum(kv, (1.0 - _JOINTS) / float(np.quantile(lever, _NEARLY)))
-        most = fastest / postures.largest_joint_mobility if unknown else damping
-        damping = np.minimum(_JOINTS * motors, most)
+        damping = np.minimum(_JOINTS * motors, most if unknown else damping)
     return Gains(kp=rate * (kv + postures.felt_damping(damping)), kv=kv, damping=damping)
 
 

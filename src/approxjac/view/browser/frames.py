@@ -68,25 +68,23 @@ class RunFrames:
         learnt = learnt_tips(self.scene, q, run.learnt[kept])
         if learnt is not None:
             believed_tip = learnt
-        velocities = {"command": _peaks(run.command, kept)} if run.command_kind != "torque" else {}
-        return (
-            {
-                "t": run.t[kept],
-                "V": run.at("V", kept),
-                "error": error * [display_unit(unit)[1] for unit in run.task_units],
-                "torque": share if np.isfinite(limits).any() else tau,
-                "load": np.abs(share),
-                "at_limit": self._at_limit(q),
-                "joints": joint_positions(self.scene.truth, q),
-                "tip": tip,
-                "measured": self._position(x_measured, tip),
-                "target": self._position(x_d, tip),
-                "believed_tip": believed_tip,
-                "force": force,
-            }
-            | velocities
-            | self._images(q, x_measured, x_d)
-        )
+        columns = {
+            "t": run.t[kept],
+            "V": run.at("V", kept),
+            "error": error * [display_unit(unit)[1] for unit in run.task_units],
+            "torque": share if np.isfinite(limits).any() else tau,
+            "load": np.abs(share),
+            "at_limit": self._at_limit(q),
+            "joints": joint_positions(self.scene.truth, q),
+            "tip": tip,
+            "measured": self._position(x_measured, tip),
+            "target": self._position(x_d, tip),
+            "believed_tip": believed_tip,
+            "force": force,
+        }
+        if run.command_kind != "torque":
+            columns["command"] = _peaks(run.command, kept)
+        return columns | self._images(q, x_measured, x_d)
 
     def _believed_tip(self, q: Array, task_torque: Array) -> tuple[Array, Array]:
         """Return the believed tip and the force there that equals a torque, (N, 3) each."""
