@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, get_type_hints
 from approxjac.errors import ApproxJacError, InvalidInputError, UnknownNameError
 from approxjac.files import refusing
 from approxjac.scenario import Scenario
-from approxjac.scenario.convert import WRONG_TYPE, Words, converted, hints, wanted
+from approxjac.scenario.convert import Words, hints, value_of
 from approxjac.scenario.records import Analysis, Goal
 
 if TYPE_CHECKING:
@@ -153,14 +153,11 @@ def read(
             values[option.key], names[option.key] = True, name
             continue
         try:
-            converted(option.hint, given)
-        except WRONG_TYPE:
+            value_of(option.hint, given, name)
+        except InvalidInputError as error:
             aside = option.help.partition(". ")[0].partition("; ")[0].rstrip(".")
-            raise InvalidInputError(
-                f"{name} must be {wanted(option.hint)}, got {' '.join(given) or 'nothing'} "
-                f"({aside[:1].lower()}{aside[1:]})",
-                given=given,
-            ) from None
+            message = f"{error} ({aside[:1].lower()}{aside[1:]})"
+            raise InvalidInputError(message, given=given) from None
         values[option.key], names[option.key] = given, name
     return values, names
 

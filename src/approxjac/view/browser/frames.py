@@ -9,7 +9,6 @@ import numpy as np
 
 from approxjac.formatting import display_unit
 from approxjac.robots import Robot
-from approxjac.robots.robot import own_joints
 from approxjac.simulation import Trajectory
 from approxjac.simulation.trajectory import Scene
 from approxjac.tasks import FrameKinematics, Task
@@ -37,9 +36,6 @@ class RunFrames:
             if feature is not None and feature.frame not in (None, *scene.belief.frame_names):
                 feature = None  # of the true robot only
             self._believed = _followed(scene.belief, feature)
-        # continuous joints have no limits; their (cos, sin) may go where it likes
-        limited = [joint for joint in own_joints(scene.truth.model).values() if joint.nq == 1]
-        self._limited = [joint.idx_q for joint in limited], [joint.idx_v for joint in limited]
 
     def columns(self, run: Trajectory, kept: Any = None) -> dict[str, Array]:
         """Return the quantities that the page shows, first axis time.
@@ -74,7 +70,7 @@ class RunFrames:
             "error": error * [display_unit(unit)[1] for unit in run.task_units],
             "torque": share if np.isfinite(limits).any() else tau,
             "load": np.abs(share),
-            "at_limit": self._at_limit(q),
+            "at_limit": np.where(self.scene.truth.beyond_limits(q) >= -_AT_LIMIT, 1.0, 0.0),
             "joints": joint_positions(self.scene.truth, q),
             "tip": tip,
             "measured": self._position(x_measured, tip),
@@ -112,13 +108,6 @@ class RunFrames:
         place[:, ["xyz".index(axis) for axis in feature.axes]] = given
         place[~np.isfinite(given).all(axis=1)] = np.nan
         return place
-
-    def _at_limit(self, q: Array) -> Array:
-        lower, upper = self.scene.truth.position_limits
-        limited = np.zeros((len(q), self.scene.truth.nv))
-        i, k = self._limited
-        limited[:, k] = (q[:, i] <= lower[k] + _AT_LIMIT) | (q[:, i] >= upper[k] - _AT_LIMIT)
-        return limited
 
     def _images(self, q: Array, x_measured: Array, x_d: Array) -> dict[str, Array]:
         image, believed = image_feature(self.scene.sensor), image_feature(self.scene.task)
