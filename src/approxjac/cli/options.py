@@ -119,14 +119,12 @@ def record_options(record: Any, short: Mapping[str, str], key: str = "") -> list
     texts = documented(kind)
     for name, hint in hints(kind).items():
         value, dotted = getattr(record, name, None), f"{key}{name}"
-        if hint is KW_ONLY or dotted == "robot":
-            continue
         if is_dataclass(value):
             options += record_options(value, short, f"{dotted}.")
-            continue
-        names = [option for option, meant in short.items() if meant == dotted]
-        names.append(f"--{dotted.replace('_', '-')}")
-        options.append(Option(tuple(names), dotted, hint, texts[name], value))
+        elif hint is not KW_ONLY and dotted != "robot":
+            names = [option for option, meant in short.items() if meant == dotted]
+            names.append(f"--{dotted.replace('_', '-')}")
+            options.append(Option(tuple(names), dotted, hint, texts[name], value))
     return options
 
 

@@ -163,11 +163,10 @@ def differences(record: Any, default: Any) -> dict[str, Any]:
     changed: dict[str, Any] = {}
     for field in fields(record):
         mine, usual = getattr(record, field.name), getattr(default, field.name)
-        if mine == usual:
-            continue
-        changed[field.name] = differences(mine, usual) if is_dataclass(mine) else mine
-        if isinstance(mine, Goal) and set(changed[field.name]) == {"at"}:
-            changed[field.name] = changed[field.name]["at"]
+        if mine != usual:
+            changed[field.name] = differences(mine, usual) if is_dataclass(mine) else mine
+            if isinstance(mine, Goal) and set(changed[field.name]) == {"at"}:
+                changed[field.name] = changed[field.name]["at"]
     return changed
 
 

@@ -62,8 +62,6 @@ class RunFrames:
         tip = np.array([self._true.positions(row)[0] for row in q]).reshape(-1, 3)
         believed_tip, force = self._believed_tip(q, run.at("task_torque", kept))
         learnt = learnt_tips(self.scene, q, run.learnt[kept])
-        if learnt is not None:
-            believed_tip = learnt
         columns = {
             "t": run.t[kept],
             "V": run.at("V", kept),
@@ -75,7 +73,7 @@ class RunFrames:
             "tip": tip,
             "measured": self._position(x_measured, tip),
             "target": self._position(x_d, tip),
-            "believed_tip": believed_tip,
+            "believed_tip": believed_tip if learnt is None else learnt,
             "force": force,
         }
         if run.command_kind != "torque":
