@@ -216,7 +216,7 @@ MUTANTS = [
     ),
     (
         "residual dropped", "controllers/limits/torque_limited.py",
-        "rest = np.minimum(np.maximum(once[1]", "rest = 0.0 * np.minimum(np.maximum(once[1]",
+        "rho, np.minimum(np.maximum(once[1]", "rho, 0.0 * np.minimum(np.maximum(once[1]",
         "tests/controllers/test_prediction.py",
     ),
     (
@@ -230,7 +230,7 @@ MUTANTS = [
     ),
     (
         "motors surely brake with their weight's help", "controllers/limits/limits.py",
-        "np.maximum(effort - np.abs(dynamics.g(q))", "np.maximum(effort - dynamics.g(q)",
+        "effort - np.abs([*map(dynamics.g, drawn)])", "effort - [*map(dynamics.g, drawn)]",
         "tests/controllers/test_limits.py",
     ),
     # -- the quadratic program
@@ -599,7 +599,7 @@ MUTANTS = [
     ),
     (
         "covariance by the root of chi squared", "controllers/learning/estimator.py",
-        "P = P * wider", "P = P * math.sqrt(wider)", GATE,
+        "P = P * (max(chi", "P = P * math.sqrt(max(chi", GATE,
     ),
     (
         "lag learns while its command is limited", "controllers/tracking.py",
@@ -1502,8 +1502,8 @@ MUTANTS = [
     ),
     (
         "tracker without its offset", "scenario/build.py",
-        "tasks.TrackerTask(truth, tracker.rotation, tracker.offset)",
-        "tasks.TrackerTask(truth, tracker.rotation)",
+        "kind(truth, tracker.rotation, tracker.offset)",
+        "kind(truth, tracker.rotation)",
         "tests/scenario/test_build.py",
     ),
     (
@@ -1550,8 +1550,8 @@ MUTANTS = [
     ),
     (
         "planar camera too far away", "view/browser/stage.py",
-        "apex = (camera.distance - camera.focal_length) * normal",
-        "apex = camera.distance * normal",
+        "apex = (camera.distance - camera.focal_length) * np.cross",
+        "apex = camera.distance * np.cross",
         "tests/view/browser/test_stage.py",
     ),
     (

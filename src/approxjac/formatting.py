@@ -88,6 +88,11 @@ def joined(units: Iterable[str]) -> str:
     return " or ".join(dict.fromkeys(units))
 
 
+def display_unit(unit: str) -> tuple[str, float]:
+    """Return the unit that an error is shown in, and the factor from `unit` to it."""
+    return {"m": ("mm", 1e3), "rad": ("deg", 180.0 / np.pi)}.get(unit, (unit, 1.0))
+
+
 def percent(share: float) -> str:
     """Format a share in percent; only a share of 1 gives 100, and only one of 0 gives 0."""
     return f"{min(max(100.0 * share, 0.1), 99.9) if 0.0 < share < 1.0 else 100.0 * share:.1f}"

@@ -30,7 +30,7 @@ class _Outcome(enum.IntEnum):
     @property
     def label(self) -> str:
         """The name as text, such as "near singular"."""
-        return "ok" if self.name == "OK" else self.name.lower().replace("_", " ")
+        return self.name.lower().replace("_", " ")
 
 
 class Status(_Outcome):

@@ -67,9 +67,8 @@ class Circle:
         rate = 2.0 * math.pi / self.period
         c, s = self.radius * math.cos(rate * t), self.radius * math.sin(rate * t)
         u, w = self._plane  # type: ignore[attr-defined]  # set above
-        return Target(
-            self.center + (c * u + s * w), rate * (c * w - s * u), -(rate**2) * (c * u + s * w)
-        )
+        out = c * u + s * w
+        return Target(self.center + out, rate * (c * w - s * u), -(rate**2) * out)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

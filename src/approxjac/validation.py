@@ -108,13 +108,8 @@ def as_number(
     if type(value) is float and minimum <= value <= most and value > above and math.isfinite(value):
         return value  # the quick way
     suffix = f" [{unit}]" if unit else ""
-    bound = ""
-    if minimum > -math.inf:
-        bound = f" >= {minimum:g}"
-    elif above > -math.inf:
-        bound = f" > {above:g}"
-    if most < math.inf:
-        bound += f"{' and' if bound else ''} <= {most:g}"
+    bounds = (">=", minimum), (">", above), ("<=", most)
+    bound = " and".join(f" {sign} {end:g}" for sign, end in bounds if math.isfinite(end))
     try:
         number = math.nan if _is_masked(value) or np.ndim(value) else float(value)
     except (TypeError, ValueError, OverflowError):

@@ -19,15 +19,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import approxjac
 from approxjac.cli.export_command import export
-from approxjac.cli.options import (
-    POSITIONAL,
-    SHORT,
-    Option,
-    explained,
-    options_of,
-    read,
-    scenario_of,
-)
+from approxjac.cli.options import POSITIONAL, Option, explained, options_of, read, scenario_of
 from approxjac.cli.paper_command import paper
 from approxjac.cli.robots_command import robots
 from approxjac.cli.simulate_command import simulate
@@ -103,7 +95,7 @@ def _called(command: Callable[..., int], source: str, values: dict[str, Any]) ->
         for name in inspect.signature(command).parameters
         if name in values
     }
-    if command.__name__ in SHORT:
+    if "scenario" in kinds:
         return command(scenario_of(command.__name__, source, values), **own)
     return command(source, **own) if source else command(**own)
 
@@ -123,15 +115,9 @@ def _flushed(code: int) -> int:
     return code
 
 
-# -- help -------------------------------------------------------------------------------
-
-
 def _help_of_commands() -> str:
-    lines = ["usage: approxjac COMMAND [options]", ""]
-    lines += [
-        *wrapped("Torque control of any URDF arm whose kinematics are not exactly known."),
-        "",
-    ]
+    about = wrapped("Torque control of any URDF arm whose kinematics are not exactly known.")
+    lines = ["usage: approxjac COMMAND [options]", "", *about, ""]
     for name, command in _COMMANDS.items():
         lines += _entry(name, _paragraphs(command)[0], 14)
     text = (

@@ -9,14 +9,14 @@ import difflib
 import inspect
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, fields, is_dataclass
+from dataclasses import KW_ONLY, dataclass, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
 from approxjac.errors import ApproxJacError, InvalidInputError, UnknownNameError
 from approxjac.files import refusing
 from approxjac.scenario import Scenario
-from approxjac.scenario.convert import WRONG_TYPE, Words, converted, hints, wanted
+from approxjac.scenario.convert import Words, hints, value_of
 from approxjac.scenario.records import Analysis, Goal
 
 if TYPE_CHECKING:
@@ -66,9 +66,7 @@ _OF_RUN = {
     "--seed": "run.seed",
     "--drives": "true.drives",
 }
-_OF_STUDY = {
-    f"--{each.name.replace('_', '-')}": f"stability.{each.name}" for each in fields(Analysis)
-}
+_OF_STUDY = {f"--{name.replace('_', '-')}": f"stability.{name}" for name in hints(Analysis)}
 SHORT: Mapping[str, Mapping[str, str]] = {
     "simulate": _OF_LAW | _OF_RUN,
     "stability": _OF_LAW | {"--duration": "run.duration", "--seed": "run.seed"} | _OF_STUDY,
@@ -121,18 +119,13 @@ def record_options(record: Any, short: Mapping[str, str], key: str = "") -> list
     texts = documented(kind)
     for name, hint in hints(kind).items():
         value, dotted = getattr(record, name, None), f"{key}{name}"
-        if hint is KW_ONLY or dotted == "robot":
-            continue
         if is_dataclass(value):
             options += record_options(value, short, f"{dotted}.")
-            continue
-        names = [option for option, meant in short.items() if meant == dotted]
-        names.append(f"--{dotted.replace('_', '-')}")
-        options.append(Option(tuple(names), dotted, hint, texts[name], value))
+        elif hint is not KW_ONLY and dotted != "robot":
+            names = [option for option, meant in short.items() if meant == dotted]
+            names.append(f"--{dotted.replace('_', '-')}")
+            options.append(Option(tuple(names), dotted, hint, texts[name], value))
     return options
-
-
-# -- what was typed -----------------------------------------------------------------------
 
 
 def read(
@@ -158,14 +151,11 @@ def read(
             values[option.key], names[option.key] = True, name
             continue
         try:
-            converted(option.hint, given)
-        except WRONG_TYPE:
+            value_of(option.hint, given, name)
+        except InvalidInputError as error:
             aside = option.help.partition(". ")[0].partition("; ")[0].rstrip(".")
-            raise InvalidInputError(
-                f"{name} must be {wanted(option.hint)}, got {' '.join(given) or 'nothing'} "
-                f"({aside[:1].lower()}{aside[1:]})",
-                given=given,
-            ) from None
+            message = f"{error} ({aside[:1].lower()}{aside[1:]})"
+            raise InvalidInputError(message, given=given) from None
         values[option.key], names[option.key] = given, name
     return values, names
 

@@ -147,17 +147,15 @@ def _tasks(truth: Robot, belief: Robot, scenario: Scenario) -> tuple[Task, Task]
     if chosen.kind == "pose":
         task = tasks.PoseTask(belief)
     elif chosen.kind == "stacked":
-        task = tasks.StackedTask(
-            *(PositionTask(belief, each, chosen.axes) for each in chosen.frames)
-        )
+        parts = (PositionTask(belief, each, chosen.axes) for each in chosen.frames)
+        task = tasks.StackedTask(*parts)
     else:
         task = PositionTask(belief, axes=chosen.axes)
     tracker = scenario.true.tracker
     if tracker == Tracker():
         return task.on(truth), task
-    if chosen.kind == "pose":
-        return tasks.PoseTrackerTask(truth, tracker.rotation, tracker.offset), task
-    return tasks.TrackerTask(truth, tracker.rotation, tracker.offset), task
+    kind = tasks.PoseTrackerTask if chosen.kind == "pose" else tasks.TrackerTask
+    return kind(truth, tracker.rotation, tracker.offset), task
 
 
 def _target(
@@ -204,9 +202,8 @@ def _plant(truth: Robot, sensor: Task, motors: Array, scenario: Scenario, belief
     if true.drives == "usual":
         options["drives"] = Drives.usual(truth)
         if not (true.friction or true.coulomb):
-            usual = Friction.usual(truth)
             plain = {"stribeck": 1.0, "load": 0.0} if true.engine == "mujoco" else {}
-            options["friction"] = replace(usual, **plain)
+            options["friction"] = replace(Friction.usual(truth), **plain)
     options["sensing"] = sensing_of(scenario.sensor)
     options["actuator_delay"] = scenario.loop.actuator_delay
     if scenario.controller.command == "velocity":
@@ -239,7 +236,6 @@ def _law(
     constant = chosen.differentiator
     drives = Drives() if scenario.true.drives == "ideal" else None  # else nobody knows them
     if chosen.law == "tracking":
-        is_ideal = scenario.true.drives == "ideal"
         is_late = latency.torque_delay + latency.velocity_filter > 0.0
         return controllers.TrackingController(
             task,
@@ -248,7 +244,7 @@ def _law(
             dt=sampling_time(scenario),
             command=chosen.command,
             # with a lag, or joints that give way, it has to know both
-            latency=latency if is_late or not is_ideal else None,
+            latency=latency if is_late or drives is None else None,
             drives=drives if is_late else None,
         )
     posture: controllers.Posture | controllers.AwayFromStops | None = None
@@ -262,11 +258,8 @@ def _law(
         usual = controllers.tuned(
             task, latency, settling_time=chosen.settling_time, drives=drives
         ).gains
-        values = {
-            name: getattr(usual, name) if value is None else value[0] if len(value) == 1 else value
-            for name, value in given.items()
-        }
-        gains = controllers.Gains(**values)
+        said = {name: value for name, value in given.items() if value is not None}
+        gains = replace(usual, **{k: v[0] if len(v) == 1 else v for k, v in said.items()})
     return controllers.SetpointController(
         task,
         gains,

@@ -20,8 +20,7 @@ from approxjac.validation import as_number
 
 Table = Mapping[str, Any]
 _UNIONS = (Union, types.UnionType)
-WRONG_TYPE = (TypeError, ValueError, OverflowError)
-"""Errors of `converted`; a number of 400 digits is no float."""
+_WRONG_TYPE = (TypeError, ValueError, OverflowError)  # a number of 400 digits is no float
 
 
 class Words(tuple[str, ...]):
@@ -71,19 +70,19 @@ def checked(kind: type, base: Any, values: Table, where: str = "", key: str = ""
 
 def value_of(hint: Any, value: Any, key: str, where: str = "") -> Any:
     """Return a value converted to a field's type, or raise an error that names its key."""
-    with suppress(*WRONG_TYPE):
+    with suppress(*_WRONG_TYPE):
         return converted(hint, value)
     given = (" ".join(value).strip() or "nothing") if isinstance(value, Words) else repr(value)
     raise InvalidInputError(f"{key} must be {wanted(hint)}, got {given}{_in(where)}", given=value)
 
 
 def converted(hint: Any, value: Any) -> Any:
-    """Return a value converted to a field's type; `WRONG_TYPE` if it is of another."""
+    """Return a value converted to a field's type; a `_WRONG_TYPE` if it is of another."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin in _UNIONS:
         # typed words are also a text, and so may be none
         for kind in sorted(inner, key=lambda kind: kind is not type(None)):
-            with suppress(*WRONG_TYPE):
+            with suppress(*_WRONG_TYPE):
                 return converted(kind, value)
         raise TypeError
     if isinstance(value, Words):
@@ -164,11 +163,10 @@ def differences(record: Any, default: Any) -> dict[str, Any]:
     changed: dict[str, Any] = {}
     for field in fields(record):
         mine, usual = getattr(record, field.name), getattr(default, field.name)
-        if mine == usual:
-            continue
-        changed[field.name] = differences(mine, usual) if is_dataclass(mine) else mine
-        if isinstance(mine, Goal) and set(changed[field.name]) == {"at"}:
-            changed[field.name] = changed[field.name]["at"]
+        if mine != usual:
+            changed[field.name] = differences(mine, usual) if is_dataclass(mine) else mine
+            if isinstance(mine, Goal) and set(changed[field.name]) == {"at"}:
+                changed[field.name] = changed[field.name]["at"]
     return changed
 
 

@@ -89,9 +89,6 @@ def image_scene(
     )
 
 
-# -- cameras and points -----------------------------------------------------------------
-
-
 def _scene_in_world(truth: Robot, belief: Robot, scenario: Scenario) -> Scene:
     """Return the tasks of a camera in the world that watches points of the object."""
     given, factor = scenario.true.camera, scenario.believed.camera.depth_factor
@@ -165,9 +162,6 @@ def _points(scenario: Scenario) -> Array:
     """Return points of an object: its tip, one beside it, one off their line; shape (k, 3)."""
     pattern = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.7, 0.5, math.sqrt(0.75)]])
     return scenario.task.spread * pattern[: scenario.task.points]
-
-
-# -- what is usable ---------------------------------------------------------------------
 
 
 def _usual_ratio(usual: list[tuple[ImageTask, Array]]) -> float:

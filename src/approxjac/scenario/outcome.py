@@ -14,7 +14,7 @@ import numpy as np
 
 from approxjac.controllers import KinematicReport
 from approxjac.files import together, write_text
-from approxjac.formatting import joined, numbers_of, plain, rows, shares, wrapped
+from approxjac.formatting import display_unit, joined, numbers_of, plain, rows, shares, wrapped
 from approxjac.interface import Condition, LimitStatus, Status
 from approxjac.robots import Dynamics
 from approxjac.scenario.build import BuiltScenario, build_scenario, recommended, sampling_time
@@ -214,8 +214,9 @@ class RunResult:
             names = ", ".join(np.array(run.joint_names)[beyond])
             where = f" at the position limits of {names}" if names else ""
             return f"held back{where}: {LimitStatus(int(run.limit_status[-1])).message}"
-        if swings := self._swings:
-            return swings
+        swings = [e for e in run.events if e.condition is Condition.OSCILLATES]
+        if lasting := [f"{e.where} by {e.figure}" for e in swings if math.isinf(e.end)]:
+            return f"swings without end: {', '.join(lasting)}"
         if self.on_path:
             far = f"strays up to {self.strayed[0]:.3g} {run.task_unit} from its path"
             return f"{far}, where at most {self.tolerance:.3g} {run.task_unit} is following it"
@@ -233,13 +234,6 @@ class RunResult:
         if self._learns(last):
             return "still learning: the torque that it compensates still changes"
         return "moves on without approaching: too short a run, or not stable with these errors"
-
-    @property
-    def _swings(self) -> str:
-        """The joints that still swing at the end, as text; "" if none does."""
-        swings = [e for e in self.run.events if e.condition is Condition.OSCILLATES]
-        lasting = [f"{e.where} by {e.figure}" for e in swings if math.isinf(e.end)]
-        return f"swings without end: {', '.join(lasting)}" if lasting else ""
 
     def _learns(self, last: slice) -> bool:
         """Return True if 1 % of the position force at the end was learnt in the last quarter."""
@@ -389,8 +383,6 @@ def text(result: RunResult) -> str:
 
 def _error(result: RunResult) -> str:
     """Return the error from start to end, or of a path, which begins at the arm, all along it."""
-    from approxjac.view.style import display_unit
-
     unit, factor = display_unit(result.run.task_unit)
     within = f"{factor * result.tolerance:.3g} {unit}"
     if not result.on_path:
@@ -446,8 +438,6 @@ def _plane(result: RunResult) -> str:
 
 def _size(errors: dict[str, float]) -> str:
     """Return errors to three digits: of lengths in mm below a metre, and not below 1 µm."""
-    from approxjac.view.style import display_unit
-
     parts = []
     for unit, value in errors.items():
         shown, factor = (unit, 1.0) if unit == "m" and value >= 1.0 else display_unit(unit)

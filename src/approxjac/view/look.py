@@ -127,10 +127,7 @@ def load_mesh(path: Path) -> Trimesh:
     """Return the triangles of a mesh file, with equal vertices merged.
 
     As in Pinocchio and in RViz, the unit and the up axis that a COLLADA file declares are ignored:
-    coordinates are metres in the URDF's frame.
-
-    Raises:
-        ValueError: It cannot be read, or holds no triangles.
+    coordinates are metres in the URDF's frame. A file without triangles is a ValueError.
     """
     try:
         with np.errstate(all="ignore"):  # of what is not finite

@@ -12,13 +12,13 @@ from matplotlib.figure import Figure
 
 from approxjac.cameras import Camera, PinholeCamera
 from approxjac.errors import InvalidInputError, UnknownNameError
-from approxjac.formatting import joined
+from approxjac.formatting import display_unit, joined
 from approxjac.interface import LimitStatus
 from approxjac.robots import Robot
 from approxjac.simulation import Trajectory
 from approxjac.tasks import FrameKinematics
 from approxjac.validation import Array, as_vector, plane_rows, require
-from approxjac.view.style import COLORS, SERIES, display_unit, formulas, new_figure, styled
+from approxjac.view.style import COLORS, SERIES, formulas, new_figure, styled
 from approxjac.view.tree import learnt_tips
 
 _STATUS_COLORS = dict(
@@ -170,9 +170,8 @@ def plot_path(
             ax.plot(*corners.T, "o-", color=COLORS["true"], alpha=alpha, ms=4, label=label)
         if seen is not None:
             learnt = None if run.scene is None else learnt_tips(run.scene, run.q, run.learnt)
-            first = "believed path" if learnt is None else "believed at first"
-            style = "-" if learnt is None else ":"
-            ax.plot(*seen.T, style, color=COLORS["believed"], label=first, zorder=5)
+            label, style = ("believed path", "-") if learnt is None else ("believed at first", ":")
+            ax.plot(*seen.T, style, color=COLORS["believed"], label=label, zorder=5)
             if learnt is not None:
                 seen = learnt[:, rows]
                 ax.plot(*seen.T, "--", color=COLORS["believed"], label="as it is learnt", zorder=5)

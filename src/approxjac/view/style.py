@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib
-import numpy as np
 from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -83,11 +82,6 @@ class StyledFigure(Figure):
         buffer = io.BytesIO()
         self.savefig(buffer, format="png", dpi=_DPI)
         return buffer.getvalue()
-
-
-def display_unit(unit: str) -> tuple[str, float]:
-    """Return the unit that an error is shown in, and the factor from `unit` to it."""
-    return {"m": ("mm", 1e3), "rad": ("deg", 180.0 / np.pi)}.get(unit, (unit, 1.0))
 
 
 def new_figure(

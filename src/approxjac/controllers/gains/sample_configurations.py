@@ -89,8 +89,7 @@ class SampleConfigurations:
 def sample_configurations(task: Task) -> SampleConfigurations:
     """Return seeded configurations within the joint limits, the same each time.
 
-    Raises:
-        InvalidInputError: The task is singular in all of them.
+    Raises an InvalidInputError if the task is singular in all of them.
     """
     seen = np.array(seen_configurations(task, _CONFIGURATIONS))
     jacobians = np.array([task.jacobian(q) for q in seen])

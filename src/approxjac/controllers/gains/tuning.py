@@ -109,13 +109,12 @@ def _gains_at(
     for group, mobility in zip(postures.groups, postures.largest_mobility, strict=True):
         # M⁻¹JᵀK_vJ has the eigenvalues of K_v times the mobility
         kv[group] = np.minimum(kv[group], fastest / mobility)
-    damping = rate * postures.joint_inertia + quieting
-    damping = np.minimum(damping, fastest / postures.largest_joint_mobility)
+    most = fastest / postures.largest_joint_mobility
+    damping = np.minimum(rate * postures.joint_inertia + quieting, most)
     if motors is not None:
         lever = np.linalg.norm(postures.J_hat / np.sqrt(motors), 2, axis=(1, 2)) ** 2
         kv = np.minimum(kv, (1.0 - _JOINTS) / float(np.quantile(lever, _NEARLY)))
-        most = fastest / postures.largest_joint_mobility if unknown else damping
-        damping = np.minimum(_JOINTS * motors, most)
+        damping = np.minimum(_JOINTS * motors, most if unknown else damping)
     return Gains(kp=rate * (kv + postures.felt_damping(damping)), kv=kv, damping=damping)
 
 
@@ -248,8 +247,7 @@ class _Arm:
     def motion(self, gains: Diagonals) -> tuple[Array, Array]:
         """Return D = ĴᵀK_vĴ + B_c and ĴᵀK_p at each posture."""
         J, (kp, kv, damping) = self.postures.J_hat, gains
-        D = J.mT * kv @ J + np.diag(damping)
-        return D, J.mT * kp
+        return J.mT * kv @ J + np.diag(damping), J.mT * kp
 
     def damped_rate(self, gains: Gains) -> float:
         """Return the largest rate r that K_v and B_c damp, where motors bound them."""
@@ -316,8 +314,7 @@ class _Arm:
         felt = root.mT @ Z
         C = np.mean(felt.mT @ felt, axis=0)
         S = 1.0 / np.sqrt(np.maximum(np.diag(C), 1e-8 * np.diag(C).max()))
-        metric = S[:, None] * C * S + _RIDGE * np.eye(len(S))
-        L = S[:, None] * np.linalg.inv(metric) * S
+        L = S[:, None] * np.linalg.inv(S[:, None] * C * S + _RIDGE * np.eye(len(S))) * S
         L *= 0.5 * share / largest(Z @ L @ Z.mT)
         joint_torque = 0.25 * gains.damping**2 / self.heavy.joint_inertia
         joint_torque = joint_torque * min(1.0, 0.5 * share / largest(np.diag(joint_torque)))

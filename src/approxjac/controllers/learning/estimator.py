@@ -42,7 +42,6 @@ _NOISE_MEMORY = 2.0  # of the noise that is seen [s]
 _DIFFERENCE = 1e-5  # of values, either way, from which a rate is taken [unit of the task]
 _TURNS_BACK = 10.0  # times as fast as what moves: an error that has jumped, as at half a turn
 _JUMP = 8.0  # standard deviations of x, beyond which it has jumped
-WINDOW = 0.3  # over which residuals are averaged: noise goes, what is not explained stays [s]
 
 
 class Kinematics(Immutable, ABC):
@@ -165,7 +164,6 @@ class KnownKinematics(Kinematics):
         self._none = read_only(np.zeros(task.m))
 
     def predict(self, state: Array, q: Array, v: Array, target: Target) -> PredictedError:
-        """Return h(q) − x_d and its derivatives."""
         task, (x_d, x_d_dot, x_d_ddot) = self.task, target
         x = task.value(q)
         z, J, drift = task.error(x, x_d), task.jacobian(q), self._none
@@ -211,6 +209,7 @@ class Estimator(Kinematics):
     _at: dict[str, slice]
     _believed: Array  # values of `names` before the first frame, and their standard deviations
     _sd: Array
+    _window = 0.3  # over which residuals are averaged: noise goes, what is not explained stays [s]
     _noise_unit = "m"
     _pixels: Array | float = 1.0  # units of the noise in one of `_points`
 
@@ -287,8 +286,6 @@ class Estimator(Kinematics):
     def _covariance(self, state: Array) -> tuple[Array, float]:
         """Return the covariance (p, p) of `learnt` by the noise as given, and χ² as it is seen."""
 
-    # -- the steps ---------------------------------------------------------------------------
-
     def initial_state(self, measurement: Measurement) -> Array:
         """Return the state before the first step, shape (n_state,), with the believed values.
 
@@ -318,7 +315,6 @@ class Estimator(Kinematics):
                 raise InvalidInputError(f"t_x must be by the clock of t: {why}", given=measurement)
 
     def correct(self, state: Array, measurement: Measurement, dt: float) -> None:
-        """Do the work of `step` on a state, in place, for a checked measurement."""
         numbers, gate = state[self._at["frames"]], self._at["gate"]
         measurement = self._frames.by_own_clock(numbers, self._own(measurement), dt)
         is_time = self._frames.remember(numbers, measurement)
@@ -358,7 +354,7 @@ class Estimator(Kinematics):
         n, before = np.where(seen, 1.0, 0.0).sum(), state[at["left"]]
         integral, averaged, noted = (state[at[name]] for name in ("integral", "averaged", "noted"))
         integral += np.where(seen, -np.expm1(-_INTEGRAL * since) * (left - integral), 0.0)
-        averaged += np.where(seen, -np.expm1(-since / WINDOW) * (left - averaged), 0.0)
+        averaged += np.where(seen, -np.expm1(-since / self._window) * (left - averaged), 0.0)
         change = np.where(seen, left - before, 0.0) * self._pixels
         state[at["left"]] = np.where(seen, left, before)
         noted[0] += since
@@ -384,8 +380,6 @@ class Estimator(Kinematics):
         is_old = self._frames.silence(state[self._at["frames"]]) > SILENT
         status = law.select(is_old & (t_x == t_x), _PREDICTED, _OK)  # NaN is not known
         return law.select(self._has_begun(state), status, _LOST)
-
-    # -- what was learnt -----------------------------------------------------------------
 
     def _required(self, state: Array) -> Array:
         state = as_vector("state", state, self.n_state)
@@ -414,8 +408,7 @@ class Estimator(Kinematics):
         learnt, (P, chi) = self.learnt(state), self._covariance(state)
         seconds, restarts, variance = state[at["noted"]].tolist()
         share = 1.0 - P.diagonal() / self._sd**2
-        wider = max(chi, 1.0) * max(1.0, variance / self.noise**2)
-        P = P * wider
+        P = P * (max(chi, 1.0) * max(1.0, variance / self.noise**2))
         numbers = np.array([self._believed, learnt, np.sqrt(P.diagonal()), share]).T.tolist()
         each = zip(self.names, self.units, numbers, strict=True)
         rows = tuple(LearntNumber(name, unit, *row) for name, unit, row in each)
@@ -577,8 +570,7 @@ class Frames:
         here = np.where((before < t) & (after >= t), 1.0, 0.0)
         gaps = np.maximum(after - before, _ROUND_OFF)
         # of the gaps that t is not in, anything
-        since = np.minimum(np.maximum(t - before, 0.0), gaps)
-        share = here.dot(since / gaps)
+        share = here.dot(np.minimum(np.maximum(t - before, 0.0), gaps) / gaps)
         begins, ends = here.dot(rows[:-1]), here.dot(rows[1:])
         robot, is_known = self._robot, before[0] < t
         begins = np.where(is_known, begins, measurement.q)

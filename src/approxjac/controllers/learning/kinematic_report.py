@@ -93,8 +93,6 @@ class KinematicReport(NamedTuple):
             since = f"for the last {self.silence:.1f} s" if self.seconds else "yet"
             lines.append(f"no frame to learn from {since}: x is lost, or too old to tell q at it")
         if self.seconds and not self.is_explained:
-            lines.append(
-                "the parameters that may be wrong do not explain x: others are (of a camera"
-            )
-            lines.append("also center and lens), or x is late")
+            lines += ["the parameters that may be wrong do not explain x: others are (of a camera"]
+            lines += ["also center and lens), or x is late"]
         return "\n".join(lines)

@@ -352,7 +352,6 @@ class AdaptiveCamera(Estimator):
         )
 
     def robot(self, state: Array) -> Robot:
-        """Return the believed robot with the translations that a state has learnt."""
         estimate = self._estimator.estimate(self._required(state)[self._at["keys"]])
         return self.regressor.robot_with(self._moved.theta(estimate[: self._n]))
 

@@ -12,12 +12,7 @@ import numpy as np
 from approxjac import law
 from approxjac.cameras import PlanarCamera
 from approxjac.controllers.arguments import chosen_deviations, chosen_kinds, is_rotation
-from approxjac.controllers.learning.estimator import (
-    WINDOW,
-    Estimator,
-    Translations,
-    motion_of_points,
-)
+from approxjac.controllers.learning.estimator import Estimator, Translations, motion_of_points
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement, Target
 from approxjac.law import PredictedError
@@ -216,12 +211,10 @@ class AdaptiveKinematics(Estimator):
         R, none, at, n = self._l * self._frame(q), np.zeros((3, 3)), self._n_theta, H.shape[1]
         rows = [[R, none, none], [none, R, none], [none, none, R]]
         axes = np.concatenate([np.concatenate(row, axis=1) for row in rows])
-        parts, known_axes = [np.zeros((9, n))], axes.dot(np.eye(3).ravel())
+        of_axes, known_axes = np.zeros_like(axes, shape=(9, n)), axes.dot(np.eye(3).ravel())
         if self._learns_T:
-            parts = [np.zeros((9, at)), axes, np.zeros((9, n - at - 9))]
-            known_axes = np.zeros(9)
-        H = np.concatenate([H, np.concatenate(parts, axis=1)])
-        return H, np.concatenate([known, known_axes])
+            of_axes[:, at : at + 9], known_axes = axes, np.zeros(9)
+        return np.concatenate([H, of_axes]), np.concatenate([known, known_axes])
 
     def _reach(self, q_0: Array, q: Array) -> Array:
         # half as far again as the believed arm, and four standard deviations of what may be wrong
@@ -255,8 +248,6 @@ class AdaptiveKinematics(Estimator):
         M = np.delete(M, slice(start + 3, end), axis=0)
         return np.asarray(M.dot(P).dot(M.T))
 
-    # -- learning ------------------------------------------------------------------------
-
     def _begin(self, state: Array) -> None:
         at, n = self._at, self._n_u
         state[at["sums"]] = self._estimator.initial()
@@ -288,7 +279,7 @@ class AdaptiveKinematics(Estimator):
     def _correct(self, state: Array, frame: Measurement, since: Any, is_anew: Any) -> None:
         at, x = self._at, frame.x
         averaged, chi = state[at["averaged"]], state[at["chi"]]
-        kept = -np.expm1(-since / WINDOW)
+        kept = -np.expm1(-since / self._window)
         # as it was said, or as seen from frame to frame
         noise = np.maximum(self.noise, np.sqrt(np.maximum(state[at["noted"]][2], 0.0)))
         usual = noise * np.sqrt(kept / (2.0 - kept))  # of what noise leaves of an average
@@ -342,8 +333,6 @@ class AdaptiveKinematics(Estimator):
         chi[0], chi[1] = law.select(was_learnt, chi[0], 1.0), law.select(was_learnt, chi[1], 0.0)
         self._forget(state)
 
-    # -- the smoothed estimates ----------------------------------------------------------
-
     def _aim(self, state: Array, q: Array, dt: float) -> None:
         # u and R follow, and the offset such that x̂ at q does; of a pose so does T
         at, n, n_p = self._at, self._n_u, self._n_p
@@ -382,8 +371,6 @@ class AdaptiveKinematics(Estimator):
 
     def _turned(self, R: Array, p: Array) -> Array:
         return p.reshape(-1, self._d).dot(R.T).ravel() if self._is_turned else p
-
-    # -- prediction ----------------------------------------------------------------------
 
     def predict(self, state: Array, q: Array, v: Array, target: Target) -> PredictedError:
         """Return the predicted error, in the base's axes, at q (nq,) and q̇ (n_v,).
@@ -435,12 +422,9 @@ class AdaptiveKinematics(Estimator):
         x_d_dot = R.T.dot(x_d_dot)
         speed, of_target = J.dot(v), x_d_dot - R.T.dot(spin)
         # of E' = [ω]ₓE, ω = speed + drift − E of_target; ż is no ω, but for small z
-        z_dot = law.log_rate(E, speed + drift - E.dot(of_target))
-        drift = z_dot - speed + x_d_dot
+        drift = law.log_rate(E, speed + drift - E.dot(of_target)) - speed + x_d_dot
         J_dot = self._flange.jacobian_dot(q, v)[3:]
         return PredictedError(law.rotation_log(E), J, J_dot, x_d_dot, x_d_ddot, drift)
-
-    # -- what was learnt -----------------------------------------------------------------
 
     def motion_sd(self, state: Array, q_0: Array) -> Callable[[Array], Array]:
         """Return q → standard deviation (m,) of the predicted motion of x from q_0.

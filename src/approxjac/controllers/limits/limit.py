@@ -182,21 +182,13 @@ class CartesianSpeed(Limit):
 
 
 def require_rows(limit: Any, terms: LimitTerms, dt: float) -> None:
-    """Check that a limit has valid rows.
-
-    Raises:
-        InvalidInputError: It is no limit, or its rows have wrong shapes or bounds.
-    """
+    """Raise an InvalidInputError if it is no limit, or its rows have wrong shapes or bounds."""
     require("limits", limit, Limit, "Limits(...), a Limit such as Wall(...), or a list of them")
     _as_rows(limit, limit.rows(terms, terms.v, dt), terms, is_first=True)
 
 
 def rows_at(limit: Limit, terms: LimitTerms, dt: float, t: float) -> tuple[Array, Array, Array]:
-    """Return the rows of a limit in the step at t [s].
-
-    Raises:
-        ControllerError: They fail or have wrong shapes.
-    """
+    """Return the rows in the step at t [s]; a ControllerError if they fail or have wrong shapes."""
     if hasattr(terms.q, "arm_of"):  # symbols
         A, low, high = map(law.array, limit.rows(terms, terms.v, dt))
         return A, low, high

@@ -83,12 +83,11 @@ class Limits:
             value = getattr(self, name)
             given = np.inf if value is None else value
             filled[name] = as_limits(name, given, nv, unit="one a joint")
-        lower, upper = (-np.inf, np.inf) if self.position is None else self.position
-        if self.position is not None and len(lower) != nv:  # type: ignore[arg-type]
-            message = f"position must hold a range for each of {nv} joints, got {len(lower)}"  # type: ignore[arg-type]
+        lower, upper = self.position or (np.full(nv, -np.inf), np.full(nv, np.inf))
+        if len(lower) != nv:
+            message = f"position must hold a range for each of {nv} joints, got {len(lower)}"
             raise InvalidInputError(message, given=self.position)
-        ranges = np.broadcast_to(np.array([lower, upper]).reshape(2, -1), (2, nv)).copy()
-        return Limits(position=(ranges[0], ranges[1]), **filled)
+        return Limits(position=(lower, upper), **filled)
 
 
 def sure_deceleration(robot: Robot, effort: Array) -> Array:
@@ -99,12 +98,10 @@ def sure_deceleration(robot: Robot, effort: Array) -> Array:
     the terms in q̇, and for a payload. Infinite if the effort limits (n_v,) [N m or N] are unknown.
     """
     dynamics, rng = Dynamics(robot), np.random.default_rng(0)
-    rates = []
-    for _ in range(_CONFIGURATIONS):
-        q = robot.random_configuration(rng)
-        left = np.maximum(effort - np.abs(dynamics.g(q)), _LEAST_LEFT * effort)
-        inertia = np.maximum(np.abs(dynamics.M(q)), _NO_INERTIA)
-        rates.append((left[:, np.newaxis] / inertia).min(axis=0))
+    drawn = [robot.random_configuration(rng) for _ in range(_CONFIGURATIONS)]
+    left = np.maximum(effort - np.abs([*map(dynamics.g, drawn)]), _LEAST_LEFT * effort)
+    inertias = np.maximum(np.abs([*map(dynamics.M, drawn)]), _NO_INERTIA)
+    rates = (left[:, :, np.newaxis] / inertias).min(axis=1)
     return np.asarray(_SHARE * np.quantile(rates, _RARE, axis=0, method="lower"))
 
 

@@ -18,7 +18,7 @@ _HUGE = 1e100  # below it nothing overflows in a check
 _TOLERANCE = 1e-6  # of bounds and rows, relative to their size and at least absolute
 _FIRST_TOLERANCE = 1e-9  # what DAQP is asked for first
 _EXACT = 1e-12  # violations that bring nothing out of tolerance when taken away
-_DAQP_SETTINGS = {
+_SETTINGS = {  # of DAQP
     "iter_limit": 1000,
     "zero_tol": 1e-24,  # of |a|² of a row in the metric of H; 1e-11 loses rows if H is 1e6
 }
@@ -117,9 +117,7 @@ class Solver:
         H, f, A = problem.H, problem.f, problem.A
         # what the first tolerance refuses may be the round-off of large bounds
         for tolerance in (_FIRST_TOLERANCE, _TOLERANCE):
-            z, _, flag, more = daqp.solve(
-                H, f, A, high, low, primal_tol=tolerance, **_DAQP_SETTINGS
-            )
+            z, _, flag, more = daqp.solve(H, f, A, high, low, primal_tol=tolerance, **_SETTINGS)
             if flag == _OPTIMAL:
                 return z, Verdict.SOLVED, float(more["lam"][-1])
         return None, Verdict.INFEASIBLE if flag in _CONTRADICTORY else Verdict.FAILED, math.nan

@@ -112,8 +112,7 @@ class AccelerationObserver:
         # torques grow from period to period while it is sought, but not at once
         rho = np.maximum(both / of_f, np.sqrt(_BOLD * self._calm / of_f))
         rho = np.minimum(np.maximum(rho, _LIGHTEST), 1.0)
-        rest = np.minimum(np.maximum(once[1] - rho * once[0], -self._most), self._most)
-        return rho, rest
+        return rho, np.minimum(np.maximum(once[1] - rho * once[0], -self._most), self._most)
 
     def forward(self, measurement: Measurement, gravity: Array, torque: Array) -> Array:
         """Return f for a torque, (n_v,) [rad/s² or m/s²]; `gravity` is the compensated one."""

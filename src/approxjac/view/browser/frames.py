@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from approxjac.formatting import display_unit
 from approxjac.robots import Robot
-from approxjac.robots.robot import own_joints
 from approxjac.simulation import Trajectory
 from approxjac.simulation.trajectory import Scene
 from approxjac.tasks import FrameKinematics, Task
@@ -16,7 +16,6 @@ from approxjac.tasks.analysis import image_feature
 from approxjac.tasks.frame_tasks import PointKinematics
 from approxjac.tasks.task import Feature
 from approxjac.validation import Array
-from approxjac.view.style import display_unit
 from approxjac.view.tree import followed, joint_positions, learnt_tips
 
 _AT_LIMIT = 0.01  # a joint that is within so much of its position limit is at it [rad or m]
@@ -37,9 +36,6 @@ class RunFrames:
             if feature is not None and feature.frame not in (None, *scene.belief.frame_names):
                 feature = None  # of the true robot only
             self._believed = _followed(scene.belief, feature)
-        # continuous joints have no limits; their (cos, sin) may go where it likes
-        limited = [joint for joint in own_joints(scene.truth.model).values() if joint.nq == 1]
-        self._limited = [joint.idx_q for joint in limited], [joint.idx_v for joint in limited]
 
     def columns(self, run: Trajectory, kept: Any = None) -> dict[str, Array]:
         """Return the quantities that the page shows, first axis time.
@@ -66,27 +62,23 @@ class RunFrames:
         tip = np.array([self._true.positions(row)[0] for row in q]).reshape(-1, 3)
         believed_tip, force = self._believed_tip(q, run.at("task_torque", kept))
         learnt = learnt_tips(self.scene, q, run.learnt[kept])
-        if learnt is not None:
-            believed_tip = learnt
-        velocities = {"command": _peaks(run.command, kept)} if run.command_kind != "torque" else {}
-        return (
-            {
-                "t": run.t[kept],
-                "V": run.at("V", kept),
-                "error": error * [display_unit(unit)[1] for unit in run.task_units],
-                "torque": share if np.isfinite(limits).any() else tau,
-                "load": np.abs(share),
-                "at_limit": self._at_limit(q),
-                "joints": joint_positions(self.scene.truth, q),
-                "tip": tip,
-                "measured": self._position(x_measured, tip),
-                "target": self._position(x_d, tip),
-                "believed_tip": believed_tip,
-                "force": force,
-            }
-            | velocities
-            | self._images(q, x_measured, x_d)
-        )
+        columns = {
+            "t": run.t[kept],
+            "V": run.at("V", kept),
+            "error": error * [display_unit(unit)[1] for unit in run.task_units],
+            "torque": share if np.isfinite(limits).any() else tau,
+            "load": np.abs(share),
+            "at_limit": np.where(self.scene.truth.beyond_limits(q) >= -_AT_LIMIT, 1.0, 0.0),
+            "joints": joint_positions(self.scene.truth, q),
+            "tip": tip,
+            "measured": self._position(x_measured, tip),
+            "target": self._position(x_d, tip),
+            "believed_tip": believed_tip if learnt is None else learnt,
+            "force": force,
+        }
+        if run.command_kind != "torque":
+            columns["command"] = _peaks(run.command, kept)
+        return columns | self._images(q, x_measured, x_d)
 
     def _believed_tip(self, q: Array, task_torque: Array) -> tuple[Array, Array]:
         """Return the believed tip and the force there that equals a torque, (N, 3) each."""
@@ -114,13 +106,6 @@ class RunFrames:
         place[:, ["xyz".index(axis) for axis in feature.axes]] = given
         place[~np.isfinite(given).all(axis=1)] = np.nan
         return place
-
-    def _at_limit(self, q: Array) -> Array:
-        lower, upper = self.scene.truth.position_limits
-        limited = np.zeros((len(q), self.scene.truth.nv))
-        i, k = self._limited
-        limited[:, k] = (q[:, i] <= lower[k] + _AT_LIMIT) | (q[:, i] >= upper[k] - _AT_LIMIT)
-        return limited
 
     def _images(self, q: Array, x_measured: Array, x_d: Array) -> dict[str, Array]:
         image, believed = image_feature(self.scene.sensor), image_feature(self.scene.task)

@@ -132,8 +132,6 @@ class LiveView:
                 signal.signal(signal.SIGINT, self._before)
         self._closed = True
 
-    # -- showing ------------------------------------------------------------------------
-
     def _start(self, loop: Loop) -> None:
         if self._believe is not None:
             loop.controller.with_task(loop.controller.task)  # or there is no changing the belief
@@ -170,7 +168,6 @@ class LiveView:
         return document(data, asset("live.js"))
 
     def _controls(self) -> dict[str, Any]:
-        """Return the page's controls with their present values."""
         return {
             "speed": self._speed if math.isfinite(self._speed) else None,
             "paused": self._paused,
@@ -203,8 +200,6 @@ class LiveView:
         self._columns = self._frames.columns(self._run)
         return {name: plain(values[-1]) for name, values in self._columns.items()}
 
-    # -- time ---------------------------------------------------------------------------
-
     def _begin(self, loop: Loop) -> None:
         """Pace the run from its current time on."""
         self._origin = time.perf_counter() - loop.t / self._speed
@@ -223,8 +218,6 @@ class LiveView:
                     return
             if self._obey(loop):
                 self._show(loop)
-
-    # -- the user's commands ------------------------------------------------------------
 
     def _obey(self, loop: Loop) -> bool:
         """Carry out the commands of pages; return True if there were any."""

@@ -24,7 +24,7 @@ from PIL import Image
 from approxjac.cameras import PinholeCamera
 from approxjac.errors import InvalidInputError, package_of
 from approxjac.files import refusing, write_text
-from approxjac.formatting import joined, share, short
+from approxjac.formatting import display_unit, joined, share, short
 from approxjac.interface import LimitStatus, Status
 from approxjac.simulation import Trajectory
 from approxjac.simulation.trajectory import Scene
@@ -32,7 +32,7 @@ from approxjac.tasks.analysis import features, image_feature
 from approxjac.validation import Array, require
 from approxjac.view.browser.frames import RunFrames
 from approxjac.view.browser.stage import Stage, frame_points, grid, viewpoint
-from approxjac.view.style import COLORS, SERIES, display_unit
+from approxjac.view.style import COLORS, SERIES
 from approxjac.view.tree import held_objects, learnt_regressor
 
 # one set for each kind: as numbers, statuses of two kinds are equal
@@ -155,9 +155,6 @@ def _facts(run: Trajectory) -> list[tuple[str, str]]:
     counts |= {f"limits: {s.label}": n for s, n in limited if s not in _USUAL_LIMITS}
     facts += [(name, f"{share(n, len(run.t))} of the time") for name, n in counts.items() if n]
     return facts + [(event.condition.label, event.described) for event in run.events[:_NAMED]]
-
-
-# -- what is in a page --------------------------------------------------------------------------
 
 
 def page_data(
@@ -330,9 +327,6 @@ def _image(scene: Scene) -> dict[str, Any] | None:
         "down": bool(size), "points": len(feature.points),
         "seen": "seen" if scene.knows_truth else "seen, by the belief",
     }  # fmt: skip
-
-
-# -- an index of pages --------------------------------------------------------------------------
 
 
 def write_index(folder: str | Path, title: str = "Runs to look at") -> Path:

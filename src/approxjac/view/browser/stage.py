@@ -60,8 +60,7 @@ def _camera_view(task: Task | None, size: float) -> dict[str, Any] | None:
         J = camera.interaction(np.zeros(3))[:, rows]
         half = 1.05 * size * camera.magnification * np.array([1.0, -1.0])  # y_s points up
         low, high = center - half, center + half
-        normal = np.cross(*np.eye(3)[rows])
-        apex = (camera.distance - camera.focal_length) * normal
+        apex = (camera.distance - camera.focal_length) * np.cross(*np.eye(3)[rows])
         on_plane = np.linalg.solve(J, (corners(low, high) - center).T)
         rays = on_plane.T @ np.eye(3)[rows] - apex
     else:
@@ -306,8 +305,7 @@ def viewpoint(moving: Array, points: Array, size: float) -> dict[str, Any]:
     It looks, a little turned, along the direction in which the moving points, and with less weight
     the others, spread least; and it holds the outermost points, with a margin for an arm's `size`.
     """
-    spread = np.cov(moving.T) + 0.15 * np.cov(points.T)
-    direction = np.linalg.eigh(spread)[1][:, 0]
+    direction = np.linalg.eigh(np.cov(moving.T) + 0.15 * np.cov(points.T))[1][:, 0]
     # what moves is not to be behind the arm; and rather from the front than from behind
     towards = moving.mean(axis=0) - points.mean(axis=0) + 0.1 * np.std(points) * _FRONT
     direction = direction * np.copysign(1.0, direction @ towards) + _ASIDE
