@@ -77,11 +77,11 @@ MUTANTS = [
     ),
     (
         "dynamics learn without a prediction", "controllers/tracking.py",
-        "state.copy(), is_known | waits", "state.copy(), True", PERIODS,
+        "learns = is_known | waits", "learns = True", PERIODS,
     ),
     (
         "dynamics rest where x is lost", "controllers/tracking.py",
-        "state.copy(), is_known | waits", "state.copy(), is_known & law.is_finite(x)", PERIODS,
+        "learns = is_known | waits", "learns = is_known & law.is_finite(x)", PERIODS,
     ),
     (
         "fast start without time for it", "realtime/robot_loop.py",
@@ -299,14 +299,12 @@ MUTANTS = [
     ),
     # -- the tracking law
     (
-        "gain beyond what the period allows", "controllers/tracking.py",
-        "kappa = self.task.robot, min(_KAPPA, _STEADY / self.dt)",
-        "kappa = self.task.robot, _KAPPA", PERIODS,
+        "gain beyond what the period allows", "controllers/gains/joint_gains.py",
+        "min(_KAPPA, _STEADY / dt)", "_KAPPA", PERIODS,
     ),
     (
         "gain without the frame's acceleration", "law/tracking.py",
-        "x_d_dot - alpha * s, x_d_ddot - alpha * s_dot",
-        "x_d_dot - alpha * s, x_d_ddot", "tests/law/test_tracking.py",
+        "x_d_dot - s, x_d_ddot - s_dot", "x_d_dot - s, x_d_ddot", "tests/law/test_tracking.py",
     ),
     (
         "learning in the wrong direction", "law/tracking.py",
@@ -1074,8 +1072,33 @@ MUTANTS = [
     ),
     (
         "away from a stop as slowly as towards it", "law/tracking.py",
-        "s = np.maximum(sides * v_r / self.slow, 0.0)", "s = np.abs(v_r / self.slow)",
+        "s = np.maximum(sides * v_r * per, 0.0)", "s = np.abs(v_r * per)",
         "tests/controllers/test_tracking.py",
+    ),
+    (
+        "raised damping that no swing lowers", "law/tracking.py",
+        "share = np.where(rings, left, share + self.dt * rate)",
+        "share = share + self.dt * rate", "tests/law/test_raised_damping.py",
+    ),
+    (
+        "after a swing it rises as quickly as before", "law/tracking.py",
+        "_RISE, _SLOWER, _LEAVES = 0.5, 0.25, 0.5", "_RISE, _SLOWER, _LEAVES = 0.5, 1.0, 0.5",
+        "tests/law/test_raised_damping.py",
+    ),
+    (
+        "slow motion taken for a swing", "law/tracking.py",
+        "rings = (swings >= _SWINGS) & (_FASTEST * age >= self.half * swings) & stands_out",
+        "rings = (age > self.half * _SWINGS) & stands_out", "tests/law/test_raised_damping.py",
+    ),
+    (
+        "raised where q̇ is noisy", "law/tracking.py",
+        "noise = np.maximum(usual, _STEP * count)", "noise = 0.0 * usual",
+        "tests/law/test_raised_damping.py",
+    ),
+    (
+        "gains that rise without their rate", "controllers/tracking.py",
+        "alpha=used.alpha, alpha_dot=used.alpha_dot", "alpha=used.alpha",
+        "tests/law/test_raised_damping.py tests/controllers/test_tracking.py",
     ),
     (
         "what is learnt is no spring to the motors", "controllers/gains/motors.py",

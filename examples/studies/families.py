@@ -20,7 +20,6 @@ from approxjac.stability.certificates.matrix_form import (
     FAMILIES,
     MatrixForm,
     Weights,
-    best_of,
     best_weights,
 )
 from approxjac.stability.loop.closed_loop import ClosedLoop
@@ -153,7 +152,7 @@ def at_target(target, setting):
     """Return which families certify a target, those with K among them."""
     found, form = certified(MatrixForm(target, setting)), AtRest(target, setting)
     for name, family in (("K", "wide"), ("full K", "full")):
-        found[name] = bool(best_of(form, form.unknowns(family)).margins.min() > 0.0)
+        found[name] = bool(best_weights(form, form.unknowns(family)).margins.min() > 0.0)
     found["Lyapunov"] = bool(form.margins(of_lyapunov(target, setting)).min() > 0.0)
     return found
 

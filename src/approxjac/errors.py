@@ -4,8 +4,6 @@ Every message states the expected value, the given one and, where they can be li
 valid ones.
 """
 
-from __future__ import annotations
-
 import copyreg
 import difflib
 import importlib

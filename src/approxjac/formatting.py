@@ -1,7 +1,5 @@
 """Numbers and records in one line of text, and as JSON."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re

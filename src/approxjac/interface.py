@@ -4,8 +4,6 @@ The plant owns the true robot, the controller the believed one. Only a `Measurem
 one way and a torque the other; neither side ever sees the other's model.
 """
 
-from __future__ import annotations
-
 import enum
 from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 

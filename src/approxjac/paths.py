@@ -3,8 +3,6 @@
 Any object with `at(t) → Target` is a path.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 The functions raise an InvalidInputError with the name and value of the argument.
 """
 
-from __future__ import annotations
-
 import copy
 import inspect
 import math

@@ -149,3 +149,28 @@ def test_the_smallest_value_brings_its_rate(rng):
         i = values.argmin()
         assert law.smallest(values, rates) == (values[i], rates[i])
         assert law.smallest(values.astype(object), rates.astype(object)) == (values[i], rates[i])
+
+
+def test_the_reference_and_its_derivative_agree_while_gains_rise(monkeypatch):
+    arm = aj.load_robot("panda")
+    task, plant = aj.PositionTask(arm), aj.Plant(arm)
+    known = aj.controllers.KnownKinematics(task)
+    controller = aj.TrackingController(task, kinematics=known, latency=LATE)
+    q0, seen, usual = plant.ready_configuration(), [], controller._reference
+
+    def noted(*given):
+        answer = usual(*given)
+        seen.append((answer[1], answer[2], given[-1].alpha_dot))
+        return answer
+
+    monkeypatch.setattr(controller, "_reference", noted)
+    goal, state = task.value(q0) + [0.05, 0.1, -0.05], None
+    for t in DT * np.arange(400):
+        q, v = q0 + 0.05 * np.sin(2.0 * t), np.full(7, 0.1 * np.cos(2.0 * t))
+        measurement = aj.Measurement(float(t), q, v, task.value(q), float(t))
+        state = controller.initial_state(measurement) if state is None else state
+        state, _ = controller.step(state, measurement, goal, DT)
+    v_r, a_r, alpha_dot = (np.array(each) for each in zip(*seen, strict=True))
+    assert (alpha_dot[100:] > 0.1).all()
+    slope = (v_r[2:] - v_r[:-2]) / (2.0 * DT)
+    assert_allclose(a_r[1:-1][100:], slope[100:], rtol=0.01, atol=0.01 * np.abs(slope).max())

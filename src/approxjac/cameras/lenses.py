@@ -1,7 +1,5 @@
 """Lenses: distortion of rays by OpenCV's pinhole and fisheye models."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 

@@ -1,7 +1,5 @@
 """`approxjac export`: a scenario → its controller as C."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from approxjac.scenario import Scenario

@@ -3,8 +3,6 @@
 Exit codes: 0 all is well, 1 a verdict fell short, 2 bad input.
 """
 
-from __future__ import annotations
-
 import errno
 import inspect
 import io

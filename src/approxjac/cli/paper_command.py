@@ -1,7 +1,5 @@
 """`approxjac paper`: the paper's two-link study."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`approxjac robots`: the arms that load by name, and one robot joint by joint."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """`approxjac simulate`: a scenario → a run → files and a verdict."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`approxjac stability`: a scenario → the stability report of its loop."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`approxjac view`: a run → a page."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from approxjac.errors import InvalidInputError

@@ -1,7 +1,5 @@
 """The sampled closed loop on symbols: plant and law."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import math

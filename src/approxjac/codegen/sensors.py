@@ -1,7 +1,5 @@
 """`TracedSensing`: real sensors and late motors of a run, on symbols and step by step."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """One step of a law as a program, and `compiled`: a law whose regular steps are machine code."""
 
-from __future__ import annotations
-
 import functools
 import math
 from itertools import chain

@@ -1,7 +1,5 @@
 """A controller on symbols: any controller's own step, run on symbols."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

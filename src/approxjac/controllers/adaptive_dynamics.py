@@ -1,7 +1,5 @@
 """Sources of the tracking law's feedforward torque: the believed model, or learnt dynamics."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence

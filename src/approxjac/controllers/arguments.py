@@ -1,7 +1,5 @@
 """Checks of the arguments of a step, and of options of learnt kinematics."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any

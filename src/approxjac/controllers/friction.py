@@ -1,7 +1,5 @@
 """`FrictionCompensation`: a torque against dry friction that turns with the error."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """`Guard`: which samples a controller accepts, and what it does without one."""
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Sequence

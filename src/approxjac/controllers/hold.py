@@ -1,7 +1,5 @@
 """`HeldMeasurement`: hold the last measured x until the arm has moved too far."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

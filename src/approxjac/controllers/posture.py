@@ -1,7 +1,5 @@
 """`Posture` and `AwayFromStops`: torques in the null space of a redundant arm's task."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """`PredictedMeasurement`: a set-point law on the x̂ predicted by learnt kinematics."""
 
-from __future__ import annotations
-
 import math
 import operator
 from collections.abc import Mapping

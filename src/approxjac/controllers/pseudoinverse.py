@@ -1,7 +1,5 @@
 """`Pseudoinverse`: the Ĵ⁺ of a set-point law, plain or weighted, damped near singularities."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

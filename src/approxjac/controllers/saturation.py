@@ -3,8 +3,6 @@
 The stability tests assume them: none would detect a slope other than 1.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from approxjac.errors import InvalidInputError

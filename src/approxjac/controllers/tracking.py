@@ -4,8 +4,6 @@ Its reference includes a self-motion (`RestConfiguration`); its command is a tor
 (`VelocityCommand`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

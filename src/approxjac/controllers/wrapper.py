@@ -1,7 +1,5 @@
 """`ControllerWrapper`: a controller around another one."""
 
-from __future__ import annotations
-
 import math
 import operator
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Adaptation: gravity by the passive output (10) and (29); positions with forgetting."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

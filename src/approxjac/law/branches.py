@@ -4,8 +4,6 @@ A step of a law is written once, on arrays. With NumPy's arrays one branch runs;
 symbols (of `codegen`) both are traced.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 import operator

@@ -4,8 +4,6 @@ Theorem 1 requires that p, a bound of ‖Jᵀ − Ĵᵀ‖, is below both curves
 gains large enough for the terms c₀ and c₁ of inertia and damping.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from approxjac.validation import Array

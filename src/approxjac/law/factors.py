@@ -1,7 +1,5 @@
 """`Factors`: a small symmetric matrix as LDLᵀ, without a branch, of numbers or symbols."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

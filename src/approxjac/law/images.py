@@ -4,8 +4,6 @@ Not in the paper. y = e^λ (X/Z, Y/Z) is the ray of a point c = (X, Y, Z) in the
 focal length with the error factor e^λ. Shapes: c is (k, 3), y and ρ are (k, 2).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from approxjac.validation import Array

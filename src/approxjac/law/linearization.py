@@ -1,7 +1,5 @@
 """The closed loops of eqs. (9) and (28), (29) to first order: continuous, and sampled and late."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

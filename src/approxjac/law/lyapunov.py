@@ -4,8 +4,6 @@ Along the closed loop V̇ = −W holds identically. These functions need the tru
 analyse a closed loop and never run inside a controller.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from approxjac.validation import Array

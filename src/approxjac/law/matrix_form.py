@@ -25,8 +25,6 @@ All functions take stacks of configurations, arrays with any leading axes, of th
 - the diagonals of K_p, K_v and W: (m,), that of all viscous damping B: (n_v,), and Ω: (m, m).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from approxjac.validation import Array

@@ -1,7 +1,5 @@
 """Products, roots and angles, the fastest for arrays as small as a control step's."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

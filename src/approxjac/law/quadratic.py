@@ -4,8 +4,6 @@ Mehrotra's predictor and corrector, a fixed number of times: S. Mehrotra, "On th
 a primal-dual interior point method", SIAM J. Optimization 2(4), 1992.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """Rotations in space and in the plane: rotation vectors, and the rotation that explains data."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -15,8 +15,6 @@ Where x comes in frames, s in the torque is s + w_x with
 Shapes are those of `law.matrix_form`; D_c is D without the arm's own friction.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

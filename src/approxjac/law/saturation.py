@@ -5,8 +5,6 @@ the constants of (8), c̄ is the one that conditions ask for: d is 1 of a slope 
 no bounded s has a d̄.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field

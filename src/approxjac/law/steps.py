@@ -4,8 +4,6 @@ A controller checks its arguments, collects the terms of the believed robot and 
 `codegen` traces them by calling the controller with symbols.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from functools import reduce

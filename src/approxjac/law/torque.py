@@ -4,8 +4,6 @@ Shapes: Ĵ is (m, n_v), K_p, K_v, s and Ẋ are (m,) with the gains' diagonals, 
 diagonal of the added damping B_c are (n_v,).
 """
 
-from __future__ import annotations
-
 from approxjac.law.products import dot
 from approxjac.validation import Array
 

@@ -1,7 +1,5 @@
 """The paper's simulations: beliefs, choices that the paper leaves open, and results."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Report of the paper's study: figures, a table of verdicts, a summary, pages."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`Driver`: the interface of a robot to the loop, and `read`, which checks its measurements."""
 
-from __future__ import annotations
-
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np

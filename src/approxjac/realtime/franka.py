@@ -1,7 +1,5 @@
 """`FrankaDriver`: a Franka FR3 by its makers' own client, pylibfranka."""
 
-from __future__ import annotations
-
 import ctypes
 import threading
 from collections.abc import Callable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """`SimulatedDriver`: a plant behind the interface of a robot, to rehearse with."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Literal

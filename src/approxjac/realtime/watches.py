@@ -1,7 +1,5 @@
 """`FaultWatch`: consistency checks of a robot's measurements, period by period."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """`Drives` and `Friction`: an arm's joints as they are."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, Self

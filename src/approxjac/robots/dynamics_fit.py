@@ -1,7 +1,5 @@
 """`fit_dynamics`: what an arm's joints and its payload take, from a recorded motion."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

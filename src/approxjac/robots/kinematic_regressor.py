@@ -1,7 +1,5 @@
 """The kinematic regressor: positions that are linear in the translations of joint origins."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import cached_property, partial
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """`load_robot`: an arm by name, from a file or from text."""
 
-from __future__ import annotations
-
 import os
 import re
 import warnings

@@ -1,7 +1,5 @@
 """Mesh files of a URDF: finding and reading them, and URDFs that other tools can open."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import IO, Any

@@ -1,7 +1,5 @@
 """Build a scenario: plant, controller, target and start."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial

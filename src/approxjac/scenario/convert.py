@@ -1,7 +1,5 @@
 """Conversion of tables, Python values and typed words to records, and back to TOML."""
 
-from __future__ import annotations
-
 import json
 import os
 import types

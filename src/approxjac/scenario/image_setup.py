@@ -1,7 +1,5 @@
 """Scenes of a pinhole camera: cameras, points, start and goal."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Checks for keys of a scenario that would have no effect, or contradict each other."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator
 from operator import attrgetter

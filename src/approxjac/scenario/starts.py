@@ -1,7 +1,5 @@
 """Start and target configurations, given or random, and checks of reach."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

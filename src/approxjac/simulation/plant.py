@@ -1,7 +1,5 @@
 """The plant: the true robot, its friction, stops and servo, and the sensor that watches it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Realistic sensing: noise, delay, quantization, dropouts, frames, no tachometer."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """`simulate` and its loops of controller and plant, continuous or sampled."""
 
-from __future__ import annotations
-
 import importlib
 import math
 from collections import deque

@@ -1,7 +1,5 @@
 """`Transmission`: rotors, elastic gears and dry friction between motors and links, step by step."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cached_property
 from typing import Any, NamedTuple

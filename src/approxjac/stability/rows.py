@@ -1,7 +1,5 @@
 """`Row`: a finding of a report, and renderers for text and JSON."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 

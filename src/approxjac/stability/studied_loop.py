@@ -1,7 +1,5 @@
 """`StudiedLoop`: a controller and the errors that it may meet, with a report and rollouts."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial

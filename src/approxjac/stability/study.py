@@ -1,7 +1,5 @@
 """`Study`: a controller with possible errors, and all tests of its loop."""
 
-from __future__ import annotations
-
 from approxjac.stability.search.map import stability_map
 from approxjac.stability.search.suggested_gains import suggested_gains
 from approxjac.stability.search.tolerance import tolerances

@@ -1,7 +1,5 @@
 """Functions of a task for analysis, sensors and plots."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from itertools import islice
 

@@ -1,7 +1,5 @@
 """`robot_look`: the shapes of the links of a robot."""
 
-from __future__ import annotations
-
 from copy import deepcopy
 from functools import lru_cache
 from io import BytesIO

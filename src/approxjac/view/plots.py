@@ -1,7 +1,5 @@
 """Plots of runs and of stability tests: each draws into axes, by default new ones."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 

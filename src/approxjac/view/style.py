@@ -1,7 +1,5 @@
 """The style of all plots: colour-blind safe, readable in print, reproducible files."""
 
-from __future__ import annotations
-
 import io
 import re
 from collections.abc import Iterator, Mapping

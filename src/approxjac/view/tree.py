@@ -1,7 +1,5 @@
 """A robot as drawn: its links as a tree of nodes, and the tip that is followed."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tasks on symbols: their frames, and the numbers of sensors that differ from run to run."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from traceback import walk_tb
 from typing import Any

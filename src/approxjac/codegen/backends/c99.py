@@ -1,7 +1,5 @@
 """Programs as C99, and one sampled step of a law, with its limits, as one."""
 
-from __future__ import annotations
-
 import math
 import sys
 import textwrap

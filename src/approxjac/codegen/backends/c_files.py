@@ -1,7 +1,5 @@
 """`export_c`: a controller as readable C99 code."""
 
-from __future__ import annotations
-
 import re
 import textwrap
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Programs as vectors of LLVM: one run per lane of the machine's vectors."""
 
-from __future__ import annotations
-
 import ctypes
 import struct
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """A graph on NumPy's arrays, operation by operation: the reference for other backends."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

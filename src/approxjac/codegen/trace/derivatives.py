@@ -1,7 +1,5 @@
 """Derivatives of a graph's results, by forward differentiation."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

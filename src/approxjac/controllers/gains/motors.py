@@ -5,8 +5,6 @@ no damping k > 0 makes unstable without lag. Above its resonance P is 1/(Js), an
 few milliseconds turns k > cJ into a divergence.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

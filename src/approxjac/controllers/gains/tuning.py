@@ -1,7 +1,5 @@
 """Rules that choose gains: `default_gains` by inertia, `tuned` also by motors and latency."""
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable

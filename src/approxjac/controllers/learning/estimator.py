@@ -1,7 +1,5 @@
 """`Kinematics`, which predict the controlled error: known ones, and `Estimator`, which learns."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping

@@ -1,7 +1,5 @@
 """Reports of learnt kinematics."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from approxjac.validation import Array

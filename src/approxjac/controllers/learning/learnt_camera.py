@@ -1,7 +1,5 @@
 """`AdaptiveCamera`: positions of points and the camera that sees them, learnt from images."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any

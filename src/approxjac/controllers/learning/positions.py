@@ -1,7 +1,5 @@
 """`AdaptiveKinematics`: tool, joint origins and camera, learnt from the measured x."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """`Limit`: bounds of motion to derive from, and two examples: `Wall` and `CartesianSpeed`."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Small dense quadratic programs, their solver, and the check of its solutions."""
 
-from __future__ import annotations
-
 import enum
 import logging
 import math

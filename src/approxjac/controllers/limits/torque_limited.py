@@ -1,7 +1,5 @@
 """`TorqueLimited`: torque, rate and motion limits by a QP that keeps the proof if possible."""
 
-from __future__ import annotations
-
 import functools
 import math
 import operator

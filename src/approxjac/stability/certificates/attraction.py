@@ -1,7 +1,5 @@
 """`Attraction`: starts from which the arm provably never leaves the region."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

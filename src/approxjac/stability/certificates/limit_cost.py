@@ -1,7 +1,5 @@
 """`LimitCost`: where effort limits act on a loop, and what is proven then."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

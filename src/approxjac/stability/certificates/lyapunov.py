@@ -1,7 +1,5 @@
 """V and W of a closed loop at one state, eqs. (12), (13) and (31)."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

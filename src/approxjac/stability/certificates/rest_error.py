@@ -1,7 +1,5 @@
 """`rest_error`: how far from its target an arm with dry friction may come to rest."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from approxjac.controllers import SetpointController

@@ -1,7 +1,5 @@
 """Configurations of a region: those that are seen, that attain a target, or are singular."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

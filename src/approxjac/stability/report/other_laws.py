@@ -1,7 +1,5 @@
 """`OtherLawReport`: the tests of a controller without certificates."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace

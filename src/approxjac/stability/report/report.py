@@ -1,7 +1,5 @@
 """`StabilityReport`: the tests over a region, before anything moves."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace

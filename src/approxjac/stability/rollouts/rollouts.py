@@ -1,7 +1,5 @@
 """`Rollouts`: many simulated runs, in portions, with an exact confidence interval."""
 
-from __future__ import annotations
-
 import copy
 import math
 import pickle

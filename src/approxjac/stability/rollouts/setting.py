@@ -1,7 +1,5 @@
 """`RolloutSetting`: the common setting of rollouts, and how they run, one by one or in lanes."""
 
-from __future__ import annotations
-
 import importlib.util
 import math
 import threading

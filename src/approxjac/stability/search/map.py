@@ -1,7 +1,5 @@
 """`StabilityMap`: shares of rollouts that converge over gains and the size of the errors."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

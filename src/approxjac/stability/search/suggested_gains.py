@@ -1,7 +1,5 @@
 """`Suggestion`: gains that pass a test for a set of errors."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """`Tolerance`: the largest scale of the errors at which each test passes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal

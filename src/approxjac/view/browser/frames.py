@@ -1,7 +1,5 @@
 """`RunFrames`: the quantities that the page shows at each instant of a run."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Runs as pages, each one self-contained HTML file, and an index of those in a folder."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json
