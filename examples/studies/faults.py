@@ -85,6 +85,7 @@ class Case(NamedTuple):
     arm: str
     kind: str
     seed: int
+    law: str = "set-point"
 
 
 class Outcome(NamedTuple):
@@ -326,7 +327,7 @@ def plant_with(arm, mass, sensing=None):
     )  # fmt: skip
 
 
-def prepared(arm, sensing=None):
+def prepared(arm, sensing=None, law="set-point"):
     """The true arm, and the controller of the believed one."""
     plant, belief = plant_with(arm, MASS, sensing), aj.load_robot(arm).with_object(0.0)
     latency = None
@@ -335,14 +336,17 @@ def prepared(arm, sensing=None):
             image_period=1.0 / sensing.x_rate, image_age=sensing.x_delay,
             velocity_filter=sensing.velocity_filter,
         )  # fmt: skip
-    return plant, controller_of(belief, latency=latency, drives=aj.robots.Drives())
+    return plant, controller_of(belief, law, latency=latency, drives=aj.robots.Drives())
 
 
-def controller_of(belief, **known):
-    """The set-point law of a believed arm, from what is known of the real one's lags and joints."""
-    gravity = aj.AdaptiveGravity(belief)
-    law = aj.SetpointController(aj.PositionTask(belief), gravity=gravity, **known)
-    return aj.TorqueLimited(law, aj.Limits.of(belief))
+def controller_of(belief, law, **known):
+    """The law of a believed arm, from what is known of the real one's lags and joints."""
+    task = aj.PositionTask(belief)
+    if law == "tracking":
+        controller = aj.TrackingController(task, **known)
+    else:
+        controller = aj.SetpointController(task, gravity=aj.AdaptiveGravity(belief), **known)
+    return aj.TorqueLimited(controller, aj.Limits.of(belief))
 
 
 def start_of(arm, plant):
@@ -359,9 +363,9 @@ def tolerances(plant, slow=False):
 
 
 @functools.cache
-def undisturbed(arm):
+def undisturbed(arm, law):
     """Return the tip of each sample of a run without a fault."""
-    plant, controller = prepared(arm)
+    plant, controller = prepared(arm, law=law)
     driver = SimulatedDriver(plant, start_of(arm, plant), pace=math.inf)
     quiet = Broken(driver, arm, "nothing", math.inf, 0)
     goal = plant.sensor.value(driver.q) + WAY
@@ -371,7 +375,9 @@ def undisturbed(arm):
 
 def break_one(case):
     """Run one case."""
-    plant, controller = prepared(case.arm)
+    # only one that learns knows what to expect of x
+    law = "tracking" if case.kind.startswith("x drifts") else case.law
+    plant, controller = prepared(case.arm, law=law)
     rng = np.random.default_rng([case.seed, KINDS.index(case.kind)])
     at = float(rng.uniform(0.25, 1.0))  # while it moves
     if case.kind in EVENTS:
@@ -391,10 +397,6 @@ def break_one(case):
         controller = Raising(controller, at)
     elif case.kind == "a wrist rings":
         controller = Ringing(controller, at)
-    elif case.kind.startswith("x drifts"):  # one that knows what to expect of x
-        belief = controller.task.robot
-        law = aj.TrackingController(aj.PositionTask(belief))
-        controller = aj.TorqueLimited(law, aj.Limits.of(belief))
     try:
         duration = 2.0 * LASTS if case.kind == "a wrist rings" else LASTS
         run = control(broken, controller, goal, duration, tolerances=tolerances(plant, slow))
@@ -415,7 +417,7 @@ def break_one(case):
             found, t1 = events[0].condition.name, events[0].named + broken.first
             x1 = broken.tips[round(t1 / DT)]
     if case.kind in MOTORS or case.kind in EVENTS:
-        ways = undisturbed(case.arm)
+        ways = undisturbed(case.arm, law)
         x0 = ways.get(round(t1 / DT), ways[max(ways)])
     return Outcome(case, found, t1 - t0, speed1 - speed0, float(np.linalg.norm(x1 - x0)))
 
@@ -499,6 +501,7 @@ def main(arguments=None):
     options.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS)
     options.add_argument("--seeds", type=int, default=5, help="instants at which it breaks")
     options.add_argument("--arms", nargs="+", default=list(STARTS), help="names of robots")
+    options.add_argument("--law", choices=("set-point", "tracking"), default="set-point")
     options.add_argument("--clean", action="store_true", help="runs without a fault")
     args = options.parse_args(arguments)
     if args.clean:
@@ -516,7 +519,7 @@ def main(arguments=None):
         return 1 if alarms else 0
     seeds = 1 if args.quick else args.seeds
     # what is timed by the clock runs alone
-    cases = [Case(a, k, s) for k in args.kinds for a in args.arms for s in range(seeds)]
+    cases = [Case(a, k, s, args.law) for k in args.kinds for a in args.arms for s in range(seeds)]
     timed = [case for case in cases if case.kind in TIMED]
     others = [case for case in cases if case.kind not in TIMED]
     outcomes = run_all(break_one, others, args.jobs) + run_all(break_one, timed, 1)

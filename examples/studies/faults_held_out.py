@@ -2,8 +2,9 @@
 
 As in `faults.py`, but in MuJoCo itself: forces act on its bodies, the table is a contact. Joints
 are ideal, or as `Drives.usual` and `Friction.usual` have them as far as MuJoCo can, with q̇ filtered
-and x late. *Rightly*: the first name after the event is right, with joint or sign, of the runs that
-had not ended before; delay and motion of the tip (from the same run without) are their medians.
+and x late. The law is the one that `approxjac simulate` takes. *Rightly*: the first name after the
+event is right, with joint or sign, of the runs that had not ended before; delay and motion of the
+tip (from the same run without) are their medians.
 
     python examples/studies/faults_held_out.py --out results/faults_held_out
 """
@@ -98,7 +99,7 @@ def ran(joints, arm, seed, kind, happens=True):
         of = {"v": 0.01, "x": 5e-4, "velocity_filter": 2e-3, "stiction": 0.07 * effort}
         told = aj.realtime.Tolerances(replace(told.accuracy, **of), max_period=0.5)
         known = {"latency": LATENCY}
-    controller = controller_of(belief, **known)
+    controller = controller_of(belief, "tracking", **known)
     return meddled, aj.realtime.control(meddled, controller, goal, 3.0, tolerances=told)
 
 

@@ -44,8 +44,7 @@ class Attraction:
 
 def attraction(loop: ClosedLoop, test: SampledTest, rng: np.random.Generator) -> Attraction | None:
     """Return starts that stay; None if there are none, or the region is no box."""
-    box, saturation = loop.region, loop.controller.saturation
-    form = test.form.with_speed(_SLOWER * test.form.speed)
+    box, saturation, form = loop.region, loop.controller.saturation, slower(test.form)
     if not test.certified or not isinstance(box, JointBox) or not test.level:
         return None
     for _, rate, weights in _rates(form, test)[:_TRIED]:
@@ -84,6 +83,11 @@ def attraction(loop: ClosedLoop, test: SampledTest, rng: np.random.Generator) ->
     if not low:
         return None
     return Attraction(travel, rate, weights, low, float(np.linalg.norm(errors(low), axis=1).max()))
+
+
+def slower(form: SampledForm) -> SampledForm:
+    """Return the form of the slower motions that are tested for staying."""
+    return form.with_speed(_SLOWER * form.speed)
 
 
 def _rates(form: SampledForm, test: SampledTest) -> list[tuple[float, float, Weights]]:
