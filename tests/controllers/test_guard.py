@@ -60,6 +60,8 @@ def _controllers():
     learnt = aj.SetpointController(task, gravity=aj.AdaptiveGravity(BELIEF))
     limited, tracking = aj.TorqueLimited(law, limits), aj.TrackingController(task)
     slow = dataclasses.replace(limits, rate=1000.0)
+    late = aj.Latency(DT, torque_delay=DT, velocity_filter=5e-3)
+    raised = aj.TrackingController(task, latency=late)  # whose damping grows until joints swing
     return {
         "law": law,
         "learnt": learnt,
@@ -70,6 +72,8 @@ def _controllers():
         "limited": limited,
         "limited, learnt": aj.TorqueLimited(learnt, limits),
         "limited, tracking": aj.TorqueLimited(tracking, limits),
+        "raised": raised,
+        "limited, raised": aj.TorqueLimited(raised, limits),
         "limited, rate": aj.TorqueLimited(law, slow),
         "held": HeldMeasurement(law, 0.02),
         "held, limited": HeldMeasurement(limited, 0.02),
@@ -163,7 +167,9 @@ def test_one_bad_sample_leaves_the_motion_as_it_was(kind):
 
 @pytest.mark.study
 @pytest.mark.parametrize("kind", ["wrap of q", "sign", "set back", "unit", "unit of x"])
-@pytest.mark.parametrize("name", ["tracking", "predicted, limited", "own, limited", "velocity"])
+@pytest.mark.parametrize(
+    "name", ["tracking", "limited, raised", "predicted, limited", "own, limited", "velocity"]
+)
 def test_one_bad_sample_leaves_the_motion_of_other_laws_as_it_was(name, kind):
     require_as_clean(name, kind, 0.3)
 
@@ -253,7 +259,7 @@ def test_a_rate_of_torque_is_kept_through_bad_samples_and_after_them(count):
         q, v, _ = PLANT.advance(q, v, before, DT, STEP)
 
 
-@pytest.mark.parametrize("name", ["limited, learnt", "limited, tracking", "predicted"])
+@pytest.mark.parametrize("name", ["limited, learnt", "limited, tracking", "raised", "predicted"])
 def test_no_memory_moves_while_samples_are_bad(name):
     controller = CONTROLLERS[name]
     found = Loop(controller, 0.11, "wrap", 5)

@@ -160,7 +160,7 @@ def test_the_reference_and_its_derivative_agree_while_gains_rise(monkeypatch):
 
     def noted(*given):
         answer = usual(*given)
-        seen.append((answer[1], answer[2], given[-1].alpha_dot))
+        seen.append((answer[1], answer[2], given[-1].alpha, given[-1].alpha_dot))
         return answer
 
     monkeypatch.setattr(controller, "_reference", noted)
@@ -170,7 +170,9 @@ def test_the_reference_and_its_derivative_agree_while_gains_rise(monkeypatch):
         measurement = aj.Measurement(float(t), q, v, task.value(q), float(t))
         state = controller.initial_state(measurement) if state is None else state
         state, _ = controller.step(state, measurement, goal, DT)
-    v_r, a_r, alpha_dot = (np.array(each) for each in zip(*seen, strict=True))
+    v_r, a_r, alpha, alpha_dot = (np.array(each) for each in zip(*seen, strict=True))
     assert (alpha_dot[100:] > 0.1).all()
     slope = (v_r[2:] - v_r[:-2]) / (2.0 * DT)
     assert_allclose(a_r[1:-1][100:], slope[100:], rtol=0.01, atol=0.01 * np.abs(slope).max())
+    said = controller.describe_learnt(state)
+    assert float(said.removesuffix(" 1/s").split()[-1]) == pytest.approx(alpha[-1], rel=0.01)

@@ -429,7 +429,10 @@ class TrackingController(Immutable, Controller):
     def describe(self) -> list[str]:
         kinds = [spaced(type(part).__name__) for part in (self.kinematics, self.dynamics)]
         parts = " and ".join(kinds).replace("adaptive", "learnt").replace("model", "known")
-        first = f"tracking law, alpha {self.alpha:.4g}, kappa {self.kappa:.4g}; {parts}"
+        alpha = f"{self.alpha:.4g}"
+        if self._raised is not None:
+            alpha += f" at first, up to {(self._raised.low.alpha + self._raised.alpha).min():.4g}"
+        first = f"tracking law, alpha {alpha}, kappa {self.kappa:.4g}; {parts}"
         most = ", ".join(f"{each:.3g}" for each in self._most)
         late = "no lag" if self.latency is None else f"a lag of {self.latency.of_velocity:.2g} s"
         joints = f"rigid joints and {late} taken for granted"
@@ -440,6 +443,14 @@ class TrackingController(Immutable, Controller):
             )
         first += f"; {joints}" if self.command == "torque" else ""
         return [first, super().describe()[1]]
+
+    def describe_learnt(self, state: Array) -> str:
+        """Describe the damping that was raised until joints swing; "" if it is constant."""
+        if self._raised is None:
+            return ""
+        used = self._raised.used(self._own_part(state)[self._end :])
+        most = ", ".join(f"{each:.3g}" for each in used.most)
+        return f"joints are damped by at most {most} N m s/rad, alpha is {used.alpha:.3g} 1/s"
 
     def __repr__(self) -> str:
         parts = f"{self.task!r}, {self.kinematics!r}, {self.dynamics!r}"

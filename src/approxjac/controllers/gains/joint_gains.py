@@ -114,9 +114,14 @@ class RaisedGains:
 
     def step(self, memory: Array, v: Array) -> tuple[Array, UsedGains]:
         """Return the memory a period later, and the gains now."""
-        low, n, gamma = self.low, len(v), self.low.gamma
+        after, rates = self.watch.step(memory, v)
+        return after, self.used(memory, rates)
+
+    def used(self, memory: Array, rates: Array | None = None) -> UsedGains:
+        """Return the gains of a memory; `rates` (n_v,) are those of the shares."""
+        low, n, gamma = self.low, len(self.most), self.low.gamma
         share = memory[:n]
-        memory, rates = self.watch.step(memory, v)
+        rates = 0.0 * share if rates is None else rates
         alpha, alpha_dot = law.smallest(low.alpha + share * self.alpha, rates * self.alpha)
         if self.gamma is not None:
             least, _ = law.smallest(share, rates)
@@ -124,4 +129,4 @@ class RaisedGains:
             links = np.zeros_like(share, shape=len(self.gamma) - len(of_joints)) + least
             gamma = gamma + np.concatenate([links, of_joints]) * self.gamma
         most, added = low.most + share * self.most, low.added + share * self.added
-        return memory, UsedGains(alpha, most, added, gamma, alpha_dot)
+        return UsedGains(alpha, most, added, gamma, alpha_dot)
