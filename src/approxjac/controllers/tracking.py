@@ -56,6 +56,7 @@ _OK, _SINGULAR = Status.OK, Status.NEAR_SINGULAR  # members of an enum are slow 
 _PREDICTED, _UNPREDICTED, _LOST = Status.PREDICTED, Status.NOT_PREDICTED, Status.MEASUREMENT_LOST
 _ALPHA, _SERVO_ALPHA = 6.0, 4.0  # α, that of a robot's own servo, which lags [1/s]
 _ROOM = 0.5  # κ dt λ_max(M⁻¹M̂) at most
+_EASE = 4.0  # ω of an eased target [1/s]
 _SINGULAR_RATIO = 0.08  # of σ_max, below which Ĵ⁺ is damped
 _SHARE = 0.9  # of the speed limits of joints
 _SPEEDS = {"m": 0.5, "rad": 1.0}  # at which errors of a task are reduced
@@ -214,7 +215,7 @@ class TrackingController(Immutable, Controller):
             gamma = None if is_own else _learnt(robot, strong, None).gamma
             self._raised = self._raisable(latency, first, strong, gamma)
         last = 0 if self._commands is None else robot.nv
-        self.n_state = self._end + (last if self._raised is None else self._raised.n_state)
+        self._last = self._end + (last if self._raised is None else self._raised.n_state)
         # of metres and radians at once it is usually 0.05, where nothing is singular
         most = _SINGULAR_RATIO if len(set(task.units)) == 1 else law.SINGULAR_RATIO
         self._gains = law.ReferenceGains(
@@ -225,6 +226,11 @@ class TrackingController(Immutable, Controller):
         )  # fmt: skip
         self._continuous = robot.nq != robot.nv
         self._is_bounded = command == "torque" and bool(np.isfinite(self._most).any())
+        self._still = np.zeros(task.measured.m)
+        self._eased: law.EasedTarget | None = None
+        if self._is_bounded and task.measured.subtracts:
+            self._eased = law.EasedTarget(_EASE, 1.0 / self.speed, dt)
+        self.n_state = self._last + (0 if self._eased is None else 2 * task.measured.m + 1)
 
     def _raisable(
         self, latency: Latency, first: JointGains, strong: JointGains, gamma: Array | None
@@ -269,7 +275,10 @@ class TrackingController(Immutable, Controller):
         else:
             state[self._end :] = np.where(np.isfinite(v), v, 0.0)
         if self._raised is not None:
-            state[self._end :] = self._raised.watch.start(np.where(np.isfinite(v), v, 0.0))
+            v = np.where(np.isfinite(v), v, 0.0)
+            state[self._end : self._last] = self._raised.watch.start(v)
+        if self._eased is not None:
+            state[self._last :] = self._eased.start(measurement.x)
         state[self.resting : self._end] = self.kinematics.initial_state(measurement)
         return state
 
@@ -323,11 +332,15 @@ class TrackingController(Immutable, Controller):
         used, rates = UsedGains(self._gains.alpha, self._most, self._added), self._gains
         after = state.copy()
         if self._raised is not None:
-            after[end:], used = self._raised.step(state[end:], v)
+            after[end : self._last], used = self._raised.step(state[end : self._last], v)
             rates = rates._replace(alpha=used.alpha, alpha_dot=used.alpha_dot)
         now = self.kinematics.status(known, measurement)
-        waits, is_old = now == _LOST, now == _PREDICTED
-        J_hat, v_r, a_r, damped, is_known = self._reference(known, q, v, target, waits, rates)
+        waits, is_old, aim = now == _LOST, now == _PREDICTED, target
+        if self._eased is not None:
+            goal = target.x, *(self._still if each is None else each for each in target[1:])
+            after[self._last :], eased = self._eased.step(state[self._last :], x, goal, waits)
+            aim = Target(*eased)
+        J_hat, v_r, a_r, damped, is_known = self._reference(known, q, v, aim, waits, rates)
         learns = is_known | waits
         self.kinematics.correct(after[p:end], measurement, dt)
         e = self.task.error(x, target.x)
@@ -448,7 +461,7 @@ class TrackingController(Immutable, Controller):
         """Describe the damping that was raised until joints swing; "" if it is constant."""
         if self._raised is None:
             return ""
-        used = self._raised.used(self._own_part(state)[self._end :])
+        used = self._raised.used(self._own_part(state)[self._end : self._last])
         most = ", ".join(f"{each:.3g}" for each in used.most)
         return f"joints are damped by at most {most} N m s/rad, alpha is {used.alpha:.3g} 1/s"
 

@@ -108,6 +108,7 @@ from approxjac.law.steps import setpoint_step as setpoint_step
 from approxjac.law.torque import estimated_velocity_torque as estimated_velocity_torque
 from approxjac.law.torque import gravity as gravity
 from approxjac.law.torque import measured_velocity_torque as measured_velocity_torque
+from approxjac.law.tracking import EasedTarget as EasedTarget
 from approxjac.law.tracking import PredictedError as PredictedError
 from approxjac.law.tracking import RaisedDamping as RaisedDamping
 from approxjac.law.tracking import ReferenceGains as ReferenceGains

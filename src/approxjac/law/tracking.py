@@ -121,6 +121,46 @@ def task_velocity(
     return x_d_dot - s, x_d_ddot - s_dot
 
 
+class EasedTarget(NamedTuple):
+    """A target that is led to the real one as a critically damped oscillator, from the first x.
+
+    With d = x_r − x_d, ẍ_r = ẍ_d − 2ω(ḋ + s(½ωd)), s of `saturated`. A law that follows it with the
+    motors' torques that M̂ẍ_r asks for gets to a target that jumps, or moves off, sooner than its
+    gains could bring it there, and nothing that is measured enters it: no gain is higher.
+
+    Its memory are x_r, ẋ_r, and whether an x was seen, for an error that is x − x_d.
+    """
+
+    omega: float  # [1/s]
+    per_speed: Array  # 1/vᵢ, (m,)
+    dt: float
+
+    def start(self, x: Array) -> Array:
+        """Return the memory before the first step, with x (m,) that may be unknown."""
+        memory, known = np.zeros_like(x, shape=2 * len(x) + 1), is_finite(x)
+        memory[: len(x)] = select(known, x, memory[: len(x)])
+        memory[-1] = select(known, 1.0, 0.0)
+        return memory
+
+    def step(
+        self, memory: Array, x: Array, target: tuple[Array, Array, Array], waits: Any
+    ) -> tuple[Array, tuple[Array, Array, Array]]:
+        """Return the memory a period later, and x_r, ẋ_r and ẍ_r now, for x_d, ẋ_d and ẍ_d.
+
+        It rests while the law `waits` for a prediction.
+        """
+        m, (goal, goal_v, goal_a) = len(x), target
+        known, seen = is_finite(x), memory[-1] > 0.0
+        place = select(seen, memory[:m], select(known, x, goal))
+        velocity = select(waits, 0.0 * goal_v, memory[m:-1])
+        s, _ = saturated(0.5 * self.omega * (place - goal), 0.0 * goal, self.per_speed)
+        acceleration = goal_a - 2.0 * self.omega * (velocity - goal_v + s)
+        change = self.dt * select(waits, 0.0 * goal_v, acceleration)
+        after = place + self.dt * velocity + 0.5 * self.dt * change, velocity + change
+        found = select(seen | known, 1.0, 0.0)
+        return np.concatenate([*after, np.array([found])]), (place, velocity, acceleration)
+
+
 def reference(
     J_hat: Array,
     J_hat_dot: Array,
