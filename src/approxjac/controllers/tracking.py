@@ -21,6 +21,7 @@ from approxjac.controllers.gains.joint_gains import (
     JointGains,
     RaisedGains,
     UsedGains,
+    slow_feedback,
     strong_drives,
 )
 from approxjac.controllers.gains.sample_configurations import max_damping_rate
@@ -56,7 +57,7 @@ _OK, _SINGULAR = Status.OK, Status.NEAR_SINGULAR  # members of an enum are slow 
 _PREDICTED, _UNPREDICTED, _LOST = Status.PREDICTED, Status.NOT_PREDICTED, Status.MEASUREMENT_LOST
 _ALPHA, _SERVO_ALPHA = 6.0, 4.0  # α, that of a robot's own servo, which lags [1/s]
 _ROOM = 0.5  # κ dt λ_max(M⁻¹M̂) at most
-_EASE = 4.0  # ω of an eased target [1/s]
+_EASE = 8.0  # ω of an eased target [1/s]
 _SINGULAR_RATIO = 0.08  # of σ_max, below which Ĵ⁺ is damped
 _SHARE = 0.9  # of the speed limits of joints
 _SPEEDS = {"m": 0.5, "rad": 1.0}  # at which errors of a task are reduced
@@ -184,10 +185,12 @@ class TrackingController(Immutable, Controller):
             drives = require("drives", drives, Drives, "Drives(...) or None").of(robot)
         usual = _ALPHA if command == "torque" else _SERVO_ALPHA
 
-        def stood(drives: Drives | None) -> JointGains:
-            return JointGains.of(robot, gains.alpha, gains.kappa, usual, dt, latency, drives)
+        def stood(drives: Drives | None, slowly: bool = False) -> JointGains:
+            given = gains.alpha, gains.kappa, usual, dt, latency, drives, slowly
+            return JointGains.of(robot, *given)
 
-        first, is_own = stood(drives), dynamics is not None
+        rises = drives is None and latency is not None and command == "torque"
+        first, is_own = stood(drives, rises), dynamics is not None
         self.alpha, self.kappa = float(first.alpha.min()), first.kappa
         self._most = first.most
         self.dynamics = _learnt(robot, first, friction) if dynamics is None else dynamics
@@ -210,7 +213,8 @@ class TrackingController(Immutable, Controller):
             self.resting = self.dynamics.n_state
         self._end = self.resting + self.kinematics.n_state
         self._raised: RaisedGains | None = None
-        if drives is None and latency is not None and command == "torque":
+        if rises:
+            assert latency is not None
             strong = stood(strong_drives(robot))
             gamma = None if is_own else _learnt(robot, strong, None).gamma
             self._raised = self._raisable(latency, first, strong, gamma)
@@ -230,7 +234,12 @@ class TrackingController(Immutable, Controller):
         self._eased: law.EasedTarget | None = None
         if self._is_bounded and task.measured.subtracts:
             self._eased = law.EasedTarget(_EASE, 1.0 / self.speed, dt)
-        self.n_state = self._last + (0 if self._eased is None else 2 * task.measured.m + 1)
+        self._led = self._last + (0 if self._eased is None else 2 * task.measured.m + 1)
+        self._slow: law.SlowFeedback | None = None
+        if rises and self._is_bounded:
+            assert latency is not None
+            self._slow = slow_feedback(robot, latency, dt, first)
+        self.n_state = self._led + (0 if self._slow is None else robot.nv + task.m)
 
     def _raisable(
         self, latency: Latency, first: JointGains, strong: JointGains, gamma: Array | None
@@ -278,7 +287,7 @@ class TrackingController(Immutable, Controller):
             v = np.where(np.isfinite(v), v, 0.0)
             state[self._end : self._last] = self._raised.watch.start(v)
         if self._eased is not None:
-            state[self._last :] = self._eased.start(measurement.x)
+            state[self._last : self._led] = self._eased.start(measurement.x)
         state[self.resting : self._end] = self.kinematics.initial_state(measurement)
         return state
 
@@ -337,10 +346,15 @@ class TrackingController(Immutable, Controller):
         now = self.kinematics.status(known, measurement)
         waits, is_old, aim = now == _LOST, now == _PREDICTED, target
         if self._eased is not None:
-            goal = target.x, *(self._still if each is None else each for each in target[1:])
-            after[self._last :], eased = self._eased.step(state[self._last :], x, goal, waits)
+            goal_v, goal_a = (self._still if each is None else each for each in target[1:])
+            goal = target.x, goal_v, goal_a
+            last, led = self._last, self._led
+            after[last:led], eased = self._eased.step(state[last:led], x, goal, waits)
             aim = Target(*eased)
-        J_hat, v_r, a_r, damped, is_known = self._reference(known, q, v, aim, waits, rates)
+        w = None if self._slow is None else state[self._led + len(v) :]
+        J_hat, v_r, a_r, damped, is_known, w_dot = self._reference(
+            known, q, v, aim, waits, rates, w
+        )
         learns = is_known | waits
         self.kinematics.correct(after[p:end], measurement, dt)
         e = self.task.error(x, target.x)
@@ -348,8 +362,8 @@ class TrackingController(Immutable, Controller):
         status = law.select(damped, _SINGULAR, status)
         status = law.select(waits, _LOST, law.select(is_known, status, _UNPREDICTED))
         if self._commands is not None:
-            _, _, w, _, _ = self._reference(known, q, v_r, target, waits)
-            lag, sent = self._commands.step(state[:1], q, v, v_r, w, state[end:])
+            _, _, a_v, *_ = self._reference(known, q, v_r, target, waits)
+            lag, sent = self._commands.step(state[:1], q, v, v_r, a_v, state[end:])
             after[:1], after[end:] = lag, sent
             return after, Evaluation(sent, None, status, e, J_hat, None, reference=v_r)
         learnt: Any = {} if used.gamma is None else {"gamma": used.gamma}
@@ -359,7 +373,13 @@ class TrackingController(Immutable, Controller):
         damped = self.kappa * (self.dynamics.momentum(q, sigma) + used.added * sigma)
         if self._is_bounded:
             A = self.kappa * (self.dynamics.inertia(q) + np.diag(used.added))
-            damped = law.bounded_damping(A, damped, np.minimum(used.most, _RIGID))
+            most = np.minimum(used.most, _RIGID)
+            damped = law.bounded_damping(A, damped, most)
+            if self._slow is not None and w_dot is not None:
+                phi, at = state[self._led :][: len(v)], self._led + len(v)
+                after[self._led : at], besides = self._slow.damping(phi, sigma, A, most)
+                after[at:] = law.select(waits, 0.0 * w_dot, state[at:] + dt * w_dot)
+                damped = damped + besides
         torque = law.tracking_torque(motion, damped)
         return after, Evaluation(torque, None, status, e, J_hat, g, reference=v_r)
 
@@ -371,11 +391,16 @@ class TrackingController(Immutable, Controller):
         target: Target,
         waits: Any = False,
         gains: law.ReferenceGains | None = None,
-    ) -> tuple[Array, Array, Array, Any, Any]:
+        w: Array | None = None,
+    ) -> tuple[Array, Array, Array, Any, Any, Array | None]:
         gains = self._gains if gains is None else gains
-        predicted = self.kinematics.predict(known, q, v, target)
+        predicted, w_dot = self.kinematics.predict(known, q, v, target), None
+        if self._slow is not None and w is not None:
+            w_dot = self._slow.rate(w, predicted.z, gains.alpha, gains.per_speed)
+            gains = gains._replace(beside=(w, w_dot))
         null, motion = self._rest.velocity(q, v), positions_at(self.task.robot, q)
-        return predicted.J, *law.reference_step(predicted, v, null, waits, gains, motion)
+        found = law.reference_step(predicted, v, null, waits, gains, motion)
+        return predicted.J, *found, w_dot
 
     def _checked(
         self, state: Array, measurement: Measurement, target: Target

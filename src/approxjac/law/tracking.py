@@ -90,6 +90,7 @@ class ReferenceGains(NamedTuple):
     stops: StopZones | None = None
     shares: Array | None = None  # constant shares r > 0 of joints in the motion, (n_v,)
     alpha_dot: Any = None  # rate of α, None of a constant one
+    beside: tuple[Array, Array] | None = None  # w and its rate, taken off u, (m,) each
 
 
 def saturated(z: Array, z_dot: Array, k: float | Array) -> tuple[Array, Array]:
@@ -228,6 +229,8 @@ def reference_step(
     u, u_dot = task_velocity(
         z, z_dot, x_d_dot, x_d_ddot, gains.alpha, gains.per_speed, gains.alpha_dot
     )
+    if gains.beside is not None:
+        u, u_dot = u - gains.beside[0], u_dot - gains.beside[1]
     is_known = is_finite(np.concatenate([u, u_dot, J_hat.ravel()]))
 
     ratio, stops = (gains.singular_ratio, gains.scale), gains.stops
@@ -310,6 +313,35 @@ def bounded_damping(A: Array, A_sigma: Array, most: Array) -> Array:
         most: Largest damping of each joint > 0, (n_v,).
     """
     return most * np.linalg.solve(A + np.diag(most), A_sigma)
+
+
+class SlowFeedback(NamedTuple):
+    """Feedback of σ and z below a frequency ω₀, beside the K_σ and α that motors stand.
+
+    Behind a gear that gives way the lag of q̇ limits what a motor may damp, as the gear swings;
+    below ω₀ it does not. The law's τ has −Kφ besides, φ̇ = ω₀(σ − φ), with K = (κ₀/κ)(A − K_σ) of
+    `bounded_damping`: damping κ₀(M̂ + F) of what is slow where joints are soft, none where they are
+    stiff. Its u has −w besides, ẇ = ω₀(s(α₀z) − w), where α is below α₀, by the rest of it.
+
+    With V = V₂ + φᵀKφ/2ω₀, V̇ = −σᵀK_σσ − φᵀKφ as long as K̇ ≤ 2ω₀K: M̂ may not grow by e² within
+    1/ω₀. Without σ, z goes to zero by ∫s(α₀z)ᵀdz + wᵀw/2ω₀.
+    """
+
+    omega: float  # ω₀ [1/s]
+    share: float  # κ₀/κ
+    alpha: float  # α₀ [1/s]
+    dt: float
+
+    def damping(self, phi: Array, sigma: Array, A: Array, most: Array) -> tuple[Array, Array]:
+        """Return φ a period later, and Kφ; A and `most` are those of `bounded_damping`."""
+        A_phi = dot(A, phi)
+        after = phi + self.dt * self.omega * (sigma - phi)
+        return after, self.share * (A_phi - bounded_damping(A, A_phi, most))
+
+    def rate(self, w: Array, z: Array, alpha: Any, per_speed: float | Array) -> Array:
+        """Return ẇ beside the α of a step."""
+        rest = select(alpha < self.alpha, self.alpha - alpha, 0.0 * alpha)
+        return self.omega * (saturated(rest * z, 0.0 * z, per_speed)[0] - w)
 
 
 _PASS, _LASTS, _SWINGS = 3, 0.88, 8.0  # filters; energy that lasts, over so many half swings

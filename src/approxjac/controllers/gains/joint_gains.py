@@ -28,6 +28,8 @@ _STRONG = 2.0  # times usual rotors, up to which damping is raised
 _NO_SWING = 3e-3  # speed below which no swing counts [rad/s or m/s]
 _QUIET = 5e-3  # of a motor's effort, that noise of q̇ may cause
 _NO_MORE = 1e-3  # of a damping, which is not worth raising it
+_SLOW = 5.0  # ω₀ of slow feedback [1/s]
+_TO_LEARN, _TO_DAMP, _TO_LEAD = 0.4, 0.4, 0.2  # of the spring of what is slow: Γ, κ₀, α₀
 _OF_JOINTS = 4  # learnt parameters: inertia of the rotor, two of friction, a constant torque
 
 
@@ -51,15 +53,21 @@ class JointGains(NamedTuple):
         dt: float,
         latency: Latency | None = None,
         drives: Drives | None = None,
+        slowly: bool = False,
     ) -> JointGains:
-        """Return the gains for a lag and drives; α and κ as given, else by the motors."""
+        """Return the gains for a lag and drives; α and κ as given, else by the motors.
+
+        `slowly` is for gains beside a `law.SlowFeedback`.
+        """
         most_kappa, lag = min(_KAPPA, _STEADY / dt), latency or Latency(dt)
         alphas = np.full(robot.nv, alpha or usual_alpha)
         damping, integral = np.full(robot.nv, np.inf), min(integral_rate(lag), most_kappa)
         rotors = np.zeros(robot.nv)
         if latency is not None or drives is not None:
             # a motor feels K_σ and, by q̈_r, αM̂
-            most = motor_damping(robot, lag, drives, integral)
+            all_slow = integral_rate(lag, slowly)
+            integral = min(all_slow * (_TO_LEARN if slowly else 1.0), most_kappa)
+            most = motor_damping(robot, lag, drives, all_slow if slowly else integral)
             rotors = least_rotors(robot) if drives is None else np.asarray(drives.rotor_inertia)
             inertia = largest_inertia(robot) + rotors
             if alpha is None:
@@ -73,6 +81,14 @@ class JointGains(NamedTuple):
             integral = min(_WITHOUT_MOTORS * integral_rate(lag), most_kappa)
             fastest = min(fastest, _LATE / lag.of_velocity)
         return cls(alphas, kappa, damping, fastest, min(integral, kappa), rotors)
+
+
+def slow_feedback(robot: Robot, latency: Latency, dt: float, first: JointGains) -> law.SlowFeedback:
+    """Return what may act slowly beside the first gains: κ₀ and α₀ by the heaviest joint."""
+    spring = float((first.most / largest_inertia(robot)).min()) * integral_rate(latency, True)
+    kappa = min(_TO_DAMP * spring / _SLOW, _SLOW)
+    alpha = min(_TO_LEAD * spring / _SLOW, 0.25 * _SLOW)
+    return law.SlowFeedback(_SLOW, kappa / first.kappa, alpha, dt)
 
 
 def strong_drives(robot: Robot) -> Drives:

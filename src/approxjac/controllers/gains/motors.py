@@ -20,7 +20,7 @@ _PER_EFFORT = 1e-3  # rotor inertia over effort that any drive has [s²]
 _LEAST, _ENOUGH = 0.05, 0.075  # least rotors that are believed of light and of heavy arms [kg m²]
 _DAMPED = 0.02  # least damping ratio of a gear: without any no lag would be allowed
 _POINTS = 4000
-_LEARNT = 0.4  # spring that a joint learns, of its damping over its lag
+_LEARNT, _SLOWLY = 0.4, 0.7  # spring of what is learnt, and of all that is slow: of k over the lag
 
 
 def _lags(latency: Latency) -> tuple[float, float]:
@@ -31,9 +31,12 @@ def _lags(latency: Latency) -> tuple[float, float]:
     return delay, filtered
 
 
-def integral_rate(latency: Latency) -> float:
-    """Return P/k [1/s] of a damping k and a learnt joint torque's spring P, 0.4 over the lag."""
-    return _LEARNT / sum(_lags(latency))
+def integral_rate(latency: Latency, slowly: bool = False) -> float:
+    """Return P/k [1/s] of a damping k and a learnt joint torque's spring P, 0.4 over the lag.
+
+    Where more than that acts `slowly`, all of it is a spring of 0.7 over the lag.
+    """
+    return (_SLOWLY if slowly else _LEARNT) / sum(_lags(latency))
 
 
 def largest_rate(latency: Latency, damping_ratio: float = 0.05, integral: float = 0.0) -> float:
