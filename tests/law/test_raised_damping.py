@@ -160,7 +160,7 @@ def test_the_reference_and_its_derivative_agree_while_gains_rise(monkeypatch):
 
     def noted(*given):
         answer = usual(*given)
-        seen.append((answer[1], answer[2], given[-1].alpha, given[-1].alpha_dot))
+        seen.append((answer[1], answer[2], given[5].alpha, given[5].alpha_dot))
         return answer
 
     monkeypatch.setattr(controller, "_reference", noted)

@@ -61,6 +61,7 @@ _VISIBLE, _VISIBLE_LED, _TOOL = 1e-4, 2e-3, 0.1  # m, of motion, while led, of a
 _NOISY, _FRAME = 0.5, 0.1  # of the noise of x: what that may cause; its share in the noise
 _NO_PLACE = 1e9  # m, rad or px
 _SHAKES, _SHAKEN = 0.1, 0.1  # of the largest torque, on the average over s: else by torques
+_LAGS = 0.5  # of what torques shake by, which shows in q̇ at another time than was thought
 _STILL, _QUICK = 0.3, 0.4  # s: since the target moved; the longest period while it does
 _COMPARED, _FRAMES = 2.0, 10  # s and frames, over which x is compared with what was learnt
 _OFTEN = 0.25  # s, from one such comparison to the next
@@ -402,6 +403,7 @@ class Monitor:
         variance = (_MODEL * self._scale) ** 2 + rate**2 * self._M**2 @ self._noise
         variance += _INERTIA**2 * self._M**2 @ (rate * gains) ** 2
         variance += (_TURNED * float(np.linalg.norm(speeds[3:]))) ** 2 * (J[3:] ** 2).sum(axis=0)
+        variance += (_LAGS * self._shakes) ** 2
         friction = np.einsum("ij,jk,ik->i", rubs, self._P, rubs) + (rubs @ self._estimate) ** 2
         variance += (_STICKS * (1.0 - np.abs(slides))) ** 2 * friction  # of a joint that stands
         at_stop = self._robot.beyond_limits(q[None])[0] > -_STOP
