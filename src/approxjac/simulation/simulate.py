@@ -79,7 +79,7 @@ def diverged(t: float, duration: float, error: Exception) -> SimulationError:
     """Return the error of a loop that diverged."""
     return SimulationError(
         f"the simulation diverged at t = {t:g} of {duration:g} s: {error} (a smaller dt or smaller "
-        "gains may help; tell a law with a latency its drives=Drives() where joints have no rotors)",
+        "gains may help; drives=Drives() tells a law with a latency that joints have no rotors)",
         given=t,
     )
 
