@@ -189,8 +189,8 @@ class TrackingController(Immutable, Controller):
             given = gains.alpha, gains.kappa, usual, dt, latency, drives, slowly
             return JointGains.of(robot, *given)
 
-        rises = drives is None and latency is not None and command == "torque"
-        first, is_own = stood(drives, rises), dynamics is not None
+        is_late = latency is not None and command == "torque"
+        first, is_own = stood(drives, is_late), dynamics is not None
         self.alpha, self.kappa = float(first.alpha.min()), first.kappa
         self._most = first.most
         self.dynamics = _learnt(robot, first, friction) if dynamics is None else dynamics
@@ -213,7 +213,7 @@ class TrackingController(Immutable, Controller):
             self.resting = self.dynamics.n_state
         self._end = self.resting + self.kinematics.n_state
         self._raised: RaisedGains | None = None
-        if rises:
+        if is_late and drives is None:
             assert latency is not None
             strong = stood(strong_drives(robot))
             gamma = None if is_own else _learnt(robot, strong, None).gamma
@@ -236,7 +236,7 @@ class TrackingController(Immutable, Controller):
             self._eased = law.EasedTarget(_EASE, 1.0 / self.speed, dt)
         self._led = self._last + (0 if self._eased is None else 2 * task.measured.m + 1)
         self._slow: law.SlowFeedback | None = None
-        if rises and self._is_bounded:
+        if is_late and self._is_bounded:
             assert latency is not None
             self._slow = slow_feedback(robot, latency, dt, first)
         self.n_state = self._led + (0 if self._slow is None else robot.nv + task.m)

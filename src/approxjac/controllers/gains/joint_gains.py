@@ -85,7 +85,8 @@ class JointGains(NamedTuple):
 
 def slow_feedback(robot: Robot, latency: Latency, dt: float, first: JointGains) -> law.SlowFeedback:
     """Return what may act slowly beside the first gains: κ₀ and α₀ by the heaviest joint."""
-    spring = float((first.most / largest_inertia(robot)).min()) * integral_rate(latency, True)
+    inertia = largest_inertia(robot) + first.rotors
+    spring = float((first.most / inertia).min()) * integral_rate(latency, True)
     kappa = min(_TO_DAMP * spring / _SLOW, _SLOW)
     alpha = min(_TO_LEAD * spring / _SLOW, 0.25 * _SLOW)
     return law.SlowFeedback(_SLOW, kappa / first.kappa, alpha, dt)
