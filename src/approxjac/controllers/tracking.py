@@ -21,6 +21,7 @@ from approxjac.controllers.gains.joint_gains import (
     JointGains,
     RaisedGains,
     UsedGains,
+    is_hardly_damped,
     slow_feedback,
     strong_drives,
 )
@@ -57,7 +58,7 @@ _OK, _SINGULAR = Status.OK, Status.NEAR_SINGULAR  # members of an enum are slow 
 _PREDICTED, _UNPREDICTED, _LOST = Status.PREDICTED, Status.NOT_PREDICTED, Status.MEASUREMENT_LOST
 _ALPHA, _SERVO_ALPHA = 6.0, 4.0  # α, that of a robot's own servo, which lags [1/s]
 _ROOM = 0.5  # κ dt λ_max(M⁻¹M̂) at most
-_EASE = 8.0  # ω of an eased target [1/s]
+_EASE = 4.0  # ω of an eased target at least [1/s]
 _SINGULAR_RATIO = 0.08  # of σ_max, below which Ĵ⁺ is damped
 _SHARE = 0.9  # of the speed limits of joints
 _SPEEDS = {"m": 0.5, "rad": 1.0}  # at which errors of a task are reduced
@@ -190,7 +191,10 @@ class TrackingController(Immutable, Controller):
             return JointGains.of(robot, *given)
 
         is_late = latency is not None and command == "torque"
-        first, is_own = stood(drives, is_late), dynamics is not None
+        first, is_own = stood(drives), dynamics is not None
+        is_heavy = is_late and is_hardly_damped(robot, first)
+        if is_heavy:
+            first = stood(drives, slowly=True)
         self.alpha, self.kappa = float(first.alpha.min()), first.kappa
         self._most = first.most
         self.dynamics = _learnt(robot, first, friction) if dynamics is None else dynamics
@@ -232,11 +236,11 @@ class TrackingController(Immutable, Controller):
         self._is_bounded = command == "torque" and bool(np.isfinite(self._most).any())
         self._still = np.zeros(task.measured.m)
         self._eased: law.EasedTarget | None = None
-        if self._is_bounded and task.measured.subtracts:
+        if self._is_bounded and task.measured is task and task.subtracts:
             self._eased = law.EasedTarget(_EASE, 1.0 / self.speed, dt)
         self._led = self._last + (0 if self._eased is None else 2 * task.measured.m + 1)
         self._slow: law.SlowFeedback | None = None
-        if is_late and self._is_bounded:
+        if is_heavy:
             assert latency is not None
             self._slow = slow_feedback(robot, latency, dt, first)
         self.n_state = self._led + (0 if self._slow is None else robot.nv + task.m)
@@ -287,7 +291,9 @@ class TrackingController(Immutable, Controller):
             v = np.where(np.isfinite(v), v, 0.0)
             state[self._end : self._last] = self._raised.watch.start(v)
         if self._eased is not None:
-            state[self._last : self._led] = self._eased.start(measurement.x)
+            still = np.where(np.isfinite(v), v, 0.0)
+            begin = measurement.x, self.task.value(q), self.task.jacobian(q).dot(still)
+            state[self._last : self._led] = self._eased.start(*begin)
         state[self.resting : self._end] = self.kinematics.initial_state(measurement)
         return state
 
@@ -349,7 +355,7 @@ class TrackingController(Immutable, Controller):
             goal_v, goal_a = (self._still if each is None else each for each in target[1:])
             goal = target.x, goal_v, goal_a
             last, led = self._last, self._led
-            after[last:led], eased = self._eased.step(state[last:led], x, goal, waits)
+            after[last:led], eased = self._eased.step(state[last:led], x, goal, rates.alpha, waits)
             aim = Target(*eased)
         w = None if self._slow is None else state[self._led + len(v) :]
         J_hat, v_r, a_r, damped, is_known, w_dot = self._reference(
@@ -378,7 +384,8 @@ class TrackingController(Immutable, Controller):
             if self._slow is not None and w_dot is not None:
                 phi, at = state[self._led :][: len(v)], self._led + len(v)
                 after[self._led : at], besides = self._slow.damping(phi, sigma, A, most)
-                after[at:] = law.select(waits, 0.0 * w_dot, state[at:] + dt * w_dot)
+                moved = law.select(is_known, state[at:] + dt * w_dot, state[at:])
+                after[at:] = law.select(waits, 0.0 * moved, moved)
                 damped = damped + besides
         torque = law.tracking_torque(motion, damped)
         return after, Evaluation(torque, None, status, e, J_hat, g, reference=v_r)

@@ -125,26 +125,38 @@ def task_velocity(
 class EasedTarget(NamedTuple):
     """A target that is led to the real one as a critically damped oscillator, from the first x.
 
-    With d = x_r − x_d, ẍ_r = ẍ_d − 2ω(ḋ + s(½ωd)), s of `saturated`. A law that follows it with the
-    motors' torques that M̂ẍ_r asks for gets to a target that jumps, or moves off, sooner than its
-    gains could bring it there, and nothing that is measured enters it: no gain is higher.
+    With d = x_r − x_d, ẍ_r = ẍ_d − 2ω(ḋ + s(½ωd)), s of `saturated`, and an ω that is twice the
+    law's α, or at least `slowest`. A law that follows it with the torques that M̂ẍ_r asks for gets
+    to a target that jumps, or moves off, sooner than its gains could bring it there, and nothing
+    that is measured enters it: no gain is higher.
 
     Its memory are x_r, ẋ_r, and whether an x was seen, for an error that is x − x_d.
     """
 
-    omega: float  # [1/s]
+    slowest: float  # [1/s]
     per_speed: Array  # 1/vᵢ, (m,)
     dt: float
 
-    def start(self, x: Array) -> Array:
-        """Return the memory before the first step, with x (m,) that may be unknown."""
-        memory, known = np.zeros_like(x, shape=2 * len(x) + 1), is_finite(x)
-        memory[: len(x)] = select(known, x, memory[: len(x)])
-        memory[-1] = select(known, 1.0, 0.0)
-        return memory
+    def start(self, x: Array, x_hat: Array, velocity: Array) -> Array:
+        """Return the memory before the first step.
+
+        Args:
+            x: Measured x, (m,), that may be unknown.
+            x_hat: Believed x, which takes its place where it is two seconds of motion away.
+            velocity: Believed ẋ, (m,).
+        """
+        far = np.minimum(np.abs(self.per_speed * (x - x_hat)), 2.0)
+        known, is_near = is_finite(x), dot(far, far) < 4.0
+        x = select(known, select(is_near, x, x_hat), x_hat)
+        return np.concatenate([x, velocity, np.array([select(known, 1.0, 0.0)])])
 
     def step(
-        self, memory: Array, x: Array, target: tuple[Array, Array, Array], waits: Any
+        self,
+        memory: Array,
+        x: Array,
+        target: tuple[Array, Array, Array],
+        alpha: Any,
+        waits: Any = False,
     ) -> tuple[Array, tuple[Array, Array, Array]]:
         """Return the memory a period later, and x_r, ẋ_r and ẍ_r now, for x_d, ẋ_d and ẍ_d.
 
@@ -154,8 +166,9 @@ class EasedTarget(NamedTuple):
         known, seen = is_finite(x), memory[-1] > 0.0
         place = select(seen, memory[:m], select(known, x, goal))
         velocity = select(waits, 0.0 * goal_v, memory[m:-1])
-        s, _ = saturated(0.5 * self.omega * (place - goal), 0.0 * goal, self.per_speed)
-        acceleration = goal_a - 2.0 * self.omega * (velocity - goal_v + s)
+        omega = select(2.0 * alpha > self.slowest, 2.0 * alpha, 0.0 * alpha + self.slowest)
+        s, _ = saturated(0.5 * omega * (place - goal), 0.0 * goal, self.per_speed)
+        acceleration = goal_a - 2.0 * omega * (velocity - goal_v + s)
         change = self.dt * select(waits, 0.0 * goal_v, acceleration)
         after = place + self.dt * velocity + 0.5 * self.dt * change, velocity + change
         found = select(seen | known, 1.0, 0.0)
@@ -323,8 +336,9 @@ class SlowFeedback(NamedTuple):
     `bounded_damping`: damping κ₀(M̂ + F) of what is slow where joints are soft, none where they are
     stiff. Its u has −w besides, ẇ = ω₀(s(α₀z) − w), where α is below α₀, by the rest of it.
 
-    With V = V₂ + φᵀKφ/2ω₀, V̇ = −σᵀK_σσ − φᵀKφ as long as K̇ ≤ 2ω₀K: M̂ may not grow by e² within
-    1/ω₀. Without σ, z goes to zero by ∫s(α₀z)ᵀdz + wᵀw/2ω₀.
+    With V = V₂ + φᵀKφ/2ω₀, V̇ = −σᵀK_σσ − φᵀ(K − K̇/2ω₀)φ, negative as long as K does not grow by
+    e² within 1/ω₀, which it does with M̂ and where gains fall. Without σ, and with one speed for all
+    in s, z goes to zero by ∫s(α₀z)ᵀdz + wᵀw/2ω₀.
     """
 
     omega: float  # ω₀ [1/s]

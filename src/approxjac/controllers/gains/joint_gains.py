@@ -28,7 +28,7 @@ _STRONG = 2.0  # times usual rotors, up to which damping is raised
 _NO_SWING = 3e-3  # speed below which no swing counts [rad/s or m/s]
 _QUIET = 5e-3  # of a motor's effort, that noise of q̇ may cause
 _NO_MORE = 1e-3  # of a damping, which is not worth raising it
-_SLOW = 5.0  # ω₀ of slow feedback [1/s]
+_SLOW, _HARDLY = 5.0, 3.0  # ω₀ of slow feedback, and the rate of damping without it [1/s]
 _TO_LEARN, _TO_DAMP, _TO_LEAD = 0.4, 0.4, 0.2  # of the spring of what is slow: Γ, κ₀, α₀
 _OF_JOINTS = 4  # learnt parameters: inertia of the rotor, two of friction, a constant torque
 
@@ -81,6 +81,11 @@ class JointGains(NamedTuple):
             integral = min(_WITHOUT_MOTORS * integral_rate(lag), most_kappa)
             fastest = min(fastest, _LATE / lag.of_velocity)
         return cls(alphas, kappa, damping, fastest, min(integral, kappa), rotors)
+
+
+def is_hardly_damped(robot: Robot, gains: JointGains) -> bool:
+    """Return True if what motors may damp leaves some joint to itself for a third of a second."""
+    return float((gains.most / (largest_inertia(robot) + gains.rotors)).min()) < _HARDLY
 
 
 def slow_feedback(robot: Robot, latency: Latency, dt: float, first: JointGains) -> law.SlowFeedback:
