@@ -19,6 +19,7 @@ simulate | simulate needs the name of an arm | got none | .urdf
 simulate panda ur5 | the name of an arm | got panda ur5
 simulate pando | robot 'pando' | did you mean 'panda'
 simulate panda --settling-tim | '--settling-tim' | did you mean '--settling-time'
+simulate ur5 --controller.gravty none | '--controller.gravty' | mean '--controller.gravity'
 simulate panda --objct-length 1 | '--objct-length' | '--object-length'
 simulate panda --object-length | --object-length must be a number | got nothing | , m
 simulate panda --object-length long | --object-length must be a number | got long

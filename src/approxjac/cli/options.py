@@ -141,7 +141,8 @@ def read(
             given = Words((*given, rest.pop(0)))
         option = named.get(f"--{name[2:].replace('_', '-')}")
         if option is None:
-            usual = [each.names[0] for each in options]  # too many to list where none is near
+            short_or_dotted = -1 if "." in name else 0
+            usual = [each.names[short_or_dotted] for each in options]  # too many to list all
             near = usual if difflib.get_close_matches(name, usual, cutoff=0.5) else []
             raise UnknownNameError("option", name, f"{command} --help-all", near)
         if option.hint is bool:

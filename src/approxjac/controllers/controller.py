@@ -129,9 +129,14 @@ class Controller(ABC):
     def initial_state(self, measurement: Measurement) -> Array:
         """Return the state before the first step, shape (n_state,).
 
-        Raises the errors of `begin`.
+        Raises:
+            MeasurementError: q or q̇ is not finite. Besides, the errors of `begin`.
         """
-        own, guard = self.begin(as_measurement(measurement)), self._sample_guard
+        first, guard = as_measurement(measurement), self._sample_guard
+        if not hasattr(first.q, "arm_of") and not np.isfinite([*first.q, *first.v]).all():
+            message = f"a first measurement must have a finite q and q̇, got {measurement!r}"
+            raise MeasurementError(message, given=measurement)
+        own = self.begin(first)
         return own if guard is None else np.concatenate([own, guard.first])
 
     def step(
