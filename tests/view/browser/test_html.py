@@ -250,10 +250,10 @@ def test_the_page_of_a_path_says_how_far_it_was_left(run):
     error = np.zeros_like(run.error)
     error[10, 0] = 0.054
     facts = dict(data_of(page(dataclasses.replace(run, x_d=x_d, error=error)))["facts"])
-    assert facts["error"] == "up to 54 mm, 0 at the end"
+    assert facts["error"] == "up to 54 mm, 0 mm at the end"
     error[-1] = 2e-12
     facts = dict(data_of(page(dataclasses.replace(run, x_d=x_d, error=error)))["facts"])
-    assert facts["error"] == "up to 54 mm, below 0.001 at the end"
+    assert facts["error"] == "up to 54 mm, below 0.001 mm at the end"
 
 
 def test_a_page_is_of_the_robot_that_was_loaded(tmp_path):

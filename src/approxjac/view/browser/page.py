@@ -144,7 +144,7 @@ def _facts(run: Trajectory) -> list[tuple[str, str]]:
         sizes = norms[0], norms[-1], np.nanmax(norms)
         first, last, largest = ("below 0.001" if 0.0 < e < 1e-3 else short(e) for e in sizes)
         if (run.x_d != run.x_d[0]).any():  # a path begins where the arm is
-            facts.append(("error", f"up to {largest} {unit}, {last} at the end"))
+            facts.append(("error", f"up to {largest} {unit}, {last} {unit} at the end"))
         else:
             facts.append(("error", f"{first} → {last} {unit}"))
     counts = {"not measured": int((~np.isfinite(run.x_measured).all(axis=1)).sum())}
