@@ -1101,6 +1101,31 @@ MUTANTS = [
         "tests/law/test_raised_damping.py tests/controllers/test_tracking.py",
     ),
     (
+        "slow damping that forgets what is damped already", "law/tracking.py",
+        "self.share * (A_phi - bounded_damping(A, A_phi, most))", "self.share * A_phi",
+        "tests/law/test_slow_feedback.py",
+    ),
+    (
+        "slow feedback beside any α", "law/tracking.py",
+        "rest = select(alpha < self.alpha, self.alpha - alpha, 0.0 * alpha)",
+        "rest = self.alpha + 0.0 * alpha", "tests/law/test_slow_feedback.py",
+    ),
+    (
+        "a first x is believed however far it is", "law/tracking.py",
+        "select(known, select(is_near, x, x_hat), x_hat)", "select(known, x, x_hat)",
+        "tests/law/test_slow_feedback.py",
+    ),
+    (
+        "an eased target begins at rest", "controllers/tracking.py",
+        "self.task.jacobian(q).dot(still)", "0.0 * self.task.jacobian(q).dot(still)",
+        "tests/controllers/test_motor_damping.py",
+    ),
+    (
+        "the spring of what is slow is all learnt", "controllers/gains/joint_gains.py",
+        "all_slow * (_TO_LEARN if slowly else 1.0)", "all_slow * 1.0",
+        "tests/controllers/test_motor_damping.py",
+    ),
+    (
         "what is learnt is no spring to the motors", "controllers/gains/motors.py",
         "+ np.arctan(integral / omega)", "+ 0.0 * omega",
         "tests/controllers/test_motor_damping.py",

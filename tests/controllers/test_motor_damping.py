@@ -14,8 +14,10 @@ from approxjac.controllers import (
     ModelDynamics,
     TrackingGains,
 )
+from approxjac.controllers.gains.joint_gains import JointGains, slow_feedback
 from approxjac.controllers.gains.motors import (
     integral_rate,
+    largest_inertia,
     largest_rate,
     least_rotors,
     motor_damping,
@@ -319,3 +321,42 @@ def test_no_elastic_joint_makes_it_run_away(arm, rotor, stiffness):
 def test_as_of_rigid_joints_it_runs_away():
     rms, _ = followed("panda", Drives(0.1, 1e4), duration=2.0)
     assert rms > 30.0
+
+
+@pytest.mark.parametrize("name", ["panda", "ur10", "tiago_arm"])
+def test_what_is_slow_is_together_the_spring_that_c_allows_for(name):
+    """P, κ₀ and α₀ of the heaviest joint: 0.7 of its damping over the lag, 0.4 of that learnt."""
+    robot = aj.load_robot(name)
+    first = JointGains.of(robot, None, None, 6.0, 1e-3, LATE, None, True)
+    slow = slow_feedback(robot, LATE, 1e-3, first)
+    inertia = largest_inertia(robot) + first.rotors
+    heaviest = int((first.most / inertia).argmin())
+    allowed = integral_rate(LATE, True) * first.most[heaviest]
+    kappa, learnt = slow.share * first.kappa, first.integral * first.most[heaviest]
+    assert_allclose(learnt, 0.4 * allowed)
+    acts = learnt + slow.omega * (kappa + slow.alpha) * inertia[heaviest]
+    assert 0.4 * allowed < acts <= allowed * (1.0 + 1e-9)
+
+
+class Later:
+    """A path some seconds later."""
+
+    def __init__(self, path, by):
+        self.path, self.by = path, by
+
+    def at(self, t):
+        return self.path.at(t + self.by)
+
+
+def test_a_moving_arm_is_taken_over_on_its_path():
+    """An eased target begins with the arm's velocity: one that began at rest is 15 mm off."""
+    arm = aj.load_robot("panda")
+    plant, task = aj.Plant(arm), aj.PositionTask(arm)
+    controller = aj.TrackingController(task, latency=aj.Latency(1e-3, velocity_filter=1e-3))
+    q0 = plant.ready_configuration()
+    path = aj.Circle(plant.sensor.value(q0) - [0.08, 0.0, 0.0], 0.08, 3.0)
+    moving = aj.simulate(plant, controller, path, q0, 4.0)
+    start = aj.simulation.InitialState(moving.q[-1], moving.v[-1])
+    run = aj.simulate(plant, controller, Later(path, 4.0), start, 1.0)
+    assert moving.error_norm[-1] < 2e-3
+    assert run.error_norm.max() < 4e-3
