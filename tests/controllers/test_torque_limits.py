@@ -723,7 +723,7 @@ def test_a_first_state_has_the_torque_that_holds_the_arm(panda, rng):
 def test_the_first_torque_needs_q(panda):
     limited = aj.TorqueLimited(law_of(panda), aj.Limits(rate=100.0))
     measurement = aj.Measurement(0.0, np.full(7, np.nan), np.zeros(7), np.zeros(3))
-    with pytest.raises(MeasurementError, match="q must be finite"):
+    with pytest.raises(MeasurementError, match="must be finite"):
         answered(limited, limited.initial_state(measurement), measurement, np.zeros(3))
 
 

@@ -133,8 +133,9 @@ class Controller(ABC):
             MeasurementError: q or q̇ is not finite. Besides, the errors of `begin`.
         """
         first, guard = as_measurement(measurement), self._sample_guard
-        if not hasattr(first.q, "arm_of") and not np.isfinite([*first.q, *first.v]).all():
-            message = f"a first measurement must have a finite q and q̇, got {measurement!r}"
+        is_known = (np.isfinite(np.asarray(each)).all() for each in first[1:3])
+        if not (hasattr(first.q, "arm_of") or all(is_known)):
+            message = f"q and q̇ must be finite in a first measurement, got {measurement!r}"
             raise MeasurementError(message, given=measurement)
         own = self.begin(first)
         return own if guard is None else np.concatenate([own, guard.first])
