@@ -120,7 +120,7 @@ def test_a_target_that_jumps_is_approached_as_a_critically_damped_oscillator():
     eased = law.EasedTarget(4.0, 1e-6 * np.ones(2), 1e-4)  # without a limit of speed
     still, begin, goal = np.zeros(2), np.array([0.3, -0.1]), np.array([0.5, 0.2])
     _, found = led(
-        eased.start(begin, begin, np.zeros(2)), eased, lambda t: (goal, still, still), begin, 8000
+        eased.start(begin, np.zeros(2)), eased, lambda t: (goal, still, still), begin, 8000
     )
     t = 8.0 * 1e-4 * np.arange(8000)
     exact = goal + np.outer((1.0 + t) * np.exp(-t), begin - goal)
@@ -132,7 +132,7 @@ def test_it_is_no_faster_than_its_speed_and_follows_a_path_exactly():
     eased = law.EasedTarget(4.0, 1.0 / np.array([0.5, 0.2]), 1e-3)
     still, begin, goal = np.zeros(2), np.zeros(2), np.array([3.0, -2.0])
     _, found = led(
-        eased.start(begin, begin, np.zeros(2)), eased, lambda t: (goal, still, still), begin, 30000
+        eased.start(begin, np.zeros(2)), eased, lambda t: (goal, still, still), begin, 30000
     )
     assert (np.abs(found[:, 2:4]).max(axis=0) <= [0.5, 0.2]).all()
     assert_allclose(found[-1, :2], goal, atol=1e-3)
@@ -141,7 +141,7 @@ def test_it_is_no_faster_than_its_speed_and_follows_a_path_exactly():
         s, c = np.sin(2.0 * t), np.cos(2.0 * t)
         return 0.1 * np.array([s, c]), 0.2 * np.array([c, -s]), -0.4 * np.array([s, c])
 
-    _, found = led(eased.start(path(0.0)[0], path(0.0)[0], path(0.0)[1]), eased, path, begin, 3000)
+    _, found = led(eased.start(*path(0.0)[:2]), eased, path, path(0.0)[0], 3000)
     wanted = np.array([np.concatenate(path(1e-3 * k)) for k in range(3000)])
     assert_allclose(found, wanted, atol=2e-3)
 
@@ -150,15 +150,24 @@ def test_it_begins_where_x_is_first_seen_and_rests_while_the_law_waits():
     eased, still = law.EasedTarget(4.0, np.ones(2), 1e-3), np.zeros(2)
     lost, goal, x = np.full(2, np.nan), np.ones(2), np.array([0.2, 0.4])
     memory, found = led(
-        eased.start(lost, x, still), eased, lambda t: (goal, still, still), lost, 5, True
+        eased.start(0.5 * x, still), eased, lambda t: (goal, still, still), lost, 5, True
     )
     assert np.isfinite(memory).all()
-    assert_allclose(found[:, :2], 1.0)
+    assert_allclose(found[:, :2] - 0.5 * x, 0.0, atol=1e-12)
     memory, found = led(memory, eased, lambda t: (goal, still, still), x, 50)
     assert_allclose(found[0, :2], x)
     assert found[-1, 2] > 0.0
-    absurd = eased.start(np.full(2, 1e8), x, still)
-    assert_allclose(absurd[:2], x)
     place = found[-1, :2]
     _, found = led(memory, eased, lambda t: (goal, still, still), x, 50, True)
     assert_allclose(found[:, :2] - place, 0.0, atol=2e-3)
+
+
+def test_a_first_x_that_is_absurd_is_not_chased():
+    eased, still, x = law.EasedTarget(4.0, np.ones(2), 1e-3), np.zeros(2), np.array([0.2, 0.4])
+    for lost in (0, 20):  # x may be lost before
+        memory, goal = eased.start(x, still), lambda t: (np.ones(2), still, still)
+        memory, _ = led(memory, eased, goal, np.full(2, np.nan), lost, True)
+        memory, found = led(memory, eased, goal, np.full(2, 1e8), 1)
+        _, after = led(memory, eased, goal, x, 4000)
+        assert_allclose(found[0, :2], x)
+        assert_allclose(after[-1, :2], 1.0, atol=1e-3)

@@ -119,8 +119,8 @@ class TrackingController(Immutable, Controller):
 
     With a latency, but no drives that are told, the law begins with gains that the lightest rotors
     stand, and raises α, κM̂'s bound and the learning of dynamics until a joint swings or they are
-    those of heavy rotors (`law.RaisedDamping`): V̇₂ ≤ 0 holds with any of
-    them while they do not fall.
+    those of heavy rotors (`law.RaisedDamping`): V̇₂ ≤ 0 holds with any of them
+    while they do not fall.
 
     Its state is that of the dynamics, followed by that of the kinematics and, for velocity
     commands, the last command, else that of the raising.
@@ -282,17 +282,16 @@ class TrackingController(Immutable, Controller):
             q, _, x = arguments.require_arrays(state, measurement, x_d, self.task, self.n_state)
             require_as_believed(self.task, q, x)
         _, q, v, *_ = measurement
+        v = np.where(np.isfinite(v), v, 0.0)
         state = np.zeros_like(q, shape=self.n_state)
         if self._commands is None:
             state[: self.resting] = self.dynamics.initial_state()
         else:
-            state[self._end :] = np.where(np.isfinite(v), v, 0.0)
+            state[self._end :] = v
         if self._raised is not None:
-            v = np.where(np.isfinite(v), v, 0.0)
             state[self._end : self._last] = self._raised.watch.start(v)
         if self._eased is not None:
-            still = np.where(np.isfinite(v), v, 0.0)
-            begin = measurement.x, self.task.value(q), self.task.jacobian(q).dot(still)
+            begin = self.task.value(q), self.task.jacobian(q).dot(v)
             state[self._last : self._led] = self._eased.start(*begin)
         state[self.resting : self._end] = self.kinematics.initial_state(measurement)
         return state

@@ -137,18 +137,9 @@ class EasedTarget(NamedTuple):
     per_speed: Array  # 1/vᵢ, (m,)
     dt: float
 
-    def start(self, x: Array, x_hat: Array, velocity: Array) -> Array:
-        """Return the memory before the first step.
-
-        Args:
-            x: Measured x, (m,), that may be unknown.
-            x_hat: Believed x, which takes its place where it is two seconds of motion away.
-            velocity: Believed ẋ, (m,).
-        """
-        far = np.minimum(np.abs(self.per_speed * (x - x_hat)), 2.0)
-        known, is_near = is_finite(x), dot(far, far) < 4.0
-        x = select(known, select(is_near, x, x_hat), x_hat)
-        return np.concatenate([x, velocity, np.array([select(known, 1.0, 0.0)])])
+    def start(self, x_hat: Array, velocity: Array) -> Array:
+        """Return the memory before the first step, with x and ẋ as believed, (m,) each."""
+        return np.concatenate([x_hat, velocity, np.zeros_like(x_hat, shape=1)])
 
     def step(
         self,
@@ -160,11 +151,14 @@ class EasedTarget(NamedTuple):
     ) -> tuple[Array, tuple[Array, Array, Array]]:
         """Return the memory a period later, and x_r, ẋ_r and ẍ_r now, for x_d, ẋ_d and ẍ_d.
 
-        It rests while the law `waits` for a prediction.
+        It begins at the first x that is seen, if that is within two seconds of motion of what is
+        believed, and rests while the law `waits` for a prediction.
         """
         m, (goal, goal_v, goal_a) = len(x), target
-        known, seen = is_finite(x), memory[-1] > 0.0
-        place = select(seen, memory[:m], select(known, x, goal))
+        known, seen, place = is_finite(x), memory[-1] > 0.0, memory[:m]
+        far = np.minimum(np.abs(self.per_speed * (x - place)), 2.0)
+        is_near = known & (dot(far, far) < 4.0)
+        place = select(seen, place, select(is_near, x, place))
         velocity = select(waits, 0.0 * goal_v, memory[m:-1])
         omega = select(2.0 * alpha > self.slowest, 2.0 * alpha, 0.0 * alpha + self.slowest)
         s, _ = saturated(0.5 * omega * (place - goal), 0.0 * goal, self.per_speed)
