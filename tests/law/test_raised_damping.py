@@ -99,6 +99,24 @@ def test_an_encoder_that_counts_does_not_lower_it(bits):
     assert np.mean(after(watch, np.array(filtered))[1] == 2.0) >= 0.9
 
 
+@pytest.mark.parametrize("dt", [5e-4, 1e-3, 4e-3])
+@pytest.mark.parametrize("filtered", [0.0, 1e-3, 2e-3, 5e-3, 15e-3])
+def test_an_encoder_that_goes_to_and_fro_does_not_lower_it(dt, filtered):
+    """Between two of its counts, with every rhythm: a joint that stands at an edge."""
+    count, n = 2.0 * np.pi / 2**13, 40
+    omega = crossover(aj.Latency(dt, torque_delay=1e-3, velocity_filter=filtered))
+    q = count * (np.arange(1500)[:, None] // np.arange(1, n + 1) % 2)
+    v, filtering = np.zeros(n), []
+    for moved in np.diff(q, axis=0):
+        v = v + dt / (filtered + dt) * (moved / dt - v)
+        filtering.append(v)
+    ones, most = np.ones(n), np.inf * np.ones(n)
+    watch = law.RaisedDamping.of(
+        omega, 3e-3 * ones, (ones, 19.0 * ones), most, dt, filtered=filtered
+    )
+    assert (after(watch, np.array(filtering))[1] == 2.0).all()
+
+
 def test_no_elastic_joint_swings_far_and_each_gets_much_of_what_it_stands(rng):
     """Random links, springs and rotors, with encoders of 20 bits: 60 loops of 8 s."""
     n = 60

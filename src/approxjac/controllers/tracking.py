@@ -117,10 +117,10 @@ class TrackingController(Immutable, Controller):
     only to learn the kinematics; while it is lost, control continues with the prediction. With
     learnt kinematics the joints rest until x is first seen: q̇_r = 0, `MEASUREMENT_LOST`.
 
-    With a latency, but no drives that are told, the law begins with gains that the lightest rotors
-    stand, and raises α, κM̂'s bound and the learning of dynamics until a joint swings or they are
-    those of heavy rotors (`law.RaisedDamping`): V̇₂ ≤ 0 holds with any of them
-    while they do not fall.
+    With a latency the law begins with gains that the told rotors stand, or the lightest if none are
+    told, and raises α, κM̂'s bound and the learning of dynamics until a joint swings or they are
+    those of heavy rotors (`law.RaisedDamping`): V̇₂ ≤ 0 holds with any of them while they do not
+    fall.
 
     Its state is that of the dynamics, followed by that of the kinematics and, for velocity
     commands, the last command, else that of the raising.
@@ -143,8 +143,8 @@ class TrackingController(Immutable, Controller):
             within the URDF's limits of speed and position.
         latency: Lag of the joints' loop, from q̇ to torque. Without it, and without drives, joints
             are taken as rigid and the loop as ideal: elastic ones may diverge.
-        drives: Rotors and gears of the joints, as far as they are known; with a latency alone
-            gains are found that the joints stand. `Drives()` says that there are none.
+        drives: Rotors and gears of the joints, as far as they are known: what the gains begin
+            with. `Drives()` says that there are none.
         friction: Friction of the joints, as far as it is known, for the default dynamics, which
             learn the rest of it.
 
@@ -217,7 +217,7 @@ class TrackingController(Immutable, Controller):
             self.resting = self.dynamics.n_state
         self._end = self.resting + self.kinematics.n_state
         self._raised: RaisedGains | None = None
-        if is_late and drives is None:
+        if is_late and np.isfinite(first.most).all():
             assert latency is not None
             strong = stood(strong_drives(robot))
             gamma = None if is_own else _learnt(robot, strong, None).gamma

@@ -357,7 +357,7 @@ _OUTSTANDS, _USUAL = 3.0, 1.0  # times the usual size of what passes, over so lo
 _MEAN, _SLOWEST = 2.0, 2.0  # half swings at ω₉₀: of the energy's mean, and the longest that counts
 _FASTEST, _AT_FIRST = 7.0, 2.0  # times ω₉₀ at most; usual size at first, over the least speed
 _COARSEST, _NOTHING = 1e-3, 1e-9  # encoder's step at most [rad or m]; speed that is none of its
-_TONE, _STEP = 2.0, 0.25  # times the tone of an encoder's steps, and a step, that are noise
+_TONE, _STEP = 1.1, 0.25  # times the tone of an encoder's steps, and a step, that are noise
 _RISE, _SLOWER, _LEAVES = 0.5, 0.25, 0.5  # time to rise by e [s]; rate and damping after a swing
 _SLOWEST_RISE = 0.02  # rate [1/s]
 
@@ -384,7 +384,7 @@ class RaisedDamping(NamedTuple):
     loud: Array  # that more, over the torque that what usually passes may cause, (n_v,) [s/rad]
     dt: float
     fresh: float  # share of the latest difference of q in q̇
-    tone: float  # swing that an encoder's steps may look like, over the least change of q̇ by one
+    tone: float  # swing that a step there and back may look like, over the change of q̇ by one
 
     @classmethod
     def of(
@@ -408,8 +408,9 @@ class RaisedDamping(NamedTuple):
         """
         (of, more), half = damping, np.pi / (omega * dt)
         smooth, mean = 1.0 - np.exp([-0.7 * omega * dt, -1.0 / (_MEAN * half)])
-        fresh, tone = dt / (filtered + dt), _TONE * (filtered + dt) / (np.pi * filtered + dt)
-        parts = half, least, of / more, more / quiet, dt, fresh, tone
+        fresh = dt / (filtered + dt)
+        tone = _TONE * np.sqrt(2.0) / (2.0 - fresh) * (2.0 / (2.0 - smooth)) ** _PASS
+        parts = half, least, of / more, more / quiet, dt, fresh, float(tone)
         return cls(float(smooth), float(mean), *parts)
 
     def start(self, v: Array) -> Array:
@@ -417,7 +418,8 @@ class RaisedDamping(NamedTuple):
         n = len(v)
         memory = np.zeros_like(v, shape=(_PASS + 11) * n)
         memory[n : 2 * n], memory[2 * n : 3 * n] = 1.0 / _RISE, v
-        memory[-3 * n : -2 * n], memory[-2 * n : -n] = _AT_FIRST * self.least, v
+        memory[-3 * n : -2 * n] = _AT_FIRST * self.least
+        memory[-2 * n : -n] = v / max(1.0 - self.fresh, _NOTHING)  # before a step without a change
         memory[-n:] = _COARSEST * self.fresh / self.dt
         return memory
 
