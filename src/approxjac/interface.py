@@ -72,6 +72,7 @@ class Status(_Outcome):
         "too many bad samples in a row: the arm is held where it stops, until the controller "
         "begins anew"
     )
+    HOLDING = "the joints stand within the fine error of the target: adaptation paused"
 
 
 class LimitStatus(_Outcome):

@@ -227,6 +227,10 @@ def test_joints_that_rub_hold_still(name, friction):
         error, turns = figures(run)
         assert error <= 0.3
         assert turns == 0
+        holds, away = run.status == aj.Status.HOLDING, np.abs(run.error).max(axis=1)
+        assert holds[-1] or away[-1] > 0.1e-3
+        assert away[holds].max(initial=0.0) < 0.21e-3
+        assert np.abs(run.v[holds]).max(initial=0.0) < 1e-3
 
 
 @pytest.mark.study
@@ -246,6 +250,7 @@ def test_joints_that_do_not_rub_move_as_before(name):
         for each in (None, FrictionCompensation())
     )
     assert np.abs(plain.error_norm - rubs.error_norm).max() <= 1e-5
+    assert aj.Status.HOLDING not in rubs.status
 
 
 @pytest.mark.study

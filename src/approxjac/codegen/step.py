@@ -20,7 +20,7 @@ from approxjac.law.branches import sum_of_squares
 from approxjac.validation import Array, require
 
 _ROUND_OFF = 1e-12
-_USUAL = (Status.OK, Status.MEASUREMENT_HELD)
+_USUAL = (Status.OK, Status.MEASUREMENT_HELD, Status.HOLDING)
 
 
 def step_program(controller: Controller, *, may_lose: bool) -> Program:

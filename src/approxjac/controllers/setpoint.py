@@ -43,6 +43,7 @@ from approxjac.validation import Array, Immutable, as_number, as_vector, read_on
 _OK, _LOST = Status.OK, Status.MEASUREMENT_LOST  # members of an enum are slow to look up
 _ALPHA_SHARE = 0.3  # of the rate of the task's slow pole
 _SATURATED, _SINGULAR = Status.TORQUE_SATURATED, Status.NEAR_SINGULAR
+_HOLDING = Status.HOLDING
 _FAR, _UNLIMITED = Status.OUT_OF_REACH, LimitStatus.UNLIMITED
 
 
@@ -462,6 +463,7 @@ class SetpointController(Immutable, Controller):
                 self._rubs, state[self._p : self.resting], relative, -self._alpha * pinv_s, e, lost
             )
             torque = torque + more
+            status = law.select(state[self.resting - 1] > 0.5, _HOLDING, status)
         rate = self._no_rate[: self._p]
         if learning is not None:
             rests, far = learning.rests(torque), self.reach.is_exceeded(q, e)
