@@ -25,14 +25,16 @@ from approxjac.scenario import build_scenario, recommended
 
 IMPEDANCE = "joint impedance", "joint impedance, true model"
 LAWS = ("defaults", "operational space", *IMPEDANCE)
+IDEAL = {"drives": "ideal"}
 KINDS = {
-    "ideal": {"controller": {"limits": "none"}},
+    "ideal": {"controller": {"limits": "none"}, "true": IDEAL},
     "sensors": {
         "controller": {"limits": "none"},
         "sensor": SENSORS,
         "loop": {"actuator_delay": 2e-3},
+        "true": IDEAL,
     },
-    "stops": {"controller": {"limits": "urdf"}},
+    "stops": {"controller": {"limits": "urdf"}, "true": IDEAL},
     "joints": {
         "controller": {"limits": "urdf"},
         "sensor": SENSORS,

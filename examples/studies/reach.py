@@ -1,7 +1,8 @@
 """Reach random targets with an unknown tool, without and with joint stops and limits.
 
 All defaults: gravity is learnt, nothing is tuned for an arm. The law is the set-point law on x, and
-of the kind `simulated` what `approxjac simulate` takes: kinematics are learnt, too.
+of the kind `simulated` what `approxjac simulate` takes: kinematics are learnt, too, and joints are
+elastic and rub; `rigid` is the same with ideal joints.
 docs/studies/reaching.md has what came out.
 
     python examples/studies/reach.py --out results/reach
@@ -19,18 +20,21 @@ from reaches import ARMS, DONE, OTHERS, SOON, Case
 from approxjac.scenario import build_scenario, recommended
 
 # limits that the controller keeps
-KINDS = {"free": "none", "stops": "none", "limits": "urdf", "simulated": "urdf"}
+KINDS = {"free": "none", "stops": "none", "limits": "urdf", "rigid": "urdf", "simulated": "urdf"}
+DRIVES = {"rigid": "ideal", "simulated": "usual"}  # of the law that a simulation chooses
 WANTED = {  # shares within 4 s, and within 10 s
     "free": (0.75, 0.97),
     "limits": (0.70, 0.90),
+    "rigid": (0.75, 0.90),
     "simulated": (0.75, 0.90),
 }
 
 
 def run_case(case):
     """Run one reach."""
-    scenario = reaches.scenario(case, controller={"limits": KINDS[case.kind]})
-    built = build_scenario(recommended(scenario) if case.kind == "simulated" else scenario)
+    more = {"true": {"drives": DRIVES[case.kind]}} if case.kind in DRIVES else {}
+    scenario = reaches.scenario(case, controller={"limits": KINDS[case.kind]}, **more)
+    built = build_scenario(recommended(scenario) if case.kind in DRIVES else scenario)
     return reaches.run(case, reaches.without_stops(built) if case.kind == "free" else built)
 
 
@@ -94,7 +98,7 @@ def main(arguments=None):
     cases = [
         Case(robot, seed, kind, given.duration)
         for kind in given.kinds
-        for robot in (*given.arms, *(OTHERS if kind == "simulated" and not given.quick else ()))
+        for robot in (*given.arms, *(OTHERS if kind in DRIVES and not given.quick else ()))
         for seed in (list(given.seeds)[:2] if given.quick else given.seeds)
     ]
     outcomes = run_all(run_case, cases, given.jobs)

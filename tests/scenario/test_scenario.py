@@ -152,7 +152,12 @@ def test_a_simulation_takes_what_suits_most_arms_unless_it_is_told(parts, law, u
     chosen = recommended(scenario)
     assert (chosen.controller.law, chosen.controller.unknown) == (law, unknown)
     assert recommended(chosen) == chosen
+    its_own = law == "tracking" and not parts.get("controller", {}).get("law")
+    assert chosen.true.drives == ("usual" if its_own else None)
+    told = scenario.with_values({"true": {"drives": "ideal"}}) if its_own else chosen
+    assert recommended(told).true.drives == ("ideal" if its_own else None)
     built = build_scenario(chosen)
+    assert built.plant.transmission.is_elastic == its_own
     assert (type(built.law) is aj.TrackingController) == (law == "tracking")
     assert (built.controller.kinematics is not None) == (unknown != () or law == "tracking")
 
@@ -221,7 +226,7 @@ def test_limits_hold_where_a_rigid_joint_is_late(name, seed):
     result = run_scenario(
         Scenario(
             name,
-            true={"object": {"length": 0.2, "mass": 0.5}},
+            true={"object": {"length": 0.2, "mass": 0.5}, "drives": "ideal"},
             sensor={"noise": 5e-4, "rate": 60.0, "q_quantum": 1e-5, "velocity_filter": 5e-3},
             loop={"actuator_delay": 2e-3},
             run={"start": "random", "duration": 6.0, "seed": seed},

@@ -232,7 +232,7 @@ def _law(
 ) -> Controller:
     chosen, latency = scenario.controller, latency_of(scenario)
     constant = chosen.differentiator
-    drives = Drives() if scenario.true.drives == "ideal" else None  # else nobody knows them
+    drives = None if scenario.true.drives == "usual" else Drives()  # nobody knows the usual ones
     if chosen.law == "tracking":
         is_late = latency.torque_delay + latency.velocity_filter > 0.0
         return controllers.TrackingController(
@@ -273,16 +273,19 @@ def _law(
 
 
 def recommended(scenario: Scenario) -> Scenario:
-    """Return a scenario whose law is chosen, as for a simulation.
+    """Return a scenario whose law is chosen, as for a simulation, and joints if they are not told.
 
-    It is the tracking law with learnt kinematics, where positions or poses are measured.
+    They are the tracking law with learnt kinematics, and usual joints, where positions or poses are
+    measured.
     """
     chosen = scenario.controller
     usual = replace(type(chosen)(), limits=chosen.limits, torque_rate=chosen.torque_rate)
     learns = scenario.task.kind in ("position", "pose") and scenario.true.tracker == Tracker()
     if chosen != usual or not learns or sampling_time(scenario) == 0.0:
         return replace(scenario, controller=replace(chosen, law=chosen.law or "setpoint"))
-    return scenario.with_values({"controller": {"law": "tracking", "unknown": ["tool", "origins"]}})
+    law = {"law": "tracking", "unknown": ["tool", "origins"]}
+    joints = {"drives": scenario.true.drives or "usual"}
+    return scenario.with_values({"controller": law, "true": joints})
 
 
 def _friction(scenario: Scenario) -> controllers.FrictionCompensation | None:
@@ -318,7 +321,7 @@ def _kinematics(scenario: Scenario, task: Task) -> Kinematics:
     unknown, noise = scenario.controller.unknown, scenario.sensor.noise
     rest: dict[str, Any] = {"delay": scenario.sensor.delay, "dt": sampling_time(scenario)}
     if not isinstance(task, ImageTask):
-        noise = max(noise, _LEAST_NOISE if scenario.true.drives == "ideal" else _BENDS)
+        noise = max(noise, _BENDS if scenario.true.drives == "usual" else _LEAST_NOISE)
         return controllers.AdaptiveKinematics(task, unknown, noise=noise, angle_noise=noise, **rest)
     if isinstance(task.camera, PlanarCamera):
         noise = max(noise, _LEAST_NOISE * task.camera.magnification)

@@ -115,7 +115,8 @@ class Truth:
         friction: Viscous friction of every joint, N m s/rad.
         coulomb: Coulomb friction of every joint, N m.
         drives: Joints: "ideal", or the "usual" rotors, elastic gears and friction of geared arms
-            (friction as given, if it is).
+            (friction as given, if it is). By default ideal, but usual where a simulation chooses
+            the law.
         camera: Camera of an image task.
         tracker: Tracker with axes of its own, for x and targets; the world's by default.
         servo: Velocity servo of a robot that takes joint velocities.
@@ -128,7 +129,7 @@ class Truth:
     rotations: Vectors = field(default_factory=dict)
     friction: float = at_least(0.0)
     coulomb: float = at_least(0.0)
-    drives: Literal["ideal", "usual"] = "ideal"
+    drives: Literal["ideal", "usual"] | None = None
     camera: CameraRecord = CameraRecord()
     tracker: Tracker = Tracker()
     servo: VelocityServo = VelocityServo()
