@@ -32,8 +32,8 @@ class FrictionCompensation:
     ν is the joint velocity that the law wants (y = q̇ − ν of (10)). The torque turns with the error
     at once, where an integral would have to unwind: the joints do not hunt. F̂ grows only at joints
     that stand though they should move, and falls where one moves ahead of ν. While all joints
-    stand, gravity is not learnt: what stands tells of friction. Within half of `fine` of the target all
-    learning rests (`Status.HOLDING`) until all of it is exceeded.
+    stand, gravity is not learnt: what stands tells of friction. Within half of `fine` of the target
+    all learning rests (`Status.HOLDING`) until all of it is exceeded.
 
     x has to be as recent as q: with a late sensor, use it within a `PredictedMeasurement`.
 
