@@ -135,6 +135,32 @@ def test_the_saturation_keeps_the_motors_within_their_torques(name, rng):
 # -- latency --------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(("name", "mass"), [("ur10", 5.0), ("kinova", 2.0), ("ur3", 3.0)])
+def test_a_payload_that_is_told_is_held(name, mass):
+    """Its weight is K_p γ, or all that motors have left for a force."""
+    task = position_task(aj.load_robot(name))
+    chosen, without = tuned(task, payload=(mass, 0.2)), tuned(task)
+    weight = mass * 9.81 / chosen.gains.diagonals(3, task.robot.nv).kp.min()
+    assert_allclose(chosen.gamma, weight)
+    assert (chosen.gamma > without.gamma).all()
+    assert f"up to {mass:g} kg on 0.2 m" in str(aj.SetpointController(task, payload=(mass, 0.2)))
+
+
+def test_a_longer_tool_makes_learning_slower():
+    """The check is of an arm with a tool of the told length."""
+    shares = [
+        learning_of("ur5", SENSORS, payload=(0.0, length))[1].share for length in (0.0, 0.4, 0.8)
+    ]
+    assert shares == sorted(shares, reverse=True)
+    assert shares[-1] < shares[0]
+
+
+@pytest.mark.parametrize("payload", [(1.0,), (-1.0, 0.2), (1.0, 200.0), (np.nan, 0.1), "heavy"])
+def test_a_payload_that_is_none_is_refused(panda, payload):
+    with pytest.raises(InvalidInputError, match="payload"):
+        tuned(aj.PositionTask(panda), payload=payload)
+
+
 def test_the_rate_is_a_third_of_what_the_lag_of_x_allows_at_most():
     task = position_task(aj.load_robot("two_link"))
     for latency in (CAMERA, Latency(0.02, 0.01), Latency(image_period=0.2, image_age=0.3)):

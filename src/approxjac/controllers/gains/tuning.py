@@ -18,11 +18,11 @@ from approxjac.controllers.gains.sample_configurations import (
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import listed
 from approxjac.robots import Drives, Dynamics, GravityRegressor, Robot
-from approxjac.robots.urdf import direction
+from approxjac.robots.urdf import as_size, direction
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import FINE, require_controllable
 from approxjac.tasks.frame_tasks import FrameKinematics
-from approxjac.validation import Array, as_number
+from approxjac.validation import Array, as_number, as_vector
 
 UNKNOWN_TOOL = 0.18  # length of an unmodelled tool, as a share of the arm's reach
 
@@ -47,7 +47,8 @@ _NO_GROWTH = 1e-11  # of those of a loop without latency
 _NEARLY = 0.95  # of the damping that a loop without latency has
 _ROTORS = 3.0  # times the least ones, that learning takes account of
 _JOINTS = 0.5  # share of what motors may damp that is the joints' own
-_HELD = 0.1 * 9.81  # weight over mass of the arm that motors have to hold [m/s²]
+_HELD = 0.1  # of the arm's mass, which motors have to hold if no payload is told
+_STANDARD_GRAVITY = 9.81  # [m/s²]
 _STILL = 1e-3  # slower modes, as a share of the rate, are self-motion and what no joint feels
 
 Flags = np.ndarray[Any, np.dtype[np.bool_]]
@@ -140,8 +141,8 @@ def slow_rate(task: Task, gains: Diagonals) -> float:
     return float((gains.kp / (gains.kv + felt)).min())
 
 
-def with_unknown_tool(robot: Robot) -> Robot:
-    """Return a robot with its tip moved outwards by the usual length of an unmodelled tool."""
+def with_unknown_tool(robot: Robot, length: float | None = None) -> Robot:
+    """Return a robot with its tip moved outwards, by the usual length of an unmodelled tool."""
     if robot.tip is None:
         return robot
     joint = next(each for each in robot.tree.joints.values() if each.child == robot.tip)
@@ -150,8 +151,9 @@ def with_unknown_tool(robot: Robot) -> Robot:
         FrameKinematics(robot, frame).placement(neutral)[0] for frame in (joint.parent, robot.tip)
     )
     _, reach = robot.reach_bound(robot.tip)
-    longer = UNKNOWN_TOOL * reach if math.isfinite(reach) else 0.0
-    shift = longer * of_parent.T @ of_tip @ np.asarray(direction(robot.outward_axis()))
+    usual = UNKNOWN_TOOL * reach if math.isfinite(reach) else 0.0
+    along = np.asarray(direction(robot.outward_axis()))
+    shift = (usual if length is None else length) * of_parent.T @ of_tip @ along
     return robot.with_kinematic_error({joint.name: shift.tolist()})
 
 
@@ -213,9 +215,10 @@ class _Arm:
         regressor: GravityRegressor | None,
         latency: Latency,
         drives: Drives | None,
+        payload: tuple[float, float] | None,
     ) -> None:
         robot = task.robot
-        self.task, self.robot = task, robot
+        self.task, self.robot, self.payload = task, robot, payload
         self.postures, self.motors = sample_configurations(task), None
         self.heavy = self.postures  # with the rotors that there may be
         if drives is not None or latency.is_felt_by_motors:
@@ -239,7 +242,8 @@ class _Arm:
     @functools.cached_property
     def with_tool(self) -> Array:
         """Jacobians of the arm with an unmodelled tool at its tip, shape (k, m, n_v)."""
-        task = self.task.on(with_unknown_tool(self.robot))
+        length = None if self.payload is None else self.payload[1]
+        task = self.task.on(with_unknown_tool(self.robot, length))
         return np.array([task.jacobian(q) for q in self.postures.q[:_CHECKED]])
 
     def motion(self, gains: Diagonals) -> tuple[Array, Array]:
@@ -270,8 +274,10 @@ class _Arm:
                 motors = (left / np.linalg.norm(force[at][:, :, group], axis=2)).min(axis=1)
                 speeds = (_SPEED * fastest / np.linalg.norm(speed[:, :, group], axis=2)).min(axis=1)
             held = 0.0  # what holds a payload, even if that is fast
-            if self.motors is not None and np.array(self.task.units)[group][0] == "m":
-                held = _HELD * self.robot.mass / float(gains.kp[group].min())
+            is_felt = self.motors is not None or self.payload is not None
+            if is_felt and np.array(self.task.units)[group][0] == "m":
+                mass = _HELD * self.robot.mass if self.payload is None else self.payload[0]
+                held = mass * _STANDARD_GRAVITY / float(gains.kp[group].min())
             most = max(float(np.median(speeds)), held)
             most = min(float(np.quantile(motors, 0.25, method="lower")), most)
             gamma[group] = min(max(distance / 8.0, held), most / len(self.distance))
@@ -425,6 +431,7 @@ def tuned(
     gains: Gains | None = None,
     alpha: float | None = None,
     drives: Drives | None = None,
+    payload: tuple[float, float] | None = None,
 ) -> Tuning:
     """Return gains, saturation and learning rates for fast and robust motion to targets.
 
@@ -446,13 +453,19 @@ def tuned(
         drives: Rotors and gears, as far as they are known. With them, or if q̇ or torques are late,
             K_v and B_c are at most what motors behind elastic gears stand (`motor_damping`) in 95 %
             of postures, r ≤ (K_v + K_b)/2Λ, and γ holds a tenth of the arm's weight.
+        payload: Largest mass [kg] and length [m] of an object that is not in the model: γ holds its
+            weight if motors do, and the tool of the check is as long. By default a tenth of the
+            arm's mass where motors are counted, and 18 % of its reach.
 
     Raises:
         InvalidInputError: As `default_gains`.
     """
     latency = Latency() if latency is None else latency
     drives = None if drives is None else drives.of(task.robot)
-    arm, m, nv = _Arm(task, regressor, latency, drives), task.m, task.robot.nv
+    if payload is not None:
+        mass, length = as_vector("payload", payload, 2)
+        payload = as_size("mass of payload", mass, "kg"), as_size("length of payload", length)
+    arm, m, nv = _Arm(task, regressor, latency, drives, payload), task.m, task.robot.nv
     rates, of_rate, why = _rates(arm, latency, settling_time, gains)
     for rate in rates:
         diagonals = of_rate(rate).diagonals(m, nv)
@@ -465,6 +478,8 @@ def tuned(
     if arm.motors is not None:
         most = ", ".join(f"{each:.3g}" for each in arm.motors)
         why += f"; damping at most {most} N m s/rad, for motors behind elastic gears"
+    if payload is not None:
+        why += f"; with up to {payload[0]:g} kg on {payload[1]:g} m"
     if not stable:
         why += "; no gains passed the check: x is too late, or Ĵ too far off"
     reasons = [why]
