@@ -47,7 +47,7 @@ def require_same_terms(arm, frame, rng):
     q = np.array([arm.random_configuration(rng) for _ in range(10)])
     task, x_d = aj.PositionTask(arm, frame, "x"), np.zeros((10, 1))
     plant = aj.Plant(arm, task)
-    traced = TracedTerms([plant], task, compiles=False)
+    traced = TracedTerms([plant], task)
     found = traced.at(traced.numbers([plant] * 10), q, x_d)
     each = [vars(terms_alone(plant, plant.dynamics, task, *at)) for at in zip(q, x_d, strict=True)]
     require_same(vars(found), {name: [row[name] for row in each] for name in each[0]})
