@@ -40,6 +40,7 @@ _SPARE = 1.4  # c is at most so many times what starts need: σ² is known after
 _WORST = 120  # samples that largest periods and delays are sought with
 _HALVINGS = 7
 _FARTHEST = 1e6  # error that is looked at
+_TIMES = 90  # that an interval of it is halved
 _LONGEST = 64.0  # times the period of the loop
 
 
@@ -381,9 +382,14 @@ def sampled_test(
 
 def largest_errors(saturation: Saturation, w: Array, level: float) -> Array:
     """The largest eᵢ with wᵢSᵢ(eᵢ) ≤ c, the others being zero, shape (m,)."""
-    low, high = np.zeros(len(w)), np.full(len(w), _FARTHEST)
-    for _ in range(80):
+    return inverse(lambda e: w * saturation.S(e), np.full(len(w), level), _FARTHEST)
+
+
+def inverse(function: Callable[[Array], Array], values: Array, most: float) -> Array:
+    """Return the largest arguments ≤ most at which a growing function is ≤ values, shape (m,)."""
+    low, high = np.zeros(len(values)), np.full(len(values), most)
+    for _ in range(_TIMES):
         middle = 0.5 * (low + high)
-        inside = w * saturation.S(middle) <= level
+        inside = function(middle) <= values
         low, high = np.where(inside, middle, low), np.where(inside, high, middle)
     return low
