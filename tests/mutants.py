@@ -58,9 +58,9 @@ MUTANTS = [
         "(self.spectral_radii >= 1.0).any()", "(self.spectral_radii >= 1.0 + 1e-3).any()", GRAVITY,
     ),
     (
-        "multipliers near 1 are left out", "stability/loop/linearization.py",
-        "radii = np.exp(self.timing.frame * np.nanmax(self.values.real, axis=1))",
-        "radii = np.exp(self.timing.frame * np.nanmax(self.values.real - 1.0, axis=1))", GRAVITY,
+        "multipliers near 1 are left out", "stability/loop/closed_loop.py",
+        "np.exp(timing.frame * np.array([each.max_real_eigenvalue for",
+        "np.exp(timing.frame * np.array([each.max_real_eigenvalue - 1.0 for", GRAVITY,
     ),
     (
         "fallback without what is dear", "law/limits.py",
@@ -661,8 +661,8 @@ MUTANTS = [
     ),
     (
         "starts of any target", "stability/certificates/attraction.py",
-        "if loop.target is not None:",
-        "if loop.target is not None and False:",
+        "x_d = None if loop.target is not None else",
+        "x_d = None if loop.target is not None and False else",
         "tests/stability/test_sampled_test.py",
     ),
     (

@@ -8,7 +8,7 @@ import pytest
 
 import approxjac as aj
 from approxjac.robots import GravityRegressor
-from approxjac.stability.loop.linearization import linear_loop, spectrum
+from approxjac.stability.loop.linearization import linear_loop, stabilities
 
 AROUND = {"panda": [0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7], "ur5": [0.0, -1.2, 1.4, -1.0, -1.5, 0.0]}
 
@@ -39,7 +39,9 @@ class Late:
     def radius(self):
         """The spectral radius that is told."""
         parts = linear_loop(self.plant, self.law, self.q)
-        return float(spectrum(parts, 9.81, self.latency.in_samples()).spectral_radii[0])
+        timing = self.latency.in_samples()
+        (found,) = stabilities(parts, 9.81, timing)
+        return float(np.exp(timing.frame * found.max_real_eigenvalue))
 
     def after(self, z):
         """The state one period later: δq, q̇, what is learnt, and the torques that are under way."""
@@ -84,8 +86,8 @@ class Late:
         """The multipliers that are told: with held gravity, or as if it did not change."""
         timing, parts = self.latency.in_samples(), linear_loop(self.plant, self.law, self.q)
         parts = parts if gravity else parts._replace(G=0.0 * parts.G)
-        (values,) = spectrum(parts, 9.81, timing).values
-        return np.exp(timing.frame * values)
+        (found,) = stabilities(parts, 9.81, timing)
+        return np.exp(timing.frame * found.eigenvalues)
 
     def rate(self):
         """The rate at which the speed of a run near the target grows in its second half [1/s]."""

@@ -11,7 +11,7 @@ import approxjac as aj
 from approxjac.controllers.gains.gains import Timing
 from approxjac.robots import GravityRegressor
 from approxjac.stability.loop.closed_loop import ClosedLoop
-from approxjac.stability.loop.linearization import linear_loop, spectrum
+from approxjac.stability.loop.linearization import linear_loop, stabilities
 from approxjac.stability.loop.samples import TracedTerms, terms_alone
 from approxjac.tasks import CombinedTask, NonsingularTask, PoseTrackerTask, TrackerTask
 from approxjac.tasks.analysis import jacobian_gradient
@@ -47,7 +47,7 @@ def require_same_terms(arm, frame, rng):
     q = np.array([arm.random_configuration(rng) for _ in range(10)])
     task, x_d = aj.PositionTask(arm, frame, "x"), np.zeros((10, 1))
     plant = aj.Plant(arm, task)
-    traced = TracedTerms([plant], task, compiles=False)
+    traced = TracedTerms([plant], task)
     found = traced.at(traced.numbers([plant] * 10), q, x_d)
     each = [vars(terms_alone(plant, plant.dynamics, task, *at)) for at in zip(q, x_d, strict=True)]
     require_same(vars(found), {name: [row[name] for row in each] for name in each[0]})
@@ -181,9 +181,10 @@ def test_targets_are_what_each_gives_alone(learns, timing, rng):
     ):
         plant = loop.plants[t]
         parts = linear_loop(plant, loop.controller, each)
-        (expected,), (singular,), *_ = spectrum(parts, 9.81, timing)
+        (alone,) = stabilities(parts, 9.81, timing)
+        expected = alone.eigenvalues
         dead_time = 0.0 if timing is None else timing.dead_time
-        assert not singular
+        assert not alone.singular
         assert_allclose(rate, -expected.real.max(), rtol=1e-8)
         lasting = expected[expected.real * dead_time > -np.log(10.0)]
         assert_allclose(ratio, min(1.0, (-lasting.real / np.abs(lasting)).min()), rtol=1e-8)
@@ -199,10 +200,10 @@ def test_targets_that_do_not_feel_the_same_parameters_stand_side_by_side(two_lin
     loops = [linear_loop(plant, controller, q) for q in configurations]
     own = ("M", "G", "J", "J_hat", "J_hat_pinv", "Z")
     parts = {name: np.concatenate([getattr(each, name) for each in loops]) for name in own}
-    values, singular, unseen, _ = spectrum(loops[0]._replace(**parts), 9.81)
-    assert len(set(unseen.tolist())) == 2
-    for i, each in enumerate(loops):
-        (alone,), (its_singular,), *_ = spectrum(each, 9.81)
-        known = values[i][~np.isnan(values[i])]
-        assert_allclose(np.sort_complex(known), np.sort_complex(alone), atol=1e-8)
-        assert singular[i] == its_singular
+    together = stabilities(loops[0]._replace(**parts), 9.81)
+    assert len({found.unseen_parameters for found in together}) == 2
+    for each, found in zip(loops, together, strict=True):
+        (alone,) = stabilities(each, 9.81)
+        values, known = np.sort_complex(found.eigenvalues), np.sort_complex(alone.eigenvalues)
+        assert_allclose(values, known, atol=1e-8)
+        assert found.singular == alone.singular

@@ -5,6 +5,7 @@ import functools
 import math
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from approxjac.formatting import percent
 from approxjac.robots import GravityRegressor
 from approxjac.stability.errors.region import Region
 from approxjac.stability.rollouts.rollouts import clopper_pearson
-from approxjac.stability.rollouts.setting import _judged
+from approxjac.stability.rollouts.setting import RolloutSetting
 from approxjac.tasks.analysis import fine_error
 
 PLANE = functools.partial(aj.PositionTask, axes="xz")
@@ -257,8 +258,13 @@ def test_divergence_counts_as_not_converged(uncertainty):
         ([0.1] * 5 + [2.0] + [0.1] * 15, 6.0, True),
     ],
 )
-def test_the_last_tenth_decides(error, settling, converged):
-    assert_array_equal(_judged(np.arange(21.0), np.array(error), 1.0), (settling, converged))
+def test_the_last_tenth_decides(error, settling, converged, controller, uncertainty, monkeypatch):
+    setting = study(controller, uncertainty, REGION, dt=1.0, duration=20.0, accuracy=1.0).setting()
+    still = np.zeros((21, uncertainty.arm.nv))
+    run = SimpleNamespace(error_norm=np.array(error), tau=still, v=still, q=still)
+    monkeypatch.setattr(RolloutSetting, "simulated", lambda self, start: run)
+    judged = setting.columns(range(1))
+    assert_array_equal([*judged["settling_time"], *judged["converged"]], (settling, converged))
 
 
 def test_a_pose(panda):

@@ -9,7 +9,6 @@ from approxjac.stability.certificates.certificate import SampledTest, largest_er
 from approxjac.stability.certificates.matrix_form import SampledForm, Weights, best_weights
 from approxjac.stability.errors.region import JointBox
 from approxjac.stability.loop.closed_loop import ClosedLoop
-from approxjac.stability.loop.samples import Indices
 from approxjac.validation import Array
 
 _RATES = (0.3, 0.6, 1.2, 2.0)  # ρ that are tried [1/s]
@@ -57,16 +56,18 @@ def attraction(loop: ClosedLoop, test: SampledTest, rng: np.random.Generator) ->
     pairs = rng.uniform(-1.0, 1.0, (2, _PAIRS, n))  # of a start and a target
     pairs[:, ::2] = np.sign(pairs[:, ::2])  # corners are where errors are largest
     pairs[1, ::4] = -pairs[0, ::4]
-    robots = _robots(loop, _PAIRS, rng)
+    corners = len(loop.corners)
+    robots = np.arange(_PAIRS) % corners  # half of them corners, where there are others
+    if others := len(loop.plants) - corners:
+        robots[: _PAIRS // 2] = corners + np.arange(_PAIRS // 2) % others
+    robots = rng.permutation(robots)
 
     def errors(radius: float) -> Array:
         starts, ends = (
             np.array([pin.integrate(model, box.center, radius * motion) for motion in motions])
             for motions in pairs
         )
-        x_d = loop.terms(robots, ends).x
-        if loop.target is not None:
-            x_d = np.tile(np.asarray(loop.target), (_PAIRS, 1))
+        x_d = None if loop.target is not None else loop.terms(robots, ends).x
         return loop.terms(robots, starts, x_d).e
 
     def stays(radius: float) -> bool:
@@ -148,12 +149,3 @@ def _largest_ratio(form: SampledForm, weights: Weights) -> float:
     s = saturation.s(errors)
     positive = s > 0.0
     return float((saturation.S(errors)[positive] / s[positive] ** 2).max(initial=0.5))
-
-
-def _robots(loop: ClosedLoop, n: int, rng: np.random.Generator) -> Indices:
-    """Return true robots in any order, half of them corners where there are others; shape (n,)."""
-    corners, others = len(loop.corners), len(loop.plants) - len(loop.corners)
-    robots = np.arange(n) % corners
-    if others:
-        robots[: n // 2] = corners + np.arange(n // 2) % others
-    return rng.permutation(robots)

@@ -40,6 +40,7 @@ _SPARE = 1.4  # c is at most so many times what starts need: σ² is known after
 _WORST = 120  # samples that largest periods and delays are sought with
 _HALVINGS = 7
 _FARTHEST = 1e6  # error that is looked at
+_TIMES = 90  # that an interval of it is halved
 _LONGEST = 64.0  # times the period of the loop
 
 
@@ -231,21 +232,16 @@ def constants(samples: Samples, setting: Setting) -> dict[str, Array]:
         uniform = law.dissipation(J_hat, np.ones_like(kv), B / float(kv.max()))
         also = np.maximum(np.linalg.eigvalsh(uniform)[:, 0], 0.0)
     # the damping's αs(e)ᵀĴ⁺ᵀBq̇ is shared out by (18)
-    c1 = 0.5 * _norm((B[:, None] * G).mT)
+    c1 = 0.5 * np.linalg.norm(B[:, None] * G, 2, axis=(1, 2))
     return {
-        "p": _norm(samples.J_e - J_hat),
-        "b_J": _norm(J),
+        "p": np.linalg.norm(samples.J_e - J_hat, 2, axis=(1, 2)),
+        "b_J": np.linalg.norm(J, 2, axis=(1, 2)),
         "lambda_m": np.linalg.eigvalsh(metric)[:, -1],
         "lambda_1": smallest,
         "lambda_2": also,
         "c0": c1 + np.abs(np.linalg.eigvalsh(N)).max(axis=-1),
         "c1": c1,
     }
-
-
-def _norm(A: Array) -> Array:
-    """Return ‖A‖ of wide matrices (N, m, n), shape (N,): of AAᵀ, which takes a third of an SVD."""
-    return np.asarray(np.sqrt(np.maximum(np.linalg.eigvalsh(A @ A.mT)[:, -1], 0.0)))
 
 
 def badness(name: str, values: Array) -> Array:
@@ -381,9 +377,14 @@ def sampled_test(
 
 def largest_errors(saturation: Saturation, w: Array, level: float) -> Array:
     """The largest eᵢ with wᵢSᵢ(eᵢ) ≤ c, the others being zero, shape (m,)."""
-    low, high = np.zeros(len(w)), np.full(len(w), _FARTHEST)
-    for _ in range(80):
+    return inverse(lambda e: w * saturation.S(e), np.full(len(w), level), _FARTHEST)
+
+
+def inverse(function: Callable[[Array], Array], values: Array, most: float) -> Array:
+    """Return the largest arguments ≤ most at which a growing function is ≤ values, shape (m,)."""
+    low, high = np.zeros(len(values)), np.full(len(values), most)
+    for _ in range(_TIMES):
         middle = 0.5 * (low + high)
-        inside = w * saturation.S(middle) <= level
+        inside = function(middle) <= values
         low, high = np.where(inside, middle, low), np.where(inside, high, middle)
     return low

@@ -5,11 +5,11 @@ import numpy as np
 from approxjac.controllers import SetpointController
 from approxjac.errors import InvalidInputError, package_of
 from approxjac.robots import Friction
+from approxjac.stability.certificates.certificate import inverse
 from approxjac.stability.errors.region import require_law
 from approxjac.validation import Array, as_array, require
 
 _FAR = 1e9  # an error at which a saturation that is bounded has its bound
-_HALVINGS = 200
 
 
 def rest_error(controller: SetpointController, friction: Friction, q: Array) -> Array:
@@ -53,10 +53,5 @@ def rest_error(controller: SetpointController, friction: Friction, q: Array) -> 
     s = np.array([
         -linprog(-unit, A_ub=sides, b_ub=most, bounds=(None, None)).fun for unit in np.eye(task.m)
     ])  # fmt: skip
-    low, high = np.zeros(task.m), np.full(task.m, _FAR)
-    reached = controller.saturation.s(high) > s
-    for _ in range(_HALVINGS):  # s⁻¹, entry by entry
-        middle = 0.5 * (low + high)
-        beyond = controller.saturation.s(middle) > s
-        low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
-    return np.where(reached, high, np.inf)
+    reached = controller.saturation.s(np.full(task.m, _FAR)) > s
+    return np.where(reached, inverse(controller.saturation.s, s, _FAR), np.inf)

@@ -25,11 +25,11 @@ from approxjac.stability.loop.configurations import (
     least_regular,
 )
 from approxjac.stability.loop.linearization import (
+    LocalStability,
     LocalTest,
-    Spectrum,
     gravity_error,
     linear_loops,
-    spectrum,
+    stabilities,
 )
 from approxjac.stability.loop.samples import (
     Indices,
@@ -218,9 +218,14 @@ class ClosedLoop:
         return self.samples_at(np.full(n, truth), nearby, x_d)
 
     def terms(self, truths: Indices, configurations: Array, x_d: Array | None = None) -> Terms:
-        """Return the terms of true robots (N,) at configurations (N, nq), of targets (N, n_x)."""
+        """Return the terms of true robots (N,) at configurations (N, nq), of targets (N, n_x).
+
+        By default they have the one target, or else the task's origin, whose errors mean nothing.
+        """
         task = self.controller.task
-        x_d = np.repeat(task.origin[None], len(truths), axis=0) if x_d is None else x_d
+        if x_d is None:
+            target = task.origin if self.target is None else self.target
+            x_d = np.tile(target, (len(truths), 1))
         if self._traced is not None:
             try:
                 if new := self.plants[len(self._numbers) :]:
@@ -270,11 +275,13 @@ class ClosedLoop:
             **vars(at), truth=truths, q=configurations, x_d=x_d, J_e=J_e, s=s, slope=slope
         )
 
-    def _spectrum(self, configurations: Array, at: Terms, timing: Timing | None) -> Spectrum:
+    def _stabilities(
+        self, configurations: Array, at: Terms, timing: Timing | None
+    ) -> list[LocalStability]:
         plant, law = self.plants[0], self.controller
         parts = linear_loops(law, plant.friction, configurations, at.M, at.dg, at.J, at.J_hat)
         parts = parts._replace(**self.diagonals._asdict())
-        return spectrum(parts, float(np.linalg.norm(plant.robot.gravity)), timing)
+        return stabilities(parts, float(np.linalg.norm(plant.robot.gravity)), timing)
 
     def local_test(
         self, truths: Indices, configurations: Array, timing: Timing | None = None
@@ -284,12 +291,18 @@ class ClosedLoop:
         The first thousand are taken, of the loop as it is sampled or (None) continuous.
         """
         truths, configurations = truths[:_MOST_TARGETS], configurations[:_MOST_TARGETS]
-        spectrum = self._spectrum(configurations, self.terms(truths, configurations), timing)
-        return LocalTest(spectrum.decay_rates, spectrum.damping_ratios, configurations, truths)
+        found = self._stabilities(configurations, self.terms(truths, configurations), timing)
+        return LocalTest.of(found, configurations, truths)
 
     def spectral_radii(self, samples: Samples, latency: Latency) -> Array:
-        """Return the spectral radii of the sampled, late loop at samples as targets, (N,)."""
-        return self._spectrum(samples.q, samples, latency.in_samples()).spectral_radii
+        """Return the spectral radii of the maps from frame to frame, of samples as targets, (N,).
+
+        Below 1 where the sampled, late loop is stable; at least 1 where a target is singular.
+        """
+        timing = latency.in_samples()
+        found = self._stabilities(samples.q, samples, timing)
+        radii = np.exp(timing.frame * np.array([each.max_real_eigenvalue for each in found]))
+        return np.maximum(radii, [each.singular for each in found])
 
     def attained(self, rng: np.random.Generator) -> list[list[Array]]:
         """Return configurations of the region that attain the target, for each true robot.

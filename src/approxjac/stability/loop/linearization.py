@@ -134,99 +134,10 @@ def equilibria(loop: LinearLoop, unseen: Array, timing: Timing | None = None) ->
     return np.concatenate([*moved, np.zeros((N, frames * m, n - m))], axis=1)
 
 
-def damping_ratios(values: NDArray[np.complex128], dead_time: float) -> Array:
-    """Return the smallest −Re λ/|λ| of λ (…, k), at most 1; shape (…).
-
-    Modes that fall to a tenth within the dead time are not counted: every delay has such modes, as
-    many as samples.
-    """
-    sizes = np.abs(values)
-    lasting = (values.real * dead_time > -math.log(10.0)) & (sizes != 0.0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        ratios = -values.real / sizes
-    return np.asarray(np.min(ratios, axis=-1, initial=1.0, where=lasting))
-
+# -- one target, or the findings at many ----------------------------------------------------------
 
 _SINGULAR = 1e-10  # relative smallest singular value that counts as zero
 _NONE = 1e-11  # size of an eigenvalue relative to the largest that counts as zero
-
-
-class Spectrum(NamedTuple):
-    """Eigenvalues of a closed loop at N targets, those of the equilibria left out."""
-
-    values: NDArray[np.complex128]  # λ, (N, k) [1/s]; NaN where a target has fewer than others
-    singular: NDArray[np.bool_]  # True if more of them are zero, which decides nothing, (N,)
-    unseen: Indices  # p − rank Z, (N,)
-    timing: Timing | None
-
-    @property
-    def decay_rates(self) -> Array:
-        """−max Re λ, shape (N,) [1/s]; 0 where a target is singular."""
-        return np.where(self.singular, 0.0, -np.nanmax(self.values.real, axis=1))
-
-    @property
-    def damping_ratios(self) -> Array:
-        """Those of `LocalTest`, shape (N,)."""
-        return damping_ratios(self.values, 0.0 if self.timing is None else self.timing.dead_time)
-
-    @property
-    def spectral_radii(self) -> Array:
-        """Spectral radii of the maps from frame to frame, shape (N,).
-
-        Below 1 where the sampled loop is stable; at least 1 where a target is singular.
-        """
-        assert self.timing is not None
-        radii = np.exp(self.timing.frame * np.nanmax(self.values.real, axis=1))
-        return np.asarray(np.where(self.singular, np.maximum(radii, 1.0), radii))
-
-
-def spectrum(loop: LinearLoop, gravity: float, timing: Timing | None = None) -> Spectrum:
-    """Return the eigenvalues at targets of a loop whose gravity is exact, or learnt.
-
-    Args:
-        loop: The parts at N targets.
-        gravity: Its acceleration [m/s²].
-        timing: Of the loop as it is sampled; None is the continuous loop.
-    """
-    sizes = np.linalg.svd(loop.J @ np.linalg.solve(loop.M, loop.J_hat.mT), compute_uv=False)
-    singular = sizes[:, -1] <= _SINGULAR * sizes[:, 0]
-    columns, values, rows = np.linalg.svd(loop.Z)
-    # the columns of first moments are g times a sine: where all are 1e-16, none counts
-    ranks = (values > _SINGULAR * values.max(axis=-1, initial=gravity)[:, None]).sum(axis=-1)
-    spectra = []
-    for rank in np.unique(ranks):  # those of different ranks have spaces of different sizes
-        which = np.flatnonzero(ranks == rank)
-        own = loop.take(which)
-        A = continuous_matrix(own) if timing is None else sampled_matrix(own, timing)
-        still = equilibria(own, rows[which, rank:].mT, timing)
-        N, size, count = still.shape
-        within = np.broadcast_to(np.eye(size), (N, size, size))
-        if timing is not None:  # no learnt torques but those that joints feel
-            n = loop.M.shape[-1]
-            learnt = np.zeros((N, size, rank))
-            learnt[:, 2 * n : 3 * n] = columns[which][..., :rank]
-            within = np.concatenate([within[..., : 2 * n], learnt, within[..., 3 * n :]], axis=2)
-        basis = within @ np.linalg.qr(within.mT @ still, mode="complete")[0]
-        along, across = basis[..., :count], basis[..., count:]
-        at_rest = 0.0 if timing is None else 1.0
-        residual = np.abs(A @ along - at_rest * along).max(axis=(1, 2), initial=0.0)
-        singular[which] |= residual > 1e-9 * np.abs(A).max(axis=(1, 2))
-        spectra.append((which, np.linalg.eigvals(across.mT @ A @ across)))
-    values = np.full((len(ranks), max(each.shape[1] for _, each in spectra)), np.nan, complex)
-    for which, each in spectra:
-        values[which, : each.shape[1]] = each
-    if timing is not None:  # λ = ln(μ)/t; −∞ for a mode that is over after one frame
-        sizes, angles = np.abs(values), np.angle(values)
-        with np.errstate(divide="ignore"):
-            values.real, values.imag = np.log(sizes) / timing.frame, angles / timing.frame
-    sizes, finite = np.abs(values), np.isfinite(values)
-    smallest = np.min(sizes, axis=1, initial=np.inf, where=finite)
-    singular |= smallest <= _NONE * np.max(sizes, axis=1, initial=0.0, where=finite)
-    return Spectrum(values, singular, loop.Z.shape[-1] - ranks, timing)
-
-
-# -- one target, or the findings at many ----------------------------------------------------------
-
 _EXACT = 1e-6  # relative error of a gravity compensation that counts as none
 _NEAR = 1e-2  # how far from the target gravity is compared [rad or m]
 _MOST_STATES = 1000  # eigenvalues of more take many seconds
@@ -273,9 +184,12 @@ class LocalStability:
     def damping_ratio(self) -> float:
         """Smallest −Re λ by the size of λ (1 does not oscillate, 0 does for ever, below 0 grows).
 
-        Of the sampled loop, modes that fall to a tenth within the dead time are not counted.
+        Of the sampled loop, modes that fall to a tenth within the dead time are not counted: every
+        delay has such modes, as many as samples.
         """
-        return float(damping_ratios(self.eigenvalues, self.dead_time))
+        values = self.eigenvalues[self.eigenvalues != 0.0]
+        lasting = values[values.real * self.dead_time > -math.log(10.0)]
+        return float((-lasting.real / np.abs(lasting)).min(initial=1.0))
 
     @property
     def stable(self) -> bool:
@@ -341,18 +255,62 @@ def local_stability(
         return _by_differences(plant, controller, q, timing)
     _require_gravity(plant, law, q)
     gravity = float(np.linalg.norm(plant.robot.gravity))
-    (values,), (singular,), (unseen,), _ = spectrum(linear_loop(plant, law, q), gravity, timing)
-    return _stability(values, plant.robot.nv - plant.sensor.m, int(unseen), bool(singular), timing)
+    return stabilities(linear_loop(plant, law, q), gravity, timing)[0]
+
+
+def stabilities(
+    loop: LinearLoop, gravity: float, timing: Timing | None = None
+) -> list[LocalStability]:
+    """Return the eigenvalues at each target of a loop whose gravity is exact, or learnt.
+
+    Args:
+        loop: The parts at N targets.
+        gravity: Its acceleration [m/s²].
+        timing: Of the loop as it is sampled; None is the continuous loop.
+    """
+    sizes = np.linalg.svd(loop.J @ np.linalg.solve(loop.M, loop.J_hat.mT), compute_uv=False)
+    singular = sizes[:, -1] <= _SINGULAR * sizes[:, 0]
+    columns, values, rows = np.linalg.svd(loop.Z)
+    # the columns of first moments are g times a sine: where all are 1e-16, none counts
+    ranks = (values > _SINGULAR * values.max(axis=-1, initial=gravity)[:, None]).sum(axis=-1)
+    found: list[Any] = [None] * len(ranks)
+    for rank in np.unique(ranks):  # those of different ranks have spaces of different sizes
+        which = np.flatnonzero(ranks == rank)
+        own = loop.take(which)
+        A = continuous_matrix(own) if timing is None else sampled_matrix(own, timing)
+        still = equilibria(own, rows[which, rank:].mT, timing)
+        N, size, count = still.shape
+        n, m = loop.M.shape[-1], loop.J.shape[-2]
+        within = np.broadcast_to(np.eye(size), (N, size, size))
+        if timing is not None:  # no learnt torques but those that joints feel
+            learnt = np.zeros((N, size, rank))
+            learnt[:, 2 * n : 3 * n] = columns[which][..., :rank]
+            within = np.concatenate([within[..., : 2 * n], learnt, within[..., 3 * n :]], axis=2)
+        basis = within @ np.linalg.qr(within.mT @ still, mode="complete")[0]
+        along, across = basis[..., :count], basis[..., count:]
+        at_rest = 0.0 if timing is None else 1.0
+        residual = np.abs(A @ along - at_rest * along).max(axis=(1, 2), initial=0.0)
+        singular[which] |= residual > 1e-9 * np.abs(A).max(axis=(1, 2))
+        unseen = loop.Z.shape[-1] - int(rank)
+        for k, own_values in zip(which, np.linalg.eigvals(across.mT @ A @ across), strict=True):
+            found[k] = _stability(own_values, n - m, unseen, singular[k], timing)
+    return found
 
 
 def _stability(
-    values: NDArray[np.complex128],
+    values: NDArray[np.complex128],  # λ, or with a timing μ, of the rest of the state
     self_motion: int,
     unseen: int,
     singular: bool,
     timing: Timing | None,
 ) -> LocalStability:
-    dt, dead_time = (None, 0.0) if timing is None else (timing.dt, timing.dead_time)
+    values, dt, dead_time = values.astype(np.complex128), None, 0.0
+    if timing is not None:  # λ = ln(μ)/t; −∞ for a mode that is over after one frame
+        dt, dead_time, sizes, angles = timing.dt, timing.dead_time, np.abs(values), np.angle(values)
+        with np.errstate(divide="ignore"):
+            values.real, values.imag = np.log(sizes) / timing.frame, angles / timing.frame
+    sizes = np.abs(values[np.isfinite(values)])
+    singular = bool(singular or sizes.min(initial=np.inf) <= _NONE * sizes.max(initial=0.0))
     values = values[np.argsort(-values.real)]
     return LocalStability(values, self_motion, unseen, singular, dt, dead_time)
 
@@ -401,6 +359,12 @@ class LocalTest:
     damping_ratios: Array
     q: Array
     truth: Indices
+
+    @classmethod
+    def of(cls, found: Sequence[LocalStability], q: Array, truth: Indices) -> LocalTest:
+        """Return the verdict of what was found at configurations (N, nq)."""
+        rates = [0.0 if each.singular else each.decay_rate for each in found]
+        return cls(np.array(rates), np.array([each.damping_ratio for each in found]), q, truth)
 
     def __repr__(self) -> str:
         stable = f"stable at {100 * self.share:.4g} % of {len(self.q)} configurations"
@@ -568,9 +532,8 @@ def numerical_stability(
     moving = int((np.linalg.svd(along[:n], compute_uv=False) > _IN_Q).sum()) if at_rest.any() else 0
     values = np.linalg.eigvals(across.T @ A @ across).astype(np.complex128)
     singular = moving > n - sensor.m or np.abs(values).min() <= _ZERO * np.abs(values).max()
-    if timing is not None:  # λ = ln(μ)/dt; −∞ for a mode that is over after one sample
-        with np.errstate(divide="ignore"):
-            values = np.asarray(np.log(1.0 + timing.dt * values) / timing.dt, np.complex128)
+    if timing is not None:
+        values = 1.0 + timing.dt * values
     return _stability(values, moving, int(at_rest.sum()) - moving, bool(singular), timing)
 
 

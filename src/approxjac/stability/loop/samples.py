@@ -6,8 +6,6 @@ import functools
 import importlib.util
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import chain
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +14,6 @@ from approxjac.codegen.arm import traced_tasks as tasks
 from approxjac.codegen.arm.arm_numbers import ArmNumbers, arm_numbers
 from approxjac.codegen.arm.rigid_body import Arm
 from approxjac.codegen.backends.llvm import LlvmLanes, packed, unpacked
-from approxjac.codegen.backends.numpy_function import numpy_function
 from approxjac.codegen.trace.derivatives import rates
 from approxjac.codegen.trace.program import Program
 from approxjac.codegen.trace.symbols import Symbols, symbols
@@ -86,14 +83,13 @@ class TracedTerms(Immutable):  # in another process a copy makes machine code of
     Args:
         plants: True robots and their sensors, which differ in all that will ever differ.
         task: The believed task.
-        compiles: True if it becomes machine code; by default where llvmlite is installed.
 
     Raises:
         InvalidInputError, TypeError, ValueError: What takes no symbols, has loops to be
             differentiated, or sensors that differ in more than numbers of cameras.
     """
 
-    def __init__(self, plants: Sequence[Plant], task: Task, compiles: bool | None = None) -> None:
+    def __init__(self, plants: Sequence[Plant], task: Task) -> None:
         sensor, robot = plants[0].sensor, plants[0].robot
         self._frames = tasks.frames(sensor)
         program = self._program = Program()
@@ -119,11 +115,7 @@ class TracedTerms(Immutable):  # in another process a copy makes machine code of
         terms = Terms(x, tasks.error(own, x, x_d), J, J_hat, dJ_hat, M, gradient(M), g, gradient(g))
         self._shapes = {name: np.shape(each) for name, each in vars(terms).items()}
         program.step(vars(terms))
-        if compiles is None:
-            compiles = importlib.util.find_spec("llvmlite") is not None
-        self._lanes = LlvmLanes(program, effort=0) if compiles else None
-        flat = [*chain(*program.stepped.values())]
-        self._function: Any = None if compiles else numpy_function(program.graph, flat)
+        self._lanes = LlvmLanes(program, effort=0)
         self._require_alike(plants, task)
 
     def _require_alike(self, plants: Sequence[Plant], task: Task) -> None:
@@ -149,34 +141,27 @@ class TracedTerms(Immutable):  # in another process a copy makes machine code of
     def at(self, numbers: Array, q: Array, x_d: Array) -> Terms:
         """Return the terms of robots with some numbers (N, n), each at a q with a target."""
         columns = np.concatenate([q, x_d], axis=1)
-        rows = np.empty((len(q), self._program.n_rows))
+        rows = np.zeros((len(q), self._program.n_rows))
+        rows[:, : columns.shape[1]] = columns
         for start in range(0, len(q), _PORTION):
             at = slice(start, start + _PORTION)
-            rows[at] = self._portion(numbers[at], columns[at])
+            kept, parameters = (packed(each[at], self._lanes.width) for each in (rows, numbers))
+            self._lanes.run(kept, parameters)
+            rows[at] = unpacked(kept, len(rows[at]))
         parts = {}
         for name, shape in self._shapes.items():
             first, size = self._program.rows[name]
             parts[name] = rows[:, first : first + size].reshape(-1, *shape)
         return Terms(**parts)
 
-    def _portion(self, numbers: Array, columns: Array) -> Array:
-        program, (N, given) = self._program, columns.shape
-        if self._lanes is None:
-            places = (program.rows, columns.T), (program.parameters, numbers.T)
-            named = {k: a[at : at + n] for each, a in places for k, (at, n) in each.items()}
-            results = np.broadcast_arrays(columns[:, 0], *self._function(**named))
-            return np.column_stack([columns, *results[1:]])
-        rows = np.zeros((N, program.n_rows))
-        rows[:, :given] = columns
-        kept, parameters = (packed(each, self._lanes.width) for each in (rows, numbers))
-        self._lanes.run(kept, parameters)
-        return unpacked(kept, N)
-
 
 @functools.lru_cache(maxsize=8)
 def traced_terms(truth: Plant | Uncertainty, task: Task) -> TracedTerms | None:
-    """Return the terms of true robots as one function; None where they are not to be traced."""
-    if task.robot.nv > _MOST_JOINTS:
+    """Return the terms of true robots as one function; None where they are not to be traced.
+
+    Or without llvmlite: on arrays of NumPy it is no faster than `terms_alone`.
+    """
+    if task.robot.nv > _MOST_JOINTS or importlib.util.find_spec("llvmlite") is None:
         return None
     plants = [truth] if isinstance(truth, Plant) else []
     if isinstance(truth, Uncertainty):

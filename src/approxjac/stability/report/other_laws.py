@@ -13,7 +13,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.formatting import percent, plain, wrapped
 from approxjac.simulation import Sensing
 from approxjac.stability.loop.configurations import inverse_kinematics
-from approxjac.stability.loop.linearization import LocalTest, local_stability
+from approxjac.stability.loop.linearization import LocalStability, LocalTest, local_stability
 from approxjac.stability.rollouts.rollouts import Rollouts
 from approxjac.stability.rollouts.setting import RolloutSetting
 from approxjac.stability.rows import Row, about_timing, as_json, as_text
@@ -124,7 +124,7 @@ def near_targets(
         velocity_filter=latency.velocity_filter or None,
     )
     setting = replace(setting, sensing=late, actuator_delay=latency.torque_delay)
-    results, where, indices, refused = [], [], [], Counter[str]()
+    results, where, indices, refused = list[LocalStability](), [], [], Counter[str]()
     count = min(count, _MOST_TARGETS)
     for k in range(count):
         tell(k / count)
@@ -136,14 +136,12 @@ def near_targets(
             refused["no configuration near the start attains the target"] += 1
             continue
         try:
-            local = local_stability(start.plant, setting.controller, q, setting.dt)
+            results.append(local_stability(start.plant, setting.controller, q, setting.dt))
         except InvalidInputError as error:
             refused[str(error).split(", got ")[0]] += 1
             if k == 0:  # of the law, not of the target
                 break
             continue
-        results.append((0.0 if local.singular else local.decay_rate, local.damping_ratio))
         where.append(q)
         indices.append(k)
-    rates, ratios = np.array(results).reshape(-1, 2).T
-    return LocalTest(rates, ratios, np.array(where), np.array(indices, dtype=int)), refused
+    return LocalTest.of(results, np.array(where), np.array(indices, dtype=int)), refused

@@ -375,9 +375,8 @@ def usual_errors(report: StabilityReport) -> Array:
     loop, rng = report.loop, np.random.default_rng(report.seed)
     truths = np.arange(_DRAWN) % len(loop.corners)
     q, ends = (loop.seen(truths, loop.region.sample(_DRAWN, rng), rng) for _ in range(2))
-    if loop.target is None:
-        return loop.terms(truths, q, loop.terms(truths, ends).x).e
-    return loop.terms(truths, q, np.tile(np.asarray(loop.target), (_DRAWN, 1))).e
+    x_d = None if loop.target is not None else loop.terms(truths, ends).x
+    return loop.terms(truths, q, x_d).e
 
 
 def _about(report: StabilityReport) -> Iterator[Row]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from approxjac.codegen.arm import traced_tasks as tasks
-from approxjac.codegen.lanes import Box, Lanes, LaneStart
+from approxjac.codegen.lanes import OUTCOME, Box, Lanes, LaneStart
 from approxjac.codegen.loop_program import loop_key
 from approxjac.controllers import SetpointController
 from approxjac.controllers.controller import Controller
@@ -184,47 +184,44 @@ class RolloutSetting:
             computation=Computation("semi_implicit_euler"),
         )  # fmt: skip
 
-    def _of_python(self, start: Start) -> Rollout:
-        begins = start.index, start.values, start.q, start.target
+    def _outcome(self, start: Start) -> tuple[float, ...]:
+        """Return the `OUTCOME` of a run in Python."""
         try:
             record = self.simulated(start)
         except SimulationError:
-            return Rollout(*begins, math.inf, math.nan, math.nan, math.nan, False, True, False)
-        settling, converged = _judged(record.t, record.error_norm, self.accuracy)
-        final = float(record.error_norm[-1])
-        return Rollout(
-            *begins,
-            final_error=math.inf if math.isnan(final) else final,
-            settling_time=settling,
-            peak_torque=float(np.abs(record.tau / start.plant.motor_limits).max()),
-            peak_speed=float(np.abs(record.v / start.plant.robot.velocity_limits).max()),
-            converged=converged,
-            diverged=False,
-            stayed=all(bool(self.region.contains(q)) for q in record.q),
+            return -1.0, math.inf, math.nan, math.nan, 1.0, 1.0, 0.0
+        bad = np.flatnonzero(~(record.error_norm < self.accuracy)).max(initial=-1)
+        return (
+            -1.0 if bad < 0 else min(bad * self.every, self.steps),
+            float(record.error_norm[-1]),
+            float(np.abs(record.tau / start.plant.motor_limits).max()),
+            float(np.abs(record.v / start.plant.robot.velocity_limits).max()),
+            not all(map(self.region.contains, record.q)),
+            0.0,
+            0.0,
         )
 
     def columns(self, indices: range) -> dict[str, Array]:
         """Return some runs, as columns; with a copy of this, where others go on meanwhile."""
+        lanes, own = None, self
         if self.engine == "lanes":
-            return self._of_lanes(indices)
-        rows = [vars(self._of_python(self.start(index))) for index in indices]
-        return {name: np.array([row[name] for row in rows]) for name in COLUMNS}
-
-    def _of_lanes(self, indices: range) -> dict[str, Array]:
-        """Return runs in lanes, as columns; those that lanes leave are runs in Python."""
-        lanes, starts, begun = _lanes_of(self), [], []
-        moving = replace(self, uncertainty=self.uncertainty.moving())
+            lanes, own = _lanes_of(self), replace(self, uncertainty=self.uncertainty.moving())
+        starts, ran = [], list[Any]()
         for index in indices:
-            start = moving.start(index)
+            start = own.start(index)
             starts.append((index, start.values, start.q, start.target))
-            begun.append(start.lane_start(self.controller, lanes.frames))
-        last: dict[str, Any] = lanes.run(begun, self.every)
+            begun = None if lanes is None else start.lane_start(self.controller, lanes.frames)
+            ran.append(begun or self._outcome(start))
+        last = lanes.run(ran, self.every) if lanes else dict(zip(OUTCOME, np.array(ran).T))  # noqa: B905
+        for k in np.flatnonzero(last["left"]):  # those that lanes leave are runs in Python
+            for name, value in zip(OUTCOME, self._outcome(self.start(indices[k])), strict=True):
+                last[name][k] = value
         diverged, last_bad = last["diverged"] > 0.0, last["last_bad"]
         settled = (last_bad < self.steps) & ~diverged
         after = np.where(last_bad < 0.0, 0.0, (last_bad // self.every + 1) * self.every)
         after = np.minimum(after, self.steps)  # the last instant is recorded, too
         columns: dict[str, Any] = dict(zip(COLUMNS, map(np.array, zip(*starts, strict=True))))  # noqa: B905
-        columns |= {
+        return columns | {
             "final_error": np.where(diverged | np.isnan(last["error"]), math.inf, last["error"]),
             "settling_time": np.where(settled, after * self.dt, math.nan),
             "peak_torque": np.where(diverged, math.nan, last["torque"]),
@@ -233,10 +230,6 @@ class RolloutSetting:
             "diverged": diverged,
             "stayed": (last["outside"] == 0.0) & ~diverged,
         }
-        for k in np.flatnonzero(last["left"]):
-            for name, value in vars(self._of_python(self.start(indices[k]))).items():
-                columns[name][k] = value
-        return columns
 
 
 def with_engine(
@@ -297,14 +290,6 @@ def _sharing(settings: list[RolloutSetting]) -> list[RolloutSetting]:
         for k in group:
             shared[k] = replace(shared[k], key=key, alike=alike)
     return shared
-
-
-def _judged(t: Array, error: Array, tolerance: float) -> tuple[float, bool]:
-    """Settling time, and whether the error was below the tolerance in all of the last tenth."""
-    below = error < tolerance
-    last_tenth = t >= (0.9 - 1e-9) * t[-1]
-    settling = np.append(t, math.nan)[np.flatnonzero(~below).max(initial=-1) + 1]
-    return float(settling), bool(below[last_tenth].all())
 
 
 _lanes: dict[bytes, Lanes] = {}
