@@ -115,8 +115,10 @@ def build_scenario(
             q0 = starts.configuration_of(truth, "run.start", start)
         else:
             q0 = plant.ready_configuration() if start is None else draw()
-        goal = draw if start == "random" else partial(starts.straight_ahead, sensor, q0, draw)
-        target = _target(sensor, q0, scenario, goal)
+        floor = starts.floor_below(truth) if true.floor is None else true.floor
+        if start != "random":
+            draw = partial(starts.straight_ahead, sensor, q0, draw, floor)
+        target = _target(sensor, q0, scenario, draw)
     kinematics = _kinematics(scenario, task) if chosen.unknown else None
     law = controller = _law(scenario, task, truth, q0, kinematics)
     if limits is not None and chosen.command == "torque":
@@ -251,13 +253,11 @@ def _law(
     elif limits_of(scenario, task.robot) is not None and task.robot.nv > task.m:
         posture = controllers.AwayFromStops()
     gains: controllers.Gains | None = None
+    rule: dict[str, Any] = {"settling_time": chosen.settling_time, "drives": drives}
     given = {"kp": chosen.kp, "kv": chosen.kv, "damping": chosen.damping}
-    if any(given.values()):  # those of the rule stand beside them
-        usual = controllers.tuned(
-            task, latency, settling_time=chosen.settling_time, drives=drives
-        ).gains
-        said = {name: value for name, value in given.items() if value is not None}
-        gains = replace(usual, **{k: v[0] if len(v) == 1 else v for k, v in said.items()})
+    said = {k: v[0] if len(v) == 1 else v for k, v in given.items() if v is not None}
+    if said:  # those of the rule stand beside them
+        gains = replace(controllers.tuned(task, latency, **rule).gains, **said)
     return controllers.SetpointController(
         task,
         gains,
@@ -266,9 +266,8 @@ def _law(
         velocity=None if constant is None else controllers.DifferentiatedVelocity(constant),
         posture=posture,
         latency=latency,
-        settling_time=chosen.settling_time,
-        drives=drives,
         friction=_friction(scenario),
+        **rule,
     )
 
 

@@ -111,10 +111,8 @@ def analyse(
         tolerances = study.tolerance(progress=progress)
     map_ = None
     if uncertainty is not None and analysis.map_points:
-        points = {
-            name: _values(name, report.loop, uncertainty, analysis.map_points)
-            for name in analysis.map
-        }
+        n = analysis.map_points
+        points = {name: _values(name, report.loop, uncertainty, n) for name in analysis.map}
         unlimited = replace(study, controller=report.loop.controller)
         map_ = unlimited.map(points, analysis.map_runs, execution=execution, progress=progress)
     return StabilityResult(scenario, study, report, tolerances, map_)

@@ -338,8 +338,8 @@ class Run:
 
     Attributes:
         start: Joint positions, rad or m, or "random" by the seed; far from singular by default.
-        target: Value or path of the task; by default random by the seed, where no joint stop bars
-            the straight way from the start unless that is random, too.
+        target: Value or path of the task; by default random by the seed: unless the start is, too,
+            above the floor that the arm stands on, and where no joint stop bars the straight way.
         duration: Length of the run, s.
         tolerance: Error below which it is done, m, rad or px; by default 1e-3 m and rad or three
             times the noise, 0.5 px or the noise; of a path a twentieth of how far it leads from its
