@@ -237,10 +237,11 @@ def _law(
     drives = Drives() if scenario.true.drives == "ideal" else None  # else nobody knows them
     if chosen.law == "tracking":
         is_late = latency.torque_delay + latency.velocity_filter > 0.0
+        known = controllers.ModelDynamics(task.robot) if chosen.gravity == "believed" else None
         return controllers.TrackingController(
             task,
             kinematics=controllers.KnownKinematics(task) if kinematics is None else kinematics,
-            dynamics=None if chosen.gravity == "learnt" else controllers.ModelDynamics(task.robot),
+            dynamics=known,
             dt=sampling_time(scenario),
             command=chosen.command,
             # with a lag, or joints that give way, it has to know both
@@ -290,25 +291,25 @@ def _friction(scenario: Scenario) -> controllers.FrictionCompensation | None:
     if wanted is None:
         exact = sensor.delay == sensor.noise == 0.0 and sensor.rate is None
         is_recent = bool(chosen.unknown) or (exact and chosen.differentiator is None)
-        learns = chosen.gravity in ("learnt", "learn_residual")
+        learns = chosen.gravity in (None, "learnt", "learn_residual")
         wanted = learns and is_recent and sampling_time(scenario) > 0.0
     if not wanted:
         return None
     return controllers.FrictionCompensation(encoder_step=sensor.q_quantum)
 
 
-def _gravity(truth: Robot, belief: Robot, kind: str, integral_action: bool | None) -> Gravity:
-    if kind in ("learnt", "learn_residual"):
-        nothing = 0.0 if integral_action is False else None
+def _gravity(truth: Robot, belief: Robot, kind: str | None, integral: bool | None) -> Gravity:
+    if kind in (None, "learnt", "learn_residual"):
+        nothing = 0.0 if integral is False else None
         theta0 = 0.0 if kind == "learn_residual" else None
         return AdaptiveGravity(belief, theta0=theta0, task_force=nothing, joint_torque=nothing)
     if kind == "exact":
         regressor = GravityRegressor(belief)
         theta = regressor.fit(truth)[0]
-        if integral_action:
+        if integral:
             return AdaptiveGravity(regressor, L=0.0, theta0=theta)
         return controllers.RegressorGravity(regressor, theta)
-    if integral_action:
+    if integral:
         return AdaptiveGravity(belief, L=0.0, theta0=0.0 if kind == "none" else None)
     return controllers.NoGravity(belief) if kind == "none" else controllers.ModelGravity(belief)
 

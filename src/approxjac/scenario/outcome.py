@@ -223,7 +223,7 @@ class RunResult:
         if moved < 0.1 * size[-1] and np.abs(run.v[-1]).max() < _AT_REST:
             if self._learns(last) and size[-1] < 0.99 * size[last][0]:
                 return "still learning: the error shrinks as what lacks is learnt"
-            learnt = self.built.scenario.controller.gravity in ("learnt", "learn_residual")
+            learnt = self.built.scenario.controller.gravity in (None, "learnt", "learn_residual")
             weight = "" if learnt else ", or gravity is not compensated as it is"
             return f"came to rest away from its target: out of reach, blocked, friction{weight}"
         if not stands:

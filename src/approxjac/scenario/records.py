@@ -210,16 +210,16 @@ class ControllerChoice:
     """The law, its gains, and its limits.
 
     Attributes:
-        law: "setpoint", the paper's; or "tracking", the adaptive tracking law, for paths, too.
-            Unless the controller has other options, a simulation of position or pose learns tool
-            and origins, and tracks if x, q̇ or torques are late or there is a path.
+        law: "setpoint", the paper's; or "tracking", adaptive, for paths, too. Without other options
+            but limits a simulation of position or pose tracks, and learns tool and origins.
         unknown: Parts of the kinematics that are learnt from x (tool, origins, camera, offset,
             scale): then x̂ is controlled. Of an image "camera" is its pose and focal length, and
             "tool" where the points are.
         command: "torque", or "velocity" for robots that take joint velocities (law "tracking").
         differentiator: Time constant of Ẋ from the differentiated x, s: law (5), or law (6).
-        gravity: Gravity that is compensated: learnt (law (28)), the true one, the believed one or
-            none; or a learnt residual, for robots that add the believed arm's (Franka, UR).
+        gravity: Gravity that is compensated: learnt (law (28), or with all dynamics, tracking), by
+            default; the true one, the believed one or none; or a learnt residual, for robots that
+            add the believed arm's (Franka, UR).
         integral_action: Learn a task force and joint torques; by default if gravity is learnt.
         friction_compensation: Learn the friction of joints that stand; by default if gravity is
             learnt and x is as recent as q.
@@ -240,7 +240,7 @@ class ControllerChoice:
     unknown: tuple[str, ...] = ()
     command: Literal["torque", "velocity"] = "torque"
     differentiator: float | None = positive(None)
-    gravity: Literal["learnt", "exact", "believed", "none", "learn_residual"] = "learnt"
+    gravity: Literal["learnt", "exact", "believed", "none", "learn_residual"] | None = None
     integral_action: bool | None = None
     friction_compensation: bool | None = None
     settling_time: float | None = positive(None)
