@@ -9,7 +9,12 @@ from numpy.testing import assert_array_equal
 
 import approxjac as aj
 from approxjac.cameras import PlanarCamera
-from approxjac.controllers import DifferentiatedVelocity, Posture, RegressorGravity
+from approxjac.controllers import (
+    ControllerWrapper,
+    DifferentiatedVelocity,
+    Posture,
+    RegressorGravity,
+)
 from approxjac.errors import SimulationError, UnknownNameError
 from approxjac.law import Sine
 from approxjac.robots import Dynamics, GravityRegressor
@@ -115,6 +120,21 @@ def test_controllers(holding, built, copied, rng, kind):
         assert_array_equal(later, after)
         assert_array_equal(again.torque, answer.torque)
         assert again.status is answer.status
+
+
+class Around(ControllerWrapper):
+    """A wrapper of one's own, with every kind of argument."""
+
+    def __init__(self, controller, /, first, *marks, late=0.0, **more):
+        self.controller = controller
+        self.said = first, marks, late, more
+
+
+def test_a_wrapper_with_any_arguments_is_built_anew(panda, copied):
+    wrapper = Around(aj.SetpointController(aj.PositionTask(panda)), 1, "a", "b", late=0.1, more=2)
+    other = copied(wrapper.with_task(aj.PositionTask(panda, "panda_link7")))
+    assert other.task.frame == "panda_link7"
+    assert other.said == wrapper.said == (1, ("a", "b"), 0.1, {"more": 2})
 
 
 def test_mimic_joints_and_continuous_ones(copied, rng):

@@ -226,18 +226,22 @@ class Immutable:
 
     @property
     def _arguments(self) -> dict[str, Any]:
-        given, named = self._given
-        signature = inspect.signature(type(self))
-        bound = signature.bind(*given, **named)
+        bound = inspect.signature(type(self)).bind(*self._given[0], **self._given[1])
         bound.apply_defaults()
-        arguments = dict(bound.arguments)
-        for name, parameter in signature.parameters.items():
+        for parameter in bound.signature.parameters.values():
             if parameter.kind is parameter.VAR_KEYWORD:
-                arguments |= arguments.pop(name)
-        return {**arguments, **self._changes}
+                bound.arguments |= bound.arguments.pop(parameter.name)
+        return {**bound.arguments, **self._changes}
+
+    def _call(self, **changes: Any) -> tuple[tuple[Any, ...], dict[str, Any]]:
+        named, bound = self._arguments | changes, inspect.signature(type(self)).bind_partial()
+        for parameter in bound.signature.parameters.values():
+            if parameter.kind is not parameter.VAR_KEYWORD:
+                bound.arguments[parameter.name] = named.pop(parameter.name)
+        return bound.args, bound.kwargs | named
 
     def _rebuilt(self, **changes: Any) -> Self:
-        return _built(type(self), (), self._arguments | changes, self._carries)
+        return _built(type(self), *self._call(**changes), self._carries)
 
     @property
     def _carries(self) -> dict[str, Any]:
@@ -246,8 +250,7 @@ class Immutable:
         return {name: vars(self)[name] for name in carried if name in vars(self)}
 
     def __reduce__(self) -> tuple[Any, ...]:
-        given = ((), self._arguments) if self._changes else self._given
-        return _built, (type(self), *given, self._carries)
+        return _built, (type(self), *self._call(), self._carries)
 
     def __setattr__(self, name: str, value: Any) -> None:
         derived = isinstance(getattr(type(self), name, None), (property, cached_property))

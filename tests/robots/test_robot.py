@@ -3,7 +3,7 @@ import pickle
 import numpy as np
 import pinocchio as pin
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac.errors import UnknownNameError, UrdfError
@@ -43,6 +43,15 @@ def test_loads_by_name_path_and_text(tmp_path):
     assert aj.load_robot("panda").nq == aj.load_robot("panda").nv == 7
     kinova = aj.load_robot("kinova")
     assert (kinova.nq, kinova.nv) == (9, 6)
+
+
+def test_configurations_are_the_same_each_time_and_all_different():
+    kinova = aj.load_robot("kinova")
+    drawn = np.array([*kinova.configurations(20)])
+    assert_array_equal(drawn[:5], [*kinova.configurations(5)])
+    assert len(np.unique(drawn, axis=0)) == 20
+    rng = np.random.default_rng(0)
+    assert_array_equal(drawn[0], kinova.random_configuration(rng))
 
 
 def test_every_arm_starts_at_a_valid_neutral_and_random_configuration(arm, rng):

@@ -16,6 +16,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.scenario import Scenario, build_scenario, run_scenario
 from approxjac.scenario import outcome as report
 from approxjac.scenario.judge import prepare
+from approxjac.scenario.starts import floor_below
 from approxjac.tasks import TrackerTask
 from approxjac.tasks.analysis import place_of
 
@@ -163,6 +164,46 @@ def test_starts_and_targets_are_regular_and_can_be_held():
         assert hold.max() <= 0.7
         low, high = built.plant.robot.position_limits
         assert ((low <= built.q0) & (built.q0 <= high)).all()
+
+
+@pytest.mark.parametrize(
+    ("base", "first", "floor"),
+    [
+        pytest.param(0.0, 0.3, 0.0, id="stands"),
+        pytest.param(0.8, 0.3, 0.0, id="on a table"),
+        pytest.param(2.0, -0.3, 0.0, id="under the ceiling of a cell"),
+        pytest.param(0.0, -0.3, -math.inf, id="hangs from its root"),
+        pytest.param(0.0, 0.0, -math.inf, id="on a wall"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::approxjac.errors.ImplausibleRobotWarning")
+def test_a_floor_is_where_the_mount_of_an_arm_ends(base, first, floor):
+    inertia = '<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>'
+    arm = aj.load_robot(f"""<robot name="arm"><link name="world"/><link name="base"/>
+        <link name="upper"><inertial><mass value="1"/>{inertia}</inertial></link>
+        <joint name="mount" type="fixed"><parent link="world"/><child link="base"/>
+        <origin xyz="0 0 {base}"/></joint>
+        <joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/>
+        <origin xyz="0.1 0 {first}"/><axis xyz="0 1 0"/>
+        <limit lower="-1" upper="1" effort="5" velocity="1"/></joint></robot>""")
+    assert floor_below(arm) == floor
+
+
+@pytest.mark.parametrize("robot", ["panda", "ur5", "so101"])
+def test_a_random_target_is_above_the_floor(robot):
+    for seed in range(10):
+        assert build_scenario(reach(robot, run={"seed": seed})).target[2] >= 0.0
+
+
+def test_a_random_target_is_above_the_floor_of_mujoco():
+    run = {"start": HOME, "seed": 4}
+    built = build_scenario(reach(true={"engine": "mujoco", "floor": 0.4}, run=run))
+    assert built.target[2] >= 0.4 > build_scenario(reach(run=run)).target[2]
+
+
+def test_a_random_target_of_an_arm_without_a_floor_may_be_anywhere():
+    targets = [build_scenario(reach("two_link", run={"seed": k})).target for k in range(10)]
+    assert min(target[-1] for target in targets) < 0.0
 
 
 def test_gains_may_be_given_one_by_one():

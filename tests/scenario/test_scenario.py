@@ -141,6 +141,7 @@ LEARNS = ("tool", "origins")
         ({"controller": {"law": "setpoint"}}, "setpoint", ()),
         ({"controller": {"kp": 100.0}, "sensor": {"delay": 0.02}}, "setpoint", ()),
         ({"controller": {"gravity": "exact"}}, "setpoint", ()),
+        ({"controller": {"gravity": "learnt"}}, "setpoint", ()),
         ({"controller": {"unknown": ["tool"]}}, "setpoint", ("tool",)),
         ({"true": {"tracker": {"rotation": (0.0, 0.0, 0.1)}}}, "setpoint", ()),
         ({"task": {"kind": "image"}}, "setpoint", ()),
@@ -160,6 +161,15 @@ def test_a_simulation_takes_what_suits_most_arms_unless_it_is_told(parts, law, u
     assert built.plant.transmission.is_elastic == its_own
     assert (type(built.law) is aj.TrackingController) == (law == "tracking")
     assert (built.controller.kinematics is not None) == (unknown != () or law == "tracking")
+
+
+@pytest.mark.parametrize("law", ["setpoint", "tracking"])
+def test_gravity_is_learnt_by_either_law_unless_another_is_given(law):
+    def learnt(**gravity):
+        scenario = Scenario("panda", controller={"law": law, **gravity})
+        return str(build_scenario(scenario).law)
+
+    assert learnt() == learnt(gravity="learnt") != learnt(gravity="believed")
 
 
 @pytest.mark.parametrize(

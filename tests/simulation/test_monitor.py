@@ -156,6 +156,19 @@ def test_a_push_is_told_by_its_size_and_direction(panda, controller, direction):
     assert_allclose(float(event.figure.removesuffix(" N")), 20.0, rtol=0.25)
 
 
+@pytest.mark.parametrize(
+    ("robot", "force", "named"), [("panda", 4.0, True), ("panda", 2.0, False), ("ur5", 15.0, True),
+                                  ("ur5", 6.0, False)],
+)  # fmt: skip
+def test_a_push_is_named_once_it_exceeds_what_the_arm_may_hide(robot, force, named):
+    arm = aj.load_robot(robot)
+    task = aj.PositionTask(arm.with_object(0.0))
+    law = aj.SetpointController(task, gravity=aj.AdaptiveGravity(task.robot)).guarded(None)
+    for direction in np.eye(3)[:2]:
+        found = events(arm, law, push(force * direction), AT + 0.5)
+        assert (Condition.PUSHED in {event.condition for event in found}) == named
+
+
 def test_a_push_ends(panda, controller):
     def briefly(arm, torque):
         return push(np.array([0.0, 20.0, 0.0]))(arm, torque) if arm.t < AT + 0.2 else torque

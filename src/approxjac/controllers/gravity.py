@@ -328,7 +328,7 @@ def require_gravity(gravity: Gravity, task: Task) -> None:
             given=gravity,
         )
     if isinstance(gravity, ModelGravity | RegressorGravity):  # which may be a class of one's own
-        q = robot.random_configuration(np.random.default_rng(0))
+        q = next(robot.configurations(1))
         as_array(f"torque(q) of {gravity!r}", gravity.torque(q), (robot.nv,), "N m or N")
 
 

@@ -22,8 +22,7 @@ def usual_inertia(robot: Robot, *, held: bool = False) -> Array:
 
     With `held` the other joints stand: mean M_ii.
     """
-    dynamics, rng = Dynamics(robot), np.random.default_rng(0)
-    drawn = (robot.random_configuration(rng) for _ in range(_DRAWN))
+    dynamics, drawn = Dynamics(robot), robot.configurations(_DRAWN)
     if held:
         return np.asarray(np.mean([np.diag(dynamics.M(q)) for q in drawn], axis=0))
     return np.asarray(1.0 / np.mean([np.diag(dynamics.M_inv(q)) for q in drawn], axis=0))
@@ -34,8 +33,7 @@ def usual_effort(robot: Robot) -> Array:
     effort = robot.effort_limits
     if np.isfinite(effort).all():
         return effort
-    dynamics, rng = Dynamics(robot), np.random.default_rng(0)
-    loads = [np.abs(dynamics.g(robot.random_configuration(rng))) for _ in range(_DRAWN)]
+    loads = np.abs([*map(Dynamics(robot).g, robot.configurations(_DRAWN))])
     most = _MOTOR_SHARE * np.max(loads, axis=0)
     least = 0.05 * float(np.max(most)) or 1.0
     return np.where(np.isfinite(effort), effort, np.maximum(most, least))

@@ -330,11 +330,11 @@ class GravityRegressor(_TorqueRegressor):
             return np.asanyarray(arm.Z(self))
         return self._at_rest(self.robot.configuration(q)).take(self.columns, 1)
 
-    def fit(self, robot: Robot, *, seed: int = 0) -> tuple[Array, float]:
+    def fit(self, robot: Robot) -> tuple[Array, float]:
         """Fit θ (p,) to the gravity torques of another robot; return it and its relative error.
 
         The θ is that nearest to this robot's. Its error is the largest of Z θ over the largest
-        gravity torque, at random configurations of a `seed` that the fit did not use.
+        gravity torque, at random configurations that the fit did not use.
 
         Raises:
             InvalidInputError: `robot` has other joints, or another gravity.
@@ -347,7 +347,7 @@ class GravityRegressor(_TorqueRegressor):
                 f"{own.gravity.tolist()} m/s^2, got {robot!r} under {robot.gravity.tolist()}",
                 given=robot,
             )
-        rng = np.random.default_rng(seed)
+        rng = np.random.default_rng(0)
         Z, g = self._samples(robot, rng)
         theta: Array = self.theta + np.linalg.lstsq(Z, g - Z @ self.theta, rcond=1e-12)[0]
         return theta, self._error(robot, theta, rng)

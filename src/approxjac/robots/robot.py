@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, NamedTuple, Self
@@ -203,6 +203,11 @@ class Robot(Immutable):
     def random_configuration(self, rng: np.random.Generator) -> Array:
         """Draw a configuration uniformly within `usual_range`, shape (nq,) [rad or m]."""
         return self.configuration(rng.uniform(*self.usual_range))
+
+    def configurations(self, count: int) -> Iterator[Array]:
+        """Draw random configurations (nq,), the same each time [rad or m]."""
+        rng = np.random.default_rng(0)
+        return (self.random_configuration(rng) for _ in range(count))
 
     def configuration(self, q: Sequence[float] | Array, name: str = "q") -> Array:
         """Return `q` as a float array of shape (nq,), itself if it is one already.

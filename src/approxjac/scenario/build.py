@@ -115,8 +115,10 @@ def build_scenario(
             q0 = starts.configuration_of(truth, "run.start", start)
         else:
             q0 = plant.ready_configuration() if start is None else draw()
-        goal = draw if start == "random" else partial(starts.straight_ahead, sensor, q0, draw)
-        target = _target(sensor, q0, scenario, goal)
+        floor = starts.floor_below(truth) if true.floor is None else true.floor
+        if start != "random":
+            draw = partial(starts.straight_ahead, sensor, q0, draw, floor)
+        target = _target(sensor, q0, scenario, draw)
     kinematics = _kinematics(scenario, task) if chosen.unknown else None
     law = controller = _law(scenario, task, truth, q0, kinematics)
     if limits is not None and chosen.command == "torque":
@@ -235,10 +237,11 @@ def _law(
     drives = None if scenario.true.drives == "usual" else Drives()  # nobody knows the usual ones
     if chosen.law == "tracking":
         is_late = latency.torque_delay + latency.velocity_filter > 0.0
+        known = controllers.ModelDynamics(task.robot) if chosen.gravity == "believed" else None
         return controllers.TrackingController(
             task,
             kinematics=controllers.KnownKinematics(task) if kinematics is None else kinematics,
-            dynamics=None if chosen.gravity == "learnt" else controllers.ModelDynamics(task.robot),
+            dynamics=known,
             dt=sampling_time(scenario),
             command=chosen.command,
             # with a lag, or joints that give way, it has to know both
@@ -251,13 +254,11 @@ def _law(
     elif limits_of(scenario, task.robot) is not None and task.robot.nv > task.m:
         posture = controllers.AwayFromStops()
     gains: controllers.Gains | None = None
+    rule: dict[str, Any] = {"settling_time": chosen.settling_time, "drives": drives}
     given = {"kp": chosen.kp, "kv": chosen.kv, "damping": chosen.damping}
-    if any(given.values()):  # those of the rule stand beside them
-        usual = controllers.tuned(
-            task, latency, settling_time=chosen.settling_time, drives=drives
-        ).gains
-        said = {name: value for name, value in given.items() if value is not None}
-        gains = replace(usual, **{k: v[0] if len(v) == 1 else v for k, v in said.items()})
+    said = {k: v[0] if len(v) == 1 else v for k, v in given.items() if v is not None}
+    if said:  # those of the rule stand beside them
+        gains = replace(controllers.tuned(task, latency, **rule).gains, **said)
     return controllers.SetpointController(
         task,
         gains,
@@ -266,9 +267,8 @@ def _law(
         velocity=None if constant is None else controllers.DifferentiatedVelocity(constant),
         posture=posture,
         latency=latency,
-        settling_time=chosen.settling_time,
-        drives=drives,
         friction=_friction(scenario),
+        **rule,
     )
 
 
@@ -294,25 +294,25 @@ def _friction(scenario: Scenario) -> controllers.FrictionCompensation | None:
     if wanted is None:
         exact = sensor.delay == sensor.noise == 0.0 and sensor.rate is None
         is_recent = bool(chosen.unknown) or (exact and chosen.differentiator is None)
-        learns = chosen.gravity in ("learnt", "learn_residual")
+        learns = chosen.gravity in (None, "learnt", "learn_residual")
         wanted = learns and is_recent and sampling_time(scenario) > 0.0
     if not wanted:
         return None
     return controllers.FrictionCompensation(encoder_step=sensor.q_quantum)
 
 
-def _gravity(truth: Robot, belief: Robot, kind: str, integral_action: bool | None) -> Gravity:
-    if kind in ("learnt", "learn_residual"):
-        nothing = 0.0 if integral_action is False else None
+def _gravity(truth: Robot, belief: Robot, kind: str | None, integral: bool | None) -> Gravity:
+    if kind in (None, "learnt", "learn_residual"):
+        nothing = 0.0 if integral is False else None
         theta0 = 0.0 if kind == "learn_residual" else None
         return AdaptiveGravity(belief, theta0=theta0, task_force=nothing, joint_torque=nothing)
     if kind == "exact":
         regressor = GravityRegressor(belief)
         theta = regressor.fit(truth)[0]
-        if integral_action:
+        if integral:
             return AdaptiveGravity(regressor, L=0.0, theta0=theta)
         return controllers.RegressorGravity(regressor, theta)
-    if integral_action:
+    if integral:
         return AdaptiveGravity(belief, L=0.0, theta0=0.0 if kind == "none" else None)
     return controllers.NoGravity(belief) if kind == "none" else controllers.ModelGravity(belief)
 

@@ -90,8 +90,8 @@ def image_scene(
 def _scene_in_world(truth: Robot, belief: Robot, scenario: Scenario) -> Scene:
     """Return the tasks of a camera in the world that watches points of the object."""
     given, factor = scenario.true.camera, scenario.believed.camera.depth_factor
-    rng, kinematics = np.random.default_rng(0), FrameKinematics(truth, truth.tip_or(None))
-    tips = [kinematics.position(truth.random_configuration(rng)) for _ in range(200)]
+    kinematics = FrameKinematics(truth, truth.tip_or(None))
+    tips = [*map(kinematics.position, truth.configurations(200))]
     reach = float(np.max(np.linalg.norm(tips, axis=1)))  # from the world's origin
     middle = _MIDDLE * reach if given.looking_at is None else np.array(given.looking_at)
     position = middle + _AWAY * reach * _FRONT / np.linalg.norm(_FRONT)

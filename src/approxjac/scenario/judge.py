@@ -111,10 +111,8 @@ def analyse(
         tolerances = study.tolerance(progress=progress)
     map_ = None
     if uncertainty is not None and analysis.map_points:
-        points = {
-            name: _values(name, report.loop, uncertainty, analysis.map_points)
-            for name in analysis.map
-        }
+        n = analysis.map_points
+        points = {name: _values(name, report.loop, uncertainty, n) for name in analysis.map}
         unlimited = replace(study, controller=report.loop.controller)
         map_ = unlimited.map(points, analysis.map_runs, execution=execution, progress=progress)
     return StabilityResult(scenario, study, report, tolerances, map_)
@@ -197,20 +195,12 @@ def draw_map(result: StabilityResult) -> Figure | None:
         f"that converge, with 95 % confidence; errors are {result.study.errors.describe_box()}"
     )
     figure, axes = view.new_figure(3, size=(14.0, 4.6), title=textwrap.fill(title, 130))
-    own = own_values(controller)
-    first, second = grid.names
+    own, (first, second) = own_values(controller), grid.names
+    labels, here = (PARAMETERS[first], PARAMETERS[second]), (own[first], own[second])
     low, high = np.moveaxis(grid.intervals, -1, 0)
     shares = {"at least": low, "of the runs": grid.share, "at most": high}
     for ax, (title, share) in zip(axes, shares.items(), strict=True):
-        view.plot_shares(
-            grid.x,
-            grid.y,
-            share,
-            labels=(PARAMETERS[first], PARAMETERS[second]),
-            own=(own[first], own[second]),
-            ax=ax,
-            title=title,
-        )
+        view.plot_shares(grid.x, grid.y, share, labels=labels, own=here, ax=ax, title=title)
     return figure
 
 

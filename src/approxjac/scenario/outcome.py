@@ -85,11 +85,8 @@ class RunResult:
         """Return the size of the error of each unit at a recorded instant."""
         if self.in_pixels:
             return {"px": float(self.errors[k].max())}
-        units = np.array(self.run.task_units)
-        return {
-            unit: float(np.linalg.norm(self.run.error[k][units == unit]))
-            for unit in dict.fromkeys(self.run.task_units)
-        }
+        e, units = self.run.error[k], np.array(self.run.task_units)
+        return {u: float(np.linalg.norm(e[units == u])) for u in dict.fromkeys(self.run.task_units)}
 
     @property
     def final_error(self) -> dict[str, float]:
@@ -226,7 +223,7 @@ class RunResult:
         if moved < 0.1 * size[-1] and np.abs(run.v[-1]).max() < _AT_REST:
             if self._learns(last) and size[-1] < 0.99 * size[last][0]:
                 return "still learning: the error shrinks as what lacks is learnt"
-            learnt = self.built.scenario.controller.gravity in ("learnt", "learn_residual")
+            learnt = self.built.scenario.controller.gravity in (None, "learnt", "learn_residual")
             weight = "" if learnt else ", or gravity is not compensated as it is"
             return f"came to rest away from its target: out of reach, blocked, friction{weight}"
         if not stands:
@@ -247,8 +244,7 @@ class RunResult:
         sizes = {"final_error": self.final_error, "start_error": self.errors_at(0)}
         if self.on_path:
             names = ("largest_error", "rms_error", "last_quarter_rms_error")
-            pairs = zip(names, self.strayed, strict=True)
-            sizes |= {name: {run.task_unit: error} for name, error in pairs}
+            sizes |= {k: {run.task_unit: e} for k, e in zip(names, self.strayed, strict=True)}
         known, limits = run.slack[np.isfinite(run.slack)], None
         if built.limits is not None:
             beyond = (np.abs(run.tau) - built.limits.effort).max()

@@ -211,16 +211,16 @@ class ControllerChoice:
     """The law, its gains, and its limits.
 
     Attributes:
-        law: "setpoint", the paper's; or "tracking", the adaptive tracking law, for paths, too.
-            Unless the controller has other options, a simulation of position or pose learns tool
-            and origins, and tracks if x, q̇ or torques are late or there is a path.
+        law: "setpoint", the paper's; or "tracking", adaptive, for paths, too. Without other options
+            but limits a simulation of position or pose tracks, and learns tool and origins.
         unknown: Parts of the kinematics that are learnt from x (tool, origins, camera, offset,
             scale): then x̂ is controlled. Of an image "camera" is its pose and focal length, and
             "tool" where the points are.
         command: "torque", or "velocity" for robots that take joint velocities (law "tracking").
         differentiator: Time constant of Ẋ from the differentiated x, s: law (5), or law (6).
-        gravity: Gravity that is compensated: learnt (law (28)), the true one, the believed one or
-            none; or a learnt residual, for robots that add the believed arm's (Franka, UR).
+        gravity: Gravity that is compensated: learnt (law (28), or with all dynamics, tracking), by
+            default; the true one, the believed one or none; or a learnt residual, for robots that
+            add the believed arm's (Franka, UR).
         integral_action: Learn a task force and joint torques; by default if gravity is learnt.
         friction_compensation: Learn the friction of joints that stand; by default if gravity is
             learnt and x is as recent as q.
@@ -241,7 +241,7 @@ class ControllerChoice:
     unknown: tuple[str, ...] = ()
     command: Literal["torque", "velocity"] = "torque"
     differentiator: float | None = positive(None)
-    gravity: Literal["learnt", "exact", "believed", "none", "learn_residual"] = "learnt"
+    gravity: Literal["learnt", "exact", "believed", "none", "learn_residual"] | None = None
     integral_action: bool | None = None
     friction_compensation: bool | None = None
     settling_time: float | None = positive(None)
@@ -339,8 +339,8 @@ class Run:
 
     Attributes:
         start: Joint positions, rad or m, or "random" by the seed; far from singular by default.
-        target: Value or path of the task; by default random by the seed, where no joint stop bars
-            the straight way from the start unless that is random, too.
+        target: Value or path of the task; by default random by the seed: unless the start is, too,
+            above the floor that the arm stands on, and where no joint stop bars the straight way.
         duration: Length of the run, s.
         tolerance: Error below which it is done, m, rad or px; by default 1e-3 m and rad or three
             times the noise, 0.5 px or the noise; of a path a twentieth of how far it leads from its

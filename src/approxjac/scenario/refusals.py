@@ -135,7 +135,7 @@ def _faults(scenario: Scenario) -> Iterator[tuple[Any, str]]:
         ways = " and ".join(f"run.target.{name}" for name in sorted(given))
         yield given, f"{ways} must not both be given, as there is one target"
     control = scenario.controller
-    if control.law == "tracking" and control.gravity not in ("learnt", "believed"):
+    if control.law == "tracking" and control.gravity not in (None, "learnt", "believed"):
         wanted = "learnt or believed with the tracking law (controller.law)"
         yield wrong("controller.gravity", wanted)
     if scenario.true.tracker != Tracker() and task.axes not in (None, "xyz"):

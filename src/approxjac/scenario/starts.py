@@ -1,6 +1,7 @@
 """Start and target configurations, given or random, and checks of reach."""
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -8,7 +9,7 @@ from approxjac.controllers.setpoint import Reach
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Dynamics, Robot
 from approxjac.simulation.plant import holdable
-from approxjac.tasks import Task
+from approxjac.tasks import FrameKinematics, Task
 from approxjac.validation import Array, as_array
 
 _WAYS = 100  # that are tried
@@ -41,16 +42,26 @@ def regular_configuration(
     )
 
 
-def straight_ahead(sensor: Task, q0: Array, draw: Callable[[], Array]) -> Array:
+def floor_below(robot: Robot) -> float:
+    """Return the height of the lowest fixed frame [m]; -inf of an arm that begins no higher."""
+    floor = min(f.placement.translation[2] for f in robot.model.frames if f.parentJoint == 0)
+    stands = robot.model.jointPlacements[1].translation[2] > floor + 1e-6  # else it may hang
+    return float(floor) if stands else -np.inf
+
+
+def straight_ahead(sensor: Task, q0: Array, draw: Callable[[], Array], floor: float) -> Array:
     """Return a random configuration that the arm reaches on a straight way from q0 (nq,).
 
-    No joint stop blocks that way in task space, unless it blocks those of all that are drawn.
+    The tip is above the floor [m] in it, and no joint stop blocks that way in task space, unless
+    none of all that are drawn is such.
     """
     from approxjac.stability.loop.configurations import inverse_kinematics  # not for a help
 
+    tip = FrameKinematics(sensor.robot, sensor.robot.tip_or(None))
+    reached = partial(inverse_kinematics, sensor, q0=q0, within_limits=True)
     for _ in range(_WAYS):
         q = draw()
-        if inverse_kinematics(sensor, sensor.value(q), q0, within_limits=True) is not None:
+        if tip.position(q)[2] >= floor and reached(sensor.value(q)) is not None:
             break
     return q
 
@@ -58,8 +69,7 @@ def straight_ahead(sensor: Task, q0: Array, draw: Callable[[], Array]) -> Array:
 def is_regular(sensor: Task, task: Task, q: Array, ratio: float = REGULAR) -> bool:
     """Return True if neither J nor Ĵ is near singular at a configuration."""
     x = sensor.value(q)
-    jacobians = sensor.jacobian(q, x), task.jacobian(q, x)
-    values = [np.linalg.svd(J, compute_uv=False) for J in jacobians]
+    values = [np.linalg.svd(each.jacobian(q, x), compute_uv=False) for each in (sensor, task)]
     return all(v[-1] > ratio * v[0] for v in values)
 
 

@@ -64,7 +64,7 @@ def require_controllable(task: Task) -> None:
             f"CombinedTask.balanced(task, x_d) makes {most} of them",
             given=task,
         )
-    q = task.robot.random_configuration(np.random.default_rng(0))
+    q = next(task.robot.configurations(1))
     x, J = task.value(q), task.jacobian(q)
     for what, each in (("value", x), ("jacobian", J)):
         require(f"{what} of the task", each, np.ndarray, f"an array for {task!r}")
@@ -114,8 +114,7 @@ def sees(task: Task, q: Array) -> bool:
 
 def seen_configurations(task: Task, count: int) -> list[Array]:
     """Draw up to `count` seeded configurations in which the task's sensor sees it."""
-    rng = np.random.default_rng(0)
-    drawn = (task.robot.random_configuration(rng) for _ in range(max(count, _TRIES)))
+    drawn = task.robot.configurations(max(count, _TRIES))
     seen = list(islice((q for q in drawn if sees(task, q)), count))
     if not seen:
         raise InvalidInputError(

@@ -249,9 +249,8 @@ def best_axes(robot: Robot, frame: str | None = None) -> str:
     "xyz" without axes along which no joint moves the frame; for an arm with fewer joints, those
     along which the frame moves fastest, in the mean over seeded configurations.
     """
-    rng, kinematics = np.random.default_rng(0), FrameKinematics(robot, robot.tip_or(frame))
-    drawn = [robot.random_configuration(rng) for _ in range(20)]
-    jacobians = np.array([kinematics.jacobian(q)[:3] for q in drawn])
+    kinematics = FrameKinematics(robot, robot.tip_or(frame))
+    jacobians = np.array([kinematics.jacobian(q)[:3] for q in robot.configurations(20)])
     speeds = np.linalg.norm(jacobians, axis=2).sum(axis=0)
     moving = int((speeds > _STILL * speeds.max()).sum()) or 3
     return "".join("xyz"[i] for i in sorted(np.argsort(-speeds)[: min(moving, robot.nv)]))

@@ -97,8 +97,7 @@ def sure_deceleration(robot: Robot, effort: Array) -> Array:
     configurations within the joint limits. The other half is for joints that brake together, for
     the terms in q̇, and for a payload. Infinite if the effort limits (n_v,) [N m or N] are unknown.
     """
-    dynamics, rng = Dynamics(robot), np.random.default_rng(0)
-    drawn = [robot.random_configuration(rng) for _ in range(_CONFIGURATIONS)]
+    dynamics, drawn = Dynamics(robot), [*robot.configurations(_CONFIGURATIONS)]
     left = np.maximum(effort - np.abs([*map(dynamics.g, drawn)]), _LEAST_LEFT * effort)
     inertias = np.maximum(np.abs([*map(dynamics.M, drawn)]), _NO_INERTIA)
     rates = (left[:, :, np.newaxis] / inertias).min(axis=1)

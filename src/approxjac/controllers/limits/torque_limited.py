@@ -256,7 +256,7 @@ class TorqueLimited(ControllerWrapper):
         self._per_speed = 1.0 / fastest if np.isfinite(fastest).any() else None
         self._frames = functools.cache(partial(FrameKinematics, robot))
         if self.motion_limits:
-            q = robot.random_configuration(np.random.default_rng(0))
+            q = next(robot.configurations(1))
             for limit in self.motion_limits:
                 require_rows(limit, self._terms(q, np.full(robot.nv, _TRIAL)), self._dt)
         self._prediction = AccelerationObserver(controller, self._dt, self.braking, fastest)

@@ -90,8 +90,7 @@ class Stage:
         self._shapes = {role: shapes for role, (shapes, _) in looks.items()}
         self._missing = list(dict.fromkeys(text for _, texts in looks.values() for text in texts))
         self._trees = {role: Tree(robot, role) for role, robot in self.robots.items()}
-        rng = np.random.default_rng(0)
-        q = np.array([scene.truth.random_configuration(rng) for _ in range(_INSTANTS)])
+        q = np.array([*scene.truth.configurations(_INSTANTS)])
         # the farthest that a link gets
         self.size = float(np.linalg.norm(frame_points(scene.truth, q), axis=1).max())
         self._tasks = {"true": scene.sensor, "believed": scene.task}
