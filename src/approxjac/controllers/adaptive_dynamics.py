@@ -200,7 +200,9 @@ class AdaptiveDynamics(MotionDynamics):
         # K_σ of each joint where the others give way, and what γ = 1 alone makes of stiff ones
         inertia = np.array([1.0 / np.diag(M_inv) for _, M_inv in motions]) + self.rotor_inertia
         damping = kappa * np.median(1.0 / (1.0 / inertia + softness), axis=0)
-        alone = squared_rates(motions, np.ones(self.n_state))
+        rotors = np.diag(self.rotor_inertia)
+        behind = [(Y_d, np.linalg.inv(np.linalg.inv(M_inv) + rotors)) for Y_d, M_inv in motions]
+        alone = squared_rates(behind, np.ones(self.n_state))
         motions = [(Y_d, _softened(M_inv, softness)) for Y_d, M_inv in motions]
         self.gain, rates = np.full(self.n_state, _GAIN), squared_rates(motions, gamma)
         # tr(Y_d Γ Y_dᵀ)/tr M of links: the mean of joints by their inertia, so that wrists hardly

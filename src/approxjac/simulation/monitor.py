@@ -43,6 +43,7 @@ _SAMPLES = 12  # in which a joint has become too fast
 _SUDDEN = 0.4  # s, within which a motor's fault shows
 _EXPLAINS, _FITS = 0.1, 0.35  # share of χ² that one motor, or a force or load, may leave
 _ONE_FITS = 0.1  # of χ², by which one number may explain less than three
+_ONSET, _BETTER = 0.02, 12.0  # s, in which no motor is at fault if a load or force explains more χ²
 _CLEAR = 0.06  # share that a motor may leave to be clear, where a force leaves five times that
 _WEAK, _DEAD = 0.35, 0.65  # share of its torque that a weak or a dead motor lacks
 _STOP = 0.01  # rad or m, so near to which a joint may be at its stop
@@ -135,6 +136,7 @@ class Monitor:
         self._window: deque[_Tick] = deque(maxlen=_WINDOW)
         self._samples: deque[tuple[float, Array, Array, Array]] = deque(maxlen=_SAMPLES)
         self._since, self._quiet, self._speed = math.nan, 0.0, np.zeros(3)
+        self._is_outside = False  # what happened to the arm, as its onset tells
         shares = np.outer([_CONSTANT, _FRICTION, _FRICTION, _ROTOR], self._scale)
         sd = np.concatenate([_LOADS, *shares, np.full(robot.nv, _BY_LOAD)])
         self._estimate, self._P = np.zeros(len(sd)), np.diag(sd**2)
@@ -331,6 +333,7 @@ class Monitor:
         if is_off or self._window:
             if not self._window:
                 self._since, self._lighter = t, float(self._estimate[0])
+                self._is_outside = False
                 self._speed = self._smooth_tip[:3]
             self._quiet = 0.0 if is_off else self._quiet + h
             tick = _Tick(off, 1.0 / np.sqrt(spread), self._smooth_torque, J, load, likely, variance)
@@ -369,14 +372,14 @@ class Monitor:
         return H
 
     def _whitened(self, ticks: list[_Tick]) -> tuple[Array, ...]:
-        """Return off, torque and J of looks as multiples of what else may explain them."""
-        off, _, torque, J, _, likely, variance = map(np.array, zip(*ticks, strict=True))
+        """Return off, torque, J and load of looks as multiples of what else may explain them."""
+        off, _, torque, J, load, likely, variance = map(np.array, zip(*ticks, strict=True))
+        J = np.concatenate([J, np.swapaxes(load, 1, 2)], axis=1)
         C = np.einsum("tij,jk,sik->its", likely, self._P, likely)
         C += np.einsum("ti,ts->its", variance, np.eye(len(ticks)))
         W = np.linalg.inv(np.linalg.cholesky(C))  # (n, t, t)
-        return *(np.einsum("its,si->ti", W, each) for each in (off, torque)), np.einsum(
-            "its,ski->tki", W, J
-        )
+        J = np.einsum("its,ski->tki", W, J)
+        return *(np.einsum("its,si->ti", W, each) for each in (off, torque)), J[:, :3], J[:, 3:]
 
     def _expected(self, q: Array) -> tuple[Array, Array, Array, Array]:
         """Return the expected unexplained torque as a linear model.
@@ -415,16 +418,21 @@ class Monitor:
         ticks = ticks[1:] if len(ticks) > 3 else ticks
         if len(ticks) < 3 or self._active.keys() & {"motor", "force"}:
             return
-        off, torque, J = self._whitened(ticks)
-        j, share, left, force, left_force, whole = _causes(off, np.ones_like(off), torque, J)
+        off, torque, J, load = self._whitened(ticks)
+        even = np.ones_like(off)
+        j, share, left, force, left_force, whole = _causes(off, even, torque, J)
         used, tells = float(abs(ticks[-1].torque[j])), whole * (1.0 - left_force) > _TELLS
-        alone = whole * (1.0 - left) > _TELLS and left < min(_CLEAR, 0.3 * left_force)
+        other = min(left_force, _fit(load, off, even, whole, _LEVERS)[1])
+        if since <= _ONSET:
+            self._is_outside |= whole * (left - other) > _BETTER
+        alone = whole * (1.0 - left) > _TELLS and left < min(_CLEAR, 0.3 * other)
         # without what noise leaves
         above = max(whole - off.size, 1e-12)
-        left, beside = (max(each * whole - off.size, 0.0) / above for each in (left, left_force))
+        left, beside = (max(each * whole - off.size, 0.0) / above for each in (left, other))
         fits = above > _TELLS and left < min(_EXPLAINS, 0.3 * beside)
         fits = (fits or alone) and share > _WEAK
         is_sudden = since < _SUDDEN and self._since > self._begun + _BEGINS + 1.5 * _TICK
+        is_sudden &= not self._is_outside
         least = (_USED + _STUCK * self._stood[j]) * self._scale[j]
         if is_sudden and fits and used > least:
             if since < _SLOWLY:  # what it will be when the filter has settled
