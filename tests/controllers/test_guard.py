@@ -20,6 +20,7 @@ from approxjac.controllers import (
     HeldMeasurement,
     PredictedMeasurement,
 )
+from approxjac.controllers.guard import usual_accelerations
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.law import guard as law_of_guards
 from approxjac.law.guard import (
@@ -346,6 +347,29 @@ def answers(law, samples, dt):
 
 
 STILL, LOST = (START, np.zeros(7), 0.0, 0.0), (START, np.full(7, np.nan), 0.0, 0.0)
+
+
+@pytest.mark.parametrize("speed", [0.5, 3.0, 8.0])
+def test_a_stop_brakes_an_arm_that_got_fast_while_it_was_not_seen(speed):
+    """Though no motion leads there from the last good sample: two that agree are believed."""
+    v = speed * np.array([1.0, 0.0, 0.0, -1.0, 0.0, 0.0, 1.0])
+    moving = [(START + (0.3 + k * DT) * v, v, 0.0, 0.0) for k in range(50)]
+    told = answers(CONTROLLERS["law"], [STILL] * 5 + [LOST] * 10 + moving, DT)
+    assert {each.status for each in told[-50:]} == {aj.Status.STOPPED}
+    for (q, *_), answer in zip(moving[1:], told[16:], strict=True):
+        brakes = answer.torque - aj.robots.Dynamics(BELIEF).g(q)
+        assert (brakes * v <= -usual_accelerations(BELIEF)[2] * v * v).all()
+
+
+def test_a_stop_does_not_brake_a_speed_that_only_q_dot_has():
+    still, wrong = (START, np.zeros(7)), (START, np.array([2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    before = [STILL] * 5 + [LOST] * 10
+    told, usual = (
+        answers(CONTROLLERS["law"], before + [(*each, 0.0, 0.0)] * 200, DT)
+        for each in (wrong, still)
+    )
+    off = [a.torque - b.torque for a, b in zip(told[16:], usual[16:], strict=True)]
+    assert not np.any(off)
 
 
 def test_no_more_than_20_ms_are_bridged_however_long_a_period_is():

@@ -293,7 +293,9 @@ def closely_judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBo
     stops = select(stopped, memory.kind, select(memory.blind < _BLIND, stops, SENSOR))
     alone = memory.blind < 0.0
     refuses, x, last, moved = _seen(memory, sample, is_bad | (stops > 0), dt, bounds)
-    anew = is_bad & known & alone & complement(wild | far)
+    anew = (
+        is_bad & known & (alone | stopped) & complement(wild | far)
+    )  # what follows is judged by it
     blind = select(is_bad, memory.blind, select(seen, 0.0, -1.0))
     blind, none = select(refuses, memory.blind + dt, blind), [0.0] * len(v)
     drift = selected(is_bad, memory.drift, selected(seen, track.drift, none))
@@ -302,13 +304,14 @@ def closely_judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBo
         since_then = [a + b for a, b in zip(memory.drift, way, strict=True)]
         drift = selected(stops > 0, selected(stopped, since_then, none), drift)
     keeps, skips = is_bad | complement(seen), is_bad & complement(anew)
+    more = is_bad & complement(stopped & anew)
     used_v = selected(seen, v, likely)  # nothing has confirmed a first q̇ yet
     used_q = selected(is_bad, memory.q, q)
     return Judged(
         [kind, select(refuses, 1, 0), select(anew, 1, 0)],
         used_q, selected(is_bad, selected(stopped | alone, none, before), used_v), x,
         GuardMemory(
-            select(skips, memory.t, t), select(is_bad, memory.bad + 1.0, 0.0), stops, blind,
+            select(skips, memory.t, t), select(more, memory.bad + 1.0, 0.0), stops, blind,
             selected(anew, q, used_q), selected(skips, before, v), drift,
             selected(is_bad, memory.path, selected(seen, track.path, none)), memory.push,
             selected(keeps, memory.usual, track.usual), selected(keeps, memory.noise, track.finer),
