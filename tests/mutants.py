@@ -1101,6 +1101,34 @@ MUTANTS = [
         "tests/law/test_raised_damping.py tests/controllers/test_tracking.py",
     ),
     (
+        "an encoder's step there and back is a swing", "law/tracking.py",
+        "tone = _TONE * np.sqrt(2.0)", "tone = 0.5 * _TONE", "tests/law/test_raised_damping.py",
+    ),
+    (
+        "told gains never rise", "controllers/tracking.py",
+        "if is_late and np.isfinite(first.most).all():", "if is_late and drives is None:",
+        "tests/controllers/test_motor_damping.py",
+    ),
+    (
+        "joints' own torques are learnt as without rotors", "controllers/adaptive_dynamics.py",
+        "rotors = np.diag(self.rotor_inertia)\n", "rotors = 0.0 * np.diag(self.rotor_inertia)\n",
+        "tests/scenario/test_scenario.py",
+    ),
+    (
+        "a stop that believes no other motion", "law/guard.py",
+        "known & (alone | stopped) &", "known & alone &", "tests/controllers/test_guard.py",
+    ),
+    (
+        "holding where it is not", "controllers/setpoint.py",
+        "state[self.resting - 1] > 0.5", "state[self.resting - 1] < 0.5",
+        "tests/controllers/test_friction_compensation.py",
+    ),
+    (
+        "a simulation has ideal joints", "scenario/build.py",
+        'scenario.true.drives or "usual"', 'scenario.true.drives or "ideal"',
+        "tests/scenario/test_scenario.py",
+    ),
+    (
         "slow damping that forgets what is damped already", "law/tracking.py",
         "self.share * (A_phi - bounded_damping(A, A_phi, most))", "self.share * A_phi",
         "tests/law/test_slow_feedback.py",
@@ -1562,8 +1590,8 @@ MUTANTS = [
     ),
     (
         "own point of a map mirrored", "scenario/judge.py",
-        "own=(own[first], own[second])",
-        "own=(own[second], own[first])",
+        "(PARAMETERS[first], PARAMETERS[second]), (own[first], own[second])",
+        "(PARAMETERS[first], PARAMETERS[second]), (own[second], own[first])",
         "tests/cli/test_stability.py",
     ),
     (

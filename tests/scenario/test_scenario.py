@@ -247,6 +247,15 @@ def test_limits_hold_where_a_rigid_joint_is_late(name, seed):
     assert (np.abs(run.v) < 1.1 * result.built.plant.robot.velocity_limits).all()
 
 
+@pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.study)])
+def test_a_small_arm_learns_how_its_joints_rub(seed):
+    """5 % of the efforts, behind rotors ten times as heavy as its links: 1 mm after 2 s."""
+    truth = {"object": {"length": 0.1, "mass": 0.1}, "drives": "usual"}
+    run = {"start": "random", "duration": 3.0, "seed": seed}
+    result = run_scenario(recommended(Scenario("so101", true=truth, run=run)))
+    assert result.run.error_norm[result.run.t > 2.0].max() < 1e-3
+
+
 @pytest.mark.parametrize(
     ("name", "seed", "bits"),
     [
