@@ -870,8 +870,8 @@ MUTANTS = [
     ),
     (
         "errors of units mixed", "scenario/outcome.py",
-        "self.run.error[k][units == unit]",
-        "self.run.error[k]",
+        "np.linalg.norm(e[units == u])",
+        "np.linalg.norm(e)",
         "tests/scenario/test_run.py",
     ),
     (
