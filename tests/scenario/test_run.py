@@ -233,6 +233,11 @@ def test_gains_may_be_given_one_by_one():
         ("panda", {"sensor": {"dropout": 1.0}, "run": {**NEAR, "duration": 1.0}},
          "the measurement of x is lost"),
         ("two_link", {"loop": {"dt": 0.1}, "run": {"start": (0.3, 0.8), "duration": 0.1}}, ""),
+        ("xarm7",  # motors that clip what a late law asks for
+         {"true": {"object": {"mass": 0.5}, "drives": "ideal"}, "controller": {"limits": "none"},
+          "sensor": {"noise": 5e-4, "rate": 60.0, "velocity_filter": 5e-3},
+          "loop": {"actuator_delay": 2e-3},
+          "run": {"start": "random", "duration": 0.6, "seed": 0}}, "stopped by its guard at 0."),
     ],
 )  # fmt: skip
 def test_what_kept_it_from_its_target_is_named(robot, parts, reason):

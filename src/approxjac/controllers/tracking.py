@@ -233,10 +233,10 @@ class TrackingController(Immutable, Controller):
             _shares(task, limits),
         )  # fmt: skip
         self._continuous = robot.nq != robot.nv
-        self._is_bounded = command == "torque" and bool(np.isfinite(self._most).any())
+        self.is_elastic = command == "torque" and bool(np.isfinite(self._most).any())
         self._still = np.zeros(task.measured.m)
         self._eased: law.EasedTarget | None = None
-        if self._is_bounded and task.measured is task and task.subtracts:
+        if self.is_elastic and task.measured is task and task.subtracts:
             self._eased = law.EasedTarget(_EASE, 1.0 / self.speed, dt)
         self._led = self._last + (0 if self._eased is None else 2 * task.measured.m + 1)
         self._slow: law.SlowFeedback | None = None
@@ -376,7 +376,7 @@ class TrackingController(Immutable, Controller):
         after[:p] = a_hat
         sigma = v - v_r
         damped = self.kappa * (self.dynamics.momentum(q, sigma) + used.added * sigma)
-        if self._is_bounded:
+        if self.is_elastic:
             A = self.kappa * (self.dynamics.inertia(q) + np.diag(used.added))
             most = np.minimum(used.most, _RIGID)
             damped = law.bounded_damping(A, damped, most)
@@ -480,7 +480,7 @@ class TrackingController(Immutable, Controller):
         most = ", ".join(f"{each:.3g}" for each in self._most)
         late = "no lag" if self.latency is None else f"a lag of {self.latency.of_velocity:.2g} s"
         joints = f"rigid joints and {late} taken for granted"
-        if self._is_bounded:
+        if self.is_elastic:
             joints = f"damping at most {most} N m s/rad, for motors behind elastic gears"
             joints += (
                 "" if self._raised is None else "; at first: it is raised until a joint swings"

@@ -192,6 +192,11 @@ class RunResult:
         def mostly(what: Any) -> bool:
             return bool(np.mean(what) > 0.5)
 
+        stopped = run.status == Status.STOPPED
+        if stopped[-1]:
+            at = int(stopped.argmax())
+            why = Status(int(run.status[max(at - 1, 0)])).label
+            return f"stopped by its guard at {run.t[at]:.3g} s ({why}), and held there"
         if mostly(run.status[last] == Status.MEASUREMENT_LOST):
             return "the measurement of x is lost"
         if far:
