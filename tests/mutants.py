@@ -1119,6 +1119,10 @@ MUTANTS = [
         "known & (alone | stopped) &", "known & alone &", "tests/controllers/test_guard.py",
     ),
     (
+        "limits that brake elastic joints as rigid ones", "controllers/limits/torque_limited.py",
+        "_ELASTIC = 40.0", "_ELASTIC = 400.0", "tests/scenario/test_scenario.py",
+    ),
+    (
         "holding where it is not", "controllers/setpoint.py",
         "state[self.resting - 1] > 0.5", "state[self.resting - 1] < 0.5",
         "tests/controllers/test_friction_compensation.py",

@@ -247,6 +247,16 @@ def test_limits_hold_where_a_rigid_joint_is_late(name, seed):
     assert (np.abs(run.v) < 1.1 * result.built.plant.robot.velocity_limits).all()
 
 
+@pytest.mark.study
+def test_limits_of_speed_do_not_make_elastic_joints_swing():
+    """Braked as hard as the lag of q̇ alone allows, links get to 2.4 times their limits."""
+    run = {"start": "random", "duration": 3.0, "seed": 601}
+    result = run_scenario(Scenario("kinova", controller={"limits": "urdf"}, run=run))
+    assert result.built.plant.transmission.is_elastic
+    fastest = np.abs(result.run.v).max(axis=0) / result.built.plant.robot.velocity_limits
+    assert 0.9 < fastest.max() < 1.15
+
+
 @pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.study)])
 def test_a_small_arm_learns_how_its_joints_rub(seed):
     """5 % of the efforts, behind rotors ten times as heavy as its links: 1 mm after 2 s."""
