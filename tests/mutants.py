@@ -1115,8 +1115,13 @@ MUTANTS = [
         "tests/scenario/test_scenario.py",
     ),
     (
-        "a stop that believes no other motion", "law/guard.py",
-        "known & (alone | stopped) &", "known & alone &", "tests/controllers/test_guard.py",
+        "a stop that brakes no arm that moves", "law/guard.py",
+        "selected(known & near & stopped, sure, none)", "none", "tests/controllers/test_guard.py",
+    ),
+    (
+        "a stop that believes what is out of reach", "law/guard.py",
+        "selected(known & near & stopped, sure, none)", "selected(known & stopped, v, none)",
+        "tests/controllers/test_guard.py",
     ),
     (
         "limits that brake elastic joints as rigid ones", "controllers/limits/torque_limited.py",

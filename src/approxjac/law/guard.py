@@ -75,7 +75,7 @@ class GuardMemory(NamedTuple):
     q: list[Any]  # of that sample
     v: list[Any]
     drift: list[Any]  # q − ∫q̇ of the last moments; in a stop, how far it has moved since
-    path: list[Any]  # ∫abs(q̇) of these
+    path: list[Any]  # ∫abs(q̇) of these; in a stop, how far q is from the last good one
     push: list[Any]  # |q̈| that the latest changes of the torque explain, with what is usual
     usual: list[Any]  # |q̈| a few times as large as it was seen lately
     noise: list[Any]  # of a change of q, as far as it is known
@@ -254,12 +254,13 @@ def closely_judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBo
     runs = stopped | ((since >= _SOON * dt) & (missed | (since <= _MISSED * dt)))
     h = select(stopped, (memory.bad + 1.0) * dt, select(runs, since, dt))  # in a stop periods count
     half, per, with_lag, was_bad = 0.5 * h, 1.0 / h, h + lag, memory.bad > 0.0
+    per_period = 1.0 / dt
     impact = _smaller(h / _IMPACT, 1.0) * root(sum((each * each for each in before), 0.0))
     track = _followed(memory, way, v, h, bounds)
 
     def next_joint(values: Any, w: Any, off: Any, noise: Any, slack: Any, *motion: Any) -> Any:
-        jumps, hits, apart, moves, wild, left, size = values
-        drift, v1, v0, a, rare, most = motion
+        jumps, hits, apart, moves, wild, left, size, near = values
+        drift, v1, v0, a, rare, most, seen_at = motion
         a = select(was_bad, a + rare, a)
         unit = 1.0 / (2.0 * noise * per + _TURNS)
         both, one = unit * (v1 + v0), unit * v0
@@ -272,11 +273,16 @@ def closely_judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBo
         apart = apart | (abs(off) > noise + half * A)
         apart = apart | ((abs(drift) > slack) & complement(stopped))
         moves = moves | (abs(v1) > _STILL)
-        return (jumps, hits, apart, moves, wild, left, size), (_larger(_smaller(v1, most), -most),)
+        # as fast as both q and q̇ say that it goes on, where it can be
+        near, goes = near & (abs(w) <= noise + h * _WILD * most), (w - seen_at) * per_period
+        least = _smaller(_smaller(abs(goes), abs(v1)), most)
+        sure = select(goes * v1 > 0.0, select(v1 > 0.0, least, -least), 0.0)
+        values = jumps, hits, apart, moves, wild, left, size, near
+        return values, (_larger(_smaller(v1, most), -most), sure)
 
-    (jumps, hits, apart, moves, wild, left, size), (likely,) = fold(
-        next_joint, (False, False, False, False, False, 0.0, 0.0),
-        way, *track[:4], v, before, memory.push, bounds.push.tolist(), bounds.fastest,
+    (jumps, hits, apart, moves, wild, left, size, near), (likely, sure) = fold(
+        next_joint, (False, False, False, False, False, 0.0, 0.0, True),
+        way, *track[:4], v, before, memory.push, bounds.push.tolist(), bounds.fastest, memory.path,
     )  # fmt: skip
     hits = hits | wild | ((left < _LEFT * size) & (size > 1.0))  # all joints at once
     again = moves & complement(_differs(q + v, memory.q + before))
@@ -293,27 +299,27 @@ def closely_judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBo
     stops = select(stopped, memory.kind, select(memory.blind < _BLIND, stops, SENSOR))
     alone = memory.blind < 0.0
     refuses, x, last, moved = _seen(memory, sample, is_bad | (stops > 0), dt, bounds)
-    anew = (
-        is_bad & known & (alone | stopped) & complement(wild | far)
-    )  # what follows is judged by it
+    anew = is_bad & known & alone & complement(wild | far)
     blind = select(is_bad, memory.blind, select(seen, 0.0, -1.0))
     blind, none = select(refuses, memory.blind + dt, blind), [0.0] * len(v)
     drift = selected(is_bad, memory.drift, selected(seen, track.drift, none))
+    path, brakes = selected(is_bad, memory.path, selected(seen, track.path, none)), none
     if not surely(stops == GOOD):
+        path = selected((stops > 0) & known, way, path)
+        brakes = selected(known & near & stopped, sure, none)
         way = selected(is_bad | was_bad, none, way)
         since_then = [a + b for a, b in zip(memory.drift, way, strict=True)]
         drift = selected(stops > 0, selected(stopped, since_then, none), drift)
     keeps, skips = is_bad | complement(seen), is_bad & complement(anew)
-    more = is_bad & complement(stopped & anew)
     used_v = selected(seen, v, likely)  # nothing has confirmed a first q̇ yet
     used_q = selected(is_bad, memory.q, q)
     return Judged(
         [kind, select(refuses, 1, 0), select(anew, 1, 0)],
-        used_q, selected(is_bad, selected(stopped | alone, none, before), used_v), x,
+        used_q, selected(is_bad, selected(stopped | alone, brakes, before), used_v), x,
         GuardMemory(
-            select(skips, memory.t, t), select(more, memory.bad + 1.0, 0.0), stops, blind,
+            select(skips, memory.t, t), select(is_bad, memory.bad + 1.0, 0.0), stops, blind,
             selected(anew, q, used_q), selected(skips, before, v), drift,
-            selected(is_bad, memory.path, selected(seen, track.path, none)), memory.push,
+            path, memory.push,
             selected(keeps, memory.usual, track.usual), selected(keeps, memory.noise, track.finer),
             selected(keeps, memory.step, track.step), memory.command, last, moved,
         ),
