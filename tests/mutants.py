@@ -1102,7 +1102,7 @@ MUTANTS = [
     ),
     (
         "an encoder's step there and back is a swing", "law/tracking.py",
-        "tone = _TONE * np.sqrt(2.0)", "tone = 0.5 * _TONE", "tests/law/test_raised_damping.py",
+        "tone = _TONE * np.sqrt(2.0)", "tone = _TONE", "tests/law/test_raised_damping.py",
     ),
     (
         "told gains never rise", "controllers/tracking.py",

@@ -102,10 +102,11 @@ def test_an_encoder_that_counts_does_not_lower_it(bits):
 @pytest.mark.parametrize("dt", [5e-4, 1e-3, 4e-3])
 @pytest.mark.parametrize("filtered", [0.0, 1e-3, 2e-3, 5e-3, 15e-3])
 def test_an_encoder_that_goes_to_and_fro_does_not_lower_it(dt, filtered):
-    """Between two of its counts, with every rhythm: a joint that stands at an edge."""
+    """Between two counts, half swings at ω₉₀ apart or more: of a joint that stands at an edge."""
     count, n = 2.0 * np.pi / 2**13, 40
     omega = crossover(aj.Latency(dt, torque_delay=1e-3, velocity_filter=filtered))
-    q = count * (np.arange(1500)[:, None] // np.arange(1, n + 1) % 2)
+    rhythms = int(np.ceil(1.1 * np.pi / (omega * dt))) + np.arange(n)
+    q = count * (np.arange(1500)[:, None] // rhythms % 2)
     v, filtering = np.zeros(n), []
     for moved in np.diff(q, axis=0):
         v = v + dt / (filtered + dt) * (moved / dt - v)

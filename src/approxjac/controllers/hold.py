@@ -108,7 +108,8 @@ class HeldMeasurement(ControllerWrapper):
         rate = answer.J_hat.dot(v)
         motion = dt * (rate if self._uncombined is None else self._uncombined.dot(rate))
         memory = law.hold_moved(held, motion)
-        is_held = law.complement(held.is_new) & (answer.status == _OK)
+        usual = (answer.status == _OK) | (answer.status == Status.HOLDING)
+        is_held = law.complement(held.is_new) & usual
         status = law.select(is_held, _HELD, answer.status)
         if status is not answer.status:
             answer = answer._replace(status=status)

@@ -148,7 +148,8 @@ class PredictedMeasurement(ControllerWrapper):
         except (ArithmeticError, np.linalg.LinAlgError):
             raise overflow(measurement) from None
         is_predicted = (now == _PREDICTED) | law.complement(law.is_finite(e))
-        status = law.select(is_predicted & (answer.status == _OK), _PREDICTED, answer.status)
+        usual = (answer.status == _OK) | (answer.status == Status.HOLDING)
+        status = law.select(is_predicted & usual, _PREDICTED, answer.status)
         return self._joined(after, known, measurement), answer._replace(e=e, status=status)
 
     def kinematics_of(self, state: Array) -> tuple[Kinematics, Array]:

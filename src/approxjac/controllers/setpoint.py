@@ -304,7 +304,7 @@ class SetpointController(Immutable, Controller):
 
     def is_proven(self, answer: Evaluation) -> Any:
         """Return True if V̇ is known: x is measured, and Ĵ⁺ not damped."""
-        return answer.status == _OK
+        return (answer.status == _OK) | (answer.status == _HOLDING)
 
     def rate_without(
         self, locked: Array, state: Array, measurement: Measurement, answer: Evaluation
@@ -467,7 +467,9 @@ class SetpointController(Immutable, Controller):
                 self._rubs, state[self._p : self.resting], relative, -self._alpha * pinv_s, e, lost
             )
             torque = torque + more
-            status = law.select(state[self.resting - 1] > 0.5, _HOLDING, status)
+            near = law.all_of(np.abs(e) <= 2.0 * self._rubs.fine)
+            holds = near & (state[self.resting - 1] > 0.5)
+            status = law.select(holds & (status == _OK), _HOLDING, status)
         rate = self._no_rate[: self._p]
         if learning is not None:
             rests, far = learning.rests(torque), self.reach.is_exceeded(q, e)

@@ -357,7 +357,7 @@ _OUTSTANDS, _USUAL = 3.0, 1.0  # times the usual size of what passes, over so lo
 _MEAN, _SLOWEST = 2.0, 2.0  # half swings at ω₉₀: of the energy's mean, and the longest that counts
 _FASTEST, _AT_FIRST = 7.0, 2.0  # times ω₉₀ at most; usual size at first, over the least speed
 _COARSEST, _NOTHING = 1e-3, 1e-9  # encoder's step at most [rad or m]; speed that is none of its
-_TONE, _STEP = 1.1, 0.25  # times the tone of an encoder's steps, and a step, that are noise
+_TONE, _STEP = 0.6, 0.25  # of the tone of a step to and fro each period, and of it, that are noise
 _RISE, _SLOWER, _LEAVES = 0.5, 0.25, 0.5  # time to rise by e [s]; rate and damping after a swing
 _SLOWEST_RISE = 0.02  # rate [1/s]
 
@@ -384,7 +384,7 @@ class RaisedDamping(NamedTuple):
     loud: Array  # that more, over the torque that what usually passes may cause, (n_v,) [s/rad]
     dt: float
     fresh: float  # share of the latest difference of q in q̇
-    tone: float  # swing that a step there and back may look like, over the change of q̇ by one
+    tone: float  # swing that a step to and fro each half swing looks like, over q̇'s change by one
 
     @classmethod
     def of(

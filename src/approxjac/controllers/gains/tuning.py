@@ -463,7 +463,7 @@ def tuned(
     latency = Latency() if latency is None else latency
     drives = None if drives is None else drives.of(task.robot)
     if payload is not None:
-        mass, length = as_vector("payload", payload, 2)
+        mass, length = as_vector("payload", payload, 2).tolist()
         payload = as_size("mass of payload", mass, "kg"), as_size("length of payload", length)
     arm, m, nv = _Arm(task, regressor, latency, drives, payload), task.m, task.robot.nv
     rates, of_rate, why = _rates(arm, latency, settling_time, gains)
@@ -479,7 +479,7 @@ def tuned(
         most = ", ".join(f"{each:.3g}" for each in arm.motors)
         why += f"; damping at most {most} N m s/rad, for motors behind elastic gears"
     if payload is not None:
-        why += f"; with up to {payload[0]:g} kg on {payload[1]:g} m"
+        why += f"; told of up to {payload[0]:g} kg on {payload[1]:g} m"
     if not stable:
         why += "; no gains passed the check: x is too late, or Ĵ too far off"
     reasons = [why]
