@@ -201,7 +201,8 @@ class AdaptiveDynamics(MotionDynamics):
         inertia = np.array([1.0 / np.diag(M_inv) for _, M_inv in motions]) + self.rotor_inertia
         damping = kappa * np.median(1.0 / (1.0 / inertia + softness), axis=0)
         rotors = np.diag(self.rotor_inertia)
-        behind = [(Y_d, np.linalg.inv(np.linalg.inv(M_inv) + rotors)) for Y_d, M_inv in motions]
+        heavier = np.linalg.inv(np.linalg.inv([M_inv for _, M_inv in motions]) + rotors)
+        behind = [(Y_d, np.asarray(each)) for (Y_d, _), each in zip(motions, heavier, strict=True)]
         alone = squared_rates(behind, np.ones(self.n_state))
         motions = [(Y_d, _softened(M_inv, softness)) for Y_d, M_inv in motions]
         self.gain, rates = np.full(self.n_state, _GAIN), squared_rates(motions, gamma)
