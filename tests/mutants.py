@@ -526,7 +526,7 @@ MUTANTS = [
     ),
     (
         "held although it is new", "controllers/hold.py",
-        "law.complement(held.is_new) & (answer.status == _OK)", "answer.status == _OK", PERIODS,
+        "law.complement(held.is_new) & usual", "usual", PERIODS,
     ),
     (
         "what was learnt is forgotten", "controllers/predicted_measurement.py",
