@@ -199,7 +199,7 @@ def before(arm, gains, alpha):
 def test_the_check_refuses_what_diverges_and_passes_what_the_rule_chose(name, latency):
     """Gains for 0.5 s, three times the learning of before, and integral action of ½K_p."""
     task, chosen = learning_of(name, latency)
-    arm = _Arm(task, GravityRegressor(task.robot), Latency(), None)
+    arm = _Arm(task, GravityRegressor(task.robot), Latency(), None, None)
     gains = aj.default_gains(task, 0.5).diagonals(task.m, task.robot.nv)
     alpha = slow_rate(arm.task, gains)
     fast = Learning(
