@@ -126,8 +126,6 @@ class SetpointController(Immutable, Controller):
         friction: `FrictionCompensation()` for joints that rub; None is without.
         drives: Rotors and gears of the joints, as far as they are known, for `tuned`. With a lag
             alone rotors that geared arms have at least; `Drives()` says that there are none.
-        payload: Largest mass [kg] and length [m] of an object that the believed robot lacks, for
-            `tuned`.
 
     Raises:
         InvalidInputError: Gains of the wrong shape, an invalid saturation, no added damping on an
@@ -148,7 +146,6 @@ class SetpointController(Immutable, Controller):
         settling_time: float | None = None,
         friction: FrictionCompensation | None = None,
         drives: Drives | None = None,
-        payload: tuple[float, float] | None = None,
     ) -> None:
         analysis.require_controllable(task)
         for name, value, kind, wanted in (
@@ -166,7 +163,7 @@ class SetpointController(Immutable, Controller):
         self.friction = friction
         self.gravity: Gravity = ModelGravity(robot) if gravity is None else gravity
         require_gravity(self.gravity, task)
-        self.tuning = self._tuned(gains, latency, settling_time, drives, payload)
+        self.tuning = self._tuned(gains, latency, settling_time, drives)
         if gains is None:
             assert self.tuning is not None
             gains = self.tuning.gains
@@ -219,7 +216,6 @@ class SetpointController(Immutable, Controller):
         latency: Latency | None,
         settling_time: float | None,
         drives: Drives | None,
-        payload: tuple[float, float] | None,
     ) -> Tuning | None:
         gravity, alpha, regressor = self.gravity, None, None
         if isinstance(gravity, AdaptiveGravity) and gravity.wants_rule:
@@ -234,7 +230,7 @@ class SetpointController(Immutable, Controller):
             latency = replace(known, velocity_filter=known.velocity_filter + lag)
         return tuned(
             self.task, latency, settling_time=settling_time, regressor=regressor, gains=gains,
-            alpha=alpha, drives=drives, payload=payload,
+            alpha=alpha, drives=drives,
         )  # fmt: skip
 
     def begin(self, measurement: Measurement) -> Array:
