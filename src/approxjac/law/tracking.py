@@ -360,6 +360,8 @@ _COARSEST, _NOTHING = 1e-3, 1e-9  # encoder's step at most [rad or m]; speed tha
 _TONE, _STEP = 0.6, 0.25  # of the tone of a step to and fro each period, and of it, that are noise
 _RISE, _SLOWER, _LEAVES = 0.5, 0.25, 0.5  # time to rise by e [s]; rate and damping after a swing
 _SLOWEST_RISE = 0.02  # rate [1/s]
+_RAISED = 1.3  # times the first damping, from which on a swing tells of what was raised
+_LAG = 4.0  # half swings, by which the mean of the energy lags
 
 
 class RaisedDamping(NamedTuple):
@@ -369,8 +371,9 @@ class RaisedDamping(NamedTuple):
     high-passes at 0.7 ω₉₀ is looked at. A joint swings if the energy of that does not fall by an
     eighth in eight half swings, and stands out from what usually passes and from the tone of an
     encoder's steps. Then its damping falls to half, and rises at a quarter of the rate, which is at
-    first by e in 0.5 s; less where what usually passes, noise, is felt. No proof asks what the
-    damping is: see `tracking_torque`.
+    first by e in 0.5 s; less where what usually passes, noise, is felt. A swing near the damping at
+    first leaves the rate, as what more of it does is not seen there; the next is looked for when
+    the energy's mean has settled. No proof asks what the damping is: see `tracking_torque`.
 
     Its memory are fourteen numbers of each joint: w, that rate, the low-passes, and what finds
     swings and an encoder's steps.
@@ -447,7 +450,7 @@ class RaisedDamping(NamedTuple):
             first,
             energy,
             np.where(over, energy, np.maximum(most, energy)),
-            np.where(over, 0.0, swings),
+            np.where(rings, -_LAG, np.where(over, 0.0, swings)),
             np.where(over, 0.0, age + 1.0),
             np.maximum(usual, self.least / _OUTSTANDS),
             v,
@@ -459,9 +462,10 @@ class RaisedDamping(NamedTuple):
         rate = np.minimum(pace * calm * damping, (1.0 - share) / self.dt)
         rate = np.maximum(rate, -share / self.dt)
         left = np.maximum(_LEAVES * damping - self.first, 0.0)
+        slower = rings & (damping > _RAISED * self.first)
         share = np.where(rings, left, share + self.dt * rate)
         return np.concatenate(
-            [share, np.where(rings, np.maximum(_SLOWER * pace, _SLOWEST_RISE), pace), *rows]
+            [share, np.where(slower, np.maximum(_SLOWER * pace, _SLOWEST_RISE), pace), *rows]
         ), rate
 
 
