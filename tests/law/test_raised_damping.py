@@ -62,6 +62,33 @@ def test_a_swing_that_grows_halves_it_and_makes_it_slower(times):
     assert memory[1] == 1.0  # of the joint that stands
 
 
+def test_a_swing_near_the_damping_at_first_does_not_slow_what_follows():
+    """Such as that of gears which the first frames of x excite, and which dies away."""
+    watch, t = raised(2), DT * np.arange(1500)
+    swing = 0.05 * np.exp(-20.0 * np.maximum(t - 0.1, 0.0)) * np.sin(1.5 * OMEGA * t)
+    memory = watch.start(np.zeros(2))
+    lowered = 0
+    for v in swing:
+        before = memory[0]
+        memory, _ = watch.step(memory, np.array([v, 0.0]))
+        lowered += memory[0] < before
+    assert lowered >= 1
+    assert (memory[2:4] == 2.0).all()
+    assert memory[0] > 0.3  # a second later
+
+
+@pytest.mark.parametrize("times", [1.0, 2.0, 3.0])
+@pytest.mark.parametrize("growth", [20.0, 40.0])
+def test_a_swing_that_dies_once_it_is_halved_is_halved_once(times, growth):
+    watch, memory, size, lowered = (each := raised(1)), each.start(np.zeros(1)), 1e-4, 0
+    for now in DT * np.arange(2500):
+        before = memory[0]
+        size *= np.exp(DT * (0.0 if now < 0.8 else -growth if lowered else growth))
+        memory, _ = watch.step(memory, np.array([size * np.sin(times * OMEGA * now)]))
+        lowered += memory[0] < before
+    assert lowered == 1
+
+
 def test_neither_motion_nor_what_dies_away_nor_noise_lowers_it(rng):
     t = DT * np.arange(5000)[:, None]
     motion = np.sin(2.0 * np.pi * rng.uniform(0.2, 3.0, 20) * t + rng.uniform(0.0, 6.0, 20))

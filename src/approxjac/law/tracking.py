@@ -361,7 +361,7 @@ _TONE, _STEP = 0.6, 0.25  # of the tone of a step to and fro each period, and of
 _RISE, _SLOWER, _LEAVES = 0.5, 0.25, 0.5  # time to rise by e [s]; rate and damping after a swing
 _SLOWEST_RISE = 0.02  # rate [1/s]
 _RAISED = 1.3  # times the first damping, from which on a swing tells of what was raised
-_LAG = 4.0  # half swings, by which the mean of the energy lags
+_WAITS = 4.0  # half swings at ω₉₀ without another, as the mean lags
 
 
 class RaisedDamping(NamedTuple):
@@ -372,8 +372,8 @@ class RaisedDamping(NamedTuple):
     eighth in eight half swings, and stands out from what usually passes and from the tone of an
     encoder's steps. Then its damping falls to half, and rises at a quarter of the rate, which is at
     first by e in 0.5 s; less where what usually passes, noise, is felt. A swing near the damping at
-    first leaves the rate, as what more of it does is not seen there; the next is looked for when
-    the energy's mean has settled. No proof asks what the damping is: see `tracking_torque`.
+    first leaves the rate, as it tells nothing of more damping. No proof asks what the damping is:
+    see `tracking_torque`.
 
     Its memory are fourteen numbers of each joint: w, that rate, the low-passes, and what finds
     swings and an encoder's steps.
@@ -450,8 +450,8 @@ class RaisedDamping(NamedTuple):
             first,
             energy,
             np.where(over, energy, np.maximum(most, energy)),
-            np.where(rings, -_LAG, np.where(over, 0.0, swings)),
-            np.where(over, 0.0, age + 1.0),
+            np.where(over, 0.0, swings),
+            np.where(rings, -_WAITS * self.half, np.where(over, 0.0, age + 1.0)),
             np.maximum(usual, self.least / _OUTSTANDS),
             v,
             count,
