@@ -561,7 +561,7 @@ MUTANTS = [
     (
         "first torque from nothing", "controllers/limits/torque_limited.py",
         "before = np.where(before > _SET, g, before)",
-        "before = np.where(before > _SET, 0.0, before)", PERIODS,
+        "before = np.where(before > _SET, 0.0, before)", "tests/codegen/test_c99.py",
     ),
     (
         "efforts of one side", "controllers/limits/torque_limited.py",

@@ -155,24 +155,29 @@ def test_forces_and_torques_are_learnt_as_the_page_says():
 
 
 @pytest.mark.parametrize(
-    "name",
-    [*(pytest.param(k, marks=pytest.mark.study) for k in ("panda", "ur5")), "three_joint"],
+    ("name", "dt", "delay"),
+    [
+        *(pytest.param(k, 5e-3, 10e-3, marks=pytest.mark.study) for k in ("panda", "ur5")),
+        ("three_joint", 5e-3, 10e-3),
+        ("two_link", 20e-3, 0.0),
+    ],
 )
-def test_what_was_chosen_is_stable_with_all_of_it_larger(name):
+def test_what_was_chosen_is_stable_with_all_of_it_larger(name, dt, delay):
     """Of an arm of 70 % of the inertia, which is as if gains were larger by as much.
 
-    Of the sampled loop whose torques are 10 ms late, at configurations of one's own.
+    Of the sampled loop whose torques may be late, at configurations of one's own.
     """
     (margin,) = documented("control.md", r"must be stable with all of these ([\d.]+) times larger")
     belief = heavy(name).bare.with_gravity((0.0, 0.0, 0.0))
-    task, latency = aj.PositionTask(belief), Latency(5e-3, torque_delay=10e-3)
+    axes = "xz" if name == "two_link" else "xyz"
+    task, latency = aj.PositionTask(belief, axes=axes), Latency(dt, torque_delay=delay)
     chosen = tuned(task, latency)
     assert chosen.stable
     parts = (chosen.gains.kp, chosen.gains.kv, chosen.gains.damping)
     larger = aj.Gains(*(margin / 0.7 * np.asarray(each) for each in parts))
     law = aj.SetpointController(task, larger, gravity=NoGravity(belief))
-    plant = aj.Plant(belief, task, actuator_delay=10e-3)
-    assert all(local_stability(plant, law, q, dt=5e-3).stable for q in drawn(task, 20))
+    plant = aj.Plant(belief, task, actuator_delay=delay)
+    assert all(local_stability(plant, law, q, dt=dt).stable for q in drawn(task, 20))
 
 
 # -- default gains --------------------------------------------------------------------------------

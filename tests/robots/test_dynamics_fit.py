@@ -10,8 +10,11 @@ from approxjac.robots import Dynamics, Friction, fit_dynamics
 DT = 2e-3  # [s]
 
 
-def recorded(name, payload, friction, duration=20.0, seed=1, still=None):
-    """Return an arm without its payload, q and τ of sums of sines with noise, and (q̇, load)."""
+def recorded(name, payload, friction, duration=20.0, seed=1, still=None, pause=(0.0, 0.0)):
+    """Return an arm without its payload, q and τ of sums of sines with noise, and (q̇, load).
+
+    In a pause the joints stand, and 0.9 of their friction acts.
+    """
     arm, rng = aj.load_robot(name), np.random.default_rng(seed)
     held = arm.with_object(0.2, payload, axis="x")
     dynamics = Dynamics(held)
@@ -20,11 +23,15 @@ def recorded(name, payload, friction, duration=20.0, seed=1, still=None):
     if still is not None:
         size[still] = 1e-4
     q, v, a = np.tile(0.5 * (low + high), (len(t), 1)), 0.0, 0.0
+    begun, ended = (np.tanh((t - each) / 0.2)[:, None] for each in pause)
+    pace = 1.0 - 0.5 * (begun - ended)  # of the time that passes in the sines
+    slows = np.gradient(pace[:, 0], DT)[:, None]
     for k in (1, 2, 3):
         omega = 0.2 * np.pi * k * (1.0 + 0.3 * rng.random(arm.nv))
-        angle = np.outer(t, omega) + rng.uniform(0.0, 2.0 * np.pi, arm.nv)
+        angle = np.outer(np.cumsum(pace) * DT, omega) + rng.uniform(0.0, 2.0 * np.pi, arm.nv)
         q = q + size * np.sin(angle)
-        v, a = v + size * omega * np.cos(angle), a - size * omega**2 * np.sin(angle)
+        v = v + pace * size * omega * np.cos(angle)
+        a = a + slows * size * omega * np.cos(angle) - pace**2 * size * omega**2 * np.sin(angle)
     rows = np.array([arm.configuration(each) for each in q])
     load = np.array(
         [dynamics.C(*of) @ of[1] + dynamics.g(of[0]) for of in zip(rows, v, strict=True)]
@@ -32,7 +39,8 @@ def recorded(name, payload, friction, duration=20.0, seed=1, still=None):
     inertial = np.array([dynamics.M(of) @ a_of for of, a_of in zip(rows, a, strict=True)])
     slow = 1.0 + (friction.stribeck - 1.0) * np.exp(-np.abs(v) / friction.stribeck_velocity)
     dry = friction.coulomb * slow + friction.load * np.abs(load)
-    tau = load + inertial + friction.viscous * v + dry * np.sign(v)
+    tau = load + inertial + friction.viscous * v
+    tau += np.where(pace > 0.02, dry * np.sign(v), 0.9 * dry)
     tau += 0.02 * np.sqrt(arm.effort_limits) * rng.normal(size=tau.shape)
     seen = q + 2e-5 * rng.normal(size=q.shape)
     return arm, np.array([arm.configuration(each) for each in seen]), tau, (v, np.abs(load))
@@ -84,6 +92,14 @@ def test_it_is_what_a_law_begins_with(every):
     assert_allclose(law.known.coulomb, 1.0, rtol=0.1)
     assert (fit.friction_sd > 0.0).all()
     assert (fit.residual < 0.3).all()
+
+
+def test_joints_that_pause_tell_nothing_of_their_friction_meanwhile():
+    """Friction may be anything then, here 0.9 of what slides, in one direction."""
+    arm, q, tau, (v, _) = recorded("ur5", 0.0, Friction(0.3, 1.0), 16.0, pause=(4.0, 12.0))
+    assert np.mean(np.abs(v).max(axis=1) < 1e-3) > 0.4
+    fit = fit_dynamics(arm, q, tau, DT)
+    assert_allclose(fit.friction.coulomb, 1.0, rtol=0.1)
 
 
 def test_joints_that_stand_or_go_one_way_are_named():
