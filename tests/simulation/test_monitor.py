@@ -273,6 +273,24 @@ def test_gravity_that_the_robot_adds_is_no_push(panda, belief, controller, excha
     assert events(panda, controller, adds=belief, way=way, exchanged=exchanged) == []
 
 
+@pytest.mark.parametrize("carried", [False, True])
+def test_an_arm_that_falls_or_coasts_fast_is_not_pushed(panda, controller, carried):
+    """By what it knows: Coriolis and centrifugal torques, gravity, and what carries it."""
+    plant = aj.Plant(panda, aj.PositionTask(panda), joint_limits=False)
+    v = np.array([0.0, 2.0 * carried, 0.0, 0.0, 0.0, 0.0, 0.0])
+    moving = MovingArm(plant, plant.ready_configuration(), v, DT, "rk4", 0)
+    monitor, none = Monitor(controller, panda if carried else None), np.zeros(7)
+    fastest = 0.0
+    for _ in range(750):
+        carries = Dynamics(panda).g(moving.q) if carried else none
+        moving.move(moving.take(carries))
+        measured = moving.sense()[1]
+        monitor.look(measured, none, none, controller.initial_state(measured))
+        fastest = max(fastest, np.abs(measured.v).max())
+    assert fastest > 2.0
+    assert monitor.events == []
+
+
 def test_a_sample_that_is_not_finite_is_passed_over(controller):
     robot = controller.task.robot
     q, v, x = robot.neutral(), np.zeros(robot.nv), np.zeros(3)
