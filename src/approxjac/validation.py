@@ -274,6 +274,13 @@ def _as_it_is(value: Any) -> Any:
     return copy.copy(value) if isinstance(value, _CHANGEABLE) else value
 
 
+def changed_copy(of: Any, **changes: Any) -> Any:
+    """Return a shallow copy with other attributes, whatever its class does to be copied."""
+    new = object.__new__(type(of))
+    vars(new).update(vars(of), **changes)
+    return new
+
+
 class Saved:
     """An object that a file stores as its kind and the arguments of its constructor.
 

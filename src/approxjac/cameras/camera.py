@@ -23,6 +23,7 @@ from approxjac.validation import (
     Saved,
     as_array,
     as_number,
+    changed_copy,
     is_scalar,
     plane_rows,
     require,
@@ -78,9 +79,7 @@ class Camera(Saved, ABC):
 
     def with_numbers(self, numbers: Mapping[str, Any]) -> Self:
         """Return this camera with other `numbers`, which may be symbols."""
-        other = object.__new__(type(self))
-        vars(other).update(vars(self), **numbers)
-        return other
+        return changed_copy(self, **numbers)
 
 
 @dataclass(frozen=True, repr=False)
