@@ -360,8 +360,6 @@ class MovingArm:
 
     def take(self, command: Array) -> list[Array]:
         """Queue a command; return those that act during the next sample, in order."""
-        if self._late == 0 and self.plant.servo is None:
-            return [command]
         return [self._next(command) for _ in range(self._per_sample)]
 
     def _next(self, command: Array) -> Array:
