@@ -15,7 +15,7 @@ import numpy as np
 from numpy import ndarray
 from numpy.typing import NDArray
 
-from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.errors import InvalidInputError, require_known
 from approxjac.formatting import shown
 
 Array = NDArray[np.float64]
@@ -193,8 +193,7 @@ def axis_rows(name: str, axes: str) -> list[int]:
         message = f"{name} must name each axis once, such as 'xyz' or 'xz', got {axes!r}"
         raise InvalidInputError(message, given=axes)
     for letter in axes:
-        if letter not in "xyz":
-            raise UnknownNameError("axis", letter, name, "xyz")
+        require_known("axis", letter, name, "xyz")
     return list(map("xyz".index, axes))
 
 

@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from approxjac import law
 from approxjac.cameras.lenses import Fisheye, Lens, shortened
-from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.errors import InvalidInputError, require_known
 from approxjac.formatting import short_fields
 from approxjac.law.products import length
 from approxjac.validation import (
@@ -66,9 +66,8 @@ class Camera(Saved, ABC):
     def recalibrated(self, values: Mapping[str, float]) -> Camera:
         """Return this camera with other values of its `calibration`, by name."""
         for name in values:
-            if name not in self.calibration:
-                where = f"the calibration of {type(self).__name__}"
-                raise UnknownNameError("value", name, where, self.calibration)
+            where = f"the calibration of {type(self).__name__}"
+            require_known("value", name, where, self.calibration)
         return self
 
     @property

@@ -16,6 +16,7 @@ from approxjac.errors import (
     MissingPackageError,
     UnknownNameError,
     UrdfError,
+    require_known,
 )
 from approxjac.robots.meshes import share_dir
 from approxjac.robots.robot import STANDARD_GRAVITY, Robot
@@ -205,8 +206,7 @@ def _names(free: str | Sequence[str], moving: list[str], urdf: Urdf) -> list[str
     if names == ["all"]:
         return moving
     for name in names:
-        if name not in moving:
-            raise UnknownNameError("moving joint", name, urdf.name, moving)
+        require_known("moving joint", name, urdf.name, moving)
     return names
 
 
