@@ -55,7 +55,7 @@ class UnknownNameError(ApproxJacError, LookupError):
 
 def require_known(kind: str, name: object, where: str, valid: Collection[str]) -> None:
     """Raise an UnknownNameError unless a name is one of the valid ones."""
-    if name not in valid:
+    if not isinstance(name, str) or name not in valid:
         raise UnknownNameError(kind, name, where, valid)
 
 

@@ -129,9 +129,13 @@ def as_integer(name: str, value: Any, minimum: int) -> int:
 
 
 def as_diagonal(
-    name: str, value: Any, size: int, *, unit: str = "", positive: bool = True
+    name: str, value: Any, size: int | None = None, *, unit: str = "", positive: bool = True
 ) -> Array:
-    """Return a diagonal given as a scalar or a vector as a read-only vector of `size`."""
+    """Return a diagonal given as a scalar or a vector as a read-only vector of `size`.
+
+    Without a size it has as many entries as are given.
+    """
+    size = math.prod(shape_of(value)) if size is None else size
     array = as_entries(name, value, max(size, 1), unit)
     if not ((array > 0.0 if positive else array >= 0.0) & (array <= _LARGEST)).all():
         # or products of gains could overflow in a control step

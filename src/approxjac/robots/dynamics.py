@@ -29,7 +29,7 @@ class Dynamics(Immutable):
         self.robot = robot
         self._model = robot.model
         self._data = self._model.createData()
-        self._zero = np.zeros(robot.nv)
+        self._zero, self._q = np.zeros(robot.nv), robot.configuration
         # the same where there are no mimic joints; Pinocchio's algorithms that cannot couple them
         # run on this model
         self._mimic_joints = robot.mimic_joints
@@ -118,9 +118,6 @@ class Dynamics(Immutable):
             pin.computeKineticEnergy(self._all, self._all_data, q, v)
             + pin.computePotentialEnergy(self._all, self._all_data, q)
         )
-
-    def _q(self, q: Array) -> Array:
-        return self.robot.configuration(q)
 
     def _v(self, v: Array, name: str = "v") -> Array:
         return as_vector(name, v, self.robot.nv)

@@ -105,9 +105,8 @@ class Robot(Immutable):
         outward: str | None = None,
     ) -> None:
         require("urdf", urdf, (str, Urdf), "URDF text")
-        gravity = as_array("gravity", gravity, (3,), "m/s^2")
+        self.gravity = as_array("gravity", gravity, (3,), "m/s^2")
         self.tree = urdf if isinstance(urdf, Urdf) else Urdf.parse(urdf, source)
-        self.gravity = gravity
         self.urdf_dir = urdf_dir
         self.name = self.tree.name if name is None else name
         self.model, self.mimic_joints = build_model(self.tree)

@@ -417,7 +417,7 @@ class Scalar:
     def select(self, a: Any, b: Any) -> Any:
         """Do as `law.select`."""
         if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
-            return _where(self, a, b)
+            return _choices(self, a, b)
         return select(self, a, b)
 
     def array(self, values: Any) -> Any:
@@ -633,9 +633,7 @@ class SymbolArray(np.ndarray):
             return np.transpose(other) @ self
         return self @ other
 
-    def looped(self, *arguments: Any) -> Any:
-        """Do as `law.collect`."""
-        return _looped(*arguments)
+    looped = Scalar.looped
 
     def arm_of(self, robot: Any) -> Any:
         """Return a robot's arm at this configuration (nq,), as `robots.traced.arm_of` does."""
@@ -758,7 +756,7 @@ def _rotate(a: list[list[Number]], vectors: list[list[Number]], p: int, q: int) 
 
 
 _OF_ARRAYS: dict[Any, Callable[..., Any]] = {
-    np.where: lambda condition, a, b: _where(condition, a, b),
+    np.where: _choices,
     np.linalg.norm: _norm,
     np.clip: _clip,
     np.linalg.eigh: eigensystem,
@@ -840,10 +838,6 @@ def _product(A: Any, b: Symbols) -> Symbols:
     first = columns[0] * b[0]
     (product[~sparse],) = law.repeat(len(b) - 1, add, (first,))
     return product
-
-
-def _where(condition: Any, a: Any, b: Any) -> Any:
-    return _apply(_choices, "__call__", condition, a, b)
 
 
 def symbols(values: Any) -> Symbols:
