@@ -225,11 +225,9 @@ def _chain(urdf: Urdf, base: str | None, tip: str) -> set[str]:
 
 def _link(urdf: Urdf, frame: str) -> str:
     """Return the link that a frame is part of: itself, or what the joint of that name moves."""
-    if isinstance(frame, str) and frame in urdf.links:
-        return frame
-    if isinstance(frame, str) and frame in urdf.joints:
-        return urdf.joints[frame].child
-    raise UnknownNameError("frame", frame, urdf.name, urdf.links, likely_tips(urdf))
+    if not isinstance(frame, str) or frame not in {*urdf.links, *urdf.joints}:
+        raise UnknownNameError("frame", frame, urdf.name, urdf.links, likely_tips(urdf))
+    return urdf.link_of(frame)
 
 
 # The arms known by name weigh 3 to 41 kg for a cube of their reach, and the strongest motor of each

@@ -121,8 +121,8 @@ class Robot(Immutable):
         leaves = [link for link in self.tree.links if link not in parents]
         if tip is None:
             tip = leaves[0] if len(leaves) == 1 else None
-        elif self.frame_id(tip) and tip not in self.tree.links:  # a joint's frame is its child's
-            tip = self.tree.joints[tip].child
+        elif self.frame_id(tip):  # a joint's frame is its child's
+            tip = self.tree.link_of(tip)
         self.tip, self._outward = tip, outward
 
     # -- what it is ---------------------------------------------------------------------

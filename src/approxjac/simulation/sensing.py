@@ -63,8 +63,7 @@ class Sensing:
 
     def __post_init__(self) -> None:
         for name in ("x_noise", "x_quantum", "q_noise", "q_quantum"):
-            value = getattr(self, name)
-            as_diagonal(name, value, positive=False)
+            as_diagonal(name, getattr(self, name), positive=False)
         as_number("x_delay", self.x_delay, unit="s", minimum=0.0)
         as_number("x_dropout", self.x_dropout, minimum=0.0, most=1.0)
         if self.velocity_filter is not None:
