@@ -97,7 +97,8 @@ def assert_same(ours, expected, tolerance=1e-10):
 
 def traced_terms(robot, frames):
     """Return the terms that are learnt of, and the functions that have them."""
-    points, links, n = KinematicRegressor(robot, frames), DynamicsRegressor(robot), robot.nv
+    links, n = DynamicsRegressor(robot), robot.nv
+    points = KinematicRegressor(robot, frames, axes=True)
     program = Program()
     sizes = {"q": robot.nq, "v": n, "v_r": n, "a_r": n, "sigma": n, "theta": points.p}
     sizes |= {"theta_dot": points.p, "a": links.links}
@@ -106,8 +107,17 @@ def traced_terms(robot, frames):
     )
     here = Arm(program.given, "arm", robot, points.frames).at(q)
     bodies = LearntBodies(here, v, v_r, a_r)
-    motion = here.points(points).motion(v, theta, theta_dot)
-    terms = {**motion._asdict(), "powers": bodies.powers(sigma), "torque": bodies.torque(a)}
+    motion, (Y, o) = (
+        here.points(points).motion(v, theta, theta_dot),
+        here.points(points).linear(theta),
+    )
+    terms = {
+        **motion._asdict(),
+        "Y": Y,
+        "o": o,
+        "powers": bodies.powers(sigma),
+        "torque": bodies.torque(a),
+    }
     return program, {**terms, "gravity": bodies.gravity(a)}, points, links
 
 
@@ -121,7 +131,14 @@ def assert_terms(robot, frames, rng):
     q, v, v_r, a_r, sigma, a = (given[name][0] for name in ("q", "v", "v_r", "a_r", "sigma", "a"))
     moved = links.motion(q, v, v_r, a_r)
     motion = points.motion(q, v, given["theta"][0], given["theta_dot"][0])
-    expected = {**motion._asdict(), "powers": moved.powers(sigma), "torque": moved.torque(a)}
+    Y, o = points.linear(q, given["theta"][0])
+    expected = {
+        **motion._asdict(),
+        "Y": Y,
+        "o": o,
+        "powers": moved.powers(sigma),
+        "torque": moved.torque(a),
+    }
     expected["gravity"] = moved.gravity(a)
     for name, value in expected.items():
         size = 1.0 + np.abs(value).max()
