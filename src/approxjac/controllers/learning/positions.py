@@ -10,7 +10,7 @@ import numpy as np
 from approxjac import law
 from approxjac.cameras import PlanarCamera
 from approxjac.controllers.arguments import chosen_deviations, chosen_kinds, is_rotation
-from approxjac.controllers.learning.estimator import Estimator, Translations, motion_of_points
+from approxjac.controllers.learning.estimator import Estimator, Unknowns, motion_of_points
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement, Target
 from approxjac.law import PredictedError
@@ -27,9 +27,10 @@ from approxjac.tasks import (
 from approxjac.tasks.frame_tasks import FrameKinematics
 from approxjac.validation import Array, as_number
 
-_KINDS = ("tool", "origins", "camera", "offset")
+_KINDS = ("tool", "origins", "axes", "camera", "offset")
 _USUAL_SD: Mapping[str, float] = {
-    "tool": 0.2, "orientation": 1.0, "origins": 0.02, "camera": 1.0, "offset": 0.2,
+    "tool": 0.2, "orientation": 1.0, "origins": 0.02, "axes": 3e-3, "encoders": 0.015,
+    "camera": 1.0, "offset": 0.2,
 }  # fmt: skip
 _USUAL_IN_IMAGE = {"tool": 0.5, "origins": 0.5}  # as wrong as the magnification
 _NOISE = 2e-3  # usual one [m]
@@ -106,6 +107,7 @@ class AdaptiveKinematics(Estimator):
         used = {*kinds, *(("offset",) if self._turns else ())}
         self._learns_T = self._is_pose and "tool" in kinds
         used |= {"orientation"} if self._learns_T else set()
+        used |= {"encoders"} if "axes" in kinds else set()
         in_image = isinstance(task, ImageTask)
         sds = chosen_deviations(sd, {**_USUAL_SD, **(_USUAL_IN_IMAGE if in_image else {})}, used)
         points, sensor = _seen(task)
@@ -123,17 +125,15 @@ class AdaptiveKinematics(Estimator):
         angle_noise = as_number("angle_noise", angle_noise, unit="rad", above=0.0, most=1.0)
 
         # u: p = o(q) + H(q)u, and of a pose the nine numbers of the tool's rotation
-        self.regressor = KinematicRegressor(task.robot, frames)
-        tool, origins = "tool" in kinds, "origins" in kinds
-        self._moved = moved = Translations(self.regressor, len(frames), tool, origins)
+        self.regressor = KinematicRegressor(task.robot, frames, axes="axes" in kinds)
+        self._moved = moved = Unknowns(self.regressor, kinds, sds)
         entries = [(frames.index(frame), axis) for frame, each in points for axis in each]
         rows = [3 * frame + "xyz".index(axis) for frame, axis in entries]
         in_order = rows == list(range(3 * self.regressor.k))
         self._rows: slice | Array = slice(None) if in_order else np.array(rows)
         self._n_p, self._n_theta = len(rows), len(moved.u)
-        units, Theta = dict.fromkeys(moved.names, "m"), [moved.u]
-        self._sd_u = np.where(moved.is_tool, sds["tool"], sds["origins"])
-        deviations = [self._sd_u]
+        units, Theta = dict(zip(moved.names, moved.units, strict=True)), [moved.u]
+        deviations = [moved.sd]
         # The axes of R_x = R R_f(q) T are points ℓ R_x e_k, linear in nine numbers, to which T is
         # the nearest rotation. Of a rotation vector φ, Σ‖ℓ[φ]ₓ e_k‖² = 2ℓ²‖φ‖²: with ℓ = L/√2, and
         # L what a radian counts as [m], both weigh as their noise says.
@@ -157,7 +157,8 @@ class AdaptiveKinematics(Estimator):
             deviations.append(np.full(d, sds["offset"]))
         kind = _UnknownRotation if self._turns else _KnownRotation
         self._Theta, sd_Theta = np.concatenate(Theta), np.concatenate(deviations)
-        self._estimator = kind(self._Theta, R, sd_Theta, sds["camera"], self._n_u, self.noise)
+        given = sds["camera"], self._n_u, self.noise, moved
+        self._estimator = kind(self._Theta, R, sd_Theta, *given)
         spin = len(law.generators(d)) if self._turns else 0
         if self._turns:
             turns = [f"camera.r{axis}" for axis in axes] if d == 3 else ["camera.turn"]
@@ -194,15 +195,18 @@ class AdaptiveKinematics(Estimator):
             x = np.where(np.repeat(lost, self._d), math.nan, x)
         return x
 
-    def _positions(self, q: Array) -> tuple[Array, Array]:
-        """Return H(q) of positions, (n_p, n_u), and o(q), in the base's axes without the offset."""
-        H, known = self._moved.at(q)
+    def _positions(self, q: Array, u: Array) -> tuple[Array, Array]:
+        """Return H(q) of positions, (n_p, n_u), and o(q), in the base's axes without the offset.
+
+        About u, of which the first n_θ are the regressor's.
+        """
+        H, known = self._moved.at(q, u[: self._n_theta])
         H, known = H[self._rows], known[self._rows] + self._constant
         return np.concatenate([H, np.zeros((3, 9))], axis=1) if self._learns_T else H, known
 
-    def _regression(self, q: Array) -> tuple[Array, Array]:
-        """Return H(q) and o(q) of all that is linear, in the base's axes."""
-        H, known = self._positions(q)
+    def _regression(self, q: Array, u: Array) -> tuple[Array, Array]:
+        """Return H(q) and o(q) of all that is learnt from, about u, in the base's axes."""
+        H, known = self._positions(q, u)
         H = np.concatenate([H, self._offsets], axis=1)
         if not self._is_pose:
             return H, known
@@ -217,7 +221,7 @@ class AdaptiveKinematics(Estimator):
     def _reach(self, q_0: Array, q: Array) -> Array:
         # half as far again as the believed arm, and four standard deviations of what may be wrong
         before, after = self._moved.at(q_0), self._moved.at(q)
-        known, unsure = motion_of_points(before, after, self._moved.u, self._sd_u)
+        known, unsure = motion_of_points(before, after, self._moved.u, self._moved.sd)
         reach = np.repeat(1.5 * known + 4.0 * unsure, 3)[self._rows]
         if self._is_pose:
             turned = law.length((self._frame(q) - self._frame(q_0)).ravel())
@@ -269,7 +273,7 @@ class AdaptiveKinematics(Estimator):
             T = self._frame(q).T.dot(R.T).dot(R_x)
             first[3:] = first[3:] & is_seen
             state[at["T"]] = np.where(law.all_of(first[3:]), T.ravel(), state[at["T"]])
-        H, known = self._positions(q)
+        H, known = self._positions(q, state[at["u"]])
         x_hat = self._turned(R, known + H.dot(state[at["u"]]))
         state[at["b"]] = np.where(first[:n_p], x[:n_p] - x_hat, state[at["b"]])
         state[at["placed"]] = np.where(first, 1.0, state[at["placed"]])
@@ -285,7 +289,7 @@ class AdaptiveKinematics(Estimator):
         unexplained = np.sqrt(np.minimum(np.maximum(chi[0], 1.0), _WORST))
         changed = unexplained * np.maximum(_CHANGED[0], _CHANGED[1] * usual)
         law.alter(is_anew | (np.abs(averaged).max() > changed), state, self._renew)
-        H, known = self._regression(frame.q)
+        H, known = self._regression(frame.q, self._estimator.estimate(state[at["sums"]])[0])
         # what is lost has no part in the sums
         seen = np.isfinite(x)
         z, o = np.where(seen, x, 0.0), np.where(seen, known, 0.0)
@@ -336,9 +340,10 @@ class AdaptiveKinematics(Estimator):
         at, n, n_p = self._at, self._n_u, self._n_p
         Theta, R = self._estimator.estimate(state[at["sums"]])
         u, smooth_u = Theta[:n], state[at["u"]]
-        H, known = self._positions(q)
+        H, known = self._positions(q, smooth_u)
         smooth_p, smooth_R = known + H.dot(smooth_u), self._rotation(state)
-        p = known + H.dot(u) + self._offsets.dot(Theta[n:])
+        learnt_H, learnt_o = self._positions(q, u) if self._moved.is_angle.any() else (H, known)
+        p = learnt_o + learnt_H.dot(u) + self._offsets.dot(Theta[n:])
         integral = state[at["integral"]]
         away = self._turned(R, p) + integral[:n_p]
         away = away - (self._turned(smooth_R, smooth_p) + state[at["b"]])
@@ -430,12 +435,13 @@ class AdaptiveKinematics(Estimator):
         x = R(o + Hu) + b moves by RΔp, Δp = Δo + ΔHu, and by R ΔH δu + [φ]ₓRΔp more where u and R
         are off by δu and φ; an orientation by W = RΔR_fRᵀ, and by φ − Wφ more, whatever the tool's.
         """
-        P, u = self.report(state).covariance, self.learnt(state)[: self._n_theta]
+        P, u = self.report(state).covariance, self.learnt(state)[: self._n_theta].copy()
         R = self._estimator.estimate(state[self._at["sums"]])[1]
-        (H_0, o_0), n_p, spin = self._moved.at(q_0), self._n_p, len(state[self._at["R_spin"]])
+        (H_0, o_0), n_p = self._moved.at(q_0, u), self._n_p
+        spin = len(state[self._at["R_spin"]])
 
         def sd(q: Array) -> Array:
-            H, o = self._moved.at(q)
+            H, o = self._moved.at(q, u)
             both = np.column_stack([H - H_0, o - o_0 + (H - H_0).dot(u)])[self._rows]
             if self._is_turned:
                 both = (R @ both.reshape(-1, self._d, both.shape[1])).reshape(both.shape)
@@ -520,11 +526,20 @@ class _KnownRotation:
     """
 
     def __init__(
-        self, Theta: Array, R: Array, sd: Array, sd_R: float, n_u: int, noise: float
+        self,
+        Theta: Array,
+        R: Array,
+        sd: Array,
+        sd_R: float,
+        n_u: int,
+        noise: float,
+        moved: Unknowns,
     ) -> None:
         self._first, self._R, self._d, self._n_u = Theta, R, len(R), n_u
         self._P = n = len(Theta)
-        self.prior, self._sd_R, self._weight = np.diag(sd**-2.0), sd_R, noise**-2.0
+        self.prior, self._sd_R, self._noise = np.diag(sd**-2.0), sd_R, noise
+        self._moved, bends = moved, np.flatnonzero(moved.is_angle | moved.is_tool)
+        self._bends = np.eye(n)[:, bends] if moved.is_angle.any() else np.zeros((n, 0))
         self._is_turned = not np.array_equal(R, np.eye(self._d))
         rows, columns = np.triu_indices(n)
         self._upper, self._n = rows * n + columns, len(rows)
@@ -562,9 +577,20 @@ class _KnownRotation:
         if self._is_turned:
             x = x.reshape(-1, self._d).dot(self._R).ravel()
         N = law.forgotten_information(self.information(numbers), self.prior, share)
-        N, Theta = law.information(N, H, self._weight), numbers[self._n :]
-        Theta = Theta + law.correction(N, H, self._weight, x - o - H.dot(Theta))
+        W, Theta = self._weight(N), numbers[self._n :]
+        N = law.information(N, H, W)
+        Theta = Theta + law.correction(N, H, W, x - o - H.dot(Theta))
         return np.concatenate([self._pack(N), Theta])
+
+    def _weight(self, N: Array) -> Any:
+        """Return R⁻¹ [1/m²] of a frame at the information N (P, P): of noise and what is bent."""
+        variance, bends = self._noise**2, self._bends
+        if bends.size:
+            variances = np.zeros_like(N, shape=self._P)
+            at = np.flatnonzero(bends.any(axis=1))
+            variances[at] = (bends * np.linalg.solve(N, bends)).sum(axis=0)
+            variance = variance + self._moved.bent(variances[: len(self._moved.u)])
+        return 1.0 / variance
 
     def estimate(self, numbers: Array) -> tuple[Array, Array]:
         """Return Θ̂ in the base's axes, (P,), and R̂ of the base's axes in the sensor's, (d, d)."""
@@ -594,9 +620,16 @@ class _UnknownRotation(_KnownRotation):
     """
 
     def __init__(
-        self, Theta: Array, R: Array, sd: Array, sd_R: float, n_u: int, noise: float
+        self,
+        Theta: Array,
+        R: Array,
+        sd: Array,
+        sd_R: float,
+        n_u: int,
+        noise: float,
+        moved: Unknowns,
     ) -> None:
-        super().__init__(Theta, R, sd, sd_R, n_u, noise)
+        super().__init__(Theta, R, sd, sd_R, n_u, noise, moved)
         P, dd = self._P, self._d**2
         self._parts = list(pairwise(np.cumsum([self._n, P, P * dd, dd, P, dd]).tolist()))
         self._everywhere = law.rotations_everywhere(self._d).reshape(-1, dd)
@@ -607,10 +640,11 @@ class _UnknownRotation(_KnownRotation):
         return self.information(numbers), a, B, E, Theta, A
 
     def learn(self, numbers: Array, H: Array, o: Array, x: Array, share: Any) -> Array:
-        d, W = self._d, self._weight
+        d = self._d
         *_, Theta, A = self._split(numbers)
         numbers = numbers + share * (self._about(Theta, A) - numbers)
         N, a, B, E, _, A = self._split(numbers)
+        W = self._weight(N)
         HW = W * H.T
         upper = self._pack(N + HW.dot(H))
         a = a - HW.dot(o)
