@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 from potentials import V1
 
 from approxjac import law
+from approxjac.law.factors import inverse
 
 
 def test_v1_falls_by_what_is_said_with_each_frame_and_never_rises(rng):
@@ -26,8 +27,12 @@ def test_v1_falls_by_what_is_said_with_each_frame_and_never_rises(rng):
         innovation = H @ truth - H @ Theta
         S = np.eye(3) / weight + H @ np.linalg.solve(Lambda, H.T)
         fall = 0.5 * innovation @ np.linalg.solve(S, innovation)
+        before = inverse(Lambda)
+        K = law.gain(before, H, 1.0 / weight)
+        after = before - K @ H @ before
         Lambda = law.information(Lambda, H, weight)
-        Theta = Theta + law.correction(Lambda, H, weight, innovation)
+        Theta = Theta + K @ innovation
+        assert_allclose(after @ Lambda, np.eye(P), atol=1e-6)
         assert V1(Lambda, truth - Theta) == pytest.approx(forgotten - fall, rel=1e-6, abs=1e-9)
         assert np.linalg.eigvalsh(Lambda - prior)[0] > -1e-6
         assert (truth - Theta) @ prior @ (truth - Theta) <= truth @ prior @ truth

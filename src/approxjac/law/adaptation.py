@@ -15,6 +15,7 @@ from approxjac.law.branches import (
     select,
     take,
 )
+from approxjac.law.factors import product
 from approxjac.law.products import dot
 from approxjac.validation import Array
 
@@ -211,12 +212,18 @@ def information(Lambda: Array, H: Array, weight: float) -> Array:
     return np.asanyarray(Lambda + weight * H.T.dot(H))
 
 
-def correction(Lambda: Array, H: Array, weight: float, innovation: Array) -> Array:
-    """Return ΔΘ̂ = Λ⁻¹HᵀR⁻¹ε with ε = x − HΘ̂ (m,) and Λ that includes the frame; shape (P,).
+def gain(P: Array, H: Array, variance: Any) -> Array:
+    """Return the gain K = PHᵀ(HPHᵀ + R)⁻¹ of a frame, shape (n, m).
 
-    Implements Theorem A's gain, in samples. H is (m, P), R⁻¹ = weight I.
+    Implements Theorem A's gain, in samples: Θ̂ + Kε with ε = x − HΘ̂ (m,), P = Λ⁻¹ before the frame,
+    H (m, n), and R = variance I. After the frame P is P − K(PHᵀ)ᵀ.
     """
-    return np.asanyarray(np.linalg.solve(Lambda, weight * innovation.dot(H)))
+    PH = product(P, H.T)
+    S = H.dot(PH) + variance * np.eye(len(H))
+    if S.dtype.hasobject:  # symbols are solved with where a matrix is symmetric to the letter
+        rows = np.arange(len(S))
+        S = S[np.maximum.outer(rows, rows), np.minimum.outer(rows, rows)]
+    return np.asanyarray(np.linalg.solve(S, PH.T).T)
 
 
 class Rubbing(NamedTuple):

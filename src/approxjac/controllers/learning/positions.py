@@ -14,6 +14,7 @@ from approxjac.controllers.learning.estimator import Estimator, Unknowns, motion
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement, Target
 from approxjac.law import PredictedError
+from approxjac.law.factors import inverse, solved
 from approxjac.robots import KinematicRegressor, Robot
 from approxjac.tasks import (
     ImageTask,
@@ -538,8 +539,7 @@ class _KnownRotation:
         self._first, self._R, self._d, self._n_u = Theta, R, len(R), n_u
         self._P = n = len(Theta)
         self.prior, self._sd_R, self._noise = np.diag(sd**-2.0), sd_R, noise
-        self._moved, bends = moved, np.flatnonzero(moved.is_angle | moved.is_tool)
-        self._bends = np.eye(n)[:, bends] if moved.is_angle.any() else np.zeros((n, 0))
+        self._moved, self._bends = moved, bool(moved.is_angle.any())
         self._is_turned = not np.array_equal(R, np.eye(self._d))
         rows, columns = np.triu_indices(n)
         self._upper, self._n = rows * n + columns, len(rows)
@@ -577,20 +577,17 @@ class _KnownRotation:
         if self._is_turned:
             x = x.reshape(-1, self._d).dot(self._R).ravel()
         N = law.forgotten_information(self.information(numbers), self.prior, share)
-        W, Theta = self._weight(N), numbers[self._n :]
-        N = law.information(N, H, W)
-        Theta = Theta + law.correction(N, H, W, x - o - H.dot(Theta))
-        return np.concatenate([self._pack(N), Theta])
+        P, Theta = inverse(N), numbers[self._n :]
+        variance = self._variance(P)
+        K = law.gain(P, H, variance)
+        N = law.information(N, H, 1.0 / variance)
+        return np.concatenate([self._pack(N), Theta + K.dot(x - o - H.dot(Theta))])
 
-    def _weight(self, N: Array) -> Any:
-        """Return R⁻¹ [1/m²] of a frame at the information N (P, P): of noise and what is bent."""
-        variance, bends = self._noise**2, self._bends
-        if bends.size:
-            variances = np.zeros_like(N, shape=self._P)
-            at = np.flatnonzero(bends.any(axis=1))
-            variances[at] = (bends * np.linalg.solve(N, bends)).sum(axis=0)
-            variance = variance + self._moved.bent(variances[: len(self._moved.u)])
-        return 1.0 / variance
+    def _variance(self, P: Array) -> Any:
+        """Return R of a frame [m²]: noise, and what is bent at the covariance P before it."""
+        if not self._bends:
+            return self._noise**2
+        return self._noise**2 + self._moved.bent(P.diagonal()[: len(self._moved.u)])
 
     def estimate(self, numbers: Array) -> tuple[Array, Array]:
         """Return Θ̂ in the base's axes, (P,), and R̂ of the base's axes in the sensor's, (d, d)."""
@@ -644,7 +641,7 @@ class _UnknownRotation(_KnownRotation):
         *_, Theta, A = self._split(numbers)
         numbers = numbers + share * (self._about(Theta, A) - numbers)
         N, a, B, E, _, A = self._split(numbers)
-        W = self._weight(N)
+        W = 1.0 / self._variance(inverse(N) if self._bends else N)
         HW = W * H.T
         upper = self._pack(N + HW.dot(H))
         a = a - HW.dot(o)
@@ -652,9 +649,9 @@ class _UnknownRotation(_KnownRotation):
         each = HW.reshape(len(a), -1, d).transpose(0, 2, 1).dot(seen)  # Σ Hᵀ x
         B = B + each.reshape(len(a), -1)
         E = E + (W * o.reshape(-1, d).T.dot(seen)).ravel()
-        solved, M, h = _reduced(self.information(upper), a, B, E)
+        found, M, h = _reduced(self.information(upper), a, B, E)
         w = self._rotation(M, h, A).ravel()
-        Theta = solved[:, 0] + solved[:, 1:].dot(w)
+        Theta = found[:, 0] + found[:, 1:].dot(w)
         return np.concatenate([upper, a, B.ravel(), E, Theta, w])
 
     def estimate(self, numbers: Array) -> tuple[Array, Array]:
@@ -664,13 +661,13 @@ class _UnknownRotation(_KnownRotation):
     def covariance(self, numbers: Array) -> Array:
         # that of the least squares: rotation first, all else given the rotation
         N, a, B, E, Theta, A = self._split(numbers)
-        solved, M, h = _reduced(N, a, B, E)
+        found, M, h = _reduced(N, a, B, E)
         known, axes = np.linalg.eigh(law.rotation_information(M, h, A))
         # of δ, with A ← exp([δ]ₓ)A; nothing is known less well than before
         of_delta = (axes / np.maximum(known, self._sd_R**-2.0)).dot(axes.T)
-        moved = np.concatenate([solved[:, 1:].dot(law.tangents(A)), np.eye(len(of_delta))])
+        moved = np.concatenate([found[:, 1:].dot(law.tangents(A)), np.eye(len(of_delta))])
         joint, n, P = moved.dot(of_delta).dot(moved.T), self._n_u, self._P
-        joint[:P, :P] += np.linalg.inv(N)
+        joint[:P, :P] += inverse(N)
         # b = Rc with R = Aᵀ ← R exp(−[δ]ₓ), and φ = −Rδ (−δ in the plane)
         c, R, T = Theta[n:], A.T, np.eye(len(joint))
         T[n:P, n:P] = R
@@ -702,9 +699,9 @@ class _UnknownRotation(_KnownRotation):
 
 def _reduced(N: Array, a: Array, B: Array, E: Array) -> tuple[Array, Array, Array]:
     """Return N⁻¹[a B], and M and h of what rotations alone have to maximise."""
-    solved = np.linalg.solve(N, np.concatenate([a[:, np.newaxis], B], axis=1))
-    M = B.T.dot(solved[:, 1:])
-    return solved, 0.5 * (M + M.T), B.T.dot(solved[:, 0]) + E
+    found = solved(N, np.concatenate([a[:, np.newaxis], B], axis=1))
+    M = B.T.dot(found[:, 1:])
+    return found, 0.5 * (M + M.T), B.T.dot(found[:, 0]) + E
 
 
 def _rotation_of(numbers: Array) -> Array:
