@@ -120,6 +120,28 @@ def test_every_kind_of_joint(kinds, frame, rng, axes):
     assert_allclose(motion.p, regressor.position(q, theta), atol=1e-12)
 
 
+@pytest.mark.parametrize("axes", [False, True])
+@pytest.mark.parametrize("frame", ["tip", "tip2", "hand", "wheel"])
+def test_orientations_turn_with_axes_and_encoders(kinds, frame, rng, axes):
+    regressor = KinematicRegressor(kinds, frame, axes=axes)
+    q, v, theta, theta_dot = drawn(regressor, rng)
+    theta[regressor.n_lengths - 3 : regressor.n_lengths] = 0.0
+    turn, h = regressor.turn(q, v, theta, theta_dot), 1e-6
+    frame = FrameKinematics(regressor.robot_with(theta), frame)
+    assert_allclose(turn.R, frame.placement(q)[0], atol=1e-12)
+    assert_allclose(turn.J, frame.jacobian(q)[3:], atol=1e-12)
+
+    def at(s, way):
+        later = moved(kinds, q, v, s * way[0]), v, theta + s * way[1] * theta_dot, theta_dot
+        return regressor.turn(*later)
+
+    after, before = at(h, (1.0, 1.0)), at(-h, (1.0, 1.0))
+    assert_allclose(turn.J_dot, (after.J - before.J) / (2 * h), atol=1e-8)
+    spin = pin.log3(at(h, (0.0, 1.0)).R @ at(-h, (0.0, 1.0)).R.T) / (2 * h)
+    assert_allclose(turn.A @ theta_dot, spin, atol=1e-8)
+    assert turn.A.any() == axes
+
+
 def test_the_jacobian_is_the_derivative_of_the_position(arm, rng):
     regressor = KinematicRegressor(arm)
     q, v, theta, _ = drawn(regressor, rng)

@@ -33,6 +33,22 @@ class PointMotion(NamedTuple):
     drift: Array
 
 
+class TurnMotion(NamedTuple):
+    """Orientation of a frame and its derivatives, with θ moving at θ'.
+
+    Attributes:
+        R: The frame's axes in the base's, shape (3, 3).
+        J: Angular velocity in the base's axes by q̇, shape (3, n_v).
+        J_dot: Its time derivative along q̇ and θ', shape (3, n_v).
+        A: Angular velocity by θ', shape (3, p).
+    """
+
+    R: Array
+    J: Array
+    J_dot: Array
+    A: Array
+
+
 class KinematicRegressor(Immutable):
     """p(q, θ), with θ the errors of a drawing: joint origins, tool, and axes and encoders if asked.
 
@@ -209,16 +225,30 @@ class KinematicRegressor(Immutable):
         """Return positions and derivatives at q (nq,), q̇ (n_v,), θ (p,) and θ' (p,) [1/s]."""
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
             return arm.points(self).motion(v, theta, theta_dot)
+        self._move(q, v, theta, theta_dot)
+        p = self._positions()
+        J, J_dot = self._jacobians(pin.getFrameJacobian), self._jacobians(_JACOBIAN_DOT)
+        drift = J.take(self._of_theta, 1).dot(theta_dot)
+        return PointMotion(p, self._along_joints(J), self._along_joints(J_dot), drift)
+
+    def turn(self, q: Array, v: Array, theta: Array, theta_dot: Array) -> TurnMotion:
+        """Return the first frame's orientation and derivatives; arguments are those of `motion`."""
+        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
+            return arm.points(self).turn(v, theta, theta_dot)
+        self._move(q, v, theta, theta_dot)
+        of = self._freed, self._data, self._points[0]
+        J, J_dot = (each(*of, _IN_WORLD)[3:] for each in (pin.getFrameJacobian, _JACOBIAN_DOT))
+        R = pin.updateFramePlacement(*of).rotation.copy()
+        A = J.take(self._of_theta, 1)
+        return TurnMotion(R, self._along_joints(J), self._along_joints(J_dot), A)
+
+    def _move(self, q: Array, v: Array, theta: Array, theta_dot: Array) -> None:
         speeds = self.robot.mimic_joints.v(as_vector("v", v, self.robot.nv))
         if self.turners:
             speeds = speeds.copy()
             speeds[self._encoded_v] += theta_dot[self._encoders]
         rates = np.concatenate([speeds, theta_dot]).take(self._from_v)
         pin.computeJointJacobiansTimeVariation(self._freed, self._data, self._all(q, theta), rates)
-        p = self._positions()
-        J, J_dot = self._jacobians(pin.getFrameJacobian), self._jacobians(_JACOBIAN_DOT)
-        drift = J.take(self._of_theta, 1).dot(theta_dot)
-        return PointMotion(p, self._along_joints(J), self._along_joints(J_dot), drift)
 
     def robot_with(self, theta: Array, turn: Array | None = None) -> Robot:
         """Return the robot with other parameters θ (p,), and its tool rotated by `turn`.

@@ -20,7 +20,7 @@ from approxjac.law import products
 from approxjac.law.factors import Factors
 from approxjac.law.rotation import cross_matrix
 from approxjac.robots import GravityRegressor, KinematicRegressor, Robot
-from approxjac.robots.kinematic_regressor import PointMotion
+from approxjac.robots.kinematic_regressor import PointMotion, TurnMotion
 from approxjac.robots.robot import own_joints
 from approxjac.validation import Array
 
@@ -490,6 +490,10 @@ class Configured:
         return path
 
 
+_Ways = dict[int, tuple[Symbols, ...]]
+"""e₁, e₂ and the axis of joints, in the world."""
+
+
 class LearntPoints:
     """Points of the believed arm at q by numbers that are learnt: see `KinematicRegressor`."""
 
@@ -500,7 +504,7 @@ class LearntPoints:
         self._turners = [names.index(name) for name in regressor.turners]
         self._carriers = [arm.arm.frame(name)[0] for name in regressor.frames]
 
-    def _at(self, theta: Symbols) -> tuple[Configured, dict[int, tuple[Symbols, ...]]]:
+    def _at(self, theta: Symbols) -> tuple[Configured, _Ways]:
         """Return the arm with θ (p,), and e₁, e₂ and the axis of its turning joints, (3,) each."""
         given, regressor, of = self._given, self._regressor, self._given.structure
         placed, angles = self._split(theta)
@@ -555,26 +559,45 @@ class LearntPoints:
 
     def motion(self, v: Symbols | None, theta: Symbols, theta_dot: Symbols | None) -> PointMotion:
         """Return positions and derivatives with q̇ (n_v,), θ and θ' (p,); None is at rest."""
-        (arm, ways), n = self._at(theta), len(self._movers)
-        parents, parts = arm.structure.parents, []
-        rates, spins = self._split(np.zeros(self._regressor.p) if theta_dot is None else theta_dot)
-        v = _zeros(arm.nv) if v is None else v
-        drifts = {j: arm.axes(parents[j]) @ rates[i] for i, j in enumerate(self._movers)}
-        turns = {
-            j: symbols(sum(way * rate for way, rate in zip(ways[j], spin, strict=True)))
-            for j, spin in zip(self._turners, spins, strict=True)
-        }
+        (arm, ways), n, parts = self._at(theta), len(self._movers), []
+        v, rates, drifts, spins = self._rates(arm, ways, v, theta_dot)
         for frame, point in self._regressor.points:
             carrier = self._carriers[frame]
             path, p = arm.path(carrier), self._point(arm, frame, point, theta)
             drifts[-1] = arm.axes(carrier) @ rates[n + frame]
             drift = sum((drifts[j] for j in reversed(path)), _NOTHING) + drifts[-1]
             for j in path:
-                if j in turns:
-                    drift = drift + np.cross(turns[j], p - arm.origin(j))
-            J, J_dot = arm.jacobian_of(carrier, p), arm.jacobian_dot_of(carrier, p, v, drifts, turns)
-            parts.append((p, J[:3], J_dot[:3], drift))
+                if j in spins:
+                    drift = drift + np.cross(spins[j], p - arm.origin(j))
+            J_dot = arm.jacobian_dot_of(carrier, p, v, drifts, spins)
+            parts.append((p, arm.jacobian_of(carrier, p)[:3], J_dot[:3], drift))
         return PointMotion(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+
+    def turn(self, v: Symbols | None, theta: Symbols, theta_dot: Symbols | None) -> TurnMotion:
+        """Return the orientation of the first frame and its derivatives, as `motion` does."""
+        arm, ways = self._at(theta)
+        v, _, _, spins = self._rates(arm, ways, v, theta_dot)
+        carrier, p = self._carriers[0], _NOTHING
+        J, J_dot = arm.jacobian_of(carrier, p), arm.jacobian_dot_of(carrier, p, v, None, spins)
+        A, path = _zeros(3, self._regressor.p), arm.path(carrier)
+        for i, j in enumerate(self._turners):
+            if j in path:
+                at = self._regressor.n_lengths + 3 * i
+                A[:, at : at + 3] = np.stack(ways[j], axis=1)
+        return TurnMotion(arm.frame(self._regressor.frames[0])[0], J[3:], J_dot[3:], A)
+
+    def _rates(
+        self, arm: Configured, ways: _Ways, v: Symbols | None, theta_dot: Symbols | None
+    ) -> tuple[Symbols, Symbols, dict[int, Symbols], dict[int, Symbols]]:
+        """Return q̇, the rates of translations, and those at which origins move and turn."""
+        parents, none = arm.structure.parents, np.zeros(self._regressor.p)
+        rates, angles = self._split(none if theta_dot is None else theta_dot)
+        drifts = {j: arm.axes(parents[j]) @ rates[i] for i, j in enumerate(self._movers)}
+        spins = {
+            j: symbols(sum(way * rate for way, rate in zip(ways[j], spin, strict=True)))
+            for j, spin in zip(self._turners, angles, strict=True)
+        }
+        return _zeros(arm.nv) if v is None else v, rates, drifts, spins
 
 
 def _turn(axis: Symbols, angle: Number) -> Symbols:

@@ -473,6 +473,13 @@ class Unknowns:
         """Return the points and their derivatives at q and q̇, with u and u' (n_u,)."""
         return self._regressor.motion(q, v, self.theta(u), self._spread(u_dot))
 
+    def turn(self, q: Array, u: Array, v: Array | None = None, u_dot: Array | None = None) -> Any:
+        """Return the orientation of the frame, and its derivatives of which A is by u (3, n_u)."""
+        v = np.zeros(self._regressor.robot.nv) if v is None else v
+        u_dot = np.zeros(len(self.u)) if u_dot is None else u_dot
+        turn = self._regressor.turn(q, v, self.theta(u), self._spread(u_dot))
+        return turn._replace(A=turn.A[:, self._chosen])
+
     def bent(self, variances: Array) -> Any:
         """Return the variance [m²] of what is of second order in u, by the variances of u (n_u,).
 

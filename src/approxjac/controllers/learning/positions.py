@@ -25,7 +25,6 @@ from approxjac.tasks import (
     Task,
     TrackerTask,
 )
-from approxjac.tasks.frame_tasks import FrameKinematics
 from approxjac.validation import Array, as_number
 
 _KINDS = ("tool", "origins", "axes", "camera", "offset")
@@ -140,7 +139,6 @@ class AdaptiveKinematics(Estimator):
         # L what a radian counts as [m], both weigh as their noise says.
         self._length = self.noise / angle_noise
         self._l = self._length / math.sqrt(2.0)
-        self._flange = FrameKinematics(task.robot, frames[0])
         if self._learns_T:
             units |= {f"tool.r{axis}": "rad" for axis in "xyz"}
             Theta.append(np.eye(3).ravel())
@@ -211,12 +209,19 @@ class AdaptiveKinematics(Estimator):
         H = np.concatenate([H, self._offsets], axis=1)
         if not self._is_pose:
             return H, known
-        R, none, at, n = self._l * self._frame(q), np.zeros((3, 3)), self._n_theta, H.shape[1]
+        at, none, n = self._n_theta, np.zeros((3, 3)), H.shape[1]
+        turn = self._moved.turn(q, u[:at])
+        R = self._l * turn.R
         rows = [[R, none, none], [none, R, none], [none, none, R]]
         axes = np.concatenate([np.concatenate(row, axis=1) for row in rows])
-        of_axes, known_axes = np.zeros_like(axes, shape=(9, n)), axes.dot(np.eye(3).ravel())
+        T = u[at : at + 9] if self._learns_T else np.eye(3).ravel()
+        of_axes, known_axes = np.zeros_like(axes, shape=(9, n)), axes.dot(T)
+        if self._moved.is_angle.any():  # axes turn about those of tilted joints
+            shown = known_axes.reshape(3, 3)
+            of_axes[:, :at] = np.cross(turn.A.T[:, np.newaxis], shown).reshape(at, 9).T
+            known_axes = known_axes - of_axes[:, :at].dot(u[:at])
         if self._learns_T:
-            of_axes[:, at : at + 9], known_axes = axes, np.zeros(9)
+            of_axes[:, at : at + 9], known_axes = axes, known_axes - axes.dot(T)
         return np.concatenate([H, of_axes]), np.concatenate([known, known_axes])
 
     def _reach(self, q_0: Array, q: Array) -> Array:
@@ -225,7 +230,8 @@ class AdaptiveKinematics(Estimator):
         known, unsure = motion_of_points(before, after, self._moved.u, self._moved.sd)
         reach = np.repeat(1.5 * known + 4.0 * unsure, 3)[self._rows]
         if self._is_pose:
-            turned = law.length((self._frame(q) - self._frame(q_0)).ravel())
+            ends = (self._moved.turn(each, self._moved.u).R for each in (q, q_0))
+            turned = law.length(np.subtract(*ends).ravel())
             reach = np.concatenate([reach, np.repeat(1.5 * (self._l / math.sqrt(2.0)) * turned, 9)])
         return np.asanyarray(reach)
 
@@ -271,7 +277,7 @@ class AdaptiveKinematics(Estimator):
         first = np.isfinite(x) & ~(state[at["placed"]] > 0.0)
         if self._is_pose:
             R_x, is_seen = law.rotation_of(x[3:])
-            T = self._frame(q).T.dot(R.T).dot(R_x)
+            T = self._frame(q, state[at["u"]]).T.dot(R.T).dot(R_x)
             first[3:] = first[3:] & is_seen
             state[at["T"]] = np.where(law.all_of(first[3:]), T.ravel(), state[at["T"]])
         H, known = self._positions(q, state[at["u"]])
@@ -351,16 +357,17 @@ class AdaptiveKinematics(Estimator):
         turn = law.rotation_log(R.dot(smooth_R.T)) if self._turns else np.zeros(3)
         turns = [turn] if self._turns else []
         if self._is_pose:
-            T, R_f = state[at["T"]].reshape(3, 3), self._frame(q)
+            T, (R_f, _, _, A) = state[at["T"]].reshape(3, 3), self._turn(q, smooth_u)
             learnt = self.learnt(state)[self._n_theta : self._n_theta + 3]
             T_goal = law.rotation_exp(learnt) if self._learns_T else np.eye(3)
-            now, goal = smooth_R.dot(R_f), R.dot(R_f).dot(T_goal)
+            now, goal = smooth_R.dot(R_f), R.dot(self._frame(q, u)).dot(T_goal)
             goal = law.rotation_exp(integral[n_p:] / self._length).dot(goal)
             turns.append(law.rotation_log(goal.dot(now.dot(T).T)))
         rate = self._smoothing_rate(dt, law.length(away), *turns)
-        if self._is_pose:
-            state[at["T_spin"]] = rate * now.T.dot(turns[-1] - turn)
         state[at["u_dot"]] = u_dot = rate * (u - smooth_u)
+        if self._is_pose:
+            spun = R_f.T.dot(A.dot(u_dot[: self._n_theta]))  # by joints whose axes are learnt
+            state[at["T_spin"]] = rate * now.T.dot(turns[-1] - turn) - spun
         b_dot = rate * away - self._turned(smooth_R, H.dot(u_dot))
         if self._turns:
             state[at["R_spin"]] = spin = rate * turn
@@ -370,8 +377,11 @@ class AdaptiveKinematics(Estimator):
     def _rotation(self, state: Array) -> Array:
         return state[self._at["R"]].reshape(self._d, self._d) if self._turns else self._R
 
-    def _frame(self, q: Array) -> Array:
-        return self._flange.placement(q)[0]
+    def _turn(self, q: Array, u: Array, *moving: Array) -> Any:
+        return self._moved.turn(q, u[: self._n_theta], *moving)
+
+    def _frame(self, q: Array, u: Array) -> Array:
+        return np.asanyarray(self._turn(q, u).R)
 
     def _turned(self, R: Array, p: Array) -> Array:
         return p.reshape(-1, self._d).dot(R.T).ravel() if self._is_turned else p
@@ -417,9 +427,9 @@ class AdaptiveKinematics(Estimator):
         T, R = state[at["T"]].reshape(3, 3), self._rotation(state)
         spin = state[at["R_spin"]] if self._turns else np.zeros(3)
         R_d, is_some = law.rotation_of(x_d)
-        J, R_f, _ = self._flange.motion(q)
-        J = J[3:].copy()
-        drift = R_f.dot(state[at["T_spin"]])
+        u_dot = state[at["u_dot"]][: self._n_theta]
+        R_f, J, J_dot, A = self._turn(q, state[at["u"]], v, u_dot)
+        drift = R_f.dot(state[at["T_spin"]]) + A.dot(u_dot)
         D = R.T.dot(law.select(is_some, R_d, np.eye(3)))
         E = R_f.dot(T).dot(D.T)
         x_d_ddot = R.T.dot(x_d_ddot - law.cross_matrix(spin).dot(x_d_dot))
@@ -427,7 +437,6 @@ class AdaptiveKinematics(Estimator):
         speed, of_target = J.dot(v), x_d_dot - R.T.dot(spin)
         # of E' = [ω]ₓE, ω = speed + drift − E of_target; ż is no ω, but for small z
         drift = law.log_rate(E, speed + drift - E.dot(of_target)) - speed + x_d_dot
-        J_dot = self._flange.jacobian_dot(q, v)[3:]
         return PredictedError(law.rotation_log(E), J, J_dot, x_d_dot, x_d_ddot, drift)
 
     def motion_sd(self, state: Array, q_0: Array) -> Callable[[Array], Array]:
@@ -452,9 +461,12 @@ class AdaptiveKinematics(Estimator):
                 ways = both[:, -1].reshape(-1, self._d)
                 moved = np.einsum("sij,kj->kis", law.generators(self._d), ways)
                 J[:n_p, -spin:] = moved.reshape(n_p, spin)
-                if self._is_pose:
-                    W = R.dot(self._frame(q)).dot(self._frame(q_0).T).dot(R.T)
-                    J[n_p:, -spin:] = np.eye(3) - W
+            if self._is_pose:
+                (R_f, _, _, A), (R_0, _, _, A_0) = (self._turn(each, u) for each in (q, q_0))
+                W = R_f.dot(R_0.T)
+                J[n_p:, : len(u)] = R.dot(A - W.dot(A_0))
+                if spin:
+                    J[n_p:, -spin:] = np.eye(3) - R.dot(W).dot(R.T)
             return np.asarray(self._size * np.sqrt(np.maximum((J.dot(P) * J).sum(axis=1), 0.0)))
 
         return sd
