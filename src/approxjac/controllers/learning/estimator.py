@@ -242,6 +242,10 @@ class Estimator(Kinematics):
 
     # -- what one derived from it has --------------------------------------------------------
 
+    def _late(self, state: Array) -> Any:
+        """Return by how much x is older than it is stamped, as far as that is learnt [s]."""
+        return 0.0
+
     def _own(self, measurement: Measurement) -> Measurement:
         return measurement
 
@@ -316,7 +320,7 @@ class Estimator(Kinematics):
         numbers, gate = state[self._at["frames"]], self._at["gate"]
         measurement = self._frames.by_own_clock(numbers, self._own(measurement), dt)
         is_time = self._frames.remember(numbers, measurement)
-        frame, is_new = self._frames.new(numbers, measurement)
+        frame, is_new = self._frames.new(numbers, measurement, self._late(state))
 
         if frame is not None:
             own = frame._replace(x=self._points(frame.x))
@@ -564,8 +568,13 @@ class Frames:
         law.alter(since < -_ROUND_OFF, numbers, lambda numbers: self.begin(numbers, t, q))
         return is_due | (since < _ROUND_OFF)
 
-    def new(self, numbers: Array, measurement: Measurement) -> tuple[Measurement | None, Any]:
-        """Return a frame (None if it is surely old) and whether it is new, and store it."""
+    def new(
+        self, numbers: Array, measurement: Measurement, late: Any = 0.0
+    ) -> tuple[Measurement | None, Any]:
+        """Return a frame (None if it is surely old) and whether it is new, and store it.
+
+        Its q and q̇ are those of a time `late` [s] before it was taken.
+        """
         n, (t, _, _, x, _) = self._n_x, measurement
         t_x: Any = measurement.t_x
         head, seen = numbers[: n + 4], np.abs(x) < _FARTHEST
@@ -583,18 +592,19 @@ class Frames:
         if law.surely(passed):
             return None, False
         is_noted = law.complement(passed)
-        q, is_known = self._at(numbers, taken, measurement)
+        then = taken - late
+        q, v, is_known = self._at(numbers, law.select(then < t, then, t), measurement)
 
         def note(head: Array) -> None:
             head[:n], head[n] = known, taken
             head[n + 3] = law.select(is_known, t, head[n + 3])
 
         law.alter(is_noted, head, note)
-        frame = measurement._replace(t=taken, q=q, x=np.where(seen, x, math.nan))
+        frame = Measurement(taken, q, v, np.where(seen, x, math.nan), measurement.t_x)
         return frame, is_noted & is_known
 
-    def _at(self, numbers: Array, t: Any, measurement: Measurement) -> tuple[Array, Any]:
-        """Return the configuration at a time [s], and whether it is not longer ago than known."""
+    def _at(self, numbers: Array, t: Any, measurement: Measurement) -> tuple[Array, Array, Any]:
+        """Return q and q̇ at a time [s], and whether it is not longer ago than is known."""
         ring = self._ring(numbers)
         times = np.append(ring[:, 0], measurement.t)
         rows = np.concatenate([ring[:, 1:], measurement.q[np.newaxis]])
@@ -607,7 +617,8 @@ class Frames:
         robot, is_known = self._robot, before[0] < t
         begins = np.where(is_known, begins, measurement.q)
         ends = np.where(is_known, ends, measurement.q)
-        return moved(robot, begins, share * motion_between(robot, begins, ends)), is_known
+        way = motion_between(robot, begins, ends)
+        return moved(robot, begins, share * way), way / np.maximum(here.dot(gaps), 1e-6), is_known
 
     def _ring(self, numbers: Array) -> Array:
         return numbers[self._head :].reshape(self._count, self._width)

@@ -27,10 +27,10 @@ from approxjac.tasks import (
 )
 from approxjac.validation import Array, as_number
 
-_KINDS = ("tool", "origins", "axes", "camera", "offset")
+_KINDS = ("tool", "origins", "axes", "camera", "offset", "delay")
 _USUAL_SD: Mapping[str, float] = {
     "tool": 0.2, "orientation": 1.0, "origins": 0.02, "axes": 3e-3, "encoders": 0.015,
-    "camera": 1.0, "offset": 0.2,
+    "camera": 1.0, "offset": 0.2, "delay": 0.02,
 }  # fmt: skip
 _USUAL_IN_IMAGE = {"tool": 0.5, "origins": 0.5}  # as wrong as the magnification
 _NOISE = 2e-3  # usual one [m]
@@ -144,7 +144,12 @@ class AdaptiveKinematics(Estimator):
             Theta.append(np.eye(3).ravel())
             # √2, as one turn changes two of three numbers of an axis
             deviations.append(np.full(9, math.sqrt(2.0) * sds["orientation"]))
-        self._n_u = self._n_theta + (9 if self._learns_T else 0)
+        self._learns_late = "delay" in kinds
+        if self._learns_late:
+            units |= {"delay": "s"}
+            Theta.append(np.zeros(1))
+            deviations.append(np.array([sds["delay"]]))
+        self._n_u = sum(map(len, Theta))
 
         # c = Rᵀb: the offset, learnt or known
         c, each = R.T.dot(b), np.eye(d)[[axes.index(axis) for _, axis in entries]]
@@ -194,6 +199,9 @@ class AdaptiveKinematics(Estimator):
             x = np.where(np.repeat(lost, self._d), math.nan, x)
         return x
 
+    def _late(self, state: Array) -> Any:
+        return state[self._at["sums"]][self._estimator.late] if self._learns_late else 0.0
+
     def _positions(self, q: Array, u: Array) -> tuple[Array, Array]:
         """Return H(q) of positions, (n_p, n_u), and o(q), in the base's axes without the offset.
 
@@ -201,15 +209,24 @@ class AdaptiveKinematics(Estimator):
         """
         H, known = self._moved.at(q, u[: self._n_theta])
         H, known = H[self._rows], known[self._rows] + self._constant
-        return np.concatenate([H, np.zeros((3, 9))], axis=1) if self._learns_T else H, known
+        others = np.zeros((len(H), self._n_u - self._n_theta))
+        return np.concatenate([H, others], axis=1) if others.size else H, known
 
-    def _regression(self, q: Array, u: Array) -> tuple[Array, Array]:
-        """Return H(q) and o(q) of all that is learnt from, about u, in the base's axes."""
+    def _regression(self, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
+        """Return H and o of all that is learnt from, about u, in the base's axes.
+
+        At q and q̇, by which x is late.
+        """
         H, known = self._positions(q, u)
         H = np.concatenate([H, self._offsets], axis=1)
+        at, none, n = self._n_theta, np.zeros((3, 3)), H.shape[1]
+        late = self._n_u - 1
+        if self._learns_late:
+            nothing = 0.0 * u[:at]
+            H[:, late] = -self._moved.motion(q, v, u[:at], nothing).J[self._rows].dot(v)
+            known = known - H[:, late] * u[late]
         if not self._is_pose:
             return H, known
-        at, none, n = self._n_theta, np.zeros((3, 3)), H.shape[1]
         turn = self._moved.turn(q, u[:at])
         R = self._l * turn.R
         rows = [[R, none, none], [none, R, none], [none, none, R]]
@@ -220,6 +237,10 @@ class AdaptiveKinematics(Estimator):
             shown = known_axes.reshape(3, 3)
             of_axes[:, :at] = np.cross(turn.A.T[:, np.newaxis], shown).reshape(at, 9).T
             known_axes = known_axes - of_axes[:, :at].dot(u[:at])
+        if self._learns_late:
+            shown = axes.dot(T).reshape(3, 3)
+            of_axes[:, late] = -np.cross(turn.J.dot(v), shown).ravel()
+            known_axes = known_axes - of_axes[:, late] * u[late]
         if self._learns_T:
             of_axes[:, at : at + 9], known_axes = axes, known_axes - axes.dot(T)
         return np.concatenate([H, of_axes]), np.concatenate([known, known_axes])
@@ -239,7 +260,9 @@ class AdaptiveKinematics(Estimator):
         n, c = self._n_theta, Theta[self._n_u :]
         parts = [Theta[:n]]
         if self._learns_T:
-            parts.append(law.rotation_log(_rotation_of(Theta[n : self._n_u])))
+            parts.append(law.rotation_log(_rotation_of(Theta[n : n + 9])))
+        if self._learns_late:
+            parts.append(Theta[self._n_u - 1 : self._n_u])
         parts.append(R.dot(c) if len(c) else c)
         if self._turns:
             parts.append(law.rotation_log(R))
@@ -249,7 +272,8 @@ class AdaptiveKinematics(Estimator):
         """Return a covariance of what is estimated as that of `names`: nine numbers are a turn."""
         if not self._learns_T:
             return P
-        start, end = self._n_theta, self._n_u
+        start = self._n_theta
+        end = start + 9
         M = np.eye(len(P))
         tangents = law.tangents(_rotation_of(Theta[start:end])).reshape(3, 3, 3)
         # the rotation vector that small changes of the nine turn T by
@@ -296,7 +320,8 @@ class AdaptiveKinematics(Estimator):
         unexplained = np.sqrt(np.minimum(np.maximum(chi[0], 1.0), _WORST))
         changed = unexplained * np.maximum(_CHANGED[0], _CHANGED[1] * usual)
         law.alter(is_anew | (np.abs(averaged).max() > changed), state, self._renew)
-        H, known = self._regression(frame.q, self._estimator.estimate(state[at["sums"]])[0])
+        u = self._estimator.estimate(state[at["sums"]])[0]
+        H, known = self._regression(frame.q, frame.v, u)
         # what is lost has no part in the sums
         seen = np.isfinite(x)
         z, o = np.where(seen, x, 0.0), np.where(seen, known, 0.0)
@@ -555,6 +580,7 @@ class _KnownRotation:
         self._is_turned = not np.array_equal(R, np.eye(self._d))
         rows, columns = np.triu_indices(n)
         self._upper, self._n = rows * n + columns, len(rows)
+        self.late = self._n + n_u - 1  # where the number of a delay is
         self._where = np.zeros((n, n), dtype=int)
         self._where[rows, columns] = self._where[columns, rows] = np.arange(self._n)
         self.size = len(self.initial())
@@ -641,6 +667,7 @@ class _UnknownRotation(_KnownRotation):
         super().__init__(Theta, R, sd, sd_R, n_u, noise, moved)
         P, dd = self._P, self._d**2
         self._parts = list(pairwise(np.cumsum([self._n, P, P * dd, dd, P, dd]).tolist()))
+        self.late = self._parts[3][0] + n_u - 1
         self._everywhere = law.rotations_everywhere(self._d).reshape(-1, dd)
 
     def _split(self, numbers: Array) -> tuple[Array, Array, Array, Array, Array, Array]:
