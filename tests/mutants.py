@@ -918,8 +918,8 @@ MUTANTS = [
     ),
     (
         "floor of the highest", "view/browser/stage.py",
-        "return min(float(placed.translation[2]) for placed in fixed)",
-        "return max(float(placed.translation[2]) for placed in fixed)",
+        "return min(float(f.placement.translation[2]) for f in frames",
+        "return max(float(f.placement.translation[2]) for f in frames",
         "tests/view/browser/test_frames.py",
     ),
     (

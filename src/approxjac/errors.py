@@ -7,7 +7,7 @@ valid ones.
 import copyreg
 import difflib
 import importlib
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from typing import Any
 
 _FEW = 5  # names that are all listed
@@ -51,6 +51,12 @@ class UnknownNameError(ApproxJacError, LookupError):
         if self.valid and (not near or len(self.valid) <= _FEW):
             message += f"{'' if near else ';'} valid are {', '.join(self.valid)}"
         super().__init__(message, given=name)
+
+
+def require_known(kind: str, name: object, where: str, valid: Collection[str]) -> None:
+    """Raise an UnknownNameError unless a name is one of the valid ones."""
+    if not isinstance(name, str) or name not in valid:
+        raise UnknownNameError(kind, name, where, valid)
 
 
 class UrdfError(ApproxJacError, ValueError):

@@ -15,7 +15,7 @@ import numpy as np
 from numpy import ndarray
 from numpy.typing import NDArray
 
-from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.errors import InvalidInputError, require_known
 from approxjac.formatting import shown
 
 Array = NDArray[np.float64]
@@ -129,9 +129,13 @@ def as_integer(name: str, value: Any, minimum: int) -> int:
 
 
 def as_diagonal(
-    name: str, value: Any, size: int, *, unit: str = "", positive: bool = True
+    name: str, value: Any, size: int | None = None, *, unit: str = "", positive: bool = True
 ) -> Array:
-    """Return a diagonal given as a scalar or a vector as a read-only vector of `size`."""
+    """Return a diagonal given as a scalar or a vector as a read-only vector of `size`.
+
+    Without a size it has as many entries as are given.
+    """
+    size = math.prod(shape_of(value)) if size is None else size
     array = as_entries(name, value, max(size, 1), unit)
     if not ((array > 0.0 if positive else array >= 0.0) & (array <= _LARGEST)).all():
         # or products of gains could overflow in a control step
@@ -193,8 +197,7 @@ def axis_rows(name: str, axes: str) -> list[int]:
         message = f"{name} must name each axis once, such as 'xyz' or 'xz', got {axes!r}"
         raise InvalidInputError(message, given=axes)
     for letter in axes:
-        if letter not in "xyz":
-            raise UnknownNameError("axis", letter, name, "xyz")
+        require_known("axis", letter, name, "xyz")
     return list(map("xyz".index, axes))
 
 
@@ -272,6 +275,13 @@ def _built(
 
 def _as_it_is(value: Any) -> Any:
     return copy.copy(value) if isinstance(value, _CHANGEABLE) else value
+
+
+def changed_copy(of: Any, **changes: Any) -> Any:
+    """Return a shallow copy with other attributes, whatever its class does to be copied."""
+    new = object.__new__(type(of))
+    vars(new).update(vars(of), **changes)
+    return new
 
 
 class Saved:

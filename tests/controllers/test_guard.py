@@ -207,6 +207,13 @@ def test_ten_bad_samples_in_a_row_end_in_a_stop_with_their_name(kind):
     require_stopped("limited", kind, 10)
 
 
+def test_joints_that_stay_swapped_do_not_drive_an_arm_that_is_stopped():
+    """What they say agrees from sample to sample, but it is not where the arm was."""
+    found = require_stopped("limited", "swapped", 100)
+    assert found.full == clean("limited", 0.5).full
+    assert found.speeds.max() < 3.0  # it moves on undamped for 0.2 s, with a weight nobody told of
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("count", [10, 100])
 @pytest.mark.parametrize("kind", [each for each in OF_JOINTS if each != "sign"])
@@ -570,7 +577,7 @@ class Adversary:
         q0, latency = plant.ready_configuration(), aj.controllers.Latency(dt, velocity_filter=5e-3)
         setpoint = aj.SetpointController(task, gravity=aj.AdaptiveGravity(belief), latency=latency)
         limited = aj.TorqueLimited(setpoint, aj.Limits.of(belief), dt=dt)
-        tracking = aj.TrackingController(task, dt=dt)
+        tracking = aj.TrackingController(task, latency=latency, drives=aj.robots.Drives())
         self.law = compiled({
             "limited": limited,
             "predicted": PredictedMeasurement(limited, AdaptiveKinematics(task, dt=dt)),
@@ -652,7 +659,7 @@ def test_the_worst_sample_that_passes_harms_no_light_wrist(law):
 @pytest.mark.parametrize("law", ["limited", "predicted", "tracking", "velocity"])
 @pytest.mark.parametrize("name", ["z1", "xarm7", "ur10", "ur3", "talos_arm", "baxter_left_arm"])
 def test_the_worst_sample_that_passes_harms_none_of_these_arms(name, law, dt, bits):
-    require_no_harm(name, law, dt, bits, [0.05, 0.15, 0.3])
+    require_no_harm(name, law, dt, bits, [0.1, 0.1, 0.3])
 
 
 class Twins:

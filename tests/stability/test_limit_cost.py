@@ -191,7 +191,7 @@ def test_speeds_that_a_filter_keeps_count_with_the_inertia_of_where_they_were():
     kp, kv, damping = law.diagonals
     D = (samples.J_hat.mT * kv) @ samples.J_hat + np.diag(damping)
     damped = np.sqrt(np.einsum("nij,kjl,nil->nki", D, np.linalg.inv(samples.M), D))
-    pull, U = samples.J_hat.mT * kp, sampled.weights.block(loop.setting.c_bar)
+    pull, U = samples.J_hat.mT * kp, sampled.weights.block(loop.setting.saturation.c_bar)
     pulled = np.sqrt(np.einsum("nij,jk,nik->ni", pull, np.linalg.inv(U), pull))
     assert 0.0 < cost.level < sampled.level
     failed = replace(sampled, violations=1)

@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from approxjac import law
 from approxjac.cameras.lenses import Fisheye, Lens, shortened
-from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.errors import InvalidInputError, require_known
 from approxjac.formatting import short_fields
 from approxjac.law.products import length
 from approxjac.validation import (
@@ -23,6 +23,7 @@ from approxjac.validation import (
     Saved,
     as_array,
     as_number,
+    changed_copy,
     is_scalar,
     plane_rows,
     require,
@@ -65,9 +66,8 @@ class Camera(Saved, ABC):
     def recalibrated(self, values: Mapping[str, float]) -> Camera:
         """Return this camera with other values of its `calibration`, by name."""
         for name in values:
-            if name not in self.calibration:
-                where = f"the calibration of {type(self).__name__}"
-                raise UnknownNameError("value", name, where, self.calibration)
+            where = f"the calibration of {type(self).__name__}"
+            require_known("value", name, where, self.calibration)
         return self
 
     @property
@@ -78,9 +78,7 @@ class Camera(Saved, ABC):
 
     def with_numbers(self, numbers: Mapping[str, Any]) -> Self:
         """Return this camera with other `numbers`, which may be symbols."""
-        other = object.__new__(type(self))
-        vars(other).update(vars(self), **numbers)
-        return other
+        return changed_copy(self, **numbers)
 
 
 @dataclass(frozen=True, repr=False)

@@ -9,7 +9,7 @@ from numpy.polynomial import Polynomial
 
 from approxjac import law
 from approxjac.errors import InvalidInputError
-from approxjac.law.products import angle, length, root, sine_and_cosine
+from approxjac.law.products import angle, length, polynomial, root, sine_and_cosine
 from approxjac.validation import Array
 
 _FARTHEST = 100.0  # no ray ‖(X/Z, Y/Z)‖ that is bent is longer: it is 89.4° away from the axis
@@ -115,12 +115,12 @@ class Lens:
     def _factors(self, rho: float) -> tuple[float, float]:
         """Return the radial factor and twice its derivative by ρ."""
         k1, k2, k3 = self._above[1:]
-        factor, slope = _sum(self._above, rho), _sum((k1, 2.0 * k2, 3.0 * k3), rho)
+        factor, slope = polynomial(self._above, rho), polynomial((k1, 2.0 * k2, 3.0 * k3), rho)
         if any(self._below[1:]):
             k4, k5, k6 = self._below[1:]
-            below = _sum(self._below, rho)
+            below = polynomial(self._below, rho)
             factor = factor / below
-            slope = (slope - factor * _sum((k4, 2.0 * k5, 3.0 * k6), rho)) / below
+            slope = (slope - factor * polynomial((k4, 2.0 * k5, 3.0 * k6), rho)) / below
         return factor, 2.0 * slope
 
     def _length(self, wanted: float) -> float:
@@ -217,7 +217,7 @@ class Fisheye(Lens):
         self.largest_radius, self.shown_radius = math.tan(self.widest), self._bent(self.widest)
 
     def _bent(self, theta: float) -> float:
-        return theta * _sum(self._k, theta * theta)
+        return theta * polynomial(self._k, theta * theta)
 
     def _factors(self, rho: float) -> tuple[float, float]:
         if isinstance(rho, float) and rho == 0.0:
@@ -225,20 +225,13 @@ class Fisheye(Lens):
         size = root(rho)
         theta = angle(size, 1.0)
         factor = self._bent(theta) / size
-        twice = (_sum(self._growth, theta * theta) / (1.0 + rho) - factor) / rho
+        twice = (polynomial(self._growth, theta * theta) / (1.0 + rho) - factor) / rho
         is_beside = rho > 0.0
         return law.select(is_beside, factor, 1.0), law.select(is_beside, twice, 0.0)
 
     def _length(self, wanted: float) -> float:
         sine, cosine = sine_and_cosine(inverse(self._bent, wanted, self.widest))
         return sine / cosine
-
-
-def _sum(coefficients: Sequence[float], s: float) -> float:
-    *others, value = coefficients
-    for each in reversed(others):
-        value = each + s * value
-    return value
 
 
 def inverse(growing: Callable[[float], float], wanted: float, largest: float) -> float:

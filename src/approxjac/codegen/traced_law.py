@@ -15,7 +15,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.interface import Evaluation, Measurement, Target
 from approxjac.robots import Robot
 from approxjac.robots.robot import own_joints
-from approxjac.validation import Array
+from approxjac.validation import Array, changed_copy
 
 
 def stepped(
@@ -71,11 +71,7 @@ def _with_parts(
     for name, part in vars(controller).items():
         if isinstance(part, Controller):
             own[name] = changed(part)
-    if not own:
-        return controller
-    copy: Controller = object.__new__(type(controller))
-    vars(copy).update(vars(controller), **own)
-    return copy
+    return changed_copy(controller, **own) if own else controller
 
 
 def initial_state(controller: Controller, measurement: Measurement) -> Symbols:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.errors import InvalidInputError, MeasurementError, UnknownNameError
+from approxjac.errors import InvalidInputError, MeasurementError, require_known
 from approxjac.formatting import one_line
 from approxjac.interface import Measurement, Target
 from approxjac.tasks import Task
@@ -154,8 +154,7 @@ def chosen_deviations(
     given = {} if sd is None else sd
     require("sd", given, Mapping, f"a mapping from some of {', '.join(usual)} to numbers")
     for kind in given:
-        if kind not in usual:
-            raise UnknownNameError("kind", kind, "sd", usual)
+        require_known("kind", kind, "sd", usual)
         if kind not in used:
             some = ", ".join(each for each in usual if each in used)
             raise InvalidInputError(

@@ -24,7 +24,7 @@ from approxjac.formatting import spaced, wrapped
 from approxjac.interface import Evaluation, Measurement, Target
 from approxjac.robots import Dynamics, Robot
 from approxjac.tasks import Task
-from approxjac.validation import Array, as_number, as_vector, require
+from approxjac.validation import Array, as_number, as_vector, changed_copy, require
 
 _HUGE = 1e300  # below it no finite rate makes a state overflow within a second
 
@@ -170,9 +170,8 @@ class Controller(ABC):
         """Return this controller with other bounds of good samples; None accepts all."""
         if guard is not None:
             require("guard", guard, Guard, "Guard(q=..., lag=...) or None")
-        copy: Self = object.__new__(type(self))
-        kept = {name: value for name, value in vars(self).items() if name != "_sample_guard"}
-        vars(copy).update(kept, guard=guard)
+        copy: Self = changed_copy(self, guard=guard)
+        vars(copy).pop("_sample_guard", None)
         return copy
 
     @functools.cached_property

@@ -28,7 +28,6 @@ from approxjac.validation import (
     as_number,
     is_scalar,
     require,
-    shape_of,
 )
 
 
@@ -151,7 +150,7 @@ class AdaptiveGravity(Immutable):
         self.torque_limits = as_limits("torque_limits", limits, self.robot.nv, unit="N m or N")
         for name, value in (("task_force", task_force), ("joint_torque", joint_torque)):
             if value is not None:
-                value = as_diagonal(name, value, math.prod(shape_of(value)), positive=False)
+                value = as_diagonal(name, value, positive=False)
             setattr(self, name, value)
 
     def __repr__(self) -> str:

@@ -19,7 +19,7 @@ from approxjac.robots import Robot
 from approxjac.robots.drives import usual_effort
 from approxjac.robots.traced import motion_between
 from approxjac.tasks.analysis import uncombined
-from approxjac.validation import Array, as_diagonal, as_integer, as_limits, as_number, shape_of
+from approxjac.validation import Array, as_diagonal, as_integer, as_limits, as_number
 
 _X = {"m": 0.03, "rad": 0.1, "px": 30.0}
 _PAYLOAD = 1.5  # times the acceleration that the believed inertia allows
@@ -76,7 +76,7 @@ class Guard:
     __repr__ = short_fields
 
     def __post_init__(self) -> None:
-        as_diagonal("q", self.q, math.prod(shape_of(self.q)), positive=False)
+        as_diagonal("q", self.q, positive=False)
         as_number("lag", self.lag, unit="s", minimum=0.0)
         as_integer("periods", self.periods, 1)
 
@@ -202,8 +202,10 @@ class SampleGuard:
         rest = 0.0 * command if gravity is None else gravity  # the arm's, before a first command
         before = law.select(is_first, rest, memory[self._command])
         push = self._push_of(command, v, before).tolist()
-        J_hat, sizes = self._J_of(answer), None
+        J_hat, sizes = answer.J_hat, None
         if J_hat is not None:
+            if self._uncombined is not None:  # of what is measured
+                J_hat = self._uncombined.dot(J_hat)
             sizes = [law.length(J_hat[rows].ravel()) for _, rows in self._bounds.parts]
         memory = checks.remembered(judgement, dt, command.tolist(), push, sizes).joined()
         if not traced and not np.isfinite(memory).all() and np.isfinite(command).all():
@@ -216,13 +218,6 @@ class SampleGuard:
         if not self._takes_torque:
             return np.minimum(np.abs(command - v) / _SERVO, _MOST)
         return self._reach @ np.minimum(np.abs(command - before), _MOST)
-
-    def _J_of(self, answer: Evaluation) -> Array | None:
-        """Return Ĵ of what is measured, if there is any."""
-        J_hat = answer.J_hat
-        if J_hat is None or self._uncombined is None:
-            return J_hat
-        return self._uncombined.dot(J_hat)
 
 
 @functools.lru_cache(maxsize=32)

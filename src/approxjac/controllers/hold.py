@@ -111,9 +111,7 @@ class HeldMeasurement(ControllerWrapper):
         usual = (answer.status == _OK) | (answer.status == Status.HOLDING)
         is_held = law.complement(held.is_new) & usual
         status = law.select(is_held, _HELD, answer.status)
-        if status is not answer.status:
-            answer = answer._replace(status=status)
-        return self._joined(after, memory, measurement), answer
+        return self._joined(after, memory, measurement), answer._replace(status=status)
 
     def __repr__(self) -> str:
         return f"HeldMeasurement({self.controller!r}, unseen={self.unseen.tolist()})"

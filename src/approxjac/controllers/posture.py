@@ -1,6 +1,5 @@
 """`Posture` and `AwayFromStops`: torques in the null space of a redundant arm's task."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -40,8 +39,7 @@ class Posture:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "q", as_array("q of the posture", self.q, shape_of(self.q), "rad"))
-        size = math.prod(shape_of(self.stiffness))
-        diagonal = as_diagonal("stiffness", self.stiffness, size, unit="N m/rad")
+        diagonal = as_diagonal("stiffness", self.stiffness, unit="N m/rad")
         scalar = is_scalar(self.stiffness)
         object.__setattr__(self, "stiffness", float(diagonal[0]) if scalar else diagonal)
 

@@ -481,10 +481,8 @@ class TrackingController(Immutable, Controller):
         late = "no lag" if self.latency is None else f"a lag of {self.latency.of_velocity:.2g} s"
         joints = f"rigid joints and {late} taken for granted"
         if self.is_elastic:
-            joints = f"damping at most {most} N m s/rad, for motors behind elastic gears"
-            joints += (
-                "" if self._raised is None else "; at first: it is raised until a joint swings"
-            )
+            raised = "" if self._raised is None else "; at first: it is raised until a joint swings"
+            joints = f"damping at most {most} N m s/rad, for motors behind elastic gears{raised}"
         first += f"; {joints}" if self.command == "torque" else ""
         return [first, super().describe()[1]]
 

@@ -133,12 +133,7 @@ def repeat(count: int, body: Callable[[Any, Values], Values], start: Values) -> 
 
     The values are numbers and arrays, whose shapes stay; i counts from 0.
     """
-    if any(hasattr(value, "looped") for value in start):
-        return collect(count, lambda i, values: (body(i, values), ()), start)[0]
-    values = start
-    for i in range(count):
-        values = body(i, values)
-    return values
+    return collect(count, lambda i, values: (body(i, values), ()), start)[0]
 
 
 def collect(

@@ -34,6 +34,7 @@ _GAPS, _GAP = 20.0, 0.05  # periods or seconds that may be missing, if the clock
 _STILL = 1e-3  # rad/s or m/s, below which a joint may have the same q and q̇ again
 _IMPACT = 0.004  # s, in which an arm that hits something may lose its speed
 _WILD = 5.0  # times the largest change of q̇ that makes sense, by which none rises
+_WITHIN = 0.5  # of it is what joints may do all along
 _FINER = 0.92  # at each change of q: what is left of its noise, as it comes to be known
 _STEP, _FINEST = 0.3, 1.0 / 512.0  # of a step of q, and of the largest noise: the least
 _LEFT, _TURNS = 0.04, 0.1  # q̇ that changed its sign: what is left of ‖q̇‖², at such a speed
@@ -71,7 +72,8 @@ class GuardMemory(NamedTuple):
     t: Any  # of the last good sample [s]
     bad: Any  # periods in a row that were refused
     kind: Any  # why it stops: one of the numbers above
-    blind: Any  # s, for which x was refused; −1 until a second sample agrees with the first
+    # s, for which x was refused, in a stop for which q did not go on; −1 until two samples agree
+    blind: Any
     q: list[Any]  # of that sample
     v: list[Any]
     drift: list[Any]  # q − ∫q̇ of the last moments; in a stop, how far it has moved since
@@ -254,9 +256,11 @@ def closely_judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBo
     runs = stopped | ((since >= _SOON * dt) & (missed | (since <= _MISSED * dt)))
     h = select(stopped, (memory.bad + 1.0) * dt, select(runs, since, dt))  # in a stop periods count
     half, per, with_lag, was_bad = 0.5 * h, 1.0 / h, h + lag, memory.bad > 0.0
-    per_period = 1.0 / dt
     impact = _smaller(h / _IMPACT, 1.0) * root(sum((each * each for each in before), 0.0))
     track = _followed(memory, way, v, h, bounds)
+    # in a stop: how long ago a sample was near the one before
+    apart_for = select(stopped, memory.blind, h - dt)
+    per_gap = 1.0 / (apart_for + dt)
 
     def next_joint(values: Any, w: Any, off: Any, noise: Any, slack: Any, *motion: Any) -> Any:
         jumps, hits, apart, moves, wild, left, size, near = values
@@ -273,8 +277,10 @@ def closely_judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBo
         apart = apart | (abs(off) > noise + half * A)
         apart = apart | ((abs(drift) > slack) & complement(stopped))
         moves = moves | (abs(v1) > _STILL)
-        # as fast as both q and q̇ say that it goes on, where it can be
-        near, goes = near & (abs(w) <= noise + h * _WILD * most), (w - seen_at) * per_period
+        # as fast as both q and q̇ say that it goes on, from where it was last near
+        on = w - select(stopped, seen_at, 0.0)
+        reach = noise + (_WILD * dt + _WITHIN * apart_for) * most
+        near, goes = near & (abs(on) <= reach), on * per_gap
         least = _smaller(_smaller(abs(goes), abs(v1)), most)
         sure = select(goes * v1 > 0.0, select(v1 > 0.0, least, -least), 0.0)
         values = jumps, hits, apart, moves, wild, left, size, near
@@ -304,8 +310,11 @@ def closely_judged(memory: GuardMemory, sample: Sample, dt: Any, bounds: GuardBo
     blind, none = select(refuses, memory.blind + dt, blind), [0.0] * len(v)
     drift = selected(is_bad, memory.drift, selected(seen, track.drift, none))
     path, brakes = selected(is_bad, memory.path, selected(seen, track.path, none)), none
+    before_gap = selected(stopped, memory.path, none)
     if not surely(stops == GOOD):
-        path = selected((stops > 0) & known, way, path)
+        path = selected(stops > 0, selected(known & near, way, before_gap), path)
+        gap = select(known & near, 0.0, apart_for + dt)
+        blind = select((stops > 0) & complement(alone), gap, blind)
         brakes = selected(known & near & stopped, sure, none)
         way = selected(is_bad | was_bad, none, way)
         since_then = [a + b for a, b in zip(memory.drift, way, strict=True)]

@@ -1,6 +1,7 @@
 """Products, roots and angles, the fastest for arrays as small as a control step's."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from approxjac.validation import Array
@@ -25,7 +26,15 @@ def angle(y: Any, x: Any) -> Any:
     """Return the angle of (x, y) from −π to π [rad], for numbers or symbols."""
     if isinstance(y, float) and isinstance(x, float):
         return math.atan2(y, x)
-    return y.arctan2(x) if hasattr(y, "arctan2") else x.angle_from(y)
+    return (y if hasattr(y, "angle") else x).angle(y, x)
+
+
+def polynomial(coefficients: Sequence[float], x: Any) -> Any:
+    """Return a polynomial at a number or symbol, from the coefficient of its lowest power on."""
+    *others, value = coefficients
+    for each in reversed(others):
+        value = value * x + each
+    return value
 
 
 def sine_and_cosine(a: Any) -> tuple[Any, Any]:

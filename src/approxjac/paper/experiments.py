@@ -10,7 +10,7 @@ import numpy as np
 from approxjac import law
 from approxjac.cameras import PlanarCamera
 from approxjac.controllers import AdaptiveGravity, Gains, RegressorGravity, SetpointController
-from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.errors import InvalidInputError, require_known
 from approxjac.law import Linear, Sine
 from approxjac.robots import GravityRegressor, Robot, load_robot
 from approxjac.simulation import Computation, Plant, Trajectory, simulate
@@ -95,8 +95,7 @@ class Setup:
         as_number("duration", self.duration, unit="s", above=0.0)
         if self.gamma is not None:
             as_number("gamma", self.gamma, unit="m", above=0.0)
-        if self.inertia not in ("rod", "point-mass"):
-            raise UnknownNameError("inertia", self.inertia, "the study", ["rod", "point-mass"])
+        require_known("inertia", self.inertia, "the study", ["rod", "point-mass"])
         image = ImageTask(build_arm(inertia=self.inertia), CAMERA)
         if float(np.linalg.norm(image.value(start) - image.value(target))) < 1e-9:
             raise InvalidInputError(

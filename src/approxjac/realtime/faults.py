@@ -12,7 +12,7 @@ import numpy as np
 
 from approxjac.formatting import joined, short_fields
 from approxjac.tasks import Task
-from approxjac.validation import Array, as_diagonal, as_limits, as_number, require, shape_of
+from approxjac.validation import Array, as_diagonal, as_limits, as_number, require
 
 _X = {"m": 2e-3, "rad": 2e-3, "px": 1.0}
 _ERROR = {"m": 0.15, "rad": 0.5, "px": 150.0}
@@ -101,7 +101,7 @@ class Accuracy:
         for name in ("q", "v", "x", "stiction"):
             value = getattr(self, name)
             if value is not None:
-                as_diagonal(name, value, math.prod(shape_of(value)), positive=False)
+                as_diagonal(name, value, positive=False)
         as_number("tool", self.tool, unit="m", minimum=0.0)
         as_number("jacobian", self.jacobian, minimum=0.0)
         as_number("x_period", self.x_period, unit="s", above=0.0)

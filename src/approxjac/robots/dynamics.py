@@ -29,7 +29,7 @@ class Dynamics(Immutable):
         self.robot = robot
         self._model = robot.model
         self._data = self._model.createData()
-        self._zero = np.zeros(robot.nv)
+        self._zero, self._q = np.zeros(robot.nv), robot.configuration
         # the same where there are no mimic joints; Pinocchio's algorithms that cannot couple them
         # run on this model
         self._mimic_joints = robot.mimic_joints
@@ -49,7 +49,10 @@ class Dynamics(Immutable):
 
     def C(self, q: Array, v: Array) -> Array:
         """Return the Coriolis matrix C(q, q̇), Ṁ − 2C skew-symmetric, shape (n_v, n_v)."""
-        return self._coriolis_matrix(self._mimic_joints.q(self._q(q)), self._v(v))
+        mimic = self._mimic_joints
+        q_all, v_all = mimic.q(self._q(q)), mimic.v(self._v(v))
+        C = pin.computeCoriolisMatrix(self._all, self._all_data, q_all, v_all)
+        return np.array(mimic.rows(mimic.columns(C)))
 
     def M_dot(self, q: Array, v: Array) -> Array:
         """Return dM/dt = C + Cᵀ along q̇, shape (n_v, n_v)."""
@@ -58,9 +61,7 @@ class Dynamics(Immutable):
 
     def M_gradient(self, q: Array) -> Array:
         """Return ∂M/∂q_k, the `M_dot` along each joint; shape (n_v, n_v, n_v), k first."""
-        q_all, units = self._mimic_joints.q(self._q(q)), np.eye(self.robot.nv)
-        dM: Array = np.array([self._coriolis_matrix(q_all, unit) for unit in units])
-        return dM + np.swapaxes(dM, 1, 2)
+        return np.array([self.M_dot(q, unit) for unit in np.eye(self.robot.nv)])
 
     def coriolis(self, q: Array, v: Array) -> Array:
         """Return C(q, q̇)q̇ = (½Ṁ + S)q̇, shape (n_v,) [N m or N]."""
@@ -117,14 +118,6 @@ class Dynamics(Immutable):
             pin.computeKineticEnergy(self._all, self._all_data, q, v)
             + pin.computePotentialEnergy(self._all, self._all_data, q)
         )
-
-    def _coriolis_matrix(self, q_all: Array, v: Array) -> Array:
-        v_all = self._mimic_joints.v(v)
-        C = pin.computeCoriolisMatrix(self._all, self._all_data, q_all, v_all)
-        return np.array(self._mimic_joints.rows(self._mimic_joints.columns(C)))
-
-    def _q(self, q: Array) -> Array:
-        return self.robot.configuration(q)
 
     def _v(self, v: Array, name: str = "v") -> Array:
         return as_vector(name, v, self.robot.nv)

@@ -262,7 +262,8 @@ class KinematicRegressor(Immutable):
         above = {joint.child: joint for joint in self.robot.tree.joints.values()}
         wanted: dict[str, Array] = dict(zip(self.movers, change[: self._n], strict=True))
         held: dict[str, Array] = {}
-        for link, tool in zip(map(self._link, self.frames), change[self._n :], strict=True):
+        links = [self.robot.tree.link_of(frame) for frame in self.frames]
+        for link, tool in zip(links, change[self._n :], strict=True):
             if above[link].type == "fixed":
                 wanted[above[link].name] = tool
             elif tool.any() or turn is not None:
@@ -296,7 +297,7 @@ class KinematicRegressor(Immutable):
             robot = robot.with_object(length, parent=link, axis=axis, name=name)
         if turn is None:
             return robot
-        joint = "tool_tip_joint" if held else above[self._link(self.frames[0])].name
+        joint = "tool_tip_joint" if held else above[links[0]].name
         return robot.with_kinematic_error(None, {joint: turn.tolist()})
 
     def _turn_of(self, i: int, angles: Array) -> Array:
@@ -304,10 +305,6 @@ class KinematicRegressor(Immutable):
         one, two = self.across[i]
         ways = zip((one, two, np.cross(one, two)), angles.tolist(), strict=True)
         return pin.log3(reduce(np.matmul, [pin.exp3(angle * way) for way, angle in ways]))
-
-    def _link(self, frame: str) -> str:
-        joints = self.robot.tree.joints
-        return frame if frame in self.robot.tree.links else joints[frame].child
 
     @cached_property
     def _data(self) -> pin.Data:

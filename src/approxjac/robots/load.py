@@ -16,6 +16,7 @@ from approxjac.errors import (
     MissingPackageError,
     UnknownNameError,
     UrdfError,
+    require_known,
 )
 from approxjac.robots.meshes import share_dir
 from approxjac.robots.robot import STANDARD_GRAVITY, Robot
@@ -205,8 +206,7 @@ def _names(free: str | Sequence[str], moving: list[str], urdf: Urdf) -> list[str
     if names == ["all"]:
         return moving
     for name in names:
-        if name not in moving:
-            raise UnknownNameError("moving joint", name, urdf.name, moving)
+        require_known("moving joint", name, urdf.name, moving)
     return names
 
 
@@ -225,11 +225,9 @@ def _chain(urdf: Urdf, base: str | None, tip: str) -> set[str]:
 
 def _link(urdf: Urdf, frame: str) -> str:
     """Return the link that a frame is part of: itself, or what the joint of that name moves."""
-    if isinstance(frame, str) and frame in urdf.links:
-        return frame
-    if isinstance(frame, str) and frame in urdf.joints:
-        return urdf.joints[frame].child
-    raise UnknownNameError("frame", frame, urdf.name, urdf.links, likely_tips(urdf))
+    if not isinstance(frame, str) or frame not in {*urdf.links, *urdf.joints}:
+        raise UnknownNameError("frame", frame, urdf.name, urdf.links, likely_tips(urdf))
+    return urdf.link_of(frame)
 
 
 # The arms known by name weigh 3 to 41 kg for a cube of their reach, and the strongest motor of each

@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from approxjac.robots.robot import Robot, require_inertia
 from approxjac.robots.urdf import OBJECT_RADIUS, Urdf, as_size, direction, rotation_onto
-from approxjac.validation import Array, Immutable
+from approxjac.validation import Array, Immutable, changed_copy
 
 
 class Perturbation(Immutable):
@@ -55,10 +55,7 @@ class Perturbation(Immutable):
 
     def moving(self) -> Perturbation:
         """Return a copy whose `robot` changes one robot in place: use it before the next call."""
-        moving = object.__new__(type(self))
-        vars(moving).update(vars(self))
-        moving._moved = PerturbedRobot.like(self.base, _outward=self._outward)
-        return moving
+        return changed_copy(self, _moved=PerturbedRobot.like(self.base, _outward=self._outward))
 
     def moves(self, robot: Robot) -> bool:
         """Return True for the robot that a copy by `moving` changes in place."""

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from lxml import etree
 
-from approxjac.errors import InvalidInputError, UnknownNameError, UrdfError
+from approxjac.errors import InvalidInputError, UnknownNameError, UrdfError, require_known
 from approxjac.files import refusing, write_text
 from approxjac.robots import meshes
 from approxjac.robots.urdf import (
@@ -105,9 +105,8 @@ class Robot(Immutable):
         outward: str | None = None,
     ) -> None:
         require("urdf", urdf, (str, Urdf), "URDF text")
-        gravity = as_array("gravity", gravity, (3,), "m/s^2")
+        self.gravity = as_array("gravity", gravity, (3,), "m/s^2")
         self.tree = urdf if isinstance(urdf, Urdf) else Urdf.parse(urdf, source)
-        self.gravity = gravity
         self.urdf_dir = urdf_dir
         self.name = self.tree.name if name is None else name
         self.model, self.mimic_joints = build_model(self.tree)
@@ -122,8 +121,8 @@ class Robot(Immutable):
         leaves = [link for link in self.tree.links if link not in parents]
         if tip is None:
             tip = leaves[0] if len(leaves) == 1 else None
-        elif self.frame_id(tip) and tip not in self.tree.links:  # a joint's frame is its child's
-            tip = self.tree.joints[tip].child
+        elif self.frame_id(tip):  # a joint's frame is its child's
+            tip = self.tree.link_of(tip)
         self.tip, self._outward = tip, outward
 
     # -- what it is ---------------------------------------------------------------------
@@ -335,8 +334,7 @@ class Robot(Immutable):
         length, mass = as_size("length", length), as_size("mass", mass, "kg")
         radius = as_size("radius", radius)
         parent = self.tip_or(parent)
-        if parent not in self.tree.links:
-            raise UnknownNameError("link", parent, self.name, self.tree.links)
+        require_known("link", parent, self.name, self.tree.links)
         along = direction(self.outward_axis(parent) if axis is None else axis)
         if not isinstance(name, str) or not name.isprintable() or not name or " " in name:
             message = f"name must be a text without spaces, such as 'object', got {name!r}"
@@ -388,8 +386,7 @@ class Robot(Immutable):
         shifts, rotations, none = shifts or {}, rotations or {}, np.zeros(3)
         errors = {}
         for joint in dict.fromkeys([*shifts, *rotations]):
-            if joint not in self.tree.joints:
-                raise UnknownNameError("joint", joint, self.name, self.tree.joints)
+            require_known("joint", joint, self.name, self.tree.joints)
             shift = as_array(f"shift of {joint}", shifts.get(joint, none), (3,), "m")
             turn = as_array(f"rotation of {joint}", rotations.get(joint, none), (3,), "rad")
             errors[joint] = shift, turn
@@ -410,8 +407,7 @@ class Robot(Immutable):
         moving = list(self.mimic_joints.model.names)[1:]
         locked: dict[str, float] = {}
         for joint, position in positions.items():
-            if joint not in moving:
-                raise UnknownNameError("moving joint", joint, self.name, moving)
+            require_known("moving joint", joint, self.name, moving)
             locked[joint] = as_number(
                 f"position of {joint}", position, unit="rad or m", minimum=-_FAR, most=_FAR
             )

@@ -108,6 +108,10 @@ class Urdf:
         """Joint name → joint, fixed ones included."""
         return {joint.get("name"): _joint(joint) for joint in self.root.iterfind("joint")}
 
+    def link_of(self, frame: str) -> str:
+        """Return the link that a frame is part of: itself, or what the joint of that name moves."""
+        return frame if frame in self.links else self.joints[frame].child
+
     @functools.cached_property
     def moved_links(self) -> Set[str]:
         """Names of the links that a joint moves."""

@@ -28,6 +28,7 @@ from approxjac.validation import (
     as_limits,
     as_number,
     as_vector,
+    changed_copy,
     require,
 )
 
@@ -307,9 +308,7 @@ class Plant(Immutable):
         return self._with(sensing=sensing, actuator_delay=actuator_delay)
 
     def _with(self, **changes: Any) -> Self:
-        plant = object.__new__(type(self))
-        vars(plant).update(vars(self), **changes, _changes={**self._changes, **changes})
-        return plant
+        return changed_copy(self, **changes, _changes={**self._changes, **changes})
 
     @property
     def command(self) -> Literal["torque", "velocity"]:
@@ -492,7 +491,7 @@ class Plant(Immutable):
             angle = motion_between(self.robot, self.robot.neutral(), q)
         ahead = v + 0.5 * motors.change
         terms = dynamics.M(mid), dynamics.inverse(mid, ahead, np.zeros(self.robot.nv))
-        after = self.transmission.step(v, motors, tau, h, terms, _solved, angle)
+        after = self.transmission.step(v, motors, tau, h, terms, np.linalg.solve, angle)
         if self.stops is not None and self.stops.touched(self._moved(mid, 0.5 * h * after.v)):
             push = self.stops.held_torque(q, after.v, after.M_inv, h)
             after = self.transmission.pushed(after, h * push)
@@ -571,10 +570,6 @@ class Plant(Immutable):
                 are_numbers = isinstance(value, float | list | np.ndarray)
                 shown.append(f"{name}={short(value) if are_numbers else repr(value)}")
         return f"{type(self).__name__}({', '.join(shown)})"
-
-
-def _solved(A: Array, b: Array) -> Array:
-    return np.asarray(np.linalg.solve(A, b))
 
 
 def _require_own(robot: Robot, sensor: Task) -> None:

@@ -16,7 +16,7 @@ from approxjac.robots import Robot
 from approxjac.robots.traced import motion_between, moved
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import with_error
-from approxjac.validation import Array, as_diagonal, as_number, shape_of
+from approxjac.validation import Array, as_diagonal, as_number
 
 DRAWN = ("x_noise", "q_noise", "x_dropout")  # names of what is drawn while a run goes on
 
@@ -63,8 +63,7 @@ class Sensing:
 
     def __post_init__(self) -> None:
         for name in ("x_noise", "x_quantum", "q_noise", "q_quantum"):
-            value = getattr(self, name)
-            as_diagonal(name, value, math.prod(shape_of(value)), positive=False)
+            as_diagonal(name, getattr(self, name), positive=False)
         as_number("x_delay", self.x_delay, unit="s", minimum=0.0)
         as_number("x_dropout", self.x_dropout, minimum=0.0, most=1.0)
         if self.velocity_filter is not None:

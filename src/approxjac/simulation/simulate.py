@@ -19,9 +19,9 @@ from approxjac.errors import (
     InvalidInputError,
     MeasurementError,
     SimulationError,
-    UnknownNameError,
     failed,
     package_of,
+    require_known,
 )
 from approxjac.formatting import short_fields
 from approxjac.interface import Evaluation, Measurement, Target, TargetPath
@@ -360,8 +360,6 @@ class MovingArm:
 
     def take(self, command: Array) -> list[Array]:
         """Queue a command; return those that act during the next sample, in order."""
-        if self._late == 0 and self.plant.servo is None:
-            return [command]
         return [self._next(command) for _ in range(self._per_sample)]
 
     def _next(self, command: Array) -> Array:
@@ -461,12 +459,9 @@ class Computation:
     __repr__ = short_fields
 
     def __post_init__(self) -> None:
-        for kind, name, valid in (
-            ("integrator", self.integrator, list(INTEGRATORS)),
-            ("engine", "python" if self.engine is None else self.engine, ["compiled", "python"]),
-        ):
-            if not isinstance(name, str) or name not in valid:
-                raise UnknownNameError(kind, name, f"the {kind}s", valid)
+        require_known("integrator", self.integrator, "the integrators", list(INTEGRATORS))
+        if self.engine is not None:
+            require_known("engine", self.engine, "the engines", ["compiled", "python"])
         as_number("rtol", self.rtol, above=0.0)
         as_number("atol", self.atol, above=0.0)
         require("progress", self.progress, _FUNCTION, "a function of the time reached [s]")
@@ -553,14 +548,13 @@ def simulate(
         loop = SampledLoop(
             plant, controller, wanted, start, dt, steps, computation.integrator, seed
         )
-        ran: Trajectory | None = None
         why = "an observer looks at each step" if observer is not None else ""
         if engine != "python" and observer is None:
             ran, why = importlib.import_module(_MACHINE_CODE).whole_run(
                 loop, stride, progress, must=engine == "compiled"
             )
-        if ran is not None:
-            return replace(ran, engine="machine code")
+            if ran is not None:
+                return replace(ran, engine="machine code")
         run = _sampled(loop, stride, observer, progress)
         return replace(run, engine=f"Python: {why}" if why else "Python")
 

@@ -75,7 +75,7 @@ class Transmission:
         tau: Array,
         h: float,
         terms: tuple[Array, Array],
-        solve: Callable[[Array, Array], Array],
+        solve: Callable[[Any, Any], Any],
         angle: Array | None = None,
     ) -> JointStep:
         """Advance by one step h [s], on numbers or symbols.
@@ -148,7 +148,7 @@ def _sticking(
     free: Array,
     most: Array,
     held: Array,
-    solve: Callable[[Array, Array], Array],
+    solve: Callable[[Any, Any], Any],
     guesses: int,
 ) -> tuple[Array, Array]:
     """Return impulses |p| ≤ most that stop joints or brake those that slide, and their rates.

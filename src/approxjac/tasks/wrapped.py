@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac import law
-from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.errors import InvalidInputError, require_known
 from approxjac.formatting import joined
 from approxjac.robots import Dynamics, Robot
 from approxjac.robots.traced import moved
@@ -316,8 +316,7 @@ class NonsingularTask(WrappedTask):
         robot = task.robot
         offset = np.zeros(robot.nv)
         for joint, displacement in bend.items():
-            if joint not in robot.joint_names:
-                raise UnknownNameError("moving joint", joint, robot.name, robot.joint_names)
+            require_known("moving joint", joint, robot.name, robot.joint_names)
             i = robot.joint_names.index(joint)
             unit = robot.joint_units[i]
             most = 2.0 * np.pi if unit == "rad" else np.inf

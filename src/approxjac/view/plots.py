@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from approxjac.cameras import Camera, PinholeCamera
-from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.errors import InvalidInputError, require_known
 from approxjac.formatting import display_unit, joined
 from approxjac.interface import LimitStatus
 from approxjac.robots import Robot
@@ -242,8 +242,7 @@ def plot_parameters(
     usual = [name for name in known if name.startswith(_USUAL)] or known
     chosen = usual if names is None else list(names)
     for name in chosen:
-        if name not in known:
-            raise UnknownNameError("number", name, "what is learnt", known)
+        require_known("number", name, "what is learnt", known)
     columns = [known.index(name) for name in chosen]
     kept = np.unique(np.linspace(0, len(run.t) - 1, _INSTANTS).astype(int))
     bands = 2.0 * np.array([run.learnt_sd(k) for k in kept])[:, columns]

@@ -11,7 +11,7 @@ from approxjac.codegen.arm.rigid_body import Arm, Configured
 from approxjac.codegen.trace.symbols import Graph, Symbols, inputs, symbols
 from approxjac.errors import InvalidInputError
 from approxjac.tasks import Task
-from approxjac.validation import Array
+from approxjac.validation import Array, changed_copy
 
 _HOLDERS = (Camera, Task, tuple, list)  # of what may be a camera
 
@@ -109,11 +109,8 @@ def _replaced(of: Any, changed: Mapping[int, Camera]) -> Any:
         return type(of)(*parts) if hasattr(of, "_fields") else type(of)(parts)
     if isinstance(of, Task):
         own = {name: _replaced(part, changed) for name, part in vars(of).items()}
-        if all(own[name] is part for name, part in vars(of).items()):
-            return of
-        copy = object.__new__(type(of))
-        vars(copy).update(own)
-        return copy
+        is_same = all(own[name] is part for name, part in vars(of).items())
+        return of if is_same else changed_copy(of, **own)
     return of
 
 

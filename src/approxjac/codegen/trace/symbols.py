@@ -101,12 +101,7 @@ class Graph:
         ])  # fmt: skip
         if operation in _COMMUTES and places[0] > places[1]:
             places = places[::-1]
-        key = operation, places
-        place = self._known.get(key)
-        if place is None:
-            place = self._known[key] = len(self.nodes)
-            self.nodes.append(Node(operation, places))
-        return Scalar(self, place)
+        return self._scalar(Node(operation, places))
 
     def rare(
         self, condition: Condition, values: Sequence[Number], others: Sequence[Number]
@@ -422,7 +417,7 @@ class Scalar:
     def select(self, a: Any, b: Any) -> Any:
         """Do as `law.select`."""
         if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
-            return _where(self, a, b)
+            return _choices(self, a, b)
         return select(self, a, b)
 
     def array(self, values: Any) -> Any:
@@ -444,8 +439,8 @@ class Scalar:
         for part in _QUARTERS:
             r = r - quarter * part
         square = r * r
-        sine = r + r * square * _polynomial(square, _SIN)
-        cosine = (1.0 - 0.5 * square) + square * square * _polynomial(square, _COS)
+        sine = r + r * square * products.polynomial(_SIN, square)
+        cosine = (1.0 - 0.5 * square) + square * square * products.polynomial(_COS, square)
         turn = quarter - 4.0 * (quarter * 0.25).rounded()  # of −2, −1, 0, 1, 2 quarters
         swaps, sign = abs(turn) == 1.0, 1.0 - abs(turn)
         return (
@@ -453,13 +448,12 @@ class Scalar:
             select(swaps, -turn * sine, sign * cosine),
         )
 
-    def arctan2(self, x: Number) -> Number:
-        """Return the angle of (x, a), from −π to π [rad]."""
-        return _angle(self, x)
-
-    def angle_from(self, y: float) -> Number:
-        """Return the angle of (a, y), from −π to π [rad]."""
-        return _angle(y, self)
+    @staticmethod
+    def angle(y: Number, x: Number) -> Number:
+        """Return the angle of (x, y), one of them a symbol, from −π to π [rad]."""
+        angle = arctangent(abs(y), abs(x))
+        angle = select(x < 0.0, math.pi - angle, angle)
+        return select(y < 0.0, -angle, angle)
 
     def sqrt(self) -> Scalar:
         """Return √a."""
@@ -550,13 +544,7 @@ def arctangent(y: Number, x: Number) -> Number:
         high, low = (select(within, *each) for each in zip(angle, (high, low), strict=True))
     t = top / bottom
     square = t * t
-    return high - ((t * (square * _polynomial(square, _ATAN)) - low) - t)
-
-
-def _angle(y: Number, x: Number) -> Number:
-    angle = arctangent(abs(y), abs(x))
-    angle = select(x < 0.0, math.pi - angle, angle)
-    return select(y < 0.0, -angle, angle)
+    return high - ((t * (square * products.polynomial(_ATAN, square)) - low) - t)
 
 
 def exp(x: Scalar) -> Number:
@@ -576,14 +564,7 @@ def expm1(x: Scalar) -> Number:
         coefficient /= n
         coefficients.append(coefficient)
     power = (k + POWER_SHIFT).graph.apply("power", k + POWER_SHIFT)
-    return power * (r * _polynomial(r, coefficients)) + (power - 1.0)
-
-
-def _polynomial(x: Number, coefficients: Sequence[float]) -> Number:
-    value: Number = coefficients[-1]
-    for coefficient in coefficients[-2::-1]:
-        value = value * x + coefficient
-    return value
+    return power * (r * products.polynomial(coefficients, r)) + (power - 1.0)
 
 
 # -- arrays ----------------------------------------------------------------------------------------
@@ -641,8 +622,6 @@ class SymbolArray(np.ndarray):
         return _apply(*arguments, **options)
 
     def __array_function__(self, function: Any, types: Any, arguments: Any, options: Any) -> Any:
-        if function is np.where:
-            return _where(*arguments)
         if function in _OF_ARRAYS:
             return _OF_ARRAYS[function](*arguments, **options)
         result = super().__array_function__(function, types, arguments, options)
@@ -654,9 +633,7 @@ class SymbolArray(np.ndarray):
             return np.transpose(other) @ self
         return self @ other
 
-    def looped(self, *arguments: Any) -> Any:
-        """Do as `law.collect`."""
-        return _looped(*arguments)
+    looped = Scalar.looped
 
     def arm_of(self, robot: Any) -> Any:
         """Return a robot's arm at this configuration (nq,), as `robots.traced.arm_of` does."""
@@ -779,6 +756,7 @@ def _rotate(a: list[list[Number]], vectors: list[list[Number]], p: int, q: int) 
 
 
 _OF_ARRAYS: dict[Any, Callable[..., Any]] = {
+    np.where: _choices,
     np.linalg.norm: _norm,
     np.clip: _clip,
     np.linalg.eigh: eigensystem,
@@ -860,11 +838,6 @@ def _product(A: Any, b: Symbols) -> Symbols:
     first = columns[0] * b[0]
     (product[~sparse],) = law.repeat(len(b) - 1, add, (first,))
     return product
-
-
-def _where(condition: Any, a: Any, b: Any) -> Any:
-    result = _choices(*map(_plain, (condition, a, b)))
-    return result.view(SymbolArray) if isinstance(result, np.ndarray) else result
 
 
 def symbols(values: Any) -> Symbols:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from approxjac.formatting import numbers, short_fields
-from approxjac.validation import Array, as_diagonal, as_number, is_scalar, shape_of
+from approxjac.validation import Array, as_diagonal, as_number, is_scalar
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -32,7 +31,7 @@ class Gains:
     def __post_init__(self) -> None:
         for name, positive in (("kp", True), ("kv", True), ("damping", False)):
             value = getattr(self, name)
-            diagonal = as_diagonal(name, value, math.prod(shape_of(value)), positive=positive)
+            diagonal = as_diagonal(name, value, positive=positive)
             # a copy, so that nobody changes it later
             object.__setattr__(self, name, float(value) if is_scalar(value) else diagonal)
 

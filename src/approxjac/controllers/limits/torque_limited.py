@@ -181,7 +181,11 @@ class TorqueLimited(ControllerWrapper):
     """
 
     _what = "its torque is kept within limits"
+    # its own, not those of the controller inside
     motion_limits: tuple[Limit, ...] = ()
+    limits: Limits = Limits()
+    dt: float | None = None
+    needs_solver: bool = False
 
     def __init__(
         self,
@@ -210,7 +214,7 @@ class TorqueLimited(ControllerWrapper):
         robot = controller.task.robot
         self.controller = controller
         of_joints, self.motion_limits = _sorted(limits)
-        self._limits = (Limits.of(robot) if of_joints is None else of_joints).for_joints(robot.nv)
+        self.limits = (Limits.of(robot) if of_joints is None else of_joints).for_joints(robot.nv)
         self._upper, self._rate = np.asarray(self.limits.effort), np.asarray(self.limits.rate)
         self._lower = -self._upper
         self._has_rate = bool(np.isfinite(self._rate).any())
@@ -263,30 +267,16 @@ class TorqueLimited(ControllerWrapper):
             for limit in self.motion_limits:
                 require_rows(limit, self._terms(q, np.full(robot.nv, _TRIAL)), self._dt)
         self._prediction = AccelerationObserver(controller, self._dt, self.braking, fastest)
-        # whether a torque within its limits may be limited, too
+        # whether a torque within its limits may be limited, too; else there is a closed form
         bounds_motion = bool(np.isfinite([low, high, fastest, most]).any())
-        self._looks_ahead = bounds_motion or bool(self.motion_limits)
+        self.needs_solver = self._looks_ahead = bounds_motion or bool(self.motion_limits)
+        self.dt = self._dt if self._looks_ahead else inside
         self._kept = self._prediction.nothing if self._looks_ahead else np.zeros(0)
         self._memory = len(self._kept) + (robot.nv if self._has_rate else 0)
 
     @property
-    def dt(self) -> float | None:  # type: ignore[override]
-        """Required sampling time [s]; None for any."""
-        return self._dt if self._looks_ahead else self.controller.dt
-
-    @property
-    def limits(self) -> Limits:  # type: ignore[override]
-        """The limits with an entry for each joint."""
-        return self._limits
-
-    @property
     def limited_law(self) -> Controller:
         return self.controller
-
-    @property
-    def needs_solver(self) -> bool:  # type: ignore[override]
-        """True if a solver may be called; otherwise the minimum has a closed form."""
-        return self._looks_ahead
 
     def begin(self, measurement: Measurement) -> Array:
         """Return the state before the first step; errors are those of the controller."""

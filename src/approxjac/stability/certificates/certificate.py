@@ -180,7 +180,7 @@ class Theorem1:
     @property
     def alpha_max(self) -> float:
         """The largest α that (14) allows [1/s]."""
-        return law.largest_alpha(self.setting.kv, self.setting.c_bar, self.lambda_m)
+        return law.largest_alpha(self.setting.kv, self.setting.saturation.c_bar, self.lambda_m)
 
     @property
     def alpha(self) -> float:
@@ -349,7 +349,7 @@ def sampled_test(
     potential = setting.kp + setting.alpha * setting.kv
     needed = _SPARE * float((setting.saturation.S(form.samples.e) @ potential).max(initial=0.0))
     fastest = math.sqrt(2.0 * needed)
-    most_s = fastest / math.sqrt(2.0 * setting.c_bar * float(potential.min()))
+    most_s = fastest / math.sqrt(2.0 * setting.saturation.c_bar * float(potential.min()))
 
     def at_speed(form: SampledForm) -> SampledTest:
         """Choose a function on the first samples, and check it on the others."""

@@ -88,7 +88,7 @@ def limit_cost(
         if sampled.latency.velocity_filter:  # q̇ of other configurations is in it, too
             lightest = np.linalg.eigvalsh(M_inv)[:, -1].max()
             along = np.sqrt(lightest) * np.linalg.norm(D_c, axis=2)
-        potential = np.linalg.inv(sampled.weights.block(loop.setting.c_bar))
+        potential = np.linalg.inv(sampled.weights.block(loop.setting.saturation.c_bar))
         along = along + np.sqrt(np.einsum("nij,jk,nik->ni", pull, potential, pull))
         # ½(1 − σ²) is level/v̄²
         level = sampled.level * min(1.0, float((room / along).min() / sampled.speed)) ** 2

@@ -84,11 +84,6 @@ class Setting:
     weight: Array | None = None  # of `law.cross_weight_pinv`, shape (n_v,)
 
     @property
-    def c_bar(self) -> float:
-        """c̄ of eq. (8)."""
-        return self.saturation.c_bar
-
-    @property
     def alpha(self) -> float:
         """α, or if it is free its typical size, half the mean rate k_p/k_v [1/s]."""
         if self.fixed_alpha is not None:
@@ -163,7 +158,7 @@ class MatrixForm:
         """
         D, M = self._of_samples.D, self.samples.M
         Q, G = self._decrease(weights)
-        P = law.potential_matrix(M, G, weights.block(self.setting.c_bar))
+        P = law.potential_matrix(M, G, weights.block(self.setting.saturation.c_bar))
         F = self._form(weights, Q, G)
         n, k, whole = D.shape[-1], P.shape[-1], F.shape[-1]
         X, Y = np.zeros((2, *F.shape)), np.zeros((2, *F.shape))
@@ -232,11 +227,11 @@ class MatrixForm:
         return np.asarray(np.minimum(margins, 1.0 - np.sqrt(self._kinetic(weights, G))))
 
     def _is_bounded(self, weights: Weights) -> bool:
-        return bool(np.linalg.eigvalsh(weights.block(self.setting.c_bar))[0] > 0.0)
+        return bool(np.linalg.eigvalsh(weights.block(self.setting.saturation.c_bar))[0] > 0.0)
 
     def _kinetic(self, weights: Weights, G: Array) -> Array:
         """σ² of each sample, shape (N,): V ≥ ½(1 − σ²)|q̇|²_M, of V that `_is_bounded`."""
-        root = np.linalg.inv(np.linalg.cholesky(weights.block(self.setting.c_bar)))
+        root = np.linalg.inv(np.linalg.cholesky(weights.block(self.setting.saturation.c_bar)))
         square = root @ (G.mT @ self.samples.M @ G) @ root.T
         return np.asarray(np.maximum(np.linalg.eigvalsh(square)[:, -1], 0.0))
 
@@ -626,7 +621,7 @@ class SampledForm(MatrixForm):
 
         V ≥ ½ (1 − σ²) sᵀ(2c̄W + Ω)s.
         """
-        least = float(np.linalg.eigvalsh(weights.block(self.setting.c_bar))[0])
+        least = float(np.linalg.eigvalsh(weights.block(self.setting.saturation.c_bar))[0])
         return self.speed / math.sqrt(least) if least > 0.0 else math.inf
 
     def level(self, weights: Weights) -> float:

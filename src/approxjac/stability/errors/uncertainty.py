@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from approxjac.cameras import Camera
-from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.errors import InvalidInputError, require_known
 from approxjac.robots import Drives, Friction, Perturbation, Robot
 from approxjac.robots.urdf import as_size, direction
 from approxjac.simulation import Plant
@@ -93,8 +93,7 @@ def _as_bounds(name: str, given: Any, arm: Robot, unit: str) -> dict[str, tuple[
     require(name, given, Mapping, "a mapping from joint names to bounds of shape (3,)")
     bounds = {}
     for joint, bound in given.items():
-        if joint not in arm.tree.joints:
-            raise UnknownNameError("joint", joint, arm.name, arm.tree.joints)
+        require_known("joint", joint, arm.name, arm.tree.joints)
         array = as_array(f"{name} of {joint}", bound, (3,), unit)
         if (array < 0.0).any():
             raise InvalidInputError(
@@ -115,9 +114,8 @@ def _camera_range(camera: Camera | None, name: str, given: Any) -> list[Coordina
             "camera as camera, such as PlanarCamera(f, z)",
             given=given,
         )
-    if name not in camera.calibration:
-        where = f"the calibration of {type(camera).__name__}"
-        raise UnknownNameError("range", name, where, camera.calibration)
+    where = f"the calibration of {type(camera).__name__}"
+    require_known("range", name, where, camera.calibration)
     return _as_range(name, given, *camera.calibration[name], of="camera ")
 
 

@@ -15,7 +15,7 @@ from approxjac.codegen.lanes import OUTCOME, Box, Lanes, LaneStart
 from approxjac.codegen.loop_program import loop_key
 from approxjac.controllers import SetpointController
 from approxjac.controllers.controller import Controller
-from approxjac.errors import InvalidInputError, SimulationError, UnknownNameError, package_of
+from approxjac.errors import InvalidInputError, SimulationError, package_of, require_known
 from approxjac.simulation import Computation, Plant, Sensing, Trajectory, simulate
 from approxjac.simulation.simulate import Wanted, target_at, whole, x_of
 from approxjac.stability.errors.region import JointBox, Region, RegularPart
@@ -243,8 +243,8 @@ def with_engine(
         engine: "lanes", "python" or None.
         runs: Number of runs of each.
     """
-    if engine is not None and engine not in _ENGINES:
-        raise UnknownNameError("engine", engine, "rollouts", _ENGINES)
+    if engine is not None:
+        require_known("engine", engine, "rollouts", _ENGINES)
     if engine == "python" or not settings:
         return [*settings]
     in_lanes = _sharing([replace(each, engine="lanes") for each in settings])

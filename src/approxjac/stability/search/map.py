@@ -9,7 +9,7 @@ import numpy as np
 
 from approxjac.controllers import Gains, SetpointController
 from approxjac.controllers.controller import Controller
-from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.errors import InvalidInputError, require_known
 from approxjac.formatting import percent, rows, wrapped
 from approxjac.stability.errors.region import require_setpoint
 from approxjac.stability.loop.configurations import UnattainedError
@@ -173,8 +173,7 @@ def _is_seen(setting: RolloutSetting, runs: int) -> bool:
 def require_parameters(names: Sequence[str]) -> None:
     """Raise an UnknownNameError for a name that is no parameter of a map."""
     for name in names:
-        if name not in PARAMETERS:
-            raise UnknownNameError("parameter", name, "the map", PARAMETERS)
+        require_known("parameter", name, "the map", PARAMETERS)
 
 
 def _values(name: str, given: Sequence[float] | Array) -> Array:

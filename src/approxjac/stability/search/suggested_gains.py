@@ -9,7 +9,7 @@ import numpy as np
 
 from approxjac.controllers import Gains, NoGravity, SetpointController
 from approxjac.controllers.gains.tuning import default_gains, position_gains
-from approxjac.errors import UnknownNameError
+from approxjac.errors import require_known
 from approxjac.formatting import short_fields, wrapped
 from approxjac.stability.certificates.certificate import margin
 from approxjac.stability.loop.closed_loop import SHARED
@@ -113,8 +113,7 @@ def suggested_gains(
     """
     uncertainty, latency, seed = study.errors, study.timing, study.seed
     tell = progress_report(progress)
-    if test not in TESTS:
-        raise UnknownNameError("test", test, "the tests", TESTS)
+    require_known("test", test, "the tests", TESTS)
     settling_time = as_number("settling_time", settling_time, unit="s", above=0.0)
     as_integer("configurations", configurations, 1 if test == "local" else 20)  # as of a report
     # gravity counts for the torque at the start; the tests take it as compensated

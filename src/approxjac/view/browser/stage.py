@@ -120,8 +120,7 @@ class Stage:
     def floor(self) -> float:
         """Height of the lowest frame that does not move [m]."""
         frames = self.scene.truth.model.frames
-        fixed = [frame.placement for frame in frames if frame.parentJoint == 0]
-        return min(float(placed.translation[2]) for placed in fixed)
+        return min(float(f.placement.translation[2]) for f in frames if f.parentJoint == 0)
 
     @property
     def camera_points(self) -> Array:
