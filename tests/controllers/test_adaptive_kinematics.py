@@ -264,7 +264,10 @@ def test_theorem_a_holds_for_any_rotation(belief, truth, angle):
 
 
 def test_a_rotation_near_a_known_one_is_learnt_as_without(belief, rng):
-    """With a rotation that is as good as known both estimators are one."""
+    """With a rotation that is as good as known both estimators are one.
+
+    But for what is forgotten in between: the known one forgets 0.3 % at once, the other in parts.
+    """
     known, free = (
         AdaptiveKinematics(belief, ("tool", "origins", last), sd)
         for last, sd in (("offset", {}), ("camera", {"camera": 1e-5}))
@@ -283,7 +286,7 @@ def test_a_rotation_near_a_known_one_is_learnt_as_without(belief, rng):
             each.step(state, seen, DT) for each, state in zip((known, free), states, strict=True)
         ]
     n = len(known.names)
-    assert_allclose(free.learnt(states[1])[:n], known.learnt(states[0]), atol=1e-6)
+    assert_allclose(free.learnt(states[1])[:n], known.learnt(states[0]), atol=5e-5)
     sd = [
         [row.sd for row in each.report(state).rows][:n]
         for each, state in zip((known, free), states, strict=True)

@@ -196,20 +196,13 @@ def _nonnegative(F: Array, c: Array) -> Array:
     return multipliers
 
 
-def forgotten_information(Lambda: Array, Lambda_0: Array, share: float) -> Array:
-    """Return Λ ← (1 − λT)Λ + λTΛ₀: forget a share λT of the data, never the prior Λ₀.
+def forgotten(P: Array, Lambda_0: Array, share: Any) -> Array:
+    """Return P ← P + s(P − PΛ₀P): forget a share s of the data, never the prior Λ₀ (n,).
 
-    Implements Theorem A's forgetting, in samples. Λ and Λ₀ are (P, P); Λ ≥ Λ₀ stays so.
+    Implements Theorem A's forgetting, in samples. It is ((1 − s)P⁻¹ + sΛ₀)⁻¹ but for s², and never
+    more than that: Λ₀⁻¹ ≥ P stays so, and V₁ falls.
     """
-    return np.asanyarray(Lambda + share * (Lambda_0 - Lambda))
-
-
-def information(Lambda: Array, H: Array, weight: float) -> Array:
-    """Return Λ ← Λ + HᵀR⁻¹H with R⁻¹ = weight I, the information of a frame x = HΘ; shape (P, P).
-
-    Implements Theorem A's update of the information, in samples. H is (m, P).
-    """
-    return np.asanyarray(Lambda + weight * H.T.dot(H))
+    return np.asanyarray(P + share * (P - product(P * Lambda_0, P)))
 
 
 def gain(P: Array, H: Array, variance: Any) -> Array:

@@ -14,7 +14,7 @@ from approxjac.controllers.learning.estimator import Estimator, Unknowns, motion
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement, Target
 from approxjac.law import PredictedError
-from approxjac.law.factors import inverse, solved
+from approxjac.law.factors import inverse, product, solved
 from approxjac.robots import KinematicRegressor, Robot
 from approxjac.tasks import (
     ImageTask,
@@ -41,6 +41,7 @@ _CHANGED = 3e-3, 9.0  # averaged residual [m], and in its sd: another sensor or 
 _WORST = 4.0  # χ² above which no more is passed over
 _BELIEVED = 5.0  # of frames after which what was learnt is a belief when learning begins anew [s]
 _NO_TIME = 1e-12  # of an average's share
+_SELDOM = 3e-3  # share of what is learnt that is forgotten at once
 _ODDS = 2.0  # of another rotation against the one at hand, as a logarithm, before it is taken
 _JUMPS = 0.95  # of tr(AᵀA') from frame to frame: about 20°, by which no rotation is refined
 _SAME = 0.8  # of tr(AᵀA'): about 45°, nearer than which rotations are one to Newton's method
@@ -94,7 +95,7 @@ class AdaptiveKinematics(Estimator):
     def __init__(
         self,
         task: Task | Robot,
-        unknown: Sequence[str] = ("tool", "origins", "axes", "camera"),
+        unknown: Sequence[str] = ("tool", "origins", "camera"),
         sd: Mapping[str, float] | None = None,
         noise: float | None = None,
         delay: float = 0.0,
@@ -560,7 +561,8 @@ def _axes(task: Task, points: list[tuple[str, str]], turns: bool) -> str:
 class _KnownRotation:
     """x = R(o + HΘ) with R known: recursive least squares with forgetting towards the prior.
 
-    Theorem A. Its numbers: Λ, as its upper triangle, and Θ̂ = (u, c).
+    Theorem A. Its numbers: P = Λ⁻¹, as its upper triangle; the share that waits to be forgotten;
+    and Θ̂ = (u, c).
     """
 
     def __init__(
@@ -575,12 +577,12 @@ class _KnownRotation:
     ) -> None:
         self._first, self._R, self._d, self._n_u = Theta, R, len(R), n_u
         self._P = n = len(Theta)
-        self.prior, self._sd_R, self._noise = np.diag(sd**-2.0), sd_R, noise
+        self._sd, self._sd_R, self._noise = sd, sd_R, noise
         self._moved, self._bends = moved, bool(moved.is_angle.any())
         self._is_turned = not np.array_equal(R, np.eye(self._d))
         rows, columns = np.triu_indices(n)
         self._upper, self._n = rows * n + columns, len(rows)
-        self.late = self._n + n_u - 1  # where the number of a delay is
+        self.late = self._n + n_u  # where the number of a delay is
         self._where = np.zeros((n, n), dtype=int)
         self._where[rows, columns] = self._where[columns, rows] = np.arange(self._n)
         self.size = len(self.initial())
@@ -588,9 +590,12 @@ class _KnownRotation:
     def _pack(self, matrix: Array) -> Array:
         return np.asanyarray(matrix.ravel()[self._upper])
 
+    def _unpack(self, numbers: Array) -> Array:
+        return np.asanyarray(numbers[self._where])
+
     def information(self, numbers: Array) -> Array:
         """Return Λ, shape (P, P)."""
-        return np.asanyarray(numbers[self._where])
+        return np.linalg.inv(self._unpack(numbers))
 
     def initial(self) -> Array:
         """Return the numbers before the first frame, shape (size,)."""
@@ -604,8 +609,8 @@ class _KnownRotation:
     def are_numbers(self, numbers: Array) -> bool:
         """Return True if these are possible numbers of this estimator."""
         # forgetting goes towards the prior, so nothing is ever known less well
-        diagonal = self.information(numbers).diagonal()
-        return bool((diagonal > 0.99 * self.prior.diagonal()).all())
+        diagonal = self._unpack(numbers).diagonal()
+        return bool(((diagonal > 0.0) & (diagonal < 1.01 * self._sd**2)).all())
 
     def learn(self, numbers: Array, H: Array, o: Array, x: Array, share: Any) -> Array:
         """Return the numbers after a frame x (m,), and a share λT forgotten.
@@ -614,12 +619,15 @@ class _KnownRotation:
         """
         if self._is_turned:
             x = x.reshape(-1, self._d).dot(self._R).ravel()
-        N = law.forgotten_information(self.information(numbers), self.prior, share)
-        P, Theta = inverse(N), numbers[self._n :]
-        variance = self._variance(P)
-        K = law.gain(P, H, variance)
-        N = law.information(N, H, 1.0 / variance)
-        return np.concatenate([self._pack(N), Theta + K.dot(x - o - H.dot(Theta))])
+        P, share, Theta = self._unpack(numbers), numbers[self._n] + share, numbers[self._n + 1 :]
+        kept, is_due = (P,), share >= _SELDOM
+        (P,) = law.choose(
+            is_due, lambda: (law.forgotten(*kept, self._sd**-2.0, share),), lambda: kept
+        )
+        K = law.gain(P, H, self._variance(P))
+        P = P - product(K, product(P, H.T).T)
+        Theta = Theta + K.dot(x - o - H.dot(Theta))
+        return np.concatenate([self._pack(P), [law.select(is_due, 0.0, share)], Theta])
 
     def _variance(self, P: Array) -> Any:
         """Return R of a frame [m²]: noise, and what is bent at the covariance P before it."""
@@ -629,18 +637,18 @@ class _KnownRotation:
 
     def estimate(self, numbers: Array) -> tuple[Array, Array]:
         """Return Θ̂ in the base's axes, (P,), and R̂ of the base's axes in the sensor's, (d, d)."""
-        return numbers[self._n :].copy(), self._R
+        return numbers[self._n + 1 :].copy(), self._R
 
     def covariance(self, numbers: Array) -> Array:
         """Return the covariance of (u, b), and of φ with R ← exp([φ]ₓ)R where R is learnt."""
-        covariance, T = np.linalg.inv(self.information(numbers)), np.eye(self._P)
+        covariance, T = self._unpack(numbers), np.eye(self._P)
         if self._n_u < self._P:
             T[self._n_u :, self._n_u :] = self._R
         return np.asarray(T.dot(covariance).dot(T.T))
 
     def _about(self, Theta: Array, A: Array) -> Array:
         """Return the numbers of the prior alone, about these estimates, with A = Rᵀ."""
-        return np.concatenate([self._pack(self.prior), Theta])
+        return np.concatenate([self._pack(np.diag(self._sd**2)), [0.0], Theta])
 
 
 class _UnknownRotation(_KnownRotation):
@@ -664,11 +672,19 @@ class _UnknownRotation(_KnownRotation):
         noise: float,
         moved: Unknowns,
     ) -> None:
+        self._prior = np.diag(sd**-2.0)
         super().__init__(Theta, R, sd, sd_R, n_u, noise, moved)
         P, dd = self._P, self._d**2
         self._parts = list(pairwise(np.cumsum([self._n, P, P * dd, dd, P, dd]).tolist()))
         self.late = self._parts[3][0] + n_u - 1
         self._everywhere = law.rotations_everywhere(self._d).reshape(-1, dd)
+
+    def information(self, numbers: Array) -> Array:
+        return self._unpack(numbers)
+
+    def are_numbers(self, numbers: Array) -> bool:
+        diagonal = self._unpack(numbers).diagonal()
+        return bool((diagonal > 0.99 * self._prior.diagonal()).all())
 
     def _split(self, numbers: Array) -> tuple[Array, Array, Array, Array, Array, Array]:
         a, B, E, Theta, A = (numbers[start:end] for start, end in self._parts)
@@ -728,11 +744,11 @@ class _UnknownRotation(_KnownRotation):
 
     def _about(self, Theta: Array, A: Array) -> Array:
         d, n = self._d, self._n_u
-        b, of_u = A.T.dot(Theta[n:]), self.prior.diagonal()[:n]
+        b, of_u = A.T.dot(Theta[n:]), self._prior.diagonal()[:n]
         a = np.append(of_u * Theta[:n], np.zeros(d))
-        B = np.eye(d)[:, :, np.newaxis] * (b * self.prior[n, n])
+        B = np.eye(d)[:, :, np.newaxis] * (b * self._prior[n, n])
         E = (0.5 / self._sd_R**2) * A.ravel()
-        parts = [self._pack(self.prior), a, np.zeros(n * d * d), B.ravel(), E, Theta, A.ravel()]
+        parts = [self._pack(self._prior), a, np.zeros(n * d * d), B.ravel(), E, Theta, A.ravel()]
         return np.concatenate(parts)
 
 
