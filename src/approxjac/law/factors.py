@@ -51,14 +51,14 @@ class Factors:
 def inverse(A: Array) -> Array:
     """Return A⁻¹ of a symmetric positive definite A (n, n)."""
     if not A.dtype.hasobject:
-        return np.linalg.inv(A)
+        return np.asarray(np.linalg.inv(A))
     return _swept(A, np.zeros_like(A, shape=(len(A), 0)))[0]
 
 
 def solved(A: Array, b: Array) -> Array:
     """Return A⁻¹b of a symmetric positive definite A (n, n) and b (n, k)."""
     if not A.dtype.hasobject:
-        return np.linalg.solve(A, b)
+        return np.asarray(np.linalg.solve(A, b))
     return _swept(A, b)[1]
 
 

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -50,11 +51,12 @@ _SAME = 0.8  # of tr(AᵀA'): about 45°, nearer than which rotations are one to
 class AdaptiveKinematics(Estimator):
     """x̂ = R̂ p(q; θ̂) + b̂, learnt from the measured x while the arm moves.
 
-    It learns, as chosen, the translations of the tool and of all joint origins, and the rotation
-    and offset of a camera or tracker. The law controls the *predicted* x̂, rotated into the base
-    frame, so that no estimate of the camera makes Ĵ singular. With a known rotation, x̂ → x for any
-    motion, without excitation (Theorem A in docs/theory.md). An unknown rotation is estimated from
-    all frames together. An integral offset absorbs what the parameters do not explain.
+    It learns, as chosen, the translations of the tool and of all joint origins, tilts of joint axes
+    and offsets of encoders, the rotation and offset of a camera or tracker, and the delay of x. The
+    law controls the *predicted* x̂, rotated into the base frame, so that no estimate of the camera
+    makes Ĵ singular. With a known rotation, x̂ → x for any motion, without excitation (Theorem A in
+    docs/theory.md). An unknown rotation is estimated from all frames together. An integral offset
+    absorbs what the parameters do not explain.
 
     Frames are paired with the configuration at which they were taken. A jump of the sensor is
     ignored; if it persists, as after the sensor moved or the tool slipped, learning restarts.
@@ -69,10 +71,13 @@ class AdaptiveKinematics(Estimator):
             `PlanarCamera`; or the robot, for the position of its tip. A camera of unknown rotation
             needs two or three axes, the same for every point; two rotate in their plane.
         unknown: Parameters that may be wrong: "tool" and "origins" are translations, for a pose
-            "tool" includes its orientation; "camera" is rotation and offset, "offset" the latter.
-        sd: Plausible errors: "tool", "origins" and "offset" [m], "orientation" of the tool and
-            "camera" [rad]; by default 0.2, 0.02, 0.2, 1.0 and 1.0, in a `PlanarCamera` 0.5 of
-            "tool" and "origins". All lengths are in the arm's plane there.
+            "tool" includes its orientation; "axes" are tilts of joint axes and offsets of encoders;
+            "camera" is rotation and offset, "offset" the latter; "delay" is by how much x is older
+            than it is stamped.
+        sd: Plausible errors: "tool", "origins" and "offset" [m], "axes", "encoders", "orientation"
+            of the tool and "camera" [rad], "delay" [s]; by default 0.2, 0.02, 0.2, 0.003, 0.015,
+            1.0, 1.0 and 0.02, in a `PlanarCamera` 0.5 of "tool" and "origins". All lengths are in
+            the arm's plane there.
         noise: Standard deviation of x [m], in a `PlanarCamera` on its sensor; by default 2 mm,
             there 0.2 mm times the magnification.
         delay: Age of x where `Measurement.t_x` is None [s]. Frames older than 0.25 s, or twice the
@@ -81,10 +86,10 @@ class AdaptiveKinematics(Estimator):
         angle_noise: Standard deviation of the orientation of a pose [rad].
 
     Attributes:
-        regressor: p(q) of the points, linear in the translations.
-        names: Names of the learnt numbers, such as "panda_joint4.x", "tool.x", "offset.y",
-            "camera.rz", or "camera.turn" from the first axis to the second; for a pose "tool.rx",
-            in the axes of the believed tool.
+        regressor: p(q, θ) of the points.
+        names: Names of the learnt numbers, such as "panda_joint4.x", "panda_joint4.tilt1",
+            "panda_joint4.encoder", "tool.x", "offset.y", "camera.rz", or "camera.turn" from the
+            first axis to the second; for a pose "tool.rx", in the axes of the believed tool.
 
     Raises:
         InvalidInputError: Another task, an empty or invalid `unknown`, an sd of a known parameter,
@@ -183,7 +188,7 @@ class AdaptiveKinematics(Estimator):
     def __repr__(self) -> str:
         return f"AdaptiveKinematics({self.task!r}, unknown={self.unknown})"
 
-    # -- what is measured, linear in Θ = (u, c): x = R(o(q) + H(q)Θ) -------------------------
+    # -- what is measured, linear about Θ = (u, c): x = R(o(q) + H(q)Θ) ----------------------
 
     def _own(self, measurement: Measurement) -> Measurement:
         if self._size == 1.0:
@@ -578,14 +583,19 @@ class _KnownRotation:
         self._first, self._R, self._d, self._n_u = Theta, R, len(R), n_u
         self._P = n = len(Theta)
         self._sd, self._sd_R, self._noise = sd, sd_R, noise
+        self._prior = np.diag(sd**-2.0)
         self._moved, self._bends = moved, bool(moved.is_angle.any())
         self._is_turned = not np.array_equal(R, np.eye(self._d))
         rows, columns = np.triu_indices(n)
         self._upper, self._n = rows * n + columns, len(rows)
-        self.late = self._n + n_u  # where the number of a delay is
         self._where = np.zeros((n, n), dtype=int)
         self._where[rows, columns] = self._where[columns, rows] = np.arange(self._n)
         self.size = len(self.initial())
+
+    @property
+    def late(self) -> int:
+        """Place of the number of a delay."""
+        return self._n + self._n_u
 
     def _pack(self, matrix: Array) -> Array:
         return np.asanyarray(matrix.ravel()[self._upper])
@@ -595,7 +605,7 @@ class _KnownRotation:
 
     def information(self, numbers: Array) -> Array:
         """Return Λ, shape (P, P)."""
-        return np.linalg.inv(self._unpack(numbers))
+        return np.asarray(np.linalg.inv(self._unpack(numbers)))
 
     def initial(self) -> Array:
         """Return the numbers before the first frame, shape (size,)."""
@@ -622,7 +632,7 @@ class _KnownRotation:
         P, share, Theta = self._unpack(numbers), numbers[self._n] + share, numbers[self._n + 1 :]
         kept, is_due = (P,), share >= _SELDOM
         (P,) = law.choose(
-            is_due, lambda: (law.forgotten(*kept, self._sd**-2.0, share),), lambda: kept
+            is_due, lambda: (law.forgotten(*kept, self._prior.diagonal(), share),), lambda: kept
         )
         K = law.gain(P, H, self._variance(P))
         P = P - product(K, product(P, H.T).T)
@@ -662,22 +672,18 @@ class _UnknownRotation(_KnownRotation):
     estimated now, which leaves the estimate where it is.
     """
 
-    def __init__(
-        self,
-        Theta: Array,
-        R: Array,
-        sd: Array,
-        sd_R: float,
-        n_u: int,
-        noise: float,
-        moved: Unknowns,
-    ) -> None:
-        self._prior = np.diag(sd**-2.0)
-        super().__init__(Theta, R, sd, sd_R, n_u, noise, moved)
+    @cached_property
+    def _parts(self) -> list[tuple[int, int]]:
         P, dd = self._P, self._d**2
-        self._parts = list(pairwise(np.cumsum([self._n, P, P * dd, dd, P, dd]).tolist()))
-        self.late = self._parts[3][0] + n_u - 1
-        self._everywhere = law.rotations_everywhere(self._d).reshape(-1, dd)
+        return list(pairwise(np.cumsum([self._n, P, P * dd, dd, P, dd]).tolist()))
+
+    @cached_property
+    def _everywhere(self) -> Array:
+        return law.rotations_everywhere(self._d).reshape(-1, self._d**2)
+
+    @property
+    def late(self) -> int:
+        return self._parts[3][0] + self._n_u - 1
 
     def information(self, numbers: Array) -> Array:
         return self._unpack(numbers)
