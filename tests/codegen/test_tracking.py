@@ -95,9 +95,17 @@ def assert_same(ours, expected, tolerance=1e-10):
 # -- terms ----------------------------------------------------------------------------------------
 
 
+def learnt_terms(of, moving, linear):
+    """Return the terms of points and of an orientation that are learnt."""
+    terms = {f"motion {name}": each for name, each in of.motion(*moving)._asdict().items()}
+    terms |= {f"turn {name}": each for name, each in of.turn(*moving)._asdict().items()}
+    return terms | dict(zip(("Y", "o"), of.linear(*linear), strict=True))
+
+
 def traced_terms(robot, frames):
     """Return the terms that are learnt of, and the functions that have them."""
-    points, links, n = KinematicRegressor(robot, frames), DynamicsRegressor(robot), robot.nv
+    links, n = DynamicsRegressor(robot), robot.nv
+    points = KinematicRegressor(robot, frames, axes=True)
     program = Program()
     sizes = {"q": robot.nq, "v": n, "v_r": n, "a_r": n, "sigma": n, "theta": points.p}
     sizes |= {"theta_dot": points.p, "a": links.links}
@@ -106,8 +114,8 @@ def traced_terms(robot, frames):
     )
     here = Arm(program.given, "arm", robot, points.frames).at(q)
     bodies = LearntBodies(here, v, v_r, a_r)
-    motion = here.points(points).motion(v, theta, theta_dot)
-    terms = {**motion._asdict(), "powers": bodies.powers(sigma), "torque": bodies.torque(a)}
+    terms = dict(learnt_terms(here.points(points), (v, theta, theta_dot), (theta,)))
+    terms |= {"powers": bodies.powers(sigma), "torque": bodies.torque(a)}
     return program, {**terms, "gravity": bodies.gravity(a)}, points, links
 
 
@@ -120,8 +128,9 @@ def assert_terms(robot, frames, rng):
     own = evaluated(program, terms, tau=np.zeros((1, robot.nv)), **given)
     q, v, v_r, a_r, sigma, a = (given[name][0] for name in ("q", "v", "v_r", "a_r", "sigma", "a"))
     moved = links.motion(q, v, v_r, a_r)
-    motion = points.motion(q, v, given["theta"][0], given["theta_dot"][0])
-    expected = {**motion._asdict(), "powers": moved.powers(sigma), "torque": moved.torque(a)}
+    theta, theta_dot = given["theta"][0], given["theta_dot"][0]
+    expected = learnt_terms(points, (q, v, theta, theta_dot), (q, theta))
+    expected |= {"powers": moved.powers(sigma), "torque": moved.torque(a)}
     expected["gravity"] = moved.gravity(a)
     for name, value in expected.items():
         size = 1.0 + np.abs(value).max()

@@ -172,7 +172,8 @@ def test_how_x_is_predicted_to_move_is_as_uncertain_as_what_was_learnt(turned_ru
     for q in q_0 + 0.2 * rng.standard_normal((10, 7)):
         way = turn @ (believed.value(q) - believed.value(q_0))
         J = np.zeros((3, len(P)))
-        J[:, moved] = turn @ (regressor.Y(q) - regressor.Y(q_0))
+        Y, Y_0 = (regressor.linear(each, regressor.theta)[0] for each in (q, q_0))
+        J[:, moved] = turn @ (Y - Y_0)
         J[:, -3:] = -law.cross_matrix(way)
         assert_allclose(sd(q), np.sqrt(np.diag(J @ P @ J.T)), rtol=1e-6, atol=1e-9)
         true = R @ (sensor.value(q) - sensor.value(q_0))
@@ -252,7 +253,7 @@ def test_theorem_a_holds_for_any_rotation(belief, truth, angle):
         Theta, R_hat = estimator.estimate(sums)
         best = squares(sums, Theta, R_hat.T.ravel())
         values.append(squares(sums, true, R.T.ravel()) - best)
-        H, known = kinematics._positions(q)
+        H, known = kinematics._positions(q, Theta)
         left = R @ sensor.value(q) + OFFSET - R_hat @ (known + H @ Theta[:-3] + Theta[-3:])
         falls.append(0.5 * left @ left / kinematics.noise**2)
 
@@ -263,7 +264,10 @@ def test_theorem_a_holds_for_any_rotation(belief, truth, angle):
 
 
 def test_a_rotation_near_a_known_one_is_learnt_as_without(belief, rng):
-    """With a rotation that is as good as known both estimators are one."""
+    """With a rotation that is as good as known both estimators are one.
+
+    But for what is forgotten in between: the known one forgets 0.3 % at once, the other in parts.
+    """
     known, free = (
         AdaptiveKinematics(belief, ("tool", "origins", last), sd)
         for last, sd in (("offset", {}), ("camera", {"camera": 1e-5}))
@@ -282,7 +286,7 @@ def test_a_rotation_near_a_known_one_is_learnt_as_without(belief, rng):
             each.step(state, seen, DT) for each, state in zip((known, free), states, strict=True)
         ]
     n = len(known.names)
-    assert_allclose(free.learnt(states[1])[:n], known.learnt(states[0]), atol=1e-6)
+    assert_allclose(free.learnt(states[1])[:n], known.learnt(states[0]), atol=5e-5)
     sd = [
         [row.sd for row in each.report(state).rows][:n]
         for each, state in zip((known, free), states, strict=True)
@@ -363,7 +367,7 @@ def test_a_tracker_that_was_moved_is_learnt_anew(turned_run, truth):
 
     def look(t, q, state):
         if t > 3.0:
-            H, known = kinematics._positions(q)
+            H, known = kinematics._positions(q, state[at["u"]])
             p = known + H @ state[at["u"]]
             x_hat = state[at["R"]].reshape(3, 3) @ p + state[at["b"]]
             seen.append(np.linalg.norm(x_hat - R @ sensor.value(q) - OFFSET - [0.3, -0.2, 0.1]))
@@ -423,8 +427,9 @@ def test_a_tool_that_slips_is_learnt_anew(turned_run, panda, truth):
     def look(t, q, state):
         place["q"] = q
         if t > 4.0:
-            H, known = kinematics._positions(q)
-            p = known + H @ state[kinematics._at["u"]]
+            u = state[kinematics._at["u"]]
+            H, known = kinematics._positions(q, u)
+            p = known + H @ u
             x_hat = state[kinematics._at["R"]].reshape(3, 3) @ p + state[kinematics._at["b"]]
             seen.append(np.linalg.norm(x_hat - R @ slipped.value(q) - OFFSET))
 

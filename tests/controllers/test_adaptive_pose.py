@@ -242,7 +242,7 @@ def test_estimates_move_as_is_said(turned_run, sensor):
     n = kinematics._n_u
     T = law.nearest_rotation(Theta[n - 9 : n].reshape(3, 3).T)
     goal = rotation_exp(after[at["integral"]][3:] / kinematics._length)
-    goal = goal @ R @ kinematics._frame(run.q) @ T
+    goal = goal @ R @ kinematics._frame(run.q, Theta) @ T
     z = kinematics.predict(
         after, run.q, np.zeros(7), aj.Target(np.append(x[:3], pin.Quaternion(goal).coeffs()))
     ).z

@@ -192,7 +192,8 @@ def test_where_x_was_seen_it_is_known_well_although_no_number_is(arm, panda, kin
     def sd_of_x(q):
         rows, d = ["xyz".index(axis) for axis in axes], len(axes)
         p = R @ aj.PositionTask(kinematics.robot(state), axes=axes).value(q)
-        tool = R @ KinematicRegressor(robot).Y(q)[:, -3:][rows]
+        of_tool = KinematicRegressor(robot)
+        tool = R @ of_tool.linear(q, of_tool.theta)[0][:, -3:][rows]
         J = [tool, np.eye(d)] + ([(law.generators(d) @ p).T] if turns else [])
         J = np.concatenate(J, axis=1)
         assert J.shape[1] == len(report.covariance)

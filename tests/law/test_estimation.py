@@ -12,25 +12,27 @@ from approxjac import law
 
 def test_v1_falls_by_what_is_said_with_each_frame_and_never_rises(rng):
     """Whatever the regressors: no excitation, no noise; forgetting lets it fall, too."""
-    P, noise = 6, 2e-3
-    weight = noise**-2.0
-    prior = np.diag(rng.uniform(5.0, 50.0, P) ** 2)
-    truth, Theta, Lambda = rng.standard_normal(P), np.zeros(P), prior
-    H = rng.standard_normal((3, P))
+    n, noise = 6, 2e-3
+    prior = rng.uniform(5.0, 50.0, n) ** 2
+    truth, Theta, P = rng.standard_normal(n), np.zeros(n), np.diag(1.0 / prior)
+    H = rng.standard_normal((3, n))
     for _ in range(300):
         H = H + 0.02 * rng.standard_normal(H.shape)
-        before = V1(Lambda, truth - Theta)
-        Lambda = law.forgotten_information(Lambda, prior, 5e-4)
-        forgotten = V1(Lambda, truth - Theta)
-        assert forgotten <= before * (1 + 1e-12)
+        before = V1(np.linalg.inv(P), truth - Theta)
+        exactly = np.linalg.inv((1.0 - 5e-4) * np.linalg.inv(P) + 5e-4 * np.diag(prior))
+        P = law.forgotten(P, prior, 5e-4)
+        assert_allclose(P, exactly, rtol=0, atol=1e-6 * np.abs(P).max())
+        forgotten = V1(np.linalg.inv(P), truth - Theta)
+        assert forgotten <= before * (1 + 1e-9)
         innovation = H @ truth - H @ Theta
-        S = np.eye(3) / weight + H @ np.linalg.solve(Lambda, H.T)
+        S = noise**2 * np.eye(3) + H @ P @ H.T
         fall = 0.5 * innovation @ np.linalg.solve(S, innovation)
-        Lambda = law.information(Lambda, H, weight)
-        Theta = Theta + law.correction(Lambda, H, weight, innovation)
-        assert V1(Lambda, truth - Theta) == pytest.approx(forgotten - fall, rel=1e-6, abs=1e-9)
-        assert np.linalg.eigvalsh(Lambda - prior)[0] > -1e-6
-        assert (truth - Theta) @ prior @ (truth - Theta) <= truth @ prior @ truth
+        K = law.gain(P, H, noise**2)
+        P, Theta = P - K @ H @ P, Theta + K @ innovation
+        after = V1(np.linalg.inv(P), truth - Theta)
+        assert after == pytest.approx(forgotten - fall, rel=1e-6, abs=1e-9)
+        assert np.linalg.eigvalsh(np.diag(1.0 / prior) - P)[0] > -1e-12
+        assert (truth - Theta) @ (prior * (truth - Theta)) <= truth @ (prior * truth)
 
 
 vectors = st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3).filter(

@@ -1,4 +1,4 @@
-"""p(q) = Y(q) θ against forward kinematics of robots whose joint origins are elsewhere."""
+"""p(q, θ) against forward kinematics of robots whose origins, axes and encoders are off."""
 
 import copy
 import pickle
@@ -59,17 +59,24 @@ def jacobian(regressor, q, theta):
     return regressor.motion(q, np.zeros(regressor.robot.nv), theta, np.zeros(regressor.p)).J
 
 
+def linear(regressor, q, theta):
+    Y, o = regressor.linear(q, theta)
+    return Y @ theta + o
+
+
 def moved(robot, q, v, h):
     return np.array(pin.integrate(robot.model, q, h * v))
 
 
-def test_positions_and_jacobians_are_those_of_the_robot_with_the_translations(arm, rng):
-    regressor = KinematicRegressor(arm)
+@pytest.mark.parametrize("axes", [False, True])
+def test_positions_and_jacobians_are_those_of_the_robot_with_them(arm, rng, axes):
+    regressor = KinematicRegressor(arm, axes=axes)
     q, v, theta, _ = drawn(regressor, rng)
     robot = regressor.robot_with(theta)  # whose tip is another frame where a joint moves the arm's
     other = FrameKinematics(robot, robot.tip)
-    own = regressor.Y(q) @ regressor.theta + regressor.offset(q)
-    assert_allclose(own, FrameKinematics(arm, arm.tip).position(q), atol=1e-12)
+    assert_allclose(
+        linear(regressor, q, regressor.theta), FrameKinematics(arm, arm.tip).position(q), atol=1e-12
+    )
     assert_allclose(regressor.position(q, theta), other.position(q), atol=1e-12)
     assert_allclose(jacobian(regressor, q, theta), other.jacobian(q)[:3], atol=1e-12)
     assert_allclose(
@@ -77,12 +84,15 @@ def test_positions_and_jacobians_are_those_of_the_robot_with_the_translations(ar
     )
 
 
+@pytest.mark.parametrize("axes", [False, True])
 @pytest.mark.parametrize("frame", ["tip", "tip2", "hand", "f", "wheel", ["tip", "tip2", "hand"]])
-def test_every_kind_of_joint(kinds, frame, rng):
-    regressor = KinematicRegressor(kinds, frame)
+def test_every_kind_of_joint(kinds, frame, rng, axes):
+    regressor = KinematicRegressor(kinds, frame, axes=axes)
+    assert len(regressor.names) == len(regressor.units) == regressor.p
+    assert ("turn.encoder" in regressor.names) == axes
     q, v, theta, theta_dot = drawn(regressor, rng)
     if frame in ("f", "wheel"):  # links that a joint moves have no tool
-        theta[-3:] = 0.0
+        theta[regressor.n_lengths - 3 : regressor.n_lengths] = 0.0
     robot = regressor.robot_with(theta)
     frames = [frame] if isinstance(frame, str) else frame
     kinematics = [FrameKinematics(robot, name) for name in frames]
@@ -91,9 +101,7 @@ def test_every_kind_of_joint(kinds, frame, rng):
     )
     J = np.concatenate([k.jacobian(q)[:3] for k in kinematics])
     assert_allclose(jacobian(regressor, q, theta), J, atol=1e-12)
-    assert_allclose(
-        regressor.Y(q) @ theta + regressor.offset(q), regressor.position(q, theta), atol=1e-12
-    )
+    assert_allclose(linear(regressor, q, theta), regressor.position(q, theta), atol=1e-12)
     h = 1e-6
     motion = regressor.motion(q, v, theta, theta_dot)
     after, before = (
@@ -101,8 +109,37 @@ def test_every_kind_of_joint(kinds, frame, rng):
     )
     assert_allclose(motion.J_dot, (after - before) / (2 * h), atol=1e-8)
     assert_allclose(motion.J, J, atol=1e-12)
-    assert_allclose(motion.drift, regressor.Y(q) @ theta_dot, atol=1e-12)
+    Y = regressor.linear(q, theta)[0]
+    sides = zip(
+        *([regressor.position(q, theta + s * e) for s in (h, -h)] for e in np.eye(regressor.p)),
+        strict=True,
+    )
+    after, before = map(np.array, sides)
+    assert_allclose(Y, (after - before).T / (2 * h), atol=1e-8)
+    assert_allclose(motion.drift, Y @ theta_dot, atol=1e-12)
     assert_allclose(motion.p, regressor.position(q, theta), atol=1e-12)
+
+
+@pytest.mark.parametrize("axes", [False, True])
+@pytest.mark.parametrize("frame", ["tip", "tip2", "hand", "wheel"])
+def test_orientations_turn_with_axes_and_encoders(kinds, frame, rng, axes):
+    regressor = KinematicRegressor(kinds, frame, axes=axes)
+    q, v, theta, theta_dot = drawn(regressor, rng)
+    theta[regressor.n_lengths - 3 : regressor.n_lengths] = 0.0
+    turn, h = regressor.turn(q, v, theta, theta_dot), 1e-6
+    frame = FrameKinematics(regressor.robot_with(theta), frame)
+    assert_allclose(turn.R, frame.placement(q)[0], atol=1e-12)
+    assert_allclose(turn.J, frame.jacobian(q)[3:], atol=1e-12)
+
+    def at(s, way):
+        later = moved(kinds, q, v, s * way[0]), v, theta + s * way[1] * theta_dot, theta_dot
+        return regressor.turn(*later)
+
+    after, before = at(h, (1.0, 1.0)), at(-h, (1.0, 1.0))
+    assert_allclose(turn.J_dot, (after.J - before.J) / (2 * h), atol=1e-8)
+    spin = pin.log3(at(h, (0.0, 1.0)).R @ at(-h, (0.0, 1.0)).R.T) / (2 * h)
+    assert_allclose(turn.A @ theta_dot, spin, atol=1e-8)
+    assert turn.A.any() == axes
 
 
 def test_the_jacobian_is_the_derivative_of_the_position(arm, rng):
@@ -122,24 +159,21 @@ def test_points_of_a_frame(kinds, rng):
     assert_allclose(regressor.position(q, theta), expected.positions(q).ravel(), atol=1e-12)
     J = expected.jacobians(q)[1].reshape(6, -1)
     assert_allclose(jacobian(regressor, q, theta), J, atol=1e-12)
-    assert_allclose(
-        regressor.Y(q) @ theta + regressor.offset(q), regressor.position(q, theta), atol=1e-12
-    )
+    assert_allclose(linear(regressor, q, theta), regressor.position(q, theta), atol=1e-12)
     assert regressor.k == 2
     assert regressor.p == KinematicRegressor(kinds, "tip").p
 
 
-@pytest.mark.parametrize(
-    ("name", "rank", "p"),
-    [("panda", 17, 24), ("xarm7", 17, 24), ("ur5", 15, 21), ("kinova", 15, 21)],
-)
-def test_the_rank_is_two_for_each_joint_and_three(name, rank, p):
-    regressor = KinematicRegressor(aj.load_robot(name))
+@pytest.mark.parametrize("axes", [False, True])
+@pytest.mark.parametrize(("name", "n"), [("panda", 7), ("xarm7", 7), ("ur5", 6), ("kinova", 6)])
+def test_the_rank_is_that_of_a_serial_arm(name, n, axes):
+    """2n + 3 translations show, 4n + 3 numbers with axes; two less as the tip is on the last."""
+    regressor = KinematicRegressor(aj.load_robot(name), axes=axes)
     drawn = (regressor.robot.random_configuration(np.random.default_rng(i)) for i in range(60))
-    Y = np.vstack([regressor.Y(q) for q in drawn])
-    assert (np.linalg.matrix_rank(Y, tol=1e-2), regressor.p) == (rank, p)
-    assert len(regressor.names) == p
-    assert regressor.names[-1] == "tool.z"
+    Y = np.vstack([regressor.linear(q, regressor.theta)[0] for q in drawn])
+    rank, p = (4 * n + 1, 6 * n + 3) if axes else (2 * n + 3, 3 * n + 3)
+    assert (np.linalg.matrix_rank(Y, tol=1e-6), regressor.p) == (rank, p)
+    assert regressor.names[regressor.n_lengths - 1] == "tool.z"
 
 
 def test_some_sums_alone_show(panda, rng):
@@ -165,8 +199,17 @@ def test_a_learnt_tool_is_saved(panda, tmp_path, rng):
     )
 
 
+def test_a_learnt_arm_is_saved(panda, tmp_path, rng):
+    regressor = KinematicRegressor(panda, axes=True)
+    q, _, theta, _ = drawn(regressor, rng)
+    path = regressor.robot_with(theta).save_urdf(tmp_path / "learnt.urdf")
+    again = aj.load_robot(path, tip=panda.tip)
+    found = FrameKinematics(again, again.tip).position(q)
+    assert_allclose(found, regressor.position(q, theta), atol=1e-12)
+
+
 def test_copies_have_scratch_memory_of_their_own(panda, rng):
-    regressor = KinematicRegressor(panda)
+    regressor = KinematicRegressor(panda, axes=True)
     q, v, theta, theta_dot = drawn(regressor, rng)
     motion = regressor.motion(q, v, theta, theta_dot)
     kept = copy.deepcopy(motion)
@@ -174,7 +217,7 @@ def test_copies_have_scratch_memory_of_their_own(panda, rng):
         other.motion(*drawn(regressor, rng))
         for a, b in zip(motion, kept, strict=True):
             assert np.array_equal(a, b)
-    assert regressor.Y(q) is not regressor.Y(q)
+    assert regressor.linear(q, theta)[0] is not regressor.linear(q, theta)[0]
 
 
 def test_what_makes_no_sense_is_refused(panda):
@@ -186,6 +229,6 @@ def test_what_makes_no_sense_is_refused(panda):
         KinematicRegressor(panda, ["panda_hand", "panda_link7"], [[0, 0, 0.1]])
     regressor = KinematicRegressor(panda)
     with pytest.raises(aj.errors.InvalidInputError, match=r"q must have shape \(7,\)"):
-        regressor.Y(np.zeros(6))
+        regressor.linear(np.zeros(6), regressor.theta)
     with pytest.raises(aj.errors.InvalidInputError, match=r"theta must have shape \(24,\)"):
         regressor.robot_with(np.zeros(3))

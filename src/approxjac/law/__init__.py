@@ -4,10 +4,9 @@ Symbols are the paper's; docstrings name each departure from it, such as correct
 """
 
 from approxjac.law.adaptation import Rubbing as Rubbing
-from approxjac.law.adaptation import correction as correction
-from approxjac.law.adaptation import forgotten_information as forgotten_information
+from approxjac.law.adaptation import forgotten as forgotten
 from approxjac.law.adaptation import friction_step as friction_step
-from approxjac.law.adaptation import information as information
+from approxjac.law.adaptation import gain as gain
 from approxjac.law.adaptation import passive_output as passive_output
 from approxjac.law.adaptation import swept_within_bounds as swept_within_bounds
 from approxjac.law.adaptation import theta_hat_rate as theta_hat_rate

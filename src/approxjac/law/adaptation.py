@@ -15,6 +15,7 @@ from approxjac.law.branches import (
     select,
     take,
 )
+from approxjac.law.factors import product
 from approxjac.law.products import dot
 from approxjac.validation import Array
 
@@ -195,28 +196,27 @@ def _nonnegative(F: Array, c: Array) -> Array:
     return multipliers
 
 
-def forgotten_information(Lambda: Array, Lambda_0: Array, share: float) -> Array:
-    """Return Λ ← (1 − λT)Λ + λTΛ₀: forget a share λT of the data, never the prior Λ₀.
+def forgotten(P: Array, Lambda_0: Array, share: Any) -> Array:
+    """Return P ← P + s(P − PΛ₀P): forget a share s of the data, never the prior Λ₀ (n,).
 
-    Implements Theorem A's forgetting, in samples. Λ and Λ₀ are (P, P); Λ ≥ Λ₀ stays so.
+    Implements Theorem A's forgetting, in samples. It is ((1 − s)P⁻¹ + sΛ₀)⁻¹ but for s², and never
+    more than that: Λ₀⁻¹ ≥ P stays so, and V₁ falls.
     """
-    return np.asanyarray(Lambda + share * (Lambda_0 - Lambda))
+    return np.asanyarray(P + share * (P - product(P * Lambda_0, P)))
 
 
-def information(Lambda: Array, H: Array, weight: float) -> Array:
-    """Return Λ ← Λ + HᵀR⁻¹H with R⁻¹ = weight I, the information of a frame x = HΘ; shape (P, P).
+def gain(P: Array, H: Array, variance: Any) -> Array:
+    """Return the gain K = PHᵀ(HPHᵀ + R)⁻¹ of a frame, shape (n, m).
 
-    Implements Theorem A's update of the information, in samples. H is (m, P).
+    Implements Theorem A's gain, in samples: Θ̂ + Kε with ε = x − HΘ̂ (m,), P = Λ⁻¹ before the frame,
+    H (m, n), and R = variance I. After the frame P is P − K(PHᵀ)ᵀ.
     """
-    return np.asanyarray(Lambda + weight * H.T.dot(H))
-
-
-def correction(Lambda: Array, H: Array, weight: float, innovation: Array) -> Array:
-    """Return ΔΘ̂ = Λ⁻¹HᵀR⁻¹ε with ε = x − HΘ̂ (m,) and Λ that includes the frame; shape (P,).
-
-    Implements Theorem A's gain, in samples. H is (m, P), R⁻¹ = weight I.
-    """
-    return np.asanyarray(np.linalg.solve(Lambda, weight * innovation.dot(H)))
+    PH = product(P, H.T)
+    S = H.dot(PH) + variance * np.eye(len(H))
+    if S.dtype.hasobject:  # symbols are solved with where a matrix is symmetric to the letter
+        rows = np.arange(len(S))
+        S = S[np.maximum.outer(rows, rows), np.minimum.outer(rows, rows)]
+    return np.asanyarray(np.linalg.solve(S, PH.T).T)
 
 
 class Rubbing(NamedTuple):

@@ -1,8 +1,8 @@
-"""The kinematic regressor: positions that are linear in the translations of joint origins."""
+"""The kinematic regressor: positions by joint origins, axes and encoders that may be wrong."""
 
 from collections.abc import Callable, Sequence
-from functools import cached_property, partial
-from typing import NamedTuple
+from functools import cached_property, partial, reduce
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -13,6 +13,7 @@ from approxjac.robots.traced import arm_of
 from approxjac.validation import Array, Immutable, as_array, as_vector, read_only, require
 
 _IN_WORLD = pin.LOCAL_WORLD_ALIGNED
+_ANGLES = "tilt1", "tilt2", "encoder"
 _JACOBIAN_DOT = pin.getFrameJacobianTimeVariation
 
 
@@ -20,10 +21,10 @@ class PointMotion(NamedTuple):
     """Positions and their derivatives, with θ̂ moving at θ'.
 
     Attributes:
-        p: Positions Y(q)θ + offset, shape (3k,) [m].
+        p: Positions, shape (3k,) [m].
         J: ∂p/∂q, shape (3k, n_v).
         J_dot: Its time derivative along q̇ and θ', shape (3k, n_v).
-        drift: Y(q)θ', the velocity that θ' adds, shape (3k,) [m/s].
+        drift: Yθ', the velocity that θ' adds, shape (3k,) [m/s].
     """
 
     p: Array
@@ -32,12 +33,34 @@ class PointMotion(NamedTuple):
     drift: Array
 
 
-class KinematicRegressor(Immutable):
-    """p(q) = Y(q) θ + offset(q), with θ the translations of joint origins and of the tool.
+class TurnMotion(NamedTuple):
+    """Orientation of a frame and its derivatives, with θ moving at θ'.
 
-    For joints 1…n with Rᵢ the rotation of link i and tᵢ the origin of joint i on link i − 1,
-    p = Σ Rᵢ₋₁ tᵢ + Rₙ t_tool: Y holds the link rotations, which need correct joint axes. Fixed
-    joints before a moving one are part of its origin, those after the last part of the tool.
+    Attributes:
+        R: The frame's axes in the base's, shape (3, 3).
+        J: Angular velocity in the base's axes by q̇, shape (3, n_v).
+        J_dot: Its time derivative along q̇ and θ', shape (3, n_v).
+        A: Angular velocity by θ', shape (3, p).
+    """
+
+    R: Array
+    J: Array
+    J_dot: Array
+    A: Array
+
+
+class KinematicRegressor(Immutable):
+    """p(q, θ), with θ the errors of a drawing: joint origins, tool, and axes and encoders if asked.
+
+    θ are the translations tᵢ of joint origins on the links before them and of the tool. With
+    `axes` they are followed by three angles of each joint that turns: its axis is tilted by α₁
+    and α₂ about two directions across it, and its encoder is off by δ. With R⁰ᵢ the rotation of
+    a joint's origin,
+
+        placement = T(tᵢ) R⁰ᵢ exp(α₁[e₁]ₓ) exp(α₂[e₂]ₓ) joint(qᵢ + δᵢ)
+
+    Without axes p is linear in θ. Fixed joints before a moving one are part of its origin, those
+    after the last part of the tool.
 
     Owns scratch memory: one instance a thread; returned arrays are copies.
 
@@ -45,15 +68,20 @@ class KinematicRegressor(Immutable):
         robot: The robot, true or believed.
         frame: Frame name, or several; the robot's `tip` by default.
         points: Points in the axes of a single frame, shape (k, 3) [m]; by default its origin.
+        axes: True for tilts and encoders as well.
 
     Attributes:
         k: Number of points.
         movers: Names of the joints that move the points, whose origins come first.
+        turners: Those of them that turn, if their axes are among θ.
+        across: e₁ and e₂ of each of these, in the joint's own axes, shape (3,) each.
+        n_lengths: Number of translations, which come first.
         names: Names of the parameters, such as "panda_joint4.x" or "tool.x"; with several
-            frames, the frame's name replaces "tool".
-        theta: Their values for `robot`, shape (p,) [m].
+            frames, the frame's name replaces "tool"; then "panda_joint4.tilt1", ".tilt2" and
+            ".encoder".
+        units: Their units, "m" or "rad".
+        theta: Their values for `robot`, shape (p,).
         points: Frame of each point, and its position in that frame's axes, shape (3,) [m].
-        has_offset: True if `offset` can differ from 0.
 
     Raises:
         UnknownNameError: No such frame.
@@ -65,6 +93,7 @@ class KinematicRegressor(Immutable):
         robot: Robot,
         frame: str | Sequence[str] | None = None,
         points: Sequence[Sequence[float]] | Array | None = None,
+        axes: bool = False,
     ) -> None:
         require("robot", robot, Robot, "a Robot")
         self.robot = robot
@@ -90,32 +119,47 @@ class KinematicRegressor(Immutable):
         joints = sorted({joint for path in paths for joint in path})
         self._n = n = len(joints)
         self.movers: tuple[str, ...] = tuple(model.names[joint] for joint in joints)
-        slides = any(model.joints[each].shortname().startswith("JointModelP") for each in joints)
         self.points = tuple((int(f), point) for f, point in zip(of_frame, known, strict=True))
         rotations = [placed[f].placement.rotation for f in of_frame]
         origins = [model.jointPlacements[joint].translation for joint in joints]
         origins += [each.placement.translation for each in placed]
-        self.theta = read_only(np.concatenate(origins))
-        self._nothing = np.zeros(self.p)
-        self.has_offset = slides or bool(known.any())
         ends = ("tool",) if len(placed) == 1 else self.frames
-        self.names = tuple(f"{part}.{axis}" for part in (*self.movers, *ends) for axis in "xyz")
+        self.n_lengths = 3 * (n + len(placed))
+        turning = [name for name in self.movers if robot.tree.joints[name].type != "prismatic"]
+        self.turners: tuple[str, ...] = tuple(turning) if axes else ()
+        turns = [f"{name}.{angle}" for name in self.turners for angle in _ANGLES]
+        names = [f"{part}.{axis}" for part in (*self.movers, *ends) for axis in "xyz"]
+        self.names = (*names, *turns)
+        self.units = ("m",) * self.n_lengths + ("rad",) * len(turns)
+        self.theta = read_only(np.concatenate([*origins, np.zeros(len(turns))]))
 
-        # A translation is a joint, too, of three axes that slide: then θ are numbers of q, Y and
-        # J are columns of one Jacobian, and Pinocchio has the rates of both.
+        # A translation is a joint, too, of three axes that slide, and a tilt is one that turns:
+        # then θ are numbers of q (an encoder's are added to it), Y and J are columns of one
+        # Jacobian, and Pinocchio has the rates of both.
         self._freed, links = pin.Model(), {0: 0}
 
-        def freed(link: int, what: str) -> int:
-            kind, here = pin.JointModelTranslation(), pin.SE3.Identity()
-            return int(self._freed.addJoint(links[link], kind, here, f"origin of {what}"))
+        def freed(link: int, kind: Any, placement: pin.SE3, what: str) -> int:
+            return int(self._freed.addJoint(link, kind, placement, what))
 
-        shifts = []
+        def slid(link: int, what: str) -> int:
+            slide, here = pin.JointModelTranslation(), pin.SE3.Identity()
+            return freed(links[link], slide, here, f"origin of {what}")
+
+        shifts, tilts = [], []
+        self.across: list[tuple[Array, Array]] = []
         for joint, name in zip(joints, self.movers, strict=True):
-            shifts.append(freed(model.parents[joint], f"joint {name}"))
+            shifts.append(slid(model.parents[joint], f"joint {name}"))
+            link = shifts[-1]
             turned = pin.SE3(model.jointPlacements[joint].rotation, np.zeros(3))
-            links[joint] = self._freed.addJoint(shifts[-1], model.joints[joint], turned, name)
+            if name in self.turners:
+                self.across.append(_across(robot.tree.joints[name].axis))
+                for i, axis in enumerate(self.across[-1]):
+                    kind = pin.JointModelRevoluteUnaligned(axis)
+                    tilts.append(link := freed(link, kind, turned, f"tilt {i} of {name}"))
+                    turned = pin.SE3.Identity()
+            links[joint] = freed(link, model.joints[joint], turned, name)
         ends_at = [
-            freed(each.parentJoint, f"frame {name}")
+            slid(each.parentJoint, f"frame {name}")
             for name, each in zip(self.frames, placed, strict=True)
         ]
         self._points = [
@@ -125,15 +169,27 @@ class KinematicRegressor(Immutable):
             for i, (f, R, point) in enumerate(zip(of_frame, rotations, known, strict=True))
         ]
         added = [self._freed.joints[i] for i in (*map(links.get, joints), *shifts, *ends_at)]
+        added += [self._freed.joints[i] for i in tilts]
         places = np.array([each.idx_v + i for each in added for i in range(each.nv)])
-        self._of_joints, self._of_theta = np.split(places, [n])
+        self._of_joints, of_theta = np.split(places, [n])
         # where the numbers of that model are in (q, θ) and (q̇, θ') of all joints
         own = [model.joints[joint] for joint in joints]
         at_q = [each.idx_q + i for each in own for i in range(each.nq)]
         at_v = [each.idx_v for each in own]
+        angles = self.n_lengths + np.arange(len(turns)).reshape(-1, 3)
+        self._encoders = angles[:, 2]
+        moved = np.append(np.arange(self.n_lengths), angles[:, :2])  # θ that are joints
+        encoded = [self.movers.index(name) for name in self.turners]
+        self._of_theta = np.zeros(self.p, dtype=int)
+        self._of_theta[moved], self._of_theta[self._encoders] = of_theta, places[encoded]
         order = np.argsort([each.idx_q + i for each in added for i in range(each.nq)])
-        self._from_q = np.append(at_q, model.nq + np.arange(self.p))[order]
-        self._from_v = np.append(at_v, model.nv + np.arange(self.p))[np.argsort(places)]
+        self._from_q = np.append(at_q, model.nq + moved)[order]
+        self._from_v = np.append(at_v, model.nv + moved)[np.argsort(places)]
+        self._encoded_v = np.array([own[i].idx_v for i in encoded], dtype=int)
+        first = np.array([own[i].idx_q for i in encoded], dtype=int)
+        pairs = np.array([own[i].nq == 2 for i in encoded], dtype=bool)
+        self._encoded_q, self._pairs = first[~pairs], first[pairs]
+        self._one, self._two = self._encoders[~pairs], self._encoders[pairs]
         self._columns = robot.mimic_joints.columns(np.eye(model.nv))[at_v]
         self._plain = np.array_equal(self._columns, np.eye(n))
 
@@ -146,47 +202,63 @@ class KinematicRegressor(Immutable):
         """Number of parameters."""
         return len(self.theta)
 
-    def Y(self, q: Array) -> Array:
-        """Return Y(q), shape (3k, p)."""
-        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
-            return np.asanyarray(arm.points(self).Y())
-        pin.computeJointJacobians(self._freed, self._data, self._all(q, self._nothing))
-        return self._jacobians(pin.getFrameJacobian).take(self._of_theta, 1)
+    def linear(self, q: Array, theta: Array) -> tuple[Array, Array]:
+        """Return Y = ∂p/∂θ, shape (3k, p), and o = p − Yθ, shape (3k,) [m], at q and θ (p,).
 
-    def offset(self, q: Array) -> Array:
-        """Return p − Y(q)θ, shape (3k,) [m]: prismatic travel and points off the frame's origin."""
-        if not self.has_offset:
-            return np.zeros(3 * self.k)
-        return self.position(q, self._nothing)
+        Without axes neither depends on θ.
+        """
+        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
+            return arm.points(self).linear(theta)
+        pin.computeJointJacobians(self._freed, self._data, self._all(q, theta))
+        p, J = self._positions(), self._jacobians(pin.getFrameJacobian)
+        Y = J.take(self._of_theta, 1)
+        return Y, p - Y.dot(theta)
 
     def position(self, q: Array, theta: Array) -> Array:
-        """Return p = Y(q)θ + offset(q), shape (3k,) [m], of parameters θ (p,)."""
+        """Return p of parameters θ (p,), shape (3k,) [m]."""
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
             return np.asanyarray(arm.points(self).motion(None, theta, None).p)
         pin.forwardKinematics(self._freed, self._data, self._all(q, theta))
         return self._positions()
 
     def motion(self, q: Array, v: Array, theta: Array, theta_dot: Array) -> PointMotion:
-        """Return positions and derivatives at q (nq,), q̇ (n_v,), θ (p,) [m] and θ' (p,) [m/s]."""
+        """Return positions and derivatives at q (nq,), q̇ (n_v,), θ (p,) and θ' (p,) [1/s]."""
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
             return arm.points(self).motion(v, theta, theta_dot)
-        speeds = self.robot.mimic_joints.v(as_vector("v", v, self.robot.nv))
-        rates = np.concatenate([speeds, theta_dot]).take(self._from_v)
-        pin.computeJointJacobiansTimeVariation(self._freed, self._data, self._all(q, theta), rates)
+        self._move(q, v, theta, theta_dot)
         p = self._positions()
         J, J_dot = self._jacobians(pin.getFrameJacobian), self._jacobians(_JACOBIAN_DOT)
         drift = J.take(self._of_theta, 1).dot(theta_dot)
         return PointMotion(p, self._along_joints(J), self._along_joints(J_dot), drift)
 
+    def turn(self, q: Array, v: Array, theta: Array, theta_dot: Array) -> TurnMotion:
+        """Return the first frame's orientation and derivatives; arguments are those of `motion`."""
+        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
+            return arm.points(self).turn(v, theta, theta_dot)
+        self._move(q, v, theta, theta_dot)
+        of = self._freed, self._data, self._points[0]
+        J, J_dot = (each(*of, _IN_WORLD)[3:] for each in (pin.getFrameJacobian, _JACOBIAN_DOT))
+        R = pin.updateFramePlacement(*of).rotation.copy()
+        A = J.take(self._of_theta, 1)
+        return TurnMotion(R, self._along_joints(J), self._along_joints(J_dot), A)
+
+    def _move(self, q: Array, v: Array, theta: Array, theta_dot: Array) -> None:
+        speeds = self.robot.mimic_joints.v(as_vector("v", v, self.robot.nv))
+        if self.turners:
+            speeds = speeds.copy()
+            speeds[self._encoded_v] += theta_dot[self._encoders]
+        rates = np.concatenate([speeds, theta_dot]).take(self._from_v)
+        pin.computeJointJacobiansTimeVariation(self._freed, self._data, self._all(q, theta), rates)
+
     def robot_with(self, theta: Array, turn: Array | None = None) -> Robot:
-        """Return the robot with other translations θ (p,) [m] and its tool rotated by `turn`.
+        """Return the robot with other parameters θ (p,), and its tool rotated by `turn`.
 
         A tool on a fixed joint of its own is moved. If the frame is a moving link, that gets an
         object without mass, whose end is the new `tip`. The turn is a rotation vector of the tool
         in its own axes, shape (3,) [rad].
         """
-        theta = as_array("theta", theta, (self.p,), "m")
-        change = (theta - self.theta).reshape(-1, 3)
+        theta = as_array("theta", theta, (self.p,), "m or rad")
+        change = (theta - self.theta)[: self.n_lengths].reshape(-1, 3)
         above = {joint.child: joint for joint in self.robot.tree.joints.values()}
         wanted: dict[str, Array] = dict(zip(self.movers, change[: self._n], strict=True))
         held: dict[str, Array] = {}
@@ -208,7 +280,16 @@ class KinematicRegressor(Immutable):
             if moved[joint].any():
                 placed = self._model.frames[all_frame_id(self.robot, parent)].placement
                 shifts[joint] = list(placed.rotation.T @ moved[joint])
-        robot = self.robot.with_kinematic_error(shifts) if shifts else self.robot
+        rotations = {
+            name: self._turn_of(i, angles).tolist()
+            for i, (name, angles) in enumerate(
+                zip(self.turners, theta[self.n_lengths :].reshape(-1, 3), strict=True)
+            )
+            if angles.any()
+        }
+        robot = self.robot
+        if shifts or rotations:
+            robot = robot.with_kinematic_error(shifts, rotations)
         for link, tool in held.items():
             name = "tool" if len(held) == 1 else f"{link}_tool"
             length = float(np.linalg.norm(tool))
@@ -219,6 +300,12 @@ class KinematicRegressor(Immutable):
         joint = "tool_tip_joint" if held else above[links[0]].name
         return robot.with_kinematic_error(None, {joint: turn.tolist()})
 
+    def _turn_of(self, i: int, angles: Array) -> Array:
+        """Return the rotation vector (3,) of a joint's origin by its tilts and encoder."""
+        one, two = self.across[i]
+        ways = zip((one, two, np.cross(one, two)), angles.tolist(), strict=True)
+        return pin.log3(reduce(np.matmul, [pin.exp3(angle * way) for way, angle in ways]))
+
     @cached_property
     def _data(self) -> pin.Data:
         return self._freed.createData()
@@ -226,6 +313,12 @@ class KinematicRegressor(Immutable):
     def _all(self, q: Array, theta: Array) -> Array:
         """Return q and θ as the model with translations as joints has them."""
         q = self.robot.mimic_joints.q(self.robot.configuration(q))
+        if self.turners:
+            q = q.copy()
+            q[self._encoded_q] += theta[self._one]
+            c, s = np.cos(theta[self._two]), np.sin(theta[self._two])
+            x, y = q[self._pairs], q[self._pairs + 1]
+            q[self._pairs], q[self._pairs + 1] = c * x - s * y, s * x + c * y
         return np.concatenate([q, theta]).take(self._from_q)
 
     def _positions(self) -> Array:
@@ -241,3 +334,12 @@ class KinematicRegressor(Immutable):
     def _along_joints(self, J: Array) -> Array:
         J = J.take(self._of_joints, 1)
         return J if self._plain else np.asarray(J.dot(self._columns))
+
+
+def _across(axis: Array) -> tuple[Array, Array]:
+    """Return e₁ and e₂ (3,) with e₁ × e₂ along an axis (3,): x and y of an axis along z."""
+    axis = axis / np.linalg.norm(axis)
+    one = np.eye(3)[np.abs(axis).argmin()]
+    one = one - axis * axis.dot(one)
+    one = one / np.linalg.norm(one)
+    return one, np.cross(axis, one)

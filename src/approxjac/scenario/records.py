@@ -213,9 +213,9 @@ class ControllerChoice:
     Attributes:
         law: "setpoint", the paper's; or "tracking", adaptive, for paths, too. Without other options
             but limits a simulation of position or pose tracks, and learns tool and origins.
-        unknown: Parts of the kinematics that are learnt from x (tool, origins, camera, offset,
-            scale): then x̂ is controlled. Of an image "camera" is its pose and focal length, and
-            "tool" where the points are.
+        unknown: Parts of the kinematics that are learnt from x (tool, origins, axes, camera,
+            offset, delay): then x̂ is controlled. Of an image "camera" is its pose and focal length,
+            and "tool" where the points are.
         command: "torque", or "velocity" for robots that take joint velocities (law "tracking").
         differentiator: Time constant of Ẋ from the differentiated x, s: law (5), or law (6).
         gravity: Gravity that is compensated: learnt (law (28), or with all dynamics, tracking), by

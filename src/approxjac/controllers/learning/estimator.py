@@ -2,7 +2,7 @@
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -242,6 +242,10 @@ class Estimator(Kinematics):
 
     # -- what one derived from it has --------------------------------------------------------
 
+    def _late(self, state: Array) -> Any:
+        """Return by how much x is older than it is stamped, as far as that is learnt [s]."""
+        return 0.0
+
     def _own(self, measurement: Measurement) -> Measurement:
         return measurement
 
@@ -316,7 +320,7 @@ class Estimator(Kinematics):
         numbers, gate = state[self._at["frames"]], self._at["gate"]
         measurement = self._frames.by_own_clock(numbers, self._own(measurement), dt)
         is_time = self._frames.remember(numbers, measurement)
-        frame, is_new = self._frames.new(numbers, measurement)
+        frame, is_new = self._frames.new(numbers, measurement, self._late(state))
 
         if frame is not None:
             own = frame._replace(x=self._points(frame.x))
@@ -424,35 +428,69 @@ def _time(measurement: Measurement) -> float:
     return as_number(name, measurement.t, unit="s", minimum=-most, most=most)
 
 
-class Translations:
-    """p(q) = o(q) + H(q)u, with u the learnt translations of a regressor."""
+class Unknowns:
+    """p(q, u), with u the numbers of a regressor that are learnt.
+
+    Args:
+        regressor: With axes if these are among the kinds.
+        kinds: Some of "tool", "origins" and "axes", which are tilts and encoders.
+        sds: Plausible errors by kind, with "encoders" beside them.
+
+    Attributes:
+        names: Names of u, in `units`.
+        u: Their believed values, shape (n_u,), and `sd` their plausible errors.
+        is_tool, is_angle: What of u is which, shape (n_u,).
+    """
 
     def __init__(
-        self, regressor: KinematicRegressor, n_tools: int, tool: bool, origins: bool
+        self, regressor: KinematicRegressor, kinds: Collection[str], sds: Mapping[str, float]
     ) -> None:
-        is_tool = np.arange(regressor.p) >= regressor.p - 3 * n_tools
-        self._chosen = np.flatnonzero(np.where(is_tool, tool, origins))
-        self._regressor, self.is_tool = regressor, is_tool[self._chosen]
+        ends = regressor.n_lengths - 3 * len(regressor.frames)
+        of = ["origins"] * ends + ["tool"] * (regressor.n_lengths - ends)
+        angles = regressor.names[regressor.n_lengths :]
+        of += ["encoders" if name.endswith(".encoder") else "axes" for name in angles]
+        learnt = {*kinds, *(("encoders",) if "axes" in kinds else ())}
+        self._chosen = np.array([i for i, each in enumerate(of) if each in learnt], dtype=int)
+        self._regressor, chosen = regressor, [of[i] for i in self._chosen]
+        self.is_tool = np.array([each == "tool" for each in chosen], dtype=bool)
+        self.is_angle = self._chosen >= regressor.n_lengths
+        self.sd = np.array([sds[each] for each in chosen])
         self.names = [regressor.names[i] for i in self._chosen]
+        self.units = [regressor.units[i] for i in self._chosen]
         self.u = regressor.theta[self._chosen]
         self._S = np.eye(regressor.p)[:, self._chosen]
         self._known = regressor.theta - self._S.dot(self.u)
+        reaches = (regressor.robot.reach_bound(frame)[1] for frame in regressor.frames)
+        self._reach = max(reaches) if self.is_angle.any() else 0.0
 
-    def at(self, q: Array) -> tuple[Array, Array]:
-        """Return H(q), shape (3k, n_u), and o(q), shape (3k,)."""
-        Y = self._regressor.Y(q)
-        known = Y.dot(self._known)
-        if self._regressor.has_offset:
-            known = known + self._regressor.offset(q)
-        return Y[:, self._chosen], known
+    def at(self, q: Array, u: Array | None = None) -> tuple[Array, Array]:
+        """Return H(q) = ∂p/∂u, shape (3k, n_u), and o = p − Hu, (3k,), at u or what is believed."""
+        theta = self._regressor.theta if u is None else self.theta(u)
+        Y, known = self._regressor.linear(q, theta)
+        return Y[:, self._chosen], known + Y.dot(self._known)
 
     def theta(self, u: Array) -> Array:
-        """Return all translations of the regressor, learnt and known; (p,) [m]."""
+        """Return all numbers of the regressor, learnt and known; (p,)."""
         return np.asanyarray(self._known + self._spread(u))
 
     def motion(self, q: Array, v: Array, u: Array, u_dot: Array) -> PointMotion:
         """Return the points and their derivatives at q and q̇, with u and u' (n_u,)."""
         return self._regressor.motion(q, v, self.theta(u), self._spread(u_dot))
+
+    def turn(self, q: Array, u: Array, v: Array | None = None, u_dot: Array | None = None) -> Any:
+        """Return the orientation of the frame, and its derivatives of which A is by u (3, n_u)."""
+        v = np.zeros(self._regressor.robot.nv) if v is None else v
+        u_dot = np.zeros(len(self.u)) if u_dot is None else u_dot
+        turn = self._regressor.turn(q, v, self.theta(u), self._spread(u_dot))
+        return turn._replace(A=turn.A[:, self._chosen])
+
+    def bent(self, variances: Array) -> Any:
+        """Return the variance [m²] of what is of second order in u, by the variances of u (n_u,).
+
+        It is about tr P_angles(tr P_tool + L² tr P_angles)/3, L the arm's reach.
+        """
+        angles, tools = (variances[which].sum() for which in (self.is_angle, self.is_tool))
+        return angles * (tools + self._reach**2 * angles) / 3.0
 
     def _spread(self, u: Array) -> Array:
         return u if len(u) == len(self._S) else np.asanyarray(self._S.dot(u))
@@ -530,8 +568,13 @@ class Frames:
         law.alter(since < -_ROUND_OFF, numbers, lambda numbers: self.begin(numbers, t, q))
         return is_due | (since < _ROUND_OFF)
 
-    def new(self, numbers: Array, measurement: Measurement) -> tuple[Measurement | None, Any]:
-        """Return a frame (None if it is surely old) and whether it is new, and store it."""
+    def new(
+        self, numbers: Array, measurement: Measurement, late: Any = 0.0
+    ) -> tuple[Measurement | None, Any]:
+        """Return a frame (None if it is surely old) and whether it is new, and store it.
+
+        Its q and q̇ are those of a time `late` [s] before it was taken.
+        """
         n, (t, _, _, x, _) = self._n_x, measurement
         t_x: Any = measurement.t_x
         head, seen = numbers[: n + 4], np.abs(x) < _FARTHEST
@@ -549,18 +592,19 @@ class Frames:
         if law.surely(passed):
             return None, False
         is_noted = law.complement(passed)
-        q, is_known = self._at(numbers, taken, measurement)
+        then = taken - late
+        q, v, is_known = self._at(numbers, law.select(then < t, then, t), measurement)
 
         def note(head: Array) -> None:
             head[:n], head[n] = known, taken
             head[n + 3] = law.select(is_known, t, head[n + 3])
 
         law.alter(is_noted, head, note)
-        frame = measurement._replace(t=taken, q=q, x=np.where(seen, x, math.nan))
+        frame = Measurement(taken, q, v, np.where(seen, x, math.nan), measurement.t_x)
         return frame, is_noted & is_known
 
-    def _at(self, numbers: Array, t: Any, measurement: Measurement) -> tuple[Array, Any]:
-        """Return the configuration at a time [s], and whether it is not longer ago than known."""
+    def _at(self, numbers: Array, t: Any, measurement: Measurement) -> tuple[Array, Array, Any]:
+        """Return q and q̇ at a time [s], and whether it is not longer ago than is known."""
         ring = self._ring(numbers)
         times = np.append(ring[:, 0], measurement.t)
         rows = np.concatenate([ring[:, 1:], measurement.q[np.newaxis]])
@@ -573,7 +617,8 @@ class Frames:
         robot, is_known = self._robot, before[0] < t
         begins = np.where(is_known, begins, measurement.q)
         ends = np.where(is_known, ends, measurement.q)
-        return moved(robot, begins, share * motion_between(robot, begins, ends)), is_known
+        way = motion_between(robot, begins, ends)
+        return moved(robot, begins, share * way), way / np.maximum(here.dot(gaps), 1e-6), is_known
 
     def _ring(self, numbers: Array) -> Array:
         return numbers[self._head :].reshape(self._count, self._width)

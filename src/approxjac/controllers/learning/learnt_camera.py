@@ -9,7 +9,7 @@ import numpy as np
 from approxjac import law
 from approxjac.cameras import PinholeCamera
 from approxjac.controllers.arguments import chosen_deviations, chosen_kinds, is_rotation
-from approxjac.controllers.learning.estimator import Estimator, Translations, motion_of_points
+from approxjac.controllers.learning.estimator import Estimator, Unknowns, motion_of_points
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement, Target
 from approxjac.law import PredictedError
@@ -112,9 +112,8 @@ class AdaptiveCamera(Estimator):
         mount, self._world, self._k = camera.mount, task.points, len(task.points)
         frame, ends = (task.frame, task.points) if mount is None else (mount, np.eye(4, 3, -1))
         self.regressor = KinematicRegressor(task.robot, frame, ends)
-        self._moved = moved = Translations(self.regressor, 1, "tool" in kinds, "origins" in kinds)
-        units, u = dict.fromkeys(moved.names, "m"), moved.u
-        sd_u = np.where(moved.is_tool, sds["tool"], sds["origins"])
+        self._moved = moved = Unknowns(self.regressor, kinds, sds)
+        units, u, sd_u = dict(zip(moved.names, moved.units, strict=True)), moved.u, moved.sd
         self._n, self._moves_world = len(u), "points" in kinds
         if self._moves_world:
             units |= {f"points.{axis}": "m" for axis in "xyz"}

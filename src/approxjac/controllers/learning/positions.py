@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -10,10 +11,11 @@ import numpy as np
 from approxjac import law
 from approxjac.cameras import PlanarCamera
 from approxjac.controllers.arguments import chosen_deviations, chosen_kinds, is_rotation
-from approxjac.controllers.learning.estimator import Estimator, Translations, motion_of_points
+from approxjac.controllers.learning.estimator import Estimator, Unknowns, motion_of_points
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement, Target
 from approxjac.law import PredictedError
+from approxjac.law.factors import inverse, product, solved
 from approxjac.robots import KinematicRegressor, Robot
 from approxjac.tasks import (
     ImageTask,
@@ -24,12 +26,12 @@ from approxjac.tasks import (
     Task,
     TrackerTask,
 )
-from approxjac.tasks.frame_tasks import FrameKinematics
 from approxjac.validation import Array, as_number
 
-_KINDS = ("tool", "origins", "camera", "offset")
+_KINDS = ("tool", "origins", "axes", "camera", "offset", "delay")
 _USUAL_SD: Mapping[str, float] = {
-    "tool": 0.2, "orientation": 1.0, "origins": 0.02, "camera": 1.0, "offset": 0.2,
+    "tool": 0.2, "orientation": 1.0, "origins": 0.02, "axes": 3e-3, "encoders": 0.015,
+    "camera": 1.0, "offset": 0.2, "delay": 0.02,
 }  # fmt: skip
 _USUAL_IN_IMAGE = {"tool": 0.5, "origins": 0.5}  # as wrong as the magnification
 _NOISE = 2e-3  # usual one [m]
@@ -40,6 +42,7 @@ _CHANGED = 3e-3, 9.0  # averaged residual [m], and in its sd: another sensor or 
 _WORST = 4.0  # χ² above which no more is passed over
 _BELIEVED = 5.0  # of frames after which what was learnt is a belief when learning begins anew [s]
 _NO_TIME = 1e-12  # of an average's share
+_SELDOM = 3e-3  # share of what is learnt that is forgotten at once
 _ODDS = 2.0  # of another rotation against the one at hand, as a logarithm, before it is taken
 _JUMPS = 0.95  # of tr(AᵀA') from frame to frame: about 20°, by which no rotation is refined
 _SAME = 0.8  # of tr(AᵀA'): about 45°, nearer than which rotations are one to Newton's method
@@ -48,11 +51,12 @@ _SAME = 0.8  # of tr(AᵀA'): about 45°, nearer than which rotations are one to
 class AdaptiveKinematics(Estimator):
     """x̂ = R̂ p(q; θ̂) + b̂, learnt from the measured x while the arm moves.
 
-    It learns, as chosen, the translations of the tool and of all joint origins, and the rotation
-    and offset of a camera or tracker. The law controls the *predicted* x̂, rotated into the base
-    frame, so that no estimate of the camera makes Ĵ singular. With a known rotation, x̂ → x for any
-    motion, without excitation (Theorem A in docs/theory.md). An unknown rotation is estimated from
-    all frames together. An integral offset absorbs what the parameters do not explain.
+    It learns, as chosen, the translations of the tool and of all joint origins, tilts of joint axes
+    and offsets of encoders, the rotation and offset of a camera or tracker, and the delay of x. The
+    law controls the *predicted* x̂, rotated into the base frame, so that no estimate of the camera
+    makes Ĵ singular. With a known rotation, x̂ → x for any motion, without excitation (Theorem A in
+    docs/theory.md). An unknown rotation is estimated from all frames together. An integral offset
+    absorbs what the parameters do not explain.
 
     Frames are paired with the configuration at which they were taken. A jump of the sensor is
     ignored; if it persists, as after the sensor moved or the tool slipped, learning restarts.
@@ -67,10 +71,13 @@ class AdaptiveKinematics(Estimator):
             `PlanarCamera`; or the robot, for the position of its tip. A camera of unknown rotation
             needs two or three axes, the same for every point; two rotate in their plane.
         unknown: Parameters that may be wrong: "tool" and "origins" are translations, for a pose
-            "tool" includes its orientation; "camera" is rotation and offset, "offset" the latter.
-        sd: Plausible errors: "tool", "origins" and "offset" [m], "orientation" of the tool and
-            "camera" [rad]; by default 0.2, 0.02, 0.2, 1.0 and 1.0, in a `PlanarCamera` 0.5 of
-            "tool" and "origins". All lengths are in the arm's plane there.
+            "tool" includes its orientation; "axes" are tilts of joint axes and offsets of encoders;
+            "camera" is rotation and offset, "offset" the latter; "delay" is by how much x is older
+            than it is stamped.
+        sd: Plausible errors: "tool", "origins" and "offset" [m], "axes", "encoders", "orientation"
+            of the tool and "camera" [rad], "delay" [s]; by default 0.2, 0.02, 0.2, 0.003, 0.015,
+            1.0, 1.0 and 0.02, in a `PlanarCamera` 0.5 of "tool" and "origins". All lengths are in
+            the arm's plane there.
         noise: Standard deviation of x [m], in a `PlanarCamera` on its sensor; by default 2 mm,
             there 0.2 mm times the magnification.
         delay: Age of x where `Measurement.t_x` is None [s]. Frames older than 0.25 s, or twice the
@@ -79,10 +86,10 @@ class AdaptiveKinematics(Estimator):
         angle_noise: Standard deviation of the orientation of a pose [rad].
 
     Attributes:
-        regressor: p(q) of the points, linear in the translations.
-        names: Names of the learnt numbers, such as "panda_joint4.x", "tool.x", "offset.y",
-            "camera.rz", or "camera.turn" from the first axis to the second; for a pose "tool.rx",
-            in the axes of the believed tool.
+        regressor: p(q, θ) of the points.
+        names: Names of the learnt numbers, such as "panda_joint4.x", "panda_joint4.tilt1",
+            "panda_joint4.encoder", "tool.x", "offset.y", "camera.rz", or "camera.turn" from the
+            first axis to the second; for a pose "tool.rx", in the axes of the believed tool.
 
     Raises:
         InvalidInputError: Another task, an empty or invalid `unknown`, an sd of a known parameter,
@@ -106,6 +113,7 @@ class AdaptiveKinematics(Estimator):
         used = {*kinds, *(("offset",) if self._turns else ())}
         self._learns_T = self._is_pose and "tool" in kinds
         used |= {"orientation"} if self._learns_T else set()
+        used |= {"encoders"} if "axes" in kinds else set()
         in_image = isinstance(task, ImageTask)
         sds = chosen_deviations(sd, {**_USUAL_SD, **(_USUAL_IN_IMAGE if in_image else {})}, used)
         points, sensor = _seen(task)
@@ -123,29 +131,31 @@ class AdaptiveKinematics(Estimator):
         angle_noise = as_number("angle_noise", angle_noise, unit="rad", above=0.0, most=1.0)
 
         # u: p = o(q) + H(q)u, and of a pose the nine numbers of the tool's rotation
-        self.regressor = KinematicRegressor(task.robot, frames)
-        tool, origins = "tool" in kinds, "origins" in kinds
-        self._moved = moved = Translations(self.regressor, len(frames), tool, origins)
+        self.regressor = KinematicRegressor(task.robot, frames, axes="axes" in kinds)
+        self._moved = moved = Unknowns(self.regressor, kinds, sds)
         entries = [(frames.index(frame), axis) for frame, each in points for axis in each]
         rows = [3 * frame + "xyz".index(axis) for frame, axis in entries]
         in_order = rows == list(range(3 * self.regressor.k))
         self._rows: slice | Array = slice(None) if in_order else np.array(rows)
         self._n_p, self._n_theta = len(rows), len(moved.u)
-        units, Theta = dict.fromkeys(moved.names, "m"), [moved.u]
-        self._sd_u = np.where(moved.is_tool, sds["tool"], sds["origins"])
-        deviations = [self._sd_u]
+        units, Theta = dict(zip(moved.names, moved.units, strict=True)), [moved.u]
+        deviations = [moved.sd]
         # The axes of R_x = R R_f(q) T are points ℓ R_x e_k, linear in nine numbers, to which T is
         # the nearest rotation. Of a rotation vector φ, Σ‖ℓ[φ]ₓ e_k‖² = 2ℓ²‖φ‖²: with ℓ = L/√2, and
         # L what a radian counts as [m], both weigh as their noise says.
         self._length = self.noise / angle_noise
         self._l = self._length / math.sqrt(2.0)
-        self._flange = FrameKinematics(task.robot, frames[0])
         if self._learns_T:
             units |= {f"tool.r{axis}": "rad" for axis in "xyz"}
             Theta.append(np.eye(3).ravel())
             # √2, as one turn changes two of three numbers of an axis
             deviations.append(np.full(9, math.sqrt(2.0) * sds["orientation"]))
-        self._n_u = self._n_theta + (9 if self._learns_T else 0)
+        self._learns_late = "delay" in kinds
+        if self._learns_late:
+            units |= {"delay": "s"}
+            Theta.append(np.zeros(1))
+            deviations.append(np.array([sds["delay"]]))
+        self._n_u = sum(map(len, Theta))
 
         # c = Rᵀb: the offset, learnt or known
         c, each = R.T.dot(b), np.eye(d)[[axes.index(axis) for _, axis in entries]]
@@ -157,7 +167,8 @@ class AdaptiveKinematics(Estimator):
             deviations.append(np.full(d, sds["offset"]))
         kind = _UnknownRotation if self._turns else _KnownRotation
         self._Theta, sd_Theta = np.concatenate(Theta), np.concatenate(deviations)
-        self._estimator = kind(self._Theta, R, sd_Theta, sds["camera"], self._n_u, self.noise)
+        given = sds["camera"], self._n_u, self.noise, moved
+        self._estimator = kind(self._Theta, R, sd_Theta, *given)
         spin = len(law.generators(d)) if self._turns else 0
         if self._turns:
             turns = [f"camera.r{axis}" for axis in axes] if d == 3 else ["camera.turn"]
@@ -177,7 +188,7 @@ class AdaptiveKinematics(Estimator):
     def __repr__(self) -> str:
         return f"AdaptiveKinematics({self.task!r}, unknown={self.unknown})"
 
-    # -- what is measured, linear in Θ = (u, c): x = R(o(q) + H(q)Θ) -------------------------
+    # -- what is measured, linear about Θ = (u, c): x = R(o(q) + H(q)Θ) ----------------------
 
     def _own(self, measurement: Measurement) -> Measurement:
         if self._size == 1.0:
@@ -194,33 +205,60 @@ class AdaptiveKinematics(Estimator):
             x = np.where(np.repeat(lost, self._d), math.nan, x)
         return x
 
-    def _positions(self, q: Array) -> tuple[Array, Array]:
-        """Return H(q) of positions, (n_p, n_u), and o(q), in the base's axes without the offset."""
-        H, known = self._moved.at(q)
-        H, known = H[self._rows], known[self._rows] + self._constant
-        return np.concatenate([H, np.zeros((3, 9))], axis=1) if self._learns_T else H, known
+    def _late(self, state: Array) -> Any:
+        return state[self._at["sums"]][self._estimator.late] if self._learns_late else 0.0
 
-    def _regression(self, q: Array) -> tuple[Array, Array]:
-        """Return H(q) and o(q) of all that is linear, in the base's axes."""
-        H, known = self._positions(q)
+    def _positions(self, q: Array, u: Array) -> tuple[Array, Array]:
+        """Return H(q) of positions, (n_p, n_u), and o(q), in the base's axes without the offset.
+
+        About u, of which the first n_θ are the regressor's.
+        """
+        H, known = self._moved.at(q, u[: self._n_theta])
+        H, known = H[self._rows], known[self._rows] + self._constant
+        others = np.zeros((len(H), self._n_u - self._n_theta))
+        return np.concatenate([H, others], axis=1) if others.size else H, known
+
+    def _regression(self, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
+        """Return H and o of all that is learnt from, about u, in the base's axes.
+
+        At q and q̇, by which x is late.
+        """
+        H, known = self._positions(q, u)
         H = np.concatenate([H, self._offsets], axis=1)
+        at, none, n = self._n_theta, np.zeros((3, 3)), H.shape[1]
+        late = self._n_u - 1
+        if self._learns_late:
+            nothing = 0.0 * u[:at]
+            H[:, late] = -self._moved.motion(q, v, u[:at], nothing).J[self._rows].dot(v)
+            known = known - H[:, late] * u[late]
         if not self._is_pose:
             return H, known
-        R, none, at, n = self._l * self._frame(q), np.zeros((3, 3)), self._n_theta, H.shape[1]
+        turn = self._moved.turn(q, u[:at])
+        R = self._l * turn.R
         rows = [[R, none, none], [none, R, none], [none, none, R]]
         axes = np.concatenate([np.concatenate(row, axis=1) for row in rows])
-        of_axes, known_axes = np.zeros_like(axes, shape=(9, n)), axes.dot(np.eye(3).ravel())
+        T = u[at : at + 9] if self._learns_T else np.eye(3).ravel()
+        of_axes, known_axes = np.zeros_like(axes, shape=(9, n)), axes.dot(T)
+        if self._moved.is_angle.any():  # axes turn about those of tilted joints
+            shown = known_axes.reshape(3, 3)
+            of_axes[:, :at] = np.cross(turn.A.T[:, np.newaxis], shown).reshape(at, 9).T
+            known_axes = known_axes - of_axes[:, :at].dot(u[:at])
+        if self._learns_late:
+            shown = axes.dot(T).reshape(3, 3)
+            of_axes[:, late] = -np.cross(turn.J.dot(v), shown).ravel()
+            known_axes = known_axes - of_axes[:, late] * u[late]
         if self._learns_T:
-            of_axes[:, at : at + 9], known_axes = axes, np.zeros(9)
+            of_axes[:, at : at + 9], known_axes = axes, known_axes - axes.dot(T)
         return np.concatenate([H, of_axes]), np.concatenate([known, known_axes])
 
     def _reach(self, q_0: Array, q: Array) -> Array:
         # half as far again as the believed arm, and four standard deviations of what may be wrong
         before, after = self._moved.at(q_0), self._moved.at(q)
-        known, unsure = motion_of_points(before, after, self._moved.u, self._sd_u)
+        known, unsure = motion_of_points(before, after, self._moved.u, self._moved.sd)
         reach = np.repeat(1.5 * known + 4.0 * unsure, 3)[self._rows]
         if self._is_pose:
-            turned = law.length((self._frame(q) - self._frame(q_0)).ravel())
+            ends = (self._moved.turn(each, self._moved.u).R for each in (q, q_0))
+            turned = law.length(np.subtract(*ends).ravel())
             reach = np.concatenate([reach, np.repeat(1.5 * (self._l / math.sqrt(2.0)) * turned, 9)])
         return np.asanyarray(reach)
 
@@ -228,7 +266,9 @@ class AdaptiveKinematics(Estimator):
         n, c = self._n_theta, Theta[self._n_u :]
         parts = [Theta[:n]]
         if self._learns_T:
-            parts.append(law.rotation_log(_rotation_of(Theta[n : self._n_u])))
+            parts.append(law.rotation_log(_rotation_of(Theta[n : n + 9])))
+        if self._learns_late:
+            parts.append(Theta[self._n_u - 1 : self._n_u])
         parts.append(R.dot(c) if len(c) else c)
         if self._turns:
             parts.append(law.rotation_log(R))
@@ -238,7 +278,8 @@ class AdaptiveKinematics(Estimator):
         """Return a covariance of what is estimated as that of `names`: nine numbers are a turn."""
         if not self._learns_T:
             return P
-        start, end = self._n_theta, self._n_u
+        start = self._n_theta
+        end = start + 9
         M = np.eye(len(P))
         tangents = law.tangents(_rotation_of(Theta[start:end])).reshape(3, 3, 3)
         # the rotation vector that small changes of the nine turn T by
@@ -266,10 +307,10 @@ class AdaptiveKinematics(Estimator):
         first = np.isfinite(x) & ~(state[at["placed"]] > 0.0)
         if self._is_pose:
             R_x, is_seen = law.rotation_of(x[3:])
-            T = self._frame(q).T.dot(R.T).dot(R_x)
+            T = self._frame(q, state[at["u"]]).T.dot(R.T).dot(R_x)
             first[3:] = first[3:] & is_seen
             state[at["T"]] = np.where(law.all_of(first[3:]), T.ravel(), state[at["T"]])
-        H, known = self._positions(q)
+        H, known = self._positions(q, state[at["u"]])
         x_hat = self._turned(R, known + H.dot(state[at["u"]]))
         state[at["b"]] = np.where(first[:n_p], x[:n_p] - x_hat, state[at["b"]])
         state[at["placed"]] = np.where(first, 1.0, state[at["placed"]])
@@ -285,7 +326,8 @@ class AdaptiveKinematics(Estimator):
         unexplained = np.sqrt(np.minimum(np.maximum(chi[0], 1.0), _WORST))
         changed = unexplained * np.maximum(_CHANGED[0], _CHANGED[1] * usual)
         law.alter(is_anew | (np.abs(averaged).max() > changed), state, self._renew)
-        H, known = self._regression(frame.q)
+        u = self._estimator.estimate(state[at["sums"]])[0]
+        H, known = self._regression(frame.q, frame.v, u)
         # what is lost has no part in the sums
         seen = np.isfinite(x)
         z, o = np.where(seen, x, 0.0), np.where(seen, known, 0.0)
@@ -336,25 +378,27 @@ class AdaptiveKinematics(Estimator):
         at, n, n_p = self._at, self._n_u, self._n_p
         Theta, R = self._estimator.estimate(state[at["sums"]])
         u, smooth_u = Theta[:n], state[at["u"]]
-        H, known = self._positions(q)
+        H, known = self._positions(q, smooth_u)
         smooth_p, smooth_R = known + H.dot(smooth_u), self._rotation(state)
-        p = known + H.dot(u) + self._offsets.dot(Theta[n:])
+        learnt_H, learnt_o = self._positions(q, u) if self._moved.is_angle.any() else (H, known)
+        p = learnt_o + learnt_H.dot(u) + self._offsets.dot(Theta[n:])
         integral = state[at["integral"]]
         away = self._turned(R, p) + integral[:n_p]
         away = away - (self._turned(smooth_R, smooth_p) + state[at["b"]])
         turn = law.rotation_log(R.dot(smooth_R.T)) if self._turns else np.zeros(3)
         turns = [turn] if self._turns else []
         if self._is_pose:
-            T, R_f = state[at["T"]].reshape(3, 3), self._frame(q)
+            T, (R_f, _, _, A) = state[at["T"]].reshape(3, 3), self._turn(q, smooth_u)
             learnt = self.learnt(state)[self._n_theta : self._n_theta + 3]
             T_goal = law.rotation_exp(learnt) if self._learns_T else np.eye(3)
-            now, goal = smooth_R.dot(R_f), R.dot(R_f).dot(T_goal)
+            now, goal = smooth_R.dot(R_f), R.dot(self._frame(q, u)).dot(T_goal)
             goal = law.rotation_exp(integral[n_p:] / self._length).dot(goal)
             turns.append(law.rotation_log(goal.dot(now.dot(T).T)))
         rate = self._smoothing_rate(dt, law.length(away), *turns)
-        if self._is_pose:
-            state[at["T_spin"]] = rate * now.T.dot(turns[-1] - turn)
         state[at["u_dot"]] = u_dot = rate * (u - smooth_u)
+        if self._is_pose:
+            spun = R_f.T.dot(A.dot(u_dot[: self._n_theta]))  # by joints whose axes are learnt
+            state[at["T_spin"]] = rate * now.T.dot(turns[-1] - turn) - spun
         b_dot = rate * away - self._turned(smooth_R, H.dot(u_dot))
         if self._turns:
             state[at["R_spin"]] = spin = rate * turn
@@ -364,8 +408,11 @@ class AdaptiveKinematics(Estimator):
     def _rotation(self, state: Array) -> Array:
         return state[self._at["R"]].reshape(self._d, self._d) if self._turns else self._R
 
-    def _frame(self, q: Array) -> Array:
-        return self._flange.placement(q)[0]
+    def _turn(self, q: Array, u: Array, *moving: Array) -> Any:
+        return self._moved.turn(q, u[: self._n_theta], *moving)
+
+    def _frame(self, q: Array, u: Array) -> Array:
+        return np.asanyarray(self._turn(q, u).R)
 
     def _turned(self, R: Array, p: Array) -> Array:
         return p.reshape(-1, self._d).dot(R.T).ravel() if self._is_turned else p
@@ -411,9 +458,9 @@ class AdaptiveKinematics(Estimator):
         T, R = state[at["T"]].reshape(3, 3), self._rotation(state)
         spin = state[at["R_spin"]] if self._turns else np.zeros(3)
         R_d, is_some = law.rotation_of(x_d)
-        J, R_f, _ = self._flange.motion(q)
-        J = J[3:].copy()
-        drift = R_f.dot(state[at["T_spin"]])
+        u_dot = state[at["u_dot"]][: self._n_theta]
+        R_f, J, J_dot, A = self._turn(q, state[at["u"]], v, u_dot)
+        drift = R_f.dot(state[at["T_spin"]]) + A.dot(u_dot)
         D = R.T.dot(law.select(is_some, R_d, np.eye(3)))
         E = R_f.dot(T).dot(D.T)
         x_d_ddot = R.T.dot(x_d_ddot - law.cross_matrix(spin).dot(x_d_dot))
@@ -421,7 +468,6 @@ class AdaptiveKinematics(Estimator):
         speed, of_target = J.dot(v), x_d_dot - R.T.dot(spin)
         # of E' = [ω]ₓE, ω = speed + drift − E of_target; ż is no ω, but for small z
         drift = law.log_rate(E, speed + drift - E.dot(of_target)) - speed + x_d_dot
-        J_dot = self._flange.jacobian_dot(q, v)[3:]
         return PredictedError(law.rotation_log(E), J, J_dot, x_d_dot, x_d_ddot, drift)
 
     def motion_sd(self, state: Array, q_0: Array) -> Callable[[Array], Array]:
@@ -430,12 +476,13 @@ class AdaptiveKinematics(Estimator):
         x = R(o + Hu) + b moves by RΔp, Δp = Δo + ΔHu, and by R ΔH δu + [φ]ₓRΔp more where u and R
         are off by δu and φ; an orientation by W = RΔR_fRᵀ, and by φ − Wφ more, whatever the tool's.
         """
-        P, u = self.report(state).covariance, self.learnt(state)[: self._n_theta]
+        P, u = self.report(state).covariance, self.learnt(state)[: self._n_theta].copy()
         R = self._estimator.estimate(state[self._at["sums"]])[1]
-        (H_0, o_0), n_p, spin = self._moved.at(q_0), self._n_p, len(state[self._at["R_spin"]])
+        (H_0, o_0), n_p = self._moved.at(q_0, u), self._n_p
+        spin = len(state[self._at["R_spin"]])
 
         def sd(q: Array) -> Array:
-            H, o = self._moved.at(q)
+            H, o = self._moved.at(q, u)
             both = np.column_stack([H - H_0, o - o_0 + (H - H_0).dot(u)])[self._rows]
             if self._is_turned:
                 both = (R @ both.reshape(-1, self._d, both.shape[1])).reshape(both.shape)
@@ -445,9 +492,12 @@ class AdaptiveKinematics(Estimator):
                 ways = both[:, -1].reshape(-1, self._d)
                 moved = np.einsum("sij,kj->kis", law.generators(self._d), ways)
                 J[:n_p, -spin:] = moved.reshape(n_p, spin)
-                if self._is_pose:
-                    W = R.dot(self._frame(q)).dot(self._frame(q_0).T).dot(R.T)
-                    J[n_p:, -spin:] = np.eye(3) - W
+            if self._is_pose:
+                (R_f, _, _, A), (R_0, _, _, A_0) = (self._turn(each, u) for each in (q, q_0))
+                W = R_f.dot(R_0.T)
+                J[n_p:, : len(u)] = R.dot(A - W.dot(A_0))
+                if spin:
+                    J[n_p:, -spin:] = np.eye(3) - R.dot(W).dot(R.T)
             return np.asarray(self._size * np.sqrt(np.maximum((J.dot(P) * J).sum(axis=1), 0.0)))
 
         return sd
@@ -516,15 +566,25 @@ def _axes(task: Task, points: list[tuple[str, str]], turns: bool) -> str:
 class _KnownRotation:
     """x = R(o + HΘ) with R known: recursive least squares with forgetting towards the prior.
 
-    Theorem A. Its numbers: Λ, as its upper triangle, and Θ̂ = (u, c).
+    Theorem A. Its numbers: P = Λ⁻¹, as its upper triangle; the share that waits to be forgotten;
+    and Θ̂ = (u, c).
     """
 
     def __init__(
-        self, Theta: Array, R: Array, sd: Array, sd_R: float, n_u: int, noise: float
+        self,
+        Theta: Array,
+        R: Array,
+        sd: Array,
+        sd_R: float,
+        n_u: int,
+        noise: float,
+        moved: Unknowns,
     ) -> None:
         self._first, self._R, self._d, self._n_u = Theta, R, len(R), n_u
         self._P = n = len(Theta)
-        self.prior, self._sd_R, self._weight = np.diag(sd**-2.0), sd_R, noise**-2.0
+        self._sd, self._sd_R, self._noise = sd, sd_R, noise
+        self._prior = np.diag(sd**-2.0)
+        self._moved, self._bends = moved, bool(moved.is_angle.any())
         self._is_turned = not np.array_equal(R, np.eye(self._d))
         rows, columns = np.triu_indices(n)
         self._upper, self._n = rows * n + columns, len(rows)
@@ -532,12 +592,20 @@ class _KnownRotation:
         self._where[rows, columns] = self._where[columns, rows] = np.arange(self._n)
         self.size = len(self.initial())
 
+    @property
+    def late(self) -> int:
+        """Place of the number of a delay."""
+        return self._n + self._n_u
+
     def _pack(self, matrix: Array) -> Array:
         return np.asanyarray(matrix.ravel()[self._upper])
 
+    def _unpack(self, numbers: Array) -> Array:
+        return np.asanyarray(numbers[self._where])
+
     def information(self, numbers: Array) -> Array:
         """Return Λ, shape (P, P)."""
-        return np.asanyarray(numbers[self._where])
+        return np.asarray(np.linalg.inv(self._unpack(numbers)))
 
     def initial(self) -> Array:
         """Return the numbers before the first frame, shape (size,)."""
@@ -551,8 +619,8 @@ class _KnownRotation:
     def are_numbers(self, numbers: Array) -> bool:
         """Return True if these are possible numbers of this estimator."""
         # forgetting goes towards the prior, so nothing is ever known less well
-        diagonal = self.information(numbers).diagonal()
-        return bool((diagonal > 0.99 * self.prior.diagonal()).all())
+        diagonal = self._unpack(numbers).diagonal()
+        return bool(((diagonal > 0.0) & (diagonal < 1.01 * self._sd**2)).all())
 
     def learn(self, numbers: Array, H: Array, o: Array, x: Array, share: Any) -> Array:
         """Return the numbers after a frame x (m,), and a share λT forgotten.
@@ -561,25 +629,36 @@ class _KnownRotation:
         """
         if self._is_turned:
             x = x.reshape(-1, self._d).dot(self._R).ravel()
-        N = law.forgotten_information(self.information(numbers), self.prior, share)
-        N, Theta = law.information(N, H, self._weight), numbers[self._n :]
-        Theta = Theta + law.correction(N, H, self._weight, x - o - H.dot(Theta))
-        return np.concatenate([self._pack(N), Theta])
+        P, share, Theta = self._unpack(numbers), numbers[self._n] + share, numbers[self._n + 1 :]
+        kept, is_due = (P,), share >= _SELDOM
+        (P,) = law.choose(
+            is_due, lambda: (law.forgotten(*kept, self._prior.diagonal(), share),), lambda: kept
+        )
+        K = law.gain(P, H, self._variance(P))
+        P = P - product(K, product(P, H.T).T)
+        Theta = Theta + K.dot(x - o - H.dot(Theta))
+        return np.concatenate([self._pack(P), [law.select(is_due, 0.0, share)], Theta])
+
+    def _variance(self, P: Array) -> Any:
+        """Return R of a frame [m²]: noise, and what is bent at the covariance P before it."""
+        if not self._bends:
+            return self._noise**2
+        return self._noise**2 + self._moved.bent(P.diagonal()[: len(self._moved.u)])
 
     def estimate(self, numbers: Array) -> tuple[Array, Array]:
         """Return Θ̂ in the base's axes, (P,), and R̂ of the base's axes in the sensor's, (d, d)."""
-        return numbers[self._n :].copy(), self._R
+        return numbers[self._n + 1 :].copy(), self._R
 
     def covariance(self, numbers: Array) -> Array:
         """Return the covariance of (u, b), and of φ with R ← exp([φ]ₓ)R where R is learnt."""
-        covariance, T = np.linalg.inv(self.information(numbers)), np.eye(self._P)
+        covariance, T = self._unpack(numbers), np.eye(self._P)
         if self._n_u < self._P:
             T[self._n_u :, self._n_u :] = self._R
         return np.asarray(T.dot(covariance).dot(T.T))
 
     def _about(self, Theta: Array, A: Array) -> Array:
         """Return the numbers of the prior alone, about these estimates, with A = Rᵀ."""
-        return np.concatenate([self._pack(self.prior), Theta])
+        return np.concatenate([self._pack(np.diag(self._sd**2)), [0.0], Theta])
 
 
 class _UnknownRotation(_KnownRotation):
@@ -593,13 +672,25 @@ class _UnknownRotation(_KnownRotation):
     estimated now, which leaves the estimate where it is.
     """
 
-    def __init__(
-        self, Theta: Array, R: Array, sd: Array, sd_R: float, n_u: int, noise: float
-    ) -> None:
-        super().__init__(Theta, R, sd, sd_R, n_u, noise)
+    @cached_property
+    def _parts(self) -> list[tuple[int, int]]:
         P, dd = self._P, self._d**2
-        self._parts = list(pairwise(np.cumsum([self._n, P, P * dd, dd, P, dd]).tolist()))
-        self._everywhere = law.rotations_everywhere(self._d).reshape(-1, dd)
+        return list(pairwise(np.cumsum([self._n, P, P * dd, dd, P, dd]).tolist()))
+
+    @cached_property
+    def _everywhere(self) -> Array:
+        return law.rotations_everywhere(self._d).reshape(-1, self._d**2)
+
+    @property
+    def late(self) -> int:
+        return self._parts[3][0] + self._n_u - 1
+
+    def information(self, numbers: Array) -> Array:
+        return self._unpack(numbers)
+
+    def are_numbers(self, numbers: Array) -> bool:
+        diagonal = self._unpack(numbers).diagonal()
+        return bool((diagonal > 0.99 * self._prior.diagonal()).all())
 
     def _split(self, numbers: Array) -> tuple[Array, Array, Array, Array, Array, Array]:
         a, B, E, Theta, A = (numbers[start:end] for start, end in self._parts)
@@ -607,10 +698,11 @@ class _UnknownRotation(_KnownRotation):
         return self.information(numbers), a, B, E, Theta, A
 
     def learn(self, numbers: Array, H: Array, o: Array, x: Array, share: Any) -> Array:
-        d, W = self._d, self._weight
+        d = self._d
         *_, Theta, A = self._split(numbers)
         numbers = numbers + share * (self._about(Theta, A) - numbers)
         N, a, B, E, _, A = self._split(numbers)
+        W = 1.0 / self._variance(inverse(N) if self._bends else N)
         HW = W * H.T
         upper = self._pack(N + HW.dot(H))
         a = a - HW.dot(o)
@@ -618,9 +710,9 @@ class _UnknownRotation(_KnownRotation):
         each = HW.reshape(len(a), -1, d).transpose(0, 2, 1).dot(seen)  # Σ Hᵀ x
         B = B + each.reshape(len(a), -1)
         E = E + (W * o.reshape(-1, d).T.dot(seen)).ravel()
-        solved, M, h = _reduced(self.information(upper), a, B, E)
+        found, M, h = _reduced(self.information(upper), a, B, E)
         w = self._rotation(M, h, A).ravel()
-        Theta = solved[:, 0] + solved[:, 1:].dot(w)
+        Theta = found[:, 0] + found[:, 1:].dot(w)
         return np.concatenate([upper, a, B.ravel(), E, Theta, w])
 
     def estimate(self, numbers: Array) -> tuple[Array, Array]:
@@ -630,13 +722,13 @@ class _UnknownRotation(_KnownRotation):
     def covariance(self, numbers: Array) -> Array:
         # that of the least squares: rotation first, all else given the rotation
         N, a, B, E, Theta, A = self._split(numbers)
-        solved, M, h = _reduced(N, a, B, E)
+        found, M, h = _reduced(N, a, B, E)
         known, axes = np.linalg.eigh(law.rotation_information(M, h, A))
         # of δ, with A ← exp([δ]ₓ)A; nothing is known less well than before
         of_delta = (axes / np.maximum(known, self._sd_R**-2.0)).dot(axes.T)
-        moved = np.concatenate([solved[:, 1:].dot(law.tangents(A)), np.eye(len(of_delta))])
+        moved = np.concatenate([found[:, 1:].dot(law.tangents(A)), np.eye(len(of_delta))])
         joint, n, P = moved.dot(of_delta).dot(moved.T), self._n_u, self._P
-        joint[:P, :P] += np.linalg.inv(N)
+        joint[:P, :P] += inverse(N)
         # b = Rc with R = Aᵀ ← R exp(−[δ]ₓ), and φ = −Rδ (−δ in the plane)
         c, R, T = Theta[n:], A.T, np.eye(len(joint))
         T[n:P, n:P] = R
@@ -658,19 +750,19 @@ class _UnknownRotation(_KnownRotation):
 
     def _about(self, Theta: Array, A: Array) -> Array:
         d, n = self._d, self._n_u
-        b, of_u = A.T.dot(Theta[n:]), self.prior.diagonal()[:n]
+        b, of_u = A.T.dot(Theta[n:]), self._prior.diagonal()[:n]
         a = np.append(of_u * Theta[:n], np.zeros(d))
-        B = np.eye(d)[:, :, np.newaxis] * (b * self.prior[n, n])
+        B = np.eye(d)[:, :, np.newaxis] * (b * self._prior[n, n])
         E = (0.5 / self._sd_R**2) * A.ravel()
-        parts = [self._pack(self.prior), a, np.zeros(n * d * d), B.ravel(), E, Theta, A.ravel()]
+        parts = [self._pack(self._prior), a, np.zeros(n * d * d), B.ravel(), E, Theta, A.ravel()]
         return np.concatenate(parts)
 
 
 def _reduced(N: Array, a: Array, B: Array, E: Array) -> tuple[Array, Array, Array]:
     """Return N⁻¹[a B], and M and h of what rotations alone have to maximise."""
-    solved = np.linalg.solve(N, np.concatenate([a[:, np.newaxis], B], axis=1))
-    M = B.T.dot(solved[:, 1:])
-    return solved, 0.5 * (M + M.T), B.T.dot(solved[:, 0]) + E
+    found = solved(N, np.concatenate([a[:, np.newaxis], B], axis=1))
+    M = B.T.dot(found[:, 1:])
+    return found, 0.5 * (M + M.T), B.T.dot(found[:, 0]) + E
 
 
 def _rotation_of(numbers: Array) -> Array:
