@@ -30,6 +30,7 @@ CONTROL = "tests/realtime/test_control.py"
 MONITOR = "tests/simulation/test_monitor.py"
 DRIVERS = "tests/realtime/test_drivers.py"
 GATE = "tests/controllers/test_gate.py"
+LEARNT = "tests/controllers/test_learnt_axes.py"
 INSTANTS = "tests/simulation/test_instants.py"
 
 # name, file, text that is there once, text instead, tests that must fail
@@ -999,8 +1000,69 @@ MUTANTS = [
     ),
     (
         "frame of the later configuration", "controllers/learning/estimator.py",
-        "moved(robot, begins, share * motion_between(robot, begins, ends))",
-        "moved(robot, begins, motion_between(robot, begins, ends))", GATE,
+        "moved(robot, begins, share * way)", "moved(robot, begins, way)", GATE,
+    ),
+    (
+        "second-order errors are no noise", "controllers/learning/estimator.py",
+        "return angles * (tools + self._reach**2 * angles) / 3.0", "return 0.0 * angles", LEARNT,
+    ),
+    (
+        "axes linear about the drawing", "controllers/learning/positions.py",
+        "H, known = self._moved.at(q, u[: self._n_theta])", "H, known = self._moved.at(q)", LEARNT,
+    ),
+    (
+        "encoders of which only the columns are known", "robots/kinematic_regressor.py",
+        "q[self._encoded_q] += theta[self._one]", "pass",
+        "tests/robots/test_kinematic_regressor.py",
+    ),
+    (
+        "rates of encoders", "robots/kinematic_regressor.py",
+        "speeds[self._encoded_v] += theta_dot[self._encoders]", "pass",
+        "tests/robots/test_kinematic_regressor.py",
+    ),
+    (
+        "tilts in the other order", "robots/kinematic_regressor.py",
+        "ways = zip((one, two, np.cross(one, two))", "ways = zip((two, one, np.cross(one, two))",
+        "tests/robots/test_kinematic_regressor.py",
+    ),
+    (
+        "x is early by its delay", "controllers/learning/estimator.py",
+        "then = taken - late", "then = taken + late", LEARNT,
+    ),
+    (
+        "turns of a late pose", "controllers/learning/positions.py",
+        "of_axes[:, late] = -np.cross(turn.J.dot(v), shown).ravel()",
+        "of_axes[:, late] = np.cross(turn.J.dot(v), shown).ravel()", LEARNT,
+    ),
+    (
+        "tilted axes do not turn a pose", "controllers/learning/positions.py",
+        "drift = R_f.dot(state[at[\"T_spin\"]]) + A.dot(u_dot)",
+        "drift = R_f.dot(state[at[\"T_spin\"]])", "tests/controllers/test_adaptive_pose.py",
+    ),
+    (
+        "what is forgotten is forgotten again", "controllers/learning/positions.py",
+        "[law.select(is_due, 0.0, share)]", "[share]",
+        "tests/controllers/test_adaptive_kinematics.py",
+    ),
+    (
+        "sweep without its sign", "law/factors.py",
+        "after = [-pivot, *scaled[1:]]", "after = [pivot, *scaled[1:]]",
+        "tests/codegen/test_graph.py",
+    ),
+    (
+        "what swaps joints in a stop is believed", "law/guard.py",
+        "path = selected(stops > 0, selected(known & near, way, before_gap), path)",
+        "path = selected(stops > 0, way, path)", "tests/controllers/test_guard.py",
+    ),
+    (
+        "a swing at first slows what is raised", "law/tracking.py",
+        "slower = rings & (damping > _RAISED * self.first)", "slower = rings",
+        "tests/law/test_raised_damping.py",
+    ),
+    (
+        "a swing counts twice", "law/tracking.py",
+        "np.where(rings, -_WAITS * self.half, np.where(over, 0.0, age + 1.0))",
+        "np.where(over, 0.0, age + 1.0)", "tests/law/test_raised_damping.py",
     ),
     (
         "covariance of a known tracker turned back", "controllers/learning/positions.py",

@@ -166,15 +166,16 @@ def test_a_known_tracker_is_theorem_a(belief, truth):
 
 
 @pytest.mark.parametrize("angle", [0.3, 3.0], ids=["near", "far"])
-@pytest.mark.parametrize("kind", ["unknown", "known", "believed"])
+@pytest.mark.parametrize("kind", ["unknown", "known", "believed", "axes"])
 def test_prediction_has_exact_derivatives(turned_run, belief, rng, kind, angle):
-    """With a tracker that is learnt, that is the base's axes, or that is believed elsewhere."""
+    """With a tracker that is learnt, that is the base's axes, or believed elsewhere; with axes."""
     kinematics, run = turned_run
     state, R = run.state.copy(), run.state[kinematics._at["R"]].reshape(3, 3)
     turned = kind == "unknown"
     if not turned:
         turn = TURN if kind == "believed" else np.zeros(3)
-        kinematics = AdaptiveKinematics(PoseTrackerTask(belief, turn), ("tool", "origins"))
+        kinds = ("tool", "origins", *(["axes", "delay"] if kind == "axes" else []))
+        kinematics = AdaptiveKinematics(PoseTrackerTask(belief, turn), kinds)
         state = kinematics.initial_state(aj.Measurement(0.0, HOME, np.zeros(7), np.arange(7.0)))
         R = rotation_exp(turn)
     at = kinematics._at
@@ -186,7 +187,7 @@ def test_prediction_has_exact_derivatives(turned_run, belief, rng, kind, angle):
     def rotation(part, name, s):
         return rotation_exp(s * state[at[name]]) @ state[at[part]].reshape(3, 3)
 
-    R_f = aj.PoseTask(belief)._frame.placement(q)[0]
+    R_f = kinematics._frame(q, state[at["u"]])
     R_x = R @ R_f @ rotation("T", "T_spin", 0.0)
     R_d = rotation_exp(angle * way / np.linalg.norm(way)) @ R_x
 

@@ -154,6 +154,17 @@ def test_a_wrong_stamp_is_learnt(stamped):
     assert np.median(arm.elsewhere(kinematics, state)[0]) < 0.4e-3
 
 
+def test_a_wrong_stamp_of_poses_is_learnt():
+    """Of orientations, as the noise of positions says nothing."""
+    arm = Arm("z1", 32)
+    kinematics = AdaptiveKinematics(
+        aj.PoseTask(arm.believed), (*AXES, "delay"), noise=0.05, angle_noise=2e-3, dt=DT
+    )
+    state = arm.followed(kinematics, 15.0, noise=0.05, angle_noise=2e-3, stamped=0.01)
+    late = kinematics.learnt(state)[kinematics.names.index("delay")]
+    assert late == pytest.approx(0.01, abs=2e-3)
+
+
 def test_theorem_a_holds_with_what_is_not_linear(rng):
     """V⁺ = V⁻ − ½εᵀS⁻¹ε + ½rᵀWr, r what is left of x by H about Θ̂: of an arm with real errors."""
     arm, noise = Arm("panda", 41), 1e-3
