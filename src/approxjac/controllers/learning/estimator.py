@@ -2,7 +2,7 @@
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,6 @@ from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement, Status, Target
 from approxjac.law import PredictedError
 from approxjac.robots import KinematicRegressor, Robot
-from approxjac.robots.kinematic_regressor import PointMotion
 from approxjac.robots.traced import motion_between, moved
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import combination
@@ -426,74 +425,6 @@ def _time(measurement: Measurement) -> float:
     """Return the time of a measurement [s]; raise an error without it, as learning needs it."""
     name, most = "t of a measurement", _FOREVER
     return as_number(name, measurement.t, unit="s", minimum=-most, most=most)
-
-
-class Unknowns:
-    """p(q, u), with u the numbers of a regressor that are learnt.
-
-    Args:
-        regressor: With axes if these are among the kinds.
-        kinds: Some of "tool", "origins" and "axes", which are tilts and encoders.
-        sds: Plausible errors by kind, with "encoders" beside them.
-
-    Attributes:
-        names: Names of u, in `units`.
-        u: Their believed values, shape (n_u,), and `sd` their plausible errors.
-        is_tool, is_angle: What of u is which, shape (n_u,).
-    """
-
-    def __init__(
-        self, regressor: KinematicRegressor, kinds: Collection[str], sds: Mapping[str, float]
-    ) -> None:
-        ends = regressor.n_lengths - 3 * len(regressor.frames)
-        of = ["origins"] * ends + ["tool"] * (regressor.n_lengths - ends)
-        angles = regressor.names[regressor.n_lengths :]
-        of += ["encoders" if name.endswith(".encoder") else "axes" for name in angles]
-        learnt = {*kinds, *(("encoders",) if "axes" in kinds else ())}
-        self._chosen = np.array([i for i, each in enumerate(of) if each in learnt], dtype=int)
-        self._regressor, chosen = regressor, [of[i] for i in self._chosen]
-        self.is_tool = np.array([each == "tool" for each in chosen], dtype=bool)
-        self.is_angle = self._chosen >= regressor.n_lengths
-        self.sd = np.array([sds[each] for each in chosen])
-        self.names = [regressor.names[i] for i in self._chosen]
-        self.units = [regressor.units[i] for i in self._chosen]
-        self.u = regressor.theta[self._chosen]
-        self._S = np.eye(regressor.p)[:, self._chosen]
-        self._known = regressor.theta - self._S.dot(self.u)
-        reaches = (regressor.robot.reach_bound(frame)[1] for frame in regressor.frames)
-        self._reach = max(reaches) if self.is_angle.any() else 0.0
-
-    def at(self, q: Array, u: Array | None = None) -> tuple[Array, Array]:
-        """Return H(q) = ∂p/∂u, shape (3k, n_u), and o = p − Hu, (3k,), at u or what is believed."""
-        theta = self._regressor.theta if u is None else self.theta(u)
-        Y, known = self._regressor.linear(q, theta)
-        return Y[:, self._chosen], known + Y.dot(self._known)
-
-    def theta(self, u: Array) -> Array:
-        """Return all numbers of the regressor, learnt and known; (p,)."""
-        return np.asanyarray(self._known + self._spread(u))
-
-    def motion(self, q: Array, v: Array, u: Array, u_dot: Array) -> PointMotion:
-        """Return the points and their derivatives at q and q̇, with u and u' (n_u,)."""
-        return self._regressor.motion(q, v, self.theta(u), self._spread(u_dot))
-
-    def turn(self, q: Array, u: Array, v: Array | None = None, u_dot: Array | None = None) -> Any:
-        """Return the orientation of the frame, and its derivatives of which A is by u (3, n_u)."""
-        v = np.zeros(self._regressor.robot.nv) if v is None else v
-        u_dot = np.zeros(len(self.u)) if u_dot is None else u_dot
-        turn = self._regressor.turn(q, v, self.theta(u), self._spread(u_dot))
-        return turn._replace(A=turn.A[:, self._chosen])
-
-    def bent(self, variances: Array) -> Any:
-        """Return the variance [m²] of what is of second order in u, by the variances of u (n_u,).
-
-        It is about tr P_angles(tr P_tool + L² tr P_angles)/3, L the arm's reach.
-        """
-        angles, tools = (variances[which].sum() for which in (self.is_angle, self.is_tool))
-        return angles * (tools + self._reach**2 * angles) / 3.0
-
-    def _spread(self, u: Array) -> Array:
-        return u if len(u) == len(self._S) else np.asanyarray(self._S.dot(u))
 
 
 def motion_of_points(

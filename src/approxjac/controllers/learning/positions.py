@@ -11,12 +11,13 @@ import numpy as np
 from approxjac import law
 from approxjac.cameras import PlanarCamera
 from approxjac.controllers.arguments import chosen_deviations, chosen_kinds, is_rotation
-from approxjac.controllers.learning.estimator import Estimator, Unknowns, motion_of_points
+from approxjac.controllers.learning.estimator import Estimator, motion_of_points
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement, Target
 from approxjac.law import PredictedError
 from approxjac.law.factors import inverse, product, solved
 from approxjac.robots import KinematicRegressor, Robot
+from approxjac.robots.kinematic_regressor import Unknowns
 from approxjac.tasks import (
     ImageTask,
     PoseTask,

@@ -1,0 +1,7 @@
+"""An arm as it is, from recordings of it."""
+
+from approxjac.calibration.calibrate import Calibration as Calibration
+from approxjac.calibration.calibrate import PlaceSpread as PlaceSpread
+from approxjac.calibration.calibrate import calibrate as calibrate
+from approxjac.calibration.configurations import next_configurations as next_configurations
+from approxjac.calibration.recording import Recording as Recording

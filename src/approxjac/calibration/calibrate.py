@@ -1,0 +1,243 @@
+"""`calibrate`: an arm as it is, from recordings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from approxjac.calibration.fit import TRACKER, Fit, Fitted, Samples
+from approxjac.calibration.recording import Recording
+from approxjac.controllers.arguments import chosen_deviations, chosen_kinds
+from approxjac.errors import InvalidInputError
+from approxjac.formatting import aligned
+from approxjac.law import rotation_log
+from approxjac.robots import KinematicRegressor, Robot
+from approxjac.robots.kinematic_regressor import Unknowns
+from approxjac.validation import Array, as_number, require
+
+KINDS = ("tool", "origins", "axes")
+USUAL_SD: Mapping[str, float] = {"tool": 0.2, "origins": 1e-3, "axes": 3e-3, "encoders": 0.015}
+_SCALES = (0.1, 0.3, 1.0, 3.0)  # of what is usual
+_EXPLAINED = 1e-3  # m, that are left at most
+_OUTLIER = 5.0  # standard deviations
+_PARTS, _LEAST = 5, 10  # of one place, that are left out in turn; samples at least
+
+
+class PlaceSpread(NamedTuple):
+    """How well the arm is known at one place: rms of what is left there [m].
+
+    Of sockets it is the distance from their mean, of a tracker that from what it saw.
+
+    Attributes:
+        place: Its name.
+        samples: Number of them.
+        drawing: By the drawing, with the tool that fits all others best.
+        left: By the calibration, which knows this place.
+        held_out: By one that does not; NaN where there is nothing else.
+    """
+
+    place: str
+    samples: int
+    drawing: float
+    left: float
+    held_out: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Calibration:
+    """What recordings tell of an arm; see `calibrate`.
+
+    Attributes:
+        robot: The arm as it is: with all that was learnt or, if that is no better at places that
+            were left out, with the tool only.
+        names: Names of the numbers, such as "panda_joint4.x" or "panda_joint4.encoder".
+        units: Their units, "m" or "rad".
+        believed: Their values in the drawing, shape (p,).
+        learnt: Their values now, shape (p,).
+        covariance: Their covariance, shape (p, p).
+        share: How far the recordings tell each, from 0 to 1, shape (p,).
+        scale: How large errors of the drawing are, as a multiple of what is usual.
+        noise: Robust standard deviations of what is left of positions [m] and turns [rad], (2,).
+        places: How well the arm is known, place by place.
+        outliers: Rows far from all others, which weigh less.
+        is_better: False if the drawing with a fitted tool is as good at places that were left out.
+        is_explained: False if more than a millimetre is left: something else is wrong, too.
+    """
+
+    robot: Robot
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    believed: Array
+    learnt: Array
+    covariance: Array
+    share: Array
+    scale: float
+    noise: Array
+    places: tuple[PlaceSpread, ...]
+    outliers: tuple[str, ...]
+    is_better: bool
+    is_explained: bool
+
+    @property
+    def sd(self) -> Array:
+        """Standard deviations of what was learnt, shape (p,)."""
+        return np.sqrt(self.covariance.diagonal())
+
+    @property
+    def held_out(self) -> float:
+        """What is left where a place was left out [m], rms over the places; NaN for one."""
+        return _rms([each.held_out for each in self.places])
+
+    @property
+    def verdict(self) -> str:
+        """What was found, in a sentence."""
+        left, drawing = math.sqrt(3.0) * self.noise[0], _rms([each.drawing for each in self.places])
+        if not self.is_explained:
+            return (
+                f"not explained: {_mm(left)} are left even where it was fitted, as of backlash or "
+                "of something that bends"
+            )
+        if math.isnan(self.held_out):
+            return f"{_mm(left)} are left; record a second place to see how far that holds"
+        if not self.is_better:
+            return f"no better than the drawing where it was not fitted: {_mm(drawing)} are left"
+        return (
+            f"{_mm(self.held_out)} are left where it was not fitted, {_mm(drawing)} by the drawing"
+        )
+
+    def __str__(self) -> str:
+        table: list[tuple[str, ...]] = [("place", "samples", "drawing", "fitted", "left out")]
+        table += [(each.place, f"{each.samples}", *map(_mm, each[2:])) for each in self.places]
+        numbers: list[tuple[str, ...]] = [("number", "drawing", "learnt", "sd", "told")]
+        columns = zip(
+            self.names, self.units, self.believed, self.learnt, self.sd, self.share, strict=True
+        )
+        for name, unit, believed, learnt, sd, share in columns:
+            sizes = (f"{1e3 * each:.2f} m{unit}" for each in (believed, learnt, sd))
+            numbers.append((name, *sizes, f"{100.0 * share:.0f} %"))
+        parts = [f"{self.robot.name}: {self.verdict}", aligned(table), aligned(numbers)]
+        if self.outliers:
+            parts.append(f"far from all others: {', '.join(self.outliers)}")
+        return "\n\n".join(parts)
+
+
+def calibrate(
+    arm: Robot,
+    recordings: Sequence[Recording] | Recording,
+    unknown: Sequence[str] = KINDS,
+    sd: Mapping[str, float] | None = None,
+    apart: Mapping[tuple[str, str], float] | None = None,
+    frame: str | None = None,
+) -> Calibration:
+    """Return an arm as recordings show it: tool, joint origins, axes and encoders.
+
+    Samples that do not fit weigh less (Huber). How large errors of the drawing are is chosen by the
+    evidence. Each place is left out once, or of one place each fifth of its rows: what is left
+    there is how well the arm is known where it was not measured.
+
+    Args:
+        arm: The arm as it is drawn.
+        recordings: What was recorded of it.
+        unknown: What may be wrong: "tool", "origins" and "axes", which are tilts of joint axes and
+            offsets of encoders.
+        sd: Usual errors of a drawing: "tool" and "origins" [m], "axes" and "encoders" [rad]; by
+            default 0.2, 0.001, 0.003 and 0.015, as of five Pandas.
+        apart: Distances between sockets that are known [m], by pairs of "place socket".
+        frame: The frame that was held or seen; by default the arm's tip.
+
+    Raises:
+        InvalidInputError: Recordings of other arms, fewer than ten rows, or an unknown socket.
+        UnknownNameError: No such frame.
+    """
+    arm = require("arm", arm, Robot, "a Robot")
+    given = [recordings] if isinstance(recordings, Recording) else [*recordings]
+    for each in given:
+        require("recordings", each, Recording, "Recordings")
+    samples = Samples.of([each.of(arm) for each in given])
+    if len(samples.q) < _LEAST:
+        message = f"recordings must have at least {_LEAST} rows, got {len(samples.q)}"
+        raise InvalidInputError(message, given=recordings)
+    kinds = chosen_kinds(unknown, KINDS)
+    used = {*kinds, *(("encoders",) if "axes" in kinds else ())}
+    regressor = KinematicRegressor(arm, frame, axes="axes" in kinds)
+    unknowns = Unknowns(regressor, kinds, chosen_deviations(sd, USUAL_SD, used))
+    tool = Unknowns(regressor, ("tool",), {"tool": unknowns.sd[unknowns.is_tool].max(initial=0.2)})
+    lengths = _distances(apart or {}, samples)
+
+    fits = {scale: Fit(unknowns, samples, lengths, scale).solved() for scale in _SCALES}
+    scale = max(fits, key=lambda each: fits[each].evidence)
+    best, places = fits[scale], list[PlaceSpread]()
+    drawn = Fit(tool, samples, lengths, 1.0).solved()
+    for place, is_here in _left_out(samples).items():
+        here, others = samples.chosen(is_here), samples.chosen(np.logical_not(is_here))
+        known, held_out = drawn, math.nan
+        if len(others.q) >= _LEAST:
+            known = Fit(tool, others, lengths, 1.0).solved()
+            held_out = _spread(unknowns, Fit(unknowns, others, lengths, scale).solved(), here)
+        spreads = _spread(tool, known, here), _spread(unknowns, best, here), held_out
+        places.append(PlaceSpread(place, len(here.q), *spreads))
+    left, drawing = _rms([p.held_out for p in places]), _rms([p.drawing for p in places])
+    is_better = not left >= drawing
+    chosen, fitted = (unknowns, best) if is_better else (tool, drawn)
+    far = np.linalg.norm(best.left[:, :3], axis=1) > _OUTLIER * best.noise[0]
+    prior = unknowns.sd * np.where(unknowns.is_tool, 1.0, scale)
+    is_turned = any(each is not None for each in samples.turn)
+    turn = rotation_log(fitted.sensor[2]) if is_turned else None
+    return Calibration(
+        regressor.robot_with(chosen.theta(fitted.u), turn),
+        tuple(unknowns.names), tuple(unknowns.units), unknowns.u, best.u, best.P,
+        np.clip(1.0 - best.P.diagonal() / prior**2, 0.0, 1.0), scale, best.noise, tuple(places),
+        tuple(samples.chosen(far).row), is_better, math.sqrt(3.0) * best.noise[0] < _EXPLAINED,
+    )  # fmt: skip
+
+
+def _distances(
+    apart: Mapping[tuple[str, str], float], samples: Samples
+) -> dict[tuple[str, str], float]:
+    sockets = {*samples.frame} - {TRACKER}
+    for pair in apart:
+        if unseen := [name for name in pair if name not in sockets]:
+            known = ", ".join(sorted(sockets)) or "none"
+            message = f"apart must name sockets, {known}, got {', '.join(unseen)}"
+            raise InvalidInputError(message, given=apart)
+    return {
+        pair: as_number("distance of sockets", each, unit="m", above=0.0)
+        for pair, each in apart.items()
+    }
+
+
+def _left_out(samples: Samples) -> dict[str, Array]:
+    """Return what is left out together: rows of a place, or every fifth of one place alone."""
+    places = np.array(samples.place)
+    names = list(dict.fromkeys(samples.place))
+    if len(names) > 1:
+        return {name: places == name for name in names}
+    part = np.arange(len(places)) % _PARTS
+    return {f"{names[0]} {k + 1}/{_PARTS}".strip(): part == k for k in range(_PARTS)}
+
+
+def _spread(unknowns: Unknowns, fitted: Fitted, samples: Samples) -> float:
+    """Return the rms of distances of samples from the mean of their socket, or from x [m]."""
+    R, b, _ = fitted.sensor
+    found: dict[str, list[Array]] = {}
+    for q, x, frame in zip(samples.q, samples.x, samples.frame, strict=True):
+        H, o = unknowns.at(q, fitted.u)
+        p = o + H @ fitted.u
+        found.setdefault(frame, []).append(p if x is None else R @ p + b - x)
+    away = [
+        np.subtract(points, 0.0 if frame == TRACKER else np.mean(points, axis=0))
+        for frame, points in found.items()
+    ]
+    return float(np.sqrt(np.mean(np.sum(np.concatenate(away) ** 2, axis=1))))
+
+
+def _rms(values: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _mm(length: float) -> str:
+    return "–" if math.isnan(length) else f"{1e3 * length:.2f} mm"

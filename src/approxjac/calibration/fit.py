@@ -1,0 +1,236 @@
+"""Least squares over recordings: numbers of the arm, and places and trackers nobody measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac import law
+from approxjac.calibration.recording import Recording
+from approxjac.robots.kinematic_regressor import Unknowns
+from approxjac.validation import Array
+
+TRACKER = "tracker"
+_STEPS = 40  # of Gauss and Newton at most
+_NEAR, _SETTLED = 0.3, 1e-3  # steps near the end, and the last, in standard deviations
+_FARTHEST = 8.0  # standard deviations, from which on a sample has no part
+_MEDIAN = 1.538  # of the length of three normal numbers
+_FIRST = 0.01  # m and rad, of what is left at first
+_APART = 1e-4  # sd of a distance that is known [m]
+_LEAST = 1e-6  # noise [m or rad]
+_WEAK = 1.0  # 1/m² or 1/rad², of what is known of places and trackers: as good as nothing
+
+
+class Samples(NamedTuple):
+    """Rows of recordings, column by column."""
+
+    q: list[Array]
+    x: list[Array | None]  # where a tracker saw the tip
+    turn: list[Array | None]  # and how it was turned, (3, 3)
+    frame: list[str]  # the tracker, or the name of the socket with that of its place
+    place: list[str]
+    row: list[str]  # what it is called
+
+    @classmethod
+    def of(cls, recordings: Sequence[Recording]) -> Samples:
+        """Return all rows; sockets of one name at one place are one, and there is one tracker."""
+        samples = cls([], [], [], [], [], [])
+        for each in recordings:
+            for i, (q, socket, place) in enumerate(
+                zip(each.q, each.socket, each.place, strict=True)
+            ):
+                samples.q.append(q)
+                samples.x.append(None if each.x is None else each.x[i])
+                turn = None if each.quaternion is None else pin.Quaternion(each.quaternion[i])
+                samples.turn.append(None if turn is None else turn.normalized().matrix())
+                frame = f"{place} {socket}".strip() if each.x is None else TRACKER
+                samples.frame.append(frame)
+                samples.place.append(place)
+                samples.row.append(f"{frame} row {i + 1}")
+        return samples
+
+    def chosen(self, which: Sequence[bool] | Array) -> Samples:
+        """Return some of them."""
+        columns: Any = self
+        return Samples(*(
+            [each for each, is_in in zip(column, which, strict=True) if is_in] for column in columns
+        ))  # fmt: skip
+
+
+class Fitted(NamedTuple):
+    """What explains some samples best.
+
+    Attributes:
+        u: Numbers of the arm, shape (n_u,).
+        P: Their covariance, shape (n_u, n_u).
+        noise: Robust standard deviations of what is left of positions [m] and of turns [rad].
+        left: What is left of each sample, shape (N, 6), NaN where nothing was measured.
+        evidence: Logarithm of the evidence.
+        sensor: R and b of the tracker, and T, by which the tip is turned from the frame.
+    """
+
+    u: Array
+    P: Array
+    noise: Array
+    left: Array
+    evidence: float
+    sensor: tuple[Array, Array, Array]
+
+
+class Fit:
+    """Gauss and Newton's method, with a prior, and weights by what is left.
+
+    Of a socket r = p(q, u) − c; of a tracker r = R p(q, u) + b − x and, of an orientation,
+    log(R R_f(q, u) T R_xᵀ). Unknown are u, each c, and R, b and T.
+
+    Args:
+        unknowns: The numbers of the arm, with what is usual.
+        samples: What was recorded.
+        apart: Distances between sockets that are known [m].
+        scale: How large errors of the drawing are, as a multiple of what is usual.
+    """
+
+    def __init__(
+        self,
+        unknowns: Unknowns,
+        samples: Samples,
+        apart: Mapping[tuple[str, str], float],
+        scale: float,
+    ) -> None:
+        self.unknowns, self.samples = unknowns, samples
+        self.sd = unknowns.sd * np.where(unknowns.is_tool, 1.0, scale)
+        n, frames = len(unknowns.u), list(dict.fromkeys(samples.frame))
+        sockets = [name for name in frames if name != TRACKER]
+        self._n, self._of_socket = n, {name: n + 3 * i for i, name in enumerate(sockets)}
+        self._of_sensor = n + 3 * len(sockets)  # R, b and T
+        self._size = self._of_sensor + 3 * (2 * (TRACKER in frames) + any(self._is_turned))
+        self.apart = {
+            pair: distance for pair, distance in apart.items() if {*pair} <= {*self._of_socket}
+        }
+        self._u, self._c = unknowns.u.copy(), dict[str, Array]()
+        self._R, self._b, self._T = np.eye(3), np.zeros(3), np.eye(3)
+
+    @property
+    def _is_turned(self) -> list[bool]:
+        return [turn is not None for turn in self.samples.turn]
+
+    def solved(self) -> Fitted:
+        """Return what fits best."""
+        noise, n = np.full(2, _FIRST), self._n
+        self._place()
+        is_near = False
+        for _ in range(_STEPS):
+            left, J = self._residuals()
+            noise, weights = _weighed(left, noise, is_near)
+            rows, w = np.isfinite(left), np.repeat(weights / noise**2, 3, axis=1)
+            r, w, J = left[rows], w[rows], J[rows]
+            A, g = J.T @ (w[:, np.newaxis] * J), J.T @ (w * r)
+            for (one, other), distance in self.apart.items():
+                self._hold(A, g, one, other, distance)
+            known = np.append(self.sd**-2.0, np.full(self._size - n, _WEAK))
+            np.einsum("ii->i", A)[:] += known
+            g[:n] += known[:n] * (self._u - self.unknowns.u)
+            P: Array = np.asarray(np.linalg.inv(A))
+            step = -P.dot(g)
+            self._move(step)
+            size = float(np.abs(step / np.sqrt(P.diagonal())).max())
+            if is_near and size < _SETTLED:
+                break
+            is_near |= size < _NEAR
+        away = (self._u - self.unknowns.u) / self.sd
+        cost = float(w @ r**2 + away @ away - np.log(np.maximum(w, _LEAST)).sum())
+        spread = float(np.linalg.slogdet(A)[1] + 2.0 * np.log(self.sd).sum())
+        sensor = self._R, self._b, self._T
+        left, _ = self._residuals()
+        return Fitted(self._u, P[:n, :n], noise, left, -0.5 * (cost + spread), sensor)
+
+    def _residuals(self) -> tuple[Array, Array]:
+        """Return r (N, 6), NaN where nothing was measured, and its derivatives (N, 6, size)."""
+        samples, n, u, R = self.samples, self._n, self._u, self._R
+        left = np.full((len(samples.q), 6), np.nan)
+        J, at = np.zeros((*left.shape, self._size)), self._of_sensor
+        for i, (q, x, turn, frame, *_) in enumerate(zip(*samples, strict=True)):
+            H, o = self.unknowns.at(q, u)
+            p = o + H @ u
+            if x is None:
+                where = self._of_socket[frame]
+                left[i, :3], J[i, :3, :n] = p - self._c[frame], H
+                J[i, :3, where : where + 3] = -np.eye(3)
+                continue
+            p = R @ p
+            left[i, :3], J[i, :3, :n] = p + self._b - x, R @ H
+            J[i, :3, at : at + 3], J[i, :3, at + 3 : at + 6] = -law.cross_matrix(p), np.eye(3)
+            if turn is not None:
+                R_f, _, _, of_u = self.unknowns.turn(q, u)
+                seen = R @ R_f @ self._T
+                left[i, 3:], J[i, 3:, :n] = law.rotation_log(seen @ turn.T), R @ of_u
+                J[i, 3:, at : at + 3], J[i, 3:, at + 6 : at + 9] = np.eye(3), seen
+        return left, J
+
+    def _move(self, step: Array) -> None:
+        self._u = self._u + step[: self._n]
+        for name, i in self._of_socket.items():
+            self._c[name] = self._c[name] + step[i : i + 3]
+        given = step[self._of_sensor :].reshape(-1, 3)
+        turn, shift, tool = (*given, *np.zeros((3 - len(given), 3)))
+        self._R, self._b = law.rotation_exp(turn) @ self._R, self._b + shift
+        self._T = self._T @ law.rotation_exp(tool)
+
+    def _hold(self, A: Array, g: Array, one: str, other: str, distance: float) -> None:
+        """Add a known distance between two sockets to the normal equations, in place."""
+        way = self._c[one] - self._c[other]
+        size = max(float(np.linalg.norm(way)), _LEAST)
+        row = np.zeros(self._size)
+        for name, sign in ((one, 1.0), (other, -1.0)):
+            at = self._of_socket[name]
+            row[at : at + 3] = sign * way / size
+        A += np.outer(row, row) / _APART**2
+        g += row * ((size - distance) / _APART**2)
+
+    def _place(self) -> None:
+        """Set places and the tracker as the believed arm has them."""
+        samples, u = self.samples, self._u
+        p = [o + H @ u for H, o in (self.unknowns.at(q, u) for q in samples.q)]
+        points = np.array(p)
+        for name in self._of_socket:
+            self._c[name] = np.median(points[[frame == name for frame in samples.frame]], axis=0)
+        seen = np.array([x is not None for x in samples.x])
+        if not seen.any():
+            return
+        x, points = np.array([each for each in samples.x if each is not None]), points[seen]
+        turned = [
+            (self.unknowns.turn(q, u).R, turn)
+            for q, turn in zip(samples.q, samples.turn, strict=True) if turn is not None
+        ]  # fmt: skip
+        if turned:  # R_i R_jᵀ of the tracker is R (R_i R_jᵀ) Rᵀ of the arm, whatever the tool's T
+            (first, shown), *others = turned
+            ways = [
+                (law.rotation_log(each @ first.T), law.rotation_log(turn @ shown.T))
+                for each, turn in others
+            ]
+            self._R = law.nearest_rotation(np.sum([np.outer(b, a) for a, b in ways], axis=0))
+            tools = [(self._R @ each).T @ turn for each, turn in turned]
+            self._T = law.nearest_rotation(np.sum(tools, axis=0))
+        else:  # Kabsch
+            away = points - points.mean(axis=0)
+            self._R = law.nearest_rotation((x - x.mean(axis=0)).T @ away)
+        self._b = x.mean(axis=0) - self._R @ points.mean(axis=0)
+
+
+def _weighed(left: Array, before: Array, is_near: bool) -> tuple[Array, Array]:
+    """Return robust standard deviations of positions and turns, and weights of samples, (N, 2).
+
+    Those of Huber, and near the end those of Tukey, by which what is far has no part at all.
+    """
+    sizes = np.linalg.norm(left.reshape(-1, 2, 3), axis=2)
+    noise = before.copy()
+    for i, size in enumerate(sizes.T):
+        if (seen := np.isfinite(size)).any():
+            noise[i] = max(float(np.median(size[seen])) / _MEDIAN, _LEAST)
+    share = np.nan_to_num(sizes) / (_FARTHEST * noise)
+    if is_near:
+        return noise, np.maximum(1.0 - share**2, 0.0) ** 2
+    return noise, np.minimum(1.0, 0.5 / np.maximum(share, _LEAST))
