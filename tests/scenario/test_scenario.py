@@ -248,13 +248,14 @@ def test_limits_hold_where_a_rigid_joint_is_late(name, seed):
 
 
 @pytest.mark.study
-def test_limits_of_speed_do_not_make_elastic_joints_swing():
+@pytest.mark.parametrize("seed", [601, 604, 606])
+def test_limits_of_speed_do_not_make_elastic_joints_swing(seed):
     """Braked as hard as the lag of q̇ alone allows, links get to 2.4 times their limits."""
-    run = {"start": "random", "duration": 3.0, "seed": 601}
+    run = {"start": "random", "duration": 3.0, "seed": seed}
     result = run_scenario(Scenario("kinova", controller={"limits": "urdf"}, run=run))
     assert result.built.plant.transmission.is_elastic
     fastest = np.abs(result.run.v).max(axis=0) / result.built.plant.robot.velocity_limits
-    assert 0.9 < fastest.max() < 1.15
+    assert 0.9 < fastest.max() < 1.1
 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.study)])

@@ -31,7 +31,7 @@ _EXCEEDED = LimitStatus.EXCEEDED
 _GOES_ON = _FREE, _KEPT, _EXCEEDED  # V̇ ≤ −W holds
 _LEARNS = Status.OK, Status.NEAR_SINGULAR  # of the law, where there is something to learn from
 _UNKNOWN, _KNOWN = 0.1, 0.3  # times the rate of samples, or of the lag: how fast damping may be
-_ELASTIC = 40.0  # [1/s], at most where joints may be elastic: 80 made a Kinova's gears swing
+_ELASTIC = 20.0  # [1/s], at most where joints may be elastic: 40 made a Kinova's gears swing
 _BEYOND = 1e-3  # a limit of speed (as a share) or position [rad or m], which has a status
 _AT_LIMIT = 0.02  # a joint this near to its position limit counts as at it [rad or m]
 _NEARLY = 0.98  # of a limit of torque or speed
@@ -170,7 +170,7 @@ class TorqueLimited(ControllerWrapper):
         proof: True to include the row yᵀ(τ − τ*) ≤ σ.
         dt: Sampling time [s]; by default that of the controller, else of its latency, else 1 ms.
         braking: Largest rate of damping and of `AccelerationObserver`'s correction [1/s], at most
-            1/dt. By default 0.3 over the lag of q̇ if the law knows its latency, at most 40 1/s if
+            1/dt. By default 0.3 over the lag of q̇ if the law knows its latency, at most 20 1/s if
             its joints are elastic; else that of the law's own joint damping, from 0.1/dt to 0.3/dt;
             0.1/dt with a limit of the torque rate.
         solver: A function that takes a `QuadraticProgram` and returns its minimum; DAQP by
