@@ -1060,6 +1060,11 @@ MUTANTS = [
         "tests/law/test_raised_damping.py",
     ),
     (
+        "a swing counts twice", "law/tracking.py",
+        "np.where(rings, -_WAITS * self.half, np.where(over, 0.0, age + 1.0))",
+        "np.where(over, 0.0, age + 1.0)", "tests/law/test_raised_damping.py",
+    ),
+    (
         "covariance of a known tracker turned back", "controllers/learning/positions.py",
         "            T[self._n_u :, self._n_u :] = self._R\n",
         "            T[self._n_u :, self._n_u :] = self._R.T\n", GATE,

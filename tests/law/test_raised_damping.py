@@ -77,6 +77,18 @@ def test_a_swing_near_the_damping_at_first_does_not_slow_what_follows():
     assert memory[0] > 0.3  # a second later
 
 
+@pytest.mark.parametrize("times", [1.0, 2.0, 3.0])
+@pytest.mark.parametrize("growth", [20.0, 40.0])
+def test_a_swing_that_dies_once_it_is_halved_is_halved_once(times, growth):
+    watch, memory, size, lowered = (each := raised(1)), each.start(np.zeros(1)), 1e-4, 0
+    for now in DT * np.arange(2500):
+        before = memory[0]
+        size *= np.exp(DT * (0.0 if now < 0.8 else -growth if lowered else growth))
+        memory, _ = watch.step(memory, np.array([size * np.sin(times * OMEGA * now)]))
+        lowered += memory[0] < before
+    assert lowered == 1
+
+
 def test_neither_motion_nor_what_dies_away_nor_noise_lowers_it(rng):
     t = DT * np.arange(5000)[:, None]
     motion = np.sin(2.0 * np.pi * rng.uniform(0.2, 3.0, 20) * t + rng.uniform(0.0, 6.0, 20))

@@ -361,6 +361,7 @@ _TONE, _STEP = 0.6, 0.25  # of the tone of a step to and fro each period, and of
 _RISE, _SLOWER, _LEAVES = 0.5, 0.25, 0.5  # time to rise by e [s]; rate and damping after a swing
 _SLOWEST_RISE = 0.02  # rate [1/s]
 _RAISED = 1.3  # times the first damping, from which on a swing tells of what was raised
+_WAITS = 4.0  # half swings at ω₉₀ without another, as the mean lags
 
 
 class RaisedDamping(NamedTuple):
@@ -450,7 +451,7 @@ class RaisedDamping(NamedTuple):
             energy,
             np.where(over, energy, np.maximum(most, energy)),
             np.where(over, 0.0, swings),
-            np.where(over, 0.0, age + 1.0),
+            np.where(rings, -_WAITS * self.half, np.where(over, 0.0, age + 1.0)),
             np.maximum(usual, self.least / _OUTSTANDS),
             v,
             count,
