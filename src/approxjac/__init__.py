@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from approxjac import realtime as realtime
     from approxjac import stability as stability
     from approxjac import view as view
+    from approxjac.calibration.calibrate import calibrate as calibrate
+    from approxjac.calibration.recording import Recording as Recording
     from approxjac.cameras import PinholeCamera as PinholeCamera
     from approxjac.codegen.backends.c_files import export_c as export_c
     from approxjac.controllers import AdaptiveGravity as AdaptiveGravity
@@ -59,6 +61,7 @@ __version__ = "0.1.0"
 
 # Names and modules are loaded when they are asked for: Ctrl-C may end a command before that.
 _FROM = {
+    "calibration": ("Recording", "calibrate"),
     "cameras": ("PinholeCamera",),
     "codegen": ("export_c",),
     "controllers": (
@@ -86,7 +89,15 @@ _FROM = {
     "tasks": ("ImageTask", "PoseTask", "PositionTask", "StackedTask", "Task"),
 }
 _SUBPACKAGES = ("law", "stability", "view")
-_MODULES = ("cameras", "controllers", "errors", "robots", "simulation", "tasks")  # of further names
+_MODULES = (
+    "calibration",
+    "cameras",
+    "controllers",
+    "errors",
+    "robots",
+    "simulation",
+    "tasks",
+)  # of further names
 
 __all__ = sorted([*_SUBPACKAGES, *(name for names in _FROM.values() for name in names)])
 

@@ -22,7 +22,7 @@ from approxjac.validation import Array, as_number, require
 KINDS = ("tool", "origins", "axes")
 USUAL_SD: Mapping[str, float] = {"tool": 0.2, "origins": 1e-3, "axes": 3e-3, "encoders": 0.015}
 _SCALES = (0.1, 0.3, 1.0, 3.0)  # of what is usual
-_EXPLAINED = 1e-3  # m, that are left at most
+_EXPLAINED = 1e-3, 2e-3  # m, that are left at most, in sockets and for a tracker with its noise
 _OUTLIER = 5.0  # standard deviations
 _PARTS, _LEAST = 5, 10  # of one place, that are left out in turn; samples at least
 
@@ -63,9 +63,11 @@ class Calibration:
         scale: How large errors of the drawing are, as a multiple of what is usual.
         noise: Robust standard deviations of what is left of positions [m] and turns [rad], (2,).
         places: How well the arm is known, place by place.
-        outliers: Rows far from all others, which weigh less.
+        residuals: What is left of each row, by its name [m].
+        outliers: Rows far from all others, which weigh less or nothing.
         is_better: False if the drawing with a fitted tool is as good at places that were left out.
-        is_explained: False if more than a millimetre is left: something else is wrong, too.
+        is_explained: False if more than a millimetre is left, or two of what a tracker saw:
+            something else is wrong, too.
     """
 
     robot: Robot
@@ -78,6 +80,7 @@ class Calibration:
     scale: float
     noise: Array
     places: tuple[PlaceSpread, ...]
+    residuals: Mapping[str, float]
     outliers: tuple[str, ...]
     is_better: bool
     is_explained: bool
@@ -183,7 +186,8 @@ def calibrate(
     left, drawing = _rms([p.held_out for p in places]), _rms([p.drawing for p in places])
     is_better = not left >= drawing
     chosen, fitted = (unknowns, best) if is_better else (tool, drawn)
-    far = np.linalg.norm(best.left[:, :3], axis=1) > _OUTLIER * best.noise[0]
+    sizes = np.linalg.norm(best.left[:, :3], axis=1)
+    far = sizes > _OUTLIER * best.noise[0]
     prior = unknowns.sd * np.where(unknowns.is_tool, 1.0, scale)
     is_turned = any(each is not None for each in samples.turn)
     turn = rotation_log(fitted.sensor[2]) if is_turned else None
@@ -191,7 +195,9 @@ def calibrate(
         regressor.robot_with(chosen.theta(fitted.u), turn),
         tuple(unknowns.names), tuple(unknowns.units), unknowns.u, best.u, best.P,
         np.clip(1.0 - best.P.diagonal() / prior**2, 0.0, 1.0), scale, best.noise, tuple(places),
-        tuple(samples.chosen(far).row), is_better, math.sqrt(3.0) * best.noise[0] < _EXPLAINED,
+        dict(zip(samples.row, sizes.tolist(), strict=True)),
+        tuple(samples.chosen(far).row), is_better,
+        math.sqrt(3.0) * best.noise[0] < _EXPLAINED[TRACKER in samples.frame],
     )  # fmt: skip
 
 

@@ -17,7 +17,16 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import approxjac
 from approxjac.cli.export_command import export
-from approxjac.cli.options import POSITIONAL, Option, explained, options_of, read, scenario_of
+from approxjac.cli.learn_command import learn
+from approxjac.cli.options import (
+    FILES,
+    POSITIONAL,
+    Option,
+    explained,
+    options_of,
+    read,
+    scenario_of,
+)
 from approxjac.cli.paper_command import paper
 from approxjac.cli.robots_command import robots
 from approxjac.cli.simulate_command import simulate
@@ -25,9 +34,11 @@ from approxjac.cli.stability_command import stability
 from approxjac.cli.view_command import view
 from approxjac.errors import ApproxJacError, InvalidInputError, UnknownNameError
 from approxjac.formatting import width, wrapped
-from approxjac.scenario.convert import typed_as, value_of
+from approxjac.scenario.convert import Words, typed_as, value_of
 
-_COMMANDS = {each.__name__: each for each in (paper, robots, simulate, stability, export, view)}
+_COMMANDS = {
+    each.__name__: each for each in (paper, robots, simulate, stability, export, view, learn)
+}
 _INDENT = 26
 _NAMES = {float: "N", int: "N", str: "NAME", Path: "PATH"}
 
@@ -72,6 +83,8 @@ def _run(arguments: list[str]) -> int:
         return 0
     count = next((k for k, word in enumerate(words) if word.startswith("--")), len(words))
     name, meaning = POSITIONAL.get(chosen, ("", ""))
+    more = words[1:count] if FILES in name else []  # files beside what comes first
+    count -= len(more)
     if count > bool(name):
         taken = meaning or "options alone"
         given = " ".join(words[:count])
@@ -79,7 +92,8 @@ def _run(arguments: list[str]) -> int:
     source = "".join(words[:count])
     if not source and (count or name[:1] not in ("", "[")):
         raise InvalidInputError(f"{chosen} needs {meaning}; got none before options", given="")
-    values, names = read(chosen, words[count:], options)
+    values, names = read(chosen, words[count + len(more) :], options)
+    values |= {"files": Words(more)} if more else {}
     try:
         return _called(command, source, values)
     except ApproxJacError as error:

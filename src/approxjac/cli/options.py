@@ -78,9 +78,11 @@ _ROBOT = (
     "the name of an arm (approxjac robots lists them), a .urdf file, or a .toml file with a "
     "scenario, which options override",
 )
+FILES = "FILES…"
 POSITIONAL: Mapping[str, tuple[str, str]] = {
     **dict.fromkeys(SHORT, _ROBOT),
     "robots": ("[NAME|FILE]", "the name or the .urdf file of one robot"),
+    "learn": (f"NAME|FILE {FILES}", "the arm as it is drawn, and csv files with recordings of it"),
     "view": ("RUN", "the run.npz that simulate, paper or Trajectory.save wrote, or its folder"),
 }
 """Command → the word before its options, in brackets where it may be left out, and what it is."""

@@ -1,0 +1,63 @@
+"""`approxjac learn`, from files as a robot's owner has them."""
+
+import numpy as np
+import pytest
+from tests.calibration.test_calibrate import elsewhere, sockets
+from tests.controllers.test_learnt_axes import Arm
+
+import approxjac as aj
+from approxjac.cli.main import main
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return Arm("panda", 81)
+
+
+@pytest.fixture(scope="module")
+def files(arm, tmp_path_factory):
+    """Two places with two sockets each, with and without names of joints."""
+    folder, paths = tmp_path_factory.mktemp("recorded"), []
+    for i, each in enumerate(sockets(arm, 9, places=2)[0]):
+        path = folder / each.place[0] / f"hole_{i % 2}.csv"
+        path.parent.mkdir(exist_ok=True)
+        head = ",".join(arm.believed.joint_names) + "\n" if i < 2 else ""
+        path.write_text(head + "\n".join(",".join(map(repr, row.tolist())) for row in each.q))
+        paths.append(str(path))
+    return paths
+
+
+def test_files_become_an_arm(arm, files, tmp_path, capsys):
+    out = tmp_path / "as it is"
+    assert (
+        main(["learn", "panda", *files, "--kind", "socket", "--apart", "0.05", "--out", str(out)])
+        == 0
+    )
+    said = capsys.readouterr().out
+    assert (out / "report.txt").read_text() in said
+    assert "are left where it was not fitted" in said
+    robot = aj.load_robot(out / "arm.urdf", tip="panda_hand_tcp")
+    assert elsewhere(arm, robot) < 0.6e-3
+    left = np.genfromtxt(out / "residuals.csv", delimiter=",", skip_header=1, usecols=1)
+    assert left.shape == (120,)
+    assert np.median(left) < 0.3e-3
+    kept = np.load(out / "calibration.npz")
+    assert kept["covariance"].shape == (len(kept["names"]),) * 2
+    assert aj.Scenario.load(out / "scenario.toml").robot == str(out / "arm.urdf")
+
+
+def test_one_place_is_not_enough_to_say_how_far_it_holds(files, tmp_path, capsys):
+    assert main(["learn", "panda", files[0], "--out", str(tmp_path)]) == 0  # each fifth is left out
+    assert "place 0 5/5" in capsys.readouterr().out
+
+
+def test_what_learn_cannot_use_is_told(files, tmp_path, capsys):
+    for words, told in (
+        ([], "needs files after the robot, got none"),
+        (["none.csv"], "none.csv cannot be read"),
+        ([files[0], "--apart", "0.05"], "--apart needs two sockets at a place, place 0 has 1"),
+        ([files[0], "--kind", "pose"], "--kind must be one that the files have, socket at most"),
+        ([files[0], "--unknown", "camera"], "--unknown must be one or more of tool, origins, axes"),
+    ):
+        assert main(["learn", "panda", *words, "--out", str(tmp_path)]) == 2
+        assert told in capsys.readouterr().err
