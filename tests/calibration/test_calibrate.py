@@ -191,6 +191,40 @@ def test_chosen_configurations_tell_more_than_random_ones(true_arm):
     assert next_configurations(true_arm.believed, told, 3, every).shape == (3, 7)
 
 
+@pytest.mark.parametrize("wrong", [0.054, 0.06])
+def test_a_wrong_distance_is_not_believed(true_arm, recorded, wrong):
+    """It makes the arm another one, which no spread within a socket shows."""
+    recordings, apart = recorded
+    found = calibrate(true_arm.believed, recordings, apart=dict.fromkeys(apart, wrong))
+    assert not found.is_explained
+    assert "known distances" in found.verdict
+
+
+def test_a_wrong_order_of_quaternions_is_not_believed():
+    arm = Arm("ur5", 74, 1.0)
+    q = [np.array(pin.integrate(arm.believed.model, arm.q0, 0.1 * k * np.cos(np.arange(6.0) * k)))
+         for k in range(30)]  # fmt: skip
+    x = np.array([arm.place(each) for each in q])
+    turns = np.array([pin.Quaternion(arm.turned(each)).coeffs() for each in q])
+    assert calibrate(arm.believed, Recording(np.array(q), x=x, quaternion=turns)).is_explained
+    for other in (turns[:, [3, 0, 1, 2]], turns * [-1.0, -1.0, -1.0, 1.0]):
+        found = calibrate(arm.believed, Recording(np.array(q), x=x, quaternion=other))
+        assert not found.is_explained
+
+
+def test_sockets_and_a_tracker_do_not_judge_each_other(true_arm, recorded):
+    recordings, apart = recorded
+    q = np.array([true_arm.q(t) for t in np.linspace(2.0, 30.0, 30)])
+    x = np.array([true_arm.place(each) for each in q]) + [1.0, 0.0, 0.0]
+    found = calibrate(
+        true_arm.believed, [*recordings, Recording(q, x=x, place="cell")], apart=apart
+    )
+    assert found.is_explained
+    assert found.held_out < 4.0 * NOISE
+    (cell,) = (each for each in found.places if each.place == "cell")
+    assert np.isnan(cell.held_out)
+
+
 def test_what_makes_no_sense_is_refused(true_arm, recorded, tmp_path):
     arm, (recordings, _) = true_arm.believed, recorded
     with pytest.raises(aj.InvalidInputError, match=r"at least 10 rows, got 4"):
@@ -216,6 +250,29 @@ def test_what_makes_no_sense_is_refused(true_arm, recorded, tmp_path):
         Recording.load(path)
     with pytest.raises(aj.InvalidInputError, match="cannot be read"):
         Recording.load(tmp_path / "none.csv")
+    path.write_text("a,x\n1,2\n1,-\n")
+    with pytest.raises(aj.InvalidInputError, match=r"column x of .*log.csv, row 2 must hold .*'-'"):
+        Recording.load(path)
+    twice = [recordings[0], recordings[0]]
+    with pytest.raises(aj.InvalidInputError, match="one socket each, got two of 'place 0 a'"):
+        calibrate(arm, twice)
+    with pytest.raises(aj.InvalidInputError, match="apart must be a mapping"):
+        calibrate(arm, recordings, apart=0.05)
+    with pytest.raises(aj.InvalidInputError, match="apart must be"):
+        calibrate(arm, recordings, apart={("place 0 a", "place 0 b"): 50.0})
+    with pytest.raises(aj.InvalidInputError, match="quaternion of a recording must not be zero"):
+        Recording(np.zeros((3, 7)), x=np.zeros((3, 3)), quaternion=np.zeros((3, 4)))
+
+
+@pytest.mark.parametrize("name", ["tracker.csv", "log.csv"])
+def test_a_file_beside_the_command_has_the_folder_as_its_place(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path(name).write_text("\ufeffa; b\n1; 2\n3; 4\n", encoding="utf-8")
+    read = Recording.load(name)
+    assert (read.place[0], read.joints, read.kind) == (tmp_path.name, ("a", "b"), "socket")
+    rows = np.array([np.full(7, 0.1 * k) for k in range(12)])
+    Path(name).write_text("\n".join(",".join(map(str, row)) for row in rows))
+    assert len(calibrate(aj.load_robot("panda"), Recording.load(name)).residuals) == 12
 
 
 def test_a_file_is_read_by_its_columns(tmp_path):

@@ -154,6 +154,26 @@ def test_a_wrong_stamp_is_learnt(stamped):
     assert np.median(arm.elsewhere(kinematics, state)[0]) < 0.4e-3
 
 
+@pytest.mark.parametrize("stamped", [-0.03, -0.05])
+def test_x_that_seems_to_be_of_the_future_is_learnt(stamped):
+    """Stamped before it was taken: beyond the latest q it is predicted by q̇."""
+    arm = Arm("z1", 33)
+    kinematics = AdaptiveKinematics(arm.believed, (*AXES, "delay"), noise=1e-3, dt=DT)
+    state = arm.followed(kinematics, 15.0, stamped=stamped)
+    late = kinematics.learnt(state)[kinematics.names.index("delay")]
+    assert late == pytest.approx(stamped, abs=2e-3)
+
+
+def test_a_delay_alone_ends_no_learning():
+    """With a tool that nobody told of it goes anywhere, but frames are still learnt from."""
+    arm = Arm("z1", 34)
+    kinematics = AdaptiveKinematics(arm.believed, ("delay",), noise=1e-3, dt=DT)
+    state = arm.followed(kinematics, 15.0)
+    assert abs(kinematics.learnt(state)[0]) < 1.0
+    measured = aj.Measurement(15.0, arm.q(15.0), np.zeros(6), arm.place(arm.q(15.0)), 15.0)
+    assert kinematics.status(state, measured) is aj.Status.OK
+
+
 def test_a_wrong_stamp_of_poses_is_learnt():
     """Of orientations, as the noise of positions says nothing."""
     arm = Arm("z1", 32)

@@ -23,8 +23,12 @@ KINDS = ("tool", "origins", "axes")
 USUAL_SD: Mapping[str, float] = {"tool": 0.2, "origins": 1e-3, "axes": 3e-3, "encoders": 0.015}
 _SCALES = (0.1, 0.3, 1.0, 3.0)  # of what is usual
 _EXPLAINED = 1e-3, 2e-3  # m, that are left at most, in sockets and for a tracker with its noise
+_TURNED, _ELSEWHERE = 0.02, 0.01  # rad, that is left of turns; m, where it was not fitted
+_FAR = 5.0  # usual errors of a drawing: more is none
+_LONGEST = 2.0  # m, between sockets
 _OUTLIER = 5.0  # standard deviations
 _PARTS, _LEAST = 5, 10  # of one place, that are left out in turn; samples at least
+_NEXT = 0.1  # of the usual distance of configurations: nearer ones are a motion's
 
 
 class PlaceSpread(NamedTuple):
@@ -37,7 +41,7 @@ class PlaceSpread(NamedTuple):
         samples: Number of them.
         drawing: By the drawing, with the tool that fits all others best.
         left: By the calibration, which knows this place.
-        held_out: By one that does not; NaN where there is nothing else.
+        held_out: By one that does not; NaN where nothing else tells of it.
     """
 
     place: str
@@ -66,8 +70,7 @@ class Calibration:
         residuals: What is left of each row, by its name [m].
         outliers: Rows far from all others, which weigh less or nothing.
         is_better: False if the drawing with a fitted tool is as good at places that were left out.
-        is_explained: False if more than a millimetre is left, or two of what a tracker saw:
-            something else is wrong, too.
+        why_not: Why it is not explained by these numbers; empty if it is.
     """
 
     robot: Robot
@@ -83,7 +86,12 @@ class Calibration:
     residuals: Mapping[str, float]
     outliers: tuple[str, ...]
     is_better: bool
-    is_explained: bool
+    why_not: str
+
+    @property
+    def is_explained(self) -> bool:
+        """True if nothing else seems wrong."""
+        return not self.why_not
 
     @property
     def sd(self) -> Array:
@@ -99,18 +107,16 @@ class Calibration:
     def verdict(self) -> str:
         """What was found, in a sentence."""
         left, drawing = math.sqrt(3.0) * self.noise[0], _rms([each.drawing for each in self.places])
-        if not self.is_explained:
-            return (
-                f"not explained: {_mm(left)} are left even where it was fitted, as of backlash or "
-                "of something that bends"
-            )
+        if self.why_not:
+            return f"not explained: {self.why_not}"
         if math.isnan(self.held_out):
             return f"{_mm(left)} are left; record a second place to see how far that holds"
         if not self.is_better:
             return f"no better than the drawing where it was not fitted: {_mm(drawing)} are left"
-        return (
-            f"{_mm(self.held_out)} are left where it was not fitted, {_mm(drawing)} by the drawing"
-        )
+        where = "where it was not fitted"
+        if self.places[-1].place.endswith(f"{_PARTS}/{_PARTS}"):
+            where = "of other rows at the same place"
+        return f"{_mm(self.held_out)} are left {where}, {_mm(drawing)} by the drawing"
 
     def __str__(self) -> str:
         table: list[tuple[str, ...]] = [("place", "samples", "drawing", "fitted", "left out")]
@@ -178,13 +184,13 @@ def calibrate(
     for place, is_here in _left_out(samples).items():
         here, others = samples.chosen(is_here), samples.chosen(np.logical_not(is_here))
         known, held_out = drawn, math.nan
-        if len(others.q) >= _LEAST:
+        if len(others.q) >= _LEAST and (TRACKER in others.frame or TRACKER not in here.frame):
             known = Fit(tool, others, lengths, 1.0).solved()
             held_out = _spread(unknowns, Fit(unknowns, others, lengths, scale).solved(), here)
         spreads = _spread(tool, known, here), _spread(unknowns, best, here), held_out
         places.append(PlaceSpread(place, len(here.q), *spreads))
     left, drawing = _rms([p.held_out for p in places]), _rms([p.drawing for p in places])
-    is_better = not left >= drawing
+    is_better = left < drawing
     chosen, fitted = (unknowns, best) if is_better else (tool, drawn)
     sizes = np.linalg.norm(best.left[:, :3], axis=1)
     far = sizes > _OUTLIER * best.noise[0]
@@ -197,21 +203,41 @@ def calibrate(
         np.clip(1.0 - best.P.diagonal() / prior**2, 0.0, 1.0), scale, best.noise, tuple(places),
         dict(zip(samples.row, sizes.tolist(), strict=True)),
         tuple(samples.chosen(far).row), is_better,
-        math.sqrt(3.0) * best.noise[0] < _EXPLAINED[TRACKER in samples.frame],
+        _why_not(unknowns, best, left, TRACKER in samples.frame),
     )  # fmt: skip
+
+
+def _why_not(unknowns: Unknowns, fitted: Fitted, held_out: float, is_tracked: bool) -> str:
+    """Return why the numbers of an arm do not explain what was recorded, or nothing."""
+    left, turned = (math.sqrt(3.0) * fitted.noise).tolist()
+    away = np.where(unknowns.is_tool, 0.0, np.abs(fitted.u - unknowns.u) / unknowns.sd)
+    hint = "units, signs, the order of columns and known distances"
+    if left > 0.05 or held_out > 0.05:
+        return f"{_mm(max(left, held_out))} are left: check {hint}"
+    if is_tracked and turned > _TURNED:
+        return f"{1e3 * turned:.0f} mrad are left of turns: check order and sense of qx, qy, qz, qw"
+    if left > _EXPLAINED[is_tracked]:
+        return f"{_mm(left)} are left even where it was fitted, as of backlash or of what bends"
+    if away.max(initial=0.0) > _FAR:
+        name = unknowns.names[int(away.argmax())]
+        return f"{name} would be {away.max():.0f} times as wrong as usual: check {hint}"
+    if held_out > _ELSEWHERE:
+        return f"{_mm(held_out)} are left where it was not fitted"
+    return ""
 
 
 def _distances(
     apart: Mapping[tuple[str, str], float], samples: Samples
 ) -> dict[tuple[str, str], float]:
     sockets = {*samples.frame} - {TRACKER}
+    require("apart", apart, Mapping, "a mapping from pairs of sockets to metres")
     for pair in apart:
         if unseen := [name for name in pair if name not in sockets]:
             known = ", ".join(sorted(sockets)) or "none"
             message = f"apart must name sockets, {known}, got {', '.join(unseen)}"
             raise InvalidInputError(message, given=apart)
     return {
-        pair: as_number("distance of sockets", each, unit="m", above=0.0)
+        pair: as_number("apart", each, unit="m", above=0.0, most=_LONGEST)
         for pair, each in apart.items()
     }
 
@@ -222,7 +248,12 @@ def _left_out(samples: Samples) -> dict[str, Array]:
     names = list(dict.fromkeys(samples.place))
     if len(names) > 1:
         return {name: places == name for name in names}
-    part = np.arange(len(places)) % _PARTS
+    rows, q = np.arange(len(places)), np.array(samples.q)
+    step, apart = (
+        np.median(np.linalg.norm(q - np.roll(q, k, axis=0), axis=1)) for k in (1, len(q) // 2)
+    )
+    is_motion = step < _NEXT * apart  # whose neighbours are alike
+    part = rows * _PARTS // len(rows) if is_motion else rows % _PARTS
     return {f"{names[0]} {k + 1}/{_PARTS}".strip(): part == k for k in range(_PARTS)}
 
 
@@ -242,7 +273,8 @@ def _spread(unknowns: Unknowns, fitted: Fitted, samples: Samples) -> float:
 
 
 def _rms(values: Sequence[float]) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
+    known = [each for each in values if not math.isnan(each)]
+    return float(np.sqrt(np.mean(np.square(known)))) if known else math.nan
 
 
 def _mm(length: float) -> str:

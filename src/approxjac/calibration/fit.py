@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -10,10 +11,11 @@ import pinocchio as pin
 
 from approxjac import law
 from approxjac.calibration.recording import Recording
+from approxjac.errors import InvalidInputError
 from approxjac.robots.kinematic_regressor import Unknowns
 from approxjac.validation import Array
 
-TRACKER = "tracker"
+TRACKER = "\0tracker"  # no socket has that name
 _STEPS = 40  # of Gauss and Newton at most
 _NEAR, _SETTLED = 0.3, 1e-3  # steps near the end, and the last, in standard deviations
 _FARTHEST = 8.0  # standard deviations, from which on a sample has no part
@@ -21,6 +23,7 @@ _MEDIAN = 1.538  # of the length of three normal numbers
 _FIRST = 0.01  # m and rad, of what is left at first
 _APART = 1e-4  # sd of a distance that is known [m]
 _LEAST = 1e-6  # noise [m or rad]
+_FREE = 0.1  # share of what was measured that is not fitted, at least
 _WEAK = 1.0  # 1/m² or 1/rad², of what is known of places and trackers: as good as nothing
 
 
@@ -36,9 +39,14 @@ class Samples(NamedTuple):
 
     @classmethod
     def of(cls, recordings: Sequence[Recording]) -> Samples:
-        """Return all rows; sockets of one name at one place are one, and there is one tracker."""
-        samples = cls([], [], [], [], [], [])
+        """Return all rows; there is one tracker.
+
+        Raises:
+            InvalidInputError: Two recordings of one socket, by its name and that of its place.
+        """
+        samples, counts = cls([], [], [], [], [], []), Counter[str]()
         for each in recordings:
+            seen = {*samples.frame} - {TRACKER}
             for i, (q, socket, place) in enumerate(
                 zip(each.q, each.socket, each.place, strict=True)
             ):
@@ -47,9 +55,13 @@ class Samples(NamedTuple):
                 turn = None if each.quaternion is None else pin.Quaternion(each.quaternion[i])
                 samples.turn.append(None if turn is None else turn.normalized().matrix())
                 frame = f"{place} {socket}".strip() if each.x is None else TRACKER
+                if frame in seen:
+                    message = f"recordings must be of one socket each, got two of {frame!r}"
+                    raise InvalidInputError(message, given=frame)
+                counts[frame] += 1
                 samples.frame.append(frame)
                 samples.place.append(place)
-                samples.row.append(f"{frame} row {i + 1}")
+                samples.row.append(f"{frame.strip(TRACKER[0])} row {counts[frame]}")
         return samples
 
     def chosen(self, which: Sequence[bool] | Array) -> Samples:
@@ -143,9 +155,12 @@ class Fit:
         away = (self._u - self.unknowns.u) / self.sd
         cost = float(w @ r**2 + away @ away - np.log(np.maximum(w, _LEAST)).sum())
         spread = float(np.linalg.slogdet(A)[1] + 2.0 * np.log(self.sd).sum())
-        sensor = self._R, self._b, self._T
+        told = self._size - float(P.diagonal() @ known)  # numbers that were fitted
+        free = max(1.0 - told / np.count_nonzero(w), _FREE)
+        P, noise = P[:n, :n] / free, noise / np.sqrt(free)
         left, _ = self._residuals()
-        return Fitted(self._u, P[:n, :n], noise, left, -0.5 * (cost + spread), sensor)
+        sensor = self._R, self._b, self._T
+        return Fitted(self._u, P, noise, left, -0.5 * (cost + spread), sensor)
 
     def _residuals(self) -> tuple[Array, Array]:
         """Return r (N, 6), NaN where nothing was measured, and its derivatives (N, 6, size)."""

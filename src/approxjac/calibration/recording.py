@@ -29,7 +29,7 @@ class Recording:
     origin may be unknown; with quaternions it saw the orientation, too.
 
     Attributes:
-        q: Positions of the joints, shape (N, n) [rad or m]; of continuous ones angles.
+        q: Positions of the joints, shape (N, n) [rad or m]; configurations (N, nq) will do.
         joints: Their names, n of them; by default those of the arm in its order.
         x: Positions of the tip, shape (N, 3) [m]; None if they were not measured.
         quaternion: Orientations (x, y, z, w) of the tip, shape (N, 4); None without.
@@ -59,6 +59,9 @@ class Recording:
                 object.__setattr__(self, name, values)
         if self.quaternion is not None and self.x is None:
             raise InvalidInputError("quaternion needs x of the same rows, got none", given=self.x)
+        if self.quaternion is not None and not np.linalg.norm(self.quaternion, axis=1).all():
+            message = "quaternion of a recording must not be zero"
+            raise InvalidInputError(message, given=self.quaternion)
         for name in _NAMED:
             names = getattr(self, name)
             each = (names,) * rows if isinstance(names, str) else tuple(map(str, names))
@@ -98,24 +101,32 @@ class Recording:
         """
         path = Path(require("path", path, (str, Path), "a file to read"))
         try:
-            with path.open(newline="", encoding="utf-8") as file:
-                rows = [row for row in csv.reader(file) if row and not row[0].startswith("#")]
+            with path.open(newline="", encoding="utf-8-sig") as file:
+                lines = [line for line in file if line.strip() and not line.startswith("#")]
+            marks = ";" if lines and ";" in lines[0] else ","
+            rows = [[each.strip() for each in row] for row in csv.reader(lines, delimiter=marks)]
         except (OSError, UnicodeDecodeError) as error:
             raise InvalidInputError(f"recording {path} cannot be read: {error}") from error
         head = rows.pop(0) if rows and not _is_number(rows[0][0]) else []
         width = len(head or (rows[0] if rows else ()))
         if not rows or {len(row) for row in rows} != {width}:
-            message = f"recording {path} must have rows of equal length, got {len(rows)} rows"
+            message = f"recording {path} must have rows of equal length, and some, got {len(rows)}"
             raise InvalidInputError(message, given=str(path))
         texts = list(zip(*rows, strict=True))
-        columns = dict(zip(map(str.strip, head), texts, strict=bool(head))) if head else {}
+        columns = dict(zip(head, texts, strict=True)) if head else {}
         own_place, own_socket = columns.pop("place", ()), columns.pop("socket", ())
-        where = place or own_place or path.parent.name
+        at = place or own_place or path.resolve().parent.name
         held = socket or own_socket or path.stem
-        numbers = {
-            name: np.array(each, dtype=float)
-            for name, each in columns.items() if all(map(_is_number, each)) and name != "t"
-        }  # fmt: skip
+        numbers: dict[str, Array] = {}
+        for name, each in columns.items():
+            bad = [i for i, text in enumerate(each) if not _is_number(text)]
+            if bad and len(bad) < len(each):
+                where = f"column {name} of {path}, row {bad[0] + 1}"
+                message = f"{where} must hold a number, got {each[bad[0]]!r}"
+                raise InvalidInputError(message, given=str(path))
+            if not bad and name != "t":
+                known = name.lower() in (*_POSITION, *_QUATERNION)
+                numbers[name.lower() if known else name] = np.array(each, dtype=float)
         x, quaternion = (
             np.stack([numbers.pop(name) for name in parts], axis=1)
             if all(name in numbers for name in parts) else None
@@ -123,11 +134,11 @@ class Recording:
         )  # fmt: skip
         if head:
             q = np.stack([*numbers.values()], axis=1) if numbers else np.zeros((len(rows), 0))
-            return cls(q, tuple(numbers), x, quaternion, held, where)
+            return cls(q, tuple(numbers), x, quaternion, held, at)
         if not all(map(_is_number, chain.from_iterable(rows))):
             message = f"recording {path} must hold numbers, or have names in its first row"
             raise InvalidInputError(message, given=str(path))
-        return cls(np.array(rows, dtype=float), socket=held, place=where)
+        return cls(np.array(rows, dtype=float), socket=held, place=at)
 
     def of(self, arm: Robot) -> Recording:
         """Return this recording with q as the arm's configurations, (N, nq).
@@ -138,10 +149,13 @@ class Recording:
         names, q = arm.joint_names, self.q
         if self.joints is not None:
             if missing := [name for name in names if name not in self.joints]:
-                message = f"recording must have all joints of {arm.name}, got no {missing[0]}"
+                message = (
+                    f"recording must have all joints of {arm.name}, got no {missing[0]} among "
+                    f"{', '.join(self.joints) or 'no numbers'}"
+                )
                 raise InvalidInputError(message, given=self.joints)
             q = q[:, [list(self.joints).index(name) for name in names]]
-        if q.shape[1] != arm.nv:
+        if q.shape[1] not in (arm.nv, arm.nq):
             message = f"q of a recording must have {arm.nv} joints of {arm.name}, got {q.shape[1]}"
             raise InvalidInputError(message, given=q.shape)
         rows = np.array([arm.configuration(each) for each in q])

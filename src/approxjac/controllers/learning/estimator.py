@@ -504,7 +504,8 @@ class Frames:
     ) -> tuple[Measurement | None, Any]:
         """Return a frame (None if it is surely old) and whether it is new, and store it.
 
-        Its q and q̇ are those of a time `late` [s] before it was taken.
+        Its q and q̇ are those of a time `late` [s] before it was taken, as far as they are known;
+        how long before is its `t_x`.
         """
         n, (t, _, _, x, _) = self._n_x, measurement
         t_x: Any = measurement.t_x
@@ -523,19 +524,22 @@ class Frames:
         if law.surely(passed):
             return None, False
         is_noted = law.complement(passed)
-        then = taken - late
-        q, v, is_known = self._at(numbers, law.select(then < t, then, t), measurement)
+        (oldest,) = self._ring(numbers)[0, :1].tolist()
+        then, is_known = taken - late, oldest < taken
+        then = law.select(then < t, then, t)
+        then = law.select(then > oldest + _ROUND_OFF, then, law.select(is_known, taken, t))
+        q, v = self._at(numbers, then, measurement)
 
         def note(head: Array) -> None:
             head[:n], head[n] = known, taken
             head[n + 3] = law.select(is_known, t, head[n + 3])
 
         law.alter(is_noted, head, note)
-        frame = Measurement(taken, q, v, np.where(seen, x, math.nan), measurement.t_x)
+        frame = Measurement(taken, q, v, np.where(seen, x, math.nan), taken - then)
         return frame, is_noted & is_known
 
-    def _at(self, numbers: Array, t: Any, measurement: Measurement) -> tuple[Array, Array, Any]:
-        """Return q and q̇ at a time [s], and whether it is not longer ago than is known."""
+    def _at(self, numbers: Array, t: Any, measurement: Measurement) -> tuple[Array, Array]:
+        """Return q and q̇ at a time [s] not longer ago than is known; else those of now."""
         ring = self._ring(numbers)
         times = np.append(ring[:, 0], measurement.t)
         rows = np.concatenate([ring[:, 1:], measurement.q[np.newaxis]])
@@ -549,7 +553,7 @@ class Frames:
         begins = np.where(is_known, begins, measurement.q)
         ends = np.where(is_known, ends, measurement.q)
         way = motion_between(robot, begins, ends)
-        return moved(robot, begins, share * way), way / np.maximum(here.dot(gaps), 1e-6), is_known
+        return moved(robot, begins, share * way), way / np.maximum(here.dot(gaps), _SPACING)
 
     def _ring(self, numbers: Array) -> Array:
         return numbers[self._head :].reshape(self._count, self._width)

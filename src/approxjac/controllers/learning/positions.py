@@ -219,10 +219,10 @@ class AdaptiveKinematics(Estimator):
         others = np.zeros((len(H), self._n_u - self._n_theta))
         return np.concatenate([H, others], axis=1) if others.size else H, known
 
-    def _regression(self, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
+    def _regression(self, q: Array, v: Array, u: Array, late_by: Any) -> tuple[Array, Array]:
         """Return H and o of all that is learnt from, about u, in the base's axes.
 
-        At q and q̇, by which x is late.
+        At q and q̇ of a time `late_by` [s] before x was taken.
         """
         H, known = self._positions(q, u)
         H = np.concatenate([H, self._offsets], axis=1)
@@ -231,7 +231,7 @@ class AdaptiveKinematics(Estimator):
         if self._learns_late:
             nothing = 0.0 * u[:at]
             H[:, late] = -self._moved.motion(q, v, u[:at], nothing).J[self._rows].dot(v)
-            known = known - H[:, late] * u[late]
+            known = known - H[:, late] * late_by
         if not self._is_pose:
             return H, known
         turn = self._moved.turn(q, u[:at])
@@ -247,7 +247,7 @@ class AdaptiveKinematics(Estimator):
         if self._learns_late:
             shown = axes.dot(T).reshape(3, 3)
             of_axes[:, late] = -np.cross(turn.J.dot(v), shown).ravel()
-            known_axes = known_axes - of_axes[:, late] * u[late]
+            known_axes = known_axes - of_axes[:, late] * late_by
         if self._learns_T:
             of_axes[:, at : at + 9], known_axes = axes, known_axes - axes.dot(T)
         return np.concatenate([H, of_axes]), np.concatenate([known, known_axes])
@@ -328,7 +328,7 @@ class AdaptiveKinematics(Estimator):
         changed = unexplained * np.maximum(_CHANGED[0], _CHANGED[1] * usual)
         law.alter(is_anew | (np.abs(averaged).max() > changed), state, self._renew)
         u = self._estimator.estimate(state[at["sums"]])[0]
-        H, known = self._regression(frame.q, frame.v, u)
+        H, known = self._regression(frame.q, frame.v, u, frame.t_x)
         # what is lost has no part in the sums
         seen = np.isfinite(x)
         z, o = np.where(seen, x, 0.0), np.where(seen, known, 0.0)
