@@ -1003,7 +1003,7 @@ MUTANTS = [
         "moved(robot, begins, share * way)", "moved(robot, begins, way)", GATE,
     ),
     (
-        "second-order errors are no noise", "controllers/learning/estimator.py",
+        "second-order errors are no noise", "robots/kinematic_regressor.py",
         "return angles * (tools + self._reach**2 * angles) / 3.0", "return 0.0 * angles", LEARNT,
     ),
     (
@@ -1027,7 +1027,8 @@ MUTANTS = [
     ),
     (
         "x is early by its delay", "controllers/learning/estimator.py",
-        "then = taken - late", "then = taken + late", LEARNT,
+        "then, is_known = taken - late, oldest < taken",
+        "then, is_known = taken + late, oldest < taken", LEARNT,
     ),
     (
         "turns of a late pose", "controllers/learning/positions.py",

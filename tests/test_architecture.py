@@ -33,6 +33,7 @@ ALLOWED = {
         "cameras", "errors", "formatting", "interface", "law", "robots", "tasks",
         "validation",
     },
+    "calibration": {"controllers", "errors", "formatting", "law", "robots", "validation"},
     "simulation": {
         "__init__", "cameras", "controllers", "errors", "files", "formatting",
         "interface", "law", "robots", "tasks", "validation",
@@ -58,8 +59,8 @@ ALLOWED = {
         "robots", "simulation", "stability", "tasks", "validation", "view",
     },
     "cli": {
-        "__init__", "codegen", "controllers", "errors", "files", "formatting", "paper", "robots",
-        "scenario", "simulation", "stability", "view",
+        "__init__", "calibration", "codegen", "controllers", "errors", "files", "formatting",
+        "paper", "robots", "scenario", "simulation", "stability", "view",
     },
     "__main__": {"cli"},
 }  # fmt: skip

@@ -14,7 +14,7 @@ from approxjac.scenario.convert import Words, converted
 # Words → the option (or word) that is named, the value that was given, and what would be valid.
 CASES = """
 simulat panda | command 'simulat' | simulate
---bogus | option '--bogus' | export, paper, robots, simulate, stability, view
+--bogus | option '--bogus' | export, learn, paper, robots, simulate, stability, view
 simulate | simulate needs the name of an arm | got none | .urdf
 simulate panda ur5 | the name of an arm | got panda ur5
 simulate pando | robot 'pando' | did you mean 'panda'

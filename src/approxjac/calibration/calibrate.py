@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from approxjac.calibration.fit import TRACKER, Fit, Fitted, Samples
+from approxjac.calibration.fit import TRACKER, Fit, Fitted, Recorded
 from approxjac.calibration.recording import Recording
 from approxjac.controllers.arguments import chosen_deviations, chosen_kinds
 from approxjac.errors import InvalidInputError
@@ -144,9 +144,9 @@ def calibrate(
 ) -> Calibration:
     """Return an arm as recordings show it: tool, joint origins, axes and encoders.
 
-    Samples that do not fit weigh less (Huber). How large errors of the drawing are is chosen by the
-    evidence. Each place is left out once, or of one place each fifth of its rows: what is left
-    there is how well the arm is known where it was not measured.
+    Rows that do not fit weigh less, or nothing (Huber, then Tukey). How large errors of the drawing
+    are is chosen by the evidence. Each place is left out once, or of one place each fifth of its
+    rows: what is left there is how well the arm is known where it was not measured.
 
     Args:
         arm: The arm as it is drawn.
@@ -166,7 +166,7 @@ def calibrate(
     given = [recordings] if isinstance(recordings, Recording) else [*recordings]
     for each in given:
         require("recordings", each, Recording, "Recordings")
-    samples = Samples.of([each.of(arm) for each in given])
+    samples = Recorded.of([each.of(arm) for each in given])
     if len(samples.q) < _LEAST:
         message = f"recordings must have at least {_LEAST} rows, got {len(samples.q)}"
         raise InvalidInputError(message, given=recordings)
@@ -227,7 +227,7 @@ def _why_not(unknowns: Unknowns, fitted: Fitted, held_out: float, is_tracked: bo
 
 
 def _distances(
-    apart: Mapping[tuple[str, str], float], samples: Samples
+    apart: Mapping[tuple[str, str], float], samples: Recorded
 ) -> dict[tuple[str, str], float]:
     sockets = {*samples.frame} - {TRACKER}
     require("apart", apart, Mapping, "a mapping from pairs of sockets to metres")
@@ -242,7 +242,7 @@ def _distances(
     }
 
 
-def _left_out(samples: Samples) -> dict[str, Array]:
+def _left_out(samples: Recorded) -> dict[str, Array]:
     """Return what is left out together: rows of a place, or every fifth of one place alone."""
     places = np.array(samples.place)
     names = list(dict.fromkeys(samples.place))
@@ -257,7 +257,7 @@ def _left_out(samples: Samples) -> dict[str, Array]:
     return {f"{names[0]} {k + 1}/{_PARTS}".strip(): part == k for k in range(_PARTS)}
 
 
-def _spread(unknowns: Unknowns, fitted: Fitted, samples: Samples) -> float:
+def _spread(unknowns: Unknowns, fitted: Fitted, samples: Recorded) -> float:
     """Return the rms of distances of samples from the mean of their socket, or from x [m]."""
     R, b, _ = fitted.sensor
     found: dict[str, list[Array]] = {}

@@ -27,7 +27,7 @@ _FREE = 0.1  # share of what was measured that is not fitted, at least
 _WEAK = 1.0  # 1/m² or 1/rad², of what is known of places and trackers: as good as nothing
 
 
-class Samples(NamedTuple):
+class Recorded(NamedTuple):
     """Rows of recordings, column by column."""
 
     q: list[Array]
@@ -38,7 +38,7 @@ class Samples(NamedTuple):
     row: list[str]  # what it is called
 
     @classmethod
-    def of(cls, recordings: Sequence[Recording]) -> Samples:
+    def of(cls, recordings: Sequence[Recording]) -> Recorded:
         """Return all rows; there is one tracker.
 
         Raises:
@@ -64,10 +64,10 @@ class Samples(NamedTuple):
                 samples.row.append(f"{frame.strip(TRACKER[0])} row {counts[frame]}")
         return samples
 
-    def chosen(self, which: Sequence[bool] | Array) -> Samples:
+    def chosen(self, which: Sequence[bool] | Array) -> Recorded:
         """Return some of them."""
         columns: Any = self
-        return Samples(*(
+        return Recorded(*(
             [each for each, is_in in zip(column, which, strict=True) if is_in] for column in columns
         ))  # fmt: skip
 
@@ -108,7 +108,7 @@ class Fit:
     def __init__(
         self,
         unknowns: Unknowns,
-        samples: Samples,
+        samples: Recorded,
         apart: Mapping[tuple[str, str], float],
         scale: float,
     ) -> None:
