@@ -1048,7 +1048,7 @@ MUTANTS = [
     (
         "sweep without its sign", "law/factors.py",
         "after = [-pivot, *scaled[1:]]", "after = [pivot, *scaled[1:]]",
-        "tests/codegen/test_graph.py",
+        "tests/law/test_factors.py",
     ),
     (
         "what swaps joints in a stop is believed", "law/guard.py",

@@ -14,7 +14,7 @@ from approxjac.codegen.backends.llvm import LlvmLanes
 from approxjac.codegen.backends.numpy_function import numpy_function
 from approxjac.codegen.trace.program import Block, Program
 from approxjac.codegen.trace.symbols import Graph, eigensystem, inputs, select, symbols
-from approxjac.law.factors import Factors, inverse, product, solved
+from approxjac.law.factors import Factors
 
 
 @pytest.fixture
@@ -223,25 +223,3 @@ def test_what_does_not_differ_is_a_constant():
     assert list(p.parameters) == ["stiffness"]
     with pytest.raises(ValueError, match="same differs from run to run where it did not"):
         p.filled({"same": np.full((2, 3), 0.2)})
-
-
-@pytest.mark.parametrize("n", [1, 2, 5, 20])
-def test_matrices_are_inverted_and_multiplied_by_loops(n, rng):
-    """As ill-conditioned as covariances of lengths and angles are."""
-    graph, scale = Graph(), np.geomspace(1.0, 1e-4, n)
-    root = rng.normal(size=(n, n)) + 3.0 * np.eye(n)
-    A, b = scale[:, None] * (root @ root.T) * scale, rng.normal(size=(n, 3))
-    rows, columns = np.triu_indices(n)
-    of_A, of_b = inputs(graph, "A", len(rows)), inputs(graph, "b", 3 * n).reshape(n, 3)
-    symmetric = np.zeros_like(of_A, shape=(n, n))
-    symmetric[rows, columns] = symmetric[columns, rows] = of_A
-    terms = inverse(symmetric), solved(symmetric, of_b), product(symmetric, of_b)
-    outputs = [number for term in terms for number in np.ravel(term).tolist()]
-    found = np.array(numpy_function(graph, outputs)(A=A[rows, columns], b=b.ravel()), dtype=float)
-    sizes = np.cumsum([n * n, 3 * n])
-    A_inv, x, Ab = np.split(found, sizes)
-    units = scale[:, None] * A_inv.reshape(n, n) * scale  # as all entries are of one size then
-    np.testing.assert_allclose(units, np.linalg.inv(root @ root.T), rtol=1e-9, atol=1e-11)
-    np.testing.assert_allclose(A @ x.reshape(n, 3), b, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(Ab.reshape(n, 3), A @ b, rtol=1e-12, atol=1e-14)
-    assert len(graph.nodes) < 20 * n * n + 60 * n + 100
