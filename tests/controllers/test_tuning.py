@@ -143,7 +143,7 @@ def test_a_payload_that_is_told_is_held(name, mass):
     weight = mass * 9.81 / chosen.gains.diagonals(3, task.robot.nv).kp.min()
     assert_allclose(chosen.gamma, weight)
     assert (chosen.gamma > without.gamma).all()
-    assert f"told of up to {mass:g} kg on 0.2 m" in str(chosen)
+    assert f"for payloads up to {mass:g} kg on 0.2 m" in str(chosen)
 
 
 def test_a_longer_tool_makes_learning_slower():

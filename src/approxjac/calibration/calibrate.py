@@ -32,7 +32,7 @@ _NEXT = 0.1  # of the usual distance of configurations: nearer ones are a motion
 
 
 class PlaceSpread(NamedTuple):
-    """How well the arm is known at one place: rms of what is left there [m].
+    """Accuracy of the arm at one place: rms of the residuals there [m].
 
     Of sockets it is the distance from their mean, of a tracker that from what it saw.
 
@@ -53,7 +53,7 @@ class PlaceSpread(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Calibration:
-    """What recordings tell of an arm; see `calibrate`.
+    """Result of a calibration from recordings; see `calibrate`.
 
     Attributes:
         robot: The arm as it is: with all that was learnt or, if that is no better at places that
@@ -63,11 +63,11 @@ class Calibration:
         believed: Their values in the drawing, shape (p,).
         learnt: Their values now, shape (p,).
         covariance: Their covariance, shape (p, p).
-        share: How far the recordings tell each, from 0 to 1, shape (p,).
+        share: Share of each that the recordings determine, the rest being the drawing's, shape (p,).
         scale: How large errors of the drawing are, as a multiple of what is usual.
-        noise: Robust standard deviations of what is left of positions [m] and turns [rad], (2,).
-        places: How well the arm is known, place by place.
-        residuals: What is left of each row, by its name [m].
+        noise: Robust standard deviations of the residuals of positions [m] and turns [rad], (2,).
+        places: Accuracy, place by place.
+        residuals: Norm of the residual of each row, by its name [m].
         outliers: Rows far from all others, which weigh less or nothing.
         is_better: False if the drawing with a fitted tool is as good at places that were left out.
         why_not: Why it is not explained by these numbers; empty if it is.
@@ -100,12 +100,12 @@ class Calibration:
 
     @property
     def held_out(self) -> float:
-        """What is left where a place was left out [m], rms over the places; NaN for one."""
+        """Rms of the residuals at places left out of the fit [m]; NaN if there is one place."""
         return _rms([each.held_out for each in self.places])
 
     @property
     def verdict(self) -> str:
-        """What was found, in a sentence."""
+        """The verdict, in a sentence."""
         left, drawing = math.sqrt(3.0) * self.noise[0], _rms([each.drawing for each in self.places])
         if self.why_not:
             return f"not explained: {self.why_not}"
@@ -121,7 +121,7 @@ class Calibration:
     def __str__(self) -> str:
         table: list[tuple[str, ...]] = [("place", "samples", "drawing", "fitted", "left out")]
         table += [(each.place, f"{each.samples}", *map(_mm, each[2:])) for each in self.places]
-        numbers: list[tuple[str, ...]] = [("number", "drawing", "learnt", "sd", "told")]
+        numbers: list[tuple[str, ...]] = [("number", "drawing", "learnt", "sd", "by data")]
         columns = zip(
             self.names, self.units, self.believed, self.learnt, self.sd, self.share, strict=True
         )
@@ -243,7 +243,7 @@ def _distances(
 
 
 def _left_out(samples: Recorded) -> dict[str, Array]:
-    """Return what is left out together: rows of a place, or every fifth of one place alone."""
+    """Return the rows to leave out together: a place, or every fifth row if there is one."""
     places = np.array(samples.place)
     names = list(dict.fromkeys(samples.place))
     if len(names) > 1:

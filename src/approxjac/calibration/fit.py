@@ -73,7 +73,7 @@ class Recorded(NamedTuple):
 
 
 class Fitted(NamedTuple):
-    """What explains some samples best.
+    """The estimate that explains samples best.
 
     Attributes:
         u: Numbers of the arm, shape (n_u,).
@@ -130,7 +130,7 @@ class Fit:
         return [turn is not None for turn in self.samples.turn]
 
     def solved(self) -> Fitted:
-        """Return what fits best."""
+        """Return the best fit."""
         noise, n = np.full(2, _FIRST), self._n
         self._place()
         is_near = False
@@ -155,8 +155,8 @@ class Fit:
         away = (self._u - self.unknowns.u) / self.sd
         cost = float(w @ r**2 + away @ away - np.log(np.maximum(w, _LEAST)).sum())
         spread = float(np.linalg.slogdet(A)[1] + 2.0 * np.log(self.sd).sum())
-        told = self._size - float(P.diagonal() @ known)  # numbers that were fitted
-        free = max(1.0 - told / np.count_nonzero(w), _FREE)
+        fitted = self._size - float(P.diagonal() @ known)  # numbers that the samples determine
+        free = max(1.0 - fitted / np.count_nonzero(w), _FREE)
         P, noise = P[:n, :n] / free, noise / np.sqrt(free)
         left, _ = self._residuals()
         sensor = self._R, self._b, self._T

@@ -76,7 +76,7 @@ class Recording:
 
     @property
     def kind(self) -> str:
-        """What was measured: "socket", "point" or "pose"."""
+        """Kind of the measurements: "socket", "point" or "pose"."""
         if self.x is None:
             return "socket"
         return "point" if self.quaternion is None else "pose"

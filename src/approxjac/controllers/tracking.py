@@ -117,8 +117,8 @@ class TrackingController(Immutable, Controller):
     only to learn the kinematics; while it is lost, control continues with the prediction. With
     learnt kinematics the joints rest until x is first seen: q̇_r = 0, `MEASUREMENT_LOST`.
 
-    With a latency the law begins with gains that the told rotors stand, or the lightest if none are
-    told, and raises α, κM̂'s bound and the learning of dynamics until a joint swings or they are
+    With a latency the law begins with gains that suit the given rotors, or the lightest if none are
+    given, and raises α, κM̂'s bound and the learning of dynamics until a joint swings or they are
     those of heavy rotors (`law.RaisedDamping`): V̇₂ ≤ 0 holds with any of them while they do not
     fall.
 

@@ -1,4 +1,4 @@
-"""Gains of the tracking law that the motors behind a robot's gears stand, told or found."""
+"""Gains of the tracking law that keep joints with rotors and elastic gears stable."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def is_hardly_damped(robot: Robot, gains: JointGains) -> bool:
 
 
 def slow_feedback(robot: Robot, latency: Latency, dt: float, first: JointGains) -> law.SlowFeedback:
-    """Return what may act slowly beside the first gains: κ₀ and α₀ by the heaviest joint."""
+    """Return the slow feedback beside the first gains: κ₀ and α₀ of the heaviest joint."""
     inertia = largest_inertia(robot) + first.rotors
     spring = float((first.most / inertia).min()) * integral_rate(latency, True)
     kappa = min(_TO_DAMP * spring / _SLOW, _SLOW)
