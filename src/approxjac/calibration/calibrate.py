@@ -63,7 +63,7 @@ class Calibration:
         believed: Their values in the drawing, shape (p,).
         learnt: Their values now, shape (p,).
         covariance: Their covariance, shape (p, p).
-        share: Share of each that the recordings determine, the rest being the drawing's, shape (p,).
+        share: Share of each that the recordings determine, not the drawing, shape (p,).
         scale: How large errors of the drawing are, as a multiple of what is usual.
         noise: Robust standard deviations of the residuals of positions [m] and turns [rad], (2,).
         places: Accuracy, place by place.
