@@ -144,7 +144,11 @@ class TracedLoop:
         else:
             q_end, v_end, motors, wrong = self._transmitted(acting)
             kept |= motors._asdict()
-        squares = [(each * each).sum() for each in (q_end, v_end, self.answer.torque, state)]
+        changing = [
+            b for a, b in zip(after, state, strict=True) if not program.graph.changes_rarely(a, b)
+        ]
+        parts = q_end, v_end, self.answer.torque, symbols(changing)
+        squares = [(each * each).sum() for each in parts]
         self.left = self.left | unfinished | wrong | (squares[0] > LARGEST_ANGLE**2)
         self.diverged = ~(sum(squares, 0.0) < _FINITE)
         self.after = {"q": q_end, "v": v_end, "state": after, **kept}

@@ -27,8 +27,9 @@ def step_program(controller: Controller, *, may_lose: bool) -> Program:
     """Return the program of one step of a controller.
 
     Its kept rows are the arguments (see `argument_sizes`) and the outputs: the fields of the
-    `Evaluation`, with `state_rate` as "rate", "after" (the next state), "left" (1 if the step is
-    left to Python) and "usual" (1 if it is not, all numbers are small and the status is usual).
+    `Evaluation`, with `state_rate` as "rate", "left" (1 if the step is left to Python) and "usual"
+    (1 if it is not, all numbers are small and the status is usual). The next state takes the place
+    of the state, just before the outputs.
 
     With `may_lose` x may be lost.
 
@@ -38,13 +39,20 @@ def step_program(controller: Controller, *, may_lose: bool) -> Program:
     program = Program()
     program.graph.is_finite = not may_lose
     sizes = laws.argument_sizes(controller)
+    sizes["state"] = sizes.pop("state")
     given = {name: program.kept(name, size) for name, size in sizes.items()}
     after, answer, left = laws.stepped_from(controller, given)
     predicts = laws.predicts(controller)
     checked = ("q", "v", "target", "target_v", "target_a") + (() if predicts else ("x",))
     # a guard's memory is of numbers that are checked, or harmless
     numbers = [given[name] for name in checked if name in given] + [answer.torque]
-    numbers += [each[: controller.size] for each in (given["state"], after)]
+    # what is remembered for later was checked as it came, and is where it is used
+    changing = [
+        pair
+        for pair in zip(after[: controller.size], given["state"], strict=False)
+        if not program.graph.changes_rarely(*pair)
+    ]
+    numbers += map(list, zip(*changing, strict=True))
     numbers += [] if predicts else [answer.e]
     usual = sum_of_squares([*chain.from_iterable(numbers)]) < HUGE**2
     if not predicts:
@@ -56,7 +64,7 @@ def step_program(controller: Controller, *, may_lose: bool) -> Program:
     if isinstance(answer.limit_status, Scalar):
         usual = usual & ~(answer.limit_status == LimitStatus.INFEASIBLE)
     outputs = {
-        "torque": answer.torque, "after": after, "rate": answer.state_rate, "e": answer.e,
+        "state": after, "torque": answer.torque, "rate": answer.state_rate, "e": answer.e,
         "gravity": answer.gravity, "J_hat": answer.J_hat, "reference": answer.reference,
         "left": select(left, 1.0, 0.0), "status": answer.status,
         "limit_status": answer.limit_status, "slack": answer.slack,
@@ -162,7 +170,7 @@ class _MachineCode:
         place = {name: slice(at, at + size) for name, (at, size) in program.rows.items()}
         takes_rates = "target_v" in place
         asked = program.graph.asked([*chain(*program.stepped.values())])
-        none, first = slice(0, 0), place["torque"].start
+        none, first = slice(0, 0), place["state"].start
         q_in, v_in, x_in, target_in, state_in, v_d_in, a_d_in = (
             flat[place.get(name, none)]
             for name in ("q", "v", "x", "target", "state", "target_v", "target_a")
@@ -174,7 +182,7 @@ class _MachineCode:
         out = {name: slice(at.start - first, at.stop - first) for name, at in place.items()}
         torque_at, after_at, rate_at, e_at, gravity_at, J_at, reference_at = (
             out.get(name, none)
-            for name in ("torque", "after", "rate", "e", "gravity", "J_hat", "reference")
+            for name in ("torque", "state", "rate", "e", "gravity", "J_hat", "reference")
         )
         has_rate, has_gravity, has_J = (name in place for name in ("rate", "gravity", "J_hat"))
         has_state = state_in.size > 0

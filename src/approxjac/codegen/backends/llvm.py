@@ -251,6 +251,22 @@ def _source(program: Program, width: int) -> str:
         same = f"  {name}.same = load double, ptr {name}.from, align 8"
         return [*read, same, *_spread(name, f"{name}.same")]
 
+    places = [(name, i) for name, numbers in program.stepped.items() for i in range(len(numbers))]
+
+    def kept(i: int, value: str) -> str:
+        """Return the line that writes a number to its place."""
+        return f"  store $D {value}, ptr {place(*places[i], 'to')}, align 8"
+
+    def changed(
+        i: int, choice: tuple[str, str, str], condition: str, keeps: str | None
+    ) -> list[str]:
+        name, a, b = choice
+        lines = [f"  {name} = select $B {condition}, $D {a}, $D {b}"]
+        if keeps is None:
+            return [*lines, kept(i, name)]
+        lines.append(f"  {name}.kept = select $B {keeps}, $D {b}, $D {name}")
+        return [*lines, kept(i, f"{name}.kept")]
+
     language = Language(
         templates=_TEMPLATES,
         variable="%v",
@@ -266,14 +282,11 @@ def _source(program: Program, width: int) -> str:
         ],
         taken=taken,
         number=_number,
+        changed=changed,
     )
     flat = chain(*program.stepped.values())
-    lines, names = Writer(program.graph, language).lines([*flat])
-    places = [(name, i) for name, numbers in program.stepped.items() for i in range(len(numbers))]
-    stores = [
-        f"  store $D {value}, ptr {place(*at, 'to')}, align 8"
-        for at, value in zip(places, names, strict=True)
-    ]
+    lines, names = Writer(program.graph, language).lines([*flat], program.before)
+    stores = [kept(i, value) for i, value in enumerate(names) if value]
     run = Template(template("run.ll")).safe_substitute(
         constants="\n".join(constants.values()),
         rows=program.n_rows,

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -124,6 +126,15 @@ class Program:
         return rows
 
     @property
+    def before(self) -> list[int]:
+        """Places of the numbers that those of `step` replace; −1 where they do not."""
+        before = []
+        for name, numbers in self.stepped.items():
+            kept = self.graph.input(name, len(numbers))
+            before += [-1 if name in self.histories else each.place for each in kept]
+        return before
+
+    @property
     def k(self) -> Scalar:
         """The number of the step, from 0."""
         return self.graph.input(STEP, 1)[0]
@@ -176,6 +187,9 @@ class Language(NamedTuple):
     # lines that read the cell of a pass: from a name, an array, i, the distance of cells, the first
     taken: Callable[[str, str, str, int, int], list[str]]
     number: Callable[[str, str], list[str]]  # lines that make i a number
+    # lines in a rare block that write a wanted number in place: from its index, its name with its
+    # value in the block and elsewhere, the block's condition, and one under which it stays
+    changed: Callable[[int, tuple[str, str, str], str, str | None], list[str]] = lambda *_: []
 
 
 class Scope:
@@ -209,8 +223,12 @@ class Scope:
 class Schedule:
     """A schedule of operations: each is computed as rarely as possible, and then as late."""
 
-    def __init__(self, graph: Graph, wanted: list[int]) -> None:
+    def __init__(self, graph: Graph, wanted: list[int], before: Sequence[int] = ()) -> None:
         self._nodes = nodes = graph.nodes
+        # result of a rare block that else is as `before` → which wanted number it is, and a
+        # condition under which it stays as before all the same, if there is one
+        self.changes: dict[int, tuple[int, int | None]] = {}
+        wanted = self._in_place(graph, wanted, before)
         # all that is computed, in order, and what of each loop is needed
         self.places, self.parts = places, parts = graph.reached(wanted)
         self.whole = Scope()  # operations that are always computed
@@ -254,7 +272,10 @@ class Schedule:
                     condition, a, b = nodes[each].arguments
                     use(condition, region)
                     use(a, inside)
-                    use(b, region)
+                    use(b, inside if each in self.changes else region)
+                    _, keeps = self.changes.get(each, (0, None))
+                    if keeps is not None:
+                        use(keeps, inside)
             elif operation == "loop":
                 region.places.append(place)
                 inside = self.inside["loop", place] = Scope(region, value.number)
@@ -268,6 +289,32 @@ class Schedule:
                     use(each, region)
         for region in (self.whole, *self.inside.values()):
             region.places.sort()
+
+    def _in_place(self, graph: Graph, wanted: list[int], before: Sequence[int]) -> list[int]:
+        """Return what is wanted; that which only a rare block changes is a result of this block."""
+        nodes, (places, _) = self._nodes, graph.reached(wanted)
+        uses = Counter(chain(wanted, *(nodes[place].arguments for place in places)))
+        first: dict[int, int] = {}  # number of a rare block → its first result
+        for place in places:
+            if nodes[place].operation == "rare":
+                first.setdefault(nodes[place].value, place)
+
+        def is_own(place: int, operation: str) -> bool:
+            return operation == "rare" and uses[place] == 1
+
+        result = [*wanted]
+        for i, was in enumerate(before):
+            place, keeps = wanted[i], None
+            operation, arguments, block = nodes[place]
+            if is_own(place, operation) and arguments[1] == was:  # a later block takes it back
+                changed = arguments[2]
+                operation, others, block = nodes[changed]
+                if is_own(changed, operation) and arguments[0] < first[block]:
+                    place, keeps, arguments = changed, arguments[0], others
+            if is_own(place, operation) and arguments[2] == was < first[block]:
+                result[i] = place
+                self.changes[place] = i, keeps
+        return result
 
     def _needs(self) -> dict[int, frozenset[int]]:
         """Return for each operation the loops whose passes it differs between."""
@@ -299,12 +346,19 @@ class Writer:
         self._labels: dict[int, str] = {}  # of tables and loops
         self._running: dict[int, str] = {}  # number of a loop → its label
 
-    def lines(self, wanted: Sequence[Number]) -> tuple[list[str], list[str]]:
-        """Return the lines that compute some numbers, and the names of these."""
+    def lines(
+        self, wanted: Sequence[Number], before: Sequence[int] = ()
+    ) -> tuple[list[str], list[str]]:
+        """Return the lines that compute some numbers, and the names of these.
+
+        `before` are the places of numbers that they replace. Where only a rare block changes one,
+        the block writes it in place, and its name is empty.
+        """
         graph = self._graph
         roots = [graph.place(number) for number in wanted]
-        self._schedule = schedule = Schedule(graph, roots)
-        return self._region(schedule.whole), [self._name(place) for place in roots]
+        self._schedule = schedule = Schedule(graph, roots, before)
+        lines, in_place = self._region(schedule.whole), {i for i, _ in schedule.changes.values()}
+        return lines, ["" if i in in_place else self._name(each) for i, each in enumerate(roots)]
 
     def _region(self, region: Scope) -> list[str]:
         nodes, language, lines = self._graph.nodes, self._language, []
@@ -326,12 +380,19 @@ class Writer:
     def _rare(self, block: int) -> list[str]:
         results = self._schedule.results[block]
         condition = self._graph.nodes[results[0]].arguments[0]
-        body, choices = self._region(self._schedule.inside["rare", block]), []
+        body, choices, names = self._region(self._schedule.inside["rare", block]), [], {}
         for place in results:
             _, then, otherwise = self._graph.nodes[place].arguments
             name = f"{self._language.variable}{place}"
-            choices.append((name, self._name(then), self._name(otherwise)))
-        self._names |= {place: name for place, (name, *_) in zip(results, choices, strict=True)}
+            choice = name, self._name(then), self._name(otherwise)
+            if place in self._schedule.changes:
+                i, keeps = self._schedule.changes[place]
+                kept = None if keeps is None else self._name(keeps)
+                body += self._language.changed(i, choice, self._name(condition), kept)
+            else:
+                choices.append(choice)
+                names[place] = name
+        self._names |= names
         return self._language.rare(str(block), self._name(condition), body, choices)
 
     def _loop(self, place: int) -> list[str]:

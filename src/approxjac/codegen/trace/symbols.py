@@ -186,6 +186,13 @@ class Graph:
     def _cell(self, memory: Scalar, i: int) -> Scalar:
         return self._scalar(Node("cell", (memory.place,), i))
 
+    def changes_rarely(self, after: Number, before: Scalar) -> bool:
+        """Return True if one number is another one, but for what rare blocks do to it."""
+        place = self.place(after)
+        while self.nodes[place].operation == "rare":
+            place = self.nodes[place].arguments[2]
+        return place == before.place
+
     def needed(self, numbers: Sequence[Number]) -> list[int]:
         """Return the places of all that some numbers depend on, in order."""
         return self.reached(map(self.place, numbers))[0]
