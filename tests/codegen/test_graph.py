@@ -218,6 +218,54 @@ def test_the_same_bits_where_a_block_is_cut(monkeypatch):
     np.testing.assert_array_equal(kept_after(LlvmLanes(p, 4), p), expected)
 
 
+def memory(seed):
+    """What rare blocks change, some of it taken back, all of it read before, after and elsewhere.
+
+    As a law that learns does, and its guard.
+    """
+    rng, p = np.random.default_rng(seed), Program()
+    before, n = p.kept("memory", 8), p.kept("n", 8)
+    known = before[0] * n[1] > 0.2  # some conditions stand before what is changed
+    after = before.copy()
+
+    def some(count=1):
+        everything = [*before, *after, *n, p.k]
+        return symbols([
+            0.4 * everything[i] - 0.5 * everything[j] * everything[i] + 0.1
+            for i, j in rng.integers(0, len(everything), (count, 2))
+        ])  # fmt: skip
+
+    def change(values):
+        at = rng.choice(8, rng.integers(1, 8), replace=False)
+        values[at] = some(len(at))
+        if rng.random() < 0.5:  # a block in a block
+            inner = some(len(at))
+            law.alter(some()[0] > 0.1, values, lambda values: values.__setitem__(at, inner))
+
+    for _ in range(rng.integers(1, 4)):
+        law.alter(some()[0] > 0.0, after, change)
+    refused = known if rng.random() < 0.7 else some()[0] > 0.3
+    changed = after
+    (after,) = law.choose(refused, lambda: (before,), lambda: (changed,))
+    other = law.choose(some()[0] > 0.1, lambda: (np.tanh(some(8)),), lambda: (n,))[0]
+    p.step({"memory": np.clip(after, -4.0, 4.0) if rng.random() < 0.2 else after, "n": other})
+    return p
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("width", [1, 4])
+def test_what_only_rare_blocks_change_is_written_in_place(width, seed):
+    p, rng = memory(seed), np.random.default_rng(seed)
+    starts = rng.uniform(-1.0, 1.0, (16, 16)).reshape(-1, width, 16)
+    expected = np.array(starts.swapaxes(1, 2), order="C")
+    found, nothing, block = expected.copy(), np.zeros((len(starts), 1, width)), Block.plain(20)
+    block = block._replace(draws=np.zeros((len(starts), 20, 0, width)))
+    NumpyLanes(p).run(expected, nothing, block)
+    LlvmLanes(p, width).run(found, nothing, block)
+    assert np.isfinite(expected).all()
+    np.testing.assert_array_equal(found, expected)
+
+
 def test_what_does_not_differ_is_a_constant():
     p = program()
     assert list(p.parameters) == ["stiffness"]
