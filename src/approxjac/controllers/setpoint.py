@@ -120,7 +120,7 @@ class SetpointController(Immutable, Controller):
         posture: A `Posture` that attracts the self-motion of a redundant arm, or `AwayFromStops`;
             none by default.
         latency: Latency of the loop, for `tuned`; by default that of 1 kHz with ideal sensors. With
-            late torques or a filtered q̇ they are such that motors behind elastic gears stand them.
+            late torques or a filtered q̇ motors behind elastic gears tolerate the gains.
         settling_time: Desired settling time [s], for `tuned`, which scales all gains; by default
             as short as inertia, motors and latency allow.
         friction: `FrictionCompensation()` for joints that rub; None is without.

@@ -47,7 +47,7 @@ _NO_GROWTH = 1e-11  # of those of a loop without latency
 _NEARLY = 0.95  # of the damping that a loop without latency has
 _ROTORS = 3.0  # times the least ones, that learning takes account of
 _JOINTS = 0.5  # share of what motors may damp that is the joints' own
-_HELD = 0.1  # of the arm's mass, which motors have to hold if no payload is told
+_HELD = 0.1  # of the arm's mass, which motors have to hold if no payload is given
 _STANDARD_GRAVITY = 9.81  # [m/s²]
 _STILL = 1e-3  # slower modes, as a share of the rate, are self-motion and what no joint feels
 
