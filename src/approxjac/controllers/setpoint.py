@@ -101,7 +101,7 @@ class SetpointController(Immutable, Controller):
     Its state is θ̂ if gravity is learnt, followed by that of the friction compensation (F̂, how long
     each joint stood, how quiet all is) and by the differentiator's state for law (5).
 
-    Immutable, but it owns scratch memory: one instance a thread.
+    Immutable, but it owns scratch memory: one instance per thread.
 
     Attributes:
         adaptation: The adaptation of gravity, with its defaults filled in; None without.

@@ -125,7 +125,7 @@ class TrackingController(Immutable, Controller):
     Its state is that of the dynamics, followed by that of the kinematics and, for velocity
     commands, the last command, else that of the raising.
 
-    Immutable, but it owns scratch memory: one instance a thread.
+    Immutable, but it owns scratch memory: one instance per thread.
 
     Args:
         task: The task of the believed robot.
