@@ -311,7 +311,7 @@ class Controller(ABC):
         return fresh
 
     def kinematics_of(self, state: Array) -> tuple[Kinematics, Array]:
-        """Return the learnt kinematics, and their part of a state.
+        """Return the learnt kinematics, and their part (k,) of a state (n_state,).
 
         Raises:
             InvalidInputError: The controller learns no kinematics, or a state of another one.

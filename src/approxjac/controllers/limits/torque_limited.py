@@ -279,7 +279,7 @@ class TorqueLimited(ControllerWrapper):
         return self.controller
 
     def begin(self, measurement: Measurement) -> Array:
-        """Return the state before the first step; errors are those of the controller."""
+        """Return the state before the first step, (n_state,); raises as the controller."""
         return self._with_memory(self._law.begin(measurement), measurement)
 
     def resumed(self, state: Array, measurement: Measurement) -> Array:
