@@ -32,16 +32,16 @@ _NEXT = 0.1  # of the usual distance of configurations: nearer ones are a motion
 
 
 class PlaceSpread(NamedTuple):
-    """Accuracy of the arm at one place: rms of the residuals there [m].
+    """Accuracy of the arm at one place: rms residuals of position [m].
 
-    Of sockets it is the distance from their mean, of a tracker that from what it saw.
+    The residual of a socket is the distance from the mean, that of a tracker from its measurement.
 
     Attributes:
         place: Its name.
         samples: Number of them.
         drawing: By the drawing, with the tool that fits all others best.
-        left: By the calibration, which knows this place.
-        held_out: By one that does not; NaN where nothing else tells of it.
+        left: By the calibration, which was fitted to this place, too.
+        held_out: By a calibration without this place; NaN if no other data cover it.
     """
 
     place: str
@@ -53,24 +53,24 @@ class PlaceSpread(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Calibration:
-    """Result of a calibration from recordings; see `calibrate`.
+    """The result of `calibrate`: an arm fitted to recordings, and its accuracy.
 
     Attributes:
-        robot: The arm as it is: with all that was learnt or, if that is no better at places that
-            were left out, with the tool only.
+        robot: The calibrated arm: with all learnt numbers or, if these are no better at places that
+            were left out, with the learnt tool only.
         names: Names of the numbers, such as "panda_joint4.x" or "panda_joint4.encoder".
         units: Their units, "m" or "rad".
         believed: Their values in the drawing, shape (p,).
         learnt: Their values now, shape (p,).
         covariance: Their covariance, shape (p, p).
-        share: Share of each that the recordings determine, not the drawing, shape (p,).
-        scale: How large errors of the drawing are, as a multiple of what is usual.
-        noise: Robust standard deviations of the residuals of positions [m] and turns [rad], (2,).
-        places: Accuracy, place by place.
-        residuals: Norm of the residual of each row, by its name [m].
+        share: Share of each that the recordings determine, from 0 to 1, shape (p,).
+        scale: Size of the errors of the drawing, as a multiple of the usual ones.
+        noise: Robust standard deviations of the residuals of position [m] and rotation [rad], (2,).
+        places: Accuracy of the arm, place by place.
+        residuals: Residual of each row, by its name [m].
         outliers: Rows far from all others, which weigh less or nothing.
         is_better: False if the drawing with a fitted tool is as good at places that were left out.
-        why_not: Why it is not explained by these numbers; empty if it is.
+        why_not: Reason why these numbers do not explain the recordings; empty if they do.
     """
 
     robot: Robot
@@ -95,17 +95,17 @@ class Calibration:
 
     @property
     def sd(self) -> Array:
-        """Standard deviations of what was learnt, shape (p,)."""
+        """Standard deviations of the learnt numbers in their units, shape (p,)."""
         return np.sqrt(self.covariance.diagonal())
 
     @property
     def held_out(self) -> float:
-        """Rms of the residuals at places left out of the fit [m]; NaN if there is one place."""
+        """Residual at places that were left out [m], rms over the places; NaN without any."""
         return _rms([each.held_out for each in self.places])
 
     @property
     def verdict(self) -> str:
-        """The verdict, in a sentence."""
+        """The result in one sentence."""
         left, drawing = math.sqrt(3.0) * self.noise[0], _rms([each.drawing for each in self.places])
         if self.why_not:
             return f"not explained: {self.why_not}"
@@ -142,11 +142,11 @@ def calibrate(
     apart: Mapping[tuple[str, str], float] | None = None,
     frame: str | None = None,
 ) -> Calibration:
-    """Return an arm as recordings show it: tool, joint origins, axes and encoders.
+    """Return an arm calibrated by recordings: tool, joint origins, axes and encoders.
 
     Rows that do not fit weigh less, or nothing (Huber, then Tukey). How large errors of the drawing
-    are is chosen by the evidence. Each place is left out once, or of one place each fifth of its
-    rows: what is left there is how well the arm is known where it was not measured.
+    are is chosen by the evidence. Each place is left out once, or of a single place each fifth of
+    its rows: the residual there is the accuracy to expect where nothing was measured.
 
     Args:
         arm: The arm as it is drawn.
@@ -243,7 +243,7 @@ def _distances(
 
 
 def _left_out(samples: Recorded) -> dict[str, Array]:
-    """Return the rows to leave out together: a place, or every fifth row if there is one."""
+    """Return the rows to leave out together: those of a place, or every fifth of a single place."""
     places = np.array(samples.place)
     names = list(dict.fromkeys(samples.place))
     if len(names) > 1:

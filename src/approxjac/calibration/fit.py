@@ -73,13 +73,13 @@ class Recorded(NamedTuple):
 
 
 class Fitted(NamedTuple):
-    """The estimate that explains samples best.
+    """The best fit to some samples.
 
     Attributes:
         u: Numbers of the arm, shape (n_u,).
         P: Their covariance, shape (n_u, n_u).
-        noise: Robust standard deviations of what is left of positions [m] and of turns [rad].
-        left: What is left of each sample, shape (N, 6), NaN where nothing was measured.
+        noise: Robust standard deviations of the residuals of position [m] and rotation [rad].
+        left: Residuals of each sample [m, rad], shape (N, 6), NaN where nothing was measured.
         evidence: Logarithm of the evidence.
         sensor: R and b of the tracker, and T, by which the tip is turned from the frame.
     """
@@ -99,10 +99,10 @@ class Fit:
     log(R R_f(q, u) T R_xᵀ). Unknown are u, each c, and R, b and T.
 
     Args:
-        unknowns: The numbers of the arm, with what is usual.
-        samples: What was recorded.
+        unknowns: The numbers of the arm, with their usual errors.
+        samples: The recorded samples.
         apart: Distances between sockets that are known [m].
-        scale: How large errors of the drawing are, as a multiple of what is usual.
+        scale: Size of the errors of the drawing, as a multiple of the usual ones.
     """
 
     def __init__(

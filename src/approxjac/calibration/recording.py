@@ -24,7 +24,7 @@ _NAMED = ("socket", "place")
 class Recording:
     """Configurations of an arm, and what was measured of its tip at each of them.
 
-    Without x the tip was held at a place that nobody measured, such as a ball in a socket: always
+    Without x the tip was held at an unmeasured point, such as a ball in a socket: always
     the same for rows with the same `socket` and `place`. With x a tracker saw it, whose axes and
     origin may be unknown; with quaternions it saw the orientation, too.
 
@@ -76,7 +76,7 @@ class Recording:
 
     @property
     def kind(self) -> str:
-        """Kind of the measurements: "socket", "point" or "pose"."""
+        """The kind of measurement: "socket", "point" or "pose"."""
         if self.x is None:
             return "socket"
         return "point" if self.quaternion is None else "pose"

@@ -55,7 +55,7 @@ class Camera(Saved, ABC):
         """Return the image Jacobian J_I = ∂X/∂r, shape (2, 3)."""
 
     def seen(self, x: Array) -> Array:
-        """Return image coordinates x (2,) if they are in the field of view, and NaN otherwise."""
+        """Return image coordinates x (2,), or NaN if they are outside the field of view."""
         return x
 
     @property
@@ -348,7 +348,7 @@ class PinholeCamera(Camera):
         return self._R.copy(), self._p.copy()
 
     def in_camera(self, r: Array) -> Array:
-        """Return a point r (3,) in the camera's own axes, (3,); its third entry is the depth Z."""
+        """Return a point r (3,) [m] in the camera's own axes, (3,) [m]; the last is the depth Z."""
         return np.asanyarray(self._R_t @ (r - self._p))
 
     def project(self, r: Array) -> Array:
@@ -441,7 +441,7 @@ class PinholeCamera(Camera):
 
     @property
     def calibration(self) -> Mapping[str, tuple[float, str]]:
-        """f_x, the distance that the camera stands back, and its roll."""
+        """f_x [px], the shift back along the optical axis [m], and the roll [rad]."""
         f = float(self._f[0])
         return {"focal_length": (f, "px"), "distance": (0.0, "m"), "roll": (0.0, "rad")}
 

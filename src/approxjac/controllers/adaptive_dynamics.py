@@ -36,7 +36,7 @@ _CONFIGURATIONS, _SPEED, _ACCELERATION = 20, 0.5, 2.0  # usual ones [rad/s, rad/
 class MotionDynamics(Immutable, ABC):
     """The torque of a reference motion, M̂q̈_r + Ĉq̇_r + ĝ, and its learnt parameters.
 
-    Immutable, but it owns scratch memory: one instance a thread.
+    Immutable, but it owns scratch memory: one instance per thread.
 
     Args:
         robot: The believed robot.

@@ -132,7 +132,7 @@ class Controller(ABC):
         """Return the state before the first step, shape (n_state,).
 
         Raises:
-            MeasurementError: q or q̇ is not finite. Besides, the errors of `begin`.
+            MeasurementError: q or q̇ is not finite. Also the errors of `begin`.
         """
         first, guard = as_measurement(measurement), self._sample_guard
         is_known = (np.isfinite(np.asarray(each)).all() for each in first[1:3])
@@ -145,7 +145,7 @@ class Controller(ABC):
     def step(
         self, state: Array, measurement: Measurement, target: Target | Array, dt: float
     ) -> tuple[Array, Evaluation]:
-        """Return the state after a step, and its output; a sample that is refused has a status.
+        """Return the state after a step, and its output, whose status shows a refused sample.
 
         A state of `begin`, without the memory of the guard, is stepped without it.
 
@@ -205,7 +205,7 @@ class Controller(ABC):
     def advance(
         self, state: Array, measurement: Measurement, target: Target | Array, dt: float
     ) -> tuple[Array, Evaluation]:
-        """Return the state after a step, and its output, of a sample that is taken as good.
+        """Return the state after a step with a sample that passed the guard, and its output.
 
         By default an Euler step of the rate from `evaluate`. The arguments are those of `step`,
         with a state of `begin`.
@@ -311,7 +311,7 @@ class Controller(ABC):
         return fresh
 
     def kinematics_of(self, state: Array) -> tuple[Kinematics, Array]:
-        """Return the learnt kinematics, and their part of a state.
+        """Return the learnt kinematics, and their part (k,) of a state (n_state,).
 
         Raises:
             InvalidInputError: The controller learns no kinematics, or a state of another one.
@@ -339,7 +339,7 @@ class Controller(ABC):
     # -- what is true of a run ------------------------------------------------------------------
 
     def lyapunov(self, at: Instant) -> float:
-        """Return the Lyapunov function V [J] at an instant; by default NaN, for none."""
+        """Return the Lyapunov function V [J] at an instant; NaN, the default, if there is none."""
         return math.nan
 
     def task_torque(self, at: Instant) -> Array:

@@ -17,7 +17,7 @@ from approxjac.validation import Array, as_diagonal, as_number, require
 
 _FINE = 0.2  # of the error that counts as none
 _STEPS = 1.5  # of the encoders, at the tip
-FRICTION_SHARE = 0.8  # of the given Coulomb friction: more than there is would act as a relay
+FRICTION_SHARE = 0.8  # of the given Coulomb friction: too much would act as a relay
 _MOST = 0.25  # of the motors' effort
 _RATE = 0.3  # of F_max that F̂ grows by in a second
 _SHARP = 0.2  # of the widest ε of all joints, which each has at least

@@ -68,7 +68,7 @@ class HeldMeasurement(ControllerWrapper):
         self._memory = task.n_x + 1 + m + len(self._parts)
 
     def begin(self, measurement: Measurement) -> Array:
-        """Return the state before the first step, without any x.
+        """Return the state before the first step, shape (n_state,), without any x.
 
         Raises the controller's errors, such as that of law (5) if the first x is lost.
         """

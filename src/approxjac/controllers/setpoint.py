@@ -101,7 +101,7 @@ class SetpointController(Immutable, Controller):
     Its state is θ̂ if gravity is learnt, followed by that of the friction compensation (F̂, how long
     each joint stood, how quiet all is) and by the differentiator's state for law (5).
 
-    Immutable, but it owns scratch memory: one instance a thread.
+    Immutable, but it owns scratch memory: one instance per thread.
 
     Attributes:
         adaptation: The adaptation of gravity, with its defaults filled in; None without.
@@ -120,7 +120,7 @@ class SetpointController(Immutable, Controller):
         posture: A `Posture` that attracts the self-motion of a redundant arm, or `AwayFromStops`;
             none by default.
         latency: Latency of the loop, for `tuned`; by default that of 1 kHz with ideal sensors. With
-            late torques or a filtered q̇ they are such that motors behind elastic gears stand them.
+            late torques or a filtered q̇ motors behind elastic gears tolerate the gains.
         settling_time: Desired settling time [s], for `tuned`, which scales all gains; by default
             as short as inertia, motors and latency allow.
         friction: `FrictionCompensation()` for joints that rub; None is without.
@@ -291,7 +291,7 @@ class SetpointController(Immutable, Controller):
         return np.asarray(-(kp * np.nan_to_num(self.saturation.s(e)) + kv * x_dot).dot(J_hat))
 
     def passive_output(self, answer: Evaluation, v: Array, alpha: float | Array) -> Array:
-        """Return y = q̇ + αĴ⁺s(e), eq. (10); q̇ where x was lost."""
+        """Return y = q̇ + αĴ⁺s(e) of eq. (10), (n_v,) [rad/s or m/s]; q̇ where x was lost."""
         e, J_hat = answer.e, answer.J_hat
         if J_hat is None or (is_seen := law.is_finite(e)) is False:  # s(∞) may be finite
             return v
@@ -305,7 +305,7 @@ class SetpointController(Immutable, Controller):
     def rate_without(
         self, locked: Array, state: Array, measurement: Measurement, answer: Evaluation
     ) -> Array:
-        """Return the rate of θ̂ with y = q̇ + α(ĴP)⁺s(e), P leaving out joints that are locked."""
+        """Return the rate (p,) of θ̂ with y = q̇ + α(ĴP)⁺s(e), where P leaves out locked joints."""
         J_hat, learning, g = answer.J_hat, self.adaptation, answer.gravity
         if learning is None or J_hat is None or g is None:
             return np.zeros(self.resting)

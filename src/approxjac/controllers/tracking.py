@@ -113,19 +113,19 @@ class TrackingController(Immutable, Controller):
 
     brings the predicted error z to zero and q̈_r is its exact derivative. (In Ĵ⁺ joints near a stop
     leave the motion to others, and where some slide and some turn, fast joints do more of it:
-    `law.reference_step`.) The measured x is used
-    only to learn the kinematics; while it is lost, control continues with the prediction. With
+    `law.reference_step`.) The measured x is used only to learn the kinematics; while it is lost,
+    control continues with the prediction. With
     learnt kinematics the joints rest until x is first seen: q̇_r = 0, `MEASUREMENT_LOST`.
 
-    With a latency the law begins with gains that suit the given rotors, or the lightest if none are
-    given, and raises α, κM̂'s bound and the learning of dynamics until a joint swings or they are
-    those of heavy rotors (`law.RaisedDamping`): V̇₂ ≤ 0 holds with any of them while they do not
-    fall.
+    With a latency the law begins with gains that the rotors of `drives` tolerate, or the lightest
+    usual ones if none are given. It then raises α, the bound of κM̂ and the learning of dynamics
+    until a joint oscillates or they are those of heavy rotors (`law.RaisedDamping`): V̇₂ ≤ 0 holds
+    with any of them while they do not fall.
 
     Its state is that of the dynamics, followed by that of the kinematics and, for velocity
     commands, the last command, else that of the raising.
 
-    Immutable, but it owns scratch memory: one instance a thread.
+    Immutable, but it owns scratch memory: one instance per thread.
 
     Args:
         task: The task of the believed robot.

@@ -32,7 +32,7 @@ class ControllerWrapper(Immutable, Controller):
     Its state is that of the other one, followed by that memory, which is discrete: the state has
     no rate.
 
-    Immutable; one instance a thread, as the controller inside.
+    Immutable; one instance per thread, as the controller inside.
 
     Attributes:
         controller: The controller inside.

@@ -246,7 +246,7 @@ class ObserverThread(Loop):
     _knows_truth = False
 
     def __init__(self, loop: RobotLoop, observer: Observer) -> None:
-        # controllers and plants have scratch memory: one instance a thread
+        # controllers and plants have scratch memory: one instance per thread
         plant, controller = copy.deepcopy((loop.plant, loop.controller))
         super().__init__(plant, controller, loop.path, loop.dt, loop.steps)
         self._loop, self._observer = loop, observer

@@ -17,7 +17,7 @@ from approxjac.validation import Array, Immutable, as_vector, axis_rows, read_on
 class Dynamics(Immutable):
     """The terms of M(q) q̈ + C(q, q̇) q̇ + g(q) = τ, eq. (1) without friction.
 
-    q has shape (nq,) [rad or m], q̇ and q̈ (n_v,). Owns scratch memory: one instance a thread;
+    q has shape (nq,) [rad or m], q̇ and q̈ (n_v,). Owns scratch memory: one instance per thread;
     returned arrays are copies.
 
     Args:
@@ -205,7 +205,7 @@ class DynamicsRegressor(_TorqueRegressor):
     c(q, ½(q̇ + q̇_r)) − c(q, ½(q̇ − q̇_r)) with c(q, v) = C(q, v)v. All parameters are kept, although
     some are redundant: learning does not change combinations without effect on the torque.
 
-    Owns scratch memory: one instance a thread.
+    Owns scratch memory: one instance per thread.
 
     Args:
         robot: The (believed) robot.
@@ -270,7 +270,7 @@ class GravityRegressor(_TorqueRegressor):
     into theirs. The span of Z does not change when the translations of joint origins are wrong, so
     gravity can be learnt exactly with wrong lengths, though not with wrong axis directions.
 
-    Owns scratch memory: one instance a thread.
+    Owns scratch memory: one instance per thread.
 
     Args:
         robot: The (believed) robot.

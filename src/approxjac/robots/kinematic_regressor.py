@@ -62,7 +62,7 @@ class KinematicRegressor(Immutable):
     Without axes p is linear in θ. Fixed joints before a moving one are part of its origin, those
     after the last part of the tool.
 
-    Owns scratch memory: one instance a thread; returned arrays are copies.
+    Owns scratch memory: one instance per thread; returned arrays are copies.
 
     Args:
         robot: The robot, true or believed.

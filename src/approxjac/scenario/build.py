@@ -273,7 +273,7 @@ def _law(
 
 
 def recommended(scenario: Scenario) -> Scenario:
-    """Return a scenario whose law is chosen, as for a simulation, and joints if they are not given.
+    """Return a scenario with the default law of a simulation, and default joints if none are given.
 
     They are the tracking law with learnt kinematics, and usual joints, where positions or poses are
     measured.

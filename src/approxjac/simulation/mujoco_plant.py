@@ -37,7 +37,7 @@ class MujocoPlant(Plant):
     and its object can touch the floor, but not each other; shapes are those of <collision> in
     the URDF, meshes as their convex hulls.
 
-    Needs `pip install 'approxjac[mujoco]'`. Owns scratch memory: one instance a thread.
+    Needs `pip install 'approxjac[mujoco]'`. Owns scratch memory: one instance per thread.
 
     Args:
         robot: The true robot.

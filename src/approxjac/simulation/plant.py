@@ -213,7 +213,7 @@ class Plant(Immutable):
 
     It gives measurements and takes torques, or velocities if it has a servo. Statements on
     eq. (1) hold strictly within the joint limits, where the joint stops have no effect. It owns
-    scratch memory: one instance a thread.
+    scratch memory: one instance per thread.
 
     Args:
         robot: The true robot.

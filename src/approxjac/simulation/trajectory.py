@@ -209,7 +209,7 @@ class Trajectory:
         return np.asarray(self.derived(self, "V", slice(None)))
 
     def at(self, name: Literal["V", "task_torque"], instants: Any) -> Array:
-        """Return `V` or `task_torque` at some instants, by their indices, without the others."""
+        """Return `V` [J] or `task_torque` [N m or N] at some instants only, by their indices."""
         known = vars(self).get(name)
         return np.asarray(self.derived(self, name, instants) if known is None else known[instants])
 

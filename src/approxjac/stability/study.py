@@ -7,7 +7,7 @@ from approxjac.stability.studied_loop import StudiedLoop
 
 
 class Study(StudiedLoop):
-    """A closed loop with possible errors and a region, for all its tests.
+    """A closed loop, a set of model errors and a region, for all stability tests.
 
     Attributes:
         controller: The controller with its believed robot. Certificates are for law (6) or (28),
@@ -16,7 +16,7 @@ class Study(StudiedLoop):
             as a `Robot` on which the controller's own task is measured.
         region: Region of starts (at rest) and targets, as far as the true robot's sensor sees
             them; by default the joint limits without near-singular configurations.
-        target: x_d of all, shape (n_x,) [unit of the task], for rollouts also a moving target; by
+        target: x_d of all tests, shape (n_x,) [unit of the task], or a moving one of rollouts; by
             default targets are the values of configurations of the region.
         latency: Latency of the loop; by default the controller's, or 1 kHz with ideal sensors.
         sensing: Sensor errors of rollouts; by default none but the delays of `latency`.

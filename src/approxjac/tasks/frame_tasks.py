@@ -28,7 +28,7 @@ _CROSS = np.array([
 class FrameKinematics(Immutable):
     """Forward kinematics of one frame.
 
-    Owns scratch memory: one instance a thread; returned arrays are copies except `motion`'s.
+    Owns scratch memory: one instance per thread; returned arrays are copies except `motion`'s.
 
     Args:
         robot: The robot, true or believed.
@@ -125,7 +125,7 @@ class FrameKinematics(Immutable):
 class PointKinematics:
     """Points (k, 3) [m] of one frame as seen from another one, the mount; None is the world.
 
-    Owns scratch memory: one instance a thread.
+    Owns scratch memory: one instance per thread.
     """
 
     def __init__(self, robot: Robot, points: Array, frame: str | None, mount: str | None) -> None:

@@ -46,7 +46,7 @@ class Task(Immutable, Saved, ABC):
     For a task of your own, implement `value`, `jacobian` and `on`, and for another error also
     `error` and `displaced`; see examples/19_own_task.py.
 
-    Immutable, but it owns scratch memory: one instance a thread.
+    Immutable, but it owns scratch memory: one instance per thread.
 
     Args:
         robot: The robot whose kinematics the task uses.

@@ -1,4 +1,4 @@
-"""Gains of the tracking law that keep joints with rotors and elastic gears stable."""
+"""Gains of the tracking law that motors behind gears tolerate, given or adapted while it runs."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _OF_JOINTS = 4  # learnt parameters: inertia of the rotor, two of friction, a co
 
 
 class JointGains(NamedTuple):
-    """Gains that the joints' motors stand."""
+    """Gains that the motors of the joints tolerate."""
 
     alpha: Array  # the largest α by each joint, (n_v,) [1/s]
     kappa: float
@@ -89,7 +89,7 @@ def is_hardly_damped(robot: Robot, gains: JointGains) -> bool:
 
 
 def slow_feedback(robot: Robot, latency: Latency, dt: float, first: JointGains) -> law.SlowFeedback:
-    """Return the slow feedback beside the first gains: κ₀ and α₀ of the heaviest joint."""
+    """Return the gains κ₀ and α₀ of the slow feedback, as the heaviest joint allows."""
     inertia = largest_inertia(robot) + first.rotors
     spring = float((first.most / inertia).min()) * integral_rate(latency, True)
     kappa = min(_TO_DAMP * spring / _SLOW, _SLOW)

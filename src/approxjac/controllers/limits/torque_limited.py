@@ -156,7 +156,7 @@ class TorqueLimited(ControllerWrapper):
     The state is that of the controller, followed by the predicted motion if motion is limited, and
     by the last torque if its rate is.
 
-    Immutable, but it owns scratch memory: one instance a thread.
+    Immutable, but it owns scratch memory: one instance per thread.
 
     Attributes:
         alpha: α of y [1/s]: that of the adaptation if gravity is learnt, else 0.3 of the rate of
@@ -279,7 +279,7 @@ class TorqueLimited(ControllerWrapper):
         return self.controller
 
     def begin(self, measurement: Measurement) -> Array:
-        """Return the state before the first step; errors are those of the controller."""
+        """Return the state before the first step, (n_state,); raises as the controller."""
         return self._with_memory(self._law.begin(measurement), measurement)
 
     def resumed(self, state: Array, measurement: Measurement) -> Array:

@@ -46,7 +46,7 @@ class Region(ABC):
         """Return True if a configuration (nq,) belongs to the region."""
 
     def near(self, q: Array, size: float, rng: np.random.Generator) -> Array:
-        """Return a configuration of the region about `size` spreads away from q, one of its own."""
+        """Return a configuration (nq,) of the region near q (nq,), about `size` spreads away."""
         for _ in range(20):
             other = moved(self.robot, q, size * self.spread * rng.standard_normal(self.robot.nv))
             if self.contains(other):

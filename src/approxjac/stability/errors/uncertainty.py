@@ -292,7 +292,7 @@ class Uncertainty:
         return replace(self, factor=self.factor * factor)
 
     def largest_scale(self, bound: float) -> float:
-        """Return the largest valid factor ≤ bound; a focal length keeps ≥ 1/10 of its own."""
+        """Return the largest valid factor ≤ bound; focal lengths stay ≥ 1/10 of those believed."""
         for name, _, believed, least, _ in self._coordinates:
             if name == "camera focal_length" and least < believed:
                 bound = min(bound, max(1.0, (1.0 - _LEAST_FOCAL) * believed / (believed - least)))

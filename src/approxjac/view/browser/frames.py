@@ -22,7 +22,7 @@ _SINGULAR = 1e-6  # of the largest singular value: forces that hardly any torque
 
 
 class RunFrames:
-    """Positions, forces and images of a scene; one instance a thread."""
+    """Positions, forces and images of a scene; one instance per thread."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
