@@ -613,7 +613,7 @@ def _shares(task: Task, limits: Limits) -> Array | None:
 def _usual_kinematics(task: Task, dt: float) -> Kinematics:
     parts = task.tasks if isinstance(task, StackedTask) else (task,)
     if isinstance(task, PoseTask) or all(isinstance(part, PositionTask) for part in parts):
-        return AdaptiveKinematics(task, unknown=("tool", "origins"), dt=dt)
+        return AdaptiveKinematics(task, unknown=("tool", "origins", "axes"), dt=dt)
     if isinstance(task, ImageTask):
         planar = isinstance(task.camera, PlanarCamera)
         return AdaptiveKinematics(task, dt=dt) if planar else AdaptiveCamera(task, dt=dt)

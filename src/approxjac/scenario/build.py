@@ -283,7 +283,7 @@ def recommended(scenario: Scenario) -> Scenario:
     learns = scenario.task.kind in ("position", "pose") and scenario.true.tracker == Tracker()
     if chosen != usual or not learns or sampling_time(scenario) == 0.0:
         return replace(scenario, controller=replace(chosen, law=chosen.law or "setpoint"))
-    law = {"law": "tracking", "unknown": ["tool", "origins"]}
+    law = {"law": "tracking", "unknown": ["tool", "origins", "axes"]}
     joints = {"drives": scenario.true.drives or "usual"}
     return scenario.with_values({"controller": law, "true": joints})
 

@@ -101,7 +101,7 @@ class AdaptiveKinematics(Estimator):
     def __init__(
         self,
         task: Task | Robot,
-        unknown: Sequence[str] = ("tool", "origins", "camera"),
+        unknown: Sequence[str] = ("tool", "origins", "axes", "camera"),
         sd: Mapping[str, float] | None = None,
         noise: float | None = None,
         delay: float = 0.0,
