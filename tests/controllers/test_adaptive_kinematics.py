@@ -23,6 +23,7 @@ START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 OFFSET = np.array([0.10, -0.05, 0.05])
 TURN = np.array([0.2, -0.3, 2.4])
 ALPHA, FASTEST, DT = 4.0, 0.5, 4e-3
+WITHOUT_AXES = "tool", "origins", "camera"
 
 
 def wrong_arm(arm, rng, length=0.2, shift=0.03, tilt=0.0):

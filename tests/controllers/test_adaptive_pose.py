@@ -474,7 +474,7 @@ def test_the_torque_does_not_depend_on_the_true_robot(belief, truth, panda):
     """The same measurement of another arm, and of x at the same step, gives the same bits."""
     task = aj.PoseTask(belief)
     controller = aj.TrackingController(task)
-    assert controller.kinematics.unknown == ("tool", "origins")
+    assert controller.kinematics.unknown == ("tool", "origins", "axes")
     x = aj.PoseTask(truth).value(HOME)
     target, torques = task.displaced(x, np.full(6, 0.1)), []
     for arm in (truth, panda):

@@ -438,12 +438,12 @@ class Unseeing(KnownKinematics):
         return super().predict(state, q, v, target)._replace(z=np.full(self.task.m, np.nan))
 
 
-def test_by_default_tool_and_origins_are_learnt(panda):
+def test_by_default_tool_origins_and_axes_are_learnt(panda):
     """A tool of 20 cm and 1 kg that nobody told of, and a circle with it: 277 mm, then 1 mm."""
     truth, q0 = panda.with_object(0.2, 1.0, axis="x"), STARTS["panda"]
     task, sensor = aj.PositionTask(panda), aj.PositionTask(truth)
     controller = aj.TrackingController(task)
-    assert controller.kinematics.unknown == ("tool", "origins")
+    assert controller.kinematics.unknown == ("tool", "origins", "axes")
     plant = aj.Plant(truth, sensor, sensing=aj.Sensing(x_noise=1e-3, x_rate=60.0))
     run = aj.simulate(plant, controller, circle(sensor, q0), q0, 4.0, record_every=0.01)
     assert run.error_norm[0] > 0.18

@@ -126,7 +126,7 @@ def test_what_is_wrong_is_told_by_its_key(given, text):
     assert "\n" not in str(caught.value)
 
 
-LEARNS = ("tool", "origins")
+LEARNS = ("tool", "origins", "axes")
 
 
 @pytest.mark.parametrize(
