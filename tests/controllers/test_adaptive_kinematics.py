@@ -106,7 +106,7 @@ def truth(panda):
 @pytest.fixture(scope="module")
 def turned_run(belief, truth):
     R = rotation_exp(TURN)
-    kinematics = AdaptiveKinematics(belief)
+    kinematics = AdaptiveKinematics(belief, WITHOUT_AXES)
     return kinematics, R, follow(kinematics, truth, R)
 
 
@@ -236,7 +236,7 @@ def test_a_known_camera_is_theorem_a(belief, truth):
 def test_theorem_a_holds_for_any_rotation(belief, truth, angle):
     """J(true) − J(estimate) of the sum of squares never rises, and falls by what is left of x."""
     R = rotation_exp(np.array([0.0, 0.0, angle]))
-    kinematics = AdaptiveKinematics(belief)
+    kinematics = AdaptiveKinematics(belief, WITHOUT_AXES)
     estimator, at = kinematics._estimator, kinematics._at
     true = np.concatenate([KinematicRegressor(truth).theta, R.T @ OFFSET])
     sensor = aj.PositionTask(truth, axes="xyz")
@@ -400,7 +400,7 @@ def test_what_was_learnt_for_a_second_is_no_belief_once_it_is_contradicted(belie
 
 def test_what_is_not_explained_stays_so_when_learning_begins_anew(belief, panda):
     wrong = wrong_arm(panda, np.random.default_rng(0), tilt=2.0)
-    kinematics, sensor = AdaptiveKinematics(belief), aj.PositionTask(wrong, axes="xyz")
+    kinematics, sensor = AdaptiveKinematics(belief, WITHOUT_AXES), aj.PositionTask(wrong, axes="xyz")
     state, reports, ways = None, [], np.linspace(0.18, 0.36, 7)
     for k in range(480):
         t, q = k / 60.0, START + ways * np.sin(k / 40.0 + np.arange(7) * k / 240.0)

@@ -212,7 +212,7 @@ class ControllerChoice:
 
     Attributes:
         law: "setpoint", the paper's; or "tracking", adaptive, for paths, too. Without other options
-            but limits a simulation of position or pose tracks, and learns tool and origins.
+            but limits a simulation of position or pose tracks, and learns tool, origins and axes.
         unknown: Parts of the kinematics that are learnt from x (tool, origins, axes, camera,
             offset, delay): then x̂ is controlled. Of an image "camera" is its pose and focal length,
             and "tool" where the points are.
