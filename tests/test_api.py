@@ -162,3 +162,18 @@ def test_a_misspelled_name_is_told_what_was_meant():
 def test_few_names_stand_at_the_top():
     """What one builds and calls; the rest is in its module."""
     assert len(aj.__all__) <= 47
+
+
+def test_without_matplotlib_all_but_plots_is_there():
+    """What looks at the package, such as `help`, may ask for all of its names."""
+    lines = (
+        "import sys; sys.modules['matplotlib'] = None",
+        "from approxjac import *; import approxjac, inspect",
+        "inspect.getmembers(approxjac); inspect.getmembers(approxjac.view)",
+        "print('all others'); approxjac.view.plot_run",
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", "\n".join(lines)], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout) == (1, "all others\n")
+    assert "pip install 'approxjac[study]'" in done.stderr.splitlines()[-1]

@@ -227,8 +227,9 @@ def test_sockets_and_a_tracker_do_not_judge_each_other(true_arm, recorded):
 
 def test_what_makes_no_sense_is_refused(true_arm, recorded, tmp_path):
     arm, (recordings, _) = true_arm.believed, recorded
-    with pytest.raises(aj.InvalidInputError, match=r"at least 10 rows, got 4"):
-        calibrate(arm, Recording(recordings[0].q[:4]))
+    for q, count in ((recordings[0].q[:4], 4), (np.tile(recordings[0].q[:2], (20, 1)), 2)):
+        with pytest.raises(aj.InvalidInputError, match=f"10 different postures, got {count}"):
+            calibrate(arm, Recording(q))
     with pytest.raises(
         aj.InvalidInputError, match=r"apart must name sockets, place 0 a, .*, got x"
     ):

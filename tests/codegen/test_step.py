@@ -572,6 +572,10 @@ def test_what_cannot_be_traced_is_named(panda):
         def s(self, e):
             return super().s(e) if e.ndim > 1 or e[0] < 1e300 else e
 
+    class Arctangent(Cubic):
+        def s(self, e):
+            return super().s(e) + 0.0 * np.arctan(e)
+
     task = aj.PositionTask(panda)
     law = aj.SetpointController(task)
     for controller, text in (
@@ -580,6 +584,11 @@ def test_what_cannot_be_traced_is_named(panda):
             aj.SetpointController(task, saturation=Clipped()),
             "controller must take symbols to make code of it, with choices by numpy.where or "
             "law.choose and no branch on a value, which Clipped.s does not: TypeError: no branch",
+        ),
+        (
+            aj.SetpointController(task, saturation=Arctangent()),
+            "controller must take symbols to make code of it, with choices by numpy.where or "
+            "law.choose and no branch on a value, which Arctangent.s does not: numpy.arctan is",
         ),
         (task, "controller must be a controller, such as SetpointController(task), got"),
     ):

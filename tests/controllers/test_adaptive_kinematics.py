@@ -400,7 +400,10 @@ def test_what_was_learnt_for_a_second_is_no_belief_once_it_is_contradicted(belie
 
 def test_what_is_not_explained_stays_so_when_learning_begins_anew(belief, panda):
     wrong = wrong_arm(panda, np.random.default_rng(0), tilt=2.0)
-    kinematics, sensor = AdaptiveKinematics(belief, WITHOUT_AXES), aj.PositionTask(wrong, axes="xyz")
+    kinematics, sensor = (
+        AdaptiveKinematics(belief, WITHOUT_AXES),
+        aj.PositionTask(wrong, axes="xyz"),
+    )
     state, reports, ways = None, [], np.linspace(0.18, 0.36, 7)
     for k in range(480):
         t, q = k / 60.0, START + ways * np.sin(k / 40.0 + np.arange(7) * k / 240.0)

@@ -465,7 +465,7 @@ def test_tolerated_camera_roll_is_where_the_eigenvalues_say():
 
 def test_tolerance_stops_where_robots_cannot_exist(weightless, box):
     errors = aj.Uncertainty(weightless, object_length=(0.0, 0.2), believed_length=0.1)
-    found = aj.Study(controller_of(errors), errors, box).tolerance(("local",), draws=20)
+    found = aj.Study(controller_of(errors), errors, box).tolerance("local", draws=20)
     assert_allclose(found["local"].scale, 1.0, rtol=1e-4)  # a length below 0 is none
     assert found["local"].fails_at == math.inf
     assert "not up to the most that was tried" in str(found["local"])

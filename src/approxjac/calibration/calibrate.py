@@ -159,7 +159,8 @@ def calibrate(
         frame: The frame that was held or seen; by default the arm's tip.
 
     Raises:
-        InvalidInputError: Recordings of other arms, fewer than ten rows, or an unknown socket.
+        InvalidInputError: Recordings of other arms, fewer than ten different postures, or an
+            unknown socket.
         UnknownNameError: No such frame.
     """
     arm = require("arm", arm, Robot, "a Robot")
@@ -167,8 +168,8 @@ def calibrate(
     for each in given:
         require("recordings", each, Recording, "Recordings")
     samples = Recorded.of([each.of(arm) for each in given])
-    if len(samples.q) < _LEAST:
-        message = f"recordings must have at least {_LEAST} rows, got {len(samples.q)}"
+    if (count := len(np.unique(np.round(samples.q, 4), axis=0))) < _LEAST:
+        message = f"recordings must have at least {_LEAST} different postures, got {count}"
         raise InvalidInputError(message, given=recordings)
     kinds = chosen_kinds(unknown, KINDS)
     used = {*kinds, *(("encoders",) if "axes" in kinds else ())}

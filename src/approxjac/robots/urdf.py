@@ -341,8 +341,9 @@ def direction(axis: str | Sequence[float]) -> Array:
 def as_size(name: str, value: Any, unit: str = "m") -> float:
     """Return a length or radius [m], or a mass [kg], as a valid number."""
     number = as_number(name, value, unit=unit, minimum=0.0)
-    most, such = (_LONGEST, "200 mm are 0.2") if unit == "m" else (_HEAVIEST, "500 g are 0.5")
+    most, small = (_LONGEST, "mm") if unit == "m" else (_HEAVIEST, "g")
     if number > most:
+        such = f"{number:g} {small} are {1e-3 * number:g}"
         message = f"{name} must be at most {most:g} [{unit}], got {number:g}; {such}"
         raise InvalidInputError(message, given=value)
     return number

@@ -1,5 +1,6 @@
 """Tasks on symbols: their frames, and the numbers of sensors that differ from run to run."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from traceback import walk_tb
 from typing import Any
@@ -41,10 +42,13 @@ def traced(name: str, given: Any, computed: Callable[[], Any]) -> Any:
     try:
         return computed()
     except (TypeError, AttributeError, ValueError, IndexError, ZeroDivisionError) as error:
+        why = f"{type(error).__name__}: {error}"
+        if unknown := re.search(r"no callable (\w+) method", why):
+            why = f"numpy.{unknown[1]} is none of the functions that code can be made of"
         raise InvalidInputError(
             f"{name} must take symbols to make code of it, with choices by numpy.where or "
             f"law.choose and no branch on a value, which {_place(error)} does not: "
-            f"{type(error).__name__}: {error}; got {given!r}, which runs in Python",
+            f"{why}; got {given!r}, which runs in Python",
             given=given,
         ) from error
 

@@ -72,7 +72,7 @@ class Tolerance:
 
 def tolerances(
     study: StudiedLoop,
-    tests: Sequence[Test] = TESTS,
+    tests: Sequence[Test] | Test = TESTS,
     *,
     largest: float = 10.0,
     precision: float = 0.02,
@@ -86,7 +86,8 @@ def tolerances(
 
     Args:
         study: The study.
-        tests: "theorem1", "matrix" (both only if Ĵ does not use x), "local" or "rollouts".
+        tests: Names of tests, or one: "theorem1", "matrix" (both only if Ĵ does not use x), "local"
+            or "rollouts".
         largest: Largest scale > 0; less if robots beyond it cannot exist.
         precision: Relative precision of the scale, > 0.
         draws: Number ≥ 1 of configurations, 400 by default, or of rollouts per scale, 100 then.
@@ -97,6 +98,7 @@ def tolerances(
         UnknownNameError: No such test.
     """
     uncertainty, tell = study.errors, progress_report(progress)
+    tests = [tests] if isinstance(tests, str) else tests
     reason = uncovered(study.controller)
     if reason and (without := set(tests) - {"local", "rollouts"}):
         raise InvalidInputError(
