@@ -115,8 +115,7 @@ class Condition(_Outcome):
 
     OSCILLATES = (
         "a joint swings with little or no damping, because of a payload, elastic joints, friction, "
-        "a delay or a wrong Jacobian; lower kp, or tell the controller what it does not know "
-        "(latency=, the payload)"
+        "a delay or a wrong Jacobian; lower kp, or give the controller its latency and payload"
     )
     PUSHED = "a force that the believed robot does not explain moves the tip"
     PRESSES = "the tip met something and presses against it"

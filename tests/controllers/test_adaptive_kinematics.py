@@ -144,7 +144,7 @@ def test_what_was_learnt_is_told(turned_run, truth):
     assert not report.rows[names.index("panda_joint1.z")].is_seen
     assert report.angle == pytest.approx(np.linalg.norm(TURN), abs=0.1)
     assert report.is_explained
-    for part in ("tool.x", "not seen", "camera turned by", "chi squared a degree of freedom"):
+    for part in ("tool.x", "not seen", "camera turned by", "chi squared per degree of freedom"):
         assert part in str(report)
     joint = truth.joint_names[-1]
     assert f"tool: from the origin of {joint} to the tip, flange and all" in str(report)

@@ -601,7 +601,7 @@ def test_kinematics_that_are_learnt_follow_a_circle(tmp_path, controller):
     assert "camera turned by 1.7" in (tmp_path / "kinematics.txt").read_text(encoding="utf-8")
     told = " ".join(report.text(result).split())
     assert "kinematics tool at " in told
-    assert " a degree of freedom: kinematics.txt" in told
+    assert " per degree of freedom: kinematics.txt" in told
     assert len(report.draw(result).axes) == 3  # nothing was limited: there is no such panel
     again = Scenario.load(tmp_path / "scenario.toml")
     assert again == result.built.scenario

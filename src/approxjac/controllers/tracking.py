@@ -481,7 +481,7 @@ class TrackingController(Immutable, Controller):
         late = "no lag" if self.latency is None else f"a lag of {self.latency.of_velocity:.2g} s"
         joints = f"rigid joints and {late} taken for granted"
         if self.is_elastic:
-            raised = "" if self._raised is None else "; at first: it is raised until a joint swings"
+            raised = "" if self._raised is None else "; initial; raised until a joint oscillates"
             joints = f"damping at most {most} N m s/rad, for motors behind elastic gears{raised}"
         first += f"; {joints}" if self.command == "torque" else ""
         return [first, super().describe()[1]]
@@ -492,7 +492,7 @@ class TrackingController(Immutable, Controller):
             return ""
         used = self._raised.used(self._own_part(state)[self._end : self._last])
         most = ", ".join(f"{each:.3g}" for each in used.most)
-        return f"joints are damped by at most {most} N m s/rad, alpha is {used.alpha:.3g} 1/s"
+        return f"joint damping is at most {most} N m s/rad, alpha is {used.alpha:.3g} 1/s"
 
     def __repr__(self) -> str:
         parts = f"{self.task!r}, {self.kinematics!r}, {self.dynamics!r}"

@@ -35,7 +35,7 @@ def write_bound(bound: study.JacobianBound, out: Path) -> None:
         ax.axhline(p, color=view.COLORS["neutral"], linestyle="--", label=label)
         ax.set(xlabel="$a = k_p / k_v$ [1/s]", ylabel="allowed $p$ [m/rad on the sensor]")
         ax.set(xlim=(0.0, a[-1]), ylim=(0.0, 1.25 * max(p, float(velocity.max()))))
-        ax.set_title(f"Figure 1: allowed Jacobian error (α = λ₂^½ = {alpha:.4f} 1/s)")
+        ax.set_title(f"Figure 1: allowed Jacobian error (α = √λ₂ = {alpha:.4f} 1/s)")
         view.legend_below(ax)
     view.save_figure(figure, out / "fig1")
 

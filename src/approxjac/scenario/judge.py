@@ -190,9 +190,10 @@ def draw_map(result: StabilityResult) -> Figure | None:
     if grid is None:
         return None
     controller = result.report.loop.controller
+    name, runs = controller.task.robot.name, result.scenario.stability.map_runs
     title = (
-        f"{controller.task.robot.name}: share of {result.scenario.stability.map_runs} runs a point "
-        f"that converge, with 95 % confidence; errors are {result.study.errors.describe_box()}"
+        f"{name}: share of {runs} runs per point that converge, with 95 % confidence; "
+        f"errors are {result.study.errors.describe_box()}"
     )
     figure, axes = view.new_figure(3, size=(14.0, 4.6), title=textwrap.fill(title, 130))
     own, (first, second) = own_values(controller), grid.names

@@ -366,7 +366,7 @@ def text(result: RunResult) -> str:
         tool = [row.value for row in kinematics.rows if row.name.startswith("tool.")]
         where = f"tool at {numbers_of(np.round(tool, 3))} m, " if tool else ""
         lines["kinematics"] = (
-            f"{where}chi squared {kinematics.chi_squared:.2f} a degree of freedom"
+            f"{where}chi squared {kinematics.chi_squared:.2f} per degree of freedom"
             f"{'' if kinematics.is_explained else ', which does not explain x'}: kinematics.txt"
         )
     if built.limits is not None:

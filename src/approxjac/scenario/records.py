@@ -225,9 +225,9 @@ class ControllerChoice:
         friction_compensation: Learn the friction of joints that stand; by default if gravity is
             learnt and x is as recent as q.
         settling_time: Time to settle, s; by default as short as arm, motors and latency allow.
-        kp: Gain K_p, one number or one a task coordinate; by the rule of default gains.
-        kv: Gain K_v, one number or one a task coordinate; by the rule of default gains.
-        damping: Added joint damping, one number or one a joint; by the rule of default gains.
+        kp: Gain K_p, one number or one per task coordinate; by the rule of default gains.
+        kv: Gain K_v, one number or one per task coordinate; by the rule of default gains.
+        damping: Added joint damping, one number or one per joint; by the rule of default gains.
         gamma: Saturation of the error by γ sin(e/γ), in the unit of the task; by default the tanh
             of the rule, or none with gains that are given.
         posture_stiffness: Stiffness that draws the self-motion to the start, N m/rad; 0 is none.

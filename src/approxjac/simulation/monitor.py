@@ -278,7 +278,7 @@ class Monitor:
         _, lefts, speeds = (np.array(each) for each in zip(*self._frames, strict=True))
         along, moved = float(np.sum(lefts * speeds)), float(np.sum(speeds**2))
         share = along**2 / max(moved * float(np.sum(lefts**2)), 1e-30)
-        where, figure = "kinematics", f"chi squared {chi:.2g} a degree of freedom"
+        where, figure = "kinematics", f"chi squared {chi:.2g} per degree of freedom"
         if share > 0.5:
             late = -along / moved
             where, figure = "delay", f"x is {1e3 * late:.0f} ms later than it is stamped"

@@ -493,7 +493,7 @@ def test_the_legend_names_what_occurs(reach, show):
     free = dataclasses.replace(reach.scene, torque_limits=np.full(7, 500.0))
     named = legend(show(dataclasses.replace(reach, scene=free)))
     assert named[:4] == [
-        "the arm as it is", "object that it holds", "the arm as the controller believes it",
+        "true arm", "held object", "believed arm",
         "believed tip",
     ]  # fmt: skip
     for words in ("measured tip", "torque limit", "at a position limit", "in plots"):

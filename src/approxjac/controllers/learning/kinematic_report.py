@@ -86,7 +86,7 @@ class KinematicReport(NamedTuple):
         factor, unit = (1e3, "mm") if self.unit == "m" else (1.0, self.unit)
         given, seen = (factor * noise for noise in self.noise)
         lines.append(f"noise of x {seen:.2g} {unit}, assumed {given:.2g} {unit}")
-        lines.append(f"chi squared a degree of freedom: {self.chi_squared:.2f}")
+        lines.append(f"chi squared per degree of freedom: {self.chi_squared:.2f}")
         if self.seconds == 0.0 or self.silence > SILENT:
             since = f"for the last {self.silence:.1f} s" if self.seconds else "yet"
             lines.append(f"no frame to learn from {since}: x is lost, or too old to tell q at it")

@@ -82,7 +82,7 @@ class Limits:
         for name in _UNITS:
             value = getattr(self, name)
             given = np.inf if value is None else value
-            filled[name] = as_limits(name, given, nv, unit="one a joint")
+            filled[name] = as_limits(name, given, nv, unit="one per joint")
         lower, upper = self.position or (np.full(nv, -np.inf), np.full(nv, np.inf))
         if len(lower) != nv:
             message = f"position must hold a range for each of {nv} joints, got {len(lower)}"

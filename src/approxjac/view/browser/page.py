@@ -170,7 +170,7 @@ def page_data(
     A live page gets instants while it is open, and its targets can be dragged.
     """
     scene, truth, known = stage.scene, stage.scene.truth, stage.scene.knows_truth
-    believed = ", and what its controller believes of it" if known and scene.belief else ""
+    believed = ": true and believed arm" if known and scene.belief else ""
     ends = [columns[name][[0, -1]] for name in ("tip", "target", "believed_tip")]
     moving = np.concatenate([*ends, columns["tip"]])
     moving = moving[np.isfinite(moving).all(axis=1)]
@@ -270,16 +270,16 @@ def _legend(scene: Scene, tip: str, image: bool) -> list[tuple[str, str, str, st
     """
     known, seen = scene.knows_truth, "arm and camera as the controller believes them"
     entries = [
-        ("arm", "arm", "bar", "the arm as it is" if known else "the arm as believed"),
-        ("object", "object", "bar", "object that it holds"),
+        ("arm", "arm", "bar", "true arm" if known else "believed arm"),
+        ("object", "object", "bar", "held object"),
         ("believed", "believed", "bar",
-         seen if image else "the arm as the controller believes it"),
+         seen if image else "believed arm"),
         ("believed_tip", "believed", "", tip),
         ("true", "true", "", f"{'true tip' if known else 'tip by the belief'} and its path"),
         ("measured", "measured", "", "measured tip" + ", where it differs" * known),
         ("target", "target", "", "target, line of sight" if image else "target"),
         ("wall", "neutral", "bar", "wall that a limit of motion keeps to"),
-        ("force", "force", "dash", "force that the control means to exert"),
+        ("force", "force", "dash", "commanded task force"),
         ("saturated", "saturated", "bar", "link near or at its torque limit"),
         ("at_limit", "at_limit", "bar", "link at a position limit of its joint"),
         ("event", "at_limit", "shade", "in plots: an event named above"),
