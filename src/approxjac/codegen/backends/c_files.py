@@ -74,7 +74,17 @@ def export_c(controller: Controller, folder: str | PathLike[str]) -> Path:
 
 
 def _source(step: SampledStep) -> dict[str, str]:
-    lines, flat = Writer(step.graph, LANGUAGE).lines([*chain(*step.outputs.values())])
+    first, outputs = len(step.outputs["torque"]), [*chain(*step.outputs.values())]
+    state = step.graph.input("state", len(step.outputs["after"]))
+
+    def changed(i: int, _: str, value: str, __: str, keeps: str | None) -> list[str]:
+        was = "" if keeps is None else f"{keeps} ? state[{i - first}] : "
+        return [f"        after[{i - first}] = {was}{value};"]
+
+    writer = Writer(step.graph, LANGUAGE._replace(changed=changed))
+    lines, flat = writer.lines(outputs, [-1] * first + [each.place for each in state])
+    if state and "" in flat:
+        lines.insert(0, "    memcpy(after, state, N_STATE * sizeof *after);")
     equations = step.graph.equations
     for i, line in enumerate(lines):
         if (assigned := re.search(r" v(\d+) = ", line)) and int(assigned[1]) in equations:
@@ -90,22 +100,23 @@ def _source(step: SampledStep) -> dict[str, str]:
     stores, values = list[str](), iter(flat)
     for name, numbers in step.outputs.items():
         for i in range(len(numbers)):
-            place = places[name].format(i=i, row=i // nv, column=i % nv)
-            stores.append(f"    {place} = {kinds.get(name, '')}{next(values)};")
+            place, value = places[name].format(i=i, row=i // nv, column=i % nv), next(values)
+            if value:
+                stores.append(f"    {place} = {kinds.get(name, '')}{value};")
     if not step.outputs["after"]:
         stores.append("    after[0] = 0.0;")
-    first, begun = Writer(step.graph, LANGUAGE).lines(step.first)
-    first += table("begun", begun or ["0.0"], is_constant=False)
-    first.append("    memcpy(state->values, begun, sizeof begun);")
+    begin, begun = Writer(step.graph, LANGUAGE).lines(step.first)
+    begin += table("begun", begun or ["0.0"], is_constant=False)
+    begin.append("    memcpy(state->values, begun, sizeof begun);")
     rates = [name for name in ("v", "a") if f"target_{name}" in step.asked]
     finite = (f" && is_finite(target->{name}, {prefix.upper()}_M_X)" for name in rates)
     return {
         "lines": "\n".join(lines),
         "stores": "\n".join(stores),
         "nowhere": ", ".join(["NAN"] * step.sizes["x"]),
-        "helpers": template("power_of_two.c") if "power_of_two" in "".join(lines + first) else "",
+        "helpers": template("power_of_two.c") if "power_of_two" in "".join(lines + begin) else "",
         "q_checks": _q_checks(step),
-        "first": "\n".join([*first, "    (void)now;"]),
+        "first": "\n".join([*begin, "    (void)now;"]),
         "t_checks": _t_checks(step),
         "rate_checks": "".join(finite),
     } | _guarded(step)

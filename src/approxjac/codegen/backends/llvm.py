@@ -257,15 +257,15 @@ def _source(program: Program, width: int) -> str:
         """Return the line that writes a number to its place."""
         return f"  store $D {value}, ptr {place(*places[i], 'to')}, align 8"
 
-    def changed(
-        i: int, choice: tuple[str, str, str], condition: str, keeps: str | None
-    ) -> list[str]:
-        name, a, b = choice
-        lines = [f"  {name} = select $B {condition}, $D {a}, $D {b}"]
+    def changed(i: int, name: str, value: str, condition: str, keeps: str | None) -> list[str]:
+        was, new = f"{name}.was", f"{name}.new"
+        lines = [
+            f"  {was} = load $D, ptr {place(*places[i], 'from')}, align 8",
+            f"  {new} = select $B {condition}, $D {value}, $D {was}",
+        ]
         if keeps is None:
-            return [*lines, kept(i, name)]
-        lines.append(f"  {name}.kept = select $B {keeps}, $D {b}, $D {name}")
-        return [*lines, kept(i, f"{name}.kept")]
+            return [*lines, kept(i, new)]
+        return [*lines, f"  {name} = select $B {keeps}, $D {was}, $D {new}", kept(i, name)]
 
     language = Language(
         templates=_TEMPLATES,

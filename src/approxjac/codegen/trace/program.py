@@ -187,9 +187,9 @@ class Language(NamedTuple):
     # lines that read the cell of a pass: from a name, an array, i, the distance of cells, the first
     taken: Callable[[str, str, str, int, int], list[str]]
     number: Callable[[str, str], list[str]]  # lines that make i a number
-    # lines in a rare block that write a wanted number in place: from its index, its name with its
-    # value in the block and elsewhere, the block's condition, and one under which it stays
-    changed: Callable[[int, tuple[str, str, str], str, str | None], list[str]] = lambda *_: []
+    # lines in a rare block that write a wanted number in place: from its index, its name and value,
+    # the block's condition, and one under which it stays all the same
+    changed: Callable[[int, str, str, str, str | None], list[str]] = lambda *_: []
 
 
 class Scope:
@@ -228,9 +228,11 @@ class Schedule:
         # result of a rare block that else is as `before` → which wanted number it is, and a
         # condition under which it stays as before all the same, if there is one
         self.changes: dict[int, tuple[int, int | None]] = {}
+        self._read: set[int] = set()  # numbers before these that something else needs, too
         wanted = self._in_place(graph, wanted, before)
         # all that is computed, in order, and what of each loop is needed
-        self.places, self.parts = places, parts = graph.reached(wanted)
+        needed = [*wanted, *(each for _, each in self.changes.values() if each is not None)]
+        self.places, self.parts = places, parts = graph.reached(needed)
         self.whole = Scope()  # operations that are always computed
         # place of a loop, or number of a rare block → its scope
         self.inside: dict[tuple[str, int], Scope] = {}
@@ -257,8 +259,8 @@ class Schedule:
             use(place, self.whole)
         for place in reversed(places):
             operation, arguments, value = nodes[place]
-            if operation in ("constant", "state", "index"):
-                continue
+            if operation in ("constant", "state", "index") or place not in users:
+                continue  # the latter of what is only kept in its place
             region = users[place].before_loops(needs[place])
             if operation == "rare":
                 results = self.results[value]
@@ -272,9 +274,12 @@ class Schedule:
                     condition, a, b = nodes[each].arguments
                     use(condition, region)
                     use(a, inside)
-                    use(b, inside if each in self.changes else region)
-                    _, keeps = self.changes.get(each, (0, None))
-                    if keeps is not None:
+                    if each not in self.changes:
+                        use(b, region)
+                        continue
+                    if b in self._read:  # before it is written
+                        use(b, inside)
+                    if (keeps := self.changes[each][1]) is not None:
                         use(keeps, inside)
             elif operation == "loop":
                 region.places.append(place)
@@ -314,6 +319,8 @@ class Schedule:
             if is_own(place, operation) and arguments[2] == was < first[block]:
                 result[i] = place
                 self.changes[place] = i, keeps
+                if uses[was] > (1 if keeps is None else 2):
+                    self._read.add(was)
         return result
 
     def _needs(self) -> dict[int, frozenset[int]]:
@@ -384,13 +391,13 @@ class Writer:
         for place in results:
             _, then, otherwise = self._graph.nodes[place].arguments
             name = f"{self._language.variable}{place}"
-            choice = name, self._name(then), self._name(otherwise)
             if place in self._schedule.changes:
                 i, keeps = self._schedule.changes[place]
                 kept = None if keeps is None else self._name(keeps)
-                body += self._language.changed(i, choice, self._name(condition), kept)
+                own = i, name, self._name(then), self._name(condition), kept
+                body += self._language.changed(*own)
             else:
-                choices.append(choice)
+                choices.append((name, self._name(then), self._name(otherwise)))
                 names[place] = name
         self._names |= names
         return self._language.rare(str(block), self._name(condition), body, choices)
