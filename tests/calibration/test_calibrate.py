@@ -124,6 +124,29 @@ def test_of_an_arm_as_drawn_little_is_changed():
         or not found.is_better
     )
     assert elsewhere(arm, found.robot) < 0.1e-3
+    # no socket tells where the base is, however little drawings are believed to be wrong
+    first = [found.names.index(f"{arm.believed.joint_names[0]}.{axis}") for axis in "xyz"]
+    assert (found.share[first] < 0.05).all()
+
+
+def test_of_few_rows_a_tool_is_known_as_their_noise_tells():
+    """The covariance of least squares, with the noise of so many rows less the six fitted."""
+    arm = Arm("panda", 71)
+    tool, arm.theta[:] = arm.theta[arm.tool].copy(), arm.regressor.theta
+    arm.theta[arm.tool] = tool
+    at, rng = arm.regressor.position(arm.q0, arm.theta), np.random.default_rng(8)
+    ratios, sizes = [], []
+    for _ in range(4):
+        q = ball(arm, rng, at, rows=10)
+        found = calibrate(arm.believed, Recording(q, socket="a", place="b"), unknown=("tool",))
+        H = np.array([arm.regressor.linear(each, arm.theta)[0][:, arm.tool] for each in q])
+        H = H - H.mean(axis=0)
+        P = found.noise[0] ** 2 * np.linalg.inv(np.einsum("kij,kil->jl", H, H))
+        ratios.append(found.sd / np.sqrt(P.diagonal()))
+        sizes.append(found.noise[0])
+    assert (np.array(ratios) > 1.0).all()  # as rows weigh a little less than one each
+    assert np.median(ratios) < 1.1
+    assert_allclose(np.mean(sizes), NOISE, rtol=0.2)
 
 
 def test_backlash_is_not_explained(true_arm):

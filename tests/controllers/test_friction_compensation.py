@@ -9,6 +9,7 @@ import pytest
 import approxjac as aj
 from approxjac import law
 from approxjac.controllers import FrictionCompensation
+from approxjac.controllers.gains.sample_configurations import sample_configurations
 from approxjac.robots import Drives, Friction
 from approxjac.simulation import Computation
 
@@ -63,6 +64,35 @@ def test_only_what_stands_and_should_move_learns():
     near = law.friction_step(of, memory, np.zeros(n), nu, 0.5 * of.fine, False)
     assert (near[1][:n] == 0.0).all()
     assert near[1][-1] > 0.0
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5"])
+def test_it_is_half_way_where_errors_that_are_fine_ask_for_little(name):
+    """tanh(ν/ε) with ε = ‖ν‖ of them in the median, by the law's own Ĵ⁺."""
+    law_ = setpoint(aj.PositionTask(aj.load_robot(name)), friction=FrictionCompensation())
+    of, weight = law_._rubs, np.sqrt(law_.adaptation.pinv_weight)
+    assert np.ptp(weight) > 0.5
+    nu = [
+        law_.alpha * np.linalg.norm(law_.pinv.matrix(J) * 2.0 * of.fine, axis=1)
+        for J in sample_configurations(law_.task).J_hat
+    ]
+    nu, wide = np.median(nu, axis=0), of.width > 1.001 * of.width.min()
+    assert wide.sum() >= 4
+    np.testing.assert_allclose(of.width[wide], nu[wide])
+
+
+def test_a_joint_stands_once_it_was_slow_for_40_ms_and_anew_after_it_moved():
+    of = rule()
+    n, nu, grew = len(of.width), 3.0 * of.width, []
+    memory = np.concatenate([0.1 * of.most, np.zeros(n + 1)])
+    for k in range(300):
+        v = nu if 100 <= k < 200 else np.zeros(n)
+        _, rate, _ = law.friction_step(of, memory, v, nu, np.ones(3), False)
+        memory = memory + 1e-3 * rate
+        grew.append((rate[:n] > 0.0).all())
+    assert abs(grew.index(True) - 40) <= 1
+    assert not any(grew[100:239])
+    assert all(grew[42:100] + grew[242:])
 
 
 def test_all_rests_near_the_target_until_it_is_left():

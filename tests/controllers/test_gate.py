@@ -118,6 +118,28 @@ def test_a_frame_is_of_the_configuration_at_which_it_was_taken(kinematics, arm, 
     assert_allclose(kinematics.learnt(state), believed, atol=1e-5)
 
 
+@pytest.mark.parametrize("dt", [1e-3, 4e-3, 7e-3])
+def test_a_delay_is_known_as_well_as_the_speed_of_x_tells(arm, dt):
+    """Of frames that are 50 ms old, at any period: 1/sd² = 1/sd₀² + Σ ‖Ĵq̇‖²/σ²."""
+    kinematics = AdaptiveKinematics(aj.PositionTask(arm, axes="xz"), ("delay",), dt=dt)
+    task, speed, state, told = kinematics.task, np.array([0.3, -0.4]), None, 0.02**-2
+    frame, age = 0.028, 0.05
+    for k in range(round(0.6 / dt)):
+        number = int(k * dt / frame + 1e-6)
+        taken = number * frame - age
+        seen = aj.Measurement(
+            k * dt, AT + k * dt * speed, speed, task.value(AT + taken * speed), taken
+        )
+        state = kinematics.initial_state(seen) if state is None else state
+        before = kinematics.report(state).rows[0].sd
+        state = kinematics.step(state, seen, dt)
+        if kinematics.report(state).rows[0].sd < before:
+            rate = task.jacobian(AT + taken * speed) @ speed
+            told += rate @ rate / kinematics.noise**2
+    assert told > 2.0 * 0.02**-2
+    assert_allclose(kinematics.report(state).rows[0].sd, told**-0.5, rtol=0.02)
+
+
 @pytest.mark.parametrize("dt", [1e-3, 0.05, 0.2])
 def test_what_is_predicted_follows_what_is_learnt_without_swinging_at_any_period(kinematics, dt):
     x = kinematics.task.value(AT)

@@ -452,7 +452,8 @@ def test_a_first_velocity_counts_as_twice_the_fastest_at_most(side):
     np.testing.assert_allclose(torques[2:], [torques[1]] * 2, rtol=1e-12)
 
 
-def test_a_change_of_torque_explains_less_and_less_for_20_ms():
+@pytest.mark.parametrize("dt", [5e-4, DT, 4e-3])
+def test_a_change_of_torque_explains_less_and_less_for_20_ms(dt):
     """As it may act late; what |q̈| is usual comes on top at first and remains at last."""
     bounds = GuardBounds([1e-3], 0.0, [1.0], np.array([10.0]), [0.1], (), 5.0, 0.02)
     memory = GuardMemory.of(first_memory([0.0], [], bounds).tolist(), GuardMemory.ends(1, 1, 0, 0))
@@ -460,10 +461,10 @@ def test_a_change_of_torque_explains_less_and_less_for_20_ms():
     usual = 10.0 / 128.0
     found, pushes = [], [100.0] + 60 * [0.0]
     for k, push in enumerate(pushes):
-        judgement = closely_judged(memory, still._replace(t=k * DT), DT, bounds)
-        memory = remembered(judgement, DT, [0.0], [push], None)
+        judgement = closely_judged(memory, still._replace(t=k * dt), dt, bounds)
+        memory = remembered(judgement, dt, [0.0], [push], None)
         found.append(memory.push[0])
-    faded = (100.0 + usual) * (1.0 - DT / 0.02) ** np.arange(61)
+    faded = (100.0 + usual) * (1.0 - dt / 0.02) ** np.arange(61)
     np.testing.assert_allclose(found, np.maximum(faded, usual), rtol=1e-9)
 
 

@@ -70,6 +70,22 @@ def test_a_few_torques_show_inertia_that_the_believed_arm_lacks(panda, share, no
     assert_allclose(rho, share, atol=0.02)
 
 
+@pytest.mark.parametrize("filtered", [2e-3, 5e-3, 20e-3])
+def test_a_velocity_that_is_filtered_makes_no_arm_heavier(panda, filtered):
+    """Torques that turn again and again, on an arm that is as it is believed to be."""
+    late = aj.Latency(DT, velocity_filter=filtered)
+    law = aj.SetpointController(aj.PositionTask(panda), latency=late)
+    prediction = AccelerationObserver(law, DT, RATE, FASTEST)
+    v, seen, memory = np.zeros(7), np.zeros(7), prediction.nothing
+    for k in range(200):
+        memory, rho, _ = prediction.observed(memory, measured(Q, seen, k * DT))
+        f = np.full(7, 100.0 if k // 20 % 2 else -100.0)
+        memory = prediction.expecting(measured(Q, seen, k * DT), f, memory)
+        v = v + DT * f
+        seen = seen + DT / (filtered + DT) * (v - seen)
+    assert_allclose(rho, 1.0, atol=0.02)
+
+
 @pytest.mark.parametrize("f_of", [lambda k: 100.0, lambda k: 0.05 * k, lambda k: 5.0 * (k > 0)])
 def test_torques_that_hardly_change_show_no_inertia(panda, f_of):
     """Nor does a q̇ that rests against a slowly growing f."""

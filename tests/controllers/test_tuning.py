@@ -11,7 +11,7 @@ from scenarios import reach
 import approxjac as aj
 from approxjac.controllers import DifferentiatedVelocity, Latency, tuned
 from approxjac.controllers.gains.sample_configurations import sample_configurations
-from approxjac.controllers.gains.tuning import Learning, _Arm, slow_rate
+from approxjac.controllers.gains.tuning import Learning, _Arm, slow_rate, with_unknown_tool
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Drives, Dynamics, GravityRegressor
 from approxjac.scenario import build_scenario
@@ -132,6 +132,17 @@ def test_the_saturation_keeps_the_motors_within_their_torques(name, rng):
     assert np.mean(within) > 0.88
 
 
+def test_the_check_is_of_arms_lighter_and_heavier_than_believed(panda):
+    arm = _Arm(aj.PositionTask(panda), None, IDEAL, None, None)
+    loop = arm.cases(aj.default_gains(arm.task).diagonals(3, 7), None)
+    true = np.linalg.inv(loop.M_inv).reshape(-1, 20, 7, 7)
+    times = np.trace(true, axis1=2, axis2=3) / np.trace(arm.postures.M[:20], axis1=1, axis2=2)
+    assert times.min() < 0.8
+    assert times.max() > 1.2
+    has_tool = np.abs(loop.J - np.tile(arm.postures.J_hat[:20], (4, 1, 1))).max(axis=(1, 2)) > 0.01
+    assert times.ravel()[has_tool].max() > 1.2  # which is not without mass
+
+
 # -- latency --------------------------------------------------------------------------------
 
 
@@ -218,6 +229,35 @@ def test_what_is_too_late_for_any_gains_says_so():
     hopeless = tuned(task, Latency(image_age=100.0), settling_time=0.01)
     assert not hopeless.stable
     assert "no gains passed the check: x is too late, or Ĵ too far off" in str(hopeless)
+
+
+def test_nine_of_ten_loops_with_an_image_that_is_late_are_damped_as_is_told(panda):
+    """By steps of the linear loop, in which x is that of the last frame but one."""
+    task, frame = aj.PositionTask(panda), 0.1
+    latency = Latency(image_period=frame, image_age=frame)
+    chosen = tuned(task, latency, settling_time=0.8)
+    postures, n = sample_configurations(task), 7
+    J, (kp, kv, damping) = postures.J_hat, chosen.gains.diagonals(3, n)
+    D = J.mT * kv @ J + np.diag(damping)
+    q, v, x = (np.tile(part, (len(J), 1, 1)) for part in np.split(np.eye(2 * n + 3), [n, 2 * n]))
+    new = J @ q
+    for _ in range(round(frame / latency.period)):
+        v = v - latency.period * postures.M_inv @ (J.mT * kp @ x + D @ v)
+        q = q + latency.period * v
+    poles = np.log(np.linalg.eigvals(np.concatenate([q, v, new], axis=1)).astype(complex)) / frame
+    size, lag = np.abs(poles), latency.of_position
+    slow = (size > 0.1 * chosen.rate) & (size < 2.3 / lag)
+    ratios = np.where(slow, -poles.real / np.maximum(size, 1e-9), 1.0).min(axis=1)
+    assert np.quantile(ratios, 0.1) > 0.15 + 0.36 * chosen.rate * lag
+
+
+@pytest.mark.parametrize("name", among("panda", "ur5", "kinova", "tiago_arm"))
+def test_an_unknown_tool_is_as_an_object_of_that_length(name):
+    arm = aj.load_robot(name)
+    longer, held = with_unknown_tool(arm, 0.2), arm.with_object(0.2)
+    for q in arm.configurations(3):
+        value = [aj.PositionTask(each, axes="xyz").value(q) for each in (longer, held)]
+        assert_allclose(*value, atol=1e-9)
 
 
 def test_law_5_is_damped_as_late_as_it_differentiates(panda):

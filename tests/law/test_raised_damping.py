@@ -109,6 +109,24 @@ def test_noise_that_motors_would_feel_keeps_it_low(rng):
     assert share[2] == 0.0
 
 
+@pytest.mark.parametrize("dt", [4e-3, 8e-3])
+def test_noise_is_forgotten_by_e_in_a_second_whatever_the_period(dt, rng):
+    """Motors that stand a tenth of it are damped more ln 10 s later."""
+    one, omega = np.ones(1), crossover(aj.Latency(dt, torque_delay=1e-3))
+    noise, waited = 0.3 * rng.normal(size=(round(5.0 / dt), 1)), []
+    for quiet in (0.1, 0.01):
+        watch = law.RaisedDamping.of(omega, 3e-3 * one, (one, 19.0 * one), quiet * one, dt)
+        memory, n = watch.start(np.zeros(1)), 0
+        for v in noise:
+            memory, _ = watch.step(memory, v)
+        assert memory[0] == 0.0
+        while memory[0] == 0.0:
+            memory, _ = watch.step(memory, np.zeros(1))
+            n += 1
+        waited.append(n * dt)
+    assert waited[1] - waited[0] == pytest.approx(np.log(10.0), rel=0.1)
+
+
 @pytest.mark.parametrize("bits", [14, 17, 20])
 def test_an_encoder_that_counts_does_not_lower_it(bits):
     """Its steps are a tone of any frequency, with q' by a filter of 5 ms: slow and fast motions."""

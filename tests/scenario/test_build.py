@@ -13,6 +13,7 @@ from approxjac.controllers import Latency, tuned
 from approxjac.robots import Drives
 from approxjac.scenario import Scenario, build_scenario, run_scenario
 from approxjac.scenario.judge import prepare
+from approxjac.scenario.starts import regular_configuration
 from approxjac.tasks import FrameKinematics
 
 LATE = {"loop": {"dt": 4e-3, "actuator_delay": 8e-3}}
@@ -134,6 +135,19 @@ def test_a_target_and_a_path_are_where_they_are_said_to_be():
 
 
 # -- the law ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+@pytest.mark.parametrize("name", ["panda", "ur5"])
+def test_neither_arm_is_near_singular_where_a_random_run_begins(name, swapped):
+    """Of which the true one holds a long tool that is not believed, or the other way round."""
+    lengths = (0.0, 0.4) if swapped else (0.4, 0.0)
+    true, believed = (aj.PositionTask(aj.load_robot(name).with_object(each)) for each in lengths)
+    for seed in range(40):
+        q = regular_configuration(true, believed, np.random.default_rng(seed))
+        for task in (true, believed):
+            values = np.linalg.svd(task.jacobian(q), compute_uv=False)
+            assert values[-1] > 0.1 * values[0]
 
 
 def test_the_law_is_tuned_for_the_loop_that_it_runs_in():

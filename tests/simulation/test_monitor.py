@@ -322,6 +322,28 @@ def test_an_x_that_drifts_is_not_explained(panda, belief):
     assert Condition.NOT_EXPLAINED in {event.condition for event in monitor.events}
 
 
+@pytest.mark.parametrize("late", [0.01, pytest.param(-0.01, marks=pytest.mark.study)])
+def test_an_x_that_is_stamped_wrongly_is_told_as_late_as_it_is(belief, late):
+    """Of quick motions of an arm that is as believed; −10 ms are stamps that are too old."""
+    task, middle = aj.PositionTask(belief), aj.Plant(belief).ready_configuration()
+    kinematics = aj.AdaptiveKinematics(task, ("tool",), noise=1e-3, dt=DT)
+    law = aj.TrackingController(task, kinematics=kinematics, dt=DT).guarded(None)
+    rates, monitor, state = np.linspace(5.0, 9.0, belief.nv), Monitor(law), None
+    for k in range(round(2.4 / DT)):
+        t = k * DT
+        q, v = middle + 0.05 * (1.0 - np.cos(rates * t)), 0.05 * rates * np.sin(rates * t)
+        taken = max(t - max(late, 0.0), 0.0)
+        x = task.value(middle + 0.05 * (1.0 - np.cos(rates * taken)))
+        seen = Measurement(t, q, v, x, t + min(late, 0.0))
+        state = law.initial_state(seen) if state is None else state
+        state, answer = law.step(state, seen, x, DT)
+        monitor.look(seen, answer.torque, v, state)
+    (told,) = (each for each in monitor.events if each.condition is Condition.NOT_EXPLAINED)
+    assert told.where == "delay"
+    size = float(told.figure.removeprefix("x is ").split(" ms later")[0])
+    assert size == pytest.approx(1e3 * late, rel=0.3)
+
+
 @pytest.mark.parametrize("seed", [0, 4, 7])
 def test_what_a_rotation_left_that_was_given_up_is_not_held_against_another(panda, seed):
     truth = panda.with_object(0.15, 0.5, axis="x")

@@ -202,6 +202,15 @@ def test_encoders_read_multiples_of_their_quantum(name, kinova, panda, rng):
     assert all(pin.isNormalized(robot.model, m.q, 1e-12) for m in seen)
 
 
+def test_encoders_that_are_noisy_read_multiples_of_their_quantum_all_the_same(panda):
+    truths = moving(aj.PositionTask(panda), START, np.zeros(7), 200)
+    noisy = aj.Sensing(q_noise=2e-3, q_quantum=1e-3)
+    q = np.array([m.q for m in readings(noisy, truths, aj.PositionTask(panda))])
+    assert_allclose(q / 1e-3, np.round(q / 1e-3), atol=1e-6)
+    # rounding adds a twelfth of its square
+    assert_allclose(q.std(axis=0).mean(), np.hypot(2e-3, 1e-3 / np.sqrt(12.0)), rtol=0.1)
+
+
 # -- delay and dropouts ---------------------------------------------------------------------
 
 

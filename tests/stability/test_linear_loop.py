@@ -11,11 +11,13 @@ from approxjac.controllers import RegressorGravity
 from approxjac.controllers.gains.gains import Timing
 from approxjac.law import Sine
 from approxjac.robots import GravityRegressor
+from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.loop.linearization import (
     continuous_matrix,
     equilibria,
     linear_loop,
     sampled_matrix,
+    stabilities,
 )
 
 FOLLOWER = """<robot name="coupled"><link name="base"/>{links}
@@ -174,6 +176,38 @@ def test_gravity_acts_all_the_time_and_its_compensation_does_not(two_link):
     floating = loop._replace(G=np.zeros_like(loop.G))
     assert np.abs(sampled_matrix(loop, timing) - sampled_matrix(floating, timing)).max() > 1e-3
     assert_allclose(continuous_matrix(loop), continuous_matrix(floating))
+
+
+@pytest.mark.parametrize("kp", [20.0, 3000.0])
+def test_radii_are_of_the_maps_from_frame_to_frame(two_link, kp):
+    task, latency = aj.PositionTask(two_link, axes="xz"), aj.Latency(1e-3, image_period=0.1)
+    controller, plant = aj.SetpointController(task, aj.Gains(kp, 30.0)), aj.Plant(two_link, task)
+    loop = ClosedLoop(controller, plant, aj.JointBox.around(two_link, (0.4, 1.2), 0.2))
+    samples = loop.draw(6, np.random.default_rng(0))
+    maps = [
+        sampled_matrix(linear_loop(plant, controller, q), latency.in_samples())[0]
+        for q in samples.q
+    ]
+    multipliers = np.linalg.eigvals(maps)  # but for torques that are learnt: there are none
+    expected = np.where(np.abs(multipliers - 1.0) < 1e-9, 0.0, np.abs(multipliers)).max(axis=1)
+    assert_allclose(loop.spectral_radii(samples, latency), expected, rtol=1e-6)
+    assert (expected > 1.0).all() == (kp == 3000.0)
+
+
+def test_slow_modes_are_told_per_second_also_from_frame_to_frame(panda, rng):
+    plant, controller, q, _ = loop_of("panda", rng)
+    loop = linear_loop(plant, controller, q)
+    (continuous,), *sampled = (
+        stabilities(loop, 9.81, timing)
+        for timing in (
+            None,
+            Timing(1e-4),
+            Timing(1e-4, samples=10),
+            Timing(1e-4, samples=10, x_late=10),
+        )
+    )
+    for (found,) in sampled:
+        assert_allclose(found.decay_rate, continuous.decay_rate, rtol=0.01)
 
 
 def test_a_short_dt_is_the_continuous_loop(panda, rng):

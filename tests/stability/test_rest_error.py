@@ -25,6 +25,18 @@ def test_on_one_joint_it_is_the_closed_form():
     assert rest_error(controller, Friction(1.0), q).max() < 1e-15
 
 
+@pytest.mark.parametrize("name", ["panda", "ur5"])
+def test_friction_by_load_is_of_its_size_whichever_way_a_joint_is_loaded(name):
+    robot = aj.load_robot(name)
+    controller, g = aj.SetpointController(aj.PositionTask(robot)), aj.Plant(robot).dynamics.g
+    for q in robot.configurations(3):
+        dry = 0.02 * robot.effort_limits
+        assert (g(q) < -0.1).any()
+        by_load = rest_error(controller, Friction(coulomb=dry, load=0.06), q)
+        dry = dry + 0.06 * np.abs(g(q))
+        np.testing.assert_allclose(by_load, rest_error(controller, Friction(coulomb=dry), q))
+
+
 @pytest.mark.study
 @pytest.mark.parametrize(
     ("name", "share"),

@@ -18,8 +18,8 @@ import approxjac as aj
 from approxjac.formatting import percent
 from approxjac.robots import GravityRegressor
 from approxjac.stability.errors.region import Region
-from approxjac.stability.rollouts.rollouts import clopper_pearson
-from approxjac.stability.rollouts.setting import RolloutSetting
+from approxjac.stability.rollouts.rollouts import Execution, carried_out, clopper_pearson
+from approxjac.stability.rollouts.setting import COLUMNS, RolloutSetting
 from approxjac.tasks.analysis import fine_error
 
 PLANE = functools.partial(aj.PositionTask, axes="xz")
@@ -379,6 +379,23 @@ def test_it_ends_with_a_failure(controller, uncertainty):
         assert few.n == ends
         for name, column in few.columns.items():
             assert_array_equal(column, every.columns[name][:ends])
+
+
+@pytest.mark.parametrize("failures", [1, 5, 8, 9, 20, 21])
+def test_failures_are_counted_over_portions_with_several(failures):
+    """As of lanes, which take eight runs at once."""
+    passed = np.random.default_rng(0).random(40) < 0.5
+
+    class Setting:
+        engine = "lanes"
+
+        def columns(self, indices):
+            each = {name: np.array(indices, dtype=float) for name in COLUMNS}
+            return each | {"converged": passed[list(indices)]}
+
+    (found,) = carried_out([Setting()], 40, failures, Execution(), lambda share: None)
+    ends = np.flatnonzero(~passed)[failures - 1 : failures]
+    assert_array_equal(found["index"], np.arange(ends[0] + 1 if len(ends) else 40))
 
 
 @pytest.mark.parametrize("failures", [1, 3])

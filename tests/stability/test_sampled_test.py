@@ -9,7 +9,7 @@ import pytest
 import approxjac as aj
 from approxjac.controllers import Latency
 from approxjac.law import Linear
-from approxjac.stability.certificates.attraction import attraction
+from approxjac.stability.certificates.attraction import attraction, slower, travels
 from approxjac.stability.certificates.certificate import largest, sampled_test
 from approxjac.stability.certificates.matrix_form import Hold, MatrixForm, best_weights
 from approxjac.stability.loop.closed_loop import ClosedLoop
@@ -242,6 +242,26 @@ def test_starts_that_stay_are_starts_that_are_certified(exact, below, at):
     assert (found.radius + travel <= 0.2 * 1.01).all()
     if below < 1.0:  # it is what is certified that ends them
         assert energy.max() > 0.9 * test.level
+
+
+def test_a_motion_that_spends_its_V_on_one_joint_travels_just_as_far_as_is_told(exact):
+    """V' = −2ρV − zᵀFz, with z along F⁻¹eᵢ and as fast as 2ρ exp(−4ρt) allows."""
+    robot, law, box, test = exact
+    loop = ClosedLoop(law, aj.Plant(robot, law.task), box)
+    found = attraction(loop, test, np.random.default_rng(0))
+    rate, weights, form = found.rate, found.weights, slower(test.form)
+    told, k, dt = travels(form, weights, rate), 3, 1e-3 / rate
+    decay = rate, 0.5  # S(e)/s(e)² of s = e
+    F = form.changed(most_s=form.largest_s(weights), decay=decay).decrease(weights)[k]
+    for i in range(2):
+        z, V, way = np.linalg.inv(F)[i], 1.0, 0.0
+        z = z * np.sqrt(2.0 * rate / (z @ F @ z))
+        for t in dt * (np.arange(round(8.0 / rate / dt)) + 0.5):
+            now = np.exp(-2.0 * rate * t) * z
+            V += dt * (-2.0 * rate * V - now @ F @ now)
+            way += dt * now[i]
+        assert abs(V) < 1e-3
+        np.testing.assert_allclose(way, told[k, i], rtol=1e-3)
 
 
 def test_whatever_turns_faster_leaves_less_of_the_margin():
