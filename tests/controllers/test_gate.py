@@ -119,11 +119,12 @@ def test_a_frame_is_of_the_configuration_at_which_it_was_taken(kinematics, arm, 
 
 
 @pytest.mark.parametrize("dt", [1e-3, 4e-3, 7e-3])
-def test_a_delay_is_known_as_well_as_the_speed_of_x_tells(arm, dt):
-    """Of frames that are 50 ms old, at any period: 1/sd² = 1/sd₀² + Σ ‖Ĵq̇‖²/σ²."""
+@pytest.mark.parametrize("age", [0.05, 0.003, 0.0])
+def test_a_delay_is_known_as_well_as_the_speed_of_x_tells(arm, dt, age):
+    """Of frames of any age, at any period: 1/sd² = 1/sd₀² + Σ ‖Ĵq̇‖²/σ²."""
     kinematics = AdaptiveKinematics(aj.PositionTask(arm, axes="xz"), ("delay",), dt=dt)
     task, speed, state, told = kinematics.task, np.array([0.3, -0.4]), None, 0.02**-2
-    frame, age = 0.028, 0.05
+    frame = 0.028
     for k in range(round(0.6 / dt)):
         number = int(k * dt / frame + 1e-6)
         taken = number * frame - age

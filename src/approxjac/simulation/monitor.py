@@ -281,7 +281,8 @@ class Monitor:
         where, figure = "kinematics", f"chi squared {chi:.2g} per degree of freedom"
         if share > 0.5:
             late = -along / moved
-            where, figure = "delay", f"x is {1e3 * late:.0f} ms later than it is stamped"
+            sense = "later" if late > 0.0 else "earlier"
+            where, figure = "delay", f"x is {1e3 * abs(late):.0f} ms {sense} than it is stamped"
         self._note("x", Condition.NOT_EXPLAINED, t - _COMPARED, where, figure)
 
     # -- disturbances ---------------------------------------------------------------------

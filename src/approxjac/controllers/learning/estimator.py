@@ -553,7 +553,8 @@ class Frames:
         begins = np.where(is_known, begins, measurement.q)
         ends = np.where(is_known, ends, measurement.q)
         way = motion_between(robot, begins, ends)
-        return moved(robot, begins, share * way), way / np.maximum(here.dot(gaps), _SPACING)
+        v = np.where(here[-1] > 0.0, measurement.v, way / np.maximum(here.dot(gaps), _SPACING))
+        return moved(robot, begins, share * way), v
 
     def _ring(self, numbers: Array) -> Array:
         return numbers[self._head :].reshape(self._count, self._width)

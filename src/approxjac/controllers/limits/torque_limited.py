@@ -76,8 +76,9 @@ class AccelerationObserver:
         self._n = robot.nv
         self._dt, self._per_period, self._share = dt, np.array(1.0 / dt), np.array(rate * dt)
         self._forgets = np.array(_FORGETS * rate * dt)
-        lag = 0.0 if controller.latency is None else controller.latency.of_velocity - dt
-        self._late = np.array(max(lag, 0.0) / (dt + max(lag, 0.0)))
+        known = controller.latency
+        lag = 0.0 if known is None else known.of_velocity - known.period
+        self._late = np.array(lag / (dt + lag))
         self._most = _EXPLAINED * usual_accelerations(robot)[1]
         self._calm = (_CALM * rate * np.where(np.isfinite(fastest), fastest, 1.0)) ** 2
         # before the first period
