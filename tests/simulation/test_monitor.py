@@ -340,8 +340,9 @@ def test_an_x_that_is_stamped_wrongly_is_told_as_late_as_it_is(belief, late):
         monitor.look(seen, answer.torque, v, state)
     (told,) = (each for each in monitor.events if each.condition is Condition.NOT_EXPLAINED)
     assert told.where == "delay"
-    size = float(told.figure.removeprefix("x is ").split(" ms later")[0])
-    assert size == pytest.approx(1e3 * late, rel=0.3)
+    size, sense = re.fullmatch(r"x is (\d+) ms (\w+) than it is stamped", told.figure).groups()
+    assert sense == ("later" if late > 0.0 else "earlier")
+    assert float(size) == pytest.approx(1e3 * abs(late), rel=0.3)
 
 
 @pytest.mark.parametrize("seed", [0, 4, 7])
