@@ -1,6 +1,7 @@
 """What a monitor says of an arm: each condition is caused, and named with its place and size."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
