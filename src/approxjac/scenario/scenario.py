@@ -82,7 +82,11 @@ class Scenario:
         if not isinstance(robot, str):
             message = f'{path} must name a robot, such as robot = "panda", got {robot!r}'
             raise InvalidInputError(message, given=path)
-        return cls(robot).with_values(table, str(path))
+        scenario = cls(robot).with_values(table, str(path))
+        if (beside := scenario.true.calibration) is None:
+            return scenario
+        file = (Path(path).resolve().parent / beside).as_posix()
+        return scenario.with_values({"true": {"calibration": file}})
 
     def with_values(self, table: Table, where: str = "") -> Scenario:
         """Return this scenario with the values of a table, such as `{"run": {"duration": 5.0}}`.
