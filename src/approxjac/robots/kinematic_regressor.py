@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.errors import InvalidInputError
-from approxjac.files import refusing, replaced
+from approxjac.files import read_arrays, refusing, replaced
 from approxjac.robots.robot import Robot, all_frame_id
 from approxjac.robots.traced import arm_of
 from approxjac.validation import Array, Immutable, as_array, as_vector, read_only, require
@@ -421,7 +421,8 @@ class KinematicBelief:
             "calibration must be a file of Calibration.save",
             (Exception,),
         )  # as NumPy
-        with refusing(wanted, str(path), any_error), np.load(path, allow_pickle=False) as kept:
+        with refusing(wanted, str(path), any_error), Path(path).open("rb") as stream:
+            kept = read_arrays(stream)
             each: Any = [kept[field.name] for field in fields(KinematicBelief)]
         each = [tuple(a.tolist()) if a.dtype.kind == "U" else a for a in each]
         return KinematicBelief(*each)
