@@ -1,5 +1,8 @@
 """Online learning that begins with a calibration: its numbers with their whole covariance."""
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 from beliefs import belief_of
@@ -247,20 +250,22 @@ def test_wrong_priors_are_refused():
     belief, robot = belief_of(panda)
     with pytest.raises(aj.InvalidInputError, match=r"a Calibration, or None, got 0\.2"):
         AdaptiveKinematics(panda, prior=0.2)
-    with pytest.raises(aj.InvalidInputError, match=r"prior must be of ur5 and its frame .*, got"):
+    with pytest.raises(
+        aj.InvalidInputError, match=r"calibration must be of ur5 and its frame .*, got"
+    ):
         AdaptiveKinematics(ur5, prior=belief)
     hand = aj.PositionTask(panda, "panda_link7")
     with pytest.raises(
         aj.InvalidInputError,
-        match=r"frame panda_link7, got one of panda_hand_tcp, whose tool is .*; sd\['tool'\]",
+        match=r"frame panda_link7, got one of panda_hand_tcp, whose tool differs; sd\['tool'\]",
     ):
         AdaptiveKinematics(hand, prior=belief)
     assert AdaptiveKinematics(hand, sd={"tool": 0.2}, prior=belief).names
     stretched = panda.with_kinematic_error({"panda_joint4": (0.0, 0.2, 0.0)})
-    with pytest.raises(aj.InvalidInputError, match=r"whose panda_joint4\.\w is another"):
+    with pytest.raises(aj.InvalidInputError, match=r"whose panda_joint4\.\w differs"):
         AdaptiveKinematics(stretched, prior=belief)
     turned = robot.with_kinematic_error(None, {"panda_joint2": (0.5, 0.0, 0.0)})
-    with pytest.raises(aj.InvalidInputError, match=r"whose panda_joint2\.tilt1 is another"):
+    with pytest.raises(aj.InvalidInputError, match=r"whose panda_joint2\.tilt1 differs"):
         AdaptiveKinematics(turned, prior=belief)
 
 
@@ -318,3 +323,12 @@ def test_a_real_arm_goes_on_from_its_calibration(panda):
         left[prior is None] = np.median(np.linalg.norm(off, axis=1))
     assert left[False] < 0.5e-3
     assert left[False] < left[True]
+
+
+def test_kinematics_with_a_prior_go_to_other_processes():
+    belief, robot = belief_of(aj.load_robot("ur5"))
+    kinematics = AdaptiveKinematics(robot, ("tool",), prior=belief)
+    seen = aj.Measurement(0.0, robot.neutral(), np.zeros(6), np.full(3, 0.3), 0.0)
+    state = kinematics.initial_state(seen)
+    for other in (pickle.loads(pickle.dumps(kinematics)), copy.deepcopy(kinematics)):
+        assert_array_equal(other.initial_state(seen), state)

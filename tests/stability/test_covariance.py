@@ -174,7 +174,7 @@ def test_what_does_not_fit_is_refused(known):
     belief, robot = known
     with pytest.raises(aj.InvalidInputError, match="arm must be the robot of the calibration"):
         aj.Uncertainty(aj.load_robot("ur5"), covariance=belief)
-    with pytest.raises(aj.InvalidInputError, match="prior must be of panda"):
+    with pytest.raises(aj.InvalidInputError, match="calibration must be of panda"):
         aj.Uncertainty(aj.load_robot("panda"), covariance=belief)
     with pytest.raises(aj.InvalidInputError, match="without joint_shifts and joint_rotations"):
         aj.Uncertainty(robot, covariance=belief, joint_shifts={"elbow_joint": (0.01, 0.0, 0.0)})

@@ -401,8 +401,10 @@ class KinematicBelief:
             off = abs(learnt[i] - theta.get(name, np.inf))
             far += [name] if joint != "tool" and off > _FARTHEST[self.units[i]] else []
         if far:
-            message = f"prior must be of {regressor.robot.name} and its frame {frame}, got one of "
-            message += f"{self.frames[-1]}, whose {far[0]} is another; sd['tool'] is for a new tool"
+            message = (
+                f"calibration must be of {regressor.robot.name} and its frame {frame}, got one "
+            )
+            message += f"of {self.frames[-1]}, whose {far[0]} differs; sd['tool'] is for a new tool"
             raise InvalidInputError(message, given=self.frames)
         at = [self.names.index(name) for name in names]
         return learnt[at], (T @ self.covariance @ T.T)[np.ix_(at, at)]

@@ -83,10 +83,9 @@ class Scenario:
             message = f'{path} must name a robot, such as robot = "panda", got {robot!r}'
             raise InvalidInputError(message, given=path)
         scenario = cls(robot).with_values(table, str(path))
-        if (beside := scenario.true.calibration) is None:
-            return scenario
-        file = (Path(path).resolve().parent / beside).as_posix()
-        return scenario.with_values({"true": {"calibration": file}})
+        file = Path(path).resolve().parent / (scenario.true.calibration or "")
+        beside = {"true": {"calibration": file.as_posix()}} if file.is_file() else {}
+        return scenario.with_values(beside)
 
     def with_values(self, table: Table, where: str = "") -> Scenario:
         """Return this scenario with the values of a table, such as `{"run": {"duration": 5.0}}`.

@@ -85,9 +85,8 @@ class AdaptiveKinematics(Estimator):
             delay if that is more, are ignored.
         dt: Sampling time of control [s].
         angle_noise: Standard deviation of the orientation of a pose [rad].
-        prior: A calibration of this arm to begin with: its numbers are unknown, too, as it has them
-            and by its covariance, but for kinds in `sd`: with "tool" the tool is another one. The
-            task may be of the drawing or of the calibrated robot.
+        prior: A calibration to begin with, of the arm as drawn or as calibrated: its numbers are
+            unknown, too, by its covariance, but for kinds in `sd`: with "tool" it is another tool.
 
     Attributes:
         regressor: p(q, θ) of the points.

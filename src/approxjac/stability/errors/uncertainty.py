@@ -481,7 +481,7 @@ class Uncertainty:
         J = np.array([[of.jacobian(at) for at in q] for of in (self.plant(e).sensor for e in off)])
         S = np.nan_to_num(J[:n] - J[n:]).reshape(n, -1).T / (2.0 * _STEP)
         _, effects, W = np.linalg.svd(S @ self._root, full_matrices=False)
-        return self._radius * (W[effects > _SMALL * effects.max()] @ self._root.T)
+        return self._radius * (W[effects >= _SMALL * effects.max()] @ self._root.T)
 
     def _errors(self, values: Array) -> Sequence[dict[str, Any]]:
         """Return shifts and rotations of joint origins by learnt numbers, the last of values."""
