@@ -11,6 +11,7 @@ from tests.controllers.test_learnt_axes import Arm
 import approxjac as aj
 from approxjac import law
 from approxjac.calibration import Recording, calibrate, next_configurations
+from approxjac.robots import KinematicRegressor
 
 RECORDINGS = Path(__file__).parents[3] / "shared" / "recordings"
 needs_recordings = pytest.mark.skipif(
@@ -124,6 +125,12 @@ def test_of_an_arm_as_drawn_little_is_changed():
         or not found.is_better
     )
     assert elsewhere(arm, found.robot) < 0.1e-3
+    # its numbers are those of the robot, also where that has its tool only
+    regressor = KinematicRegressor(found.robot, axes=True)
+    mean, _ = found.about(regressor, found.names)
+    assert_allclose(mean, regressor.theta, atol=1e-12)
+    off = found.learnt - arm.theta
+    assert off @ np.linalg.solve(found.covariance, off) < 72.1  # 99.9 % of χ² of 39
 
 
 def test_backlash_is_not_explained(true_arm):

@@ -12,7 +12,7 @@ from tests.controllers.test_learnt_axes import AXES, DT, LATE, Arm
 
 import approxjac as aj
 from approxjac import law
-from approxjac.calibration import calibrate
+from approxjac.calibration import Recording, calibrate
 from approxjac.codegen import compiled
 from approxjac.controllers import AdaptiveKinematics, PredictedMeasurement
 from approxjac.robots import KinematicBelief, KinematicRegressor
@@ -229,6 +229,29 @@ def test_numbers_it_does_not_hold_keep_their_usual_prior():
     for name, value in sd.items():
         usual = 0.02  # of origins, and of a delay
         assert value == pytest.approx(own.get(name, usual), rel=1e-6)
+
+
+def test_a_tool_on_a_moving_link_is_one_of_drawing_and_learnt_robot():
+    """The drawing's tip is the link, that of the learnt robot the end of an object on it."""
+    drawing, rng = aj.load_robot("panda", tip="panda_link7"), np.random.default_rng(3)
+    truth = drawing.with_object(0.15, axis="z").with_kinematic_error(
+        None, {"panda_joint4": (3e-3, 2e-3, 1e-2)}
+    )
+    q = [0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7] + rng.uniform(-0.8, 0.8, (40, 7))
+    tip, still = aj.PositionTask(truth), np.zeros(7)
+    x = np.array([tip.value(each) for each in q]) + 1e-4 * rng.normal(size=(40, 3))
+    found = calibrate(drawing, Recording(q, x=x, place="cell"))
+    assert found.frames == ("panda_link7", found.robot.tip)
+    assert found.robot.tip != "panda_link7"
+    for robot in (drawing, found.robot):
+        kinematics = AdaptiveKinematics(robot, ("tool",), prior=found)
+        lost = aj.Measurement(0.0, q[0], still, np.full(3, np.nan), -np.inf)
+        state = kinematics.initial_state(lost)
+        predicted = kinematics.predict(state, q[0], still, aj.Target(x[0]))
+        assert np.linalg.norm(predicted.z) < 0.5e-3
+    errors = aj.Uncertainty(found.robot, covariance=found)
+    assert errors.d == 45
+    assert np.linalg.norm(errors.plant(errors.sample(rng)).sensor.value(q[0]) - x[0]) < 5e-3
 
 
 def test_frames_of_several_points_share_the_joints():
