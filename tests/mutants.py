@@ -31,10 +31,49 @@ MONITOR = "tests/simulation/test_monitor.py"
 DRIVERS = "tests/realtime/test_drivers.py"
 GATE = "tests/controllers/test_gate.py"
 LEARNT = "tests/controllers/test_learnt_axes.py"
+PRIOR = "tests/calibration/test_prior.py"
+COVARIANCE = "tests/stability/test_covariance.py"
 INSTANTS = "tests/simulation/test_instants.py"
 
 # name, file, text that is there once, text instead, tests that must fail
 MUTANTS = [
+    # -- priors and covariances of a calibration
+    (
+        "prior by variances alone", "controllers/learning/positions.py",
+        "P[: self._n_theta, : self._n_theta] = moved.P",
+        "P[: self._n_theta, : self._n_theta] = np.diag(moved.P.diagonal())", PRIOR,
+    ),
+    (
+        "angles about other origins have the same covariance", "robots/kinematic_regressor.py",
+        "T[angles, angles] = np.linalg.solve(after, before)", "T[angles, angles] = np.eye(3)",
+        PRIOR,
+    ),
+    (
+        "a new tool is as the old one", "robots/kinematic_regressor.py",
+        "if n in prior.names and chosen[i] not in new", "if n in prior.names", PRIOR,
+    ),
+    (
+        "an unknown rotation begins at the drawing", "controllers/learning/positions.py",
+        "of_u.diagonal() * u if self._is_plain else of_u.dot(u)", "of_u.diagonal() * u", PRIOR,
+    ),
+    (
+        "a whole prior is forgotten as its diagonal", "law/adaptation.py",
+        "else product(P, Lambda_0)", "else P * Lambda_0.diagonal()", PRIOR,
+    ),
+    (
+        "draws by variances alone", "stability/errors/uncertainty.py",
+        "self._root.dot(rng.standard_normal(n))",
+        "(self._learnt.sd if n else 1.0) * rng.standard_normal(n)", COVARIANCE,
+    ),
+    (
+        "corners in the ellipsoid's inside", "stability/errors/uncertainty.py",
+        "return self._radius * (W[effects", "return 2.0 * (W[effects", COVARIANCE,
+    ),
+    (
+        "corners without effect first", "stability/errors/uncertainty.py",
+        "both = np.stack([axes, -axes], axis=1)", "both = np.stack([axes, -axes], axis=1)[::-1]",
+        COVARIANCE,
+    ),
     # -- those that were asked for
     (
         "rate takes 1 ms for dt", "controllers/limits/torque_limited.py",
@@ -835,7 +874,7 @@ MUTANTS = [
     ),
     (
         "study without friction", "scenario/judge.py",
-        "        friction=friction,\n",
+        "        friction=true.friction,\n",
         "",
         "tests/scenario/test_build.py",
     ),
@@ -883,7 +922,7 @@ MUTANTS = [
     ),
     (
         "study forgets the axis of an object", "scenario/judge.py",
-        "object_axis=believed.object.like(built.scenario.true.object).axis",
+        "object_axis=believed.object.like(true.object).axis",
         "object_axis=believed.object.axis",
         "tests/scenario/test_build.py",
     ),

@@ -11,6 +11,7 @@ from tests.controllers.test_learnt_axes import Arm
 import approxjac as aj
 from approxjac import law
 from approxjac.calibration import Recording, calibrate, next_configurations
+from approxjac.robots import KinematicRegressor
 
 RECORDINGS = Path(__file__).parents[3] / "shared" / "recordings"
 needs_recordings = pytest.mark.skipif(
@@ -127,6 +128,12 @@ def test_of_an_arm_as_drawn_little_is_changed():
     # no socket tells where the base is, however little drawings are believed to be wrong
     first = [found.names.index(f"{arm.believed.joint_names[0]}.{axis}") for axis in "xyz"]
     assert (found.share[first] < 0.05).all()
+    # its numbers are those of the robot, also where that has its tool only
+    regressor = KinematicRegressor(found.robot, axes=True)
+    mean, _ = found.about(regressor, found.names)
+    assert_allclose(mean, regressor.theta, atol=1e-12)
+    off = found.learnt - arm.theta
+    assert off @ np.linalg.solve(found.covariance, off) < 72.1  # 99.9 % of χ² of 39
 
 
 def test_of_few_rows_a_tool_is_known_as_their_noise_tells():

@@ -2,11 +2,15 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from tests.calibration.test_calibrate import elsewhere, sockets
 from tests.controllers.test_learnt_axes import Arm
 
 import approxjac as aj
 from approxjac.cli.main import main
+from approxjac.robots import KinematicBelief
+from approxjac.scenario.build import build_scenario
+from approxjac.tasks import PositionTask
 
 
 @pytest.fixture(scope="module")
@@ -41,9 +45,43 @@ def test_files_become_an_arm(arm, files, tmp_path, capsys):
     left = np.genfromtxt(out / "residuals.csv", delimiter=",", skip_header=1, usecols=1)
     assert left.shape == (120,)
     assert np.median(left) < 0.3e-3
-    kept = np.load(out / "calibration.npz")
-    assert kept["covariance"].shape == (len(kept["names"]),) * 2
-    assert aj.Scenario.load(out / "scenario.toml").robot == str(out / "arm.urdf")
+    scenario = aj.Scenario.load(out / "scenario.toml")
+    assert scenario.robot == str(out / "arm.urdf")
+    assert scenario.true.calibration == str(out / "calibration.npz")
+    known = KinematicBelief.load(scenario.true.calibration)
+    assert known.covariance.shape == (len(known.names),) * 2
+    # each run is of an arm by that covariance, as its seed says
+    belief, tips = PositionTask(robot), []
+    for seed in (0, 0, 1):
+        built = build_scenario(scenario.with_values({"run": {"seed": seed}}))
+        q = built.plant.robot.neutral()
+        tips.append(built.plant.sensor.value(q))
+        assert_allclose(built.law.task.value(q), belief.value(q), atol=1e-9)
+    assert_array_equal(tips[0], tips[1])
+    off = np.linalg.norm([tips[0] - tips[2], tips[0] - belief.value(q)], axis=1)
+    assert ((off > 1e-5) & (off < 0.05)).all()
+
+
+def test_the_arm_is_judged_with_its_covariance(files, tmp_path, capsys, monkeypatch):
+    """From the recordings to the report, and from any folder."""
+    out = tmp_path / "as it is"
+    assert main(["learn", "panda", *files, "--apart", "0.05", "--out", str(out)]) == 0
+    monkeypatch.chdir(out)
+    capsys.readouterr()
+    options = ["--configurations", "40", "--runs", "0", "--map-points", "0"]
+    around = [
+        "--around",
+        *["0", "-0.5", "0", "-2", "0", "1.6", "0.7"],
+        "--controller.gravity",
+        "exact",
+    ]
+    main(["stability", "scenario.toml", *options, *around, "--out", "judged"])
+    said = capsys.readouterr()
+    assert "errors   45 learnt numbers up to 7.85 sd off" in said.out, said.err
+    assert "near targets  stable" in said.out
+    known = KinematicBelief.load("calibration.npz")
+    errors = aj.Uncertainty(aj.load_robot("arm.urdf", tip="panda_hand_tcp"), covariance=known)
+    assert errors.d == 45
 
 
 def test_one_place_is_not_enough_to_say_how_far_it_holds(files, tmp_path, capsys):

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from arms import SEVERAL
+from beliefs import belief_of
 from own_parts import Springs, of_ones_own
 
 import approxjac as aj
@@ -802,6 +803,10 @@ def learning(arm):
     return aj.AdaptiveKinematics(aj.PositionTask(arm), unknown=("tool",))
 
 
+def calibrated(arm):
+    return aj.AdaptiveKinematics(aj.PositionTask(arm), ("tool",), prior=belief_of(arm)[0])
+
+
 def tracking(arm, **options):
     return aj.TrackingController(aj.PositionTask(arm), kinematics=learning(arm), **options)
 
@@ -811,6 +816,7 @@ TIMED = {
     "velocity": lambda arm: tracking(arm, command="velocity"),
     "held": lambda arm: HeldMeasurement(law_6(arm), 0.02),
     "predicted": lambda arm: PredictedMeasurement(law_6(arm), learning(arm)),
+    "prior": lambda arm: PredictedMeasurement(law_6(arm), calibrated(arm)),
 }
 
 
@@ -840,7 +846,8 @@ def test_without_a_target_a_tracking_law_learns_nothing(command, tmp_path):
 
 @needs_compiler
 @pytest.mark.parametrize(
-    "case", [k if k == "held" else pytest.param(k, marks=pytest.mark.study) for k in TIMED]
+    "case",
+    [k if k in ("held", "prior") else pytest.param(k, marks=pytest.mark.study) for k in TIMED],
 )
 def test_what_depends_on_time_is_that_of_python(case, panda, tmp_path):
     """A moving target, and a camera of 50 Hz, 20 ms late, that loses x for a while."""

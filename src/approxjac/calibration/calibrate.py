@@ -15,7 +15,7 @@ from approxjac.controllers.arguments import chosen_deviations, chosen_kinds
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import aligned
 from approxjac.law import rotation_log
-from approxjac.robots import KinematicRegressor, Robot
+from approxjac.robots import KinematicBelief, KinematicRegressor, Robot
 from approxjac.robots.kinematic_regressor import Unknowns
 from approxjac.validation import Array, as_number, require
 
@@ -52,18 +52,13 @@ class PlaceSpread(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Calibration:
+class Calibration(KinematicBelief):
     """The result of `calibrate`: an arm fitted to recordings, and its accuracy.
 
     Attributes:
         robot: The calibrated arm: with all learnt numbers or, if these are no better at places that
             were left out, with the learnt tool only.
-        names: Names of the numbers, such as "panda_joint4.x" or "panda_joint4.encoder".
-        units: Their units, "m" or "rad".
-        believed: Their values in the drawing, shape (p,).
-        learnt: Their values now, shape (p,).
-        covariance: Their covariance, shape (p, p).
-        share: Share of each that the recordings determine, from 0 to 1, shape (p,).
+        share: Share of each number that the recordings determine, from 0 to 1, shape (p,).
         scale: Size of the errors of the drawing, as a multiple of the usual ones.
         noise: Robust standard deviations of the residuals of position [m] and rotation [rad], (2,).
         places: Accuracy of the arm, place by place.
@@ -74,11 +69,6 @@ class Calibration:
     """
 
     robot: Robot
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    believed: Array
-    learnt: Array
-    covariance: Array
     share: Array
     scale: float
     noise: Array
@@ -198,11 +188,15 @@ def calibrate(
     prior = unknowns.sd * np.where(unknowns.is_tool, 1.0, scale)
     is_turned = any(each is not None for each in samples.turn)
     turn = rotation_log(fitted.sensor[2]) if is_turned else None
+    robot = regressor.robot_with(theta := chosen.theta(fitted.u), turn)
+    learnt = theta[[regressor.names.index(name) for name in unknowns.names]]
+    off = best.u - learnt  # of a robot with its tool only
     return Calibration(
-        regressor.robot_with(chosen.theta(fitted.u), turn),
-        tuple(unknowns.names), tuple(unknowns.units), unknowns.u, best.u, best.P,
-        np.clip(1.0 - best.P.diagonal() / prior**2, 0.0, 1.0), scale, best.noise, tuple(places),
-        dict(zip(samples.row, sizes.tolist(), strict=True)),
+        tuple(unknowns.names), tuple(unknowns.units), unknowns.u, learnt,
+        best.P + np.outer(off, off), regressor.rotations,
+        (regressor.frames[0], regressor.frames[0] if robot.tip == arm.tip else str(robot.tip)),
+        kinds, robot, np.clip(1.0 - best.P.diagonal() / prior**2, 0.0, 1.0), scale, best.noise,
+        tuple(places), dict(zip(samples.row, sizes.tolist(), strict=True)),
         tuple(samples.chosen(far).row), is_better,
         _why_not(unknowns, best, left, TRACKER in samples.frame),
     )  # fmt: skip

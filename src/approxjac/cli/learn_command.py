@@ -52,7 +52,7 @@ def learn(
     _write(found, out)
     print(found)
     print(f"\nThe arm is in {out / 'arm.urdf'}; its tip is {found.robot.tip}")
-    print(f"Try it: approxjac simulate {out / 'scenario.toml'}")
+    print(f"Try it: approxjac simulate {out / 'scenario.toml'}, or approxjac stability")
     return 0 if found.is_explained and found.is_better and not np.isnan(found.held_out) else 1
 
 
@@ -88,15 +88,12 @@ def _write(found: Calibration, out: Path) -> None:
     path = found.robot.save_urdf(out / "arm.urdf")
     texts = {
         "report.txt": f"{found}\n",
-        "scenario.toml": f'robot = "{path.resolve().as_posix()}"\ntip = "{found.robot.tip}"\n',
+        "scenario.toml": f'robot = "{path.resolve().as_posix()}"\ntip = "{found.robot.tip}"\n'
+        + '\n[true]\ncalibration = "calibration.npz"\nobject = {length = 0.0, mass = 0.0}\n',
         "residuals.csv": "row,left [m]\n"
         + "".join(f"{row},{left:.6g}\n" for row, left in found.residuals.items()),
     }
     for name, text in texts.items():
         with refusing("--out must be a folder that can be written to", out / name):
             (out / name).write_text(text, encoding="utf-8")
-    with refusing("--out must be a folder that can be written to", out / "calibration.npz"):
-        np.savez(
-            out / "calibration.npz", names=found.names, believed=found.believed,
-            learnt=found.learnt, covariance=found.covariance,
-        )  # fmt: skip
+    found.save(out / "calibration.npz")

@@ -197,12 +197,13 @@ def _nonnegative(F: Array, c: Array) -> Array:
 
 
 def forgotten(P: Array, Lambda_0: Array, share: Any) -> Array:
-    """Return P ← P + s(P − PΛ₀P): forget a share s of the data, never the prior Λ₀ (n,).
+    """Return P ← P + s(P − PΛ₀P): forget a share s of the data, never the prior Λ₀.
 
     Implements Theorem A's forgetting, in samples. It is ((1 − s)P⁻¹ + sΛ₀)⁻¹ but for s², and never
     more than that: Λ₀⁻¹ ≥ P stays so, and V₁ falls.
     """
-    return np.asanyarray(P + share * (P - product(P * Lambda_0, P)))
+    weighted = P * Lambda_0 if Lambda_0.ndim == 1 else product(P, Lambda_0)  # (n,) is diagonal
+    return np.asanyarray(P + share * (P - product(weighted, P)))
 
 
 def gain(P: Array, H: Array, variance: Any) -> Array:

@@ -7,6 +7,7 @@ from approxjac.robots.dynamics import DynamicsRegressor as DynamicsRegressor
 from approxjac.robots.dynamics import GravityRegressor as GravityRegressor
 from approxjac.robots.dynamics_fit import FittedDynamics as FittedDynamics
 from approxjac.robots.dynamics_fit import fit_dynamics as fit_dynamics
+from approxjac.robots.kinematic_regressor import KinematicBelief as KinematicBelief
 from approxjac.robots.kinematic_regressor import KinematicRegressor as KinematicRegressor
 from approxjac.robots.load import load_robot as load_robot
 from approxjac.robots.load import robot_names as robot_names

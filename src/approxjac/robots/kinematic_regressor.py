@@ -1,13 +1,16 @@
 """The kinematic regressor: positions by joint origins, axes and encoders that may be wrong."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, fields
 from functools import cached_property, partial, reduce
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from approxjac.errors import InvalidInputError
+from approxjac.files import read_arrays, refusing, replaced
 from approxjac.robots.robot import Robot, all_frame_id
 from approxjac.robots.traced import arm_of
 from approxjac.validation import Array, Immutable, as_array, as_vector, read_only, require
@@ -15,6 +18,7 @@ from approxjac.validation import Array, Immutable, as_array, as_vector, read_onl
 _IN_WORLD = pin.LOCAL_WORLD_ALIGNED
 _ANGLES = "tilt1", "tilt2", "encoder"
 _JACOBIAN_DOT = pin.getFrameJacobianTimeVariation
+_FARTHEST = {"m": 0.1, "rad": 0.3}  # that a number of a joint is from another drawing of the arm
 
 
 class PointMotion(NamedTuple):
@@ -75,6 +79,7 @@ class KinematicRegressor(Immutable):
         movers: Names of the joints that move the points, whose origins come first.
         turners: Those of them that turn, if their axes are among θ.
         across: e₁ and e₂ of each of these, in the joint's own axes, shape (3,) each.
+        rotations: R⁰ of each of these, shape (k, 3, 3).
         n_lengths: Number of translations, which come first.
         names: Names of the parameters, such as "panda_joint4.x" or "tool.x"; with several
             frames, the frame's name replaces "tool"; then "panda_joint4.tilt1", ".tilt2" and
@@ -132,6 +137,8 @@ class KinematicRegressor(Immutable):
         self.names = (*names, *turns)
         self.units = ("m",) * self.n_lengths + ("rad",) * len(turns)
         self.theta = read_only(np.concatenate([*origins, np.zeros(len(turns))]))
+        turned = [model.jointPlacements[model.getJointId(name)] for name in self.turners]
+        self.rotations = np.array([each.rotation for each in turned]).reshape(-1, 3, 3)
 
         # A translation is a joint, too, of three axes that slide, and a tilt is one that turns:
         # then θ are numbers of q (an encoder's are added to it), Y and J are columns of one
@@ -257,6 +264,24 @@ class KinematicRegressor(Immutable):
         object without mass, whose end is the new `tip`. The turn is a rotation vector of the tool
         in its own axes, shape (3,) [rad].
         """
+        robot, (shifts, rotations, held) = self.robot, self.errors(theta)
+        held = {link: tool for link, tool in held.items() if tool.any() or turn is not None}
+        if shifts or rotations:
+            robot = robot.with_kinematic_error(shifts, rotations)
+        for link, tool in held.items():
+            name = "tool" if len(held) == 1 else f"{link}_tool"
+            length = float(np.linalg.norm(tool))
+            axis = list(tool) if length > 0.0 else "x"
+            robot = robot.with_object(length, parent=link, axis=axis, name=name)
+        if turn is None:
+            return robot
+        link, joints = self.robot.tree.link_of(self.frames[0]), self.robot.tree.joints
+        above = next(name for name, each in joints.items() if each.child == link)
+        joint = "tool_tip_joint" if held else above
+        return robot.with_kinematic_error(None, {joint: turn.tolist()})
+
+    def errors(self, theta: Array) -> tuple[dict[str, Any], dict[str, Any], dict[str, Array]]:
+        """Return shifts [m] and rotations [rad] of joints by θ (p,), and tools [m] without one."""
         theta = as_array("theta", theta, (self.p,), "m or rad")
         change = (theta - self.theta)[: self.n_lengths].reshape(-1, 3)
         above = {joint.child: joint for joint in self.robot.tree.joints.values()}
@@ -266,10 +291,10 @@ class KinematicRegressor(Immutable):
         for link, tool in zip(links, change[self._n :], strict=True):
             if above[link].type == "fixed":
                 wanted[above[link].name] = tool
-            elif tool.any() or turn is not None:
+            else:
                 held[link] = tool
         moved: dict[str, Array] = {}  # in the axes of the link that moves
-        shifts: dict[str, list[float]] = {}
+        shifts: dict[str, Any] = {}
         # those that carry others first
         for joint in sorted(wanted, key=partial(all_frame_id, self.robot)):
             parent = link = self.robot.tree.joints[joint].parent
@@ -280,25 +305,9 @@ class KinematicRegressor(Immutable):
             if moved[joint].any():
                 placed = self._model.frames[all_frame_id(self.robot, parent)].placement
                 shifts[joint] = list(placed.rotation.T @ moved[joint])
-        rotations = {
-            name: self._turn_of(i, angles).tolist()
-            for i, (name, angles) in enumerate(
-                zip(self.turners, theta[self.n_lengths :].reshape(-1, 3), strict=True)
-            )
-            if angles.any()
-        }
-        robot = self.robot
-        if shifts or rotations:
-            robot = robot.with_kinematic_error(shifts, rotations)
-        for link, tool in held.items():
-            name = "tool" if len(held) == 1 else f"{link}_tool"
-            length = float(np.linalg.norm(tool))
-            axis = list(tool) if length > 0.0 else "x"
-            robot = robot.with_object(length, parent=link, axis=axis, name=name)
-        if turn is None:
-            return robot
-        joint = "tool_tip_joint" if held else above[links[0]].name
-        return robot.with_kinematic_error(None, {joint: turn.tolist()})
+        turns = enumerate(zip(self.turners, theta[self.n_lengths :].reshape(-1, 3), strict=True))
+        rotations = {name: self._turn_of(i, by).tolist() for i, (name, by) in turns if by.any()}
+        return shifts, rotations, held
 
     def _turn_of(self, i: int, angles: Array) -> Array:
         """Return the rotation vector (3,) of a joint's origin by its tilts and encoder."""
@@ -345,6 +354,82 @@ def _across(axis: Array) -> tuple[Array, Array]:
     return one, np.cross(axis, one)
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class KinematicBelief:
+    """Numbers of an arm's kinematics as they were learnt, with their covariance.
+
+    Attributes:
+        names: Names of the numbers, such as "panda_joint4.x" or "panda_joint4.encoder".
+        units: Their units, "m" or "rad".
+        believed: Their values in the drawing, shape (p,).
+        learnt: Their values now, shape (p,).
+        covariance: Their covariance, shape (p, p).
+        rotations: Rotations of the joint origins that angles count from, shape (k, 3, 3).
+        frames: Names of the frame that was held or seen, in the drawing and in the learnt arm.
+        kinds: Kinds of the numbers, some of "tool", "origins" and "axes".
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    believed: Array
+    learnt: Array
+    covariance: Array
+    rotations: Array
+    frames: tuple[str, ...]
+    kinds: tuple[str, ...]
+
+    def about(self, regressor: KinematicRegressor, names: Sequence[str]) -> tuple[Array, Array]:
+        """Return some numbers (k,) and their covariance (k, k), as a regressor has them.
+
+        Its robot may be the drawing or the learnt one: angles become those about its origins.
+        Raises an InvalidInputError for another arm, or of the tool for another frame.
+        """
+        frame, theta = regressor.frames[0], dict(zip(regressor.names, regressor.theta, strict=True))
+        learnt, T, rotations = self.learnt.copy(), np.eye(len(self.names)), iter(self.rotations)
+        far = ["tool"] if "tool.x" in names and frame not in self.frames else []
+        for i, name in enumerate(self.names):
+            joint, _, kind = name.rpartition(".")
+            if kind == "tilt1" and joint in regressor.turners:
+                j, angles = regressor.turners.index(joint), slice(i, i + 3)
+                B = np.column_stack([*regressor.across[j], np.cross(*regressor.across[j])])
+                # exp(α₁[x]ₓ) exp(α₂[y]ₓ) exp(δ[z]ₓ) is the inverse of a roll, pitch and yaw
+                before = pin.rpy.computeRpyJacobian(-learnt[angles], pin.WORLD)
+                R = pin.rpy.rpyToMatrix(-learnt[angles]) @ B.T @ next(rotations).T
+                learnt[angles] = -pin.rpy.matrixToRpy(R @ regressor.rotations[j] @ B)
+                after = pin.rpy.computeRpyJacobian(-learnt[angles], pin.WORLD)
+                T[angles, angles] = np.linalg.solve(after, before)
+            off = abs(learnt[i] - theta.get(name, np.inf))
+            far += [name] if joint != "tool" and off > _FARTHEST[self.units[i]] else []
+        if far:
+            message = (
+                f"calibration must be of {regressor.robot.name} and its frame {frame}, got one "
+            )
+            message += f"of {self.frames[-1]}, whose {far[0]} differs; sd['tool'] is for a new tool"
+            raise InvalidInputError(message, given=self.frames)
+        at = [self.names.index(name) for name in names]
+        return learnt[at], (T @ self.covariance @ T.T)[np.ix_(at, at)]
+
+    def save(self, path: str | Path) -> Path:
+        """Write what a prior or an `Uncertainty` needs into a .npz file; return its path."""
+        path = Path(path).with_suffix(".npz")
+        with refusing("path must be a file to write", str(path)), replaced(path) as unfinished:
+            np.savez(unfinished, **{f.name: getattr(self, f.name) for f in fields(KinematicBelief)})
+        return path
+
+    @staticmethod
+    def load(path: str | Path) -> "KinematicBelief":
+        """Return the numbers of a file; raise an InvalidInputError if there are none."""
+        wanted, any_error = (
+            "calibration must be a file of Calibration.save",
+            (Exception,),
+        )  # as NumPy
+        with refusing(wanted, str(path), any_error), Path(path).open("rb") as stream:
+            kept = read_arrays(stream)
+            each: Any = [kept[field.name] for field in fields(KinematicBelief)]
+        each = [tuple(a.tolist()) if a.dtype.kind == "U" else a for a in each]
+        return KinematicBelief(*each)
+
+
 class Unknowns:
     """p(q, u), with u the numbers of a regressor that are learnt.
 
@@ -352,15 +437,22 @@ class Unknowns:
         regressor: With axes if these are among the kinds.
         kinds: Some of "tool", "origins" and "axes", which are tilts and encoders.
         sds: Plausible errors by kind, with "encoders" beside them.
+        prior: What is known better of the numbers that it has, but for `new` kinds of them.
 
     Attributes:
         names: Names of u, in `units`.
         u: Their believed values, shape (n_u,), and `sd` their plausible errors.
+        P: Covariance of these, shape (n_u, n_u).
         is_tool, is_angle: What of u is which, shape (n_u,).
     """
 
     def __init__(
-        self, regressor: KinematicRegressor, kinds: Collection[str], sds: Mapping[str, float]
+        self,
+        regressor: KinematicRegressor,
+        kinds: Collection[str],
+        sds: Mapping[str, float],
+        prior: KinematicBelief | None = None,
+        new: Collection[str] = (),
     ) -> None:
         ends = regressor.n_lengths - 3 * len(regressor.frames)
         of = ["origins"] * ends + ["tool"] * (regressor.n_lengths - ends)
@@ -368,7 +460,7 @@ class Unknowns:
         of += ["encoders" if name.endswith(".encoder") else "axes" for name in angles]
         learnt = {*kinds, *(("encoders",) if "axes" in kinds else ())}
         self._chosen = np.array([i for i, each in enumerate(of) if each in learnt], dtype=int)
-        self._regressor, chosen = regressor, [of[i] for i in self._chosen]
+        self.regressor, chosen = regressor, [of[i] for i in self._chosen]
         self.is_tool = np.array([each == "tool" for each in chosen], dtype=bool)
         self.is_angle = self._chosen >= regressor.n_lengths
         self.sd = np.array([sds[each] for each in chosen])
@@ -377,13 +469,18 @@ class Unknowns:
         self.u = regressor.theta[self._chosen]
         self._S = np.eye(regressor.p)[:, self._chosen]
         self._known = regressor.theta - self._S.dot(self.u)
+        self.P = np.diag(self.sd**2)
+        if prior is not None:
+            at = [i for i, n in enumerate(self.names) if n in prior.names and chosen[i] not in new]
+            self.u[at], self.P[np.ix_(at, at)] = prior.about(regressor, [self.names[i] for i in at])
+            self.sd = np.sqrt(self.P.diagonal())
         reaches = (regressor.robot.reach_bound(frame)[1] for frame in regressor.frames)
         self._reach = max(reaches) if self.is_angle.any() else 0.0
 
     def at(self, q: Array, u: Array | None = None) -> tuple[Array, Array]:
         """Return H(q) = ∂p/∂u, shape (3k, n_u), and o = p − Hu, (3k,), at u or what is believed."""
-        theta = self._regressor.theta if u is None else self.theta(u)
-        Y, known = self._regressor.linear(q, theta)
+        theta = self.theta(self.u if u is None else u)
+        Y, known = self.regressor.linear(q, theta)
         return Y[:, self._chosen], known + Y.dot(self._known)
 
     def theta(self, u: Array) -> Array:
@@ -392,13 +489,13 @@ class Unknowns:
 
     def motion(self, q: Array, v: Array, u: Array, u_dot: Array) -> PointMotion:
         """Return the points and their derivatives at q and q̇, with u and u' (n_u,)."""
-        return self._regressor.motion(q, v, self.theta(u), self._spread(u_dot))
+        return self.regressor.motion(q, v, self.theta(u), self._spread(u_dot))
 
     def turn(self, q: Array, u: Array, v: Array | None = None, u_dot: Array | None = None) -> Any:
         """Return the orientation of the frame, and its derivatives of which A is by u (3, n_u)."""
-        v = np.zeros(self._regressor.robot.nv) if v is None else v
+        v = np.zeros(self.regressor.robot.nv) if v is None else v
         u_dot = np.zeros(len(self.u)) if u_dot is None else u_dot
-        turn = self._regressor.turn(q, v, self.theta(u), self._spread(u_dot))
+        turn = self.regressor.turn(q, v, self.theta(u), self._spread(u_dot))
         return turn._replace(A=turn.A[:, self._chosen])
 
     def bent(self, variances: Array) -> Any:

@@ -15,7 +15,7 @@ from approxjac.formatting import joined
 from approxjac.interface import TargetPath
 from approxjac.law import Sine
 from approxjac.paths import Circle, Line, Waypoints
-from approxjac.robots import Drives, Friction, GravityRegressor, Robot, load_robot
+from approxjac.robots import Drives, Friction, GravityRegressor, KinematicBelief, Robot, load_robot
 from approxjac.robots.urdf import OBJECT_RADIUS
 from approxjac.scenario import starts
 from approxjac.scenario.image_setup import image_scene
@@ -23,6 +23,7 @@ from approxjac.scenario.records import Numbers, Object, Sensor, Tracker, Vectors
 from approxjac.scenario.refusals import require_effect
 from approxjac.scenario.scenario import Scenario
 from approxjac.simulation import MujocoPlant, Plant, Sensing
+from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.tasks import CombinedTask, ImageTask, PositionTask, Task
 from approxjac.tasks.analysis import with_error
 from approxjac.validation import Array
@@ -86,7 +87,11 @@ def build_scenario(
     arm = loaded_arm(scenario) if arm is None else arm
     require_effect(scenario)
     true, believed, chosen = scenario.true, scenario.believed, scenario.controller
-    truth = holding(arm, true.object, true.shifts, true.rotations)
+    drawn, seed = arm, scenario.run.seed
+    if true.calibration is not None:
+        errors = Uncertainty(arm, covariance=KinematicBelief.load(true.calibration))
+        drawn = errors.robot(errors.sample(np.random.default_rng([seed, 1])))
+    truth = holding(drawn, true.object, true.shifts, true.rotations)
 
     def believe(length: float) -> Robot:
         held = replace(believed.object.like(true.object), length=length)
@@ -97,7 +102,7 @@ def build_scenario(
     if effort_only and limits is not None:
         limits = Limits(effort=limits.effort).for_joints(belief.nv)
     motors = truth.effort_limits if limits is None else np.asarray(limits.effort)
-    rng = np.random.default_rng(scenario.run.seed)
+    rng = np.random.default_rng(seed)
     task: Task
     sensor: Task
     if scenario.task.kind == "image" and true.camera.kind == "pinhole":

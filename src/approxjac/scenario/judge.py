@@ -18,7 +18,7 @@ from approxjac.cameras import Camera
 from approxjac.controllers import Limits, SetpointController, TorqueLimited
 from approxjac.files import together, write_text
 from approxjac.formatting import plain, wrapped
-from approxjac.robots import Robot
+from approxjac.robots import KinematicBelief, Robot
 from approxjac.scenario import build
 from approxjac.scenario.records import Analysis
 from approxjac.scenario.refusals import require_reportable
@@ -121,17 +121,19 @@ def analyse(
 def _truth(arm: Robot, built: build.BuiltScenario, analysis: Analysis) -> Uncertainty | Plant:
     ranges = [each.name for each in fields(Uncertainty) if hasattr(analysis, each.name)]
     given = {name: getattr(analysis, name) for name in ranges}
-    friction, believed = built.scenario.true.friction, built.scenario.believed
+    true, believed = built.scenario.true, built.scenario.believed
+    given["covariance"] = true.calibration and KinematicBelief.load(true.calibration)
     sensor, task = built.plant.sensor, built.law.task
     C = task.C if isinstance(task, CombinedTask) else None  # errors are compared, so alike
     if not any(given.values()):
-        return Plant(built.plant.robot, sensor if C is None else CombinedTask(sensor, C), friction)
+        sensor = sensor if C is None else CombinedTask(sensor, C)
+        return Plant(built.plant.robot, sensor, true.friction)
     if believed.shifts or believed.rotations:
         arm = arm.with_kinematic_error(believed.shifts, believed.rotations)
     held = believed.object
     if not (analysis.object_length or analysis.object_mass or held.length or held.mass):
         # whose tip the law has
-        arm = build.holding(arm, held.like(built.scenario.true.object), {}, {})
+        arm = build.holding(arm, held.like(true.object), {}, {})
     make: Callable[..., Task] = task.on
     if isinstance(sensor, ImageTask):
         make = partial(_image_task, sensor, C)
@@ -140,9 +142,9 @@ def _truth(arm: Robot, built: build.BuiltScenario, analysis: Analysis) -> Uncert
         make,
         believed_length=believed.object.length,
         believed_mass=believed.object.mass,
-        object_axis=believed.object.like(built.scenario.true.object).axis,
+        object_axis=believed.object.like(true.object).axis,
         camera=features(task)[0].camera,
-        friction=friction,
+        friction=true.friction,
         **given,
     )
 

@@ -345,7 +345,8 @@ def text(result: RunResult) -> str:
     lines = {
         "robot": f"{robot.name}, {robot.nv} joints, {robot.mass:.3g} kg with the object",
         "true": _different(true, Truth(object=Object())) or "as in the URDF",
-        "believed": _different(belief, right) or "what is true",
+        "believed": _different(belief, right)
+        or ("what is true" if true.calibration is None else "as calibrated"),
         "law": law.describe()[0],
         "q at start": f"{numbers_of(robot.angles(run.q[0]))} {joined(run.joint_units)}",
         "q at end": f"{numbers_of(robot.angles(run.q[-1]))} {joined(run.joint_units)}",

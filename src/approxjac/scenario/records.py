@@ -112,6 +112,7 @@ class Truth:
         object: Object that the arm holds.
         shifts: Errors of the URDF's joint origins, m, such as panda_joint4 0 0.01 0.
         rotations: Errors of the URDF's joint axes, as rotation vectors, rad.
+        calibration: File of the arm's calibration, beside this one: errors are by its covariance.
         friction: Viscous friction of every joint, N m s/rad.
         coulomb: Coulomb friction of every joint, N m.
         drives: Joints: "ideal", or the "usual" rotors, elastic gears and friction of geared arms
@@ -127,6 +128,7 @@ class Truth:
     object: Object = Object(length=0.2, mass=0.5)
     shifts: Vectors = field(default_factory=dict)
     rotations: Vectors = field(default_factory=dict)
+    calibration: str | None = None
     friction: float = at_least(0.0)
     coulomb: float = at_least(0.0)
     drives: Literal["ideal", "usual"] | None = None

@@ -82,7 +82,10 @@ class Scenario:
         if not isinstance(robot, str):
             message = f'{path} must name a robot, such as robot = "panda", got {robot!r}'
             raise InvalidInputError(message, given=path)
-        return cls(robot).with_values(table, str(path))
+        scenario = cls(robot).with_values(table, str(path))
+        file = Path(path).resolve().parent / (scenario.true.calibration or "")
+        beside = {"true": {"calibration": file.as_posix()}} if file.is_file() else {}
+        return scenario.with_values(beside)
 
     def with_values(self, table: Table, where: str = "") -> Scenario:
         """Return this scenario with the values of a table, such as `{"run": {"duration": 5.0}}`.

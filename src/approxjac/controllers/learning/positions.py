@@ -16,7 +16,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement, Target
 from approxjac.law import PredictedError
 from approxjac.law.factors import inverse, product, solved
-from approxjac.robots import KinematicRegressor, Robot
+from approxjac.robots import KinematicBelief, KinematicRegressor, Robot
 from approxjac.robots.kinematic_regressor import Unknowns
 from approxjac.tasks import (
     ImageTask,
@@ -27,7 +27,7 @@ from approxjac.tasks import (
     Task,
     TrackerTask,
 )
-from approxjac.validation import Array, as_number
+from approxjac.validation import Array, as_number, require
 
 _KINDS = ("tool", "origins", "axes", "camera", "offset", "delay")
 _USUAL_SD: Mapping[str, float] = {
@@ -85,6 +85,8 @@ class AdaptiveKinematics(Estimator):
             delay if that is more, are ignored.
         dt: Sampling time of control [s].
         angle_noise: Standard deviation of the orientation of a pose [rad].
+        prior: A calibration to begin with, of the arm as drawn or as calibrated: its numbers are
+            unknown, too, by its covariance, but for kinds in `sd`: with "tool" it is another tool.
 
     Attributes:
         regressor: p(q, θ) of the points.
@@ -107,9 +109,12 @@ class AdaptiveKinematics(Estimator):
         delay: float = 0.0,
         dt: float = 1e-3,
         angle_noise: float = 5e-3,
+        prior: KinematicBelief | None = None,
     ) -> None:
         self.task = task = PositionTask(task) if isinstance(task, Robot) else task
-        self.unknown = kinds = chosen_kinds(unknown, _KINDS)
+        require("prior", prior, (KinematicBelief, type(None)), "a Calibration, or None")
+        kinds = (*chosen_kinds(unknown, _KINDS), *(prior.kinds if prior else ()))
+        self.unknown = kinds = tuple(dict.fromkeys(kinds))
         self._is_pose, self._turns = isinstance(task, PoseTask), "camera" in kinds
         used = {*kinds, *(("offset",) if self._turns else ())}
         self._learns_T = self._is_pose and "tool" in kinds
@@ -133,7 +138,7 @@ class AdaptiveKinematics(Estimator):
 
         # u: p = o(q) + H(q)u, and of a pose the nine numbers of the tool's rotation
         self.regressor = KinematicRegressor(task.robot, frames, axes="axes" in kinds)
-        self._moved = moved = Unknowns(self.regressor, kinds, sds)
+        self._moved = moved = Unknowns(self.regressor, kinds, sds, prior, set(sd or ()))
         entries = [(frames.index(frame), axis) for frame, each in points for axis in each]
         rows = [3 * frame + "xyz".index(axis) for frame, axis in entries]
         in_order = rows == list(range(3 * self.regressor.k))
@@ -168,16 +173,17 @@ class AdaptiveKinematics(Estimator):
             deviations.append(np.full(d, sds["offset"]))
         kind = _UnknownRotation if self._turns else _KnownRotation
         self._Theta, sd_Theta = np.concatenate(Theta), np.concatenate(deviations)
-        given = sds["camera"], self._n_u, self.noise, moved
-        self._estimator = kind(self._Theta, R, sd_Theta, *given)
+        P = np.diag(sd_Theta**2)
+        P[: self._n_theta, : self._n_theta] = moved.P
+        self._estimator = kind(self._Theta, R, P, sds["camera"], self._n_u, self.noise, moved)
         spin = len(law.generators(d)) if self._turns else 0
         if self._turns:
             turns = [f"camera.r{axis}" for axis in axes] if d == 3 else ["camera.turn"]
             units |= dict.fromkeys(turns, "rad")
         self.names, self.units = tuple(units), tuple(units.values())
         self._believed = self._in_order(self._Theta, R)
-        prior = np.diag(np.append(sd_Theta, np.full(spin, sds["camera"])) ** 2)
-        self._sd = np.sqrt(self._merged(prior, self._Theta).diagonal())
+        variances = np.append(P.diagonal(), np.full(spin, sds["camera"] ** 2))
+        self._sd = np.sqrt(self._merged(np.diag(variances), self._Theta).diagonal())
         n, n_p, n_T = self._n_u, self._n_p, 9 if self._is_pose else 0
         sizes = {
             "sums": self._estimator.size, "chi": 2, "placed": task.n_x,
@@ -572,19 +578,14 @@ class _KnownRotation:
     """
 
     def __init__(
-        self,
-        Theta: Array,
-        R: Array,
-        sd: Array,
-        sd_R: float,
-        n_u: int,
-        noise: float,
-        moved: Unknowns,
+        self, Theta: Array, R: Array, P: Array, sd_R: float, n_u: int, noise: float, moved: Unknowns
     ) -> None:
         self._first, self._R, self._d, self._n_u = Theta, R, len(R), n_u
         self._P = n = len(Theta)
-        self._sd, self._sd_R, self._noise = sd, sd_R, noise
-        self._prior = np.diag(sd**-2.0)
+        self._P_0, self._sd_R, self._noise = P, sd_R, noise
+        self._is_plain = np.count_nonzero(P) == n
+        plain = np.diag(np.sqrt(P.diagonal()) ** -2.0)
+        self._prior: Array = plain if self._is_plain else np.asarray(np.linalg.inv(P))
         self._moved, self._bends = moved, bool(moved.is_angle.any())
         self._is_turned = not np.array_equal(R, np.eye(self._d))
         rows, columns = np.triu_indices(n)
@@ -621,7 +622,7 @@ class _KnownRotation:
         """Return True if these are possible numbers of this estimator."""
         # forgetting goes towards the prior, so nothing is ever known less well
         diagonal = self._unpack(numbers).diagonal()
-        return bool(((diagonal > 0.0) & (diagonal < 1.01 * self._sd**2)).all())
+        return bool(((diagonal > 0.0) & (diagonal < 1.01 * self._P_0.diagonal())).all())
 
     def learn(self, numbers: Array, H: Array, o: Array, x: Array, share: Any) -> Array:
         """Return the numbers after a frame x (m,), and a share λT forgotten.
@@ -632,9 +633,8 @@ class _KnownRotation:
             x = x.reshape(-1, self._d).dot(self._R).ravel()
         P, share, Theta = self._unpack(numbers), numbers[self._n] + share, numbers[self._n + 1 :]
         kept, is_due = (P,), share >= _SELDOM
-        (P,) = law.choose(
-            is_due, lambda: (law.forgotten(*kept, self._prior.diagonal(), share),), lambda: kept
-        )
+        known = self._prior.diagonal() if self._is_plain else self._prior
+        (P,) = law.choose(is_due, lambda: (law.forgotten(*kept, known, share),), lambda: kept)
         K = law.gain(P, H, self._variance(P))
         P = P - product(K, product(P, H.T).T)
         Theta = Theta + K.dot(x - o - H.dot(Theta))
@@ -659,7 +659,7 @@ class _KnownRotation:
 
     def _about(self, Theta: Array, A: Array) -> Array:
         """Return the numbers of the prior alone, about these estimates, with A = Rᵀ."""
-        return np.concatenate([self._pack(np.diag(self._sd**2)), [0.0], Theta])
+        return np.concatenate([self._pack(self._P_0), [0.0], Theta])
 
 
 class _UnknownRotation(_KnownRotation):
@@ -751,8 +751,8 @@ class _UnknownRotation(_KnownRotation):
 
     def _about(self, Theta: Array, A: Array) -> Array:
         d, n = self._d, self._n_u
-        b, of_u = A.T.dot(Theta[n:]), self._prior.diagonal()[:n]
-        a = np.append(of_u * Theta[:n], np.zeros(d))
+        b, of_u, u = A.T.dot(Theta[n:]), self._prior[:n, :n], Theta[:n]
+        a = np.append(of_u.diagonal() * u if self._is_plain else of_u.dot(u), np.zeros(d))
         B = np.eye(d)[:, :, np.newaxis] * (b * self._prior[n, n])
         E = (0.5 / self._sd_R**2) * A.ravel()
         parts = [self._pack(self._prior), a, np.zeros(n * d * d), B.ravel(), E, Theta, A.ravel()]

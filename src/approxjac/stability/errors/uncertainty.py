@@ -8,13 +8,15 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property, partial
+from statistics import NormalDist
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from approxjac.cameras import Camera
 from approxjac.errors import InvalidInputError, require_known
-from approxjac.robots import Drives, Friction, Perturbation, Robot
+from approxjac.robots import Drives, Friction, KinematicBelief, Perturbation, Robot
+from approxjac.robots.kinematic_regressor import KinematicRegressor, Unknowns
 from approxjac.robots.urdf import as_size, direction
 from approxjac.simulation import Plant
 from approxjac.tasks import ImageTask, PositionTask, Task, best_axes
@@ -32,6 +34,9 @@ _NONE = 1e-4  # of the width of a range: an end that is nearer to 0 is written a
 _PIECE = 0.25 * math.pi  # longest range of an angle that its two ends stand for [rad]
 _LEAST_FOCAL = 0.1  # of the believed one
 _TURN = 2.0 * math.pi * (1.0 + 1e-9)
+_LOOKS = 16  # configurations at which effects of learnt numbers are compared
+_STEP = 1e-5  # of a difference, either way [m or rad]
+_SMALL = 1e-6  # difference of numbers of the same arm [m or rad], or share that is nothing
 
 
 class Coordinate(NamedTuple):
@@ -165,6 +170,9 @@ class Uncertainty:
             with 0 believed.
         roll: Smallest and largest true roll about the optical axis [rad]: of a `PinholeCamera`
             relative to the believed one, with 0 believed.
+        covariance: Calibration of the arm, whose numbers have errors by their covariance: normal
+            in draws, and with corners on its ellipsoid.
+        confidence: Share of these draws in the ellipsoid.
         friction: Friction of the true joints, which is certain: viscous friction B ≥ 0, a number or
             shape (n_v,) [N m s/rad or N s/m], or a `robots.Friction`.
         drives: Drives of the true joints, which are certain; by default ideal ones. With other
@@ -197,6 +205,8 @@ class Uncertainty:
     focal_length: tuple[float, float] | None = None
     distance: tuple[float, float] | None = None
     roll: tuple[float, float] | None = None
+    covariance: KinematicBelief | None = None
+    confidence: float = 0.95
     friction: float | Sequence[float] | Array | Friction = 0.0
     drives: Drives | None = None
     factor: float = 1.0
@@ -229,6 +239,10 @@ class Uncertainty:
                     given.append(Coordinate(f"{joint} {kind} {axis}", unit, 0.0, -bound, bound))
         for name in ("focal_length", "distance", "roll"):
             given += _camera_range(self.camera, name, getattr(self, name))
+        as_number("confidence", self.confidence, above=0.0, most=1.0 - _SMALL)
+        if (learnt := self._learnt) is not None:
+            each = zip(learnt.names, learnt.units, self._radius * learnt.sd, strict=True)
+            given += [Coordinate(name, unit, 0.0, -size, size) for name, unit, size in each]
         own["_coordinates"] = tuple(known.scaled(self.factor) for known in given)
         for known in self._coordinates:
             known.ends()  # refuses an angle beyond a full turn
@@ -236,10 +250,8 @@ class Uncertainty:
                 for end in known[-2:]:
                     as_size(known.name, end, known.unit)
         self.plant(self.believed)  # refuses what fits no such robot: a task, an axis, joints
-        of_cameras = [known.name.startswith("camera ") for known in self._coordinates]
-        pairs = zip(self._coordinates, of_cameras, strict=True)
-        corners = itertools.product(*(k[-2:] if of_camera else (k[2],) for k, of_camera in pairs))
-        for corner in corners if any(of_cameras) else ():  # where a camera is first none
+        corners = (k[-2:] if k.name.startswith("camera ") else (k[2],) for k in self._coordinates)
+        for corner in itertools.product(*corners):  # where a camera is first none
             try:
                 self.plant(corner)
             except InvalidInputError as error:
@@ -315,10 +327,18 @@ class Uncertainty:
         believed values (whatever the limit), and random corners of a fixed seed, up to `limit`
         points in all.
 
+        With a covariance, `limit` ends of conjugate axes of its ellipsoid are beside them: those
+        that change the task's Jacobian most.
+
         Raises:
             InvalidInputError: A limit that is no integer ≥ 1.
         """
         as_integer("limit", limit, 1)
+        if self._learnt is not None:
+            box, axes = replace(self, covariance=None).corners(limit), self.factor * self._axes
+            both = np.stack([axes, -axes], axis=1).reshape(-1, axes.shape[1])[:limit]
+            rows = np.arange(max(len(box), len(both)))
+            return np.hstack([box[rows % len(box)], both[rows % len(both)]])
         ends = [known.ends() for known in self._coordinates]
         if math.prod(map(len, ends)) <= limit:
             return np.array(list(itertools.product(*ends)), dtype=float)
@@ -332,9 +352,11 @@ class Uncertainty:
         return np.array(list(chosen))
 
     def sample(self, rng: np.random.Generator) -> Array:
-        """Return values drawn uniformly from the box, shape (d,)."""
-        low = self.low
-        return low + (self.high - low) * rng.random(self.d)  # as rng.uniform, which takes its time
+        """Return values drawn uniformly from the box, and by the covariance; shape (d,)."""
+        low, n = self.low, len(self._root)
+        drawn = low + (self.high - low) * rng.random(self.d)  # rng.uniform takes its time
+        drawn[self.d - n :] = self.factor * self._root.dot(rng.standard_normal(n))
+        return drawn
 
     # -- the robots ---------------------------------------------------------------------
 
@@ -354,14 +376,19 @@ class Uncertainty:
 
     def robot(self, values: Sequence[float] | Array) -> Robot:
         """Return the true robot at values (d,); without errors the believed one itself."""
-        believed, uncertain = self._of_robot
-        at = believed.copy()
-        for place, value in zip(uncertain, self._checked(values).tolist(), strict=False):
-            at[place] = value
-        if at == believed:
+        values = self._checked(values)
+        at = dict(zip(self.names, values.tolist(), strict=True))
+        own = (known for known in self._coordinates if not known.name.startswith("camera "))
+        if all(at[known.name] == known.believed for known in own):
             return self.belief()
-        length, mass, *places = at
-        return self._perturbation.robot(length, mass, *np.array(places).reshape(2, -1, 3))
+        held = (at.get(f"object_{n}", getattr(self, f"believed_{n}")) for n in ("length", "mass"))
+        parts = itertools.product(("shift", "rotation"), self._joints, "xyz")
+        places = [at.get(f"{joint} {kind} {axis}", 0.0) for kind, joint, axis in parts]
+        errors = np.array(places).reshape(2, -1, 3)
+        for each, learnt in zip(errors, self._errors(values), strict=False):
+            for joint, error in learnt.items():
+                each[self._joints.index(joint)] = error
+        return self._perturbation.robot(*held, *errors)
 
     def plant(self, values: Sequence[float] | Array) -> Plant:
         """Return the true robot at values (d,), with its sensor and friction, in the box or not.
@@ -397,34 +424,74 @@ class Uncertainty:
 
     def describe(self, values: Sequence[float] | Array) -> str:
         """Describe values (d,), such as "object length 0.3 m, camera roll 0.349 rad"."""
-        words = map(_described, self.names, self._checked(values), self.units)
+        values, n = self._checked(values), len(self._root)
+        words = [*map(_described, self.names, values, self.units)]
+        if self._learnt is not None:
+            size = np.linalg.norm(np.linalg.solve(self._root, off := values[-n:]))
+            most = words[self.d - n + int(np.abs(off / self._learnt.sd).argmax())]
+            words[-n:] = [f"learnt numbers {size:.3g} sd off, most {most}"] if size > 0.0 else []
         return ", ".join(words) or "no error"
 
     def describe_box(self) -> str:
         """Describe the ranges, such as "object length 0 to 0.3 m"."""
         shown = []
-        for name, unit, _, low, high in self._coordinates:
+        for name, unit, _, low, high in self._coordinates[: self.d - len(self._root)]:
             ends = (0.0 if abs(end) < _NONE * (high - low) else end for end in (low, high))
             least, most = (_described("", end, unit).strip() for end in ends)
             shown.append(f"{label_of(name)} {least.removesuffix(f' {unit}')} to {most}")
+        if (n := len(self._root)) > 0:
+            shown.append(f"{n} learnt numbers up to {self.factor * self._radius:.3g} sd off")
         return ", ".join(shown) or "no error"
 
     def _checked(self, values: Sequence[float] | Array) -> Array:
         return as_vector("values", values, self.d, ", ".join(self.units))
 
     @cached_property
-    def _of_robot(self) -> tuple[list[float], list[int]]:
-        """Believed length, mass, shifts and rotations, and where the uncertain ones are in them."""
-        parts = itertools.product(("shift", "rotation"), self._joints, "xyz")
-        of_joints = [f"{joint} {kind} {axis}" for kind, joint, axis in parts]
-        names = ["object_length", "object_mass", *of_joints]
-        believed = [float(self.believed_length), float(self.believed_mass)]
-        believed += [0.0] * len(of_joints)
-        return believed, [names.index(name) for name in self.names if name in names]
+    def _learnt(self) -> Unknowns | None:
+        if (belief := self.covariance) is None:
+            return None
+        require("covariance", belief, KinematicBelief, "a Calibration, or None")
+        frame = next((each for each in belief.frames[::-1] if each in self.arm.frame_names), None)
+        of = KinematicRegressor(self.arm, frame, axes="axes" in belief.kinds)
+        learnt = Unknowns(of, belief.kinds, dict.fromkeys((*belief.kinds, "encoders"), 1.0), belief)
+        off = np.abs(learnt.theta(learnt.u) - of.theta).max()
+        if off > _SMALL or self.joint_shifts or self.joint_rotations:
+            message = "arm must be the robot of the calibration, without joint_shifts and "
+            message += f"joint_rotations, got {self.arm!r}, a number of which is {off:.2g} off"
+            raise InvalidInputError(message, given=self.arm)
+        return learnt
+
+    @cached_property
+    def _root(self) -> Array:
+        """L with LLᵀ the covariance of the learnt numbers, shape (n, n)."""
+        return np.zeros((0, 0)) if self._learnt is None else np.linalg.cholesky(self._learnt.P)
+
+    @property
+    def _radius(self) -> float:
+        """√χ², after Wilson and Hilferty: of 1, 5 and 45 numbers within 2, 0.1 and 0.01 %."""
+        share = 2.0 / (9.0 * len(self._root))
+        root = 1.0 - share + NormalDist().inv_cdf(self.confidence) * math.sqrt(share)
+        return math.sqrt(len(self._root) * max(root, 0.0) ** 3)
+
+    @cached_property
+    def _axes(self) -> Array:
+        """Half axes of the ellipsoid, (k, n), first those by which the Jacobian changes most."""
+        n, q = len(self._root), [*self.arm.configurations(_LOOKS)]
+        off = (np.append(self.believed[:-n], e) for e in _STEP * np.vstack([np.eye(n), -np.eye(n)]))
+        J = np.array([[of.jacobian(at) for at in q] for of in (self.plant(e).sensor for e in off)])
+        S = np.nan_to_num(J[:n] - J[n:]).reshape(n, -1).T / (2.0 * _STEP)
+        _, effects, W = np.linalg.svd(S @ self._root, full_matrices=False)
+        return self._radius * (W[effects >= _SMALL * effects.max()] @ self._root.T)
+
+    def _errors(self, values: Array) -> Sequence[dict[str, Any]]:
+        """Return shifts and rotations of joint origins by learnt numbers, the last of values."""
+        u = self._learnt
+        return () if u is None else u.regressor.errors(u.theta(u.u + values[-len(u.u) :]))[:2]
 
     @cached_property
     def _joints(self) -> tuple[str, ...]:
-        return tuple(dict.fromkeys([*self.joint_shifts, *self.joint_rotations]))
+        own = () if self._learnt is None else self._errors(self._learnt.sd)
+        return tuple(dict.fromkeys(itertools.chain(self.joint_shifts, self.joint_rotations, *own)))
 
     @cached_property
     def _perturbation(self) -> Perturbation:
