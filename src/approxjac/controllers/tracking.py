@@ -36,7 +36,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.formatting import spaced
 from approxjac.interface import Evaluation, Measurement, Status, Target
 from approxjac.robots import Drives, Dynamics, Friction, Robot
-from approxjac.robots.traced import positions_at
+from approxjac.robots.traced import moved, positions_at
 from approxjac.tasks import ImageTask, PoseTask, PositionTask, StackedTask, Task
 from approxjac.tasks.analysis import (
     require_as_believed,
@@ -74,6 +74,8 @@ _LAG_GAIN = 1.0  # of what learns the lag
 _LONGEST_LAG = 0.1  # [s]
 _RIGID = 1e9  # damping that is no bound [N m s/rad]
 _SOONEST = 0.1  # that a joint gets to its full speed in [s]
+_INSIDE, _FARTHEST = 0.03, 0.1  # share of a range that detours keep from its ends, at most
+_UNTOLD = 1.0  # speed of a detour where there is no limit [rad/s or m/s]
 
 
 @dataclass(frozen=True)
@@ -147,10 +149,14 @@ class TrackingController(Immutable, Controller):
             with. `Drives()` says that there are none.
         friction: Friction of the joints, as far as it is known, for the default dynamics, which
             learn the rest of it.
+        detours: Leave dead ends, where the arm stands at stops or a singular Ĵ before a target at
+            rest, by a motion of the joints to another configuration that reaches it (`law.Detour`).
+            For torques, and errors that are x - x_d. What is in the way is not known.
 
     Raises:
         InvalidInputError: Numbers out of range or of the wrong shape, kinematics or dynamics of
-            another robot, or a posture for an arm without self-motion.
+            another robot, a posture for an arm without self-motion, or detours where there are
+            none.
     """
 
     dt: float
@@ -169,6 +175,7 @@ class TrackingController(Immutable, Controller):
         latency: Latency | None = None,
         drives: Drives | None = None,
         friction: Friction | None = None,
+        detours: bool = False,
     ) -> None:
         require_controllable(task)
         robot = task.robot
@@ -243,7 +250,14 @@ class TrackingController(Immutable, Controller):
         if is_heavy:
             assert latency is not None
             self._slow = slow_feedback(robot, latency, dt, first)
-        self.n_state = self._led + (0 if self._slow is None else robot.nv + task.m)
+        self._ways = self._led + (0 if self._slow is None else robot.nv + task.m)
+        self._detour: law.Detour | None = None
+        if require("detours", detours, bool, "True or False"):
+            if command != "torque" or task.measured is not task or not task.subtracts:
+                message = f"detours are for torques and errors that are x - x_d, got {task!r}"
+                raise InvalidInputError(message, given=detours)
+            self._detour = _detour(task, self._gains, dt)
+        self.n_state = self._ways + (0 if self._detour is None else self._detour.size)
 
     def _raisable(
         self, latency: Latency, first: JointGains, strong: JointGains, gamma: Array | None
@@ -356,10 +370,16 @@ class TrackingController(Immutable, Controller):
             last, led = self._last, self._led
             after[last:led], eased = self._eased.step(state[last:led], x, goal, rates.alpha, waits)
             aim = Target(*eased)
-        w = None if self._slow is None else state[self._led + len(v) :]
-        J_hat, v_r, a_r, damped, is_known, w_dot = self._reference(
+        w = None if self._slow is None else state[self._led + len(v) : self._ways]
+        J_hat, v_r, a_r, damped, is_known, w_dot, z = self._reference(
             known, q, v, aim, waits, rates, w
         )
+        if self._detour is not None:
+            stands = self._stands(z + aim.x - target.x, J_hat, v, target, rates) & damped
+            runs = is_known & law.complement(waits)
+            after[self._ways :], v_r, a_r = self._around(
+                state[self._ways :], known, q, v, (v_r, a_r), target.x, (stands & runs, runs)
+            )
         learns = is_known | waits
         self.kinematics.correct(after[p:end], measurement, dt)
         e = self.task.error(x, target.x)
@@ -383,8 +403,9 @@ class TrackingController(Immutable, Controller):
             if self._slow is not None and w_dot is not None:
                 phi, at = state[self._led :][: len(v)], self._led + len(v)
                 after[self._led : at], besides = self._slow.damping(phi, sigma, A, most)
-                moved = law.select(is_known, state[at:] + dt * w_dot, state[at:])
-                after[at:] = law.select(waits, 0.0 * moved, moved)
+                rests = slice(at, self._ways)
+                shifted = law.select(is_known, state[rests] + dt * w_dot, state[rests])
+                after[rests] = law.select(waits, 0.0 * shifted, shifted)
                 damped = damped + besides
         torque = law.tracking_torque(motion, damped)
         return after, Evaluation(torque, None, status, e, J_hat, g, reference=v_r)
@@ -398,7 +419,7 @@ class TrackingController(Immutable, Controller):
         waits: Any = False,
         gains: law.ReferenceGains | None = None,
         w: Array | None = None,
-    ) -> tuple[Array, Array, Array, Any, Any, Array | None]:
+    ) -> tuple[Array, Array, Array, Any, Any, Array | None, Array]:
         gains = self._gains if gains is None else gains
         predicted, w_dot = self.kinematics.predict(known, q, v, target), None
         if self._slow is not None and w is not None:
@@ -406,7 +427,43 @@ class TrackingController(Immutable, Controller):
             gains = gains._replace(beside=(w, w_dot))
         null, motion = self._rest.velocity(q, v), positions_at(self.task.robot, q)
         found = law.reference_step(predicted, v, null, waits, gains, motion)
-        return predicted.J, *found, w_dot
+        return predicted.J, *found, w_dot, predicted.z
+
+    def _stands(
+        self, z: Array, J_hat: Array, v: Array, target: Target, gains: law.ReferenceGains
+    ) -> Any:
+        """Return whether the arm stands at an error z (m,) from a target at rest."""
+        assert self._detour is not None
+        wanted, _ = law.saturated(gains.alpha * z, 0.0 * z, gains.per_speed)
+        rates = [each for each in target[1:] if each is not None]
+        rests = law.all_of(np.concatenate([np.zeros(1), *rates]) == 0.0)
+        return self._detour.stands(z, J_hat, wanted, v) & rests
+
+    def _around(
+        self,
+        memory: Array,
+        known: Array,
+        q: Array,
+        v: Array,
+        reference: tuple[Array, Array],
+        x_d: Array,
+        flags: tuple[Any, Any],
+    ) -> tuple[Array, Array, Array]:
+        """Return the memory of a detour a period later, and q̇_r and q̈_r with it."""
+        assert self._detour is not None
+        (v_r, a_r), robot, (stands, runs) = reference, self.task.robot, flags
+        motion = positions_at(robot, q)
+
+        def look(place: Array) -> tuple[Array, Array]:
+            error = self.kinematics.predict(
+                known, moved(robot, q, place - motion), 0.0 * v, Target(x_d)
+            )
+            return error.z, error.J
+
+        after, h, h_dot, speed = self._detour.step(memory, stands, motion, x_d, look)
+        h, h_dot = law.select(runs, h, 0.0 * h), law.select(runs, h_dot, 0.0 * h)
+        away = speed - v_r
+        return after, v_r + h * away, a_r - h * a_r + h_dot * away
 
     def _checked(
         self, state: Array, measurement: Measurement, target: Target
@@ -600,6 +657,23 @@ def _stops(task: Task, limits: Limits) -> law.StopZones | None:
     low, high = np.clip(np.array(limits.position), -_NO_END, _NO_END)
     slow = np.minimum(_SLOW * np.asarray(limits.velocity), _SLOW)
     return law.StopZones(low, high, np.minimum(_ZONE * (high - low), _WIDEST), slow)
+
+
+def _detour(task: Task, gains: law.ReferenceGains, dt: float) -> law.Detour:
+    """Return detours within the joints' ranges, whose searches begin at the points of Roberts.
+
+    Each point is x⁻¹, x⁻², … further than the last, with x^(n_v + 1) = x + 1: M. Roberts, "The
+    unreasonable effectiveness of quasirandom sequences", 2018.
+    """
+    robot = task.robot
+    turns = np.array([joint.nq > joint.nv for joint in robot._joints.values()], dtype=np.float64)
+    low, high = robot.usual_range
+    inside = (1.0 - turns) * np.minimum(_INSIDE * (high - low), _FARTHEST)
+    roots = np.roots([1.0, *[0.0] * (robot.nv - 1), -1.0, -1.0])
+    spread = roots.real.max() ** -np.arange(1.0, robot.nv + 1.0)
+    fastest = np.where(np.isfinite(gains.fastest), gains.fastest, _UNTOLD)
+    rest = fastest, np.broadcast_to(gains.per_speed, (task.m,)), gains.singular_ratio, dt
+    return law.Detour(low + inside, high - inside, turns, spread, *rest)
 
 
 def _shares(task: Task, limits: Limits) -> Array | None:
