@@ -12,7 +12,7 @@ import numpy as np
 
 from approxjac.law.branches import array, choose, complement, select
 from approxjac.law.products import dot
-from approxjac.law.pseudoinverse import may_be_singular
+from approxjac.law.pseudoinverse import is_near_singular
 from approxjac.validation import Array
 
 _STANDS, _TRIES, _PASSES = 0.2, 8.0, 15.0  # time before a search [s]; its starts, steps of each
@@ -88,11 +88,10 @@ class Detour(NamedTuple):
             there = there - self.turns * (2.0 * np.pi * np.rint(there / (2.0 * np.pi)))
             lasts, G = (np.abs(there) / self.fastest).max() + _RAMP, dot(J, J.T)
             is_near = dot(far, far) < _NEAR**2
-            better = is_near & (lasts < best) & complement(may_be_singular(G, self.ratio, 0.0))
+            better = is_near & (lasts < best) & complement(is_near_singular(G, self.ratio))
             ends = is_near | (passes >= _PASSES)
-            after = np.where(
-                seed + self.spread >= 1.0, seed + self.spread - 1.0, seed + self.spread
-            )
+            after = seed + self.spread
+            after = np.where(after >= 1.0, after - 1.0, after)
             begins = self.low + (self.high - self.low) * after
             nearby = _REACH * self.fastest
             begins = np.minimum(np.maximum(begins, motion - nearby), motion + nearby)
@@ -115,7 +114,7 @@ class Detour(NamedTuple):
         is_left = left > 0.0
         c_dot = select(is_left, 1.0 - c, -c)
         c_dot = np.minimum(np.maximum(c_dot / dt, none - 1.0 / _RAMP), none + 1.0 / _RAMP)
-        numbers = [stood, tries, passes, best, left, time, c + dt * c_dot]
+        numbers = [select(found, none, stood), tries, passes, best, left, time, c + dt * c_dot]
         after = [array(numbers), select(is_left, aim, target), ghost, seed, way]
         h, h_dot = c * c * (3.0 - 2.0 * c), 6.0 * c * (1.0 - c) * c_dot
         per = 1.0 / select(time > 0.0, time, none + 1.0)
