@@ -254,7 +254,7 @@ class TrackingController(Immutable, Controller):
         self._detour: law.Detour | None = None
         if require("detours", detours, bool, "True or False"):
             if command != "torque" or task.measured is not task or not task.subtracts:
-                message = f"detours are for torques and errors that are x - x_d, got {task!r}"
+                message = f"detours are for torques and errors x - x_d, got {command} and {task!r}"
                 raise InvalidInputError(message, given=detours)
             self._detour = _detour(task, self._gains, dt)
         self.n_state = self._ways + (0 if self._detour is None else self._detour.size)
@@ -375,11 +375,12 @@ class TrackingController(Immutable, Controller):
             known, q, v, aim, waits, rates, w
         )
         if self._detour is not None:
-            stands = self._stands(z + aim.x - target.x, J_hat, v, target, rates) & damped
-            runs = is_known & law.complement(waits)
-            after[self._ways :], v_r, a_r = self._around(
-                state[self._ways :], known, q, v, (v_r, a_r), target.x, (stands & runs, runs)
-            )
+            moves = [each for each in target[1:] if each is not None]
+            rests = law.all_of(np.concatenate([np.zeros(1), *moves]) == 0.0)
+            far = z + aim.x - target.x
+            stands = damped & rests & self._detour.stands(far, J_hat, v, rates.alpha)
+            way = state[self._ways :], stands
+            after[self._ways :], v_r, a_r = self._around(known, q, v, target.x, (v_r, a_r), *way)
         learns = is_known | waits
         self.kinematics.correct(after[p:end], measurement, dt)
         e = self.task.error(x, target.x)
@@ -429,39 +430,21 @@ class TrackingController(Immutable, Controller):
         found = law.reference_step(predicted, v, null, waits, gains, motion)
         return predicted.J, *found, w_dot, predicted.z
 
-    def _stands(
-        self, z: Array, J_hat: Array, v: Array, target: Target, gains: law.ReferenceGains
-    ) -> Any:
-        """Return whether the arm stands at an error z (m,) from a target at rest."""
-        assert self._detour is not None
-        wanted, _ = law.saturated(gains.alpha * z, 0.0 * z, gains.per_speed)
-        rates = [each for each in target[1:] if each is not None]
-        rests = law.all_of(np.concatenate([np.zeros(1), *rates]) == 0.0)
-        return self._detour.stands(z, J_hat, wanted, v) & rests
-
     def _around(
-        self,
-        memory: Array,
-        known: Array,
-        q: Array,
-        v: Array,
-        reference: tuple[Array, Array],
-        x_d: Array,
-        flags: tuple[Any, Any],
-    ) -> tuple[Array, Array, Array]:
-        """Return the memory of a detour a period later, and q̇_r and q̈_r with it."""
+        self, known: Array, q: Array, v: Array, x_d: Array, led: tuple[Array, Array],
+        memory: Array, stands: Any,
+    ) -> tuple[Array, Array, Array]:  # fmt: skip
+        """Return the memory of detours a period later; q̇_r and q̈_r, which are `led` without."""
         assert self._detour is not None
-        (v_r, a_r), robot, (stands, runs) = reference, self.task.robot, flags
+        (v_r, a_r), robot = led, self.task.robot
         motion = positions_at(robot, q)
 
         def look(place: Array) -> tuple[Array, Array]:
-            error = self.kinematics.predict(
-                known, moved(robot, q, place - motion), 0.0 * v, Target(x_d)
-            )
+            there = moved(robot, q, place - motion)
+            error = self.kinematics.predict(known, there, 0.0 * v, Target(x_d))
             return error.z, error.J
 
         after, h, h_dot, speed = self._detour.step(memory, stands, motion, x_d, look)
-        h, h_dot = law.select(runs, h, 0.0 * h), law.select(runs, h_dot, 0.0 * h)
         away = speed - v_r
         return after, v_r + h * away, a_r - h * a_r + h_dot * away
 

@@ -13,6 +13,7 @@ import numpy as np
 from approxjac.law.branches import array, choose, complement, select
 from approxjac.law.products import dot
 from approxjac.law.pseudoinverse import is_near_singular
+from approxjac.law.tracking import saturated
 from approxjac.validation import Array
 
 _STANDS, _TRIES, _PASSES = 0.2, 8.0, 15.0  # time before a search [s]; its starts, steps of each
@@ -56,9 +57,9 @@ class Detour(NamedTuple):
         """Length of the memory."""
         return 7 + len(self.per_speed) + 3 * len(self.low)
 
-    def stands(self, z: Array, J: Array, wanted: Array, v: Array) -> Any:
-        """Return whether q̇ reduces an error z by less than a tenth of its `wanted` rate, (m,)."""
-        far = self.per_speed * z
+    def stands(self, z: Array, J: Array, v: Array, alpha: Any) -> Any:
+        """Return whether q̇ reduces an error z at less than a tenth of the rate s(αz)."""
+        far, (wanted, _) = self.per_speed * z, saturated(alpha * z, 0.0 * z, self.per_speed)
         return (-dot(z, dot(J, v)) < _HELD * dot(z, wanted)) & (dot(far, far) > _FAR**2)
 
     def step(

@@ -85,8 +85,6 @@ def _rules(scenario: Scenario) -> Iterator[Rule]:
         ("controller.command", not tracks, "needs controller.law tracking", "setpoint"),
         ("controller.torque_rate", velocities, "is of torques", control.command),
         ("controller.detours", not tracks, "needs controller.law tracking", "setpoint"),
-        ("controller.detours", velocities, "is of torques", control.command),
-        ("controller.detours", task.kind != "position", "is for positions", task.kind),
         ("controller.unseen", learns, "is of no use where x is predicted", "controller.unknown"),
     ]
     for name in _OF_SETPOINT:
