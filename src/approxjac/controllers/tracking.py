@@ -36,7 +36,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.formatting import spaced
 from approxjac.interface import Evaluation, Measurement, Status, Target
 from approxjac.robots import Drives, Dynamics, Friction, Robot
-from approxjac.robots.traced import positions_at
+from approxjac.robots.traced import moved, positions_at
 from approxjac.tasks import ImageTask, PoseTask, PositionTask, StackedTask, Task
 from approxjac.tasks.analysis import (
     require_as_believed,
@@ -74,6 +74,8 @@ _LAG_GAIN = 1.0  # of what learns the lag
 _LONGEST_LAG = 0.1  # [s]
 _RIGID = 1e9  # damping that is no bound [N m s/rad]
 _SOONEST = 0.1  # that a joint gets to its full speed in [s]
+_INSIDE, _FARTHEST = 0.03, 0.1  # share of a range that detours keep from its ends, at most
+_UNTOLD = 1.0  # speed of a detour where there is no limit [rad/s or m/s]
 
 
 @dataclass(frozen=True)
@@ -89,12 +91,16 @@ class TrackingGains:
         speed: Largest speed at which errors are reduced, a number or one for each coordinate, (m,)
             [unit of the task/s]. By default 0.5 m/s and 1 rad/s, for other units that of joint
             speeds of 0.5 rad/s.
+        detours: Leave dead ends, where the arm stands at stops or a singular Ĵ before a target at
+            rest, by a motion of the joints to another configuration that reaches it (`law.Detour`).
+            For torques, and errors that are x - x_d. What is in the way is not known.
     """
 
     alpha: float | None = None
     kappa: float | None = None
     self_motion: float = 1.0
     speed: float | Sequence[float] | Array | None = None
+    detours: bool = False
 
     def __post_init__(self) -> None:
         if self.alpha is not None:
@@ -102,6 +108,7 @@ class TrackingGains:
         if self.kappa is not None:
             as_number("kappa", self.kappa, unit="1/s", above=0.0)
         as_number("self_motion", self.self_motion, unit="1/s", minimum=0.0)
+        require("detours", self.detours, bool, "True or False")
 
 
 class TrackingController(Immutable, Controller):
@@ -150,7 +157,8 @@ class TrackingController(Immutable, Controller):
 
     Raises:
         InvalidInputError: Numbers out of range or of the wrong shape, kinematics or dynamics of
-            another robot, or a posture for an arm without self-motion.
+            another robot, a posture for an arm without self-motion, or detours where there are
+            none.
     """
 
     dt: float
@@ -243,7 +251,14 @@ class TrackingController(Immutable, Controller):
         if is_heavy:
             assert latency is not None
             self._slow = slow_feedback(robot, latency, dt, first)
-        self.n_state = self._led + (0 if self._slow is None else robot.nv + task.m)
+        self._ways = self._led + (0 if self._slow is None else robot.nv + task.m)
+        self._detour: law.Detour | None = None
+        if gains.detours:
+            if command != "torque" or task.measured is not task or not task.subtracts:
+                message = f"detours are for torques and errors x - x_d, got {command} and {task!r}"
+                raise InvalidInputError(message, given=gains)
+            self._detour = _detour(task, self._gains, dt)
+        self.n_state = self._ways + (0 if self._detour is None else self._detour.size)
 
     def _raisable(
         self, latency: Latency, first: JointGains, strong: JointGains, gamma: Array | None
@@ -356,10 +371,17 @@ class TrackingController(Immutable, Controller):
             last, led = self._last, self._led
             after[last:led], eased = self._eased.step(state[last:led], x, goal, rates.alpha, waits)
             aim = Target(*eased)
-        w = None if self._slow is None else state[self._led + len(v) :]
-        J_hat, v_r, a_r, damped, is_known, w_dot = self._reference(
+        w = None if self._slow is None else state[self._led + len(v) : self._ways]
+        J_hat, v_r, a_r, damped, is_known, w_dot, z = self._reference(
             known, q, v, aim, waits, rates, w
         )
+        if self._detour is not None:
+            moves = [each for each in target[1:] if each is not None]
+            rests = law.all_of(np.concatenate([np.zeros(1), *moves]) == 0.0)
+            far = z + aim.x - target.x
+            stands = damped & rests & self._detour.stands(far, J_hat, v, rates.alpha)
+            way = state[self._ways :], stands
+            after[self._ways :], v_r, a_r = self._around(known, q, v, target.x, (v_r, a_r), *way)
         learns = is_known | waits
         self.kinematics.correct(after[p:end], measurement, dt)
         e = self.task.error(x, target.x)
@@ -383,8 +405,9 @@ class TrackingController(Immutable, Controller):
             if self._slow is not None and w_dot is not None:
                 phi, at = state[self._led :][: len(v)], self._led + len(v)
                 after[self._led : at], besides = self._slow.damping(phi, sigma, A, most)
-                moved = law.select(is_known, state[at:] + dt * w_dot, state[at:])
-                after[at:] = law.select(waits, 0.0 * moved, moved)
+                rests = slice(at, self._ways)
+                shifted = law.select(is_known, state[rests] + dt * w_dot, state[rests])
+                after[rests] = law.select(waits, 0.0 * shifted, shifted)
                 damped = damped + besides
         torque = law.tracking_torque(motion, damped)
         return after, Evaluation(torque, None, status, e, J_hat, g, reference=v_r)
@@ -398,7 +421,7 @@ class TrackingController(Immutable, Controller):
         waits: Any = False,
         gains: law.ReferenceGains | None = None,
         w: Array | None = None,
-    ) -> tuple[Array, Array, Array, Any, Any, Array | None]:
+    ) -> tuple[Array, Array, Array, Any, Any, Array | None, Array]:
         gains = self._gains if gains is None else gains
         predicted, w_dot = self.kinematics.predict(known, q, v, target), None
         if self._slow is not None and w is not None:
@@ -406,7 +429,25 @@ class TrackingController(Immutable, Controller):
             gains = gains._replace(beside=(w, w_dot))
         null, motion = self._rest.velocity(q, v), positions_at(self.task.robot, q)
         found = law.reference_step(predicted, v, null, waits, gains, motion)
-        return predicted.J, *found, w_dot
+        return predicted.J, *found, w_dot, predicted.z
+
+    def _around(
+        self, known: Array, q: Array, v: Array, x_d: Array, led: tuple[Array, Array],
+        memory: Array, stands: Any,
+    ) -> tuple[Array, Array, Array]:  # fmt: skip
+        """Return the memory of detours a period later; q̇_r and q̈_r, which are `led` without."""
+        assert self._detour is not None
+        (v_r, a_r), robot = led, self.task.robot
+        motion = positions_at(robot, q)
+
+        def look(place: Array) -> tuple[Array, Array]:
+            there = moved(robot, q, place - motion)
+            error = self.kinematics.predict(known, there, 0.0 * v, Target(x_d))
+            return error.z, error.J
+
+        after, h, h_dot, speed = self._detour.step(memory, stands, motion, x_d, look)
+        away = speed - v_r
+        return after, v_r + h * away, a_r - h * a_r + h_dot * away
 
     def _checked(
         self, state: Array, measurement: Measurement, target: Target
@@ -600,6 +641,23 @@ def _stops(task: Task, limits: Limits) -> law.StopZones | None:
     low, high = np.clip(np.array(limits.position), -_NO_END, _NO_END)
     slow = np.minimum(_SLOW * np.asarray(limits.velocity), _SLOW)
     return law.StopZones(low, high, np.minimum(_ZONE * (high - low), _WIDEST), slow)
+
+
+def _detour(task: Task, gains: law.ReferenceGains, dt: float) -> law.Detour:
+    """Return detours within the joints' ranges, whose searches begin at the points of Roberts.
+
+    Each point is x⁻¹, x⁻², … further than the last, with x^(n_v + 1) = x + 1: M. Roberts, "The
+    unreasonable effectiveness of quasirandom sequences", 2018.
+    """
+    robot = task.robot
+    turns = np.array([joint.nq > joint.nv for joint in robot._joints.values()], dtype=np.float64)
+    low, high = robot.usual_range
+    inside = (1.0 - turns) * np.minimum(_INSIDE * (high - low), _FARTHEST)
+    roots = np.roots([1.0, *[0.0] * (robot.nv - 1), -1.0, -1.0])
+    spread = roots.real.max() ** -np.arange(1.0, robot.nv + 1.0)
+    fastest = np.where(np.isfinite(gains.fastest), gains.fastest, _UNTOLD)
+    rest = fastest, np.broadcast_to(gains.per_speed, (task.m,)), gains.singular_ratio, dt
+    return law.Detour(low + inside, high - inside, turns, spread, *rest)
 
 
 def _shares(task: Task, limits: Limits) -> Array | None:

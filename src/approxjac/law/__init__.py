@@ -34,6 +34,7 @@ from approxjac.law.conditions import jacobian_error as jacobian_error
 from approxjac.law.conditions import lambda_2 as lambda_2
 from approxjac.law.conditions import largest_allowed_p as largest_allowed_p
 from approxjac.law.conditions import largest_alpha as largest_alpha
+from approxjac.law.detour import Detour as Detour
 from approxjac.law.images import image_turn as image_turn
 from approxjac.law.images import ray_basis as ray_basis
 from approxjac.law.images import ray_jacobian as ray_jacobian

@@ -252,6 +252,7 @@ def _law(
             # with a lag, or joints that give way, it has to know both
             latency=latency if is_late or drives is None else None,
             drives=drives if is_late else None,
+            gains=controllers.TrackingGains(detours=chosen.detours),
         )
     posture: controllers.Posture | controllers.AwayFromStops | None = None
     if chosen.posture_stiffness:
@@ -280,15 +281,16 @@ def _law(
 def recommended(scenario: Scenario) -> Scenario:
     """Return a scenario with the default law of a simulation, and default joints if none are given.
 
-    They are the tracking law with learnt kinematics, and usual joints, where positions or poses are
-    measured.
+    They are the tracking law with learnt kinematics, and detours if it can take them, and usual
+    joints, where positions or poses are measured.
     """
     chosen = scenario.controller
     usual = replace(type(chosen)(), limits=chosen.limits, torque_rate=chosen.torque_rate)
     learns = scenario.task.kind in ("position", "pose") and scenario.true.tracker == Tracker()
     if chosen != usual or not learns or sampling_time(scenario) == 0.0:
         return replace(scenario, controller=replace(chosen, law=chosen.law or "setpoint"))
-    law = {"law": "tracking", "unknown": ["tool", "origins", "axes"]}
+    detours = scenario.task.kind == "position" and chosen.command == "torque"
+    law = {"law": "tracking", "unknown": ["tool", "origins", "axes"], "detours": detours}
     joints = {"drives": scenario.true.drives or "usual"}
     return scenario.with_values({"controller": law, "true": joints})
 

@@ -1,0 +1,124 @@
+"""Detours of the tracking law: a motion of the joints that leaves a dead end."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import approxjac as aj
+from approxjac import law
+from approxjac.controllers import TrackingGains
+from approxjac.scenario import Scenario, build_scenario, recommended, run_scenario
+
+DT = 4e-3
+ROBOT = aj.load_robot("so101")
+START = ROBOT.configuration((-0.878, 1.352, 1.093, 0.141, -2.699))
+GOAL = (-0.088, 0.292, 0.305, 0.068, -2.5)  # behind a dead end of the straight way
+
+
+def walk(seconds, target, detours=True, of=None, moves=lambda t: None):
+    """Positions of joints that follow the reference, their errors, and the law's last state."""
+    task = aj.PositionTask(ROBOT)
+    known = aj.controllers.KnownKinematics(task)
+    tracks = aj.TrackingController(
+        task, kinematics=known, dt=DT, gains=TrackingGains(detours=detours)
+    )
+    steps = tracks if of is None else of(tracks)
+    (low, high), q, v = ROBOT.position_limits, START, np.zeros(5)
+    state, places, errors = tracks.begin(aj.Measurement(0.0, q, v, task.value(q))), [], []
+    for k in range(round(seconds / DT)):
+        x = task.value(q)
+        aim = aj.Target(target, moves(k * DT))
+        state, answer = steps.advance(state, aj.Measurement(k * DT, q, v, x), aim, DT)
+        after = np.clip(q + DT * answer.reference, low, high)
+        q, v = after, (after - q) / DT
+        places.append(q)
+        errors.append(np.linalg.norm(x - target))
+    return np.array(places), np.array(errors), state
+
+
+@pytest.fixture(name="target")
+def _target():
+    return aj.PositionTask(ROBOT).value(ROBOT.configuration(GOAL))
+
+
+def test_an_arm_leaves_a_dead_end(target):
+    """Without detours it stands there; with them it is at its target soon after."""
+    _, stands, _ = walk(4.0, target, detours=False)
+    assert stands[-1] > 0.3
+    assert stands[-250:].max() - stands[-250:].min() < 1e-3
+    places, errors, _ = walk(4.0, target)
+    assert errors[-1] < 1e-5
+    low, high = ROBOT.position_limits
+    assert ((places > low) & (places < high))[-1].all()
+
+
+def test_up_to_the_dead_end_nothing_changes(target):
+    with_them, without = (walk(0.5, target, detours=detours)[0] for detours in (True, False))
+    assert np.array_equal(with_them, without)
+
+
+def test_a_target_that_moves_is_followed_without_detours(target):
+    crawls = walk(3.0, target, moves=lambda t: np.full(3, 1e-9))[1]
+    assert crawls[-1] > 0.3
+
+
+def test_compiled_it_is_the_same(target):
+    places, *_ = walk(1.6, target)
+    compiled, *_ = walk(1.6, target, of=aj.codegen.compiled)
+    assert_allclose(compiled, places, atol=1e-9)
+
+
+def detour(dt=1e-3):
+    """A detour of three joints that are the task."""
+    ones = np.ones(3)
+    spread = np.array([0.8, 0.6, 0.5])
+    return law.Detour(-2.0 * ones, 2.0 * ones, 0.0 * ones, spread, ones, ones, 0.05, dt)
+
+
+@pytest.mark.parametrize("changes", [False, True])
+def test_its_way_is_the_integral_of_its_speed(changes):
+    """ḣ is the rate of h, and both end at zero; a new target ends it at once."""
+    ways, goal, motion = detour(), np.array([0.5, -1.0, 0.2]), np.zeros(3)
+    memory, rows, moved = np.zeros(ways.size), [], np.zeros(3)
+    for k in range(3000):
+        aim = goal + (0.1 if changes and k > 700 else 0.0)
+        memory, h, h_dot, speed = ways.step(
+            memory, k < 500, motion, aim, lambda place: (place - goal, np.eye(3))
+        )
+        rows.append((h, h_dot))
+        moved = moved + ways.dt * h * speed
+    h, h_dot = np.array(rows).T
+    assert_allclose(np.gradient(h, ways.dt), h_dot, atol=0.06)
+    assert h.max() == 1.0
+    assert h[-1] == h_dot[-1] == 0.0
+    assert (np.abs(moved - goal).max() < 0.02) != changes
+    assert np.flatnonzero(h)[-1] * ways.dt < (1.1 if changes else 2.2)
+
+
+def test_where_nothing_is_found_it_does_not_move():
+    ways, memory = detour(), np.zeros(detour().size)
+    far = np.full(3, 5.0)
+    for _ in range(2000):
+        memory, h, *_ = ways.step(
+            memory, True, np.zeros(3), far, lambda place: (place - far, np.eye(3))
+        )
+        assert h == 0.0
+    assert np.isfinite(memory).all()
+
+
+def test_what_it_is_not_for_is_refused():
+    ur3 = aj.load_robot("ur3")
+    for task, command in ((aj.PoseTask(ur3), "torque"), (aj.PositionTask(ur3), "velocity")):
+        with pytest.raises(aj.errors.InvalidInputError, match="detours"):
+            aj.TrackingController(task, command=command, gains=TrackingGains(detours=True))
+    given = {"law": "setpoint", "detours": True}
+    with pytest.raises(aj.errors.InvalidInputError, match="detours"):
+        build_scenario(Scenario("so101", controller=given))
+
+
+def test_a_simulation_takes_them():
+    true = {"object": {"length": 0.1, "mass": 0.1}}
+    run = {"start": "random", "duration": 3.0, "seed": 602}
+    scenario = recommended(Scenario("so101", true=true, run=run))
+    assert scenario.controller.detours
+    assert run_scenario(scenario).final_error["m"] < 2e-3
