@@ -1,5 +1,6 @@
 """`approxjac learn`: recordings of an arm → its URDF as it is."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +10,7 @@ import numpy as np
 
 from approxjac.calibration import Calibration, Recording, calibrate
 from approxjac.cli.options import make_folder
-from approxjac.errors import InvalidInputError
+from approxjac.errors import InvalidInputError, MissingPackageError
 from approxjac.files import refusing
 from approxjac.robots import load_robot
 
@@ -41,7 +42,8 @@ def learn(
         unknown: What may be wrong: tool, origins, axes.
         tip: The frame that was held or seen.
         base: Link that the chain to the tip starts from.
-        out: Folder for arm.urdf, report.txt, residuals.csv, calibration.npz and scenario.toml.
+        out: Folder for arm.urdf, report.txt, .json and .html, residuals.csv, calibration.npz and
+            scenario.toml.
     """
     if not files:
         raise InvalidInputError("learn needs files after the robot, got none", given=files)
@@ -52,6 +54,13 @@ def learn(
     _write(found, out)
     print(found)
     print(f"\nThe arm is in {out / 'arm.urdf'}; its tip is {found.robot.tip}")
+    try:
+        from approxjac.view import save_calibration_page
+
+        page = save_calibration_page(found, out / "report.html")
+        print(f"See where it is known, and how well: {page}")
+    except MissingPackageError as error:
+        print(f"No report.html: {error}")
     print(f"Try it: approxjac simulate {out / 'scenario.toml'}")
     return 0 if found.is_explained and found.is_better and not np.isnan(found.held_out) else 1
 
@@ -88,6 +97,7 @@ def _write(found: Calibration, out: Path) -> None:
     path = found.robot.save_urdf(out / "arm.urdf")
     texts = {
         "report.txt": f"{found}\n",
+        "report.json": json.dumps(found.summary(), indent=2) + "\n",
         "scenario.toml": f'robot = "{path.resolve().as_posix()}"\ntip = "{found.robot.tip}"\n',
         "residuals.csv": "row,left [m]\n"
         + "".join(f"{row},{left:.6g}\n" for row, left in found.residuals.items()),
