@@ -13,10 +13,10 @@ import numpy as np
 from approxjac.calibration.fit import TRACKER, Fit, Fitted, Recorded, TipAccuracy
 from approxjac.calibration.recording import Recording
 from approxjac.controllers.arguments import chosen_deviations, chosen_kinds
-from approxjac.errors import InvalidInputError
+from approxjac.errors import InvalidInputError, MissingPackageError, package_of
 from approxjac.formatting import aligned, plain
 from approxjac.law import rotation_log
-from approxjac.robots import KinematicRegressor, Robot
+from approxjac.robots import FittedDynamics, KinematicRegressor, Robot, fit_dynamics
 from approxjac.robots.kinematic_regressor import Unknowns
 from approxjac.validation import Array, as_number, require
 
@@ -74,6 +74,8 @@ class Calibration:
         is_better: False if the drawing with a fitted tool is as good at places that were left out.
         why_not: Why it is not explained by these numbers; empty if it is.
         accuracy: Standard deviations of the tip (N,) [m] by configurations, `accuracy(q)`.
+        dynamics: Friction and load by torques of the longest recording that has them.
+        torques: What these torques do not determine, or why there is no fit of them.
     """
 
     robot: Robot
@@ -91,6 +93,8 @@ class Calibration:
     is_better: bool
     why_not: str
     accuracy: TipAccuracy
+    dynamics: FittedDynamics | None = None
+    torques: str = ""
 
     @property
     def is_explained(self) -> bool:
@@ -141,12 +145,16 @@ class Calibration:
         """Return the report for JSON, in SI units; None where a number is not known."""
         shown = (
             "verdict", "coverage", "is_explained", "is_better", "held_out", "tip_sd", "noise",
-            "scale", "outliers",
+            "scale", "outliers", "torques",
         )  # fmt: skip
         contents = {name: getattr(self, name) for name in shown}
         fields = "name", "unit", "drawing", "learnt", "sd", "share"
         contents["places"] = [each._asdict() for each in self.places]
         contents["numbers"] = [dict(zip(fields, each, strict=True)) for each in self._numbers()]
+        if (fit := self.dynamics) is not None:
+            friction = fit.friction.viscous, fit.friction.coulomb, fit.friction.load
+            contents |= {"payload": fit.payload, "payload_sd": fit.payload_sd}
+            contents |= {"friction": friction, "friction_sd": fit.friction_sd}
         return dict(plain(contents))
 
     def _numbers(self) -> Iterator[tuple[str, str, float, float, float, float]]:
@@ -164,6 +172,7 @@ class Calibration:
         parts = [head, aligned(table), aligned(numbers)]
         if self.outliers:
             parts.append(f"far from all others: {', '.join(self.outliers)}")
+        parts += [f"{self.dynamics}"] * bool(self.dynamics) + [self.torques] * bool(self.torques)
         return "\n\n".join(parts)
 
 
@@ -199,7 +208,8 @@ def calibrate(
     given = [recordings] if isinstance(recordings, Recording) else [*recordings]
     for each in given:
         require("recordings", each, Recording, "Recordings")
-    samples = Recorded.of([each.of(arm) for each in given])
+    given = [each.of(arm) for each in given]
+    samples = Recorded.of([each for each in given if each.kind != "motion"])
     if len(samples.q) < _LEAST:
         message = f"recordings must have at least {_LEAST} rows, got {len(samples.q)}"
         raise InvalidInputError(message, given=recordings)
@@ -235,13 +245,15 @@ def calibrate(
     prior = unknowns.sd * np.where(unknowns.is_tool, 1.0, scale)
     is_turned = any(each is not None for each in samples.turn)
     turn = rotation_log(fitted.sensor[2]) if is_turned else None
+    robot = regressor.robot_with(chosen.theta(fitted.u), turn)
     return Calibration(
-        regressor.robot_with(chosen.theta(fitted.u), turn),
+        robot,
         tuple(unknowns.names), tuple(unknowns.units), unknowns.u, best.u, best.P,
         np.clip(1.0 - best.P.diagonal() / prior**2, 0.0, 1.0), scale, best.noise, tuple(places),
         dict(zip(samples.row, sizes.tolist(), strict=True)),
         tuple(samples.chosen(far).row), is_better,
         _why_not(unknowns, best, left, TRACKER in samples.frame), accuracy,
+        *_torques(robot, [each for each in given if each.tau is not None]),
     )  # fmt: skip
 
 
@@ -270,6 +282,34 @@ def _mixed(fits: Mapping[float, Fitted], scale: float) -> Fitted:
     shares = np.exp([each.evidence - best.evidence for each in fits.values()])
     parts = [each.P + np.outer(each.u - best.u, each.u - best.u) for each in fits.values()]
     return best._replace(P=np.average(parts, axis=0, weights=shares))
+
+
+def _torques(arm: Robot, recordings: Sequence[Recording]) -> tuple[FittedDynamics | None, str]:
+    """Return friction and load by the longest of some recordings, and what does not follow."""
+    if not recordings:
+        return None, ""
+    longest = max(recordings, key=len)
+    q, tau = longest.q.T, np.asarray(longest.tau).T
+    if longest.t is None or not np.isfinite(tau).all():
+        return None, "friction and load need torques of all joints, and their times t"
+    step = float(np.median(np.diff(longest.t)))
+    t = np.arange(longest.t[0], longest.t[-1], step)
+    try:
+        package_of("study", "scipy")
+        q, tau = (np.array([np.interp(t, longest.t, each) for each in of]).T for of in (q, tau))
+        fit = fit_dynamics(arm, q, tau, step)
+    except (InvalidInputError, MissingPackageError) as error:
+        return None, f"torques do not show friction and load: {error}"
+    kinds = ("viscous", "Coulomb", "load-dependent"), fit.friction_sd
+    values = fit.friction.viscous, fit.friction.coulomb, fit.friction.load
+    small = [
+        f"{kind} friction of {name}"
+        for kind, sds, each in zip(*kinds, np.array(values), strict=True)
+        for name in np.array(arm.joint_names)[each < 2.0 * sds]
+    ]
+    small += ["payload"] * (abs(fit.payload) < 2.0 * fit.payload_sd)
+    text = "torques are taken as true: motor constants may be off by 20 %"
+    return fit, f"{text}; not distinguished from zero: {', '.join(small) or 'nothing'}"
 
 
 def _distances(

@@ -34,8 +34,9 @@ def learn(
 
     Args:
         robot: Name or path of the arm as it is drawn.
-        files: csv files with joint names in the first row, and x y z, qx qy qz qw, socket or place;
-            without a first row of names, joints only, in the arm's order.
+        files: csv files with joint names in the first row, and x y z, qx qy qz qw, socket or place,
+            torques name.tau and time t; without a first row of names, joints only, in the arm's
+            order. Also .mcap, LeRobot's .parquet and run.npz.
         kind: What was measured, if it is less than the columns say; "socket" is a tip held at one
             place.
         apart: Distance of the two sockets of each place, m.
@@ -66,13 +67,15 @@ def learn(
 
 
 def _taken_as(recording: Recording, kind: str | None) -> Recording:
-    kinds = ("socket", "point", "pose")
-    if kind is None or kind == recording.kind:
+    kinds = ("socket", "motion", "point", "pose")
+    if kind is None or kind == recording.kind or (recording.kind == "motion" and kind != "socket"):
         return recording
     if kinds.index(kind) > kinds.index(recording.kind):
         message = f"kind must be one that the files have, {recording.kind} at most, got {kind}"
         raise InvalidInputError(message, given=kind)
-    return replace(recording, quaternion=None, x=None if kind == "socket" else recording.x)
+    if kind == "socket":
+        return replace(recording, quaternion=None, x=None, tau=None)
+    return replace(recording, quaternion=None)
 
 
 def _pairs(
@@ -95,10 +98,16 @@ def _pairs(
 
 def _write(found: Calibration, out: Path) -> None:
     path = found.robot.save_urdf(out / "arm.urdf")
+    true = ""
+    if (fit := found.dynamics) is not None:
+        viscous, coulomb = np.mean(fit.friction.viscous), np.mean(fit.friction.coulomb)
+        true = f"\n[true]  # friction: the mean of the joints\nfriction = {viscous:.4g}\n"
+        true += f"coulomb = {coulomb:.4g}\nobject = {{ mass = {max(fit.payload, 0.0):.4g} }}\n"
     texts = {
         "report.txt": f"{found}\n",
         "report.json": json.dumps(found.summary(), indent=2) + "\n",
-        "scenario.toml": f'robot = "{path.resolve().as_posix()}"\ntip = "{found.robot.tip}"\n',
+        "scenario.toml": f'robot = "{path.resolve().as_posix()}"\ntip = "{found.robot.tip}"\n'
+        + true,
         "residuals.csv": "row,left [m]\n"
         + "".join(f"{row},{left:.6g}\n" for row, left in found.residuals.items()),
     }
