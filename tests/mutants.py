@@ -1790,6 +1790,10 @@ MUTANTS = [
         "max(1.0, float(np.median(wide or 1.0)))", "1.0", ACCURACY,
     ),
     (
+        "rows among others widen nothing", "calibration/calibrate.py",
+        "if len({*samples.place}) == 1:", "if False:", ACCURACY,
+    ),
+    (
         "part of a workspace is called all", "calibration/calibrate.py",
         "in_part * (self.tip_sd[2] > _IN_PART)", "in_part * (self.tip_sd[0] > _IN_PART)", ACCURACY,
     ),

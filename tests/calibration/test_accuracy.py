@@ -3,7 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from tests.calibration.test_calibrate import NOISE, sockets
+from tests.calibration.test_calibrate import NOISE, RECORDINGS, needs_recordings, sockets
 from tests.controllers.test_learnt_axes import Arm
 
 import approxjac as aj
@@ -120,15 +120,15 @@ def test_it_is_the_spread_of_arms_drawn_by_the_covariance(arm, is_tracked):
     assert np.mean(accuracy(q) / expected) == pytest.approx(1.0, abs=0.08)
 
 
-def test_places_that_were_left_out_widen_it(arm):
-    """Gears with an error of each turn make other places differ more than noise does."""
+@pytest.mark.parametrize("is_one_place", [False, True])
+def test_what_was_left_out_widens_it(arm, is_one_place):
+    """Gears with an error of each turn make other places, or postures, differ more than noise."""
     rng, recordings = np.random.default_rng(2), []
     for i in range(3):
-        middle = rng.uniform(-0.5, 0.5, 6)
-        ways = middle + rng.uniform(-0.3, 0.3, (40, 6))
+        ways = rng.uniform(-0.5, 0.5, 6) + rng.uniform(-0.3, 0.3, (40, 6))
         q = np.array([pin.integrate(arm.believed.model, arm.q0, way) for way in ways])
         x = np.array([arm.place(each) for each in q]) + NOISE * rng.normal(size=(40, 3))
-        recordings.append((q, x, f"place {i}"))
+        recordings.append((q, x, "cell" if is_one_place else f"place {i}"))
     widening = [
         calibrate(
             arm.believed,
@@ -146,3 +146,26 @@ def test_few_data_leave_the_scale_of_errors_open():
     found = calibrate(arm.believed, circle(arm, np.random.default_rng(4)))
     first = [found.names.index(f"panda_joint1.{axis}") for axis in "xyz"]  # no data show these
     assert (found.sd[first] > 1.02 * found.scale * PRIOR["x"]).all()
+
+
+@needs_recordings
+def test_real_errors_in_the_other_half_of_a_joints_range_are_as_claimed(panda):
+    """A Franka arm seen by a camera, whose own errors are larger than noise."""
+    rows = np.loadtxt(RECORDINGS / "philnad" / "fr3_camera_poses.csv", delimiter=",", comments="#")
+    q, poses = rows[:, :7], rows[:, 7:].reshape(-1, 3, 4)
+    x = poses[..., 3]
+    turns = np.array([pin.Quaternion(pose[:, :3]).coeffs() for pose in poses])
+    ratios = []
+    for joint in range(7):
+        for side in (False, True):
+            here = np.not_equal(q[:, joint] < np.median(q[:, joint]), side)
+            seen = Recording(q[here], x=x[here], quaternion=turns[here], place="board")
+            found = calibrate(panda, seen)
+            task = aj.PositionTask(found.robot)
+            p = np.array([task.value(each) for each in q])
+            a, b = p[here].mean(axis=0), x[here].mean(axis=0)
+            R = law.nearest_rotation((x[here] - b).T @ (p[here] - a))
+            error = np.sum(((p - a) @ R.T - x + b)[~here] ** 2, axis=1)
+            variance = found.accuracy(q[~here]) ** 2 + 3.0 * found.noise[0] ** 2
+            ratios.append(np.mean(error / variance))
+    assert 0.5 < np.mean(ratios) < 2.2

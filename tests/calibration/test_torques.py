@@ -70,14 +70,15 @@ def test_what_torques_cannot_show_is_said(seen, motion):
     unknown[:, 1] = np.nan
     for recording, words in (
         (still, "joint joint1 must move to and fro"),
-        (dataclasses.replace(motion, t=None), "need torques of all joints, and their times t"),
+        (dataclasses.replace(motion, t=None), "need torques of all joints, at times t"),
+        (dataclasses.replace(motion, t=motion.t % 5.0), "at times t that increase"),
         (dataclasses.replace(motion, tau=unknown), "need torques of all joints"),
     ):
         found = calibrate(arm, [seen, recording])
         assert found.dynamics is None
         assert words in str(found)
         assert "payload" not in found.summary()
-    with pytest.raises(aj.InvalidInputError, match="at least 10 rows, got 0"):
+    with pytest.raises(aj.InvalidInputError, match="at least 10 rows, got 0 beside free motions"):
         calibrate(arm, motion)
     with pytest.raises(aj.InvalidInputError, match=r"tau of a recording must have shape \(3, 2\)"):
         Recording(np.zeros((3, 2)), tau=np.zeros((3, 1)))

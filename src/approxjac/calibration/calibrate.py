@@ -212,6 +212,8 @@ def calibrate(
     samples = Recorded.of([each for each in given if each.kind != "motion"])
     if len(samples.q) < _LEAST:
         message = f"recordings must have at least {_LEAST} rows, got {len(samples.q)}"
+        if any(each.kind == "motion" for each in given):
+            message += " beside free motions, which have torques and no x"
         raise InvalidInputError(message, given=recordings)
     kinds = chosen_kinds(unknown, KINDS)
     used = {*kinds, *(("encoders",) if "axes" in kinds else ())}
@@ -222,19 +224,27 @@ def calibrate(
 
     fits = {scale: Fit(unknowns, samples, lengths, scale).solved() for scale in _SCALES}
     scale = max(fits, key=lambda each: fits[each].evidence)
-    best, places, wide = _mixed(fits, scale), list[PlaceSpread](), list[float]()
+    best, places = _mixed(fits, scale), list[PlaceSpread]()
+    tried = list[tuple[Fitted, Recorded, Recorded]]()
     drawn = Fit(tool, samples, lengths, 1.0).solved()
     for place, is_here in _left_out(samples).items():
         here, others = samples.chosen(is_here), samples.chosen(np.logical_not(is_here))
         known, held_out = drawn, math.nan
-        if len(others.q) >= _LEAST and (TRACKER in others.frame or TRACKER not in here.frame):
+        if _is_predicted(here, by=others):
             known = Fit(tool, others, lengths, 1.0).solved()
             without = Fit(unknowns, others, lengths, scale).solved()
             held_out = _spread(unknowns, without, here)
-            accuracy = TipAccuracy(arm, unknowns, without, others)
-            wide.append(held_out / _predicted(accuracy, without, here))
+            tried.append((without, others, here))
         spreads = _spread(tool, known, here), _spread(unknowns, best, here), held_out
         places.append(PlaceSpread(place, len(here.q), *spreads))
+    if len({*samples.place}) == 1:  # its other rows are too much alike
+        halves = [(o, h) for o, h in _halves(samples) if _is_predicted(h, by=o)]
+        tried = [(Fit(unknowns, o, lengths, scale).solved(), o, h) for o, h in halves]
+    wide = [
+        _spread(unknowns, without, here)
+        / _predicted(TipAccuracy(arm, unknowns, without, others), without, here)
+        for without, others, here in tried
+    ]
     accuracy = TipAccuracy(arm, unknowns, best, samples)
     accuracy.widening = max(1.0, float(np.median(wide or 1.0)))  # whatever a single bad place says
     left, drawing = _rms([p.held_out for p in places]), _rms([p.drawing for p in places])
@@ -290,8 +300,8 @@ def _torques(arm: Robot, recordings: Sequence[Recording]) -> tuple[FittedDynamic
         return None, ""
     longest = max(recordings, key=len)
     q, tau = longest.q.T, np.asarray(longest.tau).T
-    if longest.t is None or not np.isfinite(tau).all():
-        return None, "friction and load need torques of all joints, and their times t"
+    if longest.t is None or not np.isfinite(tau).all() or not (np.diff(longest.t) > 0.0).all():
+        return None, "friction and load need torques of all joints, at times t that increase"
     step = float(np.median(np.diff(longest.t)))
     t = np.arange(longest.t[0], longest.t[-1], step)
     try:
@@ -341,6 +351,20 @@ def _left_out(samples: Recorded) -> dict[str, Array]:
     is_motion = step < _NEXT * apart  # whose neighbours are alike
     part = rows * _PARTS // len(rows) if is_motion else rows % _PARTS
     return {f"{names[0]} {k + 1}/{_PARTS}".strip(): part == k for k in range(_PARTS)}
+
+
+def _halves(samples: Recorded) -> list[tuple[Recorded, Recorded]]:
+    """Return the two halves whose postures differ most, each with the other."""
+    away = np.array(samples.q) - np.mean(samples.q, axis=0)
+    along = away @ np.linalg.svd(away, full_matrices=False)[2][0]
+    one, other = (
+        samples.chosen(np.equal(along > np.median(along), side)) for side in (True, False)
+    )
+    return [(one, other), (other, one)]
+
+
+def _is_predicted(here: Recorded, by: Recorded) -> bool:
+    return len(by.q) >= _LEAST and (TRACKER in by.frame or TRACKER not in here.frame)
 
 
 def _spread(unknowns: Unknowns, fitted: Fitted, samples: Recorded) -> float:

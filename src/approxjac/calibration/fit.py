@@ -246,7 +246,8 @@ class TipAccuracy:
     Attributes:
         recorded, workspace: Configurations of the recordings, and random ones within the joints'
             ranges, shapes (N, nq) and (M, nq).
-        widening: Factor on all standard deviations, √χ² of the places that were left out.
+        widening: Factor on all standard deviations, √χ² of the places that were left out or, of
+            one place, of the two halves of its postures that differ most; at least 1.
     """
 
     def __init__(self, arm: Robot, unknowns: Unknowns, fitted: Fitted, samples: Recorded) -> None:

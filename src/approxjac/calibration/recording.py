@@ -165,7 +165,7 @@ class Recording:
         return cls(
             q, joints, x, quaternion, socket or (path.stem if held is None else held),
             place or (path.resolve().parent.name if at is None else at), t,
-            np.stack(torques, axis=1) if tau else None,
+            np.stack(torques, axis=1) if np.isfinite(torques).any() else None,
         )  # fmt: skip
 
     def of(self, arm: Robot) -> Recording:
