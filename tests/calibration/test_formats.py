@@ -123,6 +123,7 @@ def test_states_of_lerobot_have_the_names_of_its_table(names, tmp_path):
     path = tmp_path / "data" / "chunk-000" / "file-000.parquet"
     path.parent.mkdir(parents=True)
     columns = {"observation.state": Q.tolist(), "timestamp": [0.0, 0.1, 0.2], "x": [1.0, 2.0, 3.0]}
+    columns |= {"task": ["pick"] * 3, "image": [{"bytes": b"1"}] * 3, "done": [False] * 3}
     columns |= {"y": [0.0] * 3, "z": [0.0] * 3, "place": ["here", "here", "there"]}
     parquet.write_table(pyarrow.table(columns), path)
     with pytest.raises(aj.InvalidInputError, match=r"cannot be read: there is no meta/info.json"):

@@ -60,8 +60,12 @@ def _from_json(data: bytes) -> Any:
 def _parquet(path: Path) -> dict[str, Any]:
     """Return columns of numbers and texts, and those of the states that meta/info.json names."""
     table = package_of("lerobot", "pyarrow.parquet").read_table(path)
-    each = {name: np.array(table[name].to_pylist()) for name in table.column_names}
-    columns = {name: values for name, values in each.items() if values.ndim == 1}
+    flat = [n for n in table.column_names if n == _STATE or not table.field(n).type.num_fields]
+    each = {name: np.array(table[name].to_pylist()) for name in flat}
+    columns = {
+        name: values for name, values in each.items()
+        if name in ("place", "socket") or (values.ndim == 1 and values.dtype.kind in "biuf")
+    }  # fmt: skip
     if _STATE in each:
         infos = (folder / "meta" / "info.json" for folder in path.resolve().parents)
         info = next((file for file in infos if file.is_file()), None)
