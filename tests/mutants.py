@@ -33,6 +33,9 @@ GATE = "tests/controllers/test_gate.py"
 LEARNT = "tests/controllers/test_learnt_axes.py"
 PRIOR = "tests/calibration/test_prior.py"
 COVARIANCE = "tests/stability/test_covariance.py"
+ACCURACY = "tests/calibration/test_accuracy.py"
+FORMATS = "tests/calibration/test_formats.py"
+TORQUES = "tests/calibration/test_torques.py"
 INSTANTS = "tests/simulation/test_instants.py"
 
 # name, file, text that is there once, text instead, tests that must fail
@@ -1811,6 +1814,39 @@ MUTANTS = [
         "a weak motor goes on", "realtime/robot_loop.py",
         "if event.condition is Condition.MOTOR_WEAK:",
         "if event.condition is Condition.PUSHED:", "tests/realtime/test_watches.py",
+    ),
+    # -- accuracy of a calibration, its page, and files of others
+    (
+        "tip not aligned with its base", "calibration/fit.py",
+        "return p, H - _motions(p) @ self._base", "return p, H", ACCURACY,
+    ),
+    (
+        "covariance of one scale only", "calibration/calibrate.py",
+        "best._replace(P=np.average(parts, axis=0, weights=shares))", "best", ACCURACY,
+    ),
+    (
+        "deviations are never widened", "calibration/calibrate.py",
+        "max(1.0, float(np.median(wide or 1.0)))", "1.0", ACCURACY,
+    ),
+    (
+        "rows among others widen nothing", "calibration/calibrate.py",
+        "if len({*samples.place}) == 1:", "if False:", ACCURACY,
+    ),
+    (
+        "part of a workspace is called all", "calibration/calibrate.py",
+        "in_part * (self.tip_sd[2] > _IN_PART)", "in_part * (self.tip_sd[0] > _IN_PART)", ACCURACY,
+    ),
+    (
+        "joints before the bag has them", "calibration/formats.py",
+        "(seen[0] >= first) & (seen[0] <= last)", "(seen[0] >= first)", FORMATS,
+    ),
+    (
+        "motions count as sockets", "calibration/calibrate.py",
+        'for each in given if each.kind != "motion"]', "for each in given]", TORQUES,
+    ),
+    (
+        "a map of the wrong plane", "view/calibrated.py",
+        "linear(q)[0].T[rows]", "linear(q)[0].T[:2]", "tests/view/test_calibrated.py",
     ),
 ]  # fmt: skip
 

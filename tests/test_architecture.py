@@ -33,7 +33,9 @@ ALLOWED = {
         "cameras", "errors", "formatting", "interface", "law", "robots", "tasks",
         "validation",
     },
-    "calibration": {"controllers", "errors", "formatting", "law", "robots", "validation"},
+    "calibration": {
+        "controllers", "errors", "files", "formatting", "law", "robots", "validation",
+    },
     "simulation": {
         "__init__", "cameras", "controllers", "errors", "files", "formatting",
         "interface", "law", "robots", "tasks", "validation",
@@ -47,8 +49,8 @@ ALLOWED = {
         "interface", "law", "robots", "simulation", "tasks", "validation",
     },
     "view": {
-        "cameras", "controllers", "errors", "files", "formatting", "interface", "law", "robots",
-        "simulation", "tasks", "validation",
+        "calibration", "cameras", "controllers", "errors", "files", "formatting", "interface",
+        "law", "robots", "simulation", "tasks", "validation",
     },
     "paper": {
         "cameras", "controllers", "errors", "formatting", "law", "robots", "simulation",

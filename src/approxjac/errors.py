@@ -104,7 +104,9 @@ def failed(what: str, t: float, error: Exception) -> ControllerError:
 _NEEDED_BY = {
     "fast": "compiled code",
     "franka": "FrankaDriver",
+    "lerobot": "reading parquet files",
     "mujoco": "MujocoPlant",
+    "ros2": "reading MCAP files",
     "study": "drawing, judging stability or integrating in continuous time",
     "view": "showing robots or reading their meshes",
     "vision": "the search for tags in images",

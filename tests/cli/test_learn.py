@@ -1,5 +1,8 @@
 """`approxjac learn`, from files as a robot's owner has them."""
 
+import json
+import sys
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -60,6 +63,15 @@ def test_files_become_an_arm(arm, files, tmp_path, capsys):
     assert_array_equal(tips[0], tips[1])
     off = np.linalg.norm([tips[0] - tips[2], tips[0] - belief.value(q)], axis=1)
     assert ((off > 1e-5) & (off < 0.05)).all()
+    report = json.loads((out / "report.json").read_text())
+    assert report["verdict"] in said
+    assert report["coverage"] in said
+    assert [each["name"] for each in report["numbers"]] == [*known.names]
+    assert [each["learnt"] for each in report["numbers"]] == known.learnt.tolist()
+    assert [each["place"] for each in report["places"]] == ["place 0", "place 1"]
+    assert report["tip_sd"][0] < report["tip_sd"][2] < 5e-3
+    assert report["verdict"] in (out / "report.html").read_text()
+    assert str(out / "report.html") in said
 
 
 def test_the_arm_is_judged_with_its_covariance(files, tmp_path, capsys, monkeypatch):
@@ -82,6 +94,17 @@ def test_the_arm_is_judged_with_its_covariance(files, tmp_path, capsys, monkeypa
     known = KinematicBelief.load("calibration.npz")
     errors = aj.Uncertainty(aj.load_robot("arm.urdf", tip="panda_hand_tcp"), covariance=known)
     assert errors.d == 45
+
+
+def test_without_matplotlib_there_is_no_page_but_all_else(files, tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    for name in [name for name in sys.modules if name.startswith("approxjac.view")]:
+        monkeypatch.delitem(sys.modules, name)
+    assert main(["learn", "panda", files[0], "--out", str(tmp_path)]) == 0
+    assert "No report.html: " in (said := capsys.readouterr().out)
+    assert "pip install 'approxjac[study]'" in said
+    assert not (tmp_path / "report.html").exists()
+    assert (tmp_path / "report.json").is_file()
 
 
 def test_one_place_is_not_enough_to_say_how_far_it_holds(files, tmp_path, capsys):

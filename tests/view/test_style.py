@@ -45,7 +45,14 @@ def image_run(arm, seen):
 
 
 @pytest.fixture(scope="module")
-def plots(run, image_run, arm, seen):
+def calibration():
+    belief = aj.load_robot("ur5")
+    task, q = aj.PositionTask(belief), np.random.default_rng(1).uniform(-1.0, 1.0, (30, 6))
+    return aj.calibrate(belief, aj.Recording(q, x=np.array([task.value(each) for each in q])))
+
+
+@pytest.fixture(scope="module")
+def plots(run, image_run, arm, seen, calibration):
     """All plots that take axes, as functions of them."""
     scene = dataclasses.replace(run.scene, parameters={"a": "kg", "b": "kg m"})
     learnt = dataclasses.replace(
@@ -76,13 +83,16 @@ def plots(run, image_run, arm, seen):
             labels=("true object_length [m]", "damping [N m s/rad]"),
         ),
         "plot_parameters, bands": lambda ax: view.plot_parameters(followed, ax=ax),
+        "plot_residuals": lambda ax: view.plot_residuals(calibration, ax),
+        "plot_determined": lambda ax: view.plot_determined(calibration, ax),
+        "plot_accuracy": lambda ax: view.plot_accuracy(calibration, "xy", ax),
     }  # fmt: skip
 
 
 NAMES = (
     "plot_error", "plot_command", "plot_torque", "plot_torque, limits", "plot_slack", "plot_path",
     "plot_parameters", "plot_image",
-    "plot_shares", "plot_parameters, bands",
+    "plot_shares", "plot_parameters, bands", "plot_residuals", "plot_determined", "plot_accuracy",
 )  # fmt: skip
 
 

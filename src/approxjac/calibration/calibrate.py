@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from approxjac.calibration.fit import TRACKER, Fit, Fitted, Recorded
+from approxjac.calibration.fit import TRACKER, Fit, Fitted, Recorded, TipAccuracy
 from approxjac.calibration.recording import Recording
 from approxjac.controllers.arguments import chosen_deviations, chosen_kinds
-from approxjac.errors import InvalidInputError
-from approxjac.formatting import aligned
+from approxjac.errors import InvalidInputError, MissingPackageError, package_of
+from approxjac.formatting import aligned, plain
 from approxjac.law import rotation_log
-from approxjac.robots import KinematicBelief, KinematicRegressor, Robot
+from approxjac.robots import (
+    FittedDynamics,
+    KinematicBelief,
+    KinematicRegressor,
+    Robot,
+    fit_dynamics,
+)
 from approxjac.robots.kinematic_regressor import Unknowns
 from approxjac.validation import Array, as_number, require
 
@@ -24,6 +31,7 @@ USUAL_SD: Mapping[str, float] = {"tool": 0.2, "origins": 1e-3, "axes": 3e-3, "en
 _SCALES = (0.1, 0.3, 1.0, 3.0)  # of what is usual
 _EXPLAINED = 1e-3, 2e-3  # m, that are left at most, in sockets and for a tracker with its noise
 _TURNED, _ELSEWHERE = 0.02, 0.01  # rad, that is left of turns; m, where it was not fitted
+_IN_PART = 2e-3  # m, sd of the tip at 95 % of a workspace of which only part is known
 _FAR = 5.0  # usual errors of a drawing: more is none
 _LONGEST = 2.0  # m, between sockets
 _OUTLIER = 5.0  # standard deviations
@@ -66,6 +74,9 @@ class Calibration(KinematicBelief):
         outliers: Rows far from all others, which weigh less or nothing.
         is_better: False if the drawing with a fitted tool is as good at places that were left out.
         why_not: Reason why these numbers do not explain the recordings; empty if they do.
+        accuracy: Standard deviations of the tip (N,) [m] by configurations, `accuracy(q)`.
+        dynamics: Friction and load by torques of the longest recording that has them.
+        torques: Numbers that these torques do not determine, or the reason why nothing was fitted.
     """
 
     robot: Robot
@@ -77,6 +88,9 @@ class Calibration(KinematicBelief):
     outliers: tuple[str, ...]
     is_better: bool
     why_not: str
+    accuracy: TipAccuracy
+    dynamics: FittedDynamics | None = None
+    torques: str = ""
 
     @property
     def is_explained(self) -> bool:
@@ -93,6 +107,21 @@ class Calibration(KinematicBelief):
         """Residual at places that were left out [m], rms over the places; NaN without any."""
         return _rms([each.held_out for each in self.places])
 
+    @cached_property
+    def tip_sd(self) -> tuple[float, float, float]:
+        """Sd of the tip [m]: median where it was recorded, median and 95 % of the workspace."""
+        here, all_ = (self.accuracy(q) for q in (self.accuracy.recorded, self.accuracy.workspace))
+        return float(np.median(here)), float(np.median(all_)), float(np.quantile(all_, 0.95))
+
+    @property
+    def coverage(self) -> str:
+        """How well the tip is known, where it was recorded and elsewhere, in a sentence."""
+        here, middle, most = map(_mm, self.tip_sd)
+        text = f"known to {here} (sd) at the configurations recorded, {middle} in the median and "
+        text += f"{most} at 95 % of the workspace"
+        in_part = ": only part of it is known; record postures where the arm is to work"
+        return text + in_part * (self.tip_sd[2] > _IN_PART)
+
     @property
     def verdict(self) -> str:
         """The result in one sentence."""
@@ -108,19 +137,38 @@ class Calibration(KinematicBelief):
             where = "of other rows at the same place"
         return f"{_mm(self.held_out)} are left {where}, {_mm(drawing)} by the drawing"
 
+    def summary(self) -> dict[str, Any]:
+        """Return the report for JSON, in SI units; None where a number is not known."""
+        shown = (
+            "verdict", "coverage", "is_explained", "is_better", "held_out", "tip_sd", "noise",
+            "scale", "outliers", "torques",
+        )  # fmt: skip
+        contents = {name: getattr(self, name) for name in shown}
+        fields = "name", "unit", "drawing", "learnt", "sd", "share"
+        contents["places"] = [each._asdict() for each in self.places]
+        contents["numbers"] = [dict(zip(fields, each, strict=True)) for each in self._numbers()]
+        if (fit := self.dynamics) is not None:
+            friction = fit.friction.viscous, fit.friction.coulomb, fit.friction.load
+            contents |= {"payload": fit.payload, "payload_sd": fit.payload_sd}
+            contents |= {"friction": friction, "friction_sd": fit.friction_sd}
+        return dict(plain(contents))
+
+    def _numbers(self) -> Iterator[tuple[str, str, float, float, float, float]]:
+        values = self.believed, self.learnt, self.sd, self.share
+        return zip(self.names, self.units, *values, strict=True)
+
     def __str__(self) -> str:
         table: list[tuple[str, ...]] = [("place", "samples", "drawing", "fitted", "left out")]
         table += [(each.place, f"{each.samples}", *map(_mm, each[2:])) for each in self.places]
         numbers: list[tuple[str, ...]] = [("number", "drawing", "learnt", "sd", "by data")]
-        columns = zip(
-            self.names, self.units, self.believed, self.learnt, self.sd, self.share, strict=True
-        )
-        for name, unit, believed, learnt, sd, share in columns:
+        for name, unit, believed, learnt, sd, share in self._numbers():
             sizes = (f"{1e3 * each:.2f} m{unit}" for each in (believed, learnt, sd))
             numbers.append((name, *sizes, f"{100.0 * share:.0f} %"))
-        parts = [f"{self.robot.name}: {self.verdict}", aligned(table), aligned(numbers)]
+        head = f"{self.robot.name}: {self.verdict}\n{self.coverage}"
+        parts = [head, aligned(table), aligned(numbers)]
         if self.outliers:
             parts.append(f"far from all others: {', '.join(self.outliers)}")
+        parts += [f"{self.dynamics}"] * bool(self.dynamics) + [self.torques] * bool(self.torques)
         return "\n\n".join(parts)
 
 
@@ -157,9 +205,12 @@ def calibrate(
     given = [recordings] if isinstance(recordings, Recording) else [*recordings]
     for each in given:
         require("recordings", each, Recording, "Recordings")
-    samples = Recorded.of([each.of(arm) for each in given])
+    given = [each.of(arm) for each in given]
+    samples = Recorded.of([each for each in given if each.kind != "motion"])
     if (count := len(np.unique(np.round(samples.q, 4), axis=0))) < _LEAST:
         message = f"recordings must have at least {_LEAST} different postures, got {count}"
+        if any(each.kind == "motion" for each in given):
+            message += " beside free motions, which have torques and no x"
         raise InvalidInputError(message, given=recordings)
     kinds = chosen_kinds(unknown, KINDS)
     used = {*kinds, *(("encoders",) if "axes" in kinds else ())}
@@ -170,16 +221,29 @@ def calibrate(
 
     fits = {scale: Fit(unknowns, samples, lengths, scale).solved() for scale in _SCALES}
     scale = max(fits, key=lambda each: fits[each].evidence)
-    best, places = fits[scale], list[PlaceSpread]()
+    best, places = _mixed(fits, scale), list[PlaceSpread]()
+    tried = list[tuple[Fitted, Recorded, Recorded]]()
     drawn = Fit(tool, samples, lengths, 1.0).solved()
     for place, is_here in _left_out(samples).items():
         here, others = samples.chosen(is_here), samples.chosen(np.logical_not(is_here))
         known, held_out = drawn, math.nan
-        if len(others.q) >= _LEAST and (TRACKER in others.frame or TRACKER not in here.frame):
+        if _is_predicted(here, by=others):
             known = Fit(tool, others, lengths, 1.0).solved()
-            held_out = _spread(unknowns, Fit(unknowns, others, lengths, scale).solved(), here)
+            without = Fit(unknowns, others, lengths, scale).solved()
+            held_out = _spread(unknowns, without, here)
+            tried.append((without, others, here))
         spreads = _spread(tool, known, here), _spread(unknowns, best, here), held_out
         places.append(PlaceSpread(place, len(here.q), *spreads))
+    if len({*samples.place}) == 1:  # its other rows are too much alike
+        halves = [(o, h) for o, h in _halves(samples) if _is_predicted(h, by=o)]
+        tried = [(Fit(unknowns, o, lengths, scale).solved(), o, h) for o, h in halves]
+    wide = [
+        _spread(unknowns, without, here)
+        / _predicted(TipAccuracy(arm, unknowns, without, others), without, here)
+        for without, others, here in tried
+    ]
+    accuracy = TipAccuracy(arm, unknowns, best, samples)
+    accuracy.widening = max(1.0, float(np.median(wide or 1.0)))  # whatever a single bad place says
     left, drawing = _rms([p.held_out for p in places]), _rms([p.drawing for p in places])
     is_better = left < drawing
     chosen, fitted = (unknowns, best) if is_better else (tool, drawn)
@@ -198,7 +262,8 @@ def calibrate(
         kinds, robot, np.clip(1.0 - best.P.diagonal() / prior**2, 0.0, 1.0), scale, best.noise,
         tuple(places), dict(zip(samples.row, sizes.tolist(), strict=True)),
         tuple(samples.chosen(far).row), is_better,
-        _why_not(unknowns, best, left, TRACKER in samples.frame),
+        _why_not(unknowns, best, left, TRACKER in samples.frame), accuracy,
+        *_torques(robot, [each for each in given if each.tau is not None]),
     )  # fmt: skip
 
 
@@ -219,6 +284,42 @@ def _why_not(unknowns: Unknowns, fitted: Fitted, held_out: float, is_tracked: bo
     if held_out > _ELSEWHERE:
         return f"{_mm(held_out)} are left where it was not fitted"
     return ""
+
+
+def _mixed(fits: Mapping[float, Fitted], scale: float) -> Fitted:
+    """Return one of the fits, with a covariance that also knows that its scale may be another."""
+    best = fits[scale]
+    shares = np.exp([each.evidence - best.evidence for each in fits.values()])
+    parts = [each.P + np.outer(each.u - best.u, each.u - best.u) for each in fits.values()]
+    return best._replace(P=np.average(parts, axis=0, weights=shares))
+
+
+def _torques(arm: Robot, recordings: Sequence[Recording]) -> tuple[FittedDynamics | None, str]:
+    """Return friction and load by the longest of some recordings, and what does not follow."""
+    if not recordings:
+        return None, ""
+    longest = max(recordings, key=len)
+    q, tau = longest.q.T, np.asarray(longest.tau).T
+    if longest.t is None or not np.isfinite(tau).all() or not (np.diff(longest.t) > 0.0).all():
+        return None, "friction and load need torques of all joints, at times t that increase"
+    step = float(np.median(np.diff(longest.t)))
+    t = np.arange(longest.t[0], longest.t[-1], step)
+    try:
+        package_of("study", "scipy")
+        q, tau = (np.array([np.interp(t, longest.t, each) for each in of]).T for of in (q, tau))
+        fit = fit_dynamics(arm, q, tau, step)
+    except (InvalidInputError, MissingPackageError) as error:
+        return None, f"torques do not show friction and load: {error}"
+    kinds = ("viscous", "Coulomb", "load-dependent"), fit.friction_sd
+    values = fit.friction.viscous, fit.friction.coulomb, fit.friction.load
+    small = [
+        f"{kind} friction of {name}"
+        for kind, sds, each in zip(*kinds, np.array(values), strict=True)
+        for name in np.array(arm.joint_names)[each < 2.0 * sds]
+    ]
+    small += ["payload"] * (abs(fit.payload) < 2.0 * fit.payload_sd)
+    text = "torques are taken as true: motor constants may be off by 20 %"
+    return fit, f"{text}; not distinguished from zero: {', '.join(small) or 'nothing'}"
 
 
 def _distances(
@@ -252,19 +353,44 @@ def _left_out(samples: Recorded) -> dict[str, Array]:
     return {f"{names[0]} {k + 1}/{_PARTS}".strip(): part == k for k in range(_PARTS)}
 
 
+def _halves(samples: Recorded) -> list[tuple[Recorded, Recorded]]:
+    """Return the two halves whose postures differ most, each with the other."""
+    away = np.array(samples.q) - np.mean(samples.q, axis=0)
+    along = away @ np.linalg.svd(away, full_matrices=False)[2][0]
+    one, other = (
+        samples.chosen(np.equal(along > np.median(along), side)) for side in (True, False)
+    )
+    return [(one, other), (other, one)]
+
+
+def _is_predicted(here: Recorded, by: Recorded) -> bool:
+    return len(by.q) >= _LEAST and (TRACKER in by.frame or TRACKER not in here.frame)
+
+
 def _spread(unknowns: Unknowns, fitted: Fitted, samples: Recorded) -> float:
     """Return the rms of distances of samples from the mean of their socket, or from x [m]."""
+    at = [unknowns.at(q, fitted.u) for q in samples.q]
+    away = _about_sockets(np.array([o + H @ fitted.u for H, o in at]), samples)
     R, b, _ = fitted.sensor
-    found: dict[str, list[Array]] = {}
-    for q, x, frame in zip(samples.q, samples.x, samples.frame, strict=True):
-        H, o = unknowns.at(q, fitted.u)
-        p = o + H @ fitted.u
-        found.setdefault(frame, []).append(p if x is None else R @ p + b - x)
-    away = [
-        np.subtract(points, 0.0 if frame == TRACKER else np.mean(points, axis=0))
-        for frame, points in found.items()
-    ]
-    return float(np.sqrt(np.mean(np.sum(np.concatenate(away) ** 2, axis=1))))
+    for i, x in enumerate(samples.x):
+        if x is not None:
+            away[i] = R @ away[i] + b - x
+    return float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
+
+
+def _predicted(accuracy: TipAccuracy, fitted: Fitted, samples: Recorded) -> float:
+    """Return what `_spread` is to be of samples left out, by covariance and noise [m]."""
+    H = _about_sockets(accuracy.linear(samples.q)[1], samples)
+    variances = np.einsum("nij,jk,nik->n", H, fitted.P, H)
+    return float(np.sqrt(3.0 * fitted.noise[0] ** 2 + variances.mean()))
+
+
+def _about_sockets(values: Array, samples: Recorded) -> Array:
+    """Return values of samples (N, …) without the mean of those at the same socket."""
+    values, frames = values.copy(), np.array(samples.frame)
+    for frame in {*samples.frame} - {TRACKER}:
+        values[frames == frame] -= values[frames == frame].mean(axis=0)
+    return values
 
 
 def _rms(values: Sequence[float]) -> float:

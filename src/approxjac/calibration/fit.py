@@ -12,6 +12,7 @@ import pinocchio as pin
 from approxjac import law
 from approxjac.calibration.recording import Recording
 from approxjac.errors import InvalidInputError
+from approxjac.robots import Robot
 from approxjac.robots.kinematic_regressor import Unknowns
 from approxjac.validation import Array
 
@@ -24,6 +25,7 @@ _FIRST = 0.01  # m and rad, of what is left at first
 _APART = 1e-4  # sd of a distance that is known [m]
 _LEAST = 1e-6  # noise [m or rad]
 _FREE = 0.1  # share of what was measured that is not fitted, at least
+_MAP = 1000  # configurations of the workspace
 _WEAK = 1.0  # 1/m² or 1/rad², of what is known of places and trackers: as good as nothing
 
 
@@ -233,6 +235,44 @@ class Fit:
             away = points - points.mean(axis=0)
             self._R = law.nearest_rotation((x - x.mean(axis=0)).T @ away)
         self._b = x.mean(axis=0) - self._R @ points.mean(axis=0)
+
+
+class TipAccuracy:
+    """Standard deviation of the tip at configurations, by the covariance of what was learnt.
+
+    The base is aligned with the recordings: with the tracker's axes or, as sockets do not show
+    where it is, as fits the workspace best.
+
+    Attributes:
+        recorded, workspace: Configurations of the recordings, and random ones within the joints'
+            ranges, shapes (N, nq) and (M, nq).
+        widening: Factor on all standard deviations, √χ² of the places that were left out or, of
+            one place, of the two halves of its postures that differ most; at least 1.
+    """
+
+    def __init__(self, arm: Robot, unknowns: Unknowns, fitted: Fitted, samples: Recorded) -> None:
+        self._unknowns, self._u, self._P, self.widening = unknowns, fitted.u, fitted.P, 1.0
+        self.recorded, self.workspace = np.array(samples.q), np.array([*arm.configurations(_MAP)])
+        tracked = [q for q, x in zip(samples.q, samples.x, strict=True) if x is not None]
+        self._base = np.zeros((6, len(fitted.u)))  # its motion with the numbers
+        p, H = self.linear(tracked or self.workspace)
+        self._base = np.linalg.lstsq(np.concatenate(_motions(p)), np.concatenate(H), rcond=None)[0]
+
+    def __call__(self, q: Sequence[Any] | Array) -> Array:
+        """Return the root of the tip's summed variances at configurations (N, nq), (N,) [m]."""
+        H = self.linear(q)[1]
+        return np.asarray(self.widening * np.sqrt(np.einsum("nij,jk,nik->n", H, self._P, H)))
+
+    def linear(self, q: Sequence[Any] | Array) -> tuple[Array, Array]:
+        """Return the tip at q, (N, 3) [m], and its derivatives by the numbers, (N, 3, n_u)."""
+        H, o = map(np.array, zip(*(self._unknowns.at(each, self._u) for each in q), strict=True))
+        p = H @ self._u + o
+        return p, H - _motions(p) @ self._base
+
+
+def _motions(p: Array) -> Array:
+    """Return the motion of points (N, 3) by the base's translation and rotation, (N, 3, 6)."""
+    return np.array([np.hstack([np.eye(3), -law.cross_matrix(each)]) for each in p])
 
 
 def _weighed(left: Array, before: Array, is_near: bool) -> tuple[Array, Array]:

@@ -7,16 +7,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from approxjac.calibration.formats import POSITION, QUATERNION, columns_of
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import short_fields
 from approxjac.robots import Robot
 from approxjac.validation import Array, as_array, require
 
-_POSITION = ("x", "y", "z")
-_QUATERNION = ("qx", "qy", "qz", "qw")
 _NAMED = ("socket", "place")
 
 
@@ -36,6 +36,9 @@ class Recording:
         socket: Name of the place at which the tip was held, one for all rows or N.
         place: Where the arm stood or reached to: rows of one place are left out together when the
             calibration is checked; one name for all rows or N.
+        t: Time of the rows, shape (N,) [s]; None if it is not known.
+        tau: Torques of the motors, shape (N, n) [N m or N], NaN where unknown. Without x they make
+            a recording a free motion, which shows friction and load only.
 
     Raises:
         InvalidInputError: Arrays of other shapes, or not finite; quaternions without x.
@@ -47,21 +50,27 @@ class Recording:
     quaternion: Array | None = None
     socket: str | Sequence[str] = ""
     place: str | Sequence[str] = ""
+    t: Array | None = None
+    tau: Array | None = None
     __repr__ = short_fields
 
     def __post_init__(self) -> None:
         n = "n" if self.joints is None else len(self.joints)
         q = as_array("q of a recording", self.q, ("N", n))
         rows = len(q)
-        for name, size, unit in (("x", 3, "m"), ("quaternion", 4, "")):
+        shapes = {"x": (rows, 3), "quaternion": (rows, 4), "t": (rows,)}
+        for name, unit in (("x", "m"), ("quaternion", ""), ("t", "s")):
             if (values := getattr(self, name)) is not None:
-                values = as_array(f"{name} of a recording", values, (rows, size), unit)
+                values = as_array(f"{name} of a recording", values, shapes[name], unit)
                 object.__setattr__(self, name, values)
         if self.quaternion is not None and self.x is None:
             raise InvalidInputError("quaternion needs x of the same rows, got none", given=self.x)
         if self.quaternion is not None and not np.linalg.norm(self.quaternion, axis=1).all():
             message = "quaternion of a recording must not be zero"
             raise InvalidInputError(message, given=self.quaternion)
+        if self.tau is not None and np.shape(self.tau) != q.shape:
+            message = f"tau of a recording must have shape {q.shape}, got {np.shape(self.tau)}"
+            raise InvalidInputError(message, given=self.tau)
         for name in _NAMED:
             names = getattr(self, name)
             each = (names,) * rows if isinstance(names, str) else tuple(map(str, names))
@@ -76,20 +85,21 @@ class Recording:
 
     @property
     def kind(self) -> str:
-        """The kind of measurement: "socket", "point" or "pose"."""
+        """The kind of measurement: "socket", "point" or "pose", or "motion" of torques only."""
         if self.x is None:
-            return "socket"
+            return "socket" if self.tau is None else "motion"
         return "point" if self.quaternion is None else "pose"
 
     @classmethod
     def load(
         cls, path: str | Path, place: str | None = None, socket: str | None = None
     ) -> Recording:
-        """Read a csv file; by the names of its columns.
+        """Read a file by its ending: .mcap, LeRobot's .parquet, a run's .npz, or else csv.
 
-        Names of joints [rad or m]; `x y z` [m] and `qx qy qz qw` of the tip; `socket` and `place`.
-        Other columns are passed over. A file without a header holds the joints only, in the arm's
-        order.
+        Columns are names of joints [rad or m], and `name.tau` of their torques [N m or N]; `t` [s];
+        `x y z` [m] and `qx qy qz qw` of the tip; `socket` and `place`. Others are passed over. A
+        csv file without a header holds the joints only, in the arm's order. Of MCAP it reads
+        JointState, and PointStamped or PoseStamped of one topic; of LeRobot `observation.state`.
 
         Args:
             path: The file.
@@ -98,8 +108,11 @@ class Recording:
 
         Raises:
             InvalidInputError: A file that cannot be read, or has a row of another length.
+            MissingPackageError: The extra "ros2" or "lerobot" is not installed.
         """
         path = Path(require("path", path, (str, Path), "a file to read"))
+        if (numbers := columns_of(path)) is not None:
+            return cls._of(numbers, path, place, socket)
         try:
             with path.open(newline="", encoding="utf-8-sig") as file:
                 lines = [line for line in file if line.strip() and not line.startswith("#")]
@@ -112,33 +125,48 @@ class Recording:
         if not rows or {len(row) for row in rows} != {width}:
             message = f"recording {path} must have rows of equal length, and some, got {len(rows)}"
             raise InvalidInputError(message, given=str(path))
-        texts = list(zip(*rows, strict=True))
-        columns = dict(zip(head, texts, strict=True)) if head else {}
-        own_place, own_socket = columns.pop("place", ()), columns.pop("socket", ())
-        at = place or own_place or path.resolve().parent.name
-        held = socket or own_socket or path.stem
-        numbers: dict[str, Array] = {}
-        for name, each in columns.items():
+        numbers = dict[str, Any]()
+        for name, each in zip(head, zip(*rows, strict=True), strict=False):
+            if name in _NAMED:
+                numbers[name] = np.array(each)
+                continue
             bad = [i for i, text in enumerate(each) if not _is_number(text)]
             if bad and len(bad) < len(each):
                 where = f"column {name} of {path}, row {bad[0] + 1}"
                 message = f"{where} must hold a number, got {each[bad[0]]!r}"
                 raise InvalidInputError(message, given=str(path))
-            if not bad and name != "t":
-                known = name.lower() in (*_POSITION, *_QUATERNION)
+            if not bad:
+                known = name.lower() in (*POSITION, *QUATERNION)
                 numbers[name.lower() if known else name] = np.array(each, dtype=float)
+        if not head:
+            if not all(map(_is_number, chain.from_iterable(rows))):
+                message = f"recording {path} must hold numbers, or have names in its first row"
+                raise InvalidInputError(message, given=str(path))
+            numbers[""] = np.array(rows, dtype=float)
+        return cls._of(numbers, path, place, socket)
+
+    @classmethod
+    def _of(
+        cls, columns: dict[str, Any], path: Path, place: str | None, socket: str | None
+    ) -> Recording:
+        at, held = (columns.pop(name, None) for name in ("place", "socket"))
+        t, q = columns.pop("t", None), columns.pop("", None)
         x, quaternion = (
-            np.stack([numbers.pop(name) for name in parts], axis=1)
-            if all(name in numbers for name in parts) else None
-            for parts in (_POSITION, _QUATERNION)
+            np.stack([columns.pop(name) for name in parts], axis=1)
+            if all(name in columns for name in parts) else None
+            for parts in (POSITION, QUATERNION)
         )  # fmt: skip
-        if head:
-            q = np.stack([*numbers.values()], axis=1) if numbers else np.zeros((len(rows), 0))
-            return cls(q, tuple(numbers), x, quaternion, held, at)
-        if not all(map(_is_number, chain.from_iterable(rows))):
-            message = f"recording {path} must hold numbers, or have names in its first row"
-            raise InvalidInputError(message, given=str(path))
-        return cls(np.array(rows, dtype=float), socket=held, place=at)
+        tau = {name: columns.pop(name) for name in [*columns] if name.endswith(".tau")}
+        joints = None if q is not None else tuple(columns)
+        if q is None:
+            q = np.array([*columns.values()]).T if columns else np.zeros((1, 0))
+        unknown = np.full(len(q), np.nan)
+        torques = [tau.get(f"{name}.tau", unknown) for name in joints or ()] or [*tau.values()]
+        return cls(
+            q, joints, x, quaternion, socket or (path.stem if held is None else held),
+            place or (path.resolve().parent.name if at is None else at), t,
+            np.stack(torques, axis=1) if np.isfinite(torques).any() else None,
+        )  # fmt: skip
 
     def of(self, arm: Robot) -> Recording:
         """Return this recording with q as the arm's configurations, (N, nq).
@@ -146,7 +174,7 @@ class Recording:
         Raises:
             InvalidInputError: A joint of the arm is missing, or q has another width.
         """
-        names, q = arm.joint_names, self.q
+        names, q, tau = arm.joint_names, self.q, self.tau
         if self.joints is not None:
             if missing := [name for name in names if name not in self.joints]:
                 message = (
@@ -154,12 +182,13 @@ class Recording:
                     f"{', '.join(self.joints) or 'no numbers'}"
                 )
                 raise InvalidInputError(message, given=self.joints)
-            q = q[:, [list(self.joints).index(name) for name in names]]
+            order = [list(self.joints).index(name) for name in names]
+            q, tau = q[:, order], None if tau is None else np.asarray(tau)[:, order]
         if q.shape[1] not in (arm.nv, arm.nq):
             message = f"q of a recording must have {arm.nv} joints of {arm.name}, got {q.shape[1]}"
             raise InvalidInputError(message, given=q.shape)
         rows = np.array([arm.configuration(each) for each in q])
-        return replace(self, q=rows, joints=None)
+        return replace(self, q=rows, joints=None, tau=tau)
 
 
 def _is_number(text: str) -> bool:

@@ -1,5 +1,6 @@
 """`approxjac learn`: recordings of an arm → its URDF as it is."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +10,7 @@ import numpy as np
 
 from approxjac.calibration import Calibration, Recording, calibrate
 from approxjac.cli.options import make_folder
-from approxjac.errors import InvalidInputError
+from approxjac.errors import InvalidInputError, MissingPackageError
 from approxjac.files import refusing
 from approxjac.robots import load_robot
 
@@ -33,15 +34,17 @@ def learn(
 
     Args:
         robot: Name or path of the arm as it is drawn.
-        files: csv files with joint names in the first row, and x y z, qx qy qz qw, socket or place;
-            without a first row of names, joints only, in the arm's order.
+        files: csv files with joint names in the first row, and x y z, qx qy qz qw, socket or place,
+            torques name.tau and time t; without a first row of names, joints only, in the arm's
+            order. Also .mcap, LeRobot's .parquet and run.npz.
         kind: What was measured, if it is less than the columns say; "socket" is a tip held at one
             place.
         apart: Distance of the two sockets of each place, m.
         unknown: What may be wrong: tool, origins, axes.
         tip: The frame that was held or seen.
         base: Link that the chain to the tip starts from.
-        out: Folder for arm.urdf, report.txt, residuals.csv, calibration.npz and scenario.toml.
+        out: Folder for arm.urdf, report.txt, .json and .html, residuals.csv, calibration.npz and
+            scenario.toml.
     """
     if not files:
         raise InvalidInputError("learn needs files after the robot, got none", given=files)
@@ -52,18 +55,27 @@ def learn(
     _write(found, out)
     print(found)
     print(f"\nThe arm is in {out / 'arm.urdf'}; its tip is {found.robot.tip}")
+    try:
+        from approxjac.view import save_calibration_page
+
+        page = save_calibration_page(found, out / "report.html")
+        print(f"See where it is known, and how well: {page}")
+    except MissingPackageError as error:
+        print(f"No report.html: {error}")
     print(f"Try it: approxjac simulate {out / 'scenario.toml'}, or approxjac stability")
     return 0 if found.is_explained and found.is_better and not np.isnan(found.held_out) else 1
 
 
 def _taken_as(recording: Recording, kind: str | None) -> Recording:
-    kinds = ("socket", "point", "pose")
-    if kind is None or kind == recording.kind:
+    kinds = ("socket", "motion", "point", "pose")
+    if kind is None or kind == recording.kind or (recording.kind == "motion" and kind != "socket"):
         return recording
     if kinds.index(kind) > kinds.index(recording.kind):
         message = f"kind must be one that the files have, {recording.kind} at most, got {kind}"
         raise InvalidInputError(message, given=kind)
-    return replace(recording, quaternion=None, x=None if kind == "socket" else recording.x)
+    if kind == "socket":
+        return replace(recording, quaternion=None, x=None, tau=None)
+    return replace(recording, quaternion=None)
 
 
 def _pairs(
@@ -86,10 +98,17 @@ def _pairs(
 
 def _write(found: Calibration, out: Path) -> None:
     path = found.robot.save_urdf(out / "arm.urdf")
+    true, mass = "", 0.0
+    if (fit := found.dynamics) is not None:
+        viscous, coulomb = np.mean(fit.friction.viscous), np.mean(fit.friction.coulomb)
+        true = f"friction = {viscous:.4g}  # the mean of the joints\ncoulomb = {coulomb:.4g}\n"
+        mass = max(fit.payload, 0.0)
+    true += f"object = {{length = 0.0, mass = {mass:.4g}}}\n"
     texts = {
         "report.txt": f"{found}\n",
+        "report.json": json.dumps(found.summary(), indent=2) + "\n",
         "scenario.toml": f'robot = "{path.resolve().as_posix()}"\ntip = "{found.robot.tip}"\n'
-        + '\n[true]\ncalibration = "calibration.npz"\nobject = {length = 0.0, mass = 0.0}\n',
+        + f'\n[true]\ncalibration = "calibration.npz"\n{true}',
         "residuals.csv": "row,left [m]\n"
         + "".join(f"{row},{left:.6g}\n" for row, left in found.residuals.items()),
     }

@@ -8,6 +8,10 @@ if TYPE_CHECKING or _find_spec("matplotlib"):
     from approxjac.view.browser.page import save_page as save_page
     from approxjac.view.browser.page import show as show
     from approxjac.view.browser.page import write_index as write_index
+    from approxjac.view.calibrated import plot_accuracy as plot_accuracy
+    from approxjac.view.calibrated import plot_determined as plot_determined
+    from approxjac.view.calibrated import plot_residuals as plot_residuals
+    from approxjac.view.calibrated import save_calibration_page as save_calibration_page
     from approxjac.view.plots import plot_command as plot_command
     from approxjac.view.plots import plot_error as plot_error
     from approxjac.view.plots import plot_image as plot_image

@@ -240,7 +240,7 @@ def document(data: Mapping[str, Any], *scripts: str) -> str:
         "licences": "\n\n".join(licences).replace("<", "(").replace(">", ")"),
         "scripts": "\n".join(f"<script>{part}</script>" for part in ended),
     }
-    return _filled("page.html", parts, _LIVE if scripts else "")
+    return filled("page.html", parts, _LIVE if scripts else "")
 
 
 def asset(name: str) -> str:
@@ -253,8 +253,9 @@ def policy_of(page: str) -> str:
     return page.partition('Policy" content="')[2].partition('"')[0]
 
 
-def _filled(template: str, parts: Mapping[str, str], connect: str = "") -> str:
+def filled(template: str, parts: Mapping[str, str], connect: str = "") -> str:
     """Return an asset with parts in place of their names, {{name}}, and a policy on connections."""
+    parts = {"link": COLORS["true"], "text": COLORS["neutral"], **parts}
     # all at once: parts are not looked at again
     text = re.sub(r"{{(\w+)}}", lambda name: parts.get(name[1], name[0]), asset(template))
     scripts = re.findall("<script>(.*?)</script>", text, re.DOTALL)
@@ -359,8 +360,7 @@ def write_index(folder: str | Path, title: str = "Runs to look at") -> Path:
         names = {re.sub(r"\d+", lambda n: n[0].zfill(9), path.name): path for path in entries}
         listed = [entries[names[name]] for name in sorted(names)]  # fig10 after fig9
         parts = {"title": escape(title), "entries": "\n".join(listed)}
-        parts |= {"link": COLORS["true"], "text": COLORS["neutral"]}
-        write_text(folder / "index.html", _filled("index.html", parts))
+        write_text(folder / "index.html", filled("index.html", parts))
     return folder / "index.html"
 
 
