@@ -32,6 +32,7 @@ DRIVERS = "tests/realtime/test_drivers.py"
 GATE = "tests/controllers/test_gate.py"
 LEARNT = "tests/controllers/test_learnt_axes.py"
 PRIOR = "tests/calibration/test_prior.py"
+DETOURS = "tests/controllers/test_detours.py"
 COVARIANCE = "tests/stability/test_covariance.py"
 ACCURACY = "tests/calibration/test_accuracy.py"
 FORMATS = "tests/calibration/test_formats.py"
@@ -40,6 +41,46 @@ INSTANTS = "tests/simulation/test_instants.py"
 
 # name, file, text that is there once, text instead, tests that must fail
 MUTANTS = [
+    # -- what rare blocks write in place
+    (
+        "a number is read after a block wrote it", "codegen/trace/program.py",
+        "if uses[was] > (1 if keeps is None else 2):", "if uses[was] > 99:",
+        "tests/codegen/test_graph.py",
+    ),
+    (
+        "a condition that is known later takes back", "codegen/trace/program.py",
+        "if is_own(changed, operation) and arguments[0] < first[block]:",
+        "if is_own(changed, operation):", "tests/codegen/test_graph.py",
+    ),
+    (
+        "what a block wrote is not taken back", "codegen/backends/llvm.py",
+        "if keeps is None:\n            return [*lines, kept(i, new)]",
+        "if True:\n            return [*lines, kept(i, new)]", "tests/codegen/test_graph.py",
+    ),
+    # -- detours
+    (
+        "the longest way of a detour", "law/detour.py",
+        "better = is_near & (lasts < best)", "better = is_near & (lasts > best)", DETOURS,
+    ),
+    (
+        "a detour ends late", "law/detour.py",
+        "left = select(found, best, select(same & (left > dt), left - dt, none))",
+        "left = select(found, best, select(left > dt, left - dt, none))", DETOURS,
+    ),
+    (
+        "a detour's acceleration without h's rate", "law/detour.py",
+        "6.0 * c * (1.0 - c) * c_dot", "6.0 * c * (1.0 - c)", DETOURS,
+    ),
+    (
+        "an arm that comes nearer stands", "law/detour.py",
+        "return (-dot(z, dot(J, v)) < _HELD * dot(z, wanted))",
+        "return (-dot(z, dot(J, v)) < 9.0 * dot(z, wanted))", DETOURS,
+    ),
+    (
+        "a search beyond the ranges", "law/detour.py",
+        "return np.minimum(np.maximum(motion + way, self.low), self.high)", "return motion + way",
+        DETOURS,
+    ),
     # -- priors and covariances of a calibration
     (
         "prior by variances alone", "controllers/learning/positions.py",

@@ -95,9 +95,17 @@ def test_its_way_is_the_integral_of_its_speed(changes):
     assert np.flatnonzero(h)[-1] * ways.dt < (1.1 if changes else 2.2)
 
 
-def test_where_nothing_is_found_it_does_not_move():
+@pytest.mark.parametrize(("speed", "stands"), [(0.0, True), (0.02, True), (-0.5, False)])
+def test_an_arm_stands_that_comes_hardly_nearer(speed, stands):
+    z, J = np.array([0.1, 0.0, 0.0]), np.eye(3)
+    assert bool(detour().stands(z, J, speed * np.eye(3)[0], 6.0)) == stands
+    assert not detour().stands(0.1 * z, J, np.zeros(3), 6.0)  # it is as good as there
+
+
+@pytest.mark.parametrize("place", [5.0, 2.05])
+def test_where_nothing_is_found_within_the_ranges_it_does_not_move(place):
     ways, memory = detour(), np.zeros(detour().size)
-    far = np.full(3, 5.0)
+    far = np.full(3, place)
     for _ in range(2000):
         memory, h, *_ = ways.step(
             memory, True, np.zeros(3), far, lambda place: (place - far, np.eye(3))
