@@ -637,21 +637,11 @@ def test_a_law_of_ones_own_is_not_certified_as_the_one_it_is_derived_from():
     errors = aj.Uncertainty(arm, lambda robot: aj.PositionTask(robot, axes="xz"))
     law = Pushed(errors.believed_task(), aj.Gains(60.0, 20.0, 1.0), gravity=aj.NoGravity(arm))
     region = aj.JointBox.around(arm, [0.3, 0.8], 0.1)
-    task = law.task
-
-    def V_and_W(law, *_):
-        return aj.stability.lyapunov(aj.Plant(arm, task), law, [0.3, 0.8], [0.0, 0.0], [0.5, 0.5])
-
     report = aj.Study(law, errors, region).report(20)
     assert "Pushed has another evaluate; rollouts" in unwrapped(report)
     assert not report.passed
-    tests = (
-        lambda *loop: aj.Study(*loop).tolerance(),
-        V_and_W,
-    )
-    for test in tests:
-        with pytest.raises(aj.InvalidInputError, match="Pushed has another evaluate; rollouts"):
-            test(law, errors, region)
+    with pytest.raises(aj.InvalidInputError, match="Pushed has another evaluate; rollouts"):
+        aj.Study(law, errors, region).tolerance()
 
 
 @pytest.mark.study
