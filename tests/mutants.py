@@ -662,17 +662,17 @@ MUTANTS = [
     ),
     (
         "kinematics' drift left out", "law/tracking.py",
-        "z_dot = dot(J_hat, v) - x_d_dot + drift",
-        "z_dot = dot(J_hat, v) - x_d_dot", "tests/controllers/test_tracking.py",
+        "z_dot = J_hat.dot(v) - x_d_dot + drift",
+        "z_dot = J_hat.dot(v) - x_d_dot", "tests/controllers/test_tracking.py",
     ),
     (
         "path's velocity left out", "law/tracking.py",
-        "z_dot = dot(J_hat, v) - x_d_dot + drift",
-        "z_dot = dot(J_hat, v) + drift", "tests/controllers/test_tracking.py",
+        "z_dot = J_hat.dot(v) - x_d_dot + drift",
+        "z_dot = J_hat.dot(v) + drift", "tests/controllers/test_tracking.py",
     ),
     (
         "posture in the task's way", "law/tracking.py",
-        "w = solve(u - dot(J_hat, null))", "w = solve(u)", "tests/law/test_tracking.py",
+        "w = solve(u - J_hat.dot(null))", "w = solve(u)", "tests/law/test_tracking.py",
     ),
     # -- those that a stranger found surviving
     (
@@ -1295,7 +1295,7 @@ MUTANTS = [
     ),
     (
         "a first x is believed however far it is", "law/tracking.py",
-        "is_near = known & (dot(far, far) < 4.0)", "is_near = known",
+        "is_near = known & (far.dot(far) < 4.0)", "is_near = known",
         "tests/law/test_slow_feedback.py",
     ),
     (
@@ -1366,8 +1366,8 @@ MUTANTS = [
     ),
     (
         "measured velocity not relative", "law/steps.py",
-        "(dot(J_hat, v) if x_dot is None else x_dot) - v_d",
-        "(dot(J_hat, v) - v_d if x_dot is None else x_dot)", "tests/controllers/test_setpoint.py",
+        "(J_hat.dot(v) if x_dot is None else x_dot) - v_d",
+        "(J_hat.dot(v) - v_d if x_dot is None else x_dot)", "tests/controllers/test_setpoint.py",
     ),
     (
         "push from stops at any rate", "controllers/posture.py",
