@@ -1049,12 +1049,6 @@ MUTANTS = [
         "tests/paper/test_paper.py",
     ),
     (
-        "belief of the paper as rods", "paper/experiments.py",
-        "belief = build_arm(experiment.lengths, setup.inertia)",
-        "belief = build_arm(experiment.lengths)",
-        "tests/paper/test_paper.py",
-    ),
-    (
         "target of a figure at its start", "paper/verdicts.py",
         "position(np.array(setup.target))",
         "position(np.array(setup.start))",
