@@ -73,8 +73,8 @@ MUTANTS = [
     ),
     (
         "an arm that comes nearer stands", "law/detour.py",
-        "return (-dot(z, dot(J, v)) < _HELD * dot(z, wanted))",
-        "return (-dot(z, dot(J, v)) < 9.0 * dot(z, wanted))", DETOURS,
+        "return (-z.dot(J.dot(v)) < _HELD * z.dot(wanted))",
+        "return (-z.dot(J.dot(v)) < 9.0 * z.dot(wanted))", DETOURS,
     ),
     (
         "a search beyond the ranges", "law/detour.py",
