@@ -614,9 +614,7 @@ ENTRANCES = {
     ),
     _simulate_from: ("q0", "v0", "state"),
     _simulate_by: ("integrator", "engine", "progress"),
-    _rough: (
-        "viscous", "coulomb", "stribeck", "stribeck_velocity", "load", "coulomb_velocity",
-    ),
+    _rough: ("viscous", "coulomb", "stribeck", "stribeck_velocity", "load"),
     _driven: (
         "rotor_inertia", "stiffness", "damping_ratio", "backlash", "ripple", "ripple_count",
         "encoders",

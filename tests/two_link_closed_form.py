@@ -19,12 +19,11 @@ class TwoLink:
     m1: float = 2.0
     m2: float = 2.0
     mo: float = 0.5
-    rods: bool = True  # False: point masses at the middles
     link_centre: float = 0.5  # centres of mass stay where they are when lengths are wrong
 
     def _outer(self):
         """Mass, first moment and second moment about joint 2 of link 2 with the object."""
-        third = 1.0 / 12.0 if self.rods else 0.0
+        third = 1.0 / 12.0
         co = self.l2 + self.lo / 2.0
         mass = self.m2 + self.mo
         first = self.m2 * self.link_centre + self.mo * co
@@ -32,7 +31,7 @@ class TwoLink:
         return mass, first, second
 
     def M(self, q):
-        third = 1.0 / 12.0 if self.rods else 0.0
+        third = 1.0 / 12.0
         mass, first, second = self._outer()
         inner = self.m1 * (third + self.link_centre**2)
         c2 = np.cos(q[1])

@@ -7,6 +7,7 @@ import numpy as np
 import pinocchio as pin
 
 import approxjac as aj
+from approxjac import law
 
 TURN = 1e-4  # how far q and q̇ go at most in a difference, as a share of 1 rad and of q̇'s scale
 LONGEST = 1e-4  # [s]
@@ -15,6 +16,13 @@ REFINEMENTS = 3
 ACCURACY = 1e-6  # wanted, as a share of V̇ and W
 MARGIN = 2.0  # on the measured error of the differences
 ROUND_OFF = 64.0 * float(np.finfo(float).eps)
+
+
+class Lyapunov(NamedTuple):
+    """V [J] and W = −dV/dt [W]."""
+
+    V: float
+    W: float
 
 
 class Decrease(NamedTuple):
@@ -28,6 +36,45 @@ class Decrease(NamedTuple):
     usual_error: float  # its median [W]
     breaches: int  # V̇ > −W + σ with the slack σ that was reported, by more than that
     largest_breach: float  # largest V̇ + W − σ [W], negative where there is room
+
+
+def lyapunov(plant, controller, q, v, target, alpha=None, *, state=None, theta=None):
+    """Return V and W of law (6), or (28), eqs. (12), (13) and (31), with the true J and M.
+
+    Along the closed loop dV/dt = −W holds exactly, provided that the controller's gravity is
+    exact, or learnt with the same α and in the span of its regressor (with Ĵ⁺ not damped, no bounds
+    at work, and torques within the limits of `AdaptiveGravity`). A `Posture` adds its power
+    q̇ᵀN τ₀ to dV/dt, which W leaves out. A run has V alone, `run.V`.
+
+    Args:
+        plant: The true robot, sensor and viscous friction.
+        controller: The law; Ĵ must be of full rank at q.
+        q: Configuration, shape (nq,).
+        v: Velocity, shape (n_v,).
+        target: x_d, shape (n_x,).
+        alpha: α of (10) [1/s]; the controller's by default.
+        state: Controller state where gravity is learnt.
+        theta: True θ of the controller's regressor where gravity is learnt, shape (p,), or followed
+            by the constant task force and joint torques, which are 0 if not given.
+    """
+    alpha = controller.alpha if alpha is None else alpha
+    task, sensor, dynamics = controller.task, plant.sensor, plant.dynamics
+    kp, kv, damping = controller.diagonals
+    e = sensor.error(sensor.value(q), target)
+    s = controller.saturation.s(e)
+    J_e, J_hat = sensor.error_jacobian(e, sensor.sensor_jacobian(q)), task.jacobian(q)
+    J_hat_dot = task.jacobian_dot(q, v)
+    pinv, (pinv_dot,) = law.cross_weight_pinv(J_hat, J_hat_dot[None], controller.pinv.weight)
+    M = dynamics.M(q)
+    V = law.V(v, s, controller.saturation.S(e), pinv, M, kp, kv, alpha)
+    if (learning := controller.adaptation) is not None:
+        whole = theta if len(theta) == len(learning.theta0) else learning.whole(np.array(theta))
+        V += law.parameter_potential(whole - controller.learnt(state), learning.L)
+    s_dot = controller.saturation.ds(e) * (J_e @ v)
+    inertia = M, dynamics.M_dot(q, v), dynamics.coriolis(q, v)
+    B = plant.friction + damping
+    W = law.W(v, (s, s_dot), J_e, J_hat, (pinv, pinv_dot), inertia, B, kp, kv, alpha)
+    return Lyapunov(V, W)
 
 
 def decrease(plant, controller, alpha, run, effort, instants=100):
@@ -77,11 +124,9 @@ def excess(plant, controller, alpha, q, v, tau, target):
 
     def V(t):
         there = pin.integrate(plant.robot.model, q, t * v)
-        return aj.stability.lyapunov(
-            plant, controller, there, v + t * acceleration, target, alpha
-        ).V
+        return lyapunov(plant, controller, there, v + t * acceleration, target, alpha).V
 
-    here = aj.stability.lyapunov(plant, controller, q, v, target, alpha)
+    here = lyapunov(plant, controller, q, v, target, alpha)
     scale = max(1.0, float(np.abs(v).max()))
     pace = max(float(np.abs(v).max()), float(np.abs(acceleration).max()) / scale)
     step, best = min(LONGEST, TURN / max(pace, 1e-300)), (math.nan, math.inf)

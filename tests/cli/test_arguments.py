@@ -80,7 +80,6 @@ stability panda --controller.unknown tool | --controller.unknown | left out of a
 stability panda --roll 0 1 | --roll | got 0 1 with position | task.kind image
 stability panda --jobs 0 | --jobs | got 0 | >= 1
 paper --figures 2 | --figures | got 2 | 1, 3, 4, 5, 6, 7, 8
-paper --inertia ring | --inertia | got ring | rod or point-mass
 paper --duration -1 | --duration | got -1.0 | > 0 [s]
 robots panda --tip panda_hnad | --tip | 'panda_hnad' | panda_hand
 robots --tip tool0 | --tip, --base and --free need a robot | got none

@@ -134,12 +134,11 @@ def test_a_file_in_the_way_gives_exit_code_2(tmp_path, capsys):
 def test_options_reach_the_study_and_degrees_become_radians(tmp_path):
     """What each of them changes is tested in tests/paper."""
     words = ["--start", "30", "60", "--target", "80", "70", "--duration", "1", "--gamma", "0.005"]
-    main(["paper", "--out", str(tmp_path), "--figures", "4", "--inertia", "point-mass", *words])
+    main(["paper", "--out", str(tmp_path), "--figures", "4", *words])
     setup = json.loads((tmp_path / "summary.json").read_text())["setup"]
     assert setup["start"] == pytest.approx(np.radians([30, 60]))
     assert setup["target"] == pytest.approx(np.radians([80, 70]))
     assert setup["gamma"] == 0.005
-    assert setup["inertia"] == "point-mass"
     assert setup["duration"] == 1.0
 
 

@@ -222,7 +222,7 @@ def test_a_known_camera_is_theorem_a(belief, truth):
     def look(t, q, state):
         sums, estimator = state[kinematics._at["sums"]], kinematics._estimator
         Theta, _ = estimator.estimate(sums)
-        values.append(V1(estimator.information(sums), true - Theta))
+        values.append(V1(np.linalg.inv(estimator._unpack(sums)), true - Theta))
 
     run = follow(kinematics, truth, noise=0.0, delay=0.0, rate=500.0, look=look, seconds=3.0)
     assert (np.diff(values) <= 1e-9 * np.array(values[:-1])).all()

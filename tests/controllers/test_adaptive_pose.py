@@ -158,7 +158,7 @@ def test_a_known_tracker_is_theorem_a(belief, truth):
 
     def look(t, q, state):
         sums = state[kinematics._at["sums"]]
-        values.append(V1(kinematics._estimator.information(sums), true - sums[-P:]))
+        values.append(V1(np.linalg.inv(kinematics._estimator._unpack(sums)), true - sums[-P:]))
 
     follow(kinematics, sensor, Path(sensor), noise=0.0, delay=0.0, seconds=2.0, look=look)
     assert (np.diff(values) <= 1e-9 * np.array(values[:-1])).all()

@@ -191,7 +191,7 @@ def test_certificates_are_of_joints_that_do_not_rub():
     assert plain.local.decay_rates.tolist() == rubs.local.decay_rates.tolist()
     told = law_of(friction=FrictionCompensation(Friction(coulomb=1.0)))
     with pytest.raises(aj.InvalidInputError, match="given a friction"):
-        aj.stability.lyapunov(aj.Plant(robot), told, np.zeros(2), np.zeros(2), np.zeros(2))
+        aj.Study(told, robot).loop()
 
 
 def test_the_tracking_law_begins_with_a_friction_that_is_told():

@@ -11,6 +11,7 @@ import pytest
 import qpsolvers
 from hypothesis import given
 from hypothesis import strategies as st
+from lyapunov_decrease import lyapunov
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
@@ -20,7 +21,6 @@ from approxjac.controllers.limits.limits import sure_deceleration
 from approxjac.controllers.limits.quadratic_program import Solver
 from approxjac.errors import MeasurementError
 from approxjac.robots import Dynamics, GravityRegressor
-from approxjac.stability import lyapunov
 from approxjac.tasks.analysis import seen_configurations
 
 DT = 1e-3

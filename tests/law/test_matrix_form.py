@@ -3,12 +3,12 @@
 import numpy as np
 import pinocchio as pin
 import pytest
+from lyapunov_decrease import lyapunov
 from numpy.testing import assert_allclose
 from wrong_loop import closed_loop, terms
 
 from approxjac import law
 from approxjac.law import Sine, Tanh
-from approxjac.stability import lyapunov
 
 
 def cross_weight(plant, controller, q, A1, A2):

@@ -10,7 +10,6 @@ from numpy.testing import assert_allclose
 
 import approxjac as aj
 from approxjac.cli import main
-from approxjac.errors import UnknownNameError
 from approxjac.paper import experiments as paper
 from approxjac.paper import verdicts
 from approxjac.robots import Dynamics
@@ -174,12 +173,9 @@ def test_an_error_has_died_down_where_each_part_of_its_end_says_so(usual, norm, 
     assert dataclasses.replace(usual, run=run).settles == settles
 
 
-@pytest.mark.parametrize("inertia", ["rod", "point-mass"])
-def test_an_arm_that_is_believed_as_it_is_has_the_inertia_of_the_true_one(inertia, rng):
+def test_an_arm_that_is_believed_as_it_is_has_the_inertia_of_the_true_one(rng):
     """Of Figures 3 to 5 the camera alone is wrong; friction is that of both joints."""
-    plant, controller = paper.build(
-        paper.EXPERIMENTS[4], paper.Setup(inertia=inertia, friction=0.4)
-    )
+    plant, controller = paper.build(paper.EXPERIMENTS[4], paper.Setup(friction=0.4))
     belief = Dynamics(controller.task.robot)
     for q in rng.uniform(-3.0, 3.0, (3, 2)):
         assert_allclose(belief.M(q), plant.dynamics.M(q))
@@ -295,7 +291,6 @@ CHANGES = {
     "target": {"target": (1.2, 1.4)},
     "friction": {"friction": 0.5},
     "gamma": {"gamma": 0.005},
-    "inertia": {"inertia": "point-mass"},
     "duration": {"duration": 4.0},
 }
 
@@ -332,9 +327,9 @@ def test_options_of_the_command_are_those_of_the_setup(tmp_path, monkeypatch):
     monkeypatch.setattr(paper, "run_experiment", run)
     words = "--figures 5 --start 30 60 --target 80 70 --duration 7 --friction 0.3 --gamma 0.005"
     with pytest.raises(Asked) as caught:
-        main(["paper", *words.split(), "--inertia", "point-mass", "--out", str(tmp_path)])
+        main(["paper", *words.split(), "--out", str(tmp_path)])
     start, target = (tuple(map(math.radians, each)) for each in ((30.0, 60.0), (80.0, 70.0)))
-    assert caught.value.args == (5, paper.Setup(start, target, 0.3, 0.005, "point-mass", 7.0))
+    assert caught.value.args == (5, paper.Setup(start, target, 0.3, 0.005, 7.0))
 
 
 @pytest.mark.study
@@ -345,13 +340,6 @@ def test_friction_helps_as_the_paper_says():
     assert much.local.max_real_eigenvalue < little.local.max_real_eigenvalue
 
 
-def test_point_masses_have_the_same_gravity_and_another_inertia(rng):
-    rod, point = paper.build_arm(inertia="rod"), paper.build_arm(inertia="point-mass")
-    q = rng.uniform(-3, 3, 2)
-    assert_allclose(Dynamics(point).g(q), Dynamics(rod).g(q), atol=1e-13)
-    assert Dynamics(point).M(q)[1, 1] < Dynamics(rod).M(q)[1, 1] - 0.1
-
-
 @pytest.mark.parametrize(
     ("changes", "error", "text"),
     [
@@ -360,7 +348,6 @@ def test_point_masses_have_the_same_gravity_and_another_inertia(rng):
         ({"friction": -1.0}, aj.InvalidInputError, r"friction must be a finite number >= 0"),
         ({"gamma": 0.0}, aj.InvalidInputError, r"gamma must be a finite number > 0 \[m\], got 0.0"),
         ({"duration": 0.0}, aj.InvalidInputError, r"duration must be a finite number > 0 \[s\]"),
-        ({"inertia": "ring"}, UnknownNameError, "inertia 'ring' not in the study; valid are p"),
         (
             {"start": (math.pi / 2, math.pi / 2)},
             aj.InvalidInputError,

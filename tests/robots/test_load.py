@@ -192,7 +192,7 @@ def test_bad_chains_are_refused(arguments, error, text):
         ("panda", 7, 7), ("ur3", 6, 6), ("ur5", 6, 6), ("ur10", 6, 6), ("kinova", 9, 6),
         ("xarm7", 7, 7), ("talos_arm", 7, 7), ("z1", 6, 6), ("so100", 5, 5), ("so101", 5, 5),
         ("tiago_arm", 8, 8), ("baxter_left_arm", 7, 7), ("pr2_left_arm", 9, 7),
-        ("two_link", 2, 2), ("two_link_point_mass", 2, 2), ("double_pendulum", 2, 2),
+        ("two_link", 2, 2), ("double_pendulum", 2, 2),
     ],
 )  # fmt: skip
 def test_the_named_arms_have_their_joints(name, nq, nv):

@@ -428,7 +428,6 @@ def test_lanes_are_runs_of_python(panda, kind):
         (lambda r: Drives(ripple_count=0.0), "ripple_count must be"),
         (lambda r: Friction(stribeck=0.9), "stribeck must be"),
         (lambda r: Friction(stribeck_velocity=0.0), "stribeck_velocity must be"),
-        (lambda r: Friction(coulomb_velocity=0.0), "coulomb_velocity must be"),
         (lambda r: aj.Plant(r, drives=1.0), r"drives must be Drives\(...\) or None"),
         (
             lambda r: aj.Plant(r, drives=Drives(0.1), servo=VelocityServo()),

@@ -494,11 +494,11 @@ def test_friction_is_the_formula(rng):
     plant = aj.Plant(
         robot,
         aj.PositionTask(robot, axes="xz"),
-        friction=aj.robots.Friction(B, coulomb=coulomb, coulomb_velocity=0.02),
+        friction=aj.robots.Friction(B, coulomb=coulomb),
     )
     for _ in range(20):
         v, tau, q = rng.normal(0.0, 0.05, 2), rng.normal(size=2), rng.normal(size=2)
-        arrives = tau - B * v - coulomb * np.tanh(v / 0.02)
+        arrives = tau - B * v - coulomb * np.tanh(v / 0.05)
         assert_allclose(at_the_joints(plant, v, tau, q), arrives, atol=1e-9)
     fast = at_the_joints(plant, np.array([5.0, -5.0]), np.zeros(2))
     assert_allclose(fast, [-1.5 - 1.5, 0.4 + 3.5], atol=1e-9)  # all of τ_c, and viscous friction
@@ -507,11 +507,11 @@ def test_friction_is_the_formula(rng):
 @pytest.mark.parametrize("viscous", [0.0, 0.3])
 def test_coulomb_friction_dissipates_exactly_its_power(viscous):
     robot = aj.load_robot("two_link")
-    coulomb, width = np.array([0.8, 0.3]), 0.1
+    coulomb, width = np.array([0.8, 0.3]), 0.05
     plant = aj.Plant(
         robot,
         aj.PositionTask(robot, axes="xz"),
-        friction=aj.robots.Friction(viscous, coulomb=coulomb, coulomb_velocity=width),
+        friction=aj.robots.Friction(viscous, coulomb=coulomb),
     )
     probe = Probe(plant.sensor, lambda t: np.zeros(2))
     run = aj.simulate(plant, probe, np.zeros(2), (0.3, 0.8), 2.0, record_every=1e-3, dt=None)

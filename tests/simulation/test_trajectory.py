@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from lyapunov_decrease import lyapunov
 from numpy.testing import assert_allclose, assert_array_equal
 from own_controller import OwnController
 from rehearsal import Around
@@ -14,7 +15,6 @@ from approxjac.cameras import PlanarCamera
 from approxjac.controllers import DifferentiatedVelocity
 from approxjac.errors import TrajectoryFileError
 from approxjac.robots import GravityRegressor
-from approxjac.stability import lyapunov
 from approxjac.tasks import CombinedTask, NonsingularTask
 from approxjac.tasks.analysis import features
 

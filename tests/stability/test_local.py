@@ -14,7 +14,6 @@ from approxjac.cameras import PlanarCamera
 from approxjac.controllers import RegressorGravity
 from approxjac.law import Sine
 from approxjac.robots import GravityRegressor
-from approxjac.stability import lyapunov
 from approxjac.stability.loop import linearization as targets_module
 
 
@@ -444,14 +443,12 @@ def test_what_has_another_linearization_is_refused(two_link):
     ],
 )
 def test_what_eq_1_does_not_have_is_refused(two_link, options):
-    """By the local test and by V and W, which know viscous friction only."""
+    """By the local test, which knows viscous friction only."""
     task = aj.PositionTask(two_link, axes="xz")
     plant, controller = aj.Plant(two_link, task, **options), aj.SetpointController(task)
     q = np.array([0.3, 0.8])
     with pytest.raises(aj.InvalidInputError, match="the local test is for a plant without dry fr"):
         aj.local_stability(plant, controller, q)
-    with pytest.raises(aj.InvalidInputError, match="the Lyapunov function is for a plant without"):
-        lyapunov(plant, controller, q, np.zeros(2), task.value(q), 1.0)
 
 
 @pytest.mark.parametrize(

@@ -100,18 +100,16 @@ def test_report_says_what_each_test_says(report):
 
 
 @pytest.mark.study
-def test_periods_and_delays_are_certified_up_to_a_share_of_what_is_stable(report):
+def test_periods_are_certified_up_to_a_share_of_what_is_stable(report):
     sampled = report.sampled
     worst, latency = report.samples.take(np.argsort(-report.spectral_radii)[:60]), report.latency
 
-    def stable(**other):
-        return bool((report.loop.spectral_radii(worst, replace(latency, **other)) < 1.0).all())
+    def stable(period):
+        held = replace(latency, period=period)
+        return bool((report.loop.spectral_radii(worst, held) < 1.0).all())
 
     certified = sampled.largest_period()
-    exact = largest(lambda period: stable(period=period), latency.period)
-    delay = sampled.largest_delay()
-    exact_delay = largest(lambda delay: stable(torque_delay=delay), latency.period)
-    assert 0.3 <= delay / exact_delay <= 1.0
+    exact = largest(stable, latency.period)
     assert 0.6 <= certified / exact <= math.pi / 4.0 + 0.02
     assert certified >= 5e-4
 
@@ -637,21 +635,11 @@ def test_a_law_of_ones_own_is_not_certified_as_the_one_it_is_derived_from():
     errors = aj.Uncertainty(arm, lambda robot: aj.PositionTask(robot, axes="xz"))
     law = Pushed(errors.believed_task(), aj.Gains(60.0, 20.0, 1.0), gravity=aj.NoGravity(arm))
     region = aj.JointBox.around(arm, [0.3, 0.8], 0.1)
-    task = law.task
-
-    def V_and_W(law, *_):
-        return aj.stability.lyapunov(aj.Plant(arm, task), law, [0.3, 0.8], [0.0, 0.0], [0.5, 0.5])
-
     report = aj.Study(law, errors, region).report(20)
     assert "Pushed has another evaluate; rollouts" in unwrapped(report)
     assert not report.passed
-    tests = (
-        lambda *loop: aj.Study(*loop).tolerance(),
-        V_and_W,
-    )
-    for test in tests:
-        with pytest.raises(aj.InvalidInputError, match="Pushed has another evaluate; rollouts"):
-            test(law, errors, region)
+    with pytest.raises(aj.InvalidInputError, match="Pushed has another evaluate; rollouts"):
+        aj.Study(law, errors, region).tolerance()
 
 
 @pytest.mark.study

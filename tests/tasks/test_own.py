@@ -5,10 +5,10 @@ import pickle
 import numpy as np
 import pinocchio as pin
 import pytest
+from lyapunov_decrease import lyapunov
 from numpy.testing import assert_allclose
 
 import approxjac as aj
-from approxjac.stability import lyapunov
 from approxjac.tasks import FrameKinematics
 
 Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])

@@ -3,7 +3,6 @@
 import json
 import math
 from pathlib import Path
-from typing import Literal
 
 from approxjac.cli.options import make_folder, time_bar
 from approxjac.errors import InvalidInputError
@@ -17,7 +16,6 @@ def paper(
     target: tuple[float, float] = (90.0, 90.0),
     friction: float = 0.0,
     gamma: float | None = None,
-    inertia: Literal["rod", "point-mass"] = "rod",
     duration: float = 120.0,
 ) -> int:
     """Reproduce the paper's two-link study, Figures 1 and 3-8, with a verdict for each.
@@ -34,7 +32,6 @@ def paper(
         target: Configuration whose image is the target, in degrees.
         friction: Viscous friction B at both joints, N m s/rad.
         gamma: Saturation of the error on the sensor, in m; "None" is s(e) = e.
-        inertia: Uniform rods, or point masses at their middles.
         duration: Length of each run, in s.
     """
     from approxjac.paper import experiments as study
@@ -50,11 +47,10 @@ def paper(
         target=(math.radians(target[0]), math.radians(target[1])),
         friction=friction,
         gamma=gamma,
-        inertia=inertia,
         duration=duration,
     )
     make_folder(out)
-    truth = study.build_arm(inertia=inertia)
+    truth = study.build_arm()
     bound = None
     results = []
     experiments = [study.EXPERIMENTS[f] for f in sorted(set(figures)) if f != 1]

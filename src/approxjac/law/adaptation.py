@@ -16,7 +16,6 @@ from approxjac.law.branches import (
     take,
 )
 from approxjac.law.factors import product
-from approxjac.law.products import dot
 from approxjac.validation import Array
 
 _TINY = np.finfo(float).tiny
@@ -43,7 +42,7 @@ def theta_hat_rate(L: Array, Z: Array, y: Array) -> Array:
     Implements Eq. (29), differentiated. The adaptation gain L is a diagonal (p,) or a matrix
     (p, p), the gravity regressor Z is (n_v, p).
     """
-    return -L * dot(y, Z) if L.ndim == 1 else -dot(dot(y, Z), L)
+    return -L * y.dot(Z) if L.ndim == 1 else -y.dot(Z).dot(L)
 
 
 def within_bounds(
@@ -112,8 +111,8 @@ def swept_within_bounds(
     def of_motor(i: Any, values: tuple[Any]) -> tuple[tuple[Any], tuple[Any, ...]]:
         """Return the rows of N, N L, … of torques that a motor has to hold."""
         row = take(beyond, i) * take(Y, i)
-        turned = row * L if L.ndim == 1 else dot(row, L)
-        return values, (row, turned, _inverse(dot(row, turned)), dot(row, rate))
+        turned = row * L if L.ndim == 1 else row.dot(L)
+        return values, (row, turned, _inverse(row.dot(turned)), row.dot(rate))
 
     def own(r: Array, multipliers: Array) -> tuple[Array, Array]:
         """Return the rate and multipliers after a sweep over each parameter's own bound."""
@@ -141,7 +140,7 @@ def swept_within_bounds(
 
             def one(i: Any, values: tuple[Array]) -> tuple[tuple[Array], tuple[Any]]:
                 was, (r,) = take(of_motors, i), values
-                after = np.maximum(was + dot(take(N, i), r) * take(size, i), 0.0)
+                after = np.maximum(was + take(N, i).dot(r) * take(size, i), 0.0)
                 return (r - (after - was) * take(NL, i),), (after,)
 
             (r,), (of_motors,) = each(len(g), one, (r,))
@@ -149,7 +148,7 @@ def swept_within_bounds(
 
         start = rate, 0.0 * rate, 0.0 * g
         r, *multipliers = repeat(_SWEEPS, sweep, start)
-        _, (beside,) = each(len(g), lambda i, v: (v, (dot(take(N, i), r),)), (g,))
+        _, (beside,) = each(len(g), lambda i, v: (v, (take(N, i).dot(r),)), (g,))
         least = _SWEPT * np.abs(np.concatenate([side * rate, before])).max()
         beside, multiplier = np.concatenate([side * r, beside]), np.concatenate(multipliers)
         wrong = ((beside > least) | ((multiplier > 0.0) & (beside < -least))).any()

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from approxjac.law.branches import array, choose, complement, select
-from approxjac.law.products import dot
 from approxjac.law.pseudoinverse import is_near_singular
 from approxjac.law.tracking import saturated
 from approxjac.validation import Array
@@ -60,7 +59,7 @@ class Detour(NamedTuple):
     def stands(self, z: Array, J: Array, v: Array, alpha: Any) -> Any:
         """Return whether q̇ reduces an error z at less than a tenth of the rate s(αz)."""
         far, (wanted, _) = self.per_speed * z, saturated(alpha * z, 0.0 * z, self.per_speed)
-        return (-dot(z, dot(J, v)) < _HELD * dot(z, wanted)) & (dot(far, far) > _FAR**2)
+        return (-z.dot(J.dot(v)) < _HELD * z.dot(wanted)) & (far.dot(far) > _FAR**2)
 
     def step(
         self,
@@ -78,7 +77,7 @@ class Detour(NamedTuple):
         stood, tries, passes, best, left, time, c = memory[:7].tolist()
         aim, (ghost, seed, way) = memory[7 : 7 + m], memory[7 + m :].reshape(3, n)
         none, moved = 0.0 * stood, self.per_speed * (target - aim)
-        same, is_free = dot(moved, moved) < _SAME**2, (left <= 0.0) & (c <= 0.0)
+        same, is_free = moved.dot(moved) < _SAME**2, (left <= 0.0) & (c <= 0.0)
         # less if it moves on, as it may rattle at a stop
         stood = select(stands & same & is_free, stood + dt, stood - dt)
         stood = np.minimum(np.maximum(stood, none), none + 2.0 * _STANDS)
@@ -87,8 +86,8 @@ class Detour(NamedTuple):
             z, J = look(ghost)
             far, there = self.per_speed * z, ghost - motion
             there = there - self.turns * (2.0 * np.pi * np.rint(there / (2.0 * np.pi)))
-            lasts, G = (np.abs(there) / self.fastest).max() + _RAMP, dot(J, J.T)
-            is_near = dot(far, far) < _NEAR**2
+            lasts, G = (np.abs(there) / self.fastest).max() + _RAMP, J.dot(J.T)
+            is_near = far.dot(far) < _NEAR**2
             better = is_near & (lasts < best) & complement(is_near_singular(G, self.ratio))
             ends = is_near | (passes >= _PASSES)
             after = seed + self.spread
@@ -124,10 +123,10 @@ class Detour(NamedTuple):
     def _nearer(self, motion: Array, z: Array, J: Array) -> Array:
         """Return a motion a step nearer to z = 0, within the ranges; fast joints do more of it."""
         J = J * (share := self.fastest / self.fastest.max())
-        damping = (_DAMPING * dot(J, J.T).trace() + _LEAST) * np.eye(len(z))
+        damping = (_DAMPING * J.dot(J.T).trace() + _LEAST) * np.eye(len(z))
 
         def step(J: Array) -> Array:
-            return -share * dot(np.linalg.solve(dot(J, J.T) + damping, z), J)
+            return -share * np.linalg.solve(J.dot(J.T) + damping, z).dot(J)
 
         way = step(J)
         barred = ((motion <= self.low) & (way < 0.0)) | ((motion >= self.high) & (way > 0.0))

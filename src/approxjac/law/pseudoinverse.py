@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from approxjac.law.branches import array, choose, complement, select
-from approxjac.law.products import dot, root
+from approxjac.law.products import root
 from approxjac.validation import Array
 
 SINGULAR_RATIO = 0.02
@@ -54,7 +54,7 @@ def damped_solver(
         for i, row in enumerate(U.T):
             ends[0] = select(squares[i] <= least, row, ends[0])
             ends[1] = select(squares[i] >= largest, row, ends[1])
-    return lambda b: dot(U, np.where(is_some, dot(b, U) / divisor, 0.0)), ends, damping
+    return lambda b: U.dot(np.where(is_some, b.dot(U) / divisor, 0.0)), ends, damping
 
 
 def regular_solver(
@@ -98,9 +98,9 @@ def damping_rate(
     (λ²)' = ε²' − (σ_min²)', with (σᵢ²)' = 2 (Jᵀuᵢ)ᵀJ'ᵀuᵢ of its left singular vector uᵢ. Where
     singular values cross, one of the derivatives to either side. `ends` are those two vectors.
     """
-    moved = [dot(u, J) for u in ends]
-    least, largest = (2.0 * dot(u_J, dot(u, J_dot)) for u, u_J in zip(ends, moved, strict=True))
-    return select(dot(moved[1], moved[1]) > scale**2, singular_ratio**2 * largest, 0.0) - least
+    moved = [u.dot(J) for u in ends]
+    least, largest = (2.0 * u_J.dot(u.dot(J_dot)) for u, u_J in zip(ends, moved, strict=True))
+    return select(moved[1].dot(moved[1]) > scale**2, singular_ratio**2 * largest, 0.0) - least
 
 
 def is_near_singular(G: Array, singular_ratio: float = SINGULAR_RATIO, scale: float = 0.0) -> Any:

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from approxjac.law.branches import all_finite, array, choose, complement, select, selected
-from approxjac.law.products import dot
 from approxjac.law.pseudoinverse import SINGULAR_RATIO, damped_gram_solve, is_near_singular
 from approxjac.law.torque import estimated_velocity_torque, gravity, measured_velocity_torque
 from approxjac.validation import Array
@@ -60,7 +59,7 @@ def setpoint_step(
     """
     J_hat, s, g, Y, pull, x_dot, v_d = terms
     ratio, scale, _ = singularity
-    G, pinv_s, reference = dot(J_hat, J_hat.T), None, None
+    G, pinv_s, reference = J_hat.dot(J_hat.T), None, None
     if Y is None:
         assert g is not None
         is_singular = is_near_singular(G, ratio, scale)
@@ -71,8 +70,8 @@ def setpoint_step(
     bias = g if pull is None else g + within_null_space(pull, J_hat, G, ratio, scale)
     relative = x_dot
     if v_d is not None:  # the law of the motion relative to ẋ_d, and to Ĵ⁺ẋ_d of the joints
-        relative = (dot(J_hat, v) if x_dot is None else x_dot) - v_d
-        reference = dot(damped_gram_solve(G, v_d, ratio, scale)[0], J_hat)
+        relative = (J_hat.dot(v) if x_dot is None else x_dot) - v_d
+        reference = damped_gram_solve(G, v_d, ratio, scale)[0].dot(J_hat)
         v = v - reference
     if relative is None:
         torque = estimated_velocity_torque(J_hat, kp, kv, s, v, damping, bias)
@@ -86,8 +85,8 @@ def damped_pinv(J_hat: Array, s: Array, singularity: Singularity) -> tuple[Array
     ratio, scale, inverse_root = singularity
     if inverse_root is not None:
         J_hat = J_hat * inverse_root
-    w, damped = damped_gram_solve(dot(J_hat, J_hat.T), s, ratio, scale)
-    pinv_s = dot(w, J_hat)
+    w, damped = damped_gram_solve(J_hat.dot(J_hat.T), s, ratio, scale)
+    pinv_s = w.dot(J_hat)
     return (pinv_s if inverse_root is None else pinv_s * inverse_root), damped
 
 
@@ -96,7 +95,7 @@ def within_null_space(torque: Array, J_hat: Array, G: Array, ratio: float, scale
 
     G is ĴĴᵀ; `ratio` and `scale` are those of `damped_gram_solve`.
     """
-    b = dot(J_hat, torque)
+    b = J_hat.dot(torque)
     w, damped = damped_gram_solve(G, b, ratio, scale)
 
     def faded() -> tuple[Array]:
@@ -106,10 +105,10 @@ def within_null_space(torque: Array, J_hat: Array, G: Array, ratio: float, scale
         squares = np.maximum(squares, 0.0)
         threshold = ratio**2 * np.maximum(squares.max(), max(scale**2, _LEAST))
         inverse = np.where(squares > 0.0, 1.0 / np.where(squares > 0.0, squares, 1.0), 0.0)
-        projected = dot(dot(U, dot(b, U) * inverse), J_hat)
+        projected = U.dot(b.dot(U) * inverse).dot(J_hat)
         return (squares.min() / threshold * (torque - projected),)
 
-    return choose(damped > 0.0, faded, lambda: (torque - dot(w, J_hat),))[0]
+    return choose(damped > 0.0, faded, lambda: (torque - w.dot(J_hat),))[0]
 
 
 class HoldStep(NamedTuple):

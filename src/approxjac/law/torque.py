@@ -4,7 +4,6 @@ Shapes: Ĵ is (m, n_v), K_p, K_v, s and Ẋ are (m,) with the gains' diagonals, 
 diagonal of the added damping B_c are (n_v,).
 """
 
-from approxjac.law.products import dot
 from approxjac.validation import Array
 
 
@@ -18,7 +17,7 @@ def measured_velocity_torque(
 
     The arguments are those of `estimated_velocity_torque`, and Ẋ (m,).
     """
-    return g - damping * v - dot(kp * s + kv * x_dot, J_hat)
+    return g - damping * v - (kp * s + kv * x_dot).dot(J_hat)
 
 
 def estimated_velocity_torque(
@@ -42,9 +41,9 @@ def estimated_velocity_torque(
     Returns:
         Joint torque τ, shape (n_v,).
     """
-    return g - damping * v - dot(kp * s + kv * dot(J_hat, v), J_hat)
+    return g - damping * v - (kp * s + kv * J_hat.dot(v)).dot(J_hat)
 
 
 def gravity(Z: Array, theta: Array) -> Array:
     """Return g = Z(q) θ of a regressor (n_v, p) and parameters (p,). Implements Eq. (27)."""
-    return dot(Z, theta)
+    return Z.dot(theta)

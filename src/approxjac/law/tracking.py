@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from approxjac.law.branches import any_of, choose, complement, is_finite, select
-from approxjac.law.products import dot, root
+from approxjac.law.products import root
 from approxjac.law.pseudoinverse import SINGULAR_RATIO, damped_solver, damping_rate, regular_solver
 from approxjac.validation import Array
 
@@ -99,9 +99,9 @@ def saturated(z: Array, z_dot: Array, k: float | Array) -> tuple[Array, Array]:
     s is along z, and with k = 1/v no sᵢ(z) is above vᵢ; with one v for all, ‖s(z)‖ is not.
     """
     u = k * z
-    r = 1.0 + dot(u, u)
+    r = 1.0 + u.dot(u)
     size = root(r)
-    return z / size, (z_dot - z * (dot(u, k * z_dot) / r)) / size
+    return z / size, (z_dot - z * (u.dot(k * z_dot) / r)) / size
 
 
 def task_velocity(
@@ -157,7 +157,7 @@ class EasedTarget(NamedTuple):
         m, (goal, goal_v, goal_a) = len(x), target
         known, seen, place = is_finite(x), memory[-1] > 0.0, memory[:m]
         far = np.minimum(np.abs(self.per_speed * (x - place)), 2.0)
-        is_near = known & (dot(far, far) < 4.0)
+        is_near = known & (far.dot(far) < 4.0)
         place = select(seen, place, select(is_near, x, place))
         velocity = select(waits, 0.0 * goal_v, memory[m:-1])
         omega = select(2.0 * alpha > self.slowest, 2.0 * alpha, 0.0 * alpha + self.slowest)
@@ -187,18 +187,18 @@ def reference(
 
     Each derivative is along the motion. Returned are q̇_r, q̈_r and λ.
     """
-    G = dot(J_hat, J_hat.T)
+    G = J_hat.dot(J_hat.T)
     solve, singular = regular_solver(G, singular_ratio, scale)
 
     def solved(solve: Callable[[Array], Array], rate: Any) -> tuple[Array, Array]:
         """Return q̇_r and q̈_r with b ↦ (ĴĴᵀ + λ²I)⁻¹b and (λ²)', None of no damping."""
-        w = solve(u - dot(J_hat, null))
-        velocity = dot(w, J_hat) + null
-        h = dot(w, J_hat_dot) + null_dot
-        rest = u_dot - dot(J_hat_dot, velocity) - dot(J_hat, h)
+        w = solve(u - J_hat.dot(null))
+        velocity = w.dot(J_hat) + null
+        h = w.dot(J_hat_dot) + null_dot
+        rest = u_dot - J_hat_dot.dot(velocity) - J_hat.dot(h)
         if rate is not None:
             rest = rest - rate * w
-        return velocity, h + dot(solve(rest), J_hat)
+        return velocity, h + solve(rest).dot(J_hat)
 
     def damped() -> tuple[Array, Array, Any]:
         solve, ends, damping = damped_solver(G, singular_ratio, scale)
@@ -232,7 +232,7 @@ def reference_step(
         q̇_r; q̈_r; whether Ĵ⁺ is damped; whether all is finite, else the joints rest.
     """
     z, J_hat, J_hat_dot, x_d_dot, x_d_ddot, drift = error
-    z_dot = dot(J_hat, v) - x_d_dot + drift
+    z_dot = J_hat.dot(v) - x_d_dot + drift
     u, u_dot = task_velocity(
         z, z_dot, x_d_dot, x_d_ddot, gains.alpha, gains.per_speed, gains.alpha_dot
     )
@@ -244,7 +244,7 @@ def reference_step(
 
     def shared(r: Array, r_dot: Array) -> tuple[Array, Array, Any]:
         n, n_dot = null
-        b = u - dot(J_hat, n), u_dot - dot(J_hat_dot, n) - dot(J_hat, n_dot)
+        b = u - J_hat.dot(n), u_dot - J_hat_dot.dot(n) - J_hat.dot(n_dot)
         none = 0.0 * v
         J_r, J_r_dot = J_hat * r, J_hat_dot * r + J_hat * r_dot
         p, p_dot, damping = reference(J_r, J_r_dot, *b, none, none, *ratio)
@@ -342,7 +342,7 @@ class SlowFeedback(NamedTuple):
 
     def damping(self, phi: Array, sigma: Array, A: Array, most: Array) -> tuple[Array, Array]:
         """Return φ a period later, and Kφ; A and `most` are those of `bounded_damping`."""
-        A_phi = dot(A, phi)
+        A_phi = A.dot(phi)
         after = phi + self.dt * self.omega * (sigma - phi)
         return after, self.share * (A_phi - bounded_damping(A, A_phi, most))
 
@@ -492,4 +492,4 @@ def servo_lag_rate(gamma: float, acceleration: Array, sigma: Array) -> Any:
     With q̈_r = w + Dσ, Lσ̇ = −(I + LD)σ + (L̂ − L)w, and V₃ = ½L‖σ‖² + (L̂ − L)²/2γ has
     V̇₃ = −σᵀ(I + LD)σ.
     """
-    return -gamma * dot(acceleration, sigma)
+    return -gamma * acceleration.dot(sigma)

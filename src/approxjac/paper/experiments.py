@@ -10,7 +10,7 @@ import numpy as np
 from approxjac import law
 from approxjac.cameras import PlanarCamera
 from approxjac.controllers import AdaptiveGravity, Gains, RegressorGravity, SetpointController
-from approxjac.errors import InvalidInputError, require_known
+from approxjac.errors import InvalidInputError
 from approxjac.law import Linear, Sine
 from approxjac.robots import GravityRegressor, Robot, load_robot
 from approxjac.simulation import Computation, Plant, Trajectory, simulate
@@ -19,7 +19,6 @@ from approxjac.tasks import ImageTask
 from approxjac.validation import Array, as_array, as_number
 
 Verdict = Literal["stable", "unstable"]
-Inertia = Literal["rod", "point-mass"]
 
 LENGTHS = (1.0, 1.0, 0.5)  # l₁, l₂ and l_o of the true arm [m]
 OBJECT_MASS = 0.5  # m_o [kg], believed too; the links' masses are in urdf/two_link.urdf
@@ -77,7 +76,6 @@ class Setup:
 
     Raises:
         InvalidInputError: Numbers out of range, or start and target with the same image.
-        UnknownNameError: Another kind of inertia.
     """
 
     start: tuple[float, float] = (math.radians(60.0), math.radians(90.0))  # q(0) [rad]
@@ -85,7 +83,6 @@ class Setup:
     target: tuple[float, float] = (math.radians(90.0), math.radians(90.0))
     friction: float = 0.0  # B, the same at both joints [N m s/rad]
     gamma: float | None = None  # γ of s(e) = γ sin(e/γ) [m on the sensor]; None is s(e) = e
-    inertia: Inertia = "rod"  # uniform rods, or point masses at the middles of the rods
     duration: float = 120.0  # length of each run [s]
 
     def __post_init__(self) -> None:
@@ -95,8 +92,7 @@ class Setup:
         as_number("duration", self.duration, unit="s", above=0.0)
         if self.gamma is not None:
             as_number("gamma", self.gamma, unit="m", above=0.0)
-        require_known("inertia", self.inertia, "the study", ["rod", "point-mass"])
-        image = ImageTask(build_arm(inertia=self.inertia), CAMERA)
+        image = ImageTask(build_arm(), CAMERA)
         if float(np.linalg.norm(image.value(start) - image.value(target))) < 1e-9:
             raise InvalidInputError(
                 "start must not have the image of the target already, got start = "
@@ -105,18 +101,12 @@ class Setup:
             )
 
 
-def build_arm(lengths: tuple[float, float, float] = LENGTHS, inertia: Inertia = "rod") -> Robot:
+def build_arm(lengths: tuple[float, float, float] = LENGTHS) -> Robot:
     """Return the arm of lengths l₁, l₂, l_o [m] with the object, the true or a believed one."""
     l1, l2, lo = lengths
     shifts = {"joint2": (l1 - LENGTHS[0], 0.0, 0.0), "tool0_joint": (l2 - LENGTHS[1], 0.0, 0.0)}
-    if inertia == "rod":
-        arm = load_robot("two_link").with_kinematic_error(shifts)
-        return arm.with_object(lo, OBJECT_MASS, radius=0.0, axis="x")
-    # a massless rod in two halves with a point mass between them
-    arm = load_robot("two_link_point_mass").with_kinematic_error(shifts)
-    half = arm.with_object(lo / 2.0, axis="x", name="object_near")
-    weighted = half.with_object(0.0, OBJECT_MASS, radius=0.0, name="object_mass")
-    return weighted.with_object(lo / 2.0, axis="x", name="object")
+    arm = load_robot("two_link").with_kinematic_error(shifts)
+    return arm.with_object(lo, OBJECT_MASS, radius=0.0, axis="x")
 
 
 def build(experiment: Experiment, setup: Setup) -> tuple[Plant, SetpointController]:
@@ -125,8 +115,7 @@ def build(experiment: Experiment, setup: Setup) -> tuple[Plant, SetpointControll
     Gravity is known in Figures 3–7, as the paper assumes: as Z(q)θ, eq. (27), with the true
     θ but the believed robot's Z, so that the true lengths stay out of the controller.
     """
-    truth = build_arm(inertia=setup.inertia)
-    belief = build_arm(experiment.lengths, setup.inertia)
+    truth, belief = build_arm(), build_arm(experiment.lengths)
     regressor = GravityRegressor(belief, moments="x")
     gravity: AdaptiveGravity | RegressorGravity
     if experiment.learn_gravity:

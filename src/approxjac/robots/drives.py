@@ -8,7 +8,7 @@ import numpy as np
 
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import short_fields
-from approxjac.robots.dynamics import COULOMB_SPEED, Dynamics
+from approxjac.robots.dynamics import Dynamics
 from approxjac.robots.robot import Robot
 from approxjac.validation import Array, as_diagonal, as_limits, as_number, require
 
@@ -57,8 +57,6 @@ class Friction:
         stribeck: s ≥ 1, static friction in Coulomb friction.
         stribeck_velocity: v_s > 0, speed within which it falls to that [rad/s or m/s].
         load: Share l ≥ 0 of the load that is added to F_c, a number or shape (n_v,).
-        coulomb_velocity: v_c > 0 of the smooth law F_c tanh(q̇/v_c) [rad/s or m/s], which is used
-            instead in continuous time (dt=None), and which a `VelocityServo` compensates.
 
     Raises:
         InvalidInputError: Numbers that are negative, not finite or too small.
@@ -69,13 +67,11 @@ class Friction:
     stribeck: float = 1.0
     stribeck_velocity: float = 0.02
     load: Entries = 0.0
-    coulomb_velocity: float = COULOMB_SPEED
     __repr__ = short_fields
 
     def __post_init__(self) -> None:
         as_number("stribeck", self.stribeck, minimum=1.0)
         as_number("stribeck_velocity", self.stribeck_velocity, above=0.0)
-        as_number("coulomb_velocity", self.coulomb_velocity, above=0.0)
 
     @classmethod
     def usual(cls, robot: Robot) -> Self:

@@ -419,11 +419,8 @@ class KinematicBelief:
     @staticmethod
     def load(path: str | Path) -> "KinematicBelief":
         """Return the numbers of a file; raise an InvalidInputError if there are none."""
-        wanted, any_error = (
-            "calibration must be a file of Calibration.save",
-            (Exception,),
-        )  # as NumPy
-        with refusing(wanted, str(path), any_error), Path(path).open("rb") as stream:
+        wanted, anything = "calibration must be a file of Calibration.save", (Exception,)
+        with refusing(wanted, str(path), anything), Path(path).open("rb") as stream:  # as NumPy
             kept = read_arrays(stream)
             each: Any = [kept[field.name] for field in fields(KinematicBelief)]
         each = [tuple(a.tolist()) if a.dtype.kind == "U" else a for a in each]

@@ -34,7 +34,6 @@ class NamedRobot(NamedTuple):
 
 NAMED: Mapping[str, NamedRobot] = {
     "two_link": NamedRobot("two_link.urdf", "tool0"),
-    "two_link_point_mass": NamedRobot("two_link_point_mass.urdf", "tool0"),
     "panda": NamedRobot("panda_description/urdf/panda.urdf", "panda_hand_tcp"),
     "ur3": NamedRobot("ur_description/urdf/ur3_robot.urdf", "tool0"),
     "ur5": NamedRobot("ur_description/urdf/ur5_robot.urdf", "tool0"),

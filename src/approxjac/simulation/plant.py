@@ -15,6 +15,7 @@ from approxjac.formatting import short, short_fields
 from approxjac.interface import Measurement
 from approxjac.robots import Dynamics, Robot
 from approxjac.robots.drives import Drives, Friction, drives_of, usual_effort, usual_inertia
+from approxjac.robots.dynamics import COULOMB_SPEED
 from approxjac.robots.robot import WORLD
 from approxjac.robots.traced import motion_between, moved
 from approxjac.simulation.sensing import Sensing, lost_entries
@@ -527,11 +528,11 @@ class Plant(Immutable):
         return self._forward(q, v, tau)
 
     def friction_torque(self, v: Array) -> Array:
-        """Return the smooth law Bq̇ + F_c tanh(q̇/v_c), shape (n_v,)."""
+        """Return the smooth law Bq̇ + F_c tanh(q̇/v_c), v_c = 0.05 rad/s or m/s; shape (n_v,)."""
         viscous: Array = self.friction * v
         if not self._has_coulomb:
             return viscous
-        return viscous + self.coulomb * np.tanh(v / self.transmission.friction.coulomb_velocity)
+        return viscous + self.coulomb * np.tanh(v / COULOMB_SPEED)
 
     def applied(self, q: Array, v: Array, command: Array) -> Array:
         """Return a torque command itself, or the servo's torque for a velocity; shape (n_v,)."""

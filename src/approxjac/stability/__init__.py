@@ -1,7 +1,5 @@
 """Stability tests before a run: the paper's conditions for any arm, and sharper ones."""
 
-from approxjac.stability.certificates.lyapunov import LyapunovValue as LyapunovValue
-from approxjac.stability.certificates.lyapunov import lyapunov as lyapunov
 from approxjac.stability.certificates.rest_error import rest_error as rest_error
 from approxjac.stability.errors.region import JointBox as JointBox
 from approxjac.stability.errors.region import Region as Region

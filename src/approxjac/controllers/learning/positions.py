@@ -605,10 +605,6 @@ class _KnownRotation:
     def _unpack(self, numbers: Array) -> Array:
         return np.asanyarray(numbers[self._where])
 
-    def information(self, numbers: Array) -> Array:
-        """Return Λ, shape (P, P)."""
-        return np.asarray(np.linalg.inv(self._unpack(numbers)))
-
     def initial(self) -> Array:
         """Return the numbers before the first frame, shape (size,)."""
         return self._about(self._first, self._R.T)
@@ -686,9 +682,6 @@ class _UnknownRotation(_KnownRotation):
     def late(self) -> int:
         return self._parts[3][0] + self._n_u - 1
 
-    def information(self, numbers: Array) -> Array:
-        return self._unpack(numbers)
-
     def are_numbers(self, numbers: Array) -> bool:
         diagonal = self._unpack(numbers).diagonal()
         return bool((diagonal > 0.99 * self._prior.diagonal()).all())
@@ -696,7 +689,7 @@ class _UnknownRotation(_KnownRotation):
     def _split(self, numbers: Array) -> tuple[Array, Array, Array, Array, Array, Array]:
         a, B, E, Theta, A = (numbers[start:end] for start, end in self._parts)
         B, A = B.reshape(self._P, -1), A.reshape(self._d, self._d)
-        return self.information(numbers), a, B, E, Theta, A
+        return self._unpack(numbers), a, B, E, Theta, A
 
     def learn(self, numbers: Array, H: Array, o: Array, x: Array, share: Any) -> Array:
         d = self._d
@@ -711,7 +704,7 @@ class _UnknownRotation(_KnownRotation):
         each = HW.reshape(len(a), -1, d).transpose(0, 2, 1).dot(seen)  # Σ Hᵀ x
         B = B + each.reshape(len(a), -1)
         E = E + (W * o.reshape(-1, d).T.dot(seen)).ravel()
-        found, M, h = _reduced(self.information(upper), a, B, E)
+        found, M, h = _reduced(self._unpack(upper), a, B, E)
         w = self._rotation(M, h, A).ravel()
         Theta = found[:, 0] + found[:, 1:].dot(w)
         return np.concatenate([upper, a, B.ravel(), E, Theta, w])

@@ -127,15 +127,11 @@ class SampledTest(MatrixTest):
 
     def largest_period(self) -> float:
         """Return the largest period that this function certifies, all else the same [s]."""
-        return largest(lambda period: self._passes(period=period), self.latency.period)
+        return largest(self._passes, self.latency.period)
 
-    def largest_delay(self) -> float:
-        """Return the largest delay of torques that this certifies, all else the same [s], or 0."""
-        return largest(lambda delay: self._passes(torque_delay=delay), self.latency.period)
-
-    def _passes(self, **other: float) -> bool:
-        """True if some multiplier certifies other times in the worst samples."""
-        hold = Hold.of(replace(self.latency, **other))
+    def _passes(self, period: float) -> bool:
+        """True if some multiplier certifies another period in the worst samples."""
+        hold = Hold.of(replace(self.latency, period=period))
         form = self.form.take(np.argsort(self.margins)[:_WORST]).changed(hold=hold)
         return form.is_possible() and bool(form.best_multiplier(self.weights).margins.min() > 0.0)
 

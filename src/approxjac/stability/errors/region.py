@@ -195,7 +195,7 @@ def require_setpoint(controller: Any) -> SetpointController:
     return require("controller", controller, SetpointController, wanted)
 
 
-def require_law(controller: Controller, *, posture: bool = False) -> SetpointController:
+def require_law(controller: Controller) -> SetpointController:
     """Return law (6) or (28) without posture; raise an InvalidInputError for anything else."""
     controller = require_setpoint(controller)
     kind, laws = type(controller), "the conditions are those of the laws (6) and (28)"
@@ -207,7 +207,7 @@ def require_law(controller: Controller, *, posture: bool = False) -> SetpointCon
             f"got {controller!r}",
             given=controller,
         )
-    if controller.velocity is not None or not (posture or controller.posture is None):
+    if controller.velocity is not None or controller.posture is not None:
         raise InvalidInputError(
             f"{laws} without a posture torque, got {controller!r} with "
             f"velocity = {controller.velocity!r} and posture = {controller.posture!r}",
