@@ -130,3 +130,5 @@ def test_a_simulation_takes_them():
     scenario = recommended(Scenario("so101", true=true, run=run))
     assert scenario.controller.detours
     assert run_scenario(scenario).final_error["m"] < 2e-3
+    without = recommended(Scenario("so101", controller={"detours": False}))
+    assert (without.controller.law, without.controller.detours) == ("tracking", False)

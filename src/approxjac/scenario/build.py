@@ -252,7 +252,7 @@ def _law(
             # with a lag, or joints that give way, it has to know both
             latency=latency if is_late or drives is None else None,
             drives=drives if is_late else None,
-            gains=controllers.TrackingGains(detours=chosen.detours),
+            gains=controllers.TrackingGains(detours=bool(chosen.detours)),
         )
     posture: controllers.Posture | controllers.AwayFromStops | None = None
     if chosen.posture_stiffness:
@@ -285,11 +285,13 @@ def recommended(scenario: Scenario) -> Scenario:
     joints, where positions or poses are measured.
     """
     chosen = scenario.controller
-    usual = replace(type(chosen)(), limits=chosen.limits, torque_rate=chosen.torque_rate)
+    kept = {name: getattr(chosen, name) for name in ("limits", "torque_rate", "detours")}
+    usual = replace(type(chosen)(), **kept)
     learns = scenario.task.kind in ("position", "pose") and scenario.true.tracker == Tracker()
     if chosen != usual or not learns or sampling_time(scenario) == 0.0:
         return replace(scenario, controller=replace(chosen, law=chosen.law or "setpoint"))
-    detours = scenario.task.kind == "position" and chosen.command == "torque"
+    is_position = scenario.task.kind == "position"
+    detours = is_position if chosen.detours is None else chosen.detours
     law = {"law": "tracking", "unknown": ["tool", "origins", "axes"], "detours": detours}
     joints = {"drives": scenario.true.drives or "usual"}
     return scenario.with_values({"controller": law, "true": joints})

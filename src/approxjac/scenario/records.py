@@ -234,7 +234,7 @@ class ControllerChoice:
             of the rule, or none with gains that are given.
         posture_stiffness: Stiffness that draws the self-motion to the start, N m/rad; 0 is none.
         detours: Leave dead ends by a motion of the joints to another configuration that reaches the
-            target; by the law tracking, for positions.
+            target; by the law tracking, for positions. By default if a simulation chooses the law.
         limits: Limits to keep: those of the "urdf"; a multiple of its effort limits, then the
             motors' too; or "none", as in continuous control.
         torque_rate: Largest change of a torque within limits, N m/s; any by default.
@@ -254,7 +254,7 @@ class ControllerChoice:
     damping: Numbers | None = at_least(None)
     gamma: float | None = positive(None)
     posture_stiffness: float = at_least(0.0)
-    detours: bool = False
+    detours: bool | None = None
     limits: float | Literal["urdf", "none"] = positive("urdf")
     torque_rate: float | None = positive(None)
     unseen: float | None = positive(None)
