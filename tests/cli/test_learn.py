@@ -12,7 +12,7 @@ from tests.controllers.test_learnt_axes import Arm
 import approxjac as aj
 from approxjac.cli.main import main
 from approxjac.robots import KinematicBelief
-from approxjac.scenario.build import build_scenario
+from approxjac.scenario.build import build_scenario, recommended
 from approxjac.tasks import PositionTask
 
 
@@ -61,6 +61,13 @@ def test_files_become_an_arm(arm, files, tmp_path, capsys):
         tips.append(built.plant.sensor.value(q))
         assert_allclose(built.law.task.value(q), belief.value(q), atol=1e-9)
     assert_array_equal(tips[0], tips[1])
+    # and the law that learns begins with what is known of the joints, and a new tool
+    learns = build_scenario(recommended(scenario)).law.kinematics
+    state = learns.initial_state(built.plant.measure(0.0, q, np.zeros(7))._replace(t_x=0.0))
+    rows = {row.name: row for row in learns.report(state).rows}
+    for i, name in enumerate(known.names):
+        sd = 0.2 if name.startswith("tool") else np.sqrt(known.covariance[i, i])
+        assert rows[name].sd == pytest.approx(sd, rel=0.1)
     off = np.linalg.norm([tips[0] - tips[2], tips[0] - belief.value(q)], axis=1)
     assert ((off > 1e-5) & (off < 0.05)).all()
     report = json.loads((out / "report.json").read_text())

@@ -32,6 +32,7 @@ _PLANAR_FOCAL_LENGTH = 0.05  # [m]
 _INSTANTS = 200  # of a path, that are looked at before it
 _LEAST_PIXELS = 0.05  # noise of an image that a scenario has without [px]
 _DIFFERENCES = 1e-6  # filter of q̇ that is none [s]
+_TOOL = 0.2  # sd of a tool that nothing is known of [m]
 _LEAST_NOISE, _BENDS = 1e-4, 1e-3  # of x, also of gears that give way [m or rad]
 
 
@@ -331,6 +332,9 @@ def _kinematics(scenario: Scenario, task: Task) -> Kinematics:
     rest: dict[str, Any] = {"delay": scenario.sensor.delay, "dt": sampling_time(scenario)}
     if not isinstance(task, ImageTask):
         noise = max(noise, _BENDS if scenario.true.drives == "usual" else _LEAST_NOISE)
+        if scenario.true.calibration is not None:  # of the arm, whatever it holds
+            prior = KinematicBelief.load(scenario.true.calibration)
+            rest |= {"prior": prior, "sd": {"tool": _TOOL}}
         return controllers.AdaptiveKinematics(task, unknown, noise=noise, angle_noise=noise, **rest)
     if isinstance(task.camera, PlanarCamera):
         noise = max(noise, _LEAST_NOISE * task.camera.magnification)
