@@ -331,6 +331,36 @@ def test_a_point_that_is_never_seen_does_not_cost_the_memory(hand):
     assert_allclose(weights, 5.0 * estimator._weight[np.newaxis])
 
 
+def test_frames_at_one_place_count_as_their_mean(room):
+    """Each as much as any other, the first one, too."""
+    sensor, task = room
+    kinematics, estimator = AdaptiveCamera(task), AdaptiveCamera(task)._estimator
+    H, o = kinematics._watched(START)
+    y = kinematics._rays((sensor.value(START) - CAMERA.center) / 600.0)
+    frames = y + 0.1 * np.arange(5.0)[:, np.newaxis, np.newaxis]
+    numbers = estimator.about(kinematics._first)
+    for each in frames:
+        numbers = estimator.learn(numbers, H, o, each)
+    assert_allclose(estimator._terms(numbers)[1], frames.mean(axis=0), atol=1e-12)
+
+
+def test_of_more_places_than_are_remembered_the_last_are(room, rng):
+    """Each as it was seen, and not mixed with what was seen elsewhere."""
+    sensor, task = room
+    kinematics, estimator = AdaptiveCamera(task), AdaptiveCamera(task)._estimator
+    numbers, seen = estimator.about(kinematics._first), []
+    for _ in range(60):
+        q = START + rng.uniform(-0.5, 0.5, 7)
+        H, o = kinematics._watched(q)
+        y = kinematics._rays((sensor.value(q) - CAMERA.center) / 600.0)
+        numbers = estimator.learn(numbers, H, o, y)
+        seen.append(np.concatenate([y[0], o[0], H[0].ravel()]))
+    weights, *columns = estimator._terms(numbers)
+    kept = np.concatenate([each.reshape(len(weights), -1) for each in columns], axis=1)
+    assert_allclose(weights, estimator._weight[np.newaxis].repeat(40, axis=0))
+    assert_allclose(kept[np.argsort(kept[:, 0])], sorted(seen[-40:], key=lambda row: row[0]))
+
+
 def test_a_camera_that_was_moved_is_learnt_anew(room_run, room):
     """Rolled by 90°, all of a sudden."""
     kinematics, _ = room_run
