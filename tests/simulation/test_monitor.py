@@ -262,6 +262,14 @@ def test_what_the_noise_of_x_may_do_is_no_oscillation(controller, share, named):
     assert swinging(controller, rate)  # without noise each is one
 
 
+@pytest.mark.parametrize("frequency", [4.0, 8.0])
+def test_an_oscillation_began_when_the_joint_first_swung(controller, frequency):
+    omega = 2.0 * np.pi * frequency
+    (event,) = swinging(controller, lambda t: np.cos(omega * t) if t > 1.5 else 0.0)
+    assert event.begin == pytest.approx(1.5, abs=1.0 / frequency)
+    assert event.named > 1.5 + 2.0 / frequency
+
+
 def test_an_oscillation_that_stops_has_an_end(controller):
     omega = 2.0 * np.pi * 8.0
     (event,) = swinging(controller, lambda t: np.cos(omega * t) if t < 1.5 else 0.0)
