@@ -16,6 +16,7 @@ from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.law import rotation_exp
 from approxjac.robots import GravityRegressor, KinematicRegressor
 from approxjac.tasks import FrameKinematics
+from approxjac.tasks.analysis import seen_configurations
 
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 CAMERA = aj.PinholeCamera.looking_at(
@@ -246,6 +247,31 @@ def test_the_prediction_of_a_camera_that_is_known_is_that_of_the_image(room):
     at_target = kinematics.predict(state, START, 0.0 * q, aj.Target(x_d))
     share = float(sensor.depths(START)[0]) / kinematics._usual_depth
     assert_allclose(at_target.J, share * sensor.jacobian(START), rtol=1e-6)
+
+
+def test_at_a_usual_depth_errors_are_in_pixels(room):
+    """That of the points in the middle of the places where the camera sees them."""
+    sensor, _ = room
+    kinematics, shares = AdaptiveCamera(sensor, ("origins",)), []
+    for q in seen_configurations(sensor, 20):
+        x = sensor.value(q)
+        state = kinematics.initial_state(aj.Measurement(0.0, q, 0.0 * q, x))
+        z = kinematics.predict(state, q, 0.0 * q, aj.Target(x + 3.0)).z
+        shares.append(np.linalg.norm(z) / np.linalg.norm(np.full(len(x), 3.0)))
+    assert np.median(shares) == pytest.approx(1.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_camera_that_was_shifted_to_either_side_is_learnt_anew(room_run, room, side):
+    """All that is seen is then off to the same side."""
+    kinematics, _ = room_run
+    moved = aj.ImageTask(room[0].robot, CAMERA.with_error(shift=(side * 0.1, side * 0.06, 0.0)))
+    state = room_run[1].state
+    q, v = room_run[1].q, 0.3 * np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0, 1.0])
+    for k in range(30):
+        t, place = 4.0 + k / 30.0, q + v * np.sin(k / 15.0)
+        state = kinematics.step(state, aj.Measurement(t, place, v, moved.value(place), t), DT)
+    assert kinematics.report(state).restarts > 0
 
 
 @pytest.mark.parametrize("roll", np.arange(0.0, 360.0, 45.0))

@@ -288,6 +288,21 @@ def test_no_tool_within_its_bound_raises_an_alarm_whatever_else_is_known(kind, t
         assert watch.look(aj.Measurement(k * DT, q, v, x, k * DT), x) is None
 
 
+@pytest.mark.parametrize(("share", "found"), [(0.98, False), (1.05, True)])
+def test_a_tool_that_turns_across_its_axis_may_be_as_far_off_as_is_told(share, found):
+    """Then it moves by 2 sin(φ/2) times its length, and nothing is left of its bound."""
+    task = aj.PositionTask(PANDA)
+    link = FrameKinematics(PANDA, PANDA.tip)
+    accuracy = Accuracy(x=1e-9, x_period=0.02, tool=0.25, jacobian=1e-9)
+    watch, faults = SensorWatch(task, DT, accuracy, np.full(3, 0.01), False), set()
+    turns = np.eye(7)[6]  # about the axis of the flange, z of the tip
+    for k in range(300):
+        q, v = START + 2.0 * k * DT * turns, 2.0 * turns
+        x = task.value(q) + link.placement(q)[0] @ [share * 0.25, 0.0, 0.0]
+        faults.add(watch.look(aj.Measurement(k * DT, q, v, x, k * DT), x))
+    assert (faults == {None}) != found
+
+
 def test_a_sensor_that_is_learnt_may_be_turned():
     """And what it sees be neither longer than the motion of the tip nor shorter."""
     assert looked(lambda t, x: TURN @ x, is_learnt=True)[0] is None
@@ -712,6 +727,18 @@ def test_a_state_that_comes_late_is_told_from_a_clock_that_jumps(missed):
     told = [None, None] if missed < 0.02 else [Fault.TORQUE_LATE, Fault.CLOCK_JUMPED]
     assert [late[40], jumped[40]] == told
     assert not any(late[:40] + late[41:])
+
+
+@pytest.mark.parametrize("missed", [1, 3])
+def test_periods_without_q_do_not_make_what_comes_after_them_late(missed):
+    """However soon a state has to come after the one before."""
+    watch = FaultWatch(PANDA, DT, Accuracy(), PANDA.velocity_limits, 1.5 * DT, False)
+    for k in range(60):
+        q, v = motion(k * DT)
+        if 30 <= k < 30 + missed:
+            q = np.full(7, math.nan)
+        assert watch.look(aj.Measurement(k * DT, q, v, np.zeros(3)), 10.0 + k * DT) is None
+        watch.commanded(np.zeros(7), None)
 
 
 def test_a_jump_while_the_clock_stands_still_is_found():
