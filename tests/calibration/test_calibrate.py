@@ -11,7 +11,10 @@ from tests.controllers.test_learnt_axes import Arm
 import approxjac as aj
 from approxjac import law
 from approxjac.calibration import Recording, calibrate, next_configurations
+from approxjac.calibration.calibrate import USUAL_SD
+from approxjac.calibration.fit import Fit, Recorded
 from approxjac.robots import KinematicRegressor
+from approxjac.robots.kinematic_regressor import Unknowns
 
 RECORDINGS = Path(__file__).parents[3] / "shared" / "recordings"
 needs_recordings = pytest.mark.skipif(
@@ -134,6 +137,21 @@ def test_of_an_arm_as_drawn_little_is_changed():
     assert_allclose(mean, regressor.theta, atol=1e-12)
     off = found.learnt - arm.theta
     assert off @ np.linalg.solve(found.covariance, off) < 72.1  # 99.9 % of χ² of 39
+
+
+def test_what_is_said_of_an_arm_with_its_tool_only_does_not_exclude_the_best_fit():
+    """It is as far off as it differs from that besides: xᵀ(P + xxᵀ)⁻¹x < 1, for any x."""
+    arm = Arm("ur5", 72)
+    arm.theta[:] = arm.regressor.theta
+    recordings, apart = sockets(arm, 3, places=2)
+    found = calibrate(arm.believed, recordings, apart=apart)
+    assert not found.is_better
+    unknowns = Unknowns(KinematicRegressor(arm.believed, axes=True), found.kinds, USUAL_SD)
+    samples = Recorded.of([each.of(arm.believed) for each in recordings])
+    best = Fit(unknowns, samples, apart, found.scale).solved()
+    off = best.u - found.learnt
+    assert off @ np.linalg.solve(best.P, off) > 2.0
+    assert off @ np.linalg.solve(found.covariance, off) < 1.0
 
 
 def test_of_few_rows_a_tool_is_known_as_their_noise_tells():

@@ -16,6 +16,7 @@ from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.law import rotation_exp
 from approxjac.robots import GravityRegressor, KinematicRegressor
 from approxjac.tasks import FrameKinematics
+from approxjac.tasks.analysis import seen_configurations
 
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 CAMERA = aj.PinholeCamera.looking_at(
@@ -248,6 +249,31 @@ def test_the_prediction_of_a_camera_that_is_known_is_that_of_the_image(room):
     assert_allclose(at_target.J, share * sensor.jacobian(START), rtol=1e-6)
 
 
+def test_at_a_usual_depth_errors_are_in_pixels(room):
+    """That of the points in the middle of the places where the camera sees them."""
+    sensor, _ = room
+    kinematics, shares = AdaptiveCamera(sensor, ("origins",)), []
+    for q in seen_configurations(sensor, 20):
+        x = sensor.value(q)
+        state = kinematics.initial_state(aj.Measurement(0.0, q, 0.0 * q, x))
+        z = kinematics.predict(state, q, 0.0 * q, aj.Target(x + 3.0)).z
+        shares.append(np.linalg.norm(z) / np.linalg.norm(np.full(len(x), 3.0)))
+    assert np.median(shares) == pytest.approx(1.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_camera_that_was_shifted_to_either_side_is_learnt_anew(room_run, room, side):
+    """All that is seen is then off to the same side."""
+    kinematics, _ = room_run
+    moved = aj.ImageTask(room[0].robot, CAMERA.with_error(shift=(side * 0.1, side * 0.06, 0.0)))
+    state = room_run[1].state
+    q, v = room_run[1].q, 0.3 * np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0, 1.0])
+    for k in range(30):
+        t, place = 4.0 + k / 30.0, q + v * np.sin(k / 15.0)
+        state = kinematics.step(state, aj.Measurement(t, place, v, moved.value(place), t), DT)
+    assert kinematics.report(state).restarts > 0
+
+
 @pytest.mark.parametrize("roll", np.arange(0.0, 360.0, 45.0))
 def test_the_jacobian_is_regular_at_any_roll_and_behind_the_camera(room, roll):
     kinematics = AdaptiveCamera(room[1])
@@ -329,6 +355,36 @@ def test_a_point_that_is_never_seen_does_not_cost_the_memory(hand):
         numbers = estimator.learn(numbers, H, o, y)
     (weights, *_) = estimator._terms(numbers)
     assert_allclose(weights, 5.0 * estimator._weight[np.newaxis])
+
+
+def test_frames_at_one_place_count_as_their_mean(room):
+    """Each as much as any other, the first one, too."""
+    sensor, task = room
+    kinematics, estimator = AdaptiveCamera(task), AdaptiveCamera(task)._estimator
+    H, o = kinematics._watched(START)
+    y = kinematics._rays((sensor.value(START) - CAMERA.center) / 600.0)
+    frames = y + 0.1 * np.arange(5.0)[:, np.newaxis, np.newaxis]
+    numbers = estimator.about(kinematics._first)
+    for each in frames:
+        numbers = estimator.learn(numbers, H, o, each)
+    assert_allclose(estimator._terms(numbers)[1], frames.mean(axis=0), atol=1e-12)
+
+
+def test_of_more_places_than_are_remembered_the_last_are(room, rng):
+    """Each as it was seen, and not mixed with what was seen elsewhere."""
+    sensor, task = room
+    kinematics, estimator = AdaptiveCamera(task), AdaptiveCamera(task)._estimator
+    numbers, seen = estimator.about(kinematics._first), []
+    for _ in range(60):
+        q = START + rng.uniform(-0.5, 0.5, 7)
+        H, o = kinematics._watched(q)
+        y = kinematics._rays((sensor.value(q) - CAMERA.center) / 600.0)
+        numbers = estimator.learn(numbers, H, o, y)
+        seen.append(np.concatenate([y[0], o[0], H[0].ravel()]))
+    weights, *columns = estimator._terms(numbers)
+    kept = np.concatenate([each.reshape(len(weights), -1) for each in columns], axis=1)
+    assert_allclose(weights, estimator._weight[np.newaxis].repeat(40, axis=0))
+    assert_allclose(kept[np.argsort(kept[:, 0])], sorted(seen[-40:], key=lambda row: row[0]))
 
 
 def test_a_camera_that_was_moved_is_learnt_anew(room_run, room):

@@ -132,6 +132,25 @@ def test_what_makes_no_sense_has_an_error_with_a_name(panda, law):
             controller.step(other, good, x, 1e-3)
 
 
+@pytest.mark.parametrize("wrapped", [lambda law: law, aj.TorqueLimited])
+def test_a_run_that_goes_on_has_learnt_gravity_and_kinematics(panda, wrapped, rng):
+    """And nothing else of the run before, as if it were the first one."""
+    controller = controller_of(panda, wrapped)
+    x = controller.task.value(HOME)
+    first = aj.Measurement(0.0, HOME, np.zeros(7), x, 0.0)
+    state, target = controller.initial_state(first), x + 0.1
+    for k in range(1, 40):
+        q = HOME + 0.02 * k * rng.uniform(-0.5, 0.5, 7)
+        seen = aj.Measurement(1e-3 * k, q, np.zeros(7), controller.task.value(q) + 0.05, 1e-3 * k)
+        state, _ = controller.step(state, seen, target, 1e-3)
+    fresh, again = controller.initial_state(first), controller.resumed(state, first)
+    p = controller.controller.learnt(state[: controller.controller.size]).size
+    assert np.abs(controller.learnt(state) - controller.learnt(fresh))[:p].max() > 1e-3
+    assert_allclose(controller.learnt(again)[:p], controller.learnt(state)[:p], atol=1e-12)
+    size = controller.controller.size
+    assert_allclose(again[p:size], fresh[p:size], atol=1e-12)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("law", ["set-point law", "tracking law"])
 def test_the_next_run_begins_with_what_was_learnt(panda, law):

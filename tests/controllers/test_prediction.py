@@ -70,20 +70,40 @@ def test_a_few_torques_show_inertia_that_the_believed_arm_lacks(panda, share, no
     assert_allclose(rho, share, atol=0.02)
 
 
+@pytest.mark.parametrize("dt", [5e-4, DT, 4e-3])
 @pytest.mark.parametrize("filtered", [2e-3, 5e-3, 20e-3])
-def test_a_velocity_that_is_filtered_makes_no_arm_heavier(panda, filtered):
+def test_a_velocity_that_is_filtered_makes_no_arm_heavier(panda, filtered, dt):
     """Torques that turn again and again, on an arm that is as it is believed to be."""
-    late = aj.Latency(DT, velocity_filter=filtered)
+    late = aj.Latency(dt, velocity_filter=filtered)
     law = aj.SetpointController(aj.PositionTask(panda), latency=late)
-    prediction = AccelerationObserver(law, DT, RATE, FASTEST)
+    prediction = AccelerationObserver(law, dt, RATE, FASTEST)
     v, seen, memory = np.zeros(7), np.zeros(7), prediction.nothing
     for k in range(200):
-        memory, rho, _ = prediction.observed(memory, measured(Q, seen, k * DT))
-        f = np.full(7, 100.0 if k // 20 % 2 else -100.0)
-        memory = prediction.expecting(measured(Q, seen, k * DT), f, memory)
-        v = v + DT * f
-        seen = seen + DT / (filtered + DT) * (v - seen)
+        memory, rho, rest = prediction.observed(memory, measured(Q, seen, k * dt))
+        f = np.full(7, 0.0 if k == 0 else 100.0 if k // 20 % 2 else -100.0)
+        memory = prediction.expecting(measured(Q, seen, k * dt), f, memory)
+        v = v + dt * f
+        seen = seen + dt / (filtered + dt) * (v - seen)
     assert_allclose(rho, 1.0, atol=0.02)
+    assert_allclose(rest, 0.0, atol=1.0)  # nothing else moves the arm
+
+
+@pytest.mark.parametrize("dt", [5e-4, DT, 4e-3])
+def test_what_torques_have_shown_is_forgotten_in_time_not_in_periods(panda, dt):
+    """Once f no longer changes, its squares S fall at 0.3 of the rate: ρ = (S/5 + c)/(S + c)."""
+    rate = 50.0
+    prediction = AccelerationObserver(law_of(panda), dt, rate, FASTEST)
+    v, memory, known = np.zeros(7), prediction.nothing, []
+    for k in range(round(1.0 / dt) + 1):
+        memory, rho, _ = prediction.observed(memory, measured(Q, v, k * dt))
+        f = 200.0 * np.sin(60.0 * k * dt) * (k * dt < 0.4)
+        memory = prediction.expecting(measured(Q, v, k * dt), np.full(7, f), memory)
+        v = v + dt * 0.2 * f
+        known.append(rho[0])
+    assert known[round(0.4 / dt)] == pytest.approx(0.2, abs=0.02)
+    some = np.array([known[round(t / dt)] for t in (0.8, 1.0)])
+    squares = (1.0 - some) / (some - 0.2)  # over c
+    assert squares[0] / squares[1] == pytest.approx(np.exp(0.3 * rate * 0.2), rel=0.12)
 
 
 @pytest.mark.parametrize("f_of", [lambda k: 100.0, lambda k: 0.05 * k, lambda k: 5.0 * (k > 0)])

@@ -531,6 +531,16 @@ def test_limits_that_void_the_proof_for_too_long_end_a_run(plant, controller, st
     assert np.isfinite(found.stop_distance)
 
 
+def test_limits_may_void_the_proof_for_as_long_at_any_period(by_velocities):
+    plant, law = by_velocities
+    schedule = 5 * VOID[:1] + (LimitStatus.FREE,) + 200 * VOID[:1]
+    driver, tolerances = driver_of(plant, dt=8e-3), tolerating(timeout=0.04)
+    found = run(driver, Limiting(law, schedule), tolerances=tolerances)
+    assert found.fault is Fault.LIMITS
+    voids = found.limit_status[: round(0.15 / 8e-3)] == VOID[0]
+    assert found.t[-1] == pytest.approx(found.t[voids.argmax()] + 12 * 8e-3 + 0.04, abs=0.02)
+
+
 def test_limits_that_keep_the_proof_or_void_it_for_a_while_are_no_fault(plant, controller):
     schedule = [each for each in LimitStatus if each not in VOID for _ in range(30)]
     for status in VOID:
@@ -845,6 +855,22 @@ def test_the_record_of_commanded_velocities_has_no_torques(by_velocities, tmp_pa
     assert plots["command"] == "q̇ [rad/s]"
     assert "torque" not in plots
     assert_array_equal(RunFrames(found.scene).columns(found)["command"], found.command)
+
+
+def test_a_stop_takes_as_long_at_any_period(by_velocities):
+    """0.3 s, in which the target comes to rest, whatever a period is."""
+    plant, law = by_velocities
+    found = run(driver_of(plant, dt=8e-3), law, 0.4)
+    assert found.ended == "its time was over: brought to rest"
+    assert 0.7 < found.t[-1] < 0.75
+
+
+def test_an_x_is_lost_for_too_long_by_the_time_that_it_is(by_velocities):
+    plant, law = by_velocities
+    tolerances = tolerating(timeout=0.3, max_blind_motion=0.5)
+    found = run(driver_of(plant, losing(60), dt=8e-3), law, 2.0, tolerances=tolerances)
+    assert found.fault is Fault.BLIND
+    assert "(for 0.304 s, at most 0.3 s)" in found.ended
 
 
 @pytest.mark.study

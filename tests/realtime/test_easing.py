@@ -42,6 +42,17 @@ def test_it_is_no_faster_than_it_may_be(offset):
     assert max(speeds) <= 0.2 + 1e-12
 
 
+@pytest.mark.parametrize("times", [0.1, 0.5, 2.0, 5.0])
+def test_it_slows_down_as_gently_from_any_velocity(times):
+    """By five times its speed in a second at most, and by nearly as much from a fast one."""
+    x = np.array([0.5, 0.0, 0.5])
+    eased = BlendedTarget(TASK, x, 0.0, x, times * SPEED * [1.0, -1.0, 0.5], SPEED)
+    each = [eased.at(t).a for t in np.linspace(0.0, 0.999 * eased.duration, 200)]
+    most = np.max(np.abs(each)) / 0.2
+    assert most < 5.0
+    assert most > (4.8 if times > 0.25 else 0.0)
+
+
 def test_poses_turn_on_the_shortest_way():
     task = aj.PoseTask(PANDA)
     q = PANDA.neutral() + [0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7]

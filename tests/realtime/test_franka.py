@@ -172,6 +172,18 @@ def test_velocities_keep_acceleration_jerk_and_the_speeds_near_joint_ends(client
     assert (np.abs(client.sent) < 0.25).all()
 
 
+def test_a_velocity_that_the_robot_can_reach_is_sent_as_it_is(client):
+    """At any acceleration before: by 1 rad/s² more or less than that."""
+    driver = FrankaDriver("robot", seen, command="velocity")
+    for before in (-3.0, 0.0, 3.0):
+        for change in (-0.9, 0.0, 0.9):
+            client.sent, client.acceleration = np.full(7, 0.1), np.full(7, before)
+            wanted = np.full(7, 0.1 + 1e-3 * (before + change))
+            driver.read()
+            driver.send(wanted)
+            np.testing.assert_allclose(client.sent, wanted, atol=1e-12)
+
+
 def test_velocities_lead_no_joint_to_either_end(client, rng):
     """Whatever is wished for; and towards an end no faster than the robot can brake."""
     driver = FrankaDriver("robot", seen, command="velocity")

@@ -160,6 +160,25 @@ def test_speed_that_grows_and_grows_is_found():
     assert 1e-3 / 0.06 * math.exp(t / 0.06) < 0.6 * PANDA.velocity_limits.max()
 
 
+@pytest.mark.parametrize("dt", [4e-3, 8e-3])
+@pytest.mark.parametrize(("times", "fault"), [(4, None), (5, Fault.SPEED_GREW)])
+def test_speed_that_grows_five_times_is_found_at_any_period(dt, times, fault):
+    """By half in 32 ms each, which a whole number of periods is."""
+    window = 0.032
+    watch, q, found = FaultWatch(PANDA, dt, ACCURATE, PANDA.velocity_limits, 0.02, False), START, []
+    before = 0.0 * START
+    for k in range(round((12 + times) * window / dt)):
+        grows = np.clip(k * dt / window - 8.0, 0.0, times)
+        v = 0.05 * PANDA.velocity_limits * 1.5**grows * np.array([1, -1, 1, -1, 1, -1, 1])
+        v = v * min(k / 4.0, 1.0)
+        q, before = q + 0.5 * dt * (v + before), v
+        found.append(watch.look(aj.Measurement(k * dt, q, v, np.zeros(3)), 10.0 + k * dt))
+        watch.commanded(np.zeros(7), None)
+    assert set(found) == {None, fault}
+    if fault is not None:
+        assert dt * found.index(fault) == pytest.approx(13.0 * window, abs=dt)
+
+
 @given(
     size=st.floats(0.0, 0.5), rate=st.floats(0.1, 3.0), noise=st.floats(0.0, 1.0),
     missed=st.integers(0, 3), quantum=st.sampled_from([0.0, 1e-5]),
@@ -267,6 +286,21 @@ def test_no_tool_within_its_bound_raises_an_alarm_whatever_else_is_known(kind, t
         away = axes @ link.placement(q)[0] @ tool
         x[: min(3, belief.m)] += away[[0, 2]] if kind == "plane" else away
         assert watch.look(aj.Measurement(k * DT, q, v, x, k * DT), x) is None
+
+
+@pytest.mark.parametrize(("share", "found"), [(0.98, False), (1.05, True)])
+def test_a_tool_that_turns_across_its_axis_may_be_as_far_off_as_is_told(share, found):
+    """Then it moves by 2 sin(φ/2) times its length, and nothing is left of its bound."""
+    task = aj.PositionTask(PANDA)
+    link = FrameKinematics(PANDA, PANDA.tip)
+    accuracy = Accuracy(x=1e-9, x_period=0.02, tool=0.25, jacobian=1e-9)
+    watch, faults = SensorWatch(task, DT, accuracy, np.full(3, 0.01), False), set()
+    turns = np.eye(7)[6]  # about the axis of the flange, z of the tip
+    for k in range(300):
+        q, v = START + 2.0 * k * DT * turns, 2.0 * turns
+        x = task.value(q) + link.placement(q)[0] @ [share * 0.25, 0.0, 0.0]
+        faults.add(watch.look(aj.Measurement(k * DT, q, v, x, k * DT), x))
+    assert (faults == {None}) != found
 
 
 def test_a_sensor_that_is_learnt_may_be_turned():
@@ -404,6 +438,26 @@ def test_coarse_encoders_and_noisy_tachometers_at_rest_are_no_fault():
         return m._replace(q=START, v=noise)
 
     assert watched(rests, seconds=2.0, accuracy=Accuracy(q=1e-4, v=0.01))[0] is None
+
+
+@pytest.mark.parametrize("dt", [DT, 8e-3])
+def test_noise_of_the_tachometer_is_no_fault_at_any_period(dt):
+    """It is as large in each period, so that its integral grows with that."""
+    rng, accuracy = np.random.default_rng(1), Accuracy(q=1e-6, v=0.01)
+    still = lambda m: m._replace(q=START, v=0.01 * rng.standard_normal(7))  # noqa: E731
+    assert watched(still, 1000 * dt, dt=dt, accuracy=accuracy)[0] is None
+
+
+@pytest.mark.parametrize("dt", [DT, 8e-3])
+def test_a_joint_that_brakes_until_it_stands_is_no_frozen_encoder(dt):
+    """With 20 rad/s² and q̇ of differences, at any period; then q of a good encoder is the same."""
+    watch = FaultWatch(PANDA, dt, Accuracy(q=1e-5, v=5e-3), PANDA.velocity_limits, 0.02, False)
+    left = dt * np.maximum(7.9 - np.arange(60), 0.0)[:, np.newaxis]  # s, until it stands
+    q = START - 10.0 * left**2 * np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    for k, v in enumerate(np.diff(q, axis=0) / dt):
+        m = aj.Measurement(k * dt, q[k + 1], v, np.zeros(3))
+        assert watch.look(m, 10.0 + k * dt) is None
+        watch.commanded(np.zeros(7), None)
 
 
 COARSE = 2.0 * math.pi / 2**12  # rad, of an encoder of 12 bits
@@ -673,6 +727,18 @@ def test_a_state_that_comes_late_is_told_from_a_clock_that_jumps(missed):
     told = [None, None] if missed < 0.02 else [Fault.TORQUE_LATE, Fault.CLOCK_JUMPED]
     assert [late[40], jumped[40]] == told
     assert not any(late[:40] + late[41:])
+
+
+@pytest.mark.parametrize("missed", [1, 3])
+def test_periods_without_q_do_not_make_what_comes_after_them_late(missed):
+    """However soon a state has to come after the one before."""
+    watch = FaultWatch(PANDA, DT, Accuracy(), PANDA.velocity_limits, 1.5 * DT, False)
+    for k in range(60):
+        q, v = motion(k * DT)
+        if 30 <= k < 30 + missed:
+            q = np.full(7, math.nan)
+        assert watch.look(aj.Measurement(k * DT, q, v, np.zeros(3)), 10.0 + k * DT) is None
+        watch.commanded(np.zeros(7), None)
 
 
 def test_a_jump_while_the_clock_stands_still_is_found():

@@ -1,5 +1,7 @@
 """Friction and payload from a recorded motion, by torques that are written down here."""
 
+import re
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -92,6 +94,21 @@ def test_it_is_what_a_law_begins_with(every):
     assert_allclose(law.known.coulomb, 1.0, rtol=0.1)
     assert (fit.friction_sd > 0.0).all()
     assert (fit.residual < 0.3).all()
+
+
+def test_of_an_arm_four_times_as_heavy_each_has_the_deviation_of_its_unit():
+    """With four times the torques; only shares of the load, and theirs, stay as they are."""
+    arm, q, tau, _ = recorded("z1", 0.5, share_of_effort("z1", 0.05), 10.0)
+    named = r'(<mass value|i[xyz][xyz])="([^"]*)"'
+    text = re.sub(named, lambda of: f'{of[1]}="{4.0 * float(of[2])!r}"', arm.urdf)
+    heavy = aj.Robot(text, tip=arm.tip)
+    assert heavy.mass == pytest.approx(4.0 * arm.mass)
+    fits = fit_dynamics(arm, q, tau, DT), fit_dynamics(heavy, q, 4.0 * tau, DT)
+    told, other = ([each.friction, each.friction_sd] for each in fits)
+    for k, (name, times) in enumerate({"viscous": 4.0, "coulomb": 4.0, "load": 1.0}.items()):
+        values = (np.asarray(getattr(each[0], name)) for each in (other, told))
+        assert_allclose(next(values), times * next(values), rtol=0.02, atol=1e-6)
+        assert_allclose(other[1][k], times * told[1][k], rtol=0.02)
 
 
 def test_joints_that_pause_tell_nothing_of_their_friction_meanwhile():

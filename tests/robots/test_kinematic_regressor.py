@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 
 import approxjac as aj
 from approxjac.robots import KinematicRegressor
+from approxjac.robots.kinematic_regressor import Unknowns
 from approxjac.tasks.frame_tasks import FrameKinematics, PointKinematics
 
 INERTIA = '<inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/>'
@@ -206,6 +207,19 @@ def test_a_learnt_arm_is_saved(panda, tmp_path, rng):
     again = aj.load_robot(path, tip=panda.tip)
     found = FrameKinematics(again, again.tip).position(q)
     assert_allclose(found, regressor.position(q, theta), atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["panda", "z1", "ur10"])
+def test_what_is_of_second_order_grows_with_the_square_of_the_reach(name, rng):
+    """tr P_angles(tr P_tool + L² tr P_angles)/3, by angles (rad) and a tool (m)."""
+    robot = aj.load_robot(name)
+    regressor = KinematicRegressor(robot, axes=True)
+    unknowns = Unknowns(regressor, ("tool", "axes"), {"tool": 0.1, "axes": 0.01, "encoders": 0.02})
+    reach, variances = robot.reach_bound(robot.tip)[1], rng.uniform(0.0, 1e-3, len(unknowns.u))
+    ends = [name.split(".")[0] == "tool" for name in unknowns.names]
+    tool = variances[ends].sum()
+    angles = variances.sum() - tool
+    assert_allclose(unknowns.bent(variances), angles * (tool + reach**2 * angles) / 3.0)
 
 
 def test_copies_have_scratch_memory_of_their_own(panda, rng):

@@ -1,12 +1,14 @@
 """Joints as they are, against closed forms and MuJoCo: rotors, elastic gears, dry friction."""
 
+import re
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac.codegen.lanes import Box, Lanes, LaneStart
-from approxjac.robots import Drives, Friction
+from approxjac.robots import Drives, Dynamics, Friction
 from approxjac.robots.drives import usual_inertia
 from approxjac.simulation import Computation, VelocityServo
 from approxjac.simulation.plant import rk4
@@ -466,3 +468,14 @@ def test_usual_joints_grow_with_the_motors(panda):
     without = aj.Robot(RAIL.replace('effort="100"', 'effort="0"'), tip="cart")
     assert np.isfinite(Drives.usual(without).rotor_inertia).all()
     assert (np.asarray(Drives.usual(without).rotor_inertia) > 0.0).all()
+
+
+def test_motors_without_a_limit_are_for_twice_the_load_or_a_share_of_the_largest(panda):
+    """The first joint carries nothing: its motor has 5 % of the largest."""
+    text = re.sub(r'effort="[0-9.]+"', 'effort="0"', panda.urdf)
+    robot = aj.Robot(text, tip=panda.tip)
+    assert np.isinf(robot.effort_limits).all()
+    inertia = np.asarray(Drives.usual(robot).rotor_inertia)
+    loads = np.max([np.abs(Dynamics(robot).g(q)) for q in robot.configurations(50)], axis=0)
+    assert_allclose(inertia[1:6], np.maximum(10e-3 * loads, 0.05 * inertia.max())[1:6])
+    assert_allclose(inertia[0], 0.05 * inertia.max())

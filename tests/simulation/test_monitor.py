@@ -262,6 +262,32 @@ def test_what_the_noise_of_x_may_do_is_no_oscillation(controller, share, named):
     assert swinging(controller, rate)  # without noise each is one
 
 
+@pytest.mark.parametrize(("size", "named"), [(0.05, False), (0.15, True)])
+@pytest.mark.parametrize("dt", [DT, 8e-3])
+def test_what_nobody_sees_is_an_oscillation_where_motors_shake(controller, size, named, dt):
+    """By a tenth of their largest torque on the average, whatever a period is."""
+    robot, omega = controller.task.robot, 2.0 * np.pi * 25.0
+    monitor, q = Monitor(controller), robot.neutral().copy()
+    state = controller.initial_state(Measurement(0.0, q, np.zeros(robot.nv), np.zeros(3)))
+    for k in range(round(3.0 / dt)):
+        v, torque = np.zeros(robot.nv), np.zeros(robot.nv)
+        v[3] = 0.018 * np.cos(omega * k * dt)
+        to_and_fro = (-1.0) ** (k // max(1, round(0.004 / dt)))
+        torque[3] = size * robot.effort_limits[3] * to_and_fro
+        q = q + dt * v
+        monitor.look(Measurement(k * dt, q, v, np.zeros(3)), torque, None, state)
+    kinds = [event.condition for event in monitor.events]
+    assert (Condition.OSCILLATES in kinds) == named
+
+
+@pytest.mark.parametrize("frequency", [4.0, 8.0, 12.0, 20.0, 60.0])
+def test_an_oscillation_began_when_the_joint_first_swung(controller, frequency):
+    omega = 2.0 * np.pi * frequency
+    (event,) = swinging(controller, lambda t: np.cos(omega * t) if t > 1.5 else 0.0)
+    assert event.begin == pytest.approx(1.5, abs=1.0 / frequency)
+    assert event.named > 1.5 + 2.0 / frequency
+
+
 def test_an_oscillation_that_stops_has_an_end(controller):
     omega = 2.0 * np.pi * 8.0
     (event,) = swinging(controller, lambda t: np.cos(omega * t) if t < 1.5 else 0.0)

@@ -8,12 +8,13 @@ import mujoco
 import numpy as np
 import pytest
 from arms import FEW
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac.controllers import RegressorGravity
 from approxjac.errors import MissingPackageError, UrdfError
-from approxjac.robots import Dynamics, GravityRegressor
+from approxjac.robots import Drives, Dynamics, GravityRegressor
+from approxjac.simulation.plant import semi_implicit_euler
 
 Q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 ARM = aj.load_robot("panda")
@@ -258,6 +259,23 @@ def test_joint_limits_hold_and_the_controller_recovers(target):
     assert (
         np.abs(pressed(unlimited, LAWS["law (6)"], target, 5.0).q[:500] - free.q[:500]).max() < 1e-6
     )
+
+
+@pytest.mark.parametrize("kind", [aj.Plant, aj.MujocoPlant])
+@pytest.mark.parametrize("end", [0, 1])
+def test_limits_are_those_of_links_and_motors_turn_on(kind, end):
+    """By the twist of the gear, τ/K, while a motor pushes its link against the limit."""
+    push = (2 * end - 1) * 30.0 * np.eye(7)[0]
+    plant = kind(ARM, friction=2.0, drives=Drives(0.2, 200.0, 0.3))
+    limit, q = ARM.position_limits[end][0], Q0.copy()
+    q[0] = limit - 0.01 * np.sign(push[0])
+    v, motors = np.zeros(7), plant.motors_at(q)
+    for _ in range(500):
+        command = plant.dynamics.g(q) + push
+        q, v, motors = plant.advance(q, v, command, 2e-3, semi_implicit_euler, motors)
+    assert_allclose(q[0], limit, atol=0.02)
+    assert_allclose(motors.twist[0], push[0] / 200.0, atol=0.005)
+    assert_allclose(v[0], 0.0, atol=1e-3)
 
 
 @pytest.mark.long

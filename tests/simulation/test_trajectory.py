@@ -12,9 +12,10 @@ from rehearsal import Around
 
 import approxjac as aj
 from approxjac.cameras import PlanarCamera
-from approxjac.controllers import DifferentiatedVelocity
+from approxjac.controllers import Controller, DifferentiatedVelocity
 from approxjac.errors import TrajectoryFileError
 from approxjac.robots import GravityRegressor
+from approxjac.simulation import Condition, VelocityServo
 from approxjac.tasks import CombinedTask, NonsingularTask
 from approxjac.tasks.analysis import features
 
@@ -157,6 +158,62 @@ def test_V_at_a_singular_pose_is_finite():
     )
     assert np.linalg.svd(task.jacobian(q), compute_uv=False)[-1] < 1e-6
     assert np.isfinite(run.V).all()
+
+
+def test_it_says_from_when_on_the_error_is_below_a_hundredth(panda):
+    """From the instant after the last above it on; and nothing if it ends above."""
+    _, _, run = reach(panda, setpoint)
+    sizes = np.array([1.0, 0.5, 0.02, 0.009, 0.011, 0.01, 0.005, 0.004, 0.003, 0.002, 0.001])
+    error = np.outer(sizes, [0.0, 3.0, 4.0])
+    assert len(run.t) == len(sizes)
+    text = str(dataclasses.replace(run, error=error))
+    assert "error 5 -> 0.005 m, below 1 % of the start from 0.025 s on" in text
+    text = str(dataclasses.replace(run, error=error[::-1]))
+    assert "error 0.005 -> 5 m" in text
+    assert "below" not in text
+
+
+class Swinging(Controller):
+    """A controller that leads the first joint, and lets it swing about that."""
+
+    command = "velocity"
+
+    def __init__(self, task, led, swing):
+        super().__init__(task)
+        self.led, self.swing = led, swing
+
+    def advance(self, state, measurement, target, dt):
+        velocity = np.zeros(self.task.robot.nv)
+        velocity[0] = self.led + self.swing * np.cos(10.0 * np.pi * measurement.t)
+        e = self.task.error(measurement.x, target.x)
+        J_hat = self.task.jacobian(measurement.q, measurement.x)
+        return state, aj.Evaluation(velocity, None, aj.Status.OK, e, J_hat)
+
+
+class Led:
+    """A target that is led by the first joint at a constant speed."""
+
+    def __init__(self, task, q, speed):
+        self.task, self.q, self.v = task, q, speed * np.eye(len(q))[0]
+
+    def at(self, t):
+        q = self.q + t * self.v
+        return aj.Target(self.task.value(q), self.task.jacobian(q) @ self.v)
+
+
+@pytest.mark.parametrize("every", [1e-3, 4e-3])
+def test_what_swings_while_it_is_led_is_an_event_however_often_it_is_recorded(two_link, every):
+    """By the speed of the target, which is the same from one recorded instant to the next."""
+    servo = VelocityServo(lag=2e-3, delay=0.0, period=1e-3)
+    task, q = aj.PositionTask(two_link, axes="xz"), np.array([-0.9, 1.2])
+    plant = aj.Plant(two_link, task, servo=servo, joint_limits=False)
+    for swing, named in ((0.3, True), (0.0, False)):
+        run = aj.simulate(
+            plant, Swinging(task, 0.15, swing), Led(task, q, 0.15), q, 2.0, dt=1e-3,
+            record_every=every,
+        )  # fmt: skip
+        conditions = {event.condition for event in run.events}
+        assert conditions == ({Condition.OSCILLATES} if named else set())
 
 
 def test_a_file_keeps_the_scene(panda, tmp_path):

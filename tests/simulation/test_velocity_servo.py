@@ -105,6 +105,19 @@ def test_a_command_is_taken_at_the_servos_period_and_held(panda, period, delay):
     assert_allclose(run.v, np.tile(expected, (7, 1)).T, atol=1e-6)
 
 
+@pytest.mark.parametrize("dt", [2e-3, 4e-3])
+def test_a_servo_ignores_commands_within_its_period_at_any_sampling_time(panda, dt):
+    lag, period, each = 0.01, 0.016, []
+    plant = aj.Plant(panda, servo=VelocityServo(lag, 0.0, period))
+    run, _ = driven(plant, lambda t: np.full(7, np.sin(20.0 * t)), duration=0.1, dt=dt)
+    v = 0.0
+    for k in range(len(run.t)):
+        each.append(v)
+        held = np.sin(20.0 * period * math.floor(k * dt / period + 1e-6))
+        v = held + (v - held) * math.exp(-dt / lag)
+    assert_allclose(run.v, np.tile(each, (7, 1)).T, atol=1e-5)
+
+
 @pytest.mark.parametrize("late", [(12, 0), (4, 8)])
 @pytest.mark.parametrize("dt", [1e-3, 4e-3])
 def test_the_delays_of_actuators_and_of_their_servo_add_up(panda, late, dt):

@@ -232,8 +232,7 @@ class Monitor:
                 visible = (of_x > _NOISY * np.sqrt(self._x_variance)).any()
             if visible or self._shakes[j] > _SHAKES * self._scale[j]:
                 figure = f"{amplitude:.2g} {unit} at {1.0 / period:.3g} Hz"
-                begin = max(t - 0.5 * period * _HALF_WAVES, 0.0)
-                self._note(name, Condition.OSCILLATES, begin, joint, figure)
+                self._note(name, Condition.OSCILLATES, swing.begin, joint, figure)
                 self._swinging[j] = True
 
     def _watch(self, x: Array) -> None:
@@ -640,6 +639,11 @@ class _Swing:
         """True if it swung long enough and kept `_KEEPS` of its first amplitude."""
         enough = self._count + 3 >= _HALF_WAVES and self.turned - self._begun >= _LASTS
         return enough and self.amplitude >= _KEEPS * self._first
+
+    @property
+    def begin(self) -> float:
+        """Time at which it began to swing [s], four half waves before it was seen to."""
+        return max(self._begun - 2.0 * self.period, 0.0)
 
     @property
     def amplitude(self) -> float:
