@@ -138,7 +138,7 @@ def test_the_joints_speeds_are_those_of_the_page():
 
 def test_forces_and_torques_are_learnt_as_the_page_says():
     """Where they need not be reduced: L_d = ½K_p; L_w = ¼B_c²/Mⱼⱼ, M of the last link constant."""
-    text = (DOCS / "control.md").read_text(encoding="utf-8")
+    text = (DOCS / "theory.md").read_text(encoding="utf-8")
     assert r"L_d=\frac12K_p" in text
     assert r"L_w=\frac14B_c^2/M_{jj}" in text
     task = planar()
