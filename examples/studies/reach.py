@@ -26,7 +26,7 @@ WANTED = {  # shares within 4 s, and within 10 s
     "free": (0.75, 0.97),
     "limits": (0.70, 0.90),
     "rigid": (0.75, 0.90),
-    "simulated": (0.75, 0.90),
+    "simulated": (0.75, 0.92),
 }
 
 
