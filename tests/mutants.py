@@ -78,7 +78,7 @@ MUTANTS = [
     ),
     (
         "a search beyond the ranges", "law/detour.py",
-        "return np.minimum(np.maximum(motion + way, self.low), self.high)", "return motion + way",
+        "return np.minimum(np.maximum(motion + way, low), high)", "return motion + way",
         DETOURS,
     ),
     # -- priors and covariances of a calibration

@@ -104,6 +104,7 @@ def test_the_arm_is_judged_with_its_covariance(files, tmp_path, capsys, monkeypa
 
 
 def test_without_matplotlib_there_is_no_page_but_all_else(files, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(aj, "view", aj.view)  # which is imported anew meanwhile
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     for name in [name for name in sys.modules if name.startswith("approxjac.view")]:
         monkeypatch.delitem(sys.modules, name)

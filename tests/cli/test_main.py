@@ -32,7 +32,7 @@ def help_of(capsys, *command, asked="--help"):
 
 
 def test_arguments_that_do_not_parse_give_exit_code_2():
-    process = run("paper", "--inertia", "ring")
+    process = run("paper", "--duration", "ring")
     assert process.returncode == 2
     assert "ring" in process.stderr + process.stdout
 

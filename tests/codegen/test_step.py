@@ -567,6 +567,20 @@ def test_an_x_without_its_time_is_held_as_in_python(panda, rng):
     assert statuses == ["OK", "MEASUREMENT_HELD"] * 2
 
 
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_state_that_no_step_returned_is_looked_at(panda, bad):
+    """Also where it is remembered for later only."""
+    law = aj.TrackingController(aj.PositionTask(panda)).guarded(None)
+    seen = aj.Plant(panda).measure(0.0, aj.Plant(panda).ready_configuration(), np.zeros(7))
+    seen, fast = seen._replace(t_x=0.0), compiled(law)
+    state = law.initial_state(seen)
+    for i in range(0, len(state), 97):
+        wrong = state.copy()
+        wrong[i] = bad
+        with pytest.raises(aj.errors.ApproxJacError):
+            fast.step(wrong, seen, seen.x, 1e-3)
+
+
 def test_what_cannot_be_traced_is_named(panda):
     class Clipped(Cubic):
         def s(self, e):

@@ -68,11 +68,56 @@ def test_compiled_it_is_the_same(target):
     assert_allclose(compiled, places, atol=1e-9)
 
 
-def detour(dt=1e-3):
+def detour(dt=1e-3, turns=0.0, end=2.0):
     """A detour of three joints that are the task."""
     ones = np.ones(3)
     spread = np.array([0.8, 0.6, 0.5])
-    return law.Detour(-2.0 * ones, 2.0 * ones, 0.0 * ones, spread, ones, ones, 0.05, dt)
+    return law.Detour(-end * ones, end * ones, turns * ones, spread, ones, ones, 0.05, dt)
+
+
+@pytest.mark.parametrize("before", [0.005, 0.03, 0.1])
+def test_a_target_that_changes_during_the_search_ends_it(before):
+    """What was found is of the target before: nothing moves."""
+    ways, goal, motion = detour(4e-3), np.array([0.5, -1.0, 0.2]), np.zeros(3)
+
+    def begins(change, stands):
+        memory = np.zeros(ways.size)
+        for k in range(400):
+            aim = goal - 1.0 if k * ways.dt >= change else goal
+            memory, h, *_ = ways.step(
+                memory, stands or k * ways.dt < change, motion, aim,
+                lambda place, aim=aim: (place - aim, np.eye(3)),
+            )  # fmt: skip
+            if h > 0.0:
+                return k * ways.dt
+        return np.inf
+
+    usual = begins(9.0, True)
+    assert 0.2 < usual < 0.6
+    assert begins(usual - before, False) == np.inf
+    assert begins(usual - before, True) > usual - before + 0.2
+
+
+def test_the_shortest_way_of_a_continuous_joint_is_over_its_seam():
+    ways, motion = detour(turns=1.0, end=np.pi), np.full(3, 3.0)
+    goal, memory, moved = np.full(3, -3.0), np.zeros(ways.size), np.zeros(3)
+    for k in range(1200):
+        memory, h, _, speed = ways.step(
+            memory, k < 500, motion, goal, lambda place: (np.sin(place - goal), np.eye(3))
+        )
+        moved = moved + ways.dt * h * speed
+    assert_allclose(moved, 2.0 * np.pi - 6.0, atol=0.02)
+
+
+def test_where_nothing_is_seen_is_no_way():
+    ways, goal, memory = detour(), np.array([0.5, -1.0, 0.2]), np.zeros(detour().size)
+    for _ in range(900):
+        memory, h, *_ = ways.step(
+            memory, True, np.zeros(3), goal,
+            lambda place: (np.where(place[0] > 0.1, np.nan, place - goal), np.eye(3)),
+        )  # fmt: skip
+        assert np.isfinite(memory).all()
+        assert h == 0.0
 
 
 @pytest.mark.parametrize("changes", [False, True])

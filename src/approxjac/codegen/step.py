@@ -46,7 +46,7 @@ def step_program(controller: Controller, *, may_lose: bool) -> Program:
     checked = ("q", "v", "target", "target_v", "target_a") + (() if predicts else ("x",))
     # a guard's memory is of numbers that are checked, or harmless
     numbers = [given[name] for name in checked if name in given] + [answer.torque]
-    # what is remembered for later was checked as it came, and is where it is used
+    # what is remembered for later was checked as it came
     changing = [
         pair
         for pair in zip(after[: controller.size], given["state"], strict=False)
@@ -196,6 +196,7 @@ class _MachineCode:
         statuses = {float(each): each for each in Status}
         float64, array, made = FLOAT64, np.ndarray, tuple.__new__
         own_dt, any_dt = controller.dt, controller.dt is None
+        size, came = controller.size, state_in  # came from the last step, whose numbers are known
 
         def put(rate: Array | None, where: Array) -> bool:
             """Copy ẋ_d or ẍ_d to its place; return True if it is a valid vector, or None."""
@@ -209,6 +210,7 @@ class _MachineCode:
 
         def answer(state: Array, measurement: Measurement, target: Target | Array) -> Any:
             """Return the output of a usual step, or None of another."""
+            nonlocal came
             try:
                 t, q, v, x, t_x = measurement
                 x_d, v_d, a_d = (target, None, None) if type(target) is array else target
@@ -225,6 +227,8 @@ class _MachineCode:
                     rates_in[:] = 0.0
                 elif not (takes_rates and put(v_d, v_d_in) and put(a_d, a_d_in)):
                     return None
+                if state is not came and not np.abs(state[:size]).max(initial=0.0) < HUGE:
+                    return None  # as Python judges it
                 if predicts:
                     law.kinematics.check(state[learnt_at], measurement, own_dt)
                 if asks_t:
@@ -243,6 +247,7 @@ class _MachineCode:
                 status, limit, slack, usual = outputs[verdict_at].tolist()
                 if not usual:
                     return None
+                came = outputs[after_at]
                 return outputs, made(Evaluation, (
                     outputs[torque_at], outputs[rate_at] if has_rate else None, statuses[status],
                     outputs[e_at], outputs[J_at].reshape(J_shape) if has_J else None,
@@ -264,7 +269,7 @@ class _MachineCode:
                 outputs = answer(state, measurement, target)
             if outputs is None:
                 return ordinary_step(state, measurement, target, dt)
-            return outputs[0][after_at], outputs[1]
+            return came, outputs[1]
 
         return evaluate, step, asks_t_x
 

@@ -93,7 +93,8 @@ class TrackingGains:
             speeds of 0.5 rad/s.
         detours: Leave dead ends, where the arm stands at stops or a singular Ĵ before a target at
             rest, by a motion of the joints to another configuration that reaches it (`law.Detour`).
-            For torques, and errors that are x - x_d. What is in the way is not known.
+            For torques, and errors that are x - x_d; at stops for arms with more joints than task
+            coordinates. What is in the way is not known.
     """
 
     alpha: float | None = None

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from approxjac.law.branches import array, choose, complement, select
+from approxjac.law.branches import array, choose, complement, is_finite, select
 from approxjac.law.pseudoinverse import is_near_singular
 from approxjac.law.tracking import saturated
 from approxjac.validation import Array
@@ -23,15 +23,17 @@ _DAMPING, _LEAST = 1e-4, 1e-12  # λ² over tr ĴĴᵀ, and at least
 _LONGEST = 0.7  # step of a search [rad or m]
 _RAMP = 0.3  # of h [s]
 _NONE = 1e9  # time of a motion that was not found [s]
+_ENDLESS = 1e6  # range of a continuous joint [rad]
 
 
 class Detour(NamedTuple):
     """A motion of the joints to where the target is reached, taken where an arm stands before it.
 
-    At a dead end, by stops or a singular Ĵ, it stands although another configuration reaches its
-    target. After 0.2 s of that, Gauss–Newton steps, one a period, from evenly spread starts look
-    for configurations within the joints' ranges in which the predicted error vanishes and Ĵ is
-    regular. To the one that is soonest reached, of eight starts or more, leads
+    At a dead end, by stops (of an arm with self-motion) or a singular Ĵ, it stands although another
+    configuration reaches its target. After 0.2 s of that, Gauss–Newton steps, one a period, from
+    evenly spread starts look for configurations within the joints' ranges in which the predicted
+    error vanishes and Ĵ is regular. To the one that is soonest reached, of eight starts or more,
+    leads
 
         q̇_r = h w/T + (1 − h) q̇_t,
 
@@ -81,20 +83,22 @@ class Detour(NamedTuple):
         # less if it moves on, as it may rattle at a stop
         stood = select(stands & same & is_free, stood + dt, stood - dt)
         stood = np.minimum(np.maximum(stood, none), none + 2.0 * _STANDS)
+        stood = select(same, stood, none)  # what was found is of the target before
 
         def search() -> tuple[Any, ...]:
             z, J = look(ghost)
-            far, there = self.per_speed * z, ghost - motion
-            there = there - self.turns * (2.0 * np.pi * np.rint(there / (2.0 * np.pi)))
+            is_known = is_finite(np.concatenate([z, J.ravel()]))  # as where a camera sees nothing
+            z, J = np.where(is_known, z, 0.0), np.where(is_known, J, 0.0)
+            far, there = self.per_speed * z, self._shortest(ghost - motion)
             lasts, G = (np.abs(there) / self.fastest).max() + _RAMP, J.dot(J.T)
-            is_near = far.dot(far) < _NEAR**2
+            is_near = is_known & (far.dot(far) < _NEAR**2)
             better = is_near & (lasts < best) & complement(is_near_singular(G, self.ratio))
-            ends = is_near | (passes >= _PASSES)
+            ends = is_near | complement(is_known) | (passes >= _PASSES)
             after = seed + self.spread
             after = np.where(after >= 1.0, after - 1.0, after)
-            begins = self.low + (self.high - self.low) * after
+            away = self._shortest(self.low + (self.high - self.low) * after - motion)
             nearby = _REACH * self.fastest
-            begins = np.minimum(np.maximum(begins, motion - nearby), motion + nearby)
+            begins = motion + np.minimum(np.maximum(away, -nearby), nearby)
             return (
                 select(ends, tries + 1.0, tries),
                 select(ends, none, passes + 1.0),
@@ -120,6 +124,10 @@ class Detour(NamedTuple):
         per = 1.0 / select(time > 0.0, time, none + 1.0)
         return np.concatenate(after), h, h_dot, per * way
 
+    def _shortest(self, way: Array) -> Array:
+        """Return a way that is at most half a turn for each continuous joint."""
+        return way - self.turns * (2.0 * np.pi * np.rint(way / (2.0 * np.pi)))
+
     def _nearer(self, motion: Array, z: Array, J: Array) -> Array:
         """Return a motion a step nearer to z = 0, within the ranges; fast joints do more of it."""
         J = J * (share := self.fastest / self.fastest.max())
@@ -128,9 +136,10 @@ class Detour(NamedTuple):
         def step(J: Array) -> Array:
             return -share * np.linalg.solve(J.dot(J.T) + damping, z).dot(J)
 
-        way = step(J)
-        barred = ((motion <= self.low) & (way < 0.0)) | ((motion >= self.high) & (way > 0.0))
+        way, endless = step(J), _ENDLESS * self.turns
+        low, high = self.low - endless, self.high + endless
+        barred = ((motion <= low) & (way < 0.0)) | ((motion >= high) & (way > 0.0))
         way = step(np.where(barred, 0.0, J))
         longest = np.abs(way).max()
         way = way * (_LONGEST / select(longest > _LONGEST, longest, 0.0 * longest + _LONGEST))
-        return np.minimum(np.maximum(motion + way, self.low), self.high)
+        return np.minimum(np.maximum(motion + way, low), high)
