@@ -64,7 +64,7 @@ def _rare(
 
 def table(name: str, numbers: list[str], is_constant: bool) -> list[str]:
     """Return the lines of an array that holds some numbers."""
-    rows = textwrap.wrap(", ".join(each.strip("()") for each in numbers), 88)
+    rows = textwrap.wrap(", ".join(each.strip("()") for each in numbers), 92)
     first = f"    {'static ' if is_constant else ''}const double {name}[] = {{"
     return [first, *(f"        {row}" for row in rows), "    };"]
 
