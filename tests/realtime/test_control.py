@@ -699,7 +699,7 @@ def test_a_page_of_a_robot_speaks_of_beliefs_not_of_truth(plant, controller, tmp
     again = aj.Trajectory.load(found.save(tmp_path / "run.npz"))
     for one in (found, again):
         words = [entry[-1] for entry in _legend(one.scene, "believed tip", image=False)]
-        assert "the arm as believed" in words
+        assert "believed arm" in words
         assert "tip by the belief and its path" in words
         assert not {"true arm", "true tip and its path"} & set(words)
     known = dataclasses.replace(found.scene, knows_truth=True)

@@ -103,7 +103,7 @@ class AdaptiveKinematics(Estimator):
     def __init__(
         self,
         task: Task | Robot,
-        unknown: Sequence[str] = ("tool", "origins", "axes", "camera"),
+        unknown: Sequence[str] = ("tool", "origins", "camera"),
         sd: Mapping[str, float] | None = None,
         noise: float | None = None,
         delay: float = 0.0,
