@@ -166,6 +166,7 @@ class _MachineCode:
         program = step_program(controller, may_lose=predicts)
         buffer = np.zeros((1, program.n_rows, 1))
         flat = buffer[0, :, 0]
+        cells, inf = memoryview(flat), math.inf
         run = LlvmLanes(program, width=1).bound(buffer, np.zeros((1, 1, 1)))
         place = {name: slice(at, at + size) for name, (at, size) in program.rows.items()}
         takes_rates = "target_v" in place
@@ -232,13 +233,13 @@ class _MachineCode:
                 if predicts:
                     law.kinematics.check(state[learnt_at], measurement, own_dt)
                 if asks_t:
-                    flat[t_at] = t
+                    cells[t_at] = t
                 if asks_t_x:
-                    if not (type(t_x) is float and -math.inf < t_x < math.inf):
+                    if not (type(t_x) is float and -inf < t_x < inf):
                         t_x = time_of_x(t_x)
                         if t_x is None and not knows_nan:
                             return None
-                    flat[t_x_at] = t_x
+                    cells[t_x_at] = t_x
                 q_in[:], v_in[:], x_in[:], target_in[:] = q, v, x, x_d
                 if has_state:
                     state_in[:] = state
@@ -265,7 +266,7 @@ class _MachineCode:
         def step(state: Array, measurement: Measurement, target: Target | Array, dt: float) -> Any:
             outputs = None
             if isinstance(dt, float) and 0.0 < dt <= 1.0 and (any_dt or dt == own_dt):
-                flat[dt_at] = dt
+                cells[dt_at] = dt
                 outputs = answer(state, measurement, target)
             if outputs is None:
                 return ordinary_step(state, measurement, target, dt)

@@ -60,9 +60,8 @@ class LlvmLanes:
         if _WIDE in features:  # or LLVM takes two halves of each vector
             features += ",-prefer-256-bit"
         self._code = MachineCode.of(_source(program, self.width), features, effort)
-        pointer, number = ctypes.c_void_p, ctypes.c_int64
-        kind = ctypes.CFUNCTYPE(None, *[pointer] * 4, *[number] * 3)
-        self._run = kind(self._code.address)
+        # one argument, the address of all: ctypes takes long for each
+        self._run = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(self._code.address)
 
     def run(self, kept: Array, parameters: Array, block: Block | None = None) -> None:
         """Carry out steps, in place, without the interpreter's lock.
@@ -75,14 +74,16 @@ class LlvmLanes:
         first, times, draws = block or Block.plain()
         if len(kept):
             arrays = (each.ctypes.data for each in (kept, parameters, times, draws))
-            self._run(*arrays, len(kept), first, first + len(times))
+            given = np.array([*arrays, len(kept), first, first + len(times)])
+            self._run(given.ctypes.data)
 
     def bound(self, kept: Array, parameters: Array) -> Callable[[], None]:
         """Return a function that takes one step of these arrays, in place."""
-        run, arguments = self._run, (kept.ctypes.data, parameters.ctypes.data, 0, 0, 1, 0, 1)
+        given = np.array([kept.ctypes.data, parameters.ctypes.data, 0, 0, 1, 0, 1])
+        run, at = self._run, given.ctypes.data
 
-        def step(_: object = (self, kept, parameters)) -> None:  # which have to stay
-            run(*arguments)
+        def step(_: object = (self, kept, parameters, given)) -> None:  # which have to stay
+            run(at)
 
         return step
 
