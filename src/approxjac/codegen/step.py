@@ -239,7 +239,7 @@ class _MachineCode:
                         t_x = time_of_x(t_x)
                         if t_x is None and not knows_nan:
                             return None
-                    cells[t_x_at] = t_x
+                    flat[t_x_at] = t_x
                 q_in[:], v_in[:], x_in[:], target_in[:] = q, v, x, x_d
                 if has_state:
                     state_in[:] = state
