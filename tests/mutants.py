@@ -304,6 +304,16 @@ MUTANTS = [
         "tests/controllers/test_prediction.py",
     ),
     (
+        "geared joints may be as good as without inertia", "controllers/limits/torque_limited.py",
+        "_LIGHTEST, _GEARED = 1e-3, 0.3", "_LIGHTEST, _GEARED = 1e-3, 1e-3",
+        "tests/controllers/test_torque_limits_in_runs.py",
+    ),
+    (
+        "joints no lighter than with rotors", "controllers/limits/torque_limited.py",
+        "_GEARED, mobility / geared", "_GEARED, 1.0",
+        "tests/controllers/test_torque_limits_in_runs.py",
+    ),
+    (
         "learning rests where the proof is kept", "controllers/limits/torque_limited.py",
         "_GOES_ON = _FREE, _KEPT, _EXCEEDED", "_GOES_ON = _FREE, _EXCEEDED", PERIODS,
     ),
@@ -1330,7 +1340,7 @@ MUTANTS = [
     ),
     (
         "payload that the limiter does not see", "controllers/limits/torque_limited.py",
-        "rho = np.minimum(np.maximum(rho, _LIGHTEST), 1.0)", "rho = 0.0 * rho + 1.0",
+        "rho = np.minimum(np.maximum(rho, self._least), self._largest)", "rho = 0.0 * rho + 1.0",
         "tests/controllers/test_prediction.py",
     ),
     (

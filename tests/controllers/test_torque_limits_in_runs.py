@@ -9,6 +9,7 @@ from arms import among, light_wristed
 import approxjac as aj
 from approxjac.controllers import RegressorGravity
 from approxjac.robots import Dynamics, GravityRegressor
+from approxjac.scenario import build_scenario, recommended, run_scenario
 from approxjac.scenario.starts import regular_configuration
 
 DT = 1e-3
@@ -261,3 +262,30 @@ def test_speeds_stay_within_their_limits_with_a_payload_that_nobody_told_of(
     speed = (np.abs(run.v) / truth.velocity_limits).max(axis=1)
     assert speed[run.t > 0.02].max() <= 1.05
     assert speed.max() <= 1.4  # before a torque has shown the payload
+
+
+def test_speeds_stay_within_their_limits_where_gears_give_way():
+    """Its gears once swung against the limiter to 1.19 times the limit."""
+    given = aj.Scenario(
+        "kinova",
+        controller={"limits": "urdf"},
+        true={"object": {"length": 0.2, "mass": 0.5}, "drives": "usual"},
+        run={"start": "random", "duration": 0.6, "seed": 902},
+    )
+    built = build_scenario(recommended(given))
+    speed = np.abs(run_scenario(built).run.v) / built.plant.robot.velocity_limits
+    assert 0.9 < speed.max() <= 1.05
+
+
+def test_speeds_stay_within_their_limits_where_there_are_no_gears():
+    """With a lag told, rotors are taken for granted that these light joints have not."""
+    belief, truth = (aj.load_robot("xarm7").with_object(*tool) for tool in ((0.0,), (0.2, 0.5)))
+    sensing = aj.Sensing(x_noise=5e-4, x_rate=60.0, x_delay=0.03, velocity_filter=4e-3)
+    late = aj.Latency(image_period=1 / 60, image_age=0.03, velocity_filter=4e-3)
+    slow = replace(aj.Limits.of(belief), velocity=0.4 * belief.velocity_limits)
+    law = aj.TrackingController(aj.PositionTask(belief), latency=late)
+    plant = aj.Plant(truth, sensing=sensing, torque_limits=belief.effort_limits)
+    q0 = plant.ready_configuration()
+    goal = q0 + np.random.default_rng(5).uniform(-0.8, 0.8, truth.nv)
+    run = aj.simulate(plant, aj.TorqueLimited(law, slow), plant.sensor.value(goal), q0, 1.0)
+    assert 0.5 < (np.abs(run.v) / slow.velocity).max() <= 1.05

@@ -78,7 +78,8 @@ class Controller(ABC):
         diagonals: Gains of its task and joints, if any.
         gain_values: Gains by name.
         resting: Number of leading state entries that pause when limits give up the proof.
-        is_elastic: True if it takes joints for elastic, whose motors no limit may damp hard.
+        rotors: Least rotor inertias, (n_v,) [kg m² or kg], if it takes joints for elastic: then no
+            limit may damp motors hard. None is for joints that move as the believed robot's.
         needs_solver: True if its limits may need a solver, which takes time.
         guard: Bounds of good samples; None is without, see `guarded`.
     """
@@ -97,7 +98,7 @@ class Controller(ABC):
     diagonals: Diagonals | None = None
     gain_values: Mapping[str, Any] = MappingProxyType({})
     resting: int = 0
-    is_elastic: bool = False
+    rotors: Array | None = None
     needs_solver: bool = False
     guard: Guard | None = USUAL
     _carried = ("guard",)

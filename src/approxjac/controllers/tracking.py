@@ -242,10 +242,11 @@ class TrackingController(Immutable, Controller):
             _shares(task, limits),
         )  # fmt: skip
         self._continuous = robot.nq != robot.nv
-        self.is_elastic = command == "torque" and bool(np.isfinite(self._most).any())
+        if command == "torque" and np.isfinite(self._most).any():
+            self.rotors = first.rotors
         self._still = np.zeros(task.measured.m)
         self._eased: law.EasedTarget | None = None
-        if self.is_elastic and task.measured is task and task.subtracts:
+        if self.rotors is not None and task.measured is task and task.subtracts:
             self._eased = law.EasedTarget(_EASE, 1.0 / self.speed, dt)
         self._led = self._last + (0 if self._eased is None else 2 * task.measured.m + 1)
         self._slow: law.SlowFeedback | None = None
@@ -399,7 +400,7 @@ class TrackingController(Immutable, Controller):
         after[:p] = a_hat
         sigma = v - v_r
         damped = self.kappa * (self.dynamics.momentum(q, sigma) + used.added * sigma)
-        if self.is_elastic:
+        if self.rotors is not None:
             A = self.kappa * (self.dynamics.inertia(q) + np.diag(used.added))
             most = np.minimum(used.most, _RIGID)
             damped = law.bounded_damping(A, damped, most)
@@ -522,7 +523,7 @@ class TrackingController(Immutable, Controller):
         most = ", ".join(f"{each:.3g}" for each in self._most)
         late = "no lag" if self.latency is None else f"a lag of {self.latency.of_velocity:.2g} s"
         joints = f"rigid joints and {late} taken for granted"
-        if self.is_elastic:
+        if self.rotors is not None:
             raised = "" if self._raised is None else "; initial; raised until a joint oscillates"
             joints = f"damping at most {most} N m s/rad, for motors behind elastic gears{raised}"
         first += f"; {joints}" if self.command == "torque" else ""

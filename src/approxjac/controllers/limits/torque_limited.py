@@ -31,7 +31,7 @@ _EXCEEDED = LimitStatus.EXCEEDED
 _GOES_ON = _FREE, _KEPT, _EXCEEDED  # V̇ ≤ −W holds
 _LEARNS = Status.OK, Status.NEAR_SINGULAR  # of the law, where there is something to learn from
 _UNKNOWN, _KNOWN = 0.1, 0.3  # times the rate of samples, or of the lag: how fast damping may be
-_ELASTIC = 20.0  # [1/s], at most where joints may be elastic: 40 made a Kinova's gears swing
+_ELASTIC = 20.0  # [1/s], at most where joints may be elastic
 _BEYOND = 1e-3  # a limit of speed (as a share) or position [rad or m], which has a status
 _AT_LIMIT = 0.02  # a joint this near to its position limit counts as at it [rad or m]
 _NEARLY = 0.98  # of a limit of torque or speed
@@ -44,7 +44,7 @@ _NEVER = 1e20  # [s], a time that is never measured
 _FORGETS = 0.3  # of the rate of damping
 _CALM = 0.03  # share of the acceleration from full speed to rest at that rate: no change of f
 _BOLD = 0.1  # least ρ² where f changes by that much
-_LIGHTEST = 1e-3  # ρ of what is as good as without inertia
+_LIGHTEST, _GEARED = 1e-3, 0.3  # least ρ: of what is as good as without inertia; with rotors
 
 
 class AccelerationObserver:
@@ -58,7 +58,9 @@ class AccelerationObserver:
     ρ ≤ 1, one number a joint, is the share of a change of f by which q̈ changes: 0.01 of a light
     wrist with a payload that the belief lacks. It is the least square of q̈ − ψ − ρ(f − φ) in the
     last periods, and 1 where f hardly changes. What is taken for light by mistake is found out by
-    the first torque that is too large for it.
+    the first torque that is too large for it. Behind gears q̈ swings by what no torque explains,
+    which looks like a small ρ; but their rotors, which are in f then, leave no joint light, and ρ is
+    more than 1 only of a joint that lacks them.
 
     ψ − ρφ is at most what half of all motors' efforts can cause, more than payloads and friction
     do, so that a bad q̇ is soon forgotten.
@@ -73,7 +75,15 @@ class AccelerationObserver:
     def __init__(self, controller: Controller, dt: float, rate: float, fastest: Array) -> None:
         robot = controller.task.robot
         self.dynamics, self.has_weight = controller.believed_dynamics()
-        self._n = robot.nv
+        self._n, self._rotors = robot.nv, None
+        self._least, self._largest = _LIGHTEST, 1.0
+        if controller.rotors is not None:
+            self._rotors, inertias = np.diag(controller.rotors), usual_inertias(robot)
+            mobility, geared = (
+                np.linalg.inv(M).diagonal(axis1=1, axis2=2).max(axis=0)
+                for M in (inertias, inertias + self._rotors)
+            )
+            self._least, self._largest = _GEARED, mobility / geared
         self._dt, self._per_period, self._share = dt, np.array(1.0 / dt), np.array(rate * dt)
         self._forgets = np.array(_FORGETS * rate * dt)
         known = controller.latency
@@ -111,13 +121,23 @@ class AccelerationObserver:
         of_f, both = sums[0] + self._calm, sums[1] + self._calm
         # torques grow from period to period while it is sought, but not at once
         rho = np.maximum(both / of_f, np.sqrt(_BOLD * self._calm / of_f))
-        rho = np.minimum(np.maximum(rho, _LIGHTEST), 1.0)
+        rho = np.minimum(np.maximum(rho, self._least), self._largest)
         return rho, np.minimum(np.maximum(once[1] - rho * once[0], -self._most), self._most)
 
     def forward(self, measurement: Measurement, gravity: Array, torque: Array) -> Array:
         """Return f for a torque, (n_v,) [rad/s² or m/s²]; `gravity` is the compensated one."""
         _, q, v, _, _ = measurement
-        return self.dynamics.forward(q, v, torque if self.has_weight else torque - gravity)
+        torque = torque if self.has_weight else torque - gravity
+        if self._rotors is None:
+            return self.dynamics.forward(q, v, torque)
+        bias = self.dynamics.inverse(q, v, 0.0 * v)
+        return np.asanyarray(np.linalg.solve(self.dynamics.M(q) + self._rotors, torque - bias))
+
+    def M_inv(self, q: Array) -> Array:
+        """Return the inverse of the inertia matrix, with rotors; shape (n_v, n_v)."""
+        if self._rotors is None:
+            return self.dynamics.M_inv(q)
+        return np.asanyarray(np.linalg.solve(self.dynamics.M(q) + self._rotors, np.eye(self._n)))
 
     def expecting(self, measurement: Measurement, f: Array, memory: Array) -> Array:
         """Return the memory after sending a torque with this f."""
@@ -234,7 +254,7 @@ class TorqueLimited(ControllerWrapper):
         inertias = usual_inertias(robot)
         if braking is None and (latency := controller.latency) is not None:
             braking = _KNOWN / (latency.of_velocity - latency.period + self._dt)
-            braking = min(braking, _ELASTIC) if controller.is_elastic else braking
+            braking = braking if controller.rotors is None else min(braking, _ELASTIC)
         elif braking is None:
             # the loop stands the law's own damping, too; a limit of the rate makes it act late
             damped = 0.0 if self._has_rate else controller.damping_rate(inertias)
@@ -353,7 +373,7 @@ class TorqueLimited(ControllerWrapper):
         It runs on symbols, too. `gravity` is the gravity torque in the law's answer, shape (n_v,).
         """
         forward = partial(self._prediction.forward, measurement, gravity)
-        M_inv = partial(self._prediction.dynamics.M_inv, measurement.q)
+        M_inv = partial(self._prediction.M_inv, measurement.q)
         output = partial(self._passive_output, answer, measurement.v) if self.proof else None
 
         def brakes(M_inv: Array, bounds: law.TorqueRows) -> Array:
