@@ -166,7 +166,7 @@ class _MachineCode:
         program = step_program(controller, may_lose=predicts)
         buffer = np.zeros((1, program.n_rows, 1))
         flat = buffer[0, :, 0]
-        cells: Any = memoryview(flat)  # where numbers are stored faster
+        cells: Any = flat.data  # where numbers are stored faster
         inf = math.inf
         run = LlvmLanes(program, width=1).bound(buffer, np.zeros((1, 1, 1)))
         place = {name: slice(at, at + size) for name, (at, size) in program.rows.items()}

@@ -59,8 +59,8 @@ class AccelerationObserver:
     wrist with a payload that the belief lacks. It is the least square of q̈ − ψ − ρ(f − φ) in the
     last periods, and 1 where f hardly changes. What is taken for light by mistake is found out by
     the first torque that is too large for it. Behind gears q̈ swings by what no torque explains,
-    which looks like a small ρ; but their rotors, which are in f then, leave no joint light, and ρ is
-    more than 1 only of a joint that lacks them.
+    which looks like a small ρ; but their rotors, which are in f then, leave no joint light. ρ is
+    above 1 only if a joint lacks them.
 
     ψ − ρφ is at most what half of all motors' efforts can cause, more than payloads and friction
     do, so that a bad q̇ is soon forgotten.
