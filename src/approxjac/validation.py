@@ -120,6 +120,11 @@ def as_number(
     return number
 
 
+def as_delay(name: str, value: Any) -> float:
+    """Return `value` as a time from 0 to 10 s: one in milliseconds is an error."""
+    return as_number(name, value, unit="s", minimum=0.0, most=10.0)
+
+
 def as_integer(name: str, value: Any, minimum: int) -> int:
     """Return `value` if it is an integer >= `minimum`."""
     if type(value) is not int or value < minimum:

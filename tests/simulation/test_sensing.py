@@ -228,7 +228,7 @@ def test_x_is_as_old_as_the_delay_in_whole_samples(delay, samples):
 
 
 def test_a_delay_longer_than_the_run_shows_the_start():
-    for delay in (0.5, 1e300):
+    for delay in (0.5, 10.0):
         run, _ = swing(aj.Sensing(x_delay=delay))
         assert np.array_equal(run.x_measured, np.repeat(run.x[:1], len(run.x), axis=0))
 
@@ -441,7 +441,7 @@ def wavy(t):
 
 
 @pytest.mark.parametrize(
-    ("delay", "samples"), [(0.0, 0), (1e-3, 1), (0.02, 20), (0.4e-3, 0), (0.6e-3, 1), (1e300, 100)]
+    ("delay", "samples"), [(0.0, 0), (1e-3, 1), (0.02, 20), (0.4e-3, 0), (0.6e-3, 1), (10.0, 100)]
 )
 def test_a_torque_takes_effect_after_the_delay(delay, samples):
     dt = 1e-3

@@ -25,6 +25,7 @@ from approxjac.tasks.analysis import sees
 from approxjac.validation import (
     Array,
     Immutable,
+    as_delay,
     as_diagonal,
     as_limits,
     as_number,
@@ -278,7 +279,7 @@ class Plant(Immutable):
         if servo is not None and self.transmission.moves:
             message = "drives must be None beside a servo, whose loop is around rigid joints"
             raise InvalidInputError(f"{message}, got {drives!r}", given=drives)
-        self.actuator_delay = as_number("actuator_delay", actuator_delay, unit="s", minimum=0.0)
+        self.actuator_delay = as_delay("actuator_delay", actuator_delay)
         self.adds_gravity = adds_gravity
         self._added = None if adds_gravity is None else _added(adds_gravity, robot, servo)
         if torque_limits is not None:

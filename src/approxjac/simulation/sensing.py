@@ -16,7 +16,7 @@ from approxjac.robots import Robot
 from approxjac.robots.traced import motion_between, moved
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import with_error
-from approxjac.validation import Array, as_diagonal, as_number
+from approxjac.validation import Array, as_delay, as_diagonal, as_number
 
 DRAWN = ("x_noise", "q_noise", "x_dropout")  # names of what is drawn while a run goes on
 
@@ -46,7 +46,7 @@ class Sensing:
         x_frozen: Intervals (start, end) [s] in which the last frame is repeated.
 
     Raises:
-        InvalidInputError: Negative or not finite, or a probability above 1.
+        InvalidInputError: Negative or not finite, delays above 10 s, or a probability above 1.
     """
 
     x_noise: float | Sequence[float] | Array = 0.0
@@ -64,10 +64,10 @@ class Sensing:
     def __post_init__(self) -> None:
         for name in ("x_noise", "x_quantum", "q_noise", "q_quantum"):
             as_diagonal(name, getattr(self, name), positive=False)
-        as_number("x_delay", self.x_delay, unit="s", minimum=0.0)
+        as_delay("x_delay", self.x_delay)
         as_number("x_dropout", self.x_dropout, minimum=0.0, most=1.0)
         if self.velocity_filter is not None:
-            as_number("velocity_filter", self.velocity_filter, unit="s", minimum=0.0)
+            as_delay("velocity_filter", self.velocity_filter)
         if self.x_rate is not None:
             as_number("x_rate", self.x_rate, unit="Hz", above=0.0)
         lost = _intervals("x_lost", self.x_lost, parts=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from approxjac.formatting import numbers, short_fields
-from approxjac.validation import Array, as_diagonal, as_number, is_scalar
+from approxjac.validation import Array, as_delay, as_diagonal, as_number, is_scalar
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -74,7 +74,7 @@ class Latency:
         image_age: Age of x when it arrives [s].
 
     Raises:
-        InvalidInputError: Negative or not finite, or no period.
+        InvalidInputError: Negative, longer than 10 s (as milliseconds are), or no period.
     """
 
     period: float = 1e-3
@@ -86,8 +86,8 @@ class Latency:
 
     def __post_init__(self) -> None:
         as_number("period", self.period, unit="s", above=0.0)
-        for name in ("torque_delay", "velocity_filter", "image_period", "image_age"):
-            as_number(name, getattr(self, name), unit="s", minimum=0.0)
+        for name in ("period", "torque_delay", "velocity_filter", "image_period", "image_age"):
+            as_delay(name, getattr(self, name))
 
     @property
     def of_velocity(self) -> float:
