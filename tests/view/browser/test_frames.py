@@ -102,6 +102,22 @@ def test_load_and_position_limits(scene, q):
     assert found["at_limit"][[0, 1, 2], [3, 3, 5]].tolist() == [1.0, 0.0, 1.0]
 
 
+def test_between_shown_instants_the_largest_torque_counts_once(scene, q):
+    """From the one after an instant that is shown up to the next that is, both ends included."""
+    tau, n, kept = np.zeros((9, 7)), 9, [0, 2, 5, 8]
+    tau[2, 0], tau[3, 1], tau[4, 1], tau[5, 2], tau[8, 3], tau[0, 4] = 3.0, 1.0, -2.0, 4.0, 6.0, 5.0
+    free = dataclasses.replace(scene, torque_limits=np.full(7, np.inf))
+    places = q[np.arange(n) % 4]
+    run = AtInstants(
+        q=places, x_measured=places[:, :3], x_d=places[:, :3], t=np.arange(9.0), tau=tau,
+        error=np.zeros((n, 3)), task_torque=np.zeros((n, 7)), V=np.zeros(n),
+        learnt=np.zeros((n, 0)), task_units=("m",) * 3, command_kind="torque",
+    )  # fmt: skip
+    wanted = np.zeros((4, 7))
+    wanted[0, 4], wanted[1, 0], wanted[2, 1], wanted[2, 2], wanted[3, 3] = 5.0, 3.0, -2.0, 4.0, 6.0
+    assert_array_equal(RunFrames(free).columns(run, kept)["torque"], wanted)
+
+
 def test_without_any_limit_torques_are_torques(scene, q):
     tau = np.ones((4, 7))
     unlimited = dataclasses.replace(scene, torque_limits=np.full(7, np.inf))
