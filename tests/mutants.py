@@ -1915,6 +1915,21 @@ MUTANTS = [
         "tests/controllers/test_adaptive_kinematics.py",
     ),
     (
+        "the noise of next places in m, not m²", "calibration/next_configurations.py",
+        "best @ CH + noise**2 * np.eye(3)", "best @ CH + noise * np.eye(3)",
+        "tests/calibration/test_calibrate.py",
+    ),
+    (
+        "an x without a time grows old at rest", "controllers/learning/estimator.py",
+        "law.select(is_old & (t_x == t_x), _PREDICTED", "law.select(is_old, _PREDICTED",
+        "tests/controllers/test_first_frames.py",
+    ),
+    (
+        "half a position where x is lost in part", "view/browser/frames.py",
+        "place[~np.isfinite(given).all(axis=1)] = np.nan", "pass",
+        "tests/view/browser/test_frames.py",
+    ),
+    (
         "peaks without the instant itself", "view/browser/frames.py",
         "commands[first + 1 : last + 1]", "commands[first:last]",
         "tests/view/browser/test_frames.py",

@@ -76,6 +76,16 @@ def test_axes_that_are_not_measured_are_those_of_the_true_tip(scene, q):
     assert_array_equal(found["measured"][:, 1], found["tip"][:, 1])
 
 
+def test_where_x_is_lost_in_part_there_is_no_position(scene, q):
+    sensor = aj.PositionTask(scene.truth, axes="zx")
+    flat = dataclasses.replace(scene, sensor=sensor, task=aj.PositionTask(scene.belief, axes="zx"))
+    x = np.tile([3.0, 1.0], (4, 1))
+    x[1, 0] = x[2, 1] = x[3] = np.nan
+    found = columns(flat, q, x, np.tile([6.0, 4.0], (4, 1)))["measured"]
+    assert np.isfinite(found).all(axis=1).tolist() == [True, False, False, False]
+    assert np.isnan(found[1:]).all()
+
+
 def test_the_force_is_the_one_that_the_task_torque_stands_for(scene, q, rng):
     force = rng.normal(size=(4, 3))
     J = [scene.task.jacobian(row) for row in q]
