@@ -238,7 +238,8 @@ MUTANTS = [
     ),
     (
         "travel from the middle", "stability/certificates/attraction.py",
-        "radius + travel * np.sqrt(energy)", "travel * np.sqrt(energy)", GRAVITY,
+        "radius + travel * np.sqrt(energy)", "travel * np.sqrt(energy)",
+        "tests/stability/test_sampled_test.py",
     ),
     # -- what limits cost
     (
@@ -1892,6 +1893,56 @@ MUTANTS = [
     (
         "a map of the wrong plane", "view/calibrated.py",
         "linear(q)[0].T[rows]", "linear(q)[0].T[:2]", "tests/view/test_calibrated.py",
+    ),
+    # -- what an audit by somebody else found to survive
+    (
+        "slow feedback of all of α₀ below it", "law/tracking.py",
+        "select(alpha < self.alpha, self.alpha - alpha, 0.0 * alpha)",
+        "select(alpha < self.alpha, 0.0 * alpha + self.alpha, 0.0 * alpha)",
+        "tests/law/test_slow_feedback.py",
+    ),
+    (
+        "half turns of continuous joints rounded up", "law/detour.py",
+        "np.rint(way / (2.0 * np.pi))", "np.rint(way / np.pi)", DETOURS,
+    ),
+    (
+        "a lost x hides a singular arm", "controllers/predicted_measurement.py",
+        "law.select(is_predicted & usual, _PREDICTED", "law.select(is_predicted, _PREDICTED",
+        "tests/controllers/test_predicted_measurement.py",
+    ),
+    (
+        "1 ms in place of dt in a stop", "controllers/guard.py",
+        "change = [dt * each for", "change = [1e-3 * each for", "tests/controllers/test_guard.py",
+    ),
+    (
+        "a turn not in the tracker's axes", "controllers/learning/positions.py",
+        "np.eye(3) - R.dot(W).dot(R.T)", "np.eye(3) - W",
+        "tests/controllers/test_adaptive_kinematics.py",
+    ),
+    (
+        "twice the variance of noise", "controllers/learning/estimator.py",
+        "0.5 * change.dot(change)", "change.dot(change)",
+        "tests/controllers/test_adaptive_kinematics.py",
+    ),
+    (
+        "the noise of next places in m, not m²", "calibration/next_configurations.py",
+        "best @ CH + noise**2 * np.eye(3)", "best @ CH + noise * np.eye(3)",
+        "tests/calibration/test_calibrate.py",
+    ),
+    (
+        "an x without a time grows old at rest", "controllers/learning/estimator.py",
+        "law.select(is_old & (t_x == t_x), _PREDICTED", "law.select(is_old, _PREDICTED",
+        "tests/controllers/test_first_frames.py",
+    ),
+    (
+        "half a position where x is lost in part", "view/browser/frames.py",
+        "place[~np.isfinite(given).all(axis=1)] = np.nan", "pass",
+        "tests/view/browser/test_frames.py",
+    ),
+    (
+        "peaks without the instant itself", "view/browser/frames.py",
+        "commands[first + 1 : last + 1]", "commands[first:last]",
+        "tests/view/browser/test_frames.py",
     ),
 ]  # fmt: skip
 

@@ -17,7 +17,7 @@ from approxjac.controllers import AdaptiveKinematics
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.law import rotation_exp, rotation_log
 from approxjac.robots import KinematicRegressor
-from approxjac.tasks import StackedTask, TrackerTask
+from approxjac.tasks import PoseTrackerTask, StackedTask, TrackerTask
 
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 OFFSET = np.array([0.10, -0.05, 0.05])
@@ -193,6 +193,42 @@ def test_of_a_pose_the_turn_is_as_uncertain_as_the_tracker(belief):
     known = AdaptiveKinematics(task, unknown=("tool",))
     state = known.initial_state(aj.Measurement(0.0, START, np.zeros(7), task.value(START)))
     assert_allclose(known.motion_sd(state, before)(after)[3:], 0.0, atol=1e-12)
+
+
+def test_a_turned_tracker_sees_the_turn_of_a_pose_about_its_own_axes():
+    """The sd by differences: R ← exp(φ)R changes what is seen of the tip's turn, R W Rᵀ."""
+    arm, sd, h, turn = aj.load_robot("ur5"), 0.07, 1e-6, np.array([0.9, -1.1, 0.4])
+    task = PoseTrackerTask(arm, turn, OFFSET)
+    kinematics = AdaptiveKinematics(task, unknown=("tool", "camera"), sd={"camera": sd})
+    before = arm.configuration(np.array([0.4, -1.2, 0.9, -0.7, 0.5, 0.2]))
+    after = before + np.array([-0.5, 0.3, 0.6, 0.4, -0.8, 0.9])
+    now = aj.Measurement(0.0, before, np.zeros(6), task.value(before), 0.0)
+    link = aj.tasks.FrameKinematics(arm, arm.tip)
+    W = link.placement(after)[0] @ link.placement(before)[0].T
+
+    def seen(phi):
+        R = rotation_exp(phi) @ rotation_exp(turn)
+        return R @ W @ R.T
+
+    J = np.array([rotation_log(seen(h * e) @ seen(-h * e).T) / (2.0 * h) for e in np.eye(3)]).T
+    found = kinematics.motion_sd(kinematics.initial_state(now), before)(after)[3:]
+    assert_allclose(found, sd * np.linalg.norm(J, axis=1), rtol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["ur3", "tiago_arm"])
+def test_the_noise_of_a_sensor_is_seen_while_the_arm_rests(name):
+    """More than was said, of half the usual rate of frames: within a tenth."""
+    arm, noise, rng = aj.load_robot(name), 1.7e-3, np.random.default_rng(17)
+    task, q = aj.PositionTask(arm), next(arm.configurations(1))
+    kinematics, seen, state = AdaptiveKinematics(task, ("tool",), noise=1e-3), [], None
+    for k in range(400):
+        x = task.value(q) + noise * rng.standard_normal(3)
+        now = aj.Measurement(0.02 * k, q, np.zeros(arm.nv), x, 0.02 * k)
+        state = kinematics.initial_state(now) if state is None else state
+        state = kinematics.step(state, now, 0.02)
+        if k % 50 == 49:
+            seen.append(kinematics.report(state).noise[1])
+    assert np.mean(seen) == pytest.approx(noise, rel=0.1)
 
 
 @pytest.mark.parametrize(

@@ -109,6 +109,20 @@ def test_the_shortest_way_of_a_continuous_joint_is_over_its_seam():
     assert_allclose(moved, 2.0 * np.pi - 6.0, atol=0.02)
 
 
+@pytest.mark.parametrize("away", [2.0, -2.6])
+def test_the_way_of_a_continuous_joint_is_less_than_half_a_turn(away):
+    ways, memory, moved = detour(2e-3, turns=1.0, end=np.pi), np.zeros(detour().size), np.zeros(3)
+    goal = np.array([away, 0.4, -0.5 * away])
+
+    def look(place):
+        return np.arctan2(np.sin(place - goal), np.cos(place - goal)), np.eye(3)
+
+    for k in range(3000):
+        memory, h, _, speed = ways.step(memory, k < 250, np.zeros(3), goal, look)
+        moved = moved + ways.dt * h * speed
+    assert_allclose(moved, goal, atol=0.03)
+
+
 def test_where_nothing_is_seen_is_no_way():
     ways, goal, memory = detour(), np.array([0.5, -1.0, 0.2]), np.zeros(detour().size)
     for _ in range(900):

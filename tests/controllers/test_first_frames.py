@@ -202,3 +202,19 @@ def test_a_time_of_x_that_is_none_is_refused(task, t_x):
         state = law.initial_state(measurement)
         with pytest.raises(aj.errors.InvalidInputError, match="t_x of a measurement"):
             law.step(state, measurement._replace(t_x=t_x), measurement.x, DT)
+
+
+@pytest.mark.parametrize(("t_x", "status"), [(None, "OK"), (0.0, "PREDICTED")])
+def test_an_x_that_stays_is_old_only_if_its_time_says_so(t_x, status):
+    """Of an arm at rest an ideal sensor gives the same x again and again."""
+    arm, dt = aj.load_robot("ur3"), 5e-3
+    task, q = aj.PositionTask(arm), next(arm.configurations(1))
+    kinematics = AdaptiveKinematics(task, ("tool",), dt=dt)
+    now = aj.Measurement(0.0, q, np.zeros(6), task.value(q), t_x)
+    state = kinematics.initial_state(now)
+    for k in range(300):
+        now = now._replace(t=k * dt)
+        state = kinematics.step(state, now, dt)
+        if k * dt < 0.9:
+            assert kinematics.status(state, now).name == "OK"
+    assert kinematics.status(state, now).name == status

@@ -267,6 +267,27 @@ def test_a_rate_of_torque_is_kept_through_bad_samples_and_after_them(count):
         q, v, _ = PLANT.advance(q, v, before, DT, STEP)
 
 
+@pytest.mark.parametrize("dt", [2.5e-4, 2e-3])
+def test_a_stop_changes_the_torque_at_its_rate_whatever_the_period(dt):
+    """From a torque far off to that which holds the arm, as fast as it may and no faster."""
+    arm, rate = aj.load_robot("ur3"), 40.0
+    limits = aj.Limits(effort=arm.effort_limits, rate=rate)
+    law = aj.SetpointController(aj.PositionTask(arm), latency=aj.Latency(dt))
+    law, plant = aj.TorqueLimited(law, limits, dt=dt), aj.Plant(arm)
+    q, v = plant.ready_configuration(), np.zeros(6)
+    state, torques = law.initial_state(plant.measure(0.0, q, v)), []
+    goal, status = plant.sensor.value(q) + [0.2, 0.2, 0.2], []
+    for k in range(round(0.12 / dt) + 60):
+        now = plant.measure(k * dt, q, v)._replace(t_x=k * dt)
+        told = now._replace(v=np.full(6, np.nan)) if k > 0.06 / dt else now
+        state, answer = law.step(state, told, goal, dt)
+        torques.append(answer.torque)
+        status.append(answer.status)
+    stopped = np.flatnonzero(np.array(status) == aj.Status.STOPPED)
+    changes = np.abs(np.diff(torques, axis=0))[stopped[1:] - 1]
+    assert changes.max() == pytest.approx(rate * dt, rel=1e-6)
+
+
 @pytest.mark.parametrize("name", ["limited, learnt", "limited, tracking", "raised", "predicted"])
 def test_no_memory_moves_while_samples_are_bad(name):
     controller = CONTROLLERS[name]

@@ -95,6 +95,18 @@ def test_the_measured_x_moves_nothing_at_once(panda):
     assert not np.array_equal(first, other)
 
 
+@pytest.mark.parametrize(
+    ("elbow", "status"), [(0.0, "NEAR_SINGULAR"), (np.pi, "NEAR_SINGULAR"), (1.1, "PREDICTED")]
+)
+def test_a_singular_arm_is_named_before_a_lost_x(two_link, elbow, status):
+    task, q = aj.PositionTask(two_link, axes="xz"), np.array([0.4, elbow])
+    law = aj.SetpointController(task, latency=aj.Latency(period=2e-3))
+    predicted, x = PredictedMeasurement(law, KnownKinematics(task)), task.value(q)
+    lost = aj.Measurement(0.0, q, np.zeros(2), np.full(2, np.nan))
+    state = predicted.initial_state(lost)
+    assert predicted.step(state, lost, x, 2e-3)[1].status.name == status
+
+
 def test_what_does_not_fit_is_refused(panda, two_link):
     task = aj.PositionTask(panda)
     law = aj.SetpointController(task)

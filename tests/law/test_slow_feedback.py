@@ -107,6 +107,16 @@ def test_nothing_acts_slowly_where_joints_are_stiff_or_quick(rng):
     assert_allclose(slow.rate(np.zeros(3), rng.normal(size=3), 1.2, 1.0), 0.0, atol=1e-12)
 
 
+@pytest.mark.parametrize("alpha", [0.0, 0.35, 0.8, 2.0])
+def test_slowly_an_error_comes_back_by_the_larger_alpha_alone(rng, alpha):
+    """Of a small error that stays, αz and w in the end make up max(α, α₀)z."""
+    slow, z = law.SlowFeedback(3.0, 0.1, 0.9, 2.5e-3), 1e-6 * rng.normal(size=2)
+    w = np.zeros(2)
+    for _ in range(2000):
+        w = w + slow.dt * slow.rate(w, z, alpha, np.array([3.0, 0.7]))
+    assert_allclose(alpha * z + w, max(alpha, 0.9) * z, rtol=1e-6)
+
+
 def led(memory, eased, path, x, steps, waits=False):
     """Memory, and x_r, ẋ_r and ẍ_r of each step."""
     found = []

@@ -5,6 +5,7 @@ import time
 import pytest
 
 import approxjac as aj
+from approxjac.robots.load import implausible
 from approxjac.robots.urdf import Urdf
 
 INERTIA = '<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/>'
@@ -181,21 +182,27 @@ def test_links_that_are_all_alike_are_placeholders():
 
 
 def test_efforts_that_no_such_arm_needs_are_placeholders():
-    text = chain(6, effort=50_000, mass=lambda i: 1.5 + 0.2 * i)
-    with pytest.warns(aj.errors.ImplausibleRobotWarning, match="joint j0 has an effort limit of 5"):
-        aj.load_robot(text)
+    text, names = chain(6, effort=50_000, mass=lambda i: 1.5 + 0.2 * i), [f"j{i}" for i in range(6)]
+    with pytest.warns(aj.errors.ImplausibleRobotWarning, match="effort limit of 50000") as caught:
+        arm = aj.load_robot(text)
+    assert len(caught) == 1
+    assert all(f"joint {name} " in each for name, each in zip(names, implausible(arm), strict=True))
+    assert (arm.effort_limits == 50_000).all()  # it is loaded as it says
+    assert implausible(aj.load_robot(text.replace('effort="50000"', 'effort="500"'))) == []
 
 
 def test_grams_are_no_kilograms():
     """An arm that reaches 1.5 m, of aluminium through and through, would weigh some 5 t."""
+    text = chain(6, mass=lambda i: 6900.0 + 100.0 * i)
     with pytest.warns(aj.errors.ImplausibleRobotWarning, match="joint j0 has 7000 kg, of an arm"):
-        aj.load_robot(chain(6, mass=lambda i: 6900.0 + 100.0 * i))
+        arm = aj.load_robot(text)
+    assert len(implausible(arm)) == 6
+    light = aj.load_robot(chain(6, effort=50, mass=lambda i: 6.9 + 0.1 * i))
+    assert implausible(light) == []
 
 
 @pytest.mark.parametrize("name", aj.robots.robot_names())
 def test_nothing_is_said_of_arms_that_load_by_name(name):
-    from approxjac.robots.load import implausible
-
     assert implausible(aj.load_robot(name)) == []
 
 

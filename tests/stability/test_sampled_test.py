@@ -244,6 +244,22 @@ def test_starts_that_stay_are_starts_that_are_certified(exact, below, at):
         assert energy.max() > 0.9 * test.level
 
 
+def test_where_the_box_ends_starts_their_own_distance_from_its_middle_counts():
+    """Of starts that are certified by far, on another arm, period and box."""
+    robot, half = aj.load_robot("two_link").with_object(0.15, axis="x"), 0.06
+    law = aj.SetpointController(aj.PositionTask(robot, axes="xz"), aj.Gains(90.0, 25.0, 8.0))
+    box = aj.JointBox.around(robot, (-0.5, 0.9), half)
+    parts = law, aj.Plant(robot, law.task), box
+    test = certificate(parts, Latency(2e-3), n=12, seed=7)
+    found = attraction(ClosedLoop(*parts), test, np.random.default_rng(8))
+    starts, ends = found.radius * np.random.default_rng(9).choice([-1.0, 1.0], (2, 40, 2))
+    e = np.array([law.task.value(box.center + q) for q in starts])
+    e = e - [law.task.value(box.center + q) for q in ends]
+    assert test.weights.at_rest(e, law.saturation).max() < 0.5 * test.level
+    travel = found.travel * np.sqrt(found.weights.at_rest(e, law.saturation).max())
+    assert 0.97 * half < (found.radius + travel).max() < 1.01 * half
+
+
 def test_a_motion_that_spends_its_V_on_one_joint_travels_just_as_far_as_is_told(exact):
     """V' = −2ρV − zᵀFz, with z along F⁻¹eᵢ and as fast as 2ρ exp(−4ρt) allows."""
     robot, law, box, test = exact

@@ -76,6 +76,16 @@ def test_axes_that_are_not_measured_are_those_of_the_true_tip(scene, q):
     assert_array_equal(found["measured"][:, 1], found["tip"][:, 1])
 
 
+def test_where_x_is_lost_in_part_there_is_no_position(scene, q):
+    sensor = aj.PositionTask(scene.truth, axes="zx")
+    flat = dataclasses.replace(scene, sensor=sensor, task=aj.PositionTask(scene.belief, axes="zx"))
+    x = np.tile([3.0, 1.0], (4, 1))
+    x[1, 0] = x[2, 1] = x[3] = np.nan
+    found = columns(flat, q, x, np.tile([6.0, 4.0], (4, 1)))["measured"]
+    assert np.isfinite(found).all(axis=1).tolist() == [True, False, False, False]
+    assert np.isnan(found[1:]).all()
+
+
 def test_the_force_is_the_one_that_the_task_torque_stands_for(scene, q, rng):
     force = rng.normal(size=(4, 3))
     J = [scene.task.jacobian(row) for row in q]
@@ -100,6 +110,22 @@ def test_load_and_position_limits(scene, q):
     assert_allclose(found["torque"][:, known], -0.5)
     assert np.isnan(found["load"][:, 1]).all()
     assert found["at_limit"][[0, 1, 2], [3, 3, 5]].tolist() == [1.0, 0.0, 1.0]
+
+
+def test_between_shown_instants_the_largest_torque_counts_once(scene, q):
+    """From the one after an instant that is shown up to the next that is, both ends included."""
+    tau, n, kept = np.zeros((9, 7)), 9, [0, 2, 5, 8]
+    tau[2, 0], tau[3, 1], tau[4, 1], tau[5, 2], tau[8, 3], tau[0, 4] = 3.0, 1.0, -2.0, 4.0, 6.0, 5.0
+    free = dataclasses.replace(scene, torque_limits=np.full(7, np.inf))
+    places = q[np.arange(n) % 4]
+    run = AtInstants(
+        q=places, x_measured=places[:, :3], x_d=places[:, :3], t=np.arange(9.0), tau=tau,
+        error=np.zeros((n, 3)), task_torque=np.zeros((n, 7)), V=np.zeros(n),
+        learnt=np.zeros((n, 0)), task_units=("m",) * 3, command_kind="torque",
+    )  # fmt: skip
+    wanted = np.zeros((4, 7))
+    wanted[0, 4], wanted[1, 0], wanted[2, 1], wanted[2, 2], wanted[3, 3] = 5.0, 3.0, -2.0, 4.0, 6.0
+    assert_array_equal(RunFrames(free).columns(run, kept)["torque"], wanted)
 
 
 def test_without_any_limit_torques_are_torques(scene, q):
