@@ -43,6 +43,7 @@ _SAMPLES = 12  # in which a joint has become too fast
 _SUDDEN = 0.4  # s, within which a motor's fault shows
 _EXPLAINS, _FITS = 0.1, 0.35  # share of χ² that one motor, or a force or load, may leave
 _ONE_FITS = 0.1  # of χ², by which one number may explain less than three
+_TURNED_BACK, _SOON_SURE = 0.15, 6.0  # how near to 2 the share of a reversed motor is; χ² enough then
 _ONSET, _BETTER = 0.02, 12.0  # s, in which no motor is at fault if a load or force explains more χ²
 _CLEAR = 0.06  # share that a motor may leave to be clear, where a force leaves five times that
 _WEAK, _DEAD = 0.35, 0.65  # share of its torque that a weak or a dead motor lacks
@@ -465,7 +466,10 @@ class Monitor:
             self._since = self._samples[-2 - i][0]
             # a force has three numbers to fit, a motor one
             is_motor = left < min(_FITS, left_force + _ONE_FITS) and _WEAK < share < 2.0 + _WEAK
-            if whole <= _SURE or self._active.keys() & {"motor", "force"}:
+            turns_back = abs(share - 2.0) < _TURNED_BACK and left < 0.5 * left_force
+            is_motor = is_motor or turns_back
+            least = _SOON_SURE if turns_back else _SURE
+            if whole <= least or self._active.keys() & {"motor", "force"}:
                 break
             if is_motor:
                 self._weak_motor(j, share, float(abs(ticks[i].torque[j])))
