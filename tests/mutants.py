@@ -434,7 +434,7 @@ MUTANTS = [
     ),
     (
         "stop without its damping", "simulation/plant.py",
-        "slowed, self.stiffness * dt + self.damping", "slowed, self.stiffness * dt",
+        "per_speed = self.stiffness * dt + self.damping", "per_speed = self.stiffness * dt",
         FIGURES,
     ),
     (
@@ -464,7 +464,7 @@ MUTANTS = [
     ),
     (
         "a link without its rotor", "simulation/transmission.py",
-        "S = solve(M + np.diag(share * J), np.eye(len(v)))", "S = solve(M, np.eye(len(v)))",
+        "S = _solved(M + np.diag(share * J), np.eye(len(v)))", "S = _solved(M, np.eye(len(v)))",
         "tests/simulation/test_joints.py",
     ),
     (

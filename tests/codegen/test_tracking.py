@@ -13,7 +13,7 @@ from random_trees import random_tree
 
 import approxjac as aj
 from approxjac.codegen.arm.rigid_body import Arm, LearntBodies
-from approxjac.codegen.lanes import Box, Lanes, LaneStart
+from approxjac.codegen.lanes import Lanes, LaneStart
 from approxjac.codegen.step import compiled
 from approxjac.codegen.trace.program import Program
 from approxjac.codegen.trace.symbols import inputs
@@ -383,7 +383,7 @@ def test_many_runs_at_once_are_those_of_simulate(two_link, unknown):
         LaneStart.of(law, plant, start, target, seed=k)
         for k, (plant, target) in enumerate(zip(plants, targets, strict=True))
     ]
-    region = Box(start, np.full(2, -9.0), np.full(2, 9.0))
+    region = aj.JointBox.around(two_link, start, 9.0)
     lanes = Lanes(law, plants[0], starts, region, DT, 400, 1e-3)
     found = lanes.run(starts, 400)
     assert not found["left"].any()
