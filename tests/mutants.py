@@ -799,7 +799,7 @@ MUTANTS = [
     ),
     (
         "box without a lower end", "stability/errors/region.py",
-        "(abs(self._away(self.center, q)) <=", "(self._away(self.center, q) <=",
+        "away = np.abs(self._away(self.center, q))", "away = self._away(self.center, q)",
         "tests/stability/test_region.py",
     ),
     (
