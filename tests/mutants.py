@@ -1094,7 +1094,7 @@ MUTANTS = [
     ),
     (
         "rates of encoders", "robots/kinematic_regressor.py",
-        "speeds[self._encoded_v] += theta_dot[self._encoders]", "pass",
+        "speeds = speeds + self._encoding @ theta_dot[self._encoders]", "pass",
         "tests/robots/test_kinematic_regressor.py",
     ),
     (

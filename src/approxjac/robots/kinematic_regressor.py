@@ -1,8 +1,9 @@
 """The kinematic regressor: positions by joint origins, axes and encoders that may be wrong."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property, partial, reduce
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,13 +12,12 @@ import pinocchio as pin
 
 from approxjac.errors import InvalidInputError
 from approxjac.files import read_arrays, refusing, replaced
-from approxjac.robots.robot import Robot, all_frame_id
+from approxjac.robots.robot import MimicJoints, Robot, all_frame_id
 from approxjac.robots.traced import arm_of
 from approxjac.validation import Array, Immutable, as_array, as_vector, read_only, require
 
 _IN_WORLD = pin.LOCAL_WORLD_ALIGNED
 _ANGLES = "tilt1", "tilt2", "encoder"
-_JACOBIAN_DOT = pin.getFrameJacobianTimeVariation
 _FARTHEST = {"m": 0.1, "rad": 0.3}  # that a number of a joint is from another drawing of the arm
 
 
@@ -51,6 +51,14 @@ class TurnMotion(NamedTuple):
     J: Array
     J_dot: Array
     A: Array
+
+
+class _Freed:
+    """An arm of which only the joints are known, as code on symbols takes robots."""
+
+    def __init__(self, name: str, model: pin.Model) -> None:
+        self.name, self.model, self.nv = name, model, model.nv
+        self.mimic_joints, self.frame_id = MimicJoints(model), model.getFrameId
 
 
 class KinematicRegressor(Immutable):
@@ -140,22 +148,25 @@ class KinematicRegressor(Immutable):
         turned = [model.jointPlacements[model.getJointId(name)] for name in self.turners]
         self.rotations = np.array([each.rotation for each in turned]).reshape(-1, 3, 3)
 
-        # A translation is a joint, too, of three axes that slide, and a tilt is one that turns:
-        # then θ are numbers of q (an encoder's are added to it), Y and J are columns of one
-        # Jacobian, and Pinocchio has the rates of both.
-        self._freed, links = pin.Model(), {0: 0}
+        # A translation is three joints that slide, too, and a tilt is one that turns: then θ are
+        # numbers of q (an encoder's are added to it), Y and J are columns of one Jacobian, and
+        # Pinocchio, or code on symbols, has the rates of both.
+        whole, links = pin.Model(), {0: 0}
 
         def freed(link: int, kind: Any, placement: pin.SE3, what: str) -> int:
-            return int(self._freed.addJoint(link, kind, placement, what))
+            return int(whole.addJoint(link, kind, placement, what))
 
-        def slid(link: int, what: str) -> int:
-            slide, here = pin.JointModelTranslation(), pin.SE3.Identity()
-            return freed(links[link], slide, here, f"origin of {what}")
+        def slid(link: int, what: str) -> list[int]:
+            slides = [links[link]]
+            for kind in (pin.JointModelPX(), pin.JointModelPY(), pin.JointModelPZ()):
+                way = f"{kind.shortname()} of {what}"
+                slides.append(freed(slides[-1], kind, pin.SE3.Identity(), way))
+            return slides[1:]
 
-        shifts, tilts = [], []
+        shifts, tilts = list[int](), list[int]()
         self.across: list[tuple[Array, Array]] = []
         for joint, name in zip(joints, self.movers, strict=True):
-            shifts.append(slid(model.parents[joint], f"joint {name}"))
+            shifts += slid(model.parents[joint], f"joint {name}")
             link = shifts[-1]
             turned = pin.SE3(model.jointPlacements[joint].rotation, np.zeros(3))
             if name in self.turners:
@@ -170,14 +181,15 @@ class KinematicRegressor(Immutable):
             for name, each in zip(self.frames, placed, strict=True)
         ]
         self._points = [
-            self._freed.addFrame(
-                pin.Frame(f"point {i}", ends_at[f], pin.SE3(R, R @ point), pin.FrameType.OP_FRAME)
+            whole.addFrame(
+                pin.Frame(f"{i}", ends_at[f][-1], pin.SE3(R, R @ point), pin.FrameType.OP_FRAME)
             )
             for i, (f, R, point) in enumerate(zip(of_frame, rotations, known, strict=True))
         ]
-        added = [self._freed.joints[i] for i in (*map(links.get, joints), *shifts, *ends_at)]
-        added += [self._freed.joints[i] for i in tilts]
-        places = np.array([each.idx_v + i for each in added for i in range(each.nv)])
+        self._freed = _Freed(robot.name, whole)
+        order = (*map(links.__getitem__, joints), *shifts, *chain(*ends_at), *tilts)
+        added = [whole.joints[i] for i in order]
+        places = np.array([each.idx_v for each in added])
         self._of_joints, of_theta = np.split(places, [n])
         # where the numbers of that model are in (q, θ) and (q̇, θ') of all joints
         own = [model.joints[joint] for joint in joints]
@@ -189,10 +201,10 @@ class KinematicRegressor(Immutable):
         encoded = [self.movers.index(name) for name in self.turners]
         self._of_theta = np.zeros(self.p, dtype=int)
         self._of_theta[moved], self._of_theta[self._encoders] = of_theta, places[encoded]
-        order = np.argsort([each.idx_q + i for each in added for i in range(each.nq)])
-        self._from_q = np.append(at_q, model.nq + moved)[order]
+        by_q = np.argsort([each.idx_q + i for each in added for i in range(each.nq)])
+        self._from_q = np.append(at_q, model.nq + moved)[by_q]
         self._from_v = np.append(at_v, model.nv + moved)[np.argsort(places)]
-        self._encoded_v = np.array([own[i].idx_v for i in encoded], dtype=int)
+        self._encoding = np.eye(model.nv)[:, [own[i].idx_v for i in encoded]]
         first = np.array([own[i].idx_q for i in encoded], dtype=int)
         pairs = np.array([own[i].nq == 2 for i in encoded], dtype=bool)
         self._encoded_q, self._pairs = first[~pairs], first[pairs]
@@ -214,48 +226,29 @@ class KinematicRegressor(Immutable):
 
         Without axes neither depends on θ.
         """
-        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
-            return arm.points(self).linear(theta)
-        pin.computeJointJacobians(self._freed, self._data, self._all(q, theta))
-        p, J = self._positions(), self._jacobians(pin.getFrameJacobian)
-        Y = J.take(self._of_theta, 1)
+        arm = self._placed(q, theta)
+        p, Y = self._positions(arm), self._jacobians(arm).take(self._of_theta, 1)
         return Y, p - Y.dot(theta)
 
     def position(self, q: Array, theta: Array) -> Array:
         """Return p of parameters θ (p,), shape (3k,) [m]."""
-        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
-            return np.asanyarray(arm.points(self).motion(None, theta, None).p)
-        pin.forwardKinematics(self._freed, self._data, self._all(q, theta))
-        return self._positions()
+        return self._positions(self._placed(q, theta))
 
     def motion(self, q: Array, v: Array, theta: Array, theta_dot: Array) -> PointMotion:
         """Return positions and derivatives at q (nq,), q̇ (n_v,), θ (p,) and θ' (p,) [1/s]."""
-        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
-            return arm.points(self).motion(v, theta, theta_dot)
-        self._move(q, v, theta, theta_dot)
-        p = self._positions()
-        J, J_dot = self._jacobians(pin.getFrameJacobian), self._jacobians(_JACOBIAN_DOT)
-        drift = J.take(self._of_theta, 1).dot(theta_dot)
+        rates = self._rates(v, theta_dot)
+        arm = self._placed(q, theta, rates)
+        J, J_dot = self._jacobians(arm), self._jacobians(arm, rates)
+        p, drift = self._positions(arm), J.take(self._of_theta, 1).dot(theta_dot)
         return PointMotion(p, self._along_joints(J), self._along_joints(J_dot), drift)
 
     def turn(self, q: Array, v: Array, theta: Array, theta_dot: Array) -> TurnMotion:
         """Return the first frame's orientation and derivatives; arguments are those of `motion`."""
-        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
-            return arm.points(self).turn(v, theta, theta_dot)
-        self._move(q, v, theta, theta_dot)
-        of = self._freed, self._data, self._points[0]
-        J, J_dot = (each(*of, _IN_WORLD)[3:] for each in (pin.getFrameJacobian, _JACOBIAN_DOT))
-        R = pin.updateFramePlacement(*of).rotation.copy()
-        A = J.take(self._of_theta, 1)
+        rates = self._rates(v, theta_dot)
+        arm = self._placed(q, theta, rates)
+        J, J_dot = self._jacobian(arm, 0)[3:], self._jacobian(arm, 0, rates)[3:]
+        R, A = self._frame(arm, 0)[0].copy(), J.take(self._of_theta, 1)
         return TurnMotion(R, self._along_joints(J), self._along_joints(J_dot), A)
-
-    def _move(self, q: Array, v: Array, theta: Array, theta_dot: Array) -> None:
-        speeds = self.robot.mimic_joints.v(as_vector("v", v, self.robot.nv))
-        if self.turners:
-            speeds = speeds.copy()
-            speeds[self._encoded_v] += theta_dot[self._encoders]
-        rates = np.concatenate([speeds, theta_dot]).take(self._from_v)
-        pin.computeJointJacobiansTimeVariation(self._freed, self._data, self._all(q, theta), rates)
 
     def robot_with(self, theta: Array, turn: Array | None = None) -> Robot:
         """Return the robot with other parameters θ (p,), and its tool rotated by `turn`.
@@ -317,10 +310,17 @@ class KinematicRegressor(Immutable):
 
     @cached_property
     def _data(self) -> pin.Data:
-        return self._freed.createData()
+        return self._freed.model.createData()
 
-    def _all(self, q: Array, theta: Array) -> Array:
-        """Return q and θ as the model with translations as joints has them."""
+    def _rates(self, v: Array, theta_dot: Array) -> Array:
+        """Return q̇ and θ' as the model with translations as joints has them."""
+        speeds = self.robot.mimic_joints.v(as_vector("v", v, self.robot.nv))
+        if self.turners:
+            speeds = speeds + self._encoding @ theta_dot[self._encoders]
+        return np.concatenate([speeds, theta_dot]).take(self._from_v)
+
+    def _placed(self, q: Array, theta: Array, rates: Array | None = None) -> Any:
+        """Place that model at q and θ; return it if they are symbols, else None."""
         q = self.robot.mimic_joints.q(self.robot.configuration(q))
         if self.turners:
             q = q.copy()
@@ -328,21 +328,39 @@ class KinematicRegressor(Immutable):
             c, s = np.cos(theta[self._two]), np.sin(theta[self._two])
             x, y = q[self._pairs], q[self._pairs + 1]
             q[self._pairs], q[self._pairs + 1] = c * x - s * y, s * x + c * y
-        return np.concatenate([q, theta]).take(self._from_q)
+        q = np.concatenate([q, theta]).take(self._from_q)
+        if (arm := arm_of(self._freed, q)) is not None:
+            return arm
+        if rates is None:
+            pin.computeJointJacobians(self._freed.model, self._data, q)
+        else:
+            pin.computeJointJacobiansTimeVariation(self._freed.model, self._data, q, rates)
+        return None
 
-    def _positions(self) -> Array:
-        update, (model, data) = pin.updateFramePlacement, (self._freed, self._data)
-        return np.concatenate([update(model, data, point).translation for point in self._points])
+    def _frame(self, arm: Any, i: int) -> tuple[Array, Array]:
+        """Return the rotation (3, 3) and the position (3,) of a point in the base's axes."""
+        if arm is not None:
+            return arm.frame(f"{i}")
+        M = pin.updateFramePlacement(self._freed.model, self._data, self._points[i])
+        return M.rotation, M.translation
 
-    def _jacobians(self, of_point: Callable[..., Array]) -> Array:
-        """Return a Jacobian of all points in the world's axes, (3k, n + p)."""
-        model, data = self._freed, self._data
-        each = [of_point(model, data, point, _IN_WORLD)[:3] for point in self._points]
-        return each[0] if len(each) == 1 else np.concatenate(each)
+    def _jacobian(self, arm: Any, i: int, rates: Array | None = None) -> Array:
+        """Return the Jacobian of a point by q and θ in the base's axes, (6, n + p), or its rate."""
+        if arm is not None:
+            return arm.jacobian(f"{i}") if rates is None else arm.jacobian_dot(f"{i}", rates)
+        of_frame = pin.getFrameJacobian if rates is None else pin.getFrameJacobianTimeVariation
+        return of_frame(self._freed.model, self._data, self._points[i], _IN_WORLD)
+
+    def _positions(self, arm: Any) -> Array:
+        return np.concatenate([self._frame(arm, i)[1] for i in range(self.k)])
+
+    def _jacobians(self, arm: Any, rates: Array | None = None) -> Array:
+        each = [self._jacobian(arm, i, rates)[:3] for i in range(self.k)]
+        return each[0] if self.k == 1 else np.concatenate(each)
 
     def _along_joints(self, J: Array) -> Array:
         J = J.take(self._of_joints, 1)
-        return J if self._plain else np.asarray(J.dot(self._columns))
+        return J if self._plain else np.asanyarray(J.dot(self._columns))
 
 
 def _across(axis: Array) -> tuple[Array, Array]:
