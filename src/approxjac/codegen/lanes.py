@@ -103,11 +103,9 @@ class Lanes:
             program, controller, plant, numbers, target, dt, integrator, given, sensing
         )
         self.frames = tuple(loop.truth.frames)  # that the sensor looks at
-        self._truth, before = loop.truth, {name: program.kept(name, 1)[0] for name in OUTCOME}
-        program.step(loop.after | {
-            "diverged": select(loop.diverged, 1.0, before["diverged"]),
-            "left": select(loop.left, 1.0, before["left"]),
-        })  # fmt: skip
+        self._truth, judged = loop.truth, [each for each in OUTCOME if each not in loop.after]
+        before = {name: program.kept(name, 1)[0] for name in judged}
+        program.step(loop.after)
         error = np.sqrt((loop.error * loop.error).sum())
         is_inside = tasks.traced("region", region, lambda: region.contains(loop.q))
         program.record({

@@ -23,6 +23,7 @@ from approxjac.codegen.trace.symbols import (
     Condition,
     Scalar,
     Symbols,
+    select,
     symbols,
 )
 from approxjac.controllers.controller import Controller
@@ -81,9 +82,8 @@ class TracedLoop:
     x: Symbols  # what the sensor delivers, shape (n_x,)
     error: Symbols  # e, also where no sensor sees x, shape (m,)
     answer: Evaluation  # the law's
-    after: dict[str, Any]  # what is kept after the step
-    diverged: Condition  # numbers became too large
-    left: Condition  # the step is left to Python
+    # what is kept; "diverged" and "left" are 1 once numbers became too large, a step was Python's
+    after: dict[str, Any]
 
     def __init__(
         self,
@@ -115,7 +115,7 @@ class TracedLoop:
         self.x = x = tasks.seen(plant.sensor, value)
         self.error = tasks.error(plant.sensor, value, target.x)
         may_lose = tasks.may_lose(plant.sensor)
-        self.left = False
+        left: Condition = False
         if sensing is None:
             count = program.kept("count", 1)[0]
             measurement, kept = Measurement(count * dt, q, v, x, count * dt), {"count": count + 1.0}
@@ -123,7 +123,7 @@ class TracedLoop:
         else:
             truth = plant.encoded(Measurement(program.k * dt, q, v, x), self.motors)
             measurement, kept = sensing.measured(program, truth)
-            state, self.left = _initial_state(program, controller, state, measurement)
+            state, left = _initial_state(program, controller, state, measurement)
             may_lose = may_lose or sensing.may_lose
         program.graph.is_finite = not may_lose
         wanted = target.x if target.v is None else target
@@ -143,8 +143,11 @@ class TracedLoop:
         ]
         parts = q_end, v_end, self.answer.torque, symbols(changing)
         squares = [(each * each).sum() for each in parts]
-        self.left = self.left | program.graph.left | (squares[0] > LARGEST_ANGLE**2)
-        self.diverged = ~(sum(squares, 0.0) < _FINITE)
+        left = left | program.graph.left | (squares[0] > LARGEST_ANGLE**2)
+        flags = {"diverged": ~(sum(squares, 0.0) < _FINITE), "left": left}
+        kept |= {
+            name: select(is_so, 1.0, program.kept(name, 1)[0]) for name, is_so in flags.items()
+        }
         self.after = {"q": q_end, "v": v_end, "state": after, **kept}
 
 

@@ -202,16 +202,6 @@ class Configured:
                 J[:3, j], J[3:, j] = np.cross(z, p - origin), z
         return self.arm.robot.mimic_joints.columns(J)
 
-    def drift(self, name: str, v: Symbols) -> Symbols:
-        """Return J̇q̇ of `jacobian` for velocities (n_v,), shape (6,)."""
-        carrier, _, p = self.arm.frame(name)
-        if carrier < 0:
-            return _zeros(6)
-        motion = self.motions(v, _zeros(self.nv), _NOTHING)[carrier]
-        R = self._placements[carrier][0]
-        at = motion.a if motion.gradient is None else motion.a + motion.gradient @ p
-        return np.concatenate([R @ at, R @ motion.omega_dot])
-
     def jacobian_dot(self, name: str, v: Symbols) -> Symbols:
         """Return the rate of `jacobian` along q̇ (n_v,), shape (6, n_v)."""
         speeds, J_dot, axes = self.arm.robot.mimic_joints.v(v), _zeros(6, self._n), {}
