@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from inspect import signature
 from typing import Any, Literal, Self
 
@@ -18,7 +18,6 @@ from approxjac.law.factors import Factors
 from approxjac.robots import Dynamics, Robot
 from approxjac.robots.drives import Drives, Friction, drives_of, usual_effort, usual_inertia
 from approxjac.robots.dynamics import COULOMB_SPEED
-from approxjac.robots.robot import WORLD
 from approxjac.robots.traced import motion_between, moved
 from approxjac.simulation.sensing import Sensing, lost_entries
 from approxjac.simulation.transmission import Motors, Transmission
@@ -317,7 +316,6 @@ class Plant(Immutable):
         self._has_friction = self._has_coulomb or max(self.friction.tolist()) > 0.0
         # a servo compensates friction, so that it does not stick
         self.is_ideal = self.transmission.is_ideal or servo is not None
-        self._is_coupled = robot.mimic_joints.G is not None
         self._is_vector = robot.nq == robot.nv  # a motion is then added to a configuration
 
     def _of(self, robot: Robot, sensor: Task) -> Self:
@@ -325,8 +323,7 @@ class Plant(Immutable):
         _require_own(robot, sensor)
         _ = self.stops  # those of the arm, whatever it holds
         plant = self._with(robot=robot, sensor=sensor)
-        for name in ("dynamics", "_data", "_aba"):
-            vars(plant).pop(name, None)
+        vars(plant).pop("dynamics", None)
         return plant
 
     def _sensed(self, sensing: Sensing | None, actuator_delay: float) -> Self:
@@ -357,14 +354,6 @@ class Plant(Immutable):
     def dynamics(self) -> Dynamics:
         """M, C and g of the true robot."""
         return Dynamics(self.robot)
-
-    @cached_property
-    def _data(self) -> pin.Data:
-        return self.robot.model.createData()
-
-    @cached_property
-    def _aba(self) -> Callable[..., Array]:
-        return partial(pin.aba, self.robot.model, self._data)
 
     def ready_configuration(self) -> Array:
         """Return the default start configuration (nq,) of `simulate`; the same each time.
@@ -580,7 +569,7 @@ class Plant(Immutable):
         if self.servo is None:
             return command
         a = (command - v) / self.servo.lag
-        tau: Array = np.array(pin.rnea(self.robot.model, self._data, q, v, a))
+        tau = self.dynamics.inverse(q, v, a)
         if self._has_friction:
             tau += self.friction_torque(v)
         limits = self.motor_limits
@@ -590,9 +579,7 @@ class Plant(Immutable):
         return self._acceleration(q, v, self.applied(q, v, command))
 
     def _forward(self, q: Array, v: Array, tau: Array) -> Array:
-        if self._is_coupled or type(q) is not np.ndarray:
-            return self.dynamics.forward(q, v, tau)
-        return self._aba(q, v, tau, WORLD)
+        return self.dynamics.forward(q, v, tau)
 
     @property
     def is_exact(self) -> bool:
