@@ -1185,8 +1185,8 @@ MUTANTS = [
     ),
     (
         "motion without its rotors", "controllers/adaptive_dynamics.py",
-        "return state, middle + self.rotor_inertia * a_r - apart,",
-        "return state, middle - apart,", "tests/controllers/test_tracking.py",
+        "return state, middle - apart + g + self.rotor_inertia * a_r, g",
+        "return state, middle - apart + g, g", "tests/controllers/test_tracking.py",
     ),
     (
         "next speed as in a millisecond", "controllers/limits/torque_limited.py",

@@ -82,7 +82,7 @@ class Dynamics(Immutable):
     def inverse(self, q: Array, v: Array, a: Array) -> Array:
         """Return M(q)a + C(q, q̇)q̇ + g(q) by RNEA, shape (n_v,) [N m or N]."""
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
-            return np.asanyarray(arm.bias(v) + arm.momentum(a))
+            return np.asanyarray(arm.inverse(v, a))
         q, v, a = self._q(q), self._v(v), self._v(a, "a")
         return np.array(pin.rnea(self._model, self._data, q, v, a))
 

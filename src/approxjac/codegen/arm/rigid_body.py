@@ -257,16 +257,9 @@ class Configured:
             )
         return self.arm.robot.mimic_joints.rows(tau)
 
-    def bias(self, v: Symbols) -> Symbols:
-        """Return C(q, q̇) q̇ + g(q) of velocities (n_v,), shape (n_v,) [N m or N]."""
-        return self._moving(self.motions(v, _zeros(self.nv), -self.weight))
-
-    def momentum(self, v: Symbols) -> Symbols:
-        """Return M(q) v of velocities (n_v,), shape (n_v,)."""
-        return self._moving(self.motions(_zeros(self.nv), v, _NOTHING))
-
-    def _moving(self, motions: list[Motion]) -> Symbols:
-        moved = zip(self._bodies, motions, strict=True)
+    def inverse(self, v: Symbols, a: Symbols) -> Symbols:
+        """Return M(q) q̈ + C(q, q̇) q̇ + g(q) of q̇ and q̈ (n_v,), shape (n_v,) [N m or N]."""
+        moved = zip(self._bodies, self.motions(v, a, -self.weight), strict=True)
         return self.torque([force(body, each.a, each.gradient) for body, each in moved])
 
     def motions(self, v: Symbols, a: Symbols, base: Symbols) -> list[Motion]:
@@ -301,15 +294,10 @@ class Configured:
                 forces[parent] = held[0] + f, held[1] + moment
         return self.arm.robot.mimic_joints.rows(tau)
 
-    def reference_torque(self, v: Symbols, v_r: Symbols, a_r: Symbols) -> Symbols:
-        """Return M(q)q̈_r + C(q, q̇)q̇_r + g(q), with C in its Christoffel form, shape (n_v,)."""
-        moved = zip(self._bodies, self.reference_motion(v, v_r, a_r), strict=True)
-        return self.torque([force(body, *motion) for body, motion in moved])
-
     def reference_motion(
         self, v: Symbols, v_r: Symbols, a_r: Symbols
     ) -> list[tuple[Symbols, Symbols]]:
-        """Return a and U of each link whose forces make up `reference_torque`."""
+        """Return a and U of each link whose forces are M(q)q̈_r + C(q, q̇)q̇_r + g(q)."""
         middle = self.motions(0.5 * (v + v_r), a_r, -self.weight)
         apart = self.motions(0.5 * (v - v_r), _zeros(self.nv), _NOTHING)
         pairs = zip(middle, apart, strict=True)
@@ -321,7 +309,7 @@ class Configured:
 
     def forward(self, v: Symbols, tau: Symbols) -> Symbols:
         """Return q̈ from q̇ and τ (n_v,), shape (n_v,) [rad/s² or m/s²]."""
-        return self.factors.solve(tau - self.bias(v))
+        return self.factors.solve(tau - self.inverse(v, _zeros(self.nv)))
 
     @cached_property
     def factors(self) -> Factors:
