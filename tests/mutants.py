@@ -1088,18 +1088,13 @@ MUTANTS = [
         "H, known = self._moved.at(q, u[: self._n_theta])", "H, known = self._moved.at(q)", LEARNT,
     ),
     (
-        "encoders of which only the columns are known", "robots/kinematic_regressor.py",
-        "q[self._encoded_q] += theta[self._one]", "pass",
-        "tests/robots/test_kinematic_regressor.py",
-    ),
-    (
-        "rates of encoders", "robots/kinematic_regressor.py",
-        "speeds = speeds + self._encoding @ theta_dot[self._encoders]", "pass",
+        "encoders that count the other way", "robots/kinematic_regressor.py",
+        "return one, np.cross(axis, one), axis", "return one, np.cross(axis, one), -axis",
         "tests/robots/test_kinematic_regressor.py",
     ),
     (
         "tilts in the other order", "robots/kinematic_regressor.py",
-        "ways = zip((one, two, np.cross(one, two))", "ways = zip((two, one, np.cross(one, two))",
+        "ways = zip(self.across[i], angles", "ways = zip(self.across[i][::-1], angles[::-1]",
         "tests/robots/test_kinematic_regressor.py",
     ),
     (

@@ -1,6 +1,6 @@
 """The kinematic regressor: positions by joint origins, axes and encoders that may be wrong."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property, partial, reduce
 from itertools import chain
@@ -16,7 +16,7 @@ from approxjac.robots.robot import MimicJoints, Robot, all_frame_id
 from approxjac.robots.traced import arm_of
 from approxjac.validation import Array, Immutable, as_array, as_vector, read_only, require
 
-_IN_WORLD = pin.LOCAL_WORLD_ALIGNED
+_IN_WORLD, _UPRIGHT = pin.LOCAL_WORLD_ALIGNED, np.eye(3)
 _ANGLES = "tilt1", "tilt2", "encoder"
 _FARTHEST = {"m": 0.1, "rad": 0.3}  # that a number of a joint is from another drawing of the arm
 
@@ -86,7 +86,7 @@ class KinematicRegressor(Immutable):
         k: Number of points.
         movers: Names of the joints that move the points, whose origins come first.
         turners: Those of them that turn, if their axes are among θ.
-        across: e₁ and e₂ of each of these, in the joint's own axes, shape (3,) each.
+        across: e₁, e₂ and the axis of each of these, in the joint's own axes, shape (3,) each.
         rotations: R⁰ of each of these, shape (k, 3, 3).
         n_lengths: Number of translations, which come first.
         names: Names of the parameters, such as "panda_joint4.x" or "tool.x"; with several
@@ -148,36 +148,30 @@ class KinematicRegressor(Immutable):
         turned = [model.jointPlacements[model.getJointId(name)] for name in self.turners]
         self.rotations = np.array([each.rotation for each in turned]).reshape(-1, 3, 3)
 
-        # A translation is three joints that slide, too, and a tilt is one that turns: then θ are
-        # numbers of q (an encoder's are added to it), Y and J are columns of one Jacobian, and
-        # Pinocchio, or code on symbols, has the rates of both.
-        whole, links = pin.Model(), {0: 0}
+        # Translations are joints that slide, too, tilts and encoders ones that turn: then θ are
+        # numbers of q, Y and J are columns of one Jacobian, and Pinocchio, or code on symbols, has
+        # the rates of both.
+        whole, links, shifts, angles = pin.Model(), {0: 0}, list[int](), list[int]()
+        slides = pin.JointModelPX(), pin.JointModelPY(), pin.JointModelPZ()
 
-        def freed(link: int, kind: Any, placement: pin.SE3, what: str) -> int:
-            return int(whole.addJoint(link, kind, placement, what))
+        def chained(link: int, kinds: Iterable[Any], what: str, R: Array = _UPRIGHT) -> list[int]:
+            """Return joints one after the other, of which the first is turned by R on a link."""
+            added = [link]
+            for i, kind in enumerate(kinds):
+                placed = pin.SE3(_UPRIGHT if i else R, np.zeros(3))
+                added.append(int(whole.addJoint(added[-1], kind, placed, f"{what} {i}")))
+            return added[1:]
 
-        def slid(link: int, what: str) -> list[int]:
-            slides = [links[link]]
-            for kind in (pin.JointModelPX(), pin.JointModelPY(), pin.JointModelPZ()):
-                way = f"{kind.shortname()} of {what}"
-                slides.append(freed(slides[-1], kind, pin.SE3.Identity(), way))
-            return slides[1:]
-
-        shifts, tilts = list[int](), list[int]()
-        self.across: list[tuple[Array, Array]] = []
+        self.across = [_across(robot.tree.joints[name].axis) for name in self.turners]
+        ways = dict(zip(self.turners, self.across, strict=True))
         for joint, name in zip(joints, self.movers, strict=True):
-            shifts += slid(model.parents[joint], f"joint {name}")
-            link = shifts[-1]
-            turned = pin.SE3(model.jointPlacements[joint].rotation, np.zeros(3))
-            if name in self.turners:
-                self.across.append(_across(robot.tree.joints[name].axis))
-                for i, axis in enumerate(self.across[-1]):
-                    kind = pin.JointModelRevoluteUnaligned(axis)
-                    tilts.append(link := freed(link, kind, turned, f"tilt {i} of {name}"))
-                    turned = pin.SE3.Identity()
-            links[joint] = freed(link, model.joints[joint], turned, name)
+            shifts += chained(links[model.parents[joint]], slides, f"origin of {name}")
+            kinds = *map(pin.JointModelRevoluteUnaligned, ways.get(name, ())), model.joints[joint]
+            R = model.jointPlacements[joint].rotation
+            *turning_by, links[joint] = chained(shifts[-1], kinds, name, R)
+            angles += turning_by
         ends_at = [
-            slid(each.parentJoint, f"frame {name}")
+            chained(links[each.parentJoint], slides, f"origin of frame {name}")
             for name, each in zip(self.frames, placed, strict=True)
         ]
         self._points = [
@@ -187,28 +181,17 @@ class KinematicRegressor(Immutable):
             for i, (f, R, point) in enumerate(zip(of_frame, rotations, known, strict=True))
         ]
         self._freed = _Freed(robot.name, whole)
-        order = (*map(links.__getitem__, joints), *shifts, *chain(*ends_at), *tilts)
+        order = (*map(links.__getitem__, joints), *shifts, *chain(*ends_at), *angles)
         added = [whole.joints[i] for i in order]
         places = np.array([each.idx_v for each in added])
-        self._of_joints, of_theta = np.split(places, [n])
+        self._of_joints, self._of_theta = np.split(places, [n])
         # where the numbers of that model are in (q, θ) and (q̇, θ') of all joints
-        own = [model.joints[joint] for joint in joints]
+        own, of_theta = [model.joints[joint] for joint in joints], np.arange(self.p)
         at_q = [each.idx_q + i for each in own for i in range(each.nq)]
         at_v = [each.idx_v for each in own]
-        angles = self.n_lengths + np.arange(len(turns)).reshape(-1, 3)
-        self._encoders = angles[:, 2]
-        moved = np.append(np.arange(self.n_lengths), angles[:, :2])  # θ that are joints
-        encoded = [self.movers.index(name) for name in self.turners]
-        self._of_theta = np.zeros(self.p, dtype=int)
-        self._of_theta[moved], self._of_theta[self._encoders] = of_theta, places[encoded]
         by_q = np.argsort([each.idx_q + i for each in added for i in range(each.nq)])
-        self._from_q = np.append(at_q, model.nq + moved)[by_q]
-        self._from_v = np.append(at_v, model.nv + moved)[np.argsort(places)]
-        self._encoding = np.eye(model.nv)[:, [own[i].idx_v for i in encoded]]
-        first = np.array([own[i].idx_q for i in encoded], dtype=int)
-        pairs = np.array([own[i].nq == 2 for i in encoded], dtype=bool)
-        self._encoded_q, self._pairs = first[~pairs], first[pairs]
-        self._one, self._two = self._encoders[~pairs], self._encoders[pairs]
+        self._from_q = np.append(at_q, model.nq + of_theta)[by_q]
+        self._from_v = np.append(at_v, model.nv + of_theta)[np.argsort(places)]
         self._columns = robot.mimic_joints.columns(np.eye(model.nv))[at_v]
         self._plain = np.array_equal(self._columns, np.eye(n))
 
@@ -304,8 +287,7 @@ class KinematicRegressor(Immutable):
 
     def _turn_of(self, i: int, angles: Array) -> Array:
         """Return the rotation vector (3,) of a joint's origin by its tilts and encoder."""
-        one, two = self.across[i]
-        ways = zip((one, two, np.cross(one, two)), angles.tolist(), strict=True)
+        ways = zip(self.across[i], angles.tolist(), strict=True)
         return pin.log3(reduce(np.matmul, [pin.exp3(angle * way) for way, angle in ways]))
 
     @cached_property
@@ -315,19 +297,11 @@ class KinematicRegressor(Immutable):
     def _rates(self, v: Array, theta_dot: Array) -> Array:
         """Return q̇ and θ' as the model with translations as joints has them."""
         speeds = self.robot.mimic_joints.v(as_vector("v", v, self.robot.nv))
-        if self.turners:
-            speeds = speeds + self._encoding @ theta_dot[self._encoders]
         return np.concatenate([speeds, theta_dot]).take(self._from_v)
 
     def _placed(self, q: Array, theta: Array, rates: Array | None = None) -> Any:
         """Place that model at q and θ; return it if they are symbols, else None."""
         q = self.robot.mimic_joints.q(self.robot.configuration(q))
-        if self.turners:
-            q = q.copy()
-            q[self._encoded_q] += theta[self._one]
-            c, s = np.cos(theta[self._two]), np.sin(theta[self._two])
-            x, y = q[self._pairs], q[self._pairs + 1]
-            q[self._pairs], q[self._pairs + 1] = c * x - s * y, s * x + c * y
         q = np.concatenate([q, theta]).take(self._from_q)
         if (arm := arm_of(self._freed, q)) is not None:
             return arm
@@ -363,13 +337,13 @@ class KinematicRegressor(Immutable):
         return J if self._plain else np.asanyarray(J.dot(self._columns))
 
 
-def _across(axis: Array) -> tuple[Array, Array]:
-    """Return e₁ and e₂ (3,) with e₁ × e₂ along an axis (3,): x and y of an axis along z."""
+def _across(axis: Array) -> tuple[Array, Array, Array]:
+    """Return e₁, e₂ and e₁ × e₂ along an axis, (3,) each: x, y and z of an axis along z."""
     axis = axis / np.linalg.norm(axis)
     one = np.eye(3)[np.abs(axis).argmin()]
     one = one - axis * axis.dot(one)
     one = one / np.linalg.norm(one)
-    return one, np.cross(axis, one)
+    return one, np.cross(axis, one), axis
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -409,7 +383,7 @@ class KinematicBelief:
             joint, _, kind = name.rpartition(".")
             if kind == "tilt1" and joint in regressor.turners:
                 j, angles = regressor.turners.index(joint), slice(i, i + 3)
-                B = np.column_stack([*regressor.across[j], np.cross(*regressor.across[j])])
+                B = np.column_stack(regressor.across[j])
                 # exp(α₁[x]ₓ) exp(α₂[y]ₓ) exp(δ[z]ₓ) is the inverse of a roll, pitch and yaw
                 before = pin.rpy.computeRpyJacobian(-learnt[angles], pin.WORLD)
                 R = pin.rpy.rpyToMatrix(-learnt[angles]) @ B.T @ next(rotations).T
