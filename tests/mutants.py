@@ -1094,7 +1094,7 @@ MUTANTS = [
     ),
     (
         "tilts in the other order", "robots/kinematic_regressor.py",
-        "ways = zip(self.across[i], angles", "ways = zip(self.across[i][::-1], angles[::-1]",
+        "pin.log3(reduce(np.matmul, each))", "pin.log3(reduce(np.matmul, each[::-1]))",
         "tests/robots/test_kinematic_regressor.py",
     ),
     (

@@ -210,7 +210,16 @@ def calibrate(
     regressor = KinematicRegressor(arm, axes="axes" in kinds)
     unknowns = Unknowns(regressor, kinds, USUAL_SD)
     tool = Unknowns(regressor, ("tool",), {"tool": unknowns.sd[unknowns.is_tool].max(initial=0.2)})
-    lengths = _distances(apart or {}, samples)
+    require("apart", apart := apart or {}, Mapping, "a mapping from pairs of sockets to metres")
+    sockets = {*samples.frame} - {TRACKER}
+    if unseen := [name for pair in apart for name in pair if name not in sockets]:
+        there = ", ".join(sorted(sockets)) or "none"
+        message = f"apart must name sockets, {there}, got {', '.join(unseen)}"
+        raise InvalidInputError(message, given=apart)
+    lengths = {
+        pair: as_number("apart", each, unit="m", above=0.0, most=_LONGEST)
+        for pair, each in apart.items()
+    }
 
     fits = {scale: Fit(unknowns, samples, lengths, scale).solved() for scale in _SCALES}
     scale = max(fits, key=lambda each: fits[each].evidence)
@@ -313,22 +322,6 @@ def _torques(arm: Robot, recordings: Sequence[Recording]) -> tuple[FittedDynamic
     small += ["payload"] * (abs(fit.payload) < 2.0 * fit.payload_sd)
     text = "torques are taken as true: motor constants may be off by 20 %"
     return fit, f"{text}; not distinguished from zero: {', '.join(small) or 'nothing'}"
-
-
-def _distances(
-    apart: Mapping[tuple[str, str], float], samples: Recorded
-) -> dict[tuple[str, str], float]:
-    sockets = {*samples.frame} - {TRACKER}
-    require("apart", apart, Mapping, "a mapping from pairs of sockets to metres")
-    for pair in apart:
-        if unseen := [name for name in pair if name not in sockets]:
-            known = ", ".join(sorted(sockets)) or "none"
-            message = f"apart must name sockets, {known}, got {', '.join(unseen)}"
-            raise InvalidInputError(message, given=apart)
-    return {
-        pair: as_number("apart", each, unit="m", above=0.0, most=_LONGEST)
-        for pair, each in apart.items()
-    }
 
 
 def _left_out(samples: Recorded) -> dict[str, Array]:

@@ -58,16 +58,6 @@ def loop_key(*parts: Any) -> bytes:
     return hashlib.sha256(stream.getvalue()).digest()
 
 
-def _require_plain(plant: Plant) -> None:
-    more = (plant.servo, plant.torque_limits, plant.adds_gravity)
-    if type(plant) is not Plant or any(part is not None for part in more):
-        raise InvalidInputError(
-            "plant must be a Plant itself, without a servo, torque_limits and adds_gravity, to "
-            f"make code of it, got {plant!r}",
-            given=plant,
-        )
-
-
 class TracedLoop:
     """A step of a sampled loop.
 
@@ -99,7 +89,13 @@ class TracedLoop:
         # sensors and motors as they really are; None is ideal
         sensing: TracedSensing | None = None,
     ) -> None:
-        _require_plain(plant)
+        more = (plant.servo, plant.torque_limits, plant.adds_gravity)
+        if type(plant) is not Plant or any(part is not None for part in more):
+            raise InvalidInputError(
+                "plant must be a Plant itself, without a servo, torque_limits and adds_gravity, to "
+                f"make code of it, got {plant!r}",
+                given=plant,
+            )
         robot = plant.robot
         self.truth = Arm(program.given, "truth", robot, tasks.frames(plant.sensor), numbers)
         self.q = q = program.kept("q", robot.nq)

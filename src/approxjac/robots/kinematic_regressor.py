@@ -281,14 +281,12 @@ class KinematicRegressor(Immutable):
             if moved[joint].any():
                 placed = self._model.frames[all_frame_id(self.robot, parent)].placement
                 shifts[joint] = list(placed.rotation.T @ moved[joint])
-        turns = enumerate(zip(self.turners, theta[self.n_lengths :].reshape(-1, 3), strict=True))
-        rotations = {name: self._turn_of(i, by).tolist() for i, (name, by) in turns if by.any()}
+        rotations, turns = dict[str, Any](), theta[self.n_lengths :].reshape(-1, 3)
+        for name, ways, by in zip(self.turners, self.across, turns, strict=True):
+            if by.any():  # of tilts and encoder
+                each = [pin.exp3(angle * way) for way, angle in zip(ways, by, strict=True)]
+                rotations[name] = pin.log3(reduce(np.matmul, each)).tolist()
         return shifts, rotations, held
-
-    def _turn_of(self, i: int, angles: Array) -> Array:
-        """Return the rotation vector (3,) of a joint's origin by its tilts and encoder."""
-        ways = zip(self.across[i], angles.tolist(), strict=True)
-        return pin.log3(reduce(np.matmul, [pin.exp3(angle * way) for way, angle in ways]))
 
     @cached_property
     def _data(self) -> pin.Data:

@@ -102,7 +102,10 @@ class Transmission:
             K, D, bend = np.where(meshed, K, 0.0), np.where(meshed, D, 0.0), twist - free
         spring = K * bend + (0.5 * h * K + D) * (w - v)  # at the middle, if the rates stayed
         stiff = h * (0.25 * h * K + 0.5 * D)
-        J = np.asarray(drives.rotor_inertia) + self._viscous_share(h) * h * B
+        J = np.asarray(drives.rotor_inertia)
+        # of viscous friction half is that at the step's end, more where it stops a joint
+        stopped = 1.0 - (J + np.where(rigid, self._usual, 0.0)) / np.maximum(h * B, 1e-300)
+        J = J + np.maximum(0.5, stopped) * h * B
         whole = np.where(rigid, 1.0, J + stiff)  # of a rotor with its spring; not of rigid joints
         share = np.where(rigid, 1.0, stiff / whole)  # of a change of θ̇ that q̇ takes along
         mobility = np.where(rigid, 0.0, 1.0 / whole)
@@ -126,12 +129,6 @@ class Transmission:
         dv, w = S @ impulse, motors.rate
         w = np.where(self.is_rigid, w + dv, w)
         return JointStep(v + dv, motors._replace(rate=w, change=motors.change + dv), S)
-
-    def _viscous_share(self, h: float) -> Array:
-        """Return the share of viscous friction at a step's end: ½, more where it stops a joint."""
-        B, inertia = np.asarray(self.friction.viscous), np.asarray(self.drives.rotor_inertia)
-        inertia = inertia + np.where(self.is_rigid, self._usual, 0.0)
-        return np.maximum(0.5, 1.0 - inertia / np.maximum(h * B, 1e-300))
 
     def _coulomb(self, w: Array) -> Array:
         F = np.asarray(self.friction.coulomb)

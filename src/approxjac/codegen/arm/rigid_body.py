@@ -294,15 +294,6 @@ class Configured:
                 forces[parent] = held[0] + f, held[1] + moment
         return self.arm.robot.mimic_joints.rows(tau)
 
-    def reference_motion(
-        self, v: Symbols, v_r: Symbols, a_r: Symbols
-    ) -> list[tuple[Symbols, Symbols]]:
-        """Return a and U of each link whose forces are M(q)q̈_r + C(q, q̇)q̇_r + g(q)."""
-        middle = self.motions(0.5 * (v + v_r), a_r, -self.weight)
-        apart = self.motions(0.5 * (v - v_r), _zeros(self.nv), _NOTHING)
-        pairs = zip(middle, apart, strict=True)
-        return [(one.a - other.a, one.gradient - other.gradient) for one, other in pairs]
-
     def bodies(self, v: Symbols, v_r: Symbols, a_r: Symbols) -> LearntBodies:
         """Return the links of a reference motion whose parameters are learnt."""
         return LearntBodies(self, v, v_r, a_r)
@@ -428,7 +419,10 @@ class LearntBodies:
 
     def __init__(self, arm: Configured, v: Symbols, v_r: Symbols, a_r: Symbols) -> None:
         self._arm, self._still = arm, _zeros(arm.nv)
-        self._moved = arm.reference_motion(v, v_r, a_r)  # a wrench is linear in a and U
+        middle = arm.motions(0.5 * (v + v_r), a_r, -arm.weight)
+        apart = arm.motions(0.5 * (v - v_r), self._still, _NOTHING)
+        pairs = zip(middle, apart, strict=True)  # a wrench is linear in a and U
+        self._moved = [(one.a - other.a, one.gradient - other.gradient) for one, other in pairs]
 
     def powers(self, sigma: Symbols) -> Symbols:
         """Return Yᵀσ of σ (n_v,), shape (p,)."""
