@@ -15,7 +15,7 @@ from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.loop.linearization import (
     continuous_matrix,
     equilibria,
-    linear_loops,
+    linear_loop,
     sampled_matrix,
     stabilities,
 )
@@ -37,13 +37,6 @@ def arm_named(name):
     link = """<link name="{}"><inertial><origin xyz="0.2 0 0.1"/><mass value="1.5"/>
       <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.2" iyz="0" izz="0.15"/></inertial></link>"""
     return aj.load_robot(FOLLOWER.replace("{links}", "".join(map(link.format, "abc"))))
-
-
-def linear_loop(plant, controller, q):
-    """The parts of a linear loop whose sensor measures the controller's task at q."""
-    at, dynamics = plant.sensor.jacobian(q), plant.dynamics
-    terms = q, dynamics.M(q), dynamics.g_gradient(q), at, controller.task.jacobian(q)
-    return linear_loops(controller, plant.friction, *(np.array([each]) for each in terms))
 
 
 def loop_of(name, rng, learns=False, **options):

@@ -50,6 +50,19 @@ class LinearLoop(NamedTuple):
         return self._replace(**{name: getattr(self, name)[which] for name in own})
 
 
+def linear_loop(plant: Plant, controller: SetpointController, q: Array) -> LinearLoop:
+    """Return the parts of the loop of a plant and a controller at one configuration (nq,).
+
+    Ĵ that uses x is taken at that of the target: its change is multiplied by e and q̇, both zero.
+    """
+    sensor, dynamics = plant.sensor, plant.dynamics
+    terms = (
+        q, dynamics.M(q), dynamics.g_gradient(q), sensor.sensor_jacobian(q),
+        controller.task.jacobian(q, sensor.value(q)),
+    )  # fmt: skip
+    return linear_loops(controller, plant.friction, *(np.array([each]) for each in terms))
+
+
 def linear_loops(
     controller: SetpointController,
     friction: Array,
@@ -59,7 +72,7 @@ def linear_loops(
     J: Array,
     J_hat: Array,
 ) -> LinearLoop:
-    """Return the parts of a loop with terms at N configurations, which are targets."""
+    """Return the parts of `linear_loop` at N configurations."""
     (N, m, n), learning = J.shape, controller.adaptation
     Z, L, alpha, J_hat_pinv = np.zeros((N, n, 0)), np.zeros(0), 0.0, np.zeros((N, n, m))
     if learning is not None:
@@ -242,12 +255,7 @@ def local_stability(
         return _by_differences(plant, controller, q, timing)
     _require_gravity(plant, law, q)
     gravity = float(np.linalg.norm(plant.robot.gravity))
-    sensor, dynamics = plant.sensor, plant.dynamics
-    # Ĵ that uses x is that of the target: its change is multiplied by e and q̇, both zero
-    J_hat = law.task.jacobian(q, sensor.value(q))
-    terms = q, dynamics.M(q), dynamics.g_gradient(q), sensor.sensor_jacobian(q), J_hat
-    loop = linear_loops(law, plant.friction, *(np.array([each]) for each in terms))
-    return stabilities(loop, gravity, timing)[0]
+    return stabilities(linear_loop(plant, law, q), gravity, timing)[0]
 
 
 def stabilities(
