@@ -1088,8 +1088,8 @@ MUTANTS = [
         "H, known = self._moved.at(q, u[: self._n_theta])", "H, known = self._moved.at(q)", LEARNT,
     ),
     (
-        "encoders that count the other way", "robots/kinematic_regressor.py",
-        "return one, np.cross(axis, one), axis", "return one, np.cross(axis, one), -axis",
+        "encoders before tilts", "robots/kinematic_regressor.py",
+        "ways.get(name, ())), model.joints", "ways.get(name, ())[::-1]), model.joints",
         "tests/robots/test_kinematic_regressor.py",
     ),
     (
