@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
-from approxjac.codegen.lanes import Box, Lanes, LaneStart
+from approxjac.codegen.lanes import Lanes, LaneStart
 from approxjac.robots import Drives, Dynamics, Friction
 from approxjac.robots.drives import usual_inertia
 from approxjac.simulation import Computation, VelocityServo
@@ -406,7 +406,7 @@ def test_lanes_are_runs_of_python(panda, kind):
         LaneStart.of(law, plant, START, goal, seed)
         for seed, (plant, goal) in enumerate(zip(plants, goals, strict=True))
     ]
-    box = Box(START, -np.ones(7), np.ones(7))
+    box = aj.JointBox.around(panda, START, 1.0)
     found = Lanes(law, plants[0], starts, box, 1e-3, 800, 1e-3).run(starts, 100)
     options = Computation("semi_implicit_euler", "python")
     for seed, (plant, goal, error) in enumerate(zip(plants, goals, found["error"], strict=True)):

@@ -115,7 +115,11 @@ class RobotLoop(Loop):
             if message := two_clocks(measurement, self.dt):
                 self._note(Fault.CLOCK_JUMPED, message)
         if known and (fault is None or fault in _FAST):
-            self._diagnose(measurement)
+            answer = self.answer  # to the sample before
+            if self.monitor.look(measurement, answer.torque, answer.reference, self.state):
+                event = self.monitor.events[-1]
+                if event.condition is Condition.MOTOR_WEAK:
+                    self._note(Fault.MOTOR_WEAK, f"{event.where}: {event.figure}")
         if known and not self._brakes():
             self._look(measurement)
             if not self._brakes():
@@ -137,13 +141,6 @@ class RobotLoop(Loop):
             self.state = self._after
         self.step += 1
         return not self._rests()
-
-    def _diagnose(self, measurement: Measurement) -> None:
-        answer = self.answer  # to the sample before
-        if self.monitor.look(measurement, answer.torque, answer.reference, self.state):
-            event = self.monitor.events[-1]
-            if event.condition is Condition.MOTOR_WEAK:
-                self._note(Fault.MOTOR_WEAK, f"{event.where}: {event.figure}")
 
     def _explain(self) -> None:
         """Say what made a joint too fast, if that can be seen."""

@@ -300,15 +300,12 @@ def recommended(scenario: Scenario) -> Scenario:
 
 def _friction(scenario: Scenario) -> controllers.FrictionCompensation | None:
     chosen, sensor = scenario.controller, scenario.sensor
-    wanted = chosen.friction_compensation
-    if wanted is None:
-        exact = sensor.delay == sensor.noise == 0.0 and sensor.rate is None
-        is_recent = bool(chosen.unknown) or (exact and chosen.differentiator is None)
-        learns = chosen.gravity in (None, "learnt", "learn_residual")
-        wanted = learns and is_recent and sampling_time(scenario) > 0.0
-    if not wanted:
-        return None
-    return controllers.FrictionCompensation(encoder_step=sensor.q_quantum)
+    exact = sensor.delay == sensor.noise == 0.0 and sensor.rate is None
+    is_recent = bool(chosen.unknown) or (exact and chosen.differentiator is None)
+    learns = chosen.gravity in (None, "learnt", "learn_residual")
+    if learns and is_recent and sampling_time(scenario) > 0.0:
+        return controllers.FrictionCompensation(encoder_step=sensor.q_quantum)
+    return None
 
 
 def _gravity(truth: Robot, belief: Robot, kind: str | None, integral: bool | None) -> Gravity:

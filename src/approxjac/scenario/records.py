@@ -224,8 +224,6 @@ class ControllerChoice:
             default; the true one, the believed one or none; or a learnt residual, for robots that
             add the believed arm's (Franka, UR).
         integral_action: Learn a task force and joint torques; by default if gravity is learnt.
-        friction_compensation: Learn the friction of joints that stand; by default if gravity is
-            learnt and x is as recent as q.
         settling_time: Time to settle, s; by default as short as arm, motors and latency allow.
         kp: Gain K_p, one number or one per task coordinate; by the rule of default gains.
         kv: Gain K_v, one number or one per task coordinate; by the rule of default gains.
@@ -247,7 +245,6 @@ class ControllerChoice:
     differentiator: float | None = positive(None)
     gravity: Literal["learnt", "exact", "believed", "none", "learn_residual"] | None = None
     integral_action: bool | None = None
-    friction_compensation: bool | None = None
     settling_time: float | None = positive(None)
     kp: Numbers | None = positive(None)
     kv: Numbers | None = positive(None)

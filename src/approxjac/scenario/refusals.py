@@ -12,7 +12,7 @@ from approxjac.scenario.records import Tracker
 from approxjac.scenario.scenario import Scenario
 
 _OF_SETPOINT = ["settling_time", "kp", "kv", "damping", "gamma", "posture_stiffness"]
-_OF_SETPOINT += ["differentiator", "integral_action", "friction_compensation"]
+_OF_SETPOINT += ["differentiator", "integral_action"]
 Rule = tuple[str, bool, str, str]
 """A key that may do nothing, whether it does here, its use, and what there is in its place."""
 
