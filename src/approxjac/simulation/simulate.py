@@ -225,6 +225,7 @@ class Loop:
     target: Array
     motors: Motors | None = None
     _wanted: Target | Array
+    _after: Array  # state after this step
     _knows_truth: ClassVar[bool] = True  # False on a robot
 
     def __init__(
@@ -276,6 +277,10 @@ class Loop:
                 given=controller,
             )
         self.controller = controller
+
+    def relearn(self) -> None:
+        """Begin to learn kinematics anew, as unsure as at first, from the next step on."""
+        self.state = self._after = self.controller.relearnt(self._after)
 
     def stop(self) -> None:
         """End the run at this step."""
