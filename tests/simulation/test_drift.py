@@ -8,10 +8,9 @@ import approxjac as aj
 from approxjac import law
 from approxjac.controllers import AdaptiveKinematics, PredictedMeasurement
 from approxjac.interface import Condition, Measurement
+from approxjac.realtime import SimulatedDriver
 from approxjac.robots import KinematicRegressor
-from approxjac.simulation import Monitor
 from approxjac.simulation.drift import DriftWatch
-from approxjac.simulation.simulate import MovingArm
 from approxjac.tasks import PoseTask, PoseTrackerTask, TrackerTask
 
 DT, RATE, NOISE, AT = 0.01, 60.0, 1e-3, 8.0
@@ -187,36 +186,58 @@ def test_a_loop_learns_anew_when_it_is_told_to(panda):
     assert law_.kinematics_learnt(run.state[-1]).seconds < 0.2
 
 
+class Slips(SimulatedDriver):
+    """A robot whose tool slips."""
+
+    after = None
+
+    def read(self):
+        if self.samples == 2500:
+            self.plant = self.after
+        return super().read()
+
+
 @pytest.mark.parametrize("learns", [True, False])
-def test_a_monitor_lists_it_among_the_events(panda, learns):
-    """In the whole loop, by a law that learns and one on the measured x."""
+def test_a_loop_on_a_robot_tells_it_and_learns_anew_on_request(panda, learns, tmp_path):
+    """By a law that learns and one on the measured x."""
     truth, task = panda.with_object(0.15, 0.3, axis="x"), aj.PositionTask(panda.with_object(0.0))
     sensing = aj.Sensing(x_noise=NOISE, x_rate=RATE, x_delay=0.02)
     plant, other = (
         aj.Plant(each, aj.PositionTask(each), sensing=sensing)
         for each in (truth, slipped(truth, 2.0 * SLIP))
     )
-    controller = aj.SetpointController(task, gravity=aj.AdaptiveGravity(task.robot))
+    gravity, late = aj.AdaptiveGravity(task.robot), aj.Latency(period=2e-3)
+    controller = aj.SetpointController(task, gravity=gravity, latency=late)
     if learns:
-        kinematics = AdaptiveKinematics(task, KINDS[0], noise=NOISE, delay=0.02, dt=2e-3)
+        kinematics = AdaptiveKinematics(
+            task, KINDS[0], noise=NOISE, delay=0.02, dt=2e-3, restarts=False
+        )
         controller = aj.TrackingController(task, kinematics=kinematics, dt=2e-3)
-    moving = MovingArm(
-        plant, plant.ready_configuration(), np.zeros(7), 2e-3, "semi_implicit_euler", 0
-    )
-    monitor, seen = Monitor(controller), moving.sense()[1]
-    path, state = aj.Circle(seen.x + [0.0, 0.05, 0.0], 0.06, 4.0), controller.initial_state(seen)
-    for k in range(3500):
-        if k == 2500:
-            moving.plant = other
-        state_after, answer = controller.step(state, seen, path.at(k * 2e-3), 2e-3)
-        monitor.look(seen, answer.torque, answer.reference, state)
-        state = state_after
-        moving.move(moving.take(answer.torque))
-        seen = moving.sense()[1]
+    controller = aj.TorqueLimited(controller, aj.Limits(effort=panda.effort_limits))
+    driver = Slips(plant, dt=2e-3, pace=np.inf)
+    driver.after = other
+    x0, seen = plant.sensor.value(plant.ready_configuration()), []
+
     kinds = {Condition.TOOL_SLIPPED, Condition.TOOL_OR_SENSOR_MOVED}
-    (event,) = (each for each in monitor.events if each.condition in kinds)
+
+    def look(loop):
+        told = [each for each in loop.events if each.condition in kinds]
+        if told and learns and not seen:
+            seen.append(told[0])
+            loop.relearn()
+
+    slow = aj.realtime.Tolerances(max_period=2.0)  # a busy machine is no fault here
+    path = aj.Circle(x0 + [0.0, 0.05, 0.0], 0.06, 4.0)
+    run = aj.control(driver, controller, path, 8.0, tolerances=slow, observer=look)
+    assert run.fault is None
+    (event,) = (each for each in run.events if each.condition in kinds)
     assert 5.0 < event.named <= 7.0
     assert event.begin == pytest.approx(5.0, abs=0.3)
     told = float(event.figure.split()[0])
     assert told == pytest.approx(2e3 * np.linalg.norm(SLIP), abs=2.0)
-    assert Condition.SENSOR_MOVED not in {each.condition for each in monitor.events}
+    assert Condition.SENSOR_MOVED not in {each.condition for each in run.events}
+    page = aj.view.save_page(run, tmp_path / "run.html").read_text(encoding="utf-8")
+    assert event.condition.label in page
+    if learns:
+        assert seen[0] == event
+        assert controller.kinematics_learnt(run.state[-1]).restarts == 1

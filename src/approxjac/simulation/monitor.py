@@ -171,7 +171,8 @@ class Monitor:
             return False
         if change := self._changes.look(measurement, state):
             condition, begin, *_ = change
-            where = self._tip.frame if condition is Condition.TOOL_SLIPPED else "sensor of x"
+            moved = {Condition.TOOL_SLIPPED: self._tip.frame, Condition.SENSOR_MOVED: "sensor of x"}
+            where = moved.get(condition, " or ".join(moved.values()))
             self.events.append(Event(condition, begin, t, math.inf, where, change.figure))
         if last is None or not 0.0 < t - last < _GAP:
             self._begin(t, q, v, torque)
