@@ -6,11 +6,13 @@ from numpy.testing import assert_allclose
 
 import approxjac as aj
 from approxjac import law
+from approxjac.cameras import PlanarCamera
 from approxjac.controllers import AdaptiveKinematics, PredictedMeasurement
 from approxjac.interface import Condition, Measurement
 from approxjac.realtime import SimulatedDriver
 from approxjac.robots import KinematicRegressor
 from approxjac.simulation.drift import DriftWatch
+from approxjac.simulation.simulate import MovingArm
 from approxjac.tasks import PoseTask, PoseTrackerTask, TrackerTask
 
 DT, RATE, NOISE, AT = 0.01, 60.0, 1e-3, 8.0
@@ -241,3 +243,31 @@ def test_a_loop_on_a_robot_tells_it_and_learns_anew_on_request(panda, learns, tm
     if learns:
         assert seen[0] == event
         assert controller.kinematics_learnt(run.state[-1]).restarts == 1
+
+
+def test_a_tool_that_slips_before_a_planar_camera_is_told():
+    """Its roll is wrong, and the law on the measured image does not learn it."""
+    arm = aj.load_robot("two_link")
+    truth, camera = arm.with_object(0.3, 0.5, axis="x"), PlanarCamera(0.05, 3.0, 0.3)
+    sensing = aj.Sensing(x_noise=1e-5, x_rate=RATE, x_delay=0.02)
+    plant, other = (
+        aj.Plant(each, aj.ImageTask(each, camera), sensing=sensing)
+        for each in (truth, truth.with_kinematic_error({"object_tip_joint": [0.012, 0.0, -0.009]}))
+    )
+    task = aj.ImageTask(arm.with_object(0.0), PlanarCamera(0.05, 3.0, 0.1))
+    late, gravity = aj.Latency(period=2e-3, image_period=1 / RATE), aj.AdaptiveGravity(task.robot)
+    controller = aj.SetpointController(task, gravity=gravity, latency=late)
+    moving = MovingArm(plant, np.array([0.5, 1.2]), np.zeros(2), 2e-3, "semi_implicit_euler", 0)
+    seen, watch, said = moving.sense()[1], DriftWatch(controller), []
+    path, state = aj.Circle(seen.x + [0.0, 2e-3], 3e-3, 4.0), controller.initial_state(seen)
+    for k in range(round((AT + 2.0) / 2e-3)):
+        if k == round(AT / 2e-3):
+            moving.plant = other
+        if change := watch.look(seen, state):
+            said.append(change)
+        state, answer = controller.step(state, seen, path.at(k * 2e-3), 2e-3)
+        moving.move(moving.take(answer.torque))
+        seen = moving.sense()[1]
+    (change,) = said
+    assert change.condition is not Condition.SENSOR_MOVED
+    assert change.size == pytest.approx(0.015, abs=2e-3)

@@ -12,9 +12,11 @@ from approxjac.controllers.learning.estimator import Estimator, Expectation, Sig
 from approxjac.controllers.learning.positions import AdaptiveKinematics
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Condition, Measurement
+from approxjac.tasks import ImageTask
 from approxjac.validation import Array
 
 _OWN = ("tool", "origins", "axes", "offset", "delay")  # learnt where the law learns nothing
+_OF_IMAGE = ("tool", "origins", "camera", "delay")
 _NOISE = 1e-3  # m, at least; more is seen
 _SETTLES = 2.0  # s of frames, from which on what was learnt is compared
 _LASTS, _WINDOWS = 3.0, 2  # s of frames that are compared with one state; such windows at a time
@@ -26,7 +28,7 @@ _SLOW = 1e-3  # m, by which x may differ all along from what is predicted
 _MOST = 0.3, 0.3  # m and rad, of a change
 _SURE = 40.0  # of χ² that a change explains: what is no noise
 _LEAST = 3e-3  # m, of a change
-_CLEAR = 14.0  # χ² by which one cause explains more than the other
+_CLEAR, _SHARE = 14.0, 0.02  # χ², and share of it, by which a cause explains more than the other
 _SHOWS, _PATIENCE = 0.3, 1.5  # s, for which a change has to show, and in which its cause has
 
 
@@ -77,10 +79,10 @@ class DriftWatch:
         kinematics = controller.kinematics
         self._is_own = kinematics is None or not kinematics.names
         if self._is_own:
+            task = controller.task.measured
+            own = (_OF_IMAGE, None) if isinstance(task, ImageTask) else (_OWN, _NOISE)
             try:
-                kinematics = AdaptiveKinematics(
-                    controller.task.measured, unknown=_OWN, noise=_NOISE
-                )
+                kinematics = AdaptiveKinematics(task, unknown=own[0], noise=own[1])
             except InvalidInputError:  # which x it does not know
                 kinematics = None
         self._kinematics = kinematics if isinstance(kinematics, Estimator) else None
@@ -128,8 +130,8 @@ class DriftWatch:
 class _Window:
     """Frames since a moment, as what was learnt until then expects them.
 
-    Sums of products of columns are kept: of what may be off all along, U, of motions of the tool
-    and of the sensor, and of the residual; the latter by pieces of time.
+    Sums of products of columns are kept by pieces of time: of what may be off all along, U, of
+    motions of the tool and of the sensor, and of the residual.
     """
 
     def __init__(self, begun: float, expected: Expectation) -> None:
@@ -139,7 +141,6 @@ class _Window:
         values, axes = np.linalg.eigh(expected.covariance)
         self._root = axes * np.sqrt(np.maximum(values, 0.0))
         self._begins, self._counts, self._sums = list[float](), list[int](), list[Array]()
-        self._usual: Array = np.zeros(())  # UᵀU
 
     def look(self, frame: Measurement) -> Change | None:
         """Add a frame; return the change that those before it show, at the end of some pieces."""
@@ -152,9 +153,7 @@ class _Window:
             self._sums.append(np.zeros(()))
         rows = np.column_stack([sight.H @ self._root, _SLOW * sight.shift, *sight[2:], sight.left])
         rows = rows[np.isfinite(sight.left)] / self._expected.noise
-        U, others = np.split(rows, [sight.H.shape[1] + sight.shift.shape[1]], axis=1)
-        self._usual = self._usual + U.T @ U
-        self._sums[-1] = self._sums[-1] + rows.T @ others
+        self._sums[-1] = self._sums[-1] + rows.T @ rows
         self._counts[-1] += 1
         return change
 
@@ -169,59 +168,63 @@ class _Window:
         )
         if not is_tried.any():
             return None
-        sums: Array = np.cumsum(self._sums[::-1], axis=0, dtype=float)[::-1]
-        n = len(self._usual)
-        A = np.eye(n) + self._usual
-        off = np.asarray(np.linalg.solve(A, sums[0, :n, -1]), dtype=np.float64)
-        sums, begins = sums[is_tried], begins[is_tried]
-        tool, sensor = (
-            _caused(sums, begins, A, off, sight, part) for part in (slice(2, 4), slice(4, 6))
-        )
+        n = sight.H.shape[1] + sight.shift.shape[1]
+        pieces = np.array(self._sums)
+        whole, parts = pieces.sum(axis=0), (slice(2, 4), slice(4, 6))
+        since_then: Array = np.cumsum(pieces[::-1, :, n:], axis=0)[::-1]
+        first = [_caused(since_then[is_tried], whole, n, sight, part) for part in parts]
+        k = int(np.flatnonzero(is_tried)[max(first, key=lambda cause: cause.explains).start])
+        if k + 1 < len(pieces):  # without the pieces in which it may have begun
+            whole = whole - pieces[max(k - 1, 0) : k + 1].sum(axis=0)
+            first = [_caused(since_then[k + 1 : k + 2], whole, n, sight, part) for part in parts]
+        tool, sensor = first
         apart = tool.explains - sensor.explains
-        is_clear = abs(apart) > _CLEAR
+        is_clear = abs(apart) > _CLEAR + _SHARE * max(tool.explains, sensor.explains)
         cause = sensor if is_clear and apart < 0.0 else tool  # which has fewer numbers
         if not (cause.explains > _SURE and cause.size > _LEAST):
             self.crossed = math.inf
             return None
         if self.crossed > t:
-            self.crossed, self._onset = t, cause.begin
+            self.crossed, self._onset = t, self._begins[k]
         if t < self.crossed + (_SHOWS if is_clear else _PATIENCE):
             return None
         kind = Condition.TOOL_SLIPPED if apart > 0.0 else Condition.SENSOR_MOVED
         turn = cause.turn if is_clear and cause.turn > 3.0 * cause.turn_sd else math.nan
         return Change(
             kind if is_clear else Condition.TOOL_OR_SENSOR_MOVED,
-            cause.begin, t, cause.size, cause.sd, turn, cause.turn_sd,
+            self._begins[k], t, cause.size, cause.sd, turn, cause.turn_sd,
         )  # fmt: skip
 
 
-def _caused(sums: Array, begins: Array, A: Array, off: Array, sight: Sight, part: slice) -> _Cause:
+def _caused(sums: Array, whole: Array, n: int, sight: Sight, part: slice) -> _Cause:
     """Return the motion by one cause that explains most, from one of some instants on.
 
-    The sums are those since each `begins`, and A⁻¹ = (I + UᵀU)⁻¹ and `off` = A⁻¹Uᵀr of all frames.
+    The sums (k, …) are of columns of motions and residual since each, the whole one is of all
+    frames; the first n columns are U.
     """
-    (moves, turns), n = sight[part], len(A)
+    (moves, turns), A = sight[part], np.eye(n) + whole[:n, :n]
     count = moves.shape[1], turns.shape[1]
     first = sum(each.shape[1] for each in sight[2 : part.start])
     columns = slice(first, first + sum(count))
     C, own = sums[:, :n, columns], sums[:, n + first : n + columns.stop]
-    e = own[..., -1] - off @ C
     k, _, g = C.shape
-    solved = np.linalg.solve(A, C.transpose(1, 0, 2).reshape(n, -1)).reshape(n, k, g)
-    M = own[..., columns] - C.transpose(0, 2, 1) @ solved.transpose(1, 0, 2)
+    both = np.column_stack([C.transpose(1, 0, 2).reshape(n, -1), whole[:n, -1]])
+    solved = np.linalg.solve(A, both)
+    e = own[..., -1] - solved[:, -1] @ C
+    M = own[..., columns] - C.transpose(0, 2, 1) @ solved[:, :-1].reshape(n, k, g).swapaxes(0, 1)
     P = np.linalg.inv(M + np.diag(np.repeat(np.array(_MOST) ** -2.0, count)))
     explains = np.einsum("ki,kij,kj->k", e, P, e)
     i = int(explains.argmax())
     step, at_tip = P[i] @ e[i], np.hstack([moves, turns])[: sight.shift.shape[1]]
     size, turn = _length(at_tip, step, P[i]), _length(np.eye(g)[count[0] :], step, P[i])
-    return _Cause(float(explains[i]), float(begins[i]), *size, *turn)
+    return _Cause(float(explains[i]), i, *size, *turn)
 
 
 class _Cause(NamedTuple):
     """A motion that may be the cause."""
 
     explains: float  # χ²
-    begin: float  # [s]
+    start: int  # which of the instants
     size: float  # of the motion of x [m], and its standard deviation
     sd: float
     turn: float  # [rad], and its standard deviation
