@@ -54,7 +54,7 @@ MUTANTS = [
     ),
     (
         "what was learnt counts as certain", "simulation/drift.py",
-        "A = np.eye(n) + self._usual", "A = 1e9 * np.eye(n) + self._usual", DRIFT,
+        "np.eye(n) + whole[:n, :n]", "1e9 * np.eye(n) + whole[:n, :n]", DRIFT,
     ),
     (
         "a turned tool is taken for a moved one", "controllers/learning/positions.py",
