@@ -228,7 +228,7 @@ def test_ranges_of_a_pinhole_camera(watched):
 def rotated(vector):
     """Rotation by a vector, after Rodrigues."""
     angle = np.linalg.norm(vector)
-    K = np.cross(np.eye(3), -np.asarray(vector) / max(angle, 1e-300))
+    K = np.cross(np.eye(3), np.asarray(vector) / max(angle, 1e-300))  # rows eᵢ × v
     return np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * K @ K
 
 
