@@ -38,9 +38,34 @@ ACCURACY = "tests/calibration/test_accuracy.py"
 FORMATS = "tests/calibration/test_formats.py"
 TORQUES = "tests/calibration/test_torques.py"
 INSTANTS = "tests/simulation/test_instants.py"
+DRIFT = "tests/simulation/test_drift.py"
 
 # name, file, text that is there once, text instead, tests that must fail
 MUTANTS = [
+    # -- a slipped tool, a moved sensor
+    (
+        "learning restarts though it is to go on", "controllers/learning/positions.py",
+        "        if self._restarts:", "        if True:", DRIFT,
+    ),
+    (
+        "a moved sensor is called a slipped tool", "simulation/drift.py",
+        "kind = Condition.TOOL_SLIPPED if apart > 0.0",
+        "kind = Condition.TOOL_SLIPPED if apart < 0.0", DRIFT,
+    ),
+    (
+        "what was learnt counts as certain", "simulation/drift.py",
+        "np.eye(n) + whole[:n, :n]", "1e9 * np.eye(n) + whole[:n, :n]", DRIFT,
+    ),
+    (
+        "a turned tool is taken for a moved one", "controllers/learning/positions.py",
+        "np.zeros((n_p, 3)), self._l * axes", "np.zeros((n_p, 3)), -self._l * axes", DRIFT,
+    ),
+    # -- errors of a camera
+    (
+        "a camera rolls before it tilts", "cameras/camera.py",
+        "pin.exp3(np.array([*tilt, 0.0])) @ pin.exp3(turn)",
+        "pin.exp3(turn) @ pin.exp3(np.array([*tilt, 0.0]))", "tests/stability/test_uncertainty.py",
+    ),
     # -- what rare blocks write in place
     (
         "a number is read after a block wrote it", "codegen/trace/program.py",

@@ -21,7 +21,7 @@ from approxjac.realtime.brake import Brake
 from approxjac.realtime.driver import Driver, read, two_clocks
 from approxjac.realtime.faults import Fault, Tolerances
 from approxjac.realtime.watches import FaultWatch, SensorWatch
-from approxjac.simulation.monitor import Monitor
+from approxjac.simulation.monitor import Event, Monitor
 from approxjac.simulation.plant import Plant
 from approxjac.simulation.simulate import Loop, Wanted, first_state, target_at, wanted_of, x_of
 from approxjac.simulation.trajectory import Record, Trajectory
@@ -141,6 +141,11 @@ class RobotLoop(Loop):
             self.state = self._after
         self.step += 1
         return not self._rests()
+
+    @property
+    def events(self) -> tuple[Event, ...]:  # type: ignore[override]
+        """What the monitor has detected so far."""
+        return tuple(self.monitor.events)
 
     def _explain(self) -> None:
         """Say what made a joint too fast, if that can be seen."""

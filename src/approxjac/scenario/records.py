@@ -369,6 +369,8 @@ class Analysis:
         focal_length: Smallest and largest true focal length of the camera, px or m.
         distance: Smallest and largest true distance of a planar camera, or error of it, m.
         roll: Smallest and largest true roll of the camera, of a pinhole one its error, rad.
+        tilt: Largest errors of a pinhole camera's view about its axes right and down, rad.
+        shift: Largest errors of a pinhole camera's place along right, down and forward, m.
         around: Center of the region, one position a joint, rad or m; `radius` is its size.
         radius: Largest distance of each joint from the center of the region, rad or m.
         sigma_min: Leave out configurations where σ_min of the believed Jacobian is smaller, m/rad.
@@ -387,6 +389,8 @@ class Analysis:
     focal_length: Interval | None = None
     distance: Interval | None = None
     roll: Interval | None = None
+    tilt: Interval | None = None
+    shift: Vector | None = None
     around: Numbers | None = None
     radius: float = positive(0.3)
     sigma_min: float | None = at_least(None)

@@ -51,7 +51,7 @@ def require_reportable(scenario: Scenario) -> None:
         ("controller.gravity", adds, none, ""),
         ("stability.map_points", scenario.stability.map_points == 1, "must be 0 or >= 2", ""),
     ]
-    for name in ("focal_length", "distance", "roll"):
+    for name in ("focal_length", "distance", "roll", "tilt", "shift"):
         rules.append((f"stability.{name}", kind != "image", "needs task.kind image", kind))
     refuse(scenario, rules)
 

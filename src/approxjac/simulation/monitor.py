@@ -14,6 +14,7 @@ from approxjac.controllers.learning.kinematic_report import UNEXPLAINED
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Condition, Measurement
 from approxjac.robots import Dynamics, Robot
+from approxjac.simulation.drift import DriftWatch
 from approxjac.tasks.frame_tasks import FrameKinematics
 from approxjac.validation import Array
 
@@ -106,7 +107,8 @@ class Monitor:
     A Kalman filter takes what lasts for a load at the tip, friction and constant errors. What comes
     suddenly is compared with its possible causes: one motor that lacks a share of its torque, a
     force at the tip, a load. The torques of a robot that takes velocities are unknown, so that only
-    oscillations and an unexplained x are detected.
+    oscillations, an unexplained x, and a slipped tool or moved sensor of x (`DriftWatch`) are
+    detected.
 
     Args:
         controller: The controller, which knows the believed robot and perhaps learns its
@@ -147,6 +149,7 @@ class Monitor:
         kinematics = controller.kinematics
         self._learns = kinematics is not None and bool(kinematics.names)
         self._left, self._compares = np.zeros(0), 0.0
+        self._changes = DriftWatch(controller)
         self._x: deque[Array] = deque(maxlen=3)  # of the last frames
         self._x_variance = np.zeros(controller.task.measured.m)
         self._frames: deque[tuple[float, Array, Array]] = deque()
@@ -167,6 +170,11 @@ class Monitor:
         if not math.isfinite(math.hypot(*q.tolist(), *v.tolist())):
             self._t = last
             return False
+        if change := self._changes.look(measurement, state):
+            condition, begin, *_ = change
+            moved = {Condition.TOOL_SLIPPED: self._tip.frame, Condition.SENSOR_MOVED: "sensor of x"}
+            where = moved.get(condition, " or ".join(moved.values()))
+            self.events.append(Event(condition, begin, t, math.inf, where, change.figure))
         if last is None or not 0.0 < t - last < _GAP:
             self._begin(t, q, v, torque)
         else:

@@ -11,7 +11,12 @@ import numpy as np
 from approxjac import law
 from approxjac.cameras import PlanarCamera
 from approxjac.controllers.arguments import chosen_deviations, chosen_kinds, is_rotation
-from approxjac.controllers.learning.estimator import Estimator, motion_of_points
+from approxjac.controllers.learning.estimator import (
+    Estimator,
+    Expectation,
+    Sight,
+    motion_of_points,
+)
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement, Target
 from approxjac.law import PredictedError
@@ -40,6 +45,7 @@ _NOISY = 0.3  # of the arm's reach, or of a metre, above which noise is in milli
 _FORGETTING = 1.0 / 30.0  # λ [1/s]
 _MEMORY = 15.0  # of χ² [s]
 _CHANGED = 3e-3, 9.0  # averaged residual [m], and in its sd: another sensor or tool
+_UNLIKE = 16.0  # χ² that counts as noise, at most
 _WORST = 4.0  # χ² above which no more is passed over
 _BELIEVED = 5.0  # of frames after which what was learnt is a belief when learning begins anew [s]
 _NO_TIME = 1e-12  # of an average's share
@@ -60,7 +66,8 @@ class AdaptiveKinematics(Estimator):
     absorbs what the parameters do not explain.
 
     Frames are paired with the configuration at which they were taken. A jump of the sensor is
-    ignored; if it persists, as after the sensor moved or the tool slipped, learning restarts.
+    ignored; if it persists, as after the sensor moved or the tool slipped, learning restarts unless
+    `restarts` is False.
 
     For a pose it also learns the orientation R̂_x = R̂ R_f(q) T̂, with the rotation T̂ of the tool.
     For a `PlanarCamera` images cannot distinguish a wrong magnification from lengths that are wrong
@@ -87,6 +94,9 @@ class AdaptiveKinematics(Estimator):
         angle_noise: Standard deviation of the orientation of a pose [rad].
         prior: A calibration to begin with, of the arm as drawn or as calibrated: its numbers are
             unknown, too, by its covariance, but for kinds in `sd`: with "tool" it is another tool.
+        restarts: True to begin anew, about what was learnt and as unsure as at first, where x
+            contradicts it; False to go on: the integral offset absorbs the change, the parameters
+            follow slowly, and `Controller.relearnt` begins anew.
 
     Attributes:
         regressor: p(q, θ) of the points.
@@ -110,7 +120,9 @@ class AdaptiveKinematics(Estimator):
         dt: float = 1e-3,
         angle_noise: float = 5e-3,
         prior: KinematicBelief | None = None,
+        restarts: bool = True,
     ) -> None:
+        self._restarts = restarts
         self.task = task = PositionTask(task) if isinstance(task, Robot) else task
         require("prior", prior, (KinematicBelief, type(None)), "a Calibration, or None")
         kinds = (*chosen_kinds(unknown, _KINDS), *(prior.kinds if prior else ()))
@@ -165,7 +177,7 @@ class AdaptiveKinematics(Estimator):
 
         # c = Rᵀb: the offset, learnt or known
         c, each = R.T.dot(b), np.eye(d)[[axes.index(axis) for _, axis in entries]]
-        self._offsets, self._constant = np.zeros((len(rows), 0)), each.dot(c)
+        self._along, self._offsets, self._constant = each, np.zeros((len(rows), 0)), each.dot(c)
         if self._turns or "offset" in kinds:
             self._offsets, self._constant = each, np.zeros(len(rows))
             units |= {f"offset.{axis}": "m" for axis in axes}
@@ -332,7 +344,8 @@ class AdaptiveKinematics(Estimator):
         # what was not explained all along is no news
         unexplained = np.sqrt(np.minimum(np.maximum(chi[0], 1.0), _WORST))
         changed = unexplained * np.maximum(_CHANGED[0], _CHANGED[1] * usual)
-        law.alter(is_anew | (np.abs(averaged).max() > changed), state, self._renew)
+        if self._restarts:
+            law.alter(is_anew | (np.abs(averaged).max() > changed), state, self._renew)
         u = self._estimator.estimate(state[at["sums"]])[0]
         H, known = self._regression(frame.q, frame.v, u, frame.t_x)
         # what is lost has no part in the sums
@@ -508,6 +521,64 @@ class AdaptiveKinematics(Estimator):
             return np.asarray(self._size * np.sqrt(np.maximum((J.dot(P) * J).sum(axis=1), 0.0)))
 
         return sd
+
+    @cached_property
+    def _whole(self) -> tuple[KinematicRegressor, Array]:
+        """A regressor with axes, and the plausible errors of those that are not learnt."""
+        if self.regressor.turners:
+            return self.regressor, np.zeros(0)
+        whole = KinematicRegressor(self.task.robot, self.regressor.frames, axes=True)
+        sds = [_USUAL_SD["encoders" if n.endswith(".encoder") else "axes"] for n in whole.names]
+        return whole, np.array(sds[whole.n_lengths :])
+
+    def expectation(self, state: Array) -> Expectation:
+        at, d, n_p, n_u = self._at, self._d, self._n_p, self._n_u
+        sums, R_u, (whole, angles) = state[at["sums"]], slice(self._n_theta), self._whole
+        chi, (Theta, R) = max(float(state[at["chi"]][0]), 1.0), self._estimator.estimate(sums)
+        usual = max(self.noise**2, float(state[at["noted"]][2]))
+        P = (chi * usual / self.noise**2) * self._estimator.covariance(sums)
+        if self._moved.is_angle.any():
+            usual += self._moved.bent(P.diagonal()[R_u])
+        theta, c = np.append(self._moved.theta(Theta[R_u]), np.zeros(len(angles))), Theta[n_u:]
+        T = _rotation_of(Theta[R_u.stop : R_u.stop + 9]) if self._learns_T else np.eye(3)
+        first, lengths = whole.n_lengths - 3 * len(whole.frames), whole.n_lengths
+        is_whole = d > 1 and np.array_equal(self._along, np.tile(np.eye(d), (n_p // d, 1)))
+        turns = law.generators(d) if is_whole else np.zeros((0, d, d))
+        still = np.zeros(self.task.robot.nv), np.zeros(len(theta))
+
+        def turned(M: Array) -> Array:
+            if not self._is_turned:
+                return M
+            return (R @ M.reshape(-1, d, M.shape[1])).reshape(M.shape)
+
+        def along(turns: Array, x: Array) -> Array:
+            return np.einsum("sij,kj->kis", turns, x.reshape(-1, d)).reshape(len(x), len(turns))
+
+        def sight(frame: Measurement) -> Sight:
+            q = frame.q
+            H, o = self._regression(q, frame.v, Theta[:n_u], frame.t_x)
+            x_hat, H = self._turned(R, o + H.dot(Theta)), turned(H)
+            if len(c):  # c = Rᵀb, and b keeps its place where R turns
+                H[:, n_u:] = H[:, n_u:].dot(R.T)
+            more = ((0, len(x_hat) - n_p), (0, 0))
+            Y = np.pad(turned(whole.linear(q, theta)[0][self._rows]), more)
+            turn, tool_turn = along(turns, x_hat), np.zeros((len(x_hat), 0))
+            if self._turns:
+                b = np.pad(self._along.dot(R.dot(c)), more[0])
+                H = np.hstack([H, along(turns, x_hat - b)])
+            if self._is_pose:
+                R_f, _, _, A = whole.turn(q, still[0], theta, still[1])
+                axes = (R.dot(R_f) @ law.generators(3) @ T).transpose(2, 1, 0).reshape(9, 3)
+                tool_turn = np.concatenate([np.zeros((n_p, 3)), self._l * axes])
+                Y[n_p:] = along(turns, x_hat[n_p:]).dot(R.dot(A))
+            H = np.hstack([H, Y[:, lengths:] * angles]) if len(angles) else H
+            left, shift = self._points(frame.x) - x_hat, np.pad(self._along, more)
+            return Sight(left, H, Y[:, first:lengths], tool_turn, shift, turn)
+
+        n = len(P)
+        covariance = np.eye(n + len(angles))
+        covariance[:n, :n] = P
+        return Expectation(covariance, math.sqrt(usual * min(chi, _UNLIKE)), sight)
 
     def _is_state(self, state: Array) -> bool:
         sums = state[self._at["sums"]]
