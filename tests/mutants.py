@@ -1946,7 +1946,7 @@ MUTANTS = [
     ),
     (
         "the noise of next places in m, not m²", "calibration/next_configurations.py",
-        "best @ CH + noise**2 * np.eye(3)", "best @ CH + noise * np.eye(3)",
+        "best @ CH + _NOISE**2 * np.eye(3)", "best @ CH + _NOISE * np.eye(3)",
         "tests/calibration/test_calibrate.py",
     ),
     (

@@ -29,7 +29,7 @@ _MOST = 0.3, 0.3  # m and rad, of a change
 _SURE = 40.0  # of χ² that a change explains: what is no noise
 _LEAST = 3e-3  # m, of a change
 _CLEAR, _SHARE = 14.0, 0.02  # χ², and share of it, by which a cause explains more than the other
-_SHOWS, _PATIENCE = 0.3, 1.5  # s, for which a change has to show, and in which its cause has
+_SHOWS, _PATIENCE = 0.3, 1.3  # s, for which a change has to show, and in which its cause has
 
 
 class Change(NamedTuple):
