@@ -695,9 +695,9 @@ def _teaching(task: Task, gains: law.ReferenceGains, dt: float) -> law.TeachingM
     require_redundant("teach", task)
     assert gains.stops is not None
     n = task.robot.nv
-    omega = np.asarray(np.geomspace(*_SINES, n), dtype=np.float64)
-    rest = (gains.fastest, gains.singular_ratio, dt)
-    return law.TeachingMotion(_TEACHES, omega, _APART * np.arange(n), gains.stops, *rest)
+    omega, phase = (x.astype(np.float64) for x in (np.geomspace(*_SINES, n), _APART * np.arange(n)))
+    bounds = gains.fastest, gains.singular_ratio
+    return law.TeachingMotion(_TEACHES, omega, phase, gains.stops, *bounds, dt)
 
 
 def _shares(task: Task, limits: Limits) -> Array | None:
