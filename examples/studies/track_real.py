@@ -1,6 +1,6 @@
 """Follow paths with arms that differ from their drawing as real ones do, and know them elsewhere.
 
-Each arm is drawn by the prior of docs/how_to: origins 1 mm, tilts 3 mrad, encoders 15 mrad. It
+Each arm is drawn by the prior of calibrations: origins 1 mm, tilts 3 mrad, encoders 15 mrad. It
 holds 20 cm and 0.5 kg that are unknown, and is seen by a tracker with 1 mm of noise, 60 Hz, 30 ms
 late, turned by 60° (even seeds) or 178° (odd ones), with dt = 1 ms. Paths:
 
