@@ -32,6 +32,7 @@ DRIVERS = "tests/realtime/test_drivers.py"
 GATE = "tests/controllers/test_gate.py"
 LEARNT = "tests/controllers/test_learnt_axes.py"
 PRIOR = "tests/calibration/test_prior.py"
+TEACHING = "tests/controllers/test_teaching.py"
 DETOURS = "tests/controllers/test_detours.py"
 COVARIANCE = "tests/stability/test_covariance.py"
 ACCURACY = "tests/calibration/test_accuracy.py"
@@ -105,6 +106,19 @@ MUTANTS = [
         "a search beyond the ranges", "law/detour.py",
         "return np.minimum(np.maximum(motion + way, low), high)", "return motion + way",
         DETOURS,
+    ),
+    # -- self-motion that teaches
+    (
+        "a self-motion into stops", "law/tracking.py",
+        "wanted = np.where((near > 0.0) & (sides * wanted > 0.0), 0.0, wanted)", "pass", TEACHING,
+    ),
+    (
+        "a self-motion at full speed", "law/tracking.py",
+        "room = np.minimum(np.maximum(room, 0.0), 1.0)", "room = 1.0 + 0.0 * room", TEACHING,
+    ),
+    (
+        "the last encoder is seen beside a tool", "controllers/learning/positions.py",
+        "            H[:, self._turned_tool] = 0.0\n        others", "        others", TEACHING,
     ),
     # -- priors and covariances of a calibration
     (
@@ -1201,8 +1215,8 @@ MUTANTS = [
     ),
     (
         "first command from rest", "controllers/tracking.py",
-        "state[self._end :] = v",
-        "state[self._end :] = 0.0", "tests/controllers/test_tracking.py",
+        "state[self._end : self._last] = v",
+        "state[self._end : self._last] = 0.0", "tests/controllers/test_tracking.py",
     ),
     (
         "stops beside continuous joints by q", "controllers/tracking.py",

@@ -233,6 +233,8 @@ class ControllerChoice:
         posture_stiffness: Stiffness that draws the self-motion to the start, N m/rad; 0 is none.
         detours: Leave dead ends by a motion of the joints to another configuration that reaches the
             target; by the law tracking, for positions. By default if a simulation chooses the law.
+        self_motion: "teach" moves a redundant arm besides the task, so that learnt kinematics are
+            known elsewhere; by the law tracking.
         limits: Limits to keep: those of the "urdf"; a multiple of its effort limits, then the
             motors' too; or "none", as in continuous control.
         torque_rate: Largest change of a torque within limits, N m/s; any by default.
@@ -252,6 +254,7 @@ class ControllerChoice:
     gamma: float | None = positive(None)
     posture_stiffness: float = at_least(0.0)
     detours: bool | None = None
+    self_motion: Literal["teach"] | None = None
     limits: float | Literal["urdf", "none"] = positive("urdf")
     torque_rate: float | None = positive(None)
     unseen: float | None = positive(None)

@@ -85,6 +85,7 @@ def _rules(scenario: Scenario) -> Iterator[Rule]:
         ("controller.command", not tracks, "needs controller.law tracking", "setpoint"),
         ("controller.torque_rate", velocities, "is of torques", control.command),
         ("controller.detours", not tracks, "needs controller.law tracking", "setpoint"),
+        ("controller.self_motion", not tracks, "needs controller.law tracking", "setpoint"),
         ("controller.unseen", learns, "is of no use where x is predicted", "controller.unknown"),
     ]
     for name in _OF_SETPOINT:

@@ -156,6 +156,12 @@ class AdaptiveKinematics(Estimator):
         in_order = rows == list(range(3 * self.regressor.k))
         self._rows: slice | Array = slice(None) if in_order else np.array(rows)
         self._n_p, self._n_theta = len(rows), len(moved.u)
+        # What the last encoder is off by turns the tool only: learnt beside one, it would be taken
+        # as seen, as H is about a tool that is not known at first. So the tool is learnt as turned.
+        self._turned_tool: int | None = None
+        last, is_new = self.regressor.movers[-1], prior is None and len(frames) == 1
+        if is_new and "tool" in kinds and f"{last}.encoder" in moved.names:
+            self._turned_tool = moved.names.index(f"{last}.encoder")
         units, Theta = dict(zip(moved.names, moved.units, strict=True)), [moved.u]
         deviations = [moved.sd]
         # The axes of R_x = R R_f(q) T are points ℓ R_x e_k, linear in nine numbers, to which T is
@@ -234,6 +240,8 @@ class AdaptiveKinematics(Estimator):
         """
         H, known = self._moved.at(q, u[: self._n_theta])
         H, known = H[self._rows], known[self._rows] + self._constant
+        if self._turned_tool is not None:
+            H[:, self._turned_tool] = 0.0
         others = np.zeros((len(H), self._n_u - self._n_theta))
         return np.concatenate([H, others], axis=1) if others.size else H, known
 
@@ -261,6 +269,8 @@ class AdaptiveKinematics(Estimator):
         if self._moved.is_angle.any():  # axes turn about those of tilted joints
             shown = known_axes.reshape(3, 3)
             of_axes[:, :at] = np.cross(turn.A.T[:, np.newaxis], shown).reshape(at, 9).T
+            if self._turned_tool is not None:
+                of_axes[:, self._turned_tool] = 0.0
             known_axes = known_axes - of_axes[:, :at].dot(u[:at])
         if self._learns_late:
             shown = axes.dot(T).reshape(3, 3)
@@ -295,11 +305,13 @@ class AdaptiveKinematics(Estimator):
 
     def _merged(self, P: Array, Theta: Array) -> Array:
         """Return a covariance of what is estimated as that of `names`: nine numbers are a turn."""
+        M, start = np.eye(len(P)), self._n_theta
+        if (encoder := self._turned_tool) is not None:
+            axis, tool = np.cross(*self.regressor.across[-1]), np.flatnonzero(self._moved.is_tool)
+            M[tool, encoder] = -np.cross(axis, Theta[tool])
         if not self._learns_T:
-            return P
-        start = self._n_theta
+            return np.asarray(M.dot(P).dot(M.T))
         end = start + 9
-        M = np.eye(len(P))
         tangents = law.tangents(_rotation_of(Theta[start:end])).reshape(3, 3, 3)
         # the rotation vector that small changes of the nine turn T by
         M[start : start + 3, start:end] = 0.5 * tangents.transpose(1, 0, 2).reshape(9, 3).T
