@@ -307,7 +307,7 @@ class AdaptiveKinematics(Estimator):
         """Return a covariance of what is estimated as that of `names`: nine numbers are a turn."""
         M, start = np.eye(len(P)), self._n_theta
         if (encoder := self._turned_tool) is not None:
-            axis, tool = np.cross(*self.regressor.across[-1]), np.flatnonzero(self._moved.is_tool)
+            axis, tool = self.regressor.across[-1][2], np.flatnonzero(self._moved.is_tool)
             M[tool, encoder] = -np.cross(axis, Theta[tool])
         if not self._learns_T:
             return np.asarray(M.dot(P).dot(M.T))
