@@ -118,7 +118,7 @@ MUTANTS = [
     ),
     (
         "the last encoder is seen beside a tool", "controllers/learning/positions.py",
-        "            H[:, self._turned_tool] = 0.0\n        others", "        others", TEACHING,
+        "H[:, self._turned_tool] = 0.0\n        others", "pass\n        others", TEACHING,
     ),
     # -- priors and covariances of a calibration
     (
