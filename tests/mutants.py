@@ -1944,6 +1944,26 @@ MUTANTS = [
         "commands[first + 1 : last + 1]", "commands[first:last]",
         "tests/view/browser/test_frames.py",
     ),
+    # -- what a second one found
+    (
+        "an eased target without half of dt² a", "law/tracking.py",
+        "place + self.dt * velocity + 0.5 * self.dt * change, velocity",
+        "place + self.dt * velocity, velocity", "tests/law/test_tracking.py",
+    ),
+    (
+        "any way of a detour is the best", "law/detour.py",
+        "better = is_near & (lasts < best) & complement(", "better = is_near & complement(",
+        DETOURS,
+    ),
+    (
+        "a detour with the task's acceleration", "controllers/tracking.py",
+        "a_r - h * a_r + h_dot * away", "a_r + h_dot * away", DETOURS,
+    ),
+    (
+        "a slack without the proof", "codegen/whole_run.py",
+        'named["slack"][named["limit_status"] == LimitStatus.LIMITED] = np.nan', "pass",
+        "tests/simulation/test_engines.py",
+    ),
 ]  # fmt: skip
 
 
