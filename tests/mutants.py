@@ -1964,6 +1964,21 @@ MUTANTS = [
         'named["slack"][named["limit_status"] == LimitStatus.LIMITED] = np.nan', "pass",
         "tests/simulation/test_engines.py",
     ),
+    (
+        "a box of continuous joints mirrored", "codegen/lanes.py",
+        "q[at] * cosine + q[at + 1] * sine < math", "q[at] * cosine - q[at + 1] * sine < math",
+        "tests/codegen/test_lanes.py",
+    ),
+    (
+        "exp of −800 in machine code", "codegen/trace/symbols.py",
+        "return expm1(select(x > -_MOST, x, -_MOST)) + 1.0", "return expm1(x) + 1.0",
+        "tests/codegen/test_graph.py",
+    ),
+    (
+        "a stop that pushes for a whole period", "codegen/loop_program.py",
+        "end = transmission.pushed(after, h * push)",
+        "end = transmission.pushed(after, self._dt * push)", "tests/simulation/test_joints.py",
+    ),
 ]  # fmt: skip
 
 

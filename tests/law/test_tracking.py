@@ -92,7 +92,7 @@ def test_damping_by_the_scale_has_its_rate_too(rng):
 
 
 def test_an_eased_target_follows_one_that_accelerates(rng):
-    """Once it is there, with its velocity, it stays there to round-off, in periods of any length."""
+    """Once it is there, with its velocity, it stays there to round-off, in long periods, too."""
     per, start, speed, a = np.array([2.0, 1.0]), *rng.normal(size=(3, 2))
     eased, begin = law.EasedTarget(4.0, per, 0.02), -0.3
 
