@@ -1979,6 +1979,29 @@ MUTANTS = [
         "end = transmission.pushed(after, h * push)",
         "end = transmission.pushed(after, self._dt * push)", "tests/simulation/test_joints.py",
     ),
+    (
+        "gains whose sampled loop grows pass", "stability/search/suggested_gains.py",
+        "left = 1.0 - grown", "left = grown - 1.0", "tests/stability/test_suggestion.py",
+    ),
+    (
+        "ends of intervals with round-off", "simulation/sensing.py",
+        "        t += _TINY * self._dt\n", "", "tests/simulation/test_sensing.py",
+    ),
+    (
+        "a tool's turn about the frame's axes", "calibration/fit.py",
+        "J[i, 3:, at + 6 : at + 9] = np.eye(3), seen",
+        "J[i, 3:, at + 6 : at + 9] = np.eye(3), R @ R_f", "tests/calibration/test_calibrate.py",
+    ),
+    (
+        "three.js' matrices row by row", "view/browser/stage.py",
+        "= placed.T.ravel().tolist()", "= placed.ravel().tolist()",
+        "tests/view/browser/test_stage.py",
+    ),
+    (
+        "more words after a value with =", "cli/options.py",
+        "while rest and not equals and not rest[0]", "while rest and not rest[0]",
+        "tests/cli/test_arguments.py",
+    ),
 ]  # fmt: skip
 
 
