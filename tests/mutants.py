@@ -2002,6 +2002,11 @@ MUTANTS = [
         "while rest and not equals and not rest[0]", "while rest and not rest[0]",
         "tests/cli/test_arguments.py",
     ),
+    (
+        "the integral is no part of a motor's gain", "controllers/gains/motors.py",
+        "np.sqrt((1.0 + (omega * filtered) ** 2) / (1.0 + (integral / omega) ** 2))",
+        "np.sqrt(1.0 + (omega * filtered) ** 2)", "tests/controllers/test_motor_damping.py",
+    ),
 ]  # fmt: skip
 
 
