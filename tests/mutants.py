@@ -2007,6 +2007,26 @@ MUTANTS = [
         "np.sqrt((1.0 + (omega * filtered) ** 2) / (1.0 + (integral / omega) ** 2))",
         "np.sqrt(1.0 + (omega * filtered) ** 2)", "tests/controllers/test_motor_damping.py",
     ),
+    (
+        "joints may drift by half as much", "law/guard.py",
+        "slack = 2.0 * noise + share * path", "slack = noise + share * path",
+        "tests/controllers/test_guard.py",
+    ),
+    (
+        "an image's noise is as large as that of places", "scenario/build.py",
+        "max(noise, _LEAST_NOISE * task.camera.magnification)", "max(noise, _LEAST_NOISE)",
+        "tests/scenario/test_build.py",
+    ),
+    (
+        "a weight that always helps", "stability/certificates/limit_cost.py",
+        "asked = np.abs(g - (pull", "asked = np.abs(g + (pull",
+        "tests/stability/test_limit_cost.py",
+    ),
+    (
+        "contacts of an arm with bent springs", "simulation/mujoco_plant.py",
+        "        data.qpos[:] = 0.0  # springs, which a run may have left bent\n", "",
+        "tests/simulation/test_mujoco_plant.py",
+    ),
 ]  # fmt: skip
 
 
