@@ -1978,6 +1978,89 @@ MUTANTS = [
         "commands[first + 1 : last + 1]", "commands[first:last]",
         "tests/view/browser/test_frames.py",
     ),
+    # -- what a second one found
+    (
+        "an eased target without half of dt² a", "law/tracking.py",
+        "place + self.dt * velocity + 0.5 * self.dt * change, velocity",
+        "place + self.dt * velocity, velocity", "tests/law/test_tracking.py",
+    ),
+    (
+        "any way of a detour is the best", "law/detour.py",
+        "better = is_near & (lasts < best) & complement(", "better = is_near & complement(",
+        DETOURS,
+    ),
+    (
+        "a detour with the task's acceleration", "controllers/tracking.py",
+        "a_r - h * a_r + h_dot * away", "a_r + h_dot * away", DETOURS,
+    ),
+    (
+        "a slack without the proof", "codegen/whole_run.py",
+        'named["slack"][named["limit_status"] == LimitStatus.LIMITED] = np.nan', "pass",
+        "tests/simulation/test_engines.py",
+    ),
+    (
+        "a box of continuous joints mirrored", "codegen/lanes.py",
+        "q[at] * cosine + q[at + 1] * sine < math", "q[at] * cosine - q[at + 1] * sine < math",
+        "tests/codegen/test_lanes.py",
+    ),
+    (
+        "exp of −800 in machine code", "codegen/trace/symbols.py",
+        "return expm1(select(x > -_MOST, x, -_MOST)) + 1.0", "return expm1(x) + 1.0",
+        "tests/codegen/test_graph.py",
+    ),
+    (
+        "a stop that pushes for a whole period", "codegen/loop_program.py",
+        "end = transmission.pushed(after, h * push)",
+        "end = transmission.pushed(after, self._dt * push)", "tests/simulation/test_joints.py",
+    ),
+    (
+        "gains whose sampled loop grows pass", "stability/search/suggested_gains.py",
+        "left = 1.0 - grown", "left = grown - 1.0", "tests/stability/test_suggestion.py",
+    ),
+    (
+        "ends of intervals with round-off", "simulation/sensing.py",
+        "        t += _TINY * self._dt\n", "", "tests/simulation/test_sensing.py",
+    ),
+    (
+        "a tool's turn about the frame's axes", "calibration/fit.py",
+        "J[i, 3:, at + 6 : at + 9] = np.eye(3), seen",
+        "J[i, 3:, at + 6 : at + 9] = np.eye(3), R @ R_f", "tests/calibration/test_calibrate.py",
+    ),
+    (
+        "three.js' matrices row by row", "view/browser/stage.py",
+        "= placed.T.ravel().tolist()", "= placed.ravel().tolist()",
+        "tests/view/browser/test_stage.py",
+    ),
+    (
+        "more words after a value with =", "cli/options.py",
+        "while rest and not equals and not rest[0]", "while rest and not rest[0]",
+        "tests/cli/test_arguments.py",
+    ),
+    (
+        "the integral is no part of a motor's gain", "controllers/gains/motors.py",
+        "np.sqrt((1.0 + (omega * filtered) ** 2) / (1.0 + (integral / omega) ** 2))",
+        "np.sqrt(1.0 + (omega * filtered) ** 2)", "tests/controllers/test_motor_damping.py",
+    ),
+    (
+        "joints may drift by half as much", "law/guard.py",
+        "slack = 2.0 * noise + share * path", "slack = noise + share * path",
+        "tests/controllers/test_guard.py",
+    ),
+    (
+        "an image's noise is as large as that of places", "scenario/build.py",
+        "max(noise, _LEAST_NOISE * task.camera.magnification)", "max(noise, _LEAST_NOISE)",
+        "tests/scenario/test_build.py",
+    ),
+    (
+        "a weight that always helps", "stability/certificates/limit_cost.py",
+        "asked = np.abs(g - (pull", "asked = np.abs(g + (pull",
+        "tests/stability/test_limit_cost.py",
+    ),
+    (
+        "contacts of an arm with bent springs", "simulation/mujoco_plant.py",
+        "        data.qpos[:] = 0.0  # springs, which a run may have left bent\n", "",
+        "tests/simulation/test_mujoco_plant.py",
+    ),
 ]  # fmt: skip
 
 

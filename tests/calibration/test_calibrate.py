@@ -12,7 +12,7 @@ import approxjac as aj
 from approxjac import law
 from approxjac.calibration import Recording, calibrate, next_configurations
 from approxjac.calibration.calibrate import KINDS, USUAL_SD
-from approxjac.calibration.fit import Fit, Recorded
+from approxjac.calibration.fit import TRACKER, Fit, Recorded
 from approxjac.robots import KinematicRegressor
 from approxjac.robots.kinematic_regressor import Unknowns
 
@@ -237,6 +237,33 @@ def test_chosen_configurations_tell_more_than_random_ones(true_arm):
     assert sd["chosen"] < sd["random"] - 3.0
     told = calibrate(true_arm.believed, Recording(chosen, x=x, place="room"))
     assert next_configurations(true_arm.believed, told, 3, every).shape == (3, 7)
+
+
+def test_what_a_tracker_leaves_has_the_derivatives_of_its_differences(rng):
+    """By the arm's numbers, and by how the tracker and the tool are turned, which is by far."""
+    arm = aj.load_robot("so101")
+    unknowns = Unknowns(KinematicRegressor(arm, axes=True), ("tool", "axes"), USUAL_SD)
+    R, T = (law.rotation_exp(rng.normal(size=3)) for _ in range(2))
+    samples = Recorded(*([] for _ in Recorded._fields))
+    for q in arm.configurations(6):
+        H, o = unknowns.at(q, unknowns.u)
+        turn = R @ unknowns.turn(q, unknowns.u).R @ T
+        row = q, R @ (o + H @ unknowns.u) + [0.3, -2.0, 1.0], turn, TRACKER, "room", "row"
+        for column, each in zip(samples, row, strict=True):
+            column.append(each)
+
+    def left(step):
+        fit = Fit(unknowns, samples, {}, 1.0)
+        fit._place()
+        fit._move(step)
+        return fit._residuals()
+
+    size = len(unknowns.u) + 9
+    none, J = left(np.zeros(size))
+    assert_allclose(none, 0.0, atol=1e-9)
+    for unit, slope in zip(np.eye(size), np.moveaxis(J, 2, 0), strict=True):
+        more, less = (left(step * unit)[0] for step in (1e-5, -1e-5))
+        assert_allclose((more - less) / 2e-5, slope, atol=1e-6)
 
 
 def test_each_configuration_is_the_one_that_adds_most_information():

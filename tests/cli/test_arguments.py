@@ -36,6 +36,7 @@ simulate panda --believed.object.length -0.1 | --believed.object.length | got -0
 simulate panda --believed-length=-0.1 | --believed-length | got -0.1 | >= 0
 simulate panda --kp 0 | --kp | got 0.0 | > 0
 simulate panda --kp 1 2 | --kp | 2 | 3
+simulate ur5 --kv=20 30 40 | option '30' | simulate --help-all
 simulate panda --kv 400 a | --kv must be numbers | got 400 a | one per task coordinate
 simulate panda --kp --seed 1 | --kp must be numbers | got nothing
 simulate panda --controller.unknown | --controller.unknown must be words | got nothing

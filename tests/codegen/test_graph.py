@@ -93,6 +93,24 @@ def test_functions_are_within_some_units_of_the_last_place(graph):
         assert np.abs(ours - known(far)).max() <= 2.3e-16
 
 
+def test_further_functions_are_those_of_numpy(graph):
+    """Exponentials of what is beyond ±700 are those of ±700, which are finite."""
+    (x,), (y,) = inputs(graph, "x", 1), inputs(graph, "y", 1)
+    a, b = symbols([x]), symbols([y])
+    made = [np.exp(a), np.arctan2(a, b), np.hypot(a, b), np.copysign(a, b), np.sign(a)]
+    function = numpy_function(graph, [each[0] for each in (*made, np.rint(a), np.expm1(0.01 * a))])
+    sizes = np.concatenate([np.geomspace(1e-9, 650.0, 80), [710.0, 4e3, 1e5]])
+    x, y = (each.ravel() for each in np.meshgrid(np.append(-sizes, sizes), [-3.1, -0.2, 0.4, 7.0]))
+    exp, *others = function(x=[x], y=[y])
+    np.testing.assert_allclose(exp, np.exp(np.clip(x, -700.0, 700.0)), rtol=1e-14, atol=1e-15)
+    some = np.abs(x) < 1e4
+    expected = np.arctan2(x, y), np.hypot(x, y), np.copysign(x, y), np.sign(x), np.rint(x)
+    for found, wanted in zip(
+        others, (*expected, np.expm1(np.where(some, 0.01 * x, 0.0))), strict=True
+    ):
+        np.testing.assert_allclose(found[some], wanted[some], rtol=1e-14)
+
+
 @pytest.mark.study
 @pytest.mark.parametrize("m", [1, 2, 3, 4, 6])
 def test_damped_solutions_are_those_of_the_law(graph, m, rng):

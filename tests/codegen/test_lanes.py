@@ -363,6 +363,19 @@ def _nonsingular(robot, bend):
     return aj.tasks.NonsingularTask(aj.PositionTask(robot), bend, 0.3)
 
 
+def test_a_box_of_two_continuous_joints_is_left_as_in_python():
+    turning = aj.load_robot("two_link").urdf.replace('"revolute"', '"continuous"')
+    plane = functools.partial(aj.PositionTask, axes="xz")
+    errors = aj.Uncertainty(aj.Robot(turning), plane, object_length=(0.0, 0.2))
+    region = aj.JointBox.around(errors.belief(), errors.belief().configuration((2.2, 1.1)), 0.5)
+    falls = aj.controllers.NoGravity(errors.belief())
+    loop = aj.SetpointController(errors.believed_task(), gravity=falls), errors, region
+    short = {"runs": 9, "duration": 0.6, "dt": 1e-2}
+    ours, python = (rolled(*loop, engine=engine, **short) for engine in ("lanes", "python"))
+    require_agreement(ours, python)
+    assert 0 < ours.n_left < 9
+
+
 @pytest.mark.study
 def test_boxes_of_continuous_joints():
     errors = aj.Uncertainty(aj.load_robot("kinova"), object_length=(0.0, 0.2))

@@ -123,6 +123,49 @@ def test_the_way_of_a_continuous_joint_is_less_than_half_a_turn(away):
     assert_allclose(moved, goal, atol=0.03)
 
 
+@pytest.mark.parametrize("near", [0.35, -0.5])
+def test_of_several_configurations_the_soonest_is_taken(near):
+    """Two reach the target, and starts of the search are nearer to the far one, too."""
+    ways, memory, moved = detour(3e-3), np.zeros(detour().size), np.zeros(3)
+    goals = np.array([[near, 0.1, 0.2], [-2.6 * near, -0.7, -0.4]])
+
+    def look(place):
+        away = place - goals
+        return away[np.argmin(np.abs(away).max(axis=1))], np.eye(3)
+
+    for k in range(900):
+        memory, h, _, speed = ways.step(memory, k < 300, np.zeros(3), np.ones(3), look)
+        moved = moved + ways.dt * h * speed
+    assert_allclose(moved, goals[0], atol=0.02)
+
+
+@pytest.mark.parametrize("c", [0.4, 1.0])
+def test_the_torque_is_that_of_the_motion_it_takes(rng, c):
+    """On its ramp, and in the middle, where joints keep their speed: q̈_r is the rate of q̇_r."""
+    ur10, dt = aj.load_robot("ur10"), 1e-5
+    task, dynamics = aj.PositionTask(ur10), aj.robots.Dynamics(ur10)
+    tracks = aj.TrackingController(
+        task, kinematics=aj.controllers.KnownKinematics(task), dt=dt,
+        dynamics=aj.controllers.ModelDynamics(ur10), gains=TrackingGains(detours=True),
+    )  # fmt: skip
+    q, still, way = np.array([0.3, -1.1, 1.4, -0.8, -1.2, 0.5]), np.zeros(6), rng.normal(size=6)
+    goal = task.value(q) + [0.2, -0.3, 0.1]
+    begun = tracks.begin(aj.Measurement(0.0, q, still, task.value(q)))
+    under_way = [0.0, 0.0, 0.0, 1e9, 1.0, 2.0, c, *goal, *q, *still, *way]  # as `Detour` has it
+    begun[-len(under_way) :] = under_way
+
+    def step(state, q, v):
+        now = aj.Measurement(0.0, q, v, task.value(q))
+        return tracks.advance(state, now, aj.Target(goal), dt)
+
+    v = step(begun, q, still)[1].reference
+    after, answer = step(begun, q, v)
+    rate = (step(after, q + dt * v, v)[1].reference - v) / dt
+    a = dynamics.forward(q, v, answer.torque)
+    assert_allclose(a, rate, atol=1e-3 * max(1.0, np.abs(rate).max()))
+    assert (np.abs(rate).max() > 0.5) == (c < 1.0)
+
+
 def test_where_nothing_is_seen_is_no_way():
     ways, goal, memory = detour(), np.array([0.5, -1.0, 0.2]), np.zeros(detour().size)
     for _ in range(900):

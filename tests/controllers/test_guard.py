@@ -489,6 +489,19 @@ def test_a_change_of_torque_explains_less_and_less_for_20_ms(dt):
     np.testing.assert_allclose(found, np.maximum(faded, usual), rtol=1e-9)
 
 
+@pytest.mark.parametrize("dt", [7e-4, 3e-3])
+@pytest.mark.parametrize("drifted", [1.6, -1.6, 2.4, -2.4])
+def test_joints_that_stand_may_drift_by_twice_the_noise_of_a_change_of_q(dt, drifted):
+    """In all that is remembered of 50 ms: more tells that q̇ is not that of q."""
+    bounds = GuardBounds([1e-3], 0.0, [1.0], np.array([10.0]), [0.1], (), 5.0, 0.02)
+    memory = GuardMemory.of(first_memory([0.0], [], bounds).tolist(), GuardMemory.ends(1, 1, 0, 0))
+    way = 2e-4
+    memory = memory._replace(t=0.0, drift=[(drifted * 1e-3 - way) / (1.0 - dt / 0.05)])
+    sample = Sample(dt, [way], [0.0], [], math.nan, [way], [])
+    kind = law_of_guards.GOOD if abs(drifted) < 2.0 else law_of_guards.DISAGREES
+    assert judged(memory, sample, dt, bounds).verdict[0] == kind
+
+
 @pytest.mark.parametrize("dt", [1e-3, 4e-3])
 def test_how_long_an_x_is_refused_is_counted_in_seconds(dt):
     off = *STILL[:3], 0.5

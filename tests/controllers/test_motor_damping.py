@@ -71,6 +71,25 @@ def test_no_joint_is_unstable_below_c_and_one_is_above(torque_delay, velocity_fi
     assert min(shares) < 1.3
 
 
+@pytest.mark.parametrize("late", [(4e-3, 1e-3, 0.02), (2.5e-3, 7e-3, 0.0)])
+@pytest.mark.parametrize("share", [0.0, 0.4, 0.8])
+def test_behind_gears_that_do_not_ring_c_is_the_gain_margin_of_a_rotor_alone(late, share):
+    """To all digits: the gain at which (1 + i/s) exp(−sT_d)/(s(1 + sT_f)) passes −1."""
+    period, torque_delay, filtered = late
+    delay = torque_delay + (period if filtered else 0.5 * period)
+    integral = share / (delay + filtered)
+
+    def loop(omega):
+        s = 1j * omega
+        return (1.0 + integral / s) * np.exp(-s * delay) / (s * (1.0 + s * filtered))
+
+    omega = np.linspace(0.2, 30.0, 100_001) / (delay + filtered)
+    (at,) = np.flatnonzero(np.diff(np.sign(loop(omega).imag)) > 0.0)[:1]
+    crosses = np.interp(0.0, loop(omega[at : at + 2]).imag, omega[at : at + 2])
+    margin = 1.0 / np.abs(loop(crosses))
+    assert_allclose(largest_rate(aj.Latency(*late), 1.0, integral), margin, rtol=1e-6)
+
+
 def test_damping_grows_with_rotors_and_shrinks_with_lag(panda):
     told, later = motor_damping(panda, LATE, Drives(0.2, 1e4)), aj.Latency(1e-3, 2e-3, 5e-3)
     assert_allclose(told, 0.75 * largest_rate(LATE) * 0.2)  # a quarter less than it may be

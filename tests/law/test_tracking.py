@@ -91,6 +91,22 @@ def test_damping_by_the_scale_has_its_rate_too(rng):
     assert_allclose(a, rate_of(velocity), rtol=1e-5, atol=1e-6)
 
 
+def test_an_eased_target_follows_one_that_accelerates(rng):
+    """Once it is there, with its velocity, it stays there to round-off, in long periods, too."""
+    per, start, speed, a = np.array([2.0, 1.0]), *rng.normal(size=(3, 2))
+    eased, begin = law.EasedTarget(4.0, per, 0.02), -0.3
+
+    def goal(t):
+        return start + speed * t + 0.5 * a * t * t, speed + a * t, a
+
+    memory = eased.start(*goal(begin)[:2])
+    for k in range(50):
+        t = begin + 0.02 * k
+        memory, led = eased.step(memory, goal(t)[0], goal(t), 6.0)
+        for own, wanted in zip(led, goal(t), strict=True):
+            assert_allclose(own, wanted, atol=1e-12)
+
+
 @pytest.mark.parametrize("near_stops", [False, True])
 @pytest.mark.parametrize("sliding", [False, True])
 def test_joints_share_the_motion_that_the_task_needs(rng, near_stops, sliding):

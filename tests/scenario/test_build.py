@@ -70,6 +70,18 @@ def test_a_planar_camera_is_believed_with_the_errors_that_are_said(given, f):
         assert found == pytest.approx(expected)
 
 
+@pytest.mark.parametrize(("distance", "said"), [(2.5, 0.0), (0.9, 0.0), (0.9, 4e-5)])
+def test_where_a_planar_camera_has_no_noise_places_are_known_to_a_tenth_of_a_mm(distance, said):
+    """Of what the arm is learnt from; or as its noise says, by the magnification f/(z - f)."""
+    built = build_scenario(Scenario(
+        "two_link", task={"kind": "image"}, sensor={"noise": said},
+        true={"camera": {"kind": "planar", "distance": distance}},
+        controller={"unknown": ["tool"], "law": "tracking"},
+    ))  # fmt: skip
+    magnification = 0.05 / (distance - 0.05)
+    assert built.controller.kinematics.noise == pytest.approx(max(1e-4, said / magnification))
+
+
 def test_a_tracker_measures_in_the_axes_that_are_said():
     """x = R p + b; the controller does not know of it."""
     turned, offset = np.array([0.2, -0.4, 1.0]), np.array([0.1, -0.05, 0.05])

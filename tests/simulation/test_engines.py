@@ -95,6 +95,20 @@ def test_what_was_changed_is_traced_again(loop):
     assert np.abs(second.q - first.q).max() > 1e-4
 
 
+def test_where_limits_do_without_the_proof_no_slack_is_known(loop):
+    """Of machine code, too, whose steps answer with numbers; of torques that are free it is 0."""
+    plant, law, target, q = loop
+    weak = aj.Limits(effort=6.0 * np.abs(plant.dynamics.g(q)))
+    low = aj.TorqueLimited(law, weak, proof=False, dt=3e-3)
+    runs = [
+        aj.simulate(plant, low, target, q, 0.6, dt=3e-3, computation=Computation(engine=engine))
+        for engine in ("python", "compiled")
+    ]
+    slack, ours = (run.slack for run in runs)
+    np.testing.assert_array_equal(ours, slack)
+    assert 5 < np.isnan(slack).sum() < len(slack) - 5
+
+
 def test_threads_run_the_same_loop_at_once(loop):
     plant, law, target, q = loop
     starts = [q + 0.01 * i for i in range(8)]

@@ -82,6 +82,17 @@ def assert_same_accelerations(robot, rng, friction=0.3):
         assert difference <= 1e-9 * np.abs(wanted).max()
 
 
+def test_springs_that_a_run_left_bent_are_in_nobodys_way():
+    """Where an arm is free of contact does not depend on what was simulated before."""
+    arm = aj.load_robot("ur3")
+    plant = aj.MujocoPlant(arm, floor=0.0, drives=Drives(0.02, 300.0))
+    ready, still = plant.ready_configuration(), np.zeros(arm.nv)
+    motors = plant.motors_at(ready)
+    bent = motors._replace(twist=np.array([0.0, 2.0, 1.5, 1.0, 0.0, 0.0]))
+    plant.advance(ready, still, still, 1e-3, semi_implicit_euler, bent)
+    assert_array_equal(plant.ready_configuration(), ready)
+
+
 # -- accelerations ----------------------------------------------------------------------
 
 

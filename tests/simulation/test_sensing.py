@@ -890,6 +890,15 @@ def test_a_hidden_frame_is_lost_for_as_long_as_it_is_read(plane):
     assert not np.isnan(taken(between, plane, 1000)).any()
 
 
+@pytest.mark.parametrize("period", ["0.0024", "0.0045", "0.007"])
+def test_where_round_off_puts_an_instant_beside_an_end_it_counts_as_there(plane, period):
+    """k dt in doubles is often less than the number that is written: a frame is lost as it says."""
+    exact = Fraction(period)
+    ends = [(float(3 * k * exact), float((3 * k + 1) * exact)) for k in range(1, 60)]
+    shown = taken(aj.Sensing(x_lost=ends), plane, 180, float(period))[:, 0]
+    assert_array_equal(np.flatnonzero(np.isnan(shown)), range(3, 180, 3))
+
+
 def test_one_part_is_lost_and_the_others_are_not(pair):
     shown = taken(aj.Sensing(x_lost=[(0.1, 0.2, 0), (0.15, 0.25, 1)]), pair, 300)
     samples = np.arange(300.0)

@@ -161,6 +161,23 @@ def test_clipped_are_starts_at_which_the_law_asks_some_motor_for_too_much(posed)
     assert cost.clipped == beyond.any(axis=1).mean() < 1.0
 
 
+@pytest.mark.parametrize("share", [0.35, 0.5, 0.65])
+def test_what_is_asked_of_weak_motors_is_beside_the_weight(share):
+    """Towards some targets the weight helps, and to others it is in the way."""
+    arm = aj.load_robot("ur10").with_object(0.1, 4.0)
+    law = aj.SetpointController(aj.PositionTask(arm), aj.Gains(300.0, 40.0, 9.0))
+    limiter = aj.TorqueLimited(law, aj.Limits(effort=share * arm.effort_limits))
+    loop = ClosedLoop(law, arm, aj.JointBox.around(arm, (0.0, -0.7, 1.1, -1.0, -1.5, 0.0), 0.6))
+    samples = loop.draw(30, np.random.default_rng(4))
+    asked = []
+    for q, x, x_d in zip(samples.q, samples.x, samples.x_d, strict=True):
+        here = aj.Measurement(0.0, q, np.zeros(6), x)
+        asked.append(law.evaluate(law.begin(here), here, x_d).torque)
+    beyond = (np.abs(asked) > limiter.limits.effort).any(axis=1).mean()
+    assert limit_cost(loop, limiter, samples, None, None).clipped == beyond
+    assert 0.0 < beyond < 1.0
+
+
 def test_an_error_of_each_unit_has_a_bound_of_its_own(posed):
     """To either side and beside the weight; for larger errors some motor has too little."""
     law, limiter, samples, cost = posed

@@ -129,6 +129,28 @@ def test_torques_at_the_start_are_those_of_the_law_that_carries_the_weight(monke
     assert first.torque_ratio == pytest.approx(np.max(shares), rel=1e-9)
 
 
+@pytest.mark.usefixtures("one_candidate")
+@pytest.mark.parametrize("test", ["matrix", "local"])
+def test_gains_that_grow_as_they_are_sampled_fail(monkeypatch, test):
+    """By as much as the spectral radius of the loop is above 1."""
+    monkeypatch.setattr(suggested_gains, "_DAMPING", (20.0,))
+    arm, plane = aj.load_robot("two_link"), functools.partial(aj.PositionTask, axes="xz")
+    arm, late = arm.with_gravity((0.0, 0.0, 0.0)), aj.Latency(period=0.03, torque_delay=0.03)
+    errors, q = aj.Uncertainty(arm, plane, object_length=(0.0, 0.3)), np.array([-0.7, 1.9])
+    law, box = law_of(errors, aj.Gains(60.0, 20.0, 1.0)), aj.JointBox.around(arm, q, 1e-7)
+    study = aj.Study(law, errors, box, latency=late)
+    found = study.gains(3.0, test=test, configurations=20, torque_limits=1e4)
+    (only,), grows = found.tried, []
+    for values in errors.corners():
+        plant = errors.plant(values)
+        plant = aj.Plant(plant.robot, plant.sensor, actuator_delay=0.03)
+        own = law_of(errors, only.gains)
+        grows.append(-aj.local_stability(plant, own, q, 0.03).decay_rate)
+    assert max(grows) > 1.0
+    assert only.margin == pytest.approx(1.0 - np.exp(0.03 * max(grows)), rel=1e-3)
+    assert found.found is None
+
+
 @pytest.mark.parametrize("count", [0, -1, 2.5])
 def test_counts_out_of_range_are_refused(tools, box, count):
     study = aj.Study(law_of(tools, aj.Gains(400.0, 80.0, 5.0)), tools, box)

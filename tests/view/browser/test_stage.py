@@ -119,6 +119,24 @@ def test_links_of_another_length_have_a_rod_and_objects_have_none():
     assert rods(longer) == ["link link1"]
 
 
+def test_what_is_placed_in_a_link_is_where_it_belongs(two_link):
+    """By three.js' matrices, column by column: a rod's ends, and points that a camera sees."""
+    points = np.array([[0.1, -0.2, 0.3], [0.0, 0.05, -0.1]])
+    belief = two_link.with_kinematic_error({"joint2": (0.07, -0.12, 0.2)})
+    tasks = (aj.ImageTask(arm, ROOM, points=points) for arm in (two_link, belief))
+    stage = stage_of(two_link, next(tasks), belief, next(tasks))
+    placed = {"bone": [], "points_believed": []}
+    for each in commands_of(stage.data("believed")["commands"]):
+        for name in placed:
+            if name in each["path"]:
+                matrix = np.reshape(each["object"]["object"]["matrix"], (4, 4), order="F")
+                placed[name].append((matrix, each["object"]["geometries"][0]))
+    assert_allclose([matrix[:3, 3] for matrix, _ in placed["points_believed"]], points)
+    ((matrix, rod),) = placed["bone"]
+    ends = [(matrix @ [0.0, half * rod["height"], 0.0, 1.0])[:3] for half in (-0.5, 0.5)]
+    assert_allclose(ends, [np.zeros(3), belief.model.jointPlacements[2].translation], atol=1e-12)
+
+
 def test_the_grid_lies_on_the_floor_below_all_points():
     points = np.array([[0.3, -0.9, 1.0], [0.1, 0.2, 2.0]])
     (drawn,) = commands_of(grid(points, -0.4))
